@@ -1,0 +1,202 @@
+"""The cell file: buses, arms of six axes, and how the rest poses are measured.
+
+pydantic stands at this edge only; what is read here is frozen and complete. A key that is not known is refused, a
+constant without its source too: nothing is ever filled in with 1.0.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from gateway.errors import ConfigError
+
+Vector3 = tuple[float, float, float]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Constant(_Strict):
+    """A number and where it comes from."""
+
+    value: Finite
+    source: Annotated[str, Field(min_length=1)]
+
+
+class BusConfig(_Strict):
+    """One CAN bus; `options` go to the python-can interface as they stand."""
+
+    interface: str
+    channel: str
+    bitrate_bit_s: int = Field(default=1_000_000, gt=0)
+    sync_period_s: Positive = 0.01
+    pacing: Literal["lockstep", "real"] = "real"
+    options: dict[str, str | int | float | bool] = Field(default_factory=dict)
+
+
+class KeepOut(_Strict):
+    """Axis-aligned box in the base frame that no joint origin, flange or load point may enter."""
+
+    min_m: Vector3
+    max_m: Vector3
+
+
+class DhTable(_Strict):
+    """Denavit-Hartenberg rows of the six axes; theta = q + theta_offset."""
+
+    convention: Literal["modified", "standard"]
+    alpha_rad: tuple[float, float, float, float, float, float]
+    a_m: tuple[float, float, float, float, float, float]
+    d_m: tuple[float, float, float, float, float, float]
+    theta_offset_rad: tuple[float, float, float, float, float, float]
+
+
+class AxisConfig(_Strict):
+    """One servo axis: the drive, and what stands between motor and joint."""
+
+    node_id: int = Field(ge=1, le=127)
+    profile: str
+    torque_constant_nm_per_a: Constant
+    gear_ratio: Constant
+    gear_efficiency: Constant
+    position_sign: Literal[1, -1] = 1
+    torque_sign: Literal[1, -1] = 1
+    zero_offset_rad: Finite = 0.0
+    position_limit_rad: tuple[Finite, Finite]
+    speed_limit_rad_s: Positive
+    torque_limit_nm: Positive
+    acceleration_limit_rad_s2: Positive | None = None
+    jerk_limit_rad_s3: Positive | None = None
+
+    @model_validator(mode="after")
+    def _plausible(self) -> AxisConfig:
+        low, high = self.position_limit_rad
+        if not low < high:
+            raise ValueError(f"position_limit_rad: lower limit {low} is not below upper limit {high}")
+        if self.gear_ratio.value == 0 or self.torque_constant_nm_per_a.value <= 0:
+            raise ValueError("gear_ratio must not be 0 and torque_constant_nm_per_a must be positive")
+        if not 0 < self.gear_efficiency.value <= 1:
+            raise ValueError(f"gear_efficiency must lie in (0, 1], got {self.gear_efficiency.value}")
+        return self
+
+
+class ArmConfig(_Strict):
+    """One arm of six axes on one bus."""
+
+    name: str
+    bus: str
+    robot: str | None = None
+    dh: DhTable | None = None
+    inertials: Annotated[str, Field(pattern=r"^(exact|ignore|prior:\d*\.?\d+)$")] = "ignore"
+    gravity_m_s2: Vector3 = (0.0, 0.0, -9.80665)
+    flange_xyz_m: Vector3 | None = None
+    flange_rpy_rad: Vector3 = (0.0, 0.0, 0.0)
+    keep_out: tuple[KeepOut, ...] = ()
+    coupling: tuple[tuple[float, ...], ...] | None = Field(
+        default=None, description="6 x 6 matrix A of q_motor_side = A q_joint, ratios not included; identity if absent"
+    )
+    axis: tuple[AxisConfig, ...]
+
+    @model_validator(mode="after")
+    def _six_axes(self) -> ArmConfig:
+        if len(self.axis) != 6:
+            raise ValueError(f"arm '{self.name}' has {len(self.axis)} [[arm.axis]] tables, six are needed")
+        ids = [axis.node_id for axis in self.axis]
+        twice = sorted({node for node in ids if ids.count(node) > 1})
+        if twice:
+            raise ValueError(f"arm '{self.name}': node id {twice[0]} is given to more than one axis")
+        if (self.robot is None) == (self.dh is None):
+            raise ValueError(f"arm '{self.name}' needs either robot = \"FILE.urdf\" or [arm.dh], not both")
+        if self.coupling is not None:
+            matrix = np.array(self.coupling, dtype=float)
+            if matrix.shape != (6, 6) or abs(np.linalg.det(matrix)) < 1e-6:
+                raise ValueError(f"arm '{self.name}': coupling must be an invertible 6 x 6 matrix")
+        return self
+
+
+class PosesConfig(_Strict):
+    """How many rest poses, and how each is approached, settled and sampled."""
+
+    count: int = Field(default=10, ge=2)
+    approach_offset_rad: Positive = 0.03
+    approach_speed_rad_s: Positive = 0.05
+    samples: int = Field(default=100, ge=10)
+    validation: int = Field(default=4, ge=0)
+    settle_timeout_s: Positive = 10.0
+    file: str | None = None
+
+
+class Cell(_Strict):
+    """The whole cell file."""
+
+    name: str
+    bus: dict[str, BusConfig]
+    arm: tuple[ArmConfig, ...] = Field(min_length=1)
+    poses: PosesConfig = PosesConfig()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Cell:
+        names = [arm.name for arm in self.arm]
+        if len(set(names)) != len(names):
+            raise ValueError("two arms have the same name")
+        taken: set[tuple[str, int]] = set()
+        for arm in self.arm:
+            if arm.bus not in self.bus:
+                raise ValueError(f"arm '{arm.name}' names bus '{arm.bus}', but there is no [bus.{arm.bus}]")
+            for axis in arm.axis:
+                if (arm.bus, axis.node_id) in taken:
+                    raise ValueError(f"bus '{arm.bus}': node id {axis.node_id} is used by two arms")
+                taken.add((arm.bus, axis.node_id))
+        return self
+
+
+class LoadedCell(_Strict):
+    """A cell, the text it was read from and the folder its relative paths start at."""
+
+    cell: Cell
+    text: str
+    folder: Path
+
+    def path(self, name: str) -> Path:
+        """Path of a file that the cell names."""
+        return (self.folder / name).resolve()
+
+
+def parse_cell(text: str, where: str) -> Cell:
+    """Validate the text of a cell file; every problem is named at once."""
+    try:
+        return Cell.model_validate(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{where}: not valid TOML: {error}") from error
+    except ValidationError as error:
+        raise ConfigError(f"{where}: {_in_words(error)}") from error
+
+
+def load_cell(path: Path) -> LoadedCell:
+    """Read a cell file from disk."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from error
+    return LoadedCell(cell=parse_cell(text, str(path)), text=text, folder=path.resolve().parent)
+
+
+def _in_words(error: ValidationError) -> str:
+    lines = []
+    for problem in error.errors(include_url=False):
+        key = ".".join(str(part) for part in problem["loc"]) or "file"
+        message = problem["msg"].removeprefix("Value error, ")
+        if problem["type"] == "extra_forbidden":
+            message = "unknown key; remove it or correct its spelling (units are part of the name)"
+        elif problem["type"] == "missing":
+            message = "is missing; nothing is assumed in its place"
+        lines.append(f"{key}: {message}")
+    return "; ".join(lines)
