@@ -1,0 +1,137 @@
+"""servo-gateway: parse, call one function, print, and turn every error into one paragraph and an exit code.
+
+    0    done
+    1    a defect of this program (details go to a log file that the message names)
+    2    usage
+    3    configuration or input file
+    4    bus or drive
+    5    plan refused, or motion stopped
+    6    data cannot answer the question
+    7    finished, a failing finding stands
+    130  stopped by Ctrl-C; the arm stands, what was measured is kept
+
+Each command lives in `gateway/commands` and is imported when it is called, so that `--help` stays fast.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import tempfile
+import traceback
+from collections.abc import Sequence
+from typing import Any
+
+import click
+
+PROGRAM = "servo-gateway"
+CTRL_C = 130
+
+# command -> (module of gateway.commands, one line of help)
+COMMANDS: dict[str, tuple[str, str]] = {
+    "scan": ("bus", "Who is on the bus: identity, firmware, NMT state, matching profile."),
+    "check": ("bus", "Pre-flight check of a cell: drives against profile and cell file."),
+    "restore": ("bus", "Put back what the write ledger holds."),
+    "plan": ("measure", "Choose rest poses: limits, duration, expected uncertainty (needs no bus)."),
+    "record": ("measure", "Measure the rest poses under one load into RUN.h5."),
+    "commission": ("guided", "All of it, guided: from the check to the report."),
+    "estimate": ("analyse", "Mass and centre of gravity of the load(s) from DATA."),
+    "diagnose": ("analyse", "What the model lacks, judged on data that no fit has seen."),
+    "report": ("handover", "One HTML page from a result."),
+    "export": ("handover", "The load as URDF, JSON or in a robot controller's syntax."),
+    "profiles": ("handover", "Drive profiles: list, show, schema."),
+}
+
+
+class LadderGroup(click.Group):
+    """Commands by name, imported when called; every error becomes one paragraph and an exit code."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names in the order of the job."""
+        del ctx
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import the module of a command and return it."""
+        del ctx
+        if cmd_name not in COMMANDS:
+            return None
+        module = importlib.import_module(f"gateway.commands.{COMMANDS[cmd_name][0]}")
+        return getattr(module, cmd_name)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the commands without importing them."""
+        del ctx
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+
+    def main(self, args: Sequence[str] | None = None, prog_name: str | None = None, **extra: Any) -> Any:
+        """Run the command line and leave with its exit code."""
+        extra.pop("standalone_mode", None)
+        try:
+            code = super().main(args, prog_name or PROGRAM, standalone_mode=False, **extra)
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            code = 0
+        except BaseException as error:  # noqa: BLE001 - the one place where an error becomes an exit code
+            code = report_error(error)
+        sys.exit(code if isinstance(code, int) else 0)
+
+
+def report_error(error: BaseException) -> int:
+    """Write one paragraph about `error` to stderr and return the exit code that belongs to it."""
+    if isinstance(error, SystemExit):
+        return error.code if isinstance(error.code, int) else 1
+    if isinstance(error, click.Abort | KeyboardInterrupt):
+        click.echo("stopped: the arm stands still, what was measured is kept", err=True)
+        return CTRL_C
+    if isinstance(error, click.ClickException):
+        error.show()
+        return error.exit_code
+    code = getattr(error, "exit_code", None)
+    if isinstance(code, int):
+        click.echo(f"error: {paragraph(error)}", err=True)
+        return code
+    if isinstance(error, OSError) and error.filename is not None:
+        click.echo(f"error: {error.filename}: {error.strerror}; check the path and its permissions", err=True)
+        return 3
+    click.echo(f"error: {_defect(error)}", err=True)
+    return 1
+
+
+def paragraph(error: BaseException) -> str:
+    """The message of an error and of its notes on one line."""
+    text = str(error) or type(error).__name__
+    notes = getattr(error, "__notes__", [])
+    return " ".join(" ".join([text, *notes]).split())
+
+
+def _defect(error: BaseException) -> str:
+    handle, path = tempfile.mkstemp(prefix=f"{PROGRAM}-", suffix=".log")
+    with os.fdopen(handle, "w", encoding="utf-8") as log:
+        log.write("".join(traceback.format_exception(error)))
+    return (
+        f"this is a defect of {PROGRAM}: {type(error).__name__}: {paragraph(error)}; "
+        f"no motion is under way. The details are in {path}; please report them"
+    )
+
+
+@click.group(
+    cls=LadderGroup,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+    epilog="SPEC: INTERFACE:CHANNEL[,key=value]..., such as socketcan:can0 or udp_multicast:239.74.163.2,port=43113",
+)
+@click.option("-v", "--verbose", count=True, help="Say more; twice for every detail.")
+@click.option("-q", "--quiet", is_flag=True, help="Errors only.")
+@click.version_option(package_name="servo-gateway", prog_name=PROGRAM)
+@click.pass_context
+def main(ctx: click.Context, verbose: int, quiet: bool) -> None:
+    """CANopen master for six-axis robots: what hangs on the flange, how sure that is, and why the residual is there."""
+    from gateway.console import Session
+
+    ctx.obj = Session(verbosity=verbose - (1 if quiet else 0))
+
+
+if __name__ == "__main__":
+    main()

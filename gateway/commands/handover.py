@@ -1,0 +1,107 @@
+"""report, export, profiles: what leaves the room."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gateway.commands.options import common, one_of, session_of, write_json, write_text
+from gateway.errors import InputError
+from gateway.export import FORMATS
+
+RESULT = click.Path(path_type=Path, dir_okay=False)
+
+
+@click.command()
+@click.argument("result", metavar="OUT.json", type=RESULT)
+@click.option("-o", "--output", required=True, metavar="REPORT.html", type=RESULT, help="Page to write.")
+@common
+def report(result: Path, output: Path) -> None:
+    """One HTML page from a result: it opens offline and prints on paper."""
+    from gateway.report.render import render
+
+    write_text(output, render(read_result(result)))
+    session_of().show(f"report: {output}")
+
+
+@click.command()
+@click.argument("result", metavar="OUT.json", type=RESULT)
+@click.option("--format", "fmt", required=True, type=one_of(list(FORMATS)), help="Syntax to write.")
+@click.option("--load", "label", metavar="LABEL", help="Only this load.")
+@click.option("-o", "--output", metavar="FILE", type=RESULT, help="File to write; stdout if omitted.")
+@common
+def export(result: Path, fmt: str, label: str | None, output: Path | None) -> None:
+    """The load as URDF, JSON, or in the load syntax of a robot controller."""
+    from gateway.export import export as export_text
+
+    text = export_text(read_result(result), fmt, label)
+    if output is None:
+        click.echo(text, nl=False)
+    else:
+        write_text(output, text)
+        session_of().show(f"{fmt}: {output}")
+
+
+@click.group()
+def profiles() -> None:
+    """Drive profiles: what each drive model's numbers mean."""
+
+
+@profiles.command("list")
+@common
+def profiles_list() -> None:
+    """Name, description and measured torque of every profile."""
+    from drives.profile import list_profiles, load_profile
+
+    from gateway.console import grid
+
+    rows = []
+    for name in list_profiles():
+        profile = load_profile(name)
+        rows.append([name, profile.description, profile.torque.kind, profile.torque.nature])
+    session_of().show(grid("drive profiles", ["name", "description", "torque", "nature"], rows, left=4))
+
+
+@profiles.command("show")
+@click.argument("name")
+@common
+def profiles_show(name: str) -> None:
+    """The TOML text of one profile (a name of the list, or a file)."""
+    from drives.profile import load_profile
+
+    click.echo(load_profile(name).text, nl=False)
+
+
+@profiles.command("schema")
+@common
+def profiles_schema() -> None:
+    """JSON schema of a profile."""
+    from drives.profile import profile_schema
+
+    write_json("-", profile_schema())
+
+
+def read_result(path: Path) -> dict[str, Any]:
+    """A result JSON from disk.
+
+    Raises
+    ------
+    InputError
+        Not readable, not JSON, or not a result of schema 1.
+    """
+    try:
+        body = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read: {error.strerror}; name the JSON that `estimate --json` wrote"
+        ) from error
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise InputError(f"{path}: not valid JSON: {error}") from error
+    if not isinstance(body, dict) or not isinstance(body.get("loads"), list):
+        raise InputError(f"{path}: not a result of servo-gateway: there is no list `loads`")
+    if body.get("schema") != 1:
+        raise InputError(f"{path}: schema {body.get('schema')!r}, this version reads schema 1")
+    return body

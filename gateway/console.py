@@ -1,0 +1,170 @@
+"""What the person at the terminal sees: tables, notes, progress with remaining time. Nothing is computed here."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+AXES = ("J1", "J2", "J3", "J4", "J5", "J6")
+SEVERITY_STYLE = {"fail": "bold red", "warn": "yellow", "warning": "yellow", "ok": "green", "pass": "green"}
+PLAIN_WIDTH = 140
+
+
+@dataclass(slots=True)
+class Session:
+    """How much to say, and where.
+
+    Parameters
+    ----------
+    verbosity : int
+        -1 errors only, 0 normal, 1 and more details.
+    data_on_stdout : bool
+        True when stdout carries JSON, so that tables go to stderr.
+    """
+
+    verbosity: int = 0
+    data_on_stdout: bool = False
+    _consoles: dict[bool, Console] = field(default_factory=dict)
+
+    def console(self, *, err: bool = False) -> Console:
+        """Console for stdout (or stderr), as wide as the terminal, wide enough for a table elsewhere."""
+        if err not in self._consoles:
+            stream = sys.stderr if err else sys.stdout
+            width = None if stream.isatty() or "COLUMNS" in os.environ else PLAIN_WIDTH
+            self._consoles[err] = Console(file=stream, width=width, highlight=False, soft_wrap=False)
+        return self._consoles[err]
+
+    def show(self, item: Any) -> None:
+        """Print a table or a line of the answer."""
+        if self.verbosity >= 0:
+            self.console(err=self.data_on_stdout).print(item)
+
+    def note(self, text: str, level: int = 0) -> None:
+        """Print a remark to stderr."""
+        if self.verbosity >= level:
+            self.console(err=True).print(text, markup=False)
+
+    @contextmanager
+    def progress(self, total: float | None, text: str) -> Iterator[Bar]:
+        """Progress bar on stderr with elapsed and remaining time; silent when quiet, sparse when not a terminal."""
+        console = self.console(err=True)
+        if self.verbosity < 0:
+            yield Bar(None, None, None)
+        elif not console.is_terminal:
+            yield Bar(None, None, self)
+        else:
+            columns = (
+                TextColumn("{task.description}"),
+                BarColumn(),
+                MofNCompleteColumn(),
+                TimeElapsedColumn(),
+                TextColumn("left"),
+                TimeRemainingColumn(),
+            )
+            with Progress(*columns, console=console, transient=True) as progress:
+                yield Bar(progress, progress.add_task(text, total=total), None)
+
+
+@dataclass(slots=True)
+class Bar:
+    """One progress bar; where there is no terminal, every new text is one line."""
+
+    progress: Progress | None
+    task: Any
+    session: Session | None
+    last: str = ""
+
+    def set(self, done: float, total: float | None = None, text: str | None = None) -> None:
+        """Set what is done (and of how much) and, where given, the text in front of the bar."""
+        if self.progress is not None:
+            changes: dict[str, Any] = {"completed": done}
+            if total is not None:
+                changes["total"] = total
+            if text is not None:
+                changes["description"] = text
+            self.progress.update(self.task, **changes)
+        elif self.session is not None and text is not None and text != self.last:
+            self.last = text
+            self.session.note(text)
+
+
+def grid(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> Table:
+    """Table with `left` text columns followed by right-aligned ones."""
+    table = Table(title=title, title_justify="left", title_style="bold", header_style="bold", pad_edge=False)
+    for index, name in enumerate(columns):
+        table.add_column(name, justify="left" if index < left else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def number(value: float | None, digits: int = 2) -> str:
+    """A number with fixed decimals, or a dash where there is none."""
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def load_table(loads: Sequence[Mapping[str, Any]], title: str = "load") -> Table:
+    """Mass and centre of gravity of each load, one standard deviation behind each number."""
+    rows = []
+    for load in loads:
+        if load.get("refused"):
+            rows.append([str(load.get("label")), "refused", f"{load['refused']}", ""])
+            continue
+        rows.append(
+            [
+                str(load.get("label")),
+                _plus_minus(load.get("mass_kg"), load.get("mass_std_kg"), 1.0, 3),
+                _vector(load.get("com_m"), load.get("com_std_m")),
+                _vector(load.get("com_flange_m"), load.get("com_flange_std_m")),
+            ]
+        )
+    columns = ["load", "mass [kg]", "centre of gravity in link_6 [mm]", "in the flange frame [mm]"]
+    return grid(f"{title}: value ± one standard deviation", columns, rows, left=4)
+
+
+def _plus_minus(value: float | None, std: float | None, scale: float, digits: int) -> str:
+    if value is None:
+        return "not identifiable"
+    text = f"{scale * value:.{digits}f}"
+    return text if std is None else f"{text} ± {scale * std:.{digits}f}"
+
+
+def _vector(values: Sequence[float | None] | None, stds: Sequence[float | None] | None) -> str:
+    if values is None:
+        return "-"
+    spread = stds if stds is not None else (None, None, None)
+    return "  ".join(_plus_minus(value, std, 1000.0, 1) for value, std in zip(values, spread, strict=True))
+
+
+def axis_table(title: str, lines: Mapping[str, Sequence[float | None] | None], digits: int = 3) -> Table:
+    """One row per quantity, one column per axis."""
+    rows = [[name, *(number(value, digits) for value in values)] for name, values in lines.items() if values]
+    return grid(title, ["", *AXES], rows)
+
+
+def findings_table(findings: Sequence[Mapping[str, Any]]) -> Table:
+    """Findings with their advice; the severity in colour."""
+    table = grid("findings", ["severity", "where", "what", "advice"], [], left=4)
+    for finding in findings:
+        severity = str(finding.get("severity", ""))
+        table.add_row(
+            f"[{SEVERITY_STYLE.get(severity, 'default')}]{severity}[/]",
+            _plain(finding.get("where")),
+            _plain(finding.get("what")),
+            _plain(finding.get("advice")),
+        )
+    return table
+
+
+def _plain(value: object) -> str:
+    from rich.markup import escape
+
+    return escape("" if value is None else str(value))

@@ -1,0 +1,272 @@
+"""The identified load in the words of URDF and of robot controllers.
+
+Each format is a pure function from one load (SI, flange frame) to text. What the measurement at rest cannot give, the
+inertia tensor, is written as the controller's own "point mass" or "zero" and the text says so; what the data could not
+identify is refused, never filled in.
+
+Units and frames: ABB technical reference manual RAPID, data type `loaddata` (kg, mm, kg m2, wrist frame `tool0`);
+KUKA system variables `$LOAD`, `LOAD_DATA[]` (kg, mm, degrees A B C, flange frame); Universal Robots script manual,
+`set_target_payload` (kg, m, tool flange frame).
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+from gateway.errors import ConfigError, DataUnusable
+
+INERTIA_NOTE = "inertia not measured (no motion reveals it at rest)"
+
+
+@dataclass(frozen=True, slots=True)
+class ExportLoad:
+    """One load that is complete enough to be handed over.
+
+    Parameters
+    ----------
+    label : str
+        Name of the load in the result.
+    mass_kg, mass_std_kg : float
+        Mass and its standard deviation, kg.
+    com_m, com_std_m : tuple of 3 float
+        Centre of gravity in `frame`, m, and its standard deviation.
+    frame : str
+        `flange` or `link_6`.
+    """
+
+    label: str
+    mass_kg: float
+    mass_std_kg: float | None
+    com_m: tuple[float, float, float]
+    com_std_m: tuple[float, float, float] | None
+    frame: str
+
+
+def export(result: Mapping[str, Any], fmt: str, label: str | None = None) -> str:
+    """Text of the identified load(s) in the syntax of `fmt`.
+
+    Parameters
+    ----------
+    result : mapping
+        The result JSON as read from disk.
+    fmt : str
+        A key of `FORMATS`.
+    label : str, optional
+        Load to write; every load that was identified if omitted.
+
+    Returns
+    -------
+    str
+        Text that ends with a newline.
+
+    Raises
+    ------
+    ConfigError
+        Unknown format or label; no flange given where the controller needs it.
+    DataUnusable
+        The load was refused, or a component was not identifiable.
+    """
+    if fmt not in FORMATS:
+        raise ConfigError(f"format '{fmt}' is not known; choose one of {', '.join(FORMATS)}")
+    write, frames = FORMATS[fmt]
+    loads = [_complete(load, frames) for load in _chosen(result, label)]
+    return write(loads, _one_line(str(result.get("robot", "robot"))))
+
+
+def _chosen(result: Mapping[str, Any], label: str | None) -> list[Mapping[str, Any]]:
+    loads = list(result.get("loads") or [])
+    if label is not None:
+        loads = [load for load in loads if load.get("label") == label]
+        if not loads:
+            known = ", ".join(str(load.get("label")) for load in result.get("loads") or []) or "none"
+            raise ConfigError(f"load '{label}' is not in the result; it holds: {known}")
+        return loads
+    usable = [load for load in loads if load.get("mass_kg") is not None]
+    if usable:
+        return usable
+    if loads:
+        return loads
+    raise DataUnusable("the result holds no load; estimate one first (servo-gateway estimate DATA --json OUT.json)")
+
+
+def _complete(load: Mapping[str, Any], frames: Sequence[str]) -> ExportLoad:
+    label = str(load.get("label"))
+    if load.get("mass_kg") is None:
+        reason = load.get("refused") or _unidentifiable(load)
+        raise DataUnusable(f"load '{label}' has no mass to hand over: {reason}")
+    flange, link = load.get("com_flange_m"), load.get("com_m")
+    if flange is not None and "flange" in frames:
+        return _checked(load, label, flange, "flange")
+    if "link_6" in frames and link is not None:
+        return _checked(load, label, link, "link_6")
+    if link is None or any(value is None for value in link):
+        raise DataUnusable(f"load '{label}' has no centre of gravity to hand over: {_unidentifiable(load)}")
+    raise ConfigError(
+        f"load '{label}': the controller wants the centre of gravity in the flange frame, and the flange is not given; "
+        "add flange_xyz_m and flange_rpy_rad (flange in link_6) to the cell file, then estimate again with --cell"
+    )
+
+
+def _checked(load: Mapping[str, Any], label: str, com: Sequence[float | None], frame: str) -> ExportLoad:
+    if any(value is None for value in com):
+        raise DataUnusable(
+            f"load '{label}': the centre of gravity is not complete ({_unidentifiable(load)}); measure the poses that "
+            "the result names under `next`"
+        )
+    std = load.get("com_std_m") if frame == "link_6" else load.get("com_flange_std_m", load.get("com_std_m"))
+    known = std is not None and all(value is not None for value in std)
+    return ExportLoad(
+        label=_one_line(label),
+        mass_kg=float(load["mass_kg"]),
+        mass_std_kg=load.get("mass_std_kg"),
+        com_m=_three(com),
+        com_std_m=_three(std) if known and std is not None else None,
+        frame=frame,
+    )
+
+
+def _three(values: Sequence[Any]) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def _unidentifiable(load: Mapping[str, Any]) -> str:
+    names = [
+        entry if isinstance(entry, str) else str(entry.get("what", entry)) for entry in load.get("unidentifiable") or []
+    ]
+    return "not identifiable: " + ", ".join(names) if names else "it was not estimated"
+
+
+def _number(value: float, digits: int) -> str:
+    text = f"{value:.{digits}f}"
+    return text.lstrip("-") if float(text) == 0 else text
+
+
+def _one_line(text: str) -> str:
+    return "".join(character if character.isprintable() else " " for character in text).strip()
+
+
+def _identifier(label: str) -> str:
+    name = re.sub(r"[^A-Za-z0-9_]", "_", label)
+    return (name if name[:1].isalpha() else f"load_{name}")[:28]
+
+
+def _accuracy(load: ExportLoad) -> str:
+    mass = f"{load.mass_kg:.3f} kg"
+    if load.mass_std_kg is not None:
+        mass += f" +- {load.mass_std_kg:.3f} kg"
+    if load.com_std_m is None:
+        return f"{mass} (one standard deviation)"
+    x, y, z = (1000 * value for value in load.com_std_m)
+    return f"{mass}, centre of gravity +- {x:.1f} {y:.1f} {z:.1f} mm (one standard deviation)"
+
+
+def to_urdf(loads: Sequence[ExportLoad], robot: str) -> str:
+    """Link and fixed joint per load; the inertial's frame is that of the parent link."""
+    parts = [
+        '<?xml version="1.0"?>',
+        f"<!-- loads identified on {_comment(robot)} -->",
+        f"<robot name={quoteattr(robot)}>",
+    ]
+    for load in loads:
+        name = f"load_{_identifier(load.label)}"
+        xyz = " ".join(_number(value, 6) for value in load.com_m)
+        parts += [
+            f"  <!-- {_comment(load.label)}: {_accuracy(load)}; {INERTIA_NOTE}: written as zero, a point mass -->",
+            f'  <link name="{name}">',
+            "    <inertial>",
+            f'      <origin xyz="{xyz}" rpy="0 0 0"/>',
+            f'      <mass value="{_number(load.mass_kg, 6)}"/>',
+            '      <inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/>',
+            "    </inertial>",
+            "  </link>",
+            f'  <joint name="{name}_joint" type="fixed">',
+            f'    <parent link="{load.frame}"/>',
+            f'    <child link="{name}"/>',
+            '    <origin xyz="0 0 0" rpy="0 0 0"/>',
+            "  </joint>",
+        ]
+    return "\n".join([*parts, "</robot>", ""])
+
+
+def _comment(text: str) -> str:
+    return text.replace("--", "- -")
+
+
+def to_json(loads: Sequence[ExportLoad], robot: str) -> str:
+    """Mass and centre of gravity in SI, the frame named, inertia `null`."""
+    body = {
+        "robot": robot,
+        "loads": [
+            {
+                "label": load.label,
+                "frame": load.frame,
+                "mass_kg": load.mass_kg,
+                "mass_std_kg": load.mass_std_kg,
+                "com_m": list(load.com_m),
+                "com_std_m": None if load.com_std_m is None else list(load.com_std_m),
+                "inertia_kg_m2": None,
+                "note": INERTIA_NOTE,
+            }
+            for load in loads
+        ],
+    }
+    return json.dumps(body, indent=1, allow_nan=False) + "\n"
+
+
+def to_abb(loads: Sequence[ExportLoad], robot: str) -> str:
+    """RAPID `loaddata`: [mass kg, cog mm, axes of moment, ix, iy, iz kg m2]; all inertia 0 is a point mass there."""
+    lines = [f"! loads identified on {robot}; frame: wrist (tool0)"]
+    for load in loads:
+        cog = ",".join(_number(1000 * value, 2) for value in load.com_m)
+        lines += [
+            f"! {load.label}: {_accuracy(load)}; {INERTIA_NOTE}: 0,0,0 lets RAPID take a point mass",
+            f"PERS loaddata {_identifier(load.label)}:=[{_number(load.mass_kg, 3)},[{cog}],[1,0,0,0],0,0,0];",
+        ]
+    return "\n".join([*lines, ""])
+
+
+def to_kuka(loads: Sequence[ExportLoad], robot: str) -> str:
+    """KRL `LOAD_DATA[n]`: mass kg, CM in mm and degrees in the flange frame, J kg m2."""
+    lines = [f"; loads identified on {robot}; frame: flange; copy to $CONFIG.DAT under the tool number used"]
+    for number, load in enumerate(loads, start=1):
+        x, y, z = (_number(1000 * value, 2) for value in load.com_m)
+        mass = _number(load.mass_kg, 3)
+        aggregate = f"{{M {mass},CM {{X {x},Y {y},Z {z},A 0.0,B 0.0,C 0.0}},J {{X 0.0,Y 0.0,Z 0.0}}}}"
+        lines += [
+            f"; {load.label}: {_accuracy(load)}; {INERTIA_NOTE}: J 0.0, enter J from CAD before fast motion",
+            f"LOAD_DATA[{number}]={aggregate}",
+            f"; or in a program: $LOAD={aggregate}",
+        ]
+    return "\n".join([*lines, ""])
+
+
+def to_ur(loads: Sequence[ExportLoad], robot: str) -> str:
+    """URScript `set_target_payload(m, cog)`; the inertia argument is left out, which the controller takes as zero."""
+    lines = [f"# loads identified on {robot}; frame: tool flange"]
+    for load in loads:
+        cog = ", ".join(_number(value, 5) for value in load.com_m)
+        lines += [
+            f"# {load.label}: {_accuracy(load)}; {INERTIA_NOTE}: left out, the controller takes zero",
+            f"def use_{_identifier(load.label)}():",
+            f"  set_target_payload({_number(load.mass_kg, 3)}, [{cog}])",
+            "end",
+        ]
+    return "\n".join([*lines, ""])
+
+
+Writer = Callable[[Sequence[ExportLoad], str], str]
+
+# format -> writer and the frames it may be given in, the preferred one first
+FORMATS: dict[str, tuple[Writer, tuple[str, ...]]] = {
+    "urdf": (to_urdf, ("flange", "link_6")),
+    "json": (to_json, ("flange", "link_6")),
+    "abb": (to_abb, ("flange",)),
+    "kuka": (to_kuka, ("flange",)),
+    "ur": (to_ur, ("flange",)),
+}
