@@ -72,8 +72,6 @@ def test_what_was_not_identified_is_refused(fmt):
     gap = [0.01, None, 0.1]
     with pytest.raises(DataUnusable, match="com along gravity"):
         export(result(com_m=gap, com_flange_m=gap, unidentifiable=["com along gravity"]), fmt)
-            result(com_m=[0.01, None, 0.1], com_flange_m=[0.01, None, 0.1], unidentifiable=["com along gravity"]), fmt
-        )
     with pytest.raises(DataUnusable, match="rows 9 and 10"):
         export(result(mass_kg=None, refused="rows 9 and 10 have the wrong sign"), fmt)
 
