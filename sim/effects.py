@@ -1,0 +1,523 @@
+"""Effects that are built into the simulated arm and that the gateway is never told.
+
+Each effect is a function from one `Plant` to the next, written from the mechanism: a spring between two points, a cable
+that is wound up, a gear that gives way. Nothing here knows how an effect is looked for. The names and the parameters of
+the library are those of the undeclared-effects file (`[[effect]] name, joints, parameters`); `OFF_LIBRARY` holds
+mechanisms that no diagnosis has a name for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.plant import Plant
+
+Array = NDArray[np.float64]
+Transform = Callable[[Plant], Plant]
+PointJacobian = Callable[[Array, int, Array], tuple[Array, Array]]
+
+WARM_UP_K = 30.0
+WARM_UP_TIME_S = 1800.0
+AMBIENT_C = 25.0
+
+
+class EffectError(ValueError):
+    """An effect of the undeclared-effects file that cannot be built."""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """One effect as the file gives it.
+
+    Attributes
+    ----------
+    name : name of the effect
+    joints : joints counted from 1; empty for the base and the load
+    parameters : SI values by name
+    """
+
+    name: str
+    joints: tuple[int, ...]
+    parameters: Mapping[str, object]
+
+    def number(self, key: str, default: float | None = None) -> float:
+        """Value of one parameter, or its default; without default it must be given."""
+        value = self.parameters.get(key, default)
+        if not isinstance(value, (int, float)) or isinstance(value, bool) or not math.isfinite(value):
+            raise EffectError(f"effect {self.name}: parameter {key} must be a finite number, got {value!r}")
+        return float(value)
+
+    def vector(self, key: str, default: Sequence[float]) -> Array:
+        """Value of one parameter of three numbers, or its default."""
+        value = np.atleast_1d(np.asarray(self.parameters.get(key, default), dtype=float))
+        if value.shape == (1,):
+            value = np.array([value[0], 0.0, 0.0])
+        if value.shape != (3,) or not np.all(np.isfinite(value)):
+            raise EffectError(f"effect {self.name}: parameter {key} must hold three finite numbers")
+        return value
+
+    def axis(self) -> int:
+        """The one joint of the effect, counted from 0."""
+        if len(self.joints) != 1:
+            raise EffectError(f"effect {self.name} acts on one joint, got joints = {list(self.joints)}")
+        return self.joints[0] - 1
+
+
+def _with(values: Array, index: int | slice, change: Callable[[Array], Array | float]) -> Array:
+    changed = np.array(values, dtype=float)
+    changed[index] = change(changed[index])
+    return changed
+
+
+# ---------------------------------------------------------------------------------------------------------- friction
+
+
+def static_friction(request: Request) -> Transform:
+    """The gear sticks by `bias_nm` against the approach direction, on top of what it has: dry friction at rest."""
+    axis, bias = request.axis(), request.number("bias_nm")
+
+    def apply(plant: Plant) -> Plant:
+        return replace(
+            plant,
+            coulomb_nm=_with(plant.coulomb_nm, axis, lambda value: value + bias),
+            stiction_nm=_with(plant.stiction_nm, axis, lambda value: value + abs(bias)),
+        )
+
+    return apply
+
+
+def load_dependent_friction(request: Request) -> Transform:
+    """Gear losses in proportion to the transmitted torque (Hamon, Gautier, Garrec 2010)."""
+    axis, nu = request.axis(), request.number("coefficient")
+    return lambda plant: replace(plant, load_friction=_with(plant.load_friction, axis, lambda value: value + nu))
+
+
+def velocity_friction(request: Request) -> Transform:
+    """Coulomb and viscous friction in motion."""
+    axis = request.axis()
+    coulomb, viscous = request.number("coulomb_nm", 0.0), request.number("viscous_nm_s_rad", 0.0)
+    return lambda plant: replace(
+        plant,
+        coulomb_nm=_with(plant.coulomb_nm, axis, lambda value: value + coulomb),
+        viscous_nm_s_rad=_with(plant.viscous_nm_s_rad, axis, lambda value: value + viscous),
+    )
+
+
+# ---------------------------------------------------------------------------------------------------------- geometry
+
+
+def base_tilt(request: Request) -> Transform:
+    """The base is turned by the rotation vector (tilt_x, tilt_y, 0); gravity turns back in the base's frame."""
+    vector = np.array([request.number("tilt_x_rad", 0.0), request.number("tilt_y_rad", 0.0), 0.0])
+
+    def apply(plant: Plant) -> Plant:
+        return replace(plant, gravity_m_s2=_rotation(vector).T @ plant.gravity_m_s2)
+
+    return apply
+
+
+def joint_zero_offset(request: Request) -> Transform:
+    """The link stands `offset_rad` further than the encoder says."""
+    axis, offset = request.axis(), request.number("offset_rad")
+    return lambda plant: replace(
+        plant, zero_offset_rad=_with(plant.zero_offset_rad, axis, lambda value: value + offset)
+    )
+
+
+def joint_elasticity(request: Request) -> Transform:
+    """The gear winds up under the torque it transmits."""
+    axis, compliance = request.axis(), request.number("compliance_rad_nm")
+    return lambda plant: replace(
+        plant, compliance_rad_nm=_with(plant.compliance_rad_nm, axis, lambda value: value + compliance)
+    )
+
+
+# ---------------------------------------------------------------------------------------------------- reading chain
+
+
+def torque_constant_scale(request: Request) -> Transform:
+    """The motor gives `scale` times the torque per ampere that is stored; without joints all six do."""
+    scale = request.number("scale")
+    if scale <= 0:
+        raise EffectError(f"effect {request.name}: scale must be positive, got {scale}")
+    which = slice(None) if not request.joints else request.axis()
+    return lambda plant: replace(
+        plant, torque_constant_scale=_with(plant.torque_constant_scale, which, lambda value: value * scale)
+    )
+
+
+def torque_offset(request: Request) -> Transform:
+    """The current sensor of one drive reads a constant too much."""
+    axis, offset = request.axis(), request.number("offset_nm")
+    return lambda plant: replace(
+        plant, reading_offset_nm=_with(plant.reading_offset_nm, axis, lambda value: value + offset)
+    )
+
+
+def thermal_drift(request: Request) -> Transform:
+    """Reading (or friction) changes with motor temperature (`per_k`) or with time (`per_s`) since the start."""
+    axis = request.axis()
+    per_k, per_s = request.number("per_k", 0.0), request.number("per_s", 0.0)
+    on_friction = request.parameters.get("on", "torque_constant") == "friction"
+
+    def apply(plant: Plant) -> Plant:
+        temperature = plant.temperature_c or warm_up
+        start = np.asarray(temperature(0.0))[axis]
+        earlier = plant.drift
+
+        def drift(time_s: float) -> dict[str, object]:
+            changes: dict[str, object] = dict(earlier(time_s)) if earlier else {}
+            factor = 1.0 + per_k * (np.asarray(temperature(time_s))[axis] - start) + per_s * time_s
+            if on_friction:
+                for name in ("coulomb_nm", "stiction_nm"):
+                    changes[name] = _with(changes.get(name, getattr(plant, name)), axis, lambda value: value * factor)  # type: ignore[arg-type]
+            else:
+                scale = changes.get("torque_constant_scale", plant.torque_constant_scale)
+                changes["torque_constant_scale"] = _with(scale, axis, lambda value: value / factor)  # type: ignore[arg-type]
+            return changes
+
+        return replace(plant, drift=drift, temperature_c=temperature)
+
+    return apply
+
+
+def warm_up(time_s: float) -> Array:
+    """Motor temperatures while an arm warms up; the wrist motors stay cooler [deg C]."""
+    rise = WARM_UP_K * (1.0 - math.exp(-time_s / WARM_UP_TIME_S))
+    return AMBIENT_C + rise * np.array([1.0, 1.1, 1.0, 0.8, 0.8, 0.7])
+
+
+def torque_ripple(request: Request) -> Transform:
+    """The reading of one axis swings `per_revolution` times per turn of the joint."""
+    axis, amplitude = request.axis(), request.number("amplitude_nm")
+    periods, phase = request.number("per_revolution"), request.number("phase_rad", 0.0)
+
+    def error(q_rad: Array, _torque_nm: Array) -> Array:
+        swing = np.zeros(6)
+        swing[axis] = amplitude * math.sin(periods * q_rad[axis] + phase)
+        return swing
+
+    return lambda plant: _add_reading(plant, error)
+
+
+def axis_coupling(request: Request) -> Transform:
+    """Motor j turns when joint i turns; axis i feels `coefficient` times the torque of axis j."""
+    if len(request.joints) != 2 or request.joints[0] == request.joints[1]:
+        raise EffectError(f"effect {request.name} needs two joints [i, j], got {list(request.joints)}")
+    row, column = request.joints[0] - 1, request.joints[1] - 1
+    mixing = np.eye(6)
+    mixing[row, column] = request.number("coefficient")
+    return lambda plant: replace(plant, coupling=mixing @ plant.coupling)
+
+
+def sign_reversed(request: Request) -> Transform:
+    """The drive reports the torque of one axis with the wrong sign."""
+    axis = request.axis()
+    return lambda plant: replace(plant, torque_sign=_with(plant.torque_sign, axis, lambda value: -value))
+
+
+def axes_swapped(request: Request) -> Transform:
+    """The drives of two axes are bolted to each other's joint."""
+    if len(request.joints) != 2:
+        raise EffectError(f"effect {request.name} needs two joints, got {list(request.joints)}")
+    first, second = (joint - 1 for joint in request.joints)
+
+    def apply(plant: Plant) -> Plant:
+        order = plant.drive_joint.copy()
+        order[[first, second]] = order[[second, first]]
+        return replace(plant, drive_joint=order)
+
+    return apply
+
+
+def current_rms_peak(request: Request) -> Transform:
+    """The drive's ampere is a peak value where an rms value is expected (factor sqrt 2), or the reverse."""
+    which = slice(None) if not request.joints else request.axis()
+    factor = request.number("factor", math.sqrt(2.0))
+    return lambda plant: replace(plant, current_factor=_with(plant.current_factor, which, lambda value: value * factor))
+
+
+# ------------------------------------------------------------------------------------------- bodies, springs, cables
+
+
+def balancer_spring(request: Request) -> Transform:
+    """A spring between link 2 (`lever_m` from axis 2) and the base (`anchor_m` from it); shortest at q2 = `phase_rad`.
+
+    Coil: force `stiffness_n_m * (length - free_length_m)`. Gas (`gas_length_m` given): a gas column shortened
+    by the pull, `force = F0 (1 - x / gas_length)^-1.3` with stiffness `stiffness_n_m` at its shortest length.
+    """
+    if request.joints not in ((2,), ()):
+        raise EffectError(f"effect {request.name} sits on joint 2, got {list(request.joints)}")
+    stiffness = request.number("stiffness_n_m")
+    lever, anchor = request.number("lever_m", 0.2), request.number("anchor_m", 0.7)
+    phase, free = request.number("phase_rad", 0.0), request.number("free_length_m", 0.4)
+    gas = request.number("gas_length_m", 0.0)
+    shortest = abs(anchor - lever)
+
+    def force(length_m: float) -> float:
+        if gas <= 0:
+            return stiffness * (length_m - free)
+        stroke = min((length_m - shortest) / gas, 0.95)
+        return stiffness * gas / 1.3 * (1.0 - stroke) ** -1.3
+
+    def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
+        angle = q_rad[1] - phase
+        length = math.sqrt(lever**2 + anchor**2 - 2.0 * lever * anchor * math.cos(angle))
+        out = np.zeros(6)
+        out[1] = -force(length) * lever * anchor * math.sin(angle) / length
+        return out
+
+    return lambda plant: _add_passive(plant, torque)
+
+
+def cable_torque(request: Request) -> Transform:
+    """A dress pack wound up by one wrist axis: `-stiffness (q - neutral)`, or its sine with `shape = "harmonic"`."""
+    axis, stiffness = request.axis(), request.number("stiffness_nm_rad")
+    neutral, harmonic = request.number("neutral_rad", 0.0), request.parameters.get("shape", "linear") == "harmonic"
+
+    def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
+        wound = q_rad[axis] - neutral
+        out = np.zeros(6)
+        out[axis] = -stiffness * (math.sin(wound) if harmonic else wound)
+        return out
+
+    return lambda plant: _add_passive(plant, torque)
+
+
+def link_mass(request: Request) -> Transform:
+    """A body of `mass_kg` with `first_moment_kg_m` in the link's frame, bolted to one link (a welder, a hose)."""
+    link, mass = request.axis(), request.number("mass_kg", 0.0)
+
+    def apply(plant: Plant) -> Plant:
+        moment = request.vector("first_moment_kg_m", mass * plant.link_com_m[link])
+        total = plant.link_mass_kg[link] + mass
+        coms = plant.link_com_m.copy()
+        coms[link] = (plant.link_mass_kg[link] * coms[link] + moment) / total
+        masses = plant.link_mass_kg.copy()
+        masses[link] = total
+        return replace(plant, link_mass_kg=masses, link_com_m=coms)
+
+    return apply
+
+
+def payload_shift(request: Request) -> Transform:
+    """The load's centre of gravity jumps by `shift_m` at `time_s` (or drifts there over `duration_s`)."""
+    shift = request.vector("shift_m", (0.0, 0.0, 0.0))
+    start, duration = request.number("time_s"), request.number("duration_s", 0.0)
+
+    def moved(time_s: float) -> Array:
+        if duration <= 0:
+            return shift if time_s >= start else np.zeros(3)
+        return shift * min(max((time_s - start) / duration, 0.0), 1.0)
+
+    return lambda plant: replace(plant, payload_shift=moved)
+
+
+LIBRARY: dict[str, Callable[[Request], Transform]] = {
+    "static_friction": static_friction,
+    "load_dependent_friction": load_dependent_friction,
+    "velocity_friction": velocity_friction,
+    "base_tilt": base_tilt,
+    "joint_zero_offset": joint_zero_offset,
+    "torque_constant_scale": torque_constant_scale,
+    "torque_offset": torque_offset,
+    "thermal_drift": thermal_drift,
+    "balancer_spring": balancer_spring,
+    "cable_torque": cable_torque,
+    "joint_elasticity": joint_elasticity,
+    "torque_ripple": torque_ripple,
+    "axis_coupling": axis_coupling,
+    "link_mass": link_mass,
+    "payload_shift": payload_shift,
+    "sign_reversed": sign_reversed,
+    "axes_swapped": axes_swapped,
+    "current_rms_peak": current_rms_peak,
+}
+
+
+# ------------------------------------------------------------------------------------------------- off the library
+
+
+def hardening_cable(request: Request) -> Transform:
+    """A pack that is clamped in three places: torque `-amplitude cos(3 q + phase)` on one axis."""
+    axis, amplitude, phase = request.axis(), request.number("amplitude_nm"), request.number("phase_rad", 0.0)
+
+    def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
+        out = np.zeros(6)
+        out[axis] = -amplitude * math.cos(3.0 * q_rad[axis] + phase)
+        return out
+
+    return lambda plant: _add_passive(plant, torque)
+
+
+def end_stop_buffer(request: Request) -> Transform:
+    """A rubber buffer that is touched beyond `angle_rad`: torque grows with the square of the penetration."""
+    axis, stiffness, angle = request.axis(), request.number("stiffness_nm_rad2"), request.number("angle_rad", 0.0)
+
+    def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
+        out = np.zeros(6)
+        out[axis] = -stiffness * max(q_rad[axis] - angle, 0.0) ** 2
+        return out
+
+    return lambda plant: _add_passive(plant, torque)
+
+
+def linkage_spring(request: Request) -> Transform:
+    """A spring between the upper arm's parallel link and the forearm: acts on axis 3 by the angle q2 + q3 + phase."""
+    stiffness, phase = request.number("stiffness_nm"), request.number("phase_rad", 0.0)
+
+    def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
+        out = np.zeros(6)
+        out[2] = -stiffness * math.sin(2.0 * (q_rad[1] + q_rad[2]) + phase)
+        return out
+
+    return lambda plant: _add_passive(plant, torque)
+
+
+def saturating_motor(request: Request) -> Transform:
+    """Iron saturates: the reading of one axis exceeds the torque by `coefficient * |u| / reference_nm`."""
+    axis = request.axis()
+    coefficient, reference = request.number("coefficient"), request.number("reference_nm")
+
+    def error(_q_rad: Array, torque_nm: Array) -> Array:
+        out = np.zeros(6)
+        out[axis] = coefficient * torque_nm[axis] * abs(torque_nm[axis]) / reference
+        return out
+
+    return lambda plant: _add_reading(plant, error)
+
+
+def eccentric_gear(request: Request) -> Transform:
+    """The transmission ratio swings once per turn of the joint: reading error `coefficient * u * cos(q + phase)`."""
+    axis, coefficient, phase = request.axis(), request.number("coefficient"), request.number("phase_rad", 0.0)
+
+    def error(q_rad: Array, torque_nm: Array) -> Array:
+        out = np.zeros(6)
+        out[axis] = coefficient * torque_nm[axis] * math.cos(q_rad[axis] + phase)
+        return out
+
+    return lambda plant: _add_reading(plant, error)
+
+
+def world_hose(request: Request, jacobian: PointJacobian) -> Transform:
+    """A hose that pulls a point of one link with a constant force in a fixed direction of the base frame."""
+    link, point = request.axis(), request.vector("point_m", (0.0, 0.0, 0.0))
+    force = request.vector("force_n", (0.0, 0.0, 0.0))
+
+    def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
+        return jacobian(q_rad, link, point)[1].T @ force
+
+    return lambda plant: _add_passive(plant, torque)
+
+
+def bungee(request: Request, jacobian: PointJacobian) -> Transform:
+    """An elastic cord from a fixed point of the cell to a point of one link; slack below its free length."""
+    link, point = request.axis(), request.vector("point_m", (0.0, 0.0, 0.0))
+    hook, stiffness = request.vector("hook_m", (0.0, 0.0, 0.0)), request.number("stiffness_n_m")
+    free = request.number("free_length_m", 0.0)
+
+    def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
+        position, jac = jacobian(q_rad, link, point)
+        reach = hook - position
+        length = float(np.linalg.norm(reach))
+        return jac.T @ (stiffness * max(length - free, 0.0) * reach / max(length, 1e-9))
+
+    return lambda plant: _add_passive(plant, torque)
+
+
+OFF_LIBRARY: dict[str, Callable[[Request], Transform]] = {
+    "hardening_cable": hardening_cable,
+    "end_stop_buffer": end_stop_buffer,
+    "linkage_spring": linkage_spring,
+    "saturating_motor": saturating_motor,
+    "eccentric_gear": eccentric_gear,
+}
+OFF_LIBRARY_WITH_GEOMETRY: dict[str, Callable[[Request, PointJacobian], Transform]] = {
+    "world_hose": world_hose,
+    "bungee": bungee,
+}
+
+
+def effect_from_dict(effect: Mapping[str, object], jacobian: PointJacobian | None = None) -> Transform:
+    """The function that builds one effect into a plant.
+
+    Parameters
+    ----------
+    effect : mapping with `name`, `joints` (from 1, may be absent) and `parameters` (SI, may be absent)
+    jacobian : (q_rad (6,), link from 0, point (3,) in the link's frame) -> position (3,) and Jacobian (3, 6);
+        needed by effects that act between the arm and its surroundings
+
+    Returns
+    -------
+    function Plant -> Plant
+
+    Raises
+    ------
+    EffectError : unknown name, joints that do not fit, a parameter that is missing or not finite
+    """
+    name = str(effect.get("name"))
+    joints = effect.get("joints", ())
+    parameters = effect.get("parameters", {})
+    if not isinstance(joints, (list, tuple)) or any(not isinstance(j, int) or not 1 <= j <= 6 for j in joints):
+        raise EffectError(f"effect {name}: joints must be numbers from 1 to 6, got {joints!r}")
+    if not isinstance(parameters, Mapping):
+        raise EffectError(f"effect {name}: parameters must be a table")
+    request = Request(name, tuple(joints), parameters)
+    if name in OFF_LIBRARY_WITH_GEOMETRY:
+        if jacobian is None:
+            raise EffectError(f"effect {name} needs the geometry of the arm")
+        return OFF_LIBRARY_WITH_GEOMETRY[name](request, jacobian)
+    build = LIBRARY.get(name) or OFF_LIBRARY.get(name)
+    if build is None:
+        known = ", ".join([*LIBRARY, *OFF_LIBRARY, *OFF_LIBRARY_WITH_GEOMETRY])
+        raise EffectError(f"unknown effect {name!r}; known are {known}")
+    return build(request)
+
+
+def apply_effects(
+    plant: Plant, effects: Sequence[Mapping[str, object]], jacobian: PointJacobian | None = None
+) -> Plant:
+    """Build effects into a plant, in the order given."""
+    for effect in effects:
+        plant = effect_from_dict(effect, jacobian)(plant)
+    return plant
+
+
+def _add_passive(plant: Plant, torque: Callable[[Array, float, Array], Array]) -> Plant:
+    earlier = plant.passive_torque
+    if earlier is None:
+        return replace(plant, passive_torque=torque)
+    return replace(plant, passive_torque=lambda q, time_s, tau: earlier(q, time_s, tau) + torque(q, time_s, tau))
+
+
+def _add_reading(plant: Plant, error: Callable[[Array, Array], Array]) -> Plant:
+    earlier = plant.reading_ripple
+    if earlier is None:
+        return replace(plant, reading_ripple=error)
+    return replace(plant, reading_ripple=lambda q, u: earlier(q, u) + error(q, u))
+
+
+def _rotation(vector: Array) -> Array:
+    angle = float(np.linalg.norm(vector))
+    if angle < 1e-15:
+        return np.eye(3)
+    x, y, z = vector / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
+
+
+__all__ = [
+    "LIBRARY",
+    "OFF_LIBRARY",
+    "OFF_LIBRARY_WITH_GEOMETRY",
+    "EffectError",
+    "Request",
+    "apply_effects",
+    "effect_from_dict",
+    "warm_up",
+]
