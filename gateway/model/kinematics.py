@@ -1,0 +1,71 @@
+"""Where links and axes stand: vectorised over rows of joint positions."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.model.robot import AXES, Robot
+
+Floats = NDArray[np.float64]
+STANDARD_GRAVITY_M_S2 = (0.0, 0.0, -9.80665)
+
+
+def _cross_matrix(vector: Floats) -> Floats:
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def link_frames(robot: Robot, q_rad: Floats) -> Floats:
+    """Pose of every link in the base frame.
+
+    Parameters
+    ----------
+    robot : Robot
+    q_rad : array of shape (n, 6)
+
+    Returns
+    -------
+    array of shape (n, 6, 4, 4)
+        Base -> link i, translations in m.
+    """
+    q_rad = np.asarray(q_rad, dtype=float)
+    sine, versine = np.sin(q_rad), 1.0 - np.cos(q_rad)
+    frames = np.zeros((len(q_rad), AXES, 4, 4))
+    frames[:, :, 3, 3] = 1.0
+    rotation, origin = np.eye(3)[None], np.zeros((1, 3))
+    for i in range(AXES):
+        fixed, step = robot.placement[i, :3, :3], robot.placement[i, :3, 3]
+        cross = _cross_matrix(robot.axis[i])
+        turned = fixed + sine[:, i, None, None] * (fixed @ cross) + versine[:, i, None, None] * (fixed @ cross @ cross)
+        origin = origin + rotation @ step
+        rotation = rotation @ turned
+        frames[:, i, :3, :3], frames[:, i, :3, 3] = rotation, origin
+    return frames
+
+
+def flange_frames(robot: Robot, q_rad: Floats) -> Floats:
+    """Pose (n, 4, 4) of the flange in the base frame [m]; of link 6 where the flange is not known."""
+    last = link_frames(robot, q_rad)[:, -1]
+    return last if robot.flange is None else last @ robot.flange
+
+
+def joint_axes_origins(robot: Robot, q_rad: Floats) -> tuple[Floats, Floats]:
+    """Unit direction (n, 6, 3) of every joint axis and a point (n, 6, 3) on it [m], in the base frame."""
+    frames = link_frames(robot, q_rad)
+    return np.einsum("nijk,ik->nij", frames[:, :, :3, :3], robot.axis), frames[:, :, :3, 3]
+
+
+def gravity_in_link_6(
+    robot: Robot, q_rad: Floats, gravity_m_s2: tuple[float, float, float] | Floats = STANDARD_GRAVITY_M_S2
+) -> Floats:
+    """Unit direction (n, 3) of gravity as the load sees it, in the frame of link 6."""
+    direction = np.asarray(gravity_m_s2, dtype=float)
+    rotation = link_frames(robot, q_rad)[:, -1, :3, :3]
+    return np.einsum("nji,j->ni", rotation, direction / np.linalg.norm(direction))
+
+
+def largest_angle_rad(directions: Floats) -> float:
+    """Largest angle [rad] between any two of the unit vectors (n, 3); 0 for a single one."""
+    products = np.clip(directions @ directions.T, -1.0, 1.0)
+    return float(np.arccos(products.min()))

@@ -1,0 +1,233 @@
+"""A serial arm of six revolute axes as plain arrays, read from a URDF or from a table of Denavit-Hartenberg rows.
+
+Link `i` turns with joint `i`; its frame has its origin on that joint's axis (the URDF convention) and the pose
+`placement[i] @ rotation(axis[i], q[i])` in the frame of the link before it, the root link for `i = 0`. Unknown
+quantities are NaN: a link without inertial is unknown, not massless.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.errors import ConfigError
+from gateway.model import urdf
+
+Floats = NDArray[np.float64]
+AXES = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Robot:
+    """Geometry, inertials and limits of an arm.
+
+    Attributes
+    ----------
+    name : str
+    placement : array of shape (6, 4, 4)
+        Pose [m] of link i in link i-1 (root link for the first) at q = 0.
+    axis : array of shape (6, 3)
+        Unit axis of joint i in link i.
+    mass_kg : array of shape (6,)
+    com_m : array of shape (6, 3)
+        Centre of mass in the link's frame.
+    inertia_kg_m2 : array of shape (6, 3, 3)
+        About the centre of mass, axes of the link's frame.
+    lower_rad, upper_rad : arrays of shape (6,)
+        Joint limits, -inf and inf where the source gives none.
+    velocity_rad_s, effort_nm : arrays of shape (6,)
+        Joint limits, NaN where the source gives none (0 counts as none).
+    flange : array of shape (4, 4) or None
+        Pose [m] of the flange in link 6.
+    link_names, joint_names : tuples of 6 str
+    """
+
+    name: str
+    placement: Floats
+    axis: Floats
+    mass_kg: Floats
+    com_m: Floats
+    inertia_kg_m2: Floats
+    lower_rad: Floats
+    upper_rad: Floats
+    velocity_rad_s: Floats
+    effort_nm: Floats
+    flange: Floats | None = None
+    link_names: tuple[str, ...] = tuple(f"link_{i + 1}" for i in range(AXES))
+    joint_names: tuple[str, ...] = tuple(f"joint_{i + 1}" for i in range(AXES))
+
+
+class DhRows(Protocol):
+    """What a table of Denavit-Hartenberg rows offers; theta = q + theta_offset."""
+
+    @property
+    def convention(self) -> str: ...
+    @property
+    def alpha_rad(self) -> Sequence[float]: ...
+    @property
+    def a_m(self) -> Sequence[float]: ...
+    @property
+    def d_m(self) -> Sequence[float]: ...
+    @property
+    def theta_offset_rad(self) -> Sequence[float]: ...
+
+
+def transform(rotation: Floats, translation: Floats | Sequence[float]) -> Floats:
+    """4 x 4 pose from a (3, 3) rotation and a translation [m] of shape (3,)."""
+    pose = np.eye(4)
+    pose[:3, :3] = rotation
+    pose[:3, 3] = translation
+    return pose
+
+
+def rotation_rpy(rpy_rad: Sequence[float] | Floats) -> Floats:
+    """Rotation (3, 3) of fixed-axis roll, pitch, yaw [rad]: Rz(yaw) Ry(pitch) Rx(roll), as URDF defines it."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy_rad), np.sin(rpy_rad)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def with_flange(robot: Robot, xyz_m: Sequence[float], rpy_rad: Sequence[float] = (0.0, 0.0, 0.0)) -> Robot:
+    """The same arm with its flange at `xyz_m`, `rpy_rad` of link 6."""
+    return replace(robot, flange=transform(rotation_rpy(rpy_rad), xyz_m))
+
+
+def robot_from_urdf(text: str, where: str) -> Robot:
+    """Read an arm from URDF text.
+
+    Fixed joints are merged: what hangs on them counts to the link before. A fixed link without inertial is taken
+    as a mere frame, a link that a joint moves without inertial as unknown.
+
+    Parameters
+    ----------
+    text : str
+    where : str
+        Name of the file, for messages.
+
+    Raises
+    ------
+    ConfigError
+        Not XML, entity declarations, not six revolute joints in one chain, or a value that is missing or no finite
+        number; names file and element.
+    """
+    chain = urdf.read_chain(text, where)
+    if len(chain.joints) != AXES:
+        raise ConfigError(
+            f"{where}: robot '{chain.name}' has {len(chain.joints)} moving joints in its chain, six revolute ones are"
+            ' needed; fix the others in the URDF (type="fixed")'
+        )
+    placement = np.array([transform(rotation_rpy(joint.rpy_rad), joint.xyz_m) for joint in chain.joints])
+    for i, joint in enumerate(chain.joints):
+        for pose in reversed(joint.fixed_before):
+            placement[i] = transform(rotation_rpy(pose.rpy_rad), pose.xyz_m) @ placement[i]
+    inertials = [_merged(link) for link in chain.links]
+    return Robot(
+        name=chain.name,
+        placement=placement,
+        axis=np.array([joint.axis for joint in chain.joints]),
+        mass_kg=np.array([inertial[0] for inertial in inertials]),
+        com_m=np.array([inertial[1] for inertial in inertials]),
+        inertia_kg_m2=np.array([inertial[2] for inertial in inertials]),
+        lower_rad=np.array([joint.lower_rad for joint in chain.joints]),
+        upper_rad=np.array([joint.upper_rad for joint in chain.joints]),
+        velocity_rad_s=np.array([joint.velocity_rad_s for joint in chain.joints]),
+        effort_nm=np.array([joint.effort_nm for joint in chain.joints]),
+        link_names=tuple(link.name for link in chain.links),
+        joint_names=tuple(joint.name for joint in chain.joints),
+    )
+
+
+def robot_from_dh(table: DhRows, name: str = "dh") -> Robot:
+    """Arm from Denavit-Hartenberg rows; links are unknown, limits open.
+
+    Modified (Craig): `Rx(alpha_i) Tx(a_i) Rz(theta_i) Tz(d_i)`, link frame = DH frame.
+    Standard (Paul): `Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)`; frames of links 1 to 5 stand on their own joint's axis,
+    link 6 is DH frame 6.
+
+    Raises
+    ------
+    ConfigError
+        Unknown convention, not six rows, a value that is not finite, or a standard table with a_6 other than 0 (frame
+        6 would not stand on axis 6: give that length in the flange).
+    """
+    columns = [
+        np.asarray(column, dtype=float) for column in (table.alpha_rad, table.a_m, table.d_m, table.theta_offset_rad)
+    ]
+    if any(column.shape != (AXES,) or not np.isfinite(column).all() for column in columns):
+        raise ConfigError(
+            f"DH table of '{name}': alpha_rad, a_m, d_m and theta_offset_rad need six finite numbers each"
+        )
+    alpha, a, d, offset = columns
+    axis = np.tile([0.0, 0.0, 1.0], (AXES, 1))
+    if table.convention == "modified":
+        placement = np.array(
+            [_rx(alpha[i]) @ _move(a[i], 0.0) @ _move(0.0, d[i]) @ _rz(offset[i]) for i in range(AXES)]
+        )
+    elif table.convention == "standard":
+        if a[5] != 0.0:
+            raise ConfigError(
+                f"DH table of '{name}': a_m of row 6 must be 0 in the standard convention; put it in the flange"
+            )
+        placement = np.empty((AXES, 4, 4))
+        placement[0] = np.eye(4)
+        for i in range(AXES - 1):
+            placement[i + 1] = _rz(offset[i]) @ _move(a[i], d[i]) @ _rx(alpha[i])
+        placement[5] = placement[5] @ _rz(offset[5]) @ _move(0.0, d[5]) @ _rx(alpha[5])
+        axis[5] = _rx(-alpha[5])[:3, :3] @ axis[5]
+    else:
+        raise ConfigError(f"DH table of '{name}': convention '{table.convention}' is neither 'modified' nor 'standard'")
+    unknown, open_ = np.full(AXES, np.nan), np.full(AXES, np.inf)
+    return Robot(
+        name=name,
+        placement=placement,
+        axis=axis,
+        mass_kg=unknown,
+        com_m=np.full((AXES, 3), np.nan),
+        inertia_kg_m2=np.full((AXES, 3, 3), np.nan),
+        lower_rad=-open_,
+        upper_rad=open_,
+        velocity_rad_s=unknown,
+        effort_nm=unknown,
+    )
+
+
+def _rx(angle: float) -> Floats:
+    return transform(rotation_rpy((angle, 0.0, 0.0)), (0.0, 0.0, 0.0))
+
+
+def _rz(angle: float) -> Floats:
+    return transform(rotation_rpy((0.0, 0.0, angle)), (0.0, 0.0, 0.0))
+
+
+def _move(x: float, z: float) -> Floats:
+    return transform(np.eye(3), (x, 0.0, z))
+
+
+def _merged(link: urdf.MovedLink) -> tuple[float, Floats, Floats]:
+    """Mass [kg], centre of mass [m] and inertia about it [kg m2] of a link with all that is fixed to it."""
+    if link.own is None:
+        return np.nan, np.full(3, np.nan), np.full((3, 3), np.nan)
+    parts = []
+    for poses, inertial in [((), link.own), *link.fixed]:
+        frame = np.eye(4)
+        for pose in (*poses, inertial.pose):
+            frame = frame @ transform(rotation_rpy(pose.rpy_rad), pose.xyz_m)
+        xx, xy, xz, yy, yz, zz = inertial.inertia_kg_m2
+        tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        parts.append((inertial.mass_kg, frame[:3, 3], frame[:3, :3] @ tensor @ frame[:3, :3].T))
+    mass = sum(part[0] for part in parts)
+    com = sum((part[0] * part[1] for part in parts), np.zeros(3)) / mass if mass > 0 else parts[0][1]
+    tensor = np.zeros((3, 3))
+    for part_mass, part_com, part_tensor in parts:
+        arm = part_com - com
+        tensor += part_tensor + part_mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    return mass, com, tensor
