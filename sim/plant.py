@@ -1,21 +1,22 @@
 """What the simulated arm obeys and the gateway is never told.
 
-A `Plant` is a complete description of the physics of one arm: its true inertials, what the gears lose, what the sensors
-report wrongly, what hangs on the flange. Every field is neutral by default, so that a plant without effects is exactly the
-arm of the URDF with ideal gears. Effects are functions from one plant to the next (`dataclasses.replace`); the bus
-simulation and the tables computed without a bus read the same fields and therefore obey the same physics.
+A `Plant` is a complete description of the physics of one arm: its true inertials, what the gears lose, what the
+sensors report wrongly, what hangs on the flange. Every field is neutral by default, so that a plant without effects is
+exactly the arm of the URDF with ideal gears. Effects are functions from one plant to the next
+(`dataclasses.replace`); the bus simulation and the tables computed without a bus read the same fields and therefore
+obey the same physics.
 
 Symbols used in the field descriptions, per joint:
 
 - `q_enc`   joint angle as the motor encoder gives it (ratio and sign already applied, [rad]);
 - `q`       true angle of the link;
-- `tau`     torque that the gear output transmits to the joint and that the rigid body needs, actuator torque, positive in
-            +q, [Nm]: at rest `tau = gravity(q) - passive_torque`;
+- `tau`     torque that the gear output transmits to the joint and that the rigid body needs, actuator torque,
+            positive in +q, [Nm]: at rest `tau = gravity(q) - passive_torque`;
 - `T`       torque behind the gear and before joint friction: `T = tau + friction`;
 - `u`       joint-side equivalent of the true motor torque, gear ratio x motor torque, [Nm]: driving (`u` does work)
             `T = eta u`, driven back `T = u / eta`;
-- `r`       joint-side equivalent of what the drive reports, [Nm]: what ratio x stored torque constant x reported current
-            gives, efficiency not applied.
+- `r`       joint-side equivalent of what the drive reports, [Nm]: what ratio x stored torque constant x reported
+            current gives, efficiency not applied.
 """
 
 from __future__ import annotations
@@ -85,14 +86,17 @@ class Plant:
     Kinematics
     ----------
     zero_offset_rad : (6,) `q = q_enc + zero_offset`: the true angle is that much larger than the reported one
-    compliance_rad_nm : (6,) `q = q_enc + zero_offset - compliance * tau`: the gear winds up under the transmitted torque
+    compliance_rad_nm : (6,) `q = q_enc + zero_offset - compliance * tau`: the gear winds up under load
 
     Losses, all on the joint side
     -----------------------------
-    stiction_nm : (6,) half-width of the band at rest: a joint at rest stays so while `|T - tau - bias| <= stiction + ...`
+    stiction_nm : (6,) half-width of the band at rest: a joint stays at rest while
+        `|T - tau - bias| <= stiction + ...`
     coulomb_nm : (6,) kinetic friction: moving in direction d, `T - tau = d * coulomb + ...`
     viscous_nm_s_rad : (6,) adds `viscous * qd`
     load_friction : (6,) nu: adds `nu * |tau|` to both the band at rest and the kinetic friction
+    creep_rad_s : (6,) initial rate at which a stuck joint creeps under the torque that friction holds (fades with the
+        time at rest); it lets the position loop relax, so that a reading at rest lies inside the band and not on its edge
     friction_bias_nm : (6,) half the difference between directions: friction is `d * band + bias`
     gear_efficiency : (6,) eta in (0, 1]; driving `T = eta u`, driven back `T = u / eta`, at rest anywhere between
     passive_torque : (q (6,), time_s, tau (6,)) -> (6,) torque exerted ON the joints by springs, balancers, cables [Nm],
@@ -131,6 +135,7 @@ class Plant:
     coulomb_nm: Array = field(default_factory=_zeros)
     viscous_nm_s_rad: Array = field(default_factory=_zeros)
     load_friction: Array = field(default_factory=_zeros)
+    creep_rad_s: Array = field(default_factory=_zeros)
     friction_bias_nm: Array = field(default_factory=_zeros)
     gear_efficiency: Array = field(default_factory=_ones)
     passive_torque: PassiveTorque | None = None
