@@ -1,0 +1,162 @@
+"""CSV text of a measured table: columns by name, cells as numbers, every refusal with file and line.
+
+The file is converted in blocks of rows, so that memory stays near that of the numbers alone.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from gateway.errors import InputError
+
+AXES = range(1, 7)
+BLOCK_ROWS = 2048
+
+TEXT = frozenset({"run", "load"})
+BLANK_ALLOWED = frozenset({"pose", "time_s", *(f"qd{i}_rad_s" for i in AXES), *(f"qdd{i}_rad_s2" for i in AXES)})
+PATTERNS = (
+    "q{}_rad",
+    "qd{}_rad_s",
+    "qdd{}_rad_s2",
+    "dir{}",
+    "tau{}_nm",
+    "taum{}_nm",
+    "i{}_a",
+    "tau{}_std_nm",
+    "taum{}_std_nm",
+    "i{}_std_a",
+    "q2nd{}_rad",
+    "temp{}_c",
+)
+KNOWN = frozenset({"run", "load", "pose", "time_s", "n", *(p.format(i) for p in PATTERNS for i in AXES)})
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """The cells of one CSV file.
+
+    Attributes
+    ----------
+    values : dict of str to array of shape (n_rows,)
+        Floats (NaN only where a cell may be left empty) or text.
+    line : int array of shape (n_rows,)
+        Line of each row in the file, the header is on line 1.
+    """
+
+    file: str
+    values: dict[str, np.ndarray]
+    line: np.ndarray
+
+    def where(self, row: int) -> str:
+        """`file:line` of a row."""
+        return f"{self.file}:{self.line[row]}"
+
+
+def read_columns(path: Path) -> Columns:
+    """Read a CSV file (UTF-8 with or without byte order mark, comma, quoting, any line end).
+
+    Raises
+    ------
+    InputError
+        File unreadable, header or row malformed, column unknown or given twice, cell that is not a finite number.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            reader = csv.reader(stream, strict=True)
+            try:
+                return _read(reader, str(path))
+            except csv.Error as error:
+                raise InputError(f"{path}:{reader.line_num}: not valid CSV: {error}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"{path}: not UTF-8 text: {error.reason} at byte {error.start}; save the table as UTF-8"
+        ) from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def _read(reader: Iterator[list[str]], file: str) -> Columns:
+    header = _header(next((row for row in reader if row), None), file)
+    rows = _rows(reader, header, file)
+    kinds: dict[str, str] = {}
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in header}
+    lines: list[np.ndarray] = []
+    while block := list(islice(rows, BLOCK_ROWS)):
+        line = np.array([number for number, _ in block])
+        lines.append(line)
+        for name, cells in zip(header, zip(*(cells for _, cells in block), strict=True), strict=True):
+            kind = kinds.setdefault(name, _kind(name, cells[0]))
+            parts[name].append(_text(cells) if kind == "text" else _numbers(name, cells, line, file))
+    if not lines:
+        raise InputError(f"{file}:1: the table has a header but no row")
+    return Columns(file, {name: np.concatenate(part) for name, part in parts.items()}, np.concatenate(lines))
+
+
+def _header(cells: list[str] | None, file: str) -> list[str]:
+    if cells is None:
+        raise InputError(f"{file}:1: the file is empty; a header line with column names is needed")
+    names = [cell.strip() for cell in cells]
+    for name in names:
+        if name not in KNOWN and not (name.startswith("x_") and name.isprintable()):
+            hint = "the separator must be a comma" if ";" in name or "\t" in name else "own columns start with x_"
+            raise InputError(f"{file}:1: unknown column '{_short(name)}'; {hint}, units are part of the name")
+        if names.count(name) > 1:
+            raise InputError(f"{file}:1: column '{name}' is given twice")
+    return names
+
+
+def _rows(reader: Iterator[list[str]], header: list[str], file: str) -> Iterator[tuple[int, list[str]]]:
+    for cells in reader:
+        if not cells:
+            continue
+        line = reader.line_num  # type: ignore[attr-defined]
+        if len(cells) != len(header):
+            raise InputError(f"{file}:{line}: {len(cells)} cells where the header names {len(header)} columns")
+        yield line, cells
+
+
+def _kind(name: str, first: str) -> str:
+    if name in TEXT:
+        return "text"
+    return "text" if name.startswith("x_") and not _is_number(first) else "number"
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return "_" not in cell
+
+
+def _text(cells: tuple[str, ...]) -> np.ndarray:
+    return np.array(cells, dtype=object)
+
+
+def _numbers(name: str, cells: tuple[str, ...], line: np.ndarray, file: str) -> np.ndarray:
+    try:
+        values = np.array([*map(float, cells)])
+    except ValueError:
+        values = np.array([float(cell) if _is_number(cell) else math.nan for cell in cells])
+    bad = ~np.isfinite(values)
+    if any("_" in cell for cell in cells):
+        bad |= np.array(["_" in cell for cell in cells])
+    if name in BLANK_ALLOWED and bad.any():
+        bad &= np.array([bool(cell.strip()) for cell in cells])
+    if bad.any():
+        row = int(np.argmax(bad))
+        cell = cells[row].strip()
+        what = "is empty" if not cell else f"'{_short(cell)}' is not a finite number"
+        raise InputError(f"{file}:{line[row]}: {name}: {what}; nothing is filled in, correct or remove the row")
+    return values
+
+
+def _short(text: str) -> str:
+    return ascii(text[:40])[1:-1] + ("..." if len(text) > 40 else "")

@@ -1,0 +1,164 @@
+"""Rows of measured data as arrays: one per rest-pose visit or per instant of a moving run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+
+from gateway.errors import InputError
+
+MOVING = -1
+COMPARED = (
+    "q_rad",
+    "qd_rad_s",
+    "qdd_rad_s2",
+    "tau_nm",
+    "motor_torque_nm",
+    "tau_std_nm",
+    "count",
+    "q2nd_rad",
+    "temperature_c",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Measured rows; joints count from 0 along the second axis.
+
+    Attributes
+    ----------
+    file : tuple of str, one per row
+        File the row came from.
+    line : int array of shape (n,)
+        Line in the CSV file, or visit number in the recording.
+    run, load : str arrays of shape (n,)
+        Recording the row came from; label of what is on the flange (`none` = bare).
+    pose : int array of shape (n,)
+        Number of the rest pose; -1 in moving rows.
+    time_s : array of shape (n,)
+        NaN where not given.
+    q_rad, qd_rad_s, qdd_rad_s2 : arrays of shape (n, 6)
+        Joint motion in the convention of the robot model; derivatives are zero at rest.
+    moving : bool array of shape (n,)
+    direction : int8 array of shape (n, 6)
+        Sign of each joint's last motion before it came to rest; 0 = unknown.
+    tau_nm : array of shape (n, 6)
+        Joint-side actuator torque: ratio, sign and coupling applied, efficiency not; NaN = axis not measured.
+    tau_std_nm : array of shape (n, 6)
+        Standard deviation of the averaged samples; NaN = unknown.
+    count : int array of shape (n,)
+        Samples averaged; 1 if unknown.
+    q2nd_rad, temperature_c : arrays of shape (n, 6)
+        Secondary encoder and motor or drive temperature; NaN where absent.
+    motor_torque_nm : array of shape (n, 6)
+        Motor-side torque where the source gave torque or current of the motor; NaN otherwise.
+    extra : dict of str to array of shape (n,)
+        Columns whose name starts with `x_`.
+    """
+
+    file: tuple[str, ...]
+    line: np.ndarray
+    run: np.ndarray
+    load: np.ndarray
+    pose: np.ndarray
+    time_s: np.ndarray
+    q_rad: np.ndarray
+    qd_rad_s: np.ndarray
+    qdd_rad_s2: np.ndarray
+    moving: np.ndarray
+    direction: np.ndarray
+    tau_nm: np.ndarray
+    tau_std_nm: np.ndarray
+    count: np.ndarray
+    q2nd_rad: np.ndarray
+    temperature_c: np.ndarray
+    motor_torque_nm: np.ndarray
+    extra: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self.file)
+
+    def take(self, rows: np.ndarray) -> Table:
+        """The chosen rows as a new table.
+
+        Parameters
+        ----------
+        rows : bool mask of shape (n,) or int indices
+        """
+        index = np.flatnonzero(rows) if np.asarray(rows).dtype == bool else np.asarray(rows, dtype=int)
+        chosen: dict[str, Any] = {
+            item.name: getattr(self, item.name)[index] for item in fields(self) if item.name not in ("file", "extra")
+        }
+        chosen["file"] = tuple(self.file[i] for i in index)
+        chosen["extra"] = {name: values[index] for name, values in self.extra.items()}
+        return Table(**chosen)
+
+    def where(self, row: int) -> str:
+        """`file:line` of a row, for messages."""
+        return f"{self.file[row]}:{self.line[row]}"
+
+
+def concatenate(tables: Sequence[Table]) -> Table:
+    """Rows of several tables, one after the other; an own column that only some tables have becomes NaN elsewhere.
+
+    Raises
+    ------
+    InputError
+        No table is given.
+    """
+    if not tables:
+        raise InputError("no measured data given")
+    joined: dict[str, Any] = {
+        item.name: np.concatenate([getattr(table, item.name) for table in tables])
+        for item in fields(Table)
+        if item.name not in ("file", "extra")
+    }
+    joined["file"] = tuple(name for table in tables for name in table.file)
+    names = dict.fromkeys(name for table in tables for name in table.extra)
+    joined["extra"] = {
+        name: np.concatenate([table.extra.get(name, np.full(len(table), np.nan)) for table in tables]) for name in names
+    }
+    return Table(**joined)
+
+
+def without_duplicates(table: Table) -> Table:
+    """Drop rows that repeat an earlier one in every value.
+
+    Rows are the same visit or instant if run, load, pose, directions and time agree.
+
+    Raises
+    ------
+    InputError
+        Two rows are the same visit or instant and their values differ.
+    """
+    _, run = np.unique(table.run, return_inverse=True)
+    _, load = np.unique(table.load, return_inverse=True)
+    direction = np.where(table.moving[:, None], 0, table.direction)
+    time_s = np.nan_to_num(table.time_s, nan=-np.inf)
+    key = np.column_stack([run, load, table.pose, table.moving, direction, time_s])
+    order = np.lexsort(key.T)
+    again = np.flatnonzero((key[order][1:] == key[order][:-1]).all(axis=1)) + 1
+    if not len(again):
+        return table
+    _refuse_if_different(table, order[again - 1], order[again])
+    keep = np.ones(len(table), dtype=bool)
+    keep[order[again]] = False
+    return table.take(keep)
+
+
+def _refuse_if_different(table: Table, earlier: np.ndarray, later: np.ndarray) -> None:
+    compared = {name: getattr(table, name) for name in COMPARED} | table.extra
+    for name, values in compared.items():
+        one, two = values[earlier].reshape(len(earlier), -1), values[later].reshape(len(later), -1)
+        differs = ((one != two) & ~((one != one) & (two != two))).any(axis=1)
+        if differs.any():
+            first = int(np.argmin(np.where(differs, later, len(table))))
+            row, before = int(later[first]), int(earlier[first])
+            raise InputError(
+                f"{table.where(row)}: repeats {table.where(before)} (run {table.run[row]}, load {table.load[row]}, "
+                f"pose {table.pose[row]}) with another {name}; keep one, or give a repeated visit its own time_s"
+            )
