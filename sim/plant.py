@@ -96,7 +96,7 @@ class Plant:
     viscous_nm_s_rad : (6,) adds `viscous * qd`
     load_friction : (6,) nu: adds `nu * |tau|` to both the band at rest and the kinetic friction
     creep_rad_s : (6,) initial rate at which a stuck joint creeps under the torque that friction holds (fades with the
-        time at rest); it lets the position loop relax, so that a reading at rest lies inside the band and not on its edge
+        time at rest); the position loop relaxes with it, so a reading at rest lies inside the band, not on its edge
     friction_bias_nm : (6,) half the difference between directions: friction is `d * band + bias`
     gear_efficiency : (6,) eta in (0, 1]; driving `T = eta u`, driven back `T = u / eta`, at rest anywhere between
     passive_torque : (q (6,), time_s, tau (6,)) -> (6,) torque exerted ON the joints by springs, balancers, cables [Nm],

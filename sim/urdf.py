@@ -1,0 +1,291 @@
+"""URDF of a six-axis arm: read into arrays, written from arrays.
+
+The reader keeps what a simulator needs: where the joints sit, their axes and limits, and the inertials. Links that
+hang on fixed joints are merged into the moving link that carries them. The writer gives every link its inertia on
+principal axes, so that a physics engine takes it over without any repair of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class UrdfError(ValueError):
+    """A robot description the simulator cannot use; the message says where and why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """Inertial of one rigid body in its own frame; inertia about the centre of gravity."""
+
+    mass_kg: float
+    com_m: Array
+    inertia_kg_m2: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """Six revolute joints in a chain.
+
+    Attributes
+    ----------
+    name : robot name
+    placement : (6, 4, 4) parent link frame -> joint frame at angle 0
+    axis : (6, 3) unit axis of rotation in the joint frame
+    bodies : six inertials in link frames, None where the file gives none
+    lower_rad, upper_rad, effort_nm, velocity_rad_s : (6,) limits of the file
+    """
+
+    name: str
+    placement: Array
+    axis: Array
+    bodies: tuple[Body | None, ...]
+    lower_rad: Array
+    upper_rad: Array
+    effort_nm: Array
+    velocity_rad_s: Array
+
+
+def rotation_rpy(rpy_rad: Sequence[float]) -> Array:
+    """Rotation matrix of roll, pitch, yaw about the fixed axes x, y, z (URDF convention), shape (3, 3)."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy_rad), np.sin(rpy_rad)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def rpy_of(rotation: Array) -> tuple[float, float, float]:
+    """Roll, pitch, yaw [rad] of a rotation matrix of shape (3, 3)."""
+    pitch = math.atan2(-rotation[2, 0], math.hypot(rotation[0, 0], rotation[1, 0]))
+    if abs(math.cos(pitch)) < 1e-9:
+        return math.atan2(-rotation[1, 2], rotation[1, 1]), pitch, 0.0
+    return (
+        math.atan2(rotation[2, 1], rotation[2, 2]),
+        pitch,
+        math.atan2(rotation[1, 0], rotation[0, 0]),
+    )
+
+
+def combine(first: Body, second: Body) -> Body:
+    """One rigid body of two, both in the same frame (parallel axis theorem, exact)."""
+    mass = first.mass_kg + second.mass_kg
+    if mass <= 0.0:
+        return Body(0.0, np.zeros(3), first.inertia_kg_m2 + second.inertia_kg_m2)
+    com = (first.mass_kg * first.com_m + second.mass_kg * second.com_m) / mass
+    inertia = np.zeros((3, 3))
+    for body in (first, second):
+        arm = body.com_m - com
+        inertia += body.inertia_kg_m2 + body.mass_kg * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    return Body(mass, com, inertia)
+
+
+def read_chain(text: str, where: str) -> Chain:
+    """Read a URDF of six revolute joints in a chain.
+
+    Raises
+    ------
+    UrdfError : not XML, not a chain of six revolute joints, or a number that is none
+    """
+    try:
+        robot = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise UrdfError(f"{where}: not readable as XML: {error}") from error
+    try:
+        return _chain(robot, where)
+    except (KeyError, TypeError, ValueError) as error:
+        if isinstance(error, UrdfError):
+            raise
+        raise UrdfError(f"{where}: {error}") from error
+
+
+def _chain(robot: ElementTree.Element, where: str) -> Chain:
+    joints = robot.findall("joint")
+    links = {link.attrib["name"]: link for link in robot.findall("link")}
+    children = {_ref(joint, "child") for joint in joints}
+    roots = [name for name in links if name not in children]
+    if len(roots) != 1:
+        raise UrdfError(f"{where}: {len(roots)} links have no parent, exactly one base is needed")
+    by_parent: dict[str, list[ElementTree.Element]] = {}
+    for joint in joints:
+        by_parent.setdefault(_ref(joint, "parent"), []).append(joint)
+
+    found: list[tuple[ElementTree.Element, Array]] = []
+    bodies: list[Body | None] = []
+    stack: list[tuple[str, Array, int]] = [(roots[0], np.eye(4), -1)]
+    while stack:
+        name, frame, carrier = stack.pop()
+        if carrier >= 0:
+            bodies[carrier] = _merged(bodies[carrier], _moved(_inertial(links[name]), frame))
+        for joint in by_parent.get(name, []):
+            placed = frame @ _origin(joint)
+            if joint.attrib["type"] == "fixed":
+                stack.append((_ref(joint, "child"), placed, carrier))
+            elif joint.attrib["type"] in ("revolute", "continuous"):
+                if carrier != len(found) - 1:
+                    raise UrdfError(f"{where}: joint '{joint.attrib['name']}' branches off, a single chain is needed")
+                found.append((joint, placed))
+                bodies.append(None)
+                stack.append((_ref(joint, "child"), np.eye(4), len(found) - 1))
+            else:
+                raise UrdfError(f"{where}: joint '{joint.attrib['name']}' is {joint.attrib['type']}, not revolute")
+    if len(found) != 6:
+        raise UrdfError(f"{where}: {len(found)} revolute joints, six are needed")
+    limits = np.array([_limits(joint) for joint, _ in found])
+    return Chain(
+        name=robot.attrib.get("name", "robot"),
+        placement=np.array([placed for _, placed in found]),
+        axis=np.array([_axis(joint) for joint, _ in found]),
+        bodies=tuple(bodies),
+        lower_rad=limits[:, 0],
+        upper_rad=limits[:, 1],
+        effort_nm=limits[:, 2],
+        velocity_rad_s=limits[:, 3],
+    )
+
+
+def _ref(joint: ElementTree.Element, tag: str) -> str:
+    element = joint.find(tag)
+    if element is None:
+        raise UrdfError(f"joint '{joint.attrib.get('name')}' has no <{tag}>")
+    return element.attrib["link"]
+
+
+def _numbers(text: str, count: int) -> Array:
+    values = np.array([float(part) for part in text.split()])
+    if values.shape != (count,) or not np.all(np.isfinite(values)):
+        raise UrdfError(f"'{text}' is not {count} finite numbers")
+    return values
+
+
+def _origin(element: ElementTree.Element) -> Array:
+    frame = np.eye(4)
+    origin = element.find("origin")
+    if origin is not None:
+        frame[:3, 3] = _numbers(origin.attrib.get("xyz", "0 0 0"), 3)
+        frame[:3, :3] = rotation_rpy(_numbers(origin.attrib.get("rpy", "0 0 0"), 3))
+    return frame
+
+
+def _axis(joint: ElementTree.Element) -> Array:
+    element = joint.find("axis")
+    axis = _numbers(element.attrib["xyz"], 3) if element is not None else np.array([1.0, 0.0, 0.0])
+    length = float(np.linalg.norm(axis))
+    if length < 1e-9:
+        raise UrdfError(f"joint '{joint.attrib['name']}' has an axis of length 0")
+    return axis / length
+
+
+def _limits(joint: ElementTree.Element) -> tuple[float, float, float, float]:
+    element = joint.find("limit")
+    values = element.attrib if element is not None else {}
+    return (
+        float(values.get("lower", -math.inf)),
+        float(values.get("upper", math.inf)),
+        float(values.get("effort", math.inf)),
+        float(values.get("velocity", math.inf)),
+    )
+
+
+def _inertial(link: ElementTree.Element) -> Body | None:
+    inertial = link.find("inertial")
+    if inertial is None:
+        return None
+    mass, tensor = inertial.find("mass"), inertial.find("inertia")
+    if mass is None or tensor is None:
+        raise UrdfError(f"link '{link.attrib['name']}': <inertial> needs <mass> and <inertia>")
+    xx, xy, xz, yy, yz, zz = (float(tensor.attrib[key]) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
+    own = Body(
+        float(mass.attrib["value"]), np.zeros(3), np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], dtype=float)
+    )
+    return _moved(own, _origin(inertial))
+
+
+def _moved(body: Body | None, frame: Array) -> Body | None:
+    if body is None:
+        return None
+    rotation = frame[:3, :3]
+    return Body(body.mass_kg, rotation @ body.com_m + frame[:3, 3], rotation @ body.inertia_kg_m2 @ rotation.T)
+
+
+def _merged(first: Body | None, second: Body | None) -> Body | None:
+    if first is None or second is None:
+        return first or second
+    return combine(first, second)
+
+
+def write_chain(chain: Chain, comment: str = "") -> str:
+    """URDF text of a chain; every body must be known.
+
+    Raises
+    ------
+    UrdfError : a body is missing, its mass or its principal moments are not positive
+    """
+    lines = ['<?xml version="1.0"?>', *([f"<!-- {comment} -->"] if comment else [])]
+    lines += [f'<robot name="{chain.name}">', '  <link name="base_link"/>']
+    for i, body in enumerate(chain.bodies):
+        parent = f"link_{i}" if i else "base_link"
+        lines += _link_lines(f"link_{i + 1}", body)
+        lines += [
+            f'  <joint name="joint_{i + 1}" type="revolute">',
+            f'    <parent link="{parent}"/>',
+            f'    <child link="link_{i + 1}"/>',
+            f"    {_origin_tag(chain.placement[i])}",
+            f'    <axis xyz="{_text(chain.axis[i])}"/>',
+            f'    <limit lower="{chain.lower_rad[i]:.6g}" upper="{chain.upper_rad[i]:.6g}" '
+            f'effort="{chain.effort_nm[i]:.6g}" velocity="{chain.velocity_rad_s[i]:.6g}"/>',
+            "  </joint>",
+        ]
+    return "\n".join([*lines, "</robot>", ""])
+
+
+def _link_lines(name: str, body: Body | None) -> list[str]:
+    if body is None:
+        raise UrdfError(f"{name} has no inertial: mass, centre of gravity and inertia of every link are needed")
+    moments, frame = principal_axes(body)
+    if body.mass_kg <= 0 or moments.min() <= 0 or 2 * moments.max() > moments.sum() * (1 + 1e-9):
+        raise UrdfError(f"{name}: mass {body.mass_kg} kg with principal moments {moments} kg m2 is no rigid body")
+    values = zip(("ixx", "iyy", "izz"), moments, strict=True)
+    tensor = " ".join(f'{key}="{value:.12g}"' for key, value in values)
+    return [
+        f'  <link name="{name}">',
+        "    <inertial>",
+        f"      {_origin_tag(frame)}",
+        f'      <mass value="{body.mass_kg:.12g}"/>',
+        f'      <inertia {tensor} ixy="0" ixz="0" iyz="0"/>',
+        "    </inertial>",
+        "  </link>",
+    ]
+
+
+def principal_axes(body: Body) -> tuple[Array, Array]:
+    """Principal moments (3,) [kg m2] and the frame (4, 4) of the principal axes at the centre of gravity."""
+    frame = np.eye(4)
+    frame[:3, 3] = body.com_m
+    tensor = 0.5 * (body.inertia_kg_m2 + body.inertia_kg_m2.T)
+    off_diagonal = tensor - np.diag(np.diag(tensor))
+    if np.abs(off_diagonal).max() <= 1e-12 * np.abs(tensor).max():
+        return np.diag(tensor).copy(), frame
+    moments, axes = np.linalg.eigh(tensor)
+    axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
+    frame[:3, :3] = axes
+    return moments, frame
+
+
+def _origin_tag(frame: Array) -> str:
+    return f'<origin xyz="{_text(frame[:3, 3])}" rpy="{_text(rpy_of(frame[:3, :3]))}"/>'
+
+
+def _text(values: Sequence[float] | Array) -> str:
+    return " ".join(f"{value + 0.0:.12g}" for value in values)
