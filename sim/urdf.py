@@ -233,7 +233,7 @@ def write_chain(chain: Chain, comment: str = "") -> str:
     UrdfError : a body is missing, its mass or its principal moments are not positive
     """
     lines = ['<?xml version="1.0"?>', *([f"<!-- {comment} -->"] if comment else [])]
-    lines += [f'<robot name="{chain.name}">', '  <link name="base_link"/>']
+    lines += [f'<robot name="{chain.name}">', *_link_lines("base_link", Body(100.0, np.zeros(3), 10.0 * np.eye(3)))]
     for i, body in enumerate(chain.bodies):
         parent = f"link_{i}" if i else "base_link"
         lines += _link_lines(f"link_{i + 1}", body)
