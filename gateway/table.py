@@ -210,7 +210,8 @@ def _columns_to_write(table: Table) -> dict[str, list[object]]:
         sixes |= {"qdd{}_rad_s2": np.where(rest, np.nan, table.qdd_rad_s2)}
     if table.direction.any():
         sixes |= {"dir{}": table.direction}
-    on_motor = np.isnan(table.tau_nm)
+    on_motor = np.isnan(table.tau_nm).all(axis=0)
+    _refuse_part_of_an_axis(np.where(on_motor, table.motor_torque_nm, table.tau_nm))
     sixes |= {"tau{}_nm": table.tau_nm, "taum{}_nm": np.where(on_motor, table.motor_torque_nm, np.nan)}
     sixes |= {"tau{}_std_nm": np.where(on_motor, np.nan, table.tau_std_nm)}
     sixes |= {"q2nd{}_rad": table.q2nd_rad, "temp{}_c": table.temperature_c}
@@ -221,6 +222,16 @@ def _columns_to_write(table: Table) -> dict[str, list[object]]:
     if (table.count != 1).any():
         columns["n"] = table.count.tolist()
     return columns | {name: _cells(values) for name, values in table.extra.items()}
+
+
+def _refuse_part_of_an_axis(torque_nm: np.ndarray) -> None:
+    missing = np.isnan(torque_nm).mean(axis=0)
+    partly = (missing > 0) & (missing < 1)
+    if partly.any():
+        raise InputError(
+            f"axis {int(np.argmax(partly)) + 1} was measured in some rows only; a table has every axis in all rows or "
+            "in none: export the recordings one by one"
+        )
 
 
 def _cells(values: np.ndarray) -> list[object]:
