@@ -7,7 +7,7 @@ virtual machine (software emulation, no network, the folders of this machine sha
 distribution; else the run is skipped with the reason. Where `SERVO_GATEWAY_REQUIRE_VCAN=1` is set a skip is a
 failure, and missing packages are installed as with `--install`. Kernel and unpacked modules are kept in `.cache/vcan`.
 
-Only the standard library is used.
+Only the standard library is used, except to run the tests themselves.
 """
 
 from __future__ import annotations
@@ -62,6 +62,8 @@ def main(argv: Sequence[str]) -> int:
         "no:cacheprovider",
     ]
     try:
+        if not arguments.command:
+            provide_slave()
         if arguments.where != "vm" and native_vcan():
             return run_native(command)
         if arguments.where == "native":
@@ -91,6 +93,17 @@ def native_vcan() -> bool:
             return False
     quiet("ip", "link", "set", "vcan0", "txqueuelen", "1000", "up")
     return quiet("ip", "link", "show", "up", "dev", "vcan0")
+
+
+def provide_slave() -> None:
+    """Fetch the slave that others have written, once; the tests that need it say why it is missing."""
+    sys.path.insert(0, str(ROOT))
+    from tests.vcan.slave_process import SlaveMissing, install  # only here: needs the virtual environment
+
+    try:
+        install()
+    except SlaveMissing as missing:
+        raise VcanMissing(str(missing)) from missing
 
 
 def run_native(command: Sequence[str]) -> int:
