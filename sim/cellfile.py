@@ -1,0 +1,264 @@
+"""The cell file and the drive profiles as the simulator needs them.
+
+A reader of its own: the simulated drives must not share a formula, nor a mistake, with the master. Only what is needed
+is checked here; the gateway is the strict reader of the same files.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.plant import Payload
+from sim.urdf import Chain, UrdfError, read_chain
+
+Array = NDArray[np.float64]
+Table = Mapping[str, Any]
+
+PAYLOAD_DENSITY_KG_M3 = 2500.0
+
+
+class CellFileError(ValueError):
+    """A file the simulator cannot use: one paragraph, what, where, what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class BusSpec:
+    """A CAN bus as python-can names it, and the SYNC that runs on it.
+
+    `pacing` is "lockstep" (simulated time advances with each SYNC) or "real" (by the wall clock).
+    """
+
+    interface: str
+    channel: str
+    bitrate_bit_s: int = 1_000_000
+    sync_period_s: float = 0.01
+    pacing: str = "lockstep"
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class AxisSpec:
+    """One axis of the cell file; `profile` is the parsed TOML of its drive profile."""
+
+    node_id: int
+    profile: Table
+    torque_constant_nm_per_a: float
+    gear_ratio: float
+    gear_efficiency: float
+    position_sign: int
+    torque_sign: int
+    zero_offset_rad: float
+    position_limit_rad: tuple[float, float]
+    speed_limit_rad_s: float
+    torque_limit_nm: float
+
+
+@dataclass(frozen=True, slots=True)
+class ArmSpec:
+    """One arm: its chain, its six axes, and how it stands in gravity."""
+
+    name: str
+    bus: str
+    chain: Chain
+    gravity_m_s2: Array
+    coupling: Array
+    axes: tuple[AxisSpec, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class CellSpec:
+    """The whole cell."""
+
+    name: str
+    buses: Mapping[str, BusSpec]
+    arms: tuple[ArmSpec, ...]
+
+
+def read_toml(path: Path) -> Table:
+    """Parse one TOML file.
+
+    Raises
+    ------
+    CellFileError : the file cannot be read or is no TOML
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise CellFileError(f"{path}: cannot be read: {error}. Give the path of an existing file.") from error
+    except tomllib.TOMLDecodeError as error:
+        raise CellFileError(f"{path}: not valid TOML: {error}. Correct the file.") from error
+
+
+def read_cell(path: Path) -> CellSpec:
+    """Read a cell file with the robot and the drive profiles it names.
+
+    Raises
+    ------
+    CellFileError : a file cannot be read, a key is missing or of the wrong kind
+    """
+    table = read_toml(path)
+    try:
+        buses = {name: _bus(entry) for name, entry in table["bus"].items()}
+        arms = tuple(_arm(entry, path) for entry in table["arm"])
+        for arm in arms:
+            if arm.bus not in buses:
+                raise CellFileError(f"{path}: arm '{arm.name}' names bus '{arm.bus}', which has no [bus.{arm.bus}]")
+        return CellSpec(name=str(table["name"]), buses=buses, arms=arms)
+    except KeyError as error:
+        raise CellFileError(f"{path}: key {error} is missing; add it to the file.") from error
+    except UrdfError as error:
+        raise CellFileError(str(error)) from error
+    except (TypeError, ValueError, AttributeError) as error:
+        if isinstance(error, CellFileError):
+            raise
+        raise CellFileError(f"{path}: a value is of the wrong kind: {error}. Correct the file.") from error
+
+
+def _bus(entry: Table) -> BusSpec:
+    return BusSpec(
+        interface=str(entry["interface"]),
+        channel=str(entry["channel"]),
+        bitrate_bit_s=int(entry.get("bitrate_bit_s", 1_000_000)),
+        sync_period_s=float(entry.get("sync_period_s", 0.01)),
+        pacing=str(entry.get("pacing", "real")),
+        options=dict(entry.get("options", {})),
+    )
+
+
+def parse_bus_spec(text: str, cell_bus: BusSpec) -> BusSpec:
+    """`INTERFACE:CHANNEL[,key=value]...` in place of the interface of a cell's bus; timing stays the cell's.
+
+    Raises
+    ------
+    CellFileError : not of that form
+    """
+    head, *pairs = text.split(",")
+    interface, colon, channel = head.partition(":")
+    if not interface or not colon or not channel or any("=" not in pair for pair in pairs):
+        raise CellFileError(
+            f"--bus '{text}' is not INTERFACE:CHANNEL[,key=value]..., for example udp_multicast:239.74.163.2,port=43113"
+        )
+    options = {key: _scalar(value) for key, _, value in (pair.partition("=") for pair in pairs)}
+    return BusSpec(
+        interface,
+        channel,
+        int(options.pop("bitrate", cell_bus.bitrate_bit_s)),
+        cell_bus.sync_period_s,
+        cell_bus.pacing,
+        options,
+    )
+
+
+def _scalar(text: str) -> str | int | float | bool:
+    if text.lower() in ("true", "false"):
+        return text.lower() == "true"
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def _arm(entry: Table, path: Path) -> ArmSpec:
+    name = str(entry["name"])
+    if "robot" not in entry:
+        raise CellFileError(
+            f"{path}: arm '{name}' names no robot; the simulator needs robot = \"FILE.urdf\" with all inertials."
+        )
+    robot = path.resolve().parent / str(entry["robot"])
+    try:
+        text = robot.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise CellFileError(f"{robot}: cannot be read: {error}. Correct the robot key of {path}.") from error
+    if len(entry["axis"]) != 6:
+        raise CellFileError(f"{path}: arm '{name}' has {len(entry['axis'])} [[arm.axis]] tables, six are needed.")
+    return ArmSpec(
+        name=name,
+        bus=str(entry["bus"]),
+        chain=read_chain(text, str(robot)),
+        gravity_m_s2=np.array(entry.get("gravity_m_s2", (0.0, 0.0, -9.80665)), dtype=float),
+        coupling=np.array(entry.get("coupling", np.eye(6)), dtype=float),
+        axes=tuple(_axis(axis, path) for axis in entry["axis"]),
+    )
+
+
+def _axis(entry: Table, path: Path) -> AxisSpec:
+    low, high = entry["position_limit_rad"]
+    return AxisSpec(
+        node_id=int(entry["node_id"]),
+        profile=read_profile(str(entry["profile"]), path.resolve().parent),
+        torque_constant_nm_per_a=_constant(entry["torque_constant_nm_per_a"]),
+        gear_ratio=_constant(entry["gear_ratio"]),
+        gear_efficiency=_constant(entry["gear_efficiency"]),
+        position_sign=int(entry.get("position_sign", 1)),
+        torque_sign=int(entry.get("torque_sign", 1)),
+        zero_offset_rad=float(entry.get("zero_offset_rad", 0.0)),
+        position_limit_rad=(float(low), float(high)),
+        speed_limit_rad_s=float(entry["speed_limit_rad_s"]),
+        torque_limit_nm=float(entry["torque_limit_nm"]),
+    )
+
+
+def _constant(entry: Table) -> float:
+    value = float(entry["value"])
+    if not math.isfinite(value) or value == 0.0:
+        raise CellFileError(f"a constant must be finite and not 0, got {value}")
+    return value
+
+
+def read_profile(name: str, folder: Path) -> Table:
+    """Parse a drive profile: by name from the packaged ones, else a TOML file relative to the cell's folder.
+
+    Raises
+    ------
+    CellFileError : no such profile, or not TOML
+    """
+    packaged = resources.files("drives").joinpath("profiles", f"{name}.toml")
+    if not name.endswith(".toml") and packaged.is_file():
+        return tomllib.loads(packaged.read_text(encoding="utf-8"))
+    return read_toml(folder / name)
+
+
+def read_payloads(path: Path) -> dict[str, Payload]:
+    """Loads of a payload file by label: `[[load]] label, mass_kg, com_m`, `inertia_kg_m2` (3 x 3) if it is known.
+
+    Raises
+    ------
+    CellFileError : the file cannot be read, a key is missing, a number is not finite, two loads share a label
+    """
+    loads: dict[str, Payload] = {}
+    for number, entry in enumerate(read_toml(path).get("load", []), start=1):
+        where = f"{path}: load {number}"
+        try:
+            label, mass = str(entry["label"]), float(entry["mass_kg"])
+            com = np.array(entry["com_m"], dtype=float)
+            inertia = np.array(entry.get("inertia_kg_m2", compact_inertia(mass)), dtype=float)
+        except KeyError as error:
+            raise CellFileError(f"{where}: key {error} is missing; label, mass_kg and com_m are needed.") from error
+        except (TypeError, ValueError, AttributeError) as error:
+            raise CellFileError(f"{where}: a value is of the wrong kind: {error}. Correct the file.") from error
+        numbers = np.concatenate([[mass], com.ravel(), inertia.ravel()])
+        if com.shape != (3,) or inertia.shape != (3, 3) or mass <= 0 or not np.all(np.isfinite(numbers)):
+            raise CellFileError(f"{where}: mass_kg must be positive, com_m three finite numbers.")
+        if label in loads or label == "none":
+            raise CellFileError(
+                f"{where}: label '{label}' is taken; every load needs its own, and none is the bare arm."
+            )
+        loads[label] = Payload(label, mass, com, inertia)
+    return loads
+
+
+def compact_inertia(mass_kg: float) -> Array:
+    """Inertia (3, 3) [kg m2] of a ball of that mass and 2500 kg/m3: what a load has whose shape is not given."""
+    radius = (max(mass_kg, 1e-9) / (PAYLOAD_DENSITY_KG_M3 * 4.0 / 3.0 * math.pi)) ** (1.0 / 3.0)
+    return np.eye(3) * (0.4 * max(mass_kg, 1e-9) * radius**2)

@@ -1,0 +1,160 @@
+"""What one bit of a simulated drive means: SI on the motor side to the words of its object dictionary.
+
+Written from the drive's point of view: the drive owns a rated torque and a rated current and scales what it measures
+by them. The master must find the same numbers back through its profile; no formula is shared.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from sim.cellfile import AxisSpec, CellFileError
+
+Table = Mapping[str, Any]
+Address = tuple[int, int]
+
+#: Peak over rated torque of the simulated motors.
+OVERLOAD = 2.0
+COUNTS_PER_REVOLUTION = 131072
+
+
+@dataclass(frozen=True, slots=True)
+class Word:
+    """An object that shows a measured quantity: raw = quantity x `bits_per_unit`."""
+
+    address: Address
+    type: str
+    bits_per_unit: float
+
+
+@dataclass(frozen=True, slots=True)
+class DriveUnits:
+    """Scales of one drive, motor side.
+
+    Attributes
+    ----------
+    rated_torque_nm : of the motor [Nm]
+    rated_current_a : of the motor, in the ampere the torque constant refers to [A]
+    torque, current : objects that the profile names for them; bits per Nm of reported torque
+    velocity : object and bits per rad/s
+    counts_per_rad : of the motor
+    offset_nm_per_bit : what one bit of 0x60B2 and 0x6071 demands [Nm]
+    constants : objects the drive shows for its ratings and resolution, raw
+    """
+
+    rated_torque_nm: float
+    rated_current_a: float
+    torque: Word
+    current: Word | None
+    velocity: Word
+    counts_per_rad: float
+    offset_nm_per_bit: float
+    constants: Mapping[Address, tuple[str, int]]
+
+
+def drive_units(axis: AxisSpec) -> DriveUnits:
+    """Scales of the drive that sits on one axis.
+
+    Raises
+    ------
+    CellFileError : the profile lacks a key that its kind of torque needs
+    """
+    profile = axis.profile
+    try:
+        return _units(axis, profile)
+    except (KeyError, TypeError) as error:
+        raise CellFileError(
+            f"drive profile '{profile.get('name')}': {error} is missing or of the wrong kind."
+        ) from error
+
+
+def _units(axis: AxisSpec, profile: Table) -> DriveUnits:
+    kt = axis.torque_constant_nm_per_a
+    torque_nm = axis.torque_limit_nm / (abs(axis.gear_ratio) * axis.gear_efficiency) / OVERLOAD
+    constants: dict[Address, tuple[str, int]] = {
+        (0x6075, 0): ("u32", round(1000.0 * torque_nm / kt)),
+        (0x6076, 0): ("u32", round(1000.0 * torque_nm)),
+    }
+    standard_nm = constants[(0x6076, 0)][1] * 1e-3
+    torque = _signal(profile["torque"], kt, torque_nm, constants)
+    current = _signal(profile["current"], kt, torque_nm, constants) if "current" in profile else None
+    offset = profile.get("torque_offset")
+    if offset is not None:
+        offset_bits = _bits_per_nm(offset, kt, torque_nm, constants)
+    elif str(profile["torque"]["kind"]).startswith("permille"):
+        offset_bits = torque.bits_per_unit
+    else:
+        offset_bits = 1000.0 / standard_nm
+    counts = _counts(profile["position"]["counts_per_revolution"], constants)
+    return DriveUnits(
+        rated_torque_nm=torque_nm,
+        rated_current_a=torque_nm / kt,
+        torque=torque,
+        current=current,
+        velocity=_velocity(profile, counts),
+        counts_per_rad=counts / (2.0 * math.pi),
+        offset_nm_per_bit=1.0 / offset_bits,
+        constants=constants,
+    )
+
+
+def _signal(signal: Table, kt: float, torque_nm: float, constants: dict[Address, tuple[str, int]]) -> Word:
+    target = signal["object"]
+    address = (int(target["index"]), int(target.get("subindex", 0)))
+    return Word(address, str(target["type"]), _bits_per_nm(signal, kt, torque_nm, constants))
+
+
+def _bits_per_nm(signal: Table, kt: float, torque_nm: float, constants: dict[Address, tuple[str, int]]) -> float:
+    """Bits of a torque or current word per Nm of motor torque."""
+    kind = str(signal["kind"])
+    if kind == "permille_rated_torque":
+        return 1000.0 / _rated(signal["rated"], torque_nm, constants)
+    ampere = drive_ampere_per_nm(signal, kt)
+    if kind == "permille_rated_current":
+        return 1000.0 * ampere / _rated(signal["rated"], torque_nm * ampere, constants)
+    if kind == "milliampere":
+        return 1000.0 * ampere
+    if kind == "internal_unit":
+        return ampere / float(signal["internal_unit_a"]["value"])
+    raise CellFileError(f"a torque of kind '{kind}' is not known to the simulator.")
+
+
+def drive_ampere_per_nm(signal: Table, kt: float) -> float:
+    """Ampere, as the drive counts it, per Nm of motor torque; sine currents, peak = sqrt(2) rms."""
+    drive, motor = signal["current_reference"], signal["torque_constant_per"]
+    factor = {("peak", "rms"): math.sqrt(2.0), ("rms", "peak"): 1.0 / math.sqrt(2.0)}.get((drive, motor), 1.0)
+    return factor / kt
+
+
+def _rated(entry: Table, natural: float, constants: dict[Address, tuple[str, int]]) -> float:
+    """Rated value in Nm or in the drive's ampere: the profile's own, else the motor's, shown in the object it names."""
+    if "value" in entry:
+        return float(entry["value"])
+    unit, target = float(entry["unit"]), entry["object"]
+    raw = max(1, round(natural / unit))
+    constants[(int(target["index"]), int(target.get("subindex", 0)))] = (str(target["type"]), raw)
+    return raw * unit
+
+
+def _counts(entry: Table, constants: dict[Address, tuple[str, int]]) -> float:
+    if "value" in entry:
+        counts = float(entry["value"])
+        constants[(0x608F, 1)] = ("u32", round(counts))
+        constants[(0x608F, 2)] = ("u32", 1)
+        return counts
+    for key, raw in (("object", COUNTS_PER_REVOLUTION), ("per", 1)):
+        target = entry[key]
+        constants[(int(target["index"]), int(target.get("subindex", 0)))] = (str(target["type"]), raw)
+    return float(COUNTS_PER_REVOLUTION)
+
+
+def _velocity(profile: Table, counts: float) -> Word:
+    entry = profile.get("velocity")
+    if entry is None:
+        return Word((0x606C, 0), "i32", counts / (2.0 * math.pi))
+    target = entry["object"]
+    address = (int(target["index"]), int(target.get("subindex", 0)))
+    return Word(address, str(target["type"]), 1.0 / float(entry["unit_rad_s"]["value"]))
