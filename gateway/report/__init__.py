@@ -1,0 +1,16 @@
+"""One HTML page from one result: numbers and sentences (view), pictures (svg, figures, arm), template.
+
+The page is drawn from the result JSON alone. Beside the keys of `gateway.result` it reads the object `data`
+(each key optional; what is absent is left out of the page):
+
+    created, software, cell, arm     str
+    sources        [{"file", "kind", "visits", "exit_status"}]
+    poses          [{"pose", "load", "q_rad": [6], "points_m": [[x, y, z], ...] base to flange, "com_m": [x, y, z]}]
+    model_before_nm  rows x 6, aligned with `rows`: what the model said before the effects were added
+    role           one word per row of `rows`: "fit", "held out", "fresh"
+    curves         [{"name", "joint", "x_label", "x_unit", "y_label", "x", "y", "low", "high", "points_x", "points_y"}]
+    bus            [{"name", "cycles", "incomplete", "late", "planned_load_percent", "emcy", ...}]
+    torque_limit_nm  [6]
+
+`provenance` of the result holds {"J2": {"gear_ratio": {"value", "unit", "source"}, ...}, ...}.
+"""

@@ -1,0 +1,140 @@
+"""Figures of judgement: residual over noise floor, effects tried, friction band, an effect as a curve."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from markupsafe import Markup
+
+from gateway.report import words
+from gateway.report.rows import cell, measured_axes
+from gateway.report.svg import Panel, limits, tick_text
+from gateway.report.view import AxisView, Candidate
+
+Json = Mapping[str, Any]
+MOST_CANDIDATES = 22
+LEFT = 34.0
+
+
+def quality_figure(axes: Sequence[AxisView]) -> Markup | None:
+    """Residual over noise floor per axis, before and after, logarithmic; 1 is what the data can give."""
+    shown = [axis for axis in axes if axis.ratio_after is not None]
+    if not shown:
+        return None
+    ratios = [value for axis in shown for value in (axis.ratio_before, axis.ratio_after) if value]
+    low, high = _decades(min([0.7, *ratios]), max([3.0, *ratios]))
+    panel = Panel(430.0, 34.0 + 26.0 * len(shown) + 34.0, (low, high), (len(shown) - 0.5, -0.5), left=LEFT, top=24.0)
+    panel.box((math.log10(0.01), 0.0), (len(shown) - 0.5, -0.5), "floor")
+    _log_axis(panel, "residual RMS / noise floor [-]")
+    panel.segment((0.0, len(shown) - 0.5), (0.0, -0.5), "mark")
+    panel.text(panel.x(0.0), 16, "noise floor", "label mid")
+    for row, axis in enumerate(shown):
+        panel.text(LEFT - 8, panel.y(row) + 4, axis.name, "name end")
+        after = math.log10(max(axis.ratio_after or 0.0, 10**low))
+        if axis.ratio_before is not None and axis.before != axis.after:
+            before = math.log10(max(axis.ratio_before, 10**low))
+            panel.segment((before, row), (after, row), "move")
+            panel.dot(before, row, "dot before", f"{axis.name} before: {axis.before:.3g} Nm", 5.5)
+        panel.dot(after, row, "dot after", f"{axis.name}: {axis.after:.3g} Nm, floor {axis.floor:.3g} Nm", 5.5)
+    return panel.svg("Residual over noise floor for every axis")
+
+
+def evidence_figure(candidates: Sequence[Candidate]) -> Markup | None:
+    """Held-out error of every candidate as a bar: 1 means no better than without it."""
+    if not candidates:
+        return None
+    chosen = [item for item in candidates if item.chosen]
+    shown = (chosen + [item for item in candidates if not item.chosen])[:MOST_CANDIDATES]
+    top = max(1.15, min(2.0, max(item.ratio for item in shown) * 1.08))
+    height = 30.0 + 21.0 * len(shown) + 36.0
+    panel = Panel(560.0, height, (0.0, top), (len(shown) - 0.5, -0.5), left=200.0, right=36.0, top=24.0, bottom=40.0)
+    panel.x_axis("held-out error with the effect / without it [-]")
+    panel.segment((1.0, len(shown) - 0.5), (1.0, -0.5), "mark")
+    panel.text(panel.x(1.0), 16, "no better than without", "label mid")
+    for row, item in enumerate(shown):
+        y = panel.y(row)
+        panel.box((0.0, min(item.ratio, top)), (row - 0.32, row + 0.32), "bar chosen" if item.chosen else "bar")
+        panel.text(192, y + 4, item.label, "name end strong" if item.chosen else "name end")
+        panel.text(panel.x(min(item.ratio, top)) + 6, y + 4, words.plain(item.ratio, 2), "tick")
+    return panel.svg("Held-out error of every effect that was tried")
+
+
+def friction_figure(result: Json) -> Markup | None:
+    """Friction band of every visit and its typical value per axis, logarithmic."""
+    rows = result.get("rows") or {}
+    bands = {axis: _bands(rows, axis) for axis in measured_axes(rows)}
+    bands = {axis: values for axis, values in bands.items() if values}
+    if not bands:
+        return None
+    everything = [value for values in bands.values() for value in values]
+    low, high = _decades(min(everything) / 1.5, max(everything) * 1.5)
+    panel = Panel(
+        760.0,
+        20.0 + 30.0 * len(bands) + 40.0,
+        (low, high),
+        (len(bands) - 0.5, -0.5),
+        left=LEFT,
+        right=110.0,
+        bottom=40.0,
+    )
+    _log_axis(panel, "friction band: half the difference between the two approaches [Nm]")
+    for row, (axis, values) in enumerate(bands.items()):
+        panel.text(LEFT - 8, panel.y(row) + 4, words.axis(axis + 1), "name end")
+        for value in values:
+            panel.dot(math.log10(value), row, "dot faint", f"{value:.3g} Nm", 4.0)
+        middle = sorted(values)[len(values) // 2]
+        panel.segment((math.log10(middle), row - 0.3), (math.log10(middle), row + 0.3), "median")
+        panel.text(panel.width - 104, panel.y(row) + 4, f"{words.significant(middle)} Nm", "name")
+    return panel.svg("Friction band of every axis")
+
+
+def curve_figure(curve: Json) -> Markup:
+    """One effect over the quantity it depends on: points measured, curve and 95 % band."""
+    xs, ys = _floats(curve.get("x")), _floats(curve.get("y"))
+    low, high = _floats(curve.get("low")), _floats(curve.get("high"))
+    px, py = _floats(curve.get("points_x")), _floats(curve.get("points_y"))
+    panel = Panel(
+        560.0, 290.0, limits([*xs, *px], pad=0.03), limits([*ys, *low, *high, *py], include=(0.0,)), left=60.0
+    )
+    panel.y_axis(str(curve.get("y_label") or "torque [Nm]"), 5)
+    unit = curve.get("x_unit")
+    panel.x_axis(f"{curve.get('x_label', '')}" + (f" [{unit}]" if unit else ""), 6)
+    if low and high:
+        panel.area(xs, low, high, "confidence")
+    panel.polyline(list(zip(xs, ys, strict=True)), "curve")
+    for x, y in zip(px, py, strict=True):
+        panel.dot(x, y, "dot before", f"{y:.3g} Nm", 3.6)
+    return panel.svg(f"{words.effect(str(curve.get('name', 'effect')))} as a curve")
+
+
+def _bands(rows: Json, axis: int) -> list[float]:
+    table = rows.get("band_nm") or []
+    values = [cell(table, row, axis) for row in range(len(table))]
+    return [value for value in values if math.isfinite(value) and value > 0]
+
+
+def _floats(values: Sequence[float | None] | None) -> list[float]:
+    return [math.nan if value is None else float(value) for value in values or []]
+
+
+def _decades(low: float, high: float) -> tuple[float, float]:
+    return math.log10(low) - 0.04, math.log10(high) + 0.06
+
+
+def _log_axis(panel: Panel, label: str) -> None:
+    """Ticks at 1, 2 and 5 in every decade."""
+    low, high = panel.x_range
+    base = panel.height - panel.bottom
+    marks = [
+        (factor, exponent)
+        for exponent in range(math.floor(low), math.ceil(high) + 1)
+        for factor in ((1, 2, 5) if high - low < 2.2 else (1,))
+        if low <= exponent + math.log10(factor) <= high
+    ]
+    for factor, exponent in marks:
+        x = panel.x(exponent + math.log10(factor))
+        panel.add(f'<line class="grid" x1="{x:.1f}" x2="{x:.1f}" y1="{panel.top}" y2="{base}"/>')
+        panel.text(x, base + 14, tick_text(factor * 10.0**exponent, 10.0 ** min(exponent, 0)), "tick mid")
+    panel.x_label(label)

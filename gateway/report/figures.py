@@ -1,0 +1,152 @@
+"""Figures per axis and visit: torque measured against model, and what is left."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from markupsafe import Markup
+
+from gateway.report import words
+from gateway.report.rows import Layout, cell, layout, measured_axes
+from gateway.report.svg import Panel, limits
+
+Json = Mapping[str, Any]
+WIDTH, HEIGHT = 470.0, 210.0
+LOAD_CLASSES = ("load-0", "load-1", "load-2", "load-3", "load-4")
+
+
+def torque_figures(result: Json) -> list[tuple[str, Markup]]:
+    """Per measured axis: measured torque of every visit with its friction band, the model as a dash."""
+    rows, plan = _rows(result)
+    if plan is None:
+        return []
+    return [(words.axis(axis + 1), _torque(rows, plan, axis)) for axis in measured_axes(rows)]
+
+
+def residual_figures(result: Json) -> list[tuple[str, Markup]]:
+    """Per measured axis: measured minus model of every visit, before and after, over the noise floor."""
+    rows, plan = _rows(result)
+    if plan is None:
+        return []
+    before = (result.get("data") or {}).get("model_before_nm")
+    floor = list(result.get("noise_floor_nm") or []) + [None] * 6
+    figures = []
+    for axis in measured_axes(rows):
+        after_nm = [cell(rows["tau_nm"], row, axis) - cell(rows.get("model_nm"), row, axis) for row in plan.order]
+        before_nm = [cell(rows["tau_nm"], row, axis) - cell(before, row, axis) for row in plan.order]
+        if any(math.isfinite(value) for value in after_nm):
+            figures.append((words.axis(axis + 1), _residual(plan, (before_nm, after_nm), floor[axis], axis)))
+    return figures
+
+
+def load_classes(result: Json) -> dict[str, str]:
+    """CSS class of each load label, the bare arm first."""
+    rows = result.get("rows") or {}
+    labels = list(dict.fromkeys(rows.get("load") or []))
+    bare = [label for label in labels if label == "none"]
+    rest = [label for label in labels if label != "none"]
+    named = dict.fromkeys(bare, LOAD_CLASSES[0])
+    return named | {label: LOAD_CLASSES[1 + index % (len(LOAD_CLASSES) - 1)] for index, label in enumerate(rest)}
+
+
+def _rows(result: Json) -> tuple[Json, Layout | None]:
+    rows = result.get("rows") or {}
+    if not rows.get("tau_nm"):
+        return rows, None
+    return rows, layout(rows, (result.get("data") or {}).get("role"))
+
+
+def _torque(rows: Json, plan: Layout, axis: int) -> Markup:
+    tau = [cell(rows["tau_nm"], row, axis) for row in plan.order]
+    model = [cell(rows.get("model_nm"), row, axis) for row in plan.order]
+    band = [_zero(cell(rows.get("band_nm"), row, axis)) for row in plan.order]
+    spread = [value + side * half for value, half in zip(tau, band, strict=True) for side in (-1, 1)]
+    panel = Panel(WIDTH, HEIGHT, plan.width, limits([*spread, *model]))
+    _shade_fresh(panel, plan)
+    _frame(panel, plan, f"{words.axis(axis + 1)} torque [Nm]")
+    colours = load_classes({"rows": rows})
+    radius = 1.6 if plan.dense else 3.2
+    for place, row, value, half in zip(plan.place, plan.order, tau, band, strict=True):
+        if not math.isfinite(value):
+            continue
+        kind = colours[rows["load"][row]]
+        if half > 0 and not plan.dense:
+            panel.segment((place, value - half), (place, value + half), f"whisker {kind}")
+        panel.dot(place, value, f"dot {kind}", "" if plan.dense else _hint(rows, row, "measured", value), radius)
+    _model_marks(panel, plan, model)
+    return panel.svg(f"Torque of {words.axis(axis + 1)}, measured and modelled, for every visit")
+
+
+def _model_marks(panel: Panel, plan: Layout, model: Sequence[float]) -> None:
+    places = [(place, value) for place, value in zip(plan.place, model, strict=True) if math.isfinite(value)]
+    if plan.dense:
+        panel.polyline(places, "model-line")
+        return
+    for place, value in places:
+        panel.segment((place - 0.42, value), (place + 0.42, value), "model")
+
+
+def _residual(plan: Layout, pair: tuple[list[float], list[float]], floor: float | None, axis: int) -> Markup:
+    before, after = pair
+    shown = [value for value in (*before, *after) if math.isfinite(value)]
+    half = 2 * floor if floor is not None else 0.0
+    panel = Panel(WIDTH, HEIGHT, plan.width, limits(shown, include=(-half, half, 0.0)))
+    _shade_fresh(panel, plan)
+    if half:
+        panel.box(plan.width, (-half, half), "floor")
+    _frame(panel, plan, f"{words.axis(axis + 1)} residual [Nm]")
+    radius = 1.6 if plan.dense else 3.2
+    for place, name, old, new in zip(plan.place, plan.names, before, after, strict=True):
+        changed = math.isfinite(old) and abs(old - new) > 1e-3 * (panel.y_range[1] - panel.y_range[0])
+        if changed and not plan.dense:
+            panel.segment((place, old), (place, new), "move")
+        if changed:
+            panel.dot(place, old, "dot before", f"pose {name}: before {old:.3g} Nm" if name else "", radius)
+        if math.isfinite(new):
+            panel.dot(place, new, "dot after", f"pose {name}: {new:.3g} Nm" if name else "", radius)
+    return panel.svg(f"Residual of {words.axis(axis + 1)} for every visit")
+
+
+def _shade_fresh(panel: Panel, plan: Layout) -> None:
+    fresh = [place for place, role in zip(plan.place, plan.roles, strict=True) if role == "fresh"]
+    for start, end in _runs(fresh):
+        panel.box((start - 0.5, end + 0.5), panel.y_range, "fresh")
+
+
+def _frame(panel: Panel, plan: Layout, label: str) -> None:
+    """Vertical axis, poses numbered, loads named under the axis."""
+    panel.y_axis(label)
+    base = panel.height - panel.bottom
+    step = max(1, math.ceil(len(plan.place) / 22))
+    if not plan.dense:
+        for index in range(0, len(plan.place), step):
+            panel.text(panel.x(plan.place[index]), base + 13, plan.names[index], "tick mid")
+    for name, start, end in plan.groups:
+        panel.add(
+            f'<line class="group" x1="{panel.x(start - 0.4):.1f}" x2="{panel.x(end + 0.4):.1f}" '
+            f'y1="{base + 18:.1f}" y2="{base + 18:.1f}"/>'
+        )
+        title = words.load(name)
+        panel.text(panel.x((start + end) / 2), base + 31, title if plan.dense else f"{title}, poses", "label mid")
+
+
+def _runs(places: Sequence[float]) -> list[tuple[float, float]]:
+    runs: list[tuple[float, float]] = []
+    for place in places:
+        if runs and place - runs[-1][1] <= 1.0:
+            runs[-1] = (runs[-1][0], place)
+        else:
+            runs.append((place, place))
+    return runs
+
+
+def _hint(rows: Json, row: int, what: str, value: float) -> str:
+    pose = rows["pose"][row] if rows.get("pose") else -1
+    place = f"pose {pose}, " if pose >= 0 else ""
+    return f"{place}load {rows['load'][row]}: {what} {value:.4g} Nm"
+
+
+def _zero(value: float) -> float:
+    return value if math.isfinite(value) else 0.0

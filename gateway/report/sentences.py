@@ -1,0 +1,103 @@
+"""What the first screen says in words: what hangs there, what was wrong, how good the model is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from gateway.report import words
+
+if TYPE_CHECKING:
+    from gateway.report.view import AxisView
+
+Json = Mapping[str, Any]
+HELD_OUT = {
+    "fresh": "fresh poses that no fit has seen",
+    "given": "the data given for validation",
+    "blocks": "blocks of data kept out of the fit",
+}
+# A residual this close to the noise floor counts as explained in words and colour.
+NEAR_FLOOR = 1.3
+
+
+def status(result: Json) -> str:
+    """`bad` with a failing finding or a refused load, `good` when nothing is left open, else `open`."""
+    findings = result.get("findings") or []
+    refused = any(load.get("refused") for load in result.get("loads") or [])
+    if refused or any(finding.get("severity") == "fail" for finding in findings):
+        return "bad"
+    return "good" if result.get("verdict") in ("none_needed", "explained") else "open"
+
+
+def headline(result: Json) -> str:
+    """What hangs on the flange, in one line."""
+    loads = result.get("loads") or []
+    good = [load for load in loads if words.known(load.get("mass_kg"))]
+    if not good:
+        return "No load could be identified" if not loads else "The load was refused"
+    parts = []
+    for load in good:
+        value, half = mass(load)
+        parts.append(
+            f"{value} kg" + (f" ± {half} kg" if half else "") + (f" ({load['label']})" if len(good) > 1 else "")
+        )
+    return f"{words.listing(parts)} on the flange"
+
+
+def verdict_sentence(result: Json) -> str:
+    """What was wrong with the model, and how that is known."""
+    effects = result.get("effects") or []
+    names = words.listing([words.effect_on(item["name"], item.get("joints") or []) for item in effects])
+    held_out = HELD_OUT.get(str(result.get("holdout_kind")), "data kept out of the fit")
+    verdict = result.get("verdict")
+    if verdict == "none_needed":
+        return f"Nothing is missing from the model: on {held_out} only measurement noise is left."
+    if verdict == "explained":
+        return f"The model lacked {names}. With it, the error on {held_out} falls to the noise floor."
+    if verdict == "improved":
+        return f"The model lacked {names}: proven on {held_out}. Part of the error remains and has no name yet."
+    if verdict == "unexplained":
+        return "The model lacks something that no known effect explains; the residual below shows where."
+    if verdict == "undecided":
+        between = [words.effect_on(item["name"], item.get("joints") or []) for item in effects]
+        if len(between) > 1:
+            return f"The data cannot tell apart {words.listing(between, 'or')}; what to measure next is given below."
+        return "There is too little data to say whether the model lacks anything; what to measure next is given below."
+    return "The load was estimated with the model as it stands; no diagnosis of the residual was asked for."
+
+
+def quality_sentence(axes: Sequence[AxisView], result: Json) -> str:
+    """How far the model is from the noise, on its worst axis."""
+    rated = [(axis.ratio_after, axis) for axis in axes if axis.ratio_after is not None]
+    if not rated:
+        measured = [axis for axis in axes if axis.after is not None]
+        if not measured:
+            return "No residual is known."
+        worst = max(measured, key=lambda axis: axis.after or 0.0)
+        size = f"{words.significant(worst.after)} Nm on {worst.name}"
+        return f"The noise floor is not known; the largest residual is {size}."
+    ratio, worst = max(rated, key=lambda pair: pair[0])
+    place = "" if held_out_known(result) else " in the fit itself"
+    judged = (
+        "The model is as good as the measurement" if ratio <= NEAR_FLOOR else "The model is not as good as the data"
+    )
+    return (
+        f"{judged}: the residual{place} is {ratio:.1f} times the noise floor on the worst axis, {worst.name} "
+        f"({words.significant(worst.after)} Nm against {words.significant(worst.floor)} Nm)."
+    )
+
+
+def held_out_known(result: Json) -> bool:
+    """Whether a residual on held-out data is given."""
+    after = result.get("after") or {}
+    return any(words.known(value) for value in after.get("holdout_rms_nm") or [])
+
+
+def half_width(std: float | None) -> float | None:
+    """Half width of the 95 % interval."""
+    return words.TWO_SIDED_95 * std if std is not None and words.known(std) else None
+
+
+def mass(load: Json) -> tuple[str, str]:
+    """Mass and half width of its interval, kg, as text."""
+    return words.plus_minus(load.get("mass_kg"), half_width(load.get("mass_std_kg")))

@@ -1,0 +1,203 @@
+"""Figures in space: the arm as it stands in each pose, and the load's centre of gravity with its 95 % ellipse."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from markupsafe import Markup, escape
+
+from gateway.report import words
+from gateway.report.svg import Panel, Scale
+from gateway.report.view import centre
+
+Json = Mapping[str, Any]
+Vector = Sequence[float]
+AZIMUTH_RAD, ELEVATION_RAD = math.radians(-62.0), math.radians(16.0)
+ARM_WIDTH, ARM_HEIGHT = 190.0, 190.0
+MOST_POSES = 24
+# radius of the drawn floor over the largest reach
+GROUND = 0.62
+# 95 % quantile of chi-square with two degrees of freedom
+ELLIPSE_95 = math.sqrt(5.991)
+COM_SIDE = 190.0
+
+
+def pose_figures(result: Json, classes: Mapping[str, str]) -> list[tuple[str, Markup]]:
+    """One drawing per pose, all to the same scale.
+
+    Parameters
+    ----------
+    result : mapping
+        Result JSON; uses `data.poses`.
+    classes : mapping
+        CSS class of each load label.
+    """
+    poses = [pose for pose in (result.get("data") or {}).get("poses") or [] if pose.get("points_m")]
+    if not poses:
+        return []
+    every = [point for pose in poses for point in _all_points(pose)] + [(0.0, 0.0, 0.0)]
+    ground = GROUND * max(math.hypot(x, y) for x, y, _ in every)
+    flat = [project(point) for point in every] + [project(point) for point in _rim(ground)]
+    scales = _scales(flat)
+    return [(_title(pose), _arm(pose, scales, ground, classes)) for pose in poses[:MOST_POSES]]
+
+
+def project(point: Vector) -> tuple[float, float]:
+    """Axonometric view of a point [m]: right and up, m."""
+    x, y, z = point
+    right = -math.sin(AZIMUTH_RAD) * x + math.cos(AZIMUTH_RAD) * y
+    depth = math.cos(AZIMUTH_RAD) * x + math.sin(AZIMUTH_RAD) * y
+    return right, math.cos(ELEVATION_RAD) * z - math.sin(ELEVATION_RAD) * depth
+
+
+def _all_points(pose: Json) -> list[Vector]:
+    return [*pose["points_m"], *([pose["com_m"]] if pose.get("com_m") else [])]
+
+
+def _scales(flat: Sequence[tuple[float, float]]) -> tuple[Scale, Scale]:
+    xs, ys = [x for x, _ in flat], [y for _, y in flat]
+    half = max(max(xs) - min(xs), max(ys) - min(ys)) / 2 * 1.04 or 1.0
+    x_mid, y_mid = (max(xs) + min(xs)) / 2, (max(ys) + min(ys)) / 2
+    return Scale(x_mid - half, x_mid + half, 4, ARM_WIDTH - 4), Scale(y_mid - half, y_mid + half, ARM_HEIGHT - 4, 4)
+
+
+def _title(pose: Json) -> str:
+    kind = ", fresh" if pose.get("role") == "fresh" else ""
+    return f"pose {pose['pose']}{kind}"
+
+
+def _arm(pose: Json, scales: tuple[Scale, Scale], ground: float, classes: Mapping[str, str]) -> Markup:
+    points = _distinct(pose["points_m"])
+    parts = [_floor(scales, ground), _line([(x, y, 0.0) for x, y, _ in points], scales, "shadow", 7.0)]
+    count = max(len(points) - 1, 1)
+    if points[0][2] > 0:
+        parts.append(_line([(points[0][0], points[0][1], 0.0), points[0]], scales, "link", 13.0))
+    for index in range(len(points) - 1):
+        parts.append(_line(points[index : index + 2], scales, "link", 11.0 - 6.5 * index / count))
+    parts += [_mark(point, scales, "joint", max(2.0, 4.2 - 0.4 * rank)) for rank, point in enumerate(points[:-1])]
+    if pose.get("com_m"):
+        kind = classes.get(str(pose.get("load")), "load-1")
+        parts.append(_line([points[-1], pose["com_m"]], scales, f"stem {kind}", 2.0))
+        parts.append(_mark(pose["com_m"], scales, f"payload {kind}", 6.5))
+    hint = "q = " + ", ".join(f"{math.degrees(q):.0f}" for q in pose.get("q_rad") or []) + " deg"
+    body = "".join(parts)
+    label = f'role="img" aria-label="The arm in {escape(_title(pose))}"'
+    size = f'viewBox="0 0 {ARM_WIDTH:g} {ARM_HEIGHT:g}"'
+    return Markup(f"<svg {size} {label}><title>{escape(hint)}</title>{body}</svg>")  # noqa: S704 - numbers and escaped text
+
+
+def _floor(scales: tuple[Scale, Scale], ground: float) -> str:
+    rim, half = _places(_rim(ground), scales), _places(_rim(0.5 * ground), scales)
+    return f'<polygon class="ground" points="{rim}"/><polygon class="ring" points="{half}"/>'
+
+
+def _rim(radius: float) -> list[Vector]:
+    return [(radius * math.cos(angle), radius * math.sin(angle), 0.0) for angle in _circle(48)]
+
+
+def _circle(count: int) -> list[float]:
+    return [2 * math.pi * index / count for index in range(count)]
+
+
+def _distinct(points: Sequence[Vector]) -> list[Vector]:
+    kept: list[Vector] = [points[0]]
+    for point in points[1:]:
+        if math.dist(point, kept[-1]) > 1e-6:
+            kept.append(point)
+    return kept
+
+
+def _places(points: Sequence[Vector], scales: tuple[Scale, Scale]) -> str:
+    flat = [project(point) for point in points]
+    return " ".join(f"{scales[0](x):.1f},{scales[1](y):.1f}" for x, y in flat)
+
+
+def _line(points: Sequence[Vector], scales: tuple[Scale, Scale], kind: str, width: float) -> str:
+    return f'<polyline class="{kind}" stroke-width="{width:.1f}" points="{_places(points, scales)}"/>'
+
+
+def _mark(point: Vector, scales: tuple[Scale, Scale], kind: str, radius: float) -> str:
+    x, y = project(point)
+    return f'<circle class="{kind}" cx="{scales[0](x):.1f}" cy="{scales[1](y):.1f}" r="{radius:.1f}"/>'
+
+
+def com_figures(load: Json, before: Json | None) -> list[tuple[str, Markup]]:
+    """Centre of gravity in two views, mm, with the 95 % ellipse; before the effects were added as well.
+
+    Parameters
+    ----------
+    load : mapping
+        Entry of `loads`.
+    before : mapping or None
+        The same load in `before.loads`.
+    """
+    frame, com = centre(load)
+    if com is None or any(value is None for value in com):
+        return []
+    views = (("side view", 2, 0), ("end view", 1, 0))
+    half = _half_range(load, before)
+    return [(f"{title}, {frame} frame", _com_view(load, before, (across, up), half)) for title, across, up in views]
+
+
+def _com_view(load: Json, before: Json | None, pair: tuple[int, int], half: float) -> Markup:
+    across, up = pair
+    panel = Panel(COM_SIDE + 64, COM_SIDE + 52, (-half, half), (-half, half), left=52, right=12, top=12, bottom=40)
+    panel.x_axis(f"{'xyz'[across]} [mm]", 4)
+    panel.y_axis(f"{'xyz'[up]} [mm]")
+    if across == 2:
+        panel.segment((0.0, -0.32 * half), (0.0, 0.32 * half), "flange")
+        panel.segment((-0.12 * half, 0.0), (0.0, 0.0), "flange")
+    else:
+        panel.dot(0.0, 0.0, "flange-face", "flange", COM_SIDE * 0.16)
+    for item, kind in ((before, "before"), (load, "after")):
+        if item is not None and _complete(centre(item)[1]):
+            _com_mark(panel, item, pair, kind)
+    return panel.svg("Centre of gravity of the load with its 95 % ellipse")
+
+
+def _com_mark(panel: Panel, load: Json, pair: tuple[int, int], kind: str) -> None:
+    com = centre(load)[1] or (0.0, 0.0, 0.0)
+    x, y = (1000 * float(com[axis] or 0.0) for axis in pair)
+    outline = _ellipse(load, pair)
+    if outline:
+        points = " ".join(f"{panel.x(x + dx):.1f},{panel.y(y + dy):.1f}" for dx, dy in outline)
+        panel.add(f'<polygon class="ellipse {kind}" points="{points}"/>')
+    panel.dot(x, y, f"dot {kind}", f"{kind}: {words.plain(x, 1)}, {words.plain(y, 1)} mm", 3.6)
+
+
+def _ellipse(load: Json, pair: tuple[int, int]) -> list[tuple[float, float]]:
+    """Outline of the 95 % ellipse about its centre, mm; empty where the uncertainty is not known."""
+    std = load.get("com_flange_std_m") or load.get("com_std_m")
+    if not _complete(std) or std is None:
+        return []
+    first, second = (1000 * float(std[axis]) for axis in pair)
+    rows = load.get("correlation")
+    rho = rows[pair[0] + 1][pair[1] + 1] if rows and len(rows) == 4 else 0.0
+    rho = max(-0.999, min(0.999, float(rho or 0.0)))
+    side = math.sqrt(1 - rho * rho)
+    return [
+        (
+            ELLIPSE_95 * first * math.cos(angle),
+            ELLIPSE_95 * second * (rho * math.cos(angle) + side * math.sin(angle)),
+        )
+        for angle in _circle(60)
+    ]
+
+
+def _half_range(load: Json, before: Json | None) -> float:
+    largest = 20.0
+    for item in (load, before):
+        com = centre(item)[1] if item is not None else None
+        if item is None or com is None or not _complete(com):
+            continue
+        std = item.get("com_std_m")
+        for axis in range(3):
+            spread = float(std[axis]) if _complete(std) and std is not None else 0.0
+            largest = max(largest, 1000 * (abs(float(com[axis] or 0.0)) + ELLIPSE_95 * spread))
+    return 1.15 * largest
+
+
+def _complete(values: Sequence[float | None] | None) -> bool:
+    return values is not None and all(words.known(value) for value in values)

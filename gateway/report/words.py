@@ -1,0 +1,131 @@
+"""Numbers with their uncertainty, and names of effects and axes, in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+MINUS = "\N{MINUS SIGN}"
+# two-sided 95 % quantile of the normal distribution
+TWO_SIDED_95 = 1.96
+
+EFFECTS: dict[str, str] = {
+    "static_friction": "friction that differs by direction",
+    "load_dependent_friction": "friction that grows with the transmitted torque",
+    "velocity_friction": "friction that grows with speed",
+    "base_tilt": "a tilted base",
+    "joint_zero_offset": "a shifted joint zero",
+    "torque_constant_scale": "a wrong torque constant",
+    "torque_offset": "a constant torque offset",
+    "thermal_drift": "drift with temperature or time",
+    "balancer_spring": "a balancer spring",
+    "cable_torque": "torque from a cable or dress pack",
+    "joint_elasticity": "an elastic joint",
+    "torque_ripple": "torque ripple of motor or gear",
+    "axis_coupling": "coupling between two axes",
+    "link_mass": "extra mass on a link",
+    "payload_shift": "a load that shifted during the run",
+    "sign_reversed": "a reversed torque sign",
+    "axes_swapped": "two axes swapped",
+    "current_rms_peak": "rms and peak current confused",
+}
+
+UNITS: tuple[tuple[str, str], ...] = (
+    ("_nm_s_rad", "Nm s/rad"),
+    ("_nm_rad", "Nm/rad"),
+    ("_rad_nm", "rad/Nm"),
+    ("_n_m", "N/m"),
+    ("_kg_m", "kg m"),
+    ("_per_k", "1/K"),
+    ("_per_s", "1/s"),
+    ("_nm", "Nm"),
+    ("_rad", "rad"),
+    ("_kg", "kg"),
+    ("_m", "m"),
+    ("_s", "s"),
+    ("_n", "N"),
+)
+
+
+def known(value: float | None) -> bool:
+    """Whether there is a number."""
+    return value is not None and math.isfinite(value)
+
+
+def decimals(uncertainty: float) -> int:
+    """Decimals that show two significant digits of an uncertainty."""
+    if not uncertainty > 0 or not math.isfinite(uncertainty):
+        return 2
+    return max(0, 1 - math.floor(math.log10(uncertainty)))
+
+
+def plain(value: float | None, digits: int = 2) -> str:
+    """A number with fixed decimals, a real minus sign, or a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return "\N{EN DASH}"
+    text = f"{value:.{digits}f}"
+    return text.replace("-", MINUS) if float(text) != 0 else text.lstrip("-")
+
+
+def significant(value: float | None, digits: int = 3) -> str:
+    """A number with significant digits, scientific where it is very large or small."""
+    if value is None or not math.isfinite(value):
+        return "\N{EN DASH}"
+    return f"{value:.{digits}g}".replace("-", MINUS)
+
+
+def plus_minus(value: float | None, half_width: float | None) -> tuple[str, str]:
+    """Value and half width of its interval with matching decimals; an empty half width where it is unknown."""
+    if not known(value):
+        return "unknown", ""
+    if not known(half_width):
+        return significant(value, 4), ""
+    digits = min(decimals(float(half_width or 0.0)), 6)
+    return plain(value, digits), plain(half_width, digits)
+
+
+def axis(joint: int) -> str:
+    """Name of an axis, counted from 1."""
+    return f"J{joint}"
+
+
+def axes(joints: Sequence[int]) -> str:
+    """Names of axes; empty for the base and the load."""
+    return "\N{EN DASH}".join(axis(joint) for joint in joints)
+
+
+def load(label: str) -> str:
+    """A load in words; `none` is the bare arm."""
+    return "bare arm" if label == "none" else f"load {label}"
+
+
+def effect(name: str) -> str:
+    """Effect in words; a name that is not in the table is spelled out."""
+    return EFFECTS.get(name, name.replace("_", " "))
+
+
+def effect_on(name: str, joints: Sequence[int]) -> str:
+    """Effect in words with its axes."""
+    return f"{effect(name)} on {axes(joints)}" if joints else effect(name)
+
+
+def short(name: str, joints: Sequence[int]) -> str:
+    """Effect as one short label."""
+    return f"{name.replace('_', ' ')} {axes(joints)}".strip()
+
+
+def parameter(name: str) -> tuple[str, str]:
+    """Name and unit of a parameter, from the suffix of its key."""
+    for suffix, unit in UNITS:
+        if name.endswith(suffix) and len(name) > len(suffix):
+            return name[: -len(suffix)].replace("_", " "), unit
+        if name == suffix.lstrip("_"):
+            return name.replace("_", " "), unit
+    return name.replace("_", " "), ""
+
+
+def listing(items: Sequence[str], last: str = "and") -> str:
+    """Words in a row: a, b and c."""
+    if len(items) < 2:
+        return "".join(items)
+    return f"{', '.join(items[:-1])} {last} {items[-1]}"

@@ -1,0 +1,101 @@
+"""Numbers and sentences of the report."""
+
+import pytest
+
+from gateway.report.view import view
+
+
+def test_the_first_screen_answers_what_how_sure_how_good_and_what_was_wrong(result):
+    shown = view(result)
+    assert shown.headline == "25.03 kg ± 0.22 kg (tool) and 71.22 kg ± 0.31 kg (tool+part) on the flange"
+    assert shown.verdict.startswith("The model lacked a balancer spring on J2.")
+    assert "1.1 times the noise floor on the worst axis, J1" in shown.quality
+    assert shown.status == "good"
+
+
+def test_half_widths_are_95_percent_intervals(result):
+    load = view(result).loads[0]
+    # 25.03 -+ 1.96 * 0.11
+    assert (load.mass, load.mass_half, load.interval) == ("25.03", "0.22", "24.81 to 25.25 kg")
+    assert (load.before_mass, load.before_half) == ("27.9", "1.8")
+    assert [(part.name, part.value, part.before) for part in load.com] == [
+        ("x", "12.1", "19.0"),
+        ("y", "\N{MINUS SIGN}3.4", "\N{MINUS SIGN}4.0"),
+        ("z", "180.0", "166.0"),
+    ]
+    assert load.frame == "flange"
+
+
+def test_without_a_flange_the_centre_of_gravity_is_in_link_6(result):
+    del result["loads"][0]["com_flange_m"]
+    load = view(result).loads[0]
+    assert load.frame == "link_6"
+    assert load.com[2].value == "280.0"
+
+
+@pytest.mark.parametrize(
+    ("verdict", "says", "status"),
+    [
+        ("none_needed", "Nothing is missing", "good"),
+        ("improved", "Part of the error remains", "open"),
+        ("unexplained", "no known effect explains", "open"),
+        ("undecided", "cannot tell", "open"),
+        (None, "no diagnosis", "open"),
+    ],
+)
+def test_every_verdict_has_its_sentence(result, verdict, says, status):
+    result["verdict"] = verdict
+    result["effects"].append({"name": "base_tilt", "joints": []})
+    shown = view(result)
+    assert says in shown.verdict
+    assert shown.status == status
+
+
+def test_undecided_without_effects_says_there_is_too_little_data(result):
+    result |= {"verdict": "undecided", "effects": []}
+    assert "too little data" in view(result).verdict
+
+
+def test_undecided_names_what_cannot_be_told_apart(result):
+    result["verdict"] = "undecided"
+    result["effects"].append({"name": "base_tilt", "joints": []})
+    assert "a balancer spring on J2 or a tilted base" in view(result).verdict
+
+
+def test_a_refused_load_turns_the_page_red(result):
+    result["loads"][1] |= {"mass_kg": None, "refused": "rows 9 and 10 have the wrong sign"}
+    shown = view(result)
+    assert shown.status == "bad"
+    assert shown.headline == "25.03 kg ± 0.22 kg on the flange"
+    assert shown.loads[1].refused.startswith("rows 9")
+
+
+def test_an_axis_that_was_not_measured_stays_unknown(result):
+    for key in ("rms_nm", "holdout_rms_nm"):
+        result["after"][key][0] = result["before"][key][0] = None
+    shown = view(result)
+    assert shown.axes[0].after is None
+    assert shown.axes[0].ratio_after is None
+    assert "worst axis, J5" in shown.quality
+
+
+def test_a_component_that_is_not_identifiable_is_unknown_not_zero(result):
+    result["loads"][0]["com_flange_m"] = [0.01, None, 0.1]
+    result["loads"][0]["unidentifiable"] = ["com_y: gravity never leaves the x-z plane of the tool"]
+    load = view(result).loads[0]
+    assert load.com[1].value == "unknown"
+    assert load.unidentifiable == ("com_y: gravity never leaves the x-z plane of the tool",)
+
+
+def test_candidates_chosen_first_then_by_their_held_out_error(result):
+    labels = [(item.label, item.chosen) for item in view(result).candidates]
+    assert labels[0] == ("balancer spring J2", True)
+    assert labels[1] == ("torque constant scale J2", False)
+    assert labels[-1] == ("torque offset J2", False)
+
+
+def test_parameters_carry_their_unit(result):
+    effect = view(result).effects[0]
+    assert effect.parameters[0] == ("stiffness", "8.421e+04", "1.9e+03", "N/m")
+    assert effect.parameters[1][3] == "m"
+    assert "next best explanation: a wrong torque constant" in effect.evidence[-1]
