@@ -1,0 +1,214 @@
+"""Draw an arm from a seed: geometry, true inertials, the URDF its owner has, friction, drives, loads.
+
+Arms from the 10 kg to the 200 kg class, with a spherical wrist or with the offset wrist of light arms. The URDF that is
+handed over carries inertials that are wrong by a few percent, as CAD is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.effects import warm_up
+from sim.offline import Protocol, gravity_columns, half_floor, statics
+from sim.plant import Payload, Plant, nominal_plant
+from sim.urdf import Body, Chain, write_chain
+
+Array = NDArray[np.float64]
+
+CAD_ERROR = 0.05
+GRAVITY = np.array([0.0, 0.0, -9.80665])
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """One arm as it is, and as its owner believes it to be.
+
+    Attributes
+    ----------
+    chain : geometry with the true inertials
+    urdf : text of the URDF with wrong inertials
+    prior_std : (24,) standard deviation of the CAD's [m, hx, hy, hz] per link
+    plant : true physics without undeclared effects
+    loads : what can be hung on the flange
+    known : label -> (mass, x, y, z) of loads that were weighed
+    protocol : how it is measured
+    gear_ratio, efficiency : (6,) as the cell file states them
+    floor_nm : (6,) true noise floor of half the sum of both sides
+    """
+
+    chain: Chain
+    urdf: str
+    prior_std: Array
+    plant: Plant
+    loads: dict[str, Payload]
+    known: dict[str, tuple[float, float, float, float]]
+    protocol: Protocol
+    gear_ratio: Array
+    efficiency: Array
+    floor_nm: Array
+
+
+def draw_arm(rng: np.random.Generator) -> Arm:
+    """Draw one arm; everything random comes from `rng`."""
+    payload_kg = float(np.exp(rng.uniform(np.log(10.0), np.log(200.0))))
+    chain = _chain(payload_kg, rng)
+    body = [chain.bodies[i] for i in range(6)]
+    masses = np.array([b.mass_kg for b in body if b])
+    coms = np.array([b.com_m for b in body if b])
+    tensors = np.array([b.inertia_kg_m2 for b in body if b])
+    loads = {"tool": _load("tool", payload_kg, rng)}
+    capacity = _capacity(chain, masses, coms, loads["tool"], rng)
+    coulomb = capacity * rng.uniform(0.015, 0.05, 6)
+    efficiency = np.ones(6) if rng.random() < 0.5 else rng.uniform(0.8, 0.95, 6)
+    plant = nominal_plant(
+        masses,
+        coms,
+        tensors,
+        coulomb_nm=coulomb,
+        stiction_nm=1.2 * coulomb,
+        gear_efficiency=efficiency,
+        reading_noise_nm=capacity * rng.uniform(0.002, 0.01, 6),
+    )
+    if rng.random() < 0.5:
+        plant = nominal_plant(
+            masses,
+            coms,
+            tensors,
+            coulomb_nm=coulomb,
+            stiction_nm=1.2 * coulomb,
+            gear_efficiency=efficiency,
+            reading_noise_nm=plant.reading_noise_nm,
+            temperature_c=warm_up,
+        )
+    protocol = Protocol(samples=100, settle=rng.uniform(0.1, 0.6, 6), resolution_nm=capacity * 1e-3)
+    std = prior_std(chain)
+    tool = loads["tool"]
+    known = {}
+    if rng.random() < 0.2:
+        known = {"tool": (tool.mass_kg, *(float(v) for v in tool.com_m))}
+    return Arm(
+        chain=chain,
+        urdf=_believed(chain, std, rng),
+        prior_std=std,
+        plant=plant,
+        loads=loads,
+        known=known,
+        protocol=protocol,
+        gear_ratio=np.round(rng.uniform(80, 220, 6)),
+        efficiency=efficiency,
+        floor_nm=half_floor(plant, protocol),
+    )
+
+
+def prior_std(chain: Chain) -> Array:
+    """Standard deviation (24,) of CAD inertials: 5 % of every mass, and of mass x link length for the first moment."""
+    std = np.zeros(24)
+    for link in range(6):
+        body = chain.bodies[link]
+        if body is None:
+            raise ValueError(f"link_{link + 1} has no inertial")
+        reach = float(np.linalg.norm(chain.placement[link + 1, :3, 3])) if link < 5 else 0.0
+        length = max(reach, float(np.linalg.norm(body.com_m)))
+        std[4 * link] = CAD_ERROR * body.mass_kg
+        std[4 * link + 1 : 4 * link + 4] = CAD_ERROR * body.mass_kg * length
+    return std
+
+
+def _believed(chain: Chain, std: Array, rng: np.random.Generator) -> str:
+    bodies = []
+    for link, body in enumerate(chain.bodies):
+        if body is None:
+            raise ValueError(f"link_{link + 1} has no inertial")
+        error = std[4 * link : 4 * link + 4] * np.clip(rng.standard_normal(4), -2.5, 2.5)
+        mass = body.mass_kg + error[0]
+        bodies.append(Body(mass, (body.mass_kg * body.com_m + error[1:]) / mass, body.inertia_kg_m2))
+    return write_chain(
+        Chain(
+            chain.name,
+            chain.placement,
+            chain.axis,
+            tuple(bodies),
+            chain.lower_rad,
+            chain.upper_rad,
+            chain.effort_nm,
+            chain.velocity_rad_s,
+        )
+    )
+
+
+def _chain(payload_kg: float, rng: np.random.Generator) -> Chain:
+    size = (payload_kg / 165.0) ** 0.3
+    total = payload_kg * float(rng.uniform(4.0, 7.0))
+    spherical = rng.random() < 0.6
+    base, upper, fore = (size * rng.uniform(low, high) for low, high in ((0.4, 0.8), (0.7, 1.2), (0.7, 1.3)))
+    column, elbow, last = (size * rng.uniform(low, high) for low, high in ((0.1, 0.4), (0.0, 0.25), (0.1, 0.25)))
+    x, y, z = np.eye(3)
+    if spherical:
+        steps = [(0, 0, base), (column, 0, 0.1 * size), (0, 0, upper), (0.4 * fore, 0, elbow), (0.6 * fore, 0, 0)]
+        steps.append((last, 0, 0))
+        axes, along = [z, y, y, x, y, x], [(0.5, 0.5), (0, 1), (1, 0), (1, 0), (1, 0), (1, 0)]
+    else:
+        aside = 0.12 * size
+        steps = [(0, 0, base), (0, aside, 0.1 * size), (0, -0.8 * aside, upper), (0, 0, fore), (0, aside, 0)]
+        steps.append((0, 0, last))
+        axes, along = [z, y, y, y, z, y], [(0, 0.5), (0, 1), (0, 1), (0, 1), (0, 0.5), (0, 0.3)]
+    shares = np.array([0.25, 0.28, 0.24, 0.11, 0.08, 0.04]) * rng.uniform(0.8, 1.2, 6)
+    masses = total * shares / shares.sum()
+    lengths = np.array([0.5 * size, upper, 0.4 * fore if spherical else fore, 0.6 * fore, last, last])
+    placement, bodies = np.tile(np.eye(4), (6, 1, 1)), []
+    for link in range(6):
+        placement[link, :3, 3] = steps[link]
+        direction = np.array([along[link][0], 0.0, along[link][1]], dtype=float)
+        com = lengths[link] * (rng.uniform(0.3, 0.5) * direction + rng.uniform(-0.08, 0.08, 3))
+        radius = 0.15 * size + 0.15 * lengths[link]
+        bodies.append(
+            Body(float(masses[link]), com, 0.4 * masses[link] * radius**2 * np.diag(rng.uniform(0.9, 1.1, 3)))
+        )
+    limits = np.array([2.9, 1.6, 2.2, 3.1, 2.1, 3.1]) * rng.uniform(0.8, 1.0, 6)
+    return Chain(
+        name="drawn",
+        placement=placement,
+        axis=np.array(axes),
+        bodies=tuple(bodies),
+        lower_rad=-limits,
+        upper_rad=limits,
+        effort_nm=np.full(6, 1e4),
+        velocity_rad_s=np.full(6, 2.0),
+    )
+
+
+def _load(label: str, payload_kg: float, rng: np.random.Generator) -> Payload:
+    mass = payload_kg * float(rng.uniform(0.3, 1.0))
+    reach = 0.25 * (payload_kg / 165.0) ** 0.3
+    com = reach * rng.uniform(-1.0, 1.0, 3)
+    return Payload(label, mass, com, 0.01 * mass * np.eye(3))
+
+
+def _capacity(chain: Chain, masses: Array, coms: Array, load: Payload, rng: np.random.Generator) -> Array:
+    """Rated torque per axis: the largest static torque over the joint space with the load, and margin."""
+    plant = nominal_plant(masses, coms, np.tile(np.eye(3), (6, 1, 1)), payload=load)
+    q = rng.uniform(chain.lower_rad, chain.upper_rad, (60, 6))
+    largest = np.abs(statics(chain, plant, q)).max(axis=0)
+    largest[0] = largest[1]
+    return 1.3 * np.maximum(largest, 0.02 * largest.max())
+
+
+def choose_poses(arm: Arm, count: int, rng: np.random.Generator) -> Array:
+    """Rest poses (count, 6) that say most about load and links: greedy D-optimal among random ones."""
+    lower, upper = arm.chain.lower_rad, arm.chain.upper_rad
+    q = rng.uniform(0.95 * lower, 0.95 * upper, (80, 6))
+    columns = gravity_columns(arm.chain, q, GRAVITY) / arm.floor_nm[:, None]
+    scaled = columns * arm.prior_std
+    inverse = np.eye(24)
+    chosen: list[int] = []
+    for _ in range(count):
+        gains = np.array([np.linalg.slogdet(np.eye(6) + rows @ inverse @ rows.T)[1] for rows in scaled])
+        gains[chosen] = -np.inf
+        best = int(np.argmax(gains))
+        chosen.append(best)
+        rows = scaled[best]
+        inverse = inverse - inverse @ rows.T @ np.linalg.solve(np.eye(6) + rows @ inverse @ rows.T, rows @ inverse)
+    return q[chosen]
