@@ -48,6 +48,12 @@ class KeepOut(_Strict):
     min_m: Vector3
     max_m: Vector3
 
+    @model_validator(mode="after")
+    def _ordered(self) -> KeepOut:
+        if not all(low < high for low, high in zip(self.min_m, self.max_m, strict=True)):
+            raise ValueError(f"keep_out: every component of min_m {self.min_m} must lie below max_m {self.max_m}")
+        return self
+
 
 class DhTable(_Strict):
     """Denavit-Hartenberg rows of the six axes; theta = q + theta_offset."""
@@ -59,8 +65,17 @@ class DhTable(_Strict):
     theta_offset_rad: tuple[float, float, float, float, float, float]
 
 
+# Full speed is reached in 0.6 s, full acceleration in 0.2 s, where the cell gives no such limit.
+RAMP_S = 0.6
+ONSET_S = 0.2
+
+
 class AxisConfig(_Strict):
-    """One servo axis: the drive, and what stands between motor and joint."""
+    """One servo axis: the drive, and what stands between motor and joint.
+
+    A drive that reports the motor angle p and the motor torque t belongs to a joint at
+    `position_sign p / gear_ratio + zero_offset_rad` with `torque_sign gear_ratio t` (before any coupling).
+    """
 
     node_id: int = Field(ge=1, le=127)
     profile: str
@@ -75,6 +90,17 @@ class AxisConfig(_Strict):
     torque_limit_nm: Positive
     acceleration_limit_rad_s2: Positive | None = None
     jerk_limit_rad_s3: Positive | None = None
+    following_error_limit_rad: Positive = 0.1
+
+    @property
+    def acceleration_rad_s2(self) -> float:
+        """The given limit, else full speed in 0.6 s."""
+        return self.acceleration_limit_rad_s2 or self.speed_limit_rad_s / RAMP_S
+
+    @property
+    def jerk_rad_s3(self) -> float:
+        """The given limit, else full acceleration in 0.2 s."""
+        return self.jerk_limit_rad_s3 or self.acceleration_rad_s2 / ONSET_S
 
     @model_validator(mode="after")
     def _plausible(self) -> AxisConfig:
@@ -100,6 +126,16 @@ class ArmConfig(_Strict):
     flange_xyz_m: Vector3 | None = None
     flange_rpy_rad: Vector3 = (0.0, 0.0, 0.0)
     keep_out: tuple[KeepOut, ...] = ()
+    max_load_kg: Positive | None = Field(
+        default=None,
+        description="heaviest load that will hang on the flange; absent: half of each torque limit is kept",
+    )
+    max_load_com_m: Vector3 | None = Field(
+        default=None, description="its centre of gravity in link_6; the flange if absent"
+    )
+    load_points_m: tuple[Vector3, ...] = Field(
+        default=(), description="points of the load in link_6, such as its corners, that stay out of keep_out"
+    )
     coupling: tuple[tuple[float, ...], ...] | None = Field(
         default=None, description="6 x 6 matrix A of q_motor_side = A q_joint, ratios not included; identity if absent"
     )
@@ -131,7 +167,8 @@ class PosesConfig(_Strict):
     samples: int = Field(default=100, ge=10)
     validation: int = Field(default=4, ge=0)
     settle_timeout_s: Positive = 10.0
-    file: str | None = None
+    seed: int = Field(default=1, ge=0)
+    file: str | None = Field(default=None, description="CSV with pose, q1_rad .. q6_rad instead of chosen poses")
 
 
 class Cell(_Strict):

@@ -4,6 +4,8 @@ GatewayError (1)
 +-- ConfigError (3)     cell, robot or profile file: what, where (file:key), what to do
 +-- InputError (3)      measured table, recording, result file: file:line
 +-- PlanRefused (5)     nothing moved, or motion was stopped, and why
+|   +-- LimitExceeded       position, speed, torque or following error left its limit; the arm was stopped
+|   +-- PoseNeverSettles    a pose did not come to rest in time (also TimeoutError)
 +-- DataUnusable (6)    rank, too few poses, nothing to hold out
 +-- FindingFailed (7)   finished, with a failing finding
 
@@ -33,6 +35,23 @@ class PlanRefused(GatewayError):  # noqa: N818 - reads as what happened
     """A motion that is not allowed, or that had to be stopped."""
 
     exit_code = 5
+
+
+class LimitExceeded(PlanRefused):  # noqa: N818 - reads as what happened
+    """A limit was left while the arm moved; `joint` counts from 1."""
+
+    def __init__(self, message: str, joint: int) -> None:
+        super().__init__(message)
+        self.joint = joint
+
+
+class PoseNeverSettles(PlanRefused, TimeoutError):  # noqa: N818 - reads as what happened
+    """Position or torque did not come to rest in time; `pose` is its number, `joint` counts from 1."""
+
+    def __init__(self, message: str, pose: int, joint: int) -> None:
+        super().__init__(message)
+        self.pose = pose
+        self.joint = joint
 
 
 class DataUnusable(GatewayError):  # noqa: N818 - reads as what happened

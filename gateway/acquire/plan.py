@@ -1,0 +1,298 @@
+"""The plan of a recording: typed steps as data, checked before anything moves.
+
+Every pose is approached slowly from both sides: from a small positive offset of all joints (last motion negative), then
+from the negative offset (last motion positive). Each side settles and is sampled on its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gateway.acquire.poses import RestPose
+from gateway.acquire.route import Leg, find_route
+from gateway.acquire.trajectory import MotionLimits, straight
+from gateway.acquire.workspace import Workspace, path_points
+from gateway.errors import PlanRefused
+
+SIDES = (-1, 1)
+#: Share of the speed limit that moves between poses use.
+TRAVEL_SPEED = 0.95
+#: Typical time until a pose has settled; for the duration only.
+TYPICAL_SETTLE_S = 0.4
+#: Largest distance between two joint angles that count as the same.
+SAME_RAD = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class MoveTo:
+    """Straight joint motion at travel speed."""
+
+    q_rad: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Approach:
+    """Slow last motion to a pose; `direction` is its sign on every joint."""
+
+    pose: int
+    direction: int
+    q_rad: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Settle:
+    """Wait until position and torque are at rest."""
+
+    pose: int
+    timeout_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """Record complete SYNC epochs of the standing arm."""
+
+    pose: int
+    direction: int
+    count: int
+
+
+Step = MoveTo | Approach | Settle | Sample
+
+
+@dataclass(frozen=True, slots=True)
+class VisitSettings:
+    """How each pose is approached, settled and sampled."""
+
+    approach_offset_rad: float
+    approach_speed_rad_s: float
+    settle_timeout_s: float
+    samples: int
+    period_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Expectation:
+    """Standard deviations the poses to fit from promise, for one load measured bare and loaded.
+
+    Attributes
+    ----------
+    mass_std_kg : float
+    com_std_m : tuple of 3 floats
+        Of the centre of gravity in link 6, for `reference_load_kg`.
+    reference_load_kg : float
+    noise_nm : tuple of 6 floats
+        Standard deviation of a two-sided joint torque that was put in.
+    noise_source : str
+    """
+
+    mass_std_kg: float
+    com_std_m: tuple[float, float, float]
+    reference_load_kg: float
+    noise_nm: tuple[float, ...]
+    noise_source: str
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Everything a recording will do.
+
+    Attributes
+    ----------
+    arm : str
+    poses : tuple of RestPose
+        All poses, in the order of their numbers.
+    settings : VisitSettings
+    start_rad : tuple of 6 floats or None
+        Where the arm stands at the start; None = not known yet, the plan starts at its first point.
+    steps : tuple of Step
+    duration_s : float
+    expectation : Expectation or None
+    """
+
+    arm: str
+    poses: tuple[RestPose, ...]
+    settings: VisitSettings
+    start_rad: tuple[float, ...] | None
+    steps: tuple[Step, ...]
+    duration_s: float
+    expectation: Expectation | None = None
+
+    @property
+    def visits(self) -> tuple[tuple[int, int], ...]:
+        """(pose, direction) of every visit, in order."""
+        return tuple((step.pose, step.direction) for step in self.steps if isinstance(step, Sample))
+
+
+def plan_poses(
+    arm: str, workspace: Workspace, poses: Sequence[RestPose], settings: VisitSettings
+) -> tuple[Plan, tuple[RestPose, ...]]:
+    """Plan over all poses from anywhere, and the poses that no checked path reaches."""
+    route = find_route(workspace, poses, None, settings.approach_offset_rad)
+    steps = tuple(_steps(route.legs, settings, {}))
+    plan = Plan(arm, tuple(poses), settings, None, steps, 0.0)
+    return replace(plan, duration_s=sum(step_durations(plan, workspace))), route.unreachable
+
+
+def plan_from(plan: Plan, workspace: Workspace, start_rad: np.ndarray, done: Sequence[tuple[int, int]] = ()) -> Plan:
+    """The same poses ordered from where the arm stands, without the visits that are done.
+
+    Parameters
+    ----------
+    plan : Plan
+    workspace : Workspace
+    start_rad : array of shape (6,)
+    done : sequence of (pose, direction)
+
+    Raises
+    ------
+    PlanRefused
+        The arm stands where it may not stand, or no checked path leads to a pose.
+    """
+    reason = workspace.why_not(start_rad)
+    if reason is not None:
+        raise PlanRefused(
+            f"arm '{plan.arm}' stands at {_angles(start_rad)}: {reason}; move it clear by hand or jog it with the "
+            "drive's own tool, then start again"
+        )
+    missing = {pose.number: tuple(side for side in SIDES if (pose.number, side) not in done) for pose in plan.poses}
+    poses = [pose for pose in plan.poses if missing[pose.number]]
+    route = find_route(workspace, poses, start_rad, plan.settings.approach_offset_rad)
+    if route.unreachable:
+        raise PlanRefused(
+            f"no path that keeps the limits leads from {_angles(start_rad)} to pose {route.unreachable[0].number} at "
+            f"{_angles(route.unreachable[0].q_rad)}; move the arm elsewhere or open the keep_out boxes"
+        )
+    steps = tuple(_steps(route.legs, plan.settings, missing))
+    started = replace(plan, start_rad=tuple(float(value) for value in start_rad), steps=steps)
+    return replace(started, duration_s=sum(step_durations(started, workspace)))
+
+
+def _steps(legs: Sequence[Leg], settings: VisitSettings, missing: Mapping[int, tuple[int, ...]]) -> Iterator[Step]:
+    for leg in legs:
+        for point in leg.via_rad:
+            yield MoveTo(point)
+        number, q_rad = leg.pose.number, leg.pose.q_rad
+        for side in missing.get(number, SIDES):
+            yield MoveTo(tuple(value - side * settings.approach_offset_rad for value in q_rad))
+            yield Approach(number, side, q_rad)
+            yield Settle(number, settings.settle_timeout_s)
+            yield Sample(number, side, settings.samples)
+
+
+def travel_limits(workspace: Workspace) -> MotionLimits:
+    """Limits of moves between poses."""
+    return MotionLimits(TRAVEL_SPEED * workspace.speed_rad_s, workspace.acceleration_rad_s2, workspace.jerk_rad_s3)
+
+
+def approach_limits(workspace: Workspace, speed_rad_s: float) -> MotionLimits:
+    """Limits of the slow last motion."""
+    speed = np.minimum(speed_rad_s, TRAVEL_SPEED * workspace.speed_rad_s)
+    return MotionLimits(speed, workspace.acceleration_rad_s2, workspace.jerk_rad_s3)
+
+
+def step_durations(plan: Plan, workspace: Workspace) -> list[float]:
+    """Expected time [s] of every step; the time to reach the first point is 0 if the start is not known."""
+    travel = travel_limits(workspace)
+    slow = approach_limits(workspace, plan.settings.approach_speed_rad_s)
+    at = plan.start_rad
+    durations = []
+    for step in plan.steps:
+        if isinstance(step, Settle):
+            durations.append(min(TYPICAL_SETTLE_S, step.timeout_s))
+        elif isinstance(step, Sample):
+            durations.append(step.count * plan.settings.period_s)
+        else:
+            limits = slow if isinstance(step, Approach) else travel
+            start = np.array(step.q_rad if at is None else at)
+            durations.append(straight(start, np.array(step.q_rad), limits, plan.settings.period_s).duration_s)
+            at = step.q_rad
+    return durations
+
+
+def check_plan(plan: Plan, workspace: Workspace) -> None:
+    """Refuse a plan that breaks a limit anywhere, or that lacks one.
+
+    Raises
+    ------
+    PlanRefused
+        A limit that is missing, a posture or path that is not feasible, a step out of order.
+    """
+    _check_limits(plan, workspace)
+    at = None if plan.start_rad is None else np.array(plan.start_rad)
+    before: Step | None = None
+    for number, step in enumerate(plan.steps, start=1):
+        where = f"arm '{plan.arm}', step {number}"
+        if isinstance(step, MoveTo | Approach):
+            target = np.array(step.q_rad)
+            _check_motion(workspace, target if at is None else at, target, where)
+            if isinstance(step, Approach):
+                _check_approach(step, at, where)
+                _check_rest(workspace, target, where)
+            at = target
+        elif isinstance(step, Settle):
+            if not (isinstance(before, Approach) and before.pose == step.pose):
+                raise PlanRefused(f"{where}: pose {step.pose} is to settle without having been approached")
+        elif not (isinstance(before, Settle) and before.pose == step.pose):
+            raise PlanRefused(f"{where}: pose {step.pose} is to be sampled before it has settled")
+        before = step
+
+
+def _check_limits(plan: Plan, workspace: Workspace) -> None:
+    needed = {
+        "speed limit": workspace.speed_rad_s,
+        "acceleration limit": workspace.acceleration_rad_s2,
+        "jerk limit": workspace.jerk_rad_s3,
+        "torque limit": workspace.torque_nm,
+        "following error limit": workspace.following_error_rad,
+        "position range": workspace.upper_rad - workspace.lower_rad,
+    }
+    for name, values in needed.items():
+        bad = ~(np.isfinite(values) & (values > 0))
+        if bad.any():
+            raise PlanRefused(
+                f"arm '{plan.arm}', joint {int(np.argmax(bad)) + 1}: {name} is missing; nothing will move"
+            )
+    settings = plan.settings
+    for name, value in (
+        ("approach offset", settings.approach_offset_rad),
+        ("approach speed", settings.approach_speed_rad_s),
+        ("SYNC period", settings.period_s),
+        ("settle timeout", settings.settle_timeout_s),
+        ("number of samples", settings.samples),
+    ):
+        if not (np.isfinite(value) and value > 0):
+            raise PlanRefused(f"arm '{plan.arm}': {name} is {value}, a positive number is needed")
+
+
+def _check_motion(workspace: Workspace, start: np.ndarray, target: np.ndarray, where: str) -> None:
+    if target.shape != (6,) or not np.isfinite(target).all():
+        raise PlanRefused(f"{where}: a target of six finite joint angles is needed, got {_angles(target)}")
+    points = path_points(start, target)
+    bad = ~workspace.feasible(points)
+    if bad.any():
+        point = points[int(np.argmax(bad))]
+        raise PlanRefused(f"{where}: at {_angles(point)}: {workspace.why_not(point)}")
+
+
+def _check_rest(workspace: Workspace, q_rad: np.ndarray, where: str) -> None:
+    reason = workspace.why_not(q_rad, workspace.rest_share)
+    if reason is not None:
+        raise PlanRefused(f"{where}: at {_angles(q_rad)}: {reason}")
+
+
+def _check_approach(step: Approach, start: np.ndarray | None, where: str) -> None:
+    if start is None:
+        raise PlanRefused(f"{where}: pose {step.pose} is approached from nowhere")
+    motion = np.array(step.q_rad) - start
+    wrong = np.abs(motion) < SAME_RAD
+    wrong |= np.sign(motion) != step.direction
+    if wrong.any():
+        joint = int(np.argmax(wrong)) + 1
+        raise PlanRefused(f"{where}: joint {joint} does not come to pose {step.pose} from side {-step.direction:+d}")
+
+
+def _angles(q_rad: Sequence[float] | np.ndarray) -> str:
+    return "[" + ", ".join(f"{value:.3f}" for value in q_rad) + "] rad"

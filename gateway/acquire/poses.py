@@ -1,0 +1,228 @@
+"""Choice of rest poses: D-optimal for the load's mass and first moment, drawn from random feasible postures.
+
+Measured bare and loaded at the same poses, a pose adds L' W L / 2 to the information on [m, h], L the load's columns of
+the six axes and W the inverse variances. Greedy choice, then exchange until nothing improves. Near-copies of a pose
+share their friction and add less than they promise: poses keep a distance, and a small weight on the information about
+the links spreads them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from gateway.acquire.workspace import Workspace
+from gateway.csv_text import read_columns
+from gateway.errors import InputError, PlanRefused
+from gateway.model.regressor import gravity_regressor
+
+#: Half-width of the friction band as a share of the torque limit, and what a two-sided approach leaves of it, until a
+#: recording has measured it.
+BAND_SHARE = 0.013
+LEFT_SHARE = 0.2
+
+CANDIDATES = 1500
+DRAWS = 60
+DISTANCE_RAD = 0.3
+LINK_WEIGHT = 0.1
+SWEEPS = 4
+#: Distance to the joint limits beyond the approach offset.
+LIMIT_MARGIN_RAD = 0.02
+
+Purpose = Literal["fit", "validation"]
+
+
+@dataclass(frozen=True, slots=True)
+class RestPose:
+    """One posture to measure; `number` is its name in every file."""
+
+    number: int
+    q_rad: tuple[float, ...]
+    purpose: Purpose
+
+
+@dataclass(frozen=True, slots=True)
+class PoseRequest:
+    """How many poses to choose, and from what.
+
+    Attributes
+    ----------
+    count, validation : int
+        Poses to fit from, and to judge on.
+    approach_offset_rad : float
+    seed : int
+    """
+
+    count: int
+    validation: int
+    approach_offset_rad: float
+    seed: int
+
+    @property
+    def margin_rad(self) -> float:
+        """Distance to keep from the joint limits."""
+        return self.approach_offset_rad + LIMIT_MARGIN_RAD
+
+
+def assumed_noise_nm(workspace: Workspace) -> np.ndarray:
+    """Standard deviation (6,) of a two-sided joint torque before any was measured: a share of the torque limit."""
+    return BAND_SHARE * LEFT_SHARE * workspace.torque_nm
+
+
+def choose_poses(workspace: Workspace, request: PoseRequest, noise_nm: np.ndarray) -> tuple[RestPose, ...]:
+    """Poses to fit from, D-optimal, numbered from 1, then validation poses drawn at random.
+
+    Parameters
+    ----------
+    workspace : Workspace
+    request : PoseRequest
+    noise_nm : array of shape (6,)
+        Standard deviation of a two-sided joint torque.
+
+    Raises
+    ------
+    PlanRefused
+        Too few feasible postures; says what stands against most of them.
+    """
+    random = np.random.default_rng(request.seed)
+    candidates = feasible_postures(workspace, request, random)
+    chosen = _d_optimal(workspace, candidates, request.count, noise_nm)
+    validation = _apart(candidates, chosen, request.validation)
+    poses = [RestPose(i, tuple(candidates[row]), "fit") for i, row in enumerate(chosen, start=1)]
+    poses += [
+        RestPose(i, tuple(candidates[row]), "validation") for i, row in enumerate(validation, start=len(poses) + 1)
+    ]
+    return tuple(poses)
+
+
+def feasible_postures(workspace: Workspace, request: PoseRequest, random: np.random.Generator) -> np.ndarray:
+    """Random postures (n, 6) whose approach from both sides is feasible; full turns of a joint are drawn once.
+
+    Raises
+    ------
+    PlanRefused
+        Fewer than four times the poses asked for.
+    """
+    middle, half = (workspace.upper_rad + workspace.lower_rad) / 2, (workspace.upper_rad - workspace.lower_rad) / 2
+    half = np.minimum(half, np.pi)
+    offset = request.approach_offset_rad
+    drawn, found, n_found = [], [], 0
+    for _ in range(DRAWS):
+        q = middle + half * random.uniform(-1, 1, (CANDIDATES, 6))
+        good = workspace.feasible(q, request.margin_rad, workspace.rest_share)
+        good[good] = workspace.feasible(q[good] + offset) & workspace.feasible(q[good] - offset)
+        drawn.append(q)
+        found.append(q[good])
+        n_found += int(good.sum())
+        if n_found >= CANDIDATES:
+            break
+    needed = request.count + request.validation
+    if n_found < 4 * needed:
+        everything = np.concatenate(drawn)
+        against = workspace.violations(everything, request.margin_rad, workspace.rest_share)
+        reasons = [(float(mask.mean()), words) for words, mask in against]
+        worst = "; ".join(f"{share:.0%} {words}" for share, words in sorted(reasons, reverse=True)[:3])
+        raise PlanRefused(
+            f"{n_found} of {len(everything)} random postures are feasible, at least {4 * needed} are needed to choose "
+            f"{needed} poses: {worst}. Widen the limits or the keep_out boxes, or ask for fewer poses"
+        )
+    return np.concatenate(found)[:CANDIDATES]
+
+
+def load_information(workspace: Workspace, q_rad: np.ndarray, noise_nm: np.ndarray) -> np.ndarray:
+    """Information (n, 4, 4) on [m, h] [1/kg2 ..] of measuring each posture (n, 6) bare and loaded."""
+    rows = gravity_regressor(workspace.robot, q_rad, workspace.gravity_m_s2)[:, :, 20:24]
+    weighted = rows / (np.sqrt(2.0) * noise_nm[:, None])
+    return np.einsum("nij,nik->njk", weighted, weighted)
+
+
+def _d_optimal(workspace: Workspace, candidates: np.ndarray, count: int, noise_nm: np.ndarray) -> list[int]:
+    rows = gravity_regressor(workspace.robot, candidates, workspace.gravity_m_s2) / noise_nm[:, None]
+    links = rows * (1.0 / np.maximum(np.abs(rows).max(axis=(0, 1)), 1e-12))
+    load = rows[:, :, 20:24] / np.abs(rows[:, :, 20:24]).max(axis=(0, 1))
+    designs = ((load, 1.0), (links, LINK_WEIGHT))
+    near = _near(candidates)
+    chosen: list[int] = []
+    for _ in range(count):
+        gain = _gain(designs, chosen)
+        chosen.append(_best(gain, near, chosen))
+    for _ in range(SWEEPS):
+        before = list(chosen)
+        for position in range(count):
+            others = chosen[:position] + chosen[position + 1 :]
+            gain = _gain(designs, others)
+            best = _best(gain, near, others)
+            if gain[best] > gain[chosen[position]] + 1e-9:
+                chosen[position] = best
+        if chosen == before:
+            break
+    return chosen
+
+
+def _gain(designs: tuple[tuple[np.ndarray, float], ...], chosen: list[int]) -> np.ndarray:
+    """Growth (n,) of the weighted log determinants if a posture joins the chosen ones (determinant lemma)."""
+    total = np.zeros(len(designs[0][0]))
+    for rows, weight in designs:
+        information = 1e-4 * np.eye(rows.shape[2]) + np.einsum("nij,nik->jk", rows[chosen], rows[chosen])
+        spread = rows @ np.linalg.solve(information, rows.transpose(0, 2, 1))
+        total += weight * np.linalg.slogdet(np.eye(6) + spread)[1]
+    return total
+
+
+def _near(candidates: np.ndarray) -> np.ndarray:
+    """Pairs (n, n) of postures that no joint tells apart by the distance to keep."""
+    span = np.zeros((len(candidates), len(candidates)), dtype=np.float32)
+    for joint in candidates.T.astype(np.float32):
+        np.maximum(span, np.abs(joint[:, None] - joint), out=span)
+    return span < DISTANCE_RAD
+
+
+def _best(gain: np.ndarray, near: np.ndarray, chosen: list[int]) -> int:
+    taken = near[chosen].any(axis=0)
+    return int(np.argmax(np.where(taken, -np.inf, gain)))
+
+
+def _apart(candidates: np.ndarray, chosen: list[int], count: int) -> list[int]:
+    """Further postures in the order they were drawn, each apart from all others."""
+    taken, found = list(chosen), []
+    for row in range(len(candidates)):
+        if len(found) == count:
+            break
+        if np.abs(candidates[taken] - candidates[row]).max(axis=1).min() >= DISTANCE_RAD:
+            taken.append(row)
+            found.append(row)
+    if len(found) < count:
+        raise PlanRefused(
+            f"only {len(found)} of {count} validation poses stand apart from the others by {DISTANCE_RAD} rad; widen "
+            "the limits or lower [poses] validation"
+        )
+    return found
+
+
+def read_poses(path: Path) -> tuple[RestPose, ...]:
+    """Poses from a CSV file: `pose`, `q1_rad` .. `q6_rad`, and `x_validation` (0 or 1) if some are to judge on.
+
+    Raises
+    ------
+    InputError
+        With file and line: missing or unknown column, cell that is no number, pose given twice.
+    """
+    columns = read_columns(path)
+    names = ["pose", *(f"q{i}_rad" for i in range(1, 7))]
+    for name in names:
+        if name not in columns.values:
+            raise InputError(f"{path}:1: column '{name}' is missing")
+    numbers = columns.values["pose"]
+    validation = columns.values.get("x_validation", np.zeros(len(numbers)))
+    poses: list[RestPose] = []
+    for row, number in enumerate(numbers):
+        if number != round(number) or not 0 <= number < 1e6 or any(pose.number == number for pose in poses):
+            raise InputError(f"{columns.where(row)}: pose: {number:g} is no new number from 0 on")
+        if validation[row] not in (0, 1):
+            raise InputError(f"{columns.where(row)}: x_validation: {validation[row]} is neither 0 nor 1")
+        q_rad = tuple(float(columns.values[name][row]) for name in names[1:])
+        poses.append(RestPose(int(number), q_rad, "validation" if validation[row] else "fit"))
+    return tuple(poses)
