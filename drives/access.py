@@ -1,0 +1,161 @@
+"""Objects of one drive: read, write under the profile's allow-list with a ledger entry before and a read-back after."""
+
+from __future__ import annotations
+
+from typing import NoReturn
+
+from drives.abort import NO_OBJECT, NO_SUBINDEX
+from drives.bus import Bus
+from drives.cia402 import AT_REST, decode_state
+from drives.errors import ConfigurationRefused, DriveError, DriveFault, IdentityMismatch, SdoAbort
+from drives.heartbeat import NmtCommand, send_nmt
+from drives.ledger import LedgerEntry, WriteLedger
+from drives.objects import OBJECTS, ObjectEntry
+from drives.pdo import PdoPlan, differences, mapping_steps, restore_steps
+from drives.profile import DriveProfile, ObjectReference
+from drives.sdo import NORMAL, SLOW, SdoClient, Transfer
+
+Entry = ObjectEntry | ObjectReference
+_ABSENT = (NO_OBJECT, NO_SUBINDEX)
+
+
+class ObjectAccess:
+    """SDO access to one drive.
+
+    Parameters
+    ----------
+    bus : Bus
+    node_id : int
+    profile : DriveProfile
+        Its allow-list and time-outs.
+    ledger : WriteLedger
+        Where every write is entered before it happens.
+    """
+
+    def __init__(self, bus: Bus, node_id: int, profile: DriveProfile, ledger: WriteLedger) -> None:
+        self.node_id = node_id
+        self.profile = profile
+        self.bus = bus
+        self.sdo = SdoClient(bus, node_id, profile.sdo.timeout_s, profile.sdo.slow_timeout_s)
+        #: Serial number of the device, entered in the ledger.
+        self.serial_number: int | None = None
+        self._ledger = ledger
+
+    def read(self, entry: Entry, options: Transfer = NORMAL) -> int:
+        """Read an object."""
+        return self.sdo.read(entry.index, entry.subindex, entry.type, options)
+
+    def read_optional(self, entry: Entry) -> int | None:
+        """Read an object that the drive may not have; None = it does not."""
+        try:
+            return self.read(entry)
+        except SdoAbort as abort:
+            if abort.code in _ABSENT:
+                return None
+            raise
+
+    def write(self, entry: Entry, value: int, reason: str, options: Transfer = NORMAL) -> None:
+        """Write an object and read it back; nothing is written if it holds the value already.
+
+        Raises
+        ------
+        ConfigurationRefused
+            The profile does not allow it, or it does not read back as written.
+        SdoError
+            The transfer failed.
+        """
+        self._check_allowed(entry.index, entry.subindex)
+        now = self.read(entry, options)
+        if now == value:
+            return
+        self._write(entry.index, entry.subindex, entry.type, value, (now, reason))
+        back = self.read(entry, options)
+        if back != value:
+            what = f"{value:#x} was written, {back:#x} reads back"
+            self.refuse(entry, what, "the drive limits or ignores this value")
+
+    def _write(self, index: int, subindex: int, data_type: str, value: int, why: tuple[int, str]) -> None:
+        old, reason = why
+        self._ledger.note(LedgerEntry(self.node_id, index, subindex, data_type, old, value, reason, self.serial_number))
+        self.sdo.write(index, subindex, data_type, value)
+
+    def _check_allowed(self, index: int, subindex: int) -> None:
+        if index not in self.profile.write.allow:
+            raise ConfigurationRefused(
+                f"must not be written: profile {self.profile.name} does not allow it",
+                node=self.node_id,
+                index=index,
+                subindex=subindex,
+                advice="add it to write.allow if that is safe on this drive",
+            )
+
+    def refuse(self, entry: Entry, what: str, advice: str) -> NoReturn:
+        """Raise `ConfigurationRefused` about an object."""
+        raise ConfigurationRefused(what, node=self.node_id, index=entry.index, subindex=entry.subindex, advice=advice)
+
+    def map_pdo(self, plan: PdoPlan) -> None:
+        """Write a PDO and read it back; one that is right already is left alone.
+
+        Raises
+        ------
+        ConfigurationRefused
+            It does not read back as written.
+        SdoError
+            A transfer failed.
+        """
+        if differences(plan, self.sdo.read):
+            cob_id = self.sdo.read(plan.communication, 1, "u32")
+            for step in mapping_steps(plan, cob_id):
+                self._check_allowed(step.index, step.subindex)
+                now = self._before(step.index, step.subindex, step.data_type)
+                self._write(step.index, step.subindex, step.data_type, step.value, (now, step.reason))
+            left = differences(plan, self.sdo.read)
+            if left:
+                what = f"{plan.name} {', '.join(left)} after it was written"
+                advice = "the drive's PDOs may be fixed: see its manual"
+                raise ConfigurationRefused(what, node=self.node_id, index=plan.mapping, advice=advice)
+        inhibit = ObjectReference(index=plan.communication, subindex=3, type="u16")
+        if plan.name.startswith("TPDO") and self.read_optional(inhibit):
+            self.write(inhibit, 0, f"{plan.name} at every SYNC")
+
+    def _before(self, index: int, subindex: int, data_type: str) -> int:
+        """What an object holds before it is written; a mapping entry beyond the mapped ones may not exist yet."""
+        try:
+            return self.sdo.read(index, subindex, data_type)
+        except SdoAbort as abort:
+            if abort.code in _ABSENT and 0x1600 <= index < 0x1C00:
+                return 0
+            raise
+
+    def restore(self) -> list[DriveError]:
+        """Put back what the ledger holds of this node; what fails stays in the ledger.
+
+        Returns
+        -------
+        list of DriveError
+            What could not be put back.
+        """
+        entries = self._ledger.of_node(self.node_id)
+        if not entries:
+            return []
+        if any(entry.serial_number not in (None, self.serial_number) for entry in entries):
+            what = f"serial number {self.serial_number} is not that of the drive in the write ledger"
+            return [IdentityMismatch(what, node=self.node_id, index=0x1018, subindex=4, advice="check by hand")]
+        if decode_state(self.read(OBJECTS["statusword"])) not in AT_REST:
+            return [DriveFault("is enabled", node=self.node_id, advice="disable it before restoring")]
+        send_nmt(self.bus, NmtCommand.ENTER_PREOPERATIONAL, self.node_id)
+        failures = self._put_back({(entry.index, entry.subindex): (entry.data_type, entry.old) for entry in entries})
+        failed = {(failure.index, failure.subindex) for failure in failures}
+        for entry in entries:
+            if (entry.index, entry.subindex) not in failed:
+                self._ledger.forget(entry)
+        return failures
+
+    def _put_back(self, old: dict[tuple[int, int], tuple[str, int]]) -> list[DriveError]:
+        failures: list[DriveError] = []
+        for step in restore_steps(old):
+            try:
+                self.sdo.write(step.index, step.subindex, step.data_type, step.value, SLOW)
+            except DriveError as error:
+                failures.append(error)
+        return failures

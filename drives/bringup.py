@@ -1,0 +1,189 @@
+"""What has to be read and set on a CiA 402 drive before it may take part in the SYNC exchange."""
+
+from __future__ import annotations
+
+import time
+from typing import Final
+
+from drives.access import ObjectAccess
+from drives.cia402 import AT_REST, Mode, decode_state, describe
+from drives.errors import ConfigurationRefused, DriveFault, IdentityMismatch, SdoAbort
+from drives.objects import OBJECTS
+from drives.profile import CountsFromObjects, DriveProfile, Rated
+from drives.scaling import Constants
+from drives.sdo import SdoClient
+from drives.values import Identity
+
+_POLL_S: Final = 0.005
+_SYNC_PRODUCER: Final = 1 << 30
+
+
+def read_identity(sdo: SdoClient) -> Identity:
+    """Read identity and version objects of a node; an object that it does not have is None."""
+
+    def number(name: str) -> int | None:
+        entry = OBJECTS[name]
+        try:
+            return sdo.read(entry.index, entry.subindex, entry.type)
+        except SdoAbort:
+            return None
+
+    def text(name: str) -> str | None:
+        try:
+            return sdo.read_text(OBJECTS[name].index)
+        except SdoAbort:
+            return None
+
+    return Identity(
+        node_id=sdo.node_id,
+        device_type=number("device_type"),
+        vendor_id=number("vendor_id"),
+        product_code=number("product_code"),
+        revision=number("revision"),
+        serial_number=number("serial_number"),
+        name=text("device_name"),
+        hardware_version=text("hardware_version"),
+        software_version=text("software_version"),
+    )
+
+
+def check_identity(identity: Identity, profile: DriveProfile) -> None:
+    """Compare a device with the profile it shall be driven by.
+
+    Raises
+    ------
+    IdentityMismatch
+        Vendor, product, firmware or device type do not fit; all of it at once.
+    """
+    problems = identity.mismatches(profile)
+    if identity.device_type is not None and not identity.is_drive:
+        problems.append(f"device type {identity.device_type:#010x} is no CiA 402 drive")
+    if problems:
+        raise IdentityMismatch(
+            f"{'; '.join(problems)} (profile {profile.name})",
+            node=identity.node_id,
+            index=0x1018,
+            subindex=1,
+            advice="check wiring and node ids, or choose the profile of this drive and firmware",
+        )
+
+
+def check_at_rest(access: ObjectAccess) -> None:
+    """Make sure that nobody has enabled the drive.
+
+    Raises
+    ------
+    DriveFault
+        Somebody has.
+    """
+    status = access.read(OBJECTS["statusword"])
+    if decode_state(status) not in AT_REST:
+        raise DriveFault(
+            f"is in {describe(status)} before anybody enabled it",
+            node=access.node_id,
+            index=0x6041,
+            code=status,
+            advice="another master holds it, or a run was cut off: disable it first",
+        )
+
+
+def read_constants(access: ObjectAccess) -> Constants:
+    """Read what the profile leaves to the drive: rated values and encoder resolution.
+
+    Raises
+    ------
+    ConfigurationRefused
+        A value of zero.
+    SdoError
+        An object cannot be read.
+    """
+    profile = access.profile
+    counts = profile.position.counts_per_revolution
+    if isinstance(counts, CountsFromObjects):
+        per = access.read(counts.per)
+        if per == 0:
+            access.refuse(counts.per, "is 0", "set the encoder resolution in the drive")
+        turn = access.read(counts.object) / per
+    else:
+        turn = counts.value
+    return Constants(
+        torque_rated=_rated(access, profile.torque.rated),
+        current_rated_a=None if profile.current is None else _rated(access, profile.current.rated),
+        offset_rated=None if profile.torque_offset is None else _rated(access, profile.torque_offset.rated),
+        counts_per_revolution=turn,
+    )
+
+
+def _rated(access: ObjectAccess, rated: Rated | None) -> float | None:
+    if rated is None or rated.object is None or rated.unit is None:
+        return None if rated is None else rated.value
+    raw = access.read(rated.object)
+    if raw <= 0:
+        access.refuse(rated.object, f"rated value is {raw}", "set it in the drive, or give it in the profile")
+    return raw * rated.unit
+
+
+def check_sync(access: ObjectAccess) -> None:
+    """SYNC must come from us, with the standard id and without a counter.
+
+    Raises
+    ------
+    ConfigurationRefused
+        The drive wants another SYNC, or sends one itself.
+    """
+    cob_id = access.read_optional(OBJECTS["sync_cob_id"])
+    if cob_id is not None and (cob_id & 0x7FF != 0x080 or cob_id & _SYNC_PRODUCER):
+        what = f"SYNC COB-ID is {cob_id:#010x}: another id than 0x80, or the drive sends SYNC itself"
+        access.refuse(OBJECTS["sync_cob_id"], what, "set 0x1005 to 0x80")
+    overflow = access.read_optional(OBJECTS["sync_counter_overflow"])
+    if overflow:
+        access.refuse(OBJECTS["sync_counter_overflow"], f"expects a SYNC counter up to {overflow}", "set 0x1019 to 0")
+
+
+def set_mode(access: ObjectAccess, mode: Mode) -> None:
+    """Set the mode of operation, and wait until 0x6061 shows it where the drive shows it before it is enabled."""
+    access.write(OBJECTS["mode"], mode.value, f"mode {mode.name.lower().replace('_', ' ')}")
+    if access.profile.state_machine.mode_before_enable:
+        check_mode(access, mode)
+
+
+def check_mode(access: ObjectAccess, mode: Mode) -> None:
+    """Wait until 0x6061 shows a mode.
+
+    Raises
+    ------
+    ConfigurationRefused
+        It does not.
+    """
+    deadline = time.monotonic() + access.profile.state_machine.transition_timeout_s
+    while (shown := access.read(OBJECTS["mode_display"])) != mode.value:
+        if time.monotonic() > deadline:
+            advice = "the drive does not support this mode in its present setting: see 0x6502"
+            access.refuse(OBJECTS["mode_display"], f"shows mode {shown} instead of {mode.value}", advice)
+        access.bus.listen(_POLL_S)
+
+
+def set_interpolation_period(access: ObjectAccess, sync_period_s: float) -> None:
+    """Tell the drive the SYNC period (0x60C2), where it has the object and the profile allows it."""
+    entry, exponent_entry = OBJECTS["interpolation_time_value"], OBJECTS["interpolation_time_index"]
+    if entry.index not in access.profile.write.allow or access.read_optional(entry) is None:
+        return
+    value, exponent = decimal_period(sync_period_s)
+    access.write(exponent_entry, exponent, "interpolation over one SYNC period")
+    access.write(entry, value, "interpolation over one SYNC period")
+
+
+def decimal_period(seconds: float) -> tuple[int, int]:
+    """Period as value and decimal exponent of 0x60C2, e.g. 0.004 -> (4, -3).
+
+    Raises
+    ------
+    ConfigurationRefused
+        It is not an integer of at most 255 times a power of ten.
+    """
+    for exponent in range(-1, -7, -1):
+        value = seconds / 10.0**exponent
+        if 1 <= round(value) <= 255 and abs(value - round(value)) < 1e-9 * value:
+            return round(value), exponent
+    what = f"SYNC period {seconds} s cannot be written as 0x60C2"
+    raise ConfigurationRefused(what, index=0x60C2, subindex=1, advice="choose a period such as 0.004 s or 0.0025 s")

@@ -1,0 +1,438 @@
+"""CAN bus: configuration to an open adapter, and the one receive path of the master.
+
+The only file that imports python-can. No thread is started: whoever waits for an answer receives, and every frame goes
+through one table of handlers, so that a frame never waits in a cache for its reader. Frames that this master sent and
+that the adapter brings back (udp_multicast) are told apart from those of another master.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final, Protocol
+
+import can
+import canopen
+
+from drives.errors import BusError, BusOff
+
+NMT_ID: Final = 0x000
+SYNC_ID: Final = 0x080
+EMCY_BASE: Final = 0x080
+SDO_REQUEST_BASE: Final = 0x600
+SDO_ANSWER_BASE: Final = 0x580
+HEARTBEAT_BASE: Final = 0x700
+
+#: Interfaces on which every frame that is sent comes back, with nothing to tell it from a stranger's.
+_ECHOING: Final = frozenset({"udp_multicast"})
+_WITHOUT_BITRATE: Final = frozenset({"virtual", "udp_multicast", "socketcan"})
+_ADVICE: Final = {
+    "socketcan": "bring it up: ip link set {channel} txqueuelen 1000 up type can bitrate {bitrate_bit_s}",
+    "udp_multicast": "needs msgpack and a multicast address such as 239.74.163.2,port=43113",
+}
+#: How long a full transmit queue is waited for before the send counts as failed.
+SEND_TIMEOUT_S: Final = 0.02
+#: Receptions that may fail in a row (stray datagrams) before the adapter counts as broken.
+_RECEIVE_FAILURES: Final = 1000
+_CAN_ERROR_BUS_OFF: Final = 0x40
+_ECHO_MEMORY: Final = 8
+
+Handler = Callable[[int, bytes | bytearray, float], None]
+
+
+class Frame(Protocol):
+    """What is used of a received or prepared CAN frame."""
+
+    arbitration_id: int
+    data: bytearray
+    timestamp: float
+
+
+@dataclass(frozen=True, slots=True)
+class BusSpec:
+    """One bus: python-can interface, channel, bit rate and further options of the interface.
+
+    Attributes
+    ----------
+    interface, channel : str
+        As python-can names them.
+    bitrate_bit_s : int
+        Of the wire; the planned bus load refers to it also where the interface has no wire.
+    options : mapping
+        Further arguments of the interface, as they stand.
+    """
+
+    interface: str
+    channel: str
+    bitrate_bit_s: int = 1_000_000
+    options: MappingProxyType[str, Any] | dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def parse(cls, text: str) -> BusSpec:
+        """Read ``INTERFACE:CHANNEL[,key=value]...``; the key `bitrate` is the bit rate.
+
+        Raises
+        ------
+        BusError
+            The text does not have that form.
+        """
+        interface, colon, rest = text.partition(":")
+        channel, *pairs = rest.split(",")
+        if not (colon and interface.strip() and channel.strip()):
+            advice = "write INTERFACE:CHANNEL[,key=value], e.g. udp_multicast:239.74.163.2,port=43113 or socketcan:can0"
+            raise BusError(f"bus '{text}' is not understood", advice=advice)
+        options: dict[str, Any] = {}
+        for pair in pairs:
+            key, equals, value = pair.partition("=")
+            if not (equals and key.strip() and value.strip()):
+                raise BusError(f"bus '{text}': option '{pair}' is not understood", advice="write key=value")
+            options[key.strip()] = _typed(value.strip())
+        bitrate = options.pop("bitrate", 1_000_000)
+        if not isinstance(bitrate, int) or isinstance(bitrate, bool) or bitrate <= 0:
+            raise BusError(f"bus '{text}': bitrate must be a positive integer in bit/s", advice="e.g. bitrate=500000")
+        return cls(interface.strip(), channel.strip(), bitrate, options)
+
+    def __str__(self) -> str:
+        return ",".join(
+            [f"{self.interface}:{self.channel}", *(f"{key}={value}" for key, value in self.options.items())]
+        )
+
+
+def _typed(text: str) -> str | int | float | bool:
+    if text.lower() in ("true", "false"):
+        return text.lower() == "true"
+    for kind in (lambda value: int(value, 0), float):
+        with contextlib.suppress(ValueError):
+            return kind(text)
+    return text
+
+
+class _Network(canopen.Network):
+    """canopen's network without its notifier: it sends through the bus and is fed by it."""
+
+    def __init__(self, owner: Bus) -> None:
+        super().__init__(bus=None)
+        self._owner = owner
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        if remote:
+            raise BusError("remote frames are not sent", advice="CiA 301 recommends against them")
+        self._owner.send(can_id, bytes(data))
+
+
+class Bus:
+    """An open bus: send, receive, and a table of handlers by CAN id.
+
+    Parameters
+    ----------
+    adapter : can.BusABC
+        The open python-can bus; it is shut down by `close`.
+    spec : BusSpec
+        What it was opened from.
+    trace : Path, optional
+        Frame log; its suffix picks the format (.blf, .log, .asc ..).
+    """
+
+    def __init__(self, adapter: Any, spec: BusSpec, trace: Path | None = None) -> None:
+        self.spec = spec
+        self.echoes = spec.interface in _ECHOING or bool(spec.options.get("receive_own_messages", False))
+        #: Frames by what was wrong with them, or whose they were.
+        self.counts: Counter[str] = Counter()
+        #: Frames of another master by CAN id.
+        self.foreign: Counter[int] = Counter()
+        self.bus_off = False
+        self.receive_lock = threading.RLock()
+        self._adapter = adapter
+        self._send_lock = threading.Lock()
+        self._handlers: dict[int, tuple[Handler, ...]] = {}
+        self._sent: dict[int, int] = {}
+        self._chores: list[Callable[[], None]] = []
+        self._failures = 0
+        self._dispatching: int | None = None
+        self._network: _Network | None = None
+        self._logger = None if trace is None else can.Logger(trace)
+        self._receive: Callable[[float], Any] = adapter.recv
+        for can_id in (NMT_ID, SYNC_ID, *range(SDO_REQUEST_BASE + 1, SDO_REQUEST_BASE + 128)):
+            self.watch_master_id(can_id)
+
+    # -- receiving ---------------------------------------------------------------------------------------------------
+
+    def receive(self, timeout_s: float) -> Frame | None:
+        """One data frame with an 11 bit id, or None when none came in time; everything else is counted.
+
+        Raises
+        ------
+        BusError
+            The adapter fails again and again.
+        """
+        while True:
+            try:
+                frame = self._receive(timeout_s)
+            except (can.CanError, OSError) as error:
+                self._on_receive_failure(error)
+                continue
+            if frame is None:
+                return None
+            self._failures = 0
+            if self._logger is not None:
+                self._logger.on_message_received(frame)
+            if frame.is_error_frame or frame.is_remote_frame or frame.is_extended_id:
+                self._on_odd_frame(frame)
+                timeout_s = min(timeout_s, 0.001)
+                continue
+            return frame
+
+    def _on_receive_failure(self, error: Exception) -> None:
+        self.counts["malformed"] += 1
+        self._failures += 1
+        if self._failures > _RECEIVE_FAILURES:
+            advice = "check the adapter and the cable; the drives stop by themselves when the heartbeat is missing"
+            raise BusError(f"{self.spec}: receiving failed {self._failures} times: {error}", advice=advice) from error
+
+    def _on_odd_frame(self, frame: Any) -> None:
+        if not frame.is_error_frame:
+            self.counts["remote" if frame.is_remote_frame else "extended"] += 1
+            return
+        self.counts["error"] += 1
+        if frame.arbitration_id & _CAN_ERROR_BUS_OFF:
+            self.bus_off = True
+
+    def check(self) -> None:
+        """Raise `BusOff` when the controller has left the bus."""
+        if self.bus_off:
+            advice = "check wiring, termination and bit rate, then bring the interface up again"
+            raise BusOff(f"{self.spec}: the CAN controller is bus-off", advice=advice)
+
+    def dispatch(self, frame: Frame) -> None:
+        """Hand a frame to its handlers."""
+        can_id = frame.arbitration_id
+        handlers = self._handlers.get(can_id)
+        if handlers is None:
+            if self._network is None or can_id not in self._network.subscribers:
+                self.counts["unclaimed"] += 1
+                return
+        else:
+            outer, self._dispatching = self._dispatching, threading.get_ident()
+            try:
+                for handler in handlers:
+                    handler(can_id, frame.data, frame.timestamp)
+            finally:
+                self._dispatching = outer
+        if self._network is not None:
+            self._network.notify(can_id, frame.data, frame.timestamp)
+
+    @property
+    def in_handler(self) -> bool:
+        """Whether the calling thread is inside a handler, where waiting for a frame would wait for ever."""
+        return self._dispatching == threading.get_ident()
+
+    def drain(self) -> int:
+        """Dispatch what has already arrived; number of frames."""
+        number = 0
+        with self.receive_lock:
+            while (frame := self.receive(0.0)) is not None:
+                self.dispatch(frame)
+                number += 1
+        return number
+
+    def wait(self, arrived: threading.Event, deadline_s: float) -> bool:
+        """Receive until `arrived` is set or the monotonic clock passes the deadline; chores are done meanwhile.
+
+        Several threads may wait: one of them receives for all.
+        """
+        while not arrived.is_set():
+            left = deadline_s - time.monotonic()
+            if left <= 0:
+                return False
+            for chore in self._chores:
+                chore()
+            if self.receive_lock.acquire(blocking=False):
+                try:
+                    frame = None if arrived.is_set() else self.receive(min(left, 0.05))
+                    if frame is not None:
+                        self.dispatch(frame)
+                finally:
+                    self.receive_lock.release()
+            else:
+                arrived.wait(min(left, 0.002))
+        return True
+
+    def listen(self, duration_s: float) -> None:
+        """Receive and dispatch for a time."""
+        self.wait(threading.Event(), time.monotonic() + duration_s)
+
+    # -- handlers ----------------------------------------------------------------------------------------------------
+
+    def subscribe(self, can_id: int, handler: Handler) -> None:
+        """Call ``handler(can_id, data, time_s)`` for every frame with this id; it must only store."""
+        self._handlers[can_id] = (*self._handlers.get(can_id, ()), handler)
+
+    def unsubscribe(self, can_id: int, handler: Handler) -> None:
+        """Undo `subscribe`; a handler that is not there is no error."""
+        left = tuple(other for other in self._handlers.get(can_id, ()) if other != handler)
+        if left:
+            self._handlers[can_id] = left
+        else:
+            self._handlers.pop(can_id, None)
+
+    def add_chore(self, chore: Callable[[], None]) -> None:
+        """Call `chore` while waiting for answers, e.g. to keep the master's heartbeat going."""
+        self._chores.append(chore)
+
+    def remove_chore(self, chore: Callable[[], None]) -> None:
+        """Undo `add_chore`."""
+        if chore in self._chores:
+            self._chores.remove(chore)
+
+    def watch_master_id(self, can_id: int) -> None:
+        """Treat frames with this id as a master's: those that are not our own echo are counted in `foreign`."""
+        if can_id not in self._sent:
+            self._sent[can_id] = 0
+            self.subscribe(can_id, self._on_master_frame)
+
+    def _on_master_frame(self, can_id: int, data: bytes | bytearray, time_s: float) -> None:
+        if self.echoes and self._sent[can_id] > 0:
+            self._sent[can_id] -= 1
+        else:
+            self.foreign[can_id] += 1
+
+    # -- sending -----------------------------------------------------------------------------------------------------
+
+    def prepare(self, can_id: int, size: int) -> Frame:
+        """A frame to be filled (`data`, a bytearray) and sent again and again."""
+        return can.Message(arbitration_id=can_id, data=bytearray(size), is_extended_id=False)
+
+    def send_frame(self, frame: Frame) -> None:
+        """Send a prepared frame; a full transmit queue is waited for, shortly.
+
+        Raises
+        ------
+        BusError
+            It could not be sent.
+        """
+        can_id = frame.arbitration_id
+        sent = self._sent.get(can_id)
+        if sent is not None and sent < _ECHO_MEMORY:
+            self._sent[can_id] = sent + 1
+        with self._send_lock:
+            try:
+                self._adapter.send(frame)
+            except (can.CanError, OSError) as error:
+                self._send_again(frame, error)
+        if self._logger is not None and not self.echoes:
+            self._log_sent(frame)
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Send one frame."""
+        self.send_frame(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+
+    def _send_again(self, frame: Frame, error: Exception) -> None:
+        deadline = time.monotonic() + SEND_TIMEOUT_S
+        while time.monotonic() < deadline:
+            self.counts["send_retries"] += 1
+            time.sleep(0.0005)
+            try:
+                self._adapter.send(frame)
+            except (can.CanError, OSError) as again:
+                error = again
+            else:
+                return
+        what = f"frame {frame.arbitration_id:03X} could not be sent within {SEND_TIMEOUT_S * 1e3:.0f} ms"
+        advice = "check that the bus is connected and up, and that txqueuelen is at least 1000"
+        raise BusError(f"{self.spec}: {what}: {error}", advice=advice) from error
+
+    def _log_sent(self, frame: Frame) -> None:
+        copy = can.Message(
+            timestamp=time.time(),
+            arbitration_id=frame.arbitration_id,
+            data=bytes(frame.data),
+            is_extended_id=False,
+            is_rx=False,
+        )
+        if self._logger is not None:
+            self._logger.on_message_received(copy)
+
+    # -- life --------------------------------------------------------------------------------------------------------
+
+    @property
+    def network(self) -> canopen.Network:
+        """canopen's view of this bus (SDO, NMT, EMCY objects); PDOs of a drive group do not reach it."""
+        if self._network is None:
+            self._network = _Network(self)
+        return self._network
+
+    def close(self) -> None:
+        """Close trace and adapter; may be called again."""
+        logger, self._logger = self._logger, None
+        if logger is not None:
+            logger.stop()
+        adapter, self._adapter = self._adapter, _CLOSED
+        self._receive = _CLOSED.recv
+        if adapter is not _CLOSED:
+            adapter.shutdown()
+
+    def __enter__(self) -> Bus:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+
+class _Closed:
+    """Stands in for the adapter of a closed bus."""
+
+    def recv(self, timeout: float | None = None) -> None:
+        raise BusError("the bus is closed", advice="open it again")
+
+    def send(self, frame: object) -> None:
+        raise BusError("the bus is closed", advice="open it again")
+
+    def shutdown(self) -> None:
+        """Nothing is open."""
+
+
+_CLOSED: Final = _Closed()
+
+
+def open_bus(spec: BusSpec, trace: Path | None = None) -> Bus:
+    """Open a bus.
+
+    Parameters
+    ----------
+    spec : BusSpec
+        What to open.
+    trace : Path, optional
+        Frame log beside the recording; its suffix picks the format (.blf, .log, .asc ..).
+
+    Returns
+    -------
+    Bus
+        To be used as a context manager, or closed.
+
+    Raises
+    ------
+    BusError
+        The interface is unknown, missing, down or refuses an option; the trace cannot be written.
+    """
+    arguments = dict(spec.options)
+    if spec.interface not in _WITHOUT_BITRATE:
+        arguments["bitrate"] = spec.bitrate_bit_s
+    if spec.interface == "udp_multicast":
+        arguments.setdefault("fd", False)
+    try:
+        adapter = can.Bus(interface=spec.interface, channel=spec.channel, **arguments)
+    except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
+        advice = _ADVICE.get(spec.interface, "check the name of the interface, its driver and its options")
+        advice = advice.format(channel=spec.channel, bitrate_bit_s=spec.bitrate_bit_s)
+        raise BusError(f"bus {spec} cannot be opened: {error}", advice=advice) from error
+    try:
+        return Bus(adapter, spec, trace)
+    except (OSError, ValueError, can.CanError) as error:
+        adapter.shutdown()
+        raise BusError(f"frame trace {trace} cannot be written: {error}", advice="check folder and suffix") from error

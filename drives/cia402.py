@@ -1,0 +1,186 @@
+"""CiA 402 state machine: pure tables and functions (CiA 402-2, clause 8: finite state automaton and statusword).
+
+No route passes through OPERATION ENABLED unless that is the target, transition 16 (quick stop active back to operation
+enabled) is never used, and no controlword of this module has the fault reset bit: a fault is reset by a person.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Final
+
+
+class State(Enum):
+    """States of the power drive system."""
+
+    NOT_READY = "not ready to switch on"
+    SWITCH_ON_DISABLED = "switch on disabled"
+    READY_TO_SWITCH_ON = "ready to switch on"
+    SWITCHED_ON = "switched on"
+    OPERATION_ENABLED = "operation enabled"
+    QUICK_STOP_ACTIVE = "quick stop active"
+    FAULT_REACTION_ACTIVE = "fault reaction active"
+    FAULT = "fault"
+    UNDEFINED = "no state of CiA 402"
+
+    def __str__(self) -> str:
+        return self.value.upper()
+
+
+class Mode(Enum):
+    """Modes of operation, 0x6060 (CiA 402-2, 0x6060)."""
+
+    PROFILE_POSITION = 1
+    VELOCITY = 2
+    PROFILE_VELOCITY = 3
+    PROFILE_TORQUE = 4
+    HOMING = 6
+    INTERPOLATED_POSITION = 7
+    CYCLIC_SYNC_POSITION = 8
+    CYCLIC_SYNC_VELOCITY = 9
+    CYCLIC_SYNC_TORQUE = 10
+
+
+# Controlword commands: bits 0 switch on, 1 enable voltage, 2 quick stop (low active), 3 enable operation.
+DISABLE_VOLTAGE: Final = 0x0000
+QUICK_STOP: Final = 0x0002
+SHUTDOWN: Final = 0x0006
+SWITCH_ON: Final = 0x0007
+DISABLE_OPERATION: Final = 0x0007
+ENABLE_OPERATION: Final = 0x000F
+#: Rising edge resets a fault. No table of this module uses it.
+FAULT_RESET: Final = 0x0080
+
+# Statusword bits outside the state.
+VOLTAGE_ENABLED: Final = 1 << 4
+WARNING: Final = 1 << 7
+REMOTE: Final = 1 << 9
+TARGET_REACHED: Final = 1 << 10
+INTERNAL_LIMIT: Final = 1 << 11
+FOLLOWS_COMMAND: Final = 1 << 12
+FOLLOWING_ERROR: Final = 1 << 13
+
+#: Bits of the statusword that carry the state.
+STATE_MASK: Final = 0x006F
+#: Statusword and mask of OPERATION ENABLED, for the cyclic test.
+ENABLED_PATTERN: Final = 0x0027
+
+_PATTERNS: Final = (
+    (0x4F, 0x00, State.NOT_READY),
+    (0x4F, 0x40, State.SWITCH_ON_DISABLED),
+    (0x6F, 0x21, State.READY_TO_SWITCH_ON),
+    (0x6F, 0x23, State.SWITCHED_ON),
+    (0x6F, 0x27, State.OPERATION_ENABLED),
+    (0x6F, 0x07, State.QUICK_STOP_ACTIVE),
+    (0x4F, 0x0F, State.FAULT_REACTION_ACTIVE),
+    (0x4F, 0x08, State.FAULT),
+)
+
+
+def _match(word: int) -> State:
+    return next((state for mask, value, state in _PATTERNS if word & mask == value), State.UNDEFINED)
+
+
+_STATES: Final = tuple(_match(word) for word in range(0x80))
+
+#: Controlword by target, then by present state; a state that is absent has no route to that target.
+_ROUTES: Final[dict[State, dict[State, int]]] = {
+    State.SWITCH_ON_DISABLED: {
+        State.NOT_READY: DISABLE_VOLTAGE,
+        State.SWITCH_ON_DISABLED: DISABLE_VOLTAGE,
+        State.READY_TO_SWITCH_ON: DISABLE_VOLTAGE,
+        State.SWITCHED_ON: DISABLE_VOLTAGE,
+        State.OPERATION_ENABLED: DISABLE_OPERATION,
+        State.QUICK_STOP_ACTIVE: DISABLE_VOLTAGE,
+    },
+    State.READY_TO_SWITCH_ON: {
+        State.NOT_READY: DISABLE_VOLTAGE,
+        State.SWITCH_ON_DISABLED: SHUTDOWN,
+        State.READY_TO_SWITCH_ON: SHUTDOWN,
+        State.SWITCHED_ON: SHUTDOWN,
+        State.OPERATION_ENABLED: DISABLE_OPERATION,
+        State.QUICK_STOP_ACTIVE: DISABLE_VOLTAGE,
+    },
+    State.SWITCHED_ON: {
+        State.NOT_READY: DISABLE_VOLTAGE,
+        State.SWITCH_ON_DISABLED: SHUTDOWN,
+        State.READY_TO_SWITCH_ON: SWITCH_ON,
+        State.SWITCHED_ON: SWITCH_ON,
+        State.OPERATION_ENABLED: DISABLE_OPERATION,
+        State.QUICK_STOP_ACTIVE: DISABLE_VOLTAGE,
+    },
+    State.OPERATION_ENABLED: {
+        State.NOT_READY: DISABLE_VOLTAGE,
+        State.SWITCH_ON_DISABLED: SHUTDOWN,
+        State.READY_TO_SWITCH_ON: SWITCH_ON,
+        State.SWITCHED_ON: ENABLE_OPERATION,
+        State.OPERATION_ENABLED: ENABLE_OPERATION,
+    },
+    State.QUICK_STOP_ACTIVE: {
+        State.OPERATION_ENABLED: QUICK_STOP,
+        State.QUICK_STOP_ACTIVE: QUICK_STOP,
+    },
+}
+
+#: States in which the drive exerts no torque of its own will, or will not without a new command.
+AT_REST: Final = frozenset(
+    {State.NOT_READY, State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON, State.SWITCHED_ON, State.FAULT}
+)
+FAULTED: Final = frozenset({State.FAULT, State.FAULT_REACTION_ACTIVE, State.UNDEFINED})
+
+
+class NoRoute(ValueError):  # noqa: N818 - reads as what happened
+    """The target cannot be reached from the present state without an act of a person."""
+
+
+def decode_state(statusword: int) -> State:
+    """State that a statusword shows; UNDEFINED for a bit pattern that the standard does not know."""
+    return _STATES[statusword & STATE_MASK]
+
+
+def next_controlword(state: State, target: State) -> int:
+    """Controlword of the next transition on the way to `target`; holds the state once it is reached.
+
+    Parameters
+    ----------
+    state : State
+        What the drive's statusword shows now.
+    target : State
+        SWITCH_ON_DISABLED, READY_TO_SWITCH_ON, SWITCHED_ON, OPERATION_ENABLED or QUICK_STOP_ACTIVE.
+
+    Returns
+    -------
+    int
+        A word without the fault reset bit; with the enable operation bit only if `target` is OPERATION_ENABLED.
+
+    Raises
+    ------
+    NoRoute
+        From a fault, from QUICK STOP ACTIVE back to OPERATION ENABLED, to QUICK STOP ACTIVE from a state in which
+        nothing moves, or to a state that nobody can ask for.
+    """
+    word = _ROUTES.get(target, {}).get(state)
+    if word is None:
+        raise NoRoute(f"there is no route from {state} to {target}")
+    return word
+
+
+def stopping_controlword(state: State) -> int:
+    """Controlword that stops the axis soonest and never energises: quick stop, or disable voltage if not enabled."""
+    return QUICK_STOP if state in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE) else DISABLE_VOLTAGE
+
+
+def mode_supported(supported_modes: int, mode: Mode) -> bool:
+    """Whether 0x6502 lists the mode (bit number = mode - 1)."""
+    return bool(supported_modes >> (mode.value - 1) & 1)
+
+
+def describe(statusword: int) -> str:
+    """Statusword in words, e.g. ``OPERATION ENABLED, internal limit``."""
+    words = [str(decode_state(statusword))]
+    for bit, text in ((WARNING, "warning"), (INTERNAL_LIMIT, "internal limit"), (FOLLOWING_ERROR, "following error")):
+        if statusword & bit:
+            words.append(text)
+    if not statusword & REMOTE:
+        words.append("not under remote control")
+    return ", ".join(words)

@@ -1,0 +1,283 @@
+"""One drive: what the group asks of it (`Drive`), and the CiA 402 drive on CANopen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, Protocol
+
+from drives import bringup
+from drives.access import ObjectAccess
+from drives.bus import Bus, Frame
+from drives.cia402 import Mode
+from drives.errors import CommandRefused, ConfigurationRefused, DriveError
+from drives.heartbeat import NmtCommand, send_nmt
+from drives.ledger import WriteLedger
+from drives.objects import OBJECTS
+from drives.pdo import COMMAND, PdoPlan, rpdo_plan, tpdo_plans
+from drives.scaling import MotorScale, motor_scale
+from drives.sdo import ONCE
+from drives.values import AxisSetup, DriveCommand, DriveReading, Identity
+
+__all__ = ["AxisSetup", "Cia402Drive", "Drive", "DriveCommand", "DriveReading", "Identity"]
+
+_I16_MAX: Final = 0x7FFF
+_I32_MAX: Final = 0x7FFFFFFF
+
+
+class Drive(Protocol):
+    """What a drive group asks of a drive, on whatever fieldbus."""
+
+    node_id: int
+    setup: AxisSetup
+    target_count: int
+
+    @property
+    def scale(self) -> MotorScale:
+        """Factors between raw words and SI."""
+        ...
+
+    @property
+    def answers(self) -> Sequence[tuple[int, int]]:
+        """CAN id and length of every frame that answers a SYNC."""
+        ...
+
+    def identify(self) -> Identity:
+        """Read who answers, and compare it with the profile."""
+        ...
+
+    def configure(self, sync_period_s: float) -> None:
+        """Everything that has to be set before the exchange, read back."""
+        ...
+
+    def arm(self, master_node_id: int) -> None:
+        """Let the drive watch the master from now on."""
+        ...
+
+    def disarm(self) -> None:
+        """Let the drive stop watching."""
+        ...
+
+    def stage(self, command: DriveCommand) -> None:
+        """Check a target and keep it for the next frame."""
+        ...
+
+    def hold(self, position_count: int) -> None:
+        """Keep a position for the next frame."""
+        ...
+
+    def frame(self, controlword: int) -> Frame:
+        """The frame of the staged target."""
+        ...
+
+    def decode(self, sync_index: int, frames: Sequence[bytes | bytearray]) -> DriveReading:
+        """Reading of one SYNC."""
+        ...
+
+
+class Cia402Drive:
+    """A CiA 402 drive on CANopen.
+
+    Parameters
+    ----------
+    bus : Bus
+    setup : AxisSetup
+    ledger : WriteLedger
+        Where every write is entered before it happens.
+    """
+
+    def __init__(self, bus: Bus, setup: AxisSetup, ledger: WriteLedger) -> None:
+        self.setup = setup
+        self.node_id = setup.node_id
+        self.access = ObjectAccess(bus, setup.node_id, setup.profile, ledger)
+        self.identity: Identity | None = None
+        #: Last position that was commanded.
+        self.target_count = 0
+        self._bus = bus
+        self._scale: MotorScale | None = None
+        self._rpdo = rpdo_plan(self.node_id)
+        self._tpdos, roles = tpdo_plans(setup.profile, self.node_id)
+        self._layouts = tuple(plan.layout.unpack for plan in self._tpdos)
+        self._has_velocity = "velocity" in roles
+        self._has_current = "current" in roles
+        self._frame = bus.prepare(self._rpdo.cob_id, COMMAND.size)
+        self._staged = (0, 0)
+        self._sync_period_s = 0.0
+        self._max_step_count = 0.0
+        self._lowest, self._highest = setup.position_limit_count or (-_I32_MAX - 1, _I32_MAX)
+
+    def close(self) -> None:
+        """Stop listening."""
+        self.access.sdo.close()
+
+    @property
+    def scale(self) -> MotorScale:
+        """Factors between raw words and SI.
+
+        Raises
+        ------
+        ConfigurationRefused
+            The drive has not been configured.
+        """
+        if self._scale is None:
+            raise ConfigurationRefused("is not configured", node=self.node_id, advice="call configure() first")
+        return self._scale
+
+    @property
+    def plans(self) -> tuple[PdoPlan, ...]:
+        """Every PDO of the exchange."""
+        return (self._rpdo, *self._tpdos)
+
+    @property
+    def answers(self) -> tuple[tuple[int, int], ...]:
+        """CAN id and length of every frame that answers a SYNC."""
+        return tuple((plan.cob_id, plan.size_bytes) for plan in self._tpdos)
+
+    # -- bringing up -------------------------------------------------------------------------------------------------
+
+    def identify(self) -> Identity:
+        """Read who answers, and compare it with the profile.
+
+        Raises
+        ------
+        IdentityMismatch
+            It is not what the profile is for.
+        """
+        self.identity = bringup.read_identity(self.access.sdo)
+        self.access.serial_number = self.identity.serial_number
+        bringup.check_identity(self.identity, self.setup.profile)
+        return self.identity
+
+    def configure(self, sync_period_s: float) -> None:
+        """Scaling read, PDOs mapped, mode and reaction to a lost master set; everything read back.
+
+        Parameters
+        ----------
+        sync_period_s : float
+            Written to 0x60C2 where the drive has it; the speed limit is one of steps of this length.
+
+        Raises
+        ------
+        DriveFault
+            The drive is enabled by somebody else.
+        ConfigurationRefused, SdoError, ProfileError
+            As the drive answers.
+        """
+        self._scale = None
+        access, heartbeat = self.access, self.setup.profile.heartbeat
+        bringup.check_at_rest(access)
+        scale = motor_scale(self.setup.profile, bringup.read_constants(access), self.setup.torque_constant_nm_per_a)
+        bringup.check_sync(access)
+        send_nmt(self._bus, NmtCommand.ENTER_PREOPERATIONAL, self.node_id)
+        for plan in self.plans:
+            access.map_pdo(plan)
+        bringup.set_mode(access, Mode.CYCLIC_SYNC_POSITION)
+        bringup.set_interpolation_period(access, sync_period_s)
+        if heartbeat.producer_ms is not None:
+            access.write(OBJECTS["producer_heartbeat"], heartbeat.producer_ms, "sign of life of the drive")
+        reason = "what the drive does when the master is gone"
+        access.write(OBJECTS["abort_connection_option"], heartbeat.abort_connection, reason)
+        self._sync_period_s = sync_period_s
+        self._max_step_count = self.setup.max_motor_speed_rad_s * sync_period_s / scale.count_rad + 1.0
+        self._scale = scale
+
+    def arm(self, master_node_id: int) -> None:
+        """Let the drive watch the master's heartbeat, from its first one on."""
+        value = master_node_id << 16 | self.setup.profile.heartbeat.consumer_ms
+        self.access.write(OBJECTS["consumer_heartbeat"], value, "the drive stops when the master is gone")
+
+    def disarm(self) -> None:
+        """Let the drive stop watching; asked once only, since the node may be gone."""
+        reason = "the drive no longer watches the master"
+        self.access.write(OBJECTS["consumer_heartbeat"], 0, reason, ONCE)
+
+    def statusword(self) -> int:
+        """Statusword, read now by SDO."""
+        return self.access.read(OBJECTS["statusword"])
+
+    def fault_words(self) -> str:
+        """Error code 0x603F in words, as far as the drive answers."""
+        try:
+            code = self.access.read(OBJECTS["error_code"], ONCE)
+        except DriveError:
+            return "its error code cannot be read"
+        entry = self.setup.profile.emcy_entry(code)
+        known = "" if entry is None else f", {entry.text}; {entry.advice}"
+        return f"error code 0x{code:04X}{known}"
+
+    # -- cyclic ------------------------------------------------------------------------------------------------------
+
+    def stage(self, command: DriveCommand) -> None:
+        """Check a target and keep it for the next frame; nothing is sent.
+
+        Raises
+        ------
+        CommandRefused
+            Outside position, speed or torque limits, or not a number.
+        """
+        scale = self.scale
+        try:
+            count = round(command.position_rad / scale.count_rad)
+            offset = self._offset(command.torque_offset_nm) if command.torque_offset_nm else 0
+        except (ValueError, OverflowError) as error:
+            raise CommandRefused(f"{command} is no target: {error}", node=self.node_id) from error
+        if not self._lowest <= count <= self._highest:
+            what = f"target {count} counts is outside {self._lowest} .. {self._highest}"
+            raise CommandRefused(what, node=self.node_id, index=0x607A, advice="stay inside the limits of the axis")
+        step = count - self.target_count
+        if not -self._max_step_count <= step <= self._max_step_count:
+            what = f"target asks for {abs(step) * scale.count_rad / self._sync_period_s:.1f} rad/s"
+            advice = f"the limit is {self.setup.max_motor_speed_rad_s:.1f} rad/s at the motor"
+            raise CommandRefused(what, node=self.node_id, index=0x607A, advice=advice)
+        self._staged = (count, offset)
+
+    def _offset(self, torque_nm: float) -> int:
+        unit = self.scale.offset_nm
+        if unit is None:
+            advice = f"give [torque_offset] in profile {self.setup.profile.name}"
+            raise CommandRefused("the scaling of 0x60B2 is not known", node=self.node_id, index=0x60B2, advice=advice)
+        offset = round(torque_nm / unit)
+        if abs(offset) > _I16_MAX:
+            what = f"torque offset {torque_nm:.3f} Nm does not fit 0x60B2"
+            raise CommandRefused(what, node=self.node_id, index=0x60B2, advice="check the feedforward")
+        return offset
+
+    def hold(self, position_count: int) -> None:
+        """Keep a position, without torque offset, for the next frame."""
+        self._staged = (position_count, 0)
+
+    def frame(self, controlword: int) -> Frame:
+        """The frame of the staged target; from now on it counts as commanded."""
+        count, offset = self._staged
+        self.target_count = count
+        COMMAND.pack_into(self._frame.data, 0, controlword, count, offset)
+        return self._frame
+
+    def decode(self, sync_index: int, frames: Sequence[bytes | bytearray]) -> DriveReading:
+        """Reading of one SYNC.
+
+        Parameters
+        ----------
+        sync_index : int
+        frames : sequence of bytes
+            One per entry of `answers`, of its length.
+        """
+        scale = self._scale or self.scale
+        values = self._layouts[0](frames[0])
+        if len(frames) > 1:
+            values += self._layouts[1](frames[1])
+        velocity = values[3] if self._has_velocity else None
+        current = values[-1] if self._has_current else None
+        position, torque = values[1], values[2]
+        return DriveReading(
+            self.node_id,
+            sync_index,
+            values[0],
+            position,
+            torque,
+            velocity,
+            current,
+            position * scale.count_rad,
+            torque * scale.torque_nm,
+            None if velocity is None or scale.velocity_rad_s is None else velocity * scale.velocity_rad_s,
+            None if current is None or scale.current_a is None else current * scale.current_a,
+        )

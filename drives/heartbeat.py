@@ -1,0 +1,149 @@
+"""NMT and heartbeat (CiA 301, 7.2.8): the master's own, and the watch over the drives'.
+
+A drive is watched from its first heartbeat on: one that never sent any is not called lost.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from enum import IntEnum
+from typing import Final
+
+from drives.bus import HEARTBEAT_BASE, NMT_ID, Bus
+
+
+class NmtCommand(IntEnum):
+    """NMT command specifiers."""
+
+    START = 0x01
+    STOP = 0x02
+    ENTER_PREOPERATIONAL = 0x80
+    RESET_NODE = 0x81
+    RESET_COMMUNICATION = 0x82
+
+
+class NmtState(IntEnum):
+    """NMT states as the heartbeat shows them."""
+
+    BOOT_UP = 0x00
+    STOPPED = 0x04
+    OPERATIONAL = 0x05
+    PREOPERATIONAL = 0x7F
+
+    def __str__(self) -> str:
+        return self.name.replace("_", "-").lower()
+
+
+_STATES: Final = {int(state): state for state in NmtState}
+
+
+def send_nmt(bus: Bus, command: NmtCommand, node_id: int) -> None:
+    """Send an NMT command to one node."""
+    bus.send(NMT_ID, bytes([command, node_id]))
+
+
+class HeartbeatProducer:
+    """Sends the master's heartbeat when it is due, by SYNC time or by the clock, whichever comes first.
+
+    Parameters
+    ----------
+    bus : Bus
+    master_node_id : int
+        Node id of the master.
+    consumer_s : float
+        After how long the most impatient drive gives the master up; four heartbeats are sent in that time.
+    """
+
+    def __init__(self, bus: Bus, master_node_id: int, consumer_s: float) -> None:
+        self.running = False
+        self._bus = bus
+        self._frame = bus.prepare(HEARTBEAT_BASE + master_node_id, 1)
+        self._frame.data[0] = NmtState.OPERATIONAL
+        self._interval_s = consumer_s / 4.0
+        self._due_s = 0.0
+        self._sync_time_due_s = 0.0
+
+    def start(self, sync_time_s: float) -> None:
+        """Send the first heartbeat; from now on the drives watch."""
+        self.running = True
+        self._beat(time.monotonic(), sync_time_s)
+
+    def stop(self) -> None:
+        """Send no more."""
+        self.running = False
+
+    def tick(self, sync_time_s: float) -> None:
+        """Send a heartbeat if one is due; `sync_time_s` is the time that the drives count by SYNCs."""
+        now = time.monotonic()
+        if self.running and (sync_time_s >= self._sync_time_due_s or now >= self._due_s):
+            self._beat(now, sync_time_s)
+
+    def _beat(self, now_s: float, sync_time_s: float) -> None:
+        self._bus.send_frame(self._frame)
+        self._due_s = now_s + self._interval_s
+        self._sync_time_due_s = sync_time_s + self._interval_s
+
+
+class HeartbeatWatch:
+    """State and last sign of life of each drive.
+
+    Parameters
+    ----------
+    bus : Bus
+    node_ids : sequence of int
+        Whom to watch.
+    limits_s : sequence of float or None
+        Longest silence of each, None = its heartbeat is not expected.
+    clock : callable
+        Monotonic seconds.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        node_ids: Sequence[int],
+        limits_s: Sequence[float | None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.states: dict[int, NmtState | None] = dict.fromkeys(node_ids)
+        #: Nodes that booted since `forgive` was called.
+        self.booted: set[int] = set()
+        self._limits_s = dict(zip(node_ids, limits_s, strict=True))
+        self._last_s: dict[int, float] = {}
+        self._clock = clock
+        self._bus = bus
+        for node_id in node_ids:
+            bus.subscribe(HEARTBEAT_BASE + node_id, self._on_frame)
+
+    def close(self) -> None:
+        """Stop listening."""
+        for node_id in self.states:
+            self._bus.unsubscribe(HEARTBEAT_BASE + node_id, self._on_frame)
+
+    def _on_frame(self, can_id: int, data: bytes | bytearray, time_s: float) -> None:
+        if len(data) != 1:
+            self._bus.counts["wrong_length"] += 1
+            return
+        node_id = can_id - HEARTBEAT_BASE
+        state = _STATES.get(data[0] & 0x7F)
+        self.states[node_id] = state
+        if state is NmtState.BOOT_UP:
+            self.booted.add(node_id)
+            self._last_s.pop(node_id, None)
+        else:
+            self._last_s[node_id] = self._clock()
+
+    def forgive(self) -> None:
+        """Forget boot-ups and start every timer afresh at the next heartbeat."""
+        self.booted.clear()
+        self._last_s.clear()
+
+    def lost(self) -> tuple[int, ...]:
+        """Nodes whose heartbeat has been silent for longer than their limit."""
+        now = self._clock()
+        return tuple(
+            node_id
+            for node_id, last_s in self._last_s.items()
+            if (limit_s := self._limits_s[node_id]) is not None and now - last_s > limit_s
+        )

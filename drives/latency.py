@@ -1,0 +1,63 @@
+"""Latency of SDO answers: a histogram per node that costs nothing to keep."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from dataclasses import dataclass
+from typing import Final
+
+#: Upper edges of the latency histogram, s; the last bin is open.
+LATENCY_EDGES_S: Final = (0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class SdoStatistics:
+    """Latency of the answers of one node, and what was wrong with the others.
+
+    Attributes
+    ----------
+    node_id : int
+    count : int
+        Answers in time.
+    mean_s, max_s : float
+        Of their latency.
+    histogram : tuple of int
+        Answers per bin; upper edges `LATENCY_EDGES_S`, the last bin is open.
+    timeouts, late, foreign, aborts : int
+        Requests without an answer; answers after their time-out; answers to nobody's question; refusals.
+    """
+
+    node_id: int
+    count: int
+    mean_s: float
+    max_s: float
+    histogram: tuple[int, ...]
+    timeouts: int
+    late: int
+    foreign: int
+    aborts: int
+
+
+class LatencyHistogram:
+    """Counts latencies in fixed bins."""
+
+    def __init__(self) -> None:
+        self.bins = [0] * (len(LATENCY_EDGES_S) + 1)
+        self.sum_s = 0.0
+        self.max_s = 0.0
+
+    def add(self, latency_s: float) -> None:
+        """Count one answer."""
+        self.bins[bisect_left(LATENCY_EDGES_S, latency_s)] += 1
+        self.sum_s += latency_s
+        self.max_s = max(self.max_s, latency_s)
+
+    @property
+    def count(self) -> int:
+        """Answers so far."""
+        return sum(self.bins)
+
+    @property
+    def mean_s(self) -> float:
+        """Mean latency; 0 before the first answer."""
+        return self.sum_s / self.count if self.count else 0.0

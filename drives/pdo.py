@@ -1,0 +1,211 @@
+"""PDO plans: which objects travel in which frame, and the order in which a mapping is written (CiA 301, 7.5.2.36).
+
+RPDO1 = controlword, target position, torque offset. TPDO1 = statusword, position and, if it fits, the torque object.
+TPDO2, where it is needed = the torque object if it did not fit, velocity, current. All synchronous, every SYNC.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from drives.objects import (
+    RPDO_COMMUNICATION,
+    RPDO_MAPPING,
+    STRUCT_CODE,
+    TPDO_COMMUNICATION,
+    TPDO_MAPPING,
+)
+from drives.profile import DriveProfile, ObjectReference
+
+EVERY_SYNC: Final = 1
+INVALID: Final = 1 << 31
+_NO_RTR: Final = 1 << 30
+_MAX_BITS: Final = 64
+
+Role = Literal["statusword", "position", "torque", "velocity", "current"]
+
+CONTROLWORD: Final = ObjectReference(index=0x6040, type="u16")
+STATUSWORD: Final = ObjectReference(index=0x6041, type="u16")
+TARGET_POSITION: Final = ObjectReference(index=0x607A, type="i32")
+TORQUE_OFFSET: Final = ObjectReference(index=0x60B2, type="i16")
+
+#: What the master sends: controlword, target position (counts), torque offset (raw).
+COMMAND: Final = struct.Struct("<Hih")
+
+#: Reads one object as a number, by index, subindex and type.
+Read = Callable[[int, int, str], int]
+
+
+@dataclass(frozen=True, slots=True)
+class PdoPlan:
+    """One PDO as it shall be.
+
+    Attributes
+    ----------
+    name : str
+        TPDO1, TPDO2 or RPDO1.
+    communication, mapping : int
+        Indices of its parameter and mapping records.
+    cob_id : int
+        CAN id, by the predefined connection set.
+    entries : tuple of ObjectReference
+        Mapped objects in their order.
+    """
+
+    name: str
+    communication: int
+    mapping: int
+    cob_id: int
+    entries: tuple[ObjectReference, ...]
+
+    @property
+    def size_bytes(self) -> int:
+        """Length of the frame."""
+        return sum(entry.size_bits for entry in self.entries) // 8
+
+    @property
+    def layout(self) -> struct.Struct:
+        """Codec of the frame."""
+        return struct.Struct("<" + "".join(STRUCT_CODE[entry.type] for entry in self.entries))
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One write of a mapping."""
+
+    index: int
+    subindex: int
+    data_type: str
+    value: int
+    reason: str
+
+
+def rpdo_plan(node_id: int) -> PdoPlan:
+    """RPDO1 of a node."""
+    entries = (CONTROLWORD, TARGET_POSITION, TORQUE_OFFSET)
+    return PdoPlan("RPDO1", RPDO_COMMUNICATION, RPDO_MAPPING, 0x200 + node_id, entries)
+
+
+def tpdo_plans(profile: DriveProfile, node_id: int) -> tuple[tuple[PdoPlan, ...], tuple[Role, ...]]:
+    """TPDOs of a node, and what their values are, in the order of the frames' bytes.
+
+    Returns
+    -------
+    plans : tuple of PdoPlan
+        One or two.
+    roles : tuple of str
+        One per mapped object over both frames.
+    """
+    frames: list[list[tuple[Role, ObjectReference]]] = [
+        [("statusword", STATUSWORD), ("position", profile.position.object)],
+        [],
+    ]
+    torque: tuple[Role, ObjectReference] = ("torque", profile.torque.object)
+    frames[0 if _bits(frames[0]) + torque[1].size_bits <= _MAX_BITS else 1].append(torque)
+    if profile.current is not None or frames[1]:
+        optional: list[tuple[Role, ObjectReference]] = []
+        if profile.velocity is not None:
+            optional.append(("velocity", profile.velocity.object))
+        if profile.current is not None:
+            optional.append(("current", profile.current.object))
+        for entry in optional:
+            if _bits(frames[1]) + entry[1].size_bits <= _MAX_BITS:
+                frames[1].append(entry)
+    plans = tuple(
+        PdoPlan(
+            f"TPDO{number + 1}",
+            TPDO_COMMUNICATION + number,
+            TPDO_MAPPING + number,
+            0x180 + 0x100 * number + node_id,
+            tuple(entry for _, entry in frame),
+        )
+        for number, frame in enumerate(frames)
+        if frame
+    )
+    return plans, tuple(role for frame in frames for role, _ in frame)
+
+
+def _bits(frame: list[tuple[Role, ObjectReference]]) -> int:
+    return sum(entry.size_bits for _, entry in frame)
+
+
+def differences(plan: PdoPlan, read: Read) -> list[str]:
+    """What the drive holds that is not as planned, in words; empty = nothing has to be written."""
+    found = []
+    cob_id = read(plan.communication, 1, "u32")
+    if cob_id & INVALID:
+        found.append("is switched off")
+    if cob_id & 0x1FFFFFFF != plan.cob_id:
+        found.append(f"has COB-ID {cob_id & 0x1FFFFFFF:#x} instead of {plan.cob_id:#x}")
+    transmission = read(plan.communication, 2, "u8")
+    if transmission != EVERY_SYNC:
+        found.append(f"has transmission type {transmission} instead of {EVERY_SYNC}")
+    count = read(plan.mapping, 0, "u8")
+    if count != len(plan.entries):
+        found.append(f"maps {count} objects instead of {len(plan.entries)}")
+        return found
+    for number, entry in enumerate(plan.entries, start=1):
+        mapped = read(plan.mapping, number, "u32")
+        if mapped != entry.mapping:
+            found.append(f"maps {mapped:08X} at place {number} instead of {entry.mapping:08X}")
+    return found
+
+
+def mapping_steps(plan: PdoPlan, cob_id_now: int) -> list[Step]:
+    """Writes that make the PDO as planned, in the order that the standard asks for.
+
+    Switch it off, set the transmission type, empty the mapping, fill it, set its length, switch it on.
+    """
+    kept = cob_id_now & _NO_RTR
+    communication, mapping = plan.communication, plan.mapping
+    reason = f"{plan.name} of the SYNC exchange"
+    steps = [
+        Step(communication, 1, "u32", plan.cob_id | kept | INVALID, reason),
+        Step(communication, 2, "u8", EVERY_SYNC, reason),
+        Step(mapping, 0, "u8", 0, reason),
+    ]
+    steps += [Step(mapping, number, "u32", entry.mapping, reason) for number, entry in enumerate(plan.entries, start=1)]
+    steps += [
+        Step(mapping, 0, "u8", len(plan.entries), reason),
+        Step(communication, 1, "u32", plan.cob_id | kept, reason),
+    ]
+    return steps
+
+
+def restore_steps(old: dict[tuple[int, int], tuple[str, int]]) -> list[Step]:
+    """Writes that put objects back, PDO records in the order the standard asks for.
+
+    Parameters
+    ----------
+    old : dict
+        (index, subindex) -> (type, value to be put back), in the order in which they were first written.
+
+    Returns
+    -------
+    list of Step
+        Plain objects in reverse order, then each PDO: off, emptied, filled, length, type, on.
+    """
+    reason = "restore"
+    plain = [(address, value) for address, value in old.items() if not 0x1400 <= address[0] < 0x1C00]
+    steps = [Step(*address, data_type, value, reason) for address, (data_type, value) in reversed(plain)]
+    for communication in sorted({address[0] & ~0x0200 for address in old if 0x1400 <= address[0] < 0x1C00}):
+        mapping = communication | 0x0200
+        head = old.get((communication, 1))
+        if head is not None:
+            steps.append(Step(communication, 1, "u32", head[1] | INVALID, reason))
+        entries = sorted(address for address in old if address[0] == mapping and address[1] > 0)
+        count = old.get((mapping, 0))
+        if entries or count is not None:
+            steps.append(Step(mapping, 0, "u8", 0, reason))
+        length = 0xFF if count is None else count[1]
+        steps += [Step(*address, *old[address], reason) for address in entries if address[1] <= length]
+        if count is not None:
+            steps.append(Step(mapping, 0, "u8", count[1], reason))
+        others = sorted(address for address in old if address[0] == communication and address[1] > 1)
+        steps += [Step(*address, *old[address], reason) for address in others]
+        if head is not None:
+            steps.append(Step(communication, 1, "u32", head[1], reason))
+    return steps

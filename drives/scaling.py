@@ -1,0 +1,129 @@
+"""Raw words <-> SI on the motor side: pure arithmetic that follows from the profile.
+
+Everything is linear, so the cyclic path multiplies by numbers that are worked out here once.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from drives.errors import ProfileError
+from drives.profile import DriveProfile, Signal, TorqueOffset
+
+
+@dataclass(frozen=True, slots=True)
+class Constants:
+    """What a profile may leave to be read from the drive, in SI; None = the profile does not ask for it.
+
+    Attributes
+    ----------
+    torque_rated : float or None
+        Nm (kind permille_rated_torque) or A (permille_rated_current) of 1000 per mille of the torque object.
+    current_rated_a : float or None
+        A of 1000 per mille of the current object.
+    offset_rated : float or None
+        Nm or A of 1000 per mille of 0x60B2, where it has an arithmetic of its own.
+    counts_per_revolution : float
+        Position counts of one motor revolution.
+    """
+
+    torque_rated: float | None
+    current_rated_a: float | None
+    offset_rated: float | None
+    counts_per_revolution: float
+
+
+@dataclass(frozen=True, slots=True)
+class MotorScale:
+    """Factors between raw words and SI, motor side.
+
+    Attributes
+    ----------
+    torque_nm : float
+        Nm per bit of the torque object.
+    current_a : float or None
+        A per bit of the current object, in the ampere (rms or peak) that the torque constant refers to.
+    velocity_rad_s : float or None
+        rad/s per bit of the velocity object.
+    count_rad : float
+        rad per position count.
+    offset_nm : float or None
+        Nm per bit of 0x60B2; None = the profile does not say, and only zero may be sent.
+    """
+
+    torque_nm: float
+    current_a: float | None
+    velocity_rad_s: float | None
+    count_rad: float
+    offset_nm: float | None
+
+    def counts(self, position_rad: float) -> int:
+        """Nearest position count of a motor angle."""
+        return round(position_rad / self.count_rad)
+
+
+def motor_scale(profile: DriveProfile, constants: Constants, torque_constant_nm_per_a: float) -> MotorScale:
+    """Work out the factors of one axis.
+
+    Parameters
+    ----------
+    profile : DriveProfile
+        Its arithmetic.
+    constants : Constants
+        What was read from the drive.
+    torque_constant_nm_per_a : float
+        Of the motor, per ampere of the kind the profile states; used by profiles that measure current.
+
+    Raises
+    ------
+    ProfileError
+        A constant that is missing, zero, negative or not finite.
+    """
+    turn = _positive(profile, "counts per revolution", constants.counts_per_revolution)
+    torque = _ampere_per_bit(profile, "torque", profile.torque, constants.torque_rated)
+    if profile.torque.is_current:
+        torque *= _positive(profile, "torque constant (Nm/A)", torque_constant_nm_per_a)
+    current = None
+    if profile.current is not None:
+        current = _ampere_per_bit(profile, "current", profile.current, constants.current_rated_a)
+    return MotorScale(
+        torque_nm=torque,
+        current_a=current,
+        velocity_rad_s=None if profile.velocity is None else profile.velocity.unit_rad_s.value,
+        count_rad=2.0 * math.pi / turn,
+        offset_nm=_offset_nm(profile, constants, torque, torque_constant_nm_per_a),
+    )
+
+
+def _ampere_per_bit(profile: DriveProfile, what: str, signal: Signal, rated: float | None) -> float:
+    """Nm per bit of a torque, A (of the torque constant) per bit of a current."""
+    if signal.kind == "internal_unit":
+        if signal.internal_unit_a is None:
+            raise ProfileError(f"{profile.name}: {what}.internal_unit_a is missing")
+        return signal.internal_unit_a.value * signal.current_factor
+    if signal.kind == "milliampere":
+        return 1e-3 * signal.current_factor
+    per_mille = _positive(profile, f"{what}: rated value", rated) / 1000.0
+    return per_mille * signal.current_factor if signal.is_current else per_mille
+
+
+def _offset_nm(profile: DriveProfile, constants: Constants, torque_nm: float, kt: float) -> float | None:
+    own: TorqueOffset | None = profile.torque_offset
+    if own is None:
+        return torque_nm if profile.torque.kind.startswith("permille") else None
+    per_mille = _positive(profile, "torque_offset: rated value", constants.offset_rated) / 1000.0
+    if own.kind == "permille_rated_torque":
+        return per_mille
+    if own.current_reference == own.torque_constant_per:
+        factor = 1.0
+    else:
+        factor = math.sqrt(2.0) if own.current_reference == "rms" else math.sqrt(0.5)
+    return per_mille * factor * _positive(profile, "torque constant (Nm/A)", kt)
+
+
+def _positive(profile: DriveProfile, what: str, value: float | None) -> float:
+    if value is None or not math.isfinite(value) or value <= 0:
+        advice = "set it in the drive or give it in the profile or cell file; nothing is assumed in its place"
+        raise ProfileError(f"profile {profile.name}: {what} is {value}, a positive number is needed", advice=advice)
+    return value

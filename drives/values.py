@@ -1,0 +1,133 @@
+"""Values of the motor side that cross its border: setup in, commands in, readings out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from drives.errors import ProfileError
+from drives.profile import DriveProfile
+
+
+@dataclass(frozen=True, slots=True)
+class AxisSetup:
+    """What a drive needs to know from the cell.
+
+    Attributes
+    ----------
+    node_id : int
+        1 to 127.
+    profile : DriveProfile
+        Of its model.
+    torque_constant_nm_per_a : float
+        Of the motor, Nm/A; used only where the profile measures a current.
+    max_motor_speed_rad_s : float
+        Largest speed that may be commanded, motor side.
+    position_limit_count : (int, int), optional
+        Lowest and highest target that may be commanded, position counts.
+
+    Raises
+    ------
+    ProfileError
+        A number that is missing, not finite or out of range.
+    """
+
+    node_id: int
+    profile: DriveProfile
+    torque_constant_nm_per_a: float
+    max_motor_speed_rad_s: float
+    position_limit_count: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.node_id <= 127:
+            raise ProfileError(f"node id {self.node_id} is not in 1 .. 127", advice="correct the cell file")
+        for name in ("torque_constant_nm_per_a", "max_motor_speed_rad_s"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                what = f"{name} = {value}, a positive number is needed"
+                raise ProfileError(what, node=self.node_id, advice="nothing is assumed in its place")
+        if self.position_limit_count is not None and not self.position_limit_count[0] < self.position_limit_count[1]:
+            what = f"position limits {self.position_limit_count} are not in order"
+            raise ProfileError(what, node=self.node_id, advice="correct the cell file")
+
+
+@dataclass(frozen=True, slots=True)
+class DriveCommand:
+    """Target of one SYNC, motor side."""
+
+    position_rad: float
+    torque_offset_nm: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class DriveReading:
+    """What one drive reported for one SYNC, raw and in SI, motor side.
+
+    Attributes
+    ----------
+    node_id, sync_index : int
+        Who, and after which SYNC.
+    statusword, position_count, torque_raw : int
+        As received.
+    velocity_raw, current_raw : int or None
+        As received; None = not mapped.
+    position_rad, torque_nm : float
+        By the profile's arithmetic.
+    velocity_rad_s, current_a : float or None
+        The current in the ampere (rms or peak) that the torque constant refers to.
+    """
+
+    node_id: int
+    sync_index: int
+    statusword: int
+    position_count: int
+    torque_raw: int
+    velocity_raw: int | None
+    current_raw: int | None
+    position_rad: float
+    torque_nm: float
+    velocity_rad_s: float | None
+    current_a: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Who answers at a node id; None = the drive does not have the object."""
+
+    node_id: int
+    device_type: int | None
+    vendor_id: int | None
+    product_code: int | None
+    revision: int | None
+    serial_number: int | None
+    name: str | None
+    hardware_version: str | None
+    software_version: str | None
+
+    @property
+    def is_drive(self) -> bool:
+        """Whether the device type says CiA 402."""
+        return self.device_type is not None and self.device_type & 0xFFFF == 0x0192
+
+    def mismatches(self, profile: DriveProfile) -> list[str]:
+        """What of the profile's identity does not fit, in words."""
+        wanted = profile.identity
+        found = []
+        for name, want, have in (
+            ("vendor id", wanted.vendor_id, self.vendor_id),
+            ("product code", wanted.product_code, self.product_code),
+        ):
+            if want is not None and want != have:
+                found.append(f"{name} is {_hex(have)} instead of {_hex(want)}")
+        low, high = wanted.revision_min, wanted.revision_max
+        if (low is not None or high is not None) and self.revision is None:
+            found.append("revision is not given by the drive")
+        elif low is not None and self.revision is not None and self.revision < low:
+            found.append(f"revision {_hex(self.revision)} is below {_hex(low)}")
+        elif high is not None and self.revision is not None and self.revision > high:
+            found.append(f"revision {_hex(self.revision)} is above {_hex(high)}")
+        return found
+
+
+def _hex(value: int | None) -> str:
+    return "missing" if value is None else f"0x{value:08X}"
