@@ -1,0 +1,177 @@
+"""Which effects are tried on a moving run, and what makes one of them physically possible."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.motion_fit import Fit, Problem
+from gateway.model import motion_terms as terms
+from gateway.model.motion import Motion
+from gateway.model.motion_terms import Term
+
+Floats = NDArray[np.float64]
+
+STRIBECK_FRACTIONS = (0.03, 0.06, 0.12, 0.25, 0.5)
+POWERS = (0.5, 2.0)
+COUPLINGS = (-1.0, -0.5, 0.5, 1.0)
+# The motor of the outer axis turns with the inner joint; the reverse needs a drive train that reaches back.
+PAIRS = ((0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (3, 5))
+WRIST = (3, 4, 5)
+GAS_PHASES_RAD = tuple(np.deg2rad(np.arange(-180.0, 180.0, 30.0)))
+GAS_STROKES = (0.4, 0.8)
+LONG_S = 60.0
+WARMED_K = 2.0
+RIPPLES_PER_AXIS = 2
+LARGEST_ANGLE_RAD = 0.2
+LARGEST_SCALE = 2.5
+
+
+def candidates(problem: Problem, allowed: frozenset[str]) -> list[Term]:
+    """Every effect that these rows could show, of the names in `allowed`."""
+    motion = problem.motion
+    axes = [int(axis) for axis in np.flatnonzero(motion.measured)]
+    found: list[Term] = []
+    for axis in axes:
+        found.extend(_friction(axis, float(motion.speed_rad_s[axis])))
+        found.append(terms.gain(axis))
+        found.append(terms.offset(axis))
+        found.extend(_drift(motion, axis))
+    for pair in PAIRS:
+        if set(pair) <= set(axes):
+            found.extend(terms.axis_coupling(pair, coefficient) for coefficient in COUPLINGS)
+            found.append(terms.torque_mixing(pair))
+    if 1 in axes:
+        found.append(terms.coil_balancer())
+        if problem.base.trust is None:
+            found.extend(terms.gas_balancer(phase, stroke) for phase in GAS_PHASES_RAD for stroke in GAS_STROKES)
+    for axis in set(WRIST) & set(axes):
+        found.extend(terms.cable(axis, shape) for shape in ("linear", "harmonic"))
+    found.extend(_geometry(problem))
+    return [term for term in found if term.name in allowed]
+
+
+def _friction(axis: int, top_rad_s: float) -> Iterator[Term]:
+    yield terms.load_friction(axis)
+    yield from (terms.stribeck(axis, fraction, top_rad_s) for fraction in STRIBECK_FRACTIONS)
+    yield from (terms.power_friction(axis, exponent) for exponent in POWERS)
+
+
+def _drift(motion: Motion, axis: int) -> Iterator[Term]:
+    heat = motion.temperature_c[:, axis]
+    if np.isfinite(heat).all() and np.ptp(heat) >= WARMED_K:
+        yield terms.drift(axis, per_kelvin=True)
+    elif motion.duration_s >= LONG_S:
+        yield terms.drift(axis, per_kelvin=False)
+
+
+def _geometry(problem: Problem) -> Iterator[Term]:
+    motion = problem.motion
+    yield terms.base_tilt(motion)
+    yield from (terms.zero_offset(axis, motion) for axis in range(6))
+    yield from (terms.elasticity(axis, motion) for axis in range(3))
+    if problem.base.trust is not None:
+        yield from (terms.link_mass(link) for link in (1, 2, 3))
+    yield from (terms.payload_shift(label) for label in problem.base.loads)
+
+
+def ripples(problem: Problem, full: Fit) -> list[Term]:
+    """The strongest swings of each axis's residual over its own angle, as far as the sampling resolves them."""
+    motion = problem.motion
+    found = []
+    for axis in np.flatnonzero(motion.measured):
+        rows = motion.judged[:, axis] & ~motion.given
+        q, rest = motion.q_rad[rows, axis], full.residual_nm[rows, axis]
+        steps = np.abs(np.diff(motion.q_rad[:, axis]))[rows[:-1] & (np.diff(motion.run) == 0)]
+        reach = float(np.ptp(q))
+        if reach < 0.2 or not len(steps):
+            continue
+        fastest = 0.5 * np.pi / max(float(np.quantile(steps, 0.9)), 1e-9)
+        waves = np.arange(6.0 * np.pi / reach, min(fastest, 600.0), 0.5 * np.pi / reach)
+        if not len(waves):
+            continue
+        power = np.abs(np.exp(1j * np.outer(waves, q)) @ rest)
+        for peak in np.argsort(power)[::-1][:RIPPLES_PER_AXIS]:
+            found.append(terms.ripple(int(axis), float(waves[peak])))
+    return found
+
+
+def possible(problem: Problem, full: Fit, term: Term, value: Floats, covariance: Floats) -> bool:
+    """Whether the coefficients (k,) mean something physical: the right sign and a size an arm can have."""
+    spread = np.sqrt(np.diag(covariance))
+    rule = _RULES.get(term.name)
+    return True if rule is None else rule(problem, full, term, value, spread)
+
+
+def _positive(_problem: Problem, _full: Fit, _term: Term, value: Floats, spread: Floats) -> bool:
+    return bool((value > -2.0 * spread).all() and (value > 0).any())
+
+
+def _loss(_problem: Problem, _full: Fit, _term: Term, value: Floats, _spread: Floats) -> bool:
+    return bool(0.0 < value[0] < 0.6)
+
+
+def _coupling(problem: Problem, full: Fit, term: Term, value: Floats, spread: Floats) -> bool:
+    if term.shape == "mixing":
+        return bool(0.02 < abs(value[0]) < LARGEST_SCALE)
+    return _positive(problem, full, term, value, spread)
+
+
+def _dissipates(problem: Problem, full: Fit, term: Term, value: Floats, _spread: Floats) -> bool:
+    """Friction takes power at most speeds, with the refitted Coulomb and viscous part."""
+    axis = term.axes[0]
+    rows = problem.motion.judged[:, axis]
+    first = problem.base.friction[axis]
+    columns = term.columns(problem.motion, full.modelled)[:, 0]
+    weight = full.weight[:, axis] ** 2
+    change = full.inverse @ (full.columns[:, axis].T @ (columns * weight[:, None])) @ value
+    parameters = (full.value[: len(change)] - change)[first[:2]]
+    law = problem.base.columns[:, axis, first[:2]] @ parameters + columns @ value
+    power = law * problem.motion.qd_rad_s[:, axis]
+    return bool((power[rows] > 0).mean() > 0.9)
+
+
+def _opposes_gravity(_problem: Problem, full: Fit, term: Term, value: Floats, _spread: Floats) -> bool:
+    """A balancer takes torque off axis 2 that gravity puts there."""
+    motion = _problem.motion
+    push = term.columns(motion, full.modelled)[:, 0] @ value
+    still = np.einsum("nap,np->na", motion.rigid, full.modelled.body)[:, 1]
+    return float(push @ still) < 0.0 or abs(np.corrcoef(push, still)[0, 1]) < 0.5
+
+
+def _small_angle(_problem: Problem, _full: Fit, _term: Term, value: Floats, _spread: Floats) -> bool:
+    return bool((np.abs(value) < LARGEST_ANGLE_RAD).all())
+
+
+def _yields(problem: Problem, full: Fit, term: Term, value: Floats, _spread: Floats) -> bool:
+    torque = np.abs(full.modelled.rigid_nm[:, term.joints[0]]).max()
+    return bool(0.0 < value[0] * torque < 0.05)
+
+
+def _scale(_problem: Problem, _full: Fit, _term: Term, value: Floats, _spread: Floats) -> bool:
+    return bool(1.0 / LARGEST_SCALE < 1.0 + value[0] < LARGEST_SCALE)
+
+
+def _body(problem: Problem, _full: Fit, _term: Term, value: Floats, _spread: Floats) -> bool:
+    arm = float(np.nansum(problem.motion.robot.mass_kg))
+    return bool(0.0 < value[0] < arm and np.linalg.norm(value[1:]) < 2.0 * value[0])
+
+
+def _restoring(_problem: Problem, _full: Fit, term: Term, value: Floats, _spread: Floats) -> bool:
+    return bool(value[0] > 0) if term.shape == "linear" else True
+
+
+_RULES = {
+    "load_dependent_friction": _loss,
+    "axis_coupling": _coupling,
+    "velocity_friction": _dissipates,
+    "balancer_spring": _opposes_gravity,
+    "base_tilt": _small_angle,
+    "joint_zero_offset": _small_angle,
+    "joint_elasticity": _yields,
+    "torque_constant_scale": _scale,
+    "link_mass": _body,
+    "cable_torque": _restoring,
+}

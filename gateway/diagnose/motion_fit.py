@@ -1,0 +1,208 @@
+"""Fits of a moving run: penalised least squares on parts of the rows, and what one more effect would change.
+
+Residuals of a moving run hang together over time, so n rows are worth far fewer: each axis's weight carries the share of
+rows that count (integrated autocorrelation). The noise scale of an axis comes from a fit of that axis alone, free of
+all the others: taken from the residual of the very model on trial, the weights would switch off the axis that shows
+what is missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.model.motion import Mask, Motion, structural_base
+from gateway.model.motion_baseline import Baseline
+from gateway.model.motion_terms import Modelled, Term
+
+Floats = NDArray[np.float64]
+
+ROUNDS = 3
+RIDGE = 1e-10
+INDEPENDENT = 1e-5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Noise:
+    """Scale of the residual (6,) [Nm] and the share (6,) of rows that count."""
+
+    sigma_nm: Floats
+    share: Floats
+
+    @property
+    def weight(self) -> Floats:
+        """Weight (6,) of a row [1/Nm]."""
+        return np.sqrt(self.share) / self.sigma_nm
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """One fit.
+
+    Attributes
+    ----------
+    weight : array of shape (n, 6)
+        0 outside the training rows.
+    test : bool array of shape (n,)
+    columns : array of shape (n, 6, P)
+    inverse : array of shape (P, P)
+        Covariance of the parameters.
+    value : array of shape (P,)
+    residual_nm : array of shape (n, 6)
+        Of every row, fitted or not.
+    modelled : Modelled
+    cost : float
+        Weighted squares of training rows plus those of the prior.
+    """
+
+    weight: Floats
+    test: Mask
+    columns: Floats
+    inverse: Floats
+    value: Floats
+    residual_nm: Floats
+    modelled: Modelled
+    cost: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """What stays the same while effects come and go."""
+
+    motion: Motion
+    base: Baseline
+    noise: Noise
+    splits: tuple[tuple[Mask, Mask], ...]
+
+
+def blocks(motion: Motion, count: int) -> tuple[tuple[Mask, Mask], ...]:
+    """Contiguous blocks of time to hold out, each with a gap to what is fitted: (train, test) masks of shape (n,).
+
+    With given hold-out rows those are the only test.
+    """
+    if motion.given.any():
+        return ((~motion.given, motion.given),)
+    runs = np.unique(motion.run)
+    each = max(1, int(np.ceil(count / len(runs))))
+    splits = []
+    for run in runs:
+        mine = motion.run == run
+        length = float(np.ptp(motion.time_s[mine]))
+        gap = min(0.3, 0.03 * length)
+        edges = np.linspace(0.0, length * (1 + 1e-9) + 1e-9, each + 1)
+        for start, end in zip(edges[:-1], edges[1:], strict=True):
+            test = mine & (motion.time_s >= start) & (motion.time_s < end)
+            near = mine & (motion.time_s >= start - gap) & (motion.time_s < end + gap)
+            if test.any():
+                splits.append((~near, test))
+    return tuple(splits)
+
+
+def fit(problem: Problem, terms: Sequence[Term], train: Mask, test: Mask) -> Fit:
+    """Fit the baseline with `terms` to the rows of `train` (n,)."""
+    motion, base = problem.motion, problem.base
+    weight = problem.noise.weight * motion.judged * train[:, None]
+    mean = np.concatenate([base.mean, np.zeros(sum(len(term.symbols) for term in terms))])
+    precision = np.concatenate([base.precision, np.zeros(len(mean) - len(base.mean))])
+    modelled = None
+    for _ in range(1 + ROUNDS * any(term.modelled for term in terms)):
+        columns = _columns(motion, base, terms, modelled)
+        inverse, value, cost = solve(columns, motion.tau_nm, weight, mean, precision)
+        modelled = model_torque(problem, terms, columns, value)
+    residual = motion.tau_nm - columns @ value
+    return Fit(weight, test, columns, inverse, value, residual, modelled, cost)  # type: ignore[arg-type]
+
+
+def _columns(motion: Motion, base: Baseline, terms: Sequence[Term], modelled: Modelled | None) -> Floats:
+    if not terms:
+        return base.columns
+    parts = [base.columns]
+    for term in terms:
+        part = np.zeros((len(motion), 6, len(term.symbols)))
+        if modelled is not None or not term.modelled:
+            part[:, term.axes, :] = term.columns(motion, modelled)  # type: ignore[arg-type]
+        parts.append(part)
+    return np.concatenate(parts, axis=2)
+
+
+def solve(
+    columns: Floats, tau_nm: Floats, weight: Floats, mean: Floats, precision: Floats
+) -> tuple[Floats, Floats, float]:
+    """Penalised least squares: covariance (P, P), parameters (P,), cost."""
+    matrix = (columns * weight[:, :, None]).reshape(-1, columns.shape[2])
+    right = (tau_nm * weight).reshape(-1)
+    information = matrix.T @ matrix
+    information[np.diag_indices_from(information)] += precision
+    scale = np.sqrt(np.diag(information))
+    scale[scale == 0] = 1.0
+    normal = information / scale / scale[:, None]
+    normal[np.diag_indices_from(normal)] += RIDGE
+    inverse = np.linalg.inv(normal) / scale / scale[:, None]
+    value = inverse @ (matrix.T @ right + precision * mean)
+    rest = right - matrix @ value
+    return inverse, value, float(rest @ rest + precision @ (value - mean) ** 2)
+
+
+def model_torque(problem: Problem, terms: Sequence[Term], columns: Floats, value: Floats) -> Modelled:
+    """Torque of the model, and the link parameters each row sees (load included)."""
+    base, motion = problem.base, problem.motion
+    body = np.tile(base.body @ value[: base.body.shape[1]], (len(motion), 1))
+    for label, where in base.loads.items():
+        body[:, 50:] += (motion.load == label)[:, None] * value[where]
+    start = base.columns.shape[2]
+    for term in terms:
+        if term.name == "link_mass":
+            body[:, 10 * term.joints[0] : 10 * term.joints[0] + 4] += value[start : start + 4]
+        start += len(term.symbols)
+    rigid = np.einsum("nap,np->na", motion.rigid, body)
+    return Modelled(rigid, columns @ value, body)
+
+
+def noise_of(motion: Motion, terms: Sequence[Term], modelled: Modelled | None) -> Noise:
+    """Scale and share of each axis from a fit of that axis alone; unmeasured axes get 1 and 1."""
+    chosen = structural_base(motion.robot, motion.gravity_m_s2)
+    sigma, share = np.ones(6), np.ones(6)
+    for axis in np.flatnonzero(motion.measured):
+        rows = motion.judged[:, axis] & ~motion.given
+        own = [motion.rigid[:, axis][:, chosen]]
+        own.append(np.column_stack([motion.sign[:, axis], motion.qd_rad_s[:, axis], motion.qdd_rad_s2[:, axis]]))
+        own.append(np.ones((len(motion), 1)))
+        for term in terms:
+            if axis in term.axes and (modelled is not None or not term.modelled):
+                own.append(term.columns(motion, modelled)[:, term.axes.index(axis)])  # type: ignore[arg-type]
+        matrix = np.concatenate(own, axis=1)[rows]
+        scale = np.linalg.norm(matrix, axis=0)
+        matrix = matrix[:, scale > 1e-12] / scale[scale > 1e-12]
+        target = motion.tau_nm[rows, axis]
+        solution = np.linalg.lstsq(matrix, target, rcond=1e-6)[0]
+        rest = target - matrix @ solution
+        floor = 1e-6 * max(float(np.abs(target).max()), 1e-6)
+        sigma[axis] = max(float(np.sqrt(np.mean(rest**2))), floor)
+        share[axis] = counting_share(rest)
+    return Noise(sigma, share)
+
+
+def counting_share(series: Floats) -> float:
+    """Independent values per value of a correlated series (n,): 1 / (1 + 2 sum of autocorrelation to its first zero)."""
+    centred = series - series.mean()
+    power = float(centred @ centred)
+    if power <= 0 or len(series) < 8:
+        return 1.0
+    size = 1 << (2 * len(series) - 1).bit_length()
+    spectrum = np.abs(np.fft.rfft(centred, size)) ** 2
+    correlation = np.fft.irfft(spectrum, size)[: len(series) // 2] / power
+    below = np.flatnonzero(correlation < 0.05)
+    stop = int(below[0]) if len(below) else len(correlation)
+    return float(1.0 / (1.0 + 2.0 * correlation[1:stop].sum()))
+
+
+def scaled_to(problem_noise: Noise, residual_nm: Floats, judged: Mask) -> Noise:
+    """The same noise, its common scale raised to what the model as a whole leaves (median over the axes)."""
+    count = judged.sum(axis=0)
+    there = count > 0
+    square = (residual_nm**2 * judged).sum(axis=0)[there] / count[there]
+    factor = float(np.sqrt(np.median(square / problem_noise.sigma_nm[there] ** 2)))
+    return Noise(problem_noise.sigma_nm * max(1.0, factor), problem_noise.share)

@@ -1,0 +1,259 @@
+"""Effects are added one at a time while the error on held-out rows drops, and each has to earn its place again at the end.
+
+An effect is believed when three things agree: the fitted rows demand it (F test, Bonferroni over all that was tried),
+the held-out error of its axes drops by more than a trifle, and the drop is spread over the held-out time. Effects that
+are ordinary in any gear need less than those that mean a fault or an extra part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gateway.diagnose.motion_candidates import candidates, possible, ripples
+from gateway.diagnose.motion_fit import Fit, Problem, fit, noise_of, scaled_to
+from gateway.diagnose.motion_trial import Held, Trial, held_out, judge, put_on_trial
+from gateway.model import motion_terms as library
+from gateway.model.motion_terms import Term
+
+FRICTION = frozenset({"velocity_friction", "load_dependent_friction"})
+LARGEST_MODEL = 16
+RUNNERS = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Demands:
+    """What an effect must show: largest ratio, largest p of both kinds (the first times the number tried), blocks."""
+
+    ratio: float
+    p_demand: float
+    p_held: float
+    blocks_better: float
+
+
+ORDINARY = Demands(ratio=0.95, p_demand=0.01, p_held=0.05, blocks_better=0.5)
+SPECIAL = Demands(ratio=0.70, p_demand=1e-3, p_held=0.02, blocks_better=0.75)
+SPECIAL_ALL_AXES = replace(SPECIAL, ratio=0.85)
+ORDINARY_NAMES = frozenset({"velocity_friction", "load_dependent_friction", "axis_coupling", "balancer_spring"})
+
+
+def demands(term: Term) -> Demands:
+    """What this effect must show."""
+    if term.name in ORDINARY_NAMES:
+        return ORDINARY
+    return SPECIAL_ALL_AXES if len(term.axes) > 2 else SPECIAL
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """A model with its fits."""
+
+    terms: tuple[Term, ...]
+    fits: tuple[Fit, ...]
+    full: Fit
+    held: Held
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chosen:
+    """An effect in the final model: all its terms, its trial against the model without it, and the runner-up's."""
+
+    terms: tuple[Term, ...]
+    trial: Trial
+    runner_up: Trial | None
+    odds: float
+
+
+def state_of(problem: Problem, terms: Sequence[Term]) -> State:
+    """Fit a model to every split and to all rows that may be fitted."""
+    fits = tuple(fit(problem, terms, train, test) for train, test in problem.splits)
+    if problem.motion.given.any():
+        full = fits[0]
+    else:
+        everything = ~problem.motion.given
+        full = fit(problem, terms, everything, problem.motion.given)
+    return State(tuple(terms), fits, full, held_out(problem, fits))
+
+
+def believed(problem: Problem, trial: Trial, tried: int) -> bool:
+    """Whether a trial meets its demands."""
+    need = demands(trial.term)
+    return (
+        trial.ratio <= need.ratio
+        and trial.gain > 0
+        and trial.p_demand * tried <= need.p_demand
+        and trial.p_held <= need.p_held
+        and trial.blocks_better >= need.blocks_better
+    )
+
+
+def with_noise_of(problem: Problem, terms: Sequence[Term], full: Fit | None) -> Problem:
+    """The problem with noise figures that belong to the model with `terms`, as `full` fitted it."""
+    motion = problem.motion
+    noise = noise_of(motion, terms, full.modelled if full is not None else None)
+    problem = replace(problem, noise=noise)
+    everything = ~motion.given
+    full = fit(problem, terms, everything, motion.given)
+    return replace(problem, noise=scaled_to(noise, full.residual_nm, motion.judged & everything[:, None]))
+
+
+def select(problem: Problem, allowed: frozenset[str], start: Sequence[Term] = ()) -> tuple[Problem, State, list[Trial]]:
+    """Add effects while they are believed, then drop those that are not needed any more.
+
+    Returns
+    -------
+    Problem
+        With the noise figures of the final model.
+    State
+        The final model.
+    list of Trial
+        The best trial of every effect that was tried on the final model and did not earn its place.
+    """
+    state = state_of(problem, start)
+    pool = candidates(problem, allowed)
+    stale: dict[Term, float] = {}
+    while len(state.terms) < LARGEST_MODEL:
+        tried = len(pool)
+        best = _best(problem, state, pool, stale, tried)
+        if best is None and "torque_ripple" in allowed:
+            best = _best(problem, state, ripples(problem, state.full), {}, tried)
+        added = (refine(problem, state, best.term),) if best is not None else _best_pair(problem, state, pool, tried)
+        if not added:
+            break
+        state = state_of(problem, (*state.terms, *added))
+        problem = with_noise_of(problem, state.terms, state.full)
+        state = state_of(problem, state.terms)
+        stale = {}
+    state = _without_idle(problem, state, len(pool))
+    left = _trials(problem, state, pool)
+    if "torque_ripple" in allowed:
+        left += _trials(problem, state, ripples(problem, state.full))
+    return problem, state, left
+
+
+def _open(state: State, pool: Sequence[Term]) -> list[Term]:
+    """Candidates that are not in the model: one member per family, two shapes of velocity friction per axis."""
+    keys = [term.key for term in state.terms]
+    return [
+        term
+        for term in pool
+        if keys.count(term.key) < (2 if term.name == "velocity_friction" else 1) and term not in state.terms
+    ]
+
+
+def _trials(problem: Problem, state: State, pool: Sequence[Term]) -> list[Trial]:
+    trials = (put_on_trial(problem, state.fits, state.full, term) for term in _open(state, pool))
+    return [trial for trial in trials if trial is not None]
+
+
+def _best(problem: Problem, state: State, pool: Sequence[Term], stale: dict[Term, float], tried: int) -> Trial | None:
+    """The believed trial that gains most; gains of an earlier round bound those of this one loosely."""
+    best: Trial | None = None
+    for term in sorted(_open(state, pool), key=lambda term: -stale.get(term, np.inf)):
+        if best is not None and stale.get(term, np.inf) < 0.3 * best.gain - 5.0:
+            continue
+        trial = put_on_trial(problem, state.fits, state.full, term)
+        stale[term] = trial.gain if trial is not None else -np.inf
+        if trial is None or not believed(problem, trial, tried):
+            continue
+        if (best is None or trial.gain > best.gain) and possible(
+            problem, state.full, term, trial.value, trial.covariance
+        ):
+            best = trial
+    return best
+
+
+def _best_pair(problem: Problem, state: State, pool: Sequence[Term], tried: int) -> tuple[Term, ...]:
+    """Two parts of one axis's friction that are believed together though neither is alone."""
+    friction = [term for term in _open(state, pool) if term.name in FRICTION]
+    best, found = 0.0, ()
+    for position, first in enumerate(friction):
+        for second in friction[position + 1 :]:
+            if first.axes != second.axes or first.name == second.name:
+                continue
+            trial = put_on_trial(problem, state.fits, state.full, library.together(first, second))
+            if trial is None or trial.gain <= best or not believed(problem, trial, tried):
+                continue
+            if all(_possible_part(problem, state, trial, term, part) for term, part in ((first, 0), (second, 1))):
+                best, found = trial.gain, (first, second)
+    return found
+
+
+def _possible_part(problem: Problem, state: State, trial: Trial, term: Term, part: int) -> bool:
+    """The load's share of a pair must be a loss; its shape over speed is free."""
+    if term.name != "load_dependent_friction":
+        return True
+    here = slice(part, part + 1)
+    return possible(problem, state.full, term, trial.value[here], trial.covariance[here, here])
+
+
+def refine(problem: Problem, state: State, term: Term) -> Term:
+    """The member of a family with the best shape parameter, by cost of the fitted rows around the grid value."""
+    if term.name != "axis_coupling" or term.shape != "motor":
+        return term
+    pair = (term.joints[0], term.joints[1])
+    centre = dict(term.fixed)["coefficient"]
+    best, lowest = term, np.inf
+    for coefficient in centre * np.array([0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0]):
+        member = library.axis_coupling(pair, float(coefficient))
+        cost = fit(problem, (*state.terms, member), ~problem.motion.given, problem.motion.given).cost
+        if cost < lowest:
+            best, lowest = member, cost
+    return best
+
+
+def _without_idle(problem: Problem, state: State, tried: int) -> State:
+    """Drop, one at a time, the effect that the held-out rows miss least, while it is not believed any more."""
+    while state.terms:
+        rated = []
+        for term in state.terms:
+            smaller = state_of(problem, [other for other in state.terms if other != term])
+            rated.append((compare(problem, smaller, state, term), smaller))
+        rated = [item for item in rated if not _needed(item[0])]
+        if not rated:
+            return state
+        state = min(rated, key=lambda item: item[0].gain)[1]
+    return state
+
+
+def _needed(trial: Trial) -> bool:
+    need = demands(trial.term)
+    return trial.ratio <= 0.5 * (1.0 + need.ratio) and trial.gain > 0 and trial.p_held <= 2.0 * need.p_held
+
+
+def compare(problem: Problem, smaller: State, larger: State, term: Term) -> Trial:
+    """Trial of `term` from two fitted models: `smaller` has all of `larger` but the term (or its whole family)."""
+    drop = smaller.full.cost - larger.full.cost
+    start = problem.base.columns.shape[2]
+    where = []
+    for other in larger.terms:
+        if other == term:
+            where = list(range(start, start + len(other.symbols)))
+        start += len(other.symbols)
+    rest = larger.full.residual_nm[:, list(term.axes)]
+    value, covariance = larger.full.value[where], larger.full.inverse[np.ix_(where, where)]
+    return judge(problem, larger.fits, term, smaller.held, larger.held, (value, covariance, drop, rest, smaller.full))
+
+
+def weigh(problem: Problem, state: State, allowed: frozenset[str]) -> list[Chosen]:
+    """Each effect of the model against the model without it, and against the best other effect in its place."""
+    pool = candidates(problem, allowed)
+    out = []
+    for key in dict.fromkeys(term.key for term in state.terms):
+        mine = tuple(term for term in state.terms if term.key == key)
+        smaller = state_of(problem, [term for term in state.terms if term.key != key])
+        own = compare(problem, smaller, state, mine[0])
+        touched = {axis for term in mine for axis in term.axes}
+        others = [term for term in pool if term.key != key and touched & set(term.axes)]
+        rivals = [trial for trial in _trials(problem, smaller, others) if trial.term.name != key[0]]
+        rivals = [
+            trial
+            for trial in sorted(rivals, key=lambda trial: -trial.gain)[:RUNNERS]
+            if possible(problem, smaller.full, trial.term, trial.value, trial.covariance)
+        ]
+        runner = rivals[0] if rivals else None
+        lead = own.gain - (max(runner.gain, 0.0) if runner is not None else 0.0)
+        out.append(Chosen(mine, own, runner, float(np.exp(np.clip(lead, -27.0, 27.0)))))
+    return out

@@ -1,0 +1,190 @@
+"""What one more effect changes: error on rows no fit has seen, and how far the fitted rows demand it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from gateway.diagnose.motion_fit import INDEPENDENT, Fit, Problem, counting_share
+from gateway.model.motion_terms import Term
+
+Floats = NDArray[np.float64]
+# Coefficients, their covariance, drop of the cost, residual (n, len(axes)) with the effect, fit without it.
+Solved = tuple[Floats, Floats, float, Floats, Fit]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Held:
+    """Held-out squares of one model: residual (n, 6) [Nm], 0 where not judged or not held out; mask of what counts."""
+
+    residual_nm: Floats
+    counted: NDArray[np.bool_]
+
+    @property
+    def square(self) -> Floats:
+        """Sum of squares (6,) [Nm2]."""
+        return (self.residual_nm**2).sum(axis=0)
+
+    @property
+    def rms_nm(self) -> Floats:
+        """RMS (6,) [Nm], NaN for an axis that was not judged."""
+        count = self.counted.sum(axis=0)
+        return np.sqrt(np.where(count > 0, self.square, np.nan) / np.maximum(count, 1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """One effect on trial.
+
+    Attributes
+    ----------
+    term : Term
+    ratio : float
+        Held-out RMS with over without it, pooled over the effect's axes.
+    gain : float
+        Held-out log likelihood gained over all axes, correlated rows counted once.
+    p_demand : float
+        Probability that the fitted rows alone would demand as much by chance (F test, prior included).
+    p_held : float
+        The same for the drop of the held-out error (one-sided t over stretches of correlated loss).
+    blocks_better : float
+        Share of the held-out blocks that got better on the effect's axes.
+    value : array of shape (k,)
+        Coefficients in the fit to all rows; NaN where the columns are collinear with the model.
+    covariance : array of shape (k, k)
+    held : Held
+    """
+
+    term: Term
+    ratio: float
+    gain: float
+    p_demand: float
+    p_held: float
+    blocks_better: float
+    value: Floats
+    covariance: Floats
+    held: Held
+
+
+def held_out(problem: Problem, fits: Sequence[Fit]) -> Held:
+    """Join the held-out residuals of the splits."""
+    residual = np.zeros_like(problem.motion.tau_nm)
+    counted = np.zeros_like(problem.motion.judged)
+    for fit in fits:
+        residual[fit.test] = fit.residual_nm[fit.test]
+        counted[fit.test] = problem.motion.judged[fit.test]
+    return Held(residual * counted, counted)
+
+
+def put_on_trial(problem: Problem, fits: Sequence[Fit], full: Fit, term: Term) -> Trial | None:
+    """Add one effect to the fits of every split; None if the rows cannot tell it from what the model has.
+
+    The step is exact for columns that do not depend on the model, and first order for those that do.
+    """
+    axes = list(term.axes)
+    shared = None if term.modelled else term.columns(problem.motion, full.modelled)
+    solution = _extend(full, axes, shared if shared is not None else term.columns(problem.motion, full.modelled))
+    if solution is None:
+        return None
+    value, covariance, lead, drop = solution
+    columns = shared if shared is not None else term.columns(problem.motion, full.modelled)
+    rest = full.residual_nm[:, axes] + full.columns[:, axes] @ lead - columns @ value
+    residual = np.zeros_like(problem.motion.tau_nm)
+    for fit in fits:
+        columns = shared if shared is not None else term.columns(problem.motion, fit.modelled)
+        step = _extend(fit, axes, columns)
+        rows = fit.test
+        part = fit.residual_nm[rows]
+        if step is not None:
+            part = part + fit.columns[rows] @ step[2]
+            part[:, axes] -= columns[rows] @ step[0]
+        residual[rows] = part
+    before = held_out(problem, fits)
+    after = Held(residual * before.counted, before.counted)
+    return judge(problem, fits, term, before, after, (value, covariance, drop, rest, full))
+
+
+def _extend(fit: Fit, axes: list[int], columns: Floats) -> tuple[Floats, Floats, Floats, float] | None:
+    """Coefficients (k,), their covariance, the change of the other parameters (P,) with its sign turned, and the drop
+    of the cost; None if the columns are collinear with the model."""
+    weight = fit.weight[:, axes] ** 2
+    own = columns.reshape(-1, columns.shape[2])
+    weighted = (columns * weight[:, :, None]).reshape(-1, columns.shape[2])
+    cross = fit.columns[:, axes].reshape(-1, fit.columns.shape[2]).T @ weighted
+    raw = own.T @ weighted
+    size = np.diag(raw)
+    if not (size > 0).all():
+        return None
+    scale = np.sqrt(size)
+    lead = fit.inverse @ cross
+    rest = (raw - cross.T @ lead) / scale / scale[:, None]
+    if np.linalg.eigvalsh(rest)[0] < INDEPENDENT:
+        return None
+    covariance = np.linalg.inv(rest) / scale / scale[:, None]
+    right = weighted.T @ fit.residual_nm[:, axes].reshape(-1)
+    value = covariance @ right
+    return value, covariance, lead @ value, float(right @ value)
+
+
+def judge(
+    problem: Problem,
+    fits: Sequence[Fit],
+    term: Term,
+    before: Held,
+    after: Held,
+    solved: Solved,
+) -> Trial:
+    """Figures of one trial from the held-out residuals without (`before`) and with the effect (`after`)."""
+    value, covariance, drop, rest, full = solved
+    noise, axes = problem.noise, list(term.axes)
+    old, new = before.square, after.square
+    there = before.counted.any(axis=0) & (old > 0)
+    effective = noise.share * before.counted.sum(axis=0)
+    log = np.zeros(6)
+    log[there] = np.log(old[there] / np.maximum(new[there], 1e-300))
+    own = np.intersect1d(axes, np.flatnonzero(there))
+    scale = noise.sigma_nm[own] if len(own) > 2 else np.ones(len(own))
+    ratio = float(np.sqrt((new[own] / scale**2).sum() / (old[own] / scale**2).sum())) if len(own) else 1.0
+    loss = ((before.residual_nm**2 - after.residual_nm**2)[:, own] / noise.sigma_nm[own] ** 2).sum(axis=1)
+    better = [float(loss[fit.test].sum()) > 0 for fit in fits]
+    return Trial(
+        term=term,
+        ratio=ratio,
+        gain=float(0.5 * (effective * log).sum()),
+        p_demand=_demand(problem, full, axes, rest, drop, len(value)),
+        p_held=drop_by_chance(loss[before.counted.any(axis=1)]),
+        blocks_better=float(np.mean(better)),
+        value=value,
+        covariance=covariance,
+        held=after,
+    )
+
+
+def _demand(problem: Problem, full: Fit, axes: list[int], after_nm: Floats, drop: float, count: int) -> float:
+    """p of the F test of a drop of the cost against what is left on the axes (n, len(axes)), rows counted by the
+    correlation of the residual that is left."""
+    used = full.weight[:, axes] > 0
+    rows = [after_nm[used[:, position], position] for position in range(len(axes))]
+    freedom = max(sum(len(row) * counting_share(row) for row in rows if len(row)) - count, 4.0)
+    left = float(((full.weight[:, axes] * after_nm) ** 2).sum()) + 1e-12
+    counted = sum(len(row) * problem.noise.share[axis] for row, axis in zip(rows, axes, strict=True))
+    return float(stats.f.sf(drop / left * min(freedom, counted) / count, count, freedom))
+
+
+def drop_by_chance(loss: Floats) -> float:
+    """One-sided p that the mean of a correlated series (n,) of loss differences is not above zero.
+
+    Stretches of three correlation times are averaged (5 to 40 of them) and put to a t test.
+    """
+    count = int(np.clip(len(loss) * counting_share(loss) / 1.5, 5, 40))
+    if len(loss) < 2 * count:
+        return 1.0
+    means = np.array([part.mean() for part in np.array_split(loss, count)])
+    spread = means.std(ddof=1)
+    if spread == 0:
+        return 1.0 if means.mean() <= 0 else 0.0
+    return float(stats.t.sf(means.mean() / spread * np.sqrt(count), count - 1))

@@ -1,0 +1,191 @@
+"""A moving run prepared for identification: rows of torque, motion and the rigid body regressor.
+
+Friction at a standstill is a set and not a number: on an axis that turns slower than `SLOW` of its own top speed the
+torque of that row tells nothing about the model, so the row is not judged on that axis. The other axes of the row are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.errors import DataUnusable
+from gateway.model.regressor import regressor
+from gateway.model.robot import AXES, Robot
+from gateway.table import Table
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SLOW = 0.01
+STANDSTILL_RAD_S = 1e-3
+LARGEST = 2400
+PER_BODY = 10
+STEP_RAD = 1e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Rows of one or more moving runs.
+
+    Attributes
+    ----------
+    robot : Robot
+    gravity_m_s2 : array of shape (3,)
+    time_s : array of shape (n,)
+        Since the start of the row's own run.
+    run : int array of shape (n,)
+        Number of the run; rows of one run follow each other in time.
+    load : str array of shape (n,)
+    given : bool array of shape (n,)
+        Row of the hold-out the user gave: no fit sees it.
+    q_rad, qd_rad_s, qdd_rad_s2, tau_nm : arrays of shape (n, 6)
+        Torque 0 where not measured.
+    judged : bool array of shape (n, 6)
+        The axis is measured and moves.
+    sign : array of shape (n, 6)
+        Smooth sign of the velocity.
+    speed_rad_s : array of shape (6,)
+        Top speed of each axis.
+    rigid : array of shape (n, 6, 60)
+        Rigid body regressor, ten columns per link.
+    q2nd_rad, temperature_c : arrays of shape (n, 6)
+        NaN where absent.
+    """
+
+    robot: Robot
+    gravity_m_s2: Floats
+    time_s: Floats
+    run: NDArray[np.int_]
+    load: NDArray[np.str_]
+    given: Mask
+    q_rad: Floats
+    qd_rad_s: Floats
+    qdd_rad_s2: Floats
+    tau_nm: Floats
+    judged: Mask
+    sign: Floats
+    speed_rad_s: Floats
+    rigid: Floats
+    q2nd_rad: Floats
+    temperature_c: Floats
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self.time_s)
+
+    @property
+    def measured(self) -> Mask:
+        """Axes (6,) that have rows to judge."""
+        return self.judged.any(axis=0)
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the longest run [s]."""
+        return max(float(np.ptp(self.time_s[self.run == number])) for number in np.unique(self.run))
+
+
+def smooth_sign(speed_rad_s: Floats, top_rad_s: float | Floats) -> Floats:
+    """Sign of a velocity, rounded off below `SLOW` of the top speed (same shape as `speed_rad_s`)."""
+    return np.tanh(speed_rad_s / np.maximum(SLOW * np.asarray(top_rad_s), STANDSTILL_RAD_S))
+
+
+def prepare(table: Table, given: Table | None, robot: Robot, gravity_m_s2: Floats) -> Motion:
+    """Rows of the moving runs in `table` (to fit) and `given` (never fitted), thinned to at most `LARGEST`.
+
+    Raises
+    ------
+    DataUnusable
+        No axis has torque rows in motion.
+    """
+    fitted, fitted_run = _in_time_order(table)
+    parts, runs = [fitted], [fitted_run]
+    if given is not None:
+        held, held_run = _in_time_order(given)
+        parts.append(held)
+        runs.append(held_run + fitted_run.max() + 1)
+    run = np.concatenate(runs)
+    is_given = np.concatenate([np.full(len(part), number == 1) for number, part in enumerate(parts)])
+    step = max(1, int(np.ceil(len(run) / LARGEST)))
+    keep = np.zeros(len(run), dtype=bool)
+    keep[::step] = True
+    fields = {
+        name: np.concatenate([getattr(part, name) for part in parts])[keep]
+        for name in ("time_s", "load", "q_rad", "qd_rad_s", "qdd_rad_s2", "tau_nm", "q2nd_rad", "temperature_c")
+    }
+    run, is_given = run[keep], is_given[keep]
+    tau = fields.pop("tau_nm")
+    time = fields.pop("time_s").copy()
+    for number in np.unique(run):
+        time[run == number] -= time[run == number].min()
+    speed = np.abs(fields["qd_rad_s"][~is_given]).max(axis=0)
+    judged = np.isfinite(tau) & (np.abs(fields["qd_rad_s"]) > np.maximum(SLOW * speed, STANDSTILL_RAD_S))
+    if not judged[~is_given].any():
+        raise DataUnusable("no axis moves while its torque is measured; moving rows need speeds above 0.001 rad/s")
+    return Motion(
+        robot=robot,
+        gravity_m_s2=np.asarray(gravity_m_s2, dtype=float),
+        time_s=time,
+        run=run,
+        given=is_given,
+        tau_nm=np.nan_to_num(tau),
+        judged=judged,
+        sign=smooth_sign(fields["qd_rad_s"], speed),
+        speed_rad_s=speed,
+        rigid=_rigid(robot, fields["q_rad"], fields["qd_rad_s"], fields["qdd_rad_s2"], gravity_m_s2),
+        **fields,
+    )
+
+
+def _in_time_order(table: Table) -> tuple[Table, NDArray[np.int_]]:
+    """Moving rows by run and time, and the number of each row's run."""
+    moving = table.take(table.moving)
+    names = np.char.add(np.char.add(np.asarray(moving.file, dtype=str), "\x00"), moving.run.astype(str))
+    _, first, run = np.unique(names, return_index=True, return_inverse=True)
+    run = np.argsort(np.argsort(first))[run]
+    order = np.lexsort((moving.time_s, run))
+    return moving.take(order), run[order]
+
+
+def _rigid(robot: Robot, q_rad: Floats, qd_rad_s: Floats, qdd_rad_s2: Floats, gravity: Floats) -> Floats:
+    return np.asarray(regressor(robot, q_rad, qd_rad_s, qdd_rad_s2, tuple(np.asarray(gravity, dtype=float))))
+
+
+def angle_derivative(motion: Motion, axis: int) -> Floats:
+    """Change of the rigid body regressor with the angle of one axis: (n, 6, 60) per rad, by central difference."""
+    step = np.zeros(AXES)
+    step[axis] = STEP_RAD
+    ends = [
+        _rigid(motion.robot, motion.q_rad + side * step, motion.qd_rad_s, motion.qdd_rad_s2, motion.gravity_m_s2)
+        for side in (1.0, -1.0)
+    ]
+    return (ends[0] - ends[1]) / (2.0 * STEP_RAD)
+
+
+def tilt_derivative(motion: Motion, direction: int) -> Floats:
+    """Change of the regressor when the base turns about its x (0) or y (1) axis: (n, 6, 60) per rad."""
+    turn = np.zeros(3)
+    turn[direction] = 1.0
+    rest = np.zeros_like(motion.q_rad)
+    return _rigid(motion.robot, motion.q_rad, rest, rest, -np.cross(turn, motion.gravity_m_s2))
+
+
+def structural_base(robot: Robot, gravity_m_s2: Floats) -> NDArray[np.int_]:
+    """Columns of the 60 that are independent for some motion of this arm (a fixed set of well-spread states)."""
+    generator = np.random.default_rng(20_240_501)
+    states = generator.uniform(-2.0, 2.0, size=(3, 60, AXES))
+    stacked = _rigid(robot, states[0], states[1], states[2], gravity_m_s2).reshape(-1, AXES * PER_BODY)
+    scale = np.linalg.norm(stacked, axis=0)
+    usable = np.flatnonzero(scale > 1e-9 * scale.max())
+    chosen: list[int] = []
+    basis = np.zeros((len(stacked), 0))
+    for column in usable[::-1]:
+        unit = stacked[:, column] / scale[column]
+        rest = unit - basis @ (basis.T @ unit)
+        rest -= basis @ (basis.T @ rest)
+        if np.linalg.norm(rest) > 1e-6:
+            basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
+            chosen.append(int(column))
+    return np.array(sorted(chosen))

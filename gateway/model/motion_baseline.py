@@ -1,0 +1,175 @@
+"""The model to beat: rigid bodies, load, and per axis Coulomb, viscous friction, rotor inertia and offset.
+
+Parameters carry a Gaussian prior. Link parameters: the CAD values of the robot model with a relative standard deviation
+(mass; first moment as a fraction of mass x link length; inertia as one of mass x length^2). Without CAD the fit works
+on base columns, nearly free. A load on the flange has free mass and first moment and an inertia of the size its torque
+allows. A constant offset is held small as soon as an unknown load is on the flange: it swallows gravity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.model.motion import PER_BODY, Motion, structural_base
+from gateway.model.regressor import regressor
+from gateway.model.robot import AXES, Robot
+
+Floats = NDArray[np.float64]
+
+BARE = "none"
+EXACT = 1e-4
+TIGHT_OFFSET = 0.003
+SHORTEST_M = 0.1
+FREE = 1e-5
+INERTIA_RADIUS_M = 0.2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Baseline:
+    """Columns (n, 6, P) of the model to beat with the prior's mean (P,) and precision (P,).
+
+    `body` (60, P) maps the parameters to those of the six links as the rows of an unloaded arm see them; `loads` gives
+    the slice of each label's ten columns; `friction` (6, 4) the columns of each axis (sign, speed, acceleration, one).
+    """
+
+    columns: Floats
+    mean: Floats
+    precision: Floats
+    body: Floats
+    loads: Mapping[str, slice]
+    friction: NDArray[np.int_]
+    trust: float | None
+
+
+def body_parameters(robot: Robot) -> Floats:
+    """CAD values of the 60 link parameters [m, h, I about the link's origin]; NaN where the robot model has none."""
+    out = np.full((AXES, PER_BODY), np.nan)
+    for i in range(AXES):
+        mass, com = robot.mass_kg[i], robot.com_m[i]
+        about = robot.inertia_kg_m2[i] + mass * (com @ com * np.eye(3) - np.outer(com, com))
+        upper = about[np.triu_indices(3)]
+        out[i] = np.concatenate([[mass], mass * com, upper])
+    return out.reshape(-1)
+
+
+def has_inertials(robot: Robot) -> bool:
+    """Whether every link's mass and centre of mass are known."""
+    return bool(np.isfinite(robot.mass_kg).all() and np.isfinite(robot.com_m).all() and (robot.mass_kg > 0).all())
+
+
+def body_deviation(robot: Robot, trust: float) -> Floats:
+    """Prior standard deviation (60,) of the link parameters for a relative trust."""
+    out = np.empty((AXES, PER_BODY))
+    for i in range(AXES):
+        onward = np.linalg.norm(robot.placement[i + 1, :3, 3]) if i + 1 < AXES else 0.0
+        length = max(float(onward), float(np.linalg.norm(robot.com_m[i])), SHORTEST_M)
+        mass = robot.mass_kg[i]
+        out[i] = trust * mass * np.concatenate([[1.0], np.full(3, length), np.full(6, length**2)])
+    return out.reshape(-1)
+
+
+def baseline(motion: Motion, trust: float | None, known: Mapping[str, tuple[float, Floats]]) -> Baseline:
+    """Build the columns.
+
+    Parameters
+    ----------
+    motion : Motion
+    trust : float or None
+        Relative standard deviation of the CAD values; None = link parameters unknown.
+    known : mapping of label to (mass [kg], centre of mass (3,) [m] in link 6)
+    """
+    labels = free_labels(motion, trust, known)
+    body, mean, precision = _bodies(motion, trust)
+    columns = [motion.rigid @ body]
+    means, precisions = [mean], [precision]
+    count = body.shape[1]
+    loads: dict[str, slice] = {}
+    for label in labels:
+        part, load_mean, load_precision = _load(motion, label, known.get(label))
+        columns.append(part)
+        means.append(load_mean)
+        precisions.append(load_precision)
+        loads[label] = slice(count, count + PER_BODY)
+        count += PER_BODY
+    friction_columns, friction_precision, where = _friction(motion, bool(labels), count)
+    columns.append(friction_columns)
+    means.append(np.zeros(friction_columns.shape[2]))
+    precisions.append(friction_precision)
+    all_columns = np.concatenate(columns, axis=2)
+    padded = np.zeros((body.shape[0], all_columns.shape[2]))
+    padded[:, : body.shape[1]] = body
+    return Baseline(all_columns, np.concatenate(means), np.concatenate(precisions), padded, loads, where, trust)
+
+
+def free_labels(motion: Motion, trust: float | None, known: Mapping[str, tuple[float, Floats]]) -> list[str]:
+    """Labels that get columns of their own: without CAD and bare rows the first load lumps with link 6."""
+    labels = [str(label) for label in np.unique(motion.load[~motion.given]) if label != BARE]
+    if trust is None and not (motion.load[~motion.given] == BARE).any() and not any(label in known for label in labels):
+        return labels[1:]
+    return labels
+
+
+def _bodies(motion: Motion, trust: float | None) -> tuple[Floats, Floats, Floats]:
+    if trust is None:
+        chosen = structural_base(motion.robot, motion.gravity_m_s2)
+        body = np.eye(AXES * PER_BODY)[:, chosen]
+        return body, np.zeros(len(chosen)), _nearly_free(motion, motion.rigid @ body)
+    seen = np.flatnonzero(np.abs(motion.rigid).max(axis=(0, 1)) > 1e-12)
+    body = np.eye(AXES * PER_BODY)[:, seen]
+    deviation = body_deviation(motion.robot, max(trust, EXACT))
+    return body, np.nan_to_num(body_parameters(motion.robot))[seen], deviation[seen] ** -2.0
+
+
+def _torque_scale(motion: Motion) -> Floats:
+    fitted = ~motion.given
+    scale = np.sqrt((motion.tau_nm[fitted] ** 2).mean(axis=0))
+    return np.where(scale > 0, scale, 1.0)
+
+
+def _nearly_free(motion: Motion, columns: Floats) -> Floats:
+    """Precision (P,) under which each column alone may give a thousand times the torque of its strongest axis."""
+    relative = np.sqrt(((columns / _torque_scale(motion)[:, None]) ** 2).mean(axis=0)).max(axis=0)
+    return np.maximum((FREE * 1e2 * relative) ** 2, 1e-18)
+
+
+def _load(motion: Motion, label: str, known: tuple[float, Floats] | None) -> tuple[Floats, Floats, Floats]:
+    here = (motion.load == label)[:, None, None]
+    columns = motion.rigid[:, :, 5 * PER_BODY :] * here
+    mean, precision = np.zeros(PER_BODY), _nearly_free(motion, columns)
+    heaviest = _torque_scale(motion).max() / 9.80665
+    precision[4:] = (heaviest * INERTIA_RADIUS_M**2) ** -2.0
+    if known is not None:
+        mass, com = known
+        mean[:4] = np.concatenate([[mass], mass * np.asarray(com)])
+        precision[:4] = (1e-4 * max(mass, 1e-3)) ** -2.0
+    return columns, mean, precision
+
+
+def _friction(motion: Motion, loaded: bool, first: int) -> tuple[Floats, Floats, NDArray[np.int_]]:
+    columns = np.zeros((len(motion), AXES, 4 * AXES))
+    precision = np.zeros(4 * AXES)
+    scale = _torque_scale(motion)
+    carries = _carries_gravity(motion)
+    for axis in range(AXES):
+        own = np.column_stack(
+            [motion.sign[:, axis], motion.qd_rad_s[:, axis], motion.qdd_rad_s2[:, axis], np.ones(len(motion))]
+        )
+        columns[:, axis, 4 * axis : 4 * axis + 4] = own
+        relative = np.sqrt((own**2).mean(axis=0)) / scale[axis]
+        precision[4 * axis : 4 * axis + 4] = np.maximum((FREE * 1e2 * relative) ** 2, 1e-18)
+        if loaded and carries[axis]:
+            precision[4 * axis + 3] = (TIGHT_OFFSET * scale[axis]) ** -2.0
+    return columns, precision, first + np.arange(4 * AXES).reshape(AXES, 4)
+
+
+def _carries_gravity(motion: Motion) -> NDArray[np.bool_]:
+    """Axes (6,) whose torque gravity can enter."""
+    rows = np.linspace(0, len(motion) - 1, min(len(motion), 50)).astype(int)
+    rest = np.zeros((len(rows), AXES))
+    still = np.asarray(regressor(motion.robot, motion.q_rad[rows], rest, rest, tuple(motion.gravity_m_s2)))
+    strength = np.abs(still).max(axis=(0, 2))
+    return strength > 1e-6 * max(float(strength.max()), 1e-12)
