@@ -150,9 +150,9 @@ def axis_table(title: str, lines: Mapping[str, Sequence[float | None] | None], d
     return grid(title, ["", *AXES], rows)
 
 
-def findings_table(findings: Sequence[Mapping[str, Any]]) -> Table:
+def findings_table(findings: Sequence[Mapping[str, Any]], title: str = "findings") -> Table:
     """Findings with their advice; the severity in colour."""
-    table = grid("findings", ["severity", "where", "what", "advice"], [], left=4)
+    table = grid(title, ["severity", "where", "what", "advice"], [], left=4)
     for finding in findings:
         severity = str(finding.get("severity", ""))
         table.add_row(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +54,6 @@ def profiles() -> None:
 def profiles_list() -> None:
     """Name, description and measured torque of every profile."""
     from drives.profile import list_profiles, load_profile
-
     from gateway.console import grid
 
     rows = []
@@ -85,23 +83,17 @@ def profiles_schema() -> None:
 
 
 def read_result(path: Path) -> dict[str, Any]:
-    """A result JSON from disk.
+    """A result JSON from disk, checked key by key.
 
     Raises
     ------
     InputError
-        Not readable, not JSON, or not a result of schema 1.
+        Not readable, not JSON, or not a result of this version; named with file and key.
     """
+    from gateway.result import from_json, to_dict
+
     try:
-        body = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read: {error.strerror}; name the JSON that `estimate --json` wrote"
-        ) from error
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise InputError(f"{path}: not valid JSON: {error}") from error
-    if not isinstance(body, dict) or not isinstance(body.get("loads"), list):
-        raise InputError(f"{path}: not a result of servo-gateway: there is no list `loads`")
-    if body.get("schema") != 1:
-        raise InputError(f"{path}: schema {body.get('schema')!r}, this version reads schema 1")
-    return body
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}; name the JSON that `estimate --json` wrote") from error
+    return to_dict(from_json(text, str(path)))

@@ -1,0 +1,117 @@
+"""scan, check, restore: commands that only talk to the drives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from gateway.commands.options import bus_option, cell_argument, common, json_option, session_of, write_json
+from gateway.console import findings_table, grid
+from gateway.errors import FindingFailed
+
+if TYPE_CHECKING:
+    from gateway.check_rules import CheckItem
+
+DEFAULT_BUS = "socketcan:can0"
+
+
+@click.command()
+@click.option("--bus", "bus_spec", metavar="SPEC", default=DEFAULT_BUS, show_default=True, help="Bus to look at.")
+@click.option(
+    "--listen", "listen_s", type=click.FloatRange(0.05, 60.0), default=1.2, show_default=True, help="Seconds."
+)
+@json_option
+@common
+def scan(bus_spec: str, listen_s: float, json_out: str | None) -> None:
+    """Who is on the bus: identity, firmware, NMT state, matching profile. Nothing is written, nothing moves."""
+    from drives.bus import BusSpec, open_bus
+    from drives.profile import list_profiles, load_profile
+    from gateway.scan import scan as scan_bus
+
+    with open_bus(BusSpec.parse(bus_spec)) as bus:
+        nodes = scan_bus(bus, [load_profile(name) for name in list_profiles()], listen_s)
+    session = session_of()
+    columns = ["node", "device", "vendor", "product", "revision", "serial", "firmware", "NMT", "profiles"]
+    rows = [
+        [
+            f"{node.node_id}" + (" (several devices)" if node.answers > 1 else ""),
+            node.name,
+            *(_hex(value) for value in (node.vendor_id, node.product_code, node.revision, node.serial_number)),
+            node.firmware,
+            node.nmt_state,
+            ", ".join(node.profiles),
+        ]
+        for node in nodes
+    ]
+    session.show(grid(f"nodes on {bus_spec}", columns, rows, left=len(columns)))
+    if json_out:
+        write_json(json_out, {"schema": 1, "bus": bus_spec, "nodes": [node.as_json() for node in nodes]})
+    twice = [str(node.node_id) for node in nodes if node.answers > 1]
+    if twice:
+        raise FindingFailed(
+            f"{bus_spec}: node id {', '.join(twice)} answered more than once: give every device an id of its own"
+        )
+
+
+def _hex(value: int | None) -> str:
+    return "-" if value is None else f"0x{value:X}"
+
+
+@click.command()
+@cell_argument
+@bus_option
+@json_option
+@common
+def check(cell: Path, bus_spec: str | None, json_out: str | None) -> None:
+    """Pre-flight check of every drive against profile and cell file. Nothing is written, nothing moves."""
+    from gateway.commands.context import open_cell
+
+    context = open_cell(cell, bus_spec)
+    items: dict[str, list[CheckItem]] = {}
+    for arm in context.arms:
+        with context.open_bus(arm) as bus:
+            items[arm.name] = _check_arm(bus, context, arm)
+    session = session_of()
+    for name, lines in items.items():
+        shown = [line for line in lines if session.verbosity > 0 or line.severity in ("warn", "fail")]
+        title = f"arm {name}: {_count(lines)}"
+        session.show(findings_table([line.as_json() for line in shown], title) if shown else title)
+    findings = [line.as_json() for lines in items.values() for line in lines]
+    if json_out:
+        write_json(json_out, {"schema": 1, "cell": context.loaded.cell.name, "findings": findings})
+    _fail_on(findings)
+
+
+def _check_arm(bus: Any, context: Any, arm: Any) -> list[CheckItem]:
+    from gateway.check import check_arm
+
+    return check_arm(bus, arm, context.profiles(arm))
+
+
+def _count(lines: Sequence[CheckItem]) -> str:
+    count = {kind: sum(line.severity == kind for line in lines) for kind in ("ok", "info", "warn", "fail")}
+    return ", ".join(f"{number} {kind}" for kind, number in count.items())
+
+
+def _fail_on(findings: Sequence[dict[str, str]]) -> None:
+    failed = [finding for finding in findings if finding["severity"] == "fail"]
+    if failed:
+        first = failed[0]
+        more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
+        raise FindingFailed(f"check failed: {first['where']}: {first['what']}; {first['advice']}{more}")
+
+
+@click.command()
+@cell_argument
+@bus_option
+@common
+def restore(cell: Path, bus_spec: str | None) -> None:
+    """Put back what the write ledger holds; the drives must stand still and be disabled."""
+    from gateway.commands.context import open_cell
+
+    context = open_cell(cell, bus_spec)
+    for arm in context.arms:
+        session_of().show(f"arm {arm.name}: {context.restore(arm)}")

@@ -1,0 +1,40 @@
+"""For every test: it may leave neither a thread nor an open virtual CAN channel behind."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import pytest
+
+# How long a thread that was told to end may take.
+GRACE_S = 2.0
+# Threads that libraries keep for the life of the process.
+SHARED_THREADS = ("ThreadPoolExecutor", "pytest_timeout", "execnet")
+
+
+def _threads() -> set[threading.Thread]:
+    return {
+        thread
+        for thread in threading.enumerate()
+        if thread is not threading.main_thread() and not thread.name.startswith(SHARED_THREADS)
+    }
+
+
+def _channels() -> set[str]:
+    from can.interfaces.virtual import channels
+
+    return {str(name) for name, queues in channels.items() if queues}
+
+
+@pytest.fixture(autouse=True)
+def leaves_nothing_behind():
+    """Fail a test that leaks a thread or a virtual channel."""
+    threads, channels = _threads(), _channels()
+    yield
+    deadline = time.monotonic() + GRACE_S
+    while (left := _threads() - threads) and time.monotonic() < deadline:
+        next(iter(left)).join(0.05)
+    assert not left, f"threads left behind: {sorted(thread.name for thread in left)}"
+    open_channels = _channels() - channels
+    assert not open_channels, f"virtual channels left open: {sorted(open_channels)}"

@@ -1,0 +1,174 @@
+"""The command line itself: fast help, lazy commands, one paragraph and one exit code for every error."""
+
+import json
+import subprocess
+import sys
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from gateway import cli
+from gateway.errors import ConfigError, DataUnusable, FindingFailed, GatewayError, InputError, PlanRefused
+
+RESULT = {
+    "schema": 1,
+    "robot": "small",
+    "loads": [
+        {"label": "tool", "mass_kg": 2.0, "mass_std_kg": 0.1, "com_m": [0, 0, 0.1], "com_flange_m": [0, 0, 0.08]},
+    ],
+}
+
+
+def run(*arguments, **options):
+    return CliRunner().invoke(cli.main, [str(argument) for argument in arguments], **options)
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys\nfrom gateway.cli import main\n"
+        "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
+        "heavy = {'numpy', 'scipy', 'can', 'canopen', 'pydantic', 'h5py', 'jinja2'} & set(sys.modules)\n"
+        "assert not heavy, heavy"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for name in cli.COMMANDS:
+        assert name in done.stdout
+
+
+@pytest.mark.parametrize("name", sorted(cli.COMMANDS))
+def test_every_command_explains_itself_and_knows_v_and_q(name):
+    done = run(name, "--help")
+    assert done.exit_code == 0, done.output
+    if name != "profiles":
+        assert "--verbose" in done.output
+        assert "--quiet" in done.output
+
+
+def test_unknown_command_and_missing_argument_are_usage_errors():
+    for arguments in (["fly"], ["report"], ["export", "x.json", "--format", "fanuc"], ["estimate"]):
+        done = run(*arguments)
+        assert done.exit_code == 2
+        assert "Traceback" not in done.output
+
+
+class WireError(Exception):
+    exit_code = 4
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (GatewayError("what; where; what to do"), 1),
+        (ConfigError("cell.toml: name: is missing"), 3),
+        (InputError("a.csv:7: tau2_nm is NaN"), 3),
+        (WireError("node 3:6077:00 (torque): no answer"), 4),
+        (PlanRefused("pose 4 leaves the limits of J2"), 5),
+        (DataUnusable("rank 3 of 4"), 6),
+        (FindingFailed("J4: torque sign is reversed"), 7),
+        (KeyboardInterrupt(), 130),
+        (click.Abort(), 130),
+    ],
+)
+def test_every_error_has_its_exit_code_and_is_one_paragraph(monkeypatch, error, code):
+    @click.command()
+    def broken():
+        raise error
+
+    monkeypatch.setattr(cli.LadderGroup, "get_command", lambda *_: broken)
+    done = run("scan")
+    assert done.exit_code == code
+    assert done.stdout == ""
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert "Traceback" not in done.stderr
+
+
+def test_a_message_of_several_lines_becomes_one_paragraph_with_its_notes(monkeypatch):
+    error = ConfigError("line one\n  line two")
+    error.add_note("and a note")
+
+    @click.command()
+    def broken():
+        raise error
+
+    monkeypatch.setattr(cli.LadderGroup, "get_command", lambda *_: broken)
+    assert run("scan").stderr == "error: line one line two and a note\n"
+
+
+def test_a_defect_is_one_paragraph_and_its_details_are_in_a_file(monkeypatch):
+    @click.command()
+    def broken():
+        raise ZeroDivisionError("division by zero")
+
+    monkeypatch.setattr(cli.LadderGroup, "get_command", lambda *_: broken)
+    done = run("scan")
+    assert done.exit_code == 1
+    assert len(done.stderr.strip().splitlines()) == 1
+    path = done.stderr.split("The details are in ")[1].split(";")[0]
+    with open(path, encoding="utf-8") as log:
+        assert "ZeroDivisionError" in log.read()
+
+
+def test_a_file_that_cannot_be_opened_is_an_input_error(monkeypatch, tmp_path):
+    @click.command()
+    def broken():
+        (tmp_path / "nothing" / "x").write_text("")
+
+    monkeypatch.setattr(cli.LadderGroup, "get_command", lambda *_: broken)
+    done = run("scan")
+    assert done.exit_code == 3
+    assert str(tmp_path) in done.stderr
+
+
+def test_report_and_export_from_a_result(tmp_path):
+    source, page, text = tmp_path / "out.json", tmp_path / "sub" / "report.html", tmp_path / "load.src"
+    source.write_text(json.dumps(RESULT))
+    assert run("report", source, "-o", page).exit_code == 0
+    assert "2.00 kg" in page.read_text()
+    assert run("export", source, "--format", "kuka", "-o", text).exit_code == 0
+    assert "M 2.000" in text.read_text()
+    assert run("export", source, "--format", "ur").stdout.startswith("# loads identified on small")
+
+
+def test_quiet_says_nothing(tmp_path):
+    source = tmp_path / "out.json"
+    source.write_text(json.dumps(RESULT))
+    done = run("report", source, "-o", tmp_path / "r.html", "-q")
+    assert (done.exit_code, done.output) == (0, "")
+    done = run("-q", "report", source, "-o", tmp_path / "r.html")
+    assert (done.exit_code, done.output) == (0, "")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "[]", "{", '{"schema": 2, "robot": "r", "loads": []}', '{"schema": 1}', '{"schema": 1, "robot": 3}'],
+)
+def test_a_file_that_is_no_result_is_refused_by_name(tmp_path, text):
+    source = tmp_path / "out.json"
+    source.write_text(text)
+    for arguments in (["report", source, "-o", tmp_path / "r.html"], ["export", source, "--format", "abb"]):
+        done = run(*arguments)
+        assert done.exit_code == 3
+        assert str(source) in done.stderr
+    assert not (tmp_path / "r.html").exists()
+
+
+def test_a_refused_load_is_not_exported(tmp_path):
+    source = tmp_path / "out.json"
+    source.write_text(json.dumps({"schema": 1, "robot": "r", "loads": [{"label": "b", "refused": "wrong sign"}]}))
+    done = run("export", source, "--format", "abb")
+    assert done.exit_code == 6
+    assert "wrong sign" in done.stderr
+
+
+def test_profiles_list_show_and_schema():
+    listed = run("profiles", "list")
+    assert listed.exit_code == 0
+    assert "generic-cia402" in listed.stdout
+    shown = run("profiles", "show", "generic-cia402")
+    assert 'name = "generic-cia402"' in shown.stdout
+    assert "properties" in json.loads(run("profiles", "schema").stdout)
+    missing = run("profiles", "show", "no-such-drive")
+    assert missing.exit_code == 3
+    assert "generic-cia402" in missing.stderr
