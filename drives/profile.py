@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError,
 
 from drives.errors import ProfileError
 from drives.objects import RPDO_COMMUNICATION, RPDO_MAPPING, SIZE_BYTES, TPDO_COMMUNICATION, TPDO_MAPPING, DataType
+from drives.toml_text import parse_toml
 
 PROFILE_FOLDER = Path(__file__).parent / "profiles"
 
@@ -332,7 +333,7 @@ def parse_profile(text: str, where: str, folder: Path = PROFILE_FOLDER) -> Drive
         Every problem of the file at once.
     """
     try:
-        profile = DriveProfile.model_validate(tomllib.loads(text))
+        profile = DriveProfile.model_validate(parse_toml(text))
     except tomllib.TOMLDecodeError as error:
         raise ProfileError(f"{where}: not valid TOML: {error}", advice="correct the file") from error
     except ValidationError as error:

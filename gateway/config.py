@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from drives.toml_text import parse_toml
 from gateway.errors import ConfigError
 
 Vector3 = tuple[float, float, float]
@@ -210,7 +211,7 @@ class LoadedCell(_Strict):
 def parse_cell(text: str, where: str) -> Cell:
     """Validate the text of a cell file; every problem is named at once."""
     try:
-        return Cell.model_validate(tomllib.loads(text))
+        return Cell.model_validate(parse_toml(text))
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{where}: not valid TOML: {error}") from error
     except ValidationError as error:

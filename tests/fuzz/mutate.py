@@ -1,0 +1,84 @@
+"""Hypothesis strategies for input from strangers: files that were valid once, and frames of any content."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hypothesis import strategies as st
+
+#: Pieces that have broken parsers before, whatever the format.
+TOKENS: tuple[bytes, ...] = (
+    b"\x00",
+    b"\xff\xfe",
+    b"\xef\xbb\xbf",
+    b"\r",
+    b'"',
+    b"'''",
+    b"[" * 3000,
+    b"[[" * 600 + b"]]" * 600,
+    b"a." * 3000,
+    b"{" * 3000,
+    b"9" * 5000,
+    b"1e400",
+    b"-0.0",
+    b"nan",
+    b"inf",
+    b"1_0",
+    b"0x" + b"f" * 40,
+    b"9223372036854775808",
+    b"1979-13-45T99:99:99Z",
+    b"\xed\xa0\x80",
+    "\u0663.\u0664".encode(),
+    b"true",
+    b"<" * 2000,
+    b"<a>" * 3000,
+    b"&lol;",
+    b"<!DOCTYPE x [<!ENTITY lol 'lol'>]>",
+    b"<!-- -->",
+    b",,,,",
+    b"\n" * 50,
+    b"#",
+    b"=",
+)
+
+Edit = tuple[str, int, int, bytes]
+
+_EDITS = st.tuples(
+    st.sampled_from(("delete", "repeat", "insert", "replace", "cut", "swap")),
+    st.integers(0, 2**20),
+    st.one_of(st.integers(0, 8), st.integers(0, 4000)),
+    st.one_of(
+        st.sampled_from(TOKENS), st.binary(max_size=6), st.from_regex(rb"-?[0-9]{1,4}(\.[0-9]{1,3})?", fullmatch=True)
+    ),
+)
+
+
+def edited(seeds: Sequence[bytes]) -> st.SearchStrategy[bytes]:
+    """A valid file after a few edits (sometimes none), or a short run of any bytes."""
+    damaged = st.builds(_apply, st.sampled_from(list(seeds)), st.lists(_EDITS, max_size=5))
+    return st.one_of(damaged, damaged, damaged, st.binary(max_size=200))
+
+
+def _apply(seed: bytes, edits: Sequence[Edit]) -> bytes:
+    data = seed
+    for kind, position, length, piece in edits:
+        start = position % (len(data) + 1)
+        stop = min(start + length, len(data))
+        if kind == "delete":
+            data = data[:start] + data[stop:]
+        elif kind == "repeat":
+            data = data[:stop] + data[start:stop] + data[stop:]
+        elif kind == "insert":
+            data = data[:start] + piece + data[start:]
+        elif kind == "replace":
+            data = data[:start] + piece + data[start + len(piece) :]
+        elif kind == "cut":
+            data = data[: max(start, 1)]
+        else:
+            data = data[:start] + data[start:stop][::-1] + data[stop:]
+    return data
+
+
+def frames(ids: Sequence[int], max_frames: int = 6) -> st.SearchStrategy[list[tuple[int, bytes]]]:
+    """A few CAN frames (id, 0 to 8 bytes)."""
+    return st.lists(st.tuples(st.sampled_from(list(ids)), st.binary(max_size=8)), max_size=max_frames)

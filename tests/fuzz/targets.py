@@ -1,0 +1,38 @@
+"""Every decoder and reader that takes bytes from strangers, with what it must do for any of them.
+
+A target is a strategy of inputs and a check that raises when the promise is broken: a typed error or a correct result,
+never another exception, never a hang, no memory beyond ten times the input.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from hypothesis import strategies as st
+
+from tests.fuzz import check_files, check_frames
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """One decoder (frames) or reader (files)."""
+
+    name: str
+    kind: Literal["decoder", "reader"]
+    strategy: Callable[[], st.SearchStrategy[Any]]
+    check: Callable[[Any], None]
+
+
+TARGETS: tuple[Target, ...] = (
+    Target("emcy", "decoder", check_frames.emergencies, check_frames.check_emergency),
+    Target("heartbeat", "decoder", check_frames.heartbeats, check_frames.check_heartbeat),
+    Target("sdo upload", "decoder", check_frames.sdo_answers, check_frames.check_upload),
+    Target("sdo download", "decoder", check_frames.sdo_answers, check_frames.check_download),
+    Target("cell toml", "reader", check_files.cells, check_files.check_cell),
+    Target("profile toml", "reader", check_files.profiles, check_files.check_profile),
+    Target("urdf", "reader", check_files.robots, check_files.check_urdf),
+    Target("csv", "reader", check_files.tables, check_files.check_csv),
+    Target("result json", "reader", check_files.results, check_files.check_result),
+)
