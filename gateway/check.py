@@ -4,20 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from drives.bringup import read_identity
 from drives.bus import Bus
 from drives.errors import DriveError, SdoAbort, SdoError
 from drives.objects import OBJECTS
 from drives.profile import CountsFromObjects, DriveProfile, ObjectReference
 from drives.sdo import SdoClient
-from gateway.check_rules import Address, Axis, CheckItem, Readings, judge_axis, judge_limits
+from drives.values import Identity
+from gateway.check_rules import Address, Axis, CheckItem, Readings, judge_axis, judge_identity, judge_limits
 from gateway.config import ArmConfig
+from gateway.scan import probe
 
+# How long answers to the first request are counted, s.
+PROBE_S = 0.4
 READ_ALWAYS = (
-    "device_type", "vendor_id", "product_code", "revision", "serial_number", "software_version", "statusword",
-    "mode_display", "max_torque", "max_current", "rated_current", "rated_torque", "position", "position_limit_min",
-    "position_limit_max", "polarity", "encoder_increments", "encoder_revolutions", "gear_motor_revolutions",
-    "gear_shaft_revolutions", "torque_offset", "abort_connection_option", "consumer_heartbeat", "supported_modes",
-)  # fmt: skip
+    "statusword",
+    "max_torque",
+    "position",
+    "position_limit_min",
+    "position_limit_max",
+    "polarity",
+    "encoder_increments",
+    "gear_motor_revolutions",
+    "gear_shaft_revolutions",
+    "torque_offset",
+    "abort_connection_option",
+    "consumer_heartbeat",
+    "supported_modes",
+)
 
 
 def addresses(profile: DriveProfile) -> dict[Address, str]:
@@ -31,25 +45,25 @@ def addresses(profile: DriveProfile) -> dict[Address, str]:
     return wanted | {(reference.index, reference.subindex): reference.type for reference in references}
 
 
-def read_axis(bus: Bus, axis: Axis) -> Readings:
-    """Read every object of interest; None where the drive does not have it.
+def read_axis(bus: Bus, axis: Axis) -> tuple[Identity, Readings]:
+    """Read identity and every object of interest; None where the drive does not have it.
 
     Raises
     ------
-    SdoTimeout
-        The drive does not answer at all.
+    SdoError
+        The drive does not answer.
     """
     sdo = SdoClient(bus, axis.config.node_id, axis.profile.sdo.timeout_s, axis.profile.sdo.slow_timeout_s)
     try:
-        sdo.read(*OBJECTS["device_type"].address, "u32")
-        return {address: _read(sdo, address, kind) for address, kind in addresses(axis.profile).items()}
+        identity = read_identity(sdo)
+        return identity, {address: _read(sdo, address, kind) for address, kind in addresses(axis.profile).items()}
     finally:
         sdo.close()
 
 
-def _read(sdo: SdoClient, address: Address, kind: str) -> int | str | None:
+def _read(sdo: SdoClient, address: Address, kind: str) -> int | None:
     try:
-        return sdo.read_text(*address) if kind == "str" else sdo.read(*address, kind)
+        return sdo.read(*address, kind)
     except SdoAbort:
         return None
 
@@ -64,17 +78,31 @@ def check_arm(bus: Bus, arm: ArmConfig, profiles: Sequence[DriveProfile]) -> lis
     profiles : sequence of 6 DriveProfile
         Of the axes, in order.
     """
+    answers, _ = probe(bus, [config.node_id for config in arm.axis], PROBE_S)
     items: list[CheckItem] = []
     for joint, (config, profile) in enumerate(zip(arm.axis, profiles, strict=True), start=1):
         axis = Axis(joint, config, profile)
+        if answers[config.node_id] > 1:
+            items.append(_twice(axis, answers[config.node_id]))
+            continue
         try:
-            readings = read_axis(bus, axis)
+            identity, readings = read_axis(bus, axis)
         except SdoError as error:
             items.append(_unreachable(axis, error))
             continue
+        items += judge_identity(axis, identity)
         items += judge_axis(axis, readings)
         items += judge_limits(axis, arm, readings)
     return items
+
+
+def _twice(axis: Axis, answers: int) -> CheckItem:
+    return CheckItem(
+        "fail",
+        f"J{axis.joint} node {axis.config.node_id}",
+        f"{answers} devices answer at this node id",
+        "give every drive a node id of its own before anything else",
+    )
 
 
 def _unreachable(axis: Axis, error: DriveError) -> CheckItem:

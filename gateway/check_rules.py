@@ -12,14 +12,13 @@ import numpy as np
 from drives.cia402 import FAULTED, Mode, State, decode_state, describe, mode_supported
 from drives.objects import OBJECTS, object_name
 from drives.profile import Constant, DriveProfile
+from drives.values import Identity
 from gateway.acquire.axis import AxisConversion
 from gateway.config import ArmConfig, AxisConfig
 
 Severity = Literal["ok", "info", "warn", "fail"]
 Address = tuple[int, int]
-Readings = Mapping[Address, int | str | None]
-
-DEVICE_PROFILE_402 = 0x0192
+Readings = Mapping[Address, int | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +84,7 @@ def judge_axis(axis: Axis, readings: Readings) -> list[CheckItem]:
     list of CheckItem
     """
     lines = _Lines(axis)
-    for rule in (_identity, _state, _mode, _torque_object, _rated, _torque_limit, _scaling, _offsets, _watchdog):
+    for rule in (_state, _mode, _torque_object, _rated, _torque_limit, _scaling, _offsets, _watchdog):
         rule(lines, readings)
     return lines.items
 
@@ -95,27 +94,31 @@ def _value(readings: Readings, name: str) -> int | None:
     return value if isinstance(value, int) else None
 
 
-def _identity(lines: _Lines, readings: Readings) -> None:
-    device = _value(readings, "device_type")
-    if device is not None and device & 0xFFFF != DEVICE_PROFILE_402:
-        what = f"device type 0x{device:08X} is not a CiA 402 drive"
+def judge_identity(axis: Axis, identity: Identity) -> list[CheckItem]:
+    """Judge who the drive says it is.
+
+    Parameters
+    ----------
+    axis : Axis
+    identity : Identity
+    """
+    lines = _Lines(axis)
+    address = OBJECTS["vendor_id"].address
+    if not identity.is_drive:
+        what = f"device type {_hex(identity.device_type)} is not a CiA 402 drive"
         lines.add("fail", OBJECTS["device_type"].address, what, "check the node id")
-    wanted = lines.axis.profile.identity
-    for name, need in (("vendor_id", wanted.vendor_id), ("product_code", wanted.product_code)):
-        have = _value(readings, name)
-        if need is not None and have != need:
-            what = f"{_hex(have)}, the profile '{lines.axis.profile.name}' is for {_hex(need)}"
-            lines.add("fail", OBJECTS[name].address, what, "choose the profile that fits the drive (profiles list)")
-    revision = _value(readings, "revision")
-    low, high = wanted.revision_min, wanted.revision_max
-    outside = revision is None or revision < (low or 0) or revision > (0xFFFFFFFF if high is None else high)
-    if (low is not None or high is not None) and outside:
-        what = f"{_hex(revision)} is outside {_hex(low)} to {_hex(high)} of the profile"
-        lines.add("fail", OBJECTS["revision"].address, what, "use a profile made for this revision")
-    firmware = readings.get(OBJECTS["software_version"].address)
-    numbers = [_hex(_value(readings, name)) for name in ("vendor_id", "product_code", "revision", "serial_number")]
-    what = f"vendor {numbers[0]}, product {numbers[1]}, revision {numbers[2]}, serial {numbers[3]}"
-    lines.add("info", None, f"{what}, firmware {firmware or 'not told'}")
+    for problem in identity.mismatches(axis.profile):
+        what = f"{problem} (profile '{axis.profile.name}')"
+        lines.add("fail", address, what, "check wiring and node ids, or choose the profile of this drive and firmware")
+    parts = {
+        "vendor": _hex(identity.vendor_id),
+        "product": _hex(identity.product_code),
+        "revision": _hex(identity.revision),
+        "serial": _hex(identity.serial_number),
+        "firmware": identity.software_version or "not told",
+    }
+    lines.add("info", None, ", ".join(f"{name} {value}" for name, value in parts.items()))
+    return lines.items
 
 
 def _hex(value: int | None) -> str:

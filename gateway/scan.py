@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from drives.bringup import read_identity
 from drives.bus import HEARTBEAT_BASE, SDO_ANSWER_BASE, SDO_REQUEST_BASE, Bus
 from drives.errors import BusError, SdoError
 from drives.heartbeat import NmtState
 from drives.profile import DriveProfile
-from drives.sdo import ONCE, SdoClient
+from drives.sdo import SdoClient
+from drives.values import Identity
 
 FIRST_NODE, LAST_NODE = 1, 127
 LISTEN_S = 1.2
@@ -28,10 +31,8 @@ class Node:
     node_id : int
     answers : int
         Answers to one request; more than one means that several devices have this id.
-    device_type, vendor_id, product_code, revision, serial_number : int or None
-        0x1000 and 0x1018; None where the object is missing.
-    name, firmware : str
-        0x1008 and 0x100A; empty where missing.
+    identity : Identity or None
+        None where only a heartbeat was heard, or the device stopped answering.
     nmt_state : str
         From the heartbeat, empty if none was heard.
     profiles : tuple of str
@@ -40,13 +41,7 @@ class Node:
 
     node_id: int
     answers: int
-    device_type: int | None
-    vendor_id: int | None
-    product_code: int | None
-    revision: int | None
-    serial_number: int | None
-    name: str
-    firmware: str
+    identity: Identity | None
     nmt_state: str
     profiles: tuple[str, ...]
 
@@ -55,14 +50,14 @@ class Node:
         return asdict(self) | {"profiles": list(self.profiles)}
 
 
-def scan(bus: Bus, profiles: list[DriveProfile], listen_s: float = LISTEN_S) -> list[Node]:
+def scan(bus: Bus, profiles: Sequence[DriveProfile], listen_s: float = LISTEN_S) -> list[Node]:
     """Ask every node id for its device type and read who answers.
 
     Parameters
     ----------
     bus : Bus
         Open bus.
-    profiles : list of DriveProfile
+    profiles : sequence of DriveProfile
         Profiles to match against.
     listen_s : float
         How long heartbeats and answers are waited for, s.
@@ -77,7 +72,7 @@ def scan(bus: Bus, profiles: list[DriveProfile], listen_s: float = LISTEN_S) -> 
     BusError
         Nobody answered.
     """
-    answers, states = probe(bus, listen_s)
+    answers, states = probe(bus, range(FIRST_NODE, LAST_NODE + 1), listen_s)
     found = sorted(set(answers) | set(states))
     if not found:
         raise BusError(
@@ -87,7 +82,7 @@ def scan(bus: Bus, profiles: list[DriveProfile], listen_s: float = LISTEN_S) -> 
     return [_node(bus, node_id, answers[node_id], states.get(node_id, ""), profiles) for node_id in found]
 
 
-def probe(bus: Bus, listen_s: float) -> tuple[Counter[int], dict[int, str]]:
+def probe(bus: Bus, nodes: Sequence[int], listen_s: float) -> tuple[Counter[int], dict[int, str]]:
     """Number of answers to one request, and the NMT state heard, by node id."""
     answers: Counter[int] = Counter()
     states: dict[int, str] = {}
@@ -102,7 +97,6 @@ def probe(bus: Bus, listen_s: float) -> tuple[Counter[int], dict[int, str]]:
         if len(data) == 1:
             states[can_id - HEARTBEAT_BASE] = _nmt_state(data[0])
 
-    nodes = range(FIRST_NODE, LAST_NODE + 1)
     for node_id in nodes:
         bus.subscribe(SDO_ANSWER_BASE + node_id, on_answer)
         bus.subscribe(HEARTBEAT_BASE + node_id, on_heartbeat)
@@ -118,50 +112,33 @@ def probe(bus: Bus, listen_s: float) -> tuple[Counter[int], dict[int, str]]:
     return answers, states
 
 
-def fitting_profiles(
-    profiles: list[DriveProfile], vendor_id: int | None, product_code: int | None, revision: int | None
-) -> tuple[str, ...]:
+def fitting_profiles(identity: Identity, profiles: Sequence[DriveProfile]) -> tuple[str, ...]:
     """Names of the profiles whose identity holds for this device, those that say most about it first."""
-    fitting = []
-    for profile in profiles:
-        wanted = profile.identity
-        exact = [(wanted.vendor_id, vendor_id), (wanted.product_code, product_code)]
-        if any(need is not None and need != have for need, have in exact):
-            continue
-        low, high = wanted.revision_min, wanted.revision_max
-        if (low is not None or high is not None) and revision is None:
-            continue
-        if revision is not None and not (low or 0) <= revision <= (0xFFFFFFFF if high is None else high):
-            continue
-        said = sum(value is not None for value in (wanted.vendor_id, wanted.product_code, low, high))
-        fitting.append((-said, profile.name))
-    return tuple(name for _, name in sorted(fitting))
+    if not identity.is_drive:
+        return ()
+    fitting = [profile for profile in profiles if not identity.mismatches(profile)]
+    return tuple(profile.name for profile in sorted(fitting, key=lambda item: (-_said(item), item.name)))
 
 
-def _node(bus: Bus, node_id: int, answers: int, nmt_state: str, profiles: list[DriveProfile]) -> Node:
+def _said(profile: DriveProfile) -> int:
+    wanted = profile.identity
+    parts = (wanted.vendor_id, wanted.product_code, wanted.revision_min, wanted.revision_max)
+    return sum(part is not None for part in parts)
+
+
+def _node(bus: Bus, node_id: int, answers: int, nmt_state: str, profiles: Sequence[DriveProfile]) -> Node:
+    identity = _identity(bus, node_id) if answers else None
+    return Node(node_id, answers, identity, nmt_state, () if identity is None else fitting_profiles(identity, profiles))
+
+
+def _identity(bus: Bus, node_id: int) -> Identity | None:
     sdo = SdoClient(bus, node_id)
     try:
-        numbers = [_number(sdo, *address) for address in ((0x1000, 0), *((0x1018, sub) for sub in range(1, 5)))]
-        name, firmware = _text(sdo, 0x1008), _text(sdo, 0x100A)
-    finally:
-        sdo.close()
-    device, vendor, product, revision, serial = numbers
-    fitting = fitting_profiles(profiles, vendor, product, revision) if device is not None else ()
-    return Node(node_id, answers, device, vendor, product, revision, serial, name, firmware, nmt_state, fitting)
-
-
-def _number(sdo: SdoClient, index: int, subindex: int) -> int | None:
-    try:
-        return sdo.read(index, subindex, "u32", ONCE)
+        return read_identity(sdo)
     except SdoError:
         return None
-
-
-def _text(sdo: SdoClient, index: int) -> str:
-    try:
-        return sdo.read_text(index)
-    except SdoError:
-        return ""
+    finally:
+        sdo.close()
 
 
 def _nmt_state(byte: int) -> str:

@@ -14,6 +14,7 @@ from gateway.errors import FindingFailed
 
 if TYPE_CHECKING:
     from gateway.check_rules import CheckItem
+    from gateway.scan import Node
 
 DEFAULT_BUS = "socketcan:can0"
 
@@ -35,17 +36,7 @@ def scan(bus_spec: str, listen_s: float, json_out: str | None) -> None:
         nodes = scan_bus(bus, [load_profile(name) for name in list_profiles()], listen_s)
     session = session_of()
     columns = ["node", "device", "vendor", "product", "revision", "serial", "firmware", "NMT", "profiles"]
-    rows = [
-        [
-            f"{node.node_id}" + (" (several devices)" if node.answers > 1 else ""),
-            node.name,
-            *(_hex(value) for value in (node.vendor_id, node.product_code, node.revision, node.serial_number)),
-            node.firmware,
-            node.nmt_state,
-            ", ".join(node.profiles),
-        ]
-        for node in nodes
-    ]
+    rows = [_node_row(node) for node in nodes]
     session.show(grid(f"nodes on {bus_spec}", columns, rows, left=len(columns)))
     if json_out:
         write_json(json_out, {"schema": 1, "bus": bus_spec, "nodes": [node.as_json() for node in nodes]})
@@ -54,6 +45,15 @@ def scan(bus_spec: str, listen_s: float, json_out: str | None) -> None:
         raise FindingFailed(
             f"{bus_spec}: node id {', '.join(twice)} answered more than once: give every device an id of its own"
         )
+
+
+def _node_row(node: Node) -> list[str]:
+    name = f"{node.node_id}" + (" (several devices)" if node.answers > 1 else "")
+    who = node.identity
+    if who is None:
+        return [name, "heard, does not answer", *[""] * 5, node.nmt_state, ""]
+    numbers = [_hex(value) for value in (who.vendor_id, who.product_code, who.revision, who.serial_number)]
+    return [name, who.name or "", *numbers, who.software_version or "", node.nmt_state, ", ".join(node.profiles)]
 
 
 def _hex(value: int | None) -> str:

@@ -1,0 +1,160 @@
+"""Rules of the pre-flight check, on readings written down by hand."""
+
+import math
+
+import pytest
+
+from drives.objects import OBJECTS
+from drives.profile import load_profile, parse_profile
+from drives.values import Identity
+from gateway.check_rules import Axis, judge_axis, judge_identity, judge_limits
+from gateway.config import ArmConfig
+
+PROFILE = load_profile("generic-cia402")
+COUNTS = 65536
+GOOD = {
+    "statusword": 0x0640,
+    "max_torque": 3000,
+    "position": 0,
+    "position_limit_min": 0,
+    "position_limit_max": 0,
+    "polarity": 0,
+    "encoder_increments": COUNTS,
+    "encoder_revolutions": 1,
+    "gear_motor_revolutions": 1,
+    "gear_shaft_revolutions": 1,
+    "torque_offset": 0,
+    "abort_connection_option": 1,
+    "consumer_heartbeat": 0,
+    "supported_modes": 0x3ED,
+    "rated_torque": 1270,
+    "torque": 12,
+}
+
+
+def axis_table(**changes):
+    return {
+        "node_id": 1,
+        "profile": "generic-cia402",
+        "torque_constant_nm_per_a": {"value": 0.31, "source": "datasheet p. 2"},
+        "gear_ratio": {"value": 100, "source": "datasheet p. 7"},
+        "gear_efficiency": {"value": 0.8, "source": "assumed"},
+        "position_limit_rad": [-2.0, 2.0],
+        "speed_limit_rad_s": 0.5,
+        "torque_limit_nm": 200.0,
+    } | changes
+
+
+def arm(**changes):
+    axes = [axis_table(node_id=joint, **(changes if joint == 1 else {})) for joint in range(1, 7)]
+    return ArmConfig.model_validate({"name": "main", "bus": "a", "robot": "r.urdf", "axis": axes})
+
+
+def axis(config=None, profile=PROFILE):
+    return Axis(1, (config or arm()).axis[0], profile)
+
+
+def readings(**changes):
+    return {OBJECTS[name].address: value for name, value in (GOOD | changes).items()}
+
+
+def worst(items):
+    return [item for item in items if item.severity == "fail"]
+
+
+def test_a_healthy_drive_passes_every_rule():
+    items = judge_axis(axis(), readings())
+    assert not [item for item in items if item.severity in ("warn", "fail")]
+    assert not worst(judge_limits(axis(), arm(), readings()))
+
+
+@pytest.mark.parametrize(
+    ("changes", "severity", "says"),
+    [
+        ({"statusword": 0x0008}, "fail", "FAULT"),
+        ({"statusword": 0x0637}, "warn", "OPERATION ENABLED"),
+        ({"statusword": None}, "fail", "no statusword"),
+        ({"supported_modes": 0x2D}, "fail", "no cyclic synchronous position"),
+        ({"rated_torque": 0}, "fail", "every torque would be zero"),
+        ({"rated_torque": None}, "fail", "missing"),
+        ({"torque": None}, "fail", "does not have the torque object"),
+        ({"max_torque": 0}, "fail", "gives no torque"),
+        ({"max_torque": 500}, "warn", "saturate"),
+        ({"polarity": 0x80}, "warn", "turned round"),
+        ({"gear_motor_revolutions": 100}, "fail", "gear ratio of its own"),
+        ({"encoder_increments": 0}, "fail", "encoder resolution"),
+        ({"torque_offset": 30}, "warn", "added to the torque"),
+        ({"consumer_heartbeat": None}, "fail", "master is gone"),
+        ({"abort_connection_option": None}, "fail", "master is gone"),
+    ],
+)
+def test_each_rule_says_what_is_wrong_and_what_to_do(changes, severity, says):
+    items = [item for item in judge_axis(axis(), readings(**changes)) if item.severity == severity]
+    assert any(says in f"{item.what} {item.advice}" for item in items)
+    assert all(item.advice for item in items)
+    assert all(item.where.startswith("J1 node 1") for item in items)
+
+
+def test_modes_that_are_not_told_are_no_failure():
+    assert not worst(judge_axis(axis(), readings(supported_modes=None)))
+
+
+@pytest.mark.parametrize("nature", ["demand", "unknown"])
+def test_a_torque_that_is_not_measured_is_refused(nature):
+    text = PROFILE.text.replace('nature = "measured"', f'nature = "{nature}"', 1)
+    found = worst(judge_axis(axis(profile=parse_profile(text, "p.toml")), readings()))
+    assert any(nature in item.what and "cannot be estimated" in item.what for item in found)
+
+
+def test_limit_of_the_drive_in_joint_torque():
+    # 0.5 of 1.27 Nm over a ratio of 100 is 63.5 Nm
+    item = next(item for item in judge_axis(axis(), readings(max_torque=500)) if "max_torque" in item.where)
+    assert "64 Nm at the joint" in item.what
+
+
+def identity(**changes):
+    values = {
+        "node_id": 1,
+        "device_type": 0x00020192,
+        "vendor_id": 2,
+        "product_code": 7,
+        "revision": 0x10000,
+        "serial_number": 5,
+        "name": "drive",
+        "hardware_version": "1",
+        "software_version": "2.3",
+    }
+    return Identity(**(values | changes))
+
+
+def test_identity_against_the_profile():
+    beckhoff = load_profile("beckhoff-el72x1")
+    assert not worst(judge_identity(axis(profile=beckhoff), identity()))
+    wrong = worst(judge_identity(axis(profile=beckhoff), identity(vendor_id=9)))
+    assert len(wrong) == 1
+    assert "vendor id" in wrong[0].what
+    assert worst(judge_identity(axis(), identity(device_type=0x00030191)))
+    assert "firmware 2.3" in judge_identity(axis(), identity())[-1].what
+
+
+def test_where_the_joint_stands():
+    # q = p / N: 1.5 rad at the joint is 150 rad at the motor
+    counts = round(150 / (2 * math.pi) * COUNTS)
+    assert not worst(judge_limits(axis(), arm(), readings(position=counts)))
+    outside = worst(judge_limits(axis(), arm(), readings(position=2 * counts)))
+    assert "3.000 rad" in outside[0].what
+
+
+def test_where_the_joint_stands_with_sign_and_offset():
+    config = arm(position_sign=-1, zero_offset_rad=0.25)
+    counts = round(100 / (2 * math.pi) * COUNTS)
+    item = judge_limits(axis(config), config, readings(position=counts))[0]
+    assert "stands at -0.750 rad" in item.what
+
+
+def test_software_limits_narrower_than_the_cell_fail():
+    end = round(150 / (2 * math.pi) * COUNTS)
+    narrow = worst(judge_limits(axis(), arm(), readings(position_limit_min=-end, position_limit_max=end)))
+    assert "drive -1.500 to 1.500 rad" in narrow[0].what
+    wide = judge_limits(axis(), arm(), readings(position_limit_min=-2 * end, position_limit_max=2 * end))
+    assert not worst(wide)
