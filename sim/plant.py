@@ -97,6 +97,7 @@ class Plant:
     load_friction : (6,) nu: adds `nu * |tau|` to both the band at rest and the kinetic friction
     creep_rad_s : (6,) initial rate at which a stuck joint creeps under the torque that friction holds (fades with the
         time at rest); the position loop relaxes with it, so a reading at rest lies inside the band, not on its edge
+    friction_scatter : (6,) standard deviation of the band from one motion to the next, as a share of it
     friction_bias_nm : (6,) half the difference between directions: friction is `d * band + bias`
     gear_efficiency : (6,) eta in (0, 1]; driving `T = eta u`, driven back `T = u / eta`, at rest anywhere between
     passive_torque : (q (6,), time_s, tau (6,)) -> (6,) torque exerted ON the joints by springs, balancers, cables [Nm],
@@ -136,6 +137,7 @@ class Plant:
     viscous_nm_s_rad: Array = field(default_factory=_zeros)
     load_friction: Array = field(default_factory=_zeros)
     creep_rad_s: Array = field(default_factory=_zeros)
+    friction_scatter: Array = field(default_factory=_zeros)
     friction_bias_nm: Array = field(default_factory=_zeros)
     gear_efficiency: Array = field(default_factory=_ones)
     passive_torque: PassiveTorque | None = None

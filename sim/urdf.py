@@ -235,19 +235,23 @@ def write_chain(chain: Chain, comment: str = "") -> str:
     lines = ['<?xml version="1.0"?>', *([f"<!-- {comment} -->"] if comment else [])]
     lines += [f'<robot name="{chain.name}">', *_link_lines("base_link", Body(100.0, np.zeros(3), 10.0 * np.eye(3)))]
     for i, body in enumerate(chain.bodies):
-        parent = f"link_{i}" if i else "base_link"
-        lines += _link_lines(f"link_{i + 1}", body)
-        lines += [
-            f'  <joint name="joint_{i + 1}" type="revolute">',
-            f'    <parent link="{parent}"/>',
-            f'    <child link="link_{i + 1}"/>',
-            f"    {_origin_tag(chain.placement[i])}",
-            f'    <axis xyz="{_text(chain.axis[i])}"/>',
-            f'    <limit lower="{chain.lower_rad[i]:.6g}" upper="{chain.upper_rad[i]:.6g}" '
-            f'effort="{chain.effort_nm[i]:.6g}" velocity="{chain.velocity_rad_s[i]:.6g}"/>',
-            "  </joint>",
-        ]
+        lines += [*_link_lines(f"link_{i + 1}", body), *_joint_lines(chain, i)]
     return "\n".join([*lines, "</robot>", ""])
+
+
+def _joint_lines(chain: Chain, i: int) -> list[str]:
+    limits = (chain.lower_rad[i], chain.upper_rad[i], chain.effort_nm[i], chain.velocity_rad_s[i])
+    keys = ("lower", "upper", "effort", "velocity")
+    given = [f'{key}="{value:.6g}"' for key, value in zip(keys, limits, strict=True) if math.isfinite(value)]
+    return [
+        f'  <joint name="joint_{i + 1}" type="{"revolute" if len(given) == 4 else "continuous"}">',
+        f'    <parent link="{f"link_{i}" if i else "base_link"}"/>',
+        f'    <child link="link_{i + 1}"/>',
+        f"    {_origin_tag(chain.placement[i])}",
+        f'    <axis xyz="{_text(chain.axis[i])}"/>',
+        f"    <limit {' '.join(given)}/>" if given else "",
+        "  </joint>",
+    ]
 
 
 def _link_lines(name: str, body: Body | None) -> list[str]:

@@ -1,0 +1,343 @@
+"""The arm in PyBullet, stepped one millisecond at a time; it knows no clock.
+
+Links are PyBullet's. Motors are not: each rotor is integrated here, behind its gear, and hands its torque to the link
+through a stiff, damped coupling (PyBullet has no rotor inertia). Friction therefore acts where it does in a machine,
+between motor and gear output, and is exact at rest. The coupling is numerical: its wind-up is not seen by the encoder.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pybullet as bullet
+from numpy.typing import NDArray
+
+from sim.cellfile import ArmSpec
+from sim.friction import JointFriction
+from sim.plant import Payload, Plant
+from sim.servo import TICK_S, Gains, ServoLoop
+from sim.urdf import Body, Chain, combine, write_chain
+
+Array = NDArray[np.float64]
+
+#: Highest natural frequency of the numerical coupling times the step; below 2 the step is stable.
+COUPLING_PHASE = 0.6
+COUPLING_DAMPING = 0.15
+#: Bandwidth of the velocity loop on all that the motor turns [rad/s], and the share of it the position loop gets.
+SPEED_BANDWIDTH_RAD_S = 200.0
+POSITION_SHARE = 0.2
+POSITION_GAIN_1_S = 8.0
+#: Simulated time after which drift and payload shift are looked at again [s].
+REFRESH_S = 0.05
+
+
+class MotorAxis:
+    """One motor with its gear, loops and encoder; angles and torques on the gear output.
+
+    Attributes
+    ----------
+    free : the holding brake is open and the motor is fed
+    theta_rad, omega_rad_s : rotor
+    torque_nm : transmitted to the link
+    position_rad : what the encoder gives, cell's zero offset taken off
+    shown_nm : motor torque behind the drive's filter
+    """
+
+    __slots__ = (
+        "compliance_rad_nm",
+        "damping",
+        "free",
+        "friction",
+        "omega_rad_s",
+        "position_rad",
+        "servo",
+        "shift_rad",
+        "shown_lag",
+        "shown_nm",
+        "step",
+        "stiffness",
+        "theta_rad",
+        "torque_nm",
+    )
+
+    def __init__(self, servo: ServoLoop, friction: JointFriction, filter_s: float) -> None:
+        self.servo, self.friction = servo, friction
+        self.free = False
+        self.shown_lag = TICK_S / (TICK_S + filter_s)
+        self.theta_rad = self.omega_rad_s = self.torque_nm = self.position_rad = self.shown_nm = 0.0
+        self.compliance_rad_nm = self.shift_rad = self.stiffness = self.damping = self.step = 0.0
+
+    def tick(self, q_rad: float, qd_rad_s: float) -> float:
+        """One millisecond; returns the torque on the link [Nm]."""
+        omega = self.omega_rad_s
+        torque = self.stiffness * (self.theta_rad - q_rad) + self.damping * (omega - qd_rad_s)
+        self.torque_nm = torque
+        self.position_rad = position = q_rad + self.compliance_rad_nm * torque - self.shift_rad
+        if self.free:
+            u = self.servo.torque(position, omega)
+            omega = self.omega_rad_s = self.friction.speed(omega, u, torque, self.step)
+            self.theta_rad += omega * TICK_S
+            self.shown_nm += (u - self.shown_nm) * self.shown_lag
+        else:
+            self.omega_rad_s = 0.0
+            self.shown_nm -= self.shown_nm * self.shown_lag
+        return torque
+
+    def release(self) -> None:
+        """Feed the motor and open the brake; the reference is where the axis stands."""
+        if not self.free:
+            self.servo.reset(self.position_rad)
+            self.friction.stuck_s = 0.0
+            self.free = True
+
+    def lock(self) -> None:
+        """Close the brake and cut the motor."""
+        if self.free:
+            self.free = False
+            self.servo.reset(self.position_rad)
+
+
+class ArmWorld:
+    """Physics of one arm.
+
+    Parameters
+    ----------
+    arm : cell's description: chain, axes, coupling
+    plant : true physics
+    seed : of the noise
+    filters_s : (6,) time constants of the drives' torque filters [s]
+    """
+
+    def __init__(self, arm: ArmSpec, plant: Plant, seed: int, filters_s: tuple[float, ...] = (0.001,) * 6) -> None:
+        self.plant = plant
+        self.time_s = 0.0
+        self._chain = arm.chain
+        self._coupling = None if np.array_equal(arm.coupling, np.eye(6)) else arm.coupling
+        self._zero = np.array([axis.zero_offset_rad for axis in arm.axes])
+        self._limits = np.array([axis.position_limit_rad for axis in arm.axes])
+        self._noise = np.random.default_rng(seed)
+        self._client: int = bullet.connect(bullet.DIRECT)
+        bullet.setTimeStep(TICK_S, physicsClientId=self._client)
+        home = np.clip(np.zeros(6), self._limits[:, 0], self._limits[:, 1])
+        self._q, self._qd = home.tolist(), [0.0] * 6
+        self._body = -1
+        self._now = plant.at(0.0)
+        self._refreshed_s = 0.0
+        self._passive: list[float] | None = None
+        self._load_body()
+        self.axes = [
+            MotorAxis(servo, JointFriction(seed * 8 + i), filters_s[i]) for i, servo in enumerate(self._servos(arm))
+        ]
+        self._tune()
+        self._take_over()
+        self._settle()
+
+    # ------------------------------------------------------------------------------------------------------- set-up
+
+    def _load_body(self) -> None:
+        """Build the links with what hangs on the flange, in the present posture."""
+        if self._body >= 0:
+            bullet.removeBody(self._body, physicsClientId=self._client)
+        text = write_chain(physical_chain(self._chain, self._now))
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "arm.urdf"
+            path.write_text(text, encoding="utf-8")
+            flags = bullet.URDF_USE_INERTIA_FROM_FILE
+            self._body = bullet.loadURDF(str(path), useFixedBase=True, flags=flags, physicsClientId=self._client)
+        joints = list(range(6))
+        for joint in range(-1, 6):
+            bullet.changeDynamics(
+                self._body, joint, linearDamping=0, angularDamping=0, jointDamping=0, physicsClientId=self._client
+            )
+        bullet.setJointMotorControlArray(
+            self._body, joints, bullet.VELOCITY_CONTROL, forces=[0.0] * 6, physicsClientId=self._client
+        )
+        for joint in joints:
+            bullet.resetJointState(self._body, joint, self._q[joint], self._qd[joint], physicsClientId=self._client)
+
+    def _postures(self) -> list[Array]:
+        low, high = self._limits.T
+        shares = np.random.default_rng(0).uniform(0.1, 0.9, (12, 6))
+        return [np.array(self._q), *(low + shares * (high - low))]
+
+    def _masses(self) -> list[Array]:
+        """Mass matrices (6, 6) on the motor side of a coupling, in the present and twelve other postures."""
+        inverse = np.eye(6) if self._coupling is None else np.linalg.inv(self._coupling)
+        return [
+            inverse.T
+            @ np.array(bullet.calculateMassMatrix(self._body, list(q), physicsClientId=self._client))
+            @ inverse
+            for q in self._postures()
+        ]
+
+    def _servos(self, arm: ArmSpec) -> list[ServoLoop]:
+        rotor = self.plant.rotor_inertia_kg_m2.tolist()
+        inertia = (np.max([np.diag(mass) for mass in self._masses()], axis=0) + rotor).tolist()
+        servos = []
+        for i, axis in enumerate(arm.axes):
+            speed_gain = min(SPEED_BANDWIDTH_RAD_S * inertia[i], 0.3 * rotor[i] / TICK_S)
+            bandwidth = speed_gain / inertia[i]
+            gains = Gains(position_1_s=min(POSITION_SHARE * bandwidth, POSITION_GAIN_1_S), speed_nm_s_rad=speed_gain)
+            max_nm = axis.torque_limit_nm / axis.gear_efficiency * 1.25
+            servos.append(ServoLoop(gains, max_nm, 3.0 * axis.speed_limit_rad_s))
+        return servos
+
+    def _tune(self) -> None:
+        """Size the numerical coupling from the mass matrix, so that its fastest mode stays stable."""
+        rotor = self.plant.rotor_inertia_kg_m2
+        masses = self._masses()
+        link = np.min([1.0 / np.diag(np.linalg.inv(mass)) for mass in masses], axis=0)
+        reduced = 1.0 / (1.0 / rotor + 1.0 / link)
+        shape = np.block([[np.diag(reduced), -np.diag(reduced)], [-np.diag(reduced), np.diag(reduced)]])
+        fastest = 0.0
+        for mass in masses:
+            inverse = np.zeros((12, 12))
+            inverse[:6, :6], inverse[6:, 6:] = np.diag(1.0 / rotor), np.linalg.inv(mass)
+            fastest = max(fastest, float(np.max(np.linalg.eigvals(inverse @ shape).real)))
+        frequency = COUPLING_PHASE / TICK_S / np.sqrt(fastest)
+        for i, axis in enumerate(self.axes):
+            axis.stiffness = float(reduced[i] * frequency**2)
+            axis.damping = float(2.0 * COUPLING_DAMPING * reduced[i] * frequency)
+            axis.step = float(TICK_S / rotor[i])
+
+    def _take_over(self) -> None:
+        """Hand the present plant's numbers to gears and encoders."""
+        now = self._now
+        bullet.setGravity(*now.gravity_m_s2, physicsClientId=self._client)
+        shift = now.zero_offset_rad + self._zero
+        shift = shift if self._coupling is None else self._coupling @ shift
+        for i, axis in enumerate(self.axes):
+            axis.compliance_rad_nm, axis.shift_rad = float(now.compliance_rad_nm[i]), float(shift[i])
+            gear = axis.friction
+            gear.coulomb_nm, gear.stiction_nm = float(now.coulomb_nm[i]), float(now.stiction_nm[i])
+            gear.viscous_nm_s_rad, gear.load_friction = float(now.viscous_nm_s_rad[i]), float(now.load_friction[i])
+            gear.bias_nm, gear.creep_rad_s = float(now.friction_bias_nm[i]), float(now.creep_rad_s[i])
+            gear.scatter = float(now.friction_scatter[i])
+            gear.set_efficiency(float(now.gear_efficiency[i]))
+
+    def _settle(self) -> None:
+        """Wind the couplings up to gravity, so that the arm hangs still in its brakes from the first moment."""
+        self._qd = [0.0] * 6
+        gravity = bullet.calculateInverseDynamics(
+            self._body, self._q, [0.0] * 6, [0.0] * 6, physicsClientId=self._client
+        )
+        self._passive = self._passive_torque()
+        need = np.array(gravity) - (self._passive or 0.0)
+        angle = np.array(self._q)
+        if self._coupling is not None:
+            need, angle = np.linalg.solve(self._coupling.T, need), self._coupling @ angle
+        for axis, torque, q in zip(self.axes, need.tolist(), angle.tolist(), strict=True):
+            axis.torque_nm = torque
+            axis.theta_rad = q + torque / axis.stiffness
+            axis.position_rad = q + axis.compliance_rad_nm * torque - axis.shift_rad
+            axis.omega_rad_s = 0.0
+            axis.servo.reference_rad = axis.position_rad
+
+    # ---------------------------------------------------------------------------------------------------- operation
+
+    def hang(self, payload: Payload) -> None:
+        """Bolt another load to link 6; an arm that stands in its brakes keeps still."""
+        self.plant = self.plant.with_payload(payload)
+        self._now = self.plant.at(self.time_s)
+        self._load_body()
+        self._tune()
+        self._take_over()
+        if any(axis.free for axis in self.axes):
+            for axis, q in zip(self.axes, self._motor_angles(), strict=True):
+                axis.theta_rad = q + axis.torque_nm / axis.stiffness
+        else:
+            self._settle()
+
+    def advance(self, ticks: int) -> None:
+        """Step the physics by whole milliseconds."""
+        self._refresh()
+        body, client, axes = self._body, self._client, self.axes
+        joints = (0, 1, 2, 3, 4, 5)
+        first, second, third, fourth, fifth, sixth = (axis.tick for axis in axes)
+        for _ in range(ticks):
+            a, b = (self._q, self._qd) if self._coupling is None else self._coupled()
+            forces = [
+                first(a[0], b[0]),
+                second(a[1], b[1]),
+                third(a[2], b[2]),
+                fourth(a[3], b[3]),
+                fifth(a[4], b[4]),
+                sixth(a[5], b[5]),
+            ]
+            if self._coupling is not None:
+                forces = (np.array(forces) @ self._coupling).tolist()
+            if self._passive is not None:
+                forces = [force + passive for force, passive in zip(forces, self._passive, strict=True)]
+            bullet.setJointMotorControlArray(body, joints, bullet.TORQUE_CONTROL, forces=forces, physicsClientId=client)
+            bullet.stepSimulation(physicsClientId=client)
+            states = bullet.getJointStates(body, joints, physicsClientId=client)
+            self._q = [state[0] for state in states]
+            self._qd = [state[1] for state in states]
+        self.time_s += ticks * TICK_S
+
+    def _coupled(self) -> tuple[list[float], list[float]]:
+        both = np.array([self._q, self._qd]) @ self._coupling.T  # type: ignore[union-attr]
+        return both[0].tolist(), both[1].tolist()
+
+    def _motor_angles(self) -> list[float]:
+        return self._q if self._coupling is None else self._coupled()[0]
+
+    def _passive_torque(self) -> list[float] | None:
+        passive = self._now.passive_torque
+        if passive is None:
+            return None
+        return np.asarray(passive(np.array(self._q), self.time_s, self.joint_torque_nm())).tolist()
+
+    def _refresh(self) -> None:
+        if (self.plant.drift or self.plant.payload_shift) and self.time_s >= self._refreshed_s + REFRESH_S:
+            self._refreshed_s = self.time_s
+            before, self._now = self._now, self.plant.at(self.time_s)
+            if np.abs(before.payload.com_m - self._now.payload.com_m).max() > 1e-6:
+                self._load_body()
+            self._take_over()
+        if self._now.passive_torque is not None:
+            self._passive = self._passive_torque()
+
+    def joint_torque_nm(self) -> Array:
+        """Torque that each gear transmits to its joint, shape (6,) [Nm]; `tau` of `sim.plant`."""
+        torque = np.array([axis.torque_nm for axis in self.axes])
+        return torque if self._coupling is None else self._coupling.T @ torque
+
+    @property
+    def q_rad(self) -> Array:
+        """True joint angles, shape (6,) [rad]."""
+        return np.array(self._q)
+
+    @property
+    def qd_rad_s(self) -> Array:
+        """True joint speeds, shape (6,) [rad/s]."""
+        return np.array(self._qd)
+
+    def reading_nm(self) -> Array:
+        """One reading of the six motor torques, shape (6,), gear output side [Nm]: `r` of `sim.plant`."""
+        now = self._now
+        u = np.array([axis.shown_nm for axis in self.axes])
+        shown = now.current_factor * u / now.torque_constant_scale
+        live = np.array([axis.free for axis in self.axes])
+        error = now.reading_offset_nm
+        if now.reading_ripple is not None:
+            error = error + now.reading_ripple(np.array([axis.position_rad for axis in self.axes]), u)
+        shown = now.torque_sign * (now.coupling @ (shown + error * live))
+        return shown + live * now.reading_noise_nm * self._noise.standard_normal(6)
+
+    def close(self) -> None:
+        """Give the physics engine back."""
+        bullet.disconnect(physicsClientId=self._client)
+
+
+def physical_chain(chain: Chain, plant: Plant) -> Chain:
+    """The chain with the plant's inertials, the payload joined to link 6 as one rigid body; joints without limits."""
+    bodies = [Body(float(plant.link_mass_kg[i]), plant.link_com_m[i], plant.link_inertia_kg_m2[i]) for i in range(6)]
+    load = plant.payload
+    if load.mass_kg > 0.0:
+        bodies[5] = combine(bodies[5], Body(load.mass_kg, load.com_m, load.inertia_kg_m2))
+    free = np.full(6, np.inf)
+    return replace(chain, bodies=tuple(bodies), lower_rad=-free, upper_rad=free, effort_nm=free, velocity_rad_s=free)

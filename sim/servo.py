@@ -1,0 +1,111 @@
+"""Cascaded loops of one simulated drive, 1 kHz: position P, velocity PI with feedforward, current loop of first order.
+
+All quantities stand on the gear output ("joint side" of a motor): angles are motor angle over ratio, torques motor
+torque times ratio. One call is one millisecond.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+TICK_S = 0.001
+
+
+@dataclass(frozen=True, slots=True)
+class Gains:
+    """Tuning of one axis.
+
+    Attributes
+    ----------
+    position_1_s : position loop gain
+    speed_nm_s_rad : proportional gain of the velocity loop
+    reset_time_s : of its integral part
+    feedforward : share of the reference speed that is fed forward
+    window_rad : standstill window: with the reference at rest and the error inside it the integral part holds
+    current_s : time constant of the current loop
+    """
+
+    position_1_s: float
+    speed_nm_s_rad: float
+    reset_time_s: float = 0.12
+    feedforward: float = 0.8
+    window_rad: float = 1e-4
+    current_s: float = 0.0008
+
+
+class ServoLoop:
+    """State of the loops of one axis.
+
+    Attributes
+    ----------
+    reference_rad, reference_step_rad : position reference and its increment per millisecond
+    torque_only : cyclic synchronous torque: `offset_nm` is the whole demand
+    offset_nm : torque feedforward (0x60B2) or torque demand
+    offset_rad_s : speed feedforward (0x60B1)
+    max_nm, max_rad_s : limits
+    error_rad : following error
+    demand_nm, u_nm : torque demanded of the current loop, and the motor torque it gives
+    limited : a torque or speed limit acts
+    """
+
+    __slots__ = (
+        "_integral_nm",
+        "_ki",
+        "_lag",
+        "demand_nm",
+        "error_rad",
+        "gains",
+        "limited",
+        "max_nm",
+        "max_rad_s",
+        "offset_nm",
+        "offset_rad_s",
+        "reference_rad",
+        "reference_step_rad",
+        "torque_only",
+        "u_nm",
+    )
+
+    def __init__(self, gains: Gains, max_nm: float, max_rad_s: float) -> None:
+        self.gains = gains
+        self.max_nm, self.max_rad_s = max_nm, max_rad_s
+        self._ki = gains.speed_nm_s_rad * TICK_S / gains.reset_time_s
+        self._lag = TICK_S / (TICK_S + gains.current_s)
+        self.reference_rad = self.reference_step_rad = self.offset_nm = self.offset_rad_s = 0.0
+        self.torque_only = False
+        self.reset(0.0)
+
+    def reset(self, position_rad: float) -> None:
+        """Power off: no torque, the reference stands where the axis stands."""
+        self.reference_rad, self.reference_step_rad = position_rad, 0.0
+        self.error_rad = self.demand_nm = self.u_nm = self._integral_nm = 0.0
+        self.limited = False
+
+    def torque(self, position_rad: float, speed_rad_s: float) -> float:
+        """Motor torque after one millisecond [Nm, gear output]."""
+        gains = self.gains
+        step = self.reference_step_rad
+        reference = self.reference_rad = self.reference_rad + step
+        error = self.error_rad = reference - position_rad
+        limit = self.max_nm
+        lack = 0.0
+        if self.torque_only:
+            demand = self.offset_nm
+            hold = True
+        else:
+            speed = gains.position_1_s * error + gains.feedforward * step / TICK_S + self.offset_rad_s
+            if speed > self.max_rad_s:
+                speed = self.max_rad_s
+            elif speed < -self.max_rad_s:
+                speed = -self.max_rad_s
+            lack = speed - speed_rad_s
+            demand = gains.speed_nm_s_rad * lack + self._integral_nm + self.offset_nm
+            hold = step == 0.0 and -gains.window_rad < error < gains.window_rad
+        self.limited = not -limit <= demand <= limit
+        if self.limited:
+            demand = limit if demand > 0.0 else -limit
+        elif not hold:
+            self._integral_nm += self._ki * lack
+        self.demand_nm = demand
+        self.u_nm += (demand - self.u_nm) * self._lag
+        return self.u_nm
