@@ -1,0 +1,70 @@
+"""What the figures need beside the numbers of the contract, gathered once when the result is written."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from gateway.model.kinematics import flange_frames, link_frames
+from gateway.model.robot import Robot
+from gateway.result import LoadResult, Rows
+
+MOST_POSES = 60
+
+
+def drawn_poses(
+    robot: Robot, rows: Rows, loads: Sequence[LoadResult], roles: Sequence[str] = ()
+) -> list[dict[str, Any]]:
+    """Where the arm stood: one entry per pose, with the load that hung on it last.
+
+    Parameters
+    ----------
+    robot : Robot
+    rows : Rows
+        Rows of the result.
+    loads : sequence of LoadResult
+        For the centre of gravity.
+    roles : sequence of str
+        Role of each row, as in `data.role`.
+
+    Returns
+    -------
+    list of dict
+        Entries of `data.poses`: pose, load, role, q_rad, points_m (base to flange), com_m.
+    """
+    chosen = _rows_to_draw(rows)
+    if not chosen:
+        return []
+    q_rad = np.array([rows.q_rad[row] for row in chosen])
+    frames, flange = link_frames(robot, q_rad), flange_frames(robot, q_rad)
+    centres = {load.label: load.com_m for load in loads if load.com_m is not None and np.isfinite(load.com_m).all()}
+    entries = []
+    for place, row in enumerate(chosen):
+        points = [*frames[place, :, :3, 3], flange[place, :3, 3]]
+        entry: dict[str, Any] = {
+            "pose": rows.pose[row] if rows.pose else place + 1,
+            "load": rows.load[row],
+            "role": roles[row] if row < len(roles) else "fit",
+            "q_rad": list(rows.q_rad[row]),
+            "points_m": np.round(points, 5).tolist(),
+        }
+        com = centres.get(rows.load[row])
+        if com is not None:
+            entry["com_m"] = np.round((frames[place, -1] @ np.array([*com, 1.0]))[:3], 5).tolist()
+        entries.append(entry)
+    return entries
+
+
+def _rows_to_draw(rows: Rows) -> list[int]:
+    """One row per pose, the last load first; of a moving run a few instants."""
+    if not rows.q_rad:
+        return []
+    if not rows.pose or min(rows.pose) < 0:
+        return sorted({int(index) for index in np.linspace(0, len(rows.q_rad) - 1, 10)})
+    latest: dict[int, int] = {}
+    for row, pose in enumerate(rows.pose):
+        if rows.load[row] != "none" or pose not in latest:
+            latest[pose] = row
+    return [latest[pose] for pose in sorted(latest)][:MOST_POSES]
