@@ -1,0 +1,193 @@
+"""Diagnosis of moving runs: what the model lacks, judged on blocks of time or on a run that no fit has seen.
+
+The noise floor of a moving run is unknown, so the best verdict is `improved`. Errors are those of rows in which the axis
+moves (friction at a standstill is a set); how many those are stands in the provenance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose import motion_report as report
+from gateway.diagnose.motion_fit import Noise, Problem, blocks
+from gateway.diagnose.motion_mistakes import Mistake, find_mistakes, undo
+from gateway.diagnose.motion_select import Chosen, State, select, state_of, weigh, with_noise_of
+from gateway.diagnose.motion_structure import structured_axes
+from gateway.diagnose.motion_trial import Trial
+from gateway.diagnose.motion_trust import USUAL, choose_trust
+from gateway.errors import ConfigError, InputError
+from gateway.model.motion import Motion, prepare
+from gateway.model.motion_baseline import EXACT, baseline, has_inertials
+from gateway.model.robot import Robot
+from gateway.result import Result
+from gateway.table import Table
+
+Floats = NDArray[np.float64]
+
+BLOCKS = 6
+FEWEST_ROWS = 60
+SHORTEST_S = 2.0
+SURE_ODDS = 10.0
+EFFECTS = frozenset(
+    {"velocity_friction", "load_dependent_friction", "axis_coupling", "balancer_spring", "cable_torque"}
+    | {"torque_ripple", "base_tilt", "joint_zero_offset", "torque_constant_scale", "torque_offset", "thermal_drift"}
+    | {"joint_elasticity", "link_mass", "payload_shift", "sign_reversed", "axes_swapped"}
+)
+
+
+class Options(Protocol):
+    """What the caller knows and wants.
+
+    `inertials`: "exact", "prior:S", "ignore", or None to weigh the CAD values by the data. `known`: label to (mass [kg],
+    x, y, z [m] in link 6). `holdout`: rows that no fit may see. `only`, `without`: names of effects.
+    """
+
+    @property
+    def inertials(self) -> str | None: ...
+    @property
+    def known(self) -> Mapping[str, tuple[float, float, float, float]]: ...
+    @property
+    def holdout(self) -> Table | None: ...
+    @property
+    def only(self) -> frozenset[str]: ...
+    @property
+    def without(self) -> frozenset[str]: ...
+    @property
+    def gravity_m_s2(self) -> tuple[float, float, float]: ...
+
+
+@dataclass(frozen=True, slots=True)
+class MotionOptions:
+    """Options with their defaults."""
+
+    inertials: str | None = None
+    known: Mapping[str, tuple[float, float, float, float]] = field(default_factory=dict)
+    holdout: Table | None = None
+    only: frozenset[str] = frozenset()
+    without: frozenset[str] = frozenset()
+    gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.80665)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """Everything the result file is written from."""
+
+    problem: Problem
+    before: State
+    after: State
+    effects: tuple[Chosen, ...]
+    doubtful: tuple[Chosen, ...]
+    rejected: tuple[Trial, ...]
+    mistakes: tuple[Mistake, ...]
+    as_read: State | None
+    structure: Mapping[int, float]
+    known: Mapping[str, tuple[float, Floats]]
+
+
+def diagnose_motion(table: Table, robot: Robot, options: Options) -> Result:
+    """Find what the model lacks on moving rows.
+
+    Parameters
+    ----------
+    table : Table
+        Rows that do not move are ignored.
+    robot : Robot
+    options : Options
+
+    Raises
+    ------
+    DataUnusable
+        No axis moves while its torque is measured.
+    InputError
+        A known load that is not in the data.
+    ConfigError
+        `inertials` is not understood.
+    """
+    motion = prepare(table, options.holdout, robot, np.asarray(options.gravity_m_s2))
+    known = _known(motion, options.known)
+    trust, free = _trust(robot, options.inertials)
+    allowed = (options.only or EFFECTS) & EFFECTS - options.without
+    if "current_rms_peak" in options.only and "current_rms_peak" not in options.without:
+        allowed |= {"torque_constant_scale"}
+    problem = _problem(motion, trust, known)
+    if (~motion.given).sum() < FEWEST_ROWS or motion.duration_s < SHORTEST_S:
+        return report.too_little(problem, state_of(problem, ()))
+    mistakes = find_mistakes(problem, allowed)
+    as_read = None
+    if mistakes:
+        as_read = state_of(problem, ())
+        problem = _problem(undo(motion, mistakes), trust, known)
+    problem, state, left = select(problem, allowed)
+    if free and problem.base.trust is not None:
+        chosen = choose_trust(problem, state.terms, known)
+        if chosen != problem.base.trust:
+            again = replace(problem, base=baseline(problem.motion, chosen, known))
+            start = () if chosen is None else state.terms
+            problem, state, left = select(with_noise_of(again, start, None), allowed, start)
+    return report.result_of(_outcome(problem, state, left, allowed, mistakes, as_read, known))
+
+
+def _outcome(  # noqa: PLR0913 - gathers what the stages left
+    problem: Problem,
+    state: State,
+    left: list[Trial],
+    allowed: frozenset[str],
+    mistakes: list[Mistake],
+    as_read: State | None,
+    known: Mapping[str, tuple[float, Floats]],
+) -> Outcome:
+    chosen = weigh(problem, state, allowed)
+    sure = tuple(item for item in chosen if item.odds >= SURE_ODDS)
+    doubtful = tuple(item for item in chosen if item.odds < SURE_ODDS)
+    if doubtful and sure:
+        state = state_of(problem, [term for item in sure for term in item.terms])
+    return Outcome(
+        problem=problem,
+        before=state_of(problem, ()),
+        after=state,
+        effects=sure,
+        doubtful=doubtful,
+        rejected=tuple(left),
+        mistakes=tuple(mistakes),
+        as_read=as_read,
+        structure=structured_axes(problem, state),
+        known=known,
+    )
+
+
+def _problem(motion: Motion, trust: float | None, known: Mapping[str, tuple[float, Floats]]) -> Problem:
+    problem = Problem(motion, baseline(motion, trust, known), Noise(np.ones(6), np.ones(6)), blocks(motion, BLOCKS))
+    return with_noise_of(problem, (), None)
+
+
+def _known(
+    motion: Motion, known: Mapping[str, tuple[float, float, float, float]]
+) -> dict[str, tuple[float, Floats]]:
+    present = [str(label) for label in np.unique(motion.load)]
+    for label in known:
+        if label not in present:
+            raise InputError(f"--known {label}: no row carries this load; the data hold {', '.join(present)}")
+    return {label: (float(values[0]), np.asarray(values[1:], dtype=float)) for label, values in known.items()}
+
+
+def _trust(robot: Robot, inertials: str | None) -> tuple[float | None, bool]:
+    """Trust of the CAD values to start with, and whether the data may change it."""
+    if inertials == "ignore" or not has_inertials(robot):
+        return None, False
+    if inertials is None:
+        return USUAL, True
+    if inertials == "exact":
+        return EXACT, False
+    word, _, number = inertials.partition(":")
+    try:
+        trust = float(number)
+    except ValueError:
+        trust = np.nan
+    if word != "prior" or not trust > 0:
+        raise ConfigError(f"inertials '{inertials}': use exact, ignore or prior:S with a relative deviation S > 0")
+    return trust, False

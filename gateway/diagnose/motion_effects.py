@@ -1,0 +1,132 @@
+"""From fitted coefficients to the parameters of the result file, with their standard deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.motion_fit import Problem, fit
+from gateway.diagnose.motion_select import State
+from gateway.model import motion_terms as library
+from gateway.model.motion_terms import ANCHOR_M, LEVER_M, Term
+
+Floats = NDArray[np.float64]
+Named = dict[str, float]
+Conversion = Callable[[Floats], Named]
+
+RMS_PEAK = np.sqrt(2.0)
+RMS_PEAK_TOLERANCE = 0.04
+STEP = 1e-6
+
+
+def parameters_of(problem: Problem, state: State, terms: Sequence[Term]) -> tuple[str, Named, Named]:
+    """Name, parameters and standard deviations of an effect that consists of `terms`."""
+    where = _positions(problem, state, terms)
+    name = terms[0].name
+    convert = _conversion(problem, terms)
+    extra = list(problem.base.friction[terms[0].axes[0], :2]) if name == "velocity_friction" else []
+    index = np.array([*where, *extra])
+    value, covariance = state.full.value[index], state.full.inverse[np.ix_(index, index)]
+    parameters, std = _with_spread(convert, value, covariance)
+    parameters |= {key: float(x) for term in terms for key, x in term.fixed}
+    if name == "axis_coupling" and terms[0].shape == "motor":
+        std["coefficient"] = _coupling_spread(problem, state, terms[0])
+    if name == "torque_constant_scale" and _is_rms_peak(parameters["scale"], std["scale"]):
+        return "current_rms_peak", {"factor": 1.0 / parameters["scale"]}, {
+            "factor": std["scale"] / parameters["scale"] ** 2
+        }
+    return name, parameters, std
+
+
+def _positions(problem: Problem, state: State, terms: Sequence[Term]) -> list[int]:
+    start, found = problem.base.columns.shape[2], []
+    for term in state.terms:
+        if term in terms:
+            found.extend(range(start, start + len(term.symbols)))
+        start += len(term.symbols)
+    return found
+
+
+def _with_spread(convert: Conversion, value: Floats, covariance: Floats) -> tuple[Named, Named]:
+    """Converted values and their standard deviations to first order."""
+    here = convert(value)
+    scale = np.maximum(np.abs(value), np.sqrt(np.diag(covariance))) * STEP + 1e-300
+    change = np.zeros((len(here), len(value)))
+    for position in range(len(value)):
+        moved = value.copy()
+        moved[position] += scale[position]
+        change[:, position] = (np.array(list(convert(moved).values())) - np.array(list(here.values()))) / scale[position]
+    std = np.sqrt(np.maximum(np.diag(change @ covariance @ change.T), 0.0))
+    return here, dict(zip(here, (float(x) for x in std), strict=True))
+
+
+def _conversion(problem: Problem, terms: Sequence[Term]) -> Conversion:
+    first = terms[0]
+    symbols = [symbol for term in terms for symbol in term.symbols]
+
+    def plain(value: Floats) -> Named:
+        return {symbol: float(x) for symbol, x in zip(symbols, value, strict=True)}
+
+    def friction(value: Floats) -> Named:
+        law = {"coulomb_nm": float(value[-2]), "viscous_nm_s_rad": float(value[-1])}
+        return law | {symbol: float(x) for symbol, x in zip(symbols, value, strict=False)}
+
+    def coil(value: Floats) -> Named:
+        amplitude = float(np.hypot(value[0], value[1]))
+        return {
+            "stiffness_n_m": amplitude / (LEVER_M * ANCHOR_M),
+            "phase_rad": float(np.arctan2(-value[0], value[1])),
+            "amplitude_nm": amplitude,
+        }
+
+    def swing(value: Floats) -> Named:
+        return {"amplitude_nm": float(np.hypot(value[0], value[1]))}
+
+    def wound(value: Floats) -> Named:
+        size = float(np.hypot(value[0], value[1]))
+        return {"stiffness_nm_rad": size, "neutral_rad": float(np.arctan2(-value[1], value[0]))}
+
+    def scale(value: Floats) -> Named:
+        return {"scale": float(1.0 / (1.0 + value[0]))}
+
+    def body(value: Floats) -> Named:
+        return plain(value) | {"first_moment_kg_m": float(np.linalg.norm(value[1:]))}
+
+    def moved(value: Floats) -> Named:
+        mass = max(_heaviest(problem), 1e-9)
+        return {"shift_m": float(np.linalg.norm(value)) * problem.motion.duration_s / mass}
+
+    special: dict[tuple[str, str], Conversion] = {
+        ("balancer_spring", "coil"): coil,
+        ("torque_ripple", ""): swing,
+        ("cable_torque", "harmonic"): wound,
+        ("torque_constant_scale", ""): scale,
+        ("link_mass", ""): body,
+        ("payload_shift", ""): moved,
+    }
+    return friction if first.name == "velocity_friction" else special.get((first.name, first.shape), plain)
+
+
+def _heaviest(problem: Problem) -> float:
+    return float(np.nanmax(np.append(np.nan_to_num(problem.motion.robot.mass_kg), 1.0)))
+
+
+def _is_rms_peak(scale: float, std: float) -> bool:
+    near = [abs(scale * factor - 1.0) for factor in (RMS_PEAK, 1.0 / RMS_PEAK)]
+    return min(near) < min(max(RMS_PEAK_TOLERANCE, 2.0 * std / scale), 0.1)
+
+
+def _coupling_spread(problem: Problem, state: State, term: Term) -> float:
+    """Standard deviation of the coefficient from the curvature of the cost."""
+    centre, step = dict(term.fixed)["coefficient"], 0.05
+    pair = (term.joints[0], term.joints[1])
+    others = [other for other in state.terms if other != term]
+    everything = ~problem.motion.given
+    costs = []
+    for move in (-step, step):
+        member = library.axis_coupling(pair, centre * (1.0 + move))
+        costs.append(fit(problem, [*others, member], everything, problem.motion.given).cost)
+    curvature = (costs[0] + costs[1] - 2.0 * state.full.cost) / (step * centre) ** 2
+    return float(np.sqrt(2.0 / curvature)) if curvature > 0 else abs(centre) * step

@@ -1,0 +1,139 @@
+"""Commissioning mistakes that a moving run shows by itself: a torque with the wrong sign, two axes swapped.
+
+Friction takes power. An axis whose fitted friction gives power reads its torque with the wrong sign. Two swapped axes
+explain each other's torque far better than their own. Either is believed only if undoing it helps on rows held out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.motion_fit import Fit, Noise, Problem, fit
+from gateway.model.motion import Motion
+
+Floats = NDArray[np.float64]
+
+SURE = 4.0
+HALVED = 0.5
+NOT_WORSE = 1.03
+MOST = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Mistake:
+    """`sign_reversed` of one joint or `axes_swapped` of two, joints from 0; `ratio` = held-out RMS after over before."""
+
+    name: str
+    joints: tuple[int, ...]
+    ratio: float = np.nan
+
+
+def find_mistakes(problem: Problem, allowed: frozenset[str]) -> list[Mistake]:
+    """Mistakes in the order in which they were found, each with those before it undone."""
+    found: list[Mistake] = []
+    for _ in range(MOST):
+        best = _worst(problem, allowed)
+        if best is None:
+            break
+        found.append(best)
+        problem = replace(problem, motion=undo(problem.motion, [best]))
+    return found
+
+
+def undo(motion: Motion, mistakes: list[Mistake]) -> Motion:
+    """The run as it would read without the mistakes."""
+    tau = motion.tau_nm.copy()
+    for mistake in mistakes:
+        if mistake.name == "axes_swapped":
+            tau[:, list(mistake.joints)] = tau[:, list(mistake.joints[::-1])]
+        else:
+            tau[:, mistake.joints[0]] *= -1.0
+    return replace(motion, tau_nm=tau)
+
+
+def _worst(problem: Problem, allowed: frozenset[str]) -> Mistake | None:
+    """The mistake whose undoing halves the held-out error most clearly."""
+    neutral = _with_neutral_noise(problem)
+    everything = ~problem.motion.given
+    now = fit(neutral, (), everything, problem.motion.given)
+    suspects = []
+    axes = [int(axis) for axis in np.flatnonzero(problem.motion.measured)]
+    for axis in axes:
+        if "sign_reversed" in allowed and _friction_power(neutral, now, axis) < -SURE:
+            suspects.append(Mistake("sign_reversed", (axis,)))
+    for pair in combinations(axes, 2):
+        mistake = Mistake("axes_swapped", pair)
+        if "axes_swapped" in allowed and _ratio(neutral, now, mistake, everything, everything) < HALVED:
+            suspects.append(mistake)
+    judged = []
+    for mistake in suspects:
+        ratio = _held_ratio(neutral, mistake)
+        limit = HALVED if mistake.name == "axes_swapped" else NOT_WORSE
+        if ratio < limit and _takes_power(neutral, mistake):
+            judged.append(replace(mistake, ratio=ratio))
+    return min(judged, key=lambda mistake: mistake.ratio, default=None)
+
+
+def _with_neutral_noise(problem: Problem) -> Problem:
+    """Weights from the size of the torque alone: a mistake must not choose its own."""
+    motion = problem.motion
+    power = (motion.tau_nm**2 * motion.judged).sum(axis=0) / np.maximum(motion.judged.sum(axis=0), 1)
+    sigma = 0.1 * np.sqrt(np.where(power > 0, power, 1.0))
+    return replace(problem, noise=Noise(sigma, problem.noise.share))
+
+
+def _undone(problem: Problem, mistake: Mistake) -> Problem:
+    return _with_neutral_noise(replace(problem, motion=undo(problem.motion, [mistake])))
+
+
+def _friction_power(problem: Problem, solved: Fit, axis: int) -> float:
+    """Mean power of the fitted friction of one axis in its own standard deviations."""
+    motion = problem.motion
+    rows = solved.weight[:, axis] > 0
+    speed = np.abs(motion.qd_rad_s[rows, axis])
+    direction = np.array([speed.mean(), (speed**2).mean()])
+    where = problem.base.friction[axis, :2]
+    covariance = solved.inverse[np.ix_(where, where)]
+    left = float(np.mean((solved.weight * solved.residual_nm)[rows, axis] ** 2) / problem.noise.share[axis])
+    return float(direction @ solved.value[where] / np.sqrt(direction @ covariance @ direction * max(left, 1e-12)))
+
+
+def _takes_power(problem: Problem, mistake: Mistake) -> bool:
+    other = _undone(problem, mistake)
+    solved = fit(other, (), ~other.motion.given, other.motion.given)
+    return all(_friction_power(other, solved, axis) > 0 for axis in mistake.joints)
+
+
+def _ratio(
+    problem: Problem, now: Fit, mistake: Mistake, train: NDArray[np.bool_], test: NDArray[np.bool_]
+) -> float:
+    """RMS with the mistake undone over RMS as it reads, geometric mean over all axes of the mistake, on `test`."""
+    other = _undone(problem, mistake)
+    solved = fit(other, (), train, test)
+    logs = []
+    for axis in mistake.joints:
+        rows = problem.motion.judged[:, axis] & test
+        partner = mistake.joints[::-1][mistake.joints.index(axis)]
+        before = np.mean(now.residual_nm[rows, axis] ** 2) / np.mean(problem.motion.tau_nm[rows, axis] ** 2)
+        after = np.mean(solved.residual_nm[rows, axis] ** 2) / np.mean(problem.motion.tau_nm[rows, partner] ** 2)
+        logs.append(0.5 * np.log(max(after, 1e-12) / max(before, 1e-12)))
+    return float(np.exp(np.mean(logs)))
+
+
+def _held_ratio(problem: Problem, mistake: Mistake) -> float:
+    """Held-out RMS, each axis over its own torque, undone over as it reads: the pair's axes, or all for one sign."""
+    other = _undone(problem, mistake)
+    squares = np.zeros((2, 6))
+    for train, test in problem.splits:
+        for position, case in enumerate((problem, other)):
+            solved = fit(case, (), train, test)
+            scaled = (solved.residual_nm / case.noise.sigma_nm * case.motion.judged)[test]
+            squares[position] += (scaled**2).sum(axis=0)
+    if len(mistake.joints) > 1:
+        squares = squares[:, list(mistake.joints)]
+        return float(np.exp(0.5 * np.log(squares[1] / squares[0]).mean()))
+    return float(np.sqrt(squares[1].sum() / squares[0].sum()))

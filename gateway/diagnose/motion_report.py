@@ -1,0 +1,226 @@
+"""The result file of a diagnosis of moving runs."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.motion_effects import parameters_of
+from gateway.diagnose.motion_fit import Problem
+from gateway.diagnose.motion_load import friction_level, loads_of
+from gateway.diagnose.motion_select import Chosen, State
+from gateway.diagnose.motion_trial import Trial
+from gateway.result import (
+    EffectResult,
+    Evidence,
+    Finding,
+    FitSummary,
+    NextMeasurement,
+    Rejected,
+    Result,
+    Rows,
+)
+
+if TYPE_CHECKING:
+    from gateway.diagnose.motion import Outcome
+
+Floats = NDArray[np.float64]
+
+ROWS_KEPT = 600
+FAULTS = ("sign_reversed", "axes_swapped", "current_rms_peak")
+
+
+def result_of(outcome: Outcome) -> Result:
+    """Write up a finished diagnosis."""
+    problem, after = outcome.problem, outcome.after
+    effects = (*_mistakes(outcome), *(_effect(problem, after, item) for item in outcome.effects))
+    doubtful = outcome.doubtful
+    undecided = bool(doubtful) and not effects
+    if undecided:
+        effects = tuple(part for item in doubtful for part in _rivals(problem, after, item))
+    before = outcome.as_read if outcome.as_read is not None else outcome.before
+    loads = loads_of(problem, after, outcome.known)
+    return Result(
+        robot=problem.motion.robot.name,
+        loads=loads,
+        verdict=_verdict(outcome, undecided, bool(effects)),
+        effects=effects,
+        before=_summary(problem, before, outcome, first=True),
+        after=_summary(problem, after, outcome, first=False),
+        holdout_kind="given" if problem.motion.given.any() else "blocks",
+        friction_band_nm=_six(friction_level(problem, after.full)),
+        rejected=_rejected(outcome),
+        next=tuple(_tell_apart(item) for item in doubtful),
+        findings=(*_faults(effects), *_remarks(outcome)),
+        provenance=_provenance(problem, outcome),
+        rows=_rows(problem, after),
+    )
+
+
+def too_little(problem: Problem, state: State) -> Result:
+    """Too little motion to hold any of it out."""
+    summary = FitSummary(rms_nm=_six(_rms(problem, state)))
+    step = NextMeasurement("a moving run of at least 10 s in which every axis changes its direction several times")
+    what = f"{int((~problem.motion.given).sum())} moving rows over {problem.motion.duration_s:.1f} s"
+    return Result(
+        robot=problem.motion.robot.name,
+        verdict="undecided",
+        before=summary,
+        after=summary,
+        holdout_kind="blocks",
+        next=(step,),
+        findings=(Finding("warn", "data", f"{what} are too few to hold any out", "record a longer run"),),
+    )
+
+
+def _six(values: Floats) -> tuple[float, ...]:
+    return tuple(float(x) for x in values)
+
+
+def _rms(problem: Problem, state: State) -> Floats:
+    judged = problem.motion.judged & ~problem.motion.given[:, None]
+    count = judged.sum(axis=0)
+    square = (state.full.residual_nm**2 * judged).sum(axis=0)
+    return np.sqrt(np.where(count > 0, square, np.nan) / np.maximum(count, 1))
+
+
+def _summary(problem: Problem, state: State, outcome: Outcome, *, first: bool) -> FitSummary:
+    loads = loads_of(problem, outcome.before if first else state, outcome.known)
+    return FitSummary(_six(_rms(problem, state)), _six(state.held.rms_nm), loads)
+
+
+def _joints(joints: tuple[int, ...]) -> tuple[int, ...]:
+    return tuple(joint + 1 for joint in joints)
+
+
+def _effect(problem: Problem, state: State, item: Chosen) -> EffectResult:
+    name, parameters, std = parameters_of(problem, state, item.terms)
+    runner = item.runner_up
+    evidence = Evidence(
+        holdout_rms_ratio=item.trial.ratio,
+        p_value=max(item.trial.p_demand, 1e-300),
+        runner_up=runner.term.name if runner is not None else None,
+        odds=item.odds,
+    )
+    return EffectResult(name, _joints(item.terms[0].joints), parameters, std, evidence)
+
+
+def _rivals(problem: Problem, state: State, item: Chosen) -> list[EffectResult]:
+    """Both effects that explain the same rows."""
+    found = [_effect(problem, state, item)]
+    rival = item.runner_up
+    if rival is not None:
+        values = dict(zip(rival.term.symbols, (float(x) for x in rival.value), strict=True))
+        spread = np.sqrt(np.diag(rival.covariance))
+        std = dict(zip(rival.term.symbols, (float(x) for x in spread), strict=True))
+        evidence = Evidence(rival.ratio, max(rival.p_demand, 1e-300), item.terms[0].name, 1.0 / item.odds)
+        found.append(EffectResult(rival.term.name, _joints(rival.term.joints), values, std, evidence))
+    return found
+
+
+def _mistakes(outcome: Outcome) -> tuple[EffectResult, ...]:
+    return tuple(
+        EffectResult(item.name, _joints(item.joints), evidence=Evidence(holdout_rms_ratio=item.ratio))
+        for item in outcome.mistakes
+    )
+
+
+def _verdict(outcome: Outcome, undecided: bool, any_effect: bool) -> str:
+    if undecided:
+        return "undecided"
+    if any_effect:
+        return "improved"
+    return "unexplained" if outcome.structure else "none_needed"
+
+
+def _rejected(outcome: Outcome) -> tuple[Rejected, ...]:
+    accepted = {item.terms[0].key for item in outcome.effects}
+    best: dict[tuple[str, tuple[int, ...]], float] = {}
+    trials: list[Trial] = list(outcome.rejected)
+    if outcome.effects:
+        trials += [item.trial for item in outcome.doubtful]
+    for trial in trials:
+        key = trial.term.key
+        if key not in accepted:
+            best[key] = min(best.get(key, np.inf), trial.ratio)
+    order = sorted(best, key=lambda key: best[key])
+    return tuple(Rejected(name, _joints(joints), best[(name, joints)]) for name, joints in order)
+
+
+def _tell_apart(item: Chosen) -> NextMeasurement:
+    names = [item.terms[0].name]
+    if item.runner_up is not None:
+        names.append(item.runner_up.term.name)
+    axes = ", ".join(f"J{axis + 1}" for axis in item.terms[0].axes)
+    what = f"a moving run in which {axes} pass the same postures at several speeds, in both directions, bare and loaded"
+    return NextMeasurement(what, tells_apart=tuple(names))
+
+
+def _faults(effects: tuple[EffectResult, ...]) -> tuple[Finding, ...]:
+    words = {
+        "sign_reversed": ("torque is read with the wrong sign", "check torque_sign of the axis"),
+        "axes_swapped": ("torques of the two axes are swapped", "check node numbers and cabling"),
+        "current_rms_peak": ("torque is read by a factor of sqrt 2", "check whether the drive's ampere is rms or peak"),
+    }
+    return tuple(
+        Finding("fail", " ".join(f"J{joint}" for joint in effect.joints), *words[effect.name])
+        for effect in effects
+        if effect.name in FAULTS
+    )
+
+
+def _remarks(outcome: Outcome) -> tuple[Finding, ...]:
+    motion = outcome.problem.motion
+    found = [
+        Finding("warn", f"J{axis + 1}", "the axis does not move or is not measured: nothing is said about it")
+        for axis in np.flatnonzero(~motion.measured)
+    ]
+    found += [
+        Finding("info", f"J{axis + 1}", f"the residual still hangs on the motion (held-out ratio {ratio:.2f})")
+        for axis, ratio in outcome.structure.items()
+    ]
+    if outcome.effects:
+        found += [
+            Finding("info", f"J{item.terms[0].axes[0] + 1}", f"undecided: {' or '.join(_tell_apart(item).tells_apart)}")
+            for item in outcome.doubtful
+        ]
+    return tuple(found)
+
+
+def _provenance(problem: Problem, outcome: Outcome) -> dict[str, object]:
+    motion, trust = problem.motion, problem.base.trust
+    return {
+        "kind": "moving",
+        "rows": len(motion),
+        "rows_judged": [int(x) for x in motion.judged.sum(axis=0)],
+        "holdout_blocks": len(problem.splits),
+        "inertials": "ignore" if trust is None else f"prior:{trust:g}",
+        "rows_that_count": _six(problem.noise.share * motion.judged.sum(axis=0)),
+        "candidates_tried": len(outcome.rejected) + len(outcome.effects),
+    }
+
+
+def _rows(problem: Problem, state: State) -> Rows:
+    motion = problem.motion
+    step = max(1, int(np.ceil(len(motion) / ROWS_KEPT)))
+    kept = np.arange(0, len(motion), step)
+
+    def matrix(values: Floats) -> tuple[tuple[float, ...], ...]:
+        return tuple(_six(row) for row in values[kept])
+
+    tau = np.where(motion.measured, motion.tau_nm, np.nan)
+    unknown = np.full((len(motion), 6), np.nan)
+    return Rows(
+        run=tuple(str(number) for number in motion.run[kept]),
+        load=tuple(str(label) for label in motion.load[kept]),
+        pose=(-1,) * len(kept),
+        time_s=_six(motion.time_s[kept]),
+        q_rad=matrix(motion.q_rad),
+        direction=tuple(tuple(int(x) for x in row) for row in np.sign(motion.sign[kept].round(6)).astype(int)),
+        tau_nm=matrix(tau),
+        model_nm=matrix(motion.tau_nm - state.full.residual_nm),
+        band_nm=matrix(unknown),
+        std_nm=matrix(unknown),
+    )

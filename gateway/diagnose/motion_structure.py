@@ -1,0 +1,58 @@
+"""Is what the model leaves noise, or does it still hang on the motion?
+
+Columns without a cause (harmonics of the angle, with and without the direction of motion, speeds) are put on trial like
+an effect. If they help on rows no fit has seen, the residual has structure that no effect of the library explains.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.motion_fit import Problem
+from gateway.diagnose.motion_select import State
+from gateway.diagnose.motion_trial import Trial, put_on_trial
+from gateway.model.motion import Motion
+from gateway.model.motion_terms import Modelled, Term
+
+Floats = NDArray[np.float64]
+
+RATIO = 0.9
+CHANCE = 0.01
+
+
+def structured_axes(problem: Problem, state: State) -> dict[int, float]:
+    """Axes (from 0) whose residual still hangs on their motion, with the held-out ratio that shows it."""
+    found = {}
+    for axis in np.flatnonzero(problem.motion.measured):
+        best = 1.0
+        for term in _shapeless(int(axis), float(problem.motion.speed_rad_s[axis])):
+            trial = put_on_trial(problem, state.fits, state.full, term)
+            if trial is not None and _convinces(trial):
+                best = min(best, trial.ratio)
+        if best < 1.0:
+            found[int(axis)] = best
+    return found
+
+
+def _convinces(trial: Trial) -> bool:
+    return trial.ratio <= RATIO and trial.p_held <= CHANCE and trial.p_demand <= CHANCE
+
+
+def _shapeless(axis: int, top_rad_s: float) -> list[Term]:
+    def angle(motion: Motion, _: Modelled) -> Floats:
+        q = motion.q_rad[:, axis]
+        return np.stack([np.sin(q), np.cos(q), np.sin(2 * q), np.cos(2 * q)], axis=1)[:, None, :]
+
+    def directed(motion: Motion, _: Modelled) -> Floats:
+        q, sign = motion.q_rad[:, axis], motion.sign[:, axis]
+        return np.stack([sign * np.sin(q), sign * np.cos(q)], axis=1)[:, None, :]
+
+    def speed(motion: Motion, _: Modelled) -> Floats:
+        part, sign = np.abs(motion.qd_rad_s[:, axis]) / top_rad_s, motion.sign[:, axis]
+        return np.stack([sign * np.exp(-part / 0.1), sign * part**2, part], axis=1)[:, None, :]
+
+    return [
+        Term("structure", (axis,), (axis,), columns, symbols, symbols[0])
+        for columns, symbols in ((angle, ("a", "b", "c", "d")), (directed, ("e", "f")), (speed, ("g", "h", "i")))
+    ]
