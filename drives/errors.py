@@ -63,6 +63,8 @@ class DriveError(Exception):
         self.subindex = subindex
         self.code = code
         self.advice = advice
+        #: What else went wrong while the axes were being stopped because of this.
+        self.while_stopping: tuple[DriveError, ...] = ()
         super().__init__(what)
 
     @property
@@ -75,7 +77,12 @@ class DriveError(Exception):
 
     def __str__(self) -> str:
         text = f"{self.where}: {self.what}" if self.where else self.what
-        return f"{text}; {self.advice}" if self.advice else text
+        return (f"{text}; {self.advice}" if self.advice else text) + self._aftermath()
+
+    def _aftermath(self) -> str:
+        if not self.while_stopping:
+            return ""
+        return f"; while stopping: {', '.join(str(error) for error in self.while_stopping)}"
 
 
 class BusError(DriveError):
@@ -171,7 +178,7 @@ class SeveralFailures(DriveError):  # noqa: N818 - reads as what happened
 
     def __str__(self) -> str:
         lines = "; ".join(f"({number}) {failure}" for number, failure in enumerate(self.failures, start=1))
-        return f"{len(self.failures)} failures: {lines}"
+        return f"{len(self.failures)} failures: {lines}{self._aftermath()}"
 
 
 def raise_failures(failures: Sequence[DriveError]) -> None:

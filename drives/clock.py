@@ -1,0 +1,63 @@
+"""When a SYNC is due by the clock: waits on time, never catches up in a burst, and keeps how late each one was."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from typing import Final
+
+from drives.bus import Bus
+
+#: Latenesses that are kept for the quantiles.
+KEPT: Final = 10_000
+#: Before the deadline the receive path is left this early, the rest is slept and at last spun.
+_LEAVE_S: Final = 0.0006
+_SPIN_S: Final = 0.00012
+
+
+class SyncClock:
+    """Deadlines of the wall-clock mode.
+
+    Parameters
+    ----------
+    bus : Bus
+        Receives and dispatches while waiting.
+    period_s : float
+        Time between two SYNCs.
+    """
+
+    def __init__(self, bus: Bus, period_s: float) -> None:
+        self.overruns = 0
+        self.lateness_s: deque[float] = deque(maxlen=KEPT)
+        self._bus = bus
+        self._period_s = period_s
+        self._due_s: float | None = None
+
+    def restart(self) -> None:
+        """Forget the rhythm: the next SYNC is due at once."""
+        self._due_s = None
+
+    def wait(self) -> float:
+        """Wait until the next SYNC is due; returns the monotonic time, s.
+
+        A deadline that passed more than a period ago is skipped and counted, not made up for.
+        """
+        now = time.monotonic()
+        due = self._due_s
+        if due is None:
+            self._due_s = now + self._period_s
+            return now
+        if now > due + self._period_s:
+            self.overruns += int((now - due) / self._period_s)
+            due = now
+        while (left := due - time.monotonic()) > _LEAVE_S:
+            frame = self._bus.receive(left - _LEAVE_S)
+            if frame is not None:
+                self._bus.dispatch(frame)
+        if left > _SPIN_S:
+            time.sleep(left - _SPIN_S)
+        while (now := time.monotonic()) < due:
+            pass
+        self.lateness_s.append(now - due)
+        self._due_s = due + self._period_s
+        return now

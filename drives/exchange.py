@@ -1,0 +1,170 @@
+"""The SYNC exchange: commands out, SYNC, one row of answers in."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from drives.bus import SYNC_ID, Bus
+from drives.busload import cycle_bits_worst
+from drives.cia402 import State, decode_state
+from drives.clock import SyncClock
+from drives.drive import Cia402Drive
+from drives.epoch import Epoch, EpochCollector
+from drives.heartbeat import HeartbeatProducer
+from drives.pdo import COMMAND
+from drives.values import DriveReading
+
+Pacing = Literal["lockstep", "real"]
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """When SYNCs are sent and answers count.
+
+    Attributes
+    ----------
+    period_s : float
+        Time between two SYNCs; in lockstep the time that a SYNC stands for.
+    pacing : "lockstep" or "real"
+        Next SYNC as soon as all have answered, or by the clock.
+    answer_timeout_s : float
+        Lockstep: longest wait for the first answer to a SYNC.
+    gap_timeout_s : float
+        Lockstep: longest wait for the next answer once one has come, and for what is missing before the next SYNC.
+    window : float
+        By the clock: share of the SYNC period in which an answer counts.
+    """
+
+    period_s: float
+    pacing: Pacing = "lockstep"
+    answer_timeout_s: float = 1.0
+    gap_timeout_s: float = 0.1
+    window: float = 0.9
+
+
+class SyncExchange:
+    """One SYNC after the other.
+
+    Parameters
+    ----------
+    bus : Bus
+    drives : sequence of Cia402Drive
+    timing : Timing
+    producer : HeartbeatProducer
+        The master's heartbeat goes out before the commands, when it is due.
+    first_index : int
+        SYNC index before the first one.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        drives: Sequence[Cia402Drive],
+        timing: Timing,
+        producer: HeartbeatProducer,
+        first_index: int = 0,
+    ) -> None:
+        self.drives = tuple(drives)
+        self.timing = timing
+        self.sync_index = first_index
+        #: State of each axis by its last answer; None before the first.
+        self.states: list[State | None] = [None] * len(self.drives)
+        #: SYNCs in a row that each axis left unanswered.
+        self.silent = [0] * len(self.drives)
+        self.cycles = 0
+        self.incomplete = 0
+        self.started_s: float | None = None
+        self.clock = SyncClock(bus, timing.period_s)
+        slots: list[tuple[int, int]] = []
+        slices = []
+        for drive in self.drives:
+            slices.append(slice(len(slots), len(slots) + len(drive.answers)))
+            slots += drive.answers
+            bus.watch_master_id(drive.plans[0].cob_id)
+        self.collector = EpochCollector(bus, slots)
+        #: Worst-case bits of one cycle.
+        self.cycle_bits = cycle_bits_worst([0, *(size for _, size in slots), *[COMMAND.size] * len(self.drives)])
+        self._axes = tuple(zip(range(len(slices)), self.drives, slices, strict=True))
+        self._answer_timeout_s = timing.answer_timeout_s
+        self._bus = bus
+        self._producer = producer
+        self._sync_frame = bus.prepare(SYNC_ID, 0)
+
+    def close(self) -> None:
+        """Stop listening."""
+        self.collector.close()
+
+    @property
+    def sync_time_s(self) -> float:
+        """Time that the SYNCs so far stand for."""
+        return self.sync_index * self.timing.period_s
+
+    def restart(self) -> None:
+        """Begin a new run: rhythm, silence and patience start afresh."""
+        self.clock.restart()
+        self.silent = [0] * len(self.drives)
+        self._answer_timeout_s = self.timing.answer_timeout_s
+
+    def hurry(self) -> None:
+        """From now on wait no longer for the first answer than for the next: something has to be stopped."""
+        self._answer_timeout_s = min(self.timing.answer_timeout_s, self.timing.gap_timeout_s)
+
+    def cycle(self, words: Sequence[int] | None) -> Epoch:
+        """One SYNC with these controlwords and what each drive has staged; None = the SYNC alone.
+
+        Raises
+        ------
+        BusError
+            A frame could not be sent.
+        """
+        timing, collector = self.timing, self.collector
+        with self._bus.receive_lock:
+            self._producer.tick(self.sync_time_s)
+            if timing.pacing == "lockstep":
+                collector.settle(timing.gap_timeout_s)
+                self._send_commands(words)
+                now = self._send_sync(time.monotonic())
+                time_s = self.sync_time_s
+                frames = collector.collect(self._answer_timeout_s, timing.gap_timeout_s)
+            else:
+                self._send_commands(words)
+                now = self.clock.wait()
+                collector.settle(0.0)
+                self._send_sync(now)
+                time_s = now - (now if self.started_s is None else self.started_s)
+                frames = collector.collect(timing.window * timing.period_s, None)
+        if self.started_s is None:
+            self.started_s = now
+        self.cycles += 1
+        return Epoch(self.sync_index, time_s, self._row(frames))
+
+    def _send_commands(self, words: Sequence[int] | None) -> None:
+        if words is not None:
+            send = self._bus.send_frame
+            for drive, word in zip(self.drives, words, strict=True):
+                send(drive.frame(word))
+
+    def _send_sync(self, now_s: float) -> float:
+        self.sync_index += 1
+        self._bus.send_frame(self._sync_frame)
+        return now_s
+
+    def _row(self, frames: list[bytes | bytearray | None]) -> tuple[DriveReading | None, ...]:
+        index, states, silent = self.sync_index, self.states, self.silent
+        row: list[DriveReading | None] = []
+        for axis, drive, part in self._axes:
+            answers = frames[part]
+            if None in answers:
+                row.append(None)
+                silent[axis] += 1
+            else:
+                reading = drive.decode(index, answers)  # pyright: ignore[reportArgumentType]
+                row.append(reading)
+                silent[axis] = 0
+                states[axis] = decode_state(reading.statusword)
+        if None in row:
+            self.incomplete += 1
+        return tuple(row)

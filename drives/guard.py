@@ -1,0 +1,160 @@
+"""What is watched at every SYNC while axes are enabled; each finding is a typed error that names the node."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from drives.bus import NMT_ID, SYNC_ID, Bus
+from drives.cia402 import ENABLED_PATTERN, STATE_MASK, State, decode_state, describe
+from drives.emcy import EmcyLog
+from drives.epoch import Epoch
+from drives.errors import (
+    DriveError,
+    DriveFault,
+    DriveRebooted,
+    ForeignMaster,
+    HeartbeatLost,
+    IncompleteEpochs,
+    SeveralFailures,
+    raise_failures,
+)
+from drives.exchange import SyncExchange
+from drives.heartbeat import HeartbeatWatch
+
+_EVERY: Final = 16
+_MASTER_ONLY: Final = ((SYNC_ID, "SYNC"), (NMT_ID, "NMT commands"))
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """When a disturbance becomes a reason to stop.
+
+    Attributes
+    ----------
+    silent_syncs : int
+        SYNCs in a row that an axis may leave unanswered.
+    foreign_frames : int
+        Frames of another master with one id.
+    """
+
+    silent_syncs: int = 5
+    foreign_frames: int = 3
+
+
+class Guard:
+    """Checks after each SYNC.
+
+    Parameters
+    ----------
+    bus : Bus
+    exchange : SyncExchange
+    watch : HeartbeatWatch
+    emcy : EmcyLog
+    limits : Limits
+    """
+
+    def __init__(self, bus: Bus, exchange: SyncExchange, watch: HeartbeatWatch, emcy: EmcyLog, limits: Limits) -> None:
+        self.limits = limits
+        self._bus = bus
+        self._exchange = exchange
+        self._watch = watch
+        self._emcy = emcy
+        self._foreign_before: dict[int, int] = {}
+        self.forgive()
+
+    def forgive(self) -> None:
+        """Begin a new run: boot-ups, heartbeat timers and other masters so far are forgotten."""
+        self._watch.forgive()
+        self._foreign_before = dict(self._bus.foreign)
+
+    def check(self, epoch: Epoch) -> None:
+        """All checks of an exchange in which every axis shall be enabled.
+
+        Raises
+        ------
+        DriveFault, DriveRebooted, HeartbeatLost, IncompleteEpochs, ForeignMaster, BusOff, SeveralFailures
+        """
+        if self._watch.booted or self._bus.bus_off:
+            self.check_bus()
+        for reading in epoch.readings:
+            if reading is None:
+                self.check_silence()
+            elif reading.statusword & STATE_MASK != ENABLED_PATTERN:
+                raise_failures(self._not_enabled(epoch))
+        if epoch.sync_index % _EVERY == 0:
+            self.check_bus()
+
+    def _not_enabled(self, epoch: Epoch) -> list[DriveError]:
+        failures: list[DriveError] = []
+        for reading in epoch.readings:
+            if reading is not None and decode_state(reading.statusword) is not State.OPERATION_ENABLED:
+                failures.append(
+                    DriveFault(
+                        f"left OPERATION ENABLED: {describe(reading.statusword)}",
+                        node=reading.node_id,
+                        index=0x6041,
+                        code=reading.statusword,
+                        advice="all axes were stopped; find and remove the cause before enabling again",
+                    )
+                )
+        return failures
+
+    def last_words(self, node_id: int) -> str:
+        """Last emergency message of a node, as the end of a sentence."""
+        last = self._emcy.last(node_id)
+        return "" if last is None else f"; last emergency: {last.text}{f' ({last.advice})' if last.advice else ''}"
+
+    def explain(self, error: DriveError) -> None:
+        """Add to each fault what the drive has said about it meanwhile."""
+        for failure in error.failures if isinstance(error, SeveralFailures) else (error,):
+            if isinstance(failure, DriveFault) and failure.node is not None:
+                failure.what += self.last_words(failure.node)
+
+    def check_silence(self) -> None:
+        """Axes that leave too many SYNCs unanswered."""
+        raise_failures(
+            [
+                IncompleteEpochs(
+                    f"left {silent} SYNCs in a row unanswered",
+                    node=drive.node_id,
+                    advice="all axes were stopped; check power and cabling of this drive",
+                )
+                for drive, silent in zip(self._exchange.drives, self._exchange.silent, strict=True)
+                if silent >= self.limits.silent_syncs
+            ]
+        )
+
+    def check_bus(self) -> None:
+        """Bus-off, boot-ups, lost heartbeats, another master."""
+        self._bus.check()
+        advice = "it lost power or was reset, and its configuration is gone: connect() and configure() again"
+        raise_failures(
+            _each(self._watch.booted, lambda n: DriveRebooted("booted during the run", node=n, advice=advice))
+        )
+        lost = "check power and cabling of this drive"
+        raise_failures(_each(self._watch.lost(), lambda n: HeartbeatLost("its heartbeat stopped", node=n, advice=lost)))
+        for can_id, number in self._bus.foreign.items():
+            new = number - self._foreign_before.get(can_id, 0)
+            if new >= self.limits.foreign_frames:
+                raise ForeignMaster(
+                    f"{new} frames with id {can_id:03X} on {self._bus.spec} came from another master",
+                    advice="all axes were stopped; stop the other master before enabling again",
+                )
+
+
+def refuse_foreign(bus: Bus, listen_s: float) -> None:
+    """Listen before anything is sent.
+
+    Raises
+    ------
+    ForeignMaster
+        Somebody else sends SYNC or NMT commands.
+    """
+    bus.drain()
+    before = dict(bus.foreign)
+    bus.listen(listen_s)
+    for can_id, what in _MASTER_ONLY:
+        if bus.foreign[can_id] > before.get(can_id, 0):
+            advice = "stop the other master before this one takes the drives"
+            raise ForeignMaster(f"another master sends {what} on {bus.spec}", advice=advice)

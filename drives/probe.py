@@ -1,0 +1,129 @@
+"""Who is on the bus: one SDO request to every node id at once, and all answers to it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final
+
+from drives.bringup import read_identity
+from drives.bus import SDO_ANSWER_BASE, SDO_REQUEST_BASE, Bus
+from drives.errors import DriveError
+from drives.heartbeat import HeartbeatWatch, NmtState
+from drives.profile import list_profiles, load_profile
+from drives.sdo import SdoClient
+from drives.values import Identity
+
+#: Upload of 0x1000:00, which every CANopen device has.
+_ASK_DEVICE_TYPE: Final = bytes.fromhex("4000100000000000")
+#: After the last answer: how long a second device with the same id may still take.
+_QUIET_S: Final = 0.05
+_PAUSE_EVERY: Final = 16
+
+
+def probe(bus: Bus, node_ids: Iterable[int], timeout_s: float = 0.3) -> dict[int, int]:
+    """Ask every node for its device type.
+
+    Parameters
+    ----------
+    bus : Bus
+    node_ids : iterable of int
+    timeout_s : float
+        Longest wait for those that do not answer.
+
+    Returns
+    -------
+    dict
+        Node id -> number of answers; more than one means more than one device.
+    """
+    answers = dict.fromkeys(node_ids, 0)
+    last_s = 0.0
+
+    def on_answer(can_id: int, data: bytes | bytearray, time_s: float) -> None:
+        nonlocal last_s
+        if len(data) == 8 and data[1:4] == _ASK_DEVICE_TYPE[1:4]:
+            answers[can_id - SDO_ANSWER_BASE] += 1
+            last_s = time.monotonic()
+
+    bus.drain()
+    for node_id in answers:
+        bus.subscribe(SDO_ANSWER_BASE + node_id, on_answer)
+    try:
+        for number, node_id in enumerate(answers, start=1):
+            bus.send(SDO_REQUEST_BASE + node_id, _ASK_DEVICE_TYPE)
+            if number % _PAUSE_EVERY == 0:
+                bus.listen(0.002)
+        deadline = time.monotonic() + timeout_s
+        never = threading.Event()
+        while (now := time.monotonic()) < deadline:
+            if all(answers.values()):
+                deadline = min(deadline, last_s + _QUIET_S)
+            bus.wait(never, min(deadline, now + 0.01))
+    finally:
+        for node_id in answers:
+            bus.unsubscribe(SDO_ANSWER_BASE + node_id, on_answer)
+    return answers
+
+
+@dataclass(frozen=True, slots=True)
+class ScanResult:
+    """One node id that answered.
+
+    Attributes
+    ----------
+    identity : Identity
+    devices : int
+        How many answered at this id; more than one is a mistake.
+    state : NmtState or None
+        From its heartbeat; None = none was heard.
+    profiles : tuple of str
+        Profiles that come with the package and name this vendor and product; generic ones after them.
+    """
+
+    identity: Identity
+    devices: int
+    state: NmtState | None
+    profiles: tuple[str, ...]
+
+
+def scan(bus: Bus, node_ids: Iterable[int] = range(1, 128), listen_s: float = 0.5) -> tuple[ScanResult, ...]:
+    """Find every node, without changing anything on it.
+
+    Parameters
+    ----------
+    bus : Bus
+    node_ids : iterable of int
+        Ids to ask.
+    listen_s : float
+        How long to listen for heartbeats and slow answers.
+    """
+    wanted = tuple(node_ids)
+    watch = HeartbeatWatch(bus, wanted, [None] * len(wanted))
+    try:
+        found = {node_id: number for node_id, number in probe(bus, wanted, listen_s).items() if number}
+        bus.listen(max(0.0, listen_s - _QUIET_S))
+        return tuple(_look_at(bus, node_id, number, watch.states[node_id]) for node_id, number in found.items())
+    finally:
+        watch.close()
+
+
+def _look_at(bus: Bus, node_id: int, devices: int, state: NmtState | None) -> ScanResult:
+    sdo = SdoClient(bus, node_id)
+    try:
+        identity = read_identity(sdo)
+    except DriveError:
+        identity = Identity(node_id, None, None, None, None, None, None, None, None)
+    finally:
+        sdo.close()
+    return ScanResult(identity, devices, state, matching_profiles(identity))
+
+
+def matching_profiles(identity: Identity) -> tuple[str, ...]:
+    """Names of the packaged profiles that fit a device: those that name its vendor first, then the generic ones."""
+    if not identity.is_drive:
+        return ()
+    fitting = [profile for name in list_profiles() if not identity.mismatches(profile := load_profile(name))]
+    fitting.sort(key=lambda profile: (profile.identity.vendor_id is None, profile.name))
+    return tuple(profile.name for profile in fitting)

@@ -1,0 +1,104 @@
+"""What a run on the bus was like: counts, latencies, load, jitter."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from drives.bus import Bus
+from drives.busload import load_percent
+from drives.drive import Cia402Drive
+from drives.emcy import EmcyLog, Emergency
+from drives.epoch import EpochCounts
+from drives.exchange import SyncExchange
+from drives.latency import SdoStatistics
+
+
+@dataclass(frozen=True, slots=True)
+class GroupStatistics:
+    """State of a drive group's counters.
+
+    Attributes
+    ----------
+    cycles, incomplete : int
+        SYNCs sent, and those that not every axis answered.
+    late, duplicate, ambiguous, wrong_length : int
+        TPDOs that came after their SYNC was closed, twice, twice with different content, with a wrong length.
+    overruns : int
+        SYNC periods that were missed by the clock.
+    foreign : dict
+        Frames of another master by CAN id.
+    frames : dict
+        Odd frames by kind: malformed, error, remote, extended, unclaimed, send_retries.
+    sdo : tuple of SdoStatistics
+        One per axis.
+    emcy : tuple of Emergency
+        The last messages.
+    emcy_count : int
+        All of them.
+    bus_load_planned_percent : float
+        Worst case of the planned exchange.
+    bus_load_measured_percent : float or None
+        Worst-case bits of what was exchanged over the time since the first SYNC; None before the second.
+    jitter_p50_s, jitter_p99_s : float or None
+        How late SYNCs were sent by the clock; None in lockstep.
+    """
+
+    cycles: int
+    incomplete: int
+    late: int
+    duplicate: int
+    ambiguous: int
+    wrong_length: int
+    overruns: int
+    foreign: dict[int, int]
+    frames: dict[str, int]
+    sdo: tuple[SdoStatistics, ...]
+    emcy: tuple[Emergency, ...]
+    emcy_count: int
+    bus_load_planned_percent: float
+    bus_load_measured_percent: float | None
+    jitter_p50_s: float | None
+    jitter_p99_s: float | None
+
+
+def group_statistics(
+    bus: Bus, drives: Sequence[Cia402Drive], exchange: SyncExchange | None, emcy: EmcyLog
+) -> GroupStatistics:
+    """Gather the counters of a group; those of an exchange that does not exist yet are zero."""
+    counts = EpochCounts() if exchange is None else exchange.collector.counts
+    bitrate = bus.spec.bitrate_bit_s
+    planned, measured, lateness, overruns = 0.0, None, (), 0
+    if exchange is not None:
+        planned = load_percent(exchange.cycle_bits, exchange.timing.period_s, bitrate)
+        if exchange.started_s is not None and exchange.cycles > 1:
+            elapsed_s = time.monotonic() - exchange.started_s
+            measured = load_percent(exchange.cycles * exchange.cycle_bits, elapsed_s, bitrate)
+        lateness, overruns = tuple(exchange.clock.lateness_s), exchange.clock.overruns
+    return GroupStatistics(
+        cycles=0 if exchange is None else exchange.cycles,
+        incomplete=0 if exchange is None else exchange.incomplete,
+        late=counts.late,
+        duplicate=counts.duplicate,
+        ambiguous=counts.ambiguous,
+        wrong_length=counts.wrong_length,
+        overruns=overruns,
+        foreign=dict(bus.foreign),
+        frames=dict(bus.counts),
+        sdo=tuple(drive.access.sdo.statistics for drive in drives),
+        emcy=emcy.messages,
+        emcy_count=emcy.count,
+        bus_load_planned_percent=planned,
+        bus_load_measured_percent=measured,
+        jitter_p50_s=quantile(lateness, 0.5),
+        jitter_p99_s=quantile(lateness, 0.99),
+    )
+
+
+def quantile(values: Sequence[float], share: float) -> float | None:
+    """Smallest value that at least `share` of the values do not exceed; None without values."""
+    if not values:
+        return None
+    ordered = sorted(values)
+    return ordered[min(len(ordered) - 1, max(0, -int(-share * len(ordered) // 1) - 1))]
