@@ -1,0 +1,146 @@
+"""Every candidate at once: linearised about a fit, with what links, loads, bands and found effects take up projected out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.fit import Fit, Problem, modelled, spread_of, term_columns, visit_loads, with_terms
+from gateway.model.terms.effects import Term
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Screen:
+    """Linearised candidates.
+
+    Attributes
+    ----------
+    terms : candidates with at least one column that the common parameters do not take up
+    columns : per candidate (rows, k): weighted, projected, scaled to prior standard deviation 1
+    gram : (K, K) inner products of all columns
+    score : (K,) inner products with the weighted, projected residual
+    start : first column of each candidate
+    width : number of columns of each candidate
+    log_bayes : (candidates,) log Bayes factor of adding the candidate alone
+    raw : per candidate (rows, k) unweighted columns, unit of the prior spread applied
+    """
+
+    terms: tuple[Term, ...]
+    gram: Floats
+    score: Floats
+    start: NDArray[np.int_]
+    width: NDArray[np.int_]
+    log_bayes: Floats
+    raw: tuple[Floats, ...]
+
+    def pick(self, index: int) -> slice:
+        """Columns of one candidate."""
+        return slice(int(self.start[index]), int(self.start[index] + self.width[index]))
+
+
+def screen(problem: Problem, fit: Fit, terms: Sequence[Term], std: Floats) -> Screen:
+    """Linearise candidates about a fit.
+
+    Parameters
+    ----------
+    problem : Problem
+    fit : Fit
+        The hypothesis that candidates are added to.
+    terms : candidates
+    std : array of shape (18,)
+        Noise per group that weighs the rows.
+    """
+    weight = 1.0 / std[problem.group]
+    project, residual = _projector(problem, fit, weight)
+    kept, raw, weighted = [], [], []
+    for term in terms:
+        columns = _columns(problem, fit, term)
+        spread = spread_of(problem, fit.noise, term, columns)[np.array(term.linear)]
+        columns = columns[:, np.array(term.linear)] * spread
+        if not np.isfinite(columns).all() or float(np.abs(columns).max(initial=0.0)) == 0.0:
+            continue
+        kept.append(term)
+        raw.append(columns)
+        weighted.append(columns * weight[:, None])
+    if not kept:
+        empty = np.zeros(0, dtype=int)
+        return Screen((), np.zeros((0, 0)), np.zeros(0), empty, empty, np.zeros(0), ())
+    stacked = project(np.hstack(weighted))
+    width = np.array([block.shape[1] for block in raw])
+    start = np.concatenate([[0], np.cumsum(width)[:-1]])
+    gram, score = stacked.T @ stacked, stacked.T @ residual
+    log_bayes = np.array(
+        [log_bayes_factor(gram[s : s + w, s : s + w], score[s : s + w]) for s, w in zip(start, width, strict=True)]
+    )
+    return Screen(tuple(kept), gram, score, start, width, log_bayes, tuple(raw))
+
+
+def _columns(problem: Problem, fit: Fit, term: Term) -> Floats:
+    """Derivative by the linear parameters at the start of the others."""
+    return term_columns(problem, fit, term, np.array(term.start, dtype=float))
+
+
+def _projector(problem: Problem, fit: Fit, weight: Floats):  # noqa: ANN202 - a closure over the basis
+    """What is left of weighted columns once the design of a fit, with its prior, has taken its part."""
+    held = np.isfinite(fit.prior_std)
+    prior = np.diag(np.where(held, 1.0 / np.where(held, fit.prior_std, 1.0), 0.0))[held]
+    more = np.zeros((len(problem.prior_target), fit.design.shape[1]))
+    more[:, :24] = problem.prior_rows
+    big = np.vstack([fit.design * weight[:, None], prior, more])
+    scale = np.sqrt((big**2).sum(axis=0))
+    scale[scale == 0] = 1.0
+    basis, r = np.linalg.qr(big / scale)
+    basis = basis[:, np.abs(np.diag(r)) > 1e-10]
+    rows = len(weight)
+
+    def project(columns: Floats) -> Floats:
+        left = np.zeros((len(big), columns.shape[1]))
+        left[:rows] = columns
+        return left - basis @ (basis[:rows].T @ columns)
+
+    centre = np.concatenate([np.array(term.start) for term in fit.terms]) if fit.terms else np.zeros(0)
+    free = np.zeros(fit.design.shape[1] - 24 - len(centre))
+    pull = np.concatenate([problem.links - fit.links, free, centre - fit.flat_theta])
+    target = np.concatenate(
+        [
+            fit.residual * weight,
+            (pull / np.where(held, fit.prior_std, 1.0))[held],
+            problem.prior_target - problem.prior_rows @ fit.links,
+        ]
+    )
+    return project, target - basis @ (basis.T @ target)
+
+
+def log_bayes_factor(gram: Floats, score: Floats) -> float:
+    """Log Bayes factor of adding columns with unit prior: `b' (G + 1)^-1 b / 2 - log det(G + 1) / 2`."""
+    matrix = gram + np.eye(len(gram))
+    factor = np.linalg.cholesky(matrix)
+    half = np.linalg.solve(factor, score)
+    return 0.5 * float(half @ half) - float(np.sum(np.log(np.diag(factor))))
+
+
+def pair_log_bayes(view: Screen, first: NDArray[np.int_], second: NDArray[np.int_]) -> Floats:
+    """Log Bayes factors of adding candidates in pairs (index arrays of equal length)."""
+    width = int(view.width.max())
+    total = len(view.score)
+    gram = np.zeros((total + 1, total + 1))
+    gram[:total, :total] = view.gram
+    score = np.append(view.score, 0.0)
+    offsets = np.arange(width)
+    table = np.where(offsets < view.width[:, None], view.start[:, None] + offsets, total)
+    index = np.concatenate([table[first], table[second]], axis=1)
+    blocks = gram[index[:, :, None], index[:, None, :]]
+    same = np.eye(2 * width, dtype=bool)
+    blocks[:, same] += 1.0
+    right = score[index]
+    solved = np.linalg.solve(blocks, right[:, :, None])[:, :, 0]
+    _, log_det = np.linalg.slogdet(blocks)
+    return 0.5 * np.einsum("pk,pk->p", right, solved) - 0.5 * log_det
+
+
+__all__ = ["Screen", "log_bayes_factor", "modelled", "pair_log_bayes", "screen", "visit_loads", "with_terms"]

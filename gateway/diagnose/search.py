@@ -1,0 +1,163 @@
+"""Which effects, if any: singles, all pairs and further ones by evidence, then back again one by one.
+
+Candidates are ranked linearised (all singles, all pairs of places), the best are fitted in full, and hypotheses are compared
+by evidence plus the logarithm of their prior probability: every place of every effect is equally likely beforehand, its
+shapes share that probability. Shapes without a name compete on the same terms.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.fit import Fit, Noise, Problem, fit
+from gateway.diagnose.screen import Screen, pair_log_bayes, screen
+from gateway.model.terms.effects import Term
+
+Floats = NDArray[np.float64]
+Label = tuple[str, tuple[int, ...]]
+
+NEEDED = 3.0
+SINGLES = 8
+PAIRS = 10
+FORWARD = 5
+MOST_EFFECTS = 3
+UNNAMED = 4
+
+
+def label(term: Term) -> Label:
+    """Name and joints: what a reader calls the effect."""
+    return term.name, term.joints
+
+
+@dataclass(slots=True, eq=False)
+class Search:
+    """Hypotheses fitted so far, by their set of effects.
+
+    Attributes
+    ----------
+    problem : Problem
+    named, unnamed : candidates
+    prior : log prior probability of each candidate
+    pool : fits by set of effects
+    """
+
+    problem: Problem
+    named: tuple[Term, ...]
+    unnamed: tuple[Term, ...]
+    noise: Noise
+    prior: dict[Term, float] = field(default_factory=dict)
+    pool: dict[frozenset[Term], Fit] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for group in (self.named, self.unnamed):
+            labels = [label(term) for term in group]
+            places = len(set(labels)) if group is self.named else len(group)
+            for term in group:
+                shapes = labels.count(label(term)) if group is self.named else 1
+                self.prior[term] = -np.log(places) - np.log(shapes)
+
+    def score(self, hypothesis: Fit) -> float:
+        """Evidence plus log prior of a hypothesis."""
+        return hypothesis.evidence + sum(self.prior[term] for term in hypothesis.terms)
+
+    def fitted(self, terms: Iterable[Term], start: Fit | None = None) -> Fit:
+        """The fit of a set of effects, computed once."""
+        ordered = tuple(terms)
+        key = frozenset(ordered)
+        if key not in self.pool:
+            self.pool[key] = fit(self.problem, ordered, self.noise if start is None else start.noise, start)
+        return self.pool[key]
+
+    def best(self, fits: Iterable[Fit] | None = None) -> Fit:
+        """The fit with the highest score."""
+        return max(self.pool.values() if fits is None else fits, key=self.score)
+
+
+def run(search: Search) -> Fit:
+    """Fill the pool and return the best hypothesis; its effects are all needed.
+
+    Returns
+    -------
+    the fit whose score is highest, after effects whose removal costs less than `NEEDED` were taken out again
+    """
+    nothing = search.fitted(())
+    views = [screen(search.problem, nothing, search.named, std) for std in (search.noise.start, nothing.noise.std)]
+    for terms in _promising_singles(views):
+        search.fitted(terms, nothing)
+    for terms in _promising_pairs(views[0]):
+        search.fitted(terms, nothing)
+    for _ in range(MOST_EFFECTS):
+        leaders = sorted(search.pool.values(), key=search.score, reverse=True)[:3]
+        for leader in leaders:
+            _extend(search, leader, search.named, FORWARD)
+    _rivals(search)
+    return pruned(search, search.best())
+
+
+def _promising_singles(views: Sequence[Screen]) -> list[tuple[Term, ...]]:
+    out: list[tuple[Term, ...]] = []
+    for view in views:
+        seen: dict[Label, int] = {}
+        for index in np.argsort(-view.log_bayes):
+            term = view.terms[index]
+            seen[label(term)] = seen.get(label(term), 0) + 1
+            if seen[label(term)] > 2 or len(seen) > SINGLES:
+                continue
+            out.append((term,))
+    return list(dict.fromkeys(out))
+
+
+def _promising_pairs(view: Screen) -> list[tuple[Term, ...]]:
+    """Pairs of places with the highest joint log Bayes factor; of each place its best shape."""
+    best: dict[Label, int] = {}
+    for index in np.argsort(-view.log_bayes):
+        best.setdefault(label(view.terms[index]), int(index))
+    chosen = list(best.values())
+    pairs = np.array(list(itertools.combinations(chosen, 2)))
+    if not len(pairs):
+        return []
+    values = pair_log_bayes(view, pairs[:, 0], pairs[:, 1])
+    top = np.argsort(-values)[:PAIRS]
+    return [(view.terms[a], view.terms[b]) for a, b in pairs[top]]
+
+
+def _extend(search: Search, leader: Fit, candidates: Sequence[Term], count: int) -> None:
+    """Fit the hypotheses that add one of the most promising candidates to a leader."""
+    if len(leader.terms) >= MOST_EFFECTS or any(term not in search.named for term in leader.terms):
+        return
+    taken = {label(term) for term in leader.terms}
+    view = screen(search.problem, leader, [t for t in candidates if label(t) not in taken], leader.noise.std)
+    seen: set[Label | Term] = set()
+    for index in np.argsort(-view.log_bayes):
+        term = view.terms[index]
+        key = label(term) if term in search.named else term
+        if key in seen:
+            continue
+        if len(seen) >= count or view.log_bayes[index] + search.prior[term] < -2.0:
+            break
+        seen.add(key)
+        search.fitted((*leader.terms, term), leader)
+
+
+def _rivals(search: Search) -> None:
+    """Shapes without a name beside the leaders, and in the place of each effect of the leader."""
+    best = search.best()
+    sets = [best.terms] + [tuple(t for t in best.terms if t is not term) for term in best.terms]
+    for terms in sets:
+        _extend(search, search.fitted(terms), search.unnamed, UNNAMED)
+
+
+def pruned(search: Search, chosen: Fit) -> Fit:
+    """The hypothesis without the effects that it does not need."""
+    while chosen.terms:
+        smaller = [search.fitted([t for t in chosen.terms if t is not term], chosen) for term in chosen.terms]
+        best = max(smaller, key=search.score)
+        if search.score(chosen) - search.score(best) >= NEEDED:
+            return chosen
+        chosen = best
+    return chosen

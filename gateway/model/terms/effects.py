@@ -1,0 +1,419 @@
+"""The effects that a model of an arm at rest may lack, one frozen dataclass each.
+
+An effect puts its parameters `theta` into a `Setting`; `parameters` and `units` name them, `linear` says which of them the
+torque is linear in, `start` is where the others begin (they are profiled out), `spread` is how large each may plausibly be
+(standard deviation of its prior; NaN = as far as ten noise floors reach). `report` turns the fitted values into the
+parameters an engineer reads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.model.terms.reading import RestRows, Setting
+
+Floats = NDArray[np.float64]
+NAN = float("nan")
+
+
+class Term(Protocol):
+    """What the search needs of an effect."""
+
+    name: ClassVar[str]
+    parameters: ClassVar[tuple[str, ...]]
+    units: ClassVar[tuple[str, ...]]
+    linear: ClassVar[tuple[bool, ...]]
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """Joints counted from 1; empty for the base and the load."""
+        ...
+
+    @property
+    def start(self) -> tuple[float, ...]:
+        """Where the parameters begin; 0 for linear ones."""
+        ...
+
+    @property
+    def spread(self) -> tuple[float, ...]:
+        """Plausible size of each parameter, NaN = no opinion."""
+        ...
+
+    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+        """The setting with the effect in it."""
+        ...
+
+    def report(self, theta: Floats, covariance: Floats) -> tuple[dict[str, float], dict[str, float]]:
+        """Parameters and standard deviations by name."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class _Base:
+    """What most effects share: linear parameters that start at 0 and are reported as they are."""
+
+    name: ClassVar[str] = ""
+    parameters: ClassVar[tuple[str, ...]] = ()
+    units: ClassVar[tuple[str, ...]] = ()
+    linear: ClassVar[tuple[bool, ...]] = (True,)
+    SPREAD: ClassVar[tuple[float, ...]] = (NAN,)
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        return ()
+
+    @property
+    def start(self) -> tuple[float, ...]:
+        return (0.0,) * len(self.linear)
+
+    @property
+    def spread(self) -> tuple[float, ...]:
+        return self.SPREAD
+
+    def report(self, theta: Floats, covariance: Floats) -> tuple[dict[str, float], dict[str, float]]:
+        std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        pairs = zip(self.parameters, theta, std, strict=True)
+        listed = [(key, float(value), float(error)) for key, value, error in pairs]
+        return {key: value for key, value, _ in listed}, {key: error for key, _, error in listed}
+
+
+@dataclass(frozen=True, slots=True)
+class _OnAxis(_Base):
+    """An effect of one axis, counted from 0."""
+
+    axis: int
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        return (self.axis + 1,)
+
+
+def _plus(values: Floats, index: object, change: Floats | float) -> Floats:
+    moved = values.copy()
+    moved[index] += change  # type: ignore[index]
+    return moved
+
+
+@dataclass(frozen=True, slots=True)
+class StaticFriction(_OnAxis):
+    """Mean friction by approach direction; only one-sided visits tell it from the band."""
+
+    name: ClassVar[str] = "static_friction"
+    parameters: ClassVar[tuple[str, ...]] = ("bias_nm",)
+    units: ClassVar[tuple[str, ...]] = ("Nm",)
+
+    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+        return replace(setting, side_nm=_plus(setting.side_nm, self.axis, theta[0]))
+
+
+@dataclass(frozen=True, slots=True)
+class LoadDependentFriction(_OnAxis):
+    """`nu |tau| sign(dir)`: gear losses in proportion to the transmitted torque (Hamon, Gautier, Garrec 2010)."""
+
+    name: ClassVar[str] = "load_dependent_friction"
+    parameters: ClassVar[tuple[str, ...]] = ("coefficient",)
+    units: ClassVar[tuple[str, ...]] = ("1",)
+    SPREAD: ClassVar[tuple[float, ...]] = (0.2,)
+
+    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+        return replace(setting, load_friction=_plus(setting.load_friction, self.axis, theta[0]))
+
+
+@dataclass(frozen=True, slots=True)
+class BaseTilt(_Base):
+    """Gravity turned by two angles: the base is not level."""
+
+    name: ClassVar[str] = "base_tilt"
+    parameters: ClassVar[tuple[str, ...]] = ("tilt_x_rad", "tilt_y_rad")
+    units: ClassVar[tuple[str, ...]] = ("rad", "rad")
+    linear: ClassVar[tuple[bool, ...]] = (True, True)
+    SPREAD: ClassVar[tuple[float, ...]] = (0.1, 0.1)
+
+    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+        return replace(setting, tilt_rad=setting.tilt_rad + theta)
+
+
+@dataclass(frozen=True, slots=True)
+class JointZeroOffset(_OnAxis):
+    """The link stands `offset_rad` further than reported."""
+
+    name: ClassVar[str] = "joint_zero_offset"
+    parameters: ClassVar[tuple[str, ...]] = ("offset_rad",)
+    units: ClassVar[tuple[str, ...]] = ("rad",)
+    SPREAD: ClassVar[tuple[float, ...]] = (0.1,)
+
+    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+        return replace(setting, zero_offset_rad=_plus(setting.zero_offset_rad, self.axis, theta[0]))
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueConstantScale(_Base):
+    """The torque per ampere differs from the stored one, on one axis or (`axis` None) on all; `scale` = true / assumed."""
+
+    axis: int | None = None
+    name: ClassVar[str] = "torque_constant_scale"
+    parameters: ClassVar[tuple[str, ...]] = ("scale",)
+    units: ClassVar[tuple[str, ...]] = ("1",)
+    SPREAD: ClassVar[tuple[float, ...]] = (0.2,)
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        return () if self.axis is None else (self.axis + 1,)
+
+    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+        gain = setting.gain.copy()
+        gain[:, slice(None) if self.axis is None else self.axis] *= 1.0 + theta[0]
+        return replace(setting, gain=gain)
+
+    def report(self, theta: Floats, covariance: Floats) -> tuple[dict[str, float], dict[str, float]]:
+        scale = 1.0 / (1.0 + float(theta[0]))
+        return {"scale": scale}, {"scale": float(np.sqrt(covariance[0, 0])) * scale**2}
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueOffset(_OnAxis):
+    """A constant in the reading of one axis."""
+
+    name: ClassVar[str] = "torque_offset"
+    parameters: ClassVar[tuple[str, ...]] = ("offset_nm",)
+    units: ClassVar[tuple[str, ...]] = ("Nm",)
+
+    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+        return replace(setting, offset_nm=_plus(setting.offset_nm, (slice(None), self.axis), theta[0]))
+
+
+@dataclass(frozen=True, slots=True)
+class ThermalDrift(_OnAxis):
+    """Reading (or friction) of one axis changes with its temperature, or with time, since the first visit."""
+
+    by: str = "time"
+    on: str = "torque"
+    name: ClassVar[str] = "thermal_drift"
+    parameters: ClassVar[tuple[str, ...]] = ("per_k",)
+    units: ClassVar[tuple[str, ...]] = ("1/K or 1/s",)
+
+    @property
+    def spread(self) -> tuple[float, ...]:
+        return (0.02,) if self.by == "temperature" else (3e-4,)
+
+    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+        since = self.since(rows)
+        field = "gain" if self.on == "torque" else "band_gain"
+        values = getattr(setting, field).copy()
+        values[:, self.axis] *= 1.0 + theta[0] * since
+        return replace(setting, **{field: values})
+
+    def since(self, rows: RestRows) -> Floats:
+        """Temperature rise [K] or time [s] (n,) since the first visit."""
+        values = rows.temperature_c[:, self.axis] if self.by == "temperature" else rows.time_s
+        return values - values[int(np.argmin(rows.time_s))]
+
+    def report(self, theta: Floats, covariance: Floats) -> tuple[dict[str, float], dict[str, float]]:
+        key = "per_k" if self.by == "temperature" else "per_s"
+        return {key: float(theta[0])}, {key: float(np.sqrt(covariance[0, 0]))}
+
+
+@dataclass(frozen=True, slots=True)
+class BalancerSpring(_Base):
+    """A spring between base and link 2: `F(l) dl/dq2`, shortest at q2 = phase.
+
+    Lever a and anchor b enter as `ratio = 2 a b / (a^2 + b^2)`; in units of sqrt(a^2 + b^2) the length is
+    `l = sqrt(1 - ratio cos(q2 - phase))`. Coil: force `k l - f0`; gas: a square term in l besides.
+    """
+
+    ratio: float = 0.6
+    phase_rad: float = 0.0
+    gas: bool = False
+    name: ClassVar[str] = "balancer_spring"
+    parameters: ClassVar[tuple[str, ...]] = ("stiffness_n_m", "preload_nm", "phase_rad")
+    units: ClassVar[tuple[str, ...]] = ("N/m", "Nm", "rad")
+    linear: ClassVar[tuple[bool, ...]] = (True, True, False)
+    REACH_M: ClassVar[float] = 1.0
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        return (2,)
+
+    @property
+    def start(self) -> tuple[float, ...]:
+        return (0.0, 0.0, self.phase_rad)
+
+    @property
+    def spread(self) -> tuple[float, ...]:
+        return (NAN, NAN, 0.5)
+
+    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+        angle = rows.q_rad[:, 1] - theta[2]
+        length = np.sqrt(1.0 - self.ratio * np.cos(angle))
+        second = length if self.gas else 1.0 / length
+        torque = -np.sin(angle) * (theta[0] + theta[1] * second)
+        return replace(setting, passive_nm=_plus(setting.passive_nm, (slice(None), 1), torque))
+
+    def report(self, theta: Floats, covariance: Floats) -> tuple[dict[str, float], dict[str, float]]:
+        """Stiffness refers to sqrt(a^2 + b^2) = 1 m: torque alone gives k a b, not k."""
+        unit = 2.0 / (self.ratio * self.REACH_M**2)
+        std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        values = {
+            "stiffness_n_m": float(theta[0]) * unit,
+            "preload_nm": float(theta[1]),
+            "phase_rad": float(theta[2]),
+            "lever_ratio": self.ratio,
+            "reach_m": self.REACH_M,
+        }
+        errors = {
+            "stiffness_n_m": float(std[0]) * unit,
+            "preload_nm": float(std[1]),
+            "phase_rad": float(std[2]),
+        }
+        return values, errors
+
+
+@dataclass(frozen=True, slots=True)
+class CableTorque(_OnAxis):
+    """A dress pack wound up by a wrist axis: linear in q about a neutral angle, or its first harmonic."""
+
+    shape: str = "linear"
+    name: ClassVar[str] = "cable_torque"
+    parameters: ClassVar[tuple[str, ...]] = ("stiffness_nm_rad", "neutral_rad")
+    units: ClassVar[tuple[str, ...]] = ("Nm/rad", "rad")
+    linear: ClassVar[tuple[bool, ...]] = (True, True)
+    SPREAD: ClassVar[tuple[float, ...]] = (NAN, NAN)
+
+    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+        q = rows.q_rad[:, self.axis]
+        torque = theta[0] * q + theta[1] if self.shape == "linear" else theta[0] * np.sin(q) + theta[1] * np.cos(q)
+        return replace(setting, passive_nm=_plus(setting.passive_nm, (slice(None), self.axis), torque))
+
+    def report(self, theta: Floats, covariance: Floats) -> tuple[dict[str, float], dict[str, float]]:
+        a, b = float(theta[0]), float(theta[1])
+        std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        if self.shape == "linear":
+            neutral = -b / a if a else NAN
+            slope = np.array([b / a**2, -1.0 / a]) if a else np.zeros(2)
+            error = float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
+            return {"stiffness_nm_rad": -a, "neutral_rad": neutral}, {
+                "stiffness_nm_rad": float(std[0]),
+                "neutral_rad": error,
+            }
+        stiffness, neutral = float(np.hypot(a, b)), float(np.arctan2(b, -a))
+        slope = np.array([a, b]) / max(stiffness, 1e-12)
+        error = float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
+        values = {"stiffness_nm_rad": stiffness, "neutral_rad": neutral, "harmonic": 1.0}
+        return values, {"stiffness_nm_rad": error, "neutral_rad": error / max(stiffness, 1e-12)}
+
+
+@dataclass(frozen=True, slots=True)
+class JointElasticity(_OnAxis):
+    """The link stands at `q - compliance tau`: the gear winds up under load."""
+
+    largest_nm: float = 1.0
+    name: ClassVar[str] = "joint_elasticity"
+    parameters: ClassVar[tuple[str, ...]] = ("compliance_rad_nm",)
+    units: ClassVar[tuple[str, ...]] = ("rad/Nm",)
+
+    @property
+    def spread(self) -> tuple[float, ...]:
+        return (0.1 / self.largest_nm,)
+
+    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+        return replace(setting, compliance_rad_nm=_plus(setting.compliance_rad_nm, self.axis, theta[0]))
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueRipple(_OnAxis):
+    """The reading swings `per_revolution` times per turn of the joint: motor or wave generator harmonics."""
+
+    per_revolution: float = 100.0
+    name: ClassVar[str] = "torque_ripple"
+    parameters: ClassVar[tuple[str, ...]] = ("sine_nm", "cosine_nm")
+    units: ClassVar[tuple[str, ...]] = ("Nm", "Nm")
+    linear: ClassVar[tuple[bool, ...]] = (True, True)
+    SPREAD: ClassVar[tuple[float, ...]] = (NAN, NAN)
+
+    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+        angle = self.per_revolution * rows.q_rad[:, self.axis]
+        swing = theta[0] * np.sin(angle) + theta[1] * np.cos(angle)
+        return replace(setting, offset_nm=_plus(setting.offset_nm, (slice(None), self.axis), swing))
+
+    def report(self, theta: Floats, covariance: Floats) -> tuple[dict[str, float], dict[str, float]]:
+        amplitude = float(np.hypot(theta[0], theta[1]))
+        slope = theta / max(amplitude, 1e-12)
+        error = float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
+        phase = float(np.arctan2(theta[1], theta[0]))
+        values = {"amplitude_nm": amplitude, "per_revolution": self.per_revolution, "phase_rad": phase}
+        return values, {"amplitude_nm": error, "phase_rad": error / max(amplitude, 1e-12)}
+
+
+@dataclass(frozen=True, slots=True)
+class AxisCoupling(_Base):
+    """Motor j turns with joint i: axis i shows `coefficient` times the torque of axis j."""
+
+    row: int
+    column: int
+    name: ClassVar[str] = "axis_coupling"
+    parameters: ClassVar[tuple[str, ...]] = ("coefficient",)
+    units: ClassVar[tuple[str, ...]] = ("1",)
+    SPREAD: ClassVar[tuple[float, ...]] = (0.7,)
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        return (self.row + 1, self.column + 1)
+
+    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+        mixing = np.eye(6)
+        mixing[self.row, self.column] = theta[0]
+        return replace(setting, coupling=mixing @ setting.coupling)
+
+
+@dataclass(frozen=True, slots=True)
+class LinkMass(_OnAxis):
+    """A body [m, hx, hy, hz] bolted to one link; it is seen as far as the prior on the links says."""
+
+    name: ClassVar[str] = "link_mass"
+    parameters: ClassVar[tuple[str, ...]] = ("mass_kg", "first_x_kg_m", "first_y_kg_m", "first_z_kg_m")
+    units: ClassVar[tuple[str, ...]] = ("kg", "kg m", "kg m", "kg m")
+    linear: ClassVar[tuple[bool, ...]] = (True, True, True, True)
+    SPREAD: ClassVar[tuple[float, ...]] = (NAN, NAN, NAN, NAN)
+
+    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+        part = slice(4 * self.axis, 4 * self.axis + 4)
+        return replace(setting, link_extra=_plus(setting.link_extra, part, theta))
+
+
+@dataclass(frozen=True, slots=True)
+class PayloadShift(_Base):
+    """The load's centre of gravity jumps at `time_s`, or drifts from then on (`drifts`: at the last visit fully moved)."""
+
+    time_s: float
+    drifts: bool = False
+    name: ClassVar[str] = "payload_shift"
+    parameters: ClassVar[tuple[str, ...]] = ("shift_x_m", "shift_y_m", "shift_z_m")
+    units: ClassVar[tuple[str, ...]] = ("m", "m", "m")
+    linear: ClassVar[tuple[bool, ...]] = (True, True, True)
+    SPREAD: ClassVar[tuple[float, ...]] = (0.2, 0.2, 0.2)
+
+    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+        after = np.where(rows.time_s >= self.time_s - 1e-9, 1.0, 0.0)
+        if self.drifts:
+            span = max(float(rows.time_s.max()) - self.time_s, 1e-9)
+            after = after * (rows.time_s - self.time_s) / span
+        return replace(setting, moment_factor=setting.moment_factor + after[:, None] * theta)
+
+    def report(self, theta: Floats, covariance: Floats) -> tuple[dict[str, float], dict[str, float]]:
+        distance = float(np.linalg.norm(theta))
+        slope = theta / max(distance, 1e-12)
+        std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        axes = list(zip("xyz", theta, std, strict=True))
+        values = {"shift_m": distance} | {f"shift_{axis}_m": float(value) for axis, value, _ in axes}
+        errors = {"shift_m": float(np.sqrt(max(slope @ covariance @ slope, 0.0)))}
+        return values | {"time_s": self.time_s}, errors | {f"shift_{axis}_m": float(e) for axis, _, e in axes}
+
+
+def columns_of(values: Mapping[str, float]) -> tuple[str, ...]:
+    """Names of reported parameters."""
+    return tuple(values)

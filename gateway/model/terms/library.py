@@ -1,0 +1,120 @@
+"""Which effects are candidates for given visits, and their shapes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.model.kinematics import joint_axes_origins
+from gateway.model.robot import Robot
+from gateway.model.terms.effects import (
+    AxisCoupling,
+    BalancerSpring,
+    BaseTilt,
+    CableTorque,
+    JointElasticity,
+    JointZeroOffset,
+    LinkMass,
+    LoadDependentFriction,
+    PayloadShift,
+    StaticFriction,
+    Term,
+    ThermalDrift,
+    TorqueConstantScale,
+    TorqueOffset,
+    TorqueRipple,
+)
+from gateway.model.terms.reading import RestRows
+from gateway.model.terms.unnamed import BentGain, PositionTorque, Pull, SumTorque, UnevenBand, UnevenGain
+
+Floats = NDArray[np.float64]
+COUPLED = ((4, 5), (1, 2), (3, 4), (3, 5))
+RATIOS = (0.35, 0.7, 0.9)
+PHASES = tuple(float(v) for v in np.arange(-6, 6) * np.pi / 6)
+COMMON_RATIOS = tuple(range(30, 321))
+SWEEP_RATIO = 40
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """What the candidates depend on besides the visits.
+
+    Attributes
+    ----------
+    gear_ratio : six gear ratios, NaN where unknown
+    common_scale : whether a load is known, so that a common torque scale can be seen
+    torque_nm : (n, 6) modelled torque of the model without effects
+    """
+
+    gear_ratio: tuple[float, ...]
+    common_scale: bool
+    torque_nm: Floats
+
+
+def named_terms(rows: RestRows, setup: Setup) -> list[Term]:
+    """Every effect of the library in every place and shape that rest visits can show."""
+    terms: list[Term] = [BaseTilt()]
+    largest = np.maximum(np.abs(setup.torque_nm).max(axis=0), 1e-6)
+    one_sided = bool((rows.side != 0).any())
+    for axis in range(6):
+        if not np.isfinite(rows.sum_nm[:, axis]).any():
+            continue
+        terms += [JointZeroOffset(axis), TorqueConstantScale(axis), TorqueOffset(axis), LoadDependentFriction(axis)]
+        terms.append(JointElasticity(axis, float(largest[axis])))
+        terms += _drifts(rows, axis)
+        terms += _ripples(axis, setup.gear_ratio[axis])
+        if one_sided:
+            terms.append(StaticFriction(axis))
+        if axis >= 3:
+            terms += [CableTorque(axis, "linear"), CableTorque(axis, "harmonic")]
+    terms += [AxisCoupling(row, column) for row, column in COUPLED]
+    terms += [LinkMass(link) for link in (1, 2, 3)]
+    terms += [BalancerSpring(ratio, phase, gas) for ratio in RATIOS for phase in PHASES for gas in (False, True)]
+    terms += _shifts(rows)
+    if setup.common_scale:
+        terms.append(TorqueConstantScale(None))
+    return terms
+
+
+def unnamed_terms(robot: Robot, rows: RestRows, setup: Setup) -> list[Term]:
+    """Smooth shapes without a cause: the rivals of the named effects."""
+    terms: list[Term] = [PositionTorque(axis, joint) for axis in range(6) for joint in range(1, 6)]
+    terms += [SumTorque(axis) for axis in (1, 2)]
+    terms += [UnevenGain(axis) for axis in range(1, 6)]
+    terms += [BentGain(axis, tuple(setup.torque_nm[:, axis].tolist())) for axis in range(1, 6)]
+    terms += [UnevenBand(axis, axis) for axis in range(6)]
+    directions, origins = joint_axes_origins(robot, rows.q_rad)
+    for link in (2, 3, 4, 5):
+        jacobian = np.zeros((len(rows), 6, 3))
+        for joint in range(link + 1):
+            jacobian[:, joint] = np.cross(directions[:, joint], origins[:, link] - origins[:, joint])
+        terms.append(Pull(link, tuple(tuple(tuple(v) for v in row) for row in jacobian.tolist())))
+    return terms
+
+
+def _drifts(rows: RestRows, axis: int) -> list[Term]:
+    if np.isfinite(rows.temperature_c[:, axis]).all() and np.ptp(rows.temperature_c[:, axis]) > 0.5:
+        return [ThermalDrift(axis, "temperature", "torque"), ThermalDrift(axis, "temperature", "friction")]
+    if np.ptp(rows.time_s) > 0:
+        return [ThermalDrift(axis, "time", "torque"), ThermalDrift(axis, "time", "friction")]
+    return []
+
+
+def _ripples(axis: int, ratio: float) -> list[Term]:
+    if np.isfinite(ratio) and ratio != 0:
+        return [TorqueRipple(axis, abs(ratio)), TorqueRipple(axis, 2.0 * abs(ratio))]
+    return []
+
+
+def _shifts(rows: RestRows) -> list[Term]:
+    """Jumps between the visits of the loads, and a drift over them."""
+    terms: list[Term] = []
+    loaded = rows.load != "none"
+    times = np.unique(rows.time_s[loaded])
+    if len(times) < 4 or len(times) != loaded.sum():
+        return terms
+    terms += [PayloadShift(float(when)) for when in times[2:-1]]
+    terms.append(PayloadShift(float(times[0]), drifts=True))
+    return terms

@@ -1,0 +1,288 @@
+"""What a model of the arm says the drives report at rest, with every effect that may be built into it.
+
+A `Setting` holds everything that effects change: the model without effects is `neutral(rows)`. `Model.predict` goes the way
+the torque goes: gravity in the joints, springs and cables, friction by the side of approach, gear, torque constant, what
+the drive reports; and then back the way a measurement is converted. Every column of a fit is a derivative of this
+prediction, so it is built from modelled torque alone: a measured torque never enters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.model.regressor import gravity_regressor
+from gateway.model.robot import Robot
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+_WIND_UP_STEPS = 6
+_NEAR_RAD = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestRows:
+    """Rest pose visits, one row each.
+
+    Attributes
+    ----------
+    load : str array of shape (n,)
+    pose : int array of shape (n,)
+    run : str array of shape (n,)
+    time_s : array of shape (n,)
+        Start of the visit; the order of the rows where no time was given.
+    q_rad : array of shape (n, 6)
+    sum_nm : array of shape (n, 6)
+        Half the sum of both sides, each through the gear by its own direction; of a one-sided visit its own torque. NaN
+        where the axis was not measured.
+    difference_nm : array of shape (n, 6)
+        Half the difference of the sides (up minus down), NaN in one-sided visits.
+    side : array of shape (n, 6)
+        Direction of approach of one-sided visits, 0 where unknown or two-sided.
+    two_sided : bool array of shape (n,)
+    sample_std_nm : array of shape (n, 6)
+        Standard deviation of `sum_nm` by the averaged samples alone, NaN = unknown.
+    temperature_c, q2nd_rad : arrays of shape (n, 6)
+        NaN where absent.
+    efficiency : array of shape (6,)
+        Gear efficiency the conversion used.
+    """
+
+    load: NDArray[np.str_]
+    pose: NDArray[np.int_]
+    run: NDArray[np.str_]
+    time_s: Floats
+    q_rad: Floats
+    sum_nm: Floats
+    difference_nm: Floats
+    side: Floats
+    two_sided: Mask
+    sample_std_nm: Floats
+    temperature_c: Floats
+    q2nd_rad: Floats
+    efficiency: Floats
+
+    def __len__(self) -> int:
+        return len(self.pose)
+
+    def take(self, index: NDArray) -> RestRows:
+        """The rows that `index` (mask or numbers) selects."""
+        picked = {
+            name: getattr(self, name)[index] for name in self.__slots__ if name not in ("efficiency", "__weakref__")
+        }
+        return RestRows(efficiency=self.efficiency, **picked)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setting:
+    """Everything that effects change, for n visits.
+
+    Attributes
+    ----------
+    tilt_rad : (2,) rotation vector (x, y) of the base
+    zero_offset_rad, compliance_rad_nm : (6,) true angle = q + offset - compliance * torque
+    link_extra : (24,) added to the link parameters
+    load_extra : (n, 4) added to the load's [m, hx, hy, hz] visit by visit
+    moment_factor : (n, 3) added to the load's first moment, in units of the load's mass [m]
+    passive_nm : (n, 6) torque exerted on the joints
+    gain : (n, 6) reported torque over true torque
+    offset_nm : (n, 6) added to the reading
+    coupling : (6, 6) reported axis i shows sum_j coupling[i, j] * axis j
+    load_friction : (6,) nu of nu |tau|
+    side_nm : (6,) mean friction of one-sided visits by direction
+    band_gain : (n, 6) factor on the friction band
+    """
+
+    tilt_rad: Floats
+    zero_offset_rad: Floats
+    compliance_rad_nm: Floats
+    link_extra: Floats
+    load_extra: Floats
+    moment_factor: Floats
+    passive_nm: Floats
+    gain: Floats
+    offset_nm: Floats
+    coupling: Floats
+    load_friction: Floats
+    side_nm: Floats
+    band_gain: Floats
+
+
+def neutral(n: int) -> Setting:
+    """The setting of `n` visits in which nothing is added to rigid links, a rigid load and a constant band."""
+    six = np.zeros(6)
+    return Setting(
+        tilt_rad=np.zeros(2),
+        zero_offset_rad=six,
+        compliance_rad_nm=six,
+        link_extra=np.zeros(24),
+        load_extra=np.zeros((n, 4)),
+        moment_factor=np.zeros((n, 3)),
+        passive_nm=np.zeros((n, 6)),
+        gain=np.ones((n, 6)),
+        offset_nm=np.zeros((n, 6)),
+        coupling=np.eye(6),
+        load_friction=six,
+        side_nm=six,
+        band_gain=np.ones((n, 6)),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """Modelled readings (n, 6): half sums, half differences (0 for one-sided visits), and torque behind them."""
+
+    sum_nm: Floats
+    difference_nm: Floats
+    joint_nm: Floats
+
+
+class Model:
+    """Rows of one robot at given visits; regressors of the same geometry are computed once.
+
+    Parameters
+    ----------
+    robot : Robot
+    rows : RestRows
+    gravity_m_s2 : array of shape (3,)
+    """
+
+    def __init__(self, robot: Robot, rows: RestRows, gravity_m_s2: Floats) -> None:
+        self.robot, self.rows, self.gravity = robot, rows, np.asarray(gravity_m_s2, dtype=float)
+        self.nominal = gravity_regressor(robot, rows.q_rad, self.gravity)
+        self._geometry: tuple[bytes, Floats] | None = None
+        self._bent: tuple[Floats, Floats, Floats] | None = None
+
+    def regressor(self, setting: Setting) -> Floats:
+        """Gravity rows (n, 6, 24) at the true joint angles and the true gravity of a setting with stiff gears."""
+        if not (setting.tilt_rad.any() or setting.zero_offset_rad.any()):
+            return self.nominal
+        q = self.rows.q_rad + setting.zero_offset_rad
+        return self._rows_at(q, setting.tilt_rad)
+
+    def _rows_at(self, q: Floats, tilt_rad: Floats) -> Floats:
+        key = q.tobytes() + tilt_rad.tobytes()
+        if self._geometry is None or self._geometry[0] != key:
+            gravity = rotation(np.append(tilt_rad, 0.0)).T @ self.gravity
+            self._geometry = key, gravity_regressor(self.robot, q, gravity)
+        return self._geometry[1]
+
+    def bodies(self, setting: Setting, links: Floats, load: Floats) -> Floats:
+        """Parameters (n, 24) of the links with the load on link 6, visit by visit."""
+        carried = load + setting.load_extra
+        carried[:, 1:] += carried[:, :1] * setting.moment_factor
+        bodies = np.repeat((links + setting.link_extra)[None], len(load), axis=0)
+        bodies[:, 20:] += carried
+        return bodies
+
+    def joint_torque(self, setting: Setting, bodies: Floats) -> tuple[Floats, Floats]:
+        """Torque (n, 6) that the gears transmit, and the rows (n, 6, 24) behind it."""
+        if not setting.compliance_rad_nm.any():
+            rows = self.regressor(setting)
+            return _dot(rows, bodies) - setting.passive_nm, rows
+        return self._wound_up(setting, bodies)
+
+    def _wound_up(self, setting: Setting, bodies: Floats) -> tuple[Floats, Floats]:
+        """Equilibrium of elastic gears: `tau = tau(bent) + K (q - compliance tau - bent)`, bent until it fits."""
+        straight = self.rows.q_rad + setting.zero_offset_rad
+        for _ in range(_WIND_UP_STEPS):
+            if self._bent is None or self._bent[0].shape != straight.shape:
+                self._bend(straight)
+            bent, at_bent, slopes = self._bent  # type: ignore[misc]
+            if setting.tilt_rad.any():
+                at_bent = self._rows_at(bent, setting.tilt_rad)
+            stiffness = np.einsum("nijk,nk->nij", slopes, bodies)
+            torque = _dot(at_bent, bodies) - setting.passive_nm
+            torque = torque + np.matmul(stiffness, (straight - bent)[:, :, None])[:, :, 0]
+            matrix = np.eye(6) + stiffness * setting.compliance_rad_nm
+            torque = np.linalg.solve(matrix, torque[:, :, None])[:, :, 0]
+            away = straight - setting.compliance_rad_nm * torque - bent
+            if np.abs(away).max() < _NEAR_RAD:
+                break
+            self._bend(bent + away)
+        rows = at_bent + np.einsum("nijk,nj->nik", slopes, away)
+        return torque, rows
+
+    def _bend(self, q: Floats) -> None:
+        """Remember rows (n, 6, 24) and their slopes (n, 6, 6, 24) by the joint angles at the bent arm."""
+        q = np.clip(q, self.rows.q_rad - 1.0, self.rows.q_rad + 1.0)
+        slopes = np.empty((len(q), 6, 6, 24))
+        for joint in range(6):
+            step = np.zeros(6)
+            step[joint] = 1e-5
+            above = gravity_regressor(self.robot, q + step, self.gravity)
+            slopes[:, :, joint] = (above - gravity_regressor(self.robot, q - step, self.gravity)) / 2e-5
+        self._bent = q, gravity_regressor(self.robot, q, self.gravity), slopes
+
+    def predict(self, setting: Setting, links: Floats, load: Floats, band_nm: Floats) -> Prediction:
+        """Modelled readings.
+
+        Parameters
+        ----------
+        setting : Setting
+        links : array of shape (24,), [m, hx, hy, hz] per link
+        load : array of shape (n, 4), the load's [m, hx, hy, hz] at each visit
+        band_nm : array of shape (6,), friction band of two-sided visits
+        """
+        torque, _ = self.joint_torque(setting, self.bodies(setting, links, load))
+        return self.readings(setting, torque, band_nm)
+
+    def readings(self, setting: Setting, torque: Floats, band_nm: Floats) -> Prediction:
+        """Readings from the torque (n, 6) the gears transmit."""
+        losses = setting.load_friction * np.abs(torque)
+        two = self.rows.two_sided[:, None]
+        friction = np.where(two, band_nm * setting.band_gain + losses, setting.side_nm + losses)
+        up = self._side(setting, torque, friction, 1.0)
+        down = self._side(setting, torque, friction, -1.0)
+        half_sum = (up + down) / 2.0
+        if not self.rows.two_sided.all():
+            single = np.where(self.rows.side > 0, up, np.where(self.rows.side < 0, down, half_sum))
+            half_sum = np.where(two, half_sum, single)
+        return Prediction(half_sum, np.where(two, (up - down) / 2.0, 0.0), torque)
+
+    def _side(self, setting: Setting, torque: Floats, friction: Floats, direction: float) -> Floats:
+        eta = self.rows.efficiency
+        behind = torque + direction * friction
+        motor = np.where(behind * direction > 0, behind / eta, behind * eta)
+        seen = (setting.gain * motor + setting.offset_nm) @ setting.coupling.T
+        return through_gear(seen, direction, eta)
+
+    def sum_by_torque(self, setting: Setting, torque: Floats, band_nm: Floats) -> Floats:
+        """Derivative (n, 6, 6) of the half sums by the transmitted torque of each axis."""
+        plain = not setting.load_friction.any() and (self.rows.efficiency == 1.0).all()
+        if plain:
+            return setting.coupling[None] * setting.gain[:, None, :]
+        step = 1e-4 * (1.0 + np.abs(torque).max(axis=0))
+        out = np.empty((len(torque), 6, 6))
+        for axis in range(6):
+            moved = np.zeros(6)
+            moved[axis] = step[axis]
+            above = self.readings(setting, torque + moved, band_nm).sum_nm
+            below = self.readings(setting, torque - moved, band_nm).sum_nm
+            out[:, :, axis] = (above - below) / (2.0 * step[axis])
+        return out
+
+
+def through_gear(reported_nm: Floats, direction: Floats | float, efficiency: Floats) -> Floats:
+    """Torque behind the gear: driving `T = eta u`, driven back `T = u / eta`; unknown direction (0): `u` as it is."""
+    work = reported_nm * direction
+    return np.where(work > 0, reported_nm * efficiency, np.where(work < 0, reported_nm / efficiency, reported_nm))
+
+
+def rotation(vector_rad: Floats) -> Floats:
+    """Rotation matrix (3, 3) of a rotation vector (3,) (Rodrigues)."""
+    angle = float(np.linalg.norm(vector_rad))
+    if angle < 1e-15:
+        return np.eye(3)
+    x, y, z = vector_rad / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+
+
+def _dot(rows: Floats, bodies: Floats) -> Floats:
+    return np.matmul(rows, bodies[:, :, None])[:, :, 0]
+
+
+__all__ = ["Model", "Prediction", "RestRows", "Setting", "neutral", "replace", "rotation", "through_gear"]
