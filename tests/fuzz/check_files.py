@@ -17,6 +17,7 @@ from gateway.errors import ConfigError, InputError
 from gateway.model.robot import robot_from_urdf
 from gateway.result import from_json, to_json
 from gateway.table import read_csv
+from sim.faults import Fault, FaultError, parse_faults
 from tests.fuzz.guard import bounded
 from tests.fuzz.mutate import edited
 
@@ -157,3 +158,28 @@ def check_result(data: bytes) -> None:
     result = bounded(lambda: from_json(text, "result.json"), (InputError,), len(data))
     if result is not None:
         assert to_json(from_json(to_json(result))) == to_json(result)
+
+
+SCENARIO_SEED = b"""[[fault]]
+kind = "emcy"
+node = 3
+at_sync = 200
+code = 0x3210
+
+[[fault]]
+kind = "tpdo_random_loss"
+share = 0.01
+syncs = 0
+seed = 7
+"""
+
+
+def scenarios() -> st.SearchStrategy[bytes]:
+    return edited([SCENARIO_SEED])
+
+
+def check_scenario(data: bytes) -> None:
+    """Faults of known kinds, or `FaultError`."""
+    text = data.decode("utf-8", "replace")
+    faults = bounded(lambda: parse_faults(text), (FaultError,), len(data))
+    assert faults is None or all(isinstance(fault, Fault) and 0 <= fault.share <= 1 for fault in faults)

@@ -34,5 +34,6 @@ TARGETS: tuple[Target, ...] = (
     Target("profile toml", "reader", check_files.profiles, check_files.check_profile),
     Target("urdf", "reader", check_files.robots, check_files.check_urdf),
     Target("csv", "reader", check_files.tables, check_files.check_csv),
+    Target("scenario toml", "reader", check_files.scenarios, check_files.check_scenario),
     Target("result json", "reader", check_files.results, check_files.check_result),
 )

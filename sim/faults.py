@@ -1,0 +1,235 @@
+"""What goes wrong on a bus and in a drive: the kinds of faults, and scenario files that name them.
+
+    [[fault]]
+    kind = "tpdo_lost"
+    node = 3
+    at_sync = 200      # SYNC on the bus at which it starts, counted from the first one
+    syncs = 5          # how many SYNCs it lasts; 0 = from then on
+
+Where a fault acts decides who carries it out: the wire (`sim.faulty_wire`), the drive, or the drive's objects, before
+anything moves. What happens at the master is not the simulator's business and is listed for completeness.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, cast
+
+Where = Literal["wire", "drive", "object", "master"]
+Reaction = Literal["goes on", "retried", "stops", "refuses", "finding", "drives stop", "kept"]
+
+#: What each reaction means.
+REACTIONS: dict[Reaction, str] = {
+    "goes on": "counted and reported, no sample is touched",
+    "retried": "the SYNCs concerned are incomplete, are reported, and the samples are taken again",
+    "stops": "every axis stops, controlled; what was recorded is kept; nothing resumes by itself",
+    "refuses": "nothing moves: typed error, named node and object",
+    "finding": "the pre-flight check or the data say so, with advice; no value is used silently",
+    "drives stop": "every drive stops by itself (heartbeat consumer), whatever the master does",
+    "kept": "the run ends with an error, every finished visit is on disk",
+}
+
+
+class FaultError(ValueError):
+    """A scenario that cannot be used."""
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """One kind of fault.
+
+    Attributes
+    ----------
+    where : where it acts
+    reaction : what has to happen
+    bound : SYNCs from its start to the master's reaction; None = not by SYNCs (before motion, or by the clock)
+    meaning : one line
+    """
+
+    where: Where
+    reaction: Reaction
+    bound: int | None
+    meaning: str
+
+
+KINDS: dict[str, Kind] = {
+    # TPDOs and SYNC on the wire
+    "tpdo_lost": Kind("wire", "retried", 1, "answers of a drive to a few SYNCs are lost"),
+    "tpdo_gone": Kind("wire", "stops", 12, "a drive answers no SYNC any more"),
+    "tpdo_duplicated": Kind("wire", "goes on", 1, "every answer comes twice"),
+    "tpdo_delayed": Kind("wire", "goes on", 1, "the answer of one drive comes after all others"),
+    "tpdo_reordered": Kind("wire", "goes on", 1, "answers come in changing order"),
+    "tpdo_late": Kind("wire", "retried", 1, "the answer comes after the next SYNC"),
+    "tpdo_short": Kind("wire", "retried", 1, "the answer is shorter than mapped"),
+    "tpdo_empty": Kind("wire", "retried", 1, "the answer has no data"),
+    "tpdo_torn": Kind("wire", "retried", 1, "two different answers to one SYNC"),
+    "tpdo_stuck": Kind("wire", "stops", 30, "the answers of a drive show old values for ever"),
+    "tpdo_random_loss": Kind("wire", "retried", 1, "a share of all answers is lost"),
+    "rpdo_lost": Kind("wire", "goes on", 1, "commands to one drive are lost for a few SYNCs"),
+    "rpdo_gone": Kind("wire", "stops", 60, "no command reaches one drive any more"),
+    "sync_lost": Kind("wire", "retried", 1, "a SYNC reaches no drive"),
+    # SDO on the wire
+    "sdo_late": Kind("wire", "goes on", None, "answers late, but in time"),
+    "sdo_too_late": Kind("wire", "refuses", None, "answers after the time-out"),
+    "sdo_lost": Kind("wire", "goes on", None, "one answer is lost, the read is repeated"),
+    "sdo_silent": Kind("wire", "refuses", None, "no answer at all"),
+    "sdo_aborted": Kind("wire", "refuses", None, "refuses an object"),
+    "sdo_other_object": Kind("wire", "refuses", None, "answers for another object"),
+    "sdo_wrong_toggle": Kind("wire", "goes on", None, "wrong toggle bit in a segment of a text"),
+    "sdo_short": Kind("wire", "refuses", None, "answers of less than eight bytes"),
+    # life signs
+    "heartbeat_lost": Kind("wire", "stops", None, "the drive's heartbeat is missing"),
+    "heartbeat_back": Kind("wire", "stops", None, "the drive's heartbeat is missing and comes back"),
+    "node_killed": Kind("drive", "stops", 12, "the drive is without power"),
+    "power_cycle": Kind("drive", "stops", 12, "the drive starts anew in the middle of a run"),
+    "boot_up_frame": Kind("wire", "stops", 2, "a boot-up frame in the middle of a run"),
+    "nmt_stopped": Kind("drive", "stops", 12, "the drive leaves OPERATIONAL"),
+    # EMCY
+    "emcy": Kind("wire", "stops", 2, "an emergency message"),
+    "emcy_short": Kind("wire", "stops", 2, "an emergency message of two bytes"),
+    "emcy_reset": Kind("wire", "goes on", 1, "an emergency message that says that all is well again"),
+    "emcy_storm": Kind("wire", "stops", 2, "two hundred emergency messages at once"),
+    # the drive
+    "drive_fault": Kind("drive", "stops", 2, "the drive goes to FAULT"),
+    "quick_stop": Kind("drive", "stops", 2, "the drive does a quick stop by itself"),
+    "internal_limit": Kind("wire", "stops", 2, "statusword bit 11: a limit of the drive acts"),
+    "following_error": Kind("wire", "stops", 2, "statusword bit 13: following error"),
+    "safe_torque_off": Kind("drive", "stops", 2, "the safety circuit takes the torque away"),
+    "not_remote": Kind("wire", "stops", 2, "statusword bit 9 falls: a panel has taken the drive"),
+    "warning": Kind("wire", "goes on", 1, "statusword bit 7: warning"),
+    "brake_engaged": Kind("drive", "stops", 60, "the holding brake falls in under power"),
+    "torque_spike": Kind("wire", "stops", 2, "the torque jumps, as on contact"),
+    # what the drive says about itself
+    "demand_torque": Kind("drive", "finding", None, "0x6077 shows the demand, not the measurement"),
+    "unsigned_torque": Kind("drive", "finding", None, "0x6077 has lost its sign"),
+    "wrong_rated": Kind("object", "finding", None, "rated torque in uNm instead of mNm"),
+    "rated_zero": Kind("object", "refuses", None, "rated torque is zero"),
+    "wrong_vendor": Kind("object", "refuses", None, "another make of drive"),
+    "node_missing": Kind("wire", "refuses", None, "nobody at a node id"),
+    "duplicate_node": Kind("wire", "refuses", None, "two devices with one node id"),
+    "fault_at_start": Kind("drive", "refuses", None, "the drive is in FAULT before anything begins"),
+    # the bus
+    "second_master_sync": Kind("wire", "stops", 2, "another master sends SYNC"),
+    "second_master_nmt": Kind("wire", "stops", 2, "another master sends NMT commands"),
+    "second_master_sdo": Kind("wire", "stops", 2, "another master reads objects"),
+    "error_frames": Kind("wire", "goes on", 1, "error frames"),
+    "error_passive": Kind("wire", "goes on", 1, "the controller is error passive"),
+    "bus_off": Kind("wire", "stops", 2, "the controller is bus-off"),
+    "strange_frames": Kind("wire", "goes on", 1, "extended and remote frames of others"),
+    # the master
+    "queue_full": Kind("master", "goes on", 1, "transmit queue full (ENOBUFS) for a moment"),
+    "queue_stays_full": Kind("master", "drives stop", None, "transmit queue full for ever"),
+    "master_killed": Kind("master", "drives stop", None, "the master process is killed (SIGKILL)"),
+    "master_stalled": Kind("master", "drives stop", None, "the master process stands still for a while (SIGSTOP)"),
+    "disk_full": Kind("master", "kept", None, "the recording's disk is full"),
+}
+
+MAX_SYNC = 10**9
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One fault of a scenario.
+
+    Attributes
+    ----------
+    kind : one of `KINDS`
+    node : whom it concerns; 0 = every node, or nobody in particular
+    at_sync : SYNC at which it starts
+    syncs : how many SYNCs it lasts; 0 = from then on
+    count : how many frames it touches at most; 0 = all
+    delay_s : of late answers
+    index, subindex : object that an SDO fault is about; index 0 = any
+    code : EMCY or SDO abort code
+    share : of the frames, for random loss
+    seed : of the random choice
+    """
+
+    kind: str
+    node: int = 0
+    at_sync: int = 0
+    syncs: int = 1
+    count: int = 0
+    delay_s: float = 0.0
+    index: int = 0
+    subindex: int = 0
+    code: int = 0
+    share: float = 1.0
+    seed: int = 1
+
+    def active(self, sync: int) -> bool:
+        """Whether the fault acts after so many SYNCs."""
+        return sync >= self.at_sync and (self.syncs == 0 or sync < self.at_sync + self.syncs)
+
+    def concerns(self, node: int) -> bool:
+        """Whether it is about this node."""
+        return self.node in (0, node)
+
+
+_BOUNDS: dict[str, tuple[type, float, float]] = {
+    "kind": (str, 0, 0),
+    "node": (int, 0, 127),
+    "at_sync": (int, 0, MAX_SYNC),
+    "syncs": (int, 0, MAX_SYNC),
+    "count": (int, 0, MAX_SYNC),
+    "delay_s": (float, 0.0, 60.0),
+    "index": (int, 0, 0xFFFF),
+    "subindex": (int, 0, 0xFF),
+    "code": (int, 0, 0xFFFFFFFF),
+    "share": (float, 0.0, 1.0),
+    "seed": (int, 0, 2**32 - 1),
+}
+
+
+def fault_from_dict(entry: dict[str, Any], where: str = "fault") -> Fault:
+    """A fault from its keys; every key is checked.
+
+    Raises
+    ------
+    FaultError
+        Unknown kind or key, a value of the wrong type or out of range.
+    """
+    values: dict[str, Any] = {}
+    for key, value in entry.items():
+        if key not in _BOUNDS:
+            raise FaultError(f"{where}: unknown key '{key}'; known are {', '.join(_BOUNDS)}")
+        kind, low, high = _BOUNDS[key]
+        wrong = isinstance(value, bool) or not isinstance(value, (int, float) if kind is float else kind)
+        if wrong or kind is not str and not low <= value <= high:
+            raise FaultError(f"{where}: {key} = {value!r} is no {kind.__name__} in {low} .. {high}")
+        values[key] = kind(value)
+    name = values.get("kind")
+    if name not in KINDS:
+        raise FaultError(f"{where}: kind '{name}' is unknown; known are {', '.join(KINDS)}")
+    if KINDS[name].where == "master":
+        raise FaultError(f"{where}: '{name}' happens at the master, not in the simulator")
+    return Fault(**values)
+
+
+def parse_faults(text: str, where: str = "scenario") -> tuple[Fault, ...]:
+    """Faults of a scenario file.
+
+    Raises
+    ------
+    FaultError
+        Not TOML, or as `fault_from_dict`.
+    """
+    try:
+        tables = tomllib.loads(text)
+    except (ValueError, RecursionError, OverflowError) as error:
+        raise FaultError(f"{where}: not valid TOML: {error}") from error
+    entries = tables.pop("fault", [])
+    if tables or not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        raise FaultError(f"{where}: a scenario holds [[fault]] tables and nothing else")
+    tables_of_faults = cast(list[dict[str, Any]], entries)
+    return tuple(fault_from_dict(entry, f"{where}: fault {number}") for number, entry in enumerate(tables_of_faults, 1))
+
+
+def read_faults(path: Path) -> tuple[Fault, ...]:
+    """Faults of a scenario file on disk."""
+    try:
+        return parse_faults(path.read_text(encoding="utf-8"), str(path))
+    except (OSError, UnicodeDecodeError) as error:
+        raise FaultError(f"{path}: cannot be read: {error}") from error
