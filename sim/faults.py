@@ -127,6 +127,7 @@ KINDS: dict[str, Kind] = {
 }
 
 MAX_SYNC = 10**9
+LONGEST_LINE = 500
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,6 +217,8 @@ def parse_faults(text: str, where: str = "scenario") -> tuple[Fault, ...]:
     FaultError
         Not TOML, or as `fault_from_dict`.
     """
+    if any(len(line) > LONGEST_LINE for line in text.splitlines()):
+        raise FaultError(f"{where}: a line of more than {LONGEST_LINE} characters is no fault")
     try:
         tables = tomllib.loads(text)
     except (ValueError, RecursionError, OverflowError) as error:
