@@ -6,7 +6,7 @@ torque `u` (joint side) the gear output `T` may be anything in
     [min(eta u, u / eta), max(eta u, u / eta)] = u (eta + 1/eta) / 2  +-  |u| (1/eta - eta) / 2
 
 and motion in direction d ends at the edge that takes power away: `T = eta u` where the motor drives, `T = u / eta`
-where it is driven back. Coulomb friction, stiction and losses in proportion to the transmitted torque widen the same band.
+where it is driven back. Coulomb friction, stiction and losses in proportion to the transmitted torque widen the band.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from canopen.objectdictionary import ODArray, ODRecord, ODVariable, ObjectDictionary, datatypes
+from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable, datatypes
 from canopen.sdo import SdoAbortedError
 
 Address = tuple[int, int]

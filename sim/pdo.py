@@ -1,4 +1,4 @@
-"""Process data objects of a simulated drive: communication and mapping parameters as the master wrote them (CiA 301, 7.5).
+"""Process data objects of a simulated drive: communication and mapping as the master wrote them (CiA 301, 7.5).
 
 Nothing is assumed about a map: what is packed into a TPDO and taken out of an RPDO follows from 0x1A00 and 0x1600 as
 they stand, and both may be changed only while the PDO is switched off.
@@ -19,7 +19,9 @@ from sim.objects import (
     STRUCT_CODES,
     UNSUPPORTED_ACCESS,
     VALUE_RANGE,
+    Getter,
     ObjectStore,
+    Setter,
 )
 
 MAX_ENTRIES = 8
@@ -46,6 +48,8 @@ class Pdo:
         self._count = 0
         self.on_change: Callable[[], None] = lambda: None
         self.packing = struct.Struct("<")
+        self.getters: list[Getter] = []
+        self.setters: list[Setter | None] = []
         self._register(communication, mapping)
 
     @property

@@ -1,0 +1,341 @@
+"""A simulated CANopen servo drive: written from CiA 301 and CiA 402-2, speaking on the wire.
+
+It shares object numbers with the master and nothing else. Words are formed from the motor's own torque, angle and speed
+by the arithmetic that the drive's profile states; setpoints go the same way back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import can
+from canopen.sdo import SdoAbortedError
+
+from sim.cellfile import AxisSpec
+from sim.drive_objects import MODES, fill
+from sim.motion import Motion
+from sim.node import OPERATIONAL, SlaveNode
+from sim.objects import VALUE_RANGE, ObjectStore
+from sim.pdo import DISABLED, EVENT_TYPES, Pdo, due
+from sim.physics import MotorAxis
+from sim.states import Automaton, PdsState
+from sim.units import DriveUnits, Word, drive_units
+
+PDO_COUNT = 4
+POLARITY_POSITION = 0x80
+VOLTAGE_ENABLED, REMOTE = 1 << 4, 1 << 9
+EMCY_HEARTBEAT, EMCY_PDO_LENGTH = 0x8130, 0x8210
+REGISTER_GENERIC, REGISTER_COMMUNICATION, REGISTER_PROFILE = 0x01, 0x10, 0x20
+
+
+@dataclass(frozen=True, slots=True)
+class DriveSite:
+    """Where a drive sits.
+
+    Attributes
+    ----------
+    node_id : on the bus
+    spec : the axis of the cell it is built for
+    sync_period_s : of the SYNC it will hear
+    limited : it has software limits (not on a coupled axis, whose range depends on other joints)
+    """
+
+    node_id: int
+    spec: AxisSpec
+    sync_period_s: float
+    limited: bool = True
+
+
+class FakeDrive:
+    """One drive on the bus.
+
+    Attributes
+    ----------
+    node : SlaveNode; store : its objects; units : its scales
+    automaton : CiA 402 state; mode : 0x6060 (0 none, 1 PP, 8 CSP, 10 CST)
+    axis : the motor it feeds
+    reading_nm : torque it measured last, gear output side [Nm]
+    error_code : 0x603F
+    """
+
+    def __init__(self, site: DriveSite, axis: MotorAxis, send: Callable[[can.Message], None]) -> None:
+        self.node_id, self.spec, self.sync_period_s = site.node_id, site.spec, site.sync_period_s
+        self.limited = site.limited
+        self.axis = axis
+        self._send = send
+        self.units: DriveUnits = drive_units(site.spec)
+        self.serial = 0x51_0000 + site.node_id
+        self.counts_per_joint_rad = site.spec.position_sign * site.spec.gear_ratio * self.units.counts_per_rad
+        self.reading_nm = 0.0
+        self.automaton = Automaton()
+        self.motion = Motion(self)
+        self.store = ObjectStore()
+        self.reset_setpoints()
+        fill(self)
+        self.target_counts = self.position_counts()
+        self._register_pdos()
+        self._reset_values = dict(self.store.values)
+        self.node = SlaveNode(site.node_id, self.store)
+        self._reset_values |= {key: self.store.values[key] for key in ((0x1016, 1), (0x1017, 0))}
+        self.node.on_nmt = self._nmt_changed
+        self.node.on_reset = self.reset
+        self.node.on_heartbeat_lost = self._heartbeat_lost
+        self.take_max_torque(2500)
+        self.automaton.power_up()
+
+    def reset_setpoints(self) -> None:
+        """Power-on values of everything the master commands."""
+        self.mode = 0
+        self.target_counts = self.velocity_offset = self.torque_offset = self.target_torque = 0
+        self.error_code = 0
+
+    def reset(self) -> None:
+        """NMT reset: parameters and PDOs as at power-up, brake closed."""
+        self.axis.lock()
+        self.reset_setpoints()
+        self.store.values.update(self._reset_values)
+        self.target_counts = self.position_counts()
+        self._preset_pdos()
+        self.take_max_torque(2500)
+        self.automaton.power_up()
+
+    # ----------------------------------------------------------------------------------------------------- PDOs
+
+    def _register_pdos(self) -> None:
+        self.tpdos = [
+            Pdo(self.store, 0x1800 + n, 0x1A00 + n, 0x180 + 0x100 * n + self.node_id) for n in range(PDO_COUNT)
+        ]
+        self.rpdos = [
+            Pdo(self.store, 0x1400 + n, 0x1600 + n, 0x200 + 0x100 * n + self.node_id) for n in range(PDO_COUNT)
+        ]
+        self._preset_pdos()
+
+    def _preset_pdos(self) -> None:
+        """Power-on maps of CiA 402-2: statusword and controlword by event, the rest switched off."""
+        for n, (tpdo, rpdo) in enumerate(zip(self.tpdos, self.rpdos, strict=True)):
+            tpdo.cob_id = (0x180 + 0x100 * n + self.node_id) | (0 if n == 0 else DISABLED)
+            rpdo.cob_id = (0x200 + 0x100 * n + self.node_id) | (0 if n == 0 else DISABLED)
+            tpdo.inhibit_100us = tpdo.event_ms = 0
+            tpdo.preset([(0x6041, 0)] if n == 0 else [(0x6041, 0), (0x6064, 0)][: n + 1], 255)
+            rpdo.preset([(0x6040, 0)] if n == 0 else [(0x6040, 0), (0x607A, 0)][: n + 1], 255)
+        self._buffers: list[bytes | None] = [None] * PDO_COUNT
+        self._last_event: list[bytes | None] = [None] * PDO_COUNT
+        self._event_due_s = [0.0] * PDO_COUNT
+        self._sync_count = 0
+
+    def rpdo_received(self, number: int, data: bytes) -> None:
+        """A frame on the identifier of RPDO `number`."""
+        if self.node.state != OPERATIONAL or self.node.silent:
+            return
+        rpdo = self.rpdos[number]
+        if len(data) < rpdo.packing.size:
+            self.node.emergency(EMCY_PDO_LENGTH, self.node.error_register | REGISTER_COMMUNICATION)
+        elif rpdo.transmission in EVENT_TYPES:
+            rpdo.unpack(data)
+        else:
+            self._buffers[number] = data
+
+    def sync(self) -> None:
+        """SYNC: synchronous RPDOs become valid, synchronous TPDOs are sampled and sent."""
+        if self.node.state != OPERATIONAL or self.node.silent:
+            return
+        self._sync_count += 1
+        for number, data in enumerate(self._buffers):
+            if data is not None:
+                self._buffers[number] = None
+                self.rpdos[number].unpack(data)
+        for tpdo in self.tpdos:
+            if due(tpdo, self._sync_count):
+                self.transmit(tpdo)
+
+    def send_events(self, time_s: float) -> None:
+        """Event-driven TPDOs: on change, not faster than the inhibit time, at least every event time."""
+        if self.node.state != OPERATIONAL or self.node.silent:
+            return
+        for number, tpdo in enumerate(self.tpdos):
+            if not tpdo.enabled or tpdo.transmission not in (0, *EVENT_TYPES):
+                continue
+            data, before = tpdo.pack(), self._last_event[number]
+            waited = time_s - self._event_due_s[number]
+            timer = tpdo.event_ms and waited >= tpdo.event_ms * 1e-3
+            if (data != before and (before is None or waited >= tpdo.inhibit_100us * 1e-4)) or timer:
+                self._last_event[number], self._event_due_s[number] = data, time_s
+                self.transmit(tpdo)
+
+    def transmit(self, tpdo: Pdo) -> None:
+        """Put one TPDO on the bus."""
+        self._send(can.Message(arbitration_id=tpdo.frame_id, data=tpdo.pack(), is_extended_id=False))
+
+    # ------------------------------------------------------------------------------------------- state and faults
+
+    def take_controlword(self, word: int) -> None:
+        """0x6040."""
+        before = self.automaton.state
+        self.automaton.command(word)
+        if before is PdsState.FAULT and self.automaton.state is PdsState.SWITCH_ON_DISABLED:
+            self.error_code = 0
+            self.node.emergency(0x0000, 0)
+        self.motion.state_changed(before)
+
+    def statusword(self) -> int:
+        """0x6041."""
+        word = self.automaton.state.value | VOLTAGE_ENABLED | self.motion.status_bits()
+        return word | REMOTE if self.node.state == OPERATIONAL else word
+
+    def take_mode(self, value: int) -> None:
+        """0x6060."""
+        if value not in MODES and value != 0:
+            raise SdoAbortedError(VALUE_RANGE)
+        self.mode = value
+        self.motion.mode_changed()
+
+    def take_quick_stop_option(self, value: int) -> None:
+        """0x605A: 1 to 3 end in SWITCH ON DISABLED, 5 to 7 stay in QUICK STOP ACTIVE."""
+        if value not in (1, 2, 3, 5, 6, 7):
+            raise SdoAbortedError(VALUE_RANGE)
+        self.automaton.quick_stop_holds = value >= 5
+
+    def raise_fault(self, code: int, register: int = REGISTER_GENERIC | REGISTER_PROFILE) -> None:
+        """Transition 13: EMCY, then the fault reaction."""
+        if self.automaton.state in (PdsState.FAULT, PdsState.FAULT_REACTION_ACTIVE):
+            return
+        before = self.automaton.state
+        self.error_code = code
+        self.node.emergency(code, register)
+        self.automaton.fault()
+        self.motion.state_changed(before)
+
+    def _heartbeat_lost(self, _node_id: int) -> None:
+        self.node.emergency(EMCY_HEARTBEAT, self.node.error_register | REGISTER_GENERIC | REGISTER_COMMUNICATION)
+        self._connection_lost(EMCY_HEARTBEAT)
+        behaviour = self.store.number((0x1029, 1))
+        if behaviour != 1 and self.node.state == OPERATIONAL:
+            self.node.nmt_command(128 if behaviour == 0 else 2)
+
+    def _nmt_changed(self, old: int, new: int) -> None:
+        if new == OPERATIONAL:
+            self._sync_count = 0
+            self._last_event = [None] * PDO_COUNT
+        elif old == OPERATIONAL:
+            self._connection_lost(0)
+
+    def _connection_lost(self, code: int) -> None:
+        """Abort connection option, 0x6007: 1 fault, 2 disable voltage, 3 quick stop."""
+        option, before = self.store.number((0x6007, 0)), self.automaton.state
+        if before is not PdsState.OPERATION_ENABLED:
+            return
+        if option == 1:
+            self.error_code = code or 0x8100
+            self.automaton.fault()
+        elif option == 2:
+            self.automaton.disable_voltage()
+        elif option == 3:
+            self.automaton.quick_stop()
+        self.motion.state_changed(before)
+
+    # ------------------------------------------------------------------------------------------------ words in, out
+
+    @property
+    def _polarity(self) -> int:
+        return -1 if self.store.number((0x607E, 0)) & POLARITY_POSITION else 1
+
+    def counts_at(self, joint_rad: float) -> int:
+        """Position word at an angle of the gear output, cell's zero offset taken off here."""
+        return round((joint_rad - self.spec.zero_offset_rad) * self.counts_per_joint_rad)
+
+    def position_counts(self) -> int:
+        """0x6064."""
+        return self._polarity * round(self.axis.position_rad * self.counts_per_joint_rad)
+
+    def demand_counts(self) -> int:
+        """0x6062."""
+        return self._polarity * round(self.axis.servo.reference_rad * self.counts_per_joint_rad)
+
+    def following_error_counts(self) -> int:
+        """0x60F4."""
+        return self._polarity * round(self.axis.servo.error_rad * self.counts_per_joint_rad)
+
+    def take_target(self, counts: int) -> None:
+        """0x607A."""
+        self.target_counts = counts
+
+    def target_rad(self) -> float:
+        """Target position at the gear output, inside the software limits (0x607D; 0 and 0 switch them off)."""
+        counts = self.target_counts
+        low, high = self.store.number((0x607D, 1)), self.store.number((0x607D, 2))
+        if low != 0 or high != 0:
+            counts = min(max(counts, low), high)
+        self.motion.target_limited = counts != self.target_counts
+        return self._polarity * counts / self.counts_per_joint_rad
+
+    def _speed_word(self, joint_rad_s: float) -> int:
+        motor = self.spec.position_sign * self.spec.gear_ratio * joint_rad_s
+        return self._polarity * round(motor * self.units.velocity.bits_per_unit)
+
+    def velocity_word(self) -> int:
+        """0x606C."""
+        return self._speed_word(self.axis.omega_rad_s)
+
+    def demand_velocity(self) -> int:
+        """0x606B."""
+        return self._speed_word(self.axis.servo.reference_step_rad * 1000.0)
+
+    def joint_speed(self, word: int) -> float:
+        """Magnitude at the gear output [rad/s] of an unsigned speed or acceleration word."""
+        return word / (self.units.velocity.bits_per_unit * abs(self.spec.gear_ratio))
+
+    def take_velocity_offset(self, value: int) -> None:
+        """0x60B1."""
+        self.velocity_offset = value
+        motor = value / self.units.velocity.bits_per_unit
+        self.axis.servo.offset_rad_s = self._polarity * motor / (self.spec.position_sign * self.spec.gear_ratio)
+
+    def _motor_nm(self, joint_nm: float) -> float:
+        """Torque word's sense: motor torque in the drive's own direction."""
+        return joint_nm / (self.spec.torque_sign * self.spec.gear_ratio)
+
+    def torque_word(self, word: Word) -> Callable[[], int]:
+        """Function that gives a measured torque or current."""
+        return lambda: round(self._motor_nm(self.reading_nm) * word.bits_per_unit)
+
+    def demand_word(self) -> int:
+        """0x6074, per mille of 0x6076; also 0x6077 of drives that show their demand there."""
+        return round(self._motor_nm(self.axis.servo.demand_nm) * 1000.0 / self.units.rated_torque_nm)
+
+    def standard_current_word(self) -> int:
+        """0x6078, per mille of 0x6075."""
+        return round(self._motor_nm(self.reading_nm) * 1000.0 / self.units.rated_torque_nm)
+
+    def _joint_nm(self, word: int) -> float:
+        return word * self.units.offset_nm_per_bit * self.spec.torque_sign * self.spec.gear_ratio
+
+    def take_torque_offset(self, word: int) -> None:
+        """0x60B2."""
+        self.torque_offset = word
+        self.motion.feed_torque()
+
+    def take_target_torque(self, word: int) -> None:
+        """0x6071."""
+        self.target_torque = word
+        self.motion.feed_torque()
+
+    def demanded_nm(self) -> float:
+        """Torque feedforward, in CST the whole demand, gear output side [Nm]."""
+        word = self.torque_offset + (self.target_torque if self.mode == 10 else 0)
+        return self._joint_nm(word)
+
+    def take_max_torque(self, word: int) -> None:
+        """0x6072, per mille of the rated torque."""
+        self.axis.servo.max_nm = word * 1e-3 * self.units.rated_torque_nm * abs(self.spec.gear_ratio)
+
+    def digital_inputs(self) -> int:
+        """0x60FD: bit 0 negative limit, bit 1 positive limit, bit 16 holding brake closed."""
+        counts, low, high = self.position_counts(), self.store.number((0x607D, 1)), self.store.number((0x607D, 2))
+        on = bool(low or high)
+        return (on and counts < low) | (on and counts > high) << 1 | (not self.axis.free) << 16
+
+    def advanced(self, time_s: float) -> None:
+        """After a stretch of simulated time: monitoring."""
+        self.node.watch(time_s)
+        self.motion.supervise(time_s)

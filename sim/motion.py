@@ -1,0 +1,191 @@
+"""What a simulated drive does with its axis in each CiA 402 state and mode: reference, brake, ramps, monitoring.
+
+The reference advances once per stretch of simulated time (one SYNC in lockstep); the servo loop moves it evenly over
+the milliseconds of that stretch, which is the linear interpolation of cyclic synchronous position.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from sim.servo import TICK_S
+from sim.states import PdsState
+
+if TYPE_CHECKING:
+    from sim.fake_drive import FakeDrive
+
+PP, CSP, CST = 1, 8, 10
+NEW_SET_POINT, RELATIVE, HALT = 1 << 4, 1 << 6, 1 << 8
+TARGET_REACHED, INTERNAL_LIMIT, MODE_SPECIFIC, FOLLOWING_ERROR = 1 << 10, 1 << 11, 1 << 12, 1 << 13
+EMCY_FOLLOWING = 0x8611
+#: An axis counts as standing below this speed [rad/s].
+STANDSTILL_RAD_S = 1e-3
+
+
+class Motion:
+    """Reference generator and monitor of one drive.
+
+    Attributes
+    ----------
+    target_limited : the target position was cut by a software limit
+    """
+
+    def __init__(self, drive: FakeDrive) -> None:
+        self._drive = drive
+        self.target_limited = False
+        self._speed = 0.0
+        self._release_s: float | None = None
+        self._ticks_left = 0
+        self._pp_goal: float | None = None
+        self._acknowledged = False
+        self._reached_since: float | None = None
+        self._lag_since: float | None = None
+        self._time_s = 0.0
+
+    # ------------------------------------------------------------------------------------------------------ states
+
+    def state_changed(self, before: PdsState) -> None:
+        """React to a transition, or to a controlword within OPERATION ENABLED."""
+        drive, state = self._drive, self._drive.automaton.state
+        if state is PdsState.OPERATION_ENABLED:
+            if before is not PdsState.OPERATION_ENABLED:
+                delay = float(drive.spec.profile.get("state_machine", {}).get("brake_delay_s", 0.0))
+                self._release_s = self._time_s + delay
+                self._pp_goal, self._acknowledged = None, False
+            self._handshake()
+        elif not drive.automaton.energised:
+            self._release_s = None
+            self._speed = 0.0
+            drive.axis.lock()
+
+    def mode_changed(self) -> None:
+        """A mode written while enabled starts from the present reference."""
+        self._pp_goal = None
+        self.feed_torque()
+
+    def feed_torque(self) -> None:
+        """Hand torque offset or torque demand to the loop."""
+        drive = self._drive
+        drive.axis.servo.offset_nm = drive.demanded_nm()
+        drive.axis.servo.torque_only = drive.mode == CST and drive.automaton.state is PdsState.OPERATION_ENABLED
+
+    def _handshake(self) -> None:
+        """Profile position: a rising bit 4 takes the set-point, bit 12 acknowledges until bit 4 falls."""
+        drive = self._drive
+        if drive.mode != PP:
+            return
+        wanted = bool(drive.automaton.controlword & NEW_SET_POINT)
+        if wanted and not self._acknowledged:
+            goal = drive.target_rad()
+            if drive.automaton.controlword & RELATIVE:
+                goal += drive.axis.servo.reference_rad
+            self._pp_goal, self._reached_since = goal, None
+        self._acknowledged = wanted
+
+    # ---------------------------------------------------------------------------------------------------- reference
+
+    def plan(self, ticks: int) -> None:
+        """Set the increments of the reference for the milliseconds to come."""
+        drive, servo = self._drive, self._drive.axis.servo
+        state = drive.automaton.state
+        if not drive.automaton.energised:
+            return
+        if not drive.axis.free:
+            if self._release_s is not None and self._time_s >= self._release_s and drive.mode:
+                drive.axis.release()
+                self.feed_torque()
+            elif state is not PdsState.OPERATION_ENABLED:
+                drive.automaton.stopped()
+                self.state_changed(state)
+            return
+        seconds = ticks * TICK_S
+        if state is not PdsState.OPERATION_ENABLED:
+            travel = self._ramp_down(seconds)
+        elif drive.mode == CSP:
+            travel = self._track(seconds)
+        elif drive.mode == PP:
+            travel = self._profile(seconds)
+        else:
+            travel = 0.0
+            servo.reference_rad = drive.axis.position_rad
+        self.feed_torque()
+        self._speed = travel / seconds
+        servo.reference_step_rad = travel / ticks
+
+    def _track(self, seconds: float) -> float:
+        """Cyclic synchronous position: reach the target within the interpolation period, speed limit kept."""
+        drive = self._drive
+        way = drive.target_rad() - drive.axis.servo.reference_rad
+        period = drive.store.number((0x60C2, 1)) * 10.0 ** drive.store.number((0x60C2, 2))
+        most = drive.axis.servo.max_rad_s * seconds
+        travel = way * min(1.0, seconds / max(period, TICK_S))
+        self.target_limited |= abs(travel) > most
+        return min(max(travel, -most), most)
+
+    def _profile(self, seconds: float) -> float:
+        """Profile position: trapezoid of 0x6081, 0x6083, 0x6084."""
+        drive = self._drive
+        if self._pp_goal is None or drive.automaton.controlword & HALT:
+            return self._ramp_down(seconds, 0x6084)
+        way = self._pp_goal - drive.axis.servo.reference_rad
+        top, up, down = (drive.joint_speed(drive.store.number((index, 0))) for index in (0x6081, 0x6083, 0x6084))
+        speed = min(top, abs(self._speed) + up * seconds, math.sqrt(2.0 * down * abs(way)))
+        travel = math.copysign(min(speed * seconds, abs(way)), way)
+        return way if abs(way - travel) < 1e-9 else travel
+
+    def _ramp_down(self, seconds: float, index: int = 0x6085) -> float:
+        """Stop on a deceleration ramp; when the reference stands, the automaton is told."""
+        drive = self._drive
+        rate = drive.joint_speed(drive.store.number((index, 0)))
+        slower = max(abs(self._speed) - rate * seconds, 0.0)
+        travel = math.copysign(0.5 * (abs(self._speed) + slower) * seconds, self._speed)
+        self._speed = math.copysign(slower, self._speed)
+        still = slower == 0.0 and abs(drive.axis.omega_rad_s) < STANDSTILL_RAD_S
+        if still and drive.automaton.state is not PdsState.OPERATION_ENABLED:
+            before = drive.automaton.state
+            drive.automaton.stopped()
+            self.state_changed(before)
+        return travel
+
+    # --------------------------------------------------------------------------------------------------- monitoring
+
+    def supervise(self, time_s: float) -> None:
+        """Following error, target reached."""
+        self._time_s = time_s
+        drive = self._drive
+        if not drive.axis.free or drive.mode == CST:
+            self._lag_since = None
+            return
+        error = abs(drive.following_error_counts())
+        if error > drive.store.number((0x6065, 0)):
+            self._lag_since = time_s if self._lag_since is None else self._lag_since
+            if time_s - self._lag_since >= drive.store.number((0x6066, 0)) * 1e-3:
+                drive.raise_fault(EMCY_FOLLOWING)
+        else:
+            self._lag_since = None
+        at_goal = self._pp_goal is not None and abs(self._pp_goal - drive.axis.servo.reference_rad) < 1e-9
+        if at_goal and error <= drive.store.number((0x6067, 0)):
+            self._reached_since = time_s if self._reached_since is None else self._reached_since
+        else:
+            self._reached_since = None
+
+    def status_bits(self) -> int:
+        """Bits 10 to 13 of the statusword."""
+        drive = self._drive
+        bits = 0
+        if drive.automaton.state is PdsState.OPERATION_ENABLED:
+            if self.target_limited or drive.axis.servo.limited:
+                bits |= INTERNAL_LIMIT
+            if drive.mode == PP:
+                bits |= MODE_SPECIFIC if self._acknowledged else 0
+                wait = drive.store.number((0x6068, 0)) * 1e-3
+                if self._reached_since is not None and self._time_s - self._reached_since >= wait:
+                    bits |= TARGET_REACHED
+            elif drive.axis.free:
+                bits |= MODE_SPECIFIC
+            if self._lag_since is not None:
+                bits |= FOLLOWING_ERROR
+        elif drive.error_code == EMCY_FOLLOWING:
+            bits |= FOLLOWING_ERROR
+        return bits

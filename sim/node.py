@@ -1,0 +1,210 @@
+"""CANopen slave of a simulated drive: canopen's `LocalNode` with what it lacks (CiA 301).
+
+Kept from the library: SDO segmentation, EMCY framing, association with a network. Own: access to the object store,
+refusal of requests that make no sense, NMT slave with boot-up, heartbeat producer and consumer without threads.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+
+import canopen
+from canopen.nmt import NmtSlave
+from canopen.sdo import SdoAbortedError, SdoServer
+
+from sim.objects import TOGGLE, UNKNOWN_COMMAND, ObjectStore
+
+INITIALISING, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0, 4, 5, 127
+_COMMANDS = {1: OPERATIONAL, 2: STOPPED, 128: PRE_OPERATIONAL}
+RESET_NODE, RESET_COMMUNICATION = 129, 130
+MAX_HISTORY = 8
+
+SdoFilter = Callable[[int, int], int | None]
+
+
+class SlaveSdoServer(SdoServer):
+    """SDO server: expedited and segmented, one transfer at a time.
+
+    `refuse` is asked before each access: an abort code instead of an answer, -1 for no answer at all, None to go on.
+    """
+
+    def __init__(self, rx_cobid: int, tx_cobid: int, node: SlaveNode) -> None:
+        super().__init__(rx_cobid, tx_cobid, node)
+        self._index = self._subindex = 0
+        self._transfer = ""
+        self.refuse: SdoFilter = lambda _index, _subindex: None
+
+    def on_request(self, can_id: int, data: bytearray, timestamp: float) -> None:
+        """Answer one frame of a client."""
+        if len(data) != 8 or self._node.silent or self._node.state in (STOPPED, INITIALISING):
+            return
+        kind = data[0] & 0xE0
+        if kind in (0x20, 0x40, 0xA0, 0xC0):
+            self._index, self._subindex = data[1] | data[2] << 8, data[3]
+            refusal = self.refuse(self._index, self._subindex)
+            if refusal is not None:
+                if refusal >= 0:
+                    self.abort(refusal)
+                return
+            self._transfer = {0x20: "" if data[0] & 0x02 else "down", 0x40: "up", 0xA0: "up"}.get(kind, "")
+        elif (kind == 0x60 and self._transfer != "up") or (kind == 0x00 and self._transfer != "down"):
+            self.abort(UNKNOWN_COMMAND)
+            return
+        super().on_request(can_id, data, timestamp)
+
+    def segmented_upload(self, command: int) -> None:
+        """Next segment; a wrong toggle bit ends the transfer."""
+        if command & 0x10 != self._toggle:
+            raise SdoAbortedError(TOGGLE)
+        super().segmented_upload(command)
+        if not self._buffer:
+            self._transfer = ""
+
+    def abort(self, abort_code: int = 0x08000000) -> None:
+        """End the transfer."""
+        self._transfer = ""
+        super().abort(abort_code)
+
+    def request_aborted(self, data: bytearray) -> None:
+        """The client gave up."""
+        self._transfer = ""
+        super().request_aborted(data)
+
+
+class SlaveNmt(NmtSlave):
+    """NMT slave: commands act on the drive, the heartbeat is sent by whoever keeps the time."""
+
+    def on_command(self, can_id: int, data: bytearray, timestamp: float) -> None:
+        """NMT frame of the master."""
+        if len(data) >= 2 and data[1] in (0, self.id):
+            self._local_node.nmt_command(data[0])
+
+    def start_heartbeat(self, heartbeat_time_ms: int) -> None:
+        """No thread: see `SlaveNode.keep_time`."""
+
+
+class SlaveNode(canopen.LocalNode):
+    """One CANopen device.
+
+    Attributes
+    ----------
+    store : its objects
+    state : NMT state, 0 initialising, 4 stopped, 5 operational, 127 pre-operational
+    silent : sends and answers nothing (no power)
+    on_nmt : called with (old state, new state)
+    on_reset : called when the application is reset
+    on_heartbeat_lost : called with the node that fell silent
+    """
+
+    def __init__(self, node_id: int, store: ObjectStore) -> None:
+        self.store = store
+        self._register()
+        super().__init__(node_id, store.dictionary())
+        self.sdo = SlaveSdoServer(0x600 + node_id, 0x580 + node_id, self)
+        self.nmt = SlaveNmt(node_id, self)
+        self.state = INITIALISING
+        self.silent = False
+        self.error_register = 0
+        self._history: list[int] = []
+        self._beat_s: dict[str, float] = {}
+        self._watched_s: dict[int, float] = {}
+        self.on_nmt: Callable[[int, int], None] = lambda _old, _new: None
+        self.on_reset: Callable[[], None] = lambda: None
+        self.on_heartbeat_lost: Callable[[int], None] = lambda _node: None
+
+    # --------------------------------------------------------------------------------------------- object dictionary
+
+    def _register(self) -> None:
+        store = self.store
+        store.live((0x1001, 0), "u8", lambda: self.error_register)
+        store.live((0x1003, 0), "u8", lambda: len(self._history), self._clear_history)
+        for sub in range(1, MAX_HISTORY + 1):
+            store.live((0x1003, sub), "u32", self._history_getter(sub))
+        store.constant((0x1016, 0), "u8", 1)
+        store.parameter((0x1016, 1), "u32", 0, lambda _value: self._watched_s.clear())
+        store.parameter((0x1017, 0), "u16", 1000)
+
+    def _history_getter(self, sub: int) -> Callable[[], int]:
+        return lambda: self._history[sub - 1] if sub <= len(self._history) else 0
+
+    def _clear_history(self, value: int) -> None:
+        if value:
+            raise SdoAbortedError(0x06090030)
+        self._history.clear()
+
+    def get_data(self, index: int, subindex: int, check_readable: bool = False) -> bytes:  # noqa: ARG002
+        """Upload: from the object store."""
+        return self.store.read(index, subindex)
+
+    def set_data(self, index: int, subindex: int, data: bytes, check_writable: bool = False) -> None:  # noqa: ARG002
+        """Download: into the object store."""
+        self.store.write(index, subindex, bytes(data))
+
+    # ----------------------------------------------------------------------------------------------------------- NMT
+
+    def boot(self) -> None:
+        """Power-up or reset: boot-up message, then pre-operational."""
+        self.error_register = 0
+        self._watched_s.clear()
+        self._beat_s.clear()
+        self.send(0x700 + self.id, b"\x00")
+        self._enter(PRE_OPERATIONAL)
+
+    def nmt_command(self, command: int) -> None:
+        """NMT command of the master."""
+        if self.silent:
+            return
+        if command in (RESET_NODE, RESET_COMMUNICATION):
+            self._enter(INITIALISING)
+            self.on_reset()
+            self.boot()
+        elif command in _COMMANDS:
+            self._enter(_COMMANDS[command])
+
+    def _enter(self, state: int) -> None:
+        old, self.state = self.state, state
+        if old != state:
+            self.on_nmt(old, state)
+
+    # --------------------------------------------------------------------------------------------------- heartbeats
+
+    def keep_time(self, simulated_s: float, wall_s: float) -> None:
+        """Send the heartbeat when it is due by the simulated clock or by the wall clock, whichever comes first."""
+        period = self.store.number((0x1017, 0)) * 1e-3
+        if not period or self.state == INITIALISING:
+            return
+        now = {"simulated": simulated_s, "wall": wall_s}
+        if not self._beat_s or any(now[clock] - at >= period for clock, at in self._beat_s.items()):
+            self._beat_s = now
+            self.send(0x700 + self.id, bytes([self.state]))
+
+    def heard(self, node_id: int, time_s: float) -> None:
+        """A heartbeat of another node; watching begins with the first one."""
+        if self.store.number((0x1016, 1)) >> 16 == node_id:
+            self._watched_s[node_id] = time_s
+
+    def watch(self, time_s: float) -> None:
+        """Look whether a watched node fell silent (0x1016)."""
+        setting = self.store.number((0x1016, 1))
+        node_id, limit = setting >> 16, (setting & 0xFFFF) * 1e-3
+        since = self._watched_s.get(node_id)
+        if limit and since is not None and time_s - since > limit:
+            del self._watched_s[node_id]
+            self.on_heartbeat_lost(node_id)
+
+    # ---------------------------------------------------------------------------------------------------------- EMCY
+
+    def emergency(self, code: int, register: int) -> None:
+        """Send an EMCY and keep it in the history (0x1003)."""
+        self.error_register = register
+        if code:
+            self._history.insert(0, code)
+            del self._history[MAX_HISTORY:]
+        if self.state in (PRE_OPERATIONAL, OPERATIONAL):
+            self.send(0x80 + self.id, struct.pack("<HB5s", code, register, b""))
+
+    def send(self, cob_id: int, data: bytes) -> None:
+        """Put a frame on the bus, if the device has power."""
+        if not self.silent:
+            self.network.send_message(cob_id, data)

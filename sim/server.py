@@ -1,0 +1,225 @@
+"""Simulated drives on one bus: frames in, physics forward, frames out; one thread, no asyncio.
+
+Lockstep: simulated time advances by one SYNC period with each SYNC and stands still otherwise. Real: it follows the wall
+clock. At a SYNC the synchronous RPDOs become valid and the TPDOs show the state of that instant; only then does the
+physics move on, while the master already works on the answers.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import can
+import canopen
+import numpy as np
+
+from sim.cellfile import ArmSpec
+from sim.fake_drive import DriveSite, FakeDrive
+from sim.node import SlaveNode
+from sim.pdo import Pdo
+from sim.physics import ArmWorld
+from sim.plant import Payload, Plant
+from sim.servo import TICK_S
+
+SYNC_ID = 0x080
+HEARTBEAT_ID = 0x700
+IDLE_S = 0.05
+REAL_STEP_S = 0.002
+#: Real pacing: what the physics may have to catch up at once after a stall of the machine [s].
+MOST_CATCH_UP_S = 0.1
+
+
+class ArmUnit:
+    """One arm: its physics and its six drives.
+
+    Attributes
+    ----------
+    name : of the arm
+    world : physics
+    drives : six, in the order of the cell's axes
+    """
+
+    def __init__(self, arm: ArmSpec, plant: Plant, sync_period_s: float, seed: int) -> None:
+        self.name = arm.name
+        filters = tuple(float(axis.profile["torque"].get("filter_s", 0.0)) for axis in arm.axes)
+        self.world = ArmWorld(arm, plant, seed, filters)
+        self._joints = [int(joint) for joint in plant.drive_joint]
+        self._rest_s = 0.0
+        self.send: Callable[[can.Message], None] = lambda _message: None
+        coupled = not np.array_equal(arm.coupling, np.eye(6))
+        self.drives = [
+            FakeDrive(
+                DriveSite(arm.axes[axis].node_id, arm.axes[joint], sync_period_s, not coupled),
+                self.world.axes[joint],
+                self._send,
+            )
+            for axis, joint in enumerate(self._joints)
+        ]
+        self._measure()
+
+    def _send(self, message: can.Message) -> None:
+        self.send(message)
+
+    def _measure(self) -> None:
+        reading = self.world.reading_nm().tolist()
+        for drive, joint in zip(self.drives, self._joints, strict=True):
+            drive.reading_nm = reading[joint]
+
+    def sync(self) -> None:
+        """A SYNC came: take the setpoints, send what is mapped to it."""
+        self._measure()
+        for drive in self.drives:
+            drive.sync()
+
+    def advance(self, seconds: float) -> None:
+        """Let simulated time pass; fractions of a millisecond are kept for the next call."""
+        self._rest_s += seconds
+        ticks = int(self._rest_s / TICK_S + 1e-6)
+        if ticks <= 0:
+            return
+        self._rest_s -= ticks * TICK_S
+        for drive in self.drives:
+            drive.motion.plan(ticks)
+        self.world.advance(ticks)
+        now = self.world.time_s
+        for drive in self.drives:
+            drive.advanced(now)
+
+
+class BusServer:
+    """All drives of one bus.
+
+    Parameters
+    ----------
+    bus : python-can bus, owned and shut down by the server
+    arms : the arms whose drives hang on it
+    sync_period_s, pacing : as in the cell file
+    """
+
+    def __init__(self, bus: Any, arms: Sequence[ArmUnit], sync_period_s: float, pacing: str) -> None:
+        self.bus, self.arms = bus, tuple(arms)
+        self.sync_count = 0
+        self._period_s, self._real = sync_period_s, pacing == "real"
+        self._network = canopen.Network(bus)
+        self._jobs: deque[Callable[[], None]] = deque()
+        self._stop = threading.Event()
+        self._routes: dict[int, tuple[FakeDrive, int]] = {}
+        self._real_at_s = time.monotonic()
+        self.drives = [drive for arm in self.arms for drive in arm.drives]
+        for arm in self.arms:
+            arm.send = bus.send
+        for drive in self.drives:
+            drive.node.associate_network(self._network)
+            for pdo in drive.rpdos:
+                pdo.on_change = self._reroute
+        self._reroute()
+
+    @property
+    def nodes(self) -> list[SlaveNode]:
+        """All devices."""
+        return [drive.node for drive in self.drives]
+
+    def drive(self, node_id: int) -> FakeDrive:
+        """The drive with a node id."""
+        return next(drive for drive in self.drives if drive.node_id == node_id)
+
+    def _reroute(self) -> None:
+        self._routes = {
+            pdo.frame_id: (drive, number)
+            for drive in self.drives
+            for number, pdo in enumerate(drive.rpdos)
+            if _listens(pdo)
+        }
+
+    # ----------------------------------------------------------------------------------------------------- the loop
+
+    def later(self, job: Callable[[], None]) -> None:
+        """Have the serving thread do something between two frames."""
+        self._jobs.append(job)
+
+    def hang(self, arm: ArmUnit, payload: Payload) -> None:
+        """Hang a load on an arm's flange; returns when it hangs (call from another thread than the server's)."""
+        done = threading.Event()
+
+        def job() -> None:
+            arm.world.hang(payload)
+            done.set()
+
+        self.later(job)
+        done.wait(10.0)
+
+    def stop(self) -> None:
+        """End `run` soon."""
+        self._stop.set()
+
+    def run(self) -> None:
+        """Serve until `stop`; closes the bus."""
+        self._real_at_s = time.monotonic()
+        try:
+            for node in self.nodes:
+                node.boot()
+            wait = REAL_STEP_S if self._real else IDLE_S
+            recv, beat_at = self.bus.recv, 0.0
+            while not self._stop.is_set():
+                message = recv(wait)
+                if message is not None and not message.is_error_frame and not message.is_extended_id:
+                    self._take(message)
+                while self._jobs:
+                    self._jobs.popleft()()
+                if self._real:
+                    self._follow_the_clock()
+                now = time.monotonic()
+                if message is None or message.arbitration_id == SYNC_ID or now - beat_at > IDLE_S:
+                    beat_at = now
+                    self._keep_time(now)
+        finally:
+            for node in self.nodes:
+                node.remove_network()
+            self.bus.shutdown()
+
+    def _take(self, message: can.Message) -> None:
+        identifier = message.arbitration_id
+        route = self._routes.get(identifier)
+        if route is not None:
+            route[0].rpdo_received(route[1], bytes(message.data))
+        elif identifier == SYNC_ID:
+            self._sync()
+        elif identifier > HEARTBEAT_ID and not message.is_remote_frame:
+            for drive in self.drives:
+                if drive.node_id != identifier - HEARTBEAT_ID:
+                    drive.node.heard(identifier - HEARTBEAT_ID, self._time_s(drive))
+        elif identifier not in range(0x081, 0x580) and not message.is_remote_frame:
+            self._network.notify(identifier, message.data, message.timestamp)
+
+    def _time_s(self, drive: FakeDrive) -> float:
+        return next(arm.world.time_s for arm in self.arms if drive in arm.drives)
+
+    def _sync(self) -> None:
+        self.sync_count += 1
+        for arm in self.arms:
+            arm.sync()
+        if not self._real:
+            for arm in self.arms:
+                arm.advance(self._period_s)
+
+    def _follow_the_clock(self) -> None:
+        now = time.monotonic()
+        passed = min(now - self._real_at_s, MOST_CATCH_UP_S)
+        self._real_at_s = now
+        for arm in self.arms:
+            arm.advance(passed)
+
+    def _keep_time(self, wall_s: float) -> None:
+        for arm in self.arms:
+            now = arm.world.time_s
+            for drive in arm.drives:
+                drive.send_events(now)
+                drive.node.keep_time(now, wall_s)
+
+
+def _listens(pdo: Pdo) -> bool:
+    return pdo.enabled
