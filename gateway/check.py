@@ -8,15 +8,13 @@ from drives.bringup import read_identity
 from drives.bus import Bus
 from drives.errors import DriveError, SdoAbort, SdoError
 from drives.objects import OBJECTS
+from drives.probe import probe
 from drives.profile import CountsFromObjects, DriveProfile, ObjectReference
 from drives.sdo import SdoClient
 from drives.values import Identity
 from gateway.check_rules import Address, Axis, CheckItem, Readings, judge_axis, judge_identity, judge_limits
 from gateway.config import ArmConfig
-from gateway.scan import probe
 
-# How long answers to the first request are counted, s.
-PROBE_S = 0.4
 READ_ALWAYS = (
     "statusword",
     "max_torque",
@@ -78,7 +76,7 @@ def check_arm(bus: Bus, arm: ArmConfig, profiles: Sequence[DriveProfile]) -> lis
     profiles : sequence of 6 DriveProfile
         Of the axes, in order.
     """
-    answers, _ = probe(bus, [config.node_id for config in arm.axis], PROBE_S)
+    answers = probe(bus, [config.node_id for config in arm.axis])
     items: list[CheckItem] = []
     for joint, (config, profile) in enumerate(zip(arm.axis, profiles, strict=True), start=1):
         axis = Axis(joint, config, profile)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +14,8 @@ from gateway.console import findings_table, grid
 from gateway.errors import FindingFailed
 
 if TYPE_CHECKING:
+    from drives.probe import ScanResult
     from gateway.check_rules import CheckItem
-    from gateway.scan import Node
 
 DEFAULT_BUS = "socketcan:can0"
 
@@ -22,38 +23,43 @@ DEFAULT_BUS = "socketcan:can0"
 @click.command()
 @click.option("--bus", "bus_spec", metavar="SPEC", default=DEFAULT_BUS, show_default=True, help="Bus to look at.")
 @click.option(
-    "--listen", "listen_s", type=click.FloatRange(0.05, 60.0), default=1.2, show_default=True, help="Seconds."
+    "--listen", "listen_s", type=click.FloatRange(0.05, 60.0), default=1.0, show_default=True, help="Seconds."
 )
 @json_option
 @common
 def scan(bus_spec: str, listen_s: float, json_out: str | None) -> None:
     """Who is on the bus: identity, firmware, NMT state, matching profile. Nothing is written, nothing moves."""
     from drives.bus import BusSpec, open_bus
-    from drives.profile import list_profiles, load_profile
-    from gateway.scan import scan as scan_bus
+    from drives.errors import BusError
+    from drives.probe import scan as scan_bus
 
     with open_bus(BusSpec.parse(bus_spec)) as bus:
-        nodes = scan_bus(bus, [load_profile(name) for name in list_profiles()], listen_s)
-    session = session_of()
+        nodes = scan_bus(bus, listen_s=listen_s)
+    if not nodes:
+        advice = "check power, wiring, termination and bit rate, and that this is the bus the drives are on"
+        raise BusError(f"{bus_spec}: nobody answered", advice=advice)
     columns = ["node", "device", "vendor", "product", "revision", "serial", "firmware", "NMT", "profiles"]
-    rows = [_node_row(node) for node in nodes]
-    session.show(grid(f"nodes on {bus_spec}", columns, rows, left=len(columns)))
+    session_of().show(grid(f"nodes on {bus_spec}", columns, [_node_row(node) for node in nodes], left=len(columns)))
     if json_out:
-        write_json(json_out, {"schema": 1, "bus": bus_spec, "nodes": [node.as_json() for node in nodes]})
-    twice = [str(node.node_id) for node in nodes if node.answers > 1]
+        write_json(json_out, {"schema": 1, "bus": bus_spec, "nodes": [_node_json(node) for node in nodes]})
+    twice = [str(node.identity.node_id) for node in nodes if node.devices > 1]
     if twice:
         raise FindingFailed(
-            f"{bus_spec}: node id {', '.join(twice)} answered more than once: give every device an id of its own"
+            f"{bus_spec}: more than one device answers at node id {', '.join(twice)}: give each an id of its own"
         )
 
 
-def _node_row(node: Node) -> list[str]:
-    name = f"{node.node_id}" + (" (several devices)" if node.answers > 1 else "")
+def _node_row(node: ScanResult) -> list[str]:
     who = node.identity
-    if who is None:
-        return [name, "heard, does not answer", *[""] * 5, node.nmt_state, ""]
+    name = f"{who.node_id}" + (f" ({node.devices} devices)" if node.devices > 1 else "")
     numbers = [_hex(value) for value in (who.vendor_id, who.product_code, who.revision, who.serial_number)]
-    return [name, who.name or "", *numbers, who.software_version or "", node.nmt_state, ", ".join(node.profiles)]
+    state = "" if node.state is None else str(node.state)
+    return [name, who.name or "", *numbers, who.software_version or "", state, ", ".join(node.profiles)]
+
+
+def _node_json(node: ScanResult) -> dict[str, Any]:
+    state = None if node.state is None else str(node.state)
+    return asdict(node.identity) | {"devices": node.devices, "nmt_state": state, "profiles": list(node.profiles)}
 
 
 def _hex(value: int | None) -> str:
