@@ -1,0 +1,129 @@
+"""Six drives as one arm: joint set points out, one sample per SYNC in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from drives.drive import DriveCommand, DriveReading
+from drives.epoch import Epoch
+from gateway.acquire.axis import AxisConversion
+
+AXES = 6
+
+
+class SixDrives(Protocol):
+    """What an arm needs of its drive group."""
+
+    def positions_rad(self) -> Sequence[float]:
+        """Where the six motors stand, read while they are not enabled."""
+        ...
+
+    def enable(self) -> Epoch:
+        """Power the drives where they stand."""
+        ...
+
+    def exchange(self, commands: Sequence[DriveCommand]) -> Epoch:
+        """One SYNC: targets out, readings in."""
+        ...
+
+    def hold(self) -> Epoch:
+        """One SYNC at the last targets."""
+        ...
+
+    def disable(self) -> None:
+        """Brakes on, power off."""
+        ...
+
+    def quick_stop(self) -> None:
+        """Stop by the drives' own ramp."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmSample:
+    """What six drives reported for one SYNC, on the joint side.
+
+    Attributes
+    ----------
+    sync_index : int
+    time_s : float
+    q_rad : array of shape (6,)
+        NaN where a drive did not answer.
+    joint_torque_nm : array of shape (6,)
+        Ratio, sign and coupling applied, efficiency not; NaN where a drive did not answer.
+    readings : tuple of DriveReading or None
+        Motor side, raw and SI.
+    """
+
+    sync_index: int
+    time_s: float
+    q_rad: np.ndarray
+    joint_torque_nm: np.ndarray
+    readings: tuple[DriveReading | None, ...]
+
+    @property
+    def complete(self) -> bool:
+        """Whether every drive answered this SYNC."""
+        return None not in self.readings
+
+    @property
+    def silent(self) -> tuple[int, ...]:
+        """Axes, from 1, whose drive did not answer."""
+        return tuple(axis for axis, reading in enumerate(self.readings, start=1) if reading is None)
+
+
+class Arm:
+    """Joint-side view of a drive group.
+
+    Parameters
+    ----------
+    name : str
+    drives : SixDrives
+        Connected and configured.
+    axes : AxisConversion
+    """
+
+    def __init__(self, name: str, drives: SixDrives, axes: AxisConversion) -> None:
+        self.name = name
+        self.axes = axes
+        self.drives = drives
+        self._to_joint = np.diag(axes.position_sign / axes.ratio) @ np.linalg.inv(axes.coupling).T
+        self._to_torque = np.diag(axes.torque_sign * axes.ratio) @ axes.coupling
+        self._zero = axes.zero_offset_rad
+
+    def where(self) -> np.ndarray:
+        """Joint positions (6,) [rad] of the arm in its brakes."""
+        return self.axes.joint_position(np.array(self.drives.positions_rad()))
+
+    def enable(self) -> ArmSample:
+        """Power the drives; they hold the position they stand at."""
+        return self._sample(self.drives.enable())
+
+    def disable(self) -> None:
+        """Brakes on, power off."""
+        self.drives.disable()
+
+    def quick_stop(self) -> None:
+        """Stop by the drives' own ramp."""
+        self.drives.quick_stop()
+
+    def commands(self, q_rad: np.ndarray) -> list[list[DriveCommand]]:
+        """Drive targets of joint positions (n, 6), one list of six per row."""
+        return [[DriveCommand(value) for value in row] for row in self.axes.motor_position(q_rad).tolist()]
+
+    def exchange(self, commands: Sequence[DriveCommand]) -> ArmSample:
+        """One SYNC with targets of `commands`."""
+        return self._sample(self.drives.exchange(commands))
+
+    def hold(self) -> ArmSample:
+        """One SYNC at the last targets."""
+        return self._sample(self.drives.hold())
+
+    def _sample(self, epoch: Epoch) -> ArmSample:
+        motor = np.array([(np.nan, np.nan) if r is None else (r.position_rad, r.torque_nm) for r in epoch.readings])
+        q_rad = motor[:, 0] @ self._to_joint + self._zero
+        return ArmSample(epoch.sync_index, epoch.time_s, q_rad, motor[:, 1] @ self._to_torque, epoch.readings)

@@ -1,0 +1,82 @@
+"""What the runner tells while it works; console, recording and log listen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """A recording begins."""
+
+    arm: str
+    load: str
+    visits: int
+    duration_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Where the run stands; times are those of the arm, as planned."""
+
+    step: int
+    steps: int
+    what: str
+    elapsed_s: float
+    remaining_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class SampleRepeated:
+    """A SYNC while sampling that some axes (from 1) left unanswered; it is taken again."""
+
+    sync_index: int
+    axes: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class VisitDone:
+    """One side of a pose is measured and on disk.
+
+    Attributes
+    ----------
+    torque_nm, torque_std_nm : tuples of 6 floats
+        Mean and standard deviation of the joint torque, efficiency not applied.
+    """
+
+    number: int
+    pose: int
+    direction: int
+    load: str
+    torque_nm: tuple[float, ...]
+    torque_std_nm: tuple[float, ...]
+    settle_s: float
+    incomplete_epochs: int
+
+
+@dataclass(frozen=True, slots=True)
+class PoseDone:
+    """Both sides of a pose are measured.
+
+    Attributes
+    ----------
+    gravity_nm, friction_band_nm : tuples of 6 floats
+        Half the sum and half the difference of the two sides, each with the gear efficiency of its direction.
+    """
+
+    pose: int
+    load: str
+    gravity_nm: tuple[float, ...]
+    friction_band_nm: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Stopped:
+    """The run ended before its plan did."""
+
+    reason: str
+
+
+Event = Started | Progress | SampleRepeated | VisitDone | PoseDone | Stopped
+Listener = Callable[[Event], None]

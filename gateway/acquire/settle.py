@@ -1,0 +1,53 @@
+"""When an arm stands: a test on the data, with time given by the samples."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+WINDOW_S = 0.15
+LEAST_WINDOW = 10
+#: Difference of two window means that noise alone explains, in its standard deviations.
+SIGMAS = 3.0
+#: Movement within a window that counts as standing.
+POSITION_FLOOR_RAD = 1e-4
+#: Torque difference that counts as none, as a share of the torque limit.
+TORQUE_FLOOR_SHARE = 5e-4
+
+
+class SettleTest:
+    """Compares two successive windows of samples.
+
+    A joint stands if its positions in the last window lie within noise, and if the mean torques of the last two
+    windows differ by no more than noise explains. Noise is taken from the differences of neighbouring samples, which a
+    slow drift does not inflate.
+
+    Parameters
+    ----------
+    period_s : float
+        SYNC period.
+    torque_limit_nm : array of shape (6,)
+        Sets the floor below which torque differences do not matter.
+    """
+
+    def __init__(self, period_s: float, torque_limit_nm: np.ndarray) -> None:
+        self.window = max(LEAST_WINDOW, round(WINDOW_S / period_s))
+        self._floor_nm = TORQUE_FLOOR_SHARE * torque_limit_nm
+        self._rows: deque[np.ndarray] = deque(maxlen=2 * self.window)
+
+    def add(self, q_rad: np.ndarray, torque_nm: np.ndarray) -> None:
+        """Take in one complete sample, (6,) each."""
+        self._rows.append(np.concatenate([q_rad, torque_nm]))
+
+    def restless(self) -> np.ndarray | None:
+        """Joints that do not stand yet: bool array of shape (6,); None = too few samples to tell."""
+        if len(self._rows) < 2 * self.window:
+            return None
+        rows = np.array(self._rows)
+        noise = np.sqrt((np.diff(rows, axis=0) ** 2).mean(axis=0) / 2.0)
+        late, early = rows[self.window :], rows[: self.window]
+        moved = np.ptp(late[:, :6], axis=0) > POSITION_FLOOR_RAD + 2.0 * SIGMAS * noise[:6]
+        drift = np.abs(late[:, 6:].mean(axis=0) - early[:, 6:].mean(axis=0))
+        allowed = self._floor_nm + SIGMAS * np.sqrt(2.0 / self.window) * noise[6:]
+        return moved | (drift > allowed)

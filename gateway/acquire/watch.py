@@ -1,0 +1,94 @@
+"""Limits that are checked with every SYNC while the arm moves: position, speed, torque, following error."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from gateway.acquire.arm import ArmSample
+from gateway.acquire.workspace import Workspace
+from gateway.errors import LimitExceeded
+
+#: A limit counts as left after this many SYNCs in a row: one noisy reading stops nothing.
+IN_A_ROW = 3
+#: How far a joint may stand outside its range by control and rounding.
+POSITION_TOLERANCE_RAD = 0.02
+#: Measured speed, a difference of counts, against the limit.
+SPEED_TOLERANCE = 1.2
+#: Shortest span over which speed is measured.
+SPEED_SPAN_S = 0.02
+
+KINDS = ("is {value:.3f} rad off its target", "turns with {value:.3f} rad/s", "needs {value:.0f} Nm")
+UNITS = ("rad", "rad/s", "Nm")
+
+
+class Watch:
+    """Watches one arm; one instance per run.
+
+    Parameters
+    ----------
+    arm : str
+        Name, for messages.
+    workspace : Workspace
+    period_s : float
+        SYNC period.
+    """
+
+    def __init__(self, arm: str, workspace: Workspace, period_s: float) -> None:
+        self._arm = arm
+        self._period_s = period_s
+        self._lower = workspace.lower_rad - POSITION_TOLERANCE_RAD
+        self._upper = workspace.upper_rad + POSITION_TOLERANCE_RAD
+        self._limits = np.array(
+            [workspace.following_error_rad, SPEED_TOLERANCE * workspace.speed_rad_s, workspace.torque_nm]
+        )
+        self._count = np.zeros((3, 6), dtype=int)
+        self._target: np.ndarray | None = None
+        self._history: deque[tuple[int, np.ndarray]] = deque(maxlen=max(2, round(SPEED_SPAN_S / period_s) + 1))
+
+    def check(self, sample: ArmSample, target_rad: np.ndarray) -> None:
+        """Check one SYNC; one that is not complete shows nothing and is passed over.
+
+        Parameters
+        ----------
+        sample : ArmSample
+        target_rad : array of shape (6,)
+            Joint positions that were sent with this SYNC.
+
+        Raises
+        ------
+        LimitExceeded
+            A joint left its range, or another limit for `IN_A_ROW` SYNCs.
+        """
+        expected = target_rad if self._target is None else self._target
+        self._target = target_rad
+        if not sample.complete:
+            return
+        q_rad = sample.q_rad
+        self._check_range(q_rad)
+        self._history.append((sample.sync_index, q_rad))
+        first_index, first_q = self._history[0]
+        span_s = max(sample.sync_index - first_index, 1) * self._period_s
+        values = np.abs(np.array([q_rad - expected, (q_rad - first_q) / span_s, sample.joint_torque_nm]))
+        over = values > self._limits
+        self._count = (self._count + 1) * over
+        if over.any() and self._count.max() >= IN_A_ROW:
+            kind, joint = np.argwhere(self._count >= IN_A_ROW)[0]
+            what = KINDS[kind].format(value=values[kind, joint])
+            limit = f"{self._limits[kind, joint]:g} {UNITS[kind]}"
+            raise LimitExceeded(
+                f"arm '{self._arm}', joint {joint + 1} {what}, its limit is {limit}: "
+                "stopped; look for contact, a brake that drags, or a wrong limit or torque constant",
+                joint=int(joint) + 1,
+            )
+
+    def _check_range(self, q_rad: np.ndarray) -> None:
+        outside = (q_rad < self._lower) | (q_rad > self._upper)
+        if outside.any():
+            joint = int(np.argmax(outside))
+            raise LimitExceeded(
+                f"arm '{self._arm}', joint {joint + 1} stands at {q_rad[joint]:.3f} rad, outside its range: stopped; "
+                "check position_sign, gear_ratio and zero_offset_rad of this axis",
+                joint=joint + 1,
+            )

@@ -1,0 +1,157 @@
+"""Typed, tolerant access to HDF5 files of unknown origin: a value of the expected kind, or `InputError` with its place.
+
+libhdf5 reports damage by many kinds of exception, and a damaged header may claim any size: sizes are compared with the
+file before anything is read, links that lead out of the file are refused.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from gateway.errors import InputError
+
+DAMAGE = (
+    OSError,
+    KeyError,
+    ValueError,
+    TypeError,
+    RuntimeError,
+    AttributeError,
+    IndexError,
+    OverflowError,
+    MemoryError,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A group of an open file, with words for messages."""
+
+    file: str
+    limit_bytes: int
+    group: h5py.Group
+
+    def where(self, name: str = "") -> str:
+        """`file:/group/name`."""
+        return f"{self.file}:{self.group.name}{'/' if name else ''}{name}"
+
+    def refuse(self, name: str, what: str) -> InputError:
+        """Error about an object of this group."""
+        return InputError(f"{self.where(name)}: {what}")
+
+    def names(self) -> list[str]:
+        """Names of what the group holds."""
+        return list(self.group.keys())
+
+    def has(self, name: str) -> bool:
+        """Whether the group holds an object of that name."""
+        return name in self.group
+
+    def inside(self, name: str) -> Place:
+        """A group below this one."""
+        found = self._object(name)
+        if not isinstance(found, h5py.Group):
+            raise self.refuse(name, "is no group")
+        return Place(self.file, self.limit_bytes, found)
+
+    def array(self, name: str, columns: int | None, kinds: str) -> np.ndarray:
+        """A dataset of shape (n,) or (n, columns) and of number kinds `kinds` ("iu", "f").
+
+        Raises
+        ------
+        InputError
+            Missing, of another shape or kind, larger than the file.
+        """
+        found = self._object(name)
+        if not isinstance(found, h5py.Dataset):
+            raise self.refuse(name, "is no dataset")
+        dims = 1 if columns is None else 2
+        if found.ndim != dims or (columns is not None and found.shape[1] != columns):
+            raise self.refuse(
+                name, f"has the shape {found.shape}, (n{'' if columns is None else f', {columns}'}) expected"
+            )
+        if found.dtype.kind not in kinds:
+            raise self.refuse(name, f"holds {found.dtype}, numbers of another kind are expected")
+        if found.nbytes > self.limit_bytes:
+            raise self.refuse(name, f"claims {found.nbytes} bytes, more than the file has")
+        return np.asarray(found[()])
+
+    def text(self, name: str, default: str | None = None) -> str:
+        """A text attribute."""
+        value = self._attribute(name, default)
+        if isinstance(value, bytes):
+            value = value.decode("utf-8")
+        if not isinstance(value, str):
+            raise self.refuse(f"@{name}", f"is {type(value).__name__}, text expected")
+        return value
+
+    def integer(self, name: str, default: int | None = None) -> int:
+        """An integer attribute."""
+        value = self._attribute(name, default)
+        if not isinstance(value, int | np.integer | np.bool_):
+            raise self.refuse(f"@{name}", f"is {type(value).__name__}, an integer expected")
+        return int(value)
+
+    def numbers(self, name: str, count: int, default: np.ndarray | None = None) -> np.ndarray:
+        """An attribute of `count` finite numbers."""
+        value = np.asarray(self._attribute(name, default))
+        if value.shape != (count,) or value.dtype.kind not in "iuf" or not np.isfinite(value).all():
+            raise self.refuse(f"@{name}", f"{count} finite numbers expected")
+        return value
+
+    def document(self, name: str, kind: type, default: Any) -> Any:
+        """A JSON attribute of that kind."""
+        try:
+            value = json.loads(self.text(name, json.dumps(default)))
+        except (json.JSONDecodeError, RecursionError) as error:
+            raise self.refuse(f"@{name}", f"is no JSON: {error}") from error
+        if not isinstance(value, kind):
+            raise self.refuse(f"@{name}", f"is {type(value).__name__}, {kind.__name__} expected")
+        return value
+
+    def _attribute(self, name: str, default: Any) -> Any:
+        if name not in self.group.attrs:
+            if default is None:
+                raise self.refuse(f"@{name}", "is missing")
+            return default
+        kind = self.group.attrs.get_id(name)
+        if int(np.prod(kind.shape, dtype=float)) * kind.dtype.itemsize > self.limit_bytes:
+            raise self.refuse(f"@{name}", "claims more bytes than the file has")
+        return self.group.attrs[name]
+
+    def _object(self, name: str) -> Any:
+        if name not in self.group:
+            raise self.refuse(name, "is missing")
+        if not isinstance(self.group.get(name, getlink=True), h5py.HardLink):
+            raise self.refuse(name, "leads out of the file")
+        return self.group[name]
+
+
+@contextmanager
+def open_recording(path: Path) -> Iterator[Place]:
+    """Open an HDF5 file for reading; whatever is wrong with it becomes `InputError`.
+
+    Raises
+    ------
+    InputError
+        Not there, no HDF5, truncated, damaged.
+    """
+    try:
+        size = path.stat().st_size
+        with h5py.File(path, "r", locking=False) as file:
+            yield Place(str(path), size, file)
+    except InputError:
+        raise
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: there is no such file") from error
+    except DAMAGE as error:
+        words = " ".join(str(error).split())[:200] or type(error).__name__
+        raise InputError(f"{path}: cannot be read as a recording, it is damaged or no HDF5 file ({words})") from error
