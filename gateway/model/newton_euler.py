@@ -1,0 +1,174 @@
+"""Full regressor rows of one block: screws and spatial motion handed from link to link, wrenches per parameter.
+
+Row first (link, row, small matrix) throughout, because the work is then in matrix products: the step from link to link
+is linear in [1, sin q, 1 - cos q], the wrench of a link in the twelve numbers of its motion.
+
+Spatial vectors are rows [linear, angular] at the origin and in the frame of the link (Featherstone, Rigid Body Dynamics
+Algorithms, ch. 2 and 5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.model.kinematics import cross_matrix, sine_cosine
+from gateway.model.robot import AXES, Robot
+
+Floats = NDArray[np.float64]
+
+_MOTION = 12  # fall (3), gain (3), products of the spin xx yy zz xy yz zx
+_ROWS = 2 + AXES  # velocity, acceleration, a screw for each axis
+
+
+def _wrench_map() -> Floats:
+    """Wrench (12, 6 * 10) of a link per unit of its motion: rows of [force; moment] by [m, h (3), I (6)].
+
+    Force `m fall + ([gain]x + [spin]x [spin]x) h`, moment `h x fall + I gain + spin x (I spin)`.
+    """
+    to = np.zeros((_MOTION, 6, 10))
+    fall, gain = to[0:3], to[3:6]
+    xx, yy, zz, xy, yz, xz = to[6:12]
+    products = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+    inertia = {(0, 0): 4, (0, 1): 5, (0, 2): 6, (1, 1): 7, (1, 2): 8, (2, 2): 9}
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        fall[a, a, 0] = 1.0
+        gain[b, a, 1 + c] += 1.0  # gain x h
+        gain[c, a, 1 + b] -= 1.0
+        fall[c, 3 + a, 1 + b] += 1.0  # h x fall
+        fall[b, 3 + a, 1 + c] -= 1.0
+        for k in range(3):
+            products[a][k][a, 1 + k] += 1.0  # spin (spin . h) - spin^2 h
+            products[k][k][a, 1 + a] -= 1.0
+            gain[k, 3 + a, inertia[min(a, k), max(a, k)]] += 1.0
+            products[b][k][3 + a, inertia[min(c, k), max(c, k)]] += 1.0  # spin x (I spin)
+            products[c][k][3 + a, inertia[min(b, k), max(b, k)]] -= 1.0
+    return to.reshape(_MOTION, 60)
+
+
+_WRENCH_MAP = _wrench_map()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Constants:
+    """What does not depend on the row.
+
+    `step` (6, 3, 36): spatial step to each link by [1, sin q, cos q]; `turned` (6, 6, 6): spatial cross product with
+    the joint's own axis; `axis` (6, 3); `first` (12, 10): torque of axis 1 per unit of the first link's motion;
+    `parts`: the components of each axis that are not zero as (index, value).
+    """
+
+    step: Floats
+    turned: Floats
+    axis: Floats
+    first: Floats
+    parts: tuple[tuple[tuple[int, float], ...], ...]
+
+    @staticmethod
+    def of(robot: Robot) -> Constants:
+        """Constants of an arm: Rodrigues' formula behind the fixed placement of each joint."""
+        step, turned = np.zeros((AXES, 3, 6, 6)), np.zeros((AXES, 6, 6))
+        for j in range(AXES):
+            rotation, cross = robot.placement[j, :3, :3], cross_matrix(robot.axis[j])
+            lever, twice = cross_matrix(robot.placement[j, :3, 3]), rotation @ cross @ cross
+            for k, turn in enumerate((rotation + twice, rotation @ cross, -twice)):
+                step[j, k, :3, :3] = step[j, k, 3:, 3:] = turn
+                step[j, k, 3:, :3] = lever @ turn
+            turned[j, :3, :3] = turned[j, 3:, 3:] = cross
+        parts = tuple(tuple((k, float(axis[k])) for k in range(3) if axis[k] != 0.0) for axis in robot.axis)
+        first = np.einsum("mkc,k->mc", _WRENCH_MAP.reshape(_MOTION, 6, 10)[:, 3:], robot.axis[0])
+        return Constants(step.reshape(AXES, 3, 36), turned, robot.axis, first, parts)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Workspace:
+    """Arrays for blocks of `n` rows, reused from block to block; what stays zero is never written."""
+
+    phase: Floats
+    step: Floats
+    state: Floats
+    velocity: Floats
+    motion: Floats
+    wrench: Floats
+    rows: Floats
+
+    @staticmethod
+    def of(constants: Constants, n: int) -> Workspace:
+        """Workspace for blocks of n rows of one arm."""
+        state = np.zeros((AXES, n, _ROWS, 6))
+        for j in range(AXES):
+            state[j, :, 2 + j, 3:] = constants.axis[j]
+        return Workspace(
+            phase=np.ones((3, AXES, n)),
+            step=np.empty((n, 36)),
+            state=state,
+            velocity=np.empty((2, 5, AXES, n)),
+            motion=np.empty((AXES, _MOTION, n)),
+            wrench=np.empty((n, 60)),
+            rows=np.zeros((n, AXES, 60)),
+        )
+
+
+def block(
+    constants: Constants, work: Workspace, motion: tuple[Floats, Floats, Floats], gravity: Floats, out: Floats
+) -> None:
+    """Write the rows of one block.
+
+    Parameters
+    ----------
+    constants : Constants
+    work : Workspace
+        Of exactly the block's length.
+    motion : three arrays of shape (n, 6)
+        Positions [rad], velocities [rad/s], accelerations [rad/s2].
+    gravity : array of shape (3,)
+        In the base frame [m/s2].
+    out : array of shape (n, 6, 60)
+    """
+    n = len(out)
+    _hand_on(constants, work, motion, gravity)
+    _motion_of_links(work)
+    np.matmul(work.motion[0].T, constants.first, out=work.rows[:, 0, :10])  # only its own axis moves the first link
+    for j in range(1, AXES):
+        wrench = np.matmul(work.motion[j].T, _WRENCH_MAP, out=work.wrench).reshape(n, 6, 10)
+        np.matmul(work.state[j, :, 2 : 3 + j], wrench, out=work.rows[:, : j + 1, 10 * j : 10 * j + 10])
+    out[...] = work.rows
+
+
+def _hand_on(constants: Constants, work: Workspace, motion: tuple[Floats, Floats, Floats], gravity: Floats) -> None:
+    """Velocity, acceleration less gravity, and screws of every link, in its frame, into `work.state`."""
+    q, qd, qdd = (np.ascontiguousarray(value.T) for value in motion)
+    sine_cosine(q, work.phase[1], work.phase[2])
+    phase, state, rates = work.phase.transpose(1, 2, 0), work.state, motion[1]
+    falling = np.concatenate([-gravity, np.zeros(3)]) @ constants.step[0].reshape(3, 6, 6)
+    state[0, :, 0] = 0.0
+    state[0, :, 1] = phase[0] @ falling
+    for j in range(AXES):
+        if j:
+            step = np.matmul(phase[j], constants.step[j], out=work.step).reshape(-1, 6, 6)
+            np.matmul(state[j - 1, :, : j + 2], step, out=state[j, :, : j + 2])
+            across = state[j, :, 0] @ constants.turned[j]
+            across *= rates[:, j, None]
+            state[j, :, 1] += across
+        for k, part in constants.parts[j]:
+            state[j, :, 0, 3 + k] += qd[j] if part == 1.0 else part * qd[j]
+            state[j, :, 1, 3 + k] += qdd[j] if part == 1.0 else part * qdd[j]
+
+
+def _motion_of_links(work: Workspace) -> None:
+    """The twelve numbers of every link's motion into `work.motion`: acceleration of its origin less gravity first.
+
+    Vectors in five components x, y, z, x, y: (y, z, x) and (z, x, y) are then slices, a cross product three steps.
+    """
+    motion, velocity = work.motion.transpose(1, 0, 2), work.velocity
+    velocity[:, :3] = work.state[:, :, 0].reshape(AXES, -1, 2, 3).transpose(2, 3, 0, 1)
+    velocity[:, 3:] = velocity[:, :2]
+    motion[:6] = work.state[:, :, 1].transpose(2, 0, 1)
+    linear, spin = velocity
+    motion[:3] += spin[1:4] * linear[2:5]
+    motion[:3] -= spin[2:5] * linear[1:4]
+    np.multiply(spin[:3], spin[:3], out=motion[6:9])
+    np.multiply(spin[:3], spin[1:4], out=motion[9:12])

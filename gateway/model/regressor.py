@@ -1,0 +1,130 @@
+"""Torque of a six-axis arm as rows linear in the inertial parameters of its links.
+
+Full rows: `tau = Y(q, qd, qdd) phi`, ten columns a link [m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz], first moment
+`h = m c` and inertia about the link frame's origin. Rest rows: four columns a link [m, hx, hy, hz]. The torque is that
+of the actuator, positive in +q, and holds the arm against gravity.
+
+Rows are handled in blocks, so that the work arrays stay in cache and memory beyond the result does not grow with them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gateway.model import newton_euler, statics
+from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
+from gateway.model.robot import AXES, Robot
+
+Floats = NDArray[np.float64]
+
+FULL_PER_LINK = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+GRAVITY_PER_LINK = FULL_PER_LINK[:4]
+FULL_NAMES = tuple(f"{name}_{link}" for link in range(1, AXES + 1) for name in FULL_PER_LINK)
+GRAVITY_NAMES = tuple(f"{name}_{link}" for link in range(1, AXES + 1) for name in GRAVITY_PER_LINK)
+LOAD_COLUMNS = slice(20, 24)
+
+# Rows in a block: work arrays fill the second-level cache. Not powers of two: such strides fall into the same cache
+# sets. Matrix products of this size stay on one thread.
+_MOVING_BLOCK = 352
+_REST_BLOCK = 520
+
+
+def regressor(
+    robot: Robot,
+    q_rad: ArrayLike,
+    qd_rad_s: ArrayLike,
+    qdd_rad_s2: ArrayLike,
+    gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2,
+    out: Floats | None = None,
+) -> Floats:
+    """Full rows of a moving arm.
+
+    Parameters
+    ----------
+    robot : Robot
+    q_rad, qd_rad_s, qdd_rad_s2 : arrays of shape (n, 6)
+    gravity_m_s2 : array of shape (3,)
+        Gravity in the base frame.
+    out : array of shape (n, 6, 60), optional
+        Written to and returned.
+
+    Returns
+    -------
+    array of shape (n, 6, 60)
+        Nm per unit of `FULL_NAMES` (kg, kg m, kg m2).
+    """
+    q, qd, qdd = (np.asarray(value, dtype=float) for value in (q_rad, qd_rad_s, qdd_rad_s2))
+    out = _checked(q, out, 10 * AXES)
+    gravity = np.asarray(gravity_m_s2, dtype=float)
+    constants = newton_euler.Constants.of(robot)
+    for size, starts in _blocks(len(q), _MOVING_BLOCK):
+        work = newton_euler.Workspace.of(constants, size)
+        for start in starts:
+            rows = slice(start, start + size)
+            newton_euler.block(constants, work, (q[rows], qd[rows], qdd[rows]), gravity, out[rows])
+    return out
+
+
+def gravity_regressor(
+    robot: Robot,
+    q_rad: ArrayLike,
+    gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2,
+    out: Floats | None = None,
+) -> Floats:
+    """Rows of an arm at rest.
+
+    Parameters
+    ----------
+    robot : Robot
+    q_rad : array of shape (n, 6)
+    gravity_m_s2 : array of shape (3,)
+        Gravity in the base frame.
+    out : array of shape (n, 6, 24), optional
+        Written to and returned.
+
+    Returns
+    -------
+    array of shape (n, 6, 24)
+        Nm per unit of `GRAVITY_NAMES` (kg, kg m).
+    """
+    q = np.asarray(q_rad, dtype=float)
+    return _rest_rows(robot, q, gravity_m_s2, _checked(q, out, 4 * AXES))
+
+
+def load_regressor(
+    robot: Robot,
+    q_rad: ArrayLike,
+    gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2,
+    out: Floats | None = None,
+) -> Floats:
+    """Columns (n, 6, 4) of a body carried by link 6 at rest: Nm per [kg, kg m, kg m, kg m]."""
+    q = np.asarray(q_rad, dtype=float)
+    return _rest_rows(robot, q, gravity_m_s2, _checked(q, out, 4))
+
+
+def _checked(q: Floats, out: Floats | None, columns: int) -> Floats:
+    if q.ndim != 2 or q.shape[1] != AXES:
+        raise ValueError(f"joint positions need the shape (n, {AXES}), got {q.shape}")
+    shape = (len(q), AXES, columns)
+    if out is None:
+        return np.empty(shape)
+    if out.shape != shape:
+        raise ValueError(f"out needs the shape {shape}, got {out.shape}")
+    return out
+
+
+def _blocks(count: int, size: int) -> list[tuple[int, range]]:
+    """(size, starts) of whole blocks, and of what is left over."""
+    whole = count - count % size
+    return [(size, range(0, whole, size)), (count - whole, range(whole, count, size))]
+
+
+def _rest_rows(robot: Robot, q: Floats, gravity_m_s2: ArrayLike, out: Floats) -> Floats:
+    constants = statics.Constants.of(robot, np.asarray(gravity_m_s2, dtype=float))
+    for size, starts in _blocks(len(q), _REST_BLOCK):
+        work = statics.Workspace.of(size)
+        for start in starts:
+            rows = slice(start, start + size)
+            statics.block(constants, work, q[rows], out[rows])
+    return out

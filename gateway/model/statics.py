@@ -1,0 +1,110 @@
+"""Regressor rows of an arm at rest, one block at a time.
+
+What a body weighs on an axis is `k . (p - o)`, with `p` its place, `o` a point of the axis and `k = up x axis` times
+the strength of gravity, a level vector: only the two level components of every pose enter. Of each link these are kept
+as columns [origin, x, y, z], which are handed on by a matrix that is linear in [1, sin q, cos q].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.model.kinematics import cross_matrix, sine_cosine
+from gateway.model.robot import AXES, Robot
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Constants:
+    """What does not depend on the row.
+
+    `step` (6, 3, 16): by [1, sin q, cos q], what hands [origin, x, y, z] on; `first` (3, 12): what makes those of
+    link 1, level x, level y and a row that counts origins; `axis` (6, 3); `gravity_m_s2`: its strength.
+    """
+
+    step: Floats
+    first: Floats
+    axis: Floats
+    gravity_m_s2: float
+
+    @staticmethod
+    def of(robot: Robot, gravity_m_s2: Floats) -> Constants:
+        """Constants of an arm in a field of gravity (3,), base frame."""
+        step = np.zeros((AXES, 3, 4, 4))
+        for j in range(AXES):
+            rotation, cross = robot.placement[j, :3, :3], cross_matrix(robot.axis[j])
+            twice = rotation @ cross @ cross
+            step[j, 0, 0, 0] = 1.0
+            step[j, 0, 1:, 0] = robot.placement[j, :3, 3]
+            step[j, :, 1:, 1:] = rotation + twice, rotation @ cross, -twice
+        level = np.zeros((3, 4))
+        level[:2, 1:], level[2, 0] = _level(gravity_m_s2), 1.0
+        first = (level @ step[0]).reshape(3, 12)
+        return Constants(step.reshape(AXES, 3, 16), first, robot.axis, float(np.linalg.norm(gravity_m_s2)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Workspace:
+    """Arrays for blocks of `n` rows, reused from block to block."""
+
+    phase: Floats
+    step: Floats
+    places: Floats
+    push: Floats
+
+    @staticmethod
+    def of(n: int) -> Workspace:
+        """Workspace for blocks of n rows."""
+        return Workspace(
+            phase=np.ones((3, AXES, n)),
+            step=np.empty((AXES - 1, n, 16)),
+            places=np.empty((n, 3, 4 * AXES)),
+            push=np.empty((n, AXES, 3)),
+        )
+
+
+def block(constants: Constants, work: Workspace, q: Floats, out: Floats) -> None:
+    """Write the rows of the last links of one block: positions [rad] (n, 6), `out` (n, 6, 4 * links)."""
+    n, first = len(q), AXES - out.shape[2] // 4
+    angle = np.ascontiguousarray(q.T)
+    sine_cosine(angle, work.phase[1], work.phase[2])
+    phase, places = work.phase.transpose(1, 2, 0), work.places
+    step = np.matmul(phase[1:], constants.step[1:], out=work.step).reshape(AXES - 1, n, 4, 4)
+    places[:, :, :4] = (phase[0] @ constants.first).reshape(n, 3, 4)
+    for j in range(1, AXES):
+        np.matmul(places[:, :, 4 * j - 4 : 4 * j], step[j - 1], out=places[:, :, 4 * j : 4 * j + 4])
+    _push(constants, work)
+    np.matmul(work.push, work.places[:, :, 4 * first :], out=out)
+    for i in range(first + 1, AXES):
+        out[:, i, : 4 * (i - first)] = 0.0
+
+
+def _push(constants: Constants, work: Workspace) -> None:
+    """For every axis the level vector k and -k . o, as rows that act on [origin, x, y, z], into `work.push`."""
+    x, y = np.ascontiguousarray(work.places[:, :2].transpose(1, 2, 0)).reshape(2, AXES, 4, -1)
+    axis_x = np.zeros((AXES, x.shape[2]))
+    axis_y = np.zeros_like(axis_x)
+    for k in range(3):
+        if constants.axis[:, k].any():
+            part = constants.gravity_m_s2 * constants.axis[:, k, None]
+            axis_x += part * x[:, 1 + k]
+            axis_y += part * y[:, 1 + k]
+    work.push[:, :, 0] = -axis_y.T
+    work.push[:, :, 1] = axis_x.T
+    work.push[:, :, 2] = (axis_y * x[:, 0] - axis_x * y[:, 0]).T
+
+
+def _level(gravity: Floats) -> Floats:
+    """The two level unit vectors (2, 3) x, y that form a right-handed set with "up" as z."""
+    length = float(np.linalg.norm(gravity))
+    if length == 0.0:
+        return np.zeros((2, 3))
+    up = -gravity / length
+    aside = np.eye(3)[int(np.argmin(np.abs(up)))]
+    x = np.cross(aside, up)
+    x /= np.linalg.norm(x)
+    return np.array([x, np.cross(up, x)])
