@@ -3,8 +3,8 @@
 Nothing is automatic: no fault is reset, no axis is enabled, homed or stored without being told to. When an axis leaves
 OPERATION ENABLED by itself, stops answering, boots or falls silent, every axis is stopped before the error is raised.
 
-While axes are enabled, `exchange` or `hold` has to be called again before the drives' heartbeat time is over: the master's
-heartbeat is sent from there, so that a master that hangs stops the arm as one that is dead.
+While axes are enabled, `exchange` or `hold` has to be called again before the drives' heartbeat time is over: the
+heartbeat of the master is sent from there, so that a master that hangs stops the arm as a dead one does.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from drives.errors import (
     DriveRebooted,
     DuplicateNode,
     NodeMissing,
+    SdoTimeout,
     raise_failures,
 )
 from drives.exchange import Pacing, SyncExchange, Timing
@@ -331,7 +332,7 @@ class DriveGroup:
         if self._running and self._exchange is not None:
             failures = stop(self._exchange)
             if stop is stopping.disable:
-                failures += self._stand_down()
+                failures += self._stand_down(failures)
         if isinstance(error, DriveError):
             error.while_stopping = tuple(failures)
 
@@ -360,15 +361,17 @@ class DriveGroup:
         self.enabled = False
         if self._running and self._exchange is not None:
             failures = stopping.disable(self._exchange)
-            failures += self._stand_down()
+            failures += self._stand_down(failures)
             raise_failures(failures)
 
-    def _stand_down(self) -> list[DriveError]:
-        """Disarm the heartbeat consumers, then stop the heartbeat."""
+    def _stand_down(self, unreached: list[DriveError]) -> list[DriveError]:
+        """Disarm the heartbeat consumers of the drives that answer, then stop the heartbeat."""
+        silent = {error.node for error in unreached if isinstance(error, SdoTimeout)}
         failures: list[DriveError] = []
         for drive in self.drives:
             try:
-                drive.disarm()
+                if drive.node_id not in silent:
+                    drive.disarm()
             except DriveError as error:
                 failures.append(error)
         self._producer.stop()
@@ -431,8 +434,14 @@ class DriveGroup:
     def __enter__(self) -> DriveGroup:
         return self
 
-    def __exit__(self, *exception: object) -> None:
-        self.close()
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        try:
+            self.close()
+        except DriveError as failure:
+            if error is None:
+                raise
+            if isinstance(error, DriveError):
+                error.while_stopping += (failure,)
 
     def _forget(self) -> None:
         self._close_exchange()

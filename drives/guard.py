@@ -21,6 +21,7 @@ from drives.errors import (
 )
 from drives.exchange import SyncExchange
 from drives.heartbeat import HeartbeatWatch
+from drives.symptoms import Symptoms
 
 _EVERY: Final = 16
 _MASTER_ONLY: Final = ((SYNC_ID, "SYNC"), (NMT_ID, "NMT commands"))
@@ -60,12 +61,14 @@ class Guard:
         self._exchange = exchange
         self._watch = watch
         self._emcy = emcy
+        self._symptoms = Symptoms(exchange, emcy)
         self._foreign_before: dict[int, int] = {}
         self.forgive()
 
     def forgive(self) -> None:
         """Begin a new run: boot-ups, heartbeat timers and other masters so far are forgotten."""
         self._watch.forgive()
+        self._symptoms.forgive()
         self._foreign_before = dict(self._bus.foreign)
 
     def check(self, epoch: Epoch) -> None:
@@ -82,6 +85,7 @@ class Guard:
                 self.check_silence()
             elif reading.statusword & STATE_MASK != ENABLED_PATTERN:
                 raise_failures(self._not_enabled(epoch))
+        self._symptoms.check(epoch)
         if epoch.sync_index % _EVERY == 0:
             self.check_bus()
 
@@ -128,12 +132,12 @@ class Guard:
     def check_bus(self) -> None:
         """Bus-off, boot-ups, lost heartbeats, another master."""
         self._bus.check()
-        advice = "it lost power or was reset, and its configuration is gone: connect() and configure() again"
-        raise_failures(
-            _each(self._watch.booted, lambda n: DriveRebooted("booted during the run", node=n, advice=advice))
-        )
-        lost = "check power and cabling of this drive"
-        raise_failures(_each(self._watch.lost(), lambda n: HeartbeatLost("its heartbeat stopped", node=n, advice=lost)))
+        again = "it lost power or was reset, and its configuration is gone: connect() and configure() again"
+        booted = sorted(self._watch.booted)
+        raise_failures([DriveRebooted("booted during the run", node=node, advice=again) for node in booted])
+        advice = "check power and cabling of this drive"
+        lost = sorted(self._watch.lost())
+        raise_failures([HeartbeatLost("its heartbeat stopped", node=node, advice=advice) for node in lost])
         for can_id, number in self._bus.foreign.items():
             new = number - self._foreign_before.get(can_id, 0)
             if new >= self.limits.foreign_frames:

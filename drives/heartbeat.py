@@ -6,7 +6,7 @@ A drive is watched from its first heartbeat on: one that never sent any is not c
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from enum import IntEnum
 from typing import Final
 
@@ -95,23 +95,14 @@ class HeartbeatWatch:
         Whom to watch.
     limits_s : sequence of float or None
         Longest silence of each, None = its heartbeat is not expected.
-    clock : callable
-        Monotonic seconds.
     """
 
-    def __init__(
-        self,
-        bus: Bus,
-        node_ids: Sequence[int],
-        limits_s: Sequence[float | None],
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, bus: Bus, node_ids: Sequence[int], limits_s: Sequence[float | None]) -> None:
         self.states: dict[int, NmtState | None] = dict.fromkeys(node_ids)
         #: Nodes that booted since `forgive` was called.
         self.booted: set[int] = set()
         self._limits_s = dict(zip(node_ids, limits_s, strict=True))
         self._last_s: dict[int, float] = {}
-        self._clock = clock
         self._bus = bus
         for node_id in node_ids:
             bus.subscribe(HEARTBEAT_BASE + node_id, self._on_frame)
@@ -132,7 +123,7 @@ class HeartbeatWatch:
             self.booted.add(node_id)
             self._last_s.pop(node_id, None)
         else:
-            self._last_s[node_id] = self._clock()
+            self._last_s[node_id] = time.monotonic()
 
     def forgive(self) -> None:
         """Forget boot-ups and start every timer afresh at the next heartbeat."""
@@ -141,7 +132,7 @@ class HeartbeatWatch:
 
     def lost(self) -> tuple[int, ...]:
         """Nodes whose heartbeat has been silent for longer than their limit."""
-        now = self._clock()
+        now = time.monotonic()
         return tuple(
             node_id
             for node_id, last_s in self._last_s.items()

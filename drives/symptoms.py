@@ -1,0 +1,136 @@
+"""What a drive tells besides its state: emergencies, statusword bits, answers that are always the same.
+
+Each of them is a reason to stop: a drive that limits the torque, drags behind, has been taken over by its panel or
+repeats an old answer gives numbers that must not be believed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from drives.cia402 import FOLLOWING_ERROR, INTERNAL_LIMIT, REMOTE
+from drives.emcy import EmcyLog
+from drives.epoch import Epoch
+from drives.errors import DriveError, DriveFault, raise_failures
+from drives.exchange import SyncExchange
+from drives.values import DriveReading
+
+#: SYNCs in a row that a bit has to stand: one may be the moment of a transition.
+BITS_IN_A_ROW: Final = 2
+#: SYNCs in a row with the very same answer before the drive is asked by SDO whether it is true.
+SAME_IN_A_ROW: Final = 25
+#: How far SDO and the repeated answer may lie apart, in motor revolutions: an axis at rest stands still.
+SAME_REVOLUTIONS: Final = 0.002
+
+_MASK: Final = INTERNAL_LIMIT | FOLLOWING_ERROR | REMOTE
+_GOOD: Final = REMOTE
+_WORDS: Final = (
+    (INTERNAL_LIMIT, INTERNAL_LIMIT, "a limit inside the drive acts (bit 11)", "see its torque, current, speed limits"),
+    (FOLLOWING_ERROR, FOLLOWING_ERROR, "following error (bit 13)", "look for contact, a brake that drags, the tuning"),
+    (REMOTE, 0, "no longer under remote control (bit 9)", "a panel or tool has taken it: release it there"),
+)
+
+
+class Symptoms:
+    """Looks at every epoch while the axes are enabled.
+
+    Parameters
+    ----------
+    exchange : SyncExchange
+    emcy : EmcyLog
+    """
+
+    def __init__(self, exchange: SyncExchange, emcy: EmcyLog) -> None:
+        self._exchange = exchange
+        self._emcy = emcy
+        self._heard = 0
+        self._odd: list[int] = []
+        self._same: list[int] = []
+        self._last: list[tuple[int, int] | None] = []
+        self.forgive()
+
+    def forgive(self) -> None:
+        """Begin a new run."""
+        self._heard = self._emcy.count
+        axes = len(self._exchange.drives)
+        self._odd, self._same, self._last = [0] * axes, [0] * axes, [None] * axes
+
+    def check(self, epoch: Epoch) -> None:
+        """One SYNC.
+
+        Raises
+        ------
+        DriveFault, SeveralFailures
+            An emergency, a bit that stands, an answer that is not true any more.
+        SdoError
+            A drive does not confirm its answer.
+        """
+        if self._emcy.count != self._heard:
+            self._check_emergencies()
+        for axis, reading in enumerate(epoch.readings):
+            if reading is None:
+                continue
+            if reading.statusword & _MASK != _GOOD:
+                self._odd[axis] += 1
+                if self._odd[axis] >= BITS_IN_A_ROW:
+                    raise_failures(_odd_bits(epoch))
+            elif self._odd[axis]:
+                self._odd[axis] = 0
+            answer = (reading.position_count, reading.torque_raw)
+            if answer != self._last[axis]:
+                self._last[axis] = answer
+                self._same[axis] = 0
+            else:
+                self._same[axis] += 1
+                if self._same[axis] % SAME_IN_A_ROW == 0:
+                    self._confirm(axis, reading)
+
+    def _check_emergencies(self) -> None:
+        new, self._heard = self._emcy.count - self._heard, self._emcy.count
+        advice = "all axes were stopped; find and remove the cause before enabling again"
+        raise_failures(
+            [
+                DriveFault(f"sent an emergency: {each}", node=each.node_id, code=each.code, advice=advice)
+                for each in self._emcy.messages[-new:]
+                if not each.is_reset
+            ][:6]
+        )
+
+    def _confirm(self, axis: int, reading: DriveReading) -> None:
+        """Ask by SDO what a drive keeps answering; the two ways share nothing but the drive."""
+        drive = self._exchange.drives[axis]
+        profile = drive.setup.profile
+        position = drive.access.read(profile.position.object)
+        torque = drive.access.read(profile.torque.object)
+        allowed = SAME_REVOLUTIONS * 2.0 * math.pi / drive.scale.count_rad + 1.0
+        if abs(position - reading.position_count) <= allowed and torque == reading.torque_raw:
+            return
+        if abs(position - reading.position_count) <= allowed and self._same[axis] < 2 * SAME_IN_A_ROW:
+            return
+        raise DriveFault(
+            f"repeats position {reading.position_count}, torque {reading.torque_raw} since {self._same[axis]} SYNCs; "
+            f"SDO says position {position}, torque {torque}",
+            node=drive.node_id,
+            index=drive.plans[1].mapping,
+            code=reading.statusword,
+            advice="all axes were stopped; its answers to SYNC are not fresh: restart the drive, check its firmware",
+        )
+
+
+def _odd_bits(epoch: Epoch) -> list[DriveError]:
+    failures: list[DriveError] = []
+    for reading in epoch.readings:
+        if reading is None or reading.statusword & _MASK == _GOOD:
+            continue
+        found = [(words, advice) for mask, value, words, advice in _WORDS if reading.statusword & mask == value]
+        failures.append(
+            DriveFault(
+                "; ".join(words for words, _ in found),
+                node=reading.node_id,
+                index=0x6041,
+                code=reading.statusword,
+                advice="all axes were stopped; " + "; ".join(advice for _, advice in found),
+            )
+        )
+    return failures

@@ -1,0 +1,128 @@
+"""The state machine against the tables of CiA 402-2 (statusword masks, transitions 0 to 16)."""
+
+from __future__ import annotations
+
+import pytest
+
+from drives import cia402
+from drives.cia402 import Mode, NoRoute, State, decode_state, describe, next_controlword, stopping_controlword
+
+MASKS = {  # statusword bits: mask, value (CiA 402-2, table of the states)
+    State.NOT_READY: (0x4F, 0x00),
+    State.SWITCH_ON_DISABLED: (0x4F, 0x40),
+    State.READY_TO_SWITCH_ON: (0x6F, 0x21),
+    State.SWITCHED_ON: (0x6F, 0x23),
+    State.OPERATION_ENABLED: (0x6F, 0x27),
+    State.QUICK_STOP_ACTIVE: (0x6F, 0x07),
+    State.FAULT_REACTION_ACTIVE: (0x4F, 0x0F),
+    State.FAULT: (0x4F, 0x08),
+}
+REAL = [state for state in State if state is not State.UNDEFINED]
+TARGETS = [
+    State.SWITCH_ON_DISABLED,
+    State.READY_TO_SWITCH_ON,
+    State.SWITCHED_ON,
+    State.OPERATION_ENABLED,
+    State.QUICK_STOP_ACTIVE,
+]
+
+
+def standard(state: State, word: int) -> State:
+    """The state a drive takes after a controlword: commands by their bits, transitions by their numbers."""
+    if state in (State.NOT_READY, State.FAULT_REACTION_ACTIVE):
+        return state
+    if state is State.FAULT:
+        return State.SWITCH_ON_DISABLED if word & 0x80 else state  # 15
+    if not word & 0x02:  # disable voltage: 7, 9, 10, 12
+        return State.SWITCH_ON_DISABLED
+    if not word & 0x04:  # quick stop: 7, 10, 11
+        return {State.OPERATION_ENABLED: State.QUICK_STOP_ACTIVE, State.QUICK_STOP_ACTIVE: state}.get(
+            state, State.SWITCH_ON_DISABLED
+        )
+    if not word & 0x01:  # shutdown: 2, 6, 8
+        return state if state is State.QUICK_STOP_ACTIVE else State.READY_TO_SWITCH_ON
+    if not word & 0x08:  # switch on 3, disable operation 5
+        return {State.READY_TO_SWITCH_ON: State.SWITCHED_ON, State.OPERATION_ENABLED: State.SWITCHED_ON}.get(
+            state, state
+        )
+    return {  # enable operation: 3 + 4, 4, 16
+        State.READY_TO_SWITCH_ON: State.OPERATION_ENABLED,
+        State.SWITCHED_ON: State.OPERATION_ENABLED,
+        State.QUICK_STOP_ACTIVE: State.OPERATION_ENABLED,
+    }.get(state, state)
+
+
+def test_every_statusword_is_read_as_the_standard_reads_it():
+    for word in range(0x10000):
+        fitting = [state for state, (mask, value) in MASKS.items() if word & mask == value]
+        assert len(fitting) <= 1
+        assert decode_state(word) is (fitting[0] if fitting else State.UNDEFINED), hex(word)
+
+
+def walk(start: State, target: State) -> list[State]:
+    path = [start]
+    while path[-1] is not target:
+        path.append(standard(path[-1], next_controlword(path[-1], target)))
+        assert len(path) < 8, f"no end: {path}"
+    return path
+
+
+@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("start", [state for state in REAL if state not in cia402.FAULTED])
+def test_no_route_passes_through_operation_enabled_unless_it_is_the_target(start, target):
+    if start is State.NOT_READY:
+        assert next_controlword(start, target) == 0 if target is not State.QUICK_STOP_ACTIVE else True
+        return
+    try:
+        path = walk(start, target)
+    except NoRoute:
+        assert target is State.QUICK_STOP_ACTIVE or (start, target) == (
+            State.QUICK_STOP_ACTIVE,
+            State.OPERATION_ENABLED,
+        )
+        return
+    if target is not State.OPERATION_ENABLED:
+        assert State.OPERATION_ENABLED not in path[1:]
+
+
+@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("start", list(State))
+def test_no_controlword_has_the_reset_bit_and_only_enabling_has_the_enable_bit(start, target):
+    try:
+        word = next_controlword(start, target)
+    except NoRoute:
+        return
+    assert not word & cia402.FAULT_RESET
+    if target is not State.OPERATION_ENABLED:
+        assert not word & 0x08
+
+
+@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("start", [State.FAULT, State.FAULT_REACTION_ACTIVE, State.UNDEFINED])
+def test_there_is_no_way_out_of_a_fault(start, target):
+    with pytest.raises(NoRoute):
+        next_controlword(start, target)
+
+
+@pytest.mark.parametrize("state", list(State))
+def test_stopping_never_energises(state):
+    word = stopping_controlword(state)
+    assert not word & 0x88
+    if state is not State.UNDEFINED:
+        assert standard(state, word) in (state, State.SWITCH_ON_DISABLED, State.QUICK_STOP_ACTIVE)
+
+
+def test_nobody_can_ask_for_a_fault():
+    with pytest.raises(NoRoute):
+        next_controlword(State.SWITCHED_ON, State.FAULT)
+
+
+def test_modes_of_0x6502():
+    """Bit number = mode - 1 (CiA 402-2, 0x6502): 0x1A0 = HM, CSP, CSV."""
+    supported = {mode for mode in Mode if cia402.mode_supported(0x1A0, mode)}
+    assert supported == {Mode.HOMING, Mode.CYCLIC_SYNC_POSITION, Mode.CYCLIC_SYNC_VELOCITY}
+
+
+def test_a_statusword_in_words():
+    assert describe(0x0A37) == "OPERATION ENABLED, internal limit"
+    assert describe(0x2008) == "FAULT, following error, not under remote control"

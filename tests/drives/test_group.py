@@ -1,0 +1,334 @@
+"""The drives of an arm brought up, moved and stopped; slaves behind a wire."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from drives.drive import DriveCommand
+from drives.errors import (
+    CommandRefused,
+    ConfigurationRefused,
+    DriveFault,
+    DriveRebooted,
+    DuplicateNode,
+    ForeignMaster,
+    HeartbeatLost,
+    IdentityMismatch,
+    IncompleteEpochs,
+    NodeMissing,
+    SdoTimeout,
+    SeveralFailures,
+    TransitionTimeout,
+)
+from drives.group import DriveGroup, GroupOptions
+
+PERIOD_S = 0.004
+COUNT_RAD = 2 * math.pi / 65536
+
+
+@pytest.fixture
+def slaves(add_slaves):
+    return add_slaves(6)
+
+
+@pytest.fixture
+def group(bus, slaves, setups):
+    with DriveGroup(bus, setups(6), PERIOD_S) as group:
+        group.connect()
+        group.configure()
+        yield group
+
+
+def targets(slaves, step=0):
+    return [DriveCommand((slave.position + step) * COUNT_RAD) for slave in slaves]
+
+
+def test_enabled_axes_hold_where_they_are_and_follow_the_next_target(group, slaves):
+    before = [slave.position for slave in slaves]
+    epoch = group.enable()
+    assert epoch.complete
+    assert [slave.position for slave in slaves] == before
+    assert {slave.state for slave in slaves} == {"operation enabled"}
+    group.exchange(targets(slaves, step=50))
+    epoch = group.hold()
+    assert [reading.position_count for reading in epoch.readings] == [count + 50 for count in before]
+    assert [reading.sync_index for reading in epoch.readings] == [epoch.sync_index] * 6
+    group.disable()
+    assert {slave.state for slave in slaves} == {"switch on disabled"}
+
+
+def test_torque_and_current_follow_the_formula_of_the_standard(group, slaves):
+    """Per mille of the rated torque 2 Nm and of the rated current 5 A (CiA 402-2, 0x6077 and 0x6078)."""
+    epoch = group.enable()
+    for slave, reading in zip(slaves, epoch.readings, strict=True):
+        assert reading.torque_nm == pytest.approx(slave.torque / 1000 * 2.0)
+        assert reading.current_a == pytest.approx(2 * slave.torque / 1000 * 5.0)
+        assert reading.position_rad == pytest.approx(slave.position / 65536 * 2 * math.pi)
+
+
+def test_the_drives_watch_the_master_from_before_the_first_command_until_after_the_last(group, slaves, wire):
+    group.enable()
+    assert {slave.values[0x1016, 1] for slave in slaves} == {127 << 16 | 500}
+    assert {slave.values[0x6007, 0] for slave in slaves} == {3}
+    ids = [can_id for can_id, _ in wire.sent]
+    assert ids.index(0x77F) < ids.index(0x201)
+    group.disable()
+    assert {slave.values[0x1016, 1] for slave in slaves} == {0}
+
+
+def test_heartbeat_is_sent_often_enough_for_the_drives(group, wire):
+    group.enable()
+    start = len(wire.sent)
+    for _ in range(500):
+        group.hold()
+    assert sum(can_id == 0x77F for can_id, _ in wire.sent[start:]) >= 500 * PERIOD_S / 0.5 * 2
+
+
+def test_pdo_mapping_is_what_the_standard_objects_say(group, slaves):
+    """TPDO1 = 6041, 6064, 6077; TPDO2 = 606C, 6078; RPDO1 = 6040, 607A, 60B2; all synchronous, every SYNC."""
+    for slave in slaves:
+        values = slave.values
+        assert [values[0x1A00, sub] for sub in (0, 1, 2, 3)] == [3, 0x60410010, 0x60640020, 0x60770010]
+        assert [values[0x1A01, sub] for sub in (0, 1, 2)] == [2, 0x606C0020, 0x60780010]
+        assert [values[0x1600, sub] for sub in (0, 1, 2, 3)] == [3, 0x60400010, 0x607A0020, 0x60B20010]
+        assert [values[index, 2] for index in (0x1400, 0x1800, 0x1801)] == [1, 1, 1]
+        assert [values[index, 3] for index in (0x1800, 0x1801)] == [0, 0]
+        assert values[0x6060, 0] == 8
+        assert (values[0x60C2, 1], values[0x60C2, 2]) == (4, -3)
+
+
+def test_what_is_right_already_is_not_written_again(bus, slaves, setups):
+    for _ in range(2):
+        with DriveGroup(bus, setups(6), PERIOD_S) as group:
+            group.connect()
+            group.configure()
+            written = [list(slave.written) for slave in slaves]
+            for slave in slaves:
+                slave.written.clear()
+    assert written == [[]] * 6
+
+
+def test_restore_puts_back_what_was_there_also_after_a_crash(bus, slaves, setups, tmp_path):
+    before = [dict(slave.values) for slave in slaves]
+    options = GroupOptions(ledger_path=tmp_path / "ledger.json")
+    group = DriveGroup(bus, setups(6), PERIOD_S, options=options)
+    group.connect()
+    group.configure()
+    assert all(slave.values != old for slave, old in zip(slaves, before, strict=True))
+    del group
+    with DriveGroup(bus, setups(6), PERIOD_S, options=options) as later:
+        later.connect()
+        later.restore()
+        assert later.ledger.entries == ()
+    for slave, old in zip(slaves, before, strict=True):
+        changed = {key: (old[key], value) for key, value in slave.values.items() if value != old[key]}
+        assert {key for key in changed if not (0x1600 <= key[0] < 0x1C00 and key[1] > old[key[0], 0])} == set()
+
+
+def test_restore_leaves_the_successor_of_a_drive_alone(bus, slaves, setups, tmp_path):
+    options = GroupOptions(ledger_path=tmp_path / "ledger.json")
+    with DriveGroup(bus, setups(6), PERIOD_S, options=options) as group:
+        group.connect()
+        group.configure()
+        slaves[2].values[0x1018, 4] = 999
+        slaves[2].written.clear()
+        group.connect()
+        with pytest.raises(IdentityMismatch, match="node 3"):
+            group.restore()
+    assert slaves[2].written == []
+
+
+def test_every_missing_and_wrong_drive_is_named_at_once(bus, slaves, setups, make_slave):
+    slaves[1].alive = False
+    slaves[4].values[0x1000, 0] = 0x191
+    make_slave(6, serial=77)
+    with DriveGroup(bus, setups(6), PERIOD_S) as group, pytest.raises(SeveralFailures) as caught:
+        group.connect()
+    kinds = {(type(failure), failure.node) for failure in caught.value.failures}
+    assert kinds == {(NodeMissing, 2), (IdentityMismatch, 5), (DuplicateNode, 6)}
+    assert caught.value.exit_code == 4
+
+
+def test_a_stopped_node_is_found(bus, slaves, setups):
+    slaves[3].nmt = 4
+    with DriveGroup(bus, setups(6), PERIOD_S) as group:
+        assert [identity.serial_number for identity in group.connect()] == [1, 2, 3, 4, 5, 6]
+
+
+def test_a_drive_in_fault_is_refused_and_not_reset(group, slaves):
+    slaves[2].state = "fault"
+    slaves[2].values[0x603F, 0] = 0x8611
+    with pytest.raises(DriveFault, match="node 3.*FAULT.*following error") as caught:
+        group.enable()
+    assert caught.value.node == 3
+    assert all(word & 0x80 == 0 for slave in slaves for word in slave.controlwords)
+    assert {slave.state for slave in slaves} == {"switch on disabled", "fault"}
+
+
+def test_a_fault_is_reset_only_when_a_person_says_so(group, slaves):
+    slaves[2].state = "fault"
+    group.reset_fault(3)
+    assert slaves[2].state == "switch on disabled"
+    slaves[2].state, slaves[2].stuck_in = "fault", "fault"
+    with pytest.raises(DriveFault, match="still in FAULT"):
+        group.reset_fault(3)
+
+
+def test_a_drive_that_does_not_switch_on_times_out_and_all_are_disabled(group, slaves):
+    slaves[4].stuck_in = "ready"
+    with pytest.raises(TransitionTimeout, match="node 5.*READY TO SWITCH ON") as caught:
+        group.enable()
+    assert isinstance(caught.value, TimeoutError)
+    assert {slave.state for slave in slaves} <= {"switch on disabled", "ready"}
+    assert not group.enabled
+
+
+def test_a_fault_while_moving_stops_all_axes_within_five_syncs(group, slaves):
+    group.enable()
+    slaves[1].state = "fault"
+    slaves[1].emergency(bytes.fromhex("1186 21"))
+    first = slaves[0].sync_seen
+    with pytest.raises(DriveFault, match="node 2.*left OPERATION ENABLED: FAULT.*following error") as caught:
+        group.hold()
+    words = [slave.controlwords[-1] for slave in slaves if slave.node_id != 2]
+    assert words == [0x02] * 5
+    assert slaves[0].sync_seen - first <= 6
+    assert {slave.state for slave in slaves} == {"quick stop", "fault"}
+    assert caught.value.while_stopping == ()
+    with pytest.raises(ConfigurationRefused):
+        group.exchange(targets(slaves))
+    group.disable()
+    assert {slave.state for slave in slaves} == {"switch on disabled", "fault"}
+
+
+def test_no_word_on_the_way_down_energises(group, slaves):
+    group.enable()
+    for slave in slaves:
+        slave.controlwords.clear()
+    group.quick_stop()
+    group.disable()
+    assert {word & 0x08 for slave in slaves for word in slave.controlwords} == {0}
+
+
+def test_an_axis_that_falls_silent_stops_the_others(group, slaves):
+    group.enable()
+    slaves[5].alive = False
+    epochs = [group.hold() for _ in range(4)]
+    assert [epoch.missing for epoch in epochs] == [(5,)] * 4
+    with pytest.raises(IncompleteEpochs, match="node 6") as caught:
+        group.hold()
+    assert {slave.state for slave in slaves[:5]} == {"quick stop"}
+    assert [failure.node for failure in caught.value.while_stopping] == [6]
+    with pytest.raises(SdoTimeout, match="node 6"):
+        group.disable()
+    assert {slave.state for slave in slaves[:5]} == {"switch on disabled"}
+    assert {slave.values[0x1016, 1] for slave in slaves[:5]} == {0}
+
+
+def test_boot_up_in_the_middle_of_a_run_is_found_and_needs_a_new_configuration(group, slaves):
+    group.enable()
+    slaves[3].state, slaves[3].nmt = "switch on disabled", 127
+    slaves[3].heartbeat(0)
+    with pytest.raises(DriveRebooted, match="node 4"):
+        group.hold()
+    assert {slave.state for slave in slaves} == {"quick stop", "switch on disabled"}
+    group.disable()
+    with pytest.raises(ConfigurationRefused):
+        group.enable()
+    group.connect()
+    group.configure()
+    assert group.enable().complete
+
+
+def test_a_heartbeat_that_stops_is_missed_but_one_that_never_came_is_not(group, slaves):
+    group.enable()
+    slaves[0].heartbeat()
+    group.hold()
+    with pytest.raises(HeartbeatLost, match="node 1"):
+        for _ in range(1000):
+            group.hold()
+            slaves[0].wire.sleep(PERIOD_S)
+
+
+def test_another_master_is_refused_at_the_start(bus, slaves, setups, wire):
+    wire.emit(0x080, b"", 0.01)
+    with DriveGroup(bus, setups(6), PERIOD_S) as group, pytest.raises(ForeignMaster, match="SYNC"):
+        group.connect()
+
+
+@pytest.mark.parametrize("can_id", [0x000, 0x080, 0x203, 0x604])
+def test_another_master_in_a_run_stops_all_axes(group, slaves, wire, can_id):
+    group.enable()
+    with pytest.raises(ForeignMaster, match=f"{can_id:03X}"):
+        for _ in range(100):
+            wire.emit(can_id, b"\x80\x00"[: 2 if can_id == 0 else 0])
+            group.hold()
+    assert {slave.state for slave in slaves} == {"quick stop"}
+
+
+def test_own_frames_that_come_back_are_no_other_master(bus, slaves, setups, wire):
+    wire.echo = bus.echoes = True
+    with DriveGroup(bus, setups(6), PERIOD_S) as group:
+        group.connect()
+        group.configure()
+        group.enable()
+        for _ in range(100):
+            group.hold()
+        assert sum(group.statistics.foreign.values()) == 0
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        DriveCommand(math.nan),
+        DriveCommand(math.inf),
+        DriveCommand(1e9),
+        DriveCommand(1.0 + 10 * 300.0 * PERIOD_S),
+        DriveCommand(6000 * COUNT_RAD, torque_offset_nm=1e5),
+        DriveCommand(6000 * COUNT_RAD, torque_offset_nm=math.nan),
+    ],
+)
+def test_a_target_outside_the_limits_is_refused_and_nothing_is_sent(group, slaves, wire, command):
+    group.enable()
+    sent = len(wire.sent)
+    with pytest.raises(CommandRefused, match="node 6"):
+        group.exchange([*targets(slaves)[:5], command])
+    assert len(wire.sent) == sent
+    assert group.hold().complete
+
+
+def test_torque_offset_is_sent_in_per_mille_of_the_rated_torque(group, slaves):
+    group.enable()
+    group.exchange([DriveCommand(slave.position * COUNT_RAD, 0.5) for slave in slaves])
+    assert {slave.values[0x60B2, 0] for slave in slaves} == {250}
+    group.hold()
+    assert {slave.values[0x60B2, 0] for slave in slaves} == {0}
+
+
+def test_every_write_is_in_the_ledger_with_the_old_value(group, slaves):
+    ledger = {(entry.node_id, entry.index, entry.subindex): entry for entry in group.ledger.entries}
+    assert ledger[1, 0x6007, 0].old == 1
+    assert ledger[1, 0x6007, 0].new == 3
+    assert ledger[1, 0x1800, 1].old == 0x40000181
+    for slave in slaves:
+        assert {(slave.node_id, *write[:2]) for write in slave.written} <= set(ledger)
+
+
+def test_nothing_is_ever_stored(group, slaves):
+    group.enable()
+    group.disable()
+    assert not any(index in (0x1010, 0x1011) for slave in slaves for index, _, _ in slave.written)
+
+
+def test_a_value_that_does_not_stick_is_an_error(bus, slaves, setups):
+    class Ignoring(dict):
+        def __setitem__(self, key, value):
+            super().__setitem__(key, 1 if key == (0x6007, 0) else value)
+
+    slaves[1].values = Ignoring(slaves[1].values)
+    with DriveGroup(bus, setups(6), PERIOD_S) as group:
+        group.connect()
+        with pytest.raises(ConfigurationRefused, match="node 2:6007:00"):
+            group.configure()
