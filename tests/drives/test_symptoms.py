@@ -1,0 +1,115 @@
+"""What a drive tells besides its state, epoch by epoch."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from drives.emcy import EmcyLog
+from drives.epoch import Epoch
+from drives.errors import DriveFault
+from drives.profile import load_profile
+from drives.symptoms import BITS_IN_A_ROW, SAME_IN_A_ROW, Symptoms
+from drives.values import DriveReading
+
+ENABLED = 0x0237
+COUNT_RAD = 6.283185307179586 / 65536
+
+
+class Rig:
+    """Two drives whose SDO answers are `truth`, (position, torque) by axis."""
+
+    def __init__(self) -> None:
+        self.truth = [(1000, 10), (2000, 20)]
+        profile = load_profile("generic-cia402")
+        drives = tuple(self._drive(axis, profile) for axis in range(2))
+        self.emcy = EmcyLog({})
+        self.symptoms = Symptoms(SimpleNamespace(drives=drives), self.emcy)  # type: ignore[arg-type]
+        self.asked = 0
+        self._index = 0
+
+    def _drive(self, axis: int, profile: object) -> SimpleNamespace:
+        def read(entry: object) -> int:
+            self.asked += 1
+            return self.truth[axis][entry is profile.torque.object]  # type: ignore[attr-defined]
+
+        return SimpleNamespace(
+            node_id=axis + 1,
+            setup=SimpleNamespace(profile=profile),
+            access=SimpleNamespace(read=read),
+            scale=SimpleNamespace(count_rad=COUNT_RAD),
+            plans=(None, SimpleNamespace(mapping=0x1A00)),
+        )
+
+    def check(self, *answers: tuple[int, int, int] | None) -> None:
+        """One epoch of (statusword, position, torque) per axis."""
+        self._index += 1
+        readings = tuple(
+            None if answer is None else DriveReading(axis + 1, self._index, *answer, None, None, 0.0, 0.0, None, None)
+            for axis, answer in enumerate(answers)
+        )
+        self.symptoms.check(Epoch(self._index, 0.0, readings))
+
+
+@pytest.fixture
+def rig() -> Rig:
+    return Rig()
+
+
+@pytest.mark.parametrize(("word", "says"), [(0x0A37, "bit 11"), (0x2237, "bit 13"), (0x0037, "bit 9")])
+def test_a_bit_that_stands_stops_and_one_that_flickers_does_not(rig: Rig, word: int, says: str) -> None:
+    for number in range(10):
+        rig.check((word if number % BITS_IN_A_ROW else ENABLED, number, 0), (ENABLED, number, 0))
+    rig.symptoms.forgive()
+    with pytest.raises(DriveFault, match=f"node 2.*{says}") as stopped:
+        for number in range(BITS_IN_A_ROW):
+            rig.check((ENABLED, number, 0), (word, number, 0))
+    assert stopped.value.code == word
+
+
+def test_a_warning_is_no_reason_to_stop(rig: Rig) -> None:
+    for number in range(10):
+        rig.check((ENABLED | 1 << 7, number, 0), (ENABLED, number, 0))
+
+
+@pytest.mark.parametrize("data", [b"\x10\x32\x05\x00\x00\x00\x00\x00", b"\x10\x32", b"\x01", b""])
+def test_an_emergency_stops_however_short_it_is(rig: Rig, data: bytes) -> None:
+    rig.emcy.on_frame(0x82, data, 0.0)
+    with pytest.raises(DriveFault, match="node 2.*emergency"):
+        rig.check((ENABLED, 0, 0), (ENABLED, 0, 0))
+
+
+def test_a_storm_of_emergencies_is_one_short_error(rig: Rig) -> None:
+    for _ in range(1000):
+        rig.emcy.on_frame(0x82, b"\x10\x32\x05\x00\x00\x00\x00\x00", 0.0)
+    with pytest.raises(DriveFault) as stopped:
+        rig.check((ENABLED, 0, 0), (ENABLED, 0, 0))
+    assert len(str(stopped.value)) < 2000
+
+
+def test_an_emergency_that_says_all_is_well_and_an_old_one_do_not_stop(rig: Rig) -> None:
+    rig.emcy.on_frame(0x82, b"\x10\x32\x05\x00\x00\x00\x00\x00", 0.0)
+    rig.symptoms.forgive()
+    rig.emcy.on_frame(0x82, bytes(8), 0.0)
+    rig.check((ENABLED, 0, 0), (ENABLED, 0, 0))
+
+
+def test_an_axis_that_stands_still_is_asked_and_believed(rig: Rig) -> None:
+    for _ in range(4 * SAME_IN_A_ROW + 2):
+        rig.check((ENABLED, 1000, 10), (ENABLED, 2000, 20))
+    assert rig.asked == 4 * 2 * 2
+
+
+def test_an_answer_that_stays_while_the_axis_moves_stops(rig: Rig) -> None:
+    rig.truth[1] = (2400, 20)
+    with pytest.raises(DriveFault, match=r"node 2.*repeats position 2000.*SDO says position 2400"):
+        for number in range(SAME_IN_A_ROW + 1):
+            rig.check((ENABLED, number, 0), (ENABLED, 2000, 20))
+
+
+def test_a_torque_that_stays_at_rest_stops_when_sdo_keeps_contradicting(rig: Rig) -> None:
+    rig.truth[0] = (1000, 11)
+    with pytest.raises(DriveFault, match="node 1.*torque 10.*torque 11"):
+        for number in range(2 * SAME_IN_A_ROW + 1):
+            rig.check((ENABLED, 1000, 10), None if number % 2 else (ENABLED, number, 20))
