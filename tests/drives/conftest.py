@@ -70,6 +70,25 @@ class Wire:
         self._queue.clear()
 
 
+def after_command(state: str, word: int) -> str:
+    """State after a controlword (CiA 402-2, commands by their bits and the transitions they cause)."""
+    if state == "fault":
+        return "switch on disabled" if word & 0x80 else state
+    if state in ("not ready", "fault reaction"):
+        return state
+    if word & 0x02 == 0:  # disable voltage
+        return "switch on disabled"
+    if word & 0x04 == 0:  # quick stop
+        moves = {"operation enabled": "quick stop", "quick stop": "quick stop"}
+        return moves.get(state, "switch on disabled")
+    if word & 0x01 == 0:  # shutdown
+        return state if state == "quick stop" else "ready"
+    if word & 0x08 == 0:  # switch on, disable operation
+        return {"ready": "switched on", "operation enabled": "switched on"}.get(state, state)
+    enable = {"ready": "switched on", "switched on": "operation enabled", "quick stop": "operation enabled"}
+    return enable.get(state, state)
+
+
 Reply = Callable[[bytes, bytes], list[tuple[float, bytes]]]
 
 
@@ -233,31 +252,8 @@ class Slave:
     # -- CiA 402-2, finite state automaton ----------------------------------------------------------------------------
 
     def _control(self, word: int) -> None:
-        low = word & 0x0F
-        if self.stuck_in == self.state:
-            return
-        if self.state == "fault":
-            if word & 0x80:
-                self.state = "switch on disabled"
-        elif word & 0x02 == 0:
-            if self.state in ("ready", "switched on", "operation enabled", "quick stop"):
-                self.state = "switch on disabled"
-        elif word & 0x04 == 0:
-            if self.state == "operation enabled":
-                self.state = "quick stop"
-            elif self.state in ("ready", "switched on"):
-                self.state = "switch on disabled"
-        elif word & 0x01 == 0:
-            if self.state in ("switch on disabled", "switched on", "operation enabled"):
-                self.state = "ready"
-        elif low == 0x07:
-            if self.state in ("ready", "operation enabled"):
-                self.state = "switched on"
-        elif low == 0x0F:
-            if self.state == "ready":
-                self.state = "switched on"
-            elif self.state in ("switched on", "quick stop"):
-                self.state = "operation enabled"
+        if self.stuck_in != self.state:
+            self.state = after_command(self.state, word)
 
     # -- SDO server (CiA 301, 7.2.4.3) ---------------------------------------------------------------------------------
 
