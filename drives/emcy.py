@@ -64,9 +64,14 @@ class Emergency:
         """Whether it says that an error is gone."""
         return self.code is not None and self.code & 0xFF00 == 0
 
-    def __str__(self) -> str:
+    @property
+    def what(self) -> str:
+        """Code and its meaning."""
         code = "short frame" if self.code is None else f"0x{self.code:04X}"
-        text = f"node {self.node_id}: EMCY {code}, {self.text}"
+        return f"{code}, {self.text}"
+
+    def __str__(self) -> str:
+        text = f"node {self.node_id}: EMCY {self.what}"
         return f"{text}; {self.advice}" if self.advice else text
 
 

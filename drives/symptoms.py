@@ -89,12 +89,12 @@ class Symptoms:
     def _check_emergencies(self) -> None:
         new, self._heard = self._emcy.count - self._heard, self._emcy.count
         advice = "all axes were stopped; find and remove the cause before enabling again"
+        first = {each.node_id: each for each in reversed(self._emcy.messages[-new:]) if not each.is_reset}
         raise_failures(
             [
-                DriveFault(f"sent an emergency: {each}", node=each.node_id, code=each.code, advice=advice)
-                for each in self._emcy.messages[-new:]
-                if not each.is_reset
-            ][:6]
+                DriveFault(f"sent an emergency: {each.what}", node=node_id, code=each.code, advice=advice)
+                for node_id, each in sorted(first.items())
+            ]
         )
 
     def _confirm(self, axis: int, reading: DriveReading) -> None:

@@ -42,6 +42,11 @@ class Rig:
             plans=(None, SimpleNamespace(mapping=0x1A00)),
         )
 
+    def checks(self, *epochs: tuple[tuple[int, int, int] | None, ...]) -> None:
+        """Several epochs."""
+        for answers in epochs:
+            self.check(*answers)
+
     def check(self, *answers: tuple[int, int, int] | None) -> None:
         """One epoch of (statusword, position, torque) per axis."""
         self._index += 1
@@ -63,8 +68,7 @@ def test_a_bit_that_stands_stops_and_one_that_flickers_does_not(rig: Rig, word: 
         rig.check((word if number % BITS_IN_A_ROW else ENABLED, number, 0), (ENABLED, number, 0))
     rig.symptoms.forgive()
     with pytest.raises(DriveFault, match=f"node 2.*{says}") as stopped:
-        for number in range(BITS_IN_A_ROW):
-            rig.check((ENABLED, number, 0), (word, number, 0))
+        rig.checks(*(((ENABLED, number, 0), (word, number, 0)) for number in range(BITS_IN_A_ROW)))
     assert stopped.value.code == word
 
 
@@ -85,7 +89,7 @@ def test_a_storm_of_emergencies_is_one_short_error(rig: Rig) -> None:
         rig.emcy.on_frame(0x82, b"\x10\x32\x05\x00\x00\x00\x00\x00", 0.0)
     with pytest.raises(DriveFault) as stopped:
         rig.check((ENABLED, 0, 0), (ENABLED, 0, 0))
-    assert len(str(stopped.value)) < 2000
+    assert len(str(stopped.value)) < 300
 
 
 def test_an_emergency_that_says_all_is_well_and_an_old_one_do_not_stop(rig: Rig) -> None:
@@ -104,12 +108,11 @@ def test_an_axis_that_stands_still_is_asked_and_believed(rig: Rig) -> None:
 def test_an_answer_that_stays_while_the_axis_moves_stops(rig: Rig) -> None:
     rig.truth[1] = (2400, 20)
     with pytest.raises(DriveFault, match=r"node 2.*repeats position 2000.*SDO says position 2400"):
-        for number in range(SAME_IN_A_ROW + 1):
-            rig.check((ENABLED, number, 0), (ENABLED, 2000, 20))
+        rig.checks(*(((ENABLED, number, 0), (ENABLED, 2000, 20)) for number in range(SAME_IN_A_ROW + 1)))
 
 
 def test_a_torque_that_stays_at_rest_stops_when_sdo_keeps_contradicting(rig: Rig) -> None:
     rig.truth[0] = (1000, 11)
     with pytest.raises(DriveFault, match="node 1.*torque 10.*torque 11"):
-        for number in range(2 * SAME_IN_A_ROW + 1):
-            rig.check((ENABLED, 1000, 10), None if number % 2 else (ENABLED, number, 20))
+        others = [None if number % 2 else (ENABLED, number, 20) for number in range(2 * SAME_IN_A_ROW + 1)]
+        rig.checks(*(((ENABLED, 1000, 10), other) for other in others))
