@@ -113,6 +113,6 @@ def test_an_answer_that_stays_while_the_axis_moves_stops(rig: Rig) -> None:
 
 def test_a_torque_that_stays_at_rest_stops_when_sdo_keeps_contradicting(rig: Rig) -> None:
     rig.truth[0] = (1000, 11)
+    others = [None if number % 2 else (ENABLED, number, 20) for number in range(2 * SAME_IN_A_ROW + 1)]
     with pytest.raises(DriveFault, match="node 1.*torque 10.*torque 11"):
-        others = [None if number % 2 else (ENABLED, number, 20) for number in range(2 * SAME_IN_A_ROW + 1)]
         rig.checks(*(((ENABLED, 1000, 10), other) for other in others))
