@@ -71,7 +71,7 @@ class RecordingHeader:
 
 
 class RecordingWriter:
-    """Adds visits to one file.
+    """Adds visits to one file; `visits` counts them.
 
     Parameters
     ----------
@@ -103,6 +103,7 @@ class RecordingWriter:
         root["cell"], root["robot"], root["software"] = header.cell, header.robot, header.software
         root["profiles"] = json.dumps(header.profiles)
         self._arms = self._file.require_group("arms")
+        self.visits = 0
         self._number = 0 if earlier is None else max((v.number for arm in earlier.arms for v in arm.visits), default=0)
         self._last_s = -np.inf
         if earlier is not None:
@@ -144,6 +145,7 @@ class RecordingWriter:
         stored = replace(visit, number=self._number, time_s=visit.time_s + self._shift_s)
         _write_visit(self._arms.require_group(f"{arm}/visits").create_group(f"{stored.number:04d}"), stored)
         self._save("abort", UNFINISHED)
+        self.visits += 1
         return stored
 
     def finish(self, arm: str, status: str, reason: str, statistics: dict[str, Any]) -> None:

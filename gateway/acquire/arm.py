@@ -26,7 +26,7 @@ class SixDrives(Protocol):
         """Power the drives where they stand."""
         ...
 
-    def exchange(self, commands: Sequence[DriveCommand]) -> Epoch:
+    def exchange(self, commands: Sequence[DriveCommand], /) -> Epoch:
         """One SYNC: targets out, readings in."""
         ...
 

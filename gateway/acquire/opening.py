@@ -1,0 +1,156 @@
+"""Bring an arm's drives up from a cell file: connected, configured, in their brakes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from drives.bringup import read_constants
+from drives.bus import BusSpec, open_bus
+from drives.drive import AxisSetup, DriveCommand, Identity
+from drives.epoch import Epoch
+from drives.group import DriveGroup, GroupOptions
+from drives.profile import DriveProfile, list_profiles, load_profile
+from drives.scaling import Constants
+from gateway.acquire.arm import Arm
+from gateway.acquire.axis import AxisConversion
+from gateway.acquire.workspace import Workspace, workspace_of
+from gateway.arm_model import arm_named, robot_from_text, robot_text
+from gateway.config import ArmConfig, LoadedCell
+
+
+@dataclass(frozen=True, slots=True)
+class BusOverride:
+    """What differs from the cell file on the bus.
+
+    Attributes
+    ----------
+    spec : BusSpec or None
+        Instead of the cell's bus; SYNC period and pacing stay the cell's.
+    trace : Path or None
+        Where the frames are logged (`.blf`, `.log`).
+    ledger : Path or None
+        Where the write ledger is kept.
+    """
+
+    spec: BusSpec | None = None
+    trace: Path | None = None
+    ledger: Path | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenArm:
+    """An arm whose drives are connected and configured, in their brakes.
+
+    Attributes
+    ----------
+    loaded : LoadedCell
+    config : ArmConfig
+    robot_text : str
+    workspace : Workspace
+    profiles : tuple of 6 DriveProfile
+    group : DriveGroup
+    arm : Arm
+    identities : tuple of 6 Identity
+    constants : tuple of 6 Constants
+        Read from the drives.
+    """
+
+    loaded: LoadedCell
+    config: ArmConfig
+    robot_text: str
+    workspace: Workspace
+    profiles: tuple[DriveProfile, ...]
+    group: DriveGroup
+    arm: Arm
+    identities: tuple[Identity, ...]
+    constants: tuple[Constants, ...]
+
+
+class _GroupDrives:
+    """A drive group as an arm sees it."""
+
+    def __init__(self, group: DriveGroup) -> None:
+        self.enable: Callable[[], Epoch] = group.enable
+        self.exchange: Callable[[Sequence[DriveCommand]], Epoch] = group.exchange
+        self.hold: Callable[[], Epoch] = group.hold
+        self.disable: Callable[[], None] = group.disable
+        self.quick_stop: Callable[[], None] = group.quick_stop
+        self._group = group
+
+    def positions_rad(self) -> list[float]:
+        """Motor positions, read by SDO."""
+        drives = self._group.drives
+        return [drive.access.read(drive.setup.profile.position.object) * drive.scale.count_rad for drive in drives]
+
+
+def axis_setups(loaded: LoadedCell, config: ArmConfig) -> tuple[AxisSetup, ...]:
+    """What the drives need to know from the cell.
+
+    Raises
+    ------
+    ProfileError
+        A profile cannot be read, or a constant is missing.
+    """
+    axes = AxisConversion.from_arm(config)
+    speeds = np.array([axis.speed_limit_rad_s for axis in config.axis])
+    motor_rad_s = np.abs(axes.ratio) * (np.abs(axes.coupling) @ speeds)
+    return tuple(
+        AxisSetup(axis.node_id, _profile(loaded, axis.profile), axis.torque_constant_nm_per_a.value, float(speed))
+        for axis, speed in zip(config.axis, motor_rad_s, strict=True)
+    )
+
+
+def _profile(loaded: LoadedCell, name: str) -> DriveProfile:
+    return load_profile(name if name in list_profiles() else loaded.path(name))
+
+
+@contextmanager
+def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str | None = None) -> Iterator[OpenArm]:
+    """Connect and configure the drives of an arm; on leaving they are disabled and the bus is closed.
+
+    Parameters
+    ----------
+    loaded : LoadedCell
+    override : BusOverride, optional
+    arm : str, optional
+        Name of the arm, if the cell has several.
+
+    Raises
+    ------
+    ConfigError
+        Robot or cell cannot be used.
+    DriveError
+        Bus or drives: missing, twice, of another kind, in fault; all drives' failures at once.
+    """
+    override = override or BusOverride()
+    config = arm_named(loaded, arm)
+    text = robot_text(loaded, config)
+    workspace = workspace_of(config, robot_from_text(config, text, config.robot or "cell"))
+    setups = axis_setups(loaded, config)
+    bus_config = loaded.cell.bus[config.bus]
+    spec = override.spec or BusSpec(
+        bus_config.interface, bus_config.channel, bus_config.bitrate_bit_s, dict(bus_config.options)
+    )
+    options = GroupOptions(ledger_path=override.ledger)
+    with (
+        open_bus(spec, override.trace) as bus,
+        DriveGroup(bus, setups, bus_config.sync_period_s, bus_config.pacing, options=options) as group,
+    ):
+        identities = group.connect()
+        group.configure()
+        yield OpenArm(
+            loaded=loaded,
+            config=config,
+            robot_text=text,
+            workspace=workspace,
+            profiles=tuple(setup.profile for setup in setups),
+            group=group,
+            arm=Arm(config.name, _GroupDrives(group), AxisConversion.from_arm(config)),
+            identities=identities,
+            constants=tuple(read_constants(access) for access in group.access),
+        )

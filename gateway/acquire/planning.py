@@ -1,0 +1,170 @@
+"""From a cell file to a checked plan: poses chosen or read, route, expected uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gateway.acquire.plan import Expectation, Plan, VisitSettings, check_plan, plan_poses
+from gateway.acquire.poses import (
+    BAND_SHARE,
+    LEFT_SHARE,
+    PoseRequest,
+    RestPose,
+    assumed_noise_nm,
+    choose_poses,
+    load_information,
+    read_poses,
+)
+from gateway.acquire.workspace import Workspace, workspace_of
+from gateway.arm_model import arm_named, arm_robot
+from gateway.config import ArmConfig, LoadedCell
+from gateway.errors import PlanRefused
+from gateway.model.regressor import load_regressor
+
+#: Other choices that are tried if no path leads to some chosen pose.
+CHOICES = 5
+SEED_STEP = 1000
+#: Share of the heaviest possible load that the expected uncertainty refers to, if the cell names none.
+REFERENCE_SHARE = 0.5
+ASSUMED = f"assumed: {LEFT_SHARE:.0%} of a friction band of {BAND_SHARE:.1%} of each torque limit"
+
+
+def make_plan(loaded: LoadedCell, n_poses: int | None = None, seed: int | None = None, arm: str | None = None) -> Plan:
+    """Plan of a recording; needs no bus.
+
+    Parameters
+    ----------
+    loaded : LoadedCell
+    n_poses : int, optional
+        Poses to fit from, instead of the cell's number; not used with a pose file.
+    seed : int, optional
+        Instead of the cell's.
+    arm : str, optional
+        Name of the arm, if the cell has several.
+
+    Raises
+    ------
+    ConfigError, InputError
+        Cell, robot or pose file cannot be used.
+    PlanRefused
+        No such poses, no path between them, or a limit that is broken.
+    """
+    config = arm_named(loaded, arm)
+    workspace = workspace_of(config, arm_robot(loaded, config))
+    poses = loaded.cell.poses
+    if poses.file is not None:
+        return plan_of_poses(loaded, config, workspace, read_poses(loaded.path(poses.file)))
+    request = PoseRequest(
+        count=poses.count if n_poses is None else n_poses,
+        validation=poses.validation,
+        approach_offset_rad=poses.approach_offset_rad,
+        seed=poses.seed if seed is None else seed,
+    )
+    if request.count < 2:
+        raise PlanRefused(
+            "one posture never gives all of a load: the part of its centre of gravity along gravity is in no axis "
+            "torque; plan two poses at least, ten are usual"
+        )
+    for choice in range(CHOICES):
+        chosen = choose_poses(
+            workspace, replace(request, seed=request.seed + choice * SEED_STEP), assumed_noise_nm(workspace)
+        )
+        plan, unreachable = plan_poses(config.name, workspace, chosen, visit_settings(loaded, config))
+        if not unreachable:
+            return _checked(plan, workspace)
+    raise PlanRefused(
+        f"arm '{config.name}': no path that keeps the limits joins the chosen poses; open the keep_out boxes or narrow "
+        "the joint limits to the part of the cell the arm can reach"
+    )
+
+
+def plan_of_poses(loaded: LoadedCell, config: ArmConfig, workspace: Workspace, poses: Sequence[RestPose]) -> Plan:
+    """Plan over given poses, such as those of a file or of an earlier recording.
+
+    Raises
+    ------
+    PlanRefused
+        A pose is not feasible or out of reach, or the poses do not tell mass and centre of gravity apart.
+    """
+    if not poses:
+        raise PlanRefused(f"arm '{config.name}': no poses to measure")
+    plan, unreachable = plan_poses(config.name, workspace, poses, visit_settings(loaded, config))
+    if unreachable:
+        pose = unreachable[0]
+        reason = workspace.why_not(np.array(pose.q_rad), workspace.rest_share)
+        raise PlanRefused(
+            f"arm '{config.name}', pose {pose.number}: {reason or 'no path that keeps the limits leads there'}"
+        )
+    return _checked(plan, workspace)
+
+
+def visit_settings(loaded: LoadedCell, config: ArmConfig) -> VisitSettings:
+    """How the cell asks for its poses to be approached, settled and sampled."""
+    poses = loaded.cell.poses
+    return VisitSettings(
+        approach_offset_rad=poses.approach_offset_rad,
+        approach_speed_rad_s=poses.approach_speed_rad_s,
+        settle_timeout_s=poses.settle_timeout_s,
+        samples=poses.samples,
+        period_s=loaded.cell.bus[config.bus].sync_period_s,
+    )
+
+
+def _checked(plan: Plan, workspace: Workspace) -> Plan:
+    check_plan(plan, workspace)
+    noise_nm = assumed_noise_nm(workspace)
+    fit = [pose for pose in plan.poses if pose.purpose == "fit"]
+    return replace(plan, expectation=expectation(workspace, fit, noise_nm, ASSUMED))
+
+
+def expectation(
+    workspace: Workspace, poses: Sequence[RestPose], noise_nm: np.ndarray, noise_source: str
+) -> Expectation:
+    """Standard deviations that measuring a load against the bare arm at these poses promises (Cramer-Rao bound).
+
+    Parameters
+    ----------
+    workspace : Workspace
+    poses : sequence of RestPose
+    noise_nm : array of shape (6,)
+        Standard deviation of a two-sided joint torque.
+    noise_source : str
+
+    Raises
+    ------
+    PlanRefused
+        The poses do not tell mass and centre of gravity apart.
+    """
+    q_rad = np.array([pose.q_rad for pose in poses]).reshape(-1, 6)
+    information = load_information(workspace, q_rad, noise_nm).sum(axis=0)
+    scale = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    if np.linalg.matrix_rank(information / np.outer(scale, scale), tol=1e-8) < 4:
+        raise PlanRefused(
+            "these poses do not tell mass and centre of gravity apart: gravity must come from directions that differ by "
+            "more than 30 degrees in the frame of the flange; turn the wrist further between poses"
+        )
+    covariance = np.linalg.inv(information)
+    mass_kg, com_m = _reference_load(workspace, q_rad)
+    to_com = np.column_stack([-com_m, np.eye(3)]) / mass_kg
+    com_std = np.sqrt(np.diag(to_com @ covariance @ to_com.T))
+    return Expectation(
+        mass_std_kg=float(np.sqrt(covariance[0, 0])),
+        com_std_m=(float(com_std[0]), float(com_std[1]), float(com_std[2])),
+        reference_load_kg=mass_kg,
+        noise_nm=tuple(noise_nm.tolist()),
+        noise_source=noise_source,
+    )
+
+
+def _reference_load(workspace: Workspace, q_rad: np.ndarray) -> tuple[float, np.ndarray]:
+    """The cell's heaviest load, else half of what the free share of the torque limits carries at the flange."""
+    if workspace.max_load is not None:
+        return float(workspace.max_load[0]), workspace.max_load[1:] / workspace.max_load[0]
+    com_m = workspace.points_m[0]
+    per_kg = np.abs(load_regressor(workspace.robot, q_rad, workspace.gravity_m_s2) @ np.append(1.0, com_m))
+    free_nm = (1.0 - workspace.rest_share) * workspace.torque_nm
+    largest = np.maximum(per_kg.max(axis=0), 1e-9 * per_kg.max())
+    return float(REFERENCE_SHARE * (free_nm / largest).min()), com_m

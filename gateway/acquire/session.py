@@ -1,0 +1,254 @@
+"""What a command line needs of an arm: open it, plan, record under one load. Brakes are on between two recordings."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gateway.acquire.events import Event, Listener, PoseDone, VisitDone
+from gateway.acquire.opening import BusOverride, OpenArm, open_arm
+from gateway.acquire.plan import Plan
+from gateway.acquire.planning import make_plan, plan_of_poses
+from gateway.acquire.poses import RestPose
+from gateway.acquire.run import Station
+from gateway.acquire.runner import RunRequest, run_plan
+from gateway.acquire.workspace import workspace_of
+from gateway.arm_model import arm_named, arm_robot
+from gateway.config import LoadedCell
+from gateway.errors import GatewayError, InputError
+from gateway.recorded import Recording
+from gateway.recording import read
+from gateway.recording_writer import ArmHeader, RecordingHeader, RecordingWriter
+
+__all__ = [
+    "BusOverride",
+    "OpenArm",
+    "RecordRequest",
+    "RecordingSummary",
+    "make_plan",
+    "open_arm",
+    "plan_of_recording",
+    "record",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class RecordRequest:
+    """One load to measure.
+
+    Attributes
+    ----------
+    load : str
+        Label of what hangs on the flange, `none` for the bare arm.
+    path : Path
+        The recording.
+    resume : bool
+        Go on with a file that is there: measure only what is missing under this load.
+    """
+
+    load: str
+    path: Path
+    resume: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingSummary:
+    """What a run has added to a recording.
+
+    Attributes
+    ----------
+    path : Path
+    load : str
+    visits : int
+        New visits, one per side of a pose.
+    skipped : int
+        Visits that were there already.
+    incomplete_epochs : int
+        SYNCs that were taken again while sampling.
+    friction_band_nm : tuple of 6 floats
+        Median over the poses of half the difference of both sides; NaN if no pose was measured from both.
+    statistics : dict
+        Of the bus.
+    """
+
+    path: Path
+    load: str
+    visits: int
+    skipped: int
+    incomplete_epochs: int
+    friction_band_nm: tuple[float, ...]
+    statistics: dict[str, Any]
+
+
+def plan_of_recording(loaded: LoadedCell, recording: Recording, arm: str | None = None) -> Plan:
+    """Plan over the poses that a recording asks for, to go on with it.
+
+    Raises
+    ------
+    PlanRefused
+        The poses are no longer feasible.
+    InputError
+        The recording asks for no poses of this arm.
+    """
+    config = arm_named(loaded, arm)
+    stored = recording.arm(config.name)
+    if stored is None or not stored.poses:
+        raise InputError(f"{recording.path}: asks for no poses of arm '{config.name}'")
+    workspace = workspace_of(config, arm_robot(loaded, config))
+    return plan_of_poses(loaded, config, workspace, stored.poses)
+
+
+def record(opened: OpenArm, plan: Plan, request: RecordRequest, listeners: Sequence[Listener] = ()) -> RecordingSummary:
+    """Measure a plan under one load; the arm is in its brakes before and after.
+
+    Ctrl-C stops the arm gently, keeps what was measured and raises KeyboardInterrupt.
+
+    Raises
+    ------
+    InputError
+        The file exists and is not to be gone on with, or belongs to another cell or other poses.
+    PlanRefused, DriveError, KeyboardInterrupt
+        As `run_plan`.
+    """
+    earlier = read(request.path) if request.resume and request.path.exists() else None
+    poses = _all_poses(plan, earlier)
+    stored = None if earlier is None else earlier.arm(plan.arm)
+    done = () if stored is None else stored.done(request.load)
+    done = tuple(set(done) & {(pose.number, side) for pose in plan.poses for side in (-1, 1)})
+    writer = RecordingWriter(request.path, _header(opened), earlier)
+    tally = _Tally()
+    try:
+        writer.begin(_arm_header(opened, poses))
+        with _ctrl_c() as stop_asked:
+            station = Station(opened.arm, opened.workspace, writer, (tally, *listeners), stop_asked)
+            run_plan(station, RunRequest(plan, request.load, done))
+        statistics = _plain(asdict(opened.group.statistics))
+        writer.finish(plan.arm, "success", "all poses measured", statistics)
+    except BaseException as error:
+        _finish_broken(writer, opened, plan.arm, error)
+        raise
+    finally:
+        writer.close()
+    return RecordingSummary(
+        path=request.path,
+        load=request.load,
+        visits=tally.visits,
+        skipped=len(done),
+        incomplete_epochs=tally.incomplete,
+        friction_band_nm=tally.band_nm(),
+        statistics=statistics,
+    )
+
+
+def _finish_broken(writer: RecordingWriter, opened: OpenArm, arm: str, error: BaseException) -> None:
+    if not writer.visits:
+        return
+    status = "abort" if isinstance(error, KeyboardInterrupt) else "fail"
+    reason = str(error) or "stopped by Ctrl-C"
+    try:
+        writer.finish(arm, status, reason, _plain(asdict(opened.group.statistics)))
+    except GatewayError as failed:
+        error.add_note(str(failed))
+
+
+def _all_poses(plan: Plan, earlier: Recording | None) -> tuple[RestPose, ...]:
+    """Poses of the file and of the plan, each number once.
+
+    Raises
+    ------
+    InputError
+        A number stands for another posture in the file.
+    """
+    stored = None if earlier is None else earlier.arm(plan.arm)
+    poses = {pose.number: pose for pose in (() if stored is None else stored.poses)}
+    for pose in plan.poses:
+        known = poses.setdefault(pose.number, pose)
+        if np.abs(np.array(known.q_rad) - np.array(pose.q_rad)).max() > 1e-6:
+            raise InputError(
+                f"{earlier.path if earlier else ''}: pose {pose.number} is another posture there; go on with the poses "
+                "of the file, or give new poses new numbers"
+            )
+    return tuple(poses[number] for number in sorted(poses))
+
+
+def _header(opened: OpenArm) -> RecordingHeader:
+    try:
+        number = version("servo-gateway")
+    except PackageNotFoundError:
+        number = "not installed"
+    return RecordingHeader(
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        cell=opened.loaded.text,
+        profiles={
+            axis.profile: profile.text for axis, profile in zip(opened.config.axis, opened.profiles, strict=True)
+        },
+        robot=opened.robot_text,
+        software=f"servo-gateway {number}",
+    )
+
+
+def _arm_header(opened: OpenArm, poses: tuple[RestPose, ...]) -> ArmHeader:
+    return ArmHeader(
+        name=opened.config.name,
+        poses=poses,
+        constants=opened.constants,
+        identities=[_plain(asdict(identity)) for identity in opened.identities],
+        ledger=[_plain(asdict(entry)) for entry in opened.group.ledger.entries],
+    )
+
+
+class _Tally:
+    """Counts what a run adds."""
+
+    def __init__(self) -> None:
+        self.visits = self.incomplete = 0
+        self._bands: list[tuple[float, ...]] = []
+
+    def __call__(self, event: Event) -> None:
+        if isinstance(event, VisitDone):
+            self.visits += 1
+            self.incomplete += event.incomplete_epochs
+        elif isinstance(event, PoseDone):
+            self._bands.append(event.friction_band_nm)
+
+    def band_nm(self) -> tuple[float, ...]:
+        return tuple(np.median(self._bands, axis=0).tolist()) if self._bands else (float("nan"),) * 6
+
+
+def _plain(value: Any) -> Any:
+    """The same as JSON can hold it."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value if value is None or isinstance(value, bool | int | float | str) else str(value)
+
+
+@contextmanager
+def _ctrl_c() -> Iterator[Callable[[], bool]]:
+    """Turn the first Ctrl-C into a question with the answer yes; the second one interrupts at once."""
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: False
+        return
+    asked = False
+
+    def on_signal(number: int, frame: Any) -> None:
+        nonlocal asked
+        if asked:
+            signal.default_int_handler(number, frame)
+        asked = True
+
+    before = signal.signal(signal.SIGINT, on_signal)
+    try:
+        yield lambda: asked
+    finally:
+        signal.signal(signal.SIGINT, before)
