@@ -100,6 +100,7 @@ KINDS: dict[str, Kind] = {
     "not_remote": Kind("wire", "stops", 2, "statusword bit 9 falls: a panel has taken the drive"),
     "warning": Kind("wire", "goes on", 1, "statusword bit 7: warning"),
     "brake_engaged": Kind("drive", "stops", 60, "the holding brake falls in under power"),
+    "never_settles": Kind("drive", "stops", None, "the position loop hunts: the axis never comes to rest"),
     "torque_spike": Kind("wire", "stops", 2, "the torque jumps, as on contact"),
     # what the drive says about itself
     "demand_torque": Kind("drive", "finding", None, "0x6077 shows the demand, not the measurement"),

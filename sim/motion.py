@@ -29,11 +29,16 @@ class Motion:
     Attributes
     ----------
     target_limited : the target position was cut by a software limit
+    brake_stuck : the holding brake does not open
+    wobble : amplitude [rad] and frequency [Hz] of a loop that hunts and never comes to rest
     """
 
     def __init__(self, drive: FakeDrive) -> None:
         self._drive = drive
         self.target_limited = False
+        self.brake_stuck = False
+        self.wobble: tuple[float, float] | None = None
+        self._wobbled = 0.0
         self._speed = 0.0
         self._release_s: float | None = None
         self._ticks_left = 0
@@ -92,7 +97,8 @@ class Motion:
         if not drive.automaton.energised:
             return
         if not drive.axis.free:
-            if self._release_s is not None and self._time_s >= self._release_s and drive.mode:
+            open_ = self._release_s is not None and self._time_s >= self._release_s and not self.brake_stuck
+            if open_ and drive.mode:
                 drive.axis.release()
                 self.feed_torque()
             elif state is not PdsState.OPERATION_ENABLED:
@@ -110,18 +116,27 @@ class Motion:
             travel = 0.0
             servo.reference_rad = drive.axis.position_rad
         self.feed_torque()
+        travel += self._hunting(seconds)
         self._speed = travel / seconds
         servo.reference_step_rad = travel / ticks
 
     def _track(self, seconds: float) -> float:
         """Cyclic synchronous position: reach the target within the interpolation period, speed limit kept."""
         drive = self._drive
-        way = drive.target_rad() - drive.axis.servo.reference_rad
+        way = drive.target_rad() + self._wobbled - drive.axis.servo.reference_rad
         period = drive.store.number((0x60C2, 1)) * 10.0 ** drive.store.number((0x60C2, 2))
         most = drive.axis.servo.max_rad_s * seconds
         travel = way * min(1.0, seconds / max(period, TICK_S))
         self.target_limited |= abs(travel) > most
         return min(max(travel, -most), most)
+
+    def _hunting(self, seconds: float) -> float:
+        if self.wobble is None:
+            return 0.0
+        amplitude, frequency = self.wobble
+        before = self._wobbled
+        self._wobbled = amplitude * math.sin(2.0 * math.pi * frequency * (self._time_s + seconds))
+        return self._wobbled - before
 
     def _profile(self, seconds: float) -> float:
         """Profile position: trapezoid of 0x6081, 0x6083, 0x6084."""

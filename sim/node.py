@@ -11,7 +11,8 @@ from collections.abc import Callable
 
 import canopen
 from canopen.nmt import NmtSlave
-from canopen.sdo import SdoAbortedError, SdoServer
+from canopen.sdo.exceptions import SdoAbortedError
+from canopen.sdo.server import SdoServer
 
 from sim.objects import TOGGLE, UNKNOWN_COMMAND, ObjectStore
 
@@ -90,6 +91,7 @@ class SlaveNode(canopen.LocalNode):
     Attributes
     ----------
     store : its objects
+    number : node id
     state : NMT state, 0 initialising, 4 stopped, 5 operational, 127 pre-operational
     silent : sends and answers nothing (no power)
     on_nmt : called with (old state, new state)
@@ -101,6 +103,7 @@ class SlaveNode(canopen.LocalNode):
         self.store = store
         self._register()
         super().__init__(node_id, store.dictionary())
+        self.number = node_id
         self.sdo = SlaveSdoServer(0x600 + node_id, 0x580 + node_id, self)
         self.nmt = SlaveNmt(node_id, self)
         self.state = INITIALISING
@@ -148,21 +151,22 @@ class SlaveNode(canopen.LocalNode):
         self.error_register = 0
         self._watched_s.clear()
         self._beat_s.clear()
-        self.send(0x700 + self.id, b"\x00")
-        self._enter(PRE_OPERATIONAL)
+        self.send(0x700 + self.number, b"\x00")
+        self.enter(PRE_OPERATIONAL)
 
     def nmt_command(self, command: int) -> None:
         """NMT command of the master."""
         if self.silent:
             return
         if command in (RESET_NODE, RESET_COMMUNICATION):
-            self._enter(INITIALISING)
+            self.enter(INITIALISING)
             self.on_reset()
             self.boot()
         elif command in _COMMANDS:
-            self._enter(_COMMANDS[command])
+            self.enter(_COMMANDS[command])
 
-    def _enter(self, state: int) -> None:
+    def enter(self, state: int) -> None:
+        """Go to an NMT state."""
         old, self.state = self.state, state
         if old != state:
             self.on_nmt(old, state)
@@ -177,7 +181,7 @@ class SlaveNode(canopen.LocalNode):
         now = {"simulated": simulated_s, "wall": wall_s}
         if not self._beat_s or any(now[clock] - at >= period for clock, at in self._beat_s.items()):
             self._beat_s = now
-            self.send(0x700 + self.id, bytes([self.state]))
+            self.send(0x700 + self.number, bytes([self.state]))
 
     def heard(self, node_id: int, time_s: float) -> None:
         """A heartbeat of another node; watching begins with the first one."""
@@ -202,7 +206,7 @@ class SlaveNode(canopen.LocalNode):
             self._history.insert(0, code)
             del self._history[MAX_HISTORY:]
         if self.state in (PRE_OPERATIONAL, OPERATIONAL):
-            self.send(0x80 + self.id, struct.pack("<HB5s", code, register, b""))
+            self.send(0x80 + self.number, struct.pack("<HB5s", code, register, b""))
 
     def send(self, cob_id: int, data: bytes) -> None:
         """Put a frame on the bus, if the device has power."""

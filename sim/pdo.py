@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
-from canopen.sdo import SdoAbortedError
+from canopen.sdo.exceptions import SdoAbortedError
 
 from sim.objects import (
     DEVICE_STATE,
@@ -71,7 +71,7 @@ class Pdo:
         """Power-on map."""
         self._map = [self._entry_value(address) for address in addresses]
         self._count, self.transmission = len(addresses), transmission
-        self._compile()
+        self.refresh()
 
     def _entry_value(self, address: tuple[int, int]) -> int:
         return address[0] << 16 | address[1] << 8 | 8 * self._store.find(*address).size_bytes
@@ -148,9 +148,9 @@ class Pdo:
         if sum(entry & 0xFF for entry in self._map[:value]) > 64:
             raise SdoAbortedError(PDO_TOO_LONG)
         self._count = value
-        self._compile()
+        self.refresh()
 
-    def _compile(self) -> None:
+    def refresh(self) -> None:
         """Turn the map into one struct and a list of functions."""
         found = [self._store.find(*address) for address in self.addresses]
         self.packing = struct.Struct("<" + "".join(STRUCT_CODES[entry.type] for entry in found))

@@ -7,12 +7,14 @@ between motor and gear output, and is exact at rest. The coupling is numerical: 
 
 from __future__ import annotations
 
+import os
+import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pybullet as bullet
 from numpy.typing import NDArray
 
 from sim.cellfile import ArmSpec
@@ -22,6 +24,23 @@ from sim.servo import TICK_S, Gains, ServoLoop
 from sim.urdf import Body, Chain, combine, write_chain
 
 Array = NDArray[np.float64]
+
+
+def _quietly() -> Any:
+    """Import PyBullet without the line it writes to standard error, which belongs to the program's own messages."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    try:
+        with open(os.devnull, "wb") as sink:
+            os.dup2(sink.fileno(), 2)
+        import pybullet
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+    return pybullet
+
+
+bullet = _quietly()
 
 #: Highest natural frequency of the numerical coupling times the step; below 2 the step is stable.
 COUPLING_PHASE = 0.6

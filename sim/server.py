@@ -1,8 +1,8 @@
 """Simulated drives on one bus: frames in, physics forward, frames out; one thread, no asyncio.
 
-Lockstep: simulated time advances by one SYNC period with each SYNC and stands still otherwise. Real: it follows the wall
-clock. At a SYNC the synchronous RPDOs become valid and the TPDOs show the state of that instant; only then does the
-physics move on, while the master already works on the answers.
+Lockstep: simulated time advances by one SYNC period with each SYNC and stands still otherwise. Real: it follows the
+wall clock. At a SYNC the synchronous RPDOs become valid and the TPDOs show the state of that instant; only then does
+the physics move on, while the master already works on the answers.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ class Chain:
     velocity_rad_s: Array
 
 
-def rotation_rpy(rpy_rad: Sequence[float]) -> Array:
+def rotation_rpy(rpy_rad: Sequence[float] | Array) -> Array:
     """Rotation matrix of roll, pitch, yaw about the fixed axes x, y, z (URDF convention), shape (3, 3)."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy_rad), np.sin(rpy_rad)
     return np.array(

@@ -1,0 +1,53 @@
+"""servo-sim: simulated arms and drives on a CAN bus."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+FILE_ERROR, BUS_ERROR = 3, 4
+
+
+@click.group()
+def main() -> None:
+    """Simulated arms and drives on a CAN bus."""
+
+
+@main.command()
+@click.argument("cell", type=click.Path(path_type=Path))
+@click.option("--bus", metavar="SPEC", help="INTERFACE:CHANNEL[,key=value]... in place of the cell's bus.")
+@click.option("--payload", type=click.Path(path_type=Path), help="Loads: [[load]] label, mass_kg, com_m.")
+@click.option("--undeclared", type=click.Path(path_type=Path), help="Effects: [[effect]] name, joints, parameters.")
+@click.option("--seed", type=click.IntRange(min=0), help="Draw what the gateway is not told from this seed.")
+@click.option("--fault", type=click.Path(path_type=Path), help="What goes wrong: [[fault]] kind, node, at_sync.")
+@click.option("--truth", type=click.Path(path_type=Path), help="Write the truth here at start.")
+def serve(
+    cell: Path,
+    bus: str | None,
+    payload: Path | None,
+    undeclared: Path | None,
+    seed: int | None,
+    fault: Path | None,
+    truth: Path | None,
+) -> None:
+    """Serve the drives of CELL until Ctrl-C. `payload LABEL` on stdin hangs a load, `payload none` takes it off."""
+    from sim.serve import BusError, ServeOptions
+    from sim.serve import serve as run
+
+    if undeclared is not None and seed is not None:
+        raise click.UsageError("--undeclared and --seed exclude each other.")
+    options = ServeOptions(bus, payload, undeclared, seed, fault, truth)
+    try:
+        run(cell, options, lambda line: print(line, flush=True))
+    except BusError as error:
+        print(f"servo-sim: {error}", file=sys.stderr)
+        sys.exit(BUS_ERROR)
+    except (ValueError, OSError) as error:
+        print(f"servo-sim: {' '.join(str(error).split())}", file=sys.stderr)
+        sys.exit(FILE_ERROR)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,193 @@
+"""The simulated drives of a whole cell: files in, one server for each bus out."""
+
+from __future__ import annotations
+
+import json
+import threading
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import can
+
+from sim.build_errors import with_build_errors
+from sim.cellfile import BusSpec, CellFileError, CellSpec, parse_bus_spec, read_cell, read_payloads, read_toml
+from sim.drive_faults import act
+from sim.effects import apply_effects
+from sim.faults import Fault, read_faults
+from sim.faulty_wire import FaultyWire
+from sim.nominal import plant_of
+from sim.offline import point_jacobian
+from sim.plant import Payload
+from sim.server import ArmUnit, BusServer
+
+NOISE_SEED = 1
+
+
+class BusError(OSError):
+    """The bus cannot be opened."""
+
+
+@dataclass(frozen=True, slots=True)
+class ServeOptions:
+    """What `servo-sim serve` may be told beside the cell.
+
+    Attributes
+    ----------
+    bus : INTERFACE:CHANNEL[,key=value]... in place of the cell's bus; with several buses NAME=SPEC;NAME=SPEC
+    payload : file of loads that can be hung on the flange
+    undeclared : file of effects that the gateway is not told
+    seed : draw build errors instead
+    fault : scenario of what goes wrong
+    truth : where the truth is written at start
+    """
+
+    bus: str | None = None
+    payload: Path | None = None
+    undeclared: Path | None = None
+    seed: int | None = None
+    fault: Path | None = None
+    truth: Path | None = None
+
+
+class Simulation:
+    """Simulated drives, ready to run.
+
+    Attributes
+    ----------
+    cell : what was read
+    loads : by label
+    effects : what is built in
+    specs : the buses, by name
+    servers : one for each bus
+    """
+
+    def __init__(self, cell_path: Path, options: ServeOptions) -> None:
+        self.cell = read_cell(cell_path)
+        self.loads: dict[str, Payload] = read_payloads(options.payload) if options.payload else {}
+        self.effects = _read_effects(options.undeclared) if options.undeclared else []
+        self._options = options
+        faults = read_faults(options.fault) if options.fault else ()
+        units = {arm.name: self._unit(index) for index, arm in enumerate(self.cell.arms)}
+        self.specs = _bus_specs(self.cell, options.bus)
+        self.servers: list[BusServer] = []
+        if options.truth is not None:
+            options.truth.write_text(json.dumps(self.truth(), indent=2) + "\n", encoding="utf-8")
+        with ExitStack() as opened:
+            for name, spec in self.specs.items():
+                arms = [units[arm.name] for arm in self.cell.arms if arm.bus == name]
+                if arms:
+                    self.servers.append(_server(spec, arms, faults, opened))
+            opened.pop_all()
+
+    def _unit(self, index: int) -> ArmUnit:
+        arm = self.cell.arms[index]
+        plant = plant_of(arm)
+        seed = self._options.seed
+        if seed is not None:
+            plant = with_build_errors(plant, arm.chain, seed)
+        plant = apply_effects(plant, self.effects, point_jacobian(arm.chain))
+        noise = (NOISE_SEED if seed is None else seed) + 1000 * index
+        return ArmUnit(arm, plant, self.cell.buses[arm.bus].sync_period_s, noise)
+
+    @property
+    def arms(self) -> list[ArmUnit]:
+        """All arms, in the order of the cell file."""
+        found = {arm.name: arm for server in self.servers for arm in server.arms}
+        return [found[arm.name] for arm in self.cell.arms]
+
+    def truth(self) -> dict[str, Any]:
+        """What only the scoring may know: loads and effects."""
+        loads = [
+            {"label": load.label, "mass_kg": load.mass_kg, "com_m": [float(value) for value in load.com_m]}
+            for load in self.loads.values()
+        ]
+        return {"loads": loads, "effects": self.effects}
+
+    def hang(self, label: str, arm: str | None = None) -> None:
+        """Hang a load on the flange (`none`: take it off); returns when it hangs. Call from outside the servers.
+
+        Raises
+        ------
+        KeyError : no such load
+        """
+        payload = Payload() if label == "none" else self.loads[label]
+        for server in self.servers:
+            for unit in server.arms:
+                if arm in (None, unit.name):
+                    server.hang(unit, payload)
+
+    def stop(self) -> None:
+        """End all servers."""
+        for server in self.servers:
+            server.stop()
+
+    def run(self) -> None:
+        """Serve all buses until `stop`; the first one in this thread."""
+        others = [threading.Thread(target=server.run, name="sim-bus") for server in self.servers[1:]]
+        for thread in others:
+            thread.start()
+        try:
+            self.servers[0].run()
+        finally:
+            self.stop()
+            for thread in others:
+                thread.join()
+
+    def close(self) -> None:
+        """Give the physics engines back."""
+        for server in self.servers:
+            for unit in server.arms:
+                unit.world.close()
+
+
+def _read_effects(path: Path) -> list[dict[str, Any]]:
+    effects = read_toml(path).get("effect", [])
+    if not isinstance(effects, list) or not all(isinstance(effect, dict) for effect in effects):
+        raise CellFileError(f"{path}: effects are [[effect]] tables with name, joints and parameters.")
+    return effects
+
+
+def _bus_specs(cell: CellSpec, given: str | None) -> dict[str, BusSpec]:
+    """Bus of each name, the ones on the command line in place of the file's."""
+    specs = dict(cell.buses)
+    if given is None:
+        return specs
+    if len(specs) == 1 and ";" not in given:
+        name = next(iter(specs))
+        return {name: parse_bus_spec(given, specs[name])}
+    for part in given.split(";"):
+        name, _, text = part.partition("=")
+        if name not in specs:
+            raise CellFileError(f"--bus '{part}': several buses are NAME=SPEC;NAME=SPEC, names of the cell.")
+        specs[name] = parse_bus_spec(text, specs[name])
+    return specs
+
+
+def open_bus(spec: BusSpec) -> can.BusABC:
+    """Open a python-can bus.
+
+    Raises
+    ------
+    BusError : python-can cannot open it
+    """
+    options: dict[str, Any] = {"bitrate": spec.bitrate_bit_s} if spec.interface != "udp_multicast" else {}
+    options |= spec.options
+    try:
+        return can.Bus(interface=spec.interface, channel=spec.channel, **options)
+    except (can.CanError, OSError, TypeError, ValueError, ImportError) as error:
+        raise BusError(f"bus {spec.interface}:{spec.channel} cannot be opened: {error}") from error
+
+
+def _server(spec: BusSpec, arms: list[ArmUnit], faults: tuple[Fault, ...], opened: ExitStack) -> BusServer:
+    bus: Any = open_bus(spec)
+    opened.callback(bus.shutdown)
+    if not faults:
+        return BusServer(bus, arms, spec.sync_period_s, spec.pacing)
+    wire = FaultyWire(bus)
+    server = BusServer(wire, arms, spec.sync_period_s, spec.pacing)
+    wire.act = lambda fault: act(server, fault)
+    for fault in faults:
+        wire.arm(fault)
+    return server
