@@ -7,6 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from gateway.rows import Table
+
 
 def urdf_of(rng: np.random.Generator, before: str = "") -> str:
     """URDF text of a random arm of six axes with random inertials; `before` is put inside <robot>."""
@@ -55,3 +57,38 @@ def qh165_dh() -> SimpleNamespace:
         d_m=(0.0, 0.0, 0.0, 1.13456, 0.0, 0.244),
         theta_offset_rad=(0.0, -quarter, 0.0, 0.0, 0.0, 0.0),
     )
+
+
+def make_rest_table(load, pose, direction, tau, **given) -> Table:
+    """Rest rows: `direction` and `tau` one number per row for all six axes, or (n, 6)."""
+    n = len(load)
+    unknown = np.full((n, 6), np.nan)
+
+    def six(values):
+        return np.broadcast_to(np.asarray(values, dtype=float).reshape(n, -1), (n, 6)).copy()
+
+    return Table(
+        file=("test.csv",) * n,
+        line=np.arange(2, n + 2),
+        run=np.asarray(given.get("run", ["r"] * n)),
+        load=np.asarray(load),
+        pose=np.asarray(pose),
+        time_s=np.asarray(given.get("time", np.full(n, np.nan)), dtype=float),
+        q_rad=np.asarray(given.get("q", np.zeros((n, 6))), dtype=float),
+        qd_rad_s=np.zeros((n, 6)),
+        qdd_rad_s2=np.zeros((n, 6)),
+        moving=np.zeros(n, dtype=bool),
+        direction=six(direction).astype(np.int8),
+        tau_nm=six(tau),
+        tau_std_nm=np.full((n, 6), given.get("std", np.nan)),
+        count=np.full(n, given.get("count", 1)),
+        q2nd_rad=unknown,
+        temperature_c=unknown,
+        motor_torque_nm=unknown,
+    )
+
+
+@pytest.fixture
+def rest_table():
+    """Factory of rest tables."""
+    return make_rest_table

@@ -1,0 +1,125 @@
+"""Base parameters: which combinations of inertial parameters the rows of an arm can tell at all.
+
+Rank-revealing QR (column pivoting) on columns scaled to unit length, so that the tolerance is relative and does not
+mix kg with kg m. Ten for a vertical axis 1 with a spherical or UR-like wrist at rest, twelve where the base is tilted
+(JP3698770B2, second embodiment: the A_ij, B_ij in today's words).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import qr, solve_triangular
+
+from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
+from gateway.model.regressor import gravity_regressor, regressor
+from gateway.model.robot import AXES, Robot
+
+Floats = NDArray[np.float64]
+
+TOLERANCE = 1e-8
+_NOTHING = 1e-13
+_STATES = 60
+_SEED = 20_240_501
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BaseSet:
+    """Independent columns of a regressor, and what each of their parameters lumps.
+
+    Attributes
+    ----------
+    indices : int array of shape (rank,)
+        Columns kept, in ascending order.
+    combination : array of shape (rank, p)
+        Base parameters = combination @ all parameters; rows times these equal all rows times all parameters.
+    names : tuple of str
+        One name per base parameter, such as "hx_2 + 0.6 m_3 + 0.6 m_4".
+    rank : int
+    """
+
+    indices: NDArray[np.int_]
+    combination: Floats
+    names: tuple[str, ...]
+    rank: int
+
+
+def base_parameters(rows: Floats, names: Sequence[str], tolerance: float = TOLERANCE) -> BaseSet:
+    """Base parameters of stacked rows.
+
+    Parameters
+    ----------
+    rows : array of shape (n, p) or (n, 6, p)
+    names : p names of the columns
+    tolerance : float
+        Columns whose part outside the others is shorter than this share of them count as dependent.
+
+    Returns
+    -------
+    BaseSet
+    """
+    stacked = np.asarray(rows, dtype=float).reshape(-1, len(names))
+    scale = np.linalg.norm(stacked, axis=0)
+    seen = np.flatnonzero(scale > _NOTHING * scale.max(initial=0.0))
+    if not len(seen):
+        return BaseSet(np.zeros(0, dtype=int), np.zeros((0, len(names))), (), 0)
+    factors: tuple[Any, ...] = qr(stacked[:, seen] / scale[seen], mode="r", pivoting=True)  # type: ignore[assignment]
+    r, pivots = np.asarray(factors[0]), np.asarray(factors[1])
+    diagonal = np.abs(np.diag(r))
+    rank = int((diagonal > tolerance * diagonal[0]).sum())
+    independent = solve_triangular(r[:rank, :rank], r[:rank])
+    combination = np.zeros((rank, len(names)))
+    columns = seen[pivots]
+    combination[:, columns] = independent * scale[columns] / scale[columns[:rank], None]
+    order = np.argsort(columns[:rank])
+    combination = combination[order]
+    combination[np.abs(combination) < 1e-9 * np.abs(combination).max(axis=1, keepdims=True)] = 0.0
+    kept = columns[:rank][order]
+    return BaseSet(
+        kept, combination, tuple(_name(row, names, k) for row, k in zip(combination, kept.tolist(), strict=True)), rank
+    )
+
+
+def rest_base(
+    robot: Robot, gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2, columns: Sequence[int] | None = None
+) -> BaseSet:
+    """Base parameters of the arm at rest over the whole joint space, of all 24 columns or the given ones."""
+    q = _spread_states()[0]
+    rows = gravity_regressor(robot, q, gravity_m_s2)
+    chosen = list(range(4 * AXES)) if columns is None else list(columns)
+    names = [_short(column, 4, ("m", "hx", "hy", "hz")) for column in chosen]
+    return base_parameters(rows[:, :, chosen], names)
+
+
+def moving_base(robot: Robot, gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2) -> BaseSet:
+    """Base parameters of the moving arm over a fixed set of well-spread states, of all 60 columns."""
+    q, qd, qdd = _spread_states()
+    names = [
+        _short(column, 10, ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz"))
+        for column in range(10 * AXES)
+    ]
+    return base_parameters(regressor(robot, q, qd, qdd, gravity_m_s2), names)
+
+
+def _spread_states() -> Floats:
+    """The same joint states (3, 60, 6) every time: positions, velocities, accelerations."""
+    return np.random.default_rng(_SEED).uniform(-2.0, 2.0, size=(3, _STATES, AXES))
+
+
+def _short(column: int, per_link: int, names: Sequence[str]) -> str:
+    return f"{names[column % per_link]}_{column // per_link + 1}"
+
+
+def _name(row: Floats, names: Sequence[str], kept: int) -> str:
+    words = [names[kept]]
+    for column in np.flatnonzero(row).tolist():
+        if column == kept:
+            continue
+        value = float(row[column])
+        factor = "" if abs(abs(value) - 1.0) < 1e-6 else f"{abs(value):.4g} "
+        words.append(f"{'-' if value < 0 else '+'} {factor}{names[column]}")
+    return " ".join(words)

@@ -1,0 +1,153 @@
+"""Rest visits: both sides of a pose as half their sum (gravity) and half their difference (friction band).
+
+Each side goes through the gear by its own direction first: the motor driving, `tau = eta u`; driven back, `tau = u/eta`
+(Li et al., static load identification from servo torque, eq. (9)). Halving `u` first would leave (eta + 1/eta)/2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gateway.model.robot import AXES
+from gateway.rows import Table
+
+Floats = NDArray[np.float64]
+
+SAME_POSE_RAD = 2e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Visits:
+    """Rest visits of one or more recordings, n of them, in the order of their first row.
+
+    Attributes
+    ----------
+    load, run : str arrays of shape (n,)
+    pose : int array of shape (n,)
+    time_s : array of shape (n,)
+        Middle of the visit; NaN where not given.
+    q_rad : array of shape (n, 6)
+    tau_nm : array of shape (n, 6)
+        Behind the gear: half the sum of both sides, or the one side there is; NaN = axis not measured.
+    band_nm : array of shape (n, 6)
+        Half the difference of the sides in the direction of motion; NaN where there is but one.
+    tau_std_nm : array of shape (n, 6)
+        Standard deviation of `tau_nm` by the averaged samples alone; NaN where unknown.
+    gear_nm : array of shape (n, 6)
+        Half the range that an unknown direction leaves through the gear's efficiency; 0 where the side is known.
+    two_sided : bool array of shape (n,)
+    direction : int array of shape (n, 6)
+        Side of a one-sided visit; 0 = both, or unknown.
+    temperature_c : array of shape (n, 6)
+    where : tuple of str
+        `file:line` of the first row, for messages.
+    """
+
+    load: NDArray[np.str_]
+    run: NDArray[np.str_]
+    pose: NDArray[np.int_]
+    time_s: Floats
+    q_rad: Floats
+    tau_nm: Floats
+    band_nm: Floats
+    tau_std_nm: Floats
+    gear_nm: Floats
+    two_sided: NDArray[np.bool_]
+    direction: NDArray[np.int_]
+    temperature_c: Floats
+    where: tuple[str, ...]
+
+    def __len__(self) -> int:
+        """Number of visits."""
+        return len(self.pose)
+
+    def take(self, rows: NDArray) -> Visits:
+        """The chosen visits (mask or indices)."""
+        index = np.flatnonzero(rows) if np.asarray(rows).dtype == bool else np.asarray(rows, dtype=int)
+        values = {name: getattr(self, name)[index] for name in self.__dataclass_fields__ if name != "where"}
+        return Visits(**values, where=tuple(self.where[i] for i in index))
+
+
+def through_gear(reported_nm: Floats, direction: Floats, efficiency: Floats) -> Floats:
+    """Torque behind the gear [Nm] of reported torque (n, 6) after motion in `direction` (n, 6), 0 = unknown.
+
+    Unknown: the reported torque as it stands, the geometric middle of what it may be.
+    """
+    work = reported_nm * direction
+    return reported_nm * np.where(work > 0, efficiency, np.where(work < 0, 1.0 / efficiency, 1.0))
+
+
+def pair_visits(table: Table, efficiency: ArrayLike = 1.0) -> Visits:
+    """Visits of the rest rows of a table.
+
+    Rows of one run, load and pose at the same joint angles, approached from opposite sides, make one visit, in the
+    order of time; what finds no partner stays one-sided.
+
+    Parameters
+    ----------
+    table : Table
+        Moving rows are left out.
+    efficiency : array of shape (6,)
+        Gear efficiency of each axis; 1 where the table's torque already stands behind the gear.
+    """
+    rest = table.take(~table.moving)
+    eta = np.broadcast_to(np.asarray(efficiency, dtype=float), (AXES,))
+    facing = rest.direction.astype(float)
+    torque = through_gear(rest.tau_nm, facing, eta)
+    open_nm = np.where(facing == 0, np.abs(rest.tau_nm) * (1.0 / eta - eta) / 2.0, 0.0)
+    std = rest.tau_std_nm / np.sqrt(np.maximum(rest.count, 1))[:, None]
+    one, other = _pairs(rest)
+    two = one != other
+    half = np.where(two[:, None], np.hypot(std[one], std[other]) / 2.0, std[one])
+    moved = two[:, None] & (facing[one] != 0)
+    return Visits(
+        load=np.asarray(rest.load, dtype=str)[one],
+        run=np.asarray(rest.run, dtype=str)[one],
+        pose=np.asarray(rest.pose)[one],
+        time_s=(rest.time_s[one] + rest.time_s[other]) / 2.0,
+        q_rad=(rest.q_rad[one] + rest.q_rad[other]) / 2.0,
+        tau_nm=(torque[one] + torque[other]) / 2.0,
+        band_nm=np.where(moved, facing[one] * (torque[one] - torque[other]) / 2.0, np.nan),
+        tau_std_nm=half,
+        gear_nm=np.maximum(open_nm[one], open_nm[other]),
+        two_sided=two,
+        direction=np.where(two[:, None], 0, rest.direction[one]).astype(int),
+        temperature_c=(rest.temperature_c[one] + rest.temperature_c[other]) / 2.0,
+        where=tuple(rest.where(int(row)) for row in one),
+    )
+
+
+def _pairs(rest: Table) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+    """Row of the first side and of the second; the same row twice for a one-sided visit."""
+    groups: dict[tuple[str, str, int], list[int]] = {}
+    for row in range(len(rest)):
+        groups.setdefault((str(rest.run[row]), str(rest.load[row]), int(rest.pose[row])), []).append(row)
+    pairs = [pair for members in groups.values() for pair in _pairs_of_pose(rest, members)]
+    pairs.sort()
+    found = np.array(pairs, dtype=int).reshape(-1, 2)
+    return found[:, 0], found[:, 1]
+
+
+def _pairs_of_pose(rest: Table, members: list[int]) -> list[tuple[int, int]]:
+    waiting = sorted(members, key=lambda row: (np.nan_to_num(rest.time_s[row]), row))
+    pairs = []
+    while waiting:
+        row = waiting.pop(0)
+        facing = rest.direction[row]
+        partner = next(
+            (
+                other
+                for other in waiting
+                if facing.any()
+                and np.array_equal(rest.direction[other], -facing)
+                and np.abs(rest.q_rad[other] - rest.q_rad[row]).max() < SAME_POSE_RAD
+            ),
+            row,
+        )
+        if partner != row:
+            waiting.remove(partner)
+        pairs.append((row, partner))
+    return pairs
