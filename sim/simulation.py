@@ -17,6 +17,7 @@ from sim.drive_faults import act
 from sim.effects import apply_effects
 from sim.faults import Fault, read_faults
 from sim.faulty_wire import FaultyWire
+from sim.multicast import QuietMulticastBus
 from sim.nominal import plant_of
 from sim.offline import point_jacobian
 from sim.plant import Payload
@@ -165,17 +166,18 @@ def _bus_specs(cell: CellSpec, given: str | None) -> dict[str, BusSpec]:
     return specs
 
 
-def open_bus(spec: BusSpec) -> can.BusABC:
+def open_bus(spec: BusSpec) -> can.BusABC | QuietMulticastBus:
     """Open a python-can bus.
 
     Raises
     ------
     BusError : python-can cannot open it
     """
-    options: dict[str, Any] = {"bitrate": spec.bitrate_bit_s} if spec.interface != "udp_multicast" else {}
-    options |= spec.options
+    options: dict[str, Any] = dict(spec.options)
     try:
-        return can.Bus(interface=spec.interface, channel=spec.channel, **options)
+        if spec.interface == "udp_multicast":
+            return QuietMulticastBus(spec.channel, **options)
+        return can.Bus(interface=spec.interface, channel=spec.channel, bitrate=spec.bitrate_bit_s, **options)
     except (can.CanError, OSError, TypeError, ValueError, ImportError) as error:
         raise BusError(f"bus {spec.interface}:{spec.channel} cannot be opened: {error}") from error
 

@@ -1,0 +1,154 @@
+"""The whole job on the simulator, as a person at the robot would do it: `python -m sim.demo --out out/demo`.
+
+Two programs in two processes on a free bus: the simulated drives, and the gateway, which is told to commission the cell.
+When the gateway asks for a load to be hung, it is hung. At the end the truth, which only the simulator knew, is put beside
+the estimate.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+
+from sim.serve import command, free_bus, wait_until_ready
+from sim.simulation import ServeOptions
+
+EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "large"
+SEED = 1
+HANG = re.compile(r"HANG LOAD (\S+)")
+FAILED_FINDING = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Demo:
+    """What is run: cell, what can hang on the flange, what is undeclared, where the results go."""
+
+    cell: Path
+    payload: Path
+    undeclared: Path | None
+    seed: int
+    out: Path
+
+
+@click.command()
+@click.option("--cell", type=click.Path(exists=True, path_type=Path), default=EXAMPLE / "cell.toml")
+@click.option("--payload", type=click.Path(exists=True, path_type=Path), default=EXAMPLE / "payload.toml")
+@click.option("--undeclared", type=click.Path(exists=True, path_type=Path), help="Effects in place of a seed.")
+@click.option("--seed", type=click.IntRange(min=0), default=SEED, show_default=True)
+@click.option("--out", type=click.Path(path_type=Path), default=Path("out/demo"), show_default=True)
+def main(cell: Path, payload: Path, undeclared: Path | None, seed: int, out: Path) -> None:
+    """Commission a simulated cell from the first frame to the report."""
+    sys.exit(run(Demo(cell, payload, undeclared, seed, out)))
+
+
+def run(demo: Demo) -> int:
+    """Run both programs; returns the exit code of the gateway."""
+    demo.out.mkdir(parents=True, exist_ok=True)
+    truth, bus, begun = demo.out / "truth.json", free_bus(), time.monotonic()
+    options = ServeOptions(
+        bus=bus,
+        payload=demo.payload,
+        undeclared=demo.undeclared,
+        seed=None if demo.undeclared else demo.seed,
+        truth=truth,
+    )
+    with _simulator(command(demo.cell, options)) as simulator:
+        code = _commission(demo, bus, simulator)
+    result = demo.out / "result.json"
+    if code in (0, FAILED_FINDING) and result.exists():
+        _add_truth(result, json.loads(truth.read_text(encoding="utf-8")))
+        _print_comparison(json.loads(result.read_text(encoding="utf-8")))
+    truth.unlink(missing_ok=True)
+    click.echo(f"{time.monotonic() - begun:.1f} s; results in {demo.out}")
+    return code
+
+
+@contextmanager
+def _simulator(words: Sequence[str]):  # noqa: ANN202
+    process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        click.echo(wait_until_ready(process).rstrip())
+        yield process
+    finally:
+        process.terminate()
+        try:
+            process.communicate(timeout=10.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+
+
+def _commission(demo: Demo, bus: str, simulator: subprocess.Popen[str]) -> int:
+    """Run the gateway, show what it says, hang the loads it asks for."""
+    words = [sys.executable, "-m", "gateway.cli", "commission", str(demo.cell)]
+    words += ["--bus", bus, "--yes", "--out", str(demo.out)]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1) as gateway:
+        if gateway.stdout is None or gateway.stdin is None:
+            return 1
+        for line in gateway.stdout:
+            click.echo(line.rstrip("\n"))
+            asked = HANG.search(line)
+            if asked:
+                click.echo(_hang(simulator, asked.group(1)))
+                gateway.stdin.write("\n")
+                gateway.stdin.flush()
+        return gateway.wait()
+
+
+def _hang(simulator: subprocess.Popen[str], label: str) -> str:
+    if simulator.stdin is None or simulator.stdout is None:
+        return ""
+    simulator.stdin.write(f"payload {label}\n")
+    simulator.stdin.flush()
+    return simulator.stdout.readline().rstrip()
+
+
+def _add_truth(path: Path, truth: dict[str, Any]) -> None:
+    result = json.loads(path.read_text(encoding="utf-8"))
+    result["truth"] = truth
+    path.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+
+
+def comparison(result: dict[str, Any]) -> list[str]:
+    """Lines of a table: truth, estimate, error, and the error in reported standard deviations."""
+    lines = [f"{'':16}{'truth':>10}{'estimate':>10}{'error':>9}{'std':>8}{'error/std':>11}"]
+    known = {load["label"]: load for load in result["truth"]["loads"]}
+    for load in result["loads"]:
+        true = known.get(load["label"])
+        if true is None or load.get("mass_kg") is None:
+            continue
+        rows = [("mass [kg]", true["mass_kg"], load["mass_kg"], load["mass_std_kg"])]
+        for axis, was, is_, std in zip("xyz", true["com_m"], load["com_m"], load["com_std_m"], strict=True):
+            rows.append((f"com {axis} [mm]", *(None if value is None else 1e3 * value for value in (was, is_, std))))
+        for name, was, is_, std in rows:
+            if is_ is None or std is None:
+                lines.append(f"{load['label'] + ' ' + name:16}{was:10.2f}{'not identifiable':>20}")
+            else:
+                share = (is_ - was) / std if std else 0.0
+                lines.append(
+                    f"{load['label'] + ' ' + name:16}{was:10.2f}{is_:10.2f}{is_ - was:9.2f}{std:8.2f}{share:11.2f}"
+                )
+    named = ", ".join(str(effect["name"]) for effect in result["truth"]["effects"]) or "none"
+    found = ", ".join(str(effect["name"]) for effect in result.get("effects", [])) or "none"
+    lines.append(f"undeclared effects: {named}; found: {found}; verdict: {result.get('verdict')}")
+    return lines
+
+
+def _print_comparison(result: dict[str, Any]) -> None:
+    click.echo("\nTruth (known to the simulator alone) against the estimate:")
+    for line in comparison(result):
+        click.echo("  " + line)
+
+
+if __name__ == "__main__":
+    main()

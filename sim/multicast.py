@@ -1,0 +1,100 @@
+"""python-can's udp_multicast bus for a sender that has no use for its own frames.
+
+Multicast loops every frame back to its sender. Six drives would decode twice as many of their own frames as of the
+master's, so frames that were just sent are dropped by their bytes, before they are decoded. The socket and the frame
+format are python-can's.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import time
+from collections import Counter
+from typing import Any
+
+import can
+from can.interfaces.udp_multicast import UdpMulticastBus
+from can.interfaces.udp_multicast.utils import pack_message, unpack_message
+
+MAX_FRAME_BYTES = 4096
+#: Own frames that never came back (the socket's buffer was full) are forgotten beyond this number.
+MAX_OUTSTANDING = 4096
+
+
+class QuietMulticastBus:
+    """What a server of simulated drives needs of a bus: `send`, `recv`, `shutdown`.
+
+    Parameters
+    ----------
+    channel : multicast group
+    options : of python-can's udp_multicast interface (port, hop_limit, ...)
+    """
+
+    def __init__(self, channel: str, **options: Any) -> None:
+        self._bus = UdpMulticastBus(channel=channel, **options)
+        self._address = (channel, int(options.get("port", 43113)))
+        self._socket = socket.socket(fileno=os.dup(self._bus.fileno()))
+        self._socket.setblocking(False)
+        self._outstanding: Counter[bytes] = Counter()
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Put a frame on the bus.
+
+        Raises
+        ------
+        can.CanOperationError : the socket refuses it
+        """
+        data = pack_message(msg)
+        if len(self._outstanding) > MAX_OUTSTANDING:
+            self._outstanding.clear()
+        self._outstanding[data] += 1
+        try:
+            self._socket.sendto(data, self._address)
+        except BlockingIOError:
+            select.select([], [self._socket], [], timeout)
+            self._socket.sendto(data, self._address)
+        except OSError as error:
+            raise can.CanOperationError(f"udp_multicast: {error}") from error
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """Next frame of somebody else, None after the timeout [s].
+
+        Raises
+        ------
+        can.CanOperationError : the socket fails
+        """
+        end = None if timeout is None else time.monotonic() + timeout
+        while True:
+            try:
+                data = self._socket.recv(MAX_FRAME_BYTES)
+            except BlockingIOError:
+                wait = None if end is None else end - time.monotonic()
+                if wait is not None and wait <= 0:
+                    return None
+                select.select([self._socket], [], [], wait)
+                continue
+            except OSError as error:
+                raise can.CanOperationError(f"udp_multicast: {error}") from error
+            if data in self._outstanding:
+                self._outstanding[data] -= 1
+                if not self._outstanding[data]:
+                    del self._outstanding[data]
+                continue
+            message = _decoded(data)
+            if message is not None:
+                return message
+
+    def shutdown(self) -> None:
+        """Close the bus."""
+        self._socket.close()
+        self._bus.shutdown()
+
+
+def _decoded(data: bytes) -> can.Message | None:
+    """A frame, or None if the datagram is none (anybody may send to a multicast group)."""
+    try:
+        return unpack_message(data)
+    except Exception:  # noqa: BLE001 - whatever msgpack and python-can raise on bytes of strangers
+        return None
