@@ -26,6 +26,7 @@ LONG_S = 60.0
 WARMED_K = 2.0
 RIPPLES_PER_AXIS = 2
 LARGEST_ANGLE_RAD = 0.2
+SMALLEST_BALANCER = 0.15
 LARGEST_SCALE = 2.5
 
 
@@ -105,10 +106,6 @@ def possible(problem: Problem, full: Fit, term: Term, value: Floats, covariance:
     return True if rule is None else rule(problem, full, term, value, spread)
 
 
-def _positive(_problem: Problem, _full: Fit, _term: Term, value: Floats, spread: Floats) -> bool:
-    return bool((value > -2.0 * spread).all() and (value > 0).any())
-
-
 def _loss(_problem: Problem, _full: Fit, _term: Term, value: Floats, _spread: Floats) -> bool:
     return bool(0.0 < value[0] < 0.6)
 
@@ -116,7 +113,7 @@ def _loss(_problem: Problem, _full: Fit, _term: Term, value: Floats, _spread: Fl
 def _coupling(problem: Problem, full: Fit, term: Term, value: Floats, spread: Floats) -> bool:
     if term.shape == "mixing":
         return bool(0.02 < abs(value[0]) < LARGEST_SCALE)
-    return _positive(problem, full, term, value, spread)
+    return bool((value[:2] > -2.0 * spread[:2]).all() and (value[:2] > 0).any())
 
 
 def _dissipates(problem: Problem, full: Fit, term: Term, value: Floats, _spread: Floats) -> bool:
@@ -134,11 +131,12 @@ def _dissipates(problem: Problem, full: Fit, term: Term, value: Floats, _spread:
 
 
 def _opposes_gravity(_problem: Problem, full: Fit, term: Term, value: Floats, _spread: Floats) -> bool:
-    """A balancer takes torque off axis 2 that gravity puts there."""
+    """A balancer takes a good part off the torque that gravity puts on axis 2: nobody builds one for less."""
     motion = _problem.motion
     push = term.columns(motion, full.modelled)[:, 0] @ value
-    still = np.einsum("nap,np->na", motion.rigid, full.modelled.body)[:, 1]
-    return float(push @ still) < 0.0 or abs(np.corrcoef(push, still)[0, 1]) < 0.5
+    still = full.modelled.rigid_nm[:, 1]
+    large = np.sqrt(np.mean(push**2)) > SMALLEST_BALANCER * np.sqrt(np.mean(still**2))
+    return bool(large and (push @ still < 0.0 or abs(np.corrcoef(push, still)[0, 1]) < 0.5))
 
 
 def _small_angle(_problem: Problem, _full: Fit, _term: Term, value: Floats, _spread: Floats) -> bool:

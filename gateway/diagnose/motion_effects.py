@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.motion_fit import Problem, fit
-from gateway.diagnose.motion_select import State
-from gateway.model import motion_terms as library
+from gateway.diagnose.motion_fit import Problem
+from gateway.diagnose.motion_load import over_blocks
+from gateway.diagnose.motion_select import State, coupling_cost
 from gateway.model.motion_terms import ANCHOR_M, LEVER_M, Term
 
 Floats = NDArray[np.float64]
@@ -29,6 +29,7 @@ def parameters_of(problem: Problem, state: State, terms: Sequence[Term]) -> tupl
     extra = list(problem.base.friction[terms[0].axes[0], :2]) if name == "velocity_friction" else []
     index = np.array([*where, *extra])
     value, covariance = state.full.value[index], state.full.inverse[np.ix_(index, index)]
+    covariance = covariance + over_blocks(problem, state, index)
     parameters, std = _with_spread(convert, value, covariance)
     parameters |= {key: float(x) for term in terms for key, x in term.fixed}
     if name == "axis_coupling" and terms[0].shape == "motor":
@@ -115,18 +116,14 @@ def _heaviest(problem: Problem) -> float:
 
 def _is_rms_peak(scale: float, std: float) -> bool:
     near = [abs(scale * factor - 1.0) for factor in (RMS_PEAK, 1.0 / RMS_PEAK)]
-    return min(near) < min(max(RMS_PEAK_TOLERANCE, 2.0 * std / scale), 0.1)
+    return min(near) < min(max(RMS_PEAK_TOLERANCE, 2.0 * std / scale), 0.15)
 
 
 def _coupling_spread(problem: Problem, state: State, term: Term) -> float:
     """Standard deviation of the coefficient from the curvature of the cost."""
-    centre, step = dict(term.fixed)["coefficient"], 0.05
+    centre, step = dict(term.fixed)["coefficient"], 0.1
     pair = (term.joints[0], term.joints[1])
     others = [other for other in state.terms if other != term]
-    everything = ~problem.motion.given
-    costs = []
-    for move in (-step, step):
-        member = library.axis_coupling(pair, centre * (1.0 + move))
-        costs.append(fit(problem, [*others, member], everything, problem.motion.given).cost)
-    curvature = (costs[0] + costs[1] - 2.0 * state.full.cost) / (step * centre) ** 2
+    low, middle, high = (coupling_cost(problem, others, pair, centre * (1.0 + move)) for move in (-step, 0.0, step))
+    curvature = (low + high - 2.0 * middle) / (step * centre) ** 2
     return float(np.sqrt(2.0 / curvature)) if curvature > 0 else abs(centre) * step

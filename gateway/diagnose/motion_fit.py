@@ -20,7 +20,7 @@ from gateway.model.motion_terms import Modelled, Term
 
 Floats = NDArray[np.float64]
 
-ROUNDS = 3
+ROUNDS = 4
 RIDGE = 1e-10
 INDEPENDENT = 1e-5
 
@@ -107,16 +107,38 @@ def fit(problem: Problem, terms: Sequence[Term], train: Mask, test: Mask) -> Fit
     weight = problem.noise.weight * motion.judged * train[:, None]
     mean = np.concatenate([base.mean, np.zeros(sum(len(term.symbols) for term in terms))])
     precision = np.concatenate([base.precision, np.zeros(len(mean) - len(base.mean))])
-    modelled = None
-    for _ in range(1 + ROUNDS * any(term.modelled for term in terms)):
-        columns = _columns(motion, base, terms, modelled)
-        inverse, value, cost = solve(columns, motion.tau_nm, weight, mean, precision)
+    gains = _gain_positions(base, terms)
+    factor = np.ones(6)
+    columns, modelled = _columns(motion, base, terms, None), None
+    inverse, value, cost = solve(columns, motion.tau_nm, weight, mean, precision)
+    for _ in range(ROUNDS * any(term.modelled for term in terms)):
         modelled = model_torque(problem, terms, columns, value)
+        columns = _columns(motion, base, terms, modelled)
+        for axis in gains:
+            columns[:, axis, : base.friction[0, 0]] *= factor[axis]
+        inverse, value, cost = solve(columns, motion.tau_nm, weight, mean, precision)
+        for axis, position in gains.items():
+            factor[axis] += value[position]
+    modelled = model_torque(problem, terms, columns, value)
     residual = motion.tau_nm - columns @ value
-    return Fit(weight, test, columns, inverse, value, residual, modelled, cost)  # type: ignore[arg-type]
+    for axis, position in gains.items():
+        value[position] = factor[axis] - 1.0
+    return Fit(weight, test, columns, inverse, value, residual, modelled, cost)
+
+
+def _gain_positions(base: Baseline, terms: Sequence[Term]) -> dict[int, int]:
+    """Axis and parameter of every scale of a reading: it multiplies what the bodies give, so the columns of the
+    bodies carry the scale found so far and the parameter is the step that is left."""
+    found, start = {}, base.columns.shape[2]
+    for term in terms:
+        if term.name == "torque_constant_scale":
+            found[term.axes[0]] = start
+        start += len(term.symbols)
+    return found
 
 
 def _columns(motion: Motion, base: Baseline, terms: Sequence[Term], modelled: Modelled | None) -> Floats:
+    """Columns (n, 6, P); those that need the modelled torque are zero as long as there is none."""
     if not terms:
         return base.columns
     parts = [base.columns]

@@ -37,9 +37,9 @@ def _load(problem: Problem, state: State, label: str, known: Mapping[str, tuple[
         return LoadResult(label, mass, 0.0, tuple(float(x) for x in com), (0.0, 0.0, 0.0))
     if label not in problem.base.loads:
         return LoadResult(label, unidentifiable=QUANTITIES)
-    where = problem.base.loads[label]
-    parameters = state.full.value[where][:4]
-    covariance = state.full.inverse[where, where][:4, :4] + _jackknife(problem, state, where)
+    where = np.arange(problem.base.loads[label].start, problem.base.loads[label].start + 4)
+    parameters = state.full.value[where]
+    covariance = state.full.inverse[np.ix_(where, where)] + over_blocks(problem, state, where)
     mass, mass_std = float(parameters[0]), float(np.sqrt(covariance[0, 0]))
     if not mass > 0 or mass_std > LOOSE_MASS * mass:
         return LoadResult(label, unidentifiable=QUANTITIES)
@@ -69,11 +69,11 @@ def _in_flange(problem: Problem, com_m: Floats) -> tuple[float, ...] | None:
     return tuple(float(x) for x in flange[:3, :3].T @ (com_m - flange[:3, 3]))
 
 
-def _jackknife(problem: Problem, state: State, where: slice) -> Floats:
-    """Covariance (4, 4) of mass and first moment over fits that leave out one block of time each."""
+def over_blocks(problem: Problem, state: State, where: NDArray[np.int_]) -> Floats:
+    """Covariance of parameters over fits that leave out one block of time each; zero with a given hold-out."""
     if problem.motion.given.any() or len(state.fits) < 3:
-        return np.zeros((4, 4))
-    estimates = np.array([fit.value[where][:4] for fit in state.fits])
+        return np.zeros((len(where), len(where)))
+    estimates = np.array([fit.value[where] for fit in state.fits])
     centred = estimates - estimates.mean(axis=0)
     return (len(estimates) - 1) / len(estimates) * centred.T @ centred
 

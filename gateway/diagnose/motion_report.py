@@ -29,17 +29,18 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 ROWS_KEPT = 600
+OVERFITTED = 2.0
 FAULTS = ("sign_reversed", "axes_swapped", "current_rms_peak")
 
 
 def result_of(outcome: Outcome) -> Result:
     """Write up a finished diagnosis."""
     problem, after = outcome.problem, outcome.after
-    effects = (*_mistakes(outcome), *(_effect(problem, after, item) for item in outcome.effects))
+    effects = (*_mistakes(outcome), *(_effect(problem, after, item, _tried(outcome)) for item in outcome.effects))
     doubtful = outcome.doubtful
     undecided = bool(doubtful) and not effects
     if undecided:
-        effects = tuple(part for item in doubtful for part in _rivals(problem, after, item))
+        effects = tuple(part for item in doubtful for part in _rivals(problem, after, item, _tried(outcome)))
     before = outcome.as_read if outcome.as_read is not None else outcome.before
     loads = loads_of(problem, after, outcome.known)
     return Result(
@@ -52,7 +53,7 @@ def result_of(outcome: Outcome) -> Result:
         holdout_kind="given" if problem.motion.given.any() else "blocks",
         friction_band_nm=_six(friction_level(problem, after.full)),
         rejected=_rejected(outcome),
-        next=tuple(_tell_apart(item) for item in doubtful),
+        next=(*(_tell_apart(item) for item in doubtful), *_richer(outcome, bool(effects))),
         findings=(*_faults(effects), *_remarks(outcome)),
         provenance=_provenance(problem, outcome),
         rows=_rows(problem, after),
@@ -95,21 +96,26 @@ def _joints(joints: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(joint + 1 for joint in joints)
 
 
-def _effect(problem: Problem, state: State, item: Chosen) -> EffectResult:
+def _effect(problem: Problem, state: State, item: Chosen, tried: int) -> EffectResult:
+    """`p_value` counts every candidate that was tried (Bonferroni)."""
     name, parameters, std = parameters_of(problem, state, item.terms)
     runner = item.runner_up
     evidence = Evidence(
         holdout_rms_ratio=item.trial.ratio,
-        p_value=max(item.trial.p_demand, 1e-300),
+        p_value=min(1.0, max(item.trial.p_demand * tried, 1e-300)),
         runner_up=runner.term.name if runner is not None else None,
         odds=item.odds,
     )
     return EffectResult(name, _joints(item.terms[0].joints), parameters, std, evidence)
 
 
-def _rivals(problem: Problem, state: State, item: Chosen) -> list[EffectResult]:
+def _tried(outcome: Outcome) -> int:
+    return len(outcome.rejected) + len(outcome.effects) + len(outcome.doubtful)
+
+
+def _rivals(problem: Problem, state: State, item: Chosen, tried: int) -> list[EffectResult]:
     """Both effects that explain the same rows."""
-    found = [_effect(problem, state, item)]
+    found = [_effect(problem, state, item, tried)]
     rival = item.runner_up
     if rival is not None:
         values = dict(zip(rival.term.symbols, (float(x) for x in rival.value), strict=True))
@@ -132,7 +138,16 @@ def _verdict(outcome: Outcome, undecided: bool, any_effect: bool) -> str:
         return "undecided"
     if any_effect:
         return "improved"
+    if _does_not_carry(outcome):
+        return "undecided"
     return "unexplained" if outcome.structure else "none_needed"
+
+
+def _does_not_carry(outcome: Outcome) -> bool:
+    """The model fits the rows but not those held out: the motion is too poor for what is to be estimated."""
+    fitted, held = _rms(outcome.problem, outcome.after), outcome.after.held.rms_nm
+    there = fitted > 0
+    return bool(there.any() and np.median(held[there] / fitted[there]) > OVERFITTED)
 
 
 def _rejected(outcome: Outcome) -> tuple[Rejected, ...]:
@@ -156,6 +171,13 @@ def _tell_apart(item: Chosen) -> NextMeasurement:
     axes = ", ".join(f"J{axis + 1}" for axis in item.terms[0].axes)
     what = f"a moving run in which {axes} pass the same postures at several speeds, in both directions, bare and loaded"
     return NextMeasurement(what, tells_apart=tuple(names))
+
+
+def _richer(outcome: Outcome, any_effect: bool) -> tuple[NextMeasurement, ...]:
+    if any_effect or not _does_not_carry(outcome):
+        return ()
+    what = "a longer moving run over the whole range of every axis; the rows held out are not foretold by the others"
+    return (NextMeasurement(what),)
 
 
 def _faults(effects: tuple[EffectResult, ...]) -> tuple[Finding, ...]:
@@ -198,7 +220,7 @@ def _provenance(problem: Problem, outcome: Outcome) -> dict[str, object]:
         "holdout_blocks": len(problem.splits),
         "inertials": "ignore" if trust is None else f"prior:{trust:g}",
         "rows_that_count": _six(problem.noise.share * motion.judged.sum(axis=0)),
-        "candidates_tried": len(outcome.rejected) + len(outcome.effects),
+        "candidates_tried": _tried(outcome),
     }
 
 

@@ -19,6 +19,8 @@ from gateway.model import motion_terms as library
 from gateway.model.motion_terms import Term
 
 FRICTION = frozenset({"velocity_friction", "load_dependent_friction"})
+COUPLING_STEPS = np.array([0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0])
+COUPLING_SLACK = 4.0
 LARGEST_MODEL = 16
 RUNNERS = 12
 
@@ -190,18 +192,28 @@ def _possible_part(problem: Problem, state: State, trial: Trial, term: Term, par
 
 
 def refine(problem: Problem, state: State, term: Term) -> Term:
-    """The member of a family with the best shape parameter, by cost of the fitted rows around the grid value."""
+    """The coupling whose coefficient the fitted rows prefer; a one-to-one train if they do not contradict it."""
     if term.name != "axis_coupling" or term.shape != "motor":
         return term
     pair = (term.joints[0], term.joints[1])
     centre = dict(term.fixed)["coefficient"]
-    best, lowest = term, np.inf
-    for coefficient in centre * np.array([0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0]):
-        member = library.axis_coupling(pair, float(coefficient))
-        cost = fit(problem, (*state.terms, member), ~problem.motion.given, problem.motion.given).cost
-        if cost < lowest:
-            best, lowest = member, cost
-    return best
+    others = [other for other in state.terms if other.key != term.key]
+    grid = np.unique(np.concatenate([centre * COUPLING_STEPS, [np.sign(centre)]]))
+    costs = np.array([coupling_cost(problem, others, pair, float(value)) for value in grid])
+    whole = int(np.argmin(np.abs(grid - np.sign(centre))))
+    chosen = whole if costs[whole] - costs.min() < COUPLING_SLACK else int(np.argmin(costs))
+    return library.axis_coupling(pair, float(grid[chosen]))
+
+
+def coupling_cost(problem: Problem, others: Sequence[Term], pair: tuple[int, int], coefficient: float) -> float:
+    """Cost of the fitted rows if all friction and rotor inertia of axis j sit on its motor: only then does the
+    coefficient show, because what sits on the joint turns at the joint's own speed."""
+    precision = problem.base.precision.copy()
+    columns = problem.base.columns[:, pair[1], problem.base.friction[pair[1], :3]]
+    precision[problem.base.friction[pair[1], :3]] = 1e8 * (columns**2).sum(axis=0) * problem.noise.weight[pair[1]] ** 2
+    clamped = replace(problem, base=replace(problem.base, precision=precision))
+    member = library.axis_coupling(pair, coefficient)
+    return fit(clamped, (*others, member), ~problem.motion.given, problem.motion.given).cost
 
 
 def _without_idle(problem: Problem, state: State, tried: int) -> State:

@@ -52,7 +52,15 @@ def _shapeless(axis: int, top_rad_s: float) -> list[Term]:
         part, sign = np.abs(motion.qd_rad_s[:, axis]) / top_rad_s, motion.sign[:, axis]
         return np.stack([sign * np.exp(-part / 0.1), sign * part**2, part], axis=1)[:, None, :]
 
+    def postures(motion: Motion, _: Modelled) -> Floats:
+        return np.concatenate([np.sin(motion.q_rad), np.cos(motion.q_rad)], axis=1)[:, None, :]
+
+    def neighbours(motion: Motion, _: Modelled) -> Floats:
+        others = [other for other in range(6) if other != axis]
+        return np.concatenate([motion.sign[:, others], motion.qd_rad_s[:, others]], axis=1)[:, None, :]
+
+    shapes = ((angle, 4), (directed, 2), (speed, 3), (postures, 12), (neighbours, 10))
     return [
-        Term("structure", (axis,), (axis,), columns, symbols, symbols[0])
-        for columns, symbols in ((angle, ("a", "b", "c", "d")), (directed, ("e", "f")), (speed, ("g", "h", "i")))
+        Term("structure", (axis,), (axis,), columns, tuple(f"c{number}" for number in range(count)), str(position))
+        for position, (columns, count) in enumerate(shapes)
     ]

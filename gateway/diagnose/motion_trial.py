@@ -13,6 +13,8 @@ from gateway.diagnose.motion_fit import INDEPENDENT, Fit, Problem, counting_shar
 from gateway.model.motion_terms import Term
 
 Floats = NDArray[np.float64]
+FEWEST_STRETCHES, MOST_STRETCHES = 6, 24
+QUIET = 0.1
 # Coefficients, their covariance, drop of the cost, residual (n, len(axes)) with the effect, fit without it.
 Solved = tuple[Floats, Floats, float, Floats, Fit]
 
@@ -50,7 +52,7 @@ class Trial:
     p_demand : float
         Probability that the fitted rows alone would demand as much by chance (F test, prior included).
     p_held : float
-        The same for the drop of the held-out error (one-sided t over stretches of correlated loss).
+        The same for the drop of the held-out error (one-sided t over stretches of time).
     blocks_better : float
         Share of the held-out blocks that got better on the effect's axes.
     value : array of shape (k,)
@@ -110,7 +112,7 @@ def put_on_trial(problem: Problem, fits: Sequence[Fit], full: Fit, term: Term) -
 
 def _extend(fit: Fit, axes: list[int], columns: Floats) -> tuple[Floats, Floats, Floats, float] | None:
     """Coefficients (k,), their covariance, the change of the other parameters (P,) with its sign turned, and the drop
-    of the cost; None if the columns are collinear with the model."""
+    of the cost. What is collinear with the model stays zero; None if all of it is."""
     weight = fit.weight[:, axes] ** 2
     own = columns.reshape(-1, columns.shape[2])
     weighted = (columns * weight[:, :, None]).reshape(-1, columns.shape[2])
@@ -122,9 +124,12 @@ def _extend(fit: Fit, axes: list[int], columns: Floats) -> tuple[Floats, Floats,
     scale = np.sqrt(size)
     lead = fit.inverse @ cross
     rest = (raw - cross.T @ lead) / scale / scale[:, None]
-    if np.linalg.eigvalsh(rest)[0] < INDEPENDENT:
+    strength, direction = np.linalg.eigh(rest)
+    seen = strength > INDEPENDENT
+    if not seen.any():
         return None
-    covariance = np.linalg.inv(rest) / scale / scale[:, None]
+    root = direction[:, seen] / np.sqrt(strength[seen]) / scale[:, None]
+    covariance = root @ root.T
     right = weighted.T @ fit.residual_nm[:, axes].reshape(-1)
     value = covariance @ right
     return value, covariance, lead @ value, float(right @ value)
@@ -149,14 +154,15 @@ def judge(
     own = np.intersect1d(axes, np.flatnonzero(there))
     scale = noise.sigma_nm[own] if len(own) > 2 else np.ones(len(own))
     ratio = float(np.sqrt((new[own] / scale**2).sum() / (old[own] / scale**2).sum())) if len(own) else 1.0
-    loss = ((before.residual_nm**2 - after.residual_nm**2)[:, own] / noise.sigma_nm[own] ** 2).sum(axis=1)
-    better = [float(loss[fit.test].sum()) > 0 for fit in fits]
+    was, now = (((held.residual_nm[:, own] / noise.sigma_nm[own]) ** 2).sum(axis=1) for held in (before, after))
+    better = [float((was - now)[fit.test].sum()) > 0 for fit in fits]
+    rows = before.counted[:, own].any(axis=1)
     return Trial(
         term=term,
         ratio=ratio,
         gain=float(0.5 * (effective * log).sum()),
-        p_demand=_demand(problem, full, axes, rest, drop, len(value)),
-        p_held=drop_by_chance(loss[before.counted.any(axis=1)]),
+        p_demand=_demand(problem, full, axes, rest, drop, max(int(np.linalg.matrix_rank(covariance, hermitian=True)), 1)),
+        p_held=drop_by_chance(was[rows], now[rows]),
         blocks_better=float(np.mean(better)),
         value=value,
         covariance=covariance,
@@ -175,16 +181,23 @@ def _demand(problem: Problem, full: Fit, axes: list[int], after_nm: Floats, drop
     return float(stats.f.sf(drop / left * min(freedom, counted) / count, count, freedom))
 
 
-def drop_by_chance(loss: Floats) -> float:
-    """One-sided p that the mean of a correlated series (n,) of loss differences is not above zero.
+def drop_by_chance(before: Floats, after: Floats) -> float:
+    """One-sided p that the held-out squares (n,) of a correlated series do not drop on the whole.
 
-    Stretches of three correlation times are averaged (5 to 40 of them) and put to a t test.
+    The log of the ratio over stretches of about one correlation time (6 to 24 of them) is put to a t test; a stretch
+    that was quiet before counts little, because a part of the mean is added to both sides.
     """
-    count = int(np.clip(len(loss) * counting_share(loss) / 1.5, 5, 40))
-    if len(loss) < 2 * count:
+    count = int(np.clip(len(before) * counting_share(before - after), FEWEST_STRETCHES, MOST_STRETCHES))
+    if len(before) < 2 * count or not before.any():
         return 1.0
-    means = np.array([part.mean() for part in np.array_split(loss, count)])
-    spread = means.std(ddof=1)
+    floor = QUIET * before.mean()
+    logs = np.array(
+        [
+            np.log((new.mean() + floor) / (old.mean() + floor))
+            for old, new in zip(np.array_split(before, count), np.array_split(after, count), strict=True)
+        ]
+    )
+    spread = logs.std(ddof=1)
     if spread == 0:
-        return 1.0 if means.mean() <= 0 else 0.0
-    return float(stats.t.sf(means.mean() / spread * np.sqrt(count), count - 1))
+        return 1.0 if logs.mean() >= 0 else 0.0
+    return float(stats.t.cdf(logs.mean() / spread * np.sqrt(count), count - 1))
