@@ -143,8 +143,8 @@ def expectation(
     scale = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     if np.linalg.matrix_rank(information / np.outer(scale, scale), tol=1e-8) < 4:
         raise PlanRefused(
-            "these poses do not tell mass and centre of gravity apart: gravity must come from directions that differ by "
-            "more than 30 degrees in the frame of the flange; turn the wrist further between poses"
+            "these poses do not tell mass and centre of gravity apart: gravity must come from directions that differ "
+            "by more than 30 degrees in the frame of the flange; turn the wrist further between poses"
         )
     covariance = np.linalg.inv(information)
     mass_kg, com_m = _reference_load(workspace, q_rad)

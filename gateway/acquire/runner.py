@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from drives.errors import DriveError
@@ -61,19 +62,21 @@ def run_plan(station: Station, request: RunRequest) -> None:
 
 
 def _make_safe(station: Station, run: Run, failure: BaseException | None) -> None:
-    """Stop, then brakes on; an error on the way is added to the one that is under way."""
-    errors: list[Exception] = []
+    """Stop, then brakes on, whatever the stop does; an error on the way is added to the one that is under way."""
     stop = station.arm.quick_stop if isinstance(failure, DriveError | LimitExceeded) else run.stop_softly
-    for action in (stop, station.arm.disable):
-        try:
-            action()
-        except (DriveError, GatewayError) as error:
-            errors.append(error)
-    if errors and failure is None:
-        raise errors[0]
-    for error in errors:
-        if failure is not None:
-            failure.add_note(f"while stopping: {error}")
+    try:
+        _attempt(stop, failure)
+    finally:
+        _attempt(station.arm.disable, failure)
+
+
+def _attempt(action: Callable[[], None], failure: BaseException | None) -> None:
+    try:
+        action()
+    except Exception as error:
+        if failure is None:
+            raise
+        failure.add_note(f"while stopping: {error}")
 
 
 def _keep_the_rest(station: Station, run: Run, failure: BaseException) -> None:

@@ -6,8 +6,10 @@ from collections import deque
 
 import numpy as np
 
-WINDOW_S = 0.15
+WINDOW_S = 0.12
 LEAST_WINDOW = 10
+#: Three windows: at the crest of an oscillation, two neighbouring means agree by chance.
+WINDOWS = 3
 #: Difference of two window means that noise alone explains, in its standard deviations.
 SIGMAS = 3.0
 #: Movement within a window that counts as standing.
@@ -17,11 +19,11 @@ TORQUE_FLOOR_SHARE = 5e-4
 
 
 class SettleTest:
-    """Compares two successive windows of samples.
+    """Compares three successive windows of samples.
 
-    A joint stands if its positions in the last window lie within noise, and if the mean torques of the last two
-    windows differ by no more than noise explains. Noise is taken from the differences of neighbouring samples, which a
-    slow drift does not inflate.
+    A joint stands if its positions in the last window lie within noise, and if the mean torques of the windows differ
+    by no more than noise explains. Noise is taken from the differences of neighbouring samples, which a slow drift
+    does not inflate.
 
     Parameters
     ----------
@@ -34,7 +36,7 @@ class SettleTest:
     def __init__(self, period_s: float, torque_limit_nm: np.ndarray) -> None:
         self.window = max(LEAST_WINDOW, round(WINDOW_S / period_s))
         self._floor_nm = TORQUE_FLOOR_SHARE * torque_limit_nm
-        self._rows: deque[np.ndarray] = deque(maxlen=2 * self.window)
+        self._rows: deque[np.ndarray] = deque(maxlen=WINDOWS * self.window)
 
     def add(self, q_rad: np.ndarray, torque_nm: np.ndarray) -> None:
         """Take in one complete sample, (6,) each."""
@@ -42,12 +44,11 @@ class SettleTest:
 
     def restless(self) -> np.ndarray | None:
         """Joints that do not stand yet: bool array of shape (6,); None = too few samples to tell."""
-        if len(self._rows) < 2 * self.window:
+        if len(self._rows) < WINDOWS * self.window:
             return None
         rows = np.array(self._rows)
         noise = np.sqrt((np.diff(rows, axis=0) ** 2).mean(axis=0) / 2.0)
-        late, early = rows[self.window :], rows[: self.window]
-        moved = np.ptp(late[:, :6], axis=0) > POSITION_FLOOR_RAD + 2.0 * SIGMAS * noise[:6]
-        drift = np.abs(late[:, 6:].mean(axis=0) - early[:, 6:].mean(axis=0))
+        moved = np.ptp(rows[-self.window :, :6], axis=0) > POSITION_FLOOR_RAD + 2.0 * SIGMAS * noise[:6]
+        drift = np.ptp(rows[:, 6:].reshape(WINDOWS, self.window, 6).mean(axis=1), axis=0)
         allowed = self._floor_nm + SIGMAS * np.sqrt(2.0 / self.window) * noise[6:]
         return moved | (drift > allowed)

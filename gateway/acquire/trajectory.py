@@ -14,6 +14,8 @@ import ruckig
 from gateway.errors import PlanRefused
 
 AXES = 6
+#: Speed [rad/s] or acceleration [rad/s2] that counts as none.
+STILL = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,8 +67,12 @@ def straight(start_rad: np.ndarray, target_rad: np.ndarray, limits: MotionLimits
     PlanRefused
         A limit or position that no motion fits (not finite, not positive).
     """
-    request = _request(start_rad, limits)
+    request = ruckig.InputParameter(AXES)
+    request.current_position = [float(value) for value in start_rad]
     request.target_position = [float(value) for value in target_rad]
+    request.max_velocity = [float(value) for value in limits.speed_rad_s]
+    request.max_acceleration = [float(value) for value in limits.acceleration_rad_s2]
+    request.max_jerk = [float(value) for value in limits.jerk_rad_s3]
     request.synchronization = ruckig.Synchronization.Phase
     motion = _sample(request, period_s)
     if len(motion):
@@ -76,7 +82,14 @@ def straight(start_rad: np.ndarray, target_rad: np.ndarray, limits: MotionLimits
 
 
 def stop(state: tuple[np.ndarray, np.ndarray, np.ndarray], limits: MotionLimits, period_s: float) -> Motion:
-    """Shortest jerk-limited motion from position, velocity and acceleration (6,) each to rest.
+    """Jerk-limited motion to rest, on the straight line the arm moves along.
+
+    Parameters
+    ----------
+    state : arrays of shape (6,)
+        Position, and velocity and acceleration along one line in joint space.
+    limits : MotionLimits
+    period_s : float
 
     Raises
     ------
@@ -84,33 +97,33 @@ def stop(state: tuple[np.ndarray, np.ndarray, np.ndarray], limits: MotionLimits,
         The state is outside what the limits allow.
     """
     q_rad, qd_rad_s, qdd_rad_s2 = state
-    request = _request(q_rad, limits)
+    line = qd_rad_s if np.abs(qd_rad_s).max() > STILL else qdd_rad_s2
+    largest = np.abs(line).max()
+    if largest <= STILL:
+        return Motion(np.empty((0, AXES)), np.empty((0, AXES)), np.empty((0, AXES)), period_s)
+    line = line / largest
+    moving = np.abs(line) > STILL
+    request = ruckig.InputParameter(1)
     request.control_interface = ruckig.ControlInterface.Velocity
-    request.current_velocity = [float(value) for value in qd_rad_s]
-    request.current_acceleration = [float(value) for value in qdd_rad_s2]
-    request.target_velocity = [0.0] * AXES
-    request.synchronization = getattr(ruckig.Synchronization, "None")
-    return _sample(request, period_s)
-
-
-def _request(q_rad: np.ndarray, limits: MotionLimits) -> ruckig.InputParameter:
-    request = ruckig.InputParameter(AXES)
-    request.current_position = [float(value) for value in q_rad]
-    request.max_velocity = [float(value) for value in limits.speed_rad_s]
-    request.max_acceleration = [float(value) for value in limits.acceleration_rad_s2]
-    request.max_jerk = [float(value) for value in limits.jerk_rad_s3]
-    return request
+    request.current_velocity = [float(qd_rad_s @ line / (line @ line))]
+    request.current_acceleration = [float(qdd_rad_s2 @ line / (line @ line))]
+    request.target_velocity = [0.0]
+    request.max_acceleration = [float((limits.acceleration_rad_s2[moving] / np.abs(line[moving])).min())]
+    request.max_jerk = [float((limits.jerk_rad_s3[moving] / np.abs(line[moving])).min())]
+    along = _sample(request, period_s)
+    return Motion(q_rad + along.q_rad * line, along.qd_rad_s * line, along.qdd_rad_s2 * line, period_s)
 
 
 def _sample(request: ruckig.InputParameter, period_s: float) -> Motion:
-    trajectory = ruckig.Trajectory(AXES)
+    axes = request.degrees_of_freedom
+    trajectory = ruckig.Trajectory(axes)
     try:
-        result = ruckig.Ruckig(AXES).calculate(request, trajectory)
+        result = ruckig.Ruckig(axes).calculate(request, trajectory)
     except RuntimeError as error:
         raise PlanRefused(f"no motion fits the limits: {error}") from error
     if result not in (ruckig.Result.Working, ruckig.Result.Finished):
         raise PlanRefused(f"no motion fits the limits ({result.name}): every limit must be positive and finite")
     count = int(np.ceil(trajectory.duration / period_s - 1e-9))
     rows = [trajectory.at_time(min(step * period_s, trajectory.duration)) for step in range(1, count + 1)]
-    q, qd, qdd = (np.array([row[part] for row in rows]).reshape(-1, AXES) for part in range(3))
+    q, qd, qdd = (np.array([row[part] for row in rows]).reshape(-1, axes) for part in range(3))
     return Motion(q, qd, qdd, period_s)
