@@ -9,6 +9,7 @@ from drives import bringup
 from drives.access import ObjectAccess
 from drives.bus import Bus, Frame
 from drives.cia402 import Mode
+from drives.decode import Decoder, Fields, double_decoder, single_decoder
 from drives.errors import CommandRefused, ConfigurationRefused, DriveError
 from drives.heartbeat import NmtCommand, send_nmt
 from drives.ledger import WriteLedger
@@ -69,8 +70,8 @@ class Drive(Protocol):
         """The frame of the staged target."""
         ...
 
-    def decode(self, sync_index: int, frames: Sequence[bytes | bytearray]) -> DriveReading:
-        """Reading of one SYNC."""
+    def decoder(self, first_slot: int) -> Decoder:
+        """Function that turns the frames of one SYNC into this drive's reading."""
         ...
 
 
@@ -95,10 +96,7 @@ class Cia402Drive:
         self._bus = bus
         self._scale: MotorScale | None = None
         self._rpdo = rpdo_plan(self.node_id)
-        self._tpdos, roles = tpdo_plans(setup.profile, self.node_id)
-        self._layouts = tuple(plan.layout.unpack for plan in self._tpdos)
-        self._has_velocity = "velocity" in roles
-        self._has_current = "current" in roles
+        self._tpdos, self._roles = tpdo_plans(setup.profile, self.node_id)
         self._frame = bus.prepare(self._rpdo.cob_id, COMMAND.size)
         self._staged = (0, 0)
         self._sync_period_s = 0.0
@@ -214,7 +212,7 @@ class Cia402Drive:
         CommandRefused
             Outside position, speed or torque limits, or not a number.
         """
-        scale = self.scale
+        scale = self._scale or self.scale
         try:
             count = round(command.position_rad / scale.count_rad)
             offset = self._offset(command.torque_offset_nm) if command.torque_offset_nm else 0
@@ -252,32 +250,21 @@ class Cia402Drive:
         COMMAND.pack_into(self._frame.data, 0, controlword, count, offset)
         return self._frame
 
-    def decode(self, sync_index: int, frames: Sequence[bytes | bytearray]) -> DriveReading:
-        """Reading of one SYNC.
+    def decoder(self, first_slot: int) -> Decoder:
+        """Function that turns the frames of one SYNC into this drive's reading.
 
         Parameters
         ----------
-        sync_index : int
-        frames : sequence of bytes
-            One per entry of `answers`, of its length.
+        first_slot : int
+            Place of this drive's first frame among the frames of all drives.
+
+        Raises
+        ------
+        ConfigurationRefused
+            The drive has not been configured.
         """
-        scale = self._scale or self.scale
-        values = self._layouts[0](frames[0])
-        if len(frames) > 1:
-            values += self._layouts[1](frames[1])
-        velocity = values[3] if self._has_velocity else None
-        current = values[-1] if self._has_current else None
-        position, torque = values[1], values[2]
-        return DriveReading(
-            self.node_id,
-            sync_index,
-            values[0],
-            position,
-            torque,
-            velocity,
-            current,
-            position * scale.count_rad,
-            torque * scale.torque_nm,
-            None if velocity is None or scale.velocity_rad_s is None else velocity * scale.velocity_rad_s,
-            None if current is None or scale.current_a is None else current * scale.current_a,
-        )
+        unpack = [plan.layout.unpack for plan in self._tpdos]
+        if len(unpack) == 1:
+            return single_decoder(self.node_id, first_slot, unpack[0], self.scale)
+        fields = Fields("velocity" in self._roles, "current" in self._roles)
+        return double_decoder(self.node_id, first_slot, (unpack[0], unpack[1]), self.scale, fields)

@@ -31,7 +31,7 @@ class Epoch:
     @property
     def complete(self) -> bool:
         """Whether every axis answered this SYNC."""
-        return None not in self.readings
+        return all(reading is not None for reading in self.readings)
 
     @property
     def missing(self) -> tuple[int, ...]:

@@ -11,6 +11,7 @@ from drives.bus import SYNC_ID, Bus
 from drives.busload import cycle_bits_worst
 from drives.cia402 import State, decode_state
 from drives.clock import SyncClock
+from drives.decode import Decoder
 from drives.drive import Cia402Drive
 from drives.epoch import Epoch, EpochCollector
 from drives.heartbeat import HeartbeatProducer
@@ -79,15 +80,15 @@ class SyncExchange:
         self.started_s: float | None = None
         self.clock = SyncClock(bus, timing.period_s)
         slots: list[tuple[int, int]] = []
-        slices = []
+        self._first_slots = []
         for drive in self.drives:
-            slices.append(slice(len(slots), len(slots) + len(drive.answers)))
+            self._first_slots.append(len(slots))
             slots += drive.answers
             bus.watch_master_id(drive.plans[0].cob_id)
         self.collector = EpochCollector(bus, slots)
         #: Worst-case bits of one cycle.
         self.cycle_bits = cycle_bits_worst([0, *(size for _, size in slots), *[COMMAND.size] * len(self.drives)])
-        self._axes = tuple(zip(range(len(slices)), self.drives, slices, strict=True))
+        self._decoders: tuple[Decoder, ...] = ()
         self._answer_timeout_s = timing.answer_timeout_s
         self._bus = bus
         self._producer = producer
@@ -103,7 +104,8 @@ class SyncExchange:
         return self.sync_index * self.timing.period_s
 
     def restart(self) -> None:
-        """Begin a new run: rhythm, silence and patience start afresh."""
+        """Begin a new run with configured drives: rhythm, silence and patience start afresh."""
+        self._decoders = tuple(drive.decoder(slot) for drive, slot in zip(self.drives, self._first_slots, strict=True))
         self.clock.restart()
         self.silent = [0] * len(self.drives)
         self._answer_timeout_s = self.timing.answer_timeout_s
@@ -155,16 +157,15 @@ class SyncExchange:
     def _row(self, frames: list[bytes | bytearray | None]) -> tuple[DriveReading | None, ...]:
         index, states, silent = self.sync_index, self.states, self.silent
         row: list[DriveReading | None] = []
-        for axis, drive, part in self._axes:
-            answers = frames[part]
-            if None in answers:
-                row.append(None)
+        missing = False
+        for axis, decode in enumerate(self._decoders):
+            reading = decode(index, frames)
+            row.append(reading)
+            if reading is None:
                 silent[axis] += 1
+                missing = True
             else:
-                reading = drive.decode(index, answers)  # pyright: ignore[reportArgumentType]
-                row.append(reading)
                 silent[axis] = 0
                 states[axis] = decode_state(reading.statusword)
-        if None in row:
-            self.incomplete += 1
+        self.incomplete += missing
         return tuple(row)
