@@ -1,0 +1,6 @@
+"""Diagnosis: from the residual to the effect that the model lacks, and what to measure where that is open."""
+
+from gateway.diagnose.entry import diagnose
+from gateway.diagnose.options import DiagnoseOptions
+
+__all__ = ["DiagnoseOptions", "diagnose"]

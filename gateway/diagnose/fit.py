@@ -1,9 +1,9 @@
 """One hypothesis fitted to rest visits: links, loads, friction band and the parameters of its effects.
 
-Half sums and half differences are rows; the CAD's inertials enter as rows with their standard deviation. Gauss-Newton on the
-modelled reading, the noise of each axis re-estimated on the way (restricted maximum likelihood: what the fit takes up is
-not counted as noise), with the scatter of the half differences as a weak prior. `evidence` is the logarithm of the
-Laplace approximation to the marginal likelihood (MacKay 1992), comparable between hypotheses on the same rows.
+Half sums and half differences are rows; the CAD's inertials enter as rows with their standard deviation. Gauss-Newton
+on the modelled reading, the noise of each axis re-estimated on the way (restricted maximum likelihood: what the fit
+takes up is not counted as noise), with the scatter of the half differences as a weak prior. `evidence` is the logarithm
+of the Laplace approximation to the marginal likelihood (MacKay 1992), comparable between hypotheses on the same rows.
 """
 
 from __future__ import annotations
@@ -185,9 +185,7 @@ def term_columns(problem: Problem, fit: Fit, term: Term, theta: Floats, position
                 values.append(moved)
             else:
                 values[position] = moved
-            sides.append(
-                modelled(problem, with_terms(terms, values, problem.rows), fit.links, fit.loads, fit.band)
-            )
+            sides.append(modelled(problem, with_terms(terms, values, problem.rows), fit.links, fit.loads, fit.band))
         columns[:, k] = (sides[0] - sides[1]) / (2.0 * step)
     return columns
 
@@ -200,13 +198,12 @@ def _steps(term: Term, theta: Floats, noise: Noise) -> Floats:
 
 
 def spread_of(problem: Problem, noise: Noise, term: Term, columns: Floats) -> Floats:
-    """Prior standard deviation (k,) of an effect's parameters: ten noise floors, or what is plausible if that is less."""
+    """Prior standard deviation (k,) of an effect's parameters: what is plausible, or ten noise floors."""
     weighted = columns / noise.std[problem.group][:, None]
     size = np.sqrt((weighted**2).sum(axis=0) / max(len(problem.rows), 1))
     by_strength = STRENGTH_SPREAD / np.maximum(size, 1e-12)
     plausible = np.array(term.spread)
-    out = np.where(np.isnan(plausible), by_strength, np.minimum(by_strength, plausible))
-    return np.where(np.array(term.linear), out, plausible)
+    return np.where(np.isnan(plausible), by_strength, plausible)
 
 
 @dataclass(slots=True, eq=False)
@@ -318,9 +315,7 @@ def _shell(problem: Problem, terms: Sequence[Term], state: _State, setting: Sett
     )
 
 
-def _prior(
-    problem: Problem, terms: Sequence[Term], state: _State, spreads: list[Floats]
-) -> tuple[Floats, Floats]:
+def _prior(problem: Problem, terms: Sequence[Term], state: _State, spreads: list[Floats]) -> tuple[Floats, Floats]:
     """Prior standard deviation (p,) and distance (p,) of the prior mean from the present point."""
     free = np.full(4 * len(problem.labels) + 6, np.inf)
     std = np.concatenate([problem.link_std, free, *spreads])

@@ -82,8 +82,8 @@ def build_problem(robot: Robot, rows: RestRows, knowledge: Knowledge) -> Problem
 def link_prior(robot: Robot, inertials: str) -> tuple[Floats, Floats]:
     """CAD value and standard deviation (24,) of [m, hx, hy, hz] per link.
 
-    The mass is trusted to the given share of itself, the first moment to that share of mass x link length, where the length
-    reaches to the next joint or to the centre of mass, whichever is further. Unknown links are open.
+    The mass is trusted to the given share of itself, the first moment to that share of mass x link length, where the
+    length reaches to the next joint or to the centre of mass, whichever is further. Unknown links are open.
     """
     relative = {"exact": EXACT, "ignore": np.inf}.get(inertials)
     if relative is None:

@@ -1,17 +1,20 @@
-"""Every candidate at once: linearised about a fit, with what links, loads, bands and found effects take up projected out."""
+"""Every candidate at once: linearised about a fit, with what its parameters take up projected out."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.fit import Fit, Problem, modelled, spread_of, term_columns, visit_loads, with_terms
+from gateway.diagnose.fit import Fit, Problem, spread_of, term_columns
 from gateway.model.terms.effects import Term
 
 Floats = NDArray[np.float64]
+
+
+INERT = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,14 +23,13 @@ class Screen:
 
     Attributes
     ----------
-    terms : candidates with at least one column that the common parameters do not take up
-    columns : per candidate (rows, k): weighted, projected, scaled to prior standard deviation 1
+    terms : candidates that do anything at all to the rows
     gram : (K, K) inner products of all columns
     score : (K,) inner products with the weighted, projected residual
     start : first column of each candidate
     width : number of columns of each candidate
     log_bayes : (candidates,) log Bayes factor of adding the candidate alone
-    raw : per candidate (rows, k) unweighted columns, unit of the prior spread applied
+    projected : (rows, K) weighted columns in units of the prior spread, projected
     """
 
     terms: tuple[Term, ...]
@@ -36,7 +38,7 @@ class Screen:
     start: NDArray[np.int_]
     width: NDArray[np.int_]
     log_bayes: Floats
-    raw: tuple[Floats, ...]
+    projected: Floats
 
     def pick(self, index: int) -> slice:
         """Columns of one candidate."""
@@ -56,28 +58,27 @@ def screen(problem: Problem, fit: Fit, terms: Sequence[Term], std: Floats) -> Sc
         Noise per group that weighs the rows.
     """
     weight = 1.0 / std[problem.group]
-    project, residual = _projector(problem, fit, weight)
-    kept, raw, weighted = [], [], []
+    project, residual = projector(problem, fit, weight)
+    kept, weighted = [], []
     for term in terms:
         columns = _columns(problem, fit, term)
         spread = spread_of(problem, fit.noise, term, columns)[np.array(term.linear)]
         columns = columns[:, np.array(term.linear)] * spread
-        if not np.isfinite(columns).all() or float(np.abs(columns).max(initial=0.0)) == 0.0:
+        if not np.isfinite(columns).all() or float(np.linalg.norm(columns * weight[:, None])) < INERT:
             continue
         kept.append(term)
-        raw.append(columns)
         weighted.append(columns * weight[:, None])
     if not kept:
         empty = np.zeros(0, dtype=int)
-        return Screen((), np.zeros((0, 0)), np.zeros(0), empty, empty, np.zeros(0), ())
+        return Screen((), np.zeros((0, 0)), np.zeros(0), empty, empty, np.zeros(0), np.zeros((0, 0)))
     stacked = project(np.hstack(weighted))
-    width = np.array([block.shape[1] for block in raw])
+    width = np.array([block.shape[1] for block in weighted])
     start = np.concatenate([[0], np.cumsum(width)[:-1]])
     gram, score = stacked.T @ stacked, stacked.T @ residual
     log_bayes = np.array(
         [log_bayes_factor(gram[s : s + w, s : s + w], score[s : s + w]) for s, w in zip(start, width, strict=True)]
     )
-    return Screen(tuple(kept), gram, score, start, width, log_bayes, tuple(raw))
+    return Screen(tuple(kept), gram, score, start, width, log_bayes, stacked[: len(weight)])
 
 
 def _columns(problem: Problem, fit: Fit, term: Term) -> Floats:
@@ -85,8 +86,13 @@ def _columns(problem: Problem, fit: Fit, term: Term) -> Floats:
     return term_columns(problem, fit, term, np.array(term.start, dtype=float))
 
 
-def _projector(problem: Problem, fit: Fit, weight: Floats):  # noqa: ANN202 - a closure over the basis
-    """What is left of weighted columns once the design of a fit, with its prior, has taken its part."""
+def projector(problem: Problem, fit: Fit, weight: Floats) -> tuple[Callable[[Floats], Floats], Floats]:
+    """What the design of a fit, with its prior rows, leaves of weighted columns; and of the weighted residual.
+
+    Returns
+    -------
+    function (rows, k) -> (rows and prior rows, k), and the residual (rows and prior rows,)
+    """
     held = np.isfinite(fit.prior_std)
     prior = np.diag(np.where(held, 1.0 / np.where(held, fit.prior_std, 1.0), 0.0))[held]
     more = np.zeros((len(problem.prior_target), fit.design.shape[1]))
@@ -141,6 +147,3 @@ def pair_log_bayes(view: Screen, first: NDArray[np.int_], second: NDArray[np.int
     solved = np.linalg.solve(blocks, right[:, :, None])[:, :, 0]
     _, log_det = np.linalg.slogdet(blocks)
     return 0.5 * np.einsum("pk,pk->p", right, solved) - 0.5 * log_det
-
-
-__all__ = ["Screen", "log_bayes_factor", "modelled", "pair_log_bayes", "screen", "visit_loads", "with_terms"]

@@ -1,8 +1,8 @@
 """Which effects, if any: singles, all pairs and further ones by evidence, then back again one by one.
 
-Candidates are ranked linearised (all singles, all pairs of places), the best are fitted in full, and hypotheses are compared
-by evidence plus the logarithm of their prior probability: every place of every effect is equally likely beforehand, its
-shapes share that probability. Shapes without a name compete on the same terms.
+Candidates are ranked linearised (all singles, all pairs of places), the best are fitted in full, and hypotheses are
+compared by evidence plus the logarithm of their prior probability: every place of every effect is equally likely
+beforehand, its shapes share that probability. Shapes without a name compete on the same terms.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.fit import Fit, Noise, Problem, fit
 from gateway.diagnose.screen import Screen, pair_log_bayes, screen
-from gateway.model.terms.effects import Term
+from gateway.model.terms.effects import BalancerSpring, Term
 
 Floats = NDArray[np.float64]
 Label = tuple[str, tuple[int, ...]]
@@ -27,11 +27,19 @@ PAIRS = 10
 FORWARD = 5
 MOST_EFFECTS = 3
 UNNAMED = 4
+IMPLAUSIBLE = 8.0
 
 
 def label(term: Term) -> Label:
     """Name and joints: what a reader calls the effect."""
     return term.name, term.joints
+
+
+def term_shapes(term: Term, among: Sequence[Term]) -> int:
+    """Number of shapes of an effect at one place; phases that are fitted anyway are not counted."""
+    if isinstance(term, BalancerSpring):
+        return len({(other.ratio, other.gas) for other in among if isinstance(other, BalancerSpring)})
+    return sum(label(other) == label(term) for other in among)
 
 
 @dataclass(slots=True, eq=False)
@@ -54,16 +62,17 @@ class Search:
     pool: dict[frozenset[Term], Fit] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for group in (self.named, self.unnamed):
-            labels = [label(term) for term in group]
-            places = len(set(labels)) if group is self.named else len(group)
-            for term in group:
-                shapes = labels.count(label(term)) if group is self.named else 1
-                self.prior[term] = -np.log(places) - np.log(shapes)
+        places = len({label(term) for term in self.named})
+        for term in self.named:
+            self.prior[term] = -np.log(places) - np.log(term_shapes(term, self.named))
+        for term in self.unnamed:
+            self.prior[term] = -np.log(len(self.unnamed))
 
     def score(self, hypothesis: Fit) -> float:
-        """Evidence plus log prior of a hypothesis."""
-        return hypothesis.evidence + sum(self.prior[term] for term in hypothesis.terms)
+        """Evidence plus log prior of a hypothesis; an effect that its mechanism cannot do costs `IMPLAUSIBLE` more."""
+        rows = self.problem.rows
+        odd = sum(not term.plausible(v, rows) for term, v in zip(hypothesis.terms, hypothesis.theta, strict=True))
+        return hypothesis.evidence + sum(self.prior[term] for term in hypothesis.terms) - IMPLAUSIBLE * odd
 
     def fitted(self, terms: Iterable[Term], start: Fit | None = None) -> Fit:
         """The fit of a set of effects, computed once."""
@@ -131,17 +140,19 @@ def _extend(search: Search, leader: Fit, candidates: Sequence[Term], count: int)
     if len(leader.terms) >= MOST_EFFECTS or any(term not in search.named for term in leader.terms):
         return
     taken = {label(term) for term in leader.terms}
-    view = screen(search.problem, leader, [t for t in candidates if label(t) not in taken], leader.noise.std)
-    seen: set[Label | Term] = set()
-    for index in np.argsort(-view.log_bayes):
-        term = view.terms[index]
-        key = label(term) if term in search.named else term
-        if key in seen:
-            continue
-        if len(seen) >= count or view.log_bayes[index] + search.prior[term] < -2.0:
-            break
-        seen.add(key)
-        search.fitted((*leader.terms, term), leader)
+    open_terms = [term for term in candidates if label(term) not in taken]
+    for std in (leader.noise.std, search.noise.start):
+        view = screen(search.problem, leader, open_terms, std)
+        seen: set[Label | Term] = set()
+        for index in np.argsort(-view.log_bayes):
+            term = view.terms[index]
+            key = label(term) if term.name != "unnamed" else term
+            if key in seen:
+                continue
+            if len(seen) >= count or view.log_bayes[index] + search.prior[term] < -2.0:
+                break
+            seen.add(key)
+            search.fitted((*leader.terms, term), leader)
 
 
 def _rivals(search: Search) -> None:

@@ -1,14 +1,13 @@
 """The effects that a model of an arm at rest may lack, one frozen dataclass each.
 
-An effect puts its parameters `theta` into a `Setting`; `parameters` and `units` name them, `linear` says which of them the
-torque is linear in, `start` is where the others begin (they are profiled out), `spread` is how large each may plausibly be
-(standard deviation of its prior; NaN = as far as ten noise floors reach). `report` turns the fitted values into the
-parameters an engineer reads.
+An effect puts its parameters `theta` into a `Setting`; `parameters` and `units` name them, `linear` says which of them
+the torque is linear in, `start` is where the others begin (they are profiled out), `spread` is how large each may
+plausibly be (standard deviation of its prior; NaN = as far as ten noise floors reach). `report` turns the fitted values
+into the parameters an engineer reads.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar, Protocol
 
@@ -48,6 +47,10 @@ class Term(Protocol):
         """The setting with the effect in it."""
         ...
 
+    def plausible(self, theta: Floats, rows: RestRows) -> bool:
+        """Whether the mechanism can do that: a spring that pushes where it should pull cannot."""
+        ...
+
     def report(self, theta: Floats, covariance: Floats) -> tuple[dict[str, float], dict[str, float]]:
         """Parameters and standard deviations by name."""
         ...
@@ -74,6 +77,9 @@ class _Base:
     @property
     def spread(self) -> tuple[float, ...]:
         return self.SPREAD
+
+    def plausible(self, theta: Floats, rows: RestRows) -> bool:
+        return True
 
     def report(self, theta: Floats, covariance: Floats) -> tuple[dict[str, float], dict[str, float]]:
         std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -120,6 +126,9 @@ class LoadDependentFriction(_OnAxis):
     units: ClassVar[tuple[str, ...]] = ("1",)
     SPREAD: ClassVar[tuple[float, ...]] = (0.2,)
 
+    def plausible(self, theta: Floats, rows: RestRows) -> bool:
+        return bool(theta[0] > 0)
+
     def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
         return replace(setting, load_friction=_plus(setting.load_friction, self.axis, theta[0]))
 
@@ -153,7 +162,7 @@ class JointZeroOffset(_OnAxis):
 
 @dataclass(frozen=True, slots=True)
 class TorqueConstantScale(_Base):
-    """The torque per ampere differs from the stored one, on one axis or (`axis` None) on all; `scale` = true / assumed."""
+    """Torque per ampere, true over stored (`scale`), of one axis or (`axis` None) of all."""
 
     axis: int | None = None
     name: ClassVar[str] = "torque_constant_scale"
@@ -229,6 +238,7 @@ class BalancerSpring(_Base):
     ratio: float = 0.6
     phase_rad: float = 0.0
     gas: bool = False
+    largest_nm: float = 1.0
     name: ClassVar[str] = "balancer_spring"
     parameters: ClassVar[tuple[str, ...]] = ("stiffness_n_m", "preload_nm", "phase_rad")
     units: ClassVar[tuple[str, ...]] = ("N/m", "Nm", "rad")
@@ -245,7 +255,7 @@ class BalancerSpring(_Base):
 
     @property
     def spread(self) -> tuple[float, ...]:
-        return (NAN, NAN, 0.5)
+        return (0.5 * self.largest_nm, 0.5 * self.largest_nm, 0.5)
 
     def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
         angle = rows.q_rad[:, 1] - theta[2]
@@ -253,6 +263,14 @@ class BalancerSpring(_Base):
         second = length if self.gas else 1.0 / length
         torque = -np.sin(angle) * (theta[0] + theta[1] * second)
         return replace(setting, passive_nm=_plus(setting.passive_nm, (slice(None), 1), torque))
+
+    def plausible(self, theta: Floats, rows: RestRows) -> bool:
+        """The spring is always under tension (or always under pressure), and pulls harder the longer it is."""
+        length = np.sqrt(1.0 - self.ratio * np.cos(rows.q_rad[:, 1] - theta[2]))
+        force = theta[0] * length + theta[1] * (length**2 if self.gas else 1.0)
+        slope = theta[0] + (2.0 * theta[1] * length if self.gas else 0.0 * length)
+        slack = 0.1 * float(np.abs(force).max())
+        return bool((force > -slack).all() and (slope * length > -slack).all())
 
     def report(self, theta: Floats, covariance: Floats) -> tuple[dict[str, float], dict[str, float]]:
         """Stiffness refers to sqrt(a^2 + b^2) = 1 m: torque alone gives k a b, not k."""
@@ -319,6 +337,9 @@ class JointElasticity(_OnAxis):
     @property
     def spread(self) -> tuple[float, ...]:
         return (0.1 / self.largest_nm,)
+
+    def plausible(self, theta: Floats, rows: RestRows) -> bool:
+        return bool(theta[0] > 0)
 
     def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
         return replace(setting, compliance_rad_nm=_plus(setting.compliance_rad_nm, self.axis, theta[0]))
@@ -387,10 +408,10 @@ class LinkMass(_OnAxis):
 
 @dataclass(frozen=True, slots=True)
 class PayloadShift(_Base):
-    """The load's centre of gravity jumps at `time_s`, or drifts from then on (`drifts`: at the last visit fully moved)."""
+    """The load's centre of gravity jumps at `time_s`, or drifts from then until `until_s`."""
 
     time_s: float
-    drifts: bool = False
+    until_s: float | None = None
     name: ClassVar[str] = "payload_shift"
     parameters: ClassVar[tuple[str, ...]] = ("shift_x_m", "shift_y_m", "shift_z_m")
     units: ClassVar[tuple[str, ...]] = ("m", "m", "m")
@@ -399,9 +420,8 @@ class PayloadShift(_Base):
 
     def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
         after = np.where(rows.time_s >= self.time_s - 1e-9, 1.0, 0.0)
-        if self.drifts:
-            span = max(float(rows.time_s.max()) - self.time_s, 1e-9)
-            after = after * (rows.time_s - self.time_s) / span
+        if self.until_s is not None:
+            after = after * (rows.time_s - self.time_s) / max(self.until_s - self.time_s, 1e-9)
         return replace(setting, moment_factor=setting.moment_factor + after[:, None] * theta)
 
     def report(self, theta: Floats, covariance: Floats) -> tuple[dict[str, float], dict[str, float]]:
@@ -412,8 +432,3 @@ class PayloadShift(_Base):
         values = {"shift_m": distance} | {f"shift_{axis}_m": float(value) for axis, value, _ in axes}
         errors = {"shift_m": float(np.sqrt(max(slope @ covariance @ slope, 0.0)))}
         return values | {"time_s": self.time_s}, errors | {f"shift_{axis}_m": float(e) for axis, _, e in axes}
-
-
-def columns_of(values: Mapping[str, float]) -> tuple[str, ...]:
-    """Names of reported parameters."""
-    return tuple(values)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.kinematics import joint_axes_origins
-from gateway.model.robot import Robot
 from gateway.model.terms.effects import (
     AxisCoupling,
     BalancerSpring,
@@ -33,8 +32,6 @@ Floats = NDArray[np.float64]
 COUPLED = ((4, 5), (1, 2), (3, 4), (3, 5))
 RATIOS = (0.35, 0.7, 0.9)
 PHASES = tuple(float(v) for v in np.arange(-6, 6) * np.pi / 6)
-COMMON_RATIOS = tuple(range(30, 321))
-SWEEP_RATIO = 40
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,27 +68,26 @@ def named_terms(rows: RestRows, setup: Setup) -> list[Term]:
             terms += [CableTorque(axis, "linear"), CableTorque(axis, "harmonic")]
     terms += [AxisCoupling(row, column) for row, column in COUPLED]
     terms += [LinkMass(link) for link in (1, 2, 3)]
-    terms += [BalancerSpring(ratio, phase, gas) for ratio in RATIOS for phase in PHASES for gas in (False, True)]
+    if np.isfinite(rows.sum_nm[:, 1]).any():
+        shapes = itertools.product(RATIOS, PHASES, (False, True))
+        terms += [BalancerSpring(*shape, float(largest[1])) for shape in shapes]
     terms += _shifts(rows)
     if setup.common_scale:
         terms.append(TorqueConstantScale(None))
     return terms
 
 
-def unnamed_terms(robot: Robot, rows: RestRows, setup: Setup) -> list[Term]:
+def unnamed_terms(rows: RestRows, setup: Setup) -> list[Term]:
     """Smooth shapes without a cause: the rivals of the named effects."""
     terms: list[Term] = [PositionTorque(axis, joint) for axis in range(6) for joint in range(1, 6)]
     terms += [SumTorque(axis) for axis in (1, 2)]
     terms += [UnevenGain(axis) for axis in range(1, 6)]
-    terms += [BentGain(axis, tuple(setup.torque_nm[:, axis].tolist())) for axis in range(1, 6)]
+    largest = np.maximum(np.abs(setup.torque_nm).max(axis=0), 1e-6)
+    terms += [BentGain(axis, float(largest[axis])) for axis in range(1, 6)]
     terms += [UnevenBand(axis, axis) for axis in range(6)]
-    directions, origins = joint_axes_origins(robot, rows.q_rad)
-    for link in (2, 3, 4, 5):
-        jacobian = np.zeros((len(rows), 6, 3))
-        for joint in range(link + 1):
-            jacobian[:, joint] = np.cross(directions[:, joint], origins[:, link] - origins[:, joint])
-        terms.append(Pull(link, tuple(tuple(tuple(v) for v in row) for row in jacobian.tolist())))
-    return terms
+    terms += [Pull(link) for link in (2, 3, 4, 5)]
+    measured = np.asarray(np.isfinite(rows.sum_nm).any(axis=0))
+    return [term for term in terms if isinstance(term, Pull) or measured[term.joints[0] - 1]]
 
 
 def _drifts(rows: RestRows, axis: int) -> list[Term]:
@@ -116,5 +112,5 @@ def _shifts(rows: RestRows) -> list[Term]:
     if len(times) < 4 or len(times) != loaded.sum():
         return terms
     terms += [PayloadShift(float(when)) for when in times[2:-1]]
-    terms.append(PayloadShift(float(times[0]), drifts=True))
+    terms.append(PayloadShift(float(times[0]), float(times[-1])))
     return terms

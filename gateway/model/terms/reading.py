@@ -1,8 +1,8 @@
 """What a model of the arm says the drives report at rest, with every effect that may be built into it.
 
-A `Setting` holds everything that effects change: the model without effects is `neutral(rows)`. `Model.predict` goes the way
-the torque goes: gravity in the joints, springs and cables, friction by the side of approach, gear, torque constant, what
-the drive reports; and then back the way a measurement is converted. Every column of a fit is a derivative of this
+A `Setting` holds everything that effects change: the model without effects is `neutral(n)`. `Model.predict` goes the
+way the torque goes: gravity in the joints, springs and cables, friction by the side of approach, gear, torque constant,
+what the drive reports; and then back the way a measurement is converted. Every column of a fit is a derivative of this
 prediction, so it is built from modelled torque alone: a measured torque never enters.
 """
 
@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.model.kinematics import joint_axes_origins
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import Robot
 
@@ -93,6 +94,8 @@ class Setting:
     load_friction : (6,) nu of nu |tau|
     side_nm : (6,) mean friction of one-sided visits by direction
     band_gain : (n, 6) factor on the friction band
+    gain_per_nm : (6,) added to the gain per Nm of motor torque
+    pull_n : (6, 3) force in the base frame on the origin of each link
     """
 
     tilt_rad: Floats
@@ -108,6 +111,8 @@ class Setting:
     load_friction: Floats
     side_nm: Floats
     band_gain: Floats
+    gain_per_nm: Floats
+    pull_n: Floats
 
 
 def neutral(n: int) -> Setting:
@@ -127,6 +132,8 @@ def neutral(n: int) -> Setting:
         load_friction=six,
         side_nm=six,
         band_gain=np.ones((n, 6)),
+        gain_per_nm=six,
+        pull_n=np.zeros((6, 3)),
     )
 
 
@@ -153,6 +160,7 @@ class Model:
         self.robot, self.rows, self.gravity = robot, rows, np.asarray(gravity_m_s2, dtype=float)
         self.nominal = gravity_regressor(robot, rows.q_rad, self.gravity)
         self._geometry: tuple[bytes, Floats] | None = None
+        self._levers: Floats | None = None
         self._bent: tuple[Floats, Floats, Floats] | None = None
 
     def regressor(self, setting: Setting) -> Floats:
@@ -181,29 +189,47 @@ class Model:
         """Torque (n, 6) that the gears transmit, and the rows (n, 6, 24) behind it."""
         if not setting.compliance_rad_nm.any():
             rows = self.regressor(setting)
-            return _dot(rows, bodies) - setting.passive_nm, rows
+            return _dot(rows, bodies) - self.passive(setting), rows
         return self._wound_up(setting, bodies)
+
+    def passive(self, setting: Setting) -> Floats:
+        """Torque (n, 6) that springs, cables and pulls exert on the joints."""
+        if not setting.pull_n.any():
+            return setting.passive_nm
+        return setting.passive_nm + np.einsum("nijk,jk->ni", self.levers, setting.pull_n)
+
+    @property
+    def levers(self) -> Floats:
+        """Torque (n, 6, 6, 3) on axis i of a unit force on the origin of link j."""
+        if self._levers is None:
+            directions, origins = joint_axes_origins(self.robot, self.rows.q_rad)
+            levers = np.zeros((len(self.rows), 6, 6, 3))
+            for axis in range(6):
+                for link in range(axis, 6):
+                    levers[:, axis, link] = np.cross(directions[:, axis], origins[:, link] - origins[:, axis])
+            self._levers = levers
+        return self._levers
 
     def _wound_up(self, setting: Setting, bodies: Floats) -> tuple[Floats, Floats]:
         """Equilibrium of elastic gears: `tau = tau(bent) + K (q - compliance tau - bent)`, bent until it fits."""
         straight = self.rows.q_rad + setting.zero_offset_rad
-        for _ in range(_WIND_UP_STEPS):
-            if self._bent is None or self._bent[0].shape != straight.shape:
+        steps = 0
+        while True:
+            if self._bent is None:
                 self._bend(straight)
             bent, at_bent, slopes = self._bent  # type: ignore[misc]
             if setting.tilt_rad.any():
                 at_bent = self._rows_at(bent, setting.tilt_rad)
             stiffness = np.einsum("nijk,nk->nij", slopes, bodies)
-            torque = _dot(at_bent, bodies) - setting.passive_nm
+            torque = _dot(at_bent, bodies) - self.passive(setting)
             torque = torque + np.matmul(stiffness, (straight - bent)[:, :, None])[:, :, 0]
             matrix = np.eye(6) + stiffness * setting.compliance_rad_nm
             torque = np.linalg.solve(matrix, torque[:, :, None])[:, :, 0]
             away = straight - setting.compliance_rad_nm * torque - bent
-            if np.abs(away).max() < _NEAR_RAD:
-                break
+            steps += 1
+            if np.abs(away).max() < _NEAR_RAD or steps == _WIND_UP_STEPS:
+                return torque, at_bent + np.einsum("nijk,nj->nik", slopes, away)
             self._bend(bent + away)
-        rows = at_bent + np.einsum("nijk,nj->nik", slopes, away)
-        return torque, rows
 
     def _bend(self, q: Floats) -> None:
         """Remember rows (n, 6, 24) and their slopes (n, 6, 6, 24) by the joint angles at the bent arm."""
@@ -246,12 +272,15 @@ class Model:
         eta = self.rows.efficiency
         behind = torque + direction * friction
         motor = np.where(behind * direction > 0, behind / eta, behind * eta)
-        seen = (setting.gain * motor + setting.offset_nm) @ setting.coupling.T
+        gain = setting.gain
+        if setting.gain_per_nm.any():
+            gain = gain + setting.gain_per_nm * np.abs(motor)
+        seen = (gain * motor + setting.offset_nm) @ setting.coupling.T
         return through_gear(seen, direction, eta)
 
     def sum_by_torque(self, setting: Setting, torque: Floats, band_nm: Floats) -> Floats:
         """Derivative (n, 6, 6) of the half sums by the transmitted torque of each axis."""
-        plain = not setting.load_friction.any() and (self.rows.efficiency == 1.0).all()
+        plain = not (setting.load_friction.any() or setting.gain_per_nm.any()) and (self.rows.efficiency == 1.0).all()
         if plain:
             return setting.coupling[None] * setting.gain[:, None, :]
         step = 1e-4 * (1.0 + np.abs(torque).max(axis=0))

@@ -1,7 +1,7 @@
 """Structure that no effect of the library explains: smooth shapes that a residual may have, without a cause.
 
-They are rivals of the named effects: where one of them beats every effect, something is there that has no name here, and
-that is what is said. They are never part of an estimate.
+They are rivals of the named effects: where one of them beats every effect, something is there that has no name here,
+and that is what is said.
 """
 
 from __future__ import annotations
@@ -59,15 +59,16 @@ class SumTorque(_Unnamed):
 
 @dataclass(frozen=True, slots=True)
 class Pull(_Unnamed):
-    """A constant force in the base frame on the origin of link `axis`, through the arm's Jacobian (n, 6, 3)."""
+    """A constant force in the base frame on the origin of link `axis`."""
 
-    jacobian: tuple[tuple[tuple[float, ...], ...], ...] = ()
     linear: ClassVar[tuple[bool, ...]] = (True,) * 3
     parameters: ClassVar[tuple[str, ...]] = ("x_n", "y_n", "z_n")
     SPREAD: ClassVar[tuple[float, ...]] = (NAN,) * 3
 
     def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
-        return replace(setting, passive_nm=setting.passive_nm + np.asarray(self.jacobian) @ theta)
+        pull = setting.pull_n.copy()
+        pull[self.axis] += theta
+        return replace(setting, pull_n=pull)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,16 +90,15 @@ class UnevenGain(_Unnamed):
 class BentGain(_Unnamed):
     """A gain of one axis that depends on its modelled torque (a motor that saturates)."""
 
-    torque_nm: tuple[float, ...] = ()
+    largest_nm: float = 1.0
     linear: ClassVar[tuple[bool, ...]] = (True,)
-    parameters: ClassVar[tuple[str, ...]] = ("per_largest",)
+    parameters: ClassVar[tuple[str, ...]] = ("at_largest",)
     SPREAD: ClassVar[tuple[float, ...]] = (0.3,)
 
     def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
-        size = np.abs(np.asarray(self.torque_nm))
-        gain = setting.gain.copy()
-        gain[:, self.axis] *= 1.0 + theta[0] * size / max(float(size.max()), 1e-12)
-        return replace(setting, gain=gain)
+        slope = setting.gain_per_nm.copy()
+        slope[self.axis] += theta[0] / self.largest_nm
+        return replace(setting, gain_per_nm=slope)
 
 
 @dataclass(frozen=True, slots=True)

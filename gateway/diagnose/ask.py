@@ -1,0 +1,123 @@
+"""Where to go next: the rest poses at which rival hypotheses disagree most, in units of what a visit can tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.decide import Decision
+from gateway.diagnose.fit import Fit, Problem, modelled, with_terms
+from gateway.diagnose.options import DiagnoseOptions
+from gateway.diagnose.problem import BARE_LABEL, Knowledge, build_problem
+from gateway.diagnose.rows import joined
+from gateway.model.robot import Robot
+from gateway.model.terms.reading import RestRows
+from gateway.result import NextMeasurement
+
+Floats = NDArray[np.float64]
+
+COUNT = 6
+CHOICE = 160
+TELLING = 3.0
+APART_RAD = 0.3
+STEP_S = 30.0
+
+
+def questions(
+    problem: Problem, decision: Decision, robot: Robot, options: DiagnoseOptions, knowledge: Knowledge
+) -> tuple[NextMeasurement, ...]:
+    """What to measure next; empty where nothing is in doubt.
+
+    The expected logarithm of the odds between two hypotheses after new visits is half the squared difference of their
+    predictions over the noise (Box and Hill 1967).
+    """
+    fits = [decision.whole, *(rival.fit for rival in decision.near[:4])]
+    if len(fits) < 2:
+        return ()
+    names = _names(fits)
+    choice = pose_choice(problem.rows, options)
+    told = _disagreement(problem, robot, knowledge, fits, choice)
+    poses = _spread_out(choice, told)
+    expected = 0.5 * float(told[poses].sum())
+    if expected < TELLING:
+        what = (
+            "hang a load of known mass and measure it, or add a bare run" if not knowledge.known else "weigh the links"
+        )
+        return (NextMeasurement(what=what, tells_apart=names),)
+    return (
+        NextMeasurement(
+            what="measure", poses_rad=tuple(tuple(float(v) for v in choice[k]) for k in poses), tells_apart=names
+        ),
+    )
+
+
+def _names(fits: Sequence[Fit]) -> tuple[str, ...]:
+    found = [term.name for fit in fits for term in fit.terms if term.name != "unnamed"]
+    if any(not fit.terms for fit in fits):
+        found.append("none")
+    if any(term.name == "unnamed" for fit in fits for term in fit.terms):
+        found.append("unknown effect")
+    return tuple(dict.fromkeys(found))
+
+
+def pose_choice(rows: RestRows, options: DiagnoseOptions) -> Floats:
+    """Poses (k, 6) that may be asked for: given ones, or between the joint angles that were visited."""
+    if options.pose_choice is not None:
+        return np.asarray(options.pose_choice, dtype=float)
+    rng = np.random.default_rng(4)
+    return rng.uniform(rows.q_rad.min(axis=0), rows.q_rad.max(axis=0), (CHOICE, 6))
+
+
+def imagined(rows: RestRows, poses_rad: Floats) -> RestRows:
+    """Visits of new poses under the last load, one after the other, with nothing measured."""
+    n = len(poses_rad)
+    loaded = [label for label in rows.load.tolist() if label != BARE_LABEL]
+    label = loaded[-1] if loaded else BARE_LABEL
+    unknown = np.full((n, 6), np.nan)
+    last = int(np.argmax(rows.time_s))
+    return RestRows(
+        load=np.full(n, label),
+        pose=np.arange(n) + int(rows.pose.max()) + 1,
+        run=np.full(n, "next"),
+        time_s=rows.time_s[last] + STEP_S * (1.0 + np.zeros(n)),
+        q_rad=poses_rad,
+        sum_nm=np.zeros((n, 6)),
+        difference_nm=np.zeros((n, 6)),
+        side=np.zeros((n, 6)),
+        two_sided=np.ones(n, dtype=bool),
+        sample_std_nm=unknown,
+        temperature_c=np.repeat(rows.temperature_c[last : last + 1], n, axis=0),
+        q2nd_rad=unknown,
+        efficiency=rows.efficiency,
+    )
+
+
+def _disagreement(problem: Problem, robot: Robot, knowledge: Knowledge, fits: Sequence[Fit], choice: Floats) -> Floats:
+    """Squared difference over noise (k,) between the best hypothesis and the rival that it is hardest to tell from."""
+    both = build_problem(robot, joined([problem.rows, imagined(problem.rows, choice)]), knowledge)
+    visit = np.broadcast_to(np.arange(len(both.rows))[:, None], both.use_sum.shape)
+    visit = np.concatenate([visit[both.use_sum], visit[both.use_difference]]) - len(problem.rows)
+    std = fits[0].noise.std[both.group]
+    readings = []
+    for fit in fits:
+        setting = with_terms(fit.terms, fit.theta, both.rows)
+        readings.append(modelled(both, setting, fit.links, fit.loads, fit.band))
+    told = []
+    for other in readings[1:]:
+        # half: what the parameters of the loser can still take up once the new visits are in its fit
+        squares = 0.5 * ((other - readings[0]) / std) ** 2
+        told.append(np.bincount(visit[visit >= 0], weights=squares[visit >= 0], minlength=len(choice)))
+    return np.min(np.array(told), axis=0) + 0.1 * np.mean(np.array(told), axis=0)
+
+
+def _spread_out(choice: Floats, told: Floats) -> NDArray[np.int_]:
+    """The most telling poses that are not next to each other."""
+    chosen: list[int] = []
+    for k in np.argsort(-told):
+        if all(np.abs(choice[k] - choice[other]).max() > APART_RAD for other in chosen):
+            chosen.append(int(k))
+        if len(chosen) == COUNT:
+            break
+    return np.array(chosen, dtype=int)

@@ -1,0 +1,183 @@
+"""From fitted hypotheses to a verdict: what is proven, what rivals it, and whether structure is left."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.fit import Fit, Problem, modelled, with_terms
+from gateway.diagnose.screen import projector
+from gateway.diagnose.search import Label, Search, label, pruned
+from gateway.diagnose.structure import misfit
+from gateway.model.terms.effects import Term
+
+Floats = NDArray[np.float64]
+
+LEAST_STRENGTH = 1.2
+LEAST_POSES = 4
+SURE_ODDS = 20.0
+ASK_ODDS = 400.0
+STRUCTURE_P = 1e-3
+Key = tuple[frozenset[Label], bool]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rival:
+    """A set of effects that explains the data about as well as the chosen one.
+
+    `odds` of the chosen set against it; `fit` its best member.
+    """
+
+    fit: Fit
+    odds: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Decision:
+    """What the visits say.
+
+    Attributes
+    ----------
+    verdict : as in the result file
+    before, after : fits without effects and with the proven ones
+    whole : fit with the shapes without a name that are needed besides
+    rivals : other sets within `SURE_ODDS`, best first
+    near : other sets within `ASK_ODDS`, worth more measurements
+    structure_p : probability that noise leaves what is left
+    odds : per effect, against the best hypothesis without it
+    runner_up : per effect, name of what that hypothesis has instead
+    """
+
+    verdict: str
+    before: Fit
+    after: Fit
+    whole: Fit
+    rivals: tuple[Rival, ...]
+    near: tuple[Rival, ...]
+    structure_p: float
+    odds: Mapping[Label, float]
+    runner_up: Mapping[Label, str | None]
+
+
+def decide(search: Search, chosen: Fit) -> Decision:
+    """Verdict on the visits of a search that has run.
+
+    Parameters
+    ----------
+    search : Search
+    chosen : Fit
+        Its best hypothesis, pruned.
+    """
+    problem = search.problem
+    before = search.fitted(())
+    whole = _gated(search, chosen)
+    named = [term for term in whole.terms if term.name != "unnamed"]
+    after = search.fitted(named, whole)
+    near = _rivals(search, whole)
+    rivals = tuple(rival for rival in near if rival.odds < SURE_ODDS)
+    structure_p = misfit(problem, whole)
+    odds, runner_up = _odds(search, after)
+    verdict = _verdict(whole, rivals, structure_p)
+    if len(np.unique(problem.rows.pose)) < LEAST_POSES:
+        verdict, after, rivals = "undecided", before, ()
+    return Decision(verdict, before, after, whole, rivals, near, structure_p, odds, runner_up)
+
+
+def _verdict(whole: Fit, rivals: tuple[Rival, ...], structure_p: float) -> str:
+    named = any(term.name != "unnamed" for term in whole.terms)
+    unnamed = any(term.name == "unnamed" for term in whole.terms)
+    left = unnamed or structure_p < STRUCTURE_P
+    if not named:
+        return "unexplained" if left else "none_needed"
+    if any(_key(rival.fit)[0] for rival in rivals):
+        return "undecided"
+    return "improved" if left else "explained"
+
+
+def strength(search: Search, whole: Fit, term: Term) -> float:
+    """Projected strength of one effect of a fit, in units of the noise.
+
+    What links, loads and bands leave of it, RMS over the visits on the axis where that is largest.
+    """
+    problem = search.problem
+    place = whole.terms.index(term)
+    rest = [k for k in range(len(whole.terms)) if k != place]
+    without = with_terms([whole.terms[k] for k in rest], [whole.theta[k] for k in rest], problem.rows)
+    share = modelled(problem, whole.setting, whole.links, whole.loads, whole.band)
+    share = share - modelled(problem, without, whole.links, whole.loads, whole.band)
+    weight = 1.0 / whole.noise.std[problem.group]
+    project, _ = projector(problem, search.fitted(()), weight)
+    left = project((share * weight)[:, None])[: len(weight), 0]
+    squares = np.bincount(problem.group, weights=left**2, minlength=18)
+    count = np.bincount(problem.group, minlength=18)
+    return float(np.sqrt((squares / np.maximum(count, 1)).max()))
+
+
+def _gated(search: Search, chosen: Fit) -> Fit:
+    """The hypothesis without effects too weak to be told from what links and loads take up."""
+    while True:
+        weak = [
+            term for term in chosen.terms if term.name != "unnamed" and strength(search, chosen, term) < LEAST_STRENGTH
+        ]
+        if not weak:
+            return chosen
+        chosen = pruned(search, search.fitted([term for term in chosen.terms if term not in weak], chosen))
+
+
+def _key(hypothesis: Fit) -> Key:
+    named = frozenset(label(term) for term in hypothesis.terms if term.name != "unnamed")
+    return named, any(term.name == "unnamed" for term in hypothesis.terms)
+
+
+def _rivals(search: Search, whole: Fit) -> tuple[Rival, ...]:
+    """Sets of names, not larger ones that hold the chosen set, by the sum of the evidence of their shapes."""
+    groups: dict[Key, list[Fit]] = {}
+    for hypothesis in search.pool.values():
+        groups.setdefault(_key(hypothesis), []).append(hypothesis)
+    own, own_unnamed = _key(whole)
+    total = {key: _log_sum([search.score(member) for member in members]) for key, members in groups.items()}
+    reference = max(total[(own, own_unnamed)], search.score(whole))
+    out = []
+    for (names, unnamed), members in groups.items():
+        contains = names >= own and unnamed >= own_unnamed
+        odds = math.exp(min(reference - total[(names, unnamed)], 50.0))
+        if contains or odds > ASK_ODDS:
+            continue
+        best = search.best(members)
+        terms = [term for term in best.terms if term.name != "unnamed"]
+        if all(strength(search, best, term) >= LEAST_STRENGTH for term in terms):
+            out.append(Rival(best, odds))
+    return tuple(sorted(out, key=lambda rival: rival.odds))
+
+
+def _log_sum(values: list[float]) -> float:
+    top = max(values)
+    return top + math.log(sum(math.exp(value - top) for value in values))
+
+
+def _odds(search: Search, after: Fit) -> tuple[dict[Label, float], dict[Label, str | None]]:
+    odds: dict[Label, float] = {}
+    runner_up: dict[Label, str | None] = {}
+    own = {label(term) for term in after.terms}
+    for term in after.terms:
+        others = [fit for fit in search.pool.values() if label(term) not in {label(t) for t in fit.terms}]
+        if not others:
+            continue
+        best = search.best(others)
+        odds[label(term)] = math.exp(min(max(search.score(after) - search.score(best), -50.0), 50.0))
+        instead = [t.name for t in best.terms if label(t) not in own and t.name != "unnamed"]
+        runner_up[label(term)] = instead[0] if instead else None
+    return odds, runner_up
+
+
+def noise_floor(problem: Problem, decision: Decision) -> Floats:
+    """Noise floor (6,) per axis: of the fit where nothing but noise is left, of the sides of the visits otherwise."""
+    clean = decision.verdict in ("none_needed", "explained", "undecided")
+    std = decision.whole.noise.std if clean else decision.whole.noise.start
+    count = np.bincount(problem.group, minlength=18).reshape(3, 6)
+    total = np.sum(count * std.reshape(3, 6) ** 2, axis=0)
+    return np.sqrt(np.where(count.sum(axis=0) > 0, total / np.maximum(count.sum(axis=0), 1), np.nan))

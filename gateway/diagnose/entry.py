@@ -1,0 +1,253 @@
+"""Entry point of the diagnosis: rest poses here, moving runs where they are handled, one result for both."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gateway.diagnose.ask import questions
+from gateway.diagnose.decide import STRUCTURE_P, Decision, decide
+from gateway.diagnose.fit import Fit, Problem, fit, visit_loads
+from gateway.diagnose.holdout import Held, predicted
+from gateway.diagnose.mistakes import Mistake, find_mistakes
+from gateway.diagnose.motion import MotionOptions, diagnose_motion
+from gateway.diagnose.options import DiagnoseOptions
+from gateway.diagnose.outcome import (
+    Judge,
+    floor_and_band,
+    mistake_effect,
+    mistake_findings,
+    possible,
+    proven,
+    rejected,
+    rows_of,
+    summary,
+)
+from gateway.diagnose.problem import BARE_LABEL, Knowledge, build_problem, first_noise
+from gateway.diagnose.rows import joined, rest_rows
+from gateway.diagnose.search import Search, run
+from gateway.diagnose.structure import fresh_misfit
+from gateway.errors import ConfigError, DataUnusable
+from gateway.model.robot import Robot
+from gateway.model.terms.library import Setup, named_terms, unnamed_terms
+from gateway.result import Finding, FitSummary, LoadResult, Result
+from gateway.table import Table
+
+SURER = 5.0
+
+
+def diagnose(table: Table, robot: Robot, options: DiagnoseOptions | None = None) -> Result:
+    """Find what the model lacks.
+
+    Parameters
+    ----------
+    table : Table
+        Rest visits, or a moving run; where both are present the rest visits are judged.
+    robot : Robot
+    options : DiagnoseOptions, optional
+
+    Returns
+    -------
+    Result with verdict, effects, evidence, loads before and after, and what to measure next
+
+    Raises
+    ------
+    DataUnusable : no torque measured, or no rest visit and no motion
+    InputError : a known load that is not in the data
+    ConfigError : `inertials` is not understood
+    """
+    options = options or DiagnoseOptions()
+    if table.moving.all():
+        motion = MotionOptions(
+            inertials=options.inertials,
+            known=options.known,
+            holdout=options.holdout,
+            only=options.only,
+            without=options.without,
+            gravity_m_s2=options.gravity_m_s2,
+        )
+        return diagnose_motion(table, robot, motion)
+    return _Rest(robot, options).result(table.take(~table.moving))
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """A search that has run, with the mistakes that were undone before."""
+
+    search: Search
+    chosen: Fit
+    mistakes: tuple[Mistake, ...]
+    gained: float
+    table: Table
+
+    @property
+    def score(self) -> float:
+        """Score of the best hypothesis on the data as they were read."""
+        scale = 0.0
+        for mistake in self.mistakes:
+            axes = self.search.problem.group % 6 + 1
+            scale -= float(np.sum(np.isin(axes, mistake.joints))) * float(np.log(mistake.factor))
+        return self.search.score(self.chosen) + scale - SURER * len(self.mistakes)
+
+
+class _Rest:
+    """Diagnosis of rest visits."""
+
+    def __init__(self, robot: Robot, options: DiagnoseOptions) -> None:
+        self.robot, self.options = robot, options
+        self.knowledge = Knowledge(
+            gravity_m_s2=options.gravity_m_s2,
+            inertials=_inertials(robot, options.inertials),
+            known=options.known,
+            bare=options.bare,
+        )
+
+    def problem(self, table: Table) -> Problem:
+        """Rows of a table as a problem."""
+        return build_problem(self.robot, rest_rows(table, self.options.efficiency), self.knowledge)
+
+    def result(self, table: Table) -> Result:
+        """The whole diagnosis."""
+        found = self._searched(table, (), 0.0)
+        mistakes, gained = find_mistakes(table, self.problem, self.options.allowed)
+        if mistakes:
+            undone = table
+            for mistake in mistakes:
+                undone = mistake.undo(undone)
+            other = self._searched(undone, mistakes, gained)
+            if other.score > found.score:
+                found = other
+        return self._reported(found, table)
+
+    def _searched(self, table: Table, mistakes: tuple[Mistake, ...], gained: float) -> _Found:
+        problem = self.problem(table)
+        noise = first_noise(problem)
+        plain = fit(problem, (), noise)
+        bodies = problem.model.bodies(plain.setting, plain.links, visit_loads(problem, plain.loads))
+        torque, _ = problem.model.joint_torque(plain.setting, bodies)
+        setup = Setup(tuple(self.options.gear_ratio), bool(self.options.known), torque)
+        named = [term for term in named_terms(problem.rows, setup) if term.name in self.options.allowed]
+        search = Search(problem, tuple(named), tuple(unnamed_terms(problem.rows, setup)), noise)
+        return _Found(search, run(search), mistakes, gained, table)
+
+    def _held(self, found: _Found) -> Held | None:
+        holdout = self.options.holdout
+        if holdout is None or holdout.moving.all():
+            return None
+        holdout = holdout.take(~holdout.moving)
+        for mistake in found.mistakes:
+            holdout = mistake.undo(holdout)
+        seen = found.search.problem.rows
+        unseen = rest_rows(holdout, self.options.efficiency)
+        unseen = unseen.take(np.isin(unseen.load, [*seen.load, BARE_LABEL]))
+        if not len(unseen):
+            raise DataUnusable("the hold-out carries no load that is in the data: nothing to judge on")
+        both = build_problem(self.robot, joined([seen, unseen]), self.knowledge)
+        visit = np.broadcast_to(np.arange(len(both.rows))[:, None], both.use_sum.shape)
+        visit = np.concatenate([visit[both.use_sum], visit[both.use_difference]])
+        return Held(both, visit >= len(seen))
+
+    def _before(self, decision: Decision, judge: Judge, found: _Found, table: Table) -> FitSummary:
+        """What the model without effects says of the data as they were read."""
+        if not found.mistakes:
+            return summary(judge.problem, decision.before, judge, self.robot)
+        problem = self.problem(table)
+        return summary(problem, fit(problem, (), first_noise(problem)), Judge(problem, None), self.robot)
+
+    def _reported(self, found: _Found, table: Table) -> Result:
+        search, problem = found.search, found.search.problem
+        decision = decide(search, found.chosen)
+        held = self._held(found)
+        decision, findings = self._confirmed(decision, held, found)
+        judge = Judge(problem, held)
+        effects = [entry for mistake in found.mistakes for entry in mistake_effect(mistake, found.gained)]
+        effects += proven(search, decision, judge)
+        effects += possible(search, decision, judge) if decision.verdict == "undecided" else []
+        verdict = decision.verdict
+        if found.mistakes and verdict == "none_needed":
+            verdict = "explained"
+        elif found.mistakes and verdict == "unexplained":
+            verdict = "improved"
+        after = summary(problem, decision.after, judge, self.robot)
+        floor, band = floor_and_band(problem, decision)
+        findings += mistake_findings(found.mistakes) + _load_findings(after.loads) + _limits(problem)
+        return Result(
+            robot=self.robot.name,
+            loads=after.loads,
+            verdict=verdict,
+            effects=tuple(effects),
+            before=self._before(decision, judge, found, table),
+            after=after,
+            holdout_kind="blocks" if held is None else self.options.holdout_kind,
+            noise_floor_nm=floor,
+            friction_band_nm=band,
+            rejected=tuple(rejected(search, decision)),
+            next=questions(problem, decision, self.robot, self.options, self.knowledge),
+            findings=tuple(findings),
+            provenance={
+                "visits": len(problem.rows),
+                "poses": len(np.unique(problem.rows.pose)),
+                "hypotheses": len(search.pool),
+                "structure_p": decision.structure_p,
+                "inertials": self.knowledge.inertials,
+            },
+            rows=rows_of(problem, decision.after),
+        )
+
+    def _confirmed(self, decision: Decision, held: Held | None, found: _Found) -> tuple[Decision, list[Finding]]:
+        """The decision in the light of rows that no fit has seen."""
+        if held is None:
+            return decision, []
+        group = held.problem.group[held.mask]
+        residual = predicted(held, decision.after)
+        chance = fresh_misfit(residual, decision.after.noise.std[group], group % 6)
+        if chance >= STRUCTURE_P:
+            return decision, []
+        verdict = {"explained": "improved", "none_needed": "unexplained"}.get(decision.verdict, decision.verdict)
+        finding = Finding(
+            "warn",
+            "hold-out",
+            f"poses that no fit has seen are not met within the noise (probability {chance:.1g})",
+            "measure them into the data and diagnose again",
+        )
+        return replace(decision, verdict=verdict), [finding]
+
+
+def _inertials(robot: Robot, given: str | None) -> str:
+    if given is None:
+        return "prior:0.05" if np.isfinite(robot.mass_kg).any() else "ignore"
+    if given in ("exact", "ignore"):
+        return given
+    kind, _, value = given.partition(":")
+    try:
+        if kind == "prior" and float(value) > 0:
+            return given
+    except ValueError:
+        pass
+    raise ConfigError(f"inertials: '{given}' is none of exact, prior:S with S > 0, ignore")
+
+
+def _load_findings(loads: tuple[LoadResult, ...]) -> list[Finding]:
+    return [
+        Finding("fail", f"load {load.label}", f"refused: {load.refused}", "check its rows, units and signs")
+        for load in loads
+        if load.refused
+    ]
+
+
+def _limits(problem: Problem) -> list[Finding]:
+    """What these visits cannot show, whatever the search says."""
+    out = []
+    rows = problem.rows
+    if len(np.unique(rows.pose)) < 4:
+        text = f"{len(np.unique(rows.pose))} poses leave none to hold out: no effect is named"
+        out.append(Finding("warn", "data", text, "measure at least four poses under each load"))
+    if not (rows.load == BARE_LABEL).any() and not len(problem.prior_target):
+        out.append(
+            Finding("warn", "data", "no bare run: load and link 6 are told apart by the CAD alone", "record one")
+        )
+    if not rows.two_sided.any():
+        text = "every pose was approached from one side only: friction is noise here"
+        out.append(Finding("info", "data", text, "approach each pose from both sides"))
+    return out

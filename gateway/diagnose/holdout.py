@@ -1,0 +1,88 @@
+"""Residuals on poses that a fit has not seen: left out pose by pose, or measured afterwards."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.fit import Fit, Problem, modelled, with_terms
+from gateway.diagnose.screen import Screen
+
+Floats = NDArray[np.float64]
+
+
+def axis_of_rows(problem: Problem) -> NDArray[np.int_]:
+    """Axis (rows,) of every row."""
+    return problem.group % 6
+
+
+def pose_of_rows(problem: Problem) -> NDArray[np.int_]:
+    """Pose number (rows,) of every row: the same pose under all loads is held out together."""
+    pose = np.broadcast_to(problem.rows.pose[:, None], problem.use_sum.shape)
+    return np.concatenate([pose[problem.use_sum], pose[problem.use_difference]])
+
+
+def left_out(problem: Problem, fit: Fit) -> Floats:
+    """Residual (rows,) [Nm] of each row when its pose, under all loads, is not in the fit (linearised)."""
+    std = fit.noise.std[problem.group]
+    return std * _left_out(pose_of_rows(problem), fit.residual / std, fit.orthogonal)
+
+
+def left_out_with(problem: Problem, fit: Fit, view: Screen, index: int) -> Floats:
+    """The same for the fit with one screened candidate added (linearised)."""
+    std = fit.noise.std[problem.group]
+    columns = view.projected[:, view.pick(index)]
+    part = view.pick(index)
+    matrix = view.gram[part, part] + np.eye(columns.shape[1])
+    factor = np.linalg.cholesky(matrix)
+    added: Floats = np.asarray(np.linalg.solve(factor, columns.T).T, dtype=float)
+    residual: Floats = fit.residual / std - added @ np.linalg.solve(factor, view.score[part])
+    return std * _left_out(pose_of_rows(problem), residual, np.hstack([fit.orthogonal, added]))
+
+
+def _left_out(pose: NDArray[np.int_], residual: Floats, basis: Floats) -> Floats:
+    out = np.empty_like(residual)
+    for number in np.unique(pose):
+        rows = np.flatnonzero(pose == number)
+        part = basis[rows]
+        out[rows] = np.linalg.lstsq(np.eye(len(rows)) - part @ part.T, residual[rows], rcond=1e-9)[0]
+    return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Held:
+    """Rows that no fit has seen, with the visits of the fit before them (so that times and first visits agree).
+
+    Attributes
+    ----------
+    problem : Problem
+        Fitted visits and held-out visits together.
+    mask : (rows,) the held-out ones
+    """
+
+    problem: Problem
+    mask: NDArray[np.bool_]
+
+
+def predicted(held: Held, fit: Fit) -> Floats:
+    """Residual (held-out rows,) [Nm] of a fit on rows it has not seen."""
+    return _at(held.problem, fit)[held.mask]
+
+
+def _at(problem: Problem, fit: Fit) -> Floats:
+    setting = with_terms(fit.terms, fit.theta, problem.rows)
+    return problem.target - modelled(problem, setting, fit.links, fit.loads, fit.band)
+
+
+def by_axis(axis: NDArray[np.int_], residual: Floats) -> Floats:
+    """RMS (6,) per axis, NaN for axes without rows."""
+    count = np.bincount(axis, minlength=6)
+    total = np.bincount(axis, weights=residual**2, minlength=6)
+    return np.sqrt(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+
+
+def weighted_rms(residual: Floats, std: Floats) -> float:
+    """RMS of residuals in units of their standard deviation."""
+    return float(np.sqrt(np.mean((residual / std) ** 2))) if len(residual) else float("nan")

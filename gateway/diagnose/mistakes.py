@@ -1,0 +1,141 @@
+"""Commissioning mistakes: a torque sign, two drives in each other's place, an rms value taken for a peak value.
+
+They wreck every other conclusion and are therefore looked for first: each is undone in the data, and the model without
+effects is asked whether it likes the data better. Friction always opposes the approach, so a band below zero alone
+proves a reversed sign.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from gateway.diagnose.fit import Fit, Problem, fit
+from gateway.diagnose.problem import first_noise
+from gateway.table import Table
+
+Floats = NDArray[np.float64]
+
+SURE = 20.0
+SUSPICIOUS = 1.7
+STRAINED = 60.0
+NEGATIVE_BAND = -3.0
+MOST = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Mistake:
+    """One mistake.
+
+    Attributes
+    ----------
+    name : sign_reversed, axes_swapped or current_rms_peak
+    joints : joints counted from 1
+    factor : reported over true current (current_rms_peak), else 1
+    with_positions : whether the positions of swapped axes are swapped too
+    """
+
+    name: str
+    joints: tuple[int, ...]
+    factor: float = 1.0
+    with_positions: bool = False
+
+    def undo(self, table: Table) -> Table:
+        """The table as it would read without the mistake."""
+        axes = [joint - 1 for joint in self.joints]
+        if self.name == "axes_swapped":
+            return _swapped(table, axes, self.with_positions)
+        factor = -1.0 if self.name == "sign_reversed" else 1.0 / self.factor
+        scale = np.ones(6)
+        scale[axes] = factor
+        return replace(table, tau_nm=table.tau_nm * scale, tau_std_nm=table.tau_std_nm * np.abs(scale))
+
+
+def _swapped(table: Table, axes: list[int], with_positions: bool) -> Table:
+    order = np.arange(6)
+    order[axes] = order[axes[::-1]]
+    names = ["tau_nm", "tau_std_nm", "temperature_c"]
+    if with_positions:
+        names += ["q_rad", "direction", "q2nd_rad"]
+    return replace(table, **{name: getattr(table, name)[:, order] for name in names})
+
+
+def candidates(measured: NDArray[np.bool_]) -> Iterator[Mistake]:
+    """Every single mistake on the measured axes."""
+    axes = [int(axis) + 1 for axis in np.flatnonzero(measured)]
+    for joint in axes:
+        yield Mistake("sign_reversed", (joint,))
+    for first, second in itertools.combinations(axes, 2):
+        yield Mistake("axes_swapped", (first, second), with_positions=False)
+        yield Mistake("axes_swapped", (first, second), with_positions=True)
+    for factor in (np.sqrt(2.0), np.sqrt(0.5)):
+        for joint in axes:
+            yield Mistake("current_rms_peak", (joint,), float(factor))
+        if len(axes) > 1:
+            yield Mistake("current_rms_peak", tuple(axes), float(factor))
+
+
+def plain_score(problem: Problem, rows_scale: float) -> tuple[float, Fit]:
+    """Evidence of the model without effects, less what a friction band below zero costs."""
+    result = fit(problem, (), first_noise(problem))
+    at = problem.n_common - 6
+    band_std = np.sqrt(np.maximum(np.diag(result.covariance)[at:], 1e-30))
+    seen = np.bincount(problem.group, minlength=18)[6:12] > 0
+    signs = float(np.sum(norm.logcdf(result.band[seen] / band_std[seen])))
+    return result.evidence + signs + rows_scale, result
+
+
+def suspicious(problem: Problem, plain: Fit) -> bool:
+    """Whether the data disagree with the model so much that a mistake is worth looking for."""
+    sums = np.unique(problem.group[problem.group < 6])
+    ratio = (plain.noise.std[sums] / plain.noise.start[sums]).max(initial=0.0)
+    strain = float(np.sum(((plain.links - problem.links) / problem.link_std) ** 2))
+    at = problem.n_common - 6
+    band_std = np.sqrt(np.maximum(np.diag(plain.covariance)[at:], 1e-30))
+    backward = bool((plain.band / band_std < NEGATIVE_BAND).any())
+    one_sided = bool((problem.group >= 12).any())
+    return ratio > SUSPICIOUS or strain > STRAINED or backward or one_sided
+
+
+def find_mistakes(
+    table: Table, build: Callable[[Table], Problem], allowed: frozenset[str]
+) -> tuple[tuple[Mistake, ...], float]:
+    """Mistakes whose undoing the model without effects likes better by `SURE` or more, most likely first.
+
+    Parameters
+    ----------
+    table : Table
+    build : table -> Problem
+    allowed : names that may be given
+
+    Returns
+    -------
+    mistakes, and by how much the logarithm of the evidence rose
+    """
+    found: list[Mistake] = []
+    gained = 0.0
+    problem = build(table)
+    before, plain = plain_score(problem, 0.0)
+    measured = np.asarray(problem.use_sum.any(axis=0))
+    while len(found) < MOST and suspicious(problem, plain):
+        best: tuple[float, Mistake, Problem, Fit] | None = None
+        for mistake in candidates(measured):
+            if mistake.name not in allowed or any(set(mistake.joints) & set(old.joints) for old in found):
+                continue
+            changed = build(mistake.undo(table))
+            scale = -float(np.sum(np.isin(changed.group % 6 + 1, mistake.joints))) * np.log(mistake.factor)
+            value, result = plain_score(changed, scale)
+            if best is None or value > best[0]:
+                best = value, mistake, changed, result
+        if best is None or best[0] - before < SURE:
+            break
+        gained += best[0] - before
+        before, mistake, problem, plain = best
+        table = mistake.undo(table)
+        found.append(mistake)
+    return tuple(found), gained
