@@ -21,7 +21,7 @@ from gateway.model.robot import AXES, Robot
 
 Floats = NDArray[np.float64]
 
-TOLERANCE = 1e-8
+TOLERANCE = 1e-6
 _NOTHING = 1e-13
 _STATES = 60
 _SEED = 20_240_501

@@ -1,0 +1,123 @@
+"""The weighted linear problem that every estimator solves: columns, weights, priors in; solution and covariance out.
+
+One call is a QR of the scaled, whitened columns and an SVD of its small factor: no copy of the data is kept, and it may
+be called thousands of times.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+TOLERANCE = 1e-7
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prior:
+    """Gaussian knowledge of the parameters: mean (p,) and standard deviation (p,), infinite = free."""
+
+    mean: Floats
+    std: Floats
+
+    @staticmethod
+    def free(count: int) -> Prior:
+        """Nothing is known."""
+        return Prior(np.zeros(count), np.full(count, np.inf))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """Least squares solution.
+
+    Attributes
+    ----------
+    value : array of shape (p,)
+        Of all solutions the shortest in scaled columns, where the rows leave a choice.
+    covariance : array of shape (p, p)
+        Of the part that the rows determine; see `null` for the rest.
+    null : array of shape (p, p - rank)
+        Directions that neither rows nor priors determine.
+    scale : array of shape (p,)
+        Length of each whitened column.
+    residual : array of shape (n,)
+        Target less model, in the target's unit.
+    leverage : array of shape (n,)
+        Share of each row's own noise that the fit takes up, 0 to 1.
+    orthogonal : array of shape (n, rank)
+        Whitened data rows in an orthonormal basis: the hat matrix is `orthogonal @ orthogonal.T`.
+    rank : int
+    condition : float
+        Largest over smallest singular value of the scaled, whitened columns with their priors.
+    log_determinant : float
+        Of the information matrix, its determined part.
+    """
+
+    value: Floats
+    covariance: Floats
+    null: Floats
+    scale: Floats
+    residual: Floats
+    leverage: Floats
+    orthogonal: Floats
+    rank: int
+    condition: float
+    log_determinant: float
+
+
+def solve(
+    design: Floats, target: Floats, weight: Floats, prior: Prior | None = None, tolerance: float = TOLERANCE
+) -> Solution:
+    """Minimise `|weight (target - design x)|^2 + |(x - mean) / std|^2`.
+
+    Parameters
+    ----------
+    design : array of shape (n, p)
+    target : array of shape (n,)
+    weight : array of shape (n,)
+        One over the standard deviation of each row.
+    prior : Prior, optional
+        Free if left out.
+    tolerance : float
+        Relative size below which a singular value of the scaled columns counts as zero.
+    """
+    n, p = design.shape
+    prior = Prior.free(p) if prior is None else prior
+    held = np.flatnonzero(np.isfinite(prior.std))
+    big = np.zeros((n + len(held), p))
+    np.multiply(design, weight[:, None], out=big[:n])
+    big[n + np.arange(len(held)), held] = 1.0 / prior.std[held]
+    right = np.concatenate([target * weight, prior.mean[held] / prior.std[held]])
+    scale = np.sqrt(np.einsum("ij,ij->j", big, big))
+    scale[scale == 0.0] = 1.0
+    big /= scale
+    q, r = np.linalg.qr(big)
+    left, size, turned = np.linalg.svd(r)
+    keep = size > tolerance * size.max(initial=0.0)
+    basis = left[:, : len(size)][:, keep]
+    inverse = turned[: len(size)][keep].T / size[keep] / scale[:, None]
+    orthogonal = q[:n] @ basis
+    value = inverse @ (basis.T @ (q.T @ right))
+    lost = np.concatenate([turned[: len(size)][~keep], turned[len(size) :]]).T / scale[:, None]
+    kept = size[keep]
+    return Solution(
+        value=value,
+        covariance=inverse @ inverse.T,
+        null=lost,
+        scale=scale,
+        residual=target - design @ value,
+        leverage=np.einsum("ij,ij->i", orthogonal, orthogonal),
+        orthogonal=orthogonal,
+        rank=int(keep.sum()),
+        condition=float(kept[0] / kept[-1]) if len(kept) else np.inf,
+        log_determinant=float(2.0 * np.sum(np.log(kept)) + 2.0 * np.sum(np.log(scale))),
+    )
+
+
+def determined(solution: Solution, directions: Floats, tolerance: float = 1e-5) -> NDArray[np.bool_]:
+    """Which linear functions (k, p) of the parameters the rows and priors determine: shape (k,)."""
+    moved = np.abs(directions @ solution.null).max(axis=1, initial=0.0)
+    return np.asarray(moved <= tolerance * np.linalg.norm(directions / solution.scale, axis=1))
