@@ -22,9 +22,8 @@ def arm_named(loaded: LoadedCell, name: str | None = None) -> ArmConfig:
         if arm.name == name:
             return arm
     known = ", ".join(arm.name for arm in arms)
-    raise ConfigError(
-        f"cell '{loaded.cell.name}' has the arms {known}; name one of them" + (f", not {name}" * bool(name))
-    )
+    asked = "no arm was named" if name is None else f"there is no arm '{name}'"
+    raise ConfigError(f"cell '{loaded.cell.name}': {asked}; it has {known}")
 
 
 def robot_text(loaded: LoadedCell, arm: ArmConfig) -> str:

@@ -1,7 +1,7 @@
 """Jerk-limited motions of six joints, sampled once per SYNC (ruckig).
 
-From rest to rest all joints share one time law (phase synchronisation): the motion is a straight line in joint space,
-what was checked as a line is what is driven.
+All joints share one time law along a straight line in joint space: what was checked as a line is what is driven, also
+while braking. (Phase synchronisation of six separate time laws leaves the line where the joints' limits differ.)
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Motion:
 
 
 def straight(start_rad: np.ndarray, target_rad: np.ndarray, limits: MotionLimits, period_s: float) -> Motion:
-    """Motion from rest to rest along a straight line in joint space.
+    """Fastest motion from rest to rest along a straight line in joint space.
 
     Parameters
     ----------
@@ -65,19 +65,20 @@ def straight(start_rad: np.ndarray, target_rad: np.ndarray, limits: MotionLimits
     Raises
     ------
     PlanRefused
-        A limit or position that no motion fits (not finite, not positive).
+        A limit that is not positive and finite, or a position that is not finite.
     """
-    request = ruckig.InputParameter(AXES)
-    request.current_position = [float(value) for value in start_rad]
-    request.target_position = [float(value) for value in target_rad]
-    request.max_velocity = [float(value) for value in limits.speed_rad_s]
-    request.max_acceleration = [float(value) for value in limits.acceleration_rad_s2]
-    request.max_jerk = [float(value) for value in limits.jerk_rad_s3]
-    request.synchronization = ruckig.Synchronization.Phase
-    motion = _sample(request, period_s)
-    if len(motion):
-        motion.q_rad[-1] = target_rad
-        motion.qd_rad_s[-1] = motion.qdd_rad_s2[-1] = 0.0
+    way = target_rad - start_rad
+    length = float(np.abs(way).max())
+    if not np.isfinite(length):
+        raise PlanRefused("a motion needs finite joint angles at both ends")
+    if length <= STILL:
+        return _standing(period_s)
+    line = way / length
+    request = _along(line, limits)
+    request.target_position = [length]
+    motion = _sample(request, start_rad, line, period_s)
+    motion.q_rad[-1] = target_rad
+    motion.qd_rad_s[-1] = motion.qdd_rad_s2[-1] = 0.0
     return motion
 
 
@@ -100,30 +101,45 @@ def stop(state: tuple[np.ndarray, np.ndarray, np.ndarray], limits: MotionLimits,
     line = qd_rad_s if np.abs(qd_rad_s).max() > STILL else qdd_rad_s2
     largest = np.abs(line).max()
     if largest <= STILL:
-        return Motion(np.empty((0, AXES)), np.empty((0, AXES)), np.empty((0, AXES)), period_s)
+        return _standing(period_s)
     line = line / largest
-    moving = np.abs(line) > STILL
-    request = ruckig.InputParameter(1)
+    request = _along(line, limits)
     request.control_interface = ruckig.ControlInterface.Velocity
     request.current_velocity = [float(qd_rad_s @ line / (line @ line))]
     request.current_acceleration = [float(qdd_rad_s2 @ line / (line @ line))]
     request.target_velocity = [0.0]
-    request.max_acceleration = [float((limits.acceleration_rad_s2[moving] / np.abs(line[moving])).min())]
-    request.max_jerk = [float((limits.jerk_rad_s3[moving] / np.abs(line[moving])).min())]
-    along = _sample(request, period_s)
-    return Motion(q_rad + along.q_rad * line, along.qd_rad_s * line, along.qdd_rad_s2 * line, period_s)
+    return _sample(request, q_rad, line, period_s)
 
 
-def _sample(request: ruckig.InputParameter, period_s: float) -> Motion:
-    axes = request.degrees_of_freedom
-    trajectory = ruckig.Trajectory(axes)
+def _standing(period_s: float) -> Motion:
+    return Motion(np.empty((0, AXES)), np.empty((0, AXES)), np.empty((0, AXES)), period_s)
+
+
+def _along(line: np.ndarray, limits: MotionLimits) -> ruckig.InputParameter:
+    """Request for the way along a line (6,): every joint's limits hold for its share of it."""
+    request = ruckig.InputParameter(1)
+    request.current_position = [0.0]
+    share = np.abs(line)
+    moving = share > STILL
+    rates = []
+    for values in (limits.speed_rad_s, limits.acceleration_rad_s2, limits.jerk_rad_s3):
+        rate = float((np.asarray(values)[moving] / share[moving]).min())
+        if not (np.isfinite(rate) and rate > 0):
+            raise PlanRefused("no motion fits the limits: speed, acceleration and jerk must be positive and finite")
+        rates.append([rate])
+    request.max_velocity, request.max_acceleration, request.max_jerk = rates
+    return request
+
+
+def _sample(request: ruckig.InputParameter, start_rad: np.ndarray, line: np.ndarray, period_s: float) -> Motion:
+    trajectory = ruckig.Trajectory(1)
     try:
-        result = ruckig.Ruckig(axes).calculate(request, trajectory)
-    except RuntimeError as error:
+        result = ruckig.Ruckig(1).calculate(request, trajectory)
+    except ruckig.RuckigError as error:
         raise PlanRefused(f"no motion fits the limits: {error}") from error
     if result not in (ruckig.Result.Working, ruckig.Result.Finished):
-        raise PlanRefused(f"no motion fits the limits ({result.name}): every limit must be positive and finite")
-    count = int(np.ceil(trajectory.duration / period_s - 1e-9))
+        raise PlanRefused(f"no motion fits the limits ({result.name})")
+    count = max(1, int(np.ceil(trajectory.duration / period_s - 1e-9)))
     rows = [trajectory.at_time(min(step * period_s, trajectory.duration)) for step in range(1, count + 1)]
-    q, qd, qdd = (np.array([row[part] for row in rows]).reshape(-1, axes) for part in range(3))
-    return Motion(q, qd, qdd, period_s)
+    way, speed, acceleration = (np.array([row[part][0] for row in rows])[:, None] for part in range(3))
+    return Motion(start_rad + way * line, speed * line, acceleration * line, period_s)

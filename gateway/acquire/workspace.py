@@ -168,7 +168,8 @@ def body_points(robot: Robot, q_rad: np.ndarray, points_m: np.ndarray) -> np.nda
     ends = np.concatenate([origins[:, 1:], carried[:, :1]], axis=1)
     share = np.arange(1, POINTS_PER_LINK + 1) / (POINTS_PER_LINK + 1)
     between = origins[:, :, None] + share[:, None] * (ends - origins)[:, :, None]
-    return np.concatenate([origins[:, 1:], between.reshape(len(q_rad), -1, 3), carried], axis=1)
+    between = between.reshape(len(q_rad), origins.shape[1] * POINTS_PER_LINK, 3)
+    return np.concatenate([origins[:, 1:], between, carried], axis=1)
 
 
 def workspace_of(arm: ArmConfig, robot: Robot) -> Workspace:
