@@ -32,7 +32,6 @@ Floats = NDArray[np.float64]
 BLOCKS = 6
 FEWEST_ROWS = 60
 SHORTEST_S = 2.0
-SURE_ODDS = 10.0
 EFFECTS = frozenset(
     {"velocity_friction", "load_dependent_friction", "axis_coupling", "balancer_spring", "cable_torque"}
     | {"torque_ripple", "base_tilt", "joint_zero_offset", "torque_constant_scale", "torque_offset", "thermal_drift"}
@@ -142,8 +141,8 @@ def _outcome(  # noqa: PLR0913 - gathers what the stages left
     known: Mapping[str, tuple[float, Floats]],
 ) -> Outcome:
     chosen = weigh(problem, state, allowed)
-    sure = tuple(item for item in chosen if item.odds >= SURE_ODDS)
-    doubtful = tuple(item for item in chosen if item.odds < SURE_ODDS)
+    sure = tuple(item for item in chosen if not item.contested)
+    doubtful = tuple(item for item in chosen if item.contested)
     if doubtful and sure:
         state = state_of(problem, [term for item in sure for term in item.terms])
     return Outcome(

@@ -23,6 +23,9 @@ COUPLING_STEPS = np.array([0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 
 COUPLING_SLACK = 4.0
 LARGEST_MODEL = 16
 RUNNERS = 12
+SURE_ODDS = 10.0
+# How much more often friction has another shape than an arm has a fault or an extra part.
+RARE = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +46,7 @@ ORDINARY_NAMES = frozenset({"velocity_friction", "load_dependent_friction", "axi
 
 def demands(term: Term) -> Demands:
     """What this effect must show."""
-    if term.name in ORDINARY_NAMES:
+    if term.name in ORDINARY_NAMES and term.shape != "mixing":
         return ORDINARY
     return SPECIAL_ALL_AXES if len(term.axes) > 2 else SPECIAL
 
@@ -60,12 +63,16 @@ class State:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chosen:
-    """An effect in the final model: all its terms, its trial against the model without it, and the runner-up's."""
+    """An effect in the final model: all its terms, its trial against the model without it, and the runner-up's.
+
+    `contested`: the runner-up meets its own demands, and the odds against it are below `SURE_ODDS`.
+    """
 
     terms: tuple[Term, ...]
     trial: Trial
     runner_up: Trial | None
     odds: float
+    contested: bool
 
 
 def state_of(problem: Problem, terms: Sequence[Term]) -> State:
@@ -249,6 +256,11 @@ def compare(problem: Problem, smaller: State, larger: State, term: Term) -> Tria
     return judge(problem, larger.fits, term, smaller.held, larger.held, (value, covariance, drop, rest, smaller.full))
 
 
+def penalty(term: Term) -> float:
+    """Log of what an effect has to make good before it is weighed: its coefficients, and being rare in arms."""
+    return len(term.symbols) + (0.0 if term.name in FRICTION else float(np.log(RARE)))
+
+
 def weigh(problem: Problem, state: State, allowed: frozenset[str]) -> list[Chosen]:
     """Each effect of the model against the model without it, and against the best other effect in its place."""
     pool = candidates(problem, allowed)
@@ -262,10 +274,12 @@ def weigh(problem: Problem, state: State, allowed: frozenset[str]) -> list[Chose
         rivals = [trial for trial in _trials(problem, smaller, others) if trial.term.name != key[0]]
         rivals = [
             trial
-            for trial in sorted(rivals, key=lambda trial: -trial.gain)[:RUNNERS]
+            for trial in sorted(rivals, key=lambda trial: penalty(trial.term) - trial.gain)[:RUNNERS]
             if possible(problem, smaller.full, trial.term, trial.value, trial.covariance)
         ]
         runner = rivals[0] if rivals else None
-        lead = own.gain - (max(runner.gain, 0.0) if runner is not None else 0.0)
-        out.append(Chosen(mine, own, runner, float(np.exp(np.clip(lead, -27.0, 27.0)))))
+        lead = own.gain - penalty(mine[0]) - (max(runner.gain - penalty(runner.term), 0.0) if runner is not None else 0.0)
+        odds = float(np.exp(np.clip(lead, -27.0, 27.0)))
+        contested = runner is not None and odds < SURE_ODDS and believed(problem, runner, len(pool))
+        out.append(Chosen(mine, own, runner, odds, contested))
     return out

@@ -25,6 +25,7 @@ EXACT = 1e-4
 TIGHT_OFFSET = 0.003
 SHORTEST_M = 0.1
 FREE = 1e-5
+SIZE = 1.0
 INERTIA_RADIUS_M = 0.2
 
 
@@ -114,14 +115,26 @@ def free_labels(motion: Motion, trust: float | None, known: Mapping[str, tuple[f
 
 
 def _bodies(motion: Motion, trust: float | None) -> tuple[Floats, Floats, Floats]:
-    if trust is None:
-        chosen = structural_base(motion.robot, motion.gravity_m_s2)
-        body = np.eye(AXES * PER_BODY)[:, chosen]
-        return body, np.zeros(len(chosen)), _nearly_free(motion, motion.rigid @ body)
     seen = np.flatnonzero(np.abs(motion.rigid).max(axis=(0, 1)) > 1e-12)
     body = np.eye(AXES * PER_BODY)[:, seen]
+    if trust is None:
+        return body, np.zeros(len(seen)), _plausible_size(motion)[seen] ** -2.0
     deviation = body_deviation(motion.robot, max(trust, EXACT))
     return body, np.nan_to_num(body_parameters(motion.robot))[seen], deviation[seen] ** -2.0
+
+
+def _plausible_size(motion: Motion) -> Floats:
+    """Standard deviation (60,) of the parameters of links nothing is known of, from the torque the arm needs.
+
+    A body of the mass that the strongest axis holds at half the reach, on every link, as large as the link.
+    """
+    onward = np.linalg.norm(motion.robot.placement[1:, :3, 3], axis=1)
+    reach = max(float(onward.sum()), SHORTEST_M)
+    gravity = max(float(np.linalg.norm(motion.gravity_m_s2)), 1.0)
+    mass = SIZE * float(_torque_scale(motion).max()) / (gravity * 0.5 * reach)
+    length = np.maximum(np.append(onward, 0.0), 0.15 * reach)
+    powers = np.array([0.0, 1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0])
+    return (mass * length[:, None] ** powers).reshape(-1)
 
 
 def _torque_scale(motion: Motion) -> Floats:
