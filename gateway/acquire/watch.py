@@ -1,4 +1,4 @@
-"""Limits that are checked with every SYNC while the arm moves: position, speed, torque, following error."""
+"""Limits that are checked with every SYNC while the arm moves: position, speed, torque, following error, contact."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections import deque
 import numpy as np
 
 from gateway.acquire.arm import ArmSample
+from gateway.acquire.contact import Contact
 from gateway.acquire.workspace import Workspace
 from gateway.errors import LimitExceeded
 
@@ -45,6 +46,7 @@ class Watch:
         )
         self._count = np.zeros((3, 6), dtype=int)
         self._target: np.ndarray | None = None
+        self._contact = Contact(arm, workspace, period_s)
         self._history: deque[tuple[int, np.ndarray]] = deque(maxlen=max(2, round(SPEED_SPAN_S / period_s) + 1))
 
     def check(self, sample: ArmSample, target_rad: np.ndarray) -> None:
@@ -82,6 +84,7 @@ class Watch:
                 "stopped; look for contact, a brake that drags, or a wrong limit or torque constant",
                 joint=int(joint) + 1,
             )
+        self._contact.check(q_rad, sample.joint_torque_nm, expected)
 
     def _check_range(self, q_rad: np.ndarray) -> None:
         outside = (q_rad < self._lower) | (q_rad > self._upper)

@@ -1,0 +1,109 @@
+"""Two signs of contact or of a drive that does not do what it is told: torque that the model does not explain, and a
+joint that stays behind.
+
+The model knows neither the load nor the friction, so the difference between measured and modelled torque is compared
+with its own recent mean: what hangs on the flange changes it slowly, contact changes it at once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gateway.acquire.workspace import Workspace
+from gateway.errors import LimitExceeded
+from gateway.model.regressor import gravity_regressor
+
+#: Jump of the unexplained torque, as a share of the joint's torque limit; friction at a reversal is below half of it.
+CONTACT_SHARE = 0.25
+#: SYNCs in a row that it has to last.
+IN_A_ROW = 3
+#: Time constant of the recent mean.
+MEMORY_S = 0.5
+#: Commanded way over which a joint has to move along, and the share of it that it has to go.
+FOLLOW_RAD = 0.04
+FOLLOW_SHARE = 0.2
+
+
+class Contact:
+    """Watches one arm; one instance per run.
+
+    Parameters
+    ----------
+    arm : str
+        Name, for messages.
+    workspace : Workspace
+        Without inertials of the links the torque is not compared with a model, only with its own mean.
+    period_s : float
+        SYNC period.
+    """
+
+    def __init__(self, arm: str, workspace: Workspace, period_s: float) -> None:
+        self._arm = arm
+        self._workspace = workspace
+        self._share = min(period_s / MEMORY_S, 1.0)
+        self._limit = CONTACT_SHARE * workspace.torque_nm
+        self._mean: np.ndarray | None = None
+        self._count = np.zeros(6, dtype=int)
+        self._from: tuple[np.ndarray, np.ndarray] | None = None
+
+    def check(self, q_rad: np.ndarray, torque_nm: np.ndarray, target_rad: np.ndarray) -> None:
+        """One complete SYNC.
+
+        Parameters
+        ----------
+        q_rad, torque_nm : arrays of shape (6,)
+            Measured; joint side.
+        target_rad : array of shape (6,)
+            What the drives had been told.
+
+        Raises
+        ------
+        LimitExceeded
+            Contact, or a joint that stays behind.
+        """
+        self._check_following(q_rad, target_rad)
+        unexplained = torque_nm - self._modelled(q_rad)
+        if self._mean is None:
+            self._mean = unexplained
+        jump = np.abs(unexplained - self._mean)
+        over = jump > self._limit
+        if over.any():
+            self._count = (self._count + 1) * over
+            if self._count.max() >= IN_A_ROW:
+                joint = int(np.argmax(self._count))
+                raise LimitExceeded(
+                    f"arm '{self._arm}', joint {joint + 1}: the torque has jumped by {jump[joint]:.0f} Nm, "
+                    f"{self._limit[joint]:.0f} Nm are allowed: stopped; look for contact, a load that slips, a cable "
+                    "that is caught",
+                    joint=joint + 1,
+                )
+            return
+        self._count[:] = 0
+        self._mean = self._mean + self._share * (unexplained - self._mean)
+
+    def _modelled(self, q_rad: np.ndarray) -> np.ndarray:
+        workspace = self._workspace
+        if workspace.links is None:
+            return np.zeros(6)
+        return (gravity_regressor(workspace.robot, q_rad[None], workspace.gravity_m_s2) @ workspace.links)[0]
+
+    def _check_following(self, q_rad: np.ndarray, target_rad: np.ndarray) -> None:
+        if self._from is None:
+            self._from = (q_rad.copy(), target_rad.copy())
+            return
+        start_q, start_target = self._from
+        asked = target_rad - start_target
+        far = np.abs(asked) > FOLLOW_RAD
+        if not far.any():
+            return
+        done = (q_rad - start_q) * np.sign(asked)
+        behind = far & (done < FOLLOW_SHARE * np.abs(asked))
+        if behind.any():
+            joint = int(np.argmax(behind))
+            raise LimitExceeded(
+                f"arm '{self._arm}', joint {joint + 1} was told to move by {asked[joint]:.3f} rad and has moved by "
+                f"{q_rad[joint] - start_q[joint]:.3f} rad: stopped; look for a brake that is engaged, commands that do "
+                "not reach the drive, position_sign and gear_ratio of this axis",
+                joint=joint + 1,
+            )
+        start_q[far], start_target[far] = q_rad[far], target_rad[far]
