@@ -1,8 +1,8 @@
 """The whole job on the simulator, as a person at the robot would do it: `python -m sim.demo --out out/demo`.
 
-Two programs in two processes on a free bus: the simulated drives, and the gateway, which is told to commission the cell.
-When the gateway asks for a load to be hung, it is hung. At the end the truth, which only the simulator knew, is put beside
-the estimate.
+Two programs in two processes on a free bus: the simulated drives, and the gateway, which is told to commission the
+cell. When the gateway asks for a load to be hung, it is hung. At the end the truth, which only the simulator knew, is
+put beside the estimate.
 """
 
 from __future__ import annotations

@@ -19,8 +19,9 @@ PP, CSP, CST = 1, 8, 10
 NEW_SET_POINT, RELATIVE, HALT = 1 << 4, 1 << 6, 1 << 8
 TARGET_REACHED, INTERNAL_LIMIT, MODE_SPECIFIC, FOLLOWING_ERROR = 1 << 10, 1 << 11, 1 << 12, 1 << 13
 EMCY_FOLLOWING = 0x8611
-#: An axis counts as standing below this speed [rad/s].
-STANDSTILL_RAD_S = 1e-3
+#: A stopping axis counts as standing below this speed [rad/s], or this long after its ramp whatever it does [s].
+STANDSTILL_RAD_S = 0.02
+STOP_TIMEOUT_S = 0.3
 
 
 class Motion:
@@ -40,8 +41,8 @@ class Motion:
         self.wobble: tuple[float, float] | None = None
         self._wobbled = 0.0
         self._speed = 0.0
+        self._stopping_s = 0.0
         self._release_s: float | None = None
-        self._ticks_left = 0
         self._pp_goal: float | None = None
         self._acknowledged = False
         self._reached_since: float | None = None
@@ -61,7 +62,7 @@ class Motion:
             self._handshake()
         elif not drive.automaton.energised:
             self._release_s = None
-            self._speed = 0.0
+            self._speed = self._stopping_s = 0.0
             drive.axis.lock()
 
     def mode_changed(self) -> None:
@@ -156,8 +157,9 @@ class Motion:
         slower = max(abs(self._speed) - rate * seconds, 0.0)
         travel = math.copysign(0.5 * (abs(self._speed) + slower) * seconds, self._speed)
         self._speed = math.copysign(slower, self._speed)
+        self._stopping_s = self._stopping_s + seconds if slower == 0.0 else 0.0
         still = slower == 0.0 and abs(drive.axis.omega_rad_s) < STANDSTILL_RAD_S
-        if still and drive.automaton.state is not PdsState.OPERATION_ENABLED:
+        if (still or self._stopping_s > STOP_TIMEOUT_S) and drive.automaton.state is not PdsState.OPERATION_ENABLED:
             before = drive.automaton.state
             drive.automaton.stopped()
             self.state_changed(before)

@@ -49,8 +49,10 @@ COUPLING_DAMPING = 0.15
 SPEED_BANDWIDTH_RAD_S = 200.0
 POSITION_SHARE = 0.2
 POSITION_GAIN_1_S = 8.0
-#: Simulated time after which drift and payload shift are looked at again [s].
-REFRESH_S = 0.05
+#: Milliseconds after which springs, drift and payload shift are looked at again.
+REFRESH_TICKS = 20
+#: Displacement of the payload after which the links are built anew [m].
+SHIFT_M = 1e-4
 
 
 class MotorAxis:
@@ -138,8 +140,7 @@ class ArmWorld:
         self._zero = np.array([axis.zero_offset_rad for axis in arm.axes])
         self._limits = np.array([axis.position_limit_rad for axis in arm.axes])
         self._noise = np.random.default_rng(seed)
-        self._client: int = bullet.connect(bullet.DIRECT)
-        bullet.setTimeStep(TICK_S, physicsClientId=self._client)
+        self._client = -1
         home = np.clip(np.zeros(6), self._limits[:, 0], self._limits[:, 1])
         self._q, self._qd = home.tolist(), [0.0] * 6
         self._body = -1
@@ -157,9 +158,14 @@ class ArmWorld:
     # ------------------------------------------------------------------------------------------------------- set-up
 
     def _load_body(self) -> None:
-        """Build the links with what hangs on the flange, in the present posture."""
-        if self._body >= 0:
-            bullet.removeBody(self._body, physicsClientId=self._client)
+        """Build the links with what hangs on the flange, in the present posture.
+
+        In a fresh engine: PyBullet keeps inverse dynamics by address, and may hand out those of a body that is gone.
+        """
+        self.close()
+        self._client = bullet.connect(bullet.DIRECT)
+        bullet.setTimeStep(TICK_S, physicsClientId=self._client)
+        self._loaded = self._now.payload
         text = write_chain(physical_chain(self._chain, self._now))
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "arm.urdf"
@@ -272,7 +278,12 @@ class ArmWorld:
 
     def advance(self, ticks: int) -> None:
         """Step the physics by whole milliseconds."""
-        self._refresh()
+        while ticks > 0:
+            self._refresh()
+            self._step(min(ticks, REFRESH_TICKS))
+            ticks -= REFRESH_TICKS
+
+    def _step(self, ticks: int) -> None:
         body, client, axes = self._body, self._client, self.axes
         joints = (0, 1, 2, 3, 4, 5)
         first, second, third, fourth, fifth, sixth = (axis.tick for axis in axes)
@@ -311,10 +322,11 @@ class ArmWorld:
         return np.asarray(passive(np.array(self._q), self.time_s, self.joint_torque_nm())).tolist()
 
     def _refresh(self) -> None:
-        if (self.plant.drift or self.plant.payload_shift) and self.time_s >= self._refreshed_s + REFRESH_S:
+        if (self.plant.drift or self.plant.payload_shift) and self.time_s >= self._refreshed_s + REFRESH_TICKS * TICK_S:
             self._refreshed_s = self.time_s
-            before, self._now = self._now, self.plant.at(self.time_s)
-            if np.abs(before.payload.com_m - self._now.payload.com_m).max() > 1e-6:
+            self._now = self.plant.at(self.time_s)
+            loaded, load = self._loaded, self._now.payload
+            if load.mass_kg != loaded.mass_kg or np.abs(load.com_m - loaded.com_m).max() > SHIFT_M:
                 self._load_body()
             self._take_over()
         if self._now.passive_torque is not None:
@@ -349,7 +361,9 @@ class ArmWorld:
 
     def close(self) -> None:
         """Give the physics engine back."""
-        bullet.disconnect(physicsClientId=self._client)
+        if self._client >= 0:
+            bullet.disconnect(physicsClientId=self._client)
+            self._client = -1
 
 
 def physical_chain(chain: Chain, plant: Plant) -> Chain:

@@ -1,0 +1,194 @@
+"""The arm's physics against pinocchio's inverse dynamics and closed forms; what the plant's fields do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio
+import pytest
+
+from sim.physics import ArmWorld, physical_chain
+from sim.plant import Payload
+from sim.urdf import write_chain
+
+G = 9.80665
+
+
+def oracle(world: ArmWorld, gravity=(0.0, 0.0, -G)) -> pinocchio.Model:
+    """Pinocchio's model of the nominal chain; the payload is added by pinocchio, not by the simulator."""
+    plant = world.plant
+    bare = physical_chain(world._chain, plant.with_payload(Payload()))
+    limits = np.full(6, 10.0)
+    chain = replace(bare, lower_rad=-limits, upper_rad=limits, effort_nm=limits, velocity_rad_s=limits)
+    model = pinocchio.buildModelFromXML(write_chain(chain))
+    load = plant.payload
+    if load.mass_kg:
+        model.inertias[6] += pinocchio.Inertia(load.mass_kg, load.com_m, load.inertia_kg_m2)
+    model.gravity.linear = np.array(gravity)
+    return model
+
+
+def needed(model: pinocchio.Model, q: np.ndarray) -> np.ndarray:
+    return pinocchio.rnea(model, model.createData(), q, np.zeros(6), np.zeros(6))
+
+
+def release(world: ArmWorld) -> None:
+    for axis in world.axes:
+        axis.release()
+
+
+def drive_to(world: ArmWorld, q: np.ndarray, seconds: float) -> None:
+    """Smooth reference (quintic) from where the references stand, as a cyclic master would stream it."""
+    start = np.array([axis.servo.reference_rad for axis in world.axes])
+    steps = int(seconds / 0.01)
+    for k in range(1, steps + 1):
+        share = k / steps
+        goal = start + (q - start) * share**3 * (10 - 15 * share + 6 * share**2)
+        for axis, target in zip(world.axes, goal.tolist(), strict=True):
+            axis.servo.reference_step_rad = (target - axis.servo.reference_rad) / 10
+        world.advance(10)
+    for axis in world.axes:
+        axis.servo.reference_step_rad = 0.0
+
+
+LOADS = {
+    "large": Payload("l", 70.0, np.array([0.05, -0.02, 0.22]), np.diag([1.5, 1.2, 0.9])),
+    "small": Payload("s", 6.0, np.array([0.02, 0.01, 0.10]), np.diag([0.02, 0.02, 0.01])),
+}
+POSE = np.array([0.4, 0.3, -0.5, 0.7, -0.9, 1.1])
+
+
+@pytest.mark.parametrize("name", ["large", "small"])
+def test_holding_torque_is_that_of_inverse_dynamics_bare_and_loaded(name, world_of):
+    world = world_of(name, zero_offset_rad=np.zeros(6))
+    release(world)
+    shift = np.array([axis.shift_rad for axis in world.axes])
+    drive_to(world, POSE - shift, 3.0)
+    world.advance(4000)
+    for payload in (Payload(), LOADS[name]):
+        world.hang(payload)
+        world.advance(4000)
+        assert np.abs(world.qd_rad_s).max() < 1e-5
+        expected = needed(oracle(world), world.q_rad)
+        np.testing.assert_allclose(world.joint_torque_nm(), expected, atol=2e-4 * np.abs(expected).max())
+        np.testing.assert_allclose(world.reading_nm(), expected, atol=2e-4 * np.abs(expected).max())
+        np.testing.assert_allclose(world.q_rad, POSE, atol=2e-4)
+
+
+def test_moving_torque_is_that_of_inverse_dynamics(world_of):
+    """Links fall freely from rest: acceleration of the first steps against pinocchio's forward dynamics."""
+    world = world_of("small")
+    model = oracle(world)
+    for axis in world.axes:
+        axis.stiffness = axis.damping = 0.0
+    world.advance(20)
+    fall = pinocchio.aba(model, model.createData(), np.zeros(6), np.zeros(6), np.zeros(6))
+    np.testing.assert_allclose(world.qd_rad_s / 0.02, fall, rtol=0.02, atol=0.05)
+
+
+def test_an_arm_in_its_brakes_stands_still_and_shows_no_torque(world_of):
+    world = world_of("large")
+    before = world.q_rad
+    world.advance(500)
+    world.hang(LOADS["large"])
+    world.advance(500)
+    np.testing.assert_allclose(world.q_rad, before, atol=1e-9)
+    np.testing.assert_allclose(world.reading_nm(), 0.0)
+
+
+def test_tilted_gravity_springs_and_offsets_act_as_the_plant_says(world_of):
+    gravity = np.array([0.3, -0.2, -9.79])
+    spring = np.array([0.0, 12.0, 0.0, 0.0, 1.5, 0.0])
+    offset = np.array([0.5, 0.0, -1.0, 0.0, 0.2, 0.0])
+    scale = np.array([1.0, 1.05, 0.95, 1.0, 1.0, 1.0])
+    world = world_of(
+        "small",
+        gravity_m_s2=gravity,
+        passive_torque=lambda q, time_s, tau: spring,
+        reading_offset_nm=offset,
+        torque_constant_scale=scale,
+        torque_sign=np.array([1.0, 1.0, 1.0, 1.0, -1.0, 1.0]),
+        current_factor=np.array([1.0, 1.0, np.sqrt(2.0), 1.0, 1.0, 1.0]),
+    )
+    release(world)
+    world.advance(6000)
+    tau = needed(oracle(world, gravity), world.q_rad) - spring
+    np.testing.assert_allclose(world.joint_torque_nm(), tau, atol=0.01)
+    factor = np.array([1.0, 1.0, np.sqrt(2.0), 1.0, 1.0, 1.0])
+    expected = (tau * factor / scale + offset) * [1, 1, 1, 1, -1, 1]
+    np.testing.assert_allclose(world.reading_nm(), expected, atol=0.02)
+
+
+def test_encoders_see_neither_zero_offset_nor_wind_up(world_of):
+    zero, compliance = np.array([0, 0.01, -0.02, 0, 0.03, 0]), np.full(6, 2e-5)
+    world = world_of("small", zero_offset_rad=zero, compliance_rad_nm=compliance)
+    release(world)
+    world.advance(6000)
+    reported = np.array([axis.position_rad for axis in world.axes])
+    cell_zero = np.array([0, 0.02, 0, 0, -0.015, 0])
+    tau = world.joint_torque_nm()
+    np.testing.assert_allclose(world.q_rad, reported + cell_zero + zero - compliance * tau, atol=1e-7)
+    assert np.abs(compliance * tau).max() > 5e-4
+
+
+def test_a_coupled_wrist_carries_the_torque_of_its_transpose(arm_of, world_of):
+    coupling = np.eye(6)
+    coupling[5, 4] = 0.3
+    arm = replace(arm_of("small"), coupling=coupling)
+    world = world_of("small", arm)
+    release(world)
+    goal = np.zeros(6)
+    goal[[1, 2, 4]] = 0.2, -0.4, 0.9
+    drive_to(world, coupling @ goal, 2.0)
+    world.advance(5000)
+    tau = needed(oracle(world), world.q_rad)
+    motors = np.array([axis.torque_nm for axis in world.axes])
+    np.testing.assert_allclose(coupling.T @ motors, tau, atol=0.01)
+    np.testing.assert_allclose(world.reading_nm(), np.linalg.solve(coupling.T, tau), atol=0.02)
+
+
+def test_a_payload_that_moves_is_followed(world_of):
+    world = world_of("small", payload_shift=lambda time_s: np.array([0.0, 0.0, 0.1 if time_s > 1.0 else 0.0]))
+    world.hang(LOADS["small"])
+    release(world)
+    world.advance(6000)
+    moved = replace(LOADS["small"], com_m=LOADS["small"].com_m + [0.0, 0.0, 0.1])
+    model = oracle(world)
+    model.inertias[6] -= pinocchio.Inertia(6.0, LOADS["small"].com_m, LOADS["small"].inertia_kg_m2)
+    model.inertias[6] += pinocchio.Inertia(6.0, moved.com_m, moved.inertia_kg_m2)
+    np.testing.assert_allclose(world.joint_torque_nm(), needed(model, world.q_rad), atol=0.05)
+
+
+@pytest.mark.parametrize("name", ["large", "small"])
+def test_after_a_slow_approach_the_torque_lies_near_the_edge_of_its_side(name, arm_of, world_of):
+    """Both sides: the edge is eta u = tau + F or u = eta (tau - F); half the sum is gravity, some asymmetry is left."""
+    from sim.nominal import plant_of
+
+    plant = plant_of(arm_of(name))
+    world = world_of(
+        name, **{field: getattr(plant, field) for field in plant.__slots__ if not field.startswith(("link", "reading"))}
+    )
+    release(world)
+    world.advance(500)
+    shift = np.array([axis.shift_rad for axis in world.axes])
+    efficiency, edges, converted, gravity = plant.gear_efficiency, [], [], []
+    for direction in (1.0, -1.0):
+        drive_to(world, POSE - shift - 0.03 * direction, 2.0)
+        drive_to(world, POSE - shift, 1.5)
+        world.advance(3000)
+        u, tau = np.array([axis.servo.u_nm for axis in world.axes]), world.joint_torque_nm()
+        behind = np.where(u * direction > 0, u * efficiency, u / efficiency)
+        edges.append((behind - tau) * direction / plant.coulomb_nm)
+        converted.append(behind)
+        gravity.append(tau)
+    assert np.median(edges) == pytest.approx(1.0, abs=0.2)
+    assert not np.allclose(edges, 1.0, atol=1e-3)
+    left = (np.sum(converted, axis=0) - np.sum(gravity, axis=0)) / 2.0 / plant.coulomb_nm
+    assert np.sqrt(np.mean(left**2)) < 0.3
+
+
+def test_time_is_that_of_the_steps(world_of):
+    world = world_of("small")
+    world.advance(37)
+    assert world.time_s == pytest.approx(0.037)
