@@ -255,6 +255,8 @@ def read_payloads(path: Path) -> dict[str, Payload]:
                 f"{where}: label '{label}' is taken; every load needs its own, and none is the bare arm."
             )
         loads[label] = Payload(label, mass, com, inertia)
+    if not loads:
+        raise CellFileError(f"{path}: holds no [[load]]; each has label, mass_kg and com_m.")
     return loads
 
 

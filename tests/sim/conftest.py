@@ -150,6 +150,20 @@ def drives(channel: str) -> Iterator[tuple[Master, RunningSimulation]]:
             master.bus.shutdown()
 
 
+@pytest.fixture
+def master_on() -> Iterator[Callable[[str], Master]]:
+    """Masters on virtual channels, closed after the test."""
+    masters: list[Master] = []
+
+    def build(channel: str) -> Master:
+        masters.append(Master(channel))
+        return masters[-1]
+
+    yield build
+    for master in masters:
+        master.bus.shutdown()
+
+
 @pytest.fixture(scope="session")
 def arm_of() -> Callable[[str], ArmSpec]:
     """Arm of an example cell by name."""

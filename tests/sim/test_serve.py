@@ -1,0 +1,249 @@
+"""Simulations as others start them: on a virtual bus, in a process of their own, with loads, effects and faults."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from drives.profile import list_profiles
+from sim.build_errors import with_build_errors
+from sim.demo import comparison
+from sim.multicast import QuietMulticastBus
+from sim.nominal import plant_of
+from sim.serve import free_bus, running
+from sim.simulation import ServeOptions, Simulation
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+SMALL = EXAMPLES / "small" / "cell.toml"
+
+
+def serve(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "sim", "serve", *words], capture_output=True, text=True, timeout=30, check=False
+    )
+
+
+def test_a_process_of_its_own_answers_hangs_loads_and_writes_the_truth(tmp_path):
+    truth = tmp_path / "truth.json"
+    undeclared = tmp_path / "effects.toml"
+    undeclared.write_text(
+        '[[effect]]\nname = "torque_offset"\njoints = [3]\nparameters = { offset_nm = 2.0 }\n', encoding="utf-8"
+    )
+    options = {"payload": EXAMPLES / "small" / "payload.toml", "undeclared": undeclared, "truth": truth}
+    with running(SMALL, **options) as simulation:
+        assert json.loads(truth.read_text(encoding="utf-8")) == {
+            "loads": [{"label": "load", "mass_kg": 6.0, "com_m": [0.02, 0.01, 0.10]}],
+            "effects": [{"name": "torque_offset", "joints": [3], "parameters": {"offset_nm": 2.0}}],
+        }
+        channel, _, port = simulation.bus.removeprefix("udp_multicast:").partition(",port=")
+        master = QuietMulticastBus(channel, port=int(port))
+        try:
+            master.send(can.Message(arbitration_id=0x603, data=[0x40, 0, 0x10, 0, 0, 0, 0, 0], is_extended_id=False))
+            answers = iter(lambda: master.recv(5.0), None)
+            answer = next(frame for frame in answers if frame.arbitration_id == 0x583)
+            assert bytes(answer.data[:4]) == bytes([0x43, 0x00, 0x10, 0x00])
+        finally:
+            master.shutdown()
+        simulation.hang("load")
+        simulation.hang("none")
+        with pytest.raises(KeyError, match="known are none, load"):
+            simulation.hang("anvil")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["no-such-cell.toml"], "no-such-cell.toml: cannot be read"),
+        ([str(SMALL), "--undeclared", "{bad}"], "unknown effect"),
+        ([str(SMALL), "--fault", "{bad}"], "holds [[fault]] tables and nothing else"),
+        ([str(SMALL), "--bus", "nonsense"], "INTERFACE:CHANNEL"),
+    ],
+)
+def test_bad_files_end_in_exit_3_and_one_paragraph(words, message, tmp_path):
+    bad = tmp_path / "bad.toml"
+    bad.write_text('[[effect]]\nname = "gremlins"\n', encoding="utf-8")
+    done = serve(*(word.replace("{bad}", str(bad)) for word in words))
+    assert done.returncode == 3
+    assert message in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert "Traceback" not in done.stderr
+
+
+def test_an_unknown_interface_ends_in_exit_4():
+    done = serve(str(SMALL), "--bus", "no_such_interface:x")
+    assert done.returncode == 4
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_effects_and_seed_exclude_each_other():
+    assert serve(str(SMALL), "--seed", "1", "--undeclared", "x").returncode == 2
+
+
+def test_a_seed_makes_another_arm_of_the_same_drawing(arm_of):
+    arm = arm_of("large")
+    plant = plant_of(arm)
+    first, again, second = (with_build_errors(plant, arm.chain, seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first.link_com_m, again.link_com_m)
+    assert not np.allclose(first.link_mass_kg, second.link_mass_kg)
+    share = np.array(
+        [with_build_errors(plant, arm.chain, seed).link_mass_kg / plant.link_mass_kg for seed in range(60)]
+    )
+    assert share.std() == pytest.approx(0.03, rel=0.15)
+
+
+def test_own_frames_do_not_come_back_others_do():
+    channel, _, port = free_bus().removeprefix("udp_multicast:").partition(",port=")
+    first, second = (QuietMulticastBus(channel, port=int(port)) for _ in range(2))
+    try:
+        first.send(can.Message(arbitration_id=0x181, data=b"\x01\x02", is_extended_id=False))
+        first.send(can.Message(arbitration_id=0x181, data=b"\x01\x02", is_extended_id=False))
+        for _ in range(2):
+            frame = second.recv(2.0)
+            assert frame is not None
+            assert (frame.arbitration_id, bytes(frame.data)) == (0x181, b"\x01\x02")
+        second.send(can.Message(arbitration_id=0x80, is_extended_id=False))
+        frame = first.recv(2.0)
+        assert frame is not None
+        assert frame.arbitration_id == 0x80
+        assert first.recv(0.0) is None
+    finally:
+        first.shutdown()
+        second.shutdown()
+
+
+@pytest.mark.parametrize("profile", list_profiles())
+def test_every_profile_makes_drives_that_answer(profile, tmp_path, channel, master_on):
+    text = SMALL.read_text(encoding="utf-8").replace("generic-cia402", profile)
+    (tmp_path / "cell.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "robot.urdf").write_bytes((EXAMPLES / "small" / "robot.urdf").read_bytes())
+    with running(tmp_path / "cell.toml", f"virtual:{channel}") as simulation:
+        master = master_on(channel)
+        assert profile.encode() in master.read(3, 0x1008)
+        drive = simulation.simulation.servers[0].drive(3)
+        master.write(3, 0x6060, 0, 8, 1)
+        word = drive.units.torque
+        size = {"i16": 2, "i32": 4}[word.type]
+        master.map(3, 0, (0x60410010, 0x60640020), 1)
+        master.map(3, 1, (word.address[0] << 16 | word.address[1] << 8 | 8 * size,), 1)
+        master.map(3, 0, (0x60400010, 0x607A0020, 0x60B20010), 1, receive=True)
+        master.send(0x000, bytes([1, 3]))
+        position = master.number(3, 0x6064, signed=True)
+        for command in (0x06, 0x07, *[0x0F] * 250):
+            master.send(0x203, command.to_bytes(2, "little") + position.to_bytes(4, "little", signed=True) + bytes(2))
+            master.send(0x080, b"")
+            status = master.wait(0x183)
+            raw = int.from_bytes(master.wait(0x283), "little", signed=True)
+        assert status[0] & 0x6F == 0x27
+        shown = raw / word.bits_per_unit * 100
+        noise = simulation.simulation.arms[0].world.plant.reading_noise_nm[2]
+        assert shown == pytest.approx(drive.axis.servo.u_nm, abs=5 * noise)
+        assert abs(shown) > 20
+
+
+@pytest.mark.parametrize(
+    ("fault", "index", "sub", "expected"),
+    [("wrong_vendor", 0x1018, 1, None), ("rated_zero", 0x6076, 0, 0), ("fault_at_start", 0x603F, 0, 0x7305)],
+)
+def test_faults_of_the_drive_are_there_from_the_start(fault, index, sub, expected, tmp_path, channel, master_on):
+    scenario = tmp_path / "fault.toml"
+    scenario.write_text(f'[[fault]]\nkind = "{fault}"\nnode = 2\n', encoding="utf-8")
+    with running(SMALL, f"virtual:{channel}", fault=scenario):
+        master = master_on(channel)
+        value, other = master.number(2, index, sub), master.number(1, index, sub)
+        assert value != other
+        assert expected is None or value == expected
+
+
+def test_a_missing_node_is_silent_and_an_aborted_object_refused(tmp_path, channel, master_on):
+    scenario = tmp_path / "fault.toml"
+    scenario.write_text(
+        '[[fault]]\nkind = "node_missing"\nnode = 2\nsyncs = 0\n'
+        '[[fault]]\nkind = "sdo_aborted"\nnode = 3\nindex = 0x6076\nsyncs = 0\n',
+        encoding="utf-8",
+    )
+    with running(SMALL, f"virtual:{channel}", fault=scenario):
+        master = master_on(channel)
+        master.send(0x602, b"\x40\x00\x10\x00\x00\x00\x00\x00")
+        with pytest.raises(AssertionError, match="no frame 0x582"):
+            master.wait(0x582, 0.05)
+        with pytest.raises(master.Aborted):
+            master.number(3, 0x6076)
+        assert master.number(3, 0x6075) > 0
+
+
+def test_an_axis_that_never_settles_keeps_moving(tmp_path, channel, master_on):
+    scenario = tmp_path / "fault.toml"
+    scenario.write_text('[[fault]]\nkind = "never_settles"\nnode = 3\nsyncs = 0\n', encoding="utf-8")
+    with running(SMALL, f"virtual:{channel}", fault=scenario):
+        master = master_on(channel)
+        master.configure(3, 8)
+        position = master.enable(3, 100)
+        counts = [master.cycle(3, 0x0F, position)[1] for _ in range(200)]
+        assert np.ptp(counts) > 0.002 * 100 * 131072 / (2 * np.pi)
+
+
+def test_a_node_killed_in_the_run_falls_silent(tmp_path, channel, master_on):
+    scenario = tmp_path / "fault.toml"
+    scenario.write_text('[[fault]]\nkind = "node_killed"\nnode = 3\nat_sync = 40\nsyncs = 0\n', encoding="utf-8")
+    with running(SMALL, f"virtual:{channel}", fault=scenario) as simulation:
+        master = master_on(channel)
+        master.configure(3, 8)
+        position = master.enable(3, 20)
+        for _ in range(39 - 22):
+            master.cycle(3, 0x0F, position)
+        with pytest.raises(AssertionError, match="no frame"):
+            master.cycle(3, 0x0F, position)
+        assert not simulation.simulation.servers[0].drive(3).axis.free
+
+
+def test_real_pacing_follows_the_clock_without_sync(tmp_path, channel):
+    text = SMALL.read_text(encoding="utf-8").replace('"lockstep"', '"real"')
+    (tmp_path / "cell.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "robot.urdf").write_bytes((EXAMPLES / "small" / "robot.urdf").read_bytes())
+    simulation = Simulation(tmp_path / "cell.toml", ServeOptions(bus=f"virtual:{channel}"))
+    world, advanced = simulation.arms[0].world, threading.Event()
+    forward = world.advance
+
+    def advance(ticks: int) -> None:
+        forward(ticks)
+        if world.time_s > 0.05:
+            advanced.set()
+
+    world.advance = advance
+    thread = threading.Thread(target=simulation.run)
+    thread.start()
+    try:
+        assert advanced.wait(5.0)
+    finally:
+        simulation.stop()
+        thread.join()
+        simulation.close()
+
+
+def test_truth_beside_the_estimate():
+    result = {
+        "loads": [
+            {
+                "label": "a",
+                "mass_kg": 70.5,
+                "mass_std_kg": 0.25,
+                "com_m": [0.01, None, 0.2],
+                "com_std_m": [0.002, None, 0.004],
+            }
+        ],
+        "verdict": "none_needed",
+        "effects": [],
+        "truth": {"loads": [{"label": "a", "mass_kg": 70.0, "com_m": [0.0, 0.0, 0.21]}], "effects": []},
+    }
+    lines = comparison(result)
+    assert lines[1].split() == ["a", "mass", "[kg]", "70.00", "70.50", "0.50", "0.25", "2.00"]
+    assert lines[3].endswith("not identifiable")
+    assert lines[4].split()[-4:] == ["200.00", "-10.00", "4.00", "-2.50"]
+    assert lines[5] == "undeclared effects: none; found: none; verdict: none_needed"
