@@ -17,6 +17,9 @@ from gateway.acquire.axis import AxisConversion
 from gateway.config import ArmConfig, AxisConfig
 
 Severity = Literal["ok", "info", "warn", "fail"]
+#: Drive's and cell's torque limit farther apart than this are no choice but a mistake of units.
+IMPLAUSIBLE = 50.0
+
 Address = tuple[int, int]
 Readings = Mapping[Address, int | None]
 
@@ -195,6 +198,9 @@ def _torque_limit(lines: _Lines, readings: Readings) -> None:
     joint = abs(config.gear_ratio.value) * full * limit / 1000.0
     if limit == 0:
         lines.add("fail", address, "0: the drive gives no torque", "set the torque limit in the drive")
+    elif not 1.0 / IMPLAUSIBLE < joint / config.torque_limit_nm < IMPLAUSIBLE:
+        what = f"{limit} per mille is {joint:.3g} Nm at the joint, the cell allows {config.torque_limit_nm:g} Nm"
+        lines.add("fail", address, what, "rated torque in another unit (uNm, mNm) or a wrong gear_ratio: correct it")
     elif joint < config.torque_limit_nm:
         what = f"{limit} per mille is {joint:.0f} Nm at the joint, the cell allows {config.torque_limit_nm:g} Nm"
         lines.add("warn", address, what, "readings saturate there; lower torque_limit_nm or raise the drive's limit")

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
+from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 AXES = ("J1", "J2", "J3", "J4", "J5", "J6")
@@ -53,52 +55,57 @@ class Session:
             self.console(err=True).print(text, markup=False)
 
     @contextmanager
-    def progress(self, total: float | None, text: str) -> Iterator[Bar]:
-        """Progress bar on stderr with elapsed and remaining time; silent when quiet, sparse when not a terminal."""
+    def progress(self, total: float, text: str) -> Iterator[Bar]:
+        """Progress with remaining time on stderr: a bar on a terminal, a line per tenth elsewhere."""
         console = self.console(err=True)
         if self.verbosity < 0:
-            yield Bar(None, None, None)
+            yield Bar()
         elif not console.is_terminal:
-            yield Bar(None, None, self)
+            yield LineBar(self, text, total)
         else:
-            columns = (
-                TextColumn("{task.description}"),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TimeElapsedColumn(),
-                TextColumn("left"),
-                TimeRemainingColumn(),
-            )
+            columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
             with Progress(*columns, console=console, transient=True) as progress:
-                yield Bar(progress, progress.add_task(text, total=total), None)
+                yield RichBar(progress, progress.add_task(text, total=total), text)
 
 
-@dataclass(slots=True)
 class Bar:
-    """One progress bar; where there is no terminal, every new text is one line."""
+    """Progress that shows nothing."""
 
-    progress: Progress | None
-    task: Any
-    session: Session | None
-    last: str = ""
+    def set(self, done: float, total: float, what: str) -> None:
+        """Say how much is done, of how much, and what is being done."""
 
-    def set(self, done: float, total: float | None = None, text: str | None = None) -> None:
-        """Set what is done (and of how much) and, where given, the text in front of the bar."""
-        if self.progress is not None:
-            changes: dict[str, Any] = {"completed": done}
-            if total is not None:
-                changes["total"] = total
-            if text is not None:
-                changes["description"] = text
-            self.progress.update(self.task, **changes)
-        elif self.session is not None and text is not None and text != self.last:
-            self.last = text
-            self.session.note(text)
+
+class RichBar(Bar):
+    """Progress bar of a terminal."""
+
+    def __init__(self, progress: Progress, task: TaskID, text: str) -> None:
+        self._progress, self._task, self._text = progress, task, text
+
+    def set(self, done: float, total: float, what: str) -> None:
+        """Move the bar."""
+        self._progress.update(self._task, completed=done, total=total, description=f"{self._text}: {what}")
+
+
+class LineBar(Bar):
+    """A line of text for every tenth."""
+
+    def __init__(self, session: Session, text: str, total: float) -> None:
+        self._session, self._text, self._tenth = session, text, 0
+        self._began_s = time.monotonic()
+        session.note(f"{text}: about {total:.0f} s of motion")
+
+    def set(self, done: float, total: float, what: str) -> None:
+        """Say so when another tenth is done."""
+        share = done / total if total > 0 else 1.0
+        if int(10 * share) > self._tenth:
+            self._tenth = int(10 * share)
+            left_s = (time.monotonic() - self._began_s) * (1 - share) / share
+            self._session.note(f"{self._text}: {100 * share:.0f} %, {left_s:.0f} s left ({what})")
 
 
 def grid(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> Table:
     """Table with `left` text columns followed by right-aligned ones."""
-    table = Table(title=title, title_justify="left", title_style="bold", header_style="bold", pad_edge=False)
+    table = Table(title=title, title_justify="left", title_style="bold", header_style="bold", box=box.SIMPLE_HEAD)
     for index, name in enumerate(columns):
         table.add_column(name, justify="left" if index < left else "right", overflow="fold")
     for row in rows:

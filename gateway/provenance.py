@@ -6,12 +6,15 @@ from collections.abc import Sequence
 from typing import Any
 
 from drives.profile import Constant, DriveProfile, Rated, Signal
+from drives.scaling import Constants
 from gateway.config import ArmConfig, AxisConfig
 
 Entry = dict[str, Any]
 
 
-def provenance(arm: ArmConfig, profiles: Sequence[DriveProfile]) -> dict[str, dict[str, Entry]]:
+def provenance(
+    arm: ArmConfig, profiles: Sequence[DriveProfile], constants: Sequence[Constants] = ()
+) -> dict[str, dict[str, Entry]]:
     """Constants of every axis with value, unit and source.
 
     Parameters
@@ -19,19 +22,19 @@ def provenance(arm: ArmConfig, profiles: Sequence[DriveProfile]) -> dict[str, di
     arm : ArmConfig
     profiles : sequence of 6 DriveProfile
         In the order of the axes.
+    constants : sequence of 6 Constants
+        What was read from the drives; empty if no drive was asked.
 
     Returns
     -------
     dict
         "J1" to "J6" -> name -> {"value", "unit", "source"}.
     """
-    return {
-        f"J{joint}": _axis(axis, profile)
-        for joint, (axis, profile) in enumerate(zip(arm.axis, profiles, strict=True), start=1)
-    }
+    read = list(constants) or [None] * 6
+    return {f"J{joint}": _axis(*axis) for joint, axis in enumerate(zip(arm.axis, profiles, read, strict=True), start=1)}
 
 
-def _axis(axis: AxisConfig, profile: DriveProfile) -> dict[str, Entry]:
+def _axis(axis: AxisConfig, profile: DriveProfile, read: Constants | None) -> dict[str, Entry]:
     entries = {
         "gear_ratio": _entry(axis.gear_ratio.value, "-", axis.gear_ratio.source),
         "gear_efficiency": _entry(axis.gear_efficiency.value, "-", axis.gear_efficiency.source),
@@ -46,7 +49,7 @@ def _axis(axis: AxisConfig, profile: DriveProfile) -> dict[str, Entry]:
     entries["torque_object"] = _entry(_object(profile.torque), "", f"profile {profile.name}: {profile.torque.source}")
     if profile.torque.rated is not None:
         unit = "A" if profile.torque.is_current else "Nm"
-        entries["rated_value"] = _rated(profile.torque.rated, unit)
+        entries["rated_value"] = _rated(profile.torque.rated, unit, read)
     if profile.torque.internal_unit_a is not None:
         entries["ampere_per_unit"] = _constant(profile.torque.internal_unit_a, "A")
     if profile.torque.is_current:
@@ -59,7 +62,7 @@ def _axis(axis: AxisConfig, profile: DriveProfile) -> dict[str, Entry]:
         entries["counts_per_revolution"] = _constant(counts, "1/rev")
     else:
         where = f"read from drive, 0x{counts.object.index:04X}:{counts.object.subindex:02X}"
-        entries["counts_per_revolution"] = _entry(None, "1/rev", where)
+        entries["counts_per_revolution"] = _entry(read and read.counts_per_revolution, "1/rev", where)
     return entries
 
 
@@ -71,11 +74,11 @@ def _constant(constant: Constant, unit: str) -> Entry:
     return _entry(constant.value, unit, constant.source)
 
 
-def _rated(rated: Rated, unit: str) -> Entry:
+def _rated(rated: Rated, unit: str, read: Constants | None) -> Entry:
     if rated.object is None:
         return _entry(rated.value, unit, rated.source)
     where = f"read from drive, 0x{rated.object.index:04X}:{rated.object.subindex:02X}, {rated.unit:g} {unit} per bit"
-    return _entry(None, unit, f"{where}; {rated.source}")
+    return _entry(read and read.torque_rated, unit, f"{where}; {rated.source}")
 
 
 def _object(signal: Signal) -> str:

@@ -73,7 +73,7 @@ def _hex(value: int | None) -> str:
 @common
 def check(cell: Path, bus_spec: str | None, json_out: str | None) -> None:
     """Pre-flight check of every drive against profile and cell file. Nothing is written, nothing moves."""
-    from gateway.commands.context import open_cell
+    from gateway.cell_context import open_cell
 
     context = open_cell(cell, bus_spec)
     items: dict[str, list[CheckItem]] = {}
@@ -116,8 +116,15 @@ def _fail_on(findings: Sequence[dict[str, str]]) -> None:
 @common
 def restore(cell: Path, bus_spec: str | None) -> None:
     """Put back what the write ledger holds; the drives must stand still and be disabled."""
-    from gateway.commands.context import open_cell
+    from gateway.cell_context import open_cell
 
     context = open_cell(cell, bus_spec)
     for arm in context.arms:
-        session_of().show(f"arm {arm.name}: {context.restore(arm)}")
+        with context.connected(arm) as group:
+            entries = group.ledger.entries
+            group.restore()
+        for entry in entries:
+            session_of().note(f"put back: {entry}", level=1)
+        session_of().show(
+            f"arm {arm.name}: {len(entries)} objects put back" if entries else f"arm {arm.name}: nothing to put back"
+        )

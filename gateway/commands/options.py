@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -107,6 +110,19 @@ def confirm(question: str, *, yes: bool) -> None:
     """Ask before anything moves; no answer means no."""
     if not yes:
         click.confirm(question, abort=True, err=True)
+
+
+@contextmanager
+def stop_on_termination() -> Iterator[None]:
+    """While the arm may move, a request to terminate stops it as Ctrl-C does."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def one_of(names: Sequence[str]) -> click.Choice:

@@ -1,0 +1,97 @@
+"""A cell file and what the command line says differently: which bus, where the write ledger is kept."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from drives.bus import Bus, BusSpec, open_bus
+from drives.group import DriveGroup, GroupOptions
+from drives.profile import DriveProfile
+from gateway.acquire.opening import BusOverride, axis_setups
+from gateway.config import ArmConfig, LoadedCell, load_cell
+
+
+@dataclass(frozen=True, slots=True)
+class CellContext:
+    """A cell as this command uses it.
+
+    Parameters
+    ----------
+    loaded : LoadedCell
+    path : Path
+        The cell file.
+    spec : BusSpec or None
+        Bus of the command line, in place of the cell's.
+    """
+
+    loaded: LoadedCell
+    path: Path
+    spec: BusSpec | None
+
+    @property
+    def arms(self) -> tuple[ArmConfig, ...]:
+        """Arms of the cell."""
+        return self.loaded.cell.arm
+
+    def bus_spec(self, arm: ArmConfig) -> BusSpec:
+        """The bus of an arm."""
+        config = self.loaded.cell.bus[arm.bus]
+        return self.spec or BusSpec(config.interface, config.channel, config.bitrate_bit_s, dict(config.options))
+
+    def open_bus(self, arm: ArmConfig) -> Bus:
+        """Open the bus of an arm."""
+        return open_bus(self.bus_spec(arm))
+
+    def profiles(self, arm: ArmConfig) -> tuple[DriveProfile, ...]:
+        """Drive profiles of the six axes."""
+        return tuple(setup.profile for setup in axis_setups(self.loaded, arm))
+
+    def ledger(self, arm: ArmConfig) -> Path:
+        """Write ledger of an arm: one per cell file, arm and bus, so that parallel runs do not share one."""
+        key = f"{self.path.resolve()}|{arm.name}|{self.bus_spec(arm)}"
+        name = f"{self.loaded.cell.name}-{arm.name}-{hashlib.sha256(key.encode()).hexdigest()[:12]}.json"
+        folder = _state_folder()
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder / "".join(part if part.isalnum() or part in "-_." else "_" for part in name)
+
+    def override(self, arm: ArmConfig, trace: Path | None = None) -> BusOverride:
+        """What differs from the cell file on the bus of an arm."""
+        return BusOverride(spec=self.spec, trace=trace, ledger=self.ledger(arm))
+
+    @contextmanager
+    def connected(self, arm: ArmConfig) -> Iterator[DriveGroup]:
+        """The drives of an arm, found and identified, nothing written."""
+        config = self.loaded.cell.bus[arm.bus]
+        options = GroupOptions(ledger_path=self.ledger(arm))
+        with (
+            self.open_bus(arm) as bus,
+            DriveGroup(
+                bus, axis_setups(self.loaded, arm), config.sync_period_s, config.pacing, options=options
+            ) as group,
+        ):
+            group.connect()
+            yield group
+
+
+def _state_folder() -> Path:
+    """Where ledgers live (XDG base directory specification)."""
+    base = os.environ.get("XDG_STATE_HOME")
+    return (Path(base) if base else Path.home() / ".local" / "state") / "servo-gateway"
+
+
+def open_cell(path: Path, bus_spec: str | None) -> CellContext:
+    """Read a cell file; `bus_spec` replaces the bus of every arm.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be used.
+    BusError
+        The SPEC is not understood.
+    """
+    return CellContext(load_cell(path), path, None if bus_spec is None else BusSpec.parse(bus_spec))

@@ -1,0 +1,135 @@
+"""plan and record: which poses, and measuring them under one load."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from gateway.commands.options import (
+    bus_option,
+    cell_argument,
+    common,
+    confirm,
+    json_option,
+    session_of,
+    stop_on_termination,
+    write_json,
+    yes_option,
+)
+from gateway.console import AXES, axis_table, grid
+
+if TYPE_CHECKING:
+    from gateway.acquire.plan import Plan
+
+arm_option = click.option("--arm", "arm_name", metavar="NAME", help="Arm, if the cell has several.")
+
+
+@click.command()
+@cell_argument
+@click.option("--poses", "n_poses", type=click.IntRange(min=1), metavar="N", help="Poses to fit from.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of the random candidates.")
+@arm_option
+@json_option
+@common
+def plan(cell: Path, n_poses: int | None, seed: int | None, arm_name: str | None, json_out: str | None) -> None:
+    """Choose rest poses: limits, duration, expected uncertainty. Needs no bus."""
+    from gateway.acquire.planning import make_plan
+    from gateway.config import load_cell
+
+    chosen = make_plan(load_cell(cell), n_poses, seed, arm_name)
+    show_plan(chosen)
+    if json_out:
+        write_json(json_out, plan_as_json(chosen))
+
+
+def show_plan(chosen: Plan) -> None:
+    """Print poses, duration and expectation of a plan."""
+    session = session_of()
+    rows = [
+        [str(pose.number), "fit" if pose.purpose == "fit" else "fresh", *(f"{math.degrees(q):.1f}" for q in pose.q_rad)]
+        for pose in chosen.poses
+    ]
+    session.show(grid(f"arm {chosen.arm}: rest poses [deg]", ["pose", "for", *AXES], rows, left=2))
+    session.show(f"each pose from both sides, about {chosen.duration_s / 60:.1f} min per load")
+    expected = chosen.expectation
+    if expected is not None:
+        x, y, z = (1000 * value for value in expected.com_std_m)
+        session.show(
+            f"expected standard deviation for a load of {expected.reference_load_kg:.3g} kg: "
+            f"mass {expected.mass_std_kg:.3g} kg, centre of gravity {x:.2g} {y:.2g} {z:.2g} mm"
+        )
+        session.show(axis_table(f"noise put in [Nm], {expected.noise_source}", {"std": expected.noise_nm}))
+
+
+def plan_as_json(chosen: Plan) -> dict[str, Any]:
+    """A plan as plain values."""
+    expected = chosen.expectation
+    return {
+        "schema": 1,
+        "arm": chosen.arm,
+        "duration_s": chosen.duration_s,
+        "poses": [{"pose": pose.number, "purpose": pose.purpose, "q_rad": list(pose.q_rad)} for pose in chosen.poses],
+        "expected": None
+        if expected is None
+        else {
+            "mass_std_kg": expected.mass_std_kg,
+            "com_std_m": list(expected.com_std_m),
+            "reference_load_kg": expected.reference_load_kg,
+            "noise_nm": list(expected.noise_nm),
+            "noise_source": expected.noise_source,
+        },
+    }
+
+
+@click.command()
+@cell_argument
+@click.option("--load", "label", required=True, metavar="LABEL", help="What hangs on the flange; none = bare.")
+@click.option("-o", "--output", required=True, metavar="RUN.h5", type=click.Path(path_type=Path, dir_okay=False))
+@click.option("--resume", is_flag=True, help="Go on with RUN.h5: measure only what is missing under this load.")
+@click.option(
+    "--trace", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), help="Frame log (.blf, .log)."
+)
+@arm_option
+@bus_option
+@yes_option
+@common
+def record(
+    cell: Path,
+    label: str,
+    output: Path,
+    resume: bool,
+    trace: Path | None,
+    arm_name: str | None,
+    bus_spec: str | None,
+    yes: bool,
+) -> None:
+    """Measure the rest poses under one load. The arm moves; Ctrl-C stops it and keeps what was measured."""
+    from gateway.acquire.session import RecordRequest, open_arm
+    from gateway.arm_model import arm_named
+    from gateway.cell_context import open_cell
+    from gateway.progress import recording_with_progress
+
+    context = open_cell(cell, bus_spec)
+    arm = arm_named(context.loaded, arm_name)
+    chosen = _plan_for(context.loaded, output, resume, arm.name)
+    session = session_of()
+    if not yes:
+        show_plan(chosen)
+    confirm(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move. Is nobody near it?", yes=yes)
+    with stop_on_termination(), open_arm(context.loaded, context.override(arm, trace), arm.name) as opened:
+        summary = recording_with_progress(session, opened, chosen, RecordRequest(label, output, resume))
+    session.show(f"{output}: {summary.visits} visits under load {label}, {summary.skipped} were there already")
+    session.show(axis_table("friction band [Nm], median over the poses", {"band": summary.friction_band_nm}))
+
+
+def _plan_for(loaded: Any, output: Path, resume: bool, arm: str) -> Plan:
+    """Poses of the file that is gone on with, else those of the cell."""
+    from gateway.acquire.session import make_plan, plan_of_recording
+    from gateway.recording import read
+
+    if output.exists() and resume:
+        return plan_of_recording(loaded, read(output), arm)
+    return make_plan(loaded, arm=arm)

@@ -1,0 +1,200 @@
+"""The whole job, guided: check, bare arm, each load, diagnosis, back to the robot, fresh poses, result and report.
+
+The drives are in their brakes whenever a person is asked for something. Everything measured is in one file, which is
+whole after each visit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from gateway.acquire.opening import OpenArm
+from gateway.acquire.plan import Plan, check_plan, plan_poses
+from gateway.acquire.poses import PoseRequest, RestPose, feasible_postures
+from gateway.acquire.session import RecordRequest, make_plan, open_arm
+from gateway.analysis import Given, ModelRequest, given, split_validation
+from gateway.cell_context import CellContext
+from gateway.check import check_arm
+from gateway.check_rules import CheckItem
+from gateway.config import ArmConfig
+from gateway.data import read_data
+from gateway.diagnose import DiagnoseOptions
+from gateway.diagnose.loop import close_loop
+from gateway.errors import FindingFailed, PlanRefused
+from gateway.handover import complete
+from gateway.result import Result
+from gateway.table import Table
+
+BARE = "none"
+# Postures among which the diagnosis may ask for further poses.
+CHOICE = 160
+
+
+class Dialogue(Protocol):
+    """Whoever talks to the person."""
+
+    def checked(self, items: Sequence[CheckItem]) -> None:
+        """The pre-flight check is done."""
+        ...
+
+    def planned(self, plan: Plan) -> None:
+        """Poses are chosen; ask whether the arm may move."""
+        ...
+
+    def hang(self, label: str) -> None:
+        """Ask for a load to be hung; returns when it hangs."""
+        ...
+
+    def measure(self, opened: OpenArm, plan: Plan, request: RecordRequest) -> None:
+        """Record and show how far it is."""
+        ...
+
+    def say(self, text: str) -> None:
+        """A remark."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What is to be done.
+
+    Attributes
+    ----------
+    context : CellContext
+    arm : ArmConfig
+    labels : tuple of str
+        Loads, in the order in which they are hung.
+    recording : Path
+        Where everything measured goes; a file that is there is gone on with.
+    """
+
+    context: CellContext
+    arm: ArmConfig
+    labels: tuple[str, ...]
+    recording: Path
+
+
+def commission(job: Job, dialogue: Dialogue) -> Result:
+    """Run the whole job.
+
+    Parameters
+    ----------
+    job : Job
+    dialogue : Dialogue
+
+    Returns
+    -------
+    Result
+        Completed for the report.
+
+    Raises
+    ------
+    FindingFailed
+        The pre-flight check failed; nothing has moved.
+    PlanRefused, DriveError, DataUnusable, InputError, KeyboardInterrupt
+        As the parts; the arm stands, what was measured is kept.
+    """
+    _check(job, dialogue)
+    plan = make_plan(job.context.loaded, arm=job.arm.name)
+    dialogue.planned(plan)
+    with open_arm(job.context.loaded, job.context.override(job.arm), job.arm.name) as opened:
+        robot = _Robot(job, dialogue, opened, plan)
+        for label in (BARE, *job.labels):
+            robot.measure_load(label)
+        about, table = robot.data()
+        seen, _ = split_validation(table)
+        dialogue.say(f"diagnosis of {len(np.unique(seen.pose))} poses under {len(np.unique(seen.load))} loads")
+        result, _ = close_loop(seen, about.robot, _options(about, opened), robot.measure_poses, robot.validation_rad)
+        about, table = robot.data()
+    return complete(result, about, table, [job.recording])
+
+
+def _check(job: Job, dialogue: Dialogue) -> None:
+    with job.context.open_bus(job.arm) as bus:
+        items = check_arm(bus, job.arm, job.context.profiles(job.arm))
+    dialogue.checked(items)
+    failed = [item for item in items if item.severity == "fail"]
+    if failed:
+        more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
+        first = failed[0]
+        raise FindingFailed(f"check failed, nothing has moved: {first.where}: {first.what}; {first.advice}{more}")
+
+
+def _options(about: Given, opened: OpenArm) -> DiagnoseOptions:
+    poses = opened.loaded.cell.poses
+    request = PoseRequest(poses.count, 0, poses.approach_offset_rad, poses.seed)
+    choice = feasible_postures(opened.workspace, request, np.random.default_rng(poses.seed))
+    return DiagnoseOptions(pose_choice=choice[:CHOICE], **diagnose_arguments(about))
+
+
+def diagnose_arguments(about: Given) -> dict[str, Any]:
+    """What the diagnosis is told, from what is known beside the rows."""
+    return {
+        "inertials": about.inertials,
+        "known": about.known,
+        "bare": about.bare,
+        "gravity_m_s2": about.gravity_m_s2,
+        "efficiency": about.efficiency,
+        "gear_ratio": about.gear_ratio,
+    }
+
+
+class _Robot:
+    """The arm and its recording, as the job sees them."""
+
+    def __init__(self, job: Job, dialogue: Dialogue, opened: OpenArm, plan: Plan) -> None:
+        self._job, self._dialogue, self._opened = job, dialogue, opened
+        self._load = BARE
+        self._fit = [pose for pose in plan.poses if pose.purpose == "fit"]
+        self._validation = [pose for pose in plan.poses if pose.purpose == "validation"]
+        self._next = max(pose.number for pose in plan.poses) + 1
+        self._settings = plan.settings
+
+    @property
+    def validation_rad(self) -> np.ndarray:
+        """Poses (k, 6) [rad] kept for the proof."""
+        return np.array([pose.q_rad for pose in self._validation]).reshape(-1, 6)
+
+    def measure_load(self, label: str) -> None:
+        """Hang a load and measure all poses to fit from."""
+        if label != BARE:
+            self._dialogue.hang(label)
+        self._load = label
+        self._record(self._fit)
+
+    def measure_poses(self, q_rad: np.ndarray) -> Table:
+        """Measure poses (k, 6) [rad] under the load that hangs now: validation poses, or new ones to fit from."""
+        if np.array_equal(q_rad, self.validation_rad):
+            poses = self._validation
+            self._dialogue.say(f"proof on {len(poses)} fresh poses that no fit has seen")
+        else:
+            numbers = range(self._next, self._next + len(q_rad))
+            poses = [RestPose(number, tuple(q), "fit") for number, q in zip(numbers, q_rad.tolist(), strict=True)]
+            self._next += len(poses)
+            self._dialogue.say(f"back to the robot: {len(poses)} poses that tell the explanations apart")
+        self._record(poses)
+        table = self.data()[1]
+        chosen = np.isin(table.pose, [pose.number for pose in poses]) & (table.load == self._load)
+        return table.take(chosen)
+
+    def data(self) -> tuple[Given, Table]:
+        """Everything measured so far."""
+        job = self._job
+        about = replace(given(ModelRequest(arm=job.arm.name), [job.recording]), loaded=job.context.loaded)
+        return about, read_data([job.recording], job.context.loaded)
+
+    def _record(self, poses: Sequence[RestPose]) -> None:
+        opened = self._opened
+        plan, unreachable = plan_poses(opened.config.name, opened.workspace, poses, self._settings)
+        if unreachable:
+            raise PlanRefused(
+                f"arm '{opened.config.name}': no path that keeps the limits leads to pose {unreachable[0].number}; "
+                "open the keep_out boxes or narrow the joint limits"
+            )
+        check_plan(plan, opened.workspace)
+        self._dialogue.measure(opened, plan, RecordRequest(self._load, self._job.recording, resume=True))
