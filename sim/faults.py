@@ -57,7 +57,7 @@ class Kind:
 KINDS: dict[str, Kind] = {
     # TPDOs and SYNC on the wire
     "tpdo_lost": Kind("wire", "retried", 1, "answers of a drive to a few SYNCs are lost"),
-    "tpdo_gone": Kind("wire", "stops", 12, "a drive answers no SYNC any more"),
+    "tpdo_gone": Kind("wire", "stops", 6, "a drive answers no SYNC any more"),
     "tpdo_duplicated": Kind("wire", "goes on", 1, "every answer comes twice"),
     "tpdo_delayed": Kind("wire", "goes on", 1, "the answer of one drive comes after all others"),
     "tpdo_reordered": Kind("wire", "goes on", 1, "answers come in changing order"),
@@ -72,20 +72,22 @@ KINDS: dict[str, Kind] = {
     "sync_lost": Kind("wire", "retried", 1, "a SYNC reaches no drive"),
     # SDO on the wire
     "sdo_late": Kind("wire", "goes on", None, "answers late, but in time"),
-    "sdo_too_late": Kind("wire", "refuses", None, "answers after the time-out"),
+    "sdo_too_late": Kind(
+        "wire", "goes on", None, "one answer after the time-out: asked again, never mistaken"
+    ),
     "sdo_lost": Kind("wire", "goes on", None, "one answer is lost, the read is repeated"),
     "sdo_silent": Kind("wire", "refuses", None, "no answer at all"),
     "sdo_aborted": Kind("wire", "refuses", None, "refuses an object"),
     "sdo_other_object": Kind("wire", "refuses", None, "answers for another object"),
-    "sdo_wrong_toggle": Kind("wire", "goes on", None, "wrong toggle bit in a segment of a text"),
+    "sdo_wrong_toggle": Kind("wire", "refuses", None, "wrong toggle bit in a segment of a text"),
     "sdo_short": Kind("wire", "refuses", None, "answers of less than eight bytes"),
     # life signs
     "heartbeat_lost": Kind("wire", "stops", None, "the drive's heartbeat is missing"),
     "heartbeat_back": Kind("wire", "stops", None, "the drive's heartbeat is missing and comes back"),
-    "node_killed": Kind("drive", "stops", 12, "the drive is without power"),
-    "power_cycle": Kind("drive", "stops", 12, "the drive starts anew in the middle of a run"),
+    "node_killed": Kind("drive", "stops", 6, "the drive is without power"),
+    "power_cycle": Kind("drive", "stops", 2, "the drive starts anew in the middle of a run"),
     "boot_up_frame": Kind("wire", "stops", 2, "a boot-up frame in the middle of a run"),
-    "nmt_stopped": Kind("drive", "stops", 12, "the drive leaves OPERATIONAL"),
+    "nmt_stopped": Kind("drive", "stops", 6, "the drive leaves OPERATIONAL"),
     # EMCY
     "emcy": Kind("wire", "stops", 2, "an emergency message"),
     "emcy_short": Kind("wire", "stops", 2, "an emergency message of two bytes"),
@@ -101,7 +103,7 @@ KINDS: dict[str, Kind] = {
     "warning": Kind("wire", "goes on", 1, "statusword bit 7: warning"),
     "brake_engaged": Kind("drive", "stops", 60, "the holding brake falls in under power"),
     "never_settles": Kind("drive", "stops", None, "the position loop hunts: the axis never comes to rest"),
-    "torque_spike": Kind("wire", "stops", 2, "the torque jumps, as on contact"),
+    "torque_spike": Kind("wire", "stops", 4, "the torque jumps and stays, as on contact"),
     # what the drive says about itself
     "demand_torque": Kind("drive", "finding", None, "0x6077 shows the demand, not the measurement"),
     "unsigned_torque": Kind("drive", "finding", None, "0x6077 has lost its sign"),
@@ -112,9 +114,9 @@ KINDS: dict[str, Kind] = {
     "duplicate_node": Kind("wire", "refuses", None, "two devices with one node id"),
     "fault_at_start": Kind("drive", "refuses", None, "the drive is in FAULT before anything begins"),
     # the bus
-    "second_master_sync": Kind("wire", "stops", 2, "another master sends SYNC"),
-    "second_master_nmt": Kind("wire", "stops", 2, "another master sends NMT commands"),
-    "second_master_sdo": Kind("wire", "stops", 2, "another master reads objects"),
+    "second_master_sync": Kind("wire", "stops", 20, "another master sends SYNC"),
+    "second_master_nmt": Kind("wire", "stops", 20, "another master sends NMT commands"),
+    "second_master_sdo": Kind("wire", "stops", 20, "another master reads objects"),
     "error_frames": Kind("wire", "goes on", 1, "error frames"),
     "error_passive": Kind("wire", "goes on", 1, "the controller is error passive"),
     "bus_off": Kind("wire", "stops", 2, "the controller is bus-off"),

@@ -40,6 +40,10 @@ class FaultyWire:
         #: Frames by what was done to them.
         self.touched: dict[str, int] = {}
         self.act = act
+        #: Called with the number of each SYNC, before the drives hear of it.
+        self.on_sync: Callable[[int], None] = lambda _sync: None
+        #: Called with the number of the SYNC and each frame of a drive, before anything is done to it.
+        self.on_frame: Callable[[int, can.Message], None] = lambda _sync, _frame: None
         self._bus = bus
         self._armed: list[Armed] = []
         self._due: list[tuple[float, can.Message]] = []
@@ -55,8 +59,9 @@ class FaultyWire:
     # -- scenario ----------------------------------------------------------------------------------------------------
 
     def arm(self, fault: Fault) -> None:
-        """Let a fault happen; `at_sync` 0 = now."""
+        """Let a fault happen; one whose SYNC has passed begins now."""
         with self._lock:
+            fault = replace(fault, at_sync=max(fault.at_sync, self.sync))
             armed = Armed(fault, fault.count, random.Random(fault.seed))
             self._armed.append(armed)
             if fault.at_sync <= self.sync:
@@ -95,6 +100,7 @@ class FaultyWire:
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send what the faults leave of a frame."""
         with self._lock:
+            self.on_frame(self.sync, msg)
             for frame in self._through(msg):
                 self._bus.send(frame, timeout)
 
@@ -163,6 +169,7 @@ class FaultyWire:
     def _on_sync(self) -> bool:
         with self._lock:
             self.sync += 1
+            self.on_sync(self.sync)
             self._answers = [0, self._answers[0]]
             late, self._next_sync = self._next_sync, []
             for frame in late:

@@ -1,0 +1,163 @@
+"""Six simulated drives behind a faulty wire, and what is seen from their side: states, targets, true answers."""
+
+from __future__ import annotations
+
+import re
+import struct
+import tempfile
+import threading
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import can
+
+from drives.bus import BusSpec
+from drives.profile import PROFILE_FOLDER
+from gateway.acquire.opening import BusOverride, OpenArm, open_arm
+from gateway.config import LoadedCell, load_cell
+from sim.faulty_wire import FaultyWire
+from sim.serve import ServeOptions, Simulation
+from sim.states import PdsState
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "small"
+#: The generic profile, made to expect one make.
+IDENTITY = "[identity]\nvendor_id = 0x0000009A\nproduct_code = 0x00030924\n\n"
+#: A scenario that never begins, so that the wire is there and faults can be armed while it runs.
+IDLE = '[[fault]]\nkind = "warning"\nat_sync = 1000000000\n'
+
+
+@dataclass(slots=True)
+class Seen:
+    """The drives at each SYNC, before it acts: (SYNC, states, targets, controlwords) and their true answers."""
+
+    states: list[tuple[int, tuple[PdsState, ...], tuple[int, ...], tuple[int, ...]]] = field(default_factory=list)
+    answers: dict[tuple[int, int], tuple[int, int]] = field(default_factory=dict)
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self.states.clear()
+        self.answers.clear()
+
+
+class Rig:
+    """Simulated drives of the small arm in a thread of this process.
+
+    Attributes
+    ----------
+    loaded : the cell, on a bus of its own
+    wire : where faults are armed
+    seen : what the drives went through
+    """
+
+    def __init__(self, folder: Path, edit: Callable[[str], str] = lambda text: text) -> None:
+        self.channel = f"rig-{uuid.uuid4().hex}"
+        self.loaded = small_cell(folder, edit)
+        scenario = folder / "idle.toml"
+        scenario.write_text(IDLE)
+        options = ServeOptions(bus=f"virtual:{self.channel}", fault=scenario)
+        self.simulation = Simulation(folder / "cell.toml", options)
+        self.server = self.simulation.servers[0]
+        self.wire: FaultyWire = self.server.bus
+        self.wire.clear()
+        self.seen = Seen()
+        self.wire.on_sync = self._on_sync
+        self.wire.on_frame = self._on_frame
+        self._fresh = [(dict(drive.store.values), dict(drive.store.entries)) for drive in self.server.drives]
+        self._thread = threading.Thread(target=self.simulation.run, name="rig")
+
+    def __enter__(self) -> Rig:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.simulation.stop()
+        self._thread.join()
+        self.simulation.close()
+
+    def _on_sync(self, sync: int) -> None:
+        drives = self.server.drives
+        self.seen.states.append(
+            (
+                sync,
+                tuple(drive.automaton.state for drive in drives),
+                tuple(drive.target_counts for drive in drives),
+                tuple(drive.automaton.controlword for drive in drives),
+            )
+        )
+
+    def _on_frame(self, sync: int, frame: can.Message) -> None:
+        if frame.arbitration_id & 0x780 == 0x180 and len(frame.data) == 8:
+            _, position, torque = struct.unpack("<Hih", frame.data)
+            self.seen.answers[sync, frame.arbitration_id & 0x7F] = (position, torque)
+
+    def call(self, job: Callable[[], None]) -> None:
+        """Have something done in the drives' thread, and wait for it."""
+        done = threading.Event()
+
+        def and_tell() -> None:
+            try:
+                job()
+            finally:
+                done.set()
+
+        self.server.later(and_tell)
+        if not done.wait(10.0):
+            raise TimeoutError("the simulated drives do not answer")
+
+    def renew(self) -> None:
+        """No fault on the wire, every drive as after power-up, nothing seen."""
+        self.wire.clear()
+        self.call(self._renew)
+        self.wire.touched.clear()
+        self.seen.clear()
+
+    def _renew(self) -> None:
+        for drive, (values, entries) in zip(self.server.drives, self._fresh, strict=True):
+            drive.node.silent = False
+            drive.motion.brake_stuck = False
+            drive.motion.wobble = None
+            drive.store.entries.update(entries)
+            drive.store.values.update(values)
+            drive.reset()
+            drive.node.boot()
+
+    @contextmanager
+    def open(self, **options: Any) -> Iterator[OpenArm]:
+        """The master's side: connected and configured."""
+        with open_arm(self.loaded, BusOverride(BusSpec("virtual", self.channel), **options)) as opened:
+            yield opened
+
+
+def small_cell(folder: Path, edit: Callable[[str], str] = lambda text: text) -> LoadedCell:
+    """The small example in a folder of its own, its text passed through `edit`."""
+    (folder / "robot.urdf").write_text((EXAMPLE / "robot.urdf").read_text())
+    profile = (PROFILE_FOLDER / "generic-cia402.toml").read_text().replace("generic-cia402", "named-make", 1)
+    (folder / "drive.toml").write_text(profile.replace("[torque]\n", IDENTITY + "[torque]\n", 1))
+    text = (EXAMPLE / "cell.toml").read_text().replace('profile = "generic-cia402"', 'profile = "drive.toml"')
+    text = edit(text)
+    (folder / "cell.toml").write_text(text)
+    return load_cell(folder / "cell.toml")
+
+
+def with_real_pacing(period_s: float) -> Callable[[str], str]:
+    """Edit of a cell's text: SYNC by the clock."""
+
+    def edit(text: str) -> str:
+        text = text.replace('pacing = "lockstep"', 'pacing = "real"')
+        return re.sub(r"sync_period_s = [\d.]+", f"sync_period_s = {period_s}", text)
+
+    return edit
+
+
+@contextmanager
+def rig(edit: Callable[[str], str] = lambda text: text) -> Iterator[Rig]:
+    """A rig in a temporary folder."""
+    with tempfile.TemporaryDirectory(prefix="rig-") as folder, Rig(Path(folder), edit) as made:
+        yield made
+
+
+__all__ = ["Rig", "Seen", "replace", "rig", "small_cell", "with_real_pacing"]
