@@ -132,8 +132,8 @@ def kinds() -> Iterable[str]:
 def short_plan(opened: OpenArm, seed: int) -> Plan:
     """Two rest poses, each from both sides; every joint travels on the way to the first one."""
     rng = random.Random(seed)
-    first = tuple(-float(np.sign(angle) or 1.0) * rng.uniform(0.10, 0.25) for angle in opened.arm.where())
-    second = tuple(-angle for angle in first)
+    first = tuple(-float(np.sign(angle) or 1.0) * rng.uniform(0.25, 0.35) for angle in opened.arm.where())
+    second = tuple(0.5 * angle for angle in first)
     poses = [RestPose(1, first, "fit"), RestPose(2, second, "fit")]
     return plan_of_poses(opened.loaded, opened.config, opened.workspace, poses)
 
@@ -163,7 +163,7 @@ def play(rig: Rig, kind: str, seed: int) -> Outcome:
     def begin(event: Event) -> None:
         nonlocal start
         if isinstance(event, Started) and not before:
-            offset = rng.randint(5, 30) if kind in IN_MOTION else rng.randint(5, 250)
+            offset = rng.randint(5, 20) if kind in IN_MOTION else rng.randint(5, 250)
             start = rig.wire.sync + offset
             if fault is not None:
                 rig.wire.arm_in(fault, offset)
