@@ -150,8 +150,6 @@ def open_recording(path: Path) -> Iterator[Place]:
             yield Place(str(path), size, file)
     except InputError:
         raise
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: there is no such file") from error
     except DAMAGE as error:
         words = " ".join(str(error).split())[:200] or type(error).__name__
         raise InputError(f"{path}: cannot be read as a recording, it is damaged or no HDF5 file ({words})") from error

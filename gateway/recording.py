@@ -20,6 +20,7 @@ from gateway.config import ArmConfig, parse_cell
 from gateway.errors import ConfigError, InputError
 from gateway.hdf5_text import Place, open_recording
 from gateway.recorded import SIDES, ArmRecording, Recording, arm_config
+from gateway.seal import refuse_damaged
 from gateway.visit import NO_WORD, Visit
 
 __all__ = ["SCHEMA", "ArmRecording", "Recording", "read"]
@@ -40,6 +41,17 @@ def read(path: Path) -> Recording:
         its raw words.
     """
     path = Path(path)
+    try:
+        refuse_damaged(path)
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: there is no such file") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    return read_unsealed(path)
+
+
+def read_unsealed(path: Path) -> Recording:
+    """Read a recording without looking at its seal; as `read` otherwise."""
     with open_recording(path) as root:
         schema = root.integer("schema")
         if schema != SCHEMA:

@@ -18,6 +18,7 @@ from drives.scaling import Constants
 from gateway.acquire.poses import RestPose
 from gateway.errors import InputError
 from gateway.recording import SCHEMA, Recording, read
+from gateway.seal import sealed
 from gateway.visit import NO_WORD, Visit
 
 UNFINISHED = "not finished: still running, or killed"
@@ -168,7 +169,7 @@ class RecordingWriter:
         self._file.attrs["exit_status"] = status
         self._file.attrs["reason"] = reason.replace("\0", "")
         self._file.flush()
-        replace_file(self.path, self._file.id.get_file_image())
+        replace_file(self.path, sealed(self._file.id.get_file_image()))
 
 
 def replace_file(path: Path, content: bytes) -> None:

@@ -128,7 +128,8 @@ def concatenate(tables: Sequence[Table]) -> Table:
 def without_duplicates(table: Table) -> Table:
     """Drop rows that repeat an earlier one in every value.
 
-    Rows are the same visit or instant if run, load, pose, directions and time agree.
+    Rows are the same visit or instant if run, load, pose, directions and time agree; a value that only one of them has
+    is no difference.
 
     Raises
     ------
@@ -154,7 +155,7 @@ def _refuse_if_different(table: Table, earlier: np.ndarray, later: np.ndarray) -
     compared = {name: getattr(table, name) for name in COMPARED} | table.extra
     for name, values in compared.items():
         one, two = values[earlier].reshape(len(earlier), -1), values[later].reshape(len(later), -1)
-        differs = ((one != two) & ~((one != one) & (two != two))).any(axis=1)
+        differs = ((one != two) & (one == one) & (two == two)).any(axis=1)
         if differs.any():
             first = int(np.argmin(np.where(differs, later, len(table))))
             row, before = int(later[first]), int(earlier[first])
