@@ -10,7 +10,7 @@ from gateway.diagnose.ask import questions
 from gateway.diagnose.decide import STRUCTURE_P, Decision, decide
 from gateway.diagnose.fit import Fit, Problem, fit, visit_loads
 from gateway.diagnose.holdout import Held, predicted
-from gateway.diagnose.mistakes import Mistake, find_mistakes
+from gateway.diagnose.mistakes import Mistake, find_mistakes, suspicious
 from gateway.diagnose.motion import MotionOptions, diagnose_motion
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.outcome import (
@@ -110,7 +110,10 @@ class _Rest:
     def result(self, table: Table) -> Result:
         """The whole diagnosis."""
         found = self._searched(table, (), 0.0)
-        mistakes, gained = find_mistakes(table, self.problem, self.options.allowed)
+        mistakes: tuple[Mistake, ...] = ()
+        gained = 0.0
+        if suspicious(found.search.problem, found.chosen):
+            mistakes, gained = find_mistakes(table, self.problem, self.options.allowed)
         if mistakes:
             undone = table
             for mistake in mistakes:

@@ -174,25 +174,22 @@ def term_columns(problem: Problem, fit: Fit, term: Term, theta: Floats, position
     `position` is the effect's place among those of the fit, None for an effect that is not in it (built in last).
     """
     columns = np.empty((len(problem.target), len(theta)))
+    rest = [k for k in range(len(fit.terms)) if k != position]
+    base = with_terms([fit.terms[k] for k in rest], [fit.theta[k] for k in rest], problem.rows)
     for k, step in enumerate(_steps(term, theta, fit.noise)):
         sides = []
         for sign in (1.0, -1.0):
             moved = theta.copy()
             moved[k] += sign * step
-            terms, values = list(fit.terms), list(fit.theta)
-            if position is None:
-                terms.append(term)
-                values.append(moved)
-            else:
-                values[position] = moved
-            sides.append(modelled(problem, with_terms(terms, values, problem.rows), fit.links, fit.loads, fit.band))
+            setting = term.apply(base, moved, problem.rows)
+            sides.append(modelled(problem, setting, fit.links, fit.loads, fit.band))
         columns[:, k] = (sides[0] - sides[1]) / (2.0 * step)
     return columns
 
 
 def _steps(term: Term, theta: Floats, noise: Noise) -> Floats:
     spread = np.array(term.spread)
-    fallback = 0.1 * float(np.nanmedian(noise.start))
+    fallback = 0.1 * float(np.median(noise.start))
     linear = np.array(term.linear)
     return np.where(np.isnan(spread), np.where(linear, fallback, 1e-3), 1e-3 * spread) + 1e-6 * np.abs(theta)
 

@@ -35,7 +35,8 @@ def left_out_with(problem: Problem, fit: Fit, view: Screen, index: int) -> Float
     std = fit.noise.std[problem.group]
     columns = view.projected[:, view.pick(index)]
     part = view.pick(index)
-    matrix = view.gram[part, part] + np.eye(columns.shape[1])
+    tall = view.tall[:, part]
+    matrix = tall.T @ tall + np.eye(columns.shape[1])
     factor = np.linalg.cholesky(matrix)
     added: Floats = np.asarray(np.linalg.solve(factor, columns.T).T, dtype=float)
     residual: Floats = fit.residual / std - added @ np.linalg.solve(factor, view.score[part])

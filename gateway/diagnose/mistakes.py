@@ -25,6 +25,8 @@ SURE = 20.0
 SUSPICIOUS = 1.7
 STRAINED = 60.0
 NEGATIVE_BAND = -3.0
+ODD_GAIN = 0.24
+_SCALE = "torque_constant_scale"
 MOST = 3
 
 
@@ -82,24 +84,27 @@ def candidates(measured: NDArray[np.bool_]) -> Iterator[Mistake]:
 
 def plain_score(problem: Problem, rows_scale: float) -> tuple[float, Fit]:
     """Evidence of the model without effects, less what a friction band below zero costs."""
-    result = fit(problem, (), first_noise(problem))
+    result = fit(problem, (), first_noise(problem), steps=3)
     at = problem.n_common - 6
-    band_std = np.sqrt(np.maximum(np.diag(result.covariance)[at:], 1e-30))
+    band_std = np.sqrt(np.maximum(np.diag(result.covariance)[at : at + 6], 1e-30))
     seen = np.bincount(problem.group, minlength=18)[6:12] > 0
     signs = float(np.sum(norm.logcdf(result.band[seen] / band_std[seen])))
     return result.evidence + signs + rows_scale, result
 
 
 def suspicious(problem: Problem, plain: Fit) -> bool:
-    """Whether the data disagree with the model so much that a mistake is worth looking for."""
+    """Whether the best hypothesis is so odd, or leaves so much, that a mistake is worth looking for."""
     sums = np.unique(problem.group[problem.group < 6])
     ratio = (plain.noise.std[sums] / plain.noise.start[sums]).max(initial=0.0)
     strain = float(np.sum(((plain.links - problem.links) / problem.link_std) ** 2))
     at = problem.n_common - 6
-    band_std = np.sqrt(np.maximum(np.diag(plain.covariance)[at:], 1e-30))
+    band_std = np.sqrt(np.maximum(np.diag(plain.covariance)[at : at + 6], 1e-30))
     backward = bool((plain.band / band_std < NEGATIVE_BAND).any())
     one_sided = bool((problem.group >= 12).any())
-    return ratio > SUSPICIOUS or strain > STRAINED or backward or one_sided
+    gains = [abs(float(v[0])) for t, v in zip(plain.terms, plain.theta, strict=True) if t.name == _SCALE]
+    unnamed = any(term.name == "unnamed" for term in plain.terms)
+    odd = unnamed or one_sided or backward or max(gains, default=0.0) > ODD_GAIN
+    return odd or ratio > SUSPICIOUS or strain > STRAINED
 
 
 def find_mistakes(
@@ -122,7 +127,7 @@ def find_mistakes(
     problem = build(table)
     before, plain = plain_score(problem, 0.0)
     measured = np.asarray(problem.use_sum.any(axis=0))
-    while len(found) < MOST and suspicious(problem, plain):
+    while len(found) < MOST and (not found or suspicious(problem, plain)):
         best: tuple[float, Mistake, Problem, Fit] | None = None
         for mistake in candidates(measured):
             if mistake.name not in allowed or any(set(mistake.joints) & set(old.joints) for old in found):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,16 +24,16 @@ class Screen:
     Attributes
     ----------
     terms : candidates that do anything at all to the rows
-    gram : (K, K) inner products of all columns
+    tall : (rows and prior rows, K) weighted columns in units of the prior spread, projected
     score : (K,) inner products with the weighted, projected residual
     start : first column of each candidate
     width : number of columns of each candidate
     log_bayes : (candidates,) log Bayes factor of adding the candidate alone
-    projected : (rows, K) weighted columns in units of the prior spread, projected
+    projected : (rows, K) the part of `tall` that belongs to measured rows
     """
 
     terms: tuple[Term, ...]
-    gram: Floats
+    tall: Floats
     score: Floats
     start: NDArray[np.int_]
     width: NDArray[np.int_]
@@ -45,7 +45,9 @@ class Screen:
         return slice(int(self.start[index]), int(self.start[index] + self.width[index]))
 
 
-def screen(problem: Problem, fit: Fit, terms: Sequence[Term], std: Floats) -> Screen:
+def screen(
+    problem: Problem, fit: Fit, terms: Sequence[Term], std: Floats, raw: Mapping[Term, Floats] | None = None
+) -> Screen:
     """Linearise candidates about a fit.
 
     Parameters
@@ -56,33 +58,35 @@ def screen(problem: Problem, fit: Fit, terms: Sequence[Term], std: Floats) -> Sc
     terms : candidates
     std : array of shape (18,)
         Noise per group that weighs the rows.
+    raw : derivatives by term, linearised elsewhere; computed about the fit if not given
     """
     weight = 1.0 / std[problem.group]
     project, residual = projector(problem, fit, weight)
     kept, weighted = [], []
     for term in terms:
-        columns = _columns(problem, fit, term)
+        columns = raw[term] if raw is not None else columns_of(problem, fit, term)
         spread = spread_of(problem, fit.noise, term, columns)[np.array(term.linear)]
-        columns = columns[:, np.array(term.linear)] * spread
-        if not np.isfinite(columns).all() or float(np.linalg.norm(columns * weight[:, None])) < INERT:
+        columns = columns[:, np.array(term.linear)] * (weight[:, None] * spread)
+        if not np.isfinite(columns).all() or float(np.linalg.norm(columns)) < INERT:
             continue
         kept.append(term)
-        weighted.append(columns * weight[:, None])
+        weighted.append(columns)
     if not kept:
         empty = np.zeros(0, dtype=int)
-        return Screen((), np.zeros((0, 0)), np.zeros(0), empty, empty, np.zeros(0), np.zeros((0, 0)))
+        return Screen((), np.zeros((0, 0)), np.zeros(0), empty, empty, np.zeros(0), np.zeros((len(weight), 0)))
     stacked = project(np.hstack(weighted))
     width = np.array([block.shape[1] for block in weighted])
     start = np.concatenate([[0], np.cumsum(width)[:-1]])
-    gram, score = stacked.T @ stacked, stacked.T @ residual
-    log_bayes = np.array(
-        [log_bayes_factor(gram[s : s + w, s : s + w], score[s : s + w]) for s, w in zip(start, width, strict=True)]
-    )
-    return Screen(tuple(kept), gram, score, start, width, log_bayes, stacked[: len(weight)])
+    score = stacked.T @ residual
+    log_bayes = np.empty(len(kept))
+    for index, (s, w) in enumerate(zip(start, width, strict=True)):
+        block = stacked[:, s : s + w]
+        log_bayes[index] = log_bayes_factor(block.T @ block, score[s : s + w])
+    return Screen(tuple(kept), stacked, score, start, width, log_bayes, stacked[: len(weight)])
 
 
-def _columns(problem: Problem, fit: Fit, term: Term) -> Floats:
-    """Derivative by the linear parameters at the start of the others."""
+def columns_of(problem: Problem, fit: Fit, term: Term) -> Floats:
+    """Derivative (rows, k) by the parameters of an effect that is not in the fit, where they begin."""
     return term_columns(problem, fit, term, np.array(term.start, dtype=float))
 
 
@@ -135,7 +139,7 @@ def pair_log_bayes(view: Screen, first: NDArray[np.int_], second: NDArray[np.int
     width = int(view.width.max())
     total = len(view.score)
     gram = np.zeros((total + 1, total + 1))
-    gram[:total, :total] = view.gram
+    gram[:total, :total] = view.tall.T @ view.tall
     score = np.append(view.score, 0.0)
     offsets = np.arange(width)
     table = np.where(offsets < view.width[:, None], view.start[:, None] + offsets, total)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.fit import Fit, Noise, Problem, fit
-from gateway.diagnose.screen import Screen, pair_log_bayes, screen
+from gateway.diagnose.screen import Screen, columns_of, pair_log_bayes, screen
 from gateway.model.terms.effects import BalancerSpring, Term
 
 Floats = NDArray[np.float64]
@@ -52,6 +52,7 @@ class Search:
     named, unnamed : candidates
     prior : log prior probability of each candidate
     pool : fits by set of effects
+    raw : derivatives of the modelled rows by the parameters of each candidate
     """
 
     problem: Problem
@@ -60,6 +61,7 @@ class Search:
     noise: Noise
     prior: dict[Term, float] = field(default_factory=dict)
     pool: dict[frozenset[Term], Fit] = field(default_factory=dict)
+    raw: dict[Term, Floats] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         places = len({label(term) for term in self.named})
@@ -82,6 +84,14 @@ class Search:
             self.pool[key] = fit(self.problem, ordered, self.noise if start is None else start.noise, start)
         return self.pool[key]
 
+    def view(self, about: Fit, terms: Sequence[Term], std: Floats) -> Screen:
+        """Candidates screened about a fit; their derivatives are those about the model without effects."""
+        nothing = self.fitted(())
+        for term in terms:
+            if term not in self.raw:
+                self.raw[term] = columns_of(self.problem, nothing, term)
+        return screen(self.problem, about, terms, std, self.raw)
+
     def best(self, fits: Iterable[Fit] | None = None) -> Fit:
         """The fit with the highest score."""
         return max(self.pool.values() if fits is None else fits, key=self.score)
@@ -95,7 +105,7 @@ def run(search: Search) -> Fit:
     the fit whose score is highest, after effects whose removal costs less than `NEEDED` were taken out again
     """
     nothing = search.fitted(())
-    views = [screen(search.problem, nothing, search.named, std) for std in (search.noise.start, nothing.noise.std)]
+    views = [search.view(nothing, search.named, std) for std in (search.noise.start, nothing.noise.std)]
     for terms in _promising_singles(views):
         search.fitted(terms, nothing)
     for terms in _promising_pairs(views[0]):
@@ -142,7 +152,7 @@ def _extend(search: Search, leader: Fit, candidates: Sequence[Term], count: int)
     taken = {label(term) for term in leader.terms}
     open_terms = [term for term in candidates if label(term) not in taken]
     for std in (leader.noise.std, search.noise.start):
-        view = screen(search.problem, leader, open_terms, std)
+        view = search.view(leader, open_terms, std)
         seen: set[Label | Term] = set()
         for index in np.argsort(-view.log_bayes):
             term = view.terms[index]

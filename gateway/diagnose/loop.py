@@ -1,0 +1,60 @@
+"""Diagnose, go back to the robot where the answer is open, and prove it on fresh poses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.entry import diagnose
+from gateway.diagnose.options import DiagnoseOptions
+from gateway.model.robot import Robot
+from gateway.result import Result
+from gateway.table import Table, concatenate
+
+Floats = NDArray[np.float64]
+Measure = Callable[[Floats], Table]
+
+ROUNDS = 2
+
+
+def close_loop(
+    table: Table, robot: Robot, options: DiagnoseOptions, measure: Measure, validation_rad: Floats
+) -> tuple[Result, Table]:
+    """Diagnosis with the robot at hand.
+
+    Parameters
+    ----------
+    table : Table
+        Visits measured so far.
+    robot : Robot
+    options : DiagnoseOptions
+    measure : poses (k, 6) [rad] -> Table
+        Drives there under the present load and measures; pose numbers must be new ones.
+    validation_rad : array of shape (k, 6)
+        Fresh poses on which the answer is proven; may be empty.
+
+    Returns
+    -------
+    the result, and all visits that were fitted
+    """
+    for _ in range(ROUNDS):
+        result = diagnose(table, robot, replace(options, holdout=None))
+        poses = next_poses(result)
+        if not len(poses):
+            break
+        table = concatenate([table, measure(poses)])
+    if not len(validation_rad):
+        return diagnose(table, robot, replace(options, holdout=None)), table
+    fresh = measure(np.asarray(validation_rad, dtype=float))
+    return diagnose(table, robot, replace(options, holdout=fresh, holdout_kind="fresh")), table
+
+
+def next_poses(result: Result) -> Floats:
+    """Poses (k, 6) [rad] that a result asks for; empty where it asks for none."""
+    for entry in result.next:
+        if entry.poses_rad:
+            return np.array(entry.poses_rad, dtype=float)
+    return np.zeros((0, 6))

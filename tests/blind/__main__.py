@@ -1,0 +1,79 @@
+"""Blind cells from seed to score: python -m tests.blind [--seeds dev|test] [--out out/blind] [--limit N].
+
+Development seeds are 0 to 399; test seeds 10000 to 10999 are run once for the published table and never tuned on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from multiprocessing import get_context
+from pathlib import Path
+
+SEEDS = {"dev": range(400), "test": range(10000, 11000)}
+
+
+def main(argv: list[str]) -> int:
+    """Run the cells over two processes; exit 1 when a goal is missed."""
+    parser = argparse.ArgumentParser(prog="python -m tests.blind", description=__doc__)
+    parser.add_argument("--seeds", choices=sorted(SEEDS), default="dev")
+    parser.add_argument("--out", type=Path, default=Path("out/blind"))
+    parser.add_argument("--limit", type=int, default=None, help="first cells only")
+    parser.add_argument("--first", type=int, default=0, help="skip so many cells")
+    parser.add_argument("--jobs", type=int, default=2)
+    arguments = parser.parse_args(argv)
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"
+    seeds = list(SEEDS[arguments.seeds])[arguments.first :][: arguments.limit]
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    cells = run(seeds, arguments.jobs, arguments.out / "cells.jsonl")
+    return report(cells, arguments.out)
+
+
+def run(seeds: list[int], jobs: int, path: Path) -> list[dict]:
+    """Scores of all seeds; each is written as soon as it is there."""
+    from tests.blind.cells import run_cell
+
+    cells, begin = [], time.monotonic()
+    with get_context("spawn").Pool(jobs) as pool, path.open("w", encoding="utf-8") as stream:
+        for count, cell in enumerate(pool.imap(run_cell, seeds, chunksize=2), start=1):
+            cells.append(json.loads(json.dumps(cell)))
+            stream.write(json.dumps(cell) + "\n")
+            stream.flush()
+            if count % 25 == 0 or count == len(seeds):
+                print(f"{count} of {len(seeds)} cells, {time.monotonic() - begin:.0f} s", flush=True)
+    return cells
+
+
+def report(cells: list[dict], out: Path) -> int:
+    """Print the confusion matrix and the figures, write summary.json."""
+    from rich.console import Console
+    from rich.table import Table as RichTable
+
+    from tests.blind.figures import confusion, figures
+
+    console = Console(width=150)
+    matrix = RichTable("what is there", "what was said", "cells", title="confusion")
+    rows = confusion(cells)
+    for there, said, count in rows:
+        matrix.add_row(there, said, str(count))
+    console.print(matrix)
+    result = figures(cells)
+    table = RichTable("figure", "value", "95 % interval", "unit", "goal", "met")
+    for name, figure in result.items():
+        low, high = figure["interval"]
+        met = {True: "yes", False: "MISSED", None: "no cells"}[figure["met"]]
+        value, interval = f"{figure['value']:.4g}", f"{low:.4g} .. {high:.4g}"
+        table.add_row(name, value, interval, figure["unit"], figure["goal"], met)
+    console.print(table)
+    confused = [{"there": there, "said": said, "cells": count} for there, said, count in rows]
+    summary = {"figures": result, "confusion": confused}
+    (out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+    return 0 if all(figure["met"] is not False for figure in result.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
