@@ -19,7 +19,7 @@ from gateway.diagnose.motion_mistakes import Mistake, find_mistakes, undo
 from gateway.diagnose.motion_select import Chosen, State, select, state_of, weigh, with_noise_of
 from gateway.diagnose.motion_structure import structured_axes
 from gateway.diagnose.motion_trial import Trial
-from gateway.diagnose.motion_trust import USUAL, choose_trust
+from gateway.diagnose.motion_trust import START, choose_trust
 from gateway.errors import ConfigError, InputError
 from gateway.model.motion import Motion, prepare
 from gateway.model.motion_baseline import EXACT, baseline, has_inertials
@@ -164,9 +164,7 @@ def _problem(motion: Motion, trust: float | None, known: Mapping[str, tuple[floa
     return with_noise_of(problem, (), None)
 
 
-def _known(
-    motion: Motion, known: Mapping[str, tuple[float, float, float, float]]
-) -> dict[str, tuple[float, Floats]]:
+def _known(motion: Motion, known: Mapping[str, tuple[float, float, float, float]]) -> dict[str, tuple[float, Floats]]:
     present = [str(label) for label in np.unique(motion.load)]
     for label in known:
         if label not in present:
@@ -179,7 +177,7 @@ def _trust(robot: Robot, inertials: str | None) -> tuple[float | None, bool]:
     if inertials == "ignore" or not has_inertials(robot):
         return None, False
     if inertials is None:
-        return USUAL, True
+        return START, True
     if inertials == "exact":
         return EXACT, False
     word, _, number = inertials.partition(":")

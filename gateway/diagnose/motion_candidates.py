@@ -130,11 +130,11 @@ def _dissipates(problem: Problem, full: Fit, term: Term, value: Floats, _spread:
     return bool((power[rows] > 0).mean() > 0.9)
 
 
-def _opposes_gravity(_problem: Problem, full: Fit, term: Term, value: Floats, _spread: Floats) -> bool:
+def _opposes_gravity(problem: Problem, full: Fit, term: Term, value: Floats, _spread: Floats) -> bool:
     """A balancer takes a good part off the torque that gravity puts on axis 2: nobody builds one for less."""
-    motion = _problem.motion
-    push = term.columns(motion, full.modelled)[:, 0] @ value
-    still = full.modelled.rigid_nm[:, 1]
+    push = term.columns(problem.motion, full.modelled)[:, 0] @ value
+    drawn = problem.motion.rigid[:, 1] @ (problem.base.body[:, : len(problem.base.mean)] @ problem.base.mean)
+    still = drawn if drawn.any() else full.modelled.rigid_nm[:, 1]
     large = np.sqrt(np.mean(push**2)) > SMALLEST_BALANCER * np.sqrt(np.mean(still**2))
     return bool(large and (push @ still < 0.0 or abs(np.corrcoef(push, still)[0, 1]) < 0.5))
 

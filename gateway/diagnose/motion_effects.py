@@ -35,9 +35,11 @@ def parameters_of(problem: Problem, state: State, terms: Sequence[Term]) -> tupl
     if name == "axis_coupling" and terms[0].shape == "motor":
         std["coefficient"] = _coupling_spread(problem, state, terms[0])
     if name == "torque_constant_scale" and _is_rms_peak(parameters["scale"], std["scale"]):
-        return "current_rms_peak", {"factor": 1.0 / parameters["scale"]}, {
-            "factor": std["scale"] / parameters["scale"] ** 2
-        }
+        return (
+            "current_rms_peak",
+            {"factor": 1.0 / parameters["scale"]},
+            {"factor": std["scale"] / parameters["scale"] ** 2},
+        )
     return name, parameters, std
 
 
@@ -58,7 +60,9 @@ def _with_spread(convert: Conversion, value: Floats, covariance: Floats) -> tupl
     for position in range(len(value)):
         moved = value.copy()
         moved[position] += scale[position]
-        change[:, position] = (np.array(list(convert(moved).values())) - np.array(list(here.values()))) / scale[position]
+        change[:, position] = (np.array(list(convert(moved).values())) - np.array(list(here.values()))) / scale[
+            position
+        ]
     std = np.sqrt(np.maximum(np.diag(change @ covariance @ change.T), 0.0))
     return here, dict(zip(here, (float(x) for x in std), strict=True))
 

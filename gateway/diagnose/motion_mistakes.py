@@ -108,9 +108,7 @@ def _takes_power(problem: Problem, mistake: Mistake) -> bool:
     return all(_friction_power(other, solved, axis) > 0 for axis in mistake.joints)
 
 
-def _ratio(
-    problem: Problem, now: Fit, mistake: Mistake, train: NDArray[np.bool_], test: NDArray[np.bool_]
-) -> float:
+def _ratio(problem: Problem, now: Fit, mistake: Mistake, train: NDArray[np.bool_], test: NDArray[np.bool_]) -> float:
     """RMS with the mistake undone over RMS as it reads, geometric mean over all axes of the mistake, on `test`."""
     other = _undone(problem, mistake)
     solved = fit(other, (), train, test)

@@ -38,7 +38,7 @@ class Demands:
     blocks_better: float
 
 
-ORDINARY = Demands(ratio=0.95, p_demand=0.01, p_held=0.05, blocks_better=0.5)
+ORDINARY = Demands(ratio=0.90, p_demand=5e-3, p_held=0.02, blocks_better=0.5)
 SPECIAL = Demands(ratio=0.70, p_demand=1e-3, p_held=0.02, blocks_better=0.75)
 SPECIAL_ALL_AXES = replace(SPECIAL, ratio=0.85)
 ORDINARY_NAMES = frozenset({"velocity_friction", "load_dependent_friction", "axis_coupling", "balancer_spring"})
@@ -163,7 +163,7 @@ def _best(problem: Problem, state: State, pool: Sequence[Term], stale: dict[Term
     for term in sorted(_open(state, pool), key=lambda term: -stale.get(term, np.inf)):
         if best is not None and stale.get(term, np.inf) < 0.3 * best.gain - 5.0:
             continue
-        trial = put_on_trial(problem, state.fits, state.full, term)
+        trial = put_on_trial(problem, state.fits, state.full, term, demands(term).p_demand / tried)
         stale[term] = trial.gain if trial is not None else -np.inf
         if trial is None or not believed(problem, trial, tried):
             continue
@@ -177,12 +177,13 @@ def _best(problem: Problem, state: State, pool: Sequence[Term], stale: dict[Term
 def _best_pair(problem: Problem, state: State, pool: Sequence[Term], tried: int) -> tuple[Term, ...]:
     """Two parts of one axis's friction that are believed together though neither is alone."""
     friction = [term for term in _open(state, pool) if term.name in FRICTION]
+    hopeless = ORDINARY.p_demand / tried
     best, found = 0.0, ()
     for position, first in enumerate(friction):
         for second in friction[position + 1 :]:
             if first.axes != second.axes or first.name == second.name:
                 continue
-            trial = put_on_trial(problem, state.fits, state.full, library.together(first, second))
+            trial = put_on_trial(problem, state.fits, state.full, library.together(first, second), hopeless)
             if trial is None or trial.gain <= best or not believed(problem, trial, tried):
                 continue
             if all(_possible_part(problem, state, trial, term, part) for term, part in ((first, 0), (second, 1))):
@@ -278,7 +279,9 @@ def weigh(problem: Problem, state: State, allowed: frozenset[str]) -> list[Chose
             if possible(problem, smaller.full, trial.term, trial.value, trial.covariance)
         ]
         runner = rivals[0] if rivals else None
-        lead = own.gain - penalty(mine[0]) - (max(runner.gain - penalty(runner.term), 0.0) if runner is not None else 0.0)
+        lead = (
+            own.gain - penalty(mine[0]) - (max(runner.gain - penalty(runner.term), 0.0) if runner is not None else 0.0)
+        )
         odds = float(np.exp(np.clip(lead, -27.0, 27.0)))
         contested = runner is not None and odds < SURE_ODDS and believed(problem, runner, len(pool))
         out.append(Chosen(mine, own, runner, odds, contested))

@@ -82,8 +82,12 @@ def held_out(problem: Problem, fits: Sequence[Fit]) -> Held:
     return Held(residual * counted, counted)
 
 
-def put_on_trial(problem: Problem, fits: Sequence[Fit], full: Fit, term: Term) -> Trial | None:
-    """Add one effect to the fits of every split; None if the rows cannot tell it from what the model has.
+def put_on_trial(
+    problem: Problem, fits: Sequence[Fit], full: Fit, term: Term, hopeless: float = np.inf
+) -> Trial | None:
+    """Add one effect to the fits of every split.
+
+    None if the rows cannot tell it from what the model has, or if what they demand has a p above `hopeless`.
 
     The step is exact for columns that do not depend on the model, and first order for those that do.
     """
@@ -95,6 +99,9 @@ def put_on_trial(problem: Problem, fits: Sequence[Fit], full: Fit, term: Term) -
     value, covariance, lead, drop = solution
     columns = shared if shared is not None else term.columns(problem.motion, full.modelled)
     rest = full.residual_nm[:, axes] + full.columns[:, axes] @ lead - columns @ value
+    demand = _demand(problem, full, axes, rest, drop, _rank(covariance))
+    if demand > hopeless:
+        return None
     residual = np.zeros_like(problem.motion.tau_nm)
     for fit in fits:
         columns = shared if shared is not None else term.columns(problem.motion, fit.modelled)
@@ -148,10 +155,13 @@ def judge(
     noise, axes = problem.noise, list(term.axes)
     old, new = before.square, after.square
     there = before.counted.any(axis=0) & (old > 0)
-    effective = noise.share * before.counted.sum(axis=0)
     log = np.zeros(6)
     log[there] = np.log(old[there] / np.maximum(new[there], 1e-300))
     own = np.intersect1d(axes, np.flatnonzero(there))
+    share = noise.share.copy()
+    for axis in own:
+        share[axis] = max(share[axis], counting_share(after.residual_nm[before.counted[:, axis], axis]))
+    effective = share * before.counted.sum(axis=0)
     scale = noise.sigma_nm[own] if len(own) > 2 else np.ones(len(own))
     ratio = float(np.sqrt((new[own] / scale**2).sum() / (old[own] / scale**2).sum())) if len(own) else 1.0
     was, now = (((held.residual_nm[:, own] / noise.sigma_nm[own]) ** 2).sum(axis=1) for held in (before, after))
@@ -161,13 +171,18 @@ def judge(
         term=term,
         ratio=ratio,
         gain=float(0.5 * (effective * log).sum()),
-        p_demand=_demand(problem, full, axes, rest, drop, max(int(np.linalg.matrix_rank(covariance, hermitian=True)), 1)),
+        p_demand=_demand(problem, full, axes, rest, drop, _rank(covariance)),
         p_held=drop_by_chance(was[rows], now[rows]),
         blocks_better=float(np.mean(better)),
         value=value,
         covariance=covariance,
         held=after,
     )
+
+
+def _rank(covariance: Floats) -> int:
+    """Coefficients that the rows show, at least 1."""
+    return max(int(np.linalg.matrix_rank(covariance, hermitian=True)), 1)
 
 
 def _demand(problem: Problem, full: Fit, axes: list[int], after_nm: Floats, drop: float, count: int) -> float:

@@ -20,6 +20,8 @@ from gateway.model.motion_terms import Term
 Floats = NDArray[np.float64]
 
 USUAL = 0.05
+# Trust to search with: at the usual one the links stretch to swallow a balancer.
+START = 0.02
 USUAL_FACTOR = 2.0
 LEVELS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 WORTHLESS = 0.5
@@ -47,9 +49,7 @@ def _scaled(covariance: Floats, precision: Floats) -> Floats:
     return covariance * root * root[:, None]
 
 
-def choose_trust(
-    problem: Problem, terms: Sequence[Term], known: Mapping[str, tuple[float, Floats]]
-) -> float | None:
+def choose_trust(problem: Problem, terms: Sequence[Term], known: Mapping[str, tuple[float, Floats]]) -> float | None:
     """Trust of the CAD values: relative standard deviation, or None if they are worth nothing."""
     problem = _with_noise_left(problem, terms)
     stories = [list(terms)]

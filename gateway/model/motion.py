@@ -21,7 +21,7 @@ Mask = NDArray[np.bool_]
 
 SLOW = 0.01
 STANDSTILL_RAD_S = 1e-3
-LARGEST = 2400
+LARGEST = 1600
 PER_BODY = 10
 STEP_RAD = 1e-4
 
