@@ -76,24 +76,6 @@ class Given:
     recordings: tuple[Recording, ...]
 
 
-def parse_known(text: str) -> tuple[str, Load]:
-    """Read ``LABEL=MASS,X,Y,Z``.
-
-    Raises
-    ------
-    ValueError
-        The text does not have that form, or the mass is not positive.
-    """
-    label, equals, numbers = text.rpartition("=")
-    try:
-        mass, x, y, z = (float(part) for part in numbers.split(","))
-    except ValueError:
-        mass, x, y, z = (float("nan"),) * 4
-    if not (label and equals and np.isfinite([mass, x, y, z]).all() and mass > 0):
-        raise ValueError(f"'{text}' is not LABEL=MASS,X,Y,Z with the mass in kg and the centre of gravity in m")
-    return label, (mass, x, y, z)
-
-
 def given(request: ModelRequest, paths: Sequence[Path]) -> Given:
     """Collect what the options and the recordings among the data say.
 

@@ -67,6 +67,16 @@ class Session:
             with Progress(*columns, console=console, transient=True) as progress:
                 yield RichBar(progress, progress.add_task(text, total=total), text)
 
+    @contextmanager
+    def working(self, text: str) -> Iterator[None]:
+        """A sign of life on stderr while something is computed; nothing where there is no terminal."""
+        console = self.console(err=True)
+        if self.verbosity < 0 or not console.is_terminal:
+            yield
+        else:
+            with console.status(text):
+                yield
+
 
 class Bar:
     """Progress that shows nothing."""
@@ -123,7 +133,7 @@ def load_table(loads: Sequence[Mapping[str, Any]], title: str = "load") -> Table
     rows = []
     for load in loads:
         if load.get("refused"):
-            rows.append([str(load.get("label")), "refused", f"{load['refused']}", ""])
+            rows.append([str(load.get("label")), "refused", str(load["refused"]), ""])
             continue
         rows.append(
             [

@@ -44,7 +44,7 @@ def complete(result: Result, about: Given, table: Table, paths: Sequence[Path]) 
     rows = result.rows
     roles = earlier.get("role") or _roles(result)
     data: dict[str, Any] = {
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "created": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "software": _software(),
         "cell": about.loaded.cell.name if about.loaded is not None else _cell_of(about.recordings),
         "arm": None if about.arm is None else about.arm.name,

@@ -129,7 +129,8 @@ def show_result(body: dict[str, Any], session: Session) -> None:
     from gateway.console import axis_table, load_table
     from gateway.report.sentences import verdict_sentence
 
-    session.show(load_table(body["loads"]))
+    if body["loads"]:
+        session.show(load_table(body["loads"]))
     after, before = body.get("after") or {}, body.get("before") or {}
     lines = {"noise floor": body.get("noise_floor_nm"), "friction band": body.get("friction_band_nm")}
     if body.get("effects"):

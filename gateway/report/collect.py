@@ -45,6 +45,7 @@ def drawn_poses(
         points = [*frames[place, :, :3, 3], flange[place, :3, 3]]
         entry: dict[str, Any] = {
             "pose": rows.pose[row] if rows.pose else place + 1,
+            "time_s": rows.time_s[row] if rows.time_s else None,
             "load": rows.load[row],
             "role": roles[row] if row < len(roles) else "fit",
             "q_rad": list(rows.q_rad[row]),

@@ -19,26 +19,35 @@ LEFT = 34.0
 
 
 def quality_figure(axes: Sequence[AxisView]) -> Markup | None:
-    """Residual over noise floor per axis, before and after, logarithmic; 1 is what the data can give."""
-    shown = [axis for axis in axes if axis.ratio_after is not None]
+    """Residual per axis, before and after, logarithmic: over the noise floor where it is known, else in Nm."""
+    rated = [axis for axis in axes if axis.ratio_after is not None]
+    shown = rated or [axis for axis in axes if axis.after]
     if not shown:
         return None
-    ratios = [value for axis in shown for value in (axis.ratio_before, axis.ratio_after) if value]
-    low, high = _decades(min([0.7, *ratios]), max([3.0, *ratios]))
+    pairs = [(axis.ratio_before, axis.ratio_after) if rated else (axis.before, axis.after) for axis in shown]
+    values = [value for pair in pairs for value in pair if value]
+    low, high = _decades(min([0.7, *values]), max([3.0, *values])) if rated else _decades(min(values), max(values))
     panel = Panel(430.0, 34.0 + 26.0 * len(shown) + 34.0, (low, high), (len(shown) - 0.5, -0.5), left=LEFT, top=24.0)
-    panel.box((math.log10(0.01), 0.0), (len(shown) - 0.5, -0.5), "floor")
-    _log_axis(panel, "residual RMS / noise floor [-]")
-    panel.segment((0.0, len(shown) - 0.5), (0.0, -0.5), "mark")
-    panel.text(panel.x(0.0), 16, "noise floor", "label mid")
-    for row, axis in enumerate(shown):
+    if rated:
+        panel.box((low, 0.0), (len(shown) - 0.5, -0.5), "floor")
+    _log_axis(panel, "residual RMS / noise floor [-]" if rated else "residual RMS [Nm]")
+    if rated:
+        panel.segment((0.0, len(shown) - 0.5), (0.0, -0.5), "mark")
+        panel.text(panel.x(0.0), 16, "noise floor", "label mid")
+    for row, (axis, (before, after)) in enumerate(zip(shown, pairs, strict=True)):
         panel.text(LEFT - 8, panel.y(row) + 4, axis.name, "name end")
-        after = math.log10(max(axis.ratio_after or 0.0, 10**low))
-        if axis.ratio_before is not None and axis.before != axis.after:
-            before = math.log10(max(axis.ratio_before, 10**low))
-            panel.segment((before, row), (after, row), "move")
-            panel.dot(before, row, "dot before", f"{axis.name} before: {axis.before:.3g} Nm", 5.5)
-        panel.dot(after, row, "dot after", f"{axis.name}: {axis.after:.3g} Nm, floor {axis.floor:.3g} Nm", 5.5)
-    return panel.svg("Residual over noise floor for every axis")
+        _dumbbell(panel, row, (before, after), axis)
+    return panel.svg("Residual of every axis, before and after")
+
+
+def _dumbbell(panel: Panel, row: int, pair: tuple[float | None, float | None], axis: AxisView) -> None:
+    low = panel.x_range[0]
+    before, after = (None if value is None else math.log10(max(value, 10**low)) for value in pair)
+    if before is not None and after is not None and axis.before != axis.after:
+        panel.segment((before, row), (after, row), "move")
+        panel.dot(before, row, "dot before", f"{axis.name} before: {axis.before:.3g} Nm", 5.5)
+    if after is not None:
+        panel.dot(after, row, "dot after", f"{axis.name}: {axis.after:.3g} Nm", 5.5)
 
 
 def evidence_figure(candidates: Sequence[Candidate]) -> Markup | None:

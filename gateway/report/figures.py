@@ -74,7 +74,13 @@ def _torque(rows: Json, plan: Layout, axis: int) -> Markup:
         kind = colours[rows["load"][row]]
         if half > 0 and not plan.dense:
             panel.segment((place, value - half), (place, value + half), f"whisker {kind}")
-        panel.dot(place, value, f"dot {kind}", "" if plan.dense else _hint(rows, row, "measured", value), radius)
+        panel.dot(
+            place,
+            value,
+            f"dot {kind}{' small' * plan.dense}",
+            "" if plan.dense else _hint(rows, row, "measured", value),
+            radius,
+        )
     _model_marks(panel, plan, model)
     return panel.svg(f"Torque of {words.axis(axis + 1)}, measured and modelled, for every visit")
 
@@ -98,14 +104,15 @@ def _residual(plan: Layout, pair: tuple[list[float], list[float]], floor: float 
         panel.box(plan.width, (-half, half), "floor")
     _frame(panel, plan, f"{words.axis(axis + 1)} residual [Nm]")
     radius = 1.6 if plan.dense else 3.2
+    small = " small" if plan.dense else ""
     for place, name, old, new in zip(plan.place, plan.names, before, after, strict=True):
         changed = math.isfinite(old) and abs(old - new) > 1e-3 * (panel.y_range[1] - panel.y_range[0])
         if changed and not plan.dense:
             panel.segment((place, old), (place, new), "move")
         if changed:
-            panel.dot(place, old, "dot before", f"pose {name}: before {old:.3g} Nm" if name else "", radius)
+            panel.dot(place, old, f"dot before{small}", f"pose {name}: before {old:.3g} Nm" if name else "", radius)
         if math.isfinite(new):
-            panel.dot(place, new, "dot after", f"pose {name}: {new:.3g} Nm" if name else "", radius)
+            panel.dot(place, new, f"dot after{small}", f"pose {name}: {new:.3g} Nm" if name else "", radius)
     return panel.svg(f"Residual of {words.axis(axis + 1)} for every visit")
 
 
@@ -129,7 +136,12 @@ def _frame(panel: Panel, plan: Layout, label: str) -> None:
             f'y1="{base + 18:.1f}" y2="{base + 18:.1f}"/>'
         )
         title = words.load(name)
-        panel.text(panel.x((start + end) / 2), base + 31, title if plan.dense else f"{title}, poses", "label mid")
+        panel.text(
+            panel.x((start + end) / 2),
+            base + 31,
+            f"{title}, in order of time" if plan.dense else f"{title}, poses",
+            "label mid",
+        )
 
 
 def _runs(places: Sequence[float]) -> list[tuple[float, float]]:

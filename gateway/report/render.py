@@ -117,6 +117,7 @@ def _tables(result: Json) -> dict[str, Any]:
         "bus_columns": list(columns),
         "provenance": _provenance(result.get("provenance") or {}),
         "fresh": "fresh" in (data.get("role") or []),
+        "has_floor": any(words.known(value) for value in result.get("noise_floor_nm") or []),
         "has_before_rows": bool(data.get("model_before_nm")),
     }
 
@@ -125,10 +126,10 @@ def _provenance(tree: Json) -> list[tuple[str, str, str, str, str]]:
     rows = []
     for where, constants in tree.items():
         if not isinstance(constants, Mapping):
-            rows.append(("", where.replace("_", " "), *_constant(constants)))
+            rows.append(("analysis", where.replace("_", " "), *_constant(constants)))
             continue
         if "value" in constants:
-            rows.append(("", where.replace("_", " "), *_constant(constants)))
+            rows.append(("analysis", where.replace("_", " "), *_constant(constants)))
             continue
         rows += [(where, name.replace("_", " "), *_constant(item)) for name, item in constants.items()]
     return rows
@@ -137,8 +138,6 @@ def _provenance(tree: Json) -> list[tuple[str, str, str, str, str]]:
 def _constant(item: Any) -> tuple[str, str, str]:
     if isinstance(item, Mapping):
         return _cellular(item.get("value")), str(item.get("unit") or ""), str(item.get("source") or "")
-    if isinstance(item, list | tuple) and len(item) == 2:
-        return _cellular(item[0]), "", str(item[1])
     return _cellular(item), "", ""
 
 

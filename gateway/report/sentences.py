@@ -34,7 +34,9 @@ def headline(result: Json) -> str:
     loads = result.get("loads") or []
     good = [load for load in loads if words.known(load.get("mass_kg"))]
     if not good:
-        return "No load could be identified" if not loads else "The load was refused"
+        if loads:
+            return "The load was refused" if any(load.get("refused") for load in loads) else "No load could be found"
+        return "The bare arm, no load on the flange"
     parts = []
     for load in good:
         value, half = mass(load)
@@ -47,7 +49,8 @@ def headline(result: Json) -> str:
 def verdict_sentence(result: Json) -> str:
     """What was wrong with the model, and how that is known."""
     effects = result.get("effects") or []
-    names = words.listing([words.effect_on(item["name"], item.get("joints") or []) for item in effects])
+    found = words.effects_on([(item["name"], item.get("joints") or []) for item in effects])
+    names = words.listing(found)
     held_out = HELD_OUT.get(str(result.get("holdout_kind")), "data kept out of the fit")
     verdict = result.get("verdict")
     if verdict == "none_needed":
@@ -59,9 +62,9 @@ def verdict_sentence(result: Json) -> str:
     if verdict == "unexplained":
         return "The model lacks something that no known effect explains; the residual below shows where."
     if verdict == "undecided":
-        between = [words.effect_on(item["name"], item.get("joints") or []) for item in effects]
-        if len(between) > 1:
-            return f"The data cannot tell apart {words.listing(between, 'or')}; what to measure next is given below."
+        if found:
+            between = words.listing(found if len(found) > 1 else [*found, "nothing at all"], "and")
+            return f"The data cannot decide between {between}; what to measure next is given below."
         return "There is too little data to say whether the model lacks anything; what to measure next is given below."
     return "The load was estimated with the model as it stands; no diagnosis of the residual was asked for."
 

@@ -64,8 +64,10 @@ def _scales(flat: Sequence[tuple[float, float]]) -> tuple[Scale, Scale]:
 
 
 def _title(pose: Json) -> str:
-    kind = ", fresh" if pose.get("role") == "fresh" else ""
-    return f"pose {pose['pose']}{kind}"
+    if pose["pose"] < 0:
+        time_s = pose.get("time_s")
+        return "in motion" if time_s is None else f"at {time_s:.1f} s"
+    return f"pose {pose['pose']}" + (", fresh" if pose.get("role") == "fresh" else "")
 
 
 def _arm(pose: Json, scales: tuple[Scale, Scale], ground: float, classes: Mapping[str, str]) -> Markup:

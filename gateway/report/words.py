@@ -31,7 +31,10 @@ EFFECTS: dict[str, str] = {
 }
 
 UNITS: tuple[tuple[str, str], ...] = (
+    ("_nm_s05_rad05", "Nm (s/rad)^0.5"),
+    ("_nm_s2_rad2", "Nm s2/rad2"),
     ("_nm_s_rad", "Nm s/rad"),
+    ("_rad_s", "rad/s"),
     ("_nm_rad", "Nm/rad"),
     ("_rad_nm", "rad/Nm"),
     ("_n_m", "N/m"),
@@ -107,6 +110,17 @@ def effect(name: str) -> str:
 def effect_on(name: str, joints: Sequence[int]) -> str:
     """Effect in words with its axes."""
     return f"{effect(name)} on {axes(joints)}" if joints else effect(name)
+
+
+def effects_on(effects: Sequence[tuple[str, Sequence[int]]]) -> list[str]:
+    """Effects in words, those of one name on several axes named once."""
+    places: dict[str, list[str]] = {}
+    for name, joints in effects:
+        places.setdefault(name, []).append(axes(joints))
+    return [
+        f"{effect(name)} on {listing(sorted(filter(None, where)))}" if any(where) else effect(name)
+        for name, where in places.items()
+    ]
 
 
 def short(name: str, joints: Sequence[int]) -> str:

@@ -94,7 +94,7 @@ def test_a_bare_result_of_the_contract_is_enough(full_result):
 
 def test_hardly_anything_is_enough():
     page = render({"schema": 1, "robot": "r", "loads": []})
-    assert "No load could be identified" in page
+    assert "no load on the flange" in page
     assert "None" not in page
 
 
@@ -127,3 +127,8 @@ def test_a_long_moving_run_is_drawn_as_a_line(result):
     page = render(result)
     assert 'class="model-line"' in page
     assert len(page) < 6e6
+
+
+def test_sources_may_say_less(result):
+    result["data"]["sources"] = [{"file": "table.csv", "kind": "measured table", "visits": 3}]
+    assert "table.csv" in render(result)

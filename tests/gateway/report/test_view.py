@@ -39,7 +39,7 @@ def test_without_a_flange_the_centre_of_gravity_is_in_link_6(result):
         ("none_needed", "Nothing is missing", "good"),
         ("improved", "Part of the error remains", "open"),
         ("unexplained", "no known effect explains", "open"),
-        ("undecided", "cannot tell", "open"),
+        ("undecided", "cannot decide", "open"),
         (None, "no diagnosis", "open"),
     ],
 )
@@ -59,7 +59,7 @@ def test_undecided_without_effects_says_there_is_too_little_data(result):
 def test_undecided_names_what_cannot_be_told_apart(result):
     result["verdict"] = "undecided"
     result["effects"].append({"name": "base_tilt", "joints": []})
-    assert "a balancer spring on J2 or a tilted base" in view(result).verdict
+    assert "between a balancer spring on J2 and a tilted base" in view(result).verdict
 
 
 def test_a_refused_load_turns_the_page_red(result):
@@ -99,3 +99,8 @@ def test_parameters_carry_their_unit(result):
     assert effect.parameters[0] == ("stiffness", "8.421e+04", "1.9e+03", "N/m")
     assert effect.parameters[1][3] == "m"
     assert "next best explanation: a wrong torque constant" in effect.evidence[-1]
+
+
+def test_an_effect_on_several_axes_is_named_once(result):
+    result["effects"] = [{"name": "velocity_friction", "joints": [joint]} for joint in (3, 1, 4)]
+    assert "friction that grows with speed on J1, J3 and J4" in view(result).verdict
