@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from canopen.sdo.exceptions import SdoAbortedError
 
 from sim.objects import LIMITS, VALUE_RANGE
+from sim.units import MAX_TORQUE_PER_MILLE
 
 if TYPE_CHECKING:
     from sim.fake_drive import FakeDrive
@@ -127,8 +128,8 @@ def _motion_objects(drive: FakeDrive) -> None:
 def _torque_objects(drive: FakeDrive) -> None:
     store, units = drive.store, drive.units
     store.live((0x6071, 0), "i16", lambda: drive.target_torque, drive.take_target_torque)
-    store.parameter((0x6072, 0), "u16", 2500, drive.take_max_torque)
-    store.parameter((0x6073, 0), "u16", 2500)
+    store.parameter((0x6072, 0), "u16", MAX_TORQUE_PER_MILLE, drive.take_max_torque)
+    store.parameter((0x6073, 0), "u16", MAX_TORQUE_PER_MILLE)
     store.live((0x6074, 0), "i16", drive.demand_word)
     store.live((0x6077, 0), "i16", drive.demand_word)
     store.live((0x6078, 0), "i16", drive.standard_current_word)

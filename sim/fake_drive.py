@@ -20,7 +20,7 @@ from sim.objects import VALUE_RANGE, ObjectStore
 from sim.pdo import DISABLED, EVENT_TYPES, Pdo, due
 from sim.physics import MotorAxis
 from sim.states import Automaton, PdsState
-from sim.units import DriveUnits, Word, drive_units
+from sim.units import MAX_TORQUE_PER_MILLE, DriveUnits, Word, drive_units
 
 PDO_COUNT = 4
 POLARITY_POSITION = 0x80
@@ -81,7 +81,7 @@ class FakeDrive:
         self.node.on_nmt = self._nmt_changed
         self.node.on_reset = self.reset
         self.node.on_heartbeat_lost = self._heartbeat_lost
-        self.take_max_torque(2500)
+        self.take_max_torque(MAX_TORQUE_PER_MILLE)
         self.automaton.power_up()
 
     def reset_setpoints(self) -> None:
@@ -97,7 +97,7 @@ class FakeDrive:
         self.store.values.update(self._reset_values)
         self.target_counts = self.position_counts()
         self._preset_pdos()
-        self.take_max_torque(2500)
+        self.take_max_torque(MAX_TORQUE_PER_MILLE)
         self.automaton.power_up()
 
     # ----------------------------------------------------------------------------------------------------- PDOs

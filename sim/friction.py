@@ -17,8 +17,9 @@ import random
 STRIBECK_RAD_S = 0.002
 #: Time after which the creep of a stuck joint has fallen to half [s].
 CREEP_TIME_S = 0.3
-#: Rest after which the next motion finds its own level of friction [s].
+#: Rest after which the next motion finds its own level of friction [s]; a joint that crawls slower than this rests.
 REST_S = 0.2
+CRAWL_RAD_S = 2e-4
 
 
 class JointFriction:
@@ -27,7 +28,7 @@ class JointFriction:
     Attributes
     ----------
     coulomb_nm, stiction_nm, viscous_nm_s_rad, load_friction, bias_nm, creep_rad_s, scatter : see `sim.plant.Plant`
-    stuck_s : time since the joint came to rest [s]; 0 while it moves
+    stuck_s : time since the joint came to rest, or to a crawl [s]; 0 while it moves
     """
 
     __slots__ = (
@@ -82,14 +83,18 @@ class JointFriction:
         lost = (lost + (self.coulomb_nm + (self.stiction_nm - self.coulomb_nm) * slow) * self._scale) * step
         free = omega_rad_s + (u_nm * self._middle - tau_nm - self.bias_nm - self.viscous_nm_s_rad * omega_rad_s) * step
         if free > lost or free < -lost:
+            omega = free - lost if free > lost else free + lost
+            if -CRAWL_RAD_S < omega < CRAWL_RAD_S:
+                self.stuck_s += 0.001
+                return omega
             if self.stuck_s > REST_S and self.scatter:
                 self._scale = max(0.0, 1.0 + self.scatter * self._random.gauss(0.0, 1.0))
-            self.stuck_s = 0.0
-            return free - lost if free > lost else free + lost
+            self.stuck_s = self._creep = 0.0
+            return omega
         if self.creep_rad_s == 0.0 or lost == 0.0:
             self.stuck_s += 0.001
             return 0.0
-        if self.stuck_s == 0.0:
+        if self._creep == 0.0:
             self._creep = self.creep_rad_s * self._random.random()
         self.stuck_s += 0.001
         held = free / lost

@@ -9,15 +9,15 @@ from sim.plant import Plant, nominal_plant
 from sim.units import OVERLOAD
 from sim.urdf import UrdfError
 
-#: Coulomb friction of a geared servo axis, share of its torque limit (UR10e: 1.3 to 1.6 % where measured).
-COULOMB_SHARE = 0.012
+#: Coulomb friction of a geared servo axis, share of its peak torque, assumed.
+COULOMB_SHARE = 0.008
 STICTION_OVER_COULOMB = 1.12
 #: Viscous friction at the speed limit over Coulomb friction.
 VISCOUS_SHARE = 0.5
 #: Torque noise of one reading, share of the rated torque.
 NOISE_SHARE = 0.003
 #: Acceleration that the torque limit gives the motor's own rotor [rad/s2, joint side].
-ROTOR_ACCELERATION_RAD_S2 = 60.0
+ROTOR_ACCELERATION_RAD_S2 = 90.0
 CREEP_RAD_S = 2e-4
 #: Scatter of the friction band from one motion to the next, assumed.
 SCATTER = 0.1

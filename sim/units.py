@@ -17,7 +17,9 @@ Table = Mapping[str, Any]
 Address = tuple[int, int]
 
 #: Peak over rated torque of the simulated motors.
-OVERLOAD = 2.0
+OVERLOAD = 3.0
+#: Power-on value of 0x6072 and 0x6073: a quarter above the peak that the cell allows.
+MAX_TORQUE_PER_MILLE = 3750
 COUNTS_PER_REVOLUTION = 131072
 
 
