@@ -1,7 +1,7 @@
 """Diagnosis of moving runs: what the model lacks, judged on blocks of time or on a run that no fit has seen.
 
-The noise floor of a moving run is unknown, so the best verdict is `improved`. Errors are those of rows in which the axis
-moves (friction at a standstill is a set); how many those are stands in the provenance.
+The noise floor of a moving run is unknown, so the best verdict is `improved`. Errors are those of rows in which the
+axis moves (friction at a standstill is a set); how many those are stands in the provenance.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ EFFECTS = frozenset(
 class Options(Protocol):
     """What the caller knows and wants.
 
-    `inertials`: "exact", "prior:S", "ignore", or None to weigh the CAD values by the data. `known`: label to (mass [kg],
-    x, y, z [m] in link 6). `holdout`: rows that no fit may see. `only`, `without`: names of effects.
+    `inertials`: "exact", "prior:S", "ignore", or None to weigh the CAD values by the data. `known`: label to
+    (mass [kg], x, y, z [m] in link 6). `holdout`: rows that no fit may see. `only`, `without`: names of effects.
     """
 
     @property

@@ -1,7 +1,7 @@
 """Fits of a moving run: penalised least squares on parts of the rows, and what one more effect would change.
 
-Residuals of a moving run hang together over time, so n rows are worth far fewer: each axis's weight carries the share of
-rows that count (integrated autocorrelation). The noise scale of an axis comes from a fit of that axis alone, free of
+Residuals of a moving run hang together over time, so n rows are worth far fewer: each axis's weight carries the share
+of rows that count (integrated autocorrelation). The noise scale of an axis comes from a fit of that axis alone, free of
 all the others: taken from the residual of the very model on trial, the weights would switch off the axis that shows
 what is missing.
 """
@@ -208,7 +208,7 @@ def noise_of(motion: Motion, terms: Sequence[Term], modelled: Modelled | None) -
 
 
 def counting_share(series: Floats) -> float:
-    """Independent values per value of a correlated series (n,): 1 / (1 + 2 sum of autocorrelation to its first zero)."""
+    """Independent values per value of a correlated series (n,): 1 / (1 + 2 sum of autocorrelation to its end)."""
     centred = series - series.mean()
     power = float(centred @ centred)
     if power <= 0 or len(series) < 8:

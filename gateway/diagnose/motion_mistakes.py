@@ -25,7 +25,7 @@ MOST = 3
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """`sign_reversed` of one joint or `axes_swapped` of two, joints from 0; `ratio` = held-out RMS after over before."""
+    """`sign_reversed` of one joint or `axes_swapped` of two, from 0; `ratio` = held-out RMS after over before."""
 
     name: str
     joints: tuple[int, ...]

@@ -1,4 +1,4 @@
-"""Effects are added one at a time while the error on held-out rows drops, and each has to earn its place again at the end.
+"""Effects are added one at a time while the error on held-out rows drops; each has to earn its place again at the end.
 
 An effect is believed when three things agree: the fitted rows demand it (F test, Bonferroni over all that was tried),
 the held-out error of its axes drops by more than a trifle, and the drop is spread over the held-out time. Effects that

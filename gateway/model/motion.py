@@ -79,7 +79,7 @@ class Motion:
     @property
     def measured(self) -> Mask:
         """Axes (6,) that have rows to judge."""
-        return self.judged.any(axis=0)
+        return np.asarray(self.judged.any(axis=0))
 
     @property
     def duration_s(self) -> float:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.motion import PER_BODY, Motion, structural_base
+from gateway.model.motion import PER_BODY, Motion
 from gateway.model.regressor import regressor
 from gateway.model.robot import AXES, Robot
 

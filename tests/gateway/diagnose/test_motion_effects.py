@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import pinocchio
+import pinocchio  # pyright: ignore[reportMissingImports]
 import pytest
 from scipy.spatial.transform import Rotation
 
