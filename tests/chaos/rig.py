@@ -48,17 +48,18 @@ class Rig:
 
     Attributes
     ----------
-    loaded : the cell, on a bus of its own
+    bus : a bus of its own, as INTERFACE:CHANNEL
+    loaded : the cell
     wire : where faults are armed
     seen : what the drives went through
     """
 
-    def __init__(self, folder: Path, edit: Callable[[str], str] = lambda text: text) -> None:
-        self.channel = f"rig-{uuid.uuid4().hex}"
+    def __init__(self, folder: Path, edit: Callable[[str], str] = lambda text: text, bus: str | None = None) -> None:
+        self.bus = bus or f"virtual:rig-{uuid.uuid4().hex}"
         self.loaded = small_cell(folder, edit)
         scenario = folder / "idle.toml"
         scenario.write_text(IDLE)
-        options = ServeOptions(bus=f"virtual:{self.channel}", fault=scenario)
+        options = ServeOptions(bus=self.bus, fault=scenario)
         self.simulation = Simulation(folder / "cell.toml", options)
         self.server = self.simulation.servers[0]
         self.wire: FaultyWire = self.server.bus
@@ -128,7 +129,7 @@ class Rig:
     @contextmanager
     def open(self, **options: Any) -> Iterator[OpenArm]:
         """The master's side: connected and configured."""
-        with open_arm(self.loaded, BusOverride(BusSpec("virtual", self.channel), **options)) as opened:
+        with open_arm(self.loaded, BusOverride(BusSpec.parse(self.bus), **options)) as opened:
             yield opened
 
 

@@ -1,0 +1,239 @@
+"""Drives and master in processes of their own, forked from one that has imported everything, so that a kill is cheap.
+
+Nothing here may start a thread before it forks; the drives' process has threads of its own.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import resource
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any
+
+from drives.bus import BusSpec, open_bus
+from drives.errors import DriveError
+from drives.group import DriveGroup, GroupOptions
+from gateway.acquire.events import Event, VisitDone
+from gateway.acquire.opening import BusOverride, axis_setups, open_arm
+from gateway.acquire.planning import plan_of_poses
+from gateway.acquire.poses import RestPose
+from gateway.acquire.session import RecordRequest, record
+from gateway.arm_model import arm_named
+from gateway.config import LoadedCell, load_cell
+from gateway.errors import GatewayError
+from sim.faults import Fault
+from sim.serve import free_bus
+from sim.states import PdsState
+from tests.chaos.rig import Rig
+
+FORK = multiprocessing.get_context("fork")
+POSES = 6
+ENABLED = PdsState.OPERATION_ENABLED
+
+
+class Drives:
+    """The drives' process, as seen from here.
+
+    Attributes
+    ----------
+    bus : INTERFACE:CHANNEL[,..] for a master
+    loaded : the cell
+    """
+
+    def __init__(self, folder: Path, edit: Callable[[str], str], bus: str | None = None) -> None:
+        self.bus = bus or free_bus()
+        self._pipe, theirs = FORK.Pipe()
+        self._process = FORK.Process(target=_serve, args=(folder, edit, self.bus, theirs))
+        self._process.start()
+        self.ask("hello")
+        self.loaded: LoadedCell = load_cell(folder / "cell.toml")
+
+    def ask(self, *question: Any) -> Any:
+        """Have something done there and wait for the answer."""
+        self._pipe.send(question)
+        if not self._pipe.poll(30.0):
+            raise TimeoutError(f"the drives' process does not answer {question}")
+        return self._pipe.recv()
+
+    def enabled(self) -> bool:
+        """Whether any axis is enabled."""
+        return ENABLED in self.ask("states")
+
+    def close(self) -> None:
+        """End the process."""
+        self._pipe.send(("quit",))
+        self._process.join(10.0)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        self._pipe.close()
+
+
+def _serve(folder: Path, edit: Callable[[str], str], bus: str, pipe: Connection) -> None:
+    with Rig(folder, edit, bus) as rig:
+        while True:
+            name, *arguments = pipe.recv()
+            answer: Any = None
+            if name == "quit":
+                return
+            if name == "states":
+                answer = [drive.automaton.state for drive in rig.server.drives]
+            elif name == "renew":
+                rig.renew()
+            elif name == "power off":
+                rig.call(lambda: [drive.automaton.disable_voltage() for drive in rig.server.drives])
+            elif name == "values":
+                answer = [dict(drive.store.values) for drive in rig.server.drives]
+            elif name == "arm":
+                answer = rig.wire.arm_in(*arguments)
+            elif name == "sync":
+                answer = rig.wire.sync
+            pipe.send(answer)
+
+
+@contextmanager
+def drives(folder: Path, edit: Callable[[str], str], bus: str | None = None) -> Iterator[Drives]:
+    """A drives' process for the time of a `with` block."""
+    process = Drives(folder, edit, bus)
+    try:
+        yield process
+    finally:
+        process.close()
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What a master process does.
+
+    Attributes
+    ----------
+    folder : where the cell is
+    bus : where the drives are
+    path : the recording
+    file_limit : largest file it may write, bytes; 0 = no limit
+    """
+
+    folder: Path
+    bus: str
+    path: Path
+    file_limit: int = 0
+
+    @property
+    def ledger(self) -> Path:
+        """Write ledger."""
+        return self.folder / "ledger.json"
+
+
+class Master:
+    """A master process that records; it can be killed at any time."""
+
+    def __init__(self, job: Job) -> None:
+        self._pipe, theirs = FORK.Pipe()
+        self.process: BaseProcess = FORK.Process(target=_record, args=(job, theirs))
+        self.process.start()
+        theirs.close()
+        self.announced: list[tuple[int, int]] = []
+        self.moving = False
+        self.end = ""
+
+    def listen(self, until_s: float) -> None:
+        """Take in what it says until a time of the monotonic clock, or its end."""
+        while (left := until_s - time.monotonic()) > 0 and not self.end:
+            if not self._pipe.poll(left):
+                return
+            try:
+                said = self._pipe.recv()
+            except (EOFError, ConnectionError):
+                self.end = self.end or "gone"
+                return
+            if isinstance(said, tuple):
+                self.announced.append(said)
+            elif said == "moving":
+                self.moving = True
+            else:
+                self.end = said
+
+    def kill(self) -> None:
+        """SIGKILL, then what it had said before."""
+        if self.process.pid is not None and self.process.is_alive():
+            os.kill(self.process.pid, signal.SIGKILL)
+        self.process.join()
+        self.listen(time.monotonic() + 1.0)
+        self._pipe.close()
+
+    def wait(self, limit_s: float) -> None:
+        """Let it come to its own end."""
+        until_s = time.monotonic() + limit_s
+        while not self.end and time.monotonic() < until_s:
+            self.listen(until_s)
+        self.process.join(5.0)
+        self.kill()
+
+
+def poses(count: int = POSES) -> list[RestPose]:
+    """Postures close to each other: visits follow quickly, so that kills meet every part of one."""
+    return [RestPose(n + 1, tuple(0.05 + 0.02 * (n + i % 3) for i in range(6)), "fit") for n in range(count)]
+
+
+def _record(job: Job, pipe: Connection) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if job.file_limit:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (job.file_limit, job.file_limit))
+
+    def tell(event: Event) -> None:
+        if isinstance(event, VisitDone):
+            pipe.send((event.pose, event.direction))
+
+    loaded = load_cell(job.folder / "cell.toml")
+    try:
+        with open_arm(loaded, BusOverride(BusSpec.parse(job.bus), ledger=job.ledger)) as opened:
+            pipe.send("moving")
+            plan = plan_of_poses(loaded, opened.config, opened.workspace, poses())
+            record(opened, plan, RecordRequest("none", job.path, resume=True), (tell,))
+        pipe.send("done")
+    except (DriveError, GatewayError) as error:
+        pipe.send(f"error: {type(error).__name__}: {error}")
+    except BaseException as error:
+        pipe.send(f"DEFECT: {type(error).__name__}: {error}")
+    os._exit(0)
+
+
+def restore(job: Job) -> str:
+    """Put back what the ledger of a killed master holds, in a process of its own; "done" or what went wrong."""
+    ours, theirs = FORK.Pipe()
+    process = FORK.Process(target=_restore, args=(job, theirs))
+    process.start()
+    answer = ours.recv() if ours.poll(30.0) else "no answer"
+    process.join(5.0)
+    if process.is_alive():
+        process.kill()
+        process.join()
+    return answer
+
+
+def _restore(job: Job, pipe: Connection) -> None:
+    loaded = load_cell(job.folder / "cell.toml")
+    config = arm_named(loaded, None)
+    options = GroupOptions(ledger_path=job.ledger)
+    try:
+        with (
+            open_bus(BusSpec.parse(job.bus)) as bus,
+            DriveGroup(bus, axis_setups(loaded, config), 0.01, options=options) as group,
+        ):
+            group.connect()
+            group.restore()
+        pipe.send("done")
+    except (DriveError, GatewayError) as error:
+        pipe.send(f"error: {error}")
+    os._exit(0)
+
+
+__all__ = ["ENABLED", "POSES", "Drives", "Fault", "Job", "Master", "drives", "poses", "restore"]
