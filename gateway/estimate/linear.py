@@ -18,15 +18,27 @@ TOLERANCE = 1e-7
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prior:
-    """Gaussian knowledge of the parameters: mean (p,) and standard deviation (p,), infinite = free."""
+    """Gaussian knowledge of the parameters.
+
+    `mean`, `std` (p,) of each, infinite = free; `rows` (k, p) and `right` (k,): further combinations that are known,
+    `rows @ x = right` with unit standard deviation.
+    """
 
     mean: Floats
     std: Floats
+    rows: Floats
+    right: Floats
 
     @staticmethod
     def free(count: int) -> Prior:
         """Nothing is known."""
-        return Prior(np.zeros(count), np.full(count, np.inf))
+        return Prior(np.zeros(count), np.full(count, np.inf), np.zeros((0, count)), np.zeros(0))
+
+    def with_std(self, index: NDArray[np.int_], std: Floats) -> Prior:
+        """The same, some parameters held to another standard deviation."""
+        changed = self.std.copy()
+        changed[index] = std
+        return Prior(self.mean, changed, self.rows, self.right)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +62,8 @@ class Solution:
     orthogonal : array of shape (n, rank)
         Whitened data rows in an orthonormal basis: the hat matrix is `orthogonal @ orthogonal.T`.
     rank : int
+    misfit : float
+        The minimum.
     condition : float
         Largest over smallest singular value of the scaled, whitened columns with their priors.
     log_determinant : float
@@ -64,6 +78,7 @@ class Solution:
     leverage: Floats
     orthogonal: Floats
     rank: int
+    misfit: float
     condition: float
     log_determinant: float
 
@@ -71,7 +86,7 @@ class Solution:
 def solve(
     design: Floats, target: Floats, weight: Floats, prior: Prior | None = None, tolerance: float = TOLERANCE
 ) -> Solution:
-    """Minimise `|weight (target - design x)|^2 + |(x - mean) / std|^2`.
+    """Minimise `|weight (target - design x)|^2 + |(x - mean) / std|^2 + |right - rows x|^2`.
 
     Parameters
     ----------
@@ -87,10 +102,11 @@ def solve(
     n, p = design.shape
     prior = Prior.free(p) if prior is None else prior
     held = np.flatnonzero(np.isfinite(prior.std))
-    big = np.zeros((n + len(held), p))
+    big = np.zeros((n + len(held) + len(prior.rows), p))
     np.multiply(design, weight[:, None], out=big[:n])
     big[n + np.arange(len(held)), held] = 1.0 / prior.std[held]
-    right = np.concatenate([target * weight, prior.mean[held] / prior.std[held]])
+    big[n + len(held) :] = prior.rows
+    right = np.concatenate([target * weight, prior.mean[held] / prior.std[held], prior.right])
     scale = np.sqrt(np.einsum("ij,ij->j", big, big))
     scale[scale == 0.0] = 1.0
     big /= scale
@@ -103,6 +119,7 @@ def solve(
     value = inverse @ (basis.T @ (q.T @ right))
     lost = np.concatenate([turned[: len(size)][~keep], turned[len(size) :]]).T / scale[:, None]
     kept = size[keep]
+    left_over = right - big @ (value * scale)
     return Solution(
         value=value,
         covariance=inverse @ inverse.T,
@@ -112,6 +129,7 @@ def solve(
         leverage=np.einsum("ij,ij->i", orthogonal, orthogonal),
         orthogonal=orthogonal,
         rank=int(keep.sum()),
+        misfit=float(left_over @ left_over),
         condition=float(kept[0] / kept[-1]) if len(kept) else np.inf,
         log_determinant=float(2.0 * np.sum(np.log(kept)) + 2.0 * np.sum(np.log(scale))),
     )

@@ -62,6 +62,8 @@ def base_parameters(rows: Floats, names: Sequence[str], tolerance: float = TOLER
     -------
     BaseSet
     """
+    if not len(names):
+        return BaseSet(np.zeros(0, dtype=int), np.zeros((0, 0)), (), 0)
     stacked = np.asarray(rows, dtype=float).reshape(-1, len(names))
     scale = np.linalg.norm(stacked, axis=0)
     seen = np.flatnonzero(scale > _NOTHING * scale.max(initial=0.0))

@@ -1,0 +1,116 @@
+"""What an estimation is told beside the data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gateway.errors import ConfigError, InputError
+from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
+from gateway.model.robot import Robot
+from gateway.result import Bare
+
+BARE_LABEL = "none"
+
+Four = tuple[float, float, float, float]
+Six = tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Coefficient:
+    """One axis and a known lever: joint (from 1), column of the lever [m], gear, rated motor torque [Nm]."""
+
+    joint: int
+    lever: str
+    gear_ratio: float
+    gear_efficiency: float
+    rated_torque_nm: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How to estimate.
+
+    Attributes
+    ----------
+    inertials : "exact", "ignore" or "prior:S"
+        How far the robot model's inertials are trusted: S is the relative standard deviation of every link's mass, and
+        that of its first moment as a fraction of mass x link length.
+    known : label -> (mass [kg], x, y, z [m] in link_6)
+        Loads that are known.
+    bare : Bare or None
+        Stored bare identification.
+    gravity_m_s2 : base frame
+    efficiency : six gear efficiencies
+        1 where the torque already stands behind the gear.
+    coefficient : Coefficient or None
+        Needed by that method alone.
+    hull_radius_m : float or None
+        A centre of mass further from link_6 is reported; 0.4 of the arm's length if not given.
+    """
+
+    inertials: str = "ignore"
+    known: Mapping[str, Four] = field(default_factory=dict)
+    bare: Bare | None = None
+    gravity_m_s2: tuple[float, float, float] = STANDARD_GRAVITY_M_S2
+    efficiency: Six = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+    coefficient: Coefficient | None = None
+    hull_radius_m: float | None = None
+
+    @property
+    def trust(self) -> float:
+        """Relative standard deviation of the inertials: 0 exact, infinite ignored."""
+        return parse_inertials(self.inertials)
+
+
+def parse_inertials(text: str) -> float:
+    """Relative standard deviation behind `exact` (0), `ignore` (infinite) and `prior:S`.
+
+    Raises
+    ------
+    ConfigError
+        Anything else.
+    """
+    if text == "exact":
+        return 0.0
+    if text == "ignore":
+        return math.inf
+    try:
+        share = float(text.removeprefix("prior:")) if text.startswith("prior:") else math.nan
+    except ValueError:
+        share = math.nan
+    if not (math.isfinite(share) and share > 0):
+        raise ConfigError(f"inertials '{text}': use exact, ignore, or prior:S with S > 0, such as prior:0.05")
+    return share
+
+
+def default_inertials(robot: Robot) -> str:
+    """`prior:0.05` where the robot model knows its links, else `ignore`."""
+    return "prior:0.05" if np.isfinite(robot.mass_kg).any() else "ignore"
+
+
+def parse_known(text: str) -> tuple[str, Four]:
+    """`LABEL=MASS,X,Y,Z` as label and numbers.
+
+    Raises
+    ------
+    InputError
+        Not of that form, or a mass that is negative.
+    """
+    label, equals, numbers = text.partition("=")
+    try:
+        values = [float(word) for word in numbers.split(",")]
+    except ValueError:
+        values = []
+    if (
+        not equals
+        or not label.strip()
+        or len(values) != 4
+        or not all(math.isfinite(v) for v in values)
+        or values[0] < 0
+    ):
+        raise InputError(f"--known {text}: expected LABEL=MASS,X,Y,Z in kg and m (link_6), such as tool=12.5,0,0,0.11")
+    return label.strip(), (values[0], values[1], values[2], values[3])

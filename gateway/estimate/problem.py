@@ -1,0 +1,228 @@
+"""Rest visits and a robot as the weighted linear problem of links, loads, torque offsets and friction sides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.errors import DataUnusable, InputError
+from gateway.estimate.linear import Prior
+from gateway.estimate.options import BARE_LABEL, Options
+from gateway.model.base import BaseSet, rest_base
+from gateway.model.regressor import GRAVITY_NAMES, LOAD_COLUMNS, gravity_regressor
+from gateway.model.robot import AXES, Robot
+from gateway.model.visits import Visits
+from gateway.result import Bare
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int_]
+
+LOAD_NAMES = ("mass", "hx", "hy", "hz")
+LOAD_UNITS = ("kg", "kg m", "kg m", "kg m")
+WRIST_LENGTH_M = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Links:
+    """Knowledge of the 24 link parameters [m, hx, hy, hz].
+
+    `fixed` (24,) is what is taken as known exactly (0 elsewhere); `held` are columns with a Gaussian prior `mean`,
+    `std` (24,); `base` are the combinations of the free ones, `free` their columns.
+    """
+
+    fixed: Floats
+    mean: Floats
+    std: Floats
+    held: Ints
+    free: Ints
+    base: BaseSet
+
+    @property
+    def columns(self) -> Ints:
+        """Columns of the 24 that stand for parameters: held ones, then independent free ones."""
+        return np.concatenate([self.held, self.free[self.base.indices]])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each of `columns`; a free one names what it lumps."""
+        return (*(GRAVITY_NAMES[k] for k in self.held), *self.base.names)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """Rows (measured axis of a visit) and columns of one estimation.
+
+    Attributes
+    ----------
+    visits : Visits
+    visit, axis : int arrays of shape (r,)
+        Where each row comes from.
+    design : array of shape (r, p)
+    target : array of shape (r,)
+        Torque less known loads and known links [Nm].
+    prior : Prior
+    names, units : p names
+    links : Links
+        The first `len(links.columns)` parameters.
+    loads : label -> first of its four columns
+    offsets : int array of shape (k,)
+        Columns of the torque offsets, one per measured axis.
+    offset_axis : int array of shape (k,)
+    known_nm : array of shape (r,)
+        What was taken off the measured torque.
+    """
+
+    visits: Visits
+    visit: Ints
+    axis: Ints
+    design: Floats
+    target: Floats
+    prior: Prior
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    links: Links
+    loads: dict[str, int]
+    offsets: Ints
+    offset_axis: Ints
+    known_nm: Floats
+
+
+def link_knowledge(robot: Robot, options: Options) -> Links:
+    """What the robot model's inertials say, at the trust of the options.
+
+    The length of a link reaches to the next joint or to its centre of mass, whichever is further; that of link 6 to the
+    flange.
+    """
+    trust = options.trust
+    mean, std = np.zeros(24), np.full(24, np.inf)
+    for link in range(AXES):
+        mass, com = robot.mass_kg[link], robot.com_m[link]
+        if not (np.isfinite(mass) and np.isfinite(com).all()) or np.isinf(trust):
+            continue
+        part = slice(4 * link, 4 * link + 4)
+        mean[part] = mass * np.array([1.0, *com])
+        length = max(_reach(robot, link), float(np.linalg.norm(com)), WRIST_LENGTH_M)
+        std[part] = trust * mass * np.array([1.0, length, length, length])
+    open_ = np.isinf(std)
+    fixed = np.where(std == 0.0, mean, 0.0)
+    held = np.flatnonzero((std > 0.0) & ~open_)
+    free = np.flatnonzero(open_)
+    base = rest_base(robot, options.gravity_m_s2, free.tolist())
+    return Links(fixed, mean, std, held, free, base)
+
+
+def _reach(robot: Robot, link: int) -> float:
+    if link + 1 < AXES:
+        return float(np.linalg.norm(robot.placement[link + 1, :3, 3]))
+    return 0.0 if robot.flange is None else float(np.linalg.norm(robot.flange[:3, 3]))
+
+
+def unknown_labels(visits: Visits, options: Options) -> tuple[str, ...]:
+    """Loads to estimate, in the order they appear.
+
+    Raises
+    ------
+    InputError
+        A known load that no row carries.
+    """
+    present = list(dict.fromkeys(visits.load.tolist()))
+    for label in options.known:
+        if label not in present:
+            raise InputError(f"--known {label}: no row carries this load; the data hold {', '.join(present)}")
+    return tuple(label for label in present if label != BARE_LABEL and label not in options.known)
+
+
+def load_vector(known: tuple[float, float, float, float]) -> Floats:
+    """[m, h] (4,) of mass and centre of mass."""
+    mass, *com = known
+    return mass * np.array([1.0, *com])
+
+
+def build_problem(visits: Visits, robot: Robot, options: Options) -> Problem:
+    """Assemble rows and columns.
+
+    Raises
+    ------
+    InputError
+        A known load that is not in the data.
+    DataUnusable
+        Nothing was measured at rest.
+    """
+    measured = np.isfinite(visits.tau_nm)
+    if not measured.any():
+        raise DataUnusable(
+            "no axis torque was measured at rest; a pose number and a torque or current column are needed"
+        )
+    visit, axis = np.nonzero(measured)
+    rows = gravity_regressor(robot, visits.q_rad, options.gravity_m_s2)[visit, axis]
+    links = link_knowledge(robot, options)
+    labels = unknown_labels(visits, options)
+    known = rows @ links.fixed
+    for label, values in options.known.items():
+        here = visits.load[visit] == label
+        known[here] += rows[here, LOAD_COLUMNS] @ load_vector(values)
+    parts, names, units = [rows[:, links.columns]], list(links.names), _link_units(links)
+    loads: dict[str, int] = {}
+    for label in labels:
+        loads[label] = len(names)
+        parts.append(rows[:, LOAD_COLUMNS] * (visits.load[visit] == label)[:, None])
+        names += [f"{name}[{label}]" for name in LOAD_NAMES]
+        units += LOAD_UNITS
+    offset_axis = np.flatnonzero(measured.any(axis=0))
+    offsets = len(names) + np.arange(len(offset_axis))
+    parts.append((axis[:, None] == offset_axis).astype(float))
+    names += [f"offset[J{k + 1}]" for k in offset_axis]
+    units += ["Nm"] * len(offset_axis)
+    sided = _sided_axes(visits, measured)
+    parts.append(np.where(axis[:, None] == sided, visits.direction[visit, axis][:, None], 0.0))
+    names += [f"friction[J{k + 1}]" for k in sided]
+    units += ["Nm"] * len(sided)
+    return Problem(
+        visits=visits,
+        visit=visit,
+        axis=axis,
+        design=np.hstack(parts),
+        target=visits.tau_nm[visit, axis] - known,
+        prior=_prior(links, options.bare, len(names)),
+        names=tuple(names),
+        units=tuple(units),
+        links=links,
+        loads=loads,
+        offsets=offsets,
+        offset_axis=offset_axis,
+        known_nm=known,
+    )
+
+
+def _link_units(links: Links) -> list[str]:
+    return ["kg" if column % 4 == 0 else "kg m" for column in links.columns]
+
+
+def _sided_axes(visits: Visits, measured: NDArray[np.bool_]) -> Ints:
+    """Axes whose one-sided visits came from both sides: their friction can be told from an offset."""
+    side = np.where(measured & ~visits.two_sided[:, None], visits.direction, 0)
+    return np.flatnonzero((side > 0).any(axis=0) & (side < 0).any(axis=0))
+
+
+def _prior(links: Links, bare: Bare | None, count: int) -> Prior:
+    prior = Prior.free(count)
+    held = len(links.held)
+    mean, std = prior.mean, prior.std
+    mean[:held], std[:held] = links.mean[links.held], links.std[links.held]
+    if bare is None:
+        return Prior(mean, std, prior.rows, prior.right)
+    rows, right = bare_rows(bare)
+    further = np.zeros((len(rows), count))
+    further[:, : len(links.columns)] = rows[:, links.columns]
+    return Prior(mean, std, further, right - rows @ links.fixed)
+
+
+def bare_rows(bare: Bare) -> tuple[Floats, Floats]:
+    """A stored bare identification as rows (k, 24) and right side (k,) with unit standard deviation."""
+    combination, value = np.asarray(bare.combination, dtype=float), np.asarray(bare.value, dtype=float)
+    size, vectors = np.linalg.eigh(np.asarray(bare.covariance, dtype=float))
+    size = np.maximum(size, 1e-14 * max(float(size.max(initial=0.0)), 1e-14))
+    whiten = (vectors / np.sqrt(size)).T
+    return whiten @ combination, whiten @ value
