@@ -11,7 +11,6 @@ import numpy as np
 
 from gateway.acquire.workspace import Workspace
 from gateway.errors import LimitExceeded
-from gateway.model.regressor import gravity_regressor
 
 #: Jump of the unexplained torque, as a share of the joint's torque limit; friction at a reversal is below half of it.
 CONTACT_SHARE = 0.25
@@ -32,27 +31,27 @@ class Contact:
     arm : str
         Name, for messages.
     workspace : Workspace
-        Without inertials of the links the torque is not compared with a model, only with its own mean.
     period_s : float
         SYNC period.
     """
 
     def __init__(self, arm: str, workspace: Workspace, period_s: float) -> None:
         self._arm = arm
-        self._workspace = workspace
         self._share = min(period_s / MEMORY_S, 1.0)
         self._limit = CONTACT_SHARE * workspace.torque_nm
         self._mean: np.ndarray | None = None
         self._count = np.zeros(6, dtype=int)
         self._from: tuple[np.ndarray, np.ndarray] | None = None
 
-    def check(self, q_rad: np.ndarray, torque_nm: np.ndarray, target_rad: np.ndarray) -> None:
+    def check(self, q_rad: np.ndarray, unexplained_nm: np.ndarray, target_rad: np.ndarray) -> None:
         """One complete SYNC.
 
         Parameters
         ----------
-        q_rad, torque_nm : arrays of shape (6,)
-            Measured; joint side.
+        q_rad : array of shape (6,)
+            Measured.
+        unexplained_nm : array of shape (6,)
+            Measured less modelled torque, joint side.
         target_rad : array of shape (6,)
             What the drives had been told.
 
@@ -62,10 +61,9 @@ class Contact:
             Contact, or a joint that stays behind.
         """
         self._check_following(q_rad, target_rad)
-        unexplained = torque_nm - self._modelled(q_rad)
         if self._mean is None:
-            self._mean = unexplained
-        jump = np.abs(unexplained - self._mean)
+            self._mean = unexplained_nm
+        jump = np.abs(unexplained_nm - self._mean)
         over = jump > self._limit
         if over.any():
             self._count = (self._count + 1) * over
@@ -79,13 +77,7 @@ class Contact:
                 )
             return
         self._count[:] = 0
-        self._mean = self._mean + self._share * (unexplained - self._mean)
-
-    def _modelled(self, q_rad: np.ndarray) -> np.ndarray:
-        workspace = self._workspace
-        if workspace.links is None:
-            return np.zeros(6)
-        return (gravity_regressor(workspace.robot, q_rad[None], workspace.gravity_m_s2) @ workspace.links)[0]
+        self._mean = self._mean + self._share * (unexplained_nm - self._mean)
 
     def _check_following(self, q_rad: np.ndarray, target_rad: np.ndarray) -> None:
         if self._from is None:

@@ -40,6 +40,7 @@ class Stream:
         self.q_rad = np.zeros(6)
         self.moving = False
         self._rates = (np.zeros(6), np.zeros(6))
+        self._modelled_nm = np.zeros(6)
         self._arm = arm
         self._watch = watch
         self._stop_asked = stop_asked
@@ -49,6 +50,7 @@ class Stream:
     def start(self, q_rad: np.ndarray) -> None:
         """Take over an arm that holds joint positions (6,) [rad]."""
         self.q_rad = q_rad
+        self._modelled_nm = self._watch.modelled_torque(q_rad[None])[0]
 
     def move(self, motion: Motion, what: str) -> None:
         """Stream a motion that starts at the last set point and ends at rest.
@@ -64,6 +66,7 @@ class Stream:
         """
         exchange, check, stop_asked = self._arm.exchange, self._watch.check, self._stop_asked
         commands = self._arm.commands(motion.q_rad)
+        modelled = self._watch.modelled_torque(motion.q_rad)
         self.moving = bool(commands)
         for row, command in enumerate(commands):
             if row % self._report_every == 0:
@@ -71,7 +74,8 @@ class Stream:
             sample = exchange(command)
             self.q_rad = motion.q_rad[row]
             self._rates = (motion.qd_rad_s[row], motion.qdd_rad_s2[row])
-            check(sample, self.q_rad)
+            self._modelled_nm = modelled[row]
+            check(sample, self.q_rad, self._modelled_nm)
             if stop_asked():
                 raise KeyboardInterrupt
         self.moving = False
@@ -81,7 +85,7 @@ class Stream:
         if row % self._report_every == 0:
             self._report(what, row, rows)
         sample = self._arm.hold()
-        self._watch.check(sample, self.q_rad)
+        self._watch.check(sample, self.q_rad, self._modelled_nm)
         if self._stop_asked():
             raise KeyboardInterrupt
         return sample

@@ -10,6 +10,7 @@ from gateway.acquire.arm import ArmSample
 from gateway.acquire.contact import Contact
 from gateway.acquire.workspace import Workspace
 from gateway.errors import LimitExceeded
+from gateway.model.regressor import gravity_regressor
 
 #: A limit counts as left after this many SYNCs in a row: one noisy reading stops nothing.
 IN_A_ROW = 3
@@ -22,6 +23,7 @@ SPEED_SPAN_S = 0.02
 
 KINDS = ("is {value:.3f} rad off its target", "turns with {value:.3f} rad/s", "needs {value:.0f} Nm")
 UNITS = ("rad", "rad/s", "Nm")
+RANGE = 3
 
 
 class Watch:
@@ -39,17 +41,25 @@ class Watch:
     def __init__(self, arm: str, workspace: Workspace, period_s: float) -> None:
         self._arm = arm
         self._period_s = period_s
-        self._lower = workspace.lower_rad - POSITION_TOLERANCE_RAD
-        self._upper = workspace.upper_rad + POSITION_TOLERANCE_RAD
-        self._limits = np.array(
-            [workspace.following_error_rad, SPEED_TOLERANCE * workspace.speed_rad_s, workspace.torque_nm]
-        )
-        self._count = np.zeros((3, 6), dtype=int)
+        self._workspace = workspace
+        self._middle = (workspace.lower_rad + workspace.upper_rad) / 2
+        half = (workspace.upper_rad - workspace.lower_rad) / 2 + POSITION_TOLERANCE_RAD
+        speed = SPEED_TOLERANCE * workspace.speed_rad_s
+        self._limits = np.array([workspace.following_error_rad, speed, workspace.torque_nm, half])
+        self._count = np.zeros((4, 6), dtype=int)
+        self._counting = False
         self._target: np.ndarray | None = None
         self._contact = Contact(arm, workspace, period_s)
         self._history: deque[tuple[int, np.ndarray]] = deque(maxlen=max(2, round(SPEED_SPAN_S / period_s) + 1))
 
-    def check(self, sample: ArmSample, target_rad: np.ndarray) -> None:
+    def modelled_torque(self, q_rad: np.ndarray) -> np.ndarray:
+        """Torque (n, 6) [Nm] that the bare arm's model asks for at positions (n, 6); 0 if the links are unknown."""
+        links = self._workspace.links
+        if links is None or not len(q_rad):
+            return np.zeros_like(q_rad)
+        return gravity_regressor(self._workspace.robot, q_rad, self._workspace.gravity_m_s2) @ links
+
+    def check(self, sample: ArmSample, target_rad: np.ndarray, modelled_nm: np.ndarray) -> None:
         """Check one SYNC; one that is not complete shows nothing and is passed over.
 
         Parameters
@@ -57,6 +67,8 @@ class Watch:
         sample : ArmSample
         target_rad : array of shape (6,)
             Joint positions that were sent with this SYNC.
+        modelled_nm : array of shape (6,)
+            `modelled_torque` there.
 
         Raises
         ------
@@ -68,30 +80,35 @@ class Watch:
         if not sample.complete:
             return
         q_rad = sample.q_rad
-        self._check_range(q_rad)
         self._history.append((sample.sync_index, q_rad))
         first_index, first_q = self._history[0]
         span_s = max(sample.sync_index - first_index, 1) * self._period_s
-        values = np.abs(np.array([q_rad - expected, (q_rad - first_q) / span_s, sample.joint_torque_nm]))
-        over = values > self._limits
-        self._count = (self._count + 1) * over
-        if over.any() and self._count.max() >= IN_A_ROW:
+        torque_nm = sample.joint_torque_nm
+        values = np.array([q_rad - expected, (q_rad - first_q) / span_s, torque_nm, q_rad - self._middle])
+        over = np.abs(values) > self._limits
+        if over.any():
+            self._count = (self._count + 1) * over
+            self._counting = True
+            self._refuse(values, q_rad)
+        elif self._counting:
+            self._count[:] = 0
+            self._counting = False
+        self._contact.check(q_rad, torque_nm - modelled_nm, expected)
+
+    def _refuse(self, values: np.ndarray, q_rad: np.ndarray) -> None:
+        if self._count[RANGE].any():
+            joint = int(np.argmax(self._count[RANGE]))
+            raise LimitExceeded(
+                f"arm '{self._arm}', joint {joint + 1} stands at {q_rad[joint]:.3f} rad, outside its range: stopped; "
+                "check position_sign, gear_ratio and zero_offset_rad of this axis",
+                joint=joint + 1,
+            )
+        if self._count.max() >= IN_A_ROW:
             kind, joint = np.argwhere(self._count >= IN_A_ROW)[0]
-            what = KINDS[kind].format(value=values[kind, joint])
+            what = KINDS[kind].format(value=abs(values[kind, joint]))
             limit = f"{self._limits[kind, joint]:g} {UNITS[kind]}"
             raise LimitExceeded(
                 f"arm '{self._arm}', joint {joint + 1} {what}, its limit is {limit}: "
                 "stopped; look for contact, a brake that drags, or a wrong limit or torque constant",
                 joint=int(joint) + 1,
-            )
-        self._contact.check(q_rad, sample.joint_torque_nm, expected)
-
-    def _check_range(self, q_rad: np.ndarray) -> None:
-        outside = (q_rad < self._lower) | (q_rad > self._upper)
-        if outside.any():
-            joint = int(np.argmax(outside))
-            raise LimitExceeded(
-                f"arm '{self._arm}', joint {joint + 1} stands at {q_rad[joint]:.3f} rad, outside its range: stopped; "
-                "check position_sign, gear_ratio and zero_offset_rad of this axis",
-                joint=joint + 1,
             )
