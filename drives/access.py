@@ -11,7 +11,7 @@ from drives.errors import ConfigurationRefused, DriveError, DriveFault, Identity
 from drives.heartbeat import NmtCommand, send_nmt
 from drives.ledger import LedgerEntry, WriteLedger
 from drives.objects import OBJECTS, ObjectEntry
-from drives.pdo import PdoPlan, differences, mapping_steps, restore_steps
+from drives.pdo import PdoPlan, Step, differences, mapping_steps, restore_steps
 from drives.profile import DriveProfile, ObjectReference
 from drives.sdo import NORMAL, SLOW, SdoClient, Transfer
 
@@ -68,16 +68,17 @@ class ObjectAccess:
         now = self.read(entry, options)
         if now == value:
             return
-        self._write(entry.index, entry.subindex, entry.type, value, (now, reason))
+        step = Step(entry.index, entry.subindex, entry.type, value, reason)
+        self._ledger.note(self._entry(step, now))
+        self.sdo.write(step.index, step.subindex, step.data_type, step.value)
         back = self.read(entry, options)
         if back != value:
             what = f"{value:#x} was written, {back:#x} reads back"
             self.refuse(entry, what, "the drive limits or ignores this value")
 
-    def _write(self, index: int, subindex: int, data_type: str, value: int, why: tuple[int, str]) -> None:
-        old, reason = why
-        self._ledger.note(LedgerEntry(self.node_id, index, subindex, data_type, old, value, reason, self.serial_number))
-        self.sdo.write(index, subindex, data_type, value)
+    def _entry(self, step: Step, old: int) -> LedgerEntry:
+        address = (step.index, step.subindex)
+        return LedgerEntry(self.node_id, *address, step.data_type, old, step.value, step.reason, self.serial_number)
 
     def _check_allowed(self, index: int, subindex: int) -> None:
         if index not in self.profile.write.allow:
@@ -105,10 +106,12 @@ class ObjectAccess:
         """
         if differences(plan, self.sdo.read):
             cob_id = self.sdo.read(plan.communication, 1, "u32")
-            for step in mapping_steps(plan, cob_id):
+            steps = mapping_steps(plan, cob_id)
+            for step in steps:
                 self._check_allowed(step.index, step.subindex)
-                now = self._before(step.index, step.subindex, step.data_type)
-                self._write(step.index, step.subindex, step.data_type, step.value, (now, step.reason))
+            self._ledger.note(*(self._entry(step, self._before(step)) for step in steps))
+            for step in steps:
+                self.sdo.write(step.index, step.subindex, step.data_type, step.value)
             left = differences(plan, self.sdo.read)
             if left:
                 what = f"{plan.name} {', '.join(left)} after it was written"
@@ -118,12 +121,12 @@ class ObjectAccess:
         if plan.name.startswith("TPDO") and self.read_optional(inhibit):
             self.write(inhibit, 0, f"{plan.name} at every SYNC")
 
-    def _before(self, index: int, subindex: int, data_type: str) -> int:
+    def _before(self, step: Step) -> int:
         """What an object holds before it is written; a mapping entry beyond the mapped ones may not exist yet."""
         try:
-            return self.sdo.read(index, subindex, data_type)
+            return self.sdo.read(step.index, step.subindex, step.data_type)
         except SdoAbort as abort:
-            if abort.code in _ABSENT and 0x1600 <= index < 0x1C00:
+            if abort.code in _ABSENT and 0x1600 <= step.index < 0x1C00:
                 return 0
             raise
 
@@ -146,9 +149,7 @@ class ObjectAccess:
         send_nmt(self.bus, NmtCommand.ENTER_PREOPERATIONAL, self.node_id)
         failures = self._put_back({(entry.index, entry.subindex): (entry.data_type, entry.old) for entry in entries})
         failed = {(failure.index, failure.subindex) for failure in failures}
-        for entry in entries:
-            if (entry.index, entry.subindex) not in failed:
-                self._ledger.forget(entry)
+        self._ledger.forget(*(entry for entry in entries if (entry.index, entry.subindex) not in failed))
         return failures
 
     def _put_back(self, old: dict[tuple[int, int], tuple[str, int]]) -> list[DriveError]:

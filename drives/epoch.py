@@ -5,9 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from drives.bus import Bus
 from drives.values import DriveReading
+
+#: How long an answer that stayed away is reckoned with.
+_ASTRAY_S: Final = 0.5
+_PATIENCE_S: Final = 0.002
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +58,9 @@ class EpochCollector:
     """Gathers the TPDOs that answer one SYNC.
 
     TPDOs carry no number, so what arrives outside `collect` belongs to an earlier SYNC: it is counted and dropped, and
-    the next SYNC waits in `settle` until nothing of the last one can be under way any more. Two different frames of one
-    TPDO within one SYNC contradict each other: the slot stays empty.
+    the next SYNC waits in `settle` until nothing of the last one should be under way any more. A frame that stays away
+    even longer could pass for the answer to a later SYNC: for half a second that slot is watched for a second frame,
+    and two different frames of one TPDO within one SYNC contradict each other: the slot stays empty.
 
     Parameters
     ----------
@@ -71,6 +77,9 @@ class EpochCollector:
         self._sizes = tuple(size for _, size in slots)
         self._contradicted: set[int] = set()
         self._unsettled = False
+        #: Slots whose answer to an earlier SYNC may still come, and until when.
+        self._astray: dict[int, float] = {}
+        self._usual_s = 0.0
         for can_id in self._slot_of:
             bus.subscribe(can_id, self._on_stray)
 
@@ -100,7 +109,8 @@ class EpochCollector:
         if self._contradicted:
             self._contradicted.clear()
         left = len(sizes)
-        deadline = clock() + timeout_s
+        start = clock()
+        deadline = start + timeout_s
         self._unsettled = True
         while left:
             frame = receive(timeout_s)
@@ -122,10 +132,35 @@ class EpochCollector:
             timeout_s = deadline - clock()
             if timeout_s <= 0:
                 break
+        if left == 0:
+            self._usual_s += 0.1 * (clock() - start - self._usual_s)
+        if self._astray:
+            self._listen_for_strays(deadline if gap_s is None else clock() + self._patience_s(gap_s))
         self._unsettled = left > 0 or bool(self._contradicted)
         if self._contradicted:
             return [None if slot in self._contradicted else data for slot, data in enumerate(frames)]
         return frames
+
+    def _patience_s(self, gap_s: float) -> float:
+        """How long after a row is full the true answer may follow one that was astray."""
+        return min(gap_s, max(_PATIENCE_S, 4.0 * self._usual_s))
+
+    def _listen_for_strays(self, deadline_s: float) -> None:
+        """The row is full, but an answer to an earlier SYNC may be in it: does a second one come?"""
+        now = time.monotonic()
+        self._astray = {slot: until_s for slot, until_s in self._astray.items() if until_s > now}
+        while self._astray and (left_s := deadline_s - time.monotonic()) > 0:
+            frame = self._bus.receive(left_s)
+            if frame is None:
+                continue
+            slot = self._slot_of.get(frame.arbitration_id)
+            if slot is None or len(frame.data) != self._sizes[slot]:
+                self._bus.dispatch(frame)
+            elif self.frames[slot] is None:
+                self.frames[slot] = frame.data
+            else:
+                self._again(slot, frame.data)
+                self._astray.pop(slot, None)
 
     def _again(self, slot: int, data: bytes | bytearray) -> None:
         """A second frame of one TPDO within one SYNC."""
@@ -147,6 +182,7 @@ class EpochCollector:
             if self.frames[slot] != data:
                 self.counts.ambiguous += 1
                 self._unsettled = True
+                self._astray.pop(slot, None)
 
     def settle(self, quiet_s: float) -> None:
         """Before the next SYNC: take in what has arrived; after a gap also wait until what is missing is here or gone.
@@ -157,7 +193,7 @@ class EpochCollector:
             Longest wait for a missing frame; 0 = only what has arrived.
         """
         self._bus.drain()
-        if not self._unsettled or quiet_s <= 0:
+        if not self._unsettled:
             return
         deadline = time.monotonic() + quiet_s
         with self._bus.receive_lock:
@@ -167,4 +203,6 @@ class EpochCollector:
                     self._bus.dispatch(frame)
                 if not self._contradicted and None not in self.frames:
                     break
+        now = time.monotonic()
+        self._astray |= {slot: now + _ASTRAY_S for slot, data in enumerate(self.frames) if data is None}
         self._unsettled = False

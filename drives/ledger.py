@@ -78,16 +78,18 @@ class WriteLedger:
         """Entries of one node."""
         return tuple(entry for entry in self._entries.values() if entry.node_id == node_id)
 
-    def note(self, entry: LedgerEntry) -> None:
-        """Enter a write that is about to happen; the old value of an object that is already here stays."""
-        key = (entry.node_id, entry.index, entry.subindex)
-        known = self._entries.get(key)
-        self._entries[key] = entry if known is None else replace(known, new=entry.new, reason=entry.reason)
+    def note(self, *entries: LedgerEntry) -> None:
+        """Enter writes that are about to happen; the old value of an object that is already here stays."""
+        for entry in entries:
+            key = (entry.node_id, entry.index, entry.subindex)
+            known = self._entries.get(key)
+            self._entries[key] = entry if known is None else replace(known, new=entry.new, reason=entry.reason)
         self._save()
 
-    def forget(self, entry: LedgerEntry) -> None:
-        """Take out an entry whose old value is back, or whose write never happened."""
-        self._entries.pop((entry.node_id, entry.index, entry.subindex), None)
+    def forget(self, *entries: LedgerEntry) -> None:
+        """Take out entries whose old value is back."""
+        for entry in entries:
+            self._entries.pop((entry.node_id, entry.index, entry.subindex), None)
         self._save()
 
     def _save(self) -> None:

@@ -238,7 +238,7 @@ class DriveProfile(_Strict):
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9.-]*$")]
     description: str
     source: Source
-    eds: str | None = None
+    eds: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*\.eds$")] | None = None
     identity: Identity = Identity()
     torque: Signal
     current: Signal | None = None
@@ -341,6 +341,10 @@ def parse_profile(text: str, where: str, folder: Path = PROFILE_FOLDER) -> Drive
         raise ProfileError(f"{where}: {_in_words(error)}", advice=advice) from error
     object.__setattr__(profile, "_text", text)
     object.__setattr__(profile, "_folder", folder)
+    if profile.eds_path is not None:
+        from drives.eds import check_eds  # imported here: it needs the classes of this file
+
+        check_eds(profile, profile.eds_path)
     return profile
 
 

@@ -1,0 +1,140 @@
+"""The bus: configuration, the receive path, other masters, send failures, life."""
+
+from __future__ import annotations
+
+import threading
+
+import can
+import pytest
+
+from drives.bus import Bus, BusSpec, open_bus
+from drives.errors import BusError, BusOff
+
+
+def test_a_bus_in_words_of_the_command_line():
+    spec = BusSpec.parse("udp_multicast:239.74.163.2,port=43113")
+    assert (spec.interface, spec.channel, spec.options) == ("udp_multicast", "239.74.163.2", {"port": 43113})
+    assert str(spec) == "udp_multicast:239.74.163.2,port=43113"
+    assert BusSpec.parse("socketcan:can0,bitrate=500000").bitrate_bit_s == 500_000
+    assert BusSpec.parse("virtual:cell,receive_own_messages=true").options == {"receive_own_messages": True}
+
+
+@pytest.mark.parametrize(
+    "text", ["", "virtual", "virtual:", ":cell", "virtual:a,port", "virtual:a,=3", "x:y,bitrate=0"]
+)
+def test_a_bus_that_is_not_understood(text):
+    with pytest.raises(BusError, match="not understood|positive integer") as caught:
+        BusSpec.parse(text)
+    assert caught.value.exit_code == 4
+
+
+@pytest.mark.parametrize("text", ["nonsense:can0", "socketcan:can77", "udp_multicast:239.74.163.2,port=no"])
+def test_a_bus_that_cannot_be_opened_says_what_to_do(text):
+    with pytest.raises(BusError, match="cannot be opened"):
+        open_bus(BusSpec.parse(text))
+
+
+def test_frames_pass_between_two_buses_without_a_thread():
+    before = threading.active_count()
+    with open_bus(BusSpec("virtual", "pass")) as left, open_bus(BusSpec("virtual", "pass")) as right:
+        seen = []
+        right.subscribe(0x181, lambda can_id, data, time_s: seen.append((can_id, bytes(data))))
+        left.send(0x181, b"\x01\x02")
+        right.drain()
+        assert seen == [(0x181, b"\x01\x02")]
+        assert threading.active_count() == before
+
+
+def test_a_closed_bus_says_so():
+    bus = open_bus(BusSpec("virtual", "closed"))
+    bus.close()
+    bus.close()
+    with pytest.raises(BusError, match="closed"):
+        bus.send(0x181, b"")
+    with pytest.raises(BusError, match="closed"):
+        bus.receive(0.0)
+
+
+@pytest.mark.parametrize("echo", [False, True])
+def test_own_frames_are_told_from_another_masters(bus, wire, echo):
+    wire.echo = bus.echoes = echo
+    for _ in range(20):
+        bus.send(0x080, b"")
+        bus.drain()
+    assert bus.foreign == {}
+    wire.emit(0x080, b"")
+    wire.emit(0x000, b"\x01\x00")
+    bus.drain()
+    assert bus.foreign == {0x080: 1, 0x000: 1}
+
+
+def test_a_full_transmit_queue_is_waited_for(bus, wire):
+    wire.send_errors = 3
+    bus.send(0x201, b"")
+    assert wire.sent == [(0x201, b"")]
+    assert bus.counts["send_retries"] == 3
+
+
+def test_a_transmit_queue_that_stays_full_is_an_error_in_bounded_time(bus, wire):
+    wire.send_errors = 1 << 30
+    start = wire.now_s
+    with pytest.raises(BusError, match="201 could not be sent.*Transmit buffer full.*txqueuelen"):
+        bus.send(0x201, b"")
+    assert wire.now_s - start < 0.03
+
+
+def test_bus_off_is_seen(bus, wire):
+    wire.emit(0x004, b"\0" * 8, is_error_frame=True)
+    bus.drain()
+    bus.check()
+    wire.emit(0x040, b"\0" * 8, is_error_frame=True)
+    bus.drain()
+    with pytest.raises(BusOff, match="bus-off"):
+        bus.check()
+
+
+class Broken:
+    def __init__(self, failures):
+        self.failures = failures
+
+    def recv(self, timeout=None):
+        self.failures -= 1
+        if self.failures >= 0:
+            raise can.CanOperationError("could not unpack received message")
+
+    def shutdown(self):
+        pass
+
+
+def test_stray_datagrams_are_counted_and_a_dead_adapter_is_an_error():
+    bus = Bus(Broken(5), BusSpec("test", "broken"))
+    assert bus.receive(0.0) is None
+    assert bus.counts["malformed"] == 5
+    with pytest.raises(BusError, match="receiving failed"):
+        Bus(Broken(1 << 30), BusSpec("test", "broken")).receive(0.0)
+
+
+def test_the_network_of_canopen_sends_and_hears_through_the_bus(bus, make_slave):
+    slave = make_slave(5)
+    node = bus.network.add_node(5)
+    bus.network.nmt.send_command(1)
+    assert slave.nmt == 5
+    slave.emergency(bytes.fromhex("1023010000000000"))
+    bus.drain()
+    assert node.emcy.log[0].code == 0x2310
+
+
+def test_a_trace_holds_what_was_sent_and_received(tmp_path):
+    path = tmp_path / "trace.log"
+    with open_bus(BusSpec("virtual", "trace"), trace=path) as bus, open_bus(BusSpec("virtual", "trace")) as other:
+        bus.send(0x123, b"\x01")
+        other.send(0x456, b"\x02")
+        bus.drain()
+    with can.LogReader(path) as reader:
+        frames = [(message.arbitration_id, bytes(message.data), message.is_rx) for message in reader]
+    assert frames == [(0x123, b"\x01", False), (0x456, b"\x02", True)]
+
+
+def test_a_trace_that_cannot_be_written_is_an_error(tmp_path):
+    with pytest.raises(BusError, match="trace"):
+        open_bus(BusSpec("virtual", "trace"), trace=tmp_path / "missing" / "trace.log")

@@ -1,0 +1,151 @@
+"""One row = one SYNC: what is lost, late, doubled, torn or cut never becomes a reading of the wrong SYNC."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from drives.bus import Bus, BusSpec
+from drives.epoch import EpochCollector
+from drives.group import DriveGroup
+
+
+@pytest.fixture
+def slaves(add_slaves):
+    return add_slaves(3)
+
+
+@pytest.fixture
+def group(bus, slaves, setups):
+    with DriveGroup(bus, setups(3), 0.004) as group:
+        group.connect()
+        group.configure()
+        group.enable()
+        yield group
+
+
+def step(group, slaves):
+    """One SYNC while every axis moves on by one count; each reading must be what was true at that SYNC."""
+    from drives.drive import DriveCommand
+
+    true = [slave.position for slave in slaves]
+    commands = [DriveCommand((drive.target_count + 1) * drive.scale.count_rad) for drive in group.drives]
+    epoch = group.exchange(commands)
+    for reading, position in zip(epoch.readings, true, strict=True):
+        assert reading is None or (reading.position_count, reading.sync_index) == (position, epoch.sync_index)
+    return epoch
+
+
+def test_a_lost_answer_leaves_a_gap_and_the_next_row_is_whole(group, slaves):
+    slaves[1].tpdo_delay_s[slaves[1].sync_seen + 2] = None
+    step(group, slaves)
+    assert step(group, slaves).missing == (1,)
+    assert step(group, slaves).complete
+    assert group.statistics.incomplete == 1
+
+
+@pytest.mark.parametrize("delay_s", [0.11, 0.15, 0.19])
+def test_a_late_answer_never_enters_the_next_row(group, slaves, delay_s):
+    slaves[2].tpdo_delay_s[slaves[2].sync_seen + 1] = delay_s
+    assert step(group, slaves).missing == (2,)
+    for _ in range(20):
+        assert step(group, slaves).complete
+    assert group.statistics.late == 2
+
+
+def test_an_answer_that_comes_after_the_next_sync_contradicts_its_successor(group, slaves):
+    """Later than every wait: two different frames of one TPDO answer one SYNC, and neither is believed."""
+    slaves[0].tpdo_delay_s[slaves[0].sync_seen + 1] = 0.2003
+    slaves[0].tpdo_delay_s[slaves[0].sync_seen + 2] = 0.0006
+    assert step(group, slaves).missing == (0,)
+    for _ in range(5):
+        step(group, slaves)
+    assert group.statistics.ambiguous >= 1
+    for _ in range(20):
+        assert step(group, slaves).complete
+
+
+def test_a_doubled_answer_is_counted_and_does_no_harm(group, slaves, wire):
+    real = wire.emit
+
+    def doubled(can_id, data, delay_s=0.0, **flags):
+        real(can_id, data, delay_s, **flags)
+        if can_id == 0x182:
+            real(can_id, data, delay_s, **flags)
+
+    wire.emit = doubled
+    for _ in range(10):
+        assert step(group, slaves).complete
+    assert group.statistics.duplicate >= 9
+    assert group.statistics.ambiguous == 0
+
+
+def test_an_answer_of_the_wrong_length_is_none(group, slaves):
+    slaves[1].tpdo_cut = 6
+    assert step(group, slaves).missing == (1,)
+    slaves[1].tpdo_cut = 8
+    assert step(group, slaves).complete
+    assert group.statistics.wrong_length == 1
+
+
+def test_half_an_answer_is_none(group, slaves, wire):
+    """TPDO1 came and TPDO2 did not: the row of that axis stays empty."""
+    real = wire.emit
+    wire.emit = lambda can_id, *rest, **flags: None if can_id == 0x283 else real(can_id, *rest, **flags)
+    assert step(group, slaves).missing == (2,)
+    wire.emit = real
+    assert step(group, slaves).complete
+
+
+def test_foreign_and_odd_frames_between_the_answers_do_no_harm(group, slaves, wire):
+    for _ in range(10):
+        wire.emit(0x7FF, b"\0" * 8)
+        wire.emit(0x123, b"")
+        wire.emit(0x182, b"", 0.0, is_remote_frame=True)
+        wire.emit(0x020, b"\0" * 8, 0.0, is_error_frame=True)
+        assert step(group, slaves).complete
+    assert group.statistics.frames["error"] == 10
+
+
+def test_readings_of_a_row_are_of_one_sync_even_if_the_frames_arrive_in_any_order(group, slaves):
+    for number in range(1, 10):
+        for axis, slave in enumerate(slaves):
+            slave.tpdo_delay_s[slave.sync_seen + number] = 0.0001 * ((axis * 7 + number * 3) % 5 + 1)
+    for _ in range(9):
+        assert step(group, slaves).complete
+
+
+class Script:
+    """An adapter that delivers frames by a list; None = nothing for a while."""
+
+    def __init__(self, frames):
+        self.frames = list(frames)
+
+    def recv(self, timeout=None):
+        import can
+
+        item = self.frames.pop(0) if self.frames else None
+        return None if item is None else can.Message(arbitration_id=item[0], data=item[1], is_extended_id=False)
+
+    def send(self, message):
+        pass
+
+    def shutdown(self):
+        self.frames.clear()
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.one_of(st.none(), st.tuples(st.sampled_from([0x181, 0x182, 0x200, 0x77F]), st.binary(max_size=8)))))
+def test_whatever_arrives_a_slot_holds_a_frame_of_its_length_or_nothing(wire, frames):
+    with Bus(Script(frames), BusSpec("test", "script")) as bus:
+        collector = EpochCollector(bus, [(0x181, 8), (0x182, 4)])
+        row = collector.collect(1e-4, 1e-4)
+        assert [None if data is None else len(data) for data in row] in ([8, 4], [None, 4], [8, None], [None, None])
+        seen: dict[int, set[bytes]] = {0x181: set(), 0x182: set()}
+        for item in frames:
+            if item is not None and len(item[1]) == {0x181: 8, 0x182: 4}.get(item[0]):
+                seen[item[0]].add(item[1])
+        assert row[0] is None or bytes(row[0]) in seen[0x181]
+        collector.settle(1e-4)
+        collector.close()

@@ -1,0 +1,334 @@
+"""Small parts of the motor side: PDO plans, emergencies, heartbeats, ledger, bus load, clock, statistics, scan."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drives.bringup import decimal_period
+from drives.bus import Bus, BusSpec
+from drives.busload import cycle_bits_worst, frame_bits, frame_bits_worst, largest_rate_hz
+from drives.clock import SyncClock
+from drives.emcy import EmcyLog, parse_emergency
+from drives.errors import BusOverload, ConfigurationRefused, DriveError, SdoAbort, SeveralFailures
+from drives.group import DriveGroup
+from drives.heartbeat import HeartbeatProducer, HeartbeatWatch, NmtState
+from drives.ledger import LedgerEntry, WriteLedger
+from drives.objects import OBJECTS, object_name
+from drives.pdo import restore_steps, tpdo_plans
+from drives.probe import matching_profiles, probe, scan
+from drives.profile import load_profile
+from drives.statistics import quantile
+from drives.values import Identity
+
+# -- bus load ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("size", "least", "most"), [(0, 47, 55), (1, 55, 65), (2, 63, 75), (4, 79, 95), (6, 95, 115), (8, 111, 135)]
+)
+def test_bits_of_a_frame(size, least, most):
+    """Table of a classic frame with an 11 bit identifier, interframe space included."""
+    assert (frame_bits(size), frame_bits_worst(size)) == (least, most)
+
+
+def test_597_cycles_of_six_drives_fit_one_megabit():
+    """SYNC + 6 TPDO + 6 RPDO of eight bytes: 1675 bits in the worst case."""
+    bits = cycle_bits_worst([0, *[8] * 12])
+    assert bits == 1675
+    assert int(largest_rate_hz(bits, 1e6)) == 597
+
+
+def test_a_rate_that_does_not_fit_is_refused_with_the_one_that_does(bus, add_slaves, setups):
+    """SYNC + 12 TPDO + 6 RPDO = 6 x (135 + 115 + 135) + 55 bits; 70 % of 1 Mbit/s."""
+    add_slaves(6)
+    bits = 55 + 6 * (135 + 115 + 135)
+    with DriveGroup(bus, setups(6), 0.002, "real") as group:
+        group.connect()
+        with pytest.raises(BusOverload, match=f"{bits / 20:.0f} %.*0.0034"):
+            group.configure()
+    with DriveGroup(bus, setups(6), 0.002, "lockstep") as group:
+        group.connect()
+        group.configure()
+        assert group.statistics.bus_load_planned_percent == pytest.approx(bits / 20)
+
+
+# -- PDO plans --------------------------------------------------------------------------------------------------------
+
+
+def test_a_torque_of_32_bits_opens_the_second_frame():
+    plans, roles = tpdo_plans(load_profile("maxon-epos4"), 4)
+    assert [plan.cob_id for plan in plans] == [0x184, 0x284]
+    assert [plan.size_bytes for plan in plans] == [6, 8]
+    assert roles == ("statusword", "position", "torque", "velocity")
+    assert [entry.mapping for entry in plans[1].entries] == [0x30D10220, 0x606C0020]
+
+
+def test_a_profile_without_current_needs_one_frame():
+    plans, roles = tpdo_plans(load_profile("beckhoff-ax8000"), 1)
+    assert [entry.mapping for entry in plans[0].entries] == [0x60410010, 0x60640020, 0x32410910]
+    assert len(plans) == 1
+    assert roles == ("statusword", "position", "torque")
+
+
+def test_restore_switches_a_pdo_off_empties_and_fills_it_and_switches_it_on():
+    old = {
+        (0x1800, 1): ("u32", 0x40000181),
+        (0x1800, 2): ("u8", 255),
+        (0x1A00, 0): ("u8", 1),
+        (0x1A00, 1): ("u32", 0x60410010),
+        (0x1A00, 2): ("u32", 0),
+        (0x6060, 0): ("i8", 0),
+        (0x6007, 0): ("i16", 1),
+    }
+    steps = [(step.index, step.subindex, step.value) for step in restore_steps(old)]
+    assert steps == [
+        (0x6007, 0, 1),
+        (0x6060, 0, 0),
+        (0x1800, 1, 0xC0000181),
+        (0x1A00, 0, 0),
+        (0x1A00, 1, 0x60410010),
+        (0x1A00, 0, 1),
+        (0x1800, 2, 255),
+        (0x1800, 1, 0x40000181),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("period_s", "pair"), [(0.004, (4, -3)), (0.01, (1, -2)), (0.0025, (25, -4)), (0.1, (1, -1)), (0.000125, (125, -6))]
+)
+def test_period_of_0x60c2(period_s, pair):
+    assert decimal_period(period_s) == pair
+    assert pair[0] * 10.0 ** pair[1] == pytest.approx(period_s)
+
+
+@pytest.mark.parametrize("period_s", [0.0033333, 1 / 300, 1e-9])
+def test_a_period_that_0x60c2_cannot_hold(period_s):
+    with pytest.raises(ConfigurationRefused, match="60C2"):
+        decimal_period(period_s)
+
+
+# -- emergencies ------------------------------------------------------------------------------------------------------
+
+
+def test_an_emergency_in_words_of_the_profile(generic):
+    message = parse_emergency(3, bytes.fromhex("1186210102030405"), 7, generic)
+    assert (message.code, message.register, message.vendor) == (0x8611, 0x21, bytes.fromhex("0102030405"))
+    assert str(message) == (
+        "node 3: EMCY 0x8611, following error too large; check for a collision, the load and the speed limit"
+    )
+
+
+@pytest.mark.parametrize(
+    ("code", "text"),
+    [
+        (0x0000, "no error"),
+        (0x2310, "current"),
+        (0x3210, "voltage"),
+        (0x4210, "temperature"),
+        (0x8130, "communication"),
+    ],
+)
+def test_an_emergency_in_words_of_the_standard(code, text):
+    assert text in parse_emergency(1, code.to_bytes(2, "little") + bytes(6), 0).text
+
+
+@given(st.binary(max_size=64))
+def test_any_emergency_frame_is_read(data):
+    message = parse_emergency(1, data, 0)
+    assert (message.code is None) == (len(data) < 2)
+    assert len(message.vendor) <= 5
+
+
+def test_a_storm_of_emergencies_is_counted_and_bounded(generic):
+    log = EmcyLog({1: generic})
+    for number in range(10_000):
+        log.on_frame(0x81, number.to_bytes(2, "little") + bytes(6), 0.0)
+    assert log.count == 10_000
+    assert len(log.messages) <= 256
+    assert log.messages[-1].code == 9999
+
+
+# -- heartbeats -------------------------------------------------------------------------------------------------------
+
+
+def test_a_heartbeat_watch_starts_with_the_first_heartbeat(bus, wire):
+    watch = HeartbeatWatch(bus, [1, 2, 3], [0.5, 0.5, None])
+    wire.now_s += 10.0
+    assert watch.lost() == ()
+    for node_id in (1, 3):
+        wire.emit(0x700 + node_id, b"\x05")
+    bus.drain()
+    assert watch.states[1] is NmtState.OPERATIONAL
+    wire.now_s += 0.4
+    assert watch.lost() == ()
+    wire.now_s += 0.2
+    assert watch.lost() == (1,)
+    wire.emit(0x701, b"\x7f")
+    bus.drain()
+    assert watch.lost() == ()
+    assert watch.states[1] is NmtState.PREOPERATIONAL
+
+
+def test_a_boot_up_is_kept_until_it_is_forgiven(bus, wire):
+    watch = HeartbeatWatch(bus, [1], [0.5])
+    wire.emit(0x701, b"\x00")
+    wire.emit(0x701, b"\x05")
+    wire.emit(0x701, b"")
+    bus.drain()
+    assert watch.booted == {1}
+    watch.forgive()
+    assert watch.booted == set()
+    assert bus.counts["wrong_length"] == 1
+
+
+def test_the_masters_heartbeat_is_due_by_sync_time_or_by_the_clock(bus, wire):
+    producer = HeartbeatProducer(bus, 127, 0.4)
+    producer.tick(0.0)
+    assert wire.sent == []
+    producer.start(0.0)
+    producer.tick(0.05)
+    assert wire.sent == [(0x77F, b"\x05")]
+    producer.tick(0.1)
+    assert len(wire.sent) == 2
+    wire.now_s += 0.101
+    producer.tick(0.1)
+    assert len(wire.sent) == 3
+    producer.stop()
+    wire.now_s += 1.0
+    producer.tick(9.0)
+    assert len(wire.sent) == 3
+
+
+# -- ledger -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_ledger_is_on_disk_before_the_write_and_keeps_the_first_old_value(tmp_path):
+    path = tmp_path / "ledger.json"
+    ledger = WriteLedger(path)
+    ledger.note(LedgerEntry(1, 0x6007, 0, "i16", 1, 2, "first", 77))
+    ledger.note(LedgerEntry(1, 0x6007, 0, "i16", 2, 3, "second", 77))
+    (entry,) = WriteLedger(path).entries
+    assert (entry.old, entry.new, entry.reason, entry.serial_number) == (1, 3, "second", 77)
+    ledger.forget(entry)
+    assert WriteLedger(path).entries == ()
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", '{"schema": 2}', '{"schema": 1, "entries": [{"node_id": 1}]}', "[" * 9000]
+)
+def test_a_damaged_ledger_is_refused(tmp_path, text):
+    path = tmp_path / "ledger.json"
+    path.write_text(text)
+    with pytest.raises(ConfigurationRefused, match="no write ledger"):
+        WriteLedger(path)
+
+
+def test_entries_of_the_wrong_kind_are_refused(tmp_path):
+    path = tmp_path / "ledger.json"
+    entry = {"node_id": 1, "index": 1, "subindex": 0, "data_type": "i99", "old": 0, "new": 0, "reason": ""}
+    path.write_text(json.dumps({"schema": 1, "entries": [entry]}))
+    with pytest.raises(ConfigurationRefused, match="damaged"):
+        WriteLedger(path)
+
+
+def test_nothing_is_written_when_the_ledger_cannot_be(bus, add_slaves, setups, tmp_path):
+    slaves = add_slaves(1)
+    with DriveGroup(bus, setups(1), 0.004) as group:
+        group.connect()
+        group.ledger.path = tmp_path / "missing" / "ledger.json"
+        with pytest.raises(ConfigurationRefused, match="cannot be written"):
+            group.configure()
+        assert slaves[0].written == []
+
+
+# -- finding ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_probe_counts_the_answers_of_each_id(bus, make_slave):
+    for node_id in (2, 5, 5):
+        make_slave(node_id)
+    assert probe(bus, [1, 2, 5]) == {1: 0, 2: 1, 5: 2}
+
+
+def test_a_scan_finds_everybody_and_changes_nothing(bus, make_slave):
+    first, second = make_slave(2), make_slave(90)
+    second.values[0x1018, 1] = 0xFB
+    wire = bus._adapter
+    first.heartbeat()
+    results = scan(bus, listen_s=0.2)
+    assert [(result.identity.node_id, result.devices, result.state) for result in results] == [
+        (2, 1, NmtState.PREOPERATIONAL),
+        (90, 1, None),
+    ]
+    assert results[0].profiles == ("generic-cia402",)
+    assert results[1].profiles == ("maxon-epos4", "generic-cia402")
+    assert first.written == second.written == []
+    assert {can_id & 0x780 for can_id, _ in wire.sent} == {0x600}
+
+
+def test_no_profile_fits_what_is_no_drive():
+    sensor = Identity(1, 0x00080194, 0xFB, 1, 1, 1, "", "", "")
+    assert matching_profiles(sensor) == ()
+
+
+# -- clock ------------------------------------------------------------------------------------------------------------
+
+
+def test_the_clock_keeps_the_rhythm_and_never_catches_up_in_a_burst(bus, wire):
+    clock = SyncClock(bus, 0.01)
+    start = clock.wait()
+    times = [clock.wait() - start for _ in range(3)]
+    assert times == pytest.approx([0.01, 0.02, 0.03], abs=1e-4)
+    wire.now_s += 0.095
+    late = clock.wait() - start
+    following = clock.wait() - start
+    assert late == pytest.approx(0.125, abs=1e-4)
+    assert following - late == pytest.approx(0.01, abs=1e-4)
+    assert clock.overruns == 8
+
+
+def test_by_the_clock_a_silent_axis_does_not_hold_up_the_others(bus, add_slaves, setups, wire):
+    slaves = add_slaves(3)
+    with DriveGroup(bus, setups(3), 0.004, "real") as group:
+        group.connect()
+        group.configure()
+        group.enable()
+        slaves[1].tpdo_delay_s[slaves[1].sync_seen + 1] = 0.0038
+        epochs = [group.hold() for _ in range(4)]
+        assert [epoch.missing for epoch in epochs] == [(1,), (), (), ()]
+        gaps = [after.time_s - before.time_s for before, after in zip(epochs, epochs[1:], strict=False)]
+        assert gaps == pytest.approx([0.004] * 3, abs=2e-4)
+        assert group.statistics.late == 2
+        assert group.statistics.jitter_p99_s is not None
+
+
+@given(st.lists(st.floats(0, 1), min_size=1, max_size=50), st.floats(0.01, 1.0))
+def test_quantile_by_its_definition(values, share):
+    found = quantile(values, share)
+    assert found in values
+    assert sum(value <= found for value in values) >= math.floor(share * len(values))
+    assert sum(value < found for value in values) <= share * len(values)
+
+
+# -- errors -----------------------------------------------------------------------------------------------------------
+
+
+def test_an_error_says_what_where_and_what_to_do():
+    error = SdoAbort("refused", node=3, index=0x6077, subindex=0, code=1, advice="see the manual")
+    assert str(error) == "node 3:6077:00 (torque): refused; see the manual"
+    assert str(SeveralFailures([error, DriveError("alone")])).startswith("2 failures: (1) node 3:6077:00")
+
+
+def test_objects_are_named_once():
+    assert len({entry.address for entry in OBJECTS.values()}) == len(OBJECTS)
+    assert object_name(0x1A01, 2) == "1A01:02 (TPDO2 mapping)"
+    assert object_name(0x2345) == "2345:00"
+
+
+def test_a_bus_may_be_made_of_any_adapter(wire):
+    assert str(Bus(wire, BusSpec("test", "wire", options={"a": 1})).spec) == "test:wire,a=1"

@@ -1,0 +1,189 @@
+"""Drive profiles: every packaged one, every mistake in a file, the arithmetic by formula."""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drives.errors import ProfileError
+from drives.profile import PROFILE_FOLDER, list_profiles, load_profile, parse_profile, profile_schema
+from drives.scaling import Constants, motor_scale
+from drives.values import AxisSetup, Identity
+
+GENERIC = (PROFILE_FOLDER / "generic-cia402.toml").read_text()
+
+
+@pytest.mark.parametrize("name", list_profiles())
+def test_every_profile_loads_and_is_named_as_its_file(name):
+    profile = load_profile(name)
+    assert profile.name == name
+    assert profile.text == (PROFILE_FOLDER / f"{name}.toml").read_text()
+    assert load_profile(PROFILE_FOLDER / f"{name}.toml") == profile
+    assert profile.torque.nature == "measured"
+
+
+def test_the_four_kinds_of_torque_arithmetic_are_there():
+    found = {(profile.torque.kind, profile.torque.object.index) for profile in map(load_profile, list_profiles())}
+    assert ("permille_rated_torque", 0x6077) in found
+    assert ("permille_rated_current", 0x6077) in found
+    assert ("milliampere", 0x30D1) in found
+    assert ("permille_rated_torque", 0x3241) in found
+
+
+@pytest.mark.parametrize("name", list_profiles())
+def test_no_profile_may_store_or_restore(name):
+    assert not {0x1010, 0x1011} & set(load_profile(name).write.allow)
+
+
+def remove(text, start):
+    """Text without the line that starts with `start`."""
+    lines = [line for line in text.splitlines() if not line.startswith(start)]
+    assert len(lines) < len(text.splitlines())
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("name = ", "not valid TOML"),
+        (GENERIC + "\n[unknown]\nx = 1", "unknown: unknown key"),
+        (GENERIC.replace("filter_s = 0.001", "filter_ms = 1", 1), "torque.filter_ms: unknown key"),
+        (remove(GENERIC, "unit = 0.001"), "unit belong together"),
+        (remove(GENERIC, "nature"), "torque.nature: is missing"),
+        (remove(GENERIC, "current_reference"), "current_reference and torque_constant_per"),
+        (
+            remove(GENERIC, "brake_delay_s").replace("transition_timeout_s = 1.0", ""),
+            "transition_timeout_s: is missing",
+        ),
+        (GENERIC.replace('source = "CiA 402-2, 0x6076 in mNm"', 'source = ""'), "torque.rated.source"),
+        (GENERIC.replace("unit = 0.001", "unit = 0.0", 1), "greater than 0"),
+        (GENERIC.replace("unit = 0.001", "unit = nan", 1), "torque.rated.unit"),
+        (GENERIC.replace("0x6007, 0x6040", "0x1010, 0x6007, 0x6040"), "storing parameters"),
+        (GENERIC.replace("0x6007, 0x6040", "0x6040"), "allow lacks 0x6007"),
+        (GENERIC.replace("0x1801, ", ""), "second TPDO"),
+        (GENERIC.replace("0x1016, 0x1017", "0x1016"), "producer_ms needs 0x1017"),
+        (GENERIC.replace('type = "i16"', 'type = "u16"', 1), "does not fit the object type"),
+        (GENERIC.replace('type = "i16"', 'type = "i24"', 1), "torque.object.type"),
+        (GENERIC.replace('name = "generic-cia402"', 'name = "../x"'), "name"),
+        (GENERIC.replace("abort_connection = 3", "abort_connection = 0"), "abort_connection"),
+        (GENERIC.replace("slow_timeout_s = 2.0", "slow_timeout_s = 0.1"), "slow_timeout_s"),
+    ],
+)
+def test_a_mistake_is_named_with_file_and_key(text, says):
+    with pytest.raises(ProfileError, match=says) as caught:
+        parse_profile(text, "mine.toml")
+    assert "mine.toml" in str(caught.value)
+    assert caught.value.exit_code == 3
+
+
+def test_every_mistake_of_a_file_is_named_at_once():
+    text = remove(remove(GENERIC, "nature"), "signed")
+    with pytest.raises(ProfileError, match=r"torque.nature.*torque.signed.*current.nature.*current.signed"):
+        parse_profile(text, "mine.toml")
+
+
+def test_a_profile_that_is_not_there_names_those_that_are():
+    with pytest.raises(ProfileError, match="generic-cia402"):
+        load_profile("nobody")
+
+
+def test_the_schema_is_json_and_knows_every_key():
+    schema = json.loads(json.dumps(profile_schema()))
+    assert set(tomllib.loads(GENERIC)) <= set(schema["properties"])
+
+
+@given(st.text(max_size=200))
+def test_any_text_is_a_profile_or_a_profile_error(text):
+    with pytest.raises(ProfileError):
+        parse_profile(text, "x")
+
+
+# -- arithmetic, by the formulas of the profiles' sources ---------------------------------------------------------
+
+
+def constants(**given_here):
+    values = {"torque_rated": None, "current_rated_a": None, "offset_rated": None, "counts_per_revolution": 65536.0}
+    return Constants(**(values | given_here))
+
+
+def test_per_mille_of_the_rated_torque():
+    """CiA 402-2, 0x6077: M = raw / 1000 x 0x6076; the torque constant plays no part."""
+    for kt in (0.1, 7.0):
+        scale = motor_scale(load_profile("generic-cia402"), constants(torque_rated=2.4, current_rated_a=5.0), kt)
+        assert 500 * scale.torque_nm == pytest.approx(0.5 * 2.4)
+        assert 500 * scale.current_a == pytest.approx(0.5 * 5.0)
+        assert 500 * scale.offset_nm == pytest.approx(0.5 * 2.4)
+
+
+def test_per_mille_of_the_rated_current_with_peak_and_rms():
+    """Beckhoff EL72x1: M = raw / 1000 x I_rated / sqrt(2) x Kt while 2002:54 = 0."""
+    scale = motor_scale(load_profile("beckhoff-el72x1"), constants(torque_rated=4.0), 0.3)
+    assert 800 * scale.torque_nm == pytest.approx(0.8 * 4.0 / math.sqrt(2) * 0.3)
+
+
+def test_milliampere():
+    scale = motor_scale(load_profile("maxon-epos4"), constants(offset_rated=0.2), 0.05)
+    assert 1500 * scale.torque_nm == pytest.approx(1.5 * 0.05)
+    assert 100 * scale.offset_nm == pytest.approx(0.1 * 0.2)
+
+
+def test_internal_units_with_rms_and_peak_the_other_way():
+    """Technosoft iPOS style: A = IU x 2 x I_peak / 65520."""
+    text = (PROFILE_FOLDER / "maxon-epos4.toml").read_text()
+    text = text.replace('kind = "milliampere"', 'kind = "internal_unit"').replace(
+        'current_reference = "peak"',
+        'current_reference = "rms"\ninternal_unit_a = { value = 0.001221, source = "2 x 40 A / 65520" }',
+    )
+    scale = motor_scale(parse_profile(text, "x"), constants(offset_rated=0.2), 0.05)
+    assert 1000 * scale.torque_nm == pytest.approx(1.221 * math.sqrt(2) * 0.05)
+
+
+def test_counts_and_velocity():
+    scale = motor_scale(load_profile("generic-cia402"), constants(torque_rated=1.0, current_rated_a=1.0), 1.0)
+    assert scale.counts(math.pi) == 32768
+    assert 32768 * scale.count_rad == pytest.approx(math.pi)
+    assert 100 * scale.velocity_rad_s == pytest.approx(2 * math.pi / 60)
+
+
+@pytest.mark.parametrize("value", [None, 0.0, -1.0, math.nan, math.inf])
+def test_a_missing_constant_is_an_error_and_never_one(value):
+    for name, fields in (
+        ("generic-cia402", {"torque_rated": value, "current_rated_a": 1.0}),
+        ("generic-cia402", {"torque_rated": 1.0, "current_rated_a": value}),
+        ("beckhoff-el72x1", {"torque_rated": value}),
+        ("maxon-epos4", {"offset_rated": value}),
+    ):
+        with pytest.raises(ProfileError, match="positive number"):
+            motor_scale(load_profile(name), constants(**fields), 1.0)
+    with pytest.raises(ProfileError):
+        motor_scale(load_profile("maxon-epos4"), constants(offset_rated=1.0), value)
+
+
+@pytest.mark.parametrize("kt", [0.0, -0.3, math.nan])
+def test_a_setup_without_a_torque_constant_is_refused(kt):
+    with pytest.raises(ProfileError, match="torque_constant"):
+        AxisSetup(1, load_profile("generic-cia402"), kt, 100.0)
+
+
+def identity(**given_here):
+    values = {"vendor_id": 2, "product_code": 5, "revision": 0x20000}
+    return Identity(
+        1, 0x20192, **(values | given_here), serial_number=1, name="", hardware_version="", software_version=""
+    )
+
+
+def test_identity_is_compared_with_what_the_profile_gives():
+    text = GENERIC.replace(
+        "[torque]", "[identity]\nvendor_id = 2\nrevision_min = 0x10000\nrevision_max = 0x2ffff\n[torque]", 1
+    )
+    profile = parse_profile(text, "x")
+    assert identity().mismatches(profile) == []
+    assert "vendor" in identity(vendor_id=3).mismatches(profile)[0]
+    assert "below" in identity(revision=0x0FFFF).mismatches(profile)[0]
+    assert "above" in identity(revision=0x30000).mismatches(profile)[0]
+    assert len(identity(vendor_id=None, revision=None).mismatches(profile)) == 2
