@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.stamp
 
-.PHONY: venv demo test lint bench clean
+.PHONY: venv demo test lint bench blind vcan chaos clean
 
 venv: $(STAMP)
 
@@ -27,6 +27,15 @@ lint: venv
 
 bench: venv
 	$(BIN)/python -m tests.bench --out out/bench
+
+blind: venv
+	$(BIN)/python -m tests.blind --out out/blind
+
+vcan: venv
+	$(BIN)/python tests/vcan/vm.py
+
+chaos: venv
+	$(BIN)/python -m tests.chaos --out out/chaos
 
 clean:
 	rm -rf $(VENV) out
