@@ -17,7 +17,7 @@ VISCOUS_SHARE = 0.5
 #: Torque noise of one reading, share of the rated torque.
 NOISE_SHARE = 0.003
 #: Acceleration that the torque limit gives the motor's own rotor [rad/s2, joint side].
-ROTOR_ACCELERATION_RAD_S2 = 90.0
+ROTOR_ACCELERATION_RAD_S2 = 40.0
 CREEP_RAD_S = 2e-4
 #: Scatter of the friction band from one motion to the next, assumed.
 SCATTER = 0.1

@@ -48,7 +48,7 @@ COUPLING_DAMPING = 0.15
 #: Bandwidth of the velocity loop on all that the motor turns [rad/s], and the share of it the position loop gets.
 SPEED_BANDWIDTH_RAD_S = 200.0
 POSITION_SHARE = 0.2
-POSITION_GAIN_1_S = 8.0
+POSITION_GAIN_1_S = 6.0
 #: Milliseconds after which springs, drift and payload shift are looked at again.
 REFRESH_TICKS = 20
 #: Displacement of the payload after which the links are built anew [m].
