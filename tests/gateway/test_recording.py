@@ -19,11 +19,9 @@ from gateway.acquire.axis import AxisConversion
 from gateway.acquire.poses import RestPose
 from gateway.arm_model import robot_text
 from gateway.config import LoadedCell, load_cell
-from gateway.data import read_data
 from gateway.errors import InputError
 from gateway.recording import read
 from gateway.recording_writer import ArmHeader, RecordingHeader, RecordingWriter, replace_file
-from gateway.table import write_csv
 from gateway.visit import NO_WORD, Visit
 
 CONSTANTS = Constants(torque_rated=2.0, current_rated_a=4.0, offset_rated=None, counts_per_revolution=131072.0)
@@ -160,29 +158,6 @@ def test_table_has_two_rows_per_pose(path, cell):
     assert table.tau_nm[1] == pytest.approx(words.mean(axis=0) * axes.ratio * axes.torque_sign)
     assert table.tau_std_nm[1] == pytest.approx(words.std(axis=0, ddof=1) * np.abs(axes.ratio))
     assert table.q_rad[1] == pytest.approx(expected.q_rad.mean(axis=0))
-
-
-def test_mixed_data(path, tmp_path):
-    table = read(path).table()
-    write_csv(table, tmp_path / "export.csv")
-    back = read_data([tmp_path / "export.csv"], None)
-    assert back.tau_nm == pytest.approx(table.tau_nm)
-    both = read_data([path, tmp_path / "export.csv"], None)
-    assert len(both) == 6  # the same visits, once
-
-
-def test_contradicting_files_are_refused(path, tmp_path):
-    table = read(path).table()
-    write_csv(replace(table, tau_nm=table.tau_nm + 1), tmp_path / "export.csv")
-    with pytest.raises(InputError, match=r"export.csv:2: repeats .*run.h5:1 .* another tau_nm"):
-        read_data([path, tmp_path / "export.csv"], None)
-
-
-def test_unknown_kinds_and_no_data(tmp_path):
-    with pytest.raises(InputError, match="neither a recording"):
-        read_data([tmp_path / "a.txt"], None)
-    with pytest.raises(InputError, match="no measured data"):
-        read_data([], None)
 
 
 def test_a_run_that_was_cut_says_so_and_is_gone_on_with(tmp_path, header):

@@ -1,0 +1,135 @@
+"""Limits at every SYNC, and the test for standing still."""
+
+import numpy as np
+import pytest
+
+from drives.drive import DriveReading
+from gateway.acquire.arm import ArmSample
+from gateway.acquire.settle import SettleTest
+from gateway.acquire.watch import IN_A_ROW, Watch
+from gateway.errors import LimitExceeded
+
+PERIOD_S = 0.01
+ANSWER = DriveReading(1, 1, 0x1237, 0, 0, None, None, 0.0, 0.0, None, None)
+ZERO = np.zeros(6)
+
+
+def sample(index: int, q_rad: np.ndarray, torque_nm: np.ndarray = ZERO, silent: int = 0) -> ArmSample:
+    readings = (None,) * silent + (ANSWER,) * (6 - silent)
+    return ArmSample(index, index * PERIOD_S, q_rad, torque_nm, readings)
+
+
+@pytest.fixture
+def watch(workspace) -> Watch:
+    return Watch("main", workspace, PERIOD_S)
+
+
+def stream(watch: Watch, samples: list[ArmSample], targets: list[np.ndarray]) -> int:
+    """SYNCs until the watch refuses; -1 if it never does."""
+    for number, (each, target) in enumerate(zip(samples, targets, strict=True)):
+        try:
+            watch.check(each, target, ZERO)
+        except LimitExceeded:
+            return number
+    return -1
+
+
+def joint(number: int, value: float) -> np.ndarray:
+    out = np.zeros(6)
+    out[number - 1] = value
+    return out
+
+
+def test_a_motion_within_the_limits_passes(watch, workspace):
+    q = [joint(4, 0.9 * workspace.speed_rad_s[3] * PERIOD_S * k) for k in range(100)]
+    assert stream(watch, [sample(k, each) for k, each in enumerate(q)], q) == -1
+
+
+def test_torque_has_to_last(watch, workspace):
+    torque = joint(5, -1.01 * workspace.torque_nm[4])
+    bursts = [torque if k % 5 < IN_A_ROW - 1 else ZERO for k in range(100)]
+    assert stream(watch, [sample(k, ZERO, each / 5) for k, each in enumerate(bursts)], [ZERO] * 100) == -1
+    lasting = [ZERO] * 20 + [torque] * 20
+    assert stream(watch, [sample(100 + k, ZERO, each) for k, each in enumerate(lasting)], [ZERO] * 40) == 22
+
+
+def test_range_is_refused_at_once(watch, workspace):
+    q = joint(2, workspace.upper_rad[1] + 0.03)
+    with pytest.raises(LimitExceeded, match="joint 2 stands at .* outside its range") as refused:
+        watch.check(sample(1, q), q, ZERO)
+    assert refused.value.joint == 2
+    assert refused.value.exit_code == 5
+
+
+def test_overspeed(watch, workspace):
+    speed = 1.5 * workspace.speed_rad_s[0]
+    q = [joint(1, speed * PERIOD_S * k) for k in range(30)]
+    at = stream(watch, [sample(k, each) for k, each in enumerate(q)], q)
+    assert 2 <= at <= 6
+
+
+def test_following_error(watch, workspace):
+    target = joint(6, workspace.following_error_rad[5] * 1.01)
+    assert stream(watch, [sample(k, ZERO) for k in range(10)], [target] * 10) == IN_A_ROW - 1
+
+
+def test_speed_is_measured_over_the_syncs_that_passed(watch, workspace):
+    """A gap of four SYNCs is no jump."""
+    speed = workspace.speed_rad_s[0]
+    index = [0, 1, 2, 7, 8, 9, 14, 15, 16]
+    q = [joint(1, speed * PERIOD_S * k) for k in index]
+    assert stream(watch, [sample(k, each) for k, each in zip(index, q, strict=True)], q) == -1
+
+
+def test_incomplete_samples_show_nothing(watch, workspace):
+    nothing = np.full(6, np.nan)
+    samples = [sample(k, nothing, nothing, silent=1) for k in range(20)]
+    assert stream(watch, samples, [ZERO] * 20) == -1
+
+
+def test_modelled_torque_is_gravity(watch, workspace):
+    q_rad = np.random.default_rng(0).uniform(-1, 1, (5, 6))
+    torque = np.abs(watch.modelled_torque(q_rad)) / workspace.efficiency
+    assert torque == pytest.approx(workspace.holding_torque(q_rad))
+
+
+class TestSettle:
+    """The arm stands when nothing moves beyond noise."""
+
+    limit_nm = np.full(6, 100.0)
+
+    def run(self, q_of_t, torque_of_t, noise_nm: float = 0.0, seconds: float = 3.0) -> float:
+        """Time until it stands; infinite if it never does."""
+        random = np.random.default_rng(1)
+        test = SettleTest(PERIOD_S, self.limit_nm)
+        for row in range(int(seconds / PERIOD_S)):
+            t = row * PERIOD_S
+            test.add(np.full(6, q_of_t(t)), torque_of_t(t) + noise_nm * random.normal(size=6))
+            restless = test.restless()
+            if restless is not None and not restless.any():
+                return t
+        return np.inf
+
+    @pytest.mark.parametrize("noise_nm", [0.0, 0.1, 5.0])
+    def test_noise_alone_is_rest(self, noise_nm):
+        assert self.run(lambda t: 0.3, lambda t: 20.0, noise_nm) < 0.6
+
+    def test_a_decaying_swing_is_waited_for(self):
+        time_s = self.run(lambda t: 0.3, lambda t: 20.0 + 5.0 * np.exp(-t / 0.3) * np.cos(20 * t), 0.05)
+        assert 0.8 < time_s < 2.2
+
+    @pytest.mark.parametrize("period_s", [0.2, 0.5, 0.9, 1.5])
+    def test_a_lasting_swing_never_settles(self, period_s):
+        assert self.run(lambda t: 0.3, lambda t: 5.0 * np.sin(2 * np.pi * t / period_s), 0.1) == np.inf
+
+    def test_a_creeping_joint_never_settles(self):
+        assert self.run(lambda t: 0.003 * t, lambda t: 20.0, 0.1) == np.inf
+
+    def test_a_torque_that_drifts_never_settles(self):
+        assert self.run(lambda t: 0.3, lambda t: 5.0 * t, 0.2) == np.inf
+
+    def test_the_restless_joint_is_named(self):
+        test = SettleTest(PERIOD_S, self.limit_nm)
+        for row in range(60):
+            test.add(np.zeros(6), joint(4, row * 0.1))
+        assert test.restless().tolist() == [False, False, False, True, False, False]
