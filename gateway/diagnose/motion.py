@@ -20,9 +20,9 @@ from gateway.diagnose.motion_select import Chosen, State, select, state_of, weig
 from gateway.diagnose.motion_structure import structured_axes
 from gateway.diagnose.motion_trial import Trial
 from gateway.diagnose.motion_trust import START, choose_trust
-from gateway.errors import ConfigError, InputError
+from gateway.errors import ConfigError, DataUnusable, InputError
 from gateway.model.motion import Motion, prepare
-from gateway.model.motion_baseline import EXACT, baseline, has_inertials
+from gateway.model.motion_baseline import BARE, EXACT, baseline, has_inertials
 from gateway.model.robot import Robot
 from gateway.result import Result
 from gateway.table import Table
@@ -101,7 +101,7 @@ def diagnose_motion(table: Table, robot: Robot, options: Options) -> Result:
     Raises
     ------
     DataUnusable
-        No axis moves while its torque is measured.
+        No axis moves while its torque is measured, or the hold-out has only loads nothing is known of.
     InputError
         A known load that is not in the data.
     ConfigError
@@ -109,6 +109,7 @@ def diagnose_motion(table: Table, robot: Robot, options: Options) -> Result:
     """
     motion = prepare(table, options.holdout, robot, np.asarray(options.gravity_m_s2))
     known = _known(motion, options.known)
+    motion = _foretold(motion, known)
     trust, free = _trust(robot, options.inertials)
     allowed = (options.only or EFFECTS) & EFFECTS - options.without
     if "current_rms_peak" in options.only and "current_rms_peak" not in options.without:
@@ -157,6 +158,21 @@ def _outcome(  # noqa: PLR0913 - gathers what the stages left
         structure=structured_axes(problem, state),
         known=known,
     )
+
+
+def _foretold(motion: Motion, known: Mapping[str, tuple[float, Floats]]) -> Motion:
+    """Hold-out rows under a load that is neither fitted nor known cannot be foretold: they are not judged."""
+    seen = [BARE, *known, *np.unique(motion.load[~motion.given])]
+    strange = motion.given & ~np.isin(motion.load, seen)
+    if not strange.any():
+        return motion
+    rest = motion.given & ~strange
+    if not rest.any():
+        raise DataUnusable(
+            f"--holdout: load {motion.load[strange][0]} is not in the data that are fitted; give it with --known, or"
+            " hold out rows under a load that is"
+        )
+    return replace(motion, judged=motion.judged & ~strange[:, None])
 
 
 def _problem(motion: Motion, trust: float | None, known: Mapping[str, tuple[float, Floats]]) -> Problem:

@@ -46,8 +46,7 @@ def candidates(problem: Problem, allowed: frozenset[str]) -> list[Term]:
             found.append(terms.torque_mixing(pair))
     if 1 in axes:
         found.append(terms.coil_balancer())
-        if problem.base.trust is None:
-            found.extend(terms.gas_balancer(phase, stroke) for phase in GAS_PHASES_RAD for stroke in GAS_STROKES)
+        found.extend(terms.gas_balancer(phase, stroke) for phase in GAS_PHASES_RAD for stroke in GAS_STROKES)
     for axis in set(WRIST) & set(axes):
         found.extend(terms.cable(axis, shape) for shape in ("linear", "harmonic"))
     found.extend(_geometry(problem))

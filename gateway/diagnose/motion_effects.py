@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from gateway.diagnose.motion_fit import Problem
 from gateway.diagnose.motion_load import over_blocks
 from gateway.diagnose.motion_select import State, coupling_cost
-from gateway.model.motion_terms import ANCHOR_M, LEVER_M, Term
+from gateway.model.motion_terms import ANCHOR_M, LEVER_M, POLYTROPIC, Term
 
 Floats = NDArray[np.float64]
 Named = dict[str, float]
@@ -86,6 +86,10 @@ def _conversion(problem: Problem, terms: Sequence[Term]) -> Conversion:
             "amplitude_nm": amplitude,
         }
 
+    def gas(value: Floats) -> Named:
+        stroke_m = (np.hypot(LEVER_M, ANCHOR_M) - abs(ANCHOR_M - LEVER_M)) / dict(first.fixed)["stroke_ratio"]
+        return {"stiffness_n_m": float(POLYTROPIC * value[0] / stroke_m), "force_n": float(value[0])}
+
     def swing(value: Floats) -> Named:
         return {"amplitude_nm": float(np.hypot(value[0], value[1]))}
 
@@ -105,6 +109,7 @@ def _conversion(problem: Problem, terms: Sequence[Term]) -> Conversion:
 
     special: dict[tuple[str, str], Conversion] = {
         ("balancer_spring", "coil"): coil,
+        ("balancer_spring", "gas"): gas,
         ("torque_ripple", ""): swing,
         ("cable_torque", "harmonic"): wound,
         ("torque_constant_scale", ""): scale,

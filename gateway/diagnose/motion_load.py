@@ -25,7 +25,9 @@ QUANTITIES = ("mass_kg", "com_x_m", "com_y_m", "com_z_m")
 
 def loads_of(problem: Problem, state: State, known: Mapping[str, tuple[float, Floats]]) -> tuple[LoadResult, ...]:
     """Every load label of the fitted rows; what they cannot give is unknown and named."""
-    labels = [str(label) for label in np.unique(problem.motion.load[~problem.motion.given]) if label != BARE]
+    motion = problem.motion
+    fitted = motion.load[~motion.given]
+    labels = [str(label) for label in np.unique(motion.load) if label != BARE and (label in fitted or label in known)]
     return tuple(_load(problem, state, label, known) for label in labels)
 
 

@@ -21,6 +21,9 @@ from gateway.model.motion_terms import Term
 FRICTION = frozenset({"velocity_friction", "load_dependent_friction"})
 COUPLING_STEPS = np.array([0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0])
 COUPLING_SLACK = 4.0
+GAS_TURNS_RAD = tuple(np.deg2rad(np.arange(-20.0, 21.0, 5.0)))
+GAS_STROKES = (0.2, 0.4, 0.6, 0.8)
+GAS_LEAD = 5.0
 LARGEST_MODEL = 16
 RUNNERS = 12
 SURE_ODDS = 10.0
@@ -200,9 +203,36 @@ def _possible_part(problem: Problem, state: State, trial: Trial, term: Term, par
 
 
 def refine(problem: Problem, state: State, term: Term) -> Term:
+    """The member of the effect's family that fits best, as far as the rows tell the members apart."""
+    if (term.name, term.shape) == ("axis_coupling", "motor"):
+        return _best_coupling(problem, state, term)
+    if term.name == "balancer_spring":
+        return _best_balancer(problem, state, term)
+    return term
+
+
+def _best_balancer(problem: Problem, state: State, found: Term) -> Term:
+    """A coil of vanishing free length, or the gas law where the held-out rows clearly want its bend."""
+    plain = put_on_trial(problem, state.fits, state.full, library.coil_balancer())
+    if found.shape == "gas":
+        best, gain, phase = found, -np.inf, dict(found.fixed)["phase_rad"]
+    elif plain is not None:
+        best, gain, phase = found, plain.gain + GAS_LEAD, float(np.arctan2(-plain.value[0], plain.value[1]))
+    else:
+        return found
+    for turn in GAS_TURNS_RAD:
+        for stroke in GAS_STROKES:
+            member = library.gas_balancer(phase + turn, stroke)
+            trial = put_on_trial(problem, state.fits, state.full, member)
+            if trial is not None and trial.gain > gain and trial.value[0] > 0:
+                best, gain = member, trial.gain
+    if best.shape == "gas" and plain is not None and plain.gain + GAS_LEAD > gain:
+        return library.coil_balancer()
+    return best
+
+
+def _best_coupling(problem: Problem, state: State, term: Term) -> Term:
     """The coupling whose coefficient the fitted rows prefer; a one-to-one train if they do not contradict it."""
-    if term.name != "axis_coupling" or term.shape != "motor":
-        return term
     pair = (term.joints[0], term.joints[1])
     centre = dict(term.fixed)["coefficient"]
     others = [other for other in state.terms if other.key != term.key]

@@ -3,7 +3,7 @@
 Parameters carry a Gaussian prior. Link parameters: the CAD values of the robot model with a relative standard deviation
 (mass; first moment as a fraction of mass x link length; inertia as one of mass x length^2). Without CAD the fit works
 on base columns, nearly free. A load on the flange has free mass and first moment and an inertia of the size its torque
-allows. A constant offset is held small as soon as an unknown load is on the flange: it swallows gravity.
+allows. A constant offset is held small where no bare rows tell it from the gravity of an unknown load.
 """
 
 from __future__ import annotations
@@ -96,7 +96,8 @@ def baseline(motion: Motion, trust: float | None, known: Mapping[str, tuple[floa
         precisions.append(load_precision)
         loads[label] = slice(count, count + PER_BODY)
         count += PER_BODY
-    friction_columns, friction_precision, where = _friction(motion, bool(labels), count)
+    bare = (motion.load[~motion.given] == BARE).any()
+    friction_columns, friction_precision, where = _friction(motion, bool(labels) and not bare, count)
     columns.append(friction_columns)
     means.append(np.zeros(friction_columns.shape[2]))
     precisions.append(friction_precision)
@@ -108,8 +109,9 @@ def baseline(motion: Motion, trust: float | None, known: Mapping[str, tuple[floa
 
 def free_labels(motion: Motion, trust: float | None, known: Mapping[str, tuple[float, Floats]]) -> list[str]:
     """Labels that get columns of their own: without CAD and bare rows the first load lumps with link 6."""
-    labels = [str(label) for label in np.unique(motion.load[~motion.given]) if label != BARE]
-    if trust is None and not (motion.load[~motion.given] == BARE).any() and not any(label in known for label in labels):
+    fitted = motion.load[~motion.given]
+    labels = [str(label) for label in np.unique(motion.load) if label != BARE and (label in fitted or label in known)]
+    if trust is None and not (fitted == BARE).any() and not any(label in known for label in labels):
         return labels[1:]
     return labels
 

@@ -20,6 +20,7 @@ Floats = NDArray[np.float64]
 # product of stiffness, lever and anchor distance.
 LEVER_M = 0.2
 ANCHOR_M = 0.7
+POLYTROPIC = 1.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,7 +189,7 @@ def coil_balancer() -> Term:
 
 
 def gas_balancer(phase_rad: float, stroke: float) -> Term:
-    """Gas spring, shortest at q2 = phase: a polytropic force (n = 1.3) that rises with the stroke.
+    """Gas spring, shortest at q2 = phase: a polytropic force that rises with the stroke.
 
     The column is the law of a cylinder with lever and anchor `LEVER_M`, `ANCHOR_M`; `stroke` is the stroke at a quarter
     turn over the length of the gas column.
@@ -199,7 +200,7 @@ def gas_balancer(phase_rad: float, stroke: float) -> Term:
         length = np.sqrt(LEVER_M**2 + ANCHOR_M**2 - 2.0 * LEVER_M * ANCHOR_M * np.cos(angle))
         shortest, quarter = abs(ANCHOR_M - LEVER_M), np.hypot(LEVER_M, ANCHOR_M)
         used = np.clip(stroke * (length - shortest) / (quarter - shortest), 0.0, 0.95)
-        return _on_axis((1.0 - used) ** -1.3 * LEVER_M * ANCHOR_M * np.sin(angle) / length)
+        return _on_axis((1.0 - used) ** -POLYTROPIC * LEVER_M * ANCHOR_M * np.sin(angle) / length)
 
     fixed = (("phase_rad", phase_rad), ("stroke_ratio", stroke))
     return Term("balancer_spring", (1,), (1,), columns, ("force_n",), "gas", fixed)
