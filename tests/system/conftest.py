@@ -1,0 +1,127 @@
+"""The gateway's command line against simulated drives, in one process on a virtual bus: a small arm, few poses."""
+
+from __future__ import annotations
+
+import shutil
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from gateway.cli import main
+from gateway.recorded import Recording
+from gateway.recording import read
+from sim.serve import RunningSimulation, running
+
+SMALL = Path(__file__).parents[2] / "examples" / "small"
+POSES = """[poses]
+count = 4
+approach_offset_rad = 0.03
+approach_speed_rad_s = 0.1
+samples = 20
+validation = 2
+"""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A folder with cell, robot and payload."""
+
+    folder: Path
+
+    @property
+    def cell(self) -> Path:
+        return self.folder / "cell.toml"
+
+    @property
+    def payload(self) -> Path:
+        return self.folder / "payload.toml"
+
+    @property
+    def run(self) -> Path:
+        return self.folder / "run.h5"
+
+    def recording(self) -> Recording:
+        return read(self.run)
+
+    def variant(self, name: str, *changes: tuple[str, str]) -> Path:
+        """A cell file that differs: each (old, new) replaces the first place where `old` stands."""
+        text = self.cell.read_text(encoding="utf-8")
+        for old, new in changes:
+            assert old in text, old
+            text = text.replace(old, new, 1)
+        path = self.folder / f"{name}.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+
+@dataclass(frozen=True)
+class Drives:
+    """Simulated drives that run."""
+
+    handle: RunningSimulation
+
+    @property
+    def bus(self) -> str:
+        return self.handle.bus
+
+    @property
+    def hang(self) -> Callable[[str], None]:
+        return self.handle.hang
+
+    def stand_still(self) -> bool:
+        """No drive is energised: every joint is in its brake."""
+        (arm,) = self.handle.simulation.arms
+        return not any(drive.automaton.energised for drive in arm.drives)
+
+
+def command(*arguments: object, **options: object) -> Result:
+    """Run the command line in this process."""
+    return CliRunner().invoke(main, [str(argument) for argument in arguments], **options)
+
+
+@pytest.fixture(autouse=True)
+def _ledgers_apart(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
+@pytest.fixture
+def place(tmp_path) -> Place:
+    """A small cell with few poses."""
+    for name in ("robot.urdf", "payload.toml"):
+        shutil.copy(SMALL / name, tmp_path / name)
+    text = (SMALL / "cell.toml").read_text(encoding="utf-8")
+    (tmp_path / "cell.toml").write_text(text[: text.index("[poses]")] + POSES, encoding="utf-8")
+    return Place(tmp_path)
+
+
+@pytest.fixture
+def serve(place) -> Iterator[Callable[..., Drives]]:
+    """Start simulated drives of the small cell; `fault` and `effect` are TOML texts."""
+    with ExitStack() as stack:
+
+        @contextmanager
+        def started(**options: object) -> Iterator[Drives]:
+            bus = f"virtual:system-{uuid.uuid4().hex}"
+            with running(place.cell, bus, payload=place.payload, **options) as handle:
+                yield Drives(handle)
+
+        def start(fault: str = "", effect: str = "") -> Drives:
+            options: dict[str, object] = {}
+            for key, text in (("fault", fault), ("undeclared", effect)):
+                if text:
+                    options[key] = place.folder / f"{key}.toml"
+                    (place.folder / f"{key}.toml").write_text(text, encoding="utf-8")
+            return stack.enter_context(started(**options))
+
+        yield start
+
+
+@pytest.fixture
+def gateway() -> Callable[..., Result]:
+    """Run the command line."""
+    return command
