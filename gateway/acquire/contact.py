@@ -18,7 +18,8 @@ CONTACT_SHARE = 0.25
 IN_A_ROW = 3
 #: Time constant of the recent mean.
 MEMORY_S = 0.5
-#: Commanded way over which a joint has to move along, and the share of it that it has to go.
+#: Commanded way over which a joint has to move along, and the share of it that it has to go; one that lags at speed and
+#: is turned round has gone less, but stands close to its target then.
 FOLLOW_RAD = 0.04
 FOLLOW_SHARE = 0.2
 
@@ -89,7 +90,8 @@ class Contact:
         if not far.any():
             return
         done = (q_rad - start_q) * np.sign(asked)
-        behind = far & (done < FOLLOW_SHARE * np.abs(asked))
+        now = np.abs(target_rad - q_rad) > (1.0 - FOLLOW_SHARE) * FOLLOW_RAD
+        behind = far & now & (done < FOLLOW_SHARE * np.abs(asked))
         if behind.any():
             joint = int(np.argmax(behind))
             raise LimitExceeded(
