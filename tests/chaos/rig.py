@@ -137,6 +137,7 @@ def small_cell(folder: Path, edit: Callable[[str], str] = lambda text: text) -> 
     """The small example in a folder of its own, its text passed through `edit`."""
     (folder / "robot.urdf").write_text((EXAMPLE / "robot.urdf").read_text())
     profile = (PROFILE_FOLDER / "generic-cia402.toml").read_text().replace("generic-cia402", "named-make", 1)
+    profile = re.sub(r"(?m)^eds = .*\n", "", profile)
     (folder / "drive.toml").write_text(profile.replace("[torque]\n", IDENTITY + "[torque]\n", 1))
     text = (EXAMPLE / "cell.toml").read_text().replace('profile = "generic-cia402"', 'profile = "drive.toml"')
     text = edit(text)

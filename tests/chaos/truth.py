@@ -27,10 +27,10 @@ KINDS = (
     "sync_lost",
     "rpdo_lost",
 )
-#: Mean number of SYNCs between two faults, and how long the answers are looked back at.
-EVERY = 60
+#: SYNCs for each fault, and how many SYNCs back the answers are kept.
+EVERY = 120
 KEPT = 64
-SWING_RAD = 8.0
+SWING_RAD = 2.0
 GAP_S = 0.01
 PERIOD_S = 0.002
 
@@ -74,7 +74,7 @@ def million(answers: int, seed: int = 1, progress: Callable[[int], None] = lambd
     rng = random.Random(seed)
     with rig(short_period) as made:
         setups = axis_setups(made.loaded, made.loaded.cell.arm[0])
-        options = GroupOptions(gap_timeout_s=GAP_S, answer_timeout_s=0.1)
+        options = GroupOptions(gap_timeout_s=GAP_S, answer_timeout_s=0.02)
         with open_bus(BusSpec.parse(made.bus)) as bus, DriveGroup(bus, setups, PERIOD_S, options=options) as group:
             group.connect()
             group.configure()
@@ -90,15 +90,14 @@ def million(answers: int, seed: int = 1, progress: Callable[[int], None] = lambd
 def _stretch(made: Rig, group: DriveGroup, base: int, start: list[float], rng: random.Random, verdict: Verdict) -> None:
     """A few hundred SYNCs."""
     made.wire.clear()
-    for _ in range(5):
+    for number in range(5):
         kind = rng.choice(KINDS)
         node = 0 if kind in ("sync_lost", "tpdo_reordered") else rng.randint(1, 6)
-        made.wire.arm_in(
-            Fault(kind, node=node, syncs=rng.randint(1, 3), seed=rng.getrandbits(30)), rng.randint(1, 5 * EVERY)
-        )
+        fault = Fault(kind, node=node, syncs=rng.randint(1, 3), seed=rng.getrandbits(30))
+        made.wire.arm_in(fault, number * EVERY + rng.randint(1, EVERY - 10))
         verdict.faults += 1
     for _ in range(5 * EVERY):
-        phase = 2.0 * math.pi * group.sync_index / 400.0
+        phase = 2.0 * math.pi * verdict.cycles / 400.0
         swing = SWING_RAD * (1.0 - math.cos(phase))
         epoch = group.exchange([DriveCommand(angle + swing) for angle in start])
         verdict.cycles += 1
