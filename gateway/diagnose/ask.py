@@ -18,9 +18,9 @@ from gateway.result import NextMeasurement
 
 Floats = NDArray[np.float64]
 
-COUNT = 6
+COUNT = 8
 CHOICE = 160
-TELLING = 3.0
+TELLING = 1.0
 APART_RAD = 0.3
 STEP_S = 30.0
 

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.fit import Fit, Problem, modelled, with_terms
 from gateway.diagnose.screen import projector
-from gateway.diagnose.search import Label, Search, label, pruned
+from gateway.diagnose.search import NEEDED, Label, Search, label, pruned
 from gateway.diagnose.structure import misfit
 from gateway.model.terms.effects import Term
 
 Floats = NDArray[np.float64]
 
-LEAST_STRENGTH = 1.2
+LEAST_STRENGTH = 0.6
 LEAST_POSES = 4
 SURE_ODDS = 20.0
 ASK_ODDS = 400.0
@@ -110,7 +110,9 @@ def strength(search: Search, whole: Fit, term: Term) -> float:
     share = modelled(problem, whole.setting, whole.links, whole.loads, whole.band)
     share = share - modelled(problem, without, whole.links, whole.loads, whole.band)
     weight = 1.0 / whole.noise.std[problem.group]
-    project, _ = projector(problem, search.fitted(()), weight)
+    common = slice(0, problem.n_common)
+    plain = replace(whole, terms=(), theta=(), design=whole.design[:, common], prior_std=whole.prior_std[common])
+    project, _ = projector(problem, plain, weight)
     left = project((share * weight)[:, None])[: len(weight), 0]
     squares = np.bincount(problem.group, weights=left**2, minlength=18)
     count = np.bincount(problem.group, minlength=18)
@@ -118,14 +120,24 @@ def strength(search: Search, whole: Fit, term: Term) -> float:
 
 
 def _gated(search: Search, chosen: Fit) -> Fit:
-    """The hypothesis without effects too weak to be told from what links and loads take up."""
+    """The hypothesis without effects too weak to be told from what links and loads take up.
+
+    Where one as good has strong effects alone, that one is taken.
+    """
     while True:
-        weak = [
-            term for term in chosen.terms if term.name != "unnamed" and strength(search, chosen, term) < LEAST_STRENGTH
-        ]
+        weak = [term for term in chosen.terms if not _strong(search, chosen, term)]
         if not weak:
             return chosen
+        level = search.score(chosen) - NEEDED
+        as_good = [fit for fit in search.pool.values() if search.score(fit) >= level and fit.terms]
+        strong = [fit for fit in as_good if all(_strong(search, fit, term) for term in fit.terms)]
+        if strong:
+            return pruned(search, search.best(strong))
         chosen = pruned(search, search.fitted([term for term in chosen.terms if term not in weak], chosen))
+
+
+def _strong(search: Search, hypothesis: Fit, term: Term) -> bool:
+    return term.name == "unnamed" or strength(search, hypothesis, term) >= LEAST_STRENGTH
 
 
 def _key(hypothesis: Fit) -> Key:

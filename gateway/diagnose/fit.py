@@ -198,7 +198,7 @@ def spread_of(problem: Problem, noise: Noise, term: Term, columns: Floats) -> Fl
     """Prior standard deviation (k,) of an effect's parameters: what is plausible, or ten noise floors."""
     weighted = columns / noise.std[problem.group][:, None]
     size = np.sqrt((weighted**2).sum(axis=0) / max(len(problem.rows), 1))
-    by_strength = STRENGTH_SPREAD / np.maximum(size, 1e-12)
+    by_strength = STRENGTH_SPREAD / np.maximum(size, max(1e-3 * float(size.max(initial=0.0)), 1e-12))
     plausible = np.array(term.spread)
     return np.where(np.isnan(plausible), by_strength, plausible)
 
@@ -228,6 +228,8 @@ def fit(problem: Problem, terms: Sequence[Term], noise: Noise, start: Fit | None
     state = _begin(problem, terms, start)
     spreads: list[Floats] = []
     current = _linearised(problem, terms, state, noise, spreads, 0)
+    if not all(linear for term in terms for linear in term.linear):
+        steps = 2 * steps
     for step in range(1, steps):
         before = current.mode
         current = _linearised(problem, terms, state, current.noise, spreads, step)

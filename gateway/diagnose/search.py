@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.fit import Fit, Noise, Problem, fit
 from gateway.diagnose.screen import Screen, columns_of, pair_log_bayes, screen
-from gateway.model.terms.effects import BalancerSpring, Term
+from gateway.model.terms.effects import Term
 
 Floats = NDArray[np.float64]
 Label = tuple[str, tuple[int, ...]]
@@ -28,6 +28,9 @@ FORWARD = 5
 MOST_EFFECTS = 3
 UNNAMED = 4
 IMPLAUSIBLE = 8.0
+RARE = 2.0
+SHAPES = 2
+SHAPES_FITTED = 6
 
 
 def label(term: Term) -> Label:
@@ -36,10 +39,9 @@ def label(term: Term) -> Label:
 
 
 def term_shapes(term: Term, among: Sequence[Term]) -> int:
-    """Number of shapes of an effect at one place; phases that are fitted anyway are not counted."""
-    if isinstance(term, BalancerSpring):
-        return len({(other.ratio, other.gas) for other in among if isinstance(other, BalancerSpring)})
-    return sum(label(other) == label(term) for other in among)
+    """Number of shapes of an effect at one place; those that differ by what is fitted anyway count once."""
+    same = [other for other in among if label(other) == label(term)]
+    return len(same) if all(term.linear) else len({type(other) for other in same})
 
 
 @dataclass(slots=True, eq=False)
@@ -68,7 +70,7 @@ class Search:
         for term in self.named:
             self.prior[term] = -np.log(places) - np.log(term_shapes(term, self.named))
         for term in self.unnamed:
-            self.prior[term] = -np.log(len(self.unnamed))
+            self.prior[term] = -np.log(len(self.unnamed)) - RARE
 
     def score(self, hypothesis: Fit) -> float:
         """Evidence plus log prior of a hypothesis; an effect that its mechanism cannot do costs `IMPLAUSIBLE` more."""
@@ -125,7 +127,8 @@ def _promising_singles(views: Sequence[Screen]) -> list[tuple[Term, ...]]:
         for index in np.argsort(-view.log_bayes):
             term = view.terms[index]
             seen[label(term)] = seen.get(label(term), 0) + 1
-            if seen[label(term)] > 2 or len(seen) > SINGLES:
+            limit = SHAPES if all(term.linear) else SHAPES_FITTED
+            if seen[label(term)] > limit or len(seen) > SINGLES:
                 continue
             out.append((term,))
     return list(dict.fromkeys(out))

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from gateway.model.terms.effects import (
     AxisCoupling,
-    BalancerSpring,
     BaseTilt,
     CableTorque,
+    CoilBalancer,
+    GasBalancer,
     JointElasticity,
     JointZeroOffset,
     LinkMass,
@@ -69,8 +70,9 @@ def named_terms(rows: RestRows, setup: Setup) -> list[Term]:
     terms += [AxisCoupling(row, column) for row, column in COUPLED]
     terms += [LinkMass(link) for link in (1, 2, 3)]
     if np.isfinite(rows.sum_nm[:, 1]).any():
-        shapes = itertools.product(RATIOS, PHASES, (False, True))
-        terms += [BalancerSpring(*shape, float(largest[1])) for shape in shapes]
+        shapes = list(itertools.product(RATIOS, PHASES))
+        terms += [CoilBalancer(*shape, float(largest[1])) for shape in shapes]
+        terms += [GasBalancer(*shape, float(largest[1]), stroke) for shape in shapes for stroke in (0.35, 0.7)]
     terms += _shifts(rows)
     if setup.common_scale:
         terms.append(TorqueConstantScale(None))

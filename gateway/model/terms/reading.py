@@ -186,7 +186,7 @@ class Model:
         return bodies
 
     def joint_torque(self, setting: Setting, bodies: Floats) -> tuple[Floats, Floats]:
-        """Torque (n, 6) that the gears transmit, and the rows (n, 6, 24) behind it."""
+        """Torque (n, 6) that the gears transmit, and its derivative (n, 6, 24) by the parameters of the bodies."""
         if not setting.compliance_rad_nm.any():
             rows = self.regressor(setting)
             return _dot(rows, bodies) - self.passive(setting), rows
@@ -228,7 +228,8 @@ class Model:
             away = straight - setting.compliance_rad_nm * torque - bent
             steps += 1
             if np.abs(away).max() < _NEAR_RAD or steps == _WIND_UP_STEPS:
-                return torque, at_bent + np.einsum("nijk,nj->nik", slopes, away)
+                rows = at_bent + np.einsum("nijk,nj->nik", slopes, away)
+                return torque, np.linalg.solve(matrix, rows)
             self._bend(bent + away)
 
     def _bend(self, q: Floats) -> None:
