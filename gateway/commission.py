@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from gateway.acquire.opening import OpenArm
-from gateway.acquire.plan import Plan, check_plan, plan_poses
+from gateway.acquire.plan import SIDES, Plan, check_plan, plan_poses
 from gateway.acquire.poses import PoseRequest, RestPose, feasible_postures
 from gateway.acquire.session import RecordRequest, make_plan, open_arm
 from gateway.analysis import Given, ModelRequest, given, split_validation
@@ -27,6 +27,8 @@ from gateway.diagnose import DiagnoseOptions
 from gateway.diagnose.loop import close_loop
 from gateway.errors import FindingFailed, PlanRefused
 from gateway.handover import complete
+from gateway.recorded import ArmRecording
+from gateway.recording import read
 from gateway.result import Result
 from gateway.table import Table
 
@@ -152,8 +154,10 @@ class _Robot:
         self._load = BARE
         self._fit = [pose for pose in plan.poses if pose.purpose == "fit"]
         self._validation = [pose for pose in plan.poses if pose.purpose == "validation"]
-        self._next = max(pose.number for pose in plan.poses) + 1
         self._settings = plan.settings
+        stored = self._stored()
+        numbers = [pose.number for pose in (*plan.poses, *(stored.poses if stored is not None else ()))]
+        self._next = max(numbers) + 1
 
     @property
     def validation_rad(self) -> np.ndarray:
@@ -161,11 +165,13 @@ class _Robot:
         return np.array([pose.q_rad for pose in self._validation]).reshape(-1, 6)
 
     def measure_load(self, label: str) -> None:
-        """Hang a load and measure all poses to fit from."""
-        if label != BARE:
-            self._dialogue.hang(label)
+        """Hang a load and measure all poses to fit from; where they are all there, only the last load is asked for."""
         self._load = label
-        self._record(self._fit)
+        missing = self._missing(self._fit)
+        if label != BARE and (missing or label == self._job.labels[-1]):
+            self._dialogue.hang(label)
+        if missing:
+            self._record(self._fit)
 
     def measure_poses(self, q_rad: np.ndarray) -> Table:
         """Measure poses (k, 6) [rad] under the load that hangs now: validation poses, or new ones to fit from."""
@@ -177,7 +183,8 @@ class _Robot:
             poses = [RestPose(number, tuple(q), "fit") for number, q in zip(numbers, q_rad.tolist(), strict=True)]
             self._next += len(poses)
             self._dialogue.say(f"back to the robot: {len(poses)} poses that tell the explanations apart")
-        self._record(poses)
+        if self._missing(poses):
+            self._record(poses)
         table = self.data()[1]
         chosen = np.isin(table.pose, [pose.number for pose in poses]) & (table.load == self._load)
         return table.take(chosen)
@@ -187,6 +194,16 @@ class _Robot:
         job = self._job
         about = replace(given(ModelRequest(arm=job.arm.name), [job.recording]), loaded=job.context.loaded)
         return about, read_data([job.recording], job.context.loaded)
+
+    def _stored(self) -> ArmRecording | None:
+        path = self._job.recording
+        return read(path).arm(self._job.arm.name) if path.exists() else None
+
+    def _missing(self, poses: Sequence[RestPose]) -> bool:
+        """Whether a visit of these poses under the present load is not in the file yet."""
+        stored = self._stored()
+        done = set() if stored is None else set(stored.done(self._load))
+        return any((pose.number, side) not in done for pose in poses for side in SIDES)
 
     def _record(self, poses: Sequence[RestPose]) -> None:
         opened = self._opened

@@ -23,7 +23,7 @@ from gateway.commands.options import (
     yes_option,
 )
 from gateway.console import Session, findings_table
-from gateway.errors import FindingFailed
+from gateway.errors import FindingFailed, GatewayError
 
 if TYPE_CHECKING:
     from gateway.acquire.opening import OpenArm
@@ -53,6 +53,7 @@ def commission(
     yes: bool,
 ) -> None:
     """All of it, guided: check, bare arm, each load, diagnosis, fresh poses, report. The arm moves."""
+    from drives.errors import DriveError
     from gateway.arm_model import arm_named
     from gateway.cell_context import open_cell
     from gateway.commission import Job
@@ -66,8 +67,14 @@ def commission(
     recording = out / "run.h5"
     if not resume:
         _set_aside(recording, session_of())
-    with stop_on_termination():
-        result = run(Job(context, arm, labels, recording), _Terminal(session_of(), context.loaded.cell.name, yes))
+    job = Job(context, arm, labels, recording)
+    try:
+        with stop_on_termination():
+            result = run(job, _Terminal(session_of(), context.loaded.cell.name, yes))
+    except (GatewayError, DriveError, KeyboardInterrupt) as error:
+        if recording.exists():
+            error.add_note(f"What was measured is in {recording}; go on with commission --resume.")
+        raise
     body = as_json(result)
     write_json(str(out / "result.json"), body)
     write_text(out / "report.html", render(body))
