@@ -259,6 +259,7 @@ class FakeDrive:
     def take_target(self, counts: int) -> None:
         """0x607A."""
         self.target_counts = counts
+        self.motion.target_set()
 
     def target_rad(self) -> float:
         """Target position at the gear output, inside the software limits (0x607D; 0 and 0 switch them off)."""

@@ -41,6 +41,7 @@ class Motion:
         self.wobble: tuple[float, float] | None = None
         self._wobbled = 0.0
         self._speed = 0.0
+        self._left_s = 0.0
         self._stopping_s = 0.0
         self._release_s: float | None = None
         self._pp_goal: float | None = None
@@ -121,13 +122,18 @@ class Motion:
         self._speed = travel / seconds
         servo.reference_step_rad = travel / ticks
 
+    def target_set(self) -> None:
+        """A target position came: it is to be reached within the interpolation period (0x60C2)."""
+        store = self._drive.store
+        self._left_s = store.number((0x60C2, 1)) * 10.0 ** store.number((0x60C2, 2))
+
     def _track(self, seconds: float) -> float:
-        """Cyclic synchronous position: reach the target within the interpolation period, speed limit kept."""
+        """Cyclic synchronous position: what is left of the way, evenly over what is left of the period."""
         drive = self._drive
         way = drive.target_rad() + self._wobbled - drive.axis.servo.reference_rad
-        period = drive.store.number((0x60C2, 1)) * 10.0 ** drive.store.number((0x60C2, 2))
+        travel = way * seconds / self._left_s if self._left_s > seconds else way
+        self._left_s = max(self._left_s - seconds, 0.0)
         most = drive.axis.servo.max_rad_s * seconds
-        travel = way * min(1.0, seconds / max(period, TICK_S))
         self.target_limited |= abs(travel) > most
         return min(max(travel, -most), most)
 
