@@ -13,6 +13,7 @@ from gateway.acquire.workspace import Workspace
 from gateway.errors import LimitExceeded
 
 #: Jump of the unexplained torque, as a share of the joint's torque limit; friction at a reversal is below half of it.
+#: A gear that turns from driving to driven back adds (1 / eta - eta) of the torque it carries.
 CONTACT_SHARE = 0.25
 #: SYNCs in a row that it has to last.
 IN_A_ROW = 3
@@ -40,19 +41,20 @@ class Contact:
         self._arm = arm
         self._share = min(period_s / MEMORY_S, 1.0)
         self._limit = CONTACT_SHARE * workspace.torque_nm
+        self._reversal = 1.0 / workspace.efficiency - workspace.efficiency
         self._mean: np.ndarray | None = None
         self._count = np.zeros(6, dtype=int)
         self._from: tuple[np.ndarray, np.ndarray] | None = None
 
-    def check(self, q_rad: np.ndarray, unexplained_nm: np.ndarray, target_rad: np.ndarray) -> None:
+    def check(self, q_rad: np.ndarray, torque_nm: np.ndarray, modelled_nm: np.ndarray, target_rad: np.ndarray) -> None:
         """One complete SYNC.
 
         Parameters
         ----------
         q_rad : array of shape (6,)
             Measured.
-        unexplained_nm : array of shape (6,)
-            Measured less modelled torque, joint side.
+        torque_nm, modelled_nm : arrays of shape (6,)
+            Joint side.
         target_rad : array of shape (6,)
             What the drives had been told.
 
@@ -62,18 +64,22 @@ class Contact:
             Contact, or a joint that stays behind.
         """
         self._check_following(q_rad, target_rad)
+        unexplained_nm = torque_nm - modelled_nm
         if self._mean is None:
             self._mean = unexplained_nm
         jump = np.abs(unexplained_nm - self._mean)
         over = jump > self._limit
         if over.any():
+            carried = np.maximum(np.abs(torque_nm), np.abs(modelled_nm + self._mean))
+            over = jump > self._limit + self._reversal * carried
+        if over.any():
             self._count = (self._count + 1) * over
             if self._count.max() >= IN_A_ROW:
                 joint = int(np.argmax(self._count))
                 raise LimitExceeded(
-                    f"arm '{self._arm}', joint {joint + 1}: the torque has jumped by {jump[joint]:.0f} Nm, "
-                    f"{self._limit[joint]:.0f} Nm are allowed: stopped; look for contact, a load that slips, a cable "
-                    "that is caught",
+                    f"arm '{self._arm}', joint {joint + 1}: the torque has jumped by {jump[joint]:.0f} Nm, more than "
+                    f"{self._limit[joint]:.0f} Nm and the reversal of its gear explain: stopped; look for contact, a "
+                    "load that slips, a cable that is caught",
                     joint=joint + 1,
                 )
             return

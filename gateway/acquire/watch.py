@@ -93,7 +93,7 @@ class Watch:
         elif self._counting:
             self._count[:] = 0
             self._counting = False
-        self._contact.check(q_rad, torque_nm - modelled_nm, expected)
+        self._contact.check(q_rad, torque_nm, modelled_nm, expected)
 
     def _refuse(self, values: np.ndarray, q_rad: np.ndarray) -> None:
         if self._count[RANGE].any():

@@ -5,7 +5,9 @@ import pytest
 
 from drives.drive import DriveReading
 from gateway.acquire.arm import ArmSample
+from gateway.acquire.plan import travel_limits
 from gateway.acquire.settle import SettleTest
+from gateway.acquire.trajectory import straight
 from gateway.acquire.watch import IN_A_ROW, Watch
 from gateway.errors import LimitExceeded
 
@@ -85,6 +87,39 @@ def test_incomplete_samples_show_nothing(watch, workspace):
     nothing = np.full(6, np.nan)
     samples = [sample(k, nothing, nothing, silent=1) for k in range(20)]
     assert stream(watch, samples, [ZERO] * 20) == -1
+
+
+@pytest.mark.parametrize(("extra", "stops"), [(0.0, False), (0.3, True)])
+def test_reversal_of_a_loaded_gear_is_no_contact(watch, workspace, extra, stops):
+    """0.8 of the limit carried behind the gear: the reading falls from g / eta to g eta when the motion turns."""
+    eta = workspace.efficiency[1]
+    carried = 0.8 * workspace.torque_nm[1]
+    before, after = joint(2, carried), joint(2, carried * eta**2 - extra * workspace.torque_nm[1])
+    samples = [sample(k, ZERO, before if k < 100 else after) for k in range(200)]
+    at = stream(watch, samples, [ZERO] * 200)
+    assert at == (102 if stops else -1)
+
+
+def test_a_joint_that_is_stuck_is_seen_before_the_following_error(watch, workspace):
+    speed = 0.5 * workspace.speed_rad_s[3]
+    targets = [joint(4, speed * PERIOD_S * k) for k in range(60)]
+    at = stream(watch, [sample(k, ZERO) for k in range(60)], targets)
+    assert targets[at][3] < 0.5 * workspace.following_error_rad[3]
+
+
+def test_a_joint_that_lags_and_is_turned_round_is_not_stuck(watch, workspace):
+    """First-order lag of 33 ms: 0.047 rad at full speed of joint 6."""
+    limits = travel_limits(workspace)
+    there = straight(ZERO, joint(6, 1.5), limits, PERIOD_S).q_rad
+    back = straight(joint(6, 1.5), ZERO, limits, PERIOD_S).q_rad
+    targets = np.vstack([there, back])
+    q, seen = 0.0, []
+    for target in targets[:, 5]:
+        seen.append(q)
+        q += (target - q) * (1 - np.exp(-PERIOD_S / 0.033))
+    assert np.abs(targets[:, 5] - seen).max() > 0.04
+    samples = [sample(k, joint(6, value)) for k, value in enumerate(seen)]
+    assert stream(watch, samples, list(targets)) == -1
 
 
 def test_modelled_torque_is_gravity(watch, workspace):
