@@ -5,14 +5,31 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
-from drives.bus import Bus
+from drives.bus import Bus, Frame
 from drives.values import DriveReading
 
 #: How long an answer that stayed away is reckoned with.
 _ASTRAY_S: Final = 0.5
-_PATIENCE_S: Final = 0.002
+#: How soon after a stray answer the true one follows at the latest, s, or in usual times of a row.
+_SECOND_S: Final = 0.002
+_SLOW: Final = 4.0
+_ASK_AGAIN_S: Final = 0.1
+#: Share of the time-out that a drive is waited for once others have answered.
+_OTHERS: Final = 0.4
+
+
+class Inquiry(Protocol):
+    """Asks drives whether they are there."""
+
+    def ask(self, slots: Sequence[int]) -> None:
+        """Ask the drives that these slots belong to."""
+        ...
+
+    def answered(self, slot: int) -> bool:
+        """Whether the drive of a slot has answered the question."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +84,12 @@ class EpochCollector:
     bus : Bus
     slots : sequence of (int, int)
         CAN id and length of each expected TPDO.
+    inquiry : Inquiry, optional
+        How to ask a drive that has not answered.
     """
 
-    def __init__(self, bus: Bus, slots: Sequence[tuple[int, int]]) -> None:
+    def __init__(self, bus: Bus, slots: Sequence[tuple[int, int]], inquiry: Inquiry | None = None) -> None:
+        self._inquiry = inquiry
         self.counts = EpochCounts()
         self.frames: list[bytes | bytearray | None] = [None] * len(slots)
         self._bus = bus
@@ -89,29 +109,58 @@ class EpochCollector:
             self._bus.unsubscribe(can_id, self._on_stray)
 
     def collect(self, timeout_s: float, gap_s: float | None) -> list[bytes | bytearray | None]:
-        """Wait for the answers to the SYNC that was just sent; the caller holds the bus's receive lock.
+        """Answers to the SYNC that was just sent; the caller holds the bus's receive lock.
+
+        A drive that leaves a gap is asked: one that answers the question has lost its TPDO, one that does not is waited
+        for, since it may only be slow.
 
         Parameters
         ----------
         timeout_s : float
-            Longest wait for the first answer; with `gap_s` None, for all of them.
+            Longest wait after the SYNC.
         gap_s : float or None
-            Once one has answered: longest wait for the next.
+            Longest wait for the next answer until those who are missing are asked; None = nobody is asked.
 
         Returns
         -------
         list of bytes or None
             One per slot, in the order of `slots`; None = none, or two that contradict each other.
         """
-        slot_of, sizes, receive, clock = self._slot_of.get, self._sizes, self._bus.receive, time.monotonic
-        frames: list[bytes | bytearray | None] = [None] * len(sizes)
-        self.frames = frames
+        start = time.monotonic()
+        left = self._begin()
+        if gap_s is None:
+            left = self._gather(left, start + timeout_s, None)
+            second_s = start + timeout_s
+        else:
+            gap_s = max(gap_s, _SLOW * self._usual_s)
+            left = self._gather(left, start + gap_s, gap_s)
+            if left:
+                left = self._pursue(left, start + (timeout_s if left == len(self._sizes) else _OTHERS * timeout_s))
+            else:
+                self._usual_s += 0.1 * (time.monotonic() - start - self._usual_s)
+            second_s = time.monotonic() + max(_SECOND_S, _SLOW * self._usual_s)
+        if self._astray:
+            self._listen_for_strays(second_s)
+        return self._end(left)
+
+    def _begin(self) -> int:
+        self.frames = [None] * len(self._sizes)
         if self._contradicted:
             self._contradicted.clear()
-        left = len(sizes)
-        start = clock()
-        deadline = start + timeout_s
         self._unsettled = True
+        return len(self._sizes)
+
+    def _end(self, left: int) -> list[bytes | bytearray | None]:
+        self._unsettled = left > 0 or bool(self._contradicted)
+        if self._contradicted:
+            return [None if slot in self._contradicted else data for slot, data in enumerate(self.frames)]
+        return self.frames
+
+    def _gather(self, left: int, deadline_s: float, gap_s: float | None) -> int:
+        """Fill slots until none is left or the deadline, which moves on with each answer if a gap is allowed."""
+        slot_of, sizes, receive, clock = self._slot_of.get, self._sizes, self._bus.receive, time.monotonic
+        frames = self.frames
+        timeout_s = deadline_s - clock()
         while left:
             frame = receive(timeout_s)
             if frame is not None:
@@ -124,43 +173,57 @@ class EpochCollector:
                     frames[slot] = frame.data
                     left -= 1
                     if gap_s is not None:
-                        deadline = clock() + gap_s
+                        deadline_s = clock() + gap_s
                         timeout_s = gap_s
                         continue
                 else:
                     self._again(slot, frame.data)
-            timeout_s = deadline - clock()
+            timeout_s = deadline_s - clock()
             if timeout_s <= 0:
                 break
-        if left == 0:
-            self._usual_s += 0.1 * (clock() - start - self._usual_s)
-        if self._astray:
-            self._listen_for_strays(deadline if gap_s is None else clock() + self._patience_s(gap_s))
-        self._unsettled = left > 0 or bool(self._contradicted)
-        if self._contradicted:
-            return [None if slot in self._contradicted else data for slot, data in enumerate(frames)]
-        return frames
+        return left
 
-    def _patience_s(self, gap_s: float) -> float:
-        """How long after a row is full the true answer may follow one that was astray."""
-        return min(gap_s, max(_PATIENCE_S, 4.0 * self._usual_s))
+    def _pursue(self, left: int, limit_s: float) -> int:
+        """Ask who has not answered, and wait until each has answered either way."""
+        inquiry = self._inquiry
+        if inquiry is None:
+            return self._gather(left, limit_s, None)
+        ask_s = 0.0
+        while left and (now := time.monotonic()) < limit_s:
+            missing = [slot for slot, data in enumerate(self.frames) if data is None]
+            if now >= ask_s:
+                inquiry.ask(missing)
+                ask_s = now + _ASK_AGAIN_S
+            elif all(inquiry.answered(slot) for slot in missing):
+                break
+            frame = self._bus.receive(min(ask_s, limit_s) - now)
+            if frame is not None and self._take(frame):
+                left -= 1
+        return left
+
+    def _take(self, frame: Frame) -> bool:
+        """Put a frame where it belongs; whether it filled a slot."""
+        slot = self._slot_of.get(frame.arbitration_id)
+        if slot is None:
+            self._bus.dispatch(frame)
+        elif len(frame.data) != self._sizes[slot]:
+            self.counts.wrong_length += 1
+        elif self.frames[slot] is None:
+            self.frames[slot] = frame.data
+            return True
+        else:
+            self._again(slot, frame.data)
+            self._astray.pop(slot, None)
+        return False
 
     def _listen_for_strays(self, deadline_s: float) -> None:
-        """The row is full, but an answer to an earlier SYNC may be in it: does a second one come?"""
+        """An answer to an earlier SYNC may be in this row: does a second one come?"""
         now = time.monotonic()
         self._astray = {slot: until_s for slot, until_s in self._astray.items() if until_s > now}
         while self._astray and (left_s := deadline_s - time.monotonic()) > 0:
             frame = self._bus.receive(left_s)
-            if frame is None:
-                continue
-            slot = self._slot_of.get(frame.arbitration_id)
-            if slot is None or len(frame.data) != self._sizes[slot]:
-                self._bus.dispatch(frame)
-            elif self.frames[slot] is None:
-                self.frames[slot] = frame.data
-            else:
-                self._again(slot, frame.data)
-                self._astray.pop(slot, None)
+            if frame is not None:
+                self._take(frame)
 
     def _again(self, slot: int, data: bytes | bytearray) -> None:
         """A second frame of one TPDO within one SYNC."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 from drives.bus import SYNC_ID, Bus
 from drives.busload import cycle_bits_worst
@@ -20,6 +20,9 @@ from drives.values import DriveReading
 
 Pacing = Literal["lockstep", "real"]
 
+#: Longest wait for a silent drive while the others have to be stopped.
+_HURRY_S: Final = 0.1
+
 
 @dataclass(frozen=True, slots=True)
 class Timing:
@@ -32,9 +35,10 @@ class Timing:
     pacing : "lockstep" or "real"
         Next SYNC as soon as all have answered, or by the clock.
     answer_timeout_s : float
-        Lockstep: longest wait for the first answer to a SYNC.
+        Lockstep: longest wait for a drive that answers neither the SYNC nor the question whether it is there.
     gap_timeout_s : float
-        Lockstep: longest wait for the next answer once one has come, and for what is missing before the next SYNC.
+        Lockstep: longest wait for the next answer until that question is asked, and before the next SYNC for what is
+        missing.
     window : float
         By the clock: share of the SYNC period in which an answer counts.
     """
@@ -42,8 +46,24 @@ class Timing:
     period_s: float
     pacing: Pacing = "lockstep"
     answer_timeout_s: float = 1.0
-    gap_timeout_s: float = 0.1
+    gap_timeout_s: float = 0.02
     window: float = 0.9
+
+
+class _Inquiry:
+    """Asks drives by SDO."""
+
+    def __init__(self, drive_of_slot: Sequence[Cia402Drive]) -> None:
+        self._drives = tuple(drive_of_slot)
+
+    def ask(self, slots: Sequence[int]) -> None:
+        """Ask the drives that these slots belong to, each once."""
+        for drive in {id(self._drives[slot]): self._drives[slot] for slot in slots}.values():
+            drive.access.sdo.ask()
+
+    def answered(self, slot: int) -> bool:
+        """Whether the drive of a slot has answered the question."""
+        return not self._drives[slot].access.sdo.asked
 
 
 class SyncExchange:
@@ -85,7 +105,8 @@ class SyncExchange:
             self._first_slots.append(len(slots))
             slots += drive.answers
             bus.watch_master_id(drive.plans[0].cob_id)
-        self.collector = EpochCollector(bus, slots)
+        owners = [drive for drive in self.drives for _ in drive.answers]
+        self.collector = EpochCollector(bus, slots, _Inquiry(owners))
         #: Worst-case bits of one cycle.
         self.cycle_bits = cycle_bits_worst([0, *(size for _, size in slots), *[COMMAND.size] * len(self.drives)])
         self._decoders: tuple[Decoder, ...] = ()
@@ -111,8 +132,8 @@ class SyncExchange:
         self._answer_timeout_s = self.timing.answer_timeout_s
 
     def hurry(self) -> None:
-        """From now on wait no longer for the first answer than for the next: something has to be stopped."""
-        self._answer_timeout_s = min(self.timing.answer_timeout_s, self.timing.gap_timeout_s)
+        """From now on wait less for a drive that may only be slow: something has to be stopped."""
+        self._answer_timeout_s = min(_HURRY_S, self.timing.answer_timeout_s)
 
     def cycle(self, words: Sequence[int] | None) -> Epoch:
         """One SYNC with these controlwords and what each drive has staged; None = the SYNC alone.

@@ -66,7 +66,7 @@ class GroupOptions:
 
     ledger_path: Path | None = None
     answer_timeout_s: float = 1.0
-    gap_timeout_s: float = 0.1
+    gap_timeout_s: float = 0.02
     window: float = 0.9
     silent_syncs: int = 5
     foreign_frames: int = 3

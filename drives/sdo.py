@@ -29,6 +29,7 @@ _CODE: Final = struct.Struct("<L")
 _CCS_DOWNLOAD_SEGMENT, _CCS_DOWNLOAD, _CCS_UPLOAD, _CCS_UPLOAD_SEGMENT = 0x00, 0x20, 0x40, 0x60
 _SCS_UPLOAD_SEGMENT, _SCS_DOWNLOAD_SEGMENT, _SCS_UPLOAD, _SCS_DOWNLOAD, _ABORT = 0x00, 0x20, 0x40, 0x60, 0x80
 _TOGGLE: Final = 0x10
+_DEVICE_TYPE: Final = (0x1000, 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +60,7 @@ class _Pending:
     specifier: int
     address: tuple[int, int] | None
     until_s: float
+    asked: bool = False
 
 
 class SdoClient:
@@ -108,6 +110,21 @@ class SdoClient:
             foreign=self._counts["foreign"],
             aborts=self._counts["aborts"],
         )
+
+    # -- without waiting ---------------------------------------------------------------------------------------------
+
+    def ask(self) -> None:
+        """Ask for the device type without waiting; `asked` until the answer comes."""
+        with self._pending_lock:
+            self._pending.append(
+                _Pending(_SCS_UPLOAD, _DEVICE_TYPE, time.monotonic() + self.slow_timeout_s, asked=True)
+            )
+        self._bus.send(SDO_REQUEST_BASE + self.node_id, _HEAD.pack(_CCS_UPLOAD, *_DEVICE_TYPE) + bytes(4))
+
+    @property
+    def asked(self) -> bool:
+        """Whether a question of `ask` is still open."""
+        return any(pending.asked for pending in self._pending)
 
     # -- values ------------------------------------------------------------------------------------------------------
 
@@ -316,7 +333,7 @@ class SdoClient:
             for pending in self._pending:
                 if kind in (pending.specifier, _ABORT) and pending.address in (None, (index, subindex)):
                     self._pending.remove(pending)
-                    self._counts["late"] += 1
+                    self._counts["late"] += not pending.asked
                     return True
         return False
 
