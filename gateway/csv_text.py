@@ -102,13 +102,16 @@ def _read(reader: Iterator[list[str]], file: str) -> Columns:
 def _header(cells: list[str] | None, file: str) -> list[str]:
     if cells is None:
         raise InputError(f"{file}:1: the file is empty; a header line with column names is needed")
-    names = [cell.strip() for cell in cells]
-    for name in names:
+    names: list[str] = []
+    seen: set[str] = set()
+    for name in (cell.strip() for cell in cells):
         if name not in KNOWN and not (name.startswith("x_") and name.isprintable()):
             hint = "the separator must be a comma" if ";" in name or "\t" in name else "own columns start with x_"
             raise InputError(f"{file}:1: unknown column '{_short(name)}'; {hint}, units are part of the name")
-        if names.count(name) > 1:
-            raise InputError(f"{file}:1: column '{name}' is given twice")
+        if name in seen:
+            raise InputError(f"{file}:1: column '{_short(name)}' is given twice")
+        seen.add(name)
+        names.append(name)
     return names
 
 

@@ -15,13 +15,13 @@ from gateway.acquire.poses import (
     RestPose,
     assumed_noise_nm,
     choose_poses,
-    load_information,
     read_poses,
 )
 from gateway.acquire.workspace import Workspace, workspace_of
 from gateway.arm_model import arm_named, arm_robot
 from gateway.config import ArmConfig, LoadedCell
 from gateway.errors import PlanRefused
+from gateway.model.information import expected_std, payload_information
 from gateway.model.regressor import load_regressor
 
 #: Other choices that are tried if no path leads to some chosen pose.
@@ -139,20 +139,17 @@ def expectation(
         The poses do not tell mass and centre of gravity apart.
     """
     q_rad = np.array([pose.q_rad for pose in poses]).reshape(-1, 6)
-    information = load_information(workspace, q_rad, noise_nm).sum(axis=0)
-    scale = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
-    if np.linalg.matrix_rank(information / np.outer(scale, scale), tol=1e-8) < 4:
+    information = payload_information(workspace.robot, q_rad, noise_nm, workspace.gravity_m_s2).sum(axis=0)
+    mass_kg, com_m = _reference_load(workspace, q_rad)
+    mass_std_kg, com_std_m = expected_std(information, mass_kg, com_m)
+    if not np.isfinite([mass_std_kg, *com_std_m]).all():
         raise PlanRefused(
             "these poses do not tell mass and centre of gravity apart: gravity must come from directions that differ "
             "by more than 30 degrees in the frame of the flange; turn the wrist further between poses"
         )
-    covariance = np.linalg.inv(information)
-    mass_kg, com_m = _reference_load(workspace, q_rad)
-    to_com = np.column_stack([-com_m, np.eye(3)]) / mass_kg
-    com_std = np.sqrt(np.diag(to_com @ covariance @ to_com.T))
     return Expectation(
-        mass_std_kg=float(np.sqrt(covariance[0, 0])),
-        com_std_m=(float(com_std[0]), float(com_std[1]), float(com_std[2])),
+        mass_std_kg=mass_std_kg,
+        com_std_m=(float(com_std_m[0]), float(com_std_m[1]), float(com_std_m[2])),
         reference_load_kg=mass_kg,
         noise_nm=tuple(noise_nm.tolist()),
         noise_source=noise_source,

@@ -132,13 +132,6 @@ def feasible_postures(workspace: Workspace, request: PoseRequest, random: np.ran
     return np.concatenate(found)[:CANDIDATES]
 
 
-def load_information(workspace: Workspace, q_rad: np.ndarray, noise_nm: np.ndarray) -> np.ndarray:
-    """Information (n, 4, 4) on [m, h] [1/kg2 ..] of measuring each posture (n, 6) bare and loaded."""
-    rows = gravity_regressor(workspace.robot, q_rad, workspace.gravity_m_s2)[:, :, 20:24]
-    weighted = rows / (np.sqrt(2.0) * noise_nm[:, None])
-    return np.einsum("nij,nik->njk", weighted, weighted)
-
-
 def _d_optimal(workspace: Workspace, candidates: np.ndarray, count: int, noise_nm: np.ndarray) -> list[int]:
     rows = gravity_regressor(workspace.robot, candidates, workspace.gravity_m_s2) / noise_nm[:, None]
     links = rows * (1.0 / np.maximum(np.abs(rows).max(axis=(0, 1)), 1e-12))

@@ -16,13 +16,18 @@ from gateway.acquire.poses import (
     assumed_noise_nm,
     choose_poses,
     feasible_postures,
-    load_information,
     read_poses,
 )
 from gateway.acquire.route import find_route
 from gateway.acquire.workspace import path_points
 from gateway.arm_model import robot_text
 from gateway.errors import InputError, PlanRefused
+from gateway.model.information import payload_information
+
+
+def load_information(workspace, q_rad: np.ndarray, noise_nm: np.ndarray) -> np.ndarray:
+    return payload_information(workspace.robot, q_rad, noise_nm, workspace.gravity_m_s2)
+
 
 REQUEST = PoseRequest(count=8, validation=3, approach_offset_rad=0.03, seed=1)
 
