@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.decide import Decision
+from gateway.diagnose.decide import LEAST_POSES, Decision
 from gateway.diagnose.fit import Fit, Problem, modelled, with_terms
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.problem import BARE_LABEL, Knowledge, build_problem
@@ -34,10 +34,12 @@ def questions(
     predictions over the noise (Box and Hill 1967).
     """
     fits = [decision.whole, *(rival.fit for rival in decision.near[:4])]
+    choice = pose_choice(problem.rows, options)
+    if len(np.unique(problem.rows.pose)) < LEAST_POSES:
+        return (_measure(choice, _far_apart(problem.rows, choice), ()),)
     if len(fits) < 2:
         return ()
     names = _names(fits)
-    choice = pose_choice(problem.rows, options)
     told = _disagreement(problem, robot, knowledge, fits, choice)
     poses = _spread_out(choice, told)
     expected = 0.5 * float(told[poses].sum())
@@ -46,11 +48,24 @@ def questions(
             "hang a load of known mass and measure it, or add a bare run" if not knowledge.known else "weigh the links"
         )
         return (NextMeasurement(what=what, tells_apart=names),)
-    return (
-        NextMeasurement(
-            what="measure", poses_rad=tuple(tuple(float(v) for v in choice[k]) for k in poses), tells_apart=names
-        ),
-    )
+    return (_measure(choice, poses, names),)
+
+
+def _measure(choice: Floats, index: NDArray[np.int_], names: tuple[str, ...]) -> NextMeasurement:
+    poses = tuple(tuple(float(v) for v in choice[k]) for k in index)
+    return NextMeasurement(what="measure", poses_rad=poses, tells_apart=names)
+
+
+def _far_apart(rows: RestRows, choice: Floats) -> NDArray[np.int_]:
+    """Poses far from those visited and from each other."""
+    span = np.maximum(np.ptp(choice, axis=0), 1e-6)
+    near = np.min([np.linalg.norm((choice - q) / span, axis=1) for q in rows.q_rad], axis=0)
+    chosen: list[int] = []
+    for _ in range(min(COUNT, len(choice))):
+        best = int(np.argmax(near))
+        chosen.append(best)
+        near = np.minimum(near, np.linalg.norm((choice - choice[best]) / span, axis=1))
+    return np.array(chosen, dtype=int)
 
 
 def _names(fits: Sequence[Fit]) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from gateway.diagnose.ask import questions
 from gateway.diagnose.decide import STRUCTURE_P, Decision, decide
 from gateway.diagnose.fit import Fit, Problem, fit, visit_loads
 from gateway.diagnose.holdout import Held, predicted
-from gateway.diagnose.mistakes import Mistake, find_mistakes, suspicious
+from gateway.diagnose.mistakes import Mistake, band_signs, find_mistakes, suspicious
 from gateway.diagnose.motion import MotionOptions, diagnose_motion
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.outcome import (
@@ -68,18 +68,19 @@ def diagnose(table: Table, robot: Robot, options: DiagnoseOptions | None = None)
             gravity_m_s2=options.gravity_m_s2,
         )
         return diagnose_motion(table, robot, motion)
-    return _Rest(robot, options).result(table.take(~table.moving))
+    rest = RestDiagnosis(robot, options)
+    return rest.report(rest.search(table.take(~table.moving)), options.holdout, options.holdout_kind)
 
 
 @dataclass(frozen=True, slots=True)
-class _Found:
-    """A search that has run, with the mistakes that were undone before."""
+class Found:
+    """A search that has run on the visits of `table`, after the mistakes in them were undone."""
 
+    table: Table
     search: Search
     chosen: Fit
     mistakes: tuple[Mistake, ...]
     gained: float
-    table: Table
 
     @property
     def score(self) -> float:
@@ -88,11 +89,12 @@ class _Found:
         for mistake in self.mistakes:
             axes = self.search.problem.group % 6 + 1
             scale -= float(np.sum(np.isin(axes, mistake.joints))) * float(np.log(mistake.factor))
-        return self.search.score(self.chosen) + scale - SURER * len(self.mistakes)
+        signs = band_signs(self.search.problem, self.chosen)
+        return self.search.score(self.chosen) + signs + scale - SURER * len(self.mistakes)
 
 
-class _Rest:
-    """Diagnosis of rest visits."""
+class RestDiagnosis:
+    """Diagnosis of rest visits in two steps: the search, and the report with or without unseen rows."""
 
     def __init__(self, robot: Robot, options: DiagnoseOptions) -> None:
         self.robot, self.options = robot, options
@@ -107,24 +109,21 @@ class _Rest:
         """Rows of a table as a problem."""
         return build_problem(self.robot, rest_rows(table, self.options.efficiency), self.knowledge)
 
-    def result(self, table: Table) -> Result:
-        """The whole diagnosis."""
+    def search(self, table: Table) -> Found:
+        """Fit the hypotheses, with commissioning mistakes undone where that is what the data ask for."""
         found = self._searched(table, (), 0.0)
         mistakes: tuple[Mistake, ...] = ()
         gained = 0.0
         if suspicious(found.search.problem, found.chosen):
             mistakes, gained = find_mistakes(table, self.problem, self.options.allowed)
         if mistakes:
-            undone = table
-            for mistake in mistakes:
-                undone = mistake.undo(undone)
-            other = self._searched(undone, mistakes, gained)
+            other = self._searched(table, mistakes, gained)
             if other.score > found.score:
                 found = other
-        return self._reported(found, table)
+        return found
 
-    def _searched(self, table: Table, mistakes: tuple[Mistake, ...], gained: float) -> _Found:
-        problem = self.problem(table)
+    def _searched(self, table: Table, mistakes: tuple[Mistake, ...], gained: float) -> Found:
+        problem = self.problem(_undone(table, mistakes))
         noise = first_noise(problem)
         plain = fit(problem, (), noise)
         bodies = problem.model.bodies(plain.setting, plain.links, visit_loads(problem, plain.loads))
@@ -132,15 +131,12 @@ class _Rest:
         setup = Setup(tuple(self.options.gear_ratio), bool(self.options.known), torque)
         named = [term for term in named_terms(problem.rows, setup) if term.name in self.options.allowed]
         search = Search(problem, tuple(named), tuple(unnamed_terms(problem.rows, setup)), noise)
-        return _Found(search, run(search), mistakes, gained, table)
+        return Found(table, search, run(search), mistakes, gained)
 
-    def _held(self, found: _Found) -> Held | None:
-        holdout = self.options.holdout
+    def _held(self, found: Found, holdout: Table | None) -> Held | None:
         if holdout is None or holdout.moving.all():
             return None
-        holdout = holdout.take(~holdout.moving)
-        for mistake in found.mistakes:
-            holdout = mistake.undo(holdout)
+        holdout = _undone(holdout.take(~holdout.moving), found.mistakes)
         seen = found.search.problem.rows
         unseen = rest_rows(holdout, self.options.efficiency)
         unseen = unseen.take(np.isin(unseen.load, [*seen.load, BARE_LABEL]))
@@ -151,18 +147,19 @@ class _Rest:
         visit = np.concatenate([visit[both.use_sum], visit[both.use_difference]])
         return Held(both, visit >= len(seen))
 
-    def _before(self, decision: Decision, judge: Judge, found: _Found, table: Table) -> FitSummary:
+    def _before(self, decision: Decision, judge: Judge, found: Found) -> FitSummary:
         """What the model without effects says of the data as they were read."""
         if not found.mistakes:
             return summary(judge.problem, decision.before, judge, self.robot)
-        problem = self.problem(table)
+        problem = self.problem(found.table)
         return summary(problem, fit(problem, (), first_noise(problem)), Judge(problem, None), self.robot)
 
-    def _reported(self, found: _Found, table: Table) -> Result:
+    def report(self, found: Found, holdout: Table | None = None, kind: str = "given") -> Result:
+        """Verdict and figures of a search; `holdout` are rows that no fit has seen, `kind` where they come from."""
         search, problem = found.search, found.search.problem
         decision = decide(search, found.chosen)
-        held = self._held(found)
-        decision, findings = self._confirmed(decision, held, found)
+        held = self._held(found, holdout)
+        decision, findings = self._confirmed(decision, held)
         judge = Judge(problem, held)
         effects = [entry for mistake in found.mistakes for entry in mistake_effect(mistake, found.gained)]
         effects += proven(search, decision, judge)
@@ -180,9 +177,9 @@ class _Rest:
             loads=after.loads,
             verdict=verdict,
             effects=tuple(effects),
-            before=self._before(decision, judge, found, table),
+            before=self._before(decision, judge, found),
             after=after,
-            holdout_kind="blocks" if held is None else self.options.holdout_kind,
+            holdout_kind="blocks" if held is None else kind,
             noise_floor_nm=floor,
             friction_band_nm=band,
             rejected=tuple(rejected(search, decision)),
@@ -198,7 +195,7 @@ class _Rest:
             rows=rows_of(problem, decision.after),
         )
 
-    def _confirmed(self, decision: Decision, held: Held | None, found: _Found) -> tuple[Decision, list[Finding]]:
+    def _confirmed(self, decision: Decision, held: Held | None) -> tuple[Decision, list[Finding]]:
         """The decision in the light of rows that no fit has seen."""
         if held is None:
             return decision, []
@@ -215,6 +212,12 @@ class _Rest:
             "measure them into the data and diagnose again",
         )
         return replace(decision, verdict=verdict), [finding]
+
+
+def _undone(table: Table, mistakes: tuple[Mistake, ...]) -> Table:
+    for mistake in mistakes:
+        table = mistake.undo(table)
+    return table
 
 
 def _inertials(robot: Robot, given: str | None) -> str:

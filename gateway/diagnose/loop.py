@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.entry import diagnose
+from gateway.diagnose.entry import RestDiagnosis
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.model.robot import Robot
 from gateway.result import Result
@@ -40,16 +39,20 @@ def close_loop(
     -------
     the result, and all visits that were fitted
     """
+    rest = RestDiagnosis(robot, options)
+    table = table.take(~table.moving)
+    found = rest.search(table)
+    result = rest.report(found)
     for _ in range(ROUNDS):
-        result = diagnose(table, robot, replace(options, holdout=None))
         poses = next_poses(result)
         if not len(poses):
             break
         table = concatenate([table, measure(poses)])
-    if not len(validation_rad):
-        return diagnose(table, robot, replace(options, holdout=None)), table
-    fresh = measure(np.asarray(validation_rad, dtype=float))
-    return diagnose(table, robot, replace(options, holdout=fresh, holdout_kind="fresh")), table
+        found = rest.search(table)
+        result = rest.report(found)
+    if len(validation_rad):
+        result = rest.report(found, measure(np.asarray(validation_rad, dtype=float)), "fresh")
+    return result, table
 
 
 def next_poses(result: Result) -> Floats:

@@ -85,11 +85,15 @@ def candidates(measured: NDArray[np.bool_]) -> Iterator[Mistake]:
 def plain_score(problem: Problem, rows_scale: float) -> tuple[float, Fit]:
     """Evidence of the model without effects, less what a friction band below zero costs."""
     result = fit(problem, (), first_noise(problem), steps=3)
+    return result.evidence + band_signs(problem, result) + rows_scale, result
+
+
+def band_signs(problem: Problem, result: Fit) -> float:
+    """Log probability that every friction band of a fit is positive."""
     at = problem.n_common - 6
     band_std = np.sqrt(np.maximum(np.diag(result.covariance)[at : at + 6], 1e-30))
     seen = np.bincount(problem.group, minlength=18)[6:12] > 0
-    signs = float(np.sum(norm.logcdf(result.band[seen] / band_std[seen])))
-    return result.evidence + signs + rows_scale, result
+    return float(np.sum(norm.logcdf(result.band[seen] / band_std[seen])))
 
 
 def suspicious(problem: Problem, plain: Fit) -> bool:

@@ -96,7 +96,7 @@ def figures(cells: list[Cell]) -> dict[str, dict]:
         "goal": "0.92 .. 0.98",
         "met": 0.92 <= value <= 0.98,
     }
-    times = [c["first_s"] for c in cells]
+    times = [c["first_s"] for c in cells if np.isfinite(c["first_s"])]
     out["time of diagnose, all candidates"] = {
         "value": float(np.percentile(times, 95)),
         "interval": [float(np.median(times)), float(np.max(times))],

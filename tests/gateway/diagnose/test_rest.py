@@ -1,0 +1,257 @@
+"""Diagnosis of rest visits of simulated arms with a known effect, and of bad input."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gateway.diagnose import DiagnoseOptions, close_loop, diagnose, next_poses
+from gateway.errors import ConfigError, InputError
+from gateway.model.robot import Robot, robot_from_urdf
+from gateway.result import Result, from_json, to_json
+from gateway.table import Table, concatenate
+from sim.draw import Arm, choose_poses, draw_arm
+from sim.effects import apply_effects
+from sim.offline import Protocol, Visit, measure, point_jacobian
+
+STEP_S = 25.0
+
+
+class Bench:
+    """An arm with effects built in, and the poses it is measured at."""
+
+    def __init__(self, seed: int, effects: list[dict], poses: int = 10) -> None:
+        rng = np.random.default_rng([seed, 99])
+        self.arm: Arm = draw_arm(rng)
+        self.plant = apply_effects(self.arm.plant, effects, point_jacobian(self.arm.chain))
+        self.poses = choose_poses(self.arm, poses, rng)
+        self.robot: Robot = robot_from_urdf(self.arm.urdf, "drawn")
+        self.seed, self.now_s, self.next_pose = seed, 0.0, 100
+        self.options = DiagnoseOptions(efficiency=self.arm.efficiency, gear_ratio=self.arm.gear_ratio)
+
+    def table(self, poses: np.ndarray, load: str, first: int = 0, protocol: Protocol | None = None) -> Table:
+        visits = []
+        for k, q in enumerate(poses):
+            visits.append(Visit(first + k, load, self.now_s, q))
+            self.now_s += STEP_S
+        self.now_s += 60.0
+        rng = np.random.default_rng([self.seed, int(self.now_s)])
+        columns = measure(self.arm.chain, self.plant, visits, self.arm.loads, protocol or self.arm.protocol, rng)
+        return table_of(columns)
+
+    def both(self) -> Table:
+        return concatenate([self.table(self.poses, "none"), self.table(self.poses, "tool")])
+
+    def more(self, poses: np.ndarray) -> Table:
+        self.next_pose += len(poses)
+        return self.table(poses, "tool", self.next_pose)
+
+
+def table_of(columns: dict) -> Table:
+    n = len(columns["pose"])
+    return Table(
+        file=("bench",) * n,
+        line=np.arange(n),
+        run=np.full(n, "bench"),
+        load=np.array(columns["load"]),
+        pose=columns["pose"].astype(int),
+        time_s=columns["time_s"].astype(float),
+        q_rad=columns["q_rad"],
+        qd_rad_s=np.zeros((n, 6)),
+        qdd_rad_s2=np.zeros((n, 6)),
+        moving=np.zeros(n, dtype=bool),
+        direction=columns["dir"].astype(np.int8),
+        tau_nm=columns["tau_nm"],
+        tau_std_nm=columns["tau_std_nm"],
+        count=columns["n"].astype(int),
+        q2nd_rad=columns["q2nd_rad"],
+        temperature_c=columns["temp_c"],
+        motor_torque_nm=np.full((n, 6), np.nan),
+        extra={},
+    )
+
+
+def effect(name: str, joints: list[int], **parameters: object) -> dict:
+    return {"name": name, "joints": joints, "parameters": parameters}
+
+
+def found(result: Result) -> list[tuple[str, tuple[int, ...]]]:
+    return [(entry.name, entry.joints) for entry in result.effects]
+
+
+@pytest.fixture(scope="module")
+def clean() -> tuple[Bench, Table, Result]:
+    bench = Bench(1, [])
+    table = bench.both()
+    return bench, table, diagnose(table, bench.robot, bench.options)
+
+
+def test_nothing_is_missing(clean):
+    bench, _, result = clean
+    assert result.verdict == "none_needed"
+    assert result.effects == ()
+    assert not result.failed
+    assert result.holdout_kind == "blocks"
+    assert {entry.name for entry in result.rejected} >= {"base_tilt", "balancer_spring", "axis_coupling", "link_mass"}
+    np.testing.assert_allclose(result.noise_floor_nm, bench.arm.floor_nm, rtol=0.6)
+    tool, load = bench.arm.loads["tool"], result.loads[0]
+    assert load.com_m is not None
+    assert load.com_std_m is not None
+    assert abs(load.mass_kg - tool.mass_kg) < 4 * load.mass_std_kg
+    assert np.all(np.abs(np.array(load.com_m) - tool.com_m) < 4 * np.array(load.com_std_m))
+    assert from_json(to_json(result)).verdict == "none_needed"
+
+
+LIBRARY = [
+    effect("balancer_spring", [2], stiffness_n_m=2e4, lever_m=0.2, anchor_m=0.5, free_length_m=0.2),
+    effect("load_dependent_friction", [3], coefficient=0.15),
+    effect("axis_coupling", [5, 6], coefficient=0.8),
+    effect("base_tilt", [], tilt_x_rad=0.05, tilt_y_rad=0.03),
+    effect("joint_zero_offset", [3], offset_rad=0.06),
+    effect("torque_constant_scale", [2], scale=0.85),
+]
+
+
+@pytest.mark.parametrize("hidden", LIBRARY, ids=lambda value: value["name"])
+def test_one_effect_is_named_with_its_axis(hidden):
+    bench = Bench(4, [hidden])
+    result, _ = close_loop(bench.both(), bench.robot, bench.options, bench.more, bench.poses[:3] + 0.2)
+    assert found(result) == [(hidden["name"], tuple(hidden["joints"]))]
+    assert result.verdict == "explained"
+    assert result.holdout_kind == "fresh"
+    evidence = result.effects[0].evidence
+    assert evidence.p_value < 1e-3
+    assert evidence.odds > 20
+    assert result.after.loads == result.loads
+    for key in ("coefficient", "tilt_x_rad", "offset_rad", "scale"):
+        if key in hidden["parameters"] and key in result.effects[0].parameters:
+            entry = result.effects[0]
+            assert abs(entry.parameters[key] - hidden["parameters"][key]) < 5 * entry.std[key]
+
+
+def test_two_effects_are_both_named():
+    hidden = [
+        effect("base_tilt", [], tilt_x_rad=0.06, tilt_y_rad=0.0),
+        effect("load_dependent_friction", [3], coefficient=0.2),
+    ]
+    bench = Bench(6, hidden)
+    result = diagnose(bench.both(), bench.robot, bench.options)
+    assert sorted(found(result)) == [("base_tilt", ()), ("load_dependent_friction", (3,))]
+
+
+@pytest.mark.parametrize(
+    "mistake",
+    [
+        effect("sign_reversed", [1]),
+        effect("sign_reversed", [3]),
+        effect("axes_swapped", [2, 3]),
+        effect("current_rms_peak", [2]),
+    ],
+    ids=lambda value: f"{value['name']}{value['joints']}",
+)
+def test_commissioning_mistake_fails_and_is_undone(mistake):
+    bench = Bench(8, [mistake])
+    result = diagnose(bench.both(), bench.robot, bench.options)
+    assert found(result) == [(mistake["name"], tuple(mistake["joints"]))]
+    assert result.failed
+    assert result.loads[0].mass_kg == pytest.approx(bench.arm.loads["tool"].mass_kg, rel=0.1)
+    assert np.nanmax(np.array(result.before.rms_nm) / np.array(result.after.rms_nm)) > 1.3
+
+
+def test_a_mechanism_without_a_name_is_not_given_one():
+    bench = Bench(3, [effect("linkage_spring", [3], stiffness_nm=120.0, phase_rad=0.4)])
+    result = diagnose(bench.both(), bench.robot, bench.options)
+    assert result.verdict in ("unexplained", "improved")
+
+
+def test_four_poses_are_enough_for_a_strong_effect():
+    bench = Bench(4, [LIBRARY[0]], poses=4)
+    result, _ = close_loop(bench.both(), bench.robot, bench.options, bench.more, bench.poses[:2] + 0.2)
+    assert found(result) == [("balancer_spring", (2,))]
+
+
+def test_three_poses_are_not():
+    bench = Bench(4, [LIBRARY[0]], poses=3)
+    result = diagnose(bench.both(), bench.robot, bench.options)
+    assert result.verdict == "undecided"
+    assert result.effects == ()
+    assert result.next
+    assert any("hold out" in finding.what for finding in result.findings)
+
+
+def test_rivals_are_named_with_poses_that_tell_them_apart():
+    bench = Bench(4, [effect("cable_torque", [6], stiffness_nm_rad=0.4)], poses=5)
+    result = diagnose(bench.both(), bench.robot, bench.options)
+    poses = next_poses(result)
+    if result.verdict == "undecided":
+        assert len(result.effects) > 1
+        assert result.next
+    assert poses.shape[1] == 6
+
+
+def test_given_holdout_judges(clean):
+    bench, table, _ = clean
+    held = table.pose >= 7
+    result = diagnose(table.take(~held), bench.robot, replace(bench.options, holdout=table.take(held)))
+    assert result.holdout_kind == "given"
+    ratio = np.array(result.after.holdout_rms_nm) / bench.arm.floor_nm
+    assert np.sqrt(np.mean(ratio**2)) < 1.6
+
+
+def test_effects_can_be_excluded_and_forced(clean):
+    bench = Bench(4, [LIBRARY[5]])
+    table = bench.both()
+    without = diagnose(table, bench.robot, replace(bench.options, without=frozenset({"torque_constant_scale"})))
+    assert "torque_constant_scale" not in [name for name, _ in found(without)]
+    only = diagnose(table, bench.robot, replace(bench.options, only=frozenset({"torque_constant_scale"})))
+    assert found(only) == [("torque_constant_scale", (2,))]
+    assert {entry.name for entry in only.rejected} <= {"torque_constant_scale"}
+
+
+def test_common_scale_needs_a_known_mass():
+    bench = Bench(5, [effect("torque_constant_scale", [], scale=1.15)])
+    tool = bench.arm.loads["tool"]
+    known = {"tool": (tool.mass_kg, *(float(v) for v in tool.com_m))}
+    result = diagnose(bench.both(), bench.robot, replace(bench.options, known=known))
+    assert found(result) == [("torque_constant_scale", ())]
+    assert result.effects[0].parameters["scale"] == pytest.approx(1.15, rel=0.03)
+
+
+def test_one_sided_visits_show_the_friction_by_direction():
+    bench = Bench(9, [])
+    table = bench.both()
+    rng = np.random.default_rng(0)
+    pick = np.arange(0, len(table.pose), 2) + rng.integers(0, 2, len(table.pose) // 2)
+    result = diagnose(table.take(pick), bench.robot, bench.options)
+    assert {name for name, _ in found(result)} <= {"static_friction"}
+    for entry in result.effects:
+        axis = entry.joints[0] - 1
+        assert entry.parameters["bias_nm"] == pytest.approx(bench.arm.plant.coulomb_nm[axis] * 0.85, rel=0.35)
+
+
+def test_unknown_load_and_inertials_are_refused(clean):
+    bench, table, _ = clean
+    with pytest.raises(InputError, match="ghost"):
+        diagnose(table, bench.robot, replace(bench.options, known={"ghost": (1.0, 0.0, 0.0, 0.0)}))
+    with pytest.raises(ConfigError, match="inertials"):
+        diagnose(table, bench.robot, replace(bench.options, inertials="perhaps"))
+
+
+def test_unmeasured_axis_is_unknown_not_zero(clean):
+    bench, table, _ = clean
+    torque = table.tau_nm.copy()
+    torque[:, 3] = np.nan
+    result = diagnose(replace(table, tau_nm=torque), bench.robot, bench.options)
+    assert np.isnan(result.after.rms_nm[3])
+    assert np.isnan(result.noise_floor_nm[3])
+    assert np.isfinite(np.delete(result.after.rms_nm, 3)).all()
+    assert result.verdict == "none_needed"
+
+
+def test_bare_run_alone_is_judged(clean):
+    bench, table, _ = clean
+    result = diagnose(table.take(table.load == "none"), bench.robot, bench.options)
+    assert result.verdict == "none_needed"
+    assert result.loads == ()
