@@ -127,21 +127,22 @@ def comparison(result: dict[str, Any]) -> list[str]:
         true = known.get(load["label"])
         if true is None or load.get("mass_kg") is None:
             continue
-        rows = [("mass [kg]", true["mass_kg"], load["mass_kg"], load["mass_std_kg"])]
+        rows = [("mass [kg]", 1.0, true["mass_kg"], load["mass_kg"], load["mass_std_kg"])]
         for axis, was, is_, std in zip("xyz", true["com_m"], load["com_m"], load["com_std_m"], strict=True):
-            rows.append((f"com {axis} [mm]", *(None if value is None else 1e3 * value for value in (was, is_, std))))
-        for name, was, is_, std in rows:
-            if is_ is None or std is None:
-                lines.append(f"{load['label'] + ' ' + name:16}{was:10.2f}{'not identifiable':>20}")
-            else:
-                share = (is_ - was) / std if std else 0.0
-                lines.append(
-                    f"{load['label'] + ' ' + name:16}{was:10.2f}{is_:10.2f}{is_ - was:9.2f}{std:8.2f}{share:11.2f}"
-                )
+            rows.append((f"com {axis} [mm]", 1e3, was, is_, std))
+        lines += [_row(f"{load['label']} {name}", *figures) for name, *figures in rows]
     named = ", ".join(str(effect["name"]) for effect in result["truth"]["effects"]) or "none"
     found = ", ".join(str(effect["name"]) for effect in result.get("effects", [])) or "none"
     lines.append(f"undeclared effects: {named}; found: {found}; verdict: {result.get('verdict')}")
     return lines
+
+
+def _row(name: str, factor: float, true: float, found: float | None, std: float | None) -> str:
+    if found is None or std is None:
+        return f"{name:16}{factor * true:10.2f}{'not identifiable':>20}"
+    error = found - true
+    figures = f"{factor * true:10.2f}{factor * found:10.2f}{factor * error:9.2f}{factor * std:8.2f}"
+    return f"{name:16}{figures}{error / std if std else 0.0:11.2f}"
 
 
 def _print_comparison(result: dict[str, Any]) -> None:

@@ -15,10 +15,10 @@ from canopen.sdo.exceptions import SdoAbortedError
 from sim.cellfile import AxisSpec
 from sim.drive_objects import MODES, fill
 from sim.motion import Motion
+from sim.motor import MotorAxis
 from sim.node import OPERATIONAL, SlaveNode
 from sim.objects import VALUE_RANGE, ObjectStore
 from sim.pdo import DISABLED, EVENT_TYPES, Pdo, due
-from sim.physics import MotorAxis
 from sim.states import Automaton, PdsState
 from sim.units import MAX_TORQUE_PER_MILLE, DriveUnits, Word, drive_units
 
