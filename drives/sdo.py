@@ -115,10 +115,9 @@ class SdoClient:
 
     def ask(self) -> None:
         """Ask for the device type without waiting; `asked` until the answer comes."""
+        question = _Pending(_SCS_UPLOAD, _DEVICE_TYPE, time.monotonic() + self.slow_timeout_s, asked=True)
         with self._pending_lock:
-            self._pending.append(
-                _Pending(_SCS_UPLOAD, _DEVICE_TYPE, time.monotonic() + self.slow_timeout_s, asked=True)
-            )
+            self._pending = [*(pending for pending in self._pending if not pending.asked), question]
         self._bus.send(SDO_REQUEST_BASE + self.node_id, _HEAD.pack(_CCS_UPLOAD, *_DEVICE_TYPE) + bytes(4))
 
     @property
