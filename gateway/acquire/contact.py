@@ -15,10 +15,12 @@ from gateway.errors import LimitExceeded
 #: Jump of the unexplained torque, as a share of the joint's torque limit; friction at a reversal is below half of it.
 #: A gear that turns from driving to driven back adds (1 / eta - eta) of the torque it carries.
 CONTACT_SHARE = 0.25
-#: SYNCs in a row that it has to last.
+#: SYNCs in a row that it has to last, to the same side: set points that come late make the torque swing.
 IN_A_ROW = 3
 #: Time constant of the recent mean.
 MEMORY_S = 0.5
+#: After the brakes open, the drives take over the torque that the brakes have carried; nothing moves yet.
+TAKE_OVER_S = 0.3
 #: Commanded way over which a joint has to move along, and the share of it that it has to go; one that lags at speed and
 #: is turned round has gone less, but stands close to its target then.
 FOLLOW_RAD = 0.04
@@ -42,8 +44,10 @@ class Contact:
         self._share = min(period_s / MEMORY_S, 1.0)
         self._limit = CONTACT_SHARE * workspace.torque_nm
         self._reversal = 1.0 / workspace.efficiency - workspace.efficiency
-        self._mean: np.ndarray | None = None
+        self._mean = np.zeros(6)
+        self._taking_over = int(np.ceil(TAKE_OVER_S / period_s))
         self._count = np.zeros(6, dtype=int)
+        self._side = np.zeros(6)
         self._from: tuple[np.ndarray, np.ndarray] | None = None
 
     def check(self, q_rad: np.ndarray, torque_nm: np.ndarray, modelled_nm: np.ndarray, target_rad: np.ndarray) -> None:
@@ -65,15 +69,20 @@ class Contact:
         """
         self._check_following(q_rad, target_rad)
         unexplained_nm = torque_nm - modelled_nm
-        if self._mean is None:
+        if self._taking_over > 0:
+            self._taking_over -= 1
             self._mean = unexplained_nm
-        jump = np.abs(unexplained_nm - self._mean)
+            return
+        signed = unexplained_nm - self._mean
+        jump = np.abs(signed)
         over = jump > self._limit
         if over.any():
             carried = np.maximum(np.abs(torque_nm), np.abs(modelled_nm + self._mean))
             over = jump > self._limit + self._reversal * carried
         if over.any():
-            self._count = (self._count + 1) * over
+            side = np.sign(signed) * over
+            self._count = np.where(side == self._side, self._count + 1, 1) * over
+            self._side = side
             if self._count.max() >= IN_A_ROW:
                 joint = int(np.argmax(self._count))
                 raise LimitExceeded(
