@@ -159,6 +159,7 @@ class Model:
     def __init__(self, robot: Robot, rows: RestRows, gravity_m_s2: Floats) -> None:
         self.robot, self.rows, self.gravity = robot, rows, np.asarray(gravity_m_s2, dtype=float)
         self.nominal = gravity_regressor(robot, rows.q_rad, self.gravity)
+        self.lossless = bool((rows.efficiency == 1.0).all())
         self._geometry: tuple[bytes, Floats] | None = None
         self._levers: Floats | None = None
         self._bent: tuple[Floats, Floats, Floats] | None = None
@@ -261,13 +262,25 @@ class Model:
         losses = setting.load_friction * np.abs(torque)
         two = self.rows.two_sided[:, None]
         friction = np.where(two, band_nm * setting.band_gain + losses, setting.side_nm + losses)
-        up = self._side(setting, torque, friction, 1.0)
-        down = self._side(setting, torque, friction, -1.0)
+        if self._straight(setting):
+            # the way through the gear and back cancels: each side reads torque and friction as they are
+            middle = (setting.gain * torque + setting.offset_nm) @ setting.coupling.T
+            half = (setting.gain * friction) @ setting.coupling.T
+            up, down = middle + half, middle - half
+        else:
+            up = self._side(setting, torque, friction, 1.0)
+            down = self._side(setting, torque, friction, -1.0)
         half_sum = (up + down) / 2.0
         if not self.rows.two_sided.all():
             single = np.where(self.rows.side > 0, up, np.where(self.rows.side < 0, down, half_sum))
             half_sum = np.where(two, half_sum, single)
         return Prediction(half_sum, np.where(two, (up - down) / 2.0, 0.0), torque)
+
+    def _straight(self, setting: Setting) -> bool:
+        """Whether nothing stands between the gear and the reading that the conversion does not undo."""
+        if setting.gain_per_nm.any():
+            return False
+        return self.lossless or not (setting.offset_nm.any() or np.any(setting.coupling != np.eye(6)))
 
     def _side(self, setting: Setting, torque: Floats, friction: Floats, direction: float) -> Floats:
         eta = self.rows.efficiency
@@ -281,8 +294,7 @@ class Model:
 
     def sum_by_torque(self, setting: Setting, torque: Floats, band_nm: Floats) -> Floats:
         """Derivative (n, 6, 6) of the half sums by the transmitted torque of each axis."""
-        plain = not (setting.load_friction.any() or setting.gain_per_nm.any()) and (self.rows.efficiency == 1.0).all()
-        if plain:
+        if self._straight(setting) and self.rows.two_sided.all():
             return setting.coupling[None] * setting.gain[:, None, :]
         step = 1e-4 * (1.0 + np.abs(torque).max(axis=0))
         out = np.empty((len(torque), 6, 6))

