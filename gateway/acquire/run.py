@@ -11,6 +11,7 @@ import numpy as np
 
 from drives.errors import IncompleteEpochs
 from gateway.acquire.arm import Arm, ArmSample
+from gateway.acquire.contact import TAKE_OVER_S
 from gateway.acquire.events import Event, Listener, PoseDone, Progress, SampleRepeated, Started, VisitDone
 from gateway.acquire.plan import (
     Approach,
@@ -115,6 +116,9 @@ class Run:
     def execute(self) -> None:
         """All steps."""
         self._tell(Started(self.plan.arm, self._load, len(self.plan.visits), self._ends[-1]))
+        rows = int(np.ceil(TAKE_OVER_S / self._period_s))
+        for _ in range(rows):
+            self._stream.hold("open the brakes", 0, rows)
         for number, step in enumerate(self.plan.steps):
             self._step = number
             if isinstance(step, MoveTo):

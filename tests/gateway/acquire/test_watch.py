@@ -100,6 +100,12 @@ def test_reversal_of_a_loaded_gear_is_no_contact(watch, workspace, extra, stops)
     assert at == (102 if stops else -1)
 
 
+def test_torque_that_swings_with_late_set_points_is_no_contact(watch, workspace):
+    swing = 0.6 * workspace.torque_nm[3] * np.tile([1.0, -1.0, -1.0], 40)
+    samples = [sample(k, ZERO, joint(4, value)) for k, value in enumerate(swing)]
+    assert stream(watch, samples, [ZERO] * 120) == -1
+
+
 def test_a_joint_that_is_stuck_is_seen_before_the_following_error(watch, workspace):
     speed = 0.5 * workspace.speed_rad_s[3]
     targets = [joint(4, speed * PERIOD_S * k) for k in range(60)]
