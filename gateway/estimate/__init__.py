@@ -1,0 +1,113 @@
+"""Estimators: measured rows and a robot in, mass and centre of gravity with honest uncertainty out.
+
+To add one: a function `(table, robot, options) -> Estimate` in a file of its own, and a line in `ESTIMATORS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+from gateway.errors import ConfigError, DataUnusable
+from gateway.estimate.advice import next_pose
+from gateway.estimate.coefficient import estimate_coefficient
+from gateway.estimate.difference import estimate_difference
+from gateway.estimate.estimate import Estimate
+from gateway.estimate.handover import to_result
+from gateway.estimate.joint import estimate_joint
+from gateway.estimate.moving import estimate_moving
+from gateway.estimate.options import Coefficient, Options, default_inertials, parse_known
+from gateway.estimate.posture import estimate_posture
+from gateway.model.robot import Robot
+from gateway.model.visits import Visits, pair_visits
+from gateway.result import Finding, Result
+from gateway.rows import Table
+
+__all__ = [
+    "ESTIMATORS",
+    "Coefficient",
+    "Estimate",
+    "Options",
+    "default_inertials",
+    "estimate",
+    "parse_known",
+    "run",
+    "to_result",
+]
+
+Estimator = Callable[[Table, Robot, Options], Estimate]
+
+
+def _of_visits(function: Callable[[Visits, Robot, Options], Estimate]) -> Estimator:
+    def with_table(table: Table, robot: Robot, options: Options) -> Estimate:
+        return function(_visits(table, options), robot, options)
+
+    return with_table
+
+
+def _visits(table: Table, options: Options) -> Visits:
+    visits = pair_visits(table, options.efficiency)
+    if not len(visits):
+        raise DataUnusable("the data hold no rest rows; this method needs poses at rest (column 'pose')")
+    return visits
+
+
+def _joint(table: Table, robot: Robot, options: Options) -> Estimate:
+    """Rest rows where there are any; a run that only moves is fitted as one."""
+    if table.moving.all():
+        return estimate_moving(table, robot, options)
+    at_rest = estimate_joint(_visits(table, options), robot, options)
+    if not table.moving.any():
+        return at_rest
+    note = Finding("info", "moving rows", f"{int(table.moving.sum())} moving rows were left out beside the rest rows")
+    return replace(at_rest, findings=(*at_rest.findings, note))
+
+
+ESTIMATORS: Mapping[str, Estimator] = {
+    "joint": _joint,
+    "difference": _of_visits(estimate_difference),
+    "posture": _of_visits(estimate_posture),
+    "coefficient": estimate_coefficient,
+}
+
+
+def estimate(table: Table, robot: Robot | None, options: Options, method: str = "joint") -> Estimate:
+    """Estimate the loads of a table.
+
+    Parameters
+    ----------
+    table : Table
+    robot : Robot or None
+        Only the coefficient method does without.
+    options : Options
+    method : str
+        A key of `ESTIMATORS`.
+
+    Raises
+    ------
+    ConfigError
+        Unknown method, or no robot model for a method that needs one.
+    InputError, DataUnusable
+        As the method says.
+    """
+    if method not in ESTIMATORS:
+        raise ConfigError(f"--method {method}: choose one of {', '.join(ESTIMATORS)}")
+    if method == "coefficient":
+        return estimate_coefficient(table, robot, options)
+    if robot is None:
+        raise ConfigError(f"--method {method} needs the robot model: give --robot R.urdf or --cell CELL")
+    found = ESTIMATORS[method](table, robot, options)
+    advice = (next_pose(load, robot, found.sigma_nm, options) for load in found.loads)
+    return replace(found, next=tuple(pose for pose in advice if pose is not None))
+
+
+def run(
+    table: Table,
+    robot: Robot | None,
+    options: Options,
+    method: str = "joint",
+    provenance: Mapping[str, Any] | None = None,
+) -> Result:
+    """Estimate and hand over as a result file; same arguments and errors as `estimate`."""
+    return to_result(estimate(table, robot, options, method), robot, options, provenance)

@@ -1,0 +1,89 @@
+"""Which pose to measure next, and what unmeasured axes cost."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.estimate.estimate import LoadEstimate
+from gateway.estimate.options import Options
+from gateway.model.information import payload_information
+from gateway.model.robot import AXES, Robot
+from gateway.result import NextMeasurement
+
+Floats = NDArray[np.float64]
+
+_CANDIDATES = 400
+_SEED = 7
+_UNKNOWN_KG = 1e3
+
+
+def next_pose(load: LoadEstimate, robot: Robot, sigma_nm: Floats, options: Options) -> NextMeasurement | None:
+    """The rest pose that shrinks the uncertainty of a load most, bare and loaded (D-optimal over random postures).
+
+    Parameters
+    ----------
+    load : LoadEstimate
+    robot : Robot
+        Its joint limits bound the postures; keep-out boxes and torque limits are the planner's.
+    sigma_nm : array of shape (6,)
+        Noise floor per axis, NaN = not measured.
+    options : Options
+
+    Returns
+    -------
+    NextMeasurement or None
+        None where nothing is known about the load or no axis tells anything.
+    """
+    now = _with_unknown(load)
+    if now is None or not np.isfinite(sigma_nm).any():
+        return None
+    q = candidates(robot)
+    gain = payload_information(robot, q, sigma_nm, options.gravity_m_s2)
+    size = np.sqrt(np.diag(now))
+    before = np.linalg.inv(now / np.outer(size, size))
+    after = before + gain * np.outer(size, size)
+    value = np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]
+    best = int(np.argmax(value))
+    return NextMeasurement(
+        what=f"measure this pose bare and with load {load.label}, from both sides",
+        poses_rad=(tuple(round(float(angle), 6) for angle in q[best]),),
+        reduction=float(np.exp(-value[best] / 8.0)),
+    )
+
+
+def candidates(robot: Robot) -> Floats:
+    """Postures (n, 6) within the joint limits, the same every time; a joint without limits turns once."""
+    low = np.where(np.isfinite(robot.lower_rad), robot.lower_rad, -np.pi)
+    high = np.where(np.isfinite(robot.upper_rad), robot.upper_rad, np.pi)
+    return np.random.default_rng(_SEED).uniform(low, high, size=(_CANDIDATES, AXES))
+
+
+def _with_unknown(load: LoadEstimate) -> Floats | None:
+    """Covariance (4, 4) of [m, h] with a wide prior on what the data left open."""
+    if load.refused is not None or not np.isfinite(load.covariance).all():
+        return None
+    wide = np.diag([_UNKNOWN_KG, *[0.3 * _UNKNOWN_KG] * 3]) ** 2
+    open_ = np.array([name in load.unidentifiable for name in ("mass_kg", "com_x_m", "com_y_m", "com_z_m")])
+    return load.covariance + np.where(np.outer(open_, open_), wide, 0.0) + 1e-12 * np.eye(4)
+
+
+def cost_of_missing_axes(robot: Robot, q_rad: Floats, sigma_nm: Floats, options: Options) -> float:
+    """Standard deviation of the mass over what all six axes would give; infinite where it is open now.
+
+    Axes that were not measured are taken to be as noisy as the median of the others.
+    """
+    full = np.where(np.isfinite(sigma_nm), sigma_nm, np.nanmedian(sigma_nm))
+    now, then = (
+        payload_information(robot, q_rad, sigma, options.gravity_m_s2).sum(axis=0) for sigma in (sigma_nm, full)
+    )
+    return float(np.sqrt(_mass_variance(now) / _mass_variance(then)))
+
+
+def _mass_variance(information: Floats) -> float:
+    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    values, vectors = np.linalg.eigh(information / np.outer(size, size))
+    keep = values > 1e-9 * values[-1]
+    if (np.abs(vectors[0, ~keep]) > 1e-6).any():
+        return np.inf
+    return float(np.sum(vectors[0, keep] ** 2 / values[keep])) / size[0] ** 2

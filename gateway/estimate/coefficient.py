@@ -1,0 +1,195 @@
+"""Mass from one axis and a known lever, pose by pose: `m = N eta (tau_m,loaded - tau_m,bare) / (g k)`.
+
+The ten-pose coefficient method of the paper on static load identification of the QH165 from servo output torque, eq.
+(9); the paper takes g = 9.81 m/s2, here it is 9.80665. Only the mass comes out. Data that no body can have produced are
+refused: torque beyond the rated one at rest, a torque that rises where the lever demands a fall, masses that disagree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from gateway.errors import DataUnusable, InputError
+from gateway.estimate.consistency import describe_masses, disagree
+from gateway.estimate.estimate import LOAD_PARTS, Estimate, LoadEstimate, refused_load
+from gateway.estimate.options import BARE_LABEL, Coefficient, Options
+from gateway.model.robot import Robot
+from gateway.result import Finding
+from gateway.rows import Table
+
+Floats = NDArray[np.float64]
+
+STANDARD_GRAVITY_M_S2 = 9.80665
+_SHORT = 0.05
+_NORMAL = 1.959963984540054
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pose:
+    """One pose of one load: motor torque behind the gear over the ratio [Nm], as measured [Nm], and lever [m]."""
+
+    pose: int
+    behind_nm: float
+    motor_nm: float
+    lever_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Case:
+    """A load to judge: its label, the mass of the reference, and its own mass where that is stated."""
+
+    label: str
+    reference_kg: float
+    stated_kg: float | None
+
+
+def estimate_coefficient(table: Table, robot: Robot | None, options: Options) -> Estimate:
+    """Estimate the mass of every unknown load by the coefficient method.
+
+    Parameters
+    ----------
+    table : Table
+        Rest rows with the lever in its extra column and motor torque (or joint torque) of the axis.
+    robot : Robot or None
+        Not used: the lever replaces the geometry.
+    options : Options
+        With `coefficient`.
+
+    Raises
+    ------
+    InputError
+        No such column, or a known load that is not in the data.
+    DataUnusable
+        The axis was not measured, no reference, or no common pose.
+    """
+    del robot
+    how = options.coefficient
+    if how is None:
+        raise InputError("the coefficient method needs --axis, --lever, --gear-ratio and --gear-efficiency")
+    rest = table.take(~table.moving)
+    if how.lever not in rest.extra:
+        have = ", ".join(rest.extra) or "none"
+        raise InputError(f"--lever {how.lever}: no such column in the data; extra columns there: {have}")
+    labels = list(dict.fromkeys(str(label) for label in rest.load))
+    for label in options.known:
+        if label not in labels:
+            raise InputError(f"--known {label}: no row carries this load; the data hold {', '.join(labels)}")
+    masses = {BARE_LABEL: 0.0} | {label: value[0] for label, value in options.known.items()}
+    reference_label = next((label for label in masses if label in labels), None)
+    if reference_label is None:
+        raise DataUnusable("the coefficient method needs rows without load (load 'none') or with a known one")
+    reference = {item.pose: item for item in _poses(rest, how, reference_label)}
+    loads, findings = [], []
+    for label in labels:
+        if label == reference_label:
+            continue
+        case = _Case(label, masses[reference_label], masses.get(label))
+        load, finding = _one(_poses(rest, how, label), reference, how, case)
+        loads += [load] if case.stated_kg is None or load.refused else []
+        findings += finding
+    if not loads:
+        raise DataUnusable("every load in the data is known: there is nothing to estimate")
+    findings.append(
+        Finding(
+            "info", f"J{how.joint}",
+            f"the mass is as right as the lever column {how.lever}: an error of the lever is not in the uncertainty",
+        )
+    )  # fmt: skip
+    return Estimate(method="coefficient", loads=tuple(loads), findings=tuple(findings))
+
+
+def _poses(rest: Table, how: Coefficient, label: str) -> list[_Pose]:
+    """Every pose of one load, both sides of a visit averaged behind the gear."""
+    axis = how.joint - 1
+    here = rest.take(np.asarray(rest.load) == label)
+    motor = here.motor_torque_nm[:, axis]
+    motor = np.where(np.isfinite(motor), motor, here.tau_nm[:, axis] / how.gear_ratio)
+    side = np.sign(motor * here.direction[:, axis])
+    behind = motor * np.where(side < 0, 1.0 / how.gear_efficiency, how.gear_efficiency)
+    out = []
+    for pose in np.unique(here.pose):
+        rows = (here.pose == pose) & np.isfinite(motor)
+        if not rows.any():
+            continue
+        lever = float(here.extra[how.lever][rows].mean())
+        out.append(_Pose(int(pose), float(behind[rows].mean()), float(motor[rows].mean()), lever))
+    if not out:
+        raise DataUnusable(f"load '{label}': axis J{how.joint} has neither motor torque nor joint torque in the data")
+    return out
+
+
+def _one(
+    poses: list[_Pose], reference: dict[int, _Pose], how: Coefficient, case: _Case
+) -> tuple[LoadEstimate, list[Finding]]:
+    common = [item for item in poses if item.pose in reference]
+    usable = [item for item in common if np.isfinite(item.lever_m) and abs(item.lever_m) > _SHORT]
+    if not usable:
+        raise DataUnusable(
+            f"load '{case.label}' shares no pose with the reference in which the lever is longer than {_SHORT} m"
+        )
+    change = np.array([item.behind_nm - reference[item.pose].behind_nm for item in usable])
+    lever = np.array([item.lever_m for item in usable])
+    mass = case.reference_kg + how.gear_ratio * change / (STANDARD_GRAVITY_M_S2 * lever)
+    per_pose = {str(item.pose): float(value) for item, value in zip(usable, mass, strict=True)}
+    doubts = _doubts(common, how) + _disagreements(usable, mass, case)
+    if doubts and (disagree(mass.tolist()) or len(doubts) > 1):
+        return refused_load(case.label, "its rows contradict each other: " + "; ".join(doubts), per_pose), []
+    findings = [Finding("warn", f"load {case.label}", text, "check the units and the run") for text in doubts]
+    return _load(case.label, mass, per_pose), findings
+
+
+def _load(label: str, mass: Floats, per_pose: dict[str, float]) -> LoadEstimate:
+    """Mean over the poses, as the paper takes it; its standard deviation from their scatter (Student's t)."""
+    n, wide = len(mass), np.nan
+    if n > 1:
+        wide = float(mass.std(ddof=1) / np.sqrt(n) * stdtrit(n - 1, 0.975)) / _NORMAL
+    nothing, square = np.full(3, np.nan), np.full((4, 4), np.nan)
+    correlation = square.copy()
+    correlation[0, 0] = 1.0
+    return LoadEstimate(
+        label, float(mass.mean()), wide, nothing, nothing, correlation, square, LOAD_PARTS[1:], per_pose
+    )
+
+
+def _doubts(common: list[_Pose], how: Coefficient) -> list[str]:
+    """Torques that the motor cannot hold at rest."""
+    if how.rated_torque_nm is None:
+        return []
+    over = [item.pose for item in common if abs(item.motor_nm) > how.rated_torque_nm]
+    if not over:
+        return []
+    return [
+        f"{len(over)} of {len(common)} motor torques exceed the rated {how.rated_torque_nm:g} Nm (poses {_names(over)})"
+    ]
+
+
+def _disagreements(usable: list[_Pose], mass: Floats, case: _Case) -> list[str]:
+    """Signs and masses that do not belong to one body."""
+    out = []
+    negative = [item.pose for item, value in zip(usable, mass, strict=True) if value < case.reference_kg]
+    positive = [item.pose for item in usable if item.pose not in negative]
+    against = negative if len(positive) >= len(negative) else positive
+    if against:
+        out.append(f"in poses {_names(against)} the torque changes against the sign of the lever")
+    if disagree(mass.tolist()):
+        per_pose = dict(zip((str(item.pose) for item in usable), mass.tolist(), strict=True))
+        out.append(
+            f"the poses alone would give {describe_masses(per_pose)}, and no mass fits more than"
+            f" {_largest_agreement(mass)} of {len(mass)} poses within 10 %"
+        )
+    if case.stated_kg is not None and not (np.abs(mass - case.stated_kg) <= 0.2 * case.stated_kg).any():
+        out.append(f"no pose comes near the stated {case.stated_kg:g} kg")
+    return out
+
+
+def _largest_agreement(mass: Floats) -> int:
+    """How many poses agree within 10 % of some mass."""
+    return max(int((np.abs(mass - value) <= 0.1 * abs(value)).sum()) for value in mass)
+
+
+def _names(poses: list[int]) -> str:
+    return ", ".join(str(pose) for pose in poses)

@@ -1,0 +1,67 @@
+"""Whether an estimate can be a body at all: agreement of the poses, positive mass, centre of mass within reach."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from gateway.estimate.estimate import LoadEstimate
+from gateway.model.robot import Robot
+from gateway.result import Finding
+
+#: Residual over the noise of other rows above which a load's data are refused.
+CONTRADICTS = 5.0
+_FAR = 0.5
+_SHARE = 0.2
+_HULL_SHARE = 0.4
+
+
+def disagree(masses_kg: Sequence[float]) -> bool:
+    """Whether a fifth of the poses (two at least) give a mass that is half the median or more away from it."""
+    values = np.asarray(masses_kg, dtype=float)
+    if len(values) < 3:
+        return False
+    middle = float(np.median(values))
+    far = int((np.abs(values - middle) > _FAR * abs(middle)).sum())
+    return far >= max(2, int(np.ceil(_SHARE * len(values))))
+
+
+def describe_masses(masses_kg: Mapping[str, float]) -> str:
+    """Range of the masses that single poses give, in words."""
+    values = np.array(list(masses_kg.values()))
+    return f"{values.min():.3g} to {values.max():.3g} kg (median {np.median(values):.3g})"
+
+
+def reach_m(robot: Robot) -> float:
+    """Sum of the steps from joint to joint [m]."""
+    return float(np.linalg.norm(robot.placement[1:, :3, 3], axis=1).sum())
+
+
+def hull_radius_m(robot: Robot, given_m: float | None) -> float:
+    """Distance from link_6 within which a load's centre of mass is expected [m]."""
+    return max(_HULL_SHARE * reach_m(robot), 0.1) if given_m is None else given_m
+
+
+def physical_findings(load: LoadEstimate, radius_m: float) -> list[Finding]:
+    """What is physically doubtful about a load; nothing is clamped."""
+    where, out = f"load {load.label}", []
+    if np.isfinite(load.mass_kg) and load.mass_kg <= 0:
+        out.append(
+            Finding("warn", where, f"the mass comes out as {load.mass_kg:.3g} kg, which no body has",
+                    "check signs and torque constants, and whether the model lacks an effect (diagnose)")
+        )  # fmt: skip
+    elif np.isfinite(load.mass_kg) and load.mass_kg < 1.96 * load.mass_std_kg:
+        out.append(
+            Finding("info", where, "the mass cannot be told from zero", "measure more poses, or from both sides")
+        )
+    distance = float(np.linalg.norm(load.com_m))
+    slack = 1.96 * float(np.linalg.norm(load.com_std_m)) if np.isfinite(load.com_std_m).all() else 0.0
+    if np.isfinite(distance) and distance > radius_m:
+        sure = "" if distance - slack > radius_m else ", though within its uncertainty it may lie inside"
+        out.append(
+            Finding("warn", where,
+                    f"centre of mass lies {distance:.2f} m from link_6, outside a sphere of {radius_m:.2f} m{sure}",
+                    "not believable for a tool: the model may lack an effect (diagnose)")
+        )  # fmt: skip
+    return out

@@ -1,0 +1,177 @@
+"""From an estimate to the result file, with what the reader has to know beside the numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.estimate.advice import cost_of_missing_axes
+from gateway.estimate.consistency import hull_radius_m, physical_findings
+from gateway.estimate.estimate import Estimate, FittedRows, LoadEstimate
+from gateway.estimate.options import Options
+from gateway.model.robot import AXES, Robot
+from gateway.result import Finding, FitSummary, LoadResult, Parameter, Result, Rows
+
+Floats = NDArray[np.float64]
+
+_MOST_ROWS = 2000
+
+
+def to_result(
+    estimate: Estimate, robot: Robot | None, options: Options, provenance: Mapping[str, Any] | None = None
+) -> Result:
+    """The result file of an estimate.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    robot : Robot or None
+        Gives the flange, the name and the hull a centre of mass is expected in.
+    options : Options
+    provenance : mapping, optional
+        Where data and constants come from.
+    """
+    loads = tuple(load_result(load, robot) for load in estimate.loads)
+    rms = np.full(AXES, np.nan) if estimate.rows is None else estimate.rows.rms_nm
+    summary = FitSummary(rms_nm=_numbers(rms), loads=loads)
+    quality = {
+        "method": estimate.method,
+        "rank": estimate.rank,
+        "condition": estimate.condition,
+        "lumped": estimate.lumped,
+    }
+    return Result(
+        robot="" if robot is None else robot.name,
+        loads=loads,
+        before=summary,
+        after=summary,
+        noise_floor_nm=_numbers(estimate.sigma_nm),
+        friction_band_nm=_numbers(estimate.band_nm),
+        next=estimate.next,
+        findings=(*estimate.findings, *_findings(estimate, robot, options)),
+        provenance=dict(provenance or {}),
+        method=estimate.method,
+        parameters=tuple(
+            Parameter(name, float(value), float(std), unit)
+            for name, value, std, unit in zip(estimate.names, estimate.value, estimate.std, estimate.units, strict=True)
+        ),
+        quality=quality | dict(estimate.quality),
+        rows=None if estimate.rows is None else _rows(estimate.rows),
+        bare=estimate.bare,
+    )
+
+
+def load_result(load: LoadEstimate, robot: Robot | None) -> LoadResult:
+    """One load as the file has it; the flange's frame where the robot model gives the flange."""
+    known = np.isfinite(load.com_m)
+    flange = None if robot is None else robot.flange
+    return LoadResult(
+        label=load.label,
+        mass_kg=float(load.mass_kg),
+        mass_std_kg=float(load.mass_std_kg),
+        com_m=_numbers(load.com_m) if known.any() else None,
+        com_std_m=_numbers(load.com_std_m) if known.any() else None,
+        com_flange_m=None if flange is None or not known.all() else _numbers(in_flange(load.com_m, flange)),
+        correlation=None if load.refused else tuple(_numbers(row) for row in load.correlation),
+        unidentifiable=load.unidentifiable,
+        per_pose_mass_kg=dict(load.per_pose_mass_kg),
+        refused=load.refused,
+    )
+
+
+def in_flange(point_m: Floats, flange: Floats) -> Floats:
+    """A point (3,) of link_6 in the frame of the flange, whose pose in link_6 is (4, 4)."""
+    return flange[:3, :3].T @ (point_m - flange[:3, 3])
+
+
+def _findings(estimate: Estimate, robot: Robot | None, options: Options) -> list[Finding]:
+    out: list[Finding] = []
+    for load in estimate.loads:
+        where = f"load {load.label}"
+        if load.refused is not None:
+            out.append(Finding("fail", where, f"refused: {load.refused}", "check units, signs and labels of its rows"))
+            continue
+        if load.unidentifiable and estimate.method != "coefficient":
+            out.append(Finding("warn", where, _why_open(estimate, load), _what_to_do(estimate)))
+        if robot is not None:
+            out += physical_findings(load, hull_radius_m(robot, options.hull_radius_m))
+    if estimate.rows is not None and estimate.method in ("joint", "difference", "posture"):
+        out += _missing_axes(estimate.rows, robot, estimate.sigma_nm, options)
+        out += _one_sided(estimate)
+    return out
+
+
+def _why_open(estimate: Estimate, load: LoadEstimate) -> str:
+    open_ = ", ".join(load.unidentifiable)
+    bare = (estimate.rows is not None and (estimate.rows.load == "none").any()) or estimate.bare is not None
+    if "mass_kg" in load.unidentifiable and not bare:
+        return f"{open_} cannot be told: the load lumps with link 6, because nothing is known of the bare arm"
+    if "mass_kg" in load.unidentifiable:
+        return f"{open_} cannot be told from the axes and poses measured"
+    return f"{open_} cannot be told: in all poses gravity comes from the same side of the flange"
+
+
+def _what_to_do(estimate: Estimate) -> str:
+    if estimate.next:
+        return "measure the pose that is named under `next`"
+    return "measure the bare arm too, give --bare or trusted --inertials, and turn axes 4 to 6 between the poses"
+
+
+def _missing_axes(rows: FittedRows, robot: Robot | None, sigma: Floats, options: Options) -> list[Finding]:
+    measured = np.isfinite(rows.tau_nm).any(axis=0)
+    if measured.all() or robot is None:
+        return []
+    names = ", ".join(f"J{k + 1}" for k in np.flatnonzero(~measured))
+    cost = cost_of_missing_axes(robot, rows.q_rad, np.where(measured, sigma, np.nan), options)
+    said = (
+        "with them it could be"
+        if np.isinf(cost)
+        else f"with them its standard deviation would be {1 / cost:.2f} of this"
+    )
+    return [Finding("info", names, f"not measured; the mass comes from the other axes alone, {said}")]
+
+
+def _one_sided(estimate: Estimate) -> list[Finding]:
+    rows = estimate.rows
+    if rows is None or estimate.method == "difference":
+        return []
+    alone = np.asarray(np.isnan(rows.band_nm).all(axis=1))
+    if not alone.any():
+        return []
+    return [
+        Finding(
+            "info", "approach",
+            f"{int(alone.sum())} of {len(alone)} visits came from one side only, or from an unknown one: what friction"
+            " held there is in the noise",
+            "approach every pose from both sides, slowly, by the same offset",
+        )
+    ]  # fmt: skip
+
+
+def _rows(rows: FittedRows) -> Rows:
+    step = max(1, int(np.ceil(len(rows.pose) / _MOST_ROWS)))
+    part = {name: getattr(rows, name)[::step] for name in FittedRows.__dataclass_fields__}
+    return Rows(
+        run=tuple(part["run"].tolist()),
+        load=tuple(part["load"].tolist()),
+        pose=tuple(int(k) for k in part["pose"]),
+        time_s=_numbers(part["time_s"]),
+        direction=tuple(tuple(int(k) for k in row) for row in part["direction"]),
+        **{
+            name: tuple(_numbers(row) for row in part[name])
+            for name in ("q_rad", "tau_nm", "model_nm", "band_nm", "std_nm")
+        },
+    )
+
+
+def _numbers(values: Floats) -> tuple[float, ...]:
+    return tuple(float(value) for value in values)
+
+
+def with_provenance(result: Result, provenance: Mapping[str, Any]) -> Result:
+    """The same result with further provenance."""
+    return replace(result, provenance={**result.provenance, **provenance})

@@ -1,0 +1,171 @@
+"""Posture variation: one load throughout, many postures (JP3698770B2, second embodiment, eq. (5) and (6)).
+
+First the base gravity parameters (the A_ij, B_ij) and the friction offsets of the loaded arm, then the load as what
+changed against the bare arm: `beta_loaded - beta_bare = E phi`. From loaded rows alone the load cannot be told: its
+columns lie in the span of link 6's. What makes it work is a stored bare identification, bare rows in the data (their
+postures need not be the same), or trusted inertials.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from gateway.errors import DataUnusable, InputError
+from gateway.estimate.describe import describe
+from gateway.estimate.estimate import Estimate
+from gateway.estimate.joint import fit_problem, require_postures
+from gateway.estimate.linear import determined
+from gateway.estimate.options import BARE_LABEL, Options
+from gateway.estimate.problem import LOAD_NAMES, Problem, build_problem, link_knowledge, unknown_labels
+from gateway.model.base import BaseSet, rest_base
+from gateway.model.regressor import LOAD_COLUMNS
+from gateway.model.robot import Robot
+from gateway.model.visits import Visits
+from gateway.result import Bare, Finding
+
+Floats = NDArray[np.float64]
+
+_SUSPICIOUS = 0.0027
+_BLURRED = 1e-6
+
+
+def estimate_posture(visits: Visits, robot: Robot, options: Options) -> Estimate:
+    """Estimate each load from its own postures against the bare arm.
+
+    Parameters
+    ----------
+    visits : Visits
+    robot : Robot
+    options : Options
+        `bare`, or trusted inertials, unless the data hold bare rows.
+
+    Raises
+    ------
+    InputError
+        A bare identification of another arm or mounting.
+    DataUnusable
+        Nothing is known of the bare arm, no load in the data, or one posture only.
+    """
+    labels = unknown_labels(visits, options)
+    if not labels:
+        raise DataUnusable("every load in the data is known: there is nothing to estimate")
+    base = rest_base(robot, options.gravity_m_s2)
+    bare = _bare(visits, robot, options, base, labels)
+    alone = replace(options, inertials="ignore", bare=None)
+    parts = []
+    for label in labels:
+        own = visits.take(visits.load == label)
+        require_postures(own, label)
+        known = {name: value for name, value in options.known.items() if name in own.load}
+        problem = build_problem(own, robot, replace(alone, bare=bare, known=known))
+        fit, prior = fit_problem(problem)
+        part = describe(problem, fit, prior, robot, options)
+        parts.append(replace(part, findings=(*part.findings, *_check(own, robot, alone, bare, base, label))))
+    first = parts[0]
+    return replace(
+        first,
+        method="posture",
+        loads=tuple(load for part in parts for load in part.loads),
+        findings=(_limits(base), *(finding for part in parts for finding in part.findings)),
+        bare=bare,
+        quality=dict(zip(labels, (part.quality for part in parts), strict=True)),
+    )
+
+
+def _bare(visits: Visits, robot: Robot, options: Options, base: BaseSet, labels: tuple[str, ...]) -> Bare:
+    """What is known of the bare arm: stored, from bare rows of the data, or from trusted inertials."""
+    if options.bare is not None:
+        return _matching(options.bare, robot, options, base)
+    if (visits.load == BARE_LABEL).any():
+        problem = build_problem(visits.take(visits.load == BARE_LABEL), robot, replace(options, known={}))
+        fit, prior = fit_problem(problem)
+        found = describe(problem, fit, prior, robot, options).bare
+        if found is not None:
+            return found
+        raise DataUnusable(
+            "the bare rows do not determine all base parameters of the arm; measure more bare postures that move axes 2"
+            " to 6, or use --method joint, which takes what they give"
+        )
+    links = link_knowledge(robot, options)
+    if len(links.free):
+        lumped = [name for name in base.names if "_6" in name]
+        raise DataUnusable(
+            f"loads {', '.join(labels)} were on throughout and nothing is known of the bare arm: only link 6 and load"
+            f" together can be seen, in the combinations {'; '.join(lumped)}; give a stored bare identification (--bare"
+            " RESULT.json), record the bare arm too, or say how far the URDF's inertials are trusted (--inertials)"
+        )
+    std = np.where(np.isfinite(links.std), np.maximum(links.std, _BLURRED), 0.0)
+    return _bare_from(
+        robot, options, base, base.combination @ links.mean, (base.combination * std**2) @ base.combination.T
+    )
+
+
+def _bare_from(robot: Robot, options: Options, base: BaseSet, value: Floats, covariance: Floats) -> Bare:
+    return Bare(
+        robot=robot.name,
+        gravity_m_s2=tuple(float(g) for g in options.gravity_m_s2),
+        columns=tuple(base.indices.tolist()),
+        names=base.names,
+        value=tuple(value.tolist()),
+        covariance=tuple(tuple(row) for row in covariance.tolist()),
+        combination=tuple(tuple(row) for row in base.combination.tolist()),
+    )
+
+
+def _matching(bare: Bare, robot: Robot, options: Options, base: BaseSet) -> Bare:
+    combination = np.asarray(bare.combination, dtype=float)
+    same = combination.shape == base.combination.shape and np.allclose(combination, base.combination, atol=1e-4)
+    if not same or not np.allclose(bare.gravity_m_s2, options.gravity_m_s2, atol=1e-3):
+        raise InputError(
+            f"--bare: it identified robot '{bare.robot}' with gravity {list(bare.gravity_m_s2)}, and its base"
+            f" parameters are not those of '{robot.name}' with {list(options.gravity_m_s2)}; use the bare run of the"
+            " same arm as it stands"
+        )
+    return bare
+
+
+def _check(own: Visits, robot: Robot, alone: Options, bare: Bare, base: BaseSet, label: str) -> tuple[Finding, ...]:
+    """Whether what changed against the bare arm is a body on the flange and nothing else."""
+    loaded = build_problem(replace(own, load=np.full(len(own), BARE_LABEL)), robot, replace(alone, known={}))
+    fit, _ = fit_problem(loaded)
+    directions = _base_directions(loaded, base)
+    if not determined(fit.solution, directions).all():
+        return ()
+    change = directions @ fit.solution.value - np.asarray(bare.value)
+    covariance = directions @ fit.covariance @ directions.T + np.asarray(bare.covariance)
+    span = base.combination[:, LOAD_COLUMNS]
+    factor = np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
+    white_span, white = np.linalg.solve(factor, span), np.linalg.solve(factor, change)
+    left = white - white_span @ np.linalg.lstsq(white_span, white, rcond=None)[0]
+    freedom = base.rank - len(LOAD_NAMES)
+    if freedom < 1 or chi2.sf(float(left @ left), freedom) > _SUSPICIOUS:
+        return ()
+    worst = base.names[int(np.argmax(np.abs(change - span @ np.linalg.lstsq(white_span, white, rcond=None)[0])
+                                     / np.sqrt(np.diag(covariance))))]  # fmt: skip
+    return (
+        Finding(
+            "warn", f"load {label}",
+            f"more than a load has changed since the bare identification, most of all in {worst}",
+            "a dress pack, a cable or another tool on the arm? Record the bare arm again on the same day",
+        ),
+    )  # fmt: skip
+
+
+def _base_directions(problem: Problem, base: BaseSet) -> Floats:
+    directions = np.zeros((base.rank, len(problem.names)))
+    directions[:, : len(problem.links.columns)] = base.combination[:, problem.links.columns]
+    return directions
+
+
+def _limits(base: BaseSet) -> Finding:
+    lumped = "; ".join(name for name in base.names if "_6" in name)
+    return Finding(
+        "info", "posture variation",
+        f"link 6 and load are seen only together ({lumped}); the load is what changed against the bare arm, so any"
+        " error of the bare identification is an error of the load",
+        "the difference method at the same poses does not need the bare parameters",
+    )  # fmt: skip
