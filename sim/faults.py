@@ -72,9 +72,7 @@ KINDS: dict[str, Kind] = {
     "sync_lost": Kind("wire", "retried", 1, "a SYNC reaches no drive"),
     # SDO on the wire
     "sdo_late": Kind("wire", "goes on", None, "answers late, but in time"),
-    "sdo_too_late": Kind(
-        "wire", "goes on", None, "one answer after the time-out: asked again, never mistaken"
-    ),
+    "sdo_too_late": Kind("wire", "goes on", None, "one answer after the time-out: asked again, never mistaken"),
     "sdo_lost": Kind("wire", "goes on", None, "one answer is lost, the read is repeated"),
     "sdo_silent": Kind("wire", "refuses", None, "no answer at all"),
     "sdo_aborted": Kind("wire", "refuses", None, "refuses an object"),
