@@ -18,7 +18,7 @@ def figures(scope: Any) -> dict[str, dict]:
     escapes = 0
     fed = {"decoder": 0, "reader": 0}
     for target in TARGETS:
-        inputs = scope.count(INPUTS[target.kind])
+        inputs = scope.count(round(INPUTS[target.kind] * target.share))
         bar = scope.bar(f"fuzz {target.name}", inputs)
         try:
             for start in range(0, inputs, CHUNK):

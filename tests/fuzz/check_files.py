@@ -4,20 +4,34 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import tempfile
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import Any
 
+import h5py
 import numpy as np
 from hypothesis import strategies as st
 
-from drives.errors import ProfileError
-from drives.profile import PROFILE_FOLDER, parse_profile
+from drives.eds import check_eds
+from drives.errors import ConfigurationRefused, ProfileError
+from drives.ledger import WriteLedger
+from drives.profile import PROFILE_FOLDER, load_profile, parse_profile
+from gateway.acquire.planning import plan_of_poses
+from gateway.acquire.session import RecordRequest, record
 from gateway.config import load_cell
 from gateway.errors import ConfigError, InputError
 from gateway.model.robot import robot_from_urdf
+from gateway.recording import read
 from gateway.result import from_json, to_json
+from gateway.seal import SEAL_BYTES, sealed
 from gateway.table import read_csv
 from sim.faults import Fault, FaultError, parse_faults
+from tests.chaos.killing import few_samples
+from tests.chaos.processes import poses
+from tests.chaos.rig import rig
 from tests.fuzz.guard import bounded
 from tests.fuzz.mutate import edited
 
@@ -183,3 +197,191 @@ def check_scenario(data: bytes) -> None:
     text = data.decode("utf-8", "replace")
     faults = bounded(lambda: parse_faults(text), (FaultError,), len(data))
     assert faults is None or all(isinstance(fault, Fault) and 0 <= fault.share <= 1 for fault in faults)
+
+
+# --------------------------------------------------------------------------------------------- ledger, EDS, recording
+
+LEDGER_SEED = json.dumps(
+    {
+        "schema": 1,
+        "entries": [
+            {
+                "node_id": node,
+                "index": 0x1016,
+                "subindex": 1,
+                "data_type": "u32",
+                "old": 0,
+                "new": 0x7F01F4,
+                "reason": "the drive stops when the master is gone",
+                "serial_number": 5308416 + node,
+            }
+            for node in range(1, 4)
+        ],
+    }
+).encode()
+
+
+def ledgers() -> st.SearchStrategy[bytes]:
+    return edited([LEDGER_SEED])
+
+
+def check_ledger(data: bytes) -> None:
+    """Entries that can be written back, or `ConfigurationRefused`."""
+    path = in_file(data, "ledger.json")
+    ledger = bounded(lambda: WriteLedger(path), (ConfigurationRefused,), len(data))
+    if ledger is not None:
+        for entry in ledger.entries:
+            assert str(entry)
+            assert all(isinstance(value, int) for value in (entry.node_id, entry.index, entry.old))
+
+
+SHEET_SEED = b"""[FileInfo]
+FileName=drive.eds
+EDSVersion=4.0
+
+[DeviceInfo]
+VendorName=a make
+BaudRate_1000=1
+
+[MandatoryObjects]
+SupportedObjects=1
+1=0x1000
+
+[1000]
+ParameterName=Device type
+ObjectType=0x7
+DataType=0x0007
+AccessType=ro
+DefaultValue=0x20192
+PDOMapping=0
+
+[OptionalObjects]
+SupportedObjects=2
+1=0x1018
+2=0x6077
+
+[1018]
+ParameterName=Identity object
+ObjectType=0x9
+SubNumber=2
+
+[1018sub0]
+ParameterName=number of entries
+ObjectType=0x7
+DataType=0x0005
+AccessType=ro
+
+[1018sub1]
+ParameterName=Vendor ID
+ObjectType=0x7
+DataType=0x0007
+AccessType=ro
+DefaultValue=$NODEID+0x9A
+
+[6077]
+ParameterName=Torque actual value
+ObjectType=0x7
+DataType=0x0003
+AccessType=ro
+PDOMapping=1
+LowLimit=-32768
+HighLimit=32767
+"""
+
+
+def sheets() -> st.SearchStrategy[bytes]:
+    return edited([SHEET_SEED])
+
+
+def check_sheet(data: bytes) -> None:
+    """A data sheet that fits the profile, or `ProfileError`."""
+    path = in_file(data, "drive.eds")
+    profile = load_profile("generic-cia402")
+    bounded(lambda: check_eds(profile, path), (ProfileError,), len(data))
+
+
+def recordings() -> st.SearchStrategy[bytes]:
+    """Bytes of a recording after a few edits."""
+    return edited([seed_recording()])
+
+
+@cache
+def seed_recording() -> bytes:
+    """A short recording of the simulated small arm."""
+    path = Path(WORK.name) / "seed.h5"
+    with rig(few_samples) as made, made.open() as opened:
+        plan = plan_of_poses(opened.loaded, opened.config, opened.workspace, poses(2))
+        record(opened, plan, RecordRequest("none", path))
+    return path.read_bytes()
+
+
+def check_recording(data: bytes) -> None:
+    """Visits with finite torques, or `InputError`."""
+    path = in_file(data, "run.h5")
+    recording = bounded(lambda: read(path), (InputError,), len(data))
+    if recording is not None:
+        for arm in recording.arms:
+            for visit in arm.visits:
+                assert np.isfinite(visit.joint_torque_nm).all()
+                assert len(visit.sync_index) == len(visit.q_rad)
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One change inside a recording: of an attribute, or of a dataset of a visit."""
+
+    where: str
+    name: str
+    value: Any
+
+
+VISIT = "arms/main/visits/0001"
+_NAMES = ("schema", "exit_status", "cell", "profiles", "robot", "load", "pose", "approach", "complete", "unit")
+_DATASETS = ("statusword", "position_count", "torque_permille", "q_rad", "joint_torque_nm", "sync_index", "time_s")
+
+
+def changes() -> st.SearchStrategy[tuple[Change, ...]]:
+    """Changes that keep the file a valid HDF5 file."""
+    value = st.one_of(
+        st.integers(-(2**40), 2**40),
+        st.floats(),
+        st.text(st.characters(blacklist_categories=["Cs"], blacklist_characters="\0"), max_size=20),
+        st.binary(max_size=8).filter(lambda data: b"\0" not in data and data),
+        st.sampled_from([None, [], [1, 2], [[0.0] * 6] * 3, [[1] * 5] * 30, "{", "null", "[" * 2000, "nan"]),
+    )
+    attribute = st.builds(
+        Change, st.sampled_from(["", "arms/main", VISIT, f"{VISIT}/q_rad"]), st.sampled_from(_NAMES), value
+    )
+    dataset = st.builds(Change, st.sampled_from([f"{VISIT}/{name}" for name in _DATASETS]), st.just(""), value)
+    huge = st.builds(Change, st.sampled_from([f"{VISIT}/{name}" for name in _DATASETS]), st.just("huge"), st.none())
+    gone = st.builds(Change, st.sampled_from([VISIT, "arms/main", f"{VISIT}/sync_index"]), st.just("gone"), st.none())
+    return st.lists(st.one_of(attribute, attribute, dataset, huge, gone), min_size=1, max_size=3).map(tuple)
+
+
+def check_changes(todo: tuple[Change, ...]) -> None:
+    """As `check_recording`, for a file whose structure is sound and whose content is not."""
+    path = in_file(seed_recording()[:-SEAL_BYTES], "changed.h5")
+    with h5py.File(path, "r+") as file:
+        for change in todo:
+            _apply_change(file, change)
+    check_recording(sealed(path.read_bytes()))
+
+
+def _apply_change(file: h5py.File, change: Change) -> None:
+    if change.where and change.where not in file:
+        return
+    if change.name == "gone":
+        del file[change.where]
+    elif change.name == "huge":
+        shape, kind = (10**9, 6), file[change.where].dtype
+        del file[change.where]
+        file.create_dataset(change.where, shape, kind, chunks=(1000, 6))
+    elif change.name:
+        place = file[change.where] if change.where else file
+        place.attrs[change.name] = h5py.Empty("f8") if change.value is None else change.value
+    else:
+        del file[change.where]
+        try:
+            file[change.where] = h5py.Empty("f8") if change.value is None else change.value
+        except (OverflowError, TypeError, ValueError):
+            file[change.where] = 0

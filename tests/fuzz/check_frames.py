@@ -11,7 +11,9 @@ import can
 from hypothesis import strategies as st
 
 from drives.bus import Bus, BusSpec
+from drives.cia402 import describe
 from drives.emcy import parse_emergency
+from drives.epoch import EpochCollector
 from drives.errors import DriveError
 from drives.heartbeat import HeartbeatWatch
 from drives.profile import load_profile
@@ -74,7 +76,7 @@ def heartbeats() -> st.SearchStrategy[list[bytes]]:
 def check_heartbeat(frames: list[bytes]) -> None:
     """The state is that of the last one-byte frame, a boot-up is remembered, a strange byte is no state."""
     wire, bus = open_wire()
-    watch = HeartbeatWatch(bus, [NODE], [0.1], clock=lambda: 0.0)
+    watch = HeartbeatWatch(bus, [NODE], [0.1])
     for data in frames:
         wire.arriving.append(can.Message(arbitration_id=0x700 + NODE, data=data, is_extended_id=False))
     with cpu_limit():
@@ -85,6 +87,70 @@ def check_heartbeat(frames: list[bytes]) -> None:
     assert (None if state is None else int(state)) == expected
     assert (NODE in watch.booted) == (0 in valid)
     watch.close()
+
+
+# ---------------------------------------------------------------------------------------------------------------- PDO
+
+TPDOS = (0x181, 0x182, 0x281)
+SIZES = {0x181: 8, 0x182: 8, 0x281: 6}
+
+
+def answers() -> st.SearchStrategy[list[tuple[int, bytes]]]:
+    """Answers to one SYNC: right ones, and frames of any length, twice, of others."""
+    right = st.sampled_from(TPDOS).flatmap(lambda can_id: st.tuples(st.just(can_id), st.binary(min_size=8, max_size=8)))
+    cut = right.map(lambda frame: (frame[0], frame[1][: SIZES[frame[0]]]))
+    return st.lists(st.one_of(cut, cut, st.tuples(st.sampled_from((*TPDOS, 0x183)), st.binary(max_size=8))), max_size=8)
+
+
+def check_answers(frames: list[tuple[int, bytes]]) -> None:
+    """A slot holds the frame of its drive if exactly one content of the right length came, else nothing."""
+    wire, bus = open_wire()
+    collector = EpochCollector(bus, list(SIZES.items()))
+    for can_id, data in frames:
+        wire.arriving.append(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+    with cpu_limit():
+        collected = collector.collect(0.0, 0.0)
+        bus.drain()
+    for slot, (can_id, size) in enumerate(SIZES.items()):
+        contents = [data for sent, data in frames if sent == can_id and len(data) == size]
+        got = collected[slot]
+        assert got is None or bytes(got) in contents
+        if got is not None:
+            status, position, torque = struct.unpack("<Hih", bytes(got).ljust(8, b"\0"))
+            word = describe(status)
+            assert word
+            assert -(2**31) <= position < 2**31
+            assert -(2**15) <= torque < 2**15
+        if not contents:
+            assert got is None
+    collector.close()
+
+
+def odd_frames() -> st.SearchStrategy[list[tuple[int, bytes, bool, bool, bool]]]:
+    """Frames of any id and kind."""
+    flags = st.booleans()
+    return st.lists(st.tuples(st.integers(0, 2**29 - 1), st.binary(max_size=8), flags, flags, flags), max_size=6)
+
+
+def check_odd_frames(frames: list[tuple[int, bytes, bool, bool, bool]]) -> None:
+    """Every frame is handed on or counted; nothing escapes."""
+    wire, bus = open_wire()
+    seen = 0
+    for can_id, data, extended, remote, error in frames:
+        extended = extended or can_id > 0x7FF
+        wire.arriving.append(
+            can.Message(
+                arbitration_id=can_id,
+                data=b"" if remote else data,
+                is_extended_id=extended,
+                is_remote_frame=remote,
+                is_error_frame=error,
+            )
+        )
+        seen += not (extended or remote or error)
+    with cpu_limit():
+        assert bus.drain() == seen
+    assert sum(bus.counts[kind] for kind in ("error", "remote", "extended")) == len(frames) - seen
 
 
 # ---------------------------------------------------------------------------------------------------------------- SDO

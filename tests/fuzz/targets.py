@@ -17,16 +17,19 @@ from tests.fuzz import check_files, check_frames
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """One decoder (frames) or reader (files)."""
+    """One decoder (frames) or reader (files); `share` of the full number of inputs."""
 
     name: str
     kind: Literal["decoder", "reader"]
     strategy: Callable[[], st.SearchStrategy[Any]]
     check: Callable[[Any], None]
+    share: float = 1.0
 
 
 TARGETS: tuple[Target, ...] = (
     Target("emcy", "decoder", check_frames.emergencies, check_frames.check_emergency),
+    Target("pdo", "decoder", check_frames.answers, check_frames.check_answers),
+    Target("odd frames", "decoder", check_frames.odd_frames, check_frames.check_odd_frames),
     Target("heartbeat", "decoder", check_frames.heartbeats, check_frames.check_heartbeat),
     Target("sdo upload", "decoder", check_frames.sdo_answers, check_frames.check_upload),
     Target("sdo download", "decoder", check_frames.sdo_answers, check_frames.check_download),
@@ -35,5 +38,9 @@ TARGETS: tuple[Target, ...] = (
     Target("urdf", "reader", check_files.robots, check_files.check_urdf),
     Target("csv", "reader", check_files.tables, check_files.check_csv),
     Target("scenario toml", "reader", check_files.scenarios, check_files.check_scenario),
+    Target("ledger json", "reader", check_files.ledgers, check_files.check_ledger, 0.2),
+    Target("eds", "reader", check_files.sheets, check_files.check_sheet, 0.1),
+    Target("recording bytes", "reader", check_files.recordings, check_files.check_recording, 0.8),
+    Target("recording content", "reader", check_files.changes, check_files.check_changes, 0.2),
     Target("result json", "reader", check_files.results, check_files.check_result),
 )

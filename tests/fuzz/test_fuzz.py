@@ -12,4 +12,4 @@ SHORT = {"decoder": 300, "reader": 120}
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
 def test_input_from_strangers(target: Target) -> None:
-    run(target, SHORT[target.kind])
+    run(target, max(10, round(SHORT[target.kind] * target.share)))
