@@ -104,7 +104,7 @@ def imagined(rows: RestRows, poses_rad: Floats) -> RestRows:
         two_sided=np.ones(n, dtype=bool),
         sample_std_nm=unknown,
         temperature_c=np.repeat(rows.temperature_c[last : last + 1], n, axis=0),
-        q2nd_rad=unknown,
+        wind_up_rad=unknown,
         efficiency=rows.efficiency,
     )
 

@@ -21,6 +21,7 @@ LEAST_STRENGTH = 0.6
 LEAST_POSES = 4
 SURE_ODDS = 20.0
 ASK_ODDS = 400.0
+HINT_ODDS = 3.0
 STRUCTURE_P = 1e-3
 Key = tuple[frozenset[Label], bool]
 
@@ -29,11 +30,12 @@ Key = tuple[frozenset[Label], bool]
 class Rival:
     """A set of effects that explains the data about as well as the chosen one.
 
-    `odds` of the chosen set against it; `fit` its best member.
+    `odds` of the chosen set against it; `fit` its best member; `holds` whether it holds the chosen set and more.
     """
 
     fit: Fit
     odds: float
+    holds: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +80,7 @@ def decide(search: Search, chosen: Fit) -> Decision:
     named = [term for term in whole.terms if term.name != "unnamed"]
     after = search.fitted(named, whole)
     near = _rivals(search, whole)
-    rivals = tuple(rival for rival in near if rival.odds < SURE_ODDS)
+    rivals = tuple(rival for rival in near if rival.odds < SURE_ODDS and not rival.holds)
     structure_p = misfit(problem, whole)
     odds, runner_up = _odds(search, after)
     verdict = _verdict(whole, rivals, structure_p)
@@ -146,7 +148,7 @@ def _key(hypothesis: Fit) -> Key:
 
 
 def _rivals(search: Search, whole: Fit) -> tuple[Rival, ...]:
-    """Sets of names, not larger ones that hold the chosen set, by the sum of the evidence of their shapes."""
+    """Sets of names by the sum of the evidence of their shapes; larger ones only where they gain something."""
     groups: dict[Key, list[Fit]] = {}
     for hypothesis in search.pool.values():
         groups.setdefault(_key(hypothesis), []).append(hypothesis)
@@ -157,12 +159,12 @@ def _rivals(search: Search, whole: Fit) -> tuple[Rival, ...]:
     for (names, unnamed), members in groups.items():
         contains = names >= own and unnamed >= own_unnamed
         odds = math.exp(min(reference - total[(names, unnamed)], 50.0))
-        if contains or odds > ASK_ODDS:
+        if (names, unnamed) == (own, own_unnamed) or odds > (HINT_ODDS if contains else ASK_ODDS):
             continue
         best = search.best(members)
         terms = [term for term in best.terms if term.name != "unnamed"]
         if all(strength(search, best, term) >= LEAST_STRENGTH for term in terms):
-            out.append(Rival(best, odds))
+            out.append(Rival(best, odds, contains))
     return tuple(sorted(out, key=lambda rival: rival.odds))
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from gateway.diagnose.ask import questions
 from gateway.diagnose.decide import STRUCTURE_P, Decision, decide
+from gateway.diagnose.deflection import wound_up
 from gateway.diagnose.fit import Fit, Problem, fit, visit_loads
 from gateway.diagnose.holdout import Held, predicted
 from gateway.diagnose.mistakes import Mistake, band_signs, find_mistakes, suspicious
@@ -21,9 +22,9 @@ from gateway.diagnose.outcome import (
     possible,
     proven,
     rejected,
-    rows_of,
     summary,
 )
+from gateway.diagnose.pictures import Visits, pictures
 from gateway.diagnose.problem import BARE_LABEL, Knowledge, build_problem, first_noise
 from gateway.diagnose.rows import joined, rest_rows
 from gateway.diagnose.search import Search, run
@@ -149,9 +150,10 @@ class RestDiagnosis:
 
     def _before(self, decision: Decision, judge: Judge, found: Found) -> FitSummary:
         """What the model without effects says of the data as they were read."""
-        if not found.mistakes:
+        second = np.isfinite(found.search.problem.rows.wind_up_rad).any()
+        if not found.mistakes and not second:
             return summary(judge.problem, decision.before, judge, self.robot)
-        problem = self.problem(found.table)
+        problem = self.problem(replace(found.table, q2nd_rad=np.full_like(found.table.q2nd_rad, np.nan)))
         return summary(problem, fit(problem, (), first_noise(problem)), Judge(problem, None), self.robot)
 
     def report(self, found: Found, holdout: Table | None = None, kind: str = "given") -> Result:
@@ -163,15 +165,16 @@ class RestDiagnosis:
         judge = Judge(problem, held)
         effects = [entry for mistake in found.mistakes for entry in mistake_effect(mistake, found.gained)]
         effects += proven(search, decision, judge)
+        seen_by_encoder = wound_up(problem, decision.after) if "joint_elasticity" in self.options.allowed else []
+        effects += seen_by_encoder
         effects += possible(search, decision, judge) if decision.verdict == "undecided" else []
         verdict = decision.verdict
-        if found.mistakes and verdict == "none_needed":
-            verdict = "explained"
-        elif found.mistakes and verdict == "unexplained":
-            verdict = "improved"
+        if found.mistakes or seen_by_encoder:
+            verdict = {"none_needed": "explained", "unexplained": "improved"}.get(verdict, verdict)
         after = summary(problem, decision.after, judge, self.robot)
         floor, band = floor_and_band(problem, decision)
         findings += mistake_findings(found.mistakes) + _load_findings(after.loads) + _limits(problem)
+        rows, drawn = pictures(Visits.of(problem, held, "fresh" if kind == "fresh" else "held out"), decision)
         return Result(
             robot=self.robot.name,
             loads=after.loads,
@@ -192,7 +195,8 @@ class RestDiagnosis:
                 "structure_p": decision.structure_p,
                 "inertials": self.knowledge.inertials,
             },
-            rows=rows_of(problem, decision.after),
+            rows=rows,
+            extra={"data": drawn},
         )
 
     def _confirmed(self, decision: Decision, held: Held | None) -> tuple[Decision, list[Finding]]:

@@ -75,19 +75,22 @@ def _visits(table: Table, pairs: list[tuple[int, int | None]], efficiency: Float
     time = (table.time_s[first] + table.time_s[second]) / 2.0
     if np.isnan(time).any():
         time = np.arange(len(first), dtype=float)
+    motor = (table.q_rad[first] + table.q_rad[second]) / 2.0
+    link = (table.q2nd_rad[first] + table.q2nd_rad[second]) / 2.0
+    seen = np.isfinite(link).all(axis=0)
     return RestRows(
         load=np.asarray(table.load)[first].astype(str),
         pose=table.pose[first],
         run=np.asarray(table.run)[first].astype(str),
         time_s=time,
-        q_rad=(table.q_rad[first] + table.q_rad[second]) / 2.0,
+        q_rad=np.where(seen, link, motor),
         sum_nm=(one + other) / 2.0,
         difference_nm=difference,
         side=np.where(two[:, None], 0.0, sign),
         two_sided=two,
         sample_std_nm=mean_std,
         temperature_c=(table.temperature_c[first] + table.temperature_c[second]) / 2.0,
-        q2nd_rad=(table.q2nd_rad[first] + table.q2nd_rad[second]) / 2.0,
+        wind_up_rad=np.where(seen, link - motor, np.nan),
         efficiency=np.asarray(efficiency, dtype=float),
     )
 

@@ -60,7 +60,8 @@ def named_terms(rows: RestRows, setup: Setup) -> list[Term]:
         if not np.isfinite(rows.sum_nm[:, axis]).any():
             continue
         terms += [JointZeroOffset(axis), TorqueConstantScale(axis), TorqueOffset(axis), LoadDependentFriction(axis)]
-        terms.append(JointElasticity(axis, float(largest[axis])))
+        if not np.isfinite(rows.wind_up_rad[:, axis]).all():
+            terms.append(JointElasticity(axis, float(largest[axis])))
         terms += _drifts(rows, axis)
         terms += _ripples(axis, setup.gear_ratio[axis])
         if one_sided:

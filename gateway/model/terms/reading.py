@@ -45,8 +45,11 @@ class RestRows:
     two_sided : bool array of shape (n,)
     sample_std_nm : array of shape (n, 6)
         Standard deviation of `sum_nm` by the averaged samples alone, NaN = unknown.
-    temperature_c, q2nd_rad : arrays of shape (n, 6)
+    temperature_c : array of shape (n, 6)
         NaN where absent.
+    wind_up_rad : array of shape (n, 6)
+        Angle of the secondary encoder over that of the motor encoder, NaN where there is none. Where there is one,
+        `q_rad` is the angle of the link.
     efficiency : array of shape (6,)
         Gear efficiency the conversion used.
     """
@@ -62,7 +65,7 @@ class RestRows:
     two_sided: Mask
     sample_std_nm: Floats
     temperature_c: Floats
-    q2nd_rad: Floats
+    wind_up_rad: Floats
     efficiency: Floats
 
     def __len__(self) -> int:

@@ -232,6 +232,16 @@ def test_one_sided_visits_show_the_friction_by_direction():
         assert entry.parameters["bias_nm"] == pytest.approx(bench.arm.plant.coulomb_nm[axis] * 0.85, rel=0.35)
 
 
+def test_a_secondary_encoder_shows_the_wind_up():
+    bench = Bench(4, [effect("joint_elasticity", [2], compliance_rad_nm=2e-4)])
+    protocol = replace(bench.arm.protocol, secondary_encoder=True)
+    parts = [bench.table(bench.poses, load, protocol=protocol) for load in ("none", "tool")]
+    result = diagnose(concatenate(parts), bench.robot, bench.options)
+    assert found(result) == [("joint_elasticity", (2,))]
+    assert result.effects[0].parameters["compliance_rad_nm"] == pytest.approx(2e-4, rel=0.05)
+    assert result.before.rms_nm[1] > result.after.rms_nm[1]
+
+
 def test_unknown_load_and_inertials_are_refused(clean):
     bench, table, _ = clean
     with pytest.raises(InputError, match="ghost"):

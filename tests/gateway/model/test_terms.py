@@ -67,7 +67,7 @@ def rows(arm: Arm, visits: list[Visit]) -> RestRows:
         two_sided=np.ones(n, dtype=bool),
         sample_std_nm=np.full((n, 6), np.nan),
         temperature_c=np.full((n, 6), np.nan),
-        q2nd_rad=np.full((n, 6), np.nan),
+        wind_up_rad=np.full((n, 6), np.nan),
         efficiency=arm.plant.gear_efficiency,
     )
 
