@@ -8,6 +8,7 @@ import pytest
 
 from drives.drive import DriveCommand
 from drives.errors import (
+    BusOff,
     CommandRefused,
     ConfigurationRefused,
     DriveFault,
@@ -23,6 +24,8 @@ from drives.errors import (
     TransitionTimeout,
 )
 from drives.group import DriveGroup, GroupOptions
+from drives.objects import OBJECTS
+from drives.values import AxisSetup
 
 PERIOD_S = 0.004
 COUNT_RAD = 2 * math.pi / 65536
@@ -78,11 +81,14 @@ def test_the_drives_watch_the_master_from_before_the_first_command_until_after_t
     assert {slave.values[0x1016, 1] for slave in slaves} == {0}
 
 
-def test_heartbeat_is_sent_often_enough_for_the_drives(group, wire):
+def test_heartbeat_is_sent_often_enough_for_the_drives(group, slaves, wire):
     group.enable()
     start = len(wire.sent)
-    for _ in range(500):
+    for number in range(500):
+        for slave in slaves:
+            slave.torque = number
         group.hold()
+    assert {can_id & 0x780 for can_id, _ in wire.sent[start:]} == {0x080, 0x200, 0x700}
     assert sum(can_id == 0x77F for can_id, _ in wire.sent[start:]) >= 500 * PERIOD_S / 0.5 * 2
 
 
@@ -163,7 +169,7 @@ def test_a_drive_in_fault_is_refused_and_not_reset(group, slaves):
     with pytest.raises(DriveFault, match="node 3.*FAULT.*following error") as caught:
         group.enable()
     assert caught.value.node == 3
-    assert all(word & 0x80 == 0 for slave in slaves for word in slave.controlwords)
+    assert [slave.controlwords for slave in slaves] == [[]] * 6
     assert {slave.state for slave in slaves} == {"switch on disabled", "fault"}
 
 
@@ -217,9 +223,11 @@ def test_an_axis_that_falls_silent_stops_the_others(group, slaves):
     slaves[5].alive = False
     epochs = [group.hold() for _ in range(4)]
     assert [epoch.missing for epoch in epochs] == [(5,)] * 4
+    start = slaves[0].wire.now_s
     with pytest.raises(IncompleteEpochs, match="node 6") as caught:
         group.hold()
     assert {slave.state for slave in slaves[:5]} == {"quick stop"}
+    assert slaves[0].wire.now_s - start < 1.5
     assert [failure.node for failure in caught.value.while_stopping] == [6]
     with pytest.raises(SdoTimeout, match="node 6"):
         group.disable()
@@ -340,3 +348,84 @@ def test_a_value_that_does_not_stick_is_an_error(bus, slaves, setups):
         group.connect()
         with pytest.raises(ConfigurationRefused, match="node 2:6007:00"):
             group.configure()
+
+
+def test_bus_off_in_a_run_is_an_error(group, slaves, wire):
+    group.enable()
+    wire.emit(0x040, bytes(8), is_error_frame=True)
+    with pytest.raises(BusOff):
+        group.hold()
+    assert not group.enabled
+
+
+def test_targets_stay_inside_the_position_limits(bus, slaves, generic):
+    setups = [AxisSetup(1, generic, 0.5, 300.0, position_limit_count=(900, 1100))]
+    with DriveGroup(bus, setups, PERIOD_S) as group:
+        group.connect()
+        group.configure()
+        group.enable()
+        group.exchange([DriveCommand(1100 * COUNT_RAD)])
+        with pytest.raises(CommandRefused, match=r"1101 counts is outside 900 \.\. 1100"):
+            group.exchange([DriveCommand(1101 * COUNT_RAD)])
+
+
+def test_axes_are_armed_whenever_they_are_enabled(group, slaves):
+    for _ in range(2):
+        group.enable()
+        assert {slave.values[0x1016, 1] for slave in slaves} == {127 << 16 | 500}
+        group.disable()
+
+
+def test_a_drive_that_somebody_else_enabled_is_not_configured(bus, slaves, setups):
+    slaves[1].state = "operation enabled"
+    with DriveGroup(bus, setups(6), PERIOD_S) as group:
+        group.connect()
+        with pytest.raises(DriveFault, match="node 2.*OPERATION ENABLED"):
+            group.configure()
+    assert slaves[1].written == []
+
+
+@pytest.mark.parametrize(
+    ("address", "kind", "value"),
+    [((0x1005, 0), "u32", 0x40000080), ((0x1005, 0), "u32", 0x81), ((0x1019, 0), "u8", 10)],
+)
+def test_a_drive_that_wants_another_sync_is_refused(bus, slaves, setups, address, kind, value):
+    slaves[3].types[address], slaves[3].values[address] = kind, value
+    with DriveGroup(bus, setups(6), PERIOD_S) as group:
+        group.connect()
+        with pytest.raises(ConfigurationRefused, match=f"node 4:{address[0]:04X}"):
+            group.configure()
+
+
+def test_a_mapping_that_is_shifted_is_found_before_anything_moves(group, slaves, wire):
+    real = wire.emit
+    wire.emit = lambda can_id, data, *rest, **flags: real(
+        can_id, data[:2] + data[4:] + data[2:4] if can_id == 0x185 else data, *rest, **flags
+    )
+    with pytest.raises(ConfigurationRefused, match="node 5.*TPDO1 says"):
+        group.enable()
+    assert {word & 0x0F for slave in slaves for word in slave.controlwords} <= {0x00}
+
+
+def test_only_what_the_profile_allows_is_written(group, slaves):
+    with pytest.raises(ConfigurationRefused, match="6072:00.*does not allow"):
+        group.access[0].write(OBJECTS["max_torque"], 100, "test")
+    assert 0x6072 not in {index for index, _, _ in slaves[0].written}
+
+
+def test_rated_values_of_zero_are_refused(bus, slaves, setups):
+    slaves[0].values[0x6076, 0] = 0
+    slaves[1].values[0x608F, 2] = 0
+    with DriveGroup(bus, setups(6), PERIOD_S) as group:
+        group.connect()
+        with pytest.raises(SeveralFailures, match="6076:00.*608F:02"):
+            group.configure()
+
+
+def test_node_ids_must_differ_also_from_the_masters(bus, setups):
+    with pytest.raises(ConfigurationRefused):
+        DriveGroup(bus, [*setups(2), *setups(1)], PERIOD_S)
+    with pytest.raises(ConfigurationRefused):
+        DriveGroup(bus, setups(2), PERIOD_S, master_node_id=2)
+    with pytest.raises(ConfigurationRefused):
+        DriveGroup(bus, setups(2), math.nan)
