@@ -482,8 +482,8 @@ def effect_from_dict(effect: Mapping[str, object], jacobian: PointJacobian | Non
 def apply_effects(
     plant: Plant, effects: Sequence[Mapping[str, object]], jacobian: PointJacobian | None = None
 ) -> Plant:
-    """Build effects into a plant, in the order given."""
-    for effect in effects:
+    """Build effects into a plant, in the order given; drifts last, because they scale what is there by then."""
+    for effect in sorted(effects, key=lambda effect: effect.get("name") == "thermal_drift"):
         plant = effect_from_dict(effect, jacobian)(plant)
     return plant
 

@@ -19,7 +19,7 @@ from gateway.result import NextMeasurement
 Floats = NDArray[np.float64]
 
 COUNT = 8
-CHOICE = 160
+CHOICE = 400
 TELLING = 1.0
 APART_RAD = 0.3
 STEP_S = 30.0

@@ -16,7 +16,7 @@ from gateway.table import Table, concatenate
 Floats = NDArray[np.float64]
 Measure = Callable[[Floats], Table]
 
-ROUNDS = 2
+ROUNDS = 3
 
 
 def close_loop(

@@ -42,11 +42,11 @@ def places(cell: Cell, key: str) -> set:
 
 
 def credit(cell: Cell, view: Callable = names) -> float:
-    """1 for exactly the true effects; a half for a declared set of rivals that holds them."""
+    """1 for exactly the true effects, a half for a declared set of rivals that holds them."""
     truth, found = view(cell, "truth"), view(cell, "found")
-    if cell["verdict"] == "undecided":
-        return 0.5 if truth <= found else 0.0
-    return 1.0 if truth == found else 0.0
+    if truth == found:
+        return 1.0
+    return 0.5 if cell["verdict"] == "undecided" and truth <= found else 0.0
 
 
 def claims(cell: Cell) -> bool:

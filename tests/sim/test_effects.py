@@ -212,6 +212,14 @@ def test_what_cannot_be_built_is_refused_by_name(effect, word):
         effect_from_dict(effect)
 
 
+def test_a_drift_scales_what_the_other_effects_left(plant, chain):
+    drift = {"name": "thermal_drift", "joints": [2], "parameters": {"per_s": 1e-4}}
+    scale = {"name": "torque_constant_scale", "joints": [2], "parameters": {"scale": 0.8}}
+    for order in ([drift, scale], [scale, drift]):
+        changed = apply_effects(plant, order)
+        assert seen(chain, changed, time_s=1000.0)[1] == pytest.approx(1.1 / 0.8 * seen(chain, plant)[1])
+
+
 def test_effects_add_up(plant, chain):
     both = [
         {"name": "torque_offset", "joints": [1], "parameters": {"offset_nm": 4.0}},
