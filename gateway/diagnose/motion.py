@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from gateway.diagnose import motion_report as report
 from gateway.diagnose.motion_fit import Noise, Problem, blocks
 from gateway.diagnose.motion_mistakes import Mistake, find_mistakes, undo
-from gateway.diagnose.motion_select import Chosen, State, select, state_of, weigh, with_noise_of
+from gateway.diagnose.motion_select import Chosen, select, weigh
+from gateway.diagnose.motion_state import State, state_of, with_noise_of
 from gateway.diagnose.motion_structure import structured_axes
 from gateway.diagnose.motion_trial import Trial
 from gateway.diagnose.motion_trust import START, choose_trust

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.motion_fit import Fit, Problem
+from gateway.model import motion_readings as readings
 from gateway.model import motion_terms as terms
 from gateway.model.motion import Motion
 from gateway.model.motion_terms import Term
@@ -28,6 +29,11 @@ RIPPLES_PER_AXIS = 2
 LARGEST_ANGLE_RAD = 0.2
 SMALLEST_BALANCER = 0.15
 LARGEST_SCALE = 2.5
+# Effects that a wrong drawing can imitate.
+DRAWN = frozenset(
+    {"balancer_spring", "link_mass", "joint_zero_offset", "base_tilt", "torque_constant_scale", "torque_offset"}
+    | {"payload_shift", "joint_elasticity"}
+)
 
 
 def candidates(problem: Problem, allowed: frozenset[str]) -> list[Term]:
@@ -37,8 +43,8 @@ def candidates(problem: Problem, allowed: frozenset[str]) -> list[Term]:
     found: list[Term] = []
     for axis in axes:
         found.extend(_friction(axis, float(motion.speed_rad_s[axis])))
-        found.append(terms.gain(axis))
-        found.append(terms.offset(axis))
+        found.append(readings.gain(axis))
+        found.append(readings.offset(axis))
         found.extend(_drift(motion, axis))
     for pair in PAIRS:
         if set(pair) <= set(axes):
@@ -62,19 +68,19 @@ def _friction(axis: int, top_rad_s: float) -> Iterator[Term]:
 def _drift(motion: Motion, axis: int) -> Iterator[Term]:
     heat = motion.temperature_c[:, axis]
     if np.isfinite(heat).all() and np.ptp(heat) >= WARMED_K:
-        yield terms.drift(axis, per_kelvin=True)
+        yield readings.drift(axis, per_kelvin=True)
     elif motion.duration_s >= LONG_S:
-        yield terms.drift(axis, per_kelvin=False)
+        yield readings.drift(axis, per_kelvin=False)
 
 
 def _geometry(problem: Problem) -> Iterator[Term]:
     motion = problem.motion
-    yield terms.base_tilt(motion)
-    yield from (terms.zero_offset(axis, motion) for axis in range(6))
-    yield from (terms.elasticity(axis, motion) for axis in range(3))
+    yield readings.base_tilt(motion)
+    yield from (readings.zero_offset(axis, motion) for axis in range(6))
+    yield from (readings.elasticity(axis, motion) for axis in range(3))
     if problem.base.trust is not None:
-        yield from (terms.link_mass(link) for link in (1, 2, 3))
-    yield from (terms.payload_shift(label) for label in problem.base.loads)
+        yield from (readings.link_mass(link) for link in (1, 2, 3))
+    yield from (readings.payload_shift(label) for label in problem.base.loads)
 
 
 def ripples(problem: Problem, full: Fit) -> list[Term]:

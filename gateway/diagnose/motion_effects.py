@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.motion_fit import Problem
 from gateway.diagnose.motion_load import over_blocks
-from gateway.diagnose.motion_select import State, coupling_cost
+from gateway.diagnose.motion_refine import coupling_cost
+from gateway.diagnose.motion_state import State
 from gateway.model.motion_terms import ANCHOR_M, LEVER_M, POLYTROPIC, Term
 
 Floats = NDArray[np.float64]
@@ -17,7 +18,7 @@ Named = dict[str, float]
 Conversion = Callable[[Floats], Named]
 
 RMS_PEAK = np.sqrt(2.0)
-RMS_PEAK_TOLERANCE = 0.04
+RMS_PEAK_TOLERANCE = 0.05
 STEP = 1e-6
 
 
@@ -125,7 +126,7 @@ def _heaviest(problem: Problem) -> float:
 
 def _is_rms_peak(scale: float, std: float) -> bool:
     near = [abs(scale * factor - 1.0) for factor in (RMS_PEAK, 1.0 / RMS_PEAK)]
-    return min(near) < min(max(RMS_PEAK_TOLERANCE, 2.0 * std / scale), 0.15)
+    return min(near) < min(RMS_PEAK_TOLERANCE, 3.0 * std / scale)
 
 
 def _coupling_spread(problem: Problem, state: State, term: Term) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.motion_fit import Fit, Problem
-from gateway.diagnose.motion_select import State
+from gateway.diagnose.motion_state import State
 from gateway.model.motion_baseline import BARE
 from gateway.result import LoadResult
 

@@ -63,16 +63,16 @@ def _worst(problem: Problem, allowed: frozenset[str]) -> Mistake | None:
     suspects = []
     axes = [int(axis) for axis in np.flatnonzero(problem.motion.measured)]
     for axis in axes:
-        if "sign_reversed" in allowed and _friction_power(neutral, now, axis) < -SURE:
-            suspects.append(Mistake("sign_reversed", (axis,)))
+        power = _friction_power(neutral, now, axis) if "sign_reversed" in allowed else 0.0
+        if power < 0:
+            suspects.append((Mistake("sign_reversed", (axis,)), NOT_WORSE if power < -SURE else HALVED))
     for pair in combinations(axes, 2):
         mistake = Mistake("axes_swapped", pair)
         if "axes_swapped" in allowed and _ratio(neutral, now, mistake, everything, everything) < HALVED:
-            suspects.append(mistake)
+            suspects.append((mistake, HALVED))
     judged = []
-    for mistake in suspects:
+    for mistake, limit in suspects:
         ratio = _held_ratio(neutral, mistake)
-        limit = HALVED if mistake.name == "axes_swapped" else NOT_WORSE
         if ratio < limit and _takes_power(neutral, mistake):
             judged.append(replace(mistake, ratio=ratio))
     return min(judged, key=lambda mistake: mistake.ratio, default=None)

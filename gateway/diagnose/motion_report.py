@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from gateway.diagnose.motion_effects import parameters_of
 from gateway.diagnose.motion_fit import Problem
 from gateway.diagnose.motion_load import friction_level, loads_of
-from gateway.diagnose.motion_select import Chosen, State
+from gateway.diagnose.motion_select import Chosen
+from gateway.diagnose.motion_state import State
 from gateway.diagnose.motion_trial import Trial
 from gateway.result import (
     EffectResult,

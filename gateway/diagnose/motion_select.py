@@ -12,18 +12,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gateway.diagnose.motion_candidates import candidates, possible, ripples
-from gateway.diagnose.motion_fit import Fit, Problem, fit, noise_of, scaled_to
-from gateway.diagnose.motion_trial import Held, Trial, held_out, judge, put_on_trial
+from gateway.diagnose.motion_candidates import DRAWN, candidates, possible, ripples
+from gateway.diagnose.motion_fit import Problem
+from gateway.diagnose.motion_refine import refine
+from gateway.diagnose.motion_state import State, compare, refitted, state_of, with_noise_of
+from gateway.diagnose.motion_trial import Trial, put_on_trial
 from gateway.model import motion_terms as library
 from gateway.model.motion_terms import Term
 
 FRICTION = frozenset({"velocity_friction", "load_dependent_friction"})
-COUPLING_STEPS = np.array([0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0])
-COUPLING_SLACK = 4.0
-GAS_TURNS_RAD = tuple(np.deg2rad(np.arange(-20.0, 21.0, 5.0)))
-GAS_STROKES = (0.2, 0.4, 0.6, 0.8)
-GAS_LEAD = 5.0
 LARGEST_MODEL = 16
 RUNNERS = 12
 SURE_ODDS = 10.0
@@ -55,16 +52,6 @@ def demands(term: Term) -> Demands:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class State:
-    """A model with its fits."""
-
-    terms: tuple[Term, ...]
-    fits: tuple[Fit, ...]
-    full: Fit
-    held: Held
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Chosen:
     """An effect in the final model: all its terms, its trial against the model without it, and the runner-up's.
 
@@ -78,17 +65,6 @@ class Chosen:
     contested: bool
 
 
-def state_of(problem: Problem, terms: Sequence[Term]) -> State:
-    """Fit a model to every split and to all rows that may be fitted."""
-    fits = tuple(fit(problem, terms, train, test) for train, test in problem.splits)
-    if problem.motion.given.any():
-        full = fits[0]
-    else:
-        everything = ~problem.motion.given
-        full = fit(problem, terms, everything, problem.motion.given)
-    return State(tuple(terms), fits, full, held_out(problem, fits))
-
-
 def believed(problem: Problem, trial: Trial, tried: int) -> bool:
     """Whether a trial meets its demands."""
     need = demands(trial.term)
@@ -99,16 +75,6 @@ def believed(problem: Problem, trial: Trial, tried: int) -> bool:
         and trial.p_held <= need.p_held
         and trial.blocks_better >= need.blocks_better
     )
-
-
-def with_noise_of(problem: Problem, terms: Sequence[Term], full: Fit | None) -> Problem:
-    """The problem with noise figures that belong to the model with `terms`, as `full` fitted it."""
-    motion = problem.motion
-    noise = noise_of(motion, terms, full.modelled if full is not None else None)
-    problem = replace(problem, noise=noise)
-    everything = ~motion.given
-    full = fit(problem, terms, everything, motion.given)
-    return replace(problem, noise=scaled_to(noise, full.residual_nm, motion.judged & everything[:, None]))
 
 
 def select(problem: Problem, allowed: frozenset[str], start: Sequence[Term] = ()) -> tuple[Problem, State, list[Trial]]:
@@ -202,58 +168,6 @@ def _possible_part(problem: Problem, state: State, trial: Trial, term: Term, par
     return possible(problem, state.full, term, trial.value[here], trial.covariance[here, here])
 
 
-def refine(problem: Problem, state: State, term: Term) -> Term:
-    """The member of the effect's family that fits best, as far as the rows tell the members apart."""
-    if (term.name, term.shape) == ("axis_coupling", "motor"):
-        return _best_coupling(problem, state, term)
-    if term.name == "balancer_spring":
-        return _best_balancer(problem, state, term)
-    return term
-
-
-def _best_balancer(problem: Problem, state: State, found: Term) -> Term:
-    """A coil of vanishing free length, or the gas law where the held-out rows clearly want its bend."""
-    plain = put_on_trial(problem, state.fits, state.full, library.coil_balancer())
-    if found.shape == "gas":
-        best, gain, phase = found, -np.inf, dict(found.fixed)["phase_rad"]
-    elif plain is not None:
-        best, gain, phase = found, plain.gain + GAS_LEAD, float(np.arctan2(-plain.value[0], plain.value[1]))
-    else:
-        return found
-    for turn in GAS_TURNS_RAD:
-        for stroke in GAS_STROKES:
-            member = library.gas_balancer(phase + turn, stroke)
-            trial = put_on_trial(problem, state.fits, state.full, member)
-            if trial is not None and trial.gain > gain and trial.value[0] > 0:
-                best, gain = member, trial.gain
-    if best.shape == "gas" and plain is not None and plain.gain + GAS_LEAD > gain:
-        return library.coil_balancer()
-    return best
-
-
-def _best_coupling(problem: Problem, state: State, term: Term) -> Term:
-    """The coupling whose coefficient the fitted rows prefer; a one-to-one train if they do not contradict it."""
-    pair = (term.joints[0], term.joints[1])
-    centre = dict(term.fixed)["coefficient"]
-    others = [other for other in state.terms if other.key != term.key]
-    grid = np.unique(np.concatenate([centre * COUPLING_STEPS, [np.sign(centre)]]))
-    costs = np.array([coupling_cost(problem, others, pair, float(value)) for value in grid])
-    whole = int(np.argmin(np.abs(grid - np.sign(centre))))
-    chosen = whole if costs[whole] - costs.min() < COUPLING_SLACK else int(np.argmin(costs))
-    return library.axis_coupling(pair, float(grid[chosen]))
-
-
-def coupling_cost(problem: Problem, others: Sequence[Term], pair: tuple[int, int], coefficient: float) -> float:
-    """Cost of the fitted rows if all friction and rotor inertia of axis j sit on its motor: only then does the
-    coefficient show, because what sits on the joint turns at the joint's own speed."""
-    precision = problem.base.precision.copy()
-    columns = problem.base.columns[:, pair[1], problem.base.friction[pair[1], :3]]
-    precision[problem.base.friction[pair[1], :3]] = 1e8 * (columns**2).sum(axis=0) * problem.noise.weight[pair[1]] ** 2
-    clamped = replace(problem, base=replace(problem.base, precision=precision))
-    member = library.axis_coupling(pair, coefficient)
-    return fit(clamped, (*others, member), ~problem.motion.given, problem.motion.given).cost
-
-
 def _without_idle(problem: Problem, state: State, tried: int) -> State:
     """Drop, one at a time, the effect that the held-out rows miss least, while it is not believed any more."""
     while state.terms:
@@ -273,20 +187,6 @@ def _needed(trial: Trial) -> bool:
     return trial.ratio <= 0.5 * (1.0 + need.ratio) and trial.gain > 0 and trial.p_held <= 2.0 * need.p_held
 
 
-def compare(problem: Problem, smaller: State, larger: State, term: Term) -> Trial:
-    """Trial of `term` from two fitted models: `smaller` has all of `larger` but the term (or its whole family)."""
-    drop = smaller.full.cost - larger.full.cost
-    start = problem.base.columns.shape[2]
-    where = []
-    for other in larger.terms:
-        if other == term:
-            where = list(range(start, start + len(other.symbols)))
-        start += len(other.symbols)
-    rest = larger.full.residual_nm[:, list(term.axes)]
-    value, covariance = larger.full.value[where], larger.full.inverse[np.ix_(where, where)]
-    return judge(problem, larger.fits, term, smaller.held, larger.held, (value, covariance, drop, rest, smaller.full))
-
-
 def penalty(term: Term) -> float:
     """Log of what an effect has to make good before it is weighed: its coefficients, and being rare in arms."""
     return len(term.symbols) + (0.0 if term.name in FRICTION else float(np.log(RARE)))
@@ -301,14 +201,18 @@ def weigh(problem: Problem, state: State, allowed: frozenset[str]) -> list[Chose
         smaller = state_of(problem, [term for term in state.terms if term.key != key])
         own = compare(problem, smaller, state, mine[0])
         touched = {axis for term in mine for axis in term.axes}
-        others = [term for term in pool if term.key != key and touched & set(term.axes)]
-        rivals = [trial for trial in _trials(problem, smaller, others) if trial.term.name != key[0]]
+        others = [
+            term for term in pool if term.key != key and (touched & set(term.axes) or {term.name, key[0]} <= DRAWN)
+        ]
+        rivals = _trials(problem, smaller, others)
         rivals = [
             trial
             for trial in sorted(rivals, key=lambda trial: penalty(trial.term) - trial.gain)[:RUNNERS]
             if possible(problem, smaller.full, trial.term, trial.value, trial.covariance)
         ]
         runner = rivals[0] if rivals else None
+        if runner is not None and runner.term.name == key[0]:
+            runner = refitted(problem, smaller, runner.term)
         lead = (
             own.gain - penalty(mine[0]) - (max(runner.gain - penalty(runner.term), 0.0) if runner is not None else 0.0)
         )

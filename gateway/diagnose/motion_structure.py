@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.motion_fit import Problem
-from gateway.diagnose.motion_select import State
+from gateway.diagnose.motion_state import State
 from gateway.diagnose.motion_trial import Trial, put_on_trial
 from gateway.model.motion import Motion
 from gateway.model.motion_terms import Modelled, Term
@@ -55,11 +55,15 @@ def _shapeless(axis: int, top_rad_s: float) -> list[Term]:
     def postures(motion: Motion, _: Modelled) -> Floats:
         return np.concatenate([np.sin(motion.q_rad), np.cos(motion.q_rad)], axis=1)[:, None, :]
 
+    def passed_on(motion: Motion, modelled: Modelled) -> Floats:
+        torque = modelled.rigid_nm[:, axis]
+        return np.stack([torque, torque * motion.sign[:, axis]], axis=1)[:, None, :]
+
     def neighbours(motion: Motion, _: Modelled) -> Floats:
         others = [other for other in range(6) if other != axis]
         return np.concatenate([motion.sign[:, others], motion.qd_rad_s[:, others]], axis=1)[:, None, :]
 
-    shapes = ((angle, 4), (directed, 2), (speed, 3), (postures, 12), (neighbours, 10))
+    shapes = ((angle, 4), (directed, 2), (speed, 3), (postures, 12), (neighbours, 10), (passed_on, 2))
     return [
         Term("structure", (axis,), (axis,), columns, tuple(f"c{number}" for number in range(count)), str(position))
         for position, (columns, count) in enumerate(shapes)

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.diagnose.motion_candidates import DRAWN
 from gateway.diagnose.motion_fit import Noise, Problem, counting_share, fit
 from gateway.model.motion_baseline import baseline
 from gateway.model.motion_terms import Term
@@ -26,11 +27,6 @@ USUAL_FACTOR = 2.0
 LEVELS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 WORTHLESS = 0.5
 CONTRADICTED = 3.0
-# Effects that a wrong drawing can imitate.
-DRAWN = frozenset(
-    {"balancer_spring", "link_mass", "joint_zero_offset", "base_tilt", "torque_constant_scale", "torque_offset"}
-    | {"payload_shift", "joint_elasticity"}
-)
 
 
 def log_evidence(problem: Problem, terms: Sequence[Term]) -> float:

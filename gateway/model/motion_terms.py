@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.motion import Motion, angle_derivative, smooth_sign, tilt_derivative
+from gateway.model.motion import Motion, smooth_sign
 
 Floats = NDArray[np.float64]
 
@@ -74,14 +74,9 @@ class Term:
         return self.name, self.joints
 
 
-def _on_axis(*columns: Floats) -> Floats:
+def on_axis(*columns: Floats) -> Floats:
     """Columns (n,) of one axis as (n, 1, k)."""
     return np.stack(columns, axis=1)[:, None, :]
-
-
-def _times(change: Floats, modelled: Modelled) -> Floats:
-    """Torque (n, 6) that a changed regressor (n, 6, 60) gives with the link parameters of each row."""
-    return np.einsum("nap,np->na", change, modelled.body)
 
 
 # ---------------------------------------------------------------------------------------------------------- friction
@@ -92,7 +87,7 @@ def stribeck(axis: int, fraction: float, top_rad_s: float) -> Term:
     decay = fraction * top_rad_s
 
     def columns(motion: Motion, _: Modelled) -> Floats:
-        return _on_axis(motion.sign[:, axis] * np.exp(-np.abs(motion.qd_rad_s[:, axis]) / decay))
+        return on_axis(motion.sign[:, axis] * np.exp(-np.abs(motion.qd_rad_s[:, axis]) / decay))
 
     return Term(
         "velocity_friction",
@@ -109,7 +104,7 @@ def power_friction(axis: int, exponent: float) -> Term:
     """Friction that grows with `|qd|^p sign(qd)`: 1/2 flattens, 2 steepens."""
 
     def columns(motion: Motion, _: Modelled) -> Floats:
-        return _on_axis(motion.sign[:, axis] * np.abs(motion.qd_rad_s[:, axis]) ** exponent)
+        return on_axis(motion.sign[:, axis] * np.abs(motion.qd_rad_s[:, axis]) ** exponent)
 
     name = {0.5: "root_nm_s05_rad05", 2.0: "square_nm_s2_rad2"}[exponent]
     return Term("velocity_friction", (axis,), (axis,), columns, (name,), f"power {exponent:g}")
@@ -119,7 +114,7 @@ def load_friction(axis: int) -> Term:
     """Gear losses in proportion to the torque passed on: `nu |tau| sign(qd)` (Hamon, Gautier, Garrec 2010)."""
 
     def columns(motion: Motion, modelled: Modelled) -> Floats:
-        return _on_axis(np.abs(modelled.rigid_nm[:, axis]) * motion.sign[:, axis])
+        return on_axis(np.abs(modelled.rigid_nm[:, axis]) * motion.sign[:, axis])
 
     return Term("load_dependent_friction", (axis,), (axis,), columns, ("coefficient",), modelled=True)
 
@@ -171,7 +166,7 @@ def torque_mixing(pair: tuple[int, int]) -> Term:
     i, j = pair
 
     def columns(_: Motion, modelled: Modelled) -> Floats:
-        return _on_axis(modelled.total_nm[:, j])
+        return on_axis(modelled.total_nm[:, j])
 
     return Term("axis_coupling", pair, (i,), columns, ("coefficient",), "mixing", modelled=True)
 
@@ -183,7 +178,7 @@ def coil_balancer() -> Term:
     """Spring between link 2 and the base whose force grows with its length: `A sin(q2 - phase)`."""
 
     def columns(motion: Motion, _: Modelled) -> Floats:
-        return _on_axis(np.cos(motion.q_rad[:, 1]), np.sin(motion.q_rad[:, 1]))
+        return on_axis(np.cos(motion.q_rad[:, 1]), np.sin(motion.q_rad[:, 1]))
 
     return Term("balancer_spring", (1,), (1,), columns, ("cosine_nm", "sine_nm"), "coil")
 
@@ -200,7 +195,7 @@ def gas_balancer(phase_rad: float, stroke: float) -> Term:
         length = np.sqrt(LEVER_M**2 + ANCHOR_M**2 - 2.0 * LEVER_M * ANCHOR_M * np.cos(angle))
         shortest, quarter = abs(ANCHOR_M - LEVER_M), np.hypot(LEVER_M, ANCHOR_M)
         used = np.clip(stroke * (length - shortest) / (quarter - shortest), 0.0, 0.95)
-        return _on_axis((1.0 - used) ** -POLYTROPIC * LEVER_M * ANCHOR_M * np.sin(angle) / length)
+        return on_axis((1.0 - used) ** -POLYTROPIC * LEVER_M * ANCHOR_M * np.sin(angle) / length)
 
     fixed = (("phase_rad", phase_rad), ("stroke_ratio", stroke))
     return Term("balancer_spring", (1,), (1,), columns, ("force_n",), "gas", fixed)
@@ -210,10 +205,10 @@ def cable(axis: int, shape: str) -> Term:
     """Dress pack wound up by one wrist axis: linear in its angle, or the first harmonic."""
 
     def linear(motion: Motion, _: Modelled) -> Floats:
-        return _on_axis(motion.q_rad[:, axis])
+        return on_axis(motion.q_rad[:, axis])
 
     def harmonic(motion: Motion, _: Modelled) -> Floats:
-        return _on_axis(np.sin(motion.q_rad[:, axis]), np.cos(motion.q_rad[:, axis]))
+        return on_axis(np.sin(motion.q_rad[:, axis]), np.cos(motion.q_rad[:, axis]))
 
     if shape == "linear":
         return Term("cable_torque", (axis,), (axis,), linear, ("stiffness_nm_rad",), shape)
@@ -225,90 +220,7 @@ def ripple(axis: int, per_revolution: float) -> Term:
 
     def columns(motion: Motion, _: Modelled) -> Floats:
         angle = per_revolution * motion.q_rad[:, axis]
-        return _on_axis(np.sin(angle), np.cos(angle))
+        return on_axis(np.sin(angle), np.cos(angle))
 
     fixed = (("per_revolution", per_revolution),)
     return Term("torque_ripple", (axis,), (axis,), columns, ("sine_nm", "cosine_nm"), "", fixed)
-
-
-# ------------------------------------------------------------------------------------------------ geometry, readings
-
-
-def zero_offset(axis: int, motion: Motion) -> Term:
-    """The joint stands `offset_rad` further than the encoder says."""
-    change = angle_derivative(motion, axis)
-
-    def columns(_: Motion, modelled: Modelled) -> Floats:
-        return _times(change, modelled)[:, :, None]
-
-    return Term("joint_zero_offset", (axis,), tuple(range(6)), columns, ("offset_rad",), modelled=True)
-
-
-def elasticity(axis: int, motion: Motion) -> Term:
-    """The link stands `compliance tau` behind the motor's angle."""
-    change = angle_derivative(motion, axis)
-
-    def columns(_: Motion, modelled: Modelled) -> Floats:
-        return -(_times(change, modelled) * modelled.rigid_nm[:, [axis]])[:, :, None]
-
-    return Term("joint_elasticity", (axis,), tuple(range(6)), columns, ("compliance_rad_nm",), modelled=True)
-
-
-def base_tilt(motion: Motion) -> Term:
-    """The base is turned about its x and y axes."""
-    change = [tilt_derivative(motion, 0), tilt_derivative(motion, 1)]
-
-    def columns(_: Motion, modelled: Modelled) -> Floats:
-        return np.stack([_times(part, modelled) for part in change], axis=2)
-
-    return Term("base_tilt", (), tuple(range(6)), columns, ("tilt_x_rad", "tilt_y_rad"), modelled=True)
-
-
-def gain(axis: int) -> Term:
-    """The torque constant of one axis is not what is stored: its whole torque is read in another scale."""
-
-    def columns(_: Motion, modelled: Modelled) -> Floats:
-        return _on_axis(modelled.rigid_nm[:, axis])
-
-    return Term("torque_constant_scale", (axis,), (axis,), columns, ("reading",), modelled=True)
-
-
-def offset(axis: int) -> Term:
-    """A constant of one axis's reading."""
-
-    def columns(motion: Motion, _: Modelled) -> Floats:
-        return _on_axis(np.ones(len(motion)))
-
-    return Term("torque_offset", (axis,), (axis,), columns, ("offset_nm",))
-
-
-def drift(axis: int, per_kelvin: bool) -> Term:
-    """Friction of one axis that changes with temperature, or with time where none was recorded."""
-
-    def columns(motion: Motion, modelled: Modelled) -> Floats:
-        cause = motion.temperature_c[:, axis] if per_kelvin else motion.time_s
-        friction = modelled.total_nm[:, axis] - modelled.rigid_nm[:, axis]
-        return _on_axis(friction * (cause - cause.min()))
-
-    return Term("thermal_drift", (axis,), (axis,), columns, ("per_k" if per_kelvin else "per_s",), modelled=True)
-
-
-def link_mass(link: int) -> Term:
-    """A body on one link: mass and first moment."""
-
-    def columns(motion: Motion, _: Modelled) -> Floats:
-        return motion.rigid[:, :, 10 * link : 10 * link + 4]
-
-    symbols = ("mass_kg", "first_moment_x_kg_m", "first_moment_y_kg_m", "first_moment_z_kg_m")
-    return Term("link_mass", (link,), tuple(range(6)), columns, symbols)
-
-
-def payload_shift(label: str) -> Term:
-    """First moment of the load that moves in proportion to time."""
-
-    def columns(motion: Motion, _: Modelled) -> Floats:
-        here = (motion.load == label) * (motion.time_s - motion.time_s.mean())
-        return motion.rigid[:, :, 51:54] * here[:, None, None]
-
-    symbols = ("moment_rate_x_kg_m_s", "moment_rate_y_kg_m_s", "moment_rate_z_kg_m_s")
-    return Term("payload_shift", (), tuple(range(6)), columns, symbols)
