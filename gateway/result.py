@@ -231,6 +231,8 @@ def from_json(text: str, where: str = "result") -> Result:
         data = json.loads(text)
     except json.JSONDecodeError as error:
         raise InputError(f"{where}:{error.lineno}: not valid JSON: {error.msg}") from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{where}: holds a number or a nesting that no result file has: {error}") from error
     if not isinstance(data, dict):
         raise InputError(f"{where}: a result file is one JSON object, this is {_kind(data)}")
     if data.get("schema") != SCHEMA:
