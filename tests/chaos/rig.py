@@ -54,12 +54,18 @@ class Rig:
     seen : what the drives went through
     """
 
-    def __init__(self, folder: Path, edit: Callable[[str], str] = lambda text: text, bus: str | None = None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        edit: Callable[[str], str] = lambda text: text,
+        bus: str | None = None,
+        payload: Path | None = None,
+    ) -> None:
         self.bus = bus or f"virtual:rig-{uuid.uuid4().hex}"
         self.loaded = small_cell(folder, edit)
         scenario = folder / "idle.toml"
         scenario.write_text(IDLE)
-        options = ServeOptions(bus=self.bus, fault=scenario)
+        options = ServeOptions(bus=self.bus, fault=scenario, payload=payload)
         self.simulation = Simulation(folder / "cell.toml", options)
         self.server = self.simulation.servers[0]
         self.wire: FaultyWire = self.server.bus

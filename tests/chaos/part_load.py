@@ -1,0 +1,77 @@
+"""The load found with 1 % of all answers lost, against the same without loss."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gateway.acquire.planning import make_plan
+from gateway.acquire.session import RecordRequest, record
+from sim.faults import Fault
+from tests.chaos.figure import figure
+from tests.chaos.rig import EXAMPLE, Rig
+
+LOST = 0.01
+POSES = 6
+
+
+def figures(scope: Any) -> dict[str, dict]:
+    """Record bare and loaded, without and with loss, and estimate both."""
+    bar = scope.bar("load with 1 % of frames lost", 2)
+    found = []
+    gaps = 0
+    for share in (0.0, LOST):
+        with tempfile.TemporaryDirectory(prefix="load-") as folder:
+            path, missing = recorded(Path(folder), share)
+            gaps += missing
+            found.append(estimated(path))
+        bar.step()
+    (clean, clean_std), (lossy, _) = found
+    apart = np.abs(lossy - clean) / clean_std
+    return {
+        "load with 1 % lost, apart from without": figure(float(apart.max()), "<= 1", "std"),
+        "gaps reported at 1 % lost": figure(gaps, ">= 1", "SYNC"),
+    }
+
+
+def few_poses(text: str) -> str:
+    """Edit of a cell's text."""
+    text = re.sub(r"(?m)^count = \d+", f"count = {POSES}", text)
+    return re.sub(r"(?m)^validation = \d+", "validation = 0", text)
+
+
+def recorded(folder: Path, share: float) -> tuple[Path, int]:
+    """Recording of the bare and of the loaded arm; number of incomplete SYNCs that the statistics report."""
+    path = folder / "run.h5"
+    missing = 0
+    with Rig(folder, few_poses, payload=EXAMPLE / "payload.toml") as rig:
+        for label in ("none", "load"):
+            rig.renew()
+            rig.simulation.hang(label)
+            with rig.open() as opened:
+                plan = make_plan(opened.loaded, POSES)
+                if share:
+                    rig.wire.arm_in(Fault("tpdo_random_loss", syncs=0, share=share, seed=3), 50)
+                summary = record(opened, plan, RecordRequest(label, path, resume=True))
+                missing += int(summary.statistics["incomplete"])
+    return path, missing
+
+
+def estimated(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Mass [kg] and centre of gravity [m] of the load with their standard deviations, by the command line's own way."""
+    from click.testing import CliRunner
+
+    from gateway.cli import main
+    from gateway.result import from_json
+
+    out = path.with_suffix(".json")
+    done = CliRunner().invoke(main, ["estimate", str(path), "--json", str(out), "-q"], catch_exceptions=False)
+    if not out.exists():
+        raise RuntimeError(f"estimate failed: {done.output}")
+    load = next(each for each in from_json(out.read_text()).loads if each.label == "load")
+    value = np.array([load.mass_kg, *(load.com_m or ())])
+    return value, np.array([load.mass_std_kg, *(load.com_std_m or ())])
