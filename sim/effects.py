@@ -2,70 +2,24 @@
 
 Each effect is a function from one `Plant` to the next, written from the mechanism: a spring between two points, a cable
 that is wound up, a gear that gives way. Nothing here knows how an effect is looked for. The names and the parameters of
-the library are those of the undeclared-effects file (`[[effect]] name, joints, parameters`); `OFF_LIBRARY` holds
-mechanisms that no diagnosis has a name for.
+the library are those of the undeclared-effects file (`[[effect]] name, joints, parameters`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim.off_library import OFF_LIBRARY, OFF_LIBRARY_WITH_GEOMETRY
 from sim.plant import Plant
-
-Array = NDArray[np.float64]
-Transform = Callable[[Plant], Plant]
-PointJacobian = Callable[[Array, int, Array], tuple[Array, Array]]
+from sim.request import Array, EffectError, PointJacobian, Request, Transform, add_passive, add_reading
 
 WARM_UP_K = 30.0
 WARM_UP_TIME_S = 1800.0
 AMBIENT_C = 25.0
-
-
-class EffectError(ValueError):
-    """An effect of the undeclared-effects file that cannot be built."""
-
-
-@dataclass(frozen=True, slots=True)
-class Request:
-    """One effect as the file gives it.
-
-    Attributes
-    ----------
-    name : name of the effect
-    joints : joints counted from 1; empty for the base and the load
-    parameters : SI values by name
-    """
-
-    name: str
-    joints: tuple[int, ...]
-    parameters: Mapping[str, object]
-
-    def number(self, key: str, default: float | None = None) -> float:
-        """Value of one parameter, or its default; without default it must be given."""
-        value = self.parameters.get(key, default)
-        if not isinstance(value, (int, float)) or isinstance(value, bool) or not math.isfinite(value):
-            raise EffectError(f"effect {self.name}: parameter {key} must be a finite number, got {value!r}")
-        return float(value)
-
-    def vector(self, key: str, default: Sequence[float]) -> Array:
-        """Value of one parameter of three numbers, or its default."""
-        value = np.atleast_1d(np.asarray(self.parameters.get(key, default), dtype=float))
-        if value.shape == (1,):
-            value = np.array([value[0], 0.0, 0.0])
-        if value.shape != (3,) or not np.all(np.isfinite(value)):
-            raise EffectError(f"effect {self.name}: parameter {key} must hold three finite numbers")
-        return value
-
-    def axis(self) -> int:
-        """The one joint of the effect, counted from 0."""
-        if len(self.joints) != 1:
-            raise EffectError(f"effect {self.name} acts on one joint, got joints = {list(self.joints)}")
-        return self.joints[0] - 1
 
 
 def _with(values: Array, index: int | slice, change: Callable[[Array], Array | float]) -> Array:
@@ -202,7 +156,7 @@ def torque_ripple(request: Request) -> Transform:
         swing[axis] = amplitude * math.sin(periods * q_rad[axis] + phase)
         return swing
 
-    return lambda plant: _add_reading(plant, error)
+    return lambda plant: add_reading(plant, error)
 
 
 def axis_coupling(request: Request) -> Transform:
@@ -272,7 +226,7 @@ def balancer_spring(request: Request) -> Transform:
         out[1] = -force(length) * lever * anchor * math.sin(angle) / length
         return out
 
-    return lambda plant: _add_passive(plant, torque)
+    return lambda plant: add_passive(plant, torque)
 
 
 def cable_torque(request: Request) -> Transform:
@@ -286,7 +240,7 @@ def cable_torque(request: Request) -> Transform:
         out[axis] = -stiffness * (math.sin(wound) if harmonic else wound)
         return out
 
-    return lambda plant: _add_passive(plant, torque)
+    return lambda plant: add_passive(plant, torque)
 
 
 def link_mass(request: Request) -> Transform:
@@ -340,109 +294,6 @@ LIBRARY: dict[str, Callable[[Request], Transform]] = {
 }
 
 
-# ------------------------------------------------------------------------------------------------- off the library
-
-
-def hardening_cable(request: Request) -> Transform:
-    """A pack that is clamped in three places: torque `-amplitude cos(3 q + phase)` on one axis."""
-    axis, amplitude, phase = request.axis(), request.number("amplitude_nm"), request.number("phase_rad", 0.0)
-
-    def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
-        out = np.zeros(6)
-        out[axis] = -amplitude * math.cos(3.0 * q_rad[axis] + phase)
-        return out
-
-    return lambda plant: _add_passive(plant, torque)
-
-
-def end_stop_buffer(request: Request) -> Transform:
-    """A rubber buffer that is touched beyond `angle_rad`: torque grows with the square of the penetration."""
-    axis, stiffness, angle = request.axis(), request.number("stiffness_nm_rad2"), request.number("angle_rad", 0.0)
-
-    def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
-        out = np.zeros(6)
-        out[axis] = -stiffness * max(q_rad[axis] - angle, 0.0) ** 2
-        return out
-
-    return lambda plant: _add_passive(plant, torque)
-
-
-def linkage_spring(request: Request) -> Transform:
-    """A spring between the upper arm's parallel link and the forearm: acts on axis 3 by the angle q2 + q3 + phase."""
-    stiffness, phase = request.number("stiffness_nm"), request.number("phase_rad", 0.0)
-
-    def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
-        out = np.zeros(6)
-        out[2] = -stiffness * math.sin(2.0 * (q_rad[1] + q_rad[2]) + phase)
-        return out
-
-    return lambda plant: _add_passive(plant, torque)
-
-
-def saturating_motor(request: Request) -> Transform:
-    """Iron saturates: the reading of one axis exceeds the torque by `coefficient * |u| / reference_nm`."""
-    axis = request.axis()
-    coefficient, reference = request.number("coefficient"), request.number("reference_nm")
-
-    def error(_q_rad: Array, torque_nm: Array) -> Array:
-        out = np.zeros(6)
-        out[axis] = coefficient * torque_nm[axis] * abs(torque_nm[axis]) / reference
-        return out
-
-    return lambda plant: _add_reading(plant, error)
-
-
-def eccentric_gear(request: Request) -> Transform:
-    """The transmission ratio swings once per turn of the joint: reading error `coefficient * u * cos(q + phase)`."""
-    axis, coefficient, phase = request.axis(), request.number("coefficient"), request.number("phase_rad", 0.0)
-
-    def error(q_rad: Array, torque_nm: Array) -> Array:
-        out = np.zeros(6)
-        out[axis] = coefficient * torque_nm[axis] * math.cos(q_rad[axis] + phase)
-        return out
-
-    return lambda plant: _add_reading(plant, error)
-
-
-def world_hose(request: Request, jacobian: PointJacobian) -> Transform:
-    """A hose that pulls a point of one link with a constant force in a fixed direction of the base frame."""
-    link, point = request.axis(), request.vector("point_m", (0.0, 0.0, 0.0))
-    force = request.vector("force_n", (0.0, 0.0, 0.0))
-
-    def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
-        return jacobian(q_rad, link, point)[1].T @ force
-
-    return lambda plant: _add_passive(plant, torque)
-
-
-def bungee(request: Request, jacobian: PointJacobian) -> Transform:
-    """An elastic cord from a fixed point of the cell to a point of one link; slack below its free length."""
-    link, point = request.axis(), request.vector("point_m", (0.0, 0.0, 0.0))
-    hook, stiffness = request.vector("hook_m", (0.0, 0.0, 0.0)), request.number("stiffness_n_m")
-    free = request.number("free_length_m", 0.0)
-
-    def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
-        position, jac = jacobian(q_rad, link, point)
-        reach = hook - position
-        length = float(np.linalg.norm(reach))
-        return jac.T @ (stiffness * max(length - free, 0.0) * reach / max(length, 1e-9))
-
-    return lambda plant: _add_passive(plant, torque)
-
-
-OFF_LIBRARY: dict[str, Callable[[Request], Transform]] = {
-    "hardening_cable": hardening_cable,
-    "end_stop_buffer": end_stop_buffer,
-    "linkage_spring": linkage_spring,
-    "saturating_motor": saturating_motor,
-    "eccentric_gear": eccentric_gear,
-}
-OFF_LIBRARY_WITH_GEOMETRY: dict[str, Callable[[Request, PointJacobian], Transform]] = {
-    "world_hose": world_hose,
-    "bungee": bungee,
-}
-
-
 def effect_from_dict(effect: Mapping[str, object], jacobian: PointJacobian | None = None) -> Transform:
     """The function that builds one effect into a plant.
 
@@ -486,20 +337,6 @@ def apply_effects(
     for effect in sorted(effects, key=lambda effect: effect.get("name") == "thermal_drift"):
         plant = effect_from_dict(effect, jacobian)(plant)
     return plant
-
-
-def _add_passive(plant: Plant, torque: Callable[[Array, float, Array], Array]) -> Plant:
-    earlier = plant.passive_torque
-    if earlier is None:
-        return replace(plant, passive_torque=torque)
-    return replace(plant, passive_torque=lambda q, time_s, tau: earlier(q, time_s, tau) + torque(q, time_s, tau))
-
-
-def _add_reading(plant: Plant, error: Callable[[Array, Array], Array]) -> Plant:
-    earlier = plant.reading_ripple
-    if earlier is None:
-        return replace(plant, reading_ripple=error)
-    return replace(plant, reading_ripple=lambda q, u: earlier(q, u) + error(q, u))
 
 
 def _rotation(vector: Array) -> Array:

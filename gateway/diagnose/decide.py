@@ -13,7 +13,7 @@ from gateway.diagnose.fit import Fit, Problem, modelled, with_terms
 from gateway.diagnose.screen import projector
 from gateway.diagnose.search import NEEDED, Label, Search, label, pruned
 from gateway.diagnose.structure import misfit
-from gateway.model.terms.effects import Term
+from gateway.model.terms.term import Term
 
 Floats = NDArray[np.float64]
 

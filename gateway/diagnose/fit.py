@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.terms.effects import Term
 from gateway.model.terms.reading import Model, RestRows, Setting, neutral
+from gateway.model.terms.term import Term
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -25,8 +25,8 @@ from gateway.diagnose.mistakes import Mistake
 from gateway.diagnose.screen import screen
 from gateway.diagnose.search import Search, label
 from gateway.model.robot import Robot
-from gateway.model.terms.effects import Term
-from gateway.result import EffectResult, Evidence, Finding, FitSummary, Rejected, Rows
+from gateway.model.terms.term import Term
+from gateway.result import EffectResult, Evidence, Finding, FitSummary, Rejected
 
 Floats = NDArray[np.float64]
 LARGEST_ODDS = 1e12
@@ -176,30 +176,6 @@ def rejected(search: Search, decision: Decision) -> list[Rejected]:
     tried = {(entry.name, entry.joints) for entry in out} | taken
     out += [Rejected(*key, 1.0) for key in sorted({label(term) for term in search.named} - tried)]
     return sorted(out, key=lambda entry: (entry.holdout_rms_ratio, entry.name, entry.joints))
-
-
-def rows_of(problem: Problem, fit: Fit) -> Rows:
-    """Measured and modelled rows for the figures of the report."""
-    rows = problem.rows
-    setting_rows = np.full((len(rows), 6), np.nan)
-    n_sum = int(problem.use_sum.sum())
-    setting_rows[problem.use_sum] = (problem.target - fit.residual)[:n_sum]
-    return Rows(
-        run=tuple(rows.run.tolist()),
-        load=tuple(rows.load.tolist()),
-        pose=tuple(int(v) for v in rows.pose),
-        time_s=tuple(float(v) for v in rows.time_s),
-        q_rad=_matrix(rows.q_rad),
-        direction=tuple(tuple(int(v) for v in row) for row in rows.side),
-        tau_nm=_matrix(rows.sum_nm),
-        model_nm=_matrix(setting_rows),
-        band_nm=_matrix(rows.difference_nm),
-        std_nm=_matrix(np.broadcast_to(fit.noise.std[:6], (len(rows), 6))),
-    )
-
-
-def _matrix(values: Floats) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(float(v) for v in row) for row in values)
 
 
 def floor_and_band(problem: Problem, decision: Decision) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.fit import Fit, Problem, spread_of, term_columns
-from gateway.model.terms.effects import Term
+from gateway.model.terms.term import Term
 
 Floats = NDArray[np.float64]
 

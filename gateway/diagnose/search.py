@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.fit import Fit, Noise, Problem, fit
 from gateway.diagnose.screen import Screen, columns_of, pair_log_bayes, screen
-from gateway.model.terms.effects import Term
+from gateway.model.terms.term import Term
 
 Floats = NDArray[np.float64]
 Label = tuple[str, tuple[int, ...]]

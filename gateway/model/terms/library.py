@@ -8,25 +8,24 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.model.terms.balancer import CoilBalancer, GasBalancer
 from gateway.model.terms.effects import (
     AxisCoupling,
     BaseTilt,
     CableTorque,
-    CoilBalancer,
-    GasBalancer,
     JointElasticity,
     JointZeroOffset,
     LinkMass,
     LoadDependentFriction,
     PayloadShift,
     StaticFriction,
-    Term,
     ThermalDrift,
     TorqueConstantScale,
     TorqueOffset,
     TorqueRipple,
 )
 from gateway.model.terms.reading import RestRows
+from gateway.model.terms.term import Term
 from gateway.model.terms.unnamed import BentGain, PositionTorque, Pull, SumTorque, UnevenBand, UnevenGain
 
 Floats = NDArray[np.float64]

@@ -12,15 +12,15 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.terms.effects import _OnAxis
 from gateway.model.terms.reading import RestRows, Setting
+from gateway.model.terms.term import OnAxis
 
 Floats = NDArray[np.float64]
 NAN = float("nan")
 
 
 @dataclass(frozen=True, slots=True)
-class _Unnamed(_OnAxis):
+class _Unnamed(OnAxis):
     name: ClassVar[str] = "unnamed"
 
 

@@ -10,6 +10,7 @@ import pytest
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import Robot, robot_from_urdf
 from gateway.model.terms import effects as fx
+from gateway.model.terms.balancer import CoilBalancer, GasBalancer
 from gateway.model.terms.library import Setup, named_terms, unnamed_terms
 from gateway.model.terms.reading import Model, RestRows, neutral
 from sim.draw import Arm, choose_poses, draw_arm
@@ -104,14 +105,14 @@ CASES = [
     (fx.ThermalDrift(2), [2e-4], "thermal_drift", [3], {"per_s": 2e-4}),
     (fx.ThermalDrift(2, on="friction"), [2e-4], "thermal_drift", [3], {"per_s": 2e-4, "on": "friction"}),
     (
-        fx.CoilBalancer(),
+        CoilBalancer(),
         [KAB, -KAB * L0, 0.0, np.log(RHO / (1 - RHO))],
         "balancer_spring",
         [2],
         {"stiffness_n_m": 2e4, "lever_m": 0.2, "anchor_m": 0.7, "free_length_m": 0.4},
     ),
     (
-        fx.GasBalancer(),
+        GasBalancer(),
         [1e4 * 0.6 / 1.3 * 0.2 * 0.7 / np.hypot(0.2, 0.7), 0.0, np.log(RHO / (1 - RHO)), np.log(2.0)],
         "balancer_spring",
         [2],

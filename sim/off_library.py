@@ -1,0 +1,110 @@
+"""Mechanisms that no diagnosis has a name for: what is right about them is to say that something is there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from sim.request import Array, PointJacobian, Request, Transform, add_passive, add_reading
+
+
+def hardening_cable(request: Request) -> Transform:
+    """A pack that is clamped in three places: torque `-amplitude cos(3 q + phase)` on one axis."""
+    axis, amplitude, phase = request.axis(), request.number("amplitude_nm"), request.number("phase_rad", 0.0)
+
+    def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
+        out = np.zeros(6)
+        out[axis] = -amplitude * math.cos(3.0 * q_rad[axis] + phase)
+        return out
+
+    return lambda plant: add_passive(plant, torque)
+
+
+def end_stop_buffer(request: Request) -> Transform:
+    """A rubber buffer that is touched beyond `angle_rad`: torque grows with the square of the penetration."""
+    axis, stiffness, angle = request.axis(), request.number("stiffness_nm_rad2"), request.number("angle_rad", 0.0)
+
+    def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
+        out = np.zeros(6)
+        out[axis] = -stiffness * max(q_rad[axis] - angle, 0.0) ** 2
+        return out
+
+    return lambda plant: add_passive(plant, torque)
+
+
+def linkage_spring(request: Request) -> Transform:
+    """A spring between the upper arm's parallel link and the forearm: acts on axis 3 by the angle q2 + q3 + phase."""
+    stiffness, phase = request.number("stiffness_nm"), request.number("phase_rad", 0.0)
+
+    def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
+        out = np.zeros(6)
+        out[2] = -stiffness * math.sin(2.0 * (q_rad[1] + q_rad[2]) + phase)
+        return out
+
+    return lambda plant: add_passive(plant, torque)
+
+
+def saturating_motor(request: Request) -> Transform:
+    """Iron saturates: the reading of one axis exceeds the torque by `coefficient * |u| / reference_nm`."""
+    axis = request.axis()
+    coefficient, reference = request.number("coefficient"), request.number("reference_nm")
+
+    def error(_q_rad: Array, torque_nm: Array) -> Array:
+        out = np.zeros(6)
+        out[axis] = coefficient * torque_nm[axis] * abs(torque_nm[axis]) / reference
+        return out
+
+    return lambda plant: add_reading(plant, error)
+
+
+def eccentric_gear(request: Request) -> Transform:
+    """The transmission ratio swings once per turn of the joint: reading error `coefficient * u * cos(q + phase)`."""
+    axis, coefficient, phase = request.axis(), request.number("coefficient"), request.number("phase_rad", 0.0)
+
+    def error(q_rad: Array, torque_nm: Array) -> Array:
+        out = np.zeros(6)
+        out[axis] = coefficient * torque_nm[axis] * math.cos(q_rad[axis] + phase)
+        return out
+
+    return lambda plant: add_reading(plant, error)
+
+
+def world_hose(request: Request, jacobian: PointJacobian) -> Transform:
+    """A hose that pulls a point of one link with a constant force in a fixed direction of the base frame."""
+    link, point = request.axis(), request.vector("point_m", (0.0, 0.0, 0.0))
+    force = request.vector("force_n", (0.0, 0.0, 0.0))
+
+    def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
+        return jacobian(q_rad, link, point)[1].T @ force
+
+    return lambda plant: add_passive(plant, torque)
+
+
+def bungee(request: Request, jacobian: PointJacobian) -> Transform:
+    """An elastic cord from a fixed point of the cell to a point of one link; slack below its free length."""
+    link, point = request.axis(), request.vector("point_m", (0.0, 0.0, 0.0))
+    hook, stiffness = request.vector("hook_m", (0.0, 0.0, 0.0)), request.number("stiffness_n_m")
+    free = request.number("free_length_m", 0.0)
+
+    def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
+        position, jac = jacobian(q_rad, link, point)
+        reach = hook - position
+        length = float(np.linalg.norm(reach))
+        return jac.T @ (stiffness * max(length - free, 0.0) * reach / max(length, 1e-9))
+
+    return lambda plant: add_passive(plant, torque)
+
+
+OFF_LIBRARY: dict[str, Callable[[Request], Transform]] = {
+    "hardening_cable": hardening_cable,
+    "end_stop_buffer": end_stop_buffer,
+    "linkage_spring": linkage_spring,
+    "saturating_motor": saturating_motor,
+    "eccentric_gear": eccentric_gear,
+}
+OFF_LIBRARY_WITH_GEOMETRY: dict[str, Callable[[Request, PointJacobian], Transform]] = {
+    "world_hose": world_hose,
+    "bungee": bungee,
+}

@@ -1,0 +1,74 @@
+"""One undeclared effect as its file gives it, and how effects of the same kind add up in a plant."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.plant import Plant
+
+Array = NDArray[np.float64]
+Transform = Callable[[Plant], Plant]
+PointJacobian = Callable[[Array, int, Array], tuple[Array, Array]]
+
+
+class EffectError(ValueError):
+    """An effect of the undeclared-effects file that cannot be built."""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """One effect as the file gives it.
+
+    Attributes
+    ----------
+    name : name of the effect
+    joints : joints counted from 1; empty for the base and the load
+    parameters : SI values by name
+    """
+
+    name: str
+    joints: tuple[int, ...]
+    parameters: Mapping[str, object]
+
+    def number(self, key: str, default: float | None = None) -> float:
+        """Value of one parameter, or its default; without default it must be given."""
+        value = self.parameters.get(key, default)
+        if not isinstance(value, (int, float)) or isinstance(value, bool) or not math.isfinite(value):
+            raise EffectError(f"effect {self.name}: parameter {key} must be a finite number, got {value!r}")
+        return float(value)
+
+    def vector(self, key: str, default: Sequence[float]) -> Array:
+        """Value of one parameter of three numbers, or its default."""
+        value = np.atleast_1d(np.asarray(self.parameters.get(key, default), dtype=float))
+        if value.shape == (1,):
+            value = np.array([value[0], 0.0, 0.0])
+        if value.shape != (3,) or not np.all(np.isfinite(value)):
+            raise EffectError(f"effect {self.name}: parameter {key} must hold three finite numbers")
+        return value
+
+    def axis(self) -> int:
+        """The one joint of the effect, counted from 0."""
+        if len(self.joints) != 1:
+            raise EffectError(f"effect {self.name} acts on one joint, got joints = {list(self.joints)}")
+        return self.joints[0] - 1
+
+
+def add_passive(plant: Plant, torque: Callable[[Array, float, Array], Array]) -> Plant:
+    """A further torque on the joints."""
+    earlier = plant.passive_torque
+    if earlier is None:
+        return replace(plant, passive_torque=torque)
+    return replace(plant, passive_torque=lambda q, time_s, tau: earlier(q, time_s, tau) + torque(q, time_s, tau))
+
+
+def add_reading(plant: Plant, error: Callable[[Array, Array], Array]) -> Plant:
+    """A further error of the reading."""
+    earlier = plant.reading_ripple
+    if earlier is None:
+        return replace(plant, reading_ripple=error)
+    return replace(plant, reading_ripple=lambda q, u: earlier(q, u) + error(q, u))
