@@ -14,7 +14,7 @@ from gateway.report.svg import Panel, limits, tick_text
 from gateway.report.view import AxisView, Candidate
 
 Json = Mapping[str, Any]
-MOST_CANDIDATES = 22
+MOST_CANDIDATES = 14
 LEFT = 34.0
 
 
@@ -114,7 +114,7 @@ def curve_figure(curve: Json) -> Markup:
         panel.area(xs, low, high, "confidence")
     panel.polyline(list(zip(xs, ys, strict=True)), "curve")
     for x, y in zip(px, py, strict=True):
-        panel.dot(x, y, "dot before", f"{y:.3g} Nm", 3.6)
+        panel.dot(x, y, "dot before", f"measured: {y:.3g} Nm", 3.6)
     return panel.svg(f"{words.effect(str(curve.get('name', 'effect')))} as a curve")
 
 

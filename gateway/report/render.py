@@ -63,6 +63,7 @@ def _figures(result: Json, shown: View) -> dict[str, Any]:
         "quality": evidence.quality_figure(shown.axes),
         "evidence": evidence.evidence_figure(shown.candidates),
         "friction": evidence.friction_figure(result),
+        "more_candidates": max(0, len(shown.candidates) - evidence.MOST_CANDIDATES),
         "curves": curves,
         "first_curve": next(iter(curves.values()), None),
         "torque": figures.torque_figures(result),

@@ -81,9 +81,9 @@ def quality_sentence(axes: Sequence[AxisView], result: Json) -> str:
         return f"The noise floor is not known; the largest residual is {size}."
     ratio, worst = max(rated, key=lambda pair: pair[0])
     place = "" if held_out_known(result) else " in the fit itself"
-    judged = (
-        "The model is as good as the measurement" if ratio <= NEAR_FLOOR else "The model is not as good as the data"
-    )
+    settled = result.get("verdict") in ("none_needed", "explained")
+    good = settled or ratio <= NEAR_FLOOR
+    judged = "The model is as good as the data" if good else "The model is not as good as the data"
     return (
         f"{judged}: the residual{place} is {ratio:.1f} times the noise floor on the worst axis, {worst.name} "
         f"({words.significant(worst.after)} Nm against {words.significant(worst.floor)} Nm)."

@@ -146,8 +146,8 @@ def com_figures(load: Json, before: Json | None) -> list[tuple[str, Markup]]:
 def _com_view(load: Json, before: Json | None, pair: tuple[int, int], half: float) -> Markup:
     across, up = pair
     panel = Panel(COM_SIDE + 64, COM_SIDE + 52, (-half, half), (-half, half), left=52, right=12, top=12, bottom=40)
-    panel.x_axis(f"{'xyz'[across]} [mm]", 4)
-    panel.y_axis(f"{'xyz'[up]} [mm]")
+    panel.x_axis(f"{'xyz'[across]} [mm]", 3)
+    panel.y_axis(f"{'xyz'[up]} [mm]", 3)
     if across == 2:
         panel.segment((0.0, -0.32 * half), (0.0, 0.32 * half), "flange")
         panel.segment((-0.12 * half, 0.0), (0.0, 0.0), "flange")

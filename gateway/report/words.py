@@ -99,7 +99,9 @@ def axes(joints: Sequence[int]) -> str:
 
 def load(label: str) -> str:
     """A load in words; `none` is the bare arm."""
-    return "bare arm" if label == "none" else f"load {label}"
+    return (
+        "bare arm" if label == "none" else f"load \N{LEFT DOUBLE QUOTATION MARK}{label}\N{RIGHT DOUBLE QUOTATION MARK}"
+    )
 
 
 def effect(name: str) -> str:

@@ -129,6 +129,9 @@ def test_a_long_moving_run_is_drawn_as_a_line(result):
     assert len(page) < 6e6
 
 
-def test_sources_may_say_less(result):
+def test_sources_findings_and_questions_may_say_less(result):
     result["data"]["sources"] = [{"file": "table.csv", "kind": "measured table", "visits": 3}]
-    assert "table.csv" in render(result)
+    result["next"] = [{"what": "hang a known load"}]
+    result["findings"] = [{"severity": "fail", "where": "J4", "what": "torque sign is reversed"}]
+    page = render(result)
+    assert all(text in page for text in ("table.csv", "hang a known load", "torque sign is reversed"))
