@@ -118,6 +118,7 @@ def _tables(result: Json) -> dict[str, Any]:
         "bus_columns": list(columns),
         "provenance": _provenance(result.get("provenance") or {}),
         "fresh": "fresh" in (data.get("role") or []),
+        "open_question": result.get("verdict") == "undecided",
         "has_floor": any(words.known(value) for value in result.get("noise_floor_nm") or []),
         "has_before_rows": bool(data.get("model_before_nm")),
     }

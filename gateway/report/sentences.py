@@ -63,7 +63,8 @@ def verdict_sentence(result: Json) -> str:
         return "The model lacks something that no known effect explains; the residual below shows where."
     if verdict == "undecided":
         if found:
-            between = words.listing(found if len(found) > 1 else [*found, "nothing at all"], "and")
+            each = [words.effect_on(item["name"], item.get("joints") or []) for item in effects]
+            between = words.listing(each if len(each) > 1 else [*each, "nothing at all"], "and")
             return f"The data cannot decide between {between}; what to measure next is given below."
         return "There is too little data to say whether the model lacks anything; what to measure next is given below."
     return "The load was estimated with the model as it stands; no diagnosis of the residual was asked for."

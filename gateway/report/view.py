@@ -222,7 +222,8 @@ def _evidence(evidence: Json) -> tuple[str, ...]:
     lines = []
     ratio = evidence.get("holdout_rms_ratio")
     if words.known(ratio):
-        lines.append(f"held-out error falls to {100 * float(ratio or 0):.0f} % of what it was")
+        verb = "falls to" if float(ratio or 0) < 1 else "is"
+        lines.append(f"held-out error {verb} {100 * float(ratio or 0):.0f} % of what it was")
     if words.known(evidence.get("p_value")):
         lines.append(f"chance of that without the effect: p = {words.significant(evidence['p_value'], 2)}")
     if evidence.get("runner_up"):
