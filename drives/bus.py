@@ -7,20 +7,20 @@ that the adapter brings back (udp_multicast) are told apart from those of anothe
 
 from __future__ import annotations
 
-import contextlib
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final, Protocol
 
 import can
 import canopen
 
+from drives.bus_spec import BusSpec
 from drives.errors import BusError, BusOff
+
+__all__ = ["Bus", "BusSpec", "Frame", "Handler", "open_bus"]
 
 NMT_ID: Final = 0x000
 SYNC_ID: Final = 0x080
@@ -52,65 +52,6 @@ class Frame(Protocol):
     arbitration_id: int
     data: bytearray
     timestamp: float
-
-
-@dataclass(frozen=True, slots=True)
-class BusSpec:
-    """One bus: python-can interface, channel, bit rate and further options of the interface.
-
-    Attributes
-    ----------
-    interface, channel : str
-        As python-can names them.
-    bitrate_bit_s : int
-        Of the wire; the planned bus load refers to it also where the interface has no wire.
-    options : mapping
-        Further arguments of the interface, as they stand.
-    """
-
-    interface: str
-    channel: str
-    bitrate_bit_s: int = 1_000_000
-    options: MappingProxyType[str, Any] | dict[str, Any] = field(default_factory=dict)
-
-    @classmethod
-    def parse(cls, text: str) -> BusSpec:
-        """Read ``INTERFACE:CHANNEL[,key=value]...``; the key `bitrate` is the bit rate.
-
-        Raises
-        ------
-        BusError
-            The text does not have that form.
-        """
-        interface, colon, rest = text.partition(":")
-        channel, *pairs = rest.split(",")
-        if not (colon and interface.strip() and channel.strip()):
-            advice = "write INTERFACE:CHANNEL[,key=value], e.g. udp_multicast:239.74.163.2,port=43113 or socketcan:can0"
-            raise BusError(f"bus '{text}' is not understood", advice=advice)
-        options: dict[str, Any] = {}
-        for pair in pairs:
-            key, equals, value = pair.partition("=")
-            if not (equals and key.strip() and value.strip()):
-                raise BusError(f"bus '{text}': option '{pair}' is not understood", advice="write key=value")
-            options[key.strip()] = _typed(value.strip())
-        bitrate = options.pop("bitrate", 1_000_000)
-        if not isinstance(bitrate, int) or isinstance(bitrate, bool) or bitrate <= 0:
-            raise BusError(f"bus '{text}': bitrate must be a positive integer in bit/s", advice="e.g. bitrate=500000")
-        return cls(interface.strip(), channel.strip(), bitrate, options)
-
-    def __str__(self) -> str:
-        return ",".join(
-            [f"{self.interface}:{self.channel}", *(f"{key}={value}" for key, value in self.options.items())]
-        )
-
-
-def _typed(text: str) -> str | int | float | bool:
-    if text.lower() in ("true", "false"):
-        return text.lower() == "true"
-    for kind in (lambda value: int(value, 0), float):
-        with contextlib.suppress(ValueError):
-            return kind(text)
-    return text
 
 
 class _Network(canopen.Network):

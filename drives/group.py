@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from drives import bringup, starting, stopping
+from drives import bringup, finding, starting, stopping
 from drives.access import ObjectAccess
 from drives.bus import EMCY_BASE, Bus
 from drives.busload import load_percent
-from drives.cia402 import DISABLE_VOLTAGE, ENABLE_OPERATION, FAULT_RESET, FAULTED, Mode, State, decode_state, describe
+from drives.cia402 import ENABLE_OPERATION, Mode
 from drives.drive import AxisSetup, Cia402Drive, DriveCommand, Identity
 from drives.emcy import EmcyLog
 from drives.epoch import Epoch
@@ -28,9 +28,7 @@ from drives.errors import (
     BusOverload,
     ConfigurationRefused,
     DriveError,
-    DriveFault,
     DriveRebooted,
-    DuplicateNode,
     NodeMissing,
     SdoTimeout,
     raise_failures,
@@ -39,8 +37,6 @@ from drives.exchange import Pacing, SyncExchange, Timing
 from drives.guard import Guard, Limits, refuse_foreign
 from drives.heartbeat import HeartbeatProducer, HeartbeatWatch, NmtCommand, send_nmt
 from drives.ledger import WriteLedger
-from drives.objects import OBJECTS
-from drives.probe import probe
 from drives.statistics import GroupStatistics, group_statistics
 
 #: Before anything is sent: how long to listen for another master.
@@ -151,27 +147,17 @@ class DriveGroup:
         """
         self._forget()
         refuse_foreign(self._bus, max(_LISTEN_S, 3.0 * self.timing.period_s))
-        answers = self._probe()
+        answers = finding.count_answers(self._bus, self.setups)
         self.drives = tuple(Cia402Drive(self._bus, setup, self.ledger) for setup in self.setups)
         for drive in self.drives:
             self._bus.subscribe(EMCY_BASE + drive.node_id, self._emcy.on_frame)
         identities: list[Identity] = []
         try:
-            self._for_each(lambda drive: identities.append(_identify(drive, answers[drive.node_id])))
+            self._for_each(lambda drive: identities.append(finding.identify(drive, answers[drive.node_id])))
         except DriveError:
             self._forget()
             raise
         return tuple(identities)
-
-    def _probe(self) -> dict[int, int]:
-        """Answers of each node; who does not answer may be in NMT state STOPPED, two answers are asked for again."""
-        timeout_s = max(setup.profile.sdo.timeout_s for setup in self.setups)
-        answers = probe(self._bus, [setup.node_id for setup in self.setups], timeout_s)
-        again = [node_id for node_id, number in answers.items() if number != 1]
-        for node_id in again:
-            if answers[node_id] == 0:
-                send_nmt(self._bus, NmtCommand.ENTER_PREOPERATIONAL, node_id)
-        return answers | probe(self._bus, again, timeout_s) if again else answers
 
     def configure(self) -> None:
         """Map the PDOs, set mode, period, heartbeats and the reaction to a lost master; everything is read back.
@@ -390,14 +376,7 @@ class DriveGroup:
         drive = next((each for each in self.drives if each.node_id == node_id), None)
         if drive is None:
             raise NodeMissing("is not connected", node=node_id, advice="connect() first")
-        control = OBJECTS["controlword"]
-        if decode_state(drive.statusword()) is State.FAULT:
-            for word in (DISABLE_VOLTAGE, FAULT_RESET, DISABLE_VOLTAGE):
-                drive.access.sdo.write(control.index, control.subindex, control.type, word)
-        status = drive.statusword()
-        if decode_state(status) in FAULTED:
-            what = f"is still in {describe(status)}: {drive.fault_words()}"
-            raise DriveFault(what, node=node_id, index=0x6041, code=status, advice="its cause is still there")
+        starting.reset_fault(drive)
 
     def restore(self) -> None:
         """Put back every object that the ledger holds of the connected drives.
@@ -473,16 +452,6 @@ class DriveGroup:
     def statistics(self) -> GroupStatistics:
         """Counters and latencies so far."""
         return group_statistics(self._bus, self.drives, self._exchange, self._emcy)
-
-
-def _identify(drive: Cia402Drive, answers: int) -> Identity:
-    if answers == 0:
-        advice = "check power, node id, bit rate and cabling"
-        raise NodeMissing("nobody answers", node=drive.node_id, advice=advice)
-    if answers > 1:
-        advice = "give each drive its own node id"
-        raise DuplicateNode(f"{answers} devices answer at this node id", node=drive.node_id, advice=advice)
-    return drive.identify()
 
 
 def _silence_s(setup: AxisSetup) -> float | None:

@@ -5,7 +5,17 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from drives.cia402 import AT_REST, FAULTED, NoRoute, State, decode_state, describe, next_controlword
+from drives.cia402 import (
+    AT_REST,
+    DISABLE_VOLTAGE,
+    FAULT_RESET,
+    FAULTED,
+    NoRoute,
+    State,
+    decode_state,
+    describe,
+    next_controlword,
+)
 from drives.drive import Cia402Drive
 from drives.epoch import Epoch
 from drives.errors import ConfigurationRefused, DriveFault, IncompleteEpochs, TransitionTimeout, raise_failures
@@ -37,6 +47,24 @@ def refuse_fault(drive: Cia402Drive, guard: Guard) -> None:
     else:
         return
     raise DriveFault(what, node=drive.node_id, index=0x6041, code=status, advice=advice)
+
+
+def reset_fault(drive: Cia402Drive) -> None:
+    """Reset a fault by SDO; only ever called because a person asked for it.
+
+    Raises
+    ------
+    DriveFault
+        The fault is still there.
+    """
+    control = OBJECTS["controlword"]
+    if decode_state(drive.statusword()) is State.FAULT:
+        for word in (DISABLE_VOLTAGE, FAULT_RESET, DISABLE_VOLTAGE):
+            drive.access.sdo.write(control.index, control.subindex, control.type, word)
+    status = drive.statusword()
+    if decode_state(status) in FAULTED:
+        what = f"is still in {describe(status)}: {drive.fault_words()}"
+        raise DriveFault(what, node=drive.node_id, index=0x6041, code=status, advice="its cause is still there")
 
 
 def first_epoch(exchange: SyncExchange) -> Epoch:

@@ -1,0 +1,43 @@
+"""Who of the drives that are wanted is there, and whether each is alone and the right one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from drives.bus import Bus
+from drives.drive import Cia402Drive
+from drives.errors import DuplicateNode, NodeMissing
+from drives.heartbeat import NmtCommand, send_nmt
+from drives.probe import probe
+from drives.values import AxisSetup, Identity
+
+
+def count_answers(bus: Bus, setups: Sequence[AxisSetup]) -> dict[int, int]:
+    """How many devices answer at each node id.
+
+    Whoever does not answer may be in NMT state STOPPED: it is told to leave it and asked again. Two answers are asked for
+    again too, since a frame may have been doubled on its way.
+    """
+    timeout_s = max(setup.profile.sdo.timeout_s for setup in setups)
+    answers = probe(bus, [setup.node_id for setup in setups], timeout_s)
+    again = [node_id for node_id, number in answers.items() if number != 1]
+    for node_id in again:
+        if answers[node_id] == 0:
+            send_nmt(bus, NmtCommand.ENTER_PREOPERATIONAL, node_id)
+    return answers | probe(bus, again, timeout_s) if again else answers
+
+
+def identify(drive: Cia402Drive, answers: int) -> Identity:
+    """Read who a drive is and compare it with its profile.
+
+    Raises
+    ------
+    NodeMissing, DuplicateNode, IdentityMismatch
+    """
+    if answers == 0:
+        advice = "check power, node id, bit rate and cabling"
+        raise NodeMissing("nobody answers", node=drive.node_id, advice=advice)
+    if answers > 1:
+        advice = "give each drive its own node id"
+        raise DuplicateNode(f"{answers} devices answer at this node id", node=drive.node_id, advice=advice)
+    return drive.identify()
