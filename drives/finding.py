@@ -15,8 +15,8 @@ from drives.values import AxisSetup, Identity
 def count_answers(bus: Bus, setups: Sequence[AxisSetup]) -> dict[int, int]:
     """How many devices answer at each node id.
 
-    Whoever does not answer may be in NMT state STOPPED: it is told to leave it and asked again. Two answers are asked for
-    again too, since a frame may have been doubled on its way.
+    Whoever does not answer may be in NMT state STOPPED: it is told to leave it, and asked again. Two answers are asked
+    for again too, since a frame may have been doubled on its way.
     """
     timeout_s = max(setup.profile.sdo.timeout_s for setup in setups)
     answers = probe(bus, [setup.node_id for setup in setups], timeout_s)
