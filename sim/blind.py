@@ -67,7 +67,8 @@ def draw_cell(seed: int, count: int = 12) -> BlindCell:
     start = VISIT_S * count + CHANGE_S
     visits += [Visit(k, "tool", start + VISIT_S * k, q) for k, q in enumerate(poses)]
     truth, protocol = _draw_truth(arm, visits, rng)
-    plant = apply_effects(arm.plant, truth.effects, point_jacobian(arm.chain))
+    in_plant = [effect for effect in truth.effects if effect["name"] != "position_friction"]
+    plant = apply_effects(arm.plant, in_plant, point_jacobian(arm.chain))
     return BlindCell(seed, arm, plant, protocol, tuple(visits), truth)
 
 

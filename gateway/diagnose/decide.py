@@ -17,7 +17,8 @@ from gateway.model.terms.term import Term
 
 Floats = NDArray[np.float64]
 
-LEAST_STRENGTH = 0.6
+LEAST_STRENGTH = 0.8
+LEAST_LINK_STRENGTH = 1.2
 LEAST_POSES = 4
 SURE_ODDS = 20.0
 ASK_ODDS = 400.0
@@ -139,7 +140,11 @@ def _gated(search: Search, chosen: Fit) -> Fit:
 
 
 def _strong(search: Search, hypothesis: Fit, term: Term) -> bool:
-    return term.name == "unnamed" or strength(search, hypothesis, term) >= LEAST_STRENGTH
+    """Whether the data, and not the prior on the links alone, show an effect."""
+    if term.name == "unnamed":
+        return True
+    least = LEAST_LINK_STRENGTH if term.name == "link_mass" else LEAST_STRENGTH
+    return strength(search, hypothesis, term) >= least
 
 
 def _key(hypothesis: Fit) -> Key:
@@ -162,8 +167,7 @@ def _rivals(search: Search, whole: Fit) -> tuple[Rival, ...]:
         if (names, unnamed) == (own, own_unnamed) or odds > (HINT_ODDS if contains else ASK_ODDS):
             continue
         best = search.best(members)
-        terms = [term for term in best.terms if term.name != "unnamed"]
-        if all(strength(search, best, term) >= LEAST_STRENGTH for term in terms):
+        if all(_strong(search, best, term) for term in best.terms):
             out.append(Rival(best, odds, contains))
     return tuple(sorted(out, key=lambda rival: rival.odds))
 
