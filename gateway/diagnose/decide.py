@@ -17,7 +17,7 @@ from gateway.model.terms.term import Term
 
 Floats = NDArray[np.float64]
 
-LEAST_STRENGTH = 0.8
+LEAST_STRENGTH = 0.5
 LEAST_LINK_STRENGTH = 1.2
 LEAST_POSES = 4
 SURE_ODDS = 20.0
