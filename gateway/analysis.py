@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from gateway.arm_model import arm_named, arm_robot, robot_from_text
 from gateway.config import ArmConfig, LoadedCell, load_cell
 from gateway.data import read_data
 from gateway.errors import ConfigError, InputError
+from gateway.estimate.options import Options, default_inertials
 from gateway.model.robot import Robot, robot_from_urdf
 from gateway.recorded import Recording
 from gateway.recording import read
@@ -51,7 +53,8 @@ class Given:
 
     Attributes
     ----------
-    robot : Robot
+    robot : Robot or None
+        None where neither option nor recording names one.
     gravity_m_s2 : tuple of 3 floats
     efficiency, gear_ratio : arrays of shape (6,)
         Efficiency 1 where no cell says otherwise (the table's torque is then taken as it stands), ratio NaN.
@@ -64,7 +67,7 @@ class Given:
     recordings : tuple of Recording
     """
 
-    robot: Robot
+    robot: Robot | None
     gravity_m_s2: tuple[float, float, float]
     efficiency: np.ndarray
     gear_ratio: np.ndarray
@@ -75,6 +78,21 @@ class Given:
     loaded: LoadedCell | None
     recordings: tuple[Recording, ...]
 
+    @property
+    def model(self) -> Robot:
+        """The robot.
+
+        Raises
+        ------
+        ConfigError
+            Nobody has named one.
+        """
+        if self.robot is None:
+            raise ConfigError(
+                "which robot? give --cell CELL or --robot R.urdf, or a recording (.h5), which carries its own"
+            )
+        return self.robot
+
 
 def given(request: ModelRequest, paths: Sequence[Path]) -> Given:
     """Collect what the options and the recordings among the data say.
@@ -82,7 +100,7 @@ def given(request: ModelRequest, paths: Sequence[Path]) -> Given:
     Raises
     ------
     ConfigError
-        No robot, or a robot or cell file that cannot be used.
+        A robot or cell file that cannot be used.
     InputError
         A recording or a stored bare identification that cannot be used.
     """
@@ -105,7 +123,7 @@ def given(request: ModelRequest, paths: Sequence[Path]) -> Given:
 
 def _arm_and_robot(
     request: ModelRequest, loaded: LoadedCell | None, recordings: Sequence[Recording]
-) -> tuple[ArmConfig | None, Robot]:
+) -> tuple[ArmConfig | None, Robot | None]:
     if loaded is not None:
         arm = arm_named(loaded, request.arm)
         return arm, _urdf(request.robot) if request.robot is not None else arm_robot(loaded, arm)
@@ -116,9 +134,7 @@ def _arm_and_robot(
         if request.robot is not None:
             return arm, _urdf(request.robot)
         return arm, robot_from_text(arm, first.robot_text, f"{first.path}: robot")
-    if request.robot is not None:
-        return None, _urdf(request.robot)
-    raise ConfigError("which robot? give --cell CELL or --robot R.urdf, or a recording (.h5), which carries its own")
+    return None, None if request.robot is None else _urdf(request.robot)
 
 
 def _urdf(path: Path) -> Robot:
@@ -143,15 +159,38 @@ def read_bare(path: Path) -> Bare:
         raise InputError(f"{path}: cannot be read: {error}; name a JSON that `estimate --json` wrote") from error
     bare = from_json(text, str(path)).bare
     if bare is None:
-        raise InputError(
-            f"{path}: holds no bare identification; estimate the bare arm with --method posture --json {path.name}"
-        )
+        raise InputError(f"{path}: holds no bare identification; estimate bare rows with --json and name that file")
     return bare
 
 
 def read_rows(paths: Sequence[Path], about: Given) -> Table:
     """Rows of all data files."""
     return read_data(paths, about.loaded)
+
+
+def estimate_options(about: Given) -> Options:
+    """Options of an estimation."""
+    inertials = about.inertials or ("ignore" if about.robot is None else default_inertials(about.robot))
+    a, b, c, d, e, f = (float(value) for value in about.efficiency)
+    return Options(
+        inertials=inertials,
+        known=about.known,
+        bare=about.bare,
+        gravity_m_s2=about.gravity_m_s2,
+        efficiency=(a, b, c, d, e, f),
+    )
+
+
+def diagnose_arguments(about: Given) -> dict[str, Any]:
+    """What a diagnosis is told, from what is known beside the rows."""
+    return {
+        "inertials": about.inertials,
+        "known": about.known,
+        "bare": about.bare,
+        "gravity_m_s2": about.gravity_m_s2,
+        "efficiency": about.efficiency,
+        "gear_ratio": about.gear_ratio,
+    }
 
 
 def split_validation(table: Table) -> tuple[Table, Table | None]:

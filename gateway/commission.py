@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from gateway.acquire.opening import OpenArm
 from gateway.acquire.plan import SIDES, Plan, check_plan, plan_poses
 from gateway.acquire.poses import PoseRequest, RestPose, feasible_postures
 from gateway.acquire.session import RecordRequest, make_plan, open_arm
-from gateway.analysis import Given, ModelRequest, given, split_validation
+from gateway.analysis import Given, ModelRequest, diagnose_arguments, estimate_options, given, split_validation
 from gateway.cell_context import CellContext
 from gateway.check import check_arm
 from gateway.check_rules import CheckItem
@@ -26,6 +26,7 @@ from gateway.data import read_data
 from gateway.diagnose import DiagnoseOptions
 from gateway.diagnose.loop import close_loop
 from gateway.errors import FindingFailed, PlanRefused
+from gateway.estimate import run as estimate_run
 from gateway.handover import complete
 from gateway.recorded import ArmRecording
 from gateway.recording import read
@@ -111,8 +112,11 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
         about, table = robot.data()
         seen, _ = split_validation(table)
         dialogue.say(f"diagnosis of {len(np.unique(seen.pose))} poses under {len(np.unique(seen.load))} loads")
-        result, _ = close_loop(seen, about.robot, _options(about, opened), robot.measure_poses, robot.validation_rad)
+        result, _ = close_loop(seen, about.model, _options(about, opened), robot.measure_poses, robot.validation_rad)
         about, table = robot.data()
+    if not result.effects:
+        plain = estimate_run(split_validation(table)[0], about.model, estimate_options(about))
+        result = replace(result, method=plain.method, parameters=plain.parameters, bare=plain.bare)
     return complete(result, about, table, [job.recording])
 
 
@@ -132,18 +136,6 @@ def _options(about: Given, opened: OpenArm) -> DiagnoseOptions:
     request = PoseRequest(poses.count, 0, poses.approach_offset_rad, poses.seed)
     choice = feasible_postures(opened.workspace, request, np.random.default_rng(poses.seed))
     return DiagnoseOptions(pose_choice=choice[:CHOICE], **diagnose_arguments(about))
-
-
-def diagnose_arguments(about: Given) -> dict[str, Any]:
-    """What the diagnosis is told, from what is known beside the rows."""
-    return {
-        "inertials": about.inertials,
-        "known": about.known,
-        "bare": about.bare,
-        "gravity_m_s2": about.gravity_m_s2,
-        "efficiency": about.efficiency,
-        "gear_ratio": about.gear_ratio,
-    }
 
 
 class _Robot:

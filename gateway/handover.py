@@ -31,7 +31,7 @@ def complete(result: Result, about: Given, table: Table, paths: Sequence[Path]) 
     about : Given
         What it was told.
     table : Table
-        All rows that were read, those that no fit has seen included.
+        All rows that were read.
     paths : sequence of Path
         The data files.
 
@@ -41,7 +41,6 @@ def complete(result: Result, about: Given, table: Table, paths: Sequence[Path]) 
         With `extra["data"]` (see `gateway.report`) and the provenance of every constant.
     """
     earlier = dict(result.extra.get("data") or {})
-    rows = result.rows
     roles = earlier.get("role") or _roles(result)
     data: dict[str, Any] = {
         "created": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
@@ -50,7 +49,7 @@ def complete(result: Result, about: Given, table: Table, paths: Sequence[Path]) 
         "arm": None if about.arm is None else about.arm.name,
         "sources": [_source(path, about.recordings, table) for path in paths],
         "role": roles,
-        "poses": [] if rows is None else drawn_poses(about.robot, rows, result.loads, roles),
+        "poses": _poses(result, about, roles),
         "bus": _bus(about.recordings, about.arm.name if about.arm is not None else None),
     }
     if about.arm is not None:
@@ -66,6 +65,12 @@ def complete(result: Result, about: Given, table: Table, paths: Sequence[Path]) 
 def as_json(result: Result) -> dict[str, Any]:
     """Plain values of a completed result."""
     return to_dict(result)
+
+
+def _poses(result: Result, about: Given, roles: Sequence[str]) -> list[dict[str, Any]]:
+    if result.rows is None or about.robot is None:
+        return []
+    return drawn_poses(about.robot, result.rows, result.loads, roles)
 
 
 def _roles(result: Result) -> list[str]:

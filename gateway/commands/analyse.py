@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from gateway.commands.guided import fail_on_findings, show_result
 from gateway.commands.measure import arm_option
 from gateway.commands.options import (
     common,
     data_argument,
     json_option,
     model_options,
+    one_of,
     session_of,
     write_json,
 )
+from gateway.commands.outcome import fail_on_findings, show_result
 
 if TYPE_CHECKING:
-    from gateway.analysis import ModelRequest
+    from gateway.analysis import Given, ModelRequest
+    from gateway.estimate import Coefficient
 
 
 def model_request(
@@ -35,6 +38,86 @@ def model_request(
     from gateway.estimate.options import parse_known
 
     return ModelRequest(robot, cell_file, inertials, dict(parse_known(text) for text in known), bare, arm_name)
+
+
+@click.command()
+@data_argument
+@model_options
+@click.option(
+    "--method", type=one_of(["joint", "difference", "posture", "coefficient"]), default="joint", show_default=True
+)
+@click.option("--axis", type=click.IntRange(1, 6), help="coefficient: the one axis.")
+@click.option("--lever", metavar="COLUMN", help="coefficient: column x_... of the load's lever about that axis [m].")
+@click.option("--gear-ratio", type=float, help="coefficient: motor turns per joint turn; the cell's if omitted.")
+@click.option(
+    "--gear-efficiency", type=click.FloatRange(0, 1, min_open=True), help="coefficient: the cell's if omitted."
+)
+@click.option(
+    "--rated-torque", type=click.FloatRange(0, min_open=True), metavar="NM", help="coefficient: of the motor."
+)
+@arm_option
+@json_option
+@common
+def estimate(
+    data: tuple[Path, ...],
+    robot: Path | None,
+    cell_file: Path | None,
+    inertials: str | None,
+    known: tuple[str, ...],
+    bare: Path | None,
+    method: str,
+    axis: int | None,
+    lever: str | None,
+    gear_ratio: float | None,
+    gear_efficiency: float | None,
+    rated_torque: float | None,
+    arm_name: str | None,
+    json_out: str | None,
+) -> None:
+    """Mass and centre of gravity of every unknown load, with standard deviations and what cannot be told."""
+    from dataclasses import replace
+
+    from gateway.analysis import estimate_options, given, read_rows
+    from gateway.estimate import run
+    from gateway.handover import as_json, complete
+
+    about = given(model_request(robot, cell_file, inertials, known, bare, arm_name), data)
+    table = read_rows(data, about)
+    options = estimate_options(about)
+    if method == "coefficient":
+        wanted = _Coefficient(axis, lever, gear_ratio, gear_efficiency, rated_torque)
+        options = replace(options, coefficient=wanted.of(about))
+    with session_of().working("estimation"):
+        result = run(table, about.robot, options, method)
+    body = as_json(complete(result, about, table, data))
+    if json_out:
+        write_json(json_out, body)
+    show_result(body, session_of())
+    fail_on_findings(body)
+
+
+@dataclass(frozen=True, slots=True)
+class _Coefficient:
+    """Options of the coefficient method; None = not given."""
+
+    axis: int | None
+    lever: str | None
+    gear_ratio: float | None
+    gear_efficiency: float | None
+    rated_torque: float | None
+
+    def of(self, about: Given) -> Coefficient:
+        """The method's own options, completed from the cell."""
+        from gateway.estimate import Coefficient
+
+        if self.axis is None or self.lever is None:
+            raise click.UsageError("--method coefficient needs --axis and --lever")
+        config = None if about.arm is None else about.arm.axis[self.axis - 1]
+        ratio = self.gear_ratio if config is None else self.gear_ratio or config.gear_ratio.value
+        efficiency = self.gear_efficiency if config is None else self.gear_efficiency or config.gear_efficiency.value
+        if not ratio or not efficiency:
+            raise click.UsageError("--method coefficient needs --gear-ratio and --gear-efficiency, or --cell CELL")
+        return Coefficient(self.axis, self.lever, ratio, efficiency, self.rated_torque)
 
 
 def _names(_ctx: click.Context, _param: click.Parameter, value: str | None) -> frozenset[str]:
@@ -71,8 +154,7 @@ def diagnose(
     json_out: str | None,
 ) -> None:
     """What the model lacks, judged on data that no fit has seen; or that nothing is missing, or undecided."""
-    from gateway.analysis import given, read_rows, split_validation
-    from gateway.commission import diagnose_arguments
+    from gateway.analysis import diagnose_arguments, given, read_rows, split_validation
     from gateway.diagnose import DiagnoseOptions
     from gateway.diagnose import diagnose as run
     from gateway.handover import as_json, complete
@@ -83,7 +165,7 @@ def diagnose(
     seen, unseen = (table, read_rows(holdout, about)) if holdout else split_validation(table)
     options = DiagnoseOptions(holdout=unseen, only=only, without=without, **diagnose_arguments(about))
     with session_of().working("diagnosis"):
-        result = run(seen, about.robot, options)
+        result = run(seen, about.model, options)
     body = as_json(complete(result, about, table, [*data, *holdout]))
     if json_out:
         write_json(json_out, body)

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -22,8 +22,9 @@ from gateway.commands.options import (
     write_text,
     yes_option,
 )
+from gateway.commands.outcome import fail_on_findings, show_result
 from gateway.console import Session, findings_table
-from gateway.errors import FindingFailed, GatewayError
+from gateway.errors import GatewayError
 
 if TYPE_CHECKING:
     from gateway.acquire.opening import OpenArm
@@ -129,41 +130,3 @@ class _Terminal:
     def say(self, text: str) -> None:
         """A remark."""
         self.session.note(text)
-
-
-def show_result(body: dict[str, Any], session: Session) -> None:
-    """Loads, residuals, verdict and findings of a result."""
-    from gateway.console import axis_table, load_table
-    from gateway.report.sentences import verdict_sentence
-
-    if body["loads"]:
-        session.show(load_table(body["loads"]))
-    after, before = body.get("after") or {}, body.get("before") or {}
-    lines = {"noise floor": body.get("noise_floor_nm"), "friction band": body.get("friction_band_nm")}
-    if body.get("effects"):
-        lines = {"before": before.get("rms_nm"), "before, held out": before.get("holdout_rms_nm")} | {
-            "after": after.get("rms_nm"),
-            "after, held out": after.get("holdout_rms_nm"),
-        } | lines  # fmt: skip
-    else:
-        lines = {"residual": after.get("rms_nm"), "held out": after.get("holdout_rms_nm")} | lines
-    known = {name: values for name, values in lines.items() if values and any(value is not None for value in values)}
-    session.show(axis_table("RMS [Nm]", known))
-    if body.get("verdict"):
-        session.show(f"verdict: {body['verdict']}. {verdict_sentence(body)}")
-    for item in body.get("next") or []:
-        told = f" (tells apart: {', '.join(item['tells_apart'])})" if item.get("tells_apart") else ""
-        poses = f", {len(item['poses_rad'])} poses" if item.get("poses_rad") else ""
-        session.show(f"next: {item['what']}{poses}{told}")
-    if body.get("findings"):
-        session.show(findings_table(body["findings"]))
-
-
-def fail_on_findings(body: dict[str, Any]) -> None:
-    """Leave with exit code 7 when a failing finding stands."""
-    failed = [finding for finding in body.get("findings") or [] if finding.get("severity") == "fail"]
-    if failed:
-        first = failed[0]
-        more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
-        advice = f"; {first['advice']}" if first.get("advice") else ""
-        raise FindingFailed(f"finished with a failing finding: {first['where']}: {first['what']}{advice}{more}")
