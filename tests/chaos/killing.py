@@ -174,7 +174,8 @@ def drives_without_master(
     Parameters
     ----------
     how : str
-        "sigkill", or "sigstop": the master stands still for two seconds and then goes on.
+        "sigkill"; "sigstop": the master stands still for a while and then goes on; "full queue": nothing it sends
+        leaves the adapter any more.
     """
     stops = Stops()
     rng = random.Random(f"{how} {seed}")
@@ -185,12 +186,16 @@ def drives_without_master(
             consumer_ms = re.search(r"consumer_ms = (\d+)", (folder / "drive.toml").read_text())
             stops.bound_s = int(consumer_ms.group(1)) * 1e-3 + period_s if consumer_ms else 0.0
             for number in range(kills):
-                job = Job(folder, served.bus, folder / f"run-{number}.h5")
+                frames = rng.randint(300, 900) if how == "full queue" else 0
+                job = Job(folder, served.bus, folder / f"run-{number}.h5", frames=frames)
                 master = Master(job)
                 until_s = time.monotonic() + 20.0
                 while not served.enabled() and time.monotonic() < until_s and not master.end:
                     master.listen(time.monotonic() + 0.05)
-                master.listen(time.monotonic() + rng.uniform(0.2, 1.5))
+                if how == "full queue":
+                    _until_full(master)
+                else:
+                    master.listen(time.monotonic() + rng.uniform(0.2, 1.5))
                 stops.times_s.append(_time_to_stop(how, master, served, stops))
                 job.ledger.unlink(missing_ok=True)
                 served.ask("renew")
@@ -198,28 +203,38 @@ def drives_without_master(
     return stops
 
 
+def _until_full(master: Master) -> None:
+    until_s = time.monotonic() + WHOLE_S
+    while master.full_s is None and not master.end and time.monotonic() < until_s:
+        master.listen(time.monotonic() + 0.002)
+
+
 def _time_to_stop(how: str, master: Master, served: Drives, stops: Stops) -> float:
     if master.end or not served.enabled():
         stops.failed += 1
         stops.complaints.append(f"the run ended before the kill: {master.end}")
     pid = master.process.pid or 0
-    os.kill(pid, signal.SIGKILL if how == "sigkill" else signal.SIGSTOP)
-    gone_s = time.monotonic()
+    if how != "full queue":
+        os.kill(pid, signal.SIGKILL if how == "sigkill" else signal.SIGSTOP)
+    gone_s = master.full_s or time.monotonic()
     while served.enabled() and time.monotonic() - gone_s < 5.0:
         time.sleep(LOOK_S / 4)
     took_s = time.monotonic() - gone_s
     if took_s > stops.bound_s + LOOK_S:
         stops.failed += 1
         stops.complaints.append(f"the drives went on for {took_s:.3f} s, {stops.bound_s:.3f} s are stated")
-    if how == "sigstop":
+    if how != "sigkill":
         time.sleep(max(0.0, gone_s + 1.5 - time.monotonic()))
-        os.kill(pid, signal.SIGCONT)
-        master.listen(time.monotonic() + 10.0)
+        if how == "sigstop":
+            os.kill(pid, signal.SIGCONT)
+        until_s = time.monotonic() + WHOLE_S
+        while not master.end and time.monotonic() < until_s:
+            master.listen(until_s)
         if not master.end.startswith("error"):
             stops.failed += 1
-            stops.complaints.append(f"a master that had stood still went on: {master.end or 'no end'}")
+            stops.complaints.append(f"the master went on: {master.end or 'no end'}")
         if served.enabled():
             stops.failed += 1
-            stops.complaints.append("a master that had stood still enabled the drives again")
+            stops.complaints.append("the master enabled the drives again")
     master.kill()
     return took_s

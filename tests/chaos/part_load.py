@@ -11,6 +11,10 @@ import numpy as np
 
 from gateway.acquire.planning import make_plan
 from gateway.acquire.session import RecordRequest, record
+from gateway.analysis import ModelRequest, given, read_rows
+from gateway.estimate.joint import estimate_joint
+from gateway.estimate.options import Options
+from gateway.model.visits import pair_visits
 from sim.faults import Fault
 from tests.chaos.figure import figure
 from tests.chaos.rig import EXAMPLE, Rig
@@ -62,16 +66,12 @@ def recorded(folder: Path, share: float) -> tuple[Path, int]:
 
 
 def estimated(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Mass [kg] and centre of gravity [m] of the load with their standard deviations, by the command line's own way."""
-    from click.testing import CliRunner
-
-    from gateway.cli import main
-    from gateway.result import from_json
-
-    out = path.with_suffix(".json")
-    done = CliRunner().invoke(main, ["estimate", str(path), "--json", str(out), "-q"], catch_exceptions=False)
-    if not out.exists():
-        raise RuntimeError(f"estimate failed: {done.output}")
-    load = next(each for each in from_json(out.read_text()).loads if each.label == "load")
-    value = np.array([load.mass_kg, *(load.com_m or ())])
-    return value, np.array([load.mass_std_kg, *(load.com_std_m or ())])
+    """Mass [kg] and centre of gravity [m] of the load with their standard deviations."""
+    about = given(ModelRequest(), [path])
+    efficiency = tuple(float(value) for value in about.efficiency)
+    visits = pair_visits(read_rows([path], about), efficiency)
+    gravity = tuple(float(value) for value in about.gravity_m_s2)
+    options = Options(inertials=about.inertials or "ignore", gravity_m_s2=gravity, efficiency=efficiency)  # type: ignore[arg-type]
+    load = next(each for each in estimate_joint(visits, about.robot, options).loads if each.label == "load")
+    value = np.concatenate([[load.mass_kg], load.com_m])
+    return value, np.concatenate([[load.mass_std_kg], load.com_std_m])

@@ -7,7 +7,7 @@ from typing import Any
 from tests.chaos.figure import figure
 from tests.chaos.killing import drives_without_master
 
-KILLS = {"sigkill": 20, "sigstop": 5}
+KILLS = {"sigkill": 20, "sigstop": 5, "full queue": 5}
 
 
 def figures(scope: Any) -> dict[str, dict]:

@@ -5,6 +5,7 @@ Nothing here may start a thread before it forks; the drives' process has threads
 
 from __future__ import annotations
 
+import errno
 import multiprocessing
 import os
 import resource
@@ -18,11 +19,13 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
+import can
+
 from drives.bus import BusSpec, open_bus
 from drives.errors import DriveError
 from drives.group import DriveGroup, GroupOptions
 from gateway.acquire.events import Event, VisitDone
-from gateway.acquire.opening import BusOverride, axis_setups, open_arm
+from gateway.acquire.opening import BusOverride, OpenArm, axis_setups, open_arm
 from gateway.acquire.planning import plan_of_poses
 from gateway.acquire.poses import RestPose
 from gateway.acquire.session import RecordRequest, record
@@ -119,12 +122,14 @@ class Job:
     bus : where the drives are
     path : the recording
     file_limit : largest file it may write, bytes; 0 = no limit
+    frames : frames after whose sending the transmit queue stays full; 0 = never
     """
 
     folder: Path
     bus: str
     path: Path
     file_limit: int = 0
+    frames: int = 0
 
     @property
     def ledger(self) -> Path:
@@ -142,6 +147,7 @@ class Master:
         theirs.close()
         self.announced: list[tuple[int, int]] = []
         self.moving = False
+        self.full_s: float | None = None
         self.end = ""
 
     def listen(self, until_s: float) -> None:
@@ -158,6 +164,8 @@ class Master:
                 self.announced.append(said)
             elif said == "moving":
                 self.moving = True
+            elif said == "full":
+                self.full_s = time.monotonic()
             else:
                 self.end = said
 
@@ -195,6 +203,8 @@ def _record(job: Job, pipe: Connection) -> None:
     loaded = load_cell(job.folder / "cell.toml")
     try:
         with open_arm(loaded, BusOverride(BusSpec.parse(job.bus), ledger=job.ledger)) as opened:
+            if job.frames:
+                block_queue(opened, job.frames, lambda: pipe.send("full"))
             pipe.send("moving")
             plan = plan_of_poses(loaded, opened.config, opened.workspace, poses())
             record(opened, plan, RecordRequest("none", job.path, resume=True), (tell,))
@@ -204,6 +214,33 @@ def _record(job: Job, pipe: Connection) -> None:
     except BaseException as error:
         pipe.send(f"DEFECT: {type(error).__name__}: {error}")
     os._exit(0)
+
+
+class _Blocked:
+    """An adapter that takes so many frames more and then none."""
+
+    def __init__(self, adapter: Any, frames: int, tell: Callable[[], None]) -> None:
+        self._adapter = adapter
+        self._left = frames
+        self._tell = tell
+
+    def send(self, frame: can.Message, timeout: float | None = None) -> None:
+        """Send, as long as there is room."""
+        self._left -= 1
+        if self._left == 0:
+            self._tell()
+        if self._left <= 0:
+            raise can.CanOperationError("Failed to transmit: No buffer space available", errno.ENOBUFS)
+        self._adapter.send(frame, timeout)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._adapter, name)
+
+
+def block_queue(opened: OpenArm, frames: int, tell: Callable[[], None]) -> None:
+    """Let the transmit queue fill up for ever after so many frames."""
+    bus = opened.group._bus
+    bus._adapter = _Blocked(bus._adapter, frames, tell)
 
 
 def restore(job: Job) -> str:
