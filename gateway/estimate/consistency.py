@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from gateway.estimate.estimate import LoadEstimate
-from gateway.model.robot import Robot
+from gateway.model.robot import Robot, reach_m
 from gateway.result import Finding
 
 #: Residual over the noise of other rows above which a load's data are refused.
@@ -31,11 +31,6 @@ def describe_masses(masses_kg: Mapping[str, float]) -> str:
     """Range of the masses that single poses give, in words."""
     values = np.array(list(masses_kg.values()))
     return f"{values.min():.3g} to {values.max():.3g} kg (median {np.median(values):.3g})"
-
-
-def reach_m(robot: Robot) -> float:
-    """Sum of the steps from joint to joint [m]."""
-    return float(np.linalg.norm(robot.placement[1:, :3, 3], axis=1).sum())
 
 
 def hull_radius_m(robot: Robot, given_m: float | None) -> float:

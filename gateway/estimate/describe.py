@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.estimate.estimate import Estimate, FittedRows, LoadEstimate, load_directions, load_from_moment
+from gateway.estimate.estimate import (
+    Estimate,
+    FittedRows,
+    LoadEstimate,
+    load_directions,
+    load_from_moment,
+    without_guesses,
+)
 from gateway.estimate.friction import friction_bands
 from gateway.estimate.linear import Prior, determined
 from gateway.estimate.noise import NoiseFit
@@ -13,7 +20,7 @@ from gateway.estimate.options import Options
 from gateway.estimate.problem import Problem
 from gateway.model.base import rest_base
 from gateway.model.regressor import load_regressor
-from gateway.model.robot import AXES, Robot
+from gateway.model.robot import AXES, Robot, reach_m
 from gateway.result import Bare
 
 Floats = NDArray[np.float64]
@@ -62,7 +69,8 @@ def _load(problem: Problem, fit: NoiseFit, robot: Robot, options: Options, label
     sure[1:] &= sure[0]
     widening = fit.widening(directions)
     per_pose = per_pose_mass(problem, fit, robot, options, label) if sure.all() else {}
-    return load_from_moment(label, moment, fit.covariance[part, part], widening, sure, per_pose)
+    load = load_from_moment(label, moment, fit.covariance[part, part], widening, sure, per_pose)
+    return without_guesses(load, reach_m(robot))
 
 
 def per_pose_mass(problem: Problem, fit: NoiseFit, robot: Robot, options: Options, label: str) -> dict[str, float]:

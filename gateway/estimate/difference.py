@@ -21,6 +21,7 @@ from gateway.estimate.estimate import (
     load_directions,
     load_from_moment,
     refused_load,
+    without_guesses,
 )
 from gateway.estimate.friction import band_scatter, friction_bands, noise_groups
 from gateway.estimate.linear import Prior, determined
@@ -29,7 +30,7 @@ from gateway.estimate.options import BARE_LABEL, Options
 from gateway.estimate.problem import load_vector, unknown_labels
 from gateway.model.kinematics import gravity_in_link_6, largest_angle_rad
 from gateway.model.regressor import load_regressor
-from gateway.model.robot import AXES, Robot
+from gateway.model.robot import AXES, Robot, reach_m
 from gateway.model.visits import Visits
 from gateway.result import Finding
 
@@ -116,6 +117,7 @@ def _one(visits: Visits, reference: Visits, robot: Robot, options: Options, labe
     groups = _groups(visits, rows, pose, axis)
     fit = fit_noise(design * scale[:, None], target * scale, Prior.free(4), groups)
     load = _load(fit, design * scale[:, None], target * scale, rows.pose[pose], label)
+    load = without_guesses(load, reach_m(robot))
     sigma = np.full(AXES, np.nan)
     for k in np.unique(axis):
         sigma[k] = float(np.sqrt(np.median(fit.weight[axis == k] ** -2.0)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -194,4 +194,22 @@ def load_from_moment(
         covariance,
         missing,
         per_pose_mass_kg or {},
+    )
+
+
+def without_guesses(load: LoadEstimate, longest_m: float) -> LoadEstimate:
+    """The load without coordinates whose standard deviation exceeds the arm's own length: those are not known."""
+    lost = load.com_std_m > longest_m
+    if not lost.any():
+        return load
+    gone = np.concatenate([[False], lost])
+    correlation = np.where(gone[:, None] | gone, np.nan, load.correlation)
+    return replace(
+        load,
+        com_m=np.where(lost, np.nan, load.com_m),
+        com_std_m=np.where(lost, np.nan, load.com_std_m),
+        correlation=correlation,
+        unidentifiable=tuple(
+            name for name, out in zip(LOAD_PARTS, gone, strict=True) if out or name in load.unidentifiable
+        ),
     )

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 TOLERANCE = 1e-7
+_NOTHING = 1e-13
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +109,7 @@ def solve(
     big[n + len(held) :] = prior.rows
     right = np.concatenate([target * weight, prior.mean[held] / prior.std[held], prior.right])
     scale = np.sqrt(np.einsum("ij,ij->j", big, big))
-    scale[scale == 0.0] = 1.0
+    scale[scale <= _NOTHING * scale.max(initial=0.0)] = 1.0  # rounding of a column that is zero is not a column
     big /= scale
     q, r = np.linalg.qr(big)
     left, size, turned = np.linalg.svd(r)

@@ -53,13 +53,14 @@ def estimate_posture(visits: Visits, robot: Robot, options: Options) -> Estimate
     labels = unknown_labels(visits, options)
     if not labels:
         raise DataUnusable("every load in the data is known: there is nothing to estimate")
+    for label in labels:
+        require_postures(visits, label)
     base = rest_base(robot, options.gravity_m_s2)
     bare = _bare(visits, robot, options, base, labels)
     alone = replace(options, inertials="ignore", bare=None)
     parts = []
     for label in labels:
         own = visits.take(visits.load == label)
-        require_postures(own, label)
         known = {name: value for name, value in options.known.items() if name in own.load}
         problem = build_problem(own, robot, replace(alone, bare=bare, known=known))
         fit, prior = fit_problem(problem)
@@ -138,14 +139,15 @@ def _check(own: Visits, robot: Robot, alone: Options, bare: Bare, base: BaseSet,
     change = directions @ fit.solution.value - np.asarray(bare.value)
     covariance = directions @ fit.covariance @ directions.T + np.asarray(bare.covariance)
     span = base.combination[:, LOAD_COLUMNS]
-    factor = np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
-    white_span, white = np.linalg.solve(factor, span), np.linalg.solve(factor, change)
-    left = white - white_span @ np.linalg.lstsq(white_span, white, rcond=None)[0]
+    size, vectors = np.linalg.eigh(covariance)
+    whiten = (vectors / np.sqrt(np.maximum(size, 1e-12 * size[-1]))).T
+    white_span, white = whiten @ span, whiten @ change
+    fitted = np.linalg.lstsq(white_span, white, rcond=None)[0]
+    left = white - white_span @ fitted
     freedom = base.rank - len(LOAD_NAMES)
     if freedom < 1 or chi2.sf(float(left @ left), freedom) > _SUSPICIOUS:
         return ()
-    worst = base.names[int(np.argmax(np.abs(change - span @ np.linalg.lstsq(white_span, white, rcond=None)[0])
-                                     / np.sqrt(np.diag(covariance))))]  # fmt: skip
+    worst = base.names[int(np.argmax(np.abs(change - span @ fitted) / np.sqrt(np.diag(covariance))))]
     return (
         Finding(
             "warn", f"load {label}",

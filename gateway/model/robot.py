@@ -101,6 +101,11 @@ def with_flange(robot: Robot, xyz_m: Sequence[float], rpy_rad: Sequence[float] =
     return replace(robot, flange=transform(rotation_rpy(rpy_rad), xyz_m))
 
 
+def reach_m(robot: Robot) -> float:
+    """Length of an arm: sum of the steps from joint to joint [m]."""
+    return float(np.linalg.norm(robot.placement[1:, :3, 3], axis=1).sum())
+
+
 def robot_from_urdf(text: str, where: str) -> Robot:
     """Read an arm from URDF text.
 

@@ -1,0 +1,151 @@
+"""An arm, and tables of it whose torques come from pinocchio, so that no formula of the estimators tests itself."""
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pinocchio
+import pytest
+
+from gateway.model.robot import robot_from_urdf
+from gateway.rows import MOVING, Table
+
+# link: joint origin xyz, axis, mass, centre of mass
+LINKS = (
+    ((0.0, 0.0, 0.45), (0, 0, 1), 40.0, (0.05, 0.02, -0.1)),
+    ((0.15, 0.0, 0.0), (0, 1, 0), 25.0, (0.02, -0.03, 0.3)),
+    ((0.0, 0.0, 0.6), (0, 1, 0), 15.0, (0.1, 0.02, 0.08)),
+    ((0.25, 0.0, 0.1), (1, 0, 0), 6.0, (0.15, 0.0, 0.01)),
+    ((0.39, 0.0, 0.0), (0, 1, 0), 3.0, (0.02, 0.01, 0.0)),
+    ((0.1, 0.0, 0.0), (1, 0, 0), 1.0, (0.01, 0.005, 0.0)),
+)
+
+
+def urdf() -> str:
+    """URDF text of a 12 kg class arm with a spherical wrist; link_6 has its x axis along the flange."""
+    parts = ['<robot name="twelve"><link name="link_0"/>']
+    for i, (xyz, axis, mass, com) in enumerate(LINKS, start=1):
+        say = "{:g} {:g} {:g}".format
+        parts.append(
+            f'<link name="link_{i}"><inertial><origin xyz="{say(*com)}"/><mass value="{mass:g}"/>'
+            f'<inertia ixx="{0.02 * mass:g}" ixy="0" ixz="0" iyy="{0.03 * mass:g}" iyz="0" izz="{0.025 * mass:g}"/>'
+            f'</inertial></link><joint name="joint_{i}" type="revolute"><parent link="link_{i - 1}"/>'
+            f'<child link="link_{i}"/><origin xyz="{say(*xyz)}"/><axis xyz="{say(*axis)}"/>'
+            '<limit lower="-2.8" upper="2.8" effort="800" velocity="2"/></joint>'
+        )
+    return "".join([*parts, "</robot>"])
+
+
+@dataclass
+class Arm:
+    """The arm as pinocchio knows it, with something on the flange."""
+
+    text: str = field(default_factory=urdf)
+
+    @property
+    def robot(self):
+        return robot_from_urdf(self.text, "twelve.urdf")
+
+    def model(self, load=None, gravity=(0.0, 0.0, -9.80665)):
+        model = pinocchio.buildModelFromXML(self.text)
+        model.gravity.linear = np.array(gravity)
+        if load is not None:
+            mass, *com = load
+            body = pinocchio.Inertia(mass, np.array(com), np.zeros((3, 3)))
+            model.appendBodyToJoint(6, body, pinocchio.SE3.Identity())
+        return model
+
+    def gravity_torque(self, q, load=None, gravity=(0.0, 0.0, -9.80665)):
+        model = self.model(load, gravity)
+        data = model.createData()
+        return np.array([pinocchio.computeGeneralizedGravity(model, data, row).copy() for row in np.atleast_2d(q)])
+
+    def torque(self, q, qd, qdd, load=None):
+        model = self.model(load)
+        data = model.createData()
+        rows = zip(q, qd, qdd, strict=True)
+        return np.array([pinocchio.rnea(model, data, *row).copy() for row in rows])
+
+
+@pytest.fixture(scope="session")
+def arm():
+    return Arm()
+
+
+@pytest.fixture(scope="session")
+def poses():
+    """Twelve postures well spread over the joint space."""
+    return np.random.default_rng(11).uniform([-2, -1.2, -1.5, -2.5, -1.8, -2.5], [2, 1.2, 1.5, 2.5, 1.8, 2.5], (12, 6))
+
+
+def make_table(load, pose, q, tau, **given):
+    """Rest rows; `direction`, `std`, `count`, `run`, `time`, `extra`, `motor` as they stand."""
+    n = len(load)
+    blank = np.full((n, 6), np.nan)
+    return Table(
+        file=("made.csv",) * n,
+        line=np.arange(2, n + 2),
+        run=np.asarray(given.get("run", ["r"] * n)),
+        load=np.asarray(load),
+        pose=np.asarray(pose),
+        time_s=np.asarray(given.get("time", np.full(n, np.nan)), dtype=float),
+        q_rad=np.asarray(q, dtype=float),
+        qd_rad_s=np.asarray(given.get("qd", np.zeros((n, 6)))),
+        qdd_rad_s2=np.asarray(given.get("qdd", np.zeros((n, 6)))),
+        moving=np.asarray(pose) == MOVING,
+        direction=np.broadcast_to(np.asarray(given.get("direction", 0)), (n, 6)).astype(np.int8),
+        tau_nm=np.asarray(tau, dtype=float),
+        tau_std_nm=np.broadcast_to(np.asarray(given.get("std", np.nan), dtype=float), (n, 6)).copy(),
+        count=np.full(n, given.get("count", 1)),
+        q2nd_rad=blank,
+        temperature_c=blank,
+        motor_torque_nm=np.asarray(given.get("motor", blank), dtype=float),
+        extra=dict(given.get("extra", {})),
+    )
+
+
+@pytest.fixture(scope="session")
+def table_of():
+    return make_table
+
+
+BAND_NM = np.array([40.0, 50.0, 30.0, 8.0, 6.0, 4.0])
+
+
+def make_measured(arm, poses, loads, rng=None, left=0.0, sides=(1, -1), bias=0.0):
+    """Two-sided rest table: pinocchio's gravity, a friction band, `left` of it scattered, `bias` of it common.
+
+    loads: label -> (mass, x, y, z) or None for the bare arm
+    """
+    rows = {"load": [], "pose": [], "q": [], "tau": [], "direction": []}
+    for label, load in loads.items():
+        torque = arm.gravity_torque(poses, load)
+        for number, (q, tau) in enumerate(zip(poses, torque, strict=True)):
+            for side in sides:
+                scatter = 0.0 if rng is None else left * BAND_NM * rng.standard_normal(6) * np.sqrt(2)
+                rows["load"].append(label)
+                rows["pose"].append(number)
+                rows["q"].append(q)
+                rows["tau"].append(tau + side * BAND_NM + bias * BAND_NM + scatter)
+                rows["direction"].append(np.full(6, side))
+    return make_table(rows["load"], rows["pose"], rows["q"], rows["tau"], direction=np.array(rows["direction"]))
+
+
+@pytest.fixture(scope="session")
+def measured():
+    return make_measured
+
+
+@pytest.fixture(scope="session")
+def band_nm():
+    return BAND_NM
+
+
+@pytest.fixture
+def measured_data() -> Path:
+    """Folder of the measured runs of real robots."""
+    folder = os.environ.get("SERVO_GATEWAY_DATA")
+    if not folder:
+        pytest.skip("SERVO_GATEWAY_DATA is not set: the measured runs of real robots are not at hand")
+    return Path(folder)

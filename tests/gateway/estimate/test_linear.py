@@ -1,0 +1,72 @@
+"""The weighted linear problem against statsmodels and written-out normal equations."""
+
+import numpy as np
+import pytest
+import statsmodels.api as sm
+
+from gateway.estimate.linear import Prior, determined, solve
+
+
+@pytest.fixture
+def problem():
+    rng = np.random.default_rng(0)
+    design = rng.normal(size=(40, 5)) * [1.0, 100.0, 0.01, 1.0, 5.0]
+    std = rng.uniform(0.5, 3.0, 40)
+    target = design @ [1.0, 0.02, 50.0, -2.0, 0.3] + std * rng.normal(size=40)
+    return design, target, std
+
+
+def test_free_solution_is_generalised_least_squares(problem):
+    design, target, std = problem
+    found = solve(design, target, 1 / std)
+    oracle = sm.GLS(target, design, sigma=std**2).fit()
+    np.testing.assert_allclose(found.value, oracle.params, rtol=1e-9)
+    np.testing.assert_allclose(found.covariance, oracle.normalized_cov_params, rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(found.residual, target - design @ oracle.params, rtol=1e-8, atol=1e-10)
+    white = design / std[:, None]
+    hat = white @ np.linalg.inv(white.T @ white) @ white.T
+    np.testing.assert_allclose(found.leverage, np.diag(hat), rtol=1e-9)
+    np.testing.assert_allclose(found.orthogonal @ found.orthogonal.T, hat, atol=1e-10)
+    assert found.rank == 5
+    assert found.null.shape == (5, 0)
+    assert found.log_determinant == pytest.approx(np.linalg.slogdet(white.T @ white)[1])
+    assert found.misfit == pytest.approx(np.sum((found.residual / std) ** 2))
+
+
+def test_priors_are_rows_of_unit_standard_deviation(problem):
+    design, target, std = problem
+    mean, spread = np.array([0.0, 0.01, 40.0, 0.0, 0.0]), np.array([0.1, np.inf, 1.0, np.inf, np.inf])
+    further, right = np.array([[1.0, 0.0, 0.0, 2.0, 0.0]]), np.array([-3.0])
+    found = solve(design, target, 1 / std, Prior(mean, spread, further, right))
+    held = np.isfinite(spread)
+    big = np.vstack([design / std[:, None], np.diag(np.where(held, 1 / spread, 0))[held], further])
+    side = np.concatenate([target / std, (mean / spread)[held], right])
+    np.testing.assert_allclose(found.value, np.linalg.lstsq(big, side, rcond=None)[0], rtol=1e-9)
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(big.T @ big), rtol=1e-8, atol=1e-12)
+
+
+def test_what_rows_cannot_tell_is_named(problem):
+    design, target, std = problem
+    design = np.column_stack([design, design[:, 0] + 3 * design[:, 3], np.zeros(40)])
+    found = solve(design, target, 1 / std)
+    assert found.rank == 5
+    sure = determined(found, np.eye(7))
+    assert sure.tolist() == [False, True, True, False, True, False, False]
+    combination = np.zeros((1, 7))
+    combination[0, [0, 5]] = 1.0, 1.0  # what lumps with the sixth column
+    assert determined(found, combination).all()
+    np.testing.assert_allclose(design @ found.value, target - found.residual)
+
+
+def test_a_prior_makes_them_known(problem):
+    design, target, std = problem
+    design = np.column_stack([design, design[:, 0]])
+    prior = Prior.free(6).with_std(np.array([5]), np.array([0.5]))
+    assert determined(solve(design, target, 1 / std, prior), np.eye(6)).all()
+
+
+def test_units_do_not_change_the_rank(problem):
+    design, target, std = problem
+    found = solve(design * 1e-9, target, 1 / std)
+    assert found.rank == 5
+    np.testing.assert_allclose(found.value * 1e-9, solve(design, target, 1 / std).value, rtol=1e-8)

@@ -1,0 +1,136 @@
+"""Moving runs: pinocchio's dynamics come back, and the measured runs give the figures published with them."""
+
+import numpy as np
+import pytest
+
+from gateway.errors import DataUnusable, InputError
+from gateway.estimate import Options, estimate, run
+from gateway.estimate.moving import estimate_moving
+from gateway.estimate.moving_columns import Motion
+from gateway.model.robot import robot_from_urdf
+from gateway.rows import concatenate
+from gateway.table import read_csv
+
+COULOMB = np.array([20.0, 25.0, 15.0, 4.0, 3.0, 2.0])
+VISCOUS = np.array([10.0, 12.0, 8.0, 2.0, 1.5, 1.0])
+ROTOR = np.array([8.0, 8.0, 5.0, 1.0, 0.6, 0.3])
+OFFSET = np.array([3.0, -2.0, 1.0, 0.5, 0.2, -0.1])
+TOOL = (8.0, 0.12, -0.03, 0.05)
+
+
+def motion_of(seed, n=400, rate_hz=50.0):
+    """Positions, velocities and accelerations of a sum of sines."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(n) / rate_hz
+    wave = 2 * np.pi * rng.uniform(0.2, 0.7, (3, 6))
+    size, phase = rng.uniform(0.2, 0.6, (3, 6)), rng.uniform(0, 6, (3, 6))
+    angle = time[:, None, None] * wave + phase
+    return (
+        time,
+        (size * np.sin(angle)).sum(axis=1),
+        (size * wave * np.cos(angle)).sum(axis=1),
+        -(size * wave**2 * np.sin(angle)).sum(axis=1),
+    )
+
+
+def moving_table(arm, table_of, label="none", load=None, seed=0, noise=0.0):
+    time, q, qd, qdd = motion_of(seed)
+    tau = arm.torque(q, qd, qdd, load)
+    tau += COULOMB * np.tanh(qd / 0.02) + VISCOUS * qd + ROTOR * qdd + OFFSET * (load is None)
+    tau += noise * np.random.default_rng(seed + 100).normal(size=tau.shape)
+    n = len(time)
+    return table_of([label] * n, [-1] * n, q, tau, qd=qd, qdd=qdd, time=time, run=[f"{label}{seed}"] * n)
+
+
+def friction(found, name):
+    return [value for key, value in zip(found.names, found.value, strict=True) if key.startswith(name)]
+
+
+@pytest.mark.parametrize("inertials", ["ignore", "exact", "prior:0.05"])
+def test_friction_and_residual_of_a_bare_run(arm, table_of, inertials):
+    found = estimate(moving_table(arm, table_of), arm.robot, Options(inertials=inertials))
+    np.testing.assert_allclose(friction(found, "coulomb"), COULOMB, rtol=1e-3)
+    np.testing.assert_allclose(friction(found, "viscous"), VISCOUS, rtol=1e-3)
+    if inertials == "exact":  # else the rotor inertia of axis 1 lumps with the links
+        np.testing.assert_allclose(friction(found, "rotor_inertia"), ROTOR, rtol=1e-3)
+        np.testing.assert_allclose(friction(found, "offset"), OFFSET, atol=1e-3)
+    np.testing.assert_allclose(found.rows.rms_nm, 0, atol=1e-2)
+    assert np.isnan(found.sigma_nm).all()  # one run tells no noise floor
+
+
+def test_load_from_bare_and_loaded_run(arm, table_of):
+    table = concatenate(
+        [moving_table(arm, table_of, noise=0.5), moving_table(arm, table_of, "tool", TOOL, seed=1, noise=0.5)]
+    )
+    load = estimate(table, arm.robot, Options(inertials="prior:0.05")).loads[0]
+    assert load.mass_kg == pytest.approx(TOOL[0], rel=0.06)
+    np.testing.assert_allclose(load.com_m, TOOL[1:], atol=0.03)
+
+
+def test_load_with_known_links_and_a_known_load(arm, table_of):
+    point = (5.0, 0.1, 0.0, 0.0)
+    table = moving_table(arm, table_of, "tool", point, noise=0.1)
+    options = Options(inertials="exact", known={"tool": point})
+    assert (estimate(table, arm.robot, options).rows.rms_nm < 0.2).all()
+    with pytest.raises(InputError, match="--known other"):
+        estimate(table, arm.robot, Options(known={"other": point}))
+
+
+def test_a_loaded_run_alone_lumps_with_link_6(arm, table_of):
+    result = run(moving_table(arm, table_of, "tool", TOOL), arm.robot, Options())
+    assert np.isnan(result.loads[0].mass_kg)
+    assert len(result.loads[0].unidentifiable) == 4
+    assert any("lumps with link 6" in finding.what for finding in result.findings)
+    assert np.isfinite(result.after.rms_nm).all()
+
+
+def test_slow_rows_are_left_out_by_the_speed_limit(arm, table_of):
+    table = moving_table(arm, table_of)
+    found = estimate_moving(table, arm.robot, Options(), Motion(slow_share=0.1))
+    slow = np.abs(table.qd_rad_s) < 0.1 * arm.robot.velocity_rad_s
+    assert slow.any()
+    np.testing.assert_array_equal(np.isnan(found.rows.tau_nm), slow)
+
+
+def test_too_short_a_run(arm, table_of):
+    with pytest.raises(DataUnusable, match="fewer than"):
+        estimate(moving_table(arm, table_of).take(np.arange(5)), arm.robot, Options())
+    with pytest.raises(DataUnusable, match="no moving rows"):
+        estimate_moving(moving_table(arm, table_of).take(np.zeros(400, dtype=bool)), arm.robot, Options())
+
+
+def measured_run(folder, name, file):
+    text = (folder / name / "robot.urdf").read_text()
+    return read_csv(folder / name / file, None), robot_from_urdf(text, name)
+
+
+@pytest.mark.data
+def test_measured_run_of_a_tx40(measured_data):
+    """Published with the data: base parameters and friction, slow rows left out."""
+    table, robot = measured_run(measured_data, "tx40", "run_1_first.csv")
+    found = estimate(table, robot, Options())
+    np.testing.assert_allclose(found.rows.rms_nm, [1.49, 1.47, 0.96, 0.42, 4.12, 1.41], atol=0.006)
+    assert found.rank == 36 + 24 - 2  # the rotors of axes 1 and 2 lump with the links they turn
+
+
+@pytest.mark.data
+def test_measured_run_of_a_ur10(measured_data):
+    table, robot = measured_run(measured_data, "ur10", "run_1_first.csv")
+    found = estimate_moving(table, robot, Options(), Motion(slow_share=0.0))
+    np.testing.assert_allclose(found.rows.rms_nm, [2.87, 1.88, 1.71, 0.37, 0.34, 1.36], atol=0.006)
+    assert (estimate(table, robot, Options()).rows.rms_nm <= found.rows.rms_nm).all()
+
+
+@pytest.mark.data
+def test_measured_run_of_a_kr300(measured_data):
+    """CAD links fixed, no offset, equal weights first and three times the residual's: the published figures."""
+    table, robot = measured_run(measured_data, "kr300", "run_A.csv")
+    motion = Motion(smooth_rad_s=0.01, passes=4)
+    found = estimate_moving(table, robot, Options(inertials="exact"), motion)
+    np.testing.assert_allclose(found.rows.rms_nm, [236, 907, 1449, 58, 44, 41], rtol=0.01)
+    load = found.loads[0]
+    assert load.mass_kg == pytest.approx(27, abs=0.5)
+    assert load.com_m[2] + 0.24 == pytest.approx(-1.55, abs=0.01)  # before the flange, which lies at z = -0.24 m
+    assert load.mass_std_kg > 10  # and the interval says how little that means
+    said = run(table, robot, Options(inertials="exact")).findings
+    assert any("diagnose" in finding.advice for finding in said)
