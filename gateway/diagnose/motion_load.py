@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.motion_fit import Fit, Problem
+from gateway.diagnose.motion_fit import Problem
 from gateway.diagnose.motion_state import State
 from gateway.model.motion_baseline import BARE
 from gateway.result import LoadResult
@@ -78,7 +78,12 @@ def over_blocks(problem: Problem, state: State, where: NDArray[np.int_]) -> Floa
     return (len(estimates) - 1) / len(estimates) * centred.T @ centred
 
 
-def friction_level(problem: Problem, full: Fit) -> Floats:
-    """Coulomb friction (6,) [Nm], NaN for an axis that was not judged."""
-    level = np.abs(full.value[problem.base.friction[:, 0]])
-    return np.where(problem.motion.measured, level, np.nan)
+def friction_level(problem: Problem, state: State) -> Floats:
+    """Dry friction (6,) [Nm] towards standstill, NaN for an axis that was not judged."""
+    level = state.full.value[problem.base.friction[:, 0]].copy()
+    position = problem.base.columns.shape[2]
+    for term in state.terms:
+        if "stribeck_nm" in term.symbols:
+            level[term.axes[0]] += state.full.value[position + term.symbols.index("stribeck_nm")]
+        position += len(term.symbols)
+    return np.where(problem.motion.measured, np.abs(level), np.nan)

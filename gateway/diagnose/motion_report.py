@@ -52,7 +52,7 @@ def result_of(outcome: Outcome) -> Result:
         before=_summary(problem, before, outcome, first=True),
         after=_summary(problem, after, outcome, first=False),
         holdout_kind="given" if problem.motion.given.any() else "blocks",
-        friction_band_nm=_six(friction_level(problem, after.full)),
+        friction_band_nm=_six(friction_level(problem, after)),
         rejected=_rejected(outcome),
         next=(*(_tell_apart(item) for item in doubtful), *_richer(outcome, bool(effects))),
         findings=(*_faults(effects), *_remarks(outcome)),

@@ -1,7 +1,8 @@
 """Is what the model leaves noise, or does it still hang on the motion?
 
-Columns without a cause (harmonics of the angle, with and without the direction of motion, speeds) are put on trial like
-an effect. If they help on rows no fit has seen, the residual has structure that no effect of the library explains.
+Columns without a cause (harmonics of the angles, speeds, motion of the neighbours, another friction in the last run)
+are put on trial like an effect. If they help on rows no fit has seen, the residual has structure that no effect of the
+library explains.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from gateway.model.motion_terms import Modelled, Term
 
 Floats = NDArray[np.float64]
 
-RATIO = 0.9
-CHANCE = 0.01
+RATIO = 0.87
+CHANCE = 1e-3
 
 
 def structured_axes(problem: Problem, state: State) -> dict[int, float]:
@@ -36,7 +37,7 @@ def structured_axes(problem: Problem, state: State) -> dict[int, float]:
 
 
 def _convinces(trial: Trial) -> bool:
-    return trial.ratio <= RATIO and trial.p_held <= CHANCE and trial.p_demand <= CHANCE
+    return trial.ratio <= RATIO and trial.p_held <= 10.0 * CHANCE and trial.p_demand <= CHANCE
 
 
 def _shapeless(axis: int, top_rad_s: float) -> list[Term]:
@@ -63,7 +64,11 @@ def _shapeless(axis: int, top_rad_s: float) -> list[Term]:
         others = [other for other in range(6) if other != axis]
         return np.concatenate([motion.sign[:, others], motion.qd_rad_s[:, others]], axis=1)[:, None, :]
 
-    shapes = ((angle, 4), (directed, 2), (speed, 3), (postures, 12), (neighbours, 10), (passed_on, 2))
+    def by_run(motion: Motion, _: Modelled) -> Floats:
+        other = (motion.run == motion.run.max()).astype(float)
+        return np.stack([other, other * motion.sign[:, axis], other * motion.qd_rad_s[:, axis]], axis=1)[:, None, :]
+
+    shapes = ((angle, 4), (directed, 2), (speed, 3), (postures, 12), (neighbours, 10), (passed_on, 2), (by_run, 3))
     return [
         Term("structure", (axis,), (axis,), columns, tuple(f"c{number}" for number in range(count)), str(position))
         for position, (columns, count) in enumerate(shapes)
