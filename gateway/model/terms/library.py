@@ -54,6 +54,7 @@ def named_terms(rows: RestRows, setup: Setup) -> list[Term]:
     """Every effect of the library in every place and shape that rest visits can show."""
     terms: list[Term] = [BaseTilt()]
     largest = np.maximum(np.abs(setup.torque_nm).max(axis=0), 1e-6)
+    missed = np.nan_to_num(np.abs(rows.sum_nm - setup.torque_nm)).max(axis=0)
     one_sided = bool((rows.side != 0).any())
     for axis in range(6):
         if not np.isfinite(rows.sum_nm[:, axis]).any():
@@ -71,8 +72,9 @@ def named_terms(rows: RestRows, setup: Setup) -> list[Term]:
     terms += [LinkMass(link) for link in (1, 2, 3)]
     if np.isfinite(rows.sum_nm[:, 1]).any():
         shapes = list(itertools.product(RATIOS, PHASES))
-        terms += [CoilBalancer(*shape, float(largest[1])) for shape in shapes]
-        terms += [GasBalancer(*shape, float(largest[1]), stroke) for shape in shapes for stroke in (0.35, 0.7)]
+        size = float(max(largest[1], 4.0 * missed[1]))
+        terms += [CoilBalancer(*shape, size) for shape in shapes]
+        terms += [GasBalancer(*shape, size, stroke) for shape in shapes for stroke in (0.35, 0.7)]
     terms += _shifts(rows)
     if setup.common_scale:
         terms.append(TorqueConstantScale(None))
