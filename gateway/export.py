@@ -74,7 +74,8 @@ def export(result: Mapping[str, Any], fmt: str, label: str | None = None) -> str
     if fmt not in FORMATS:
         raise ConfigError(f"format '{fmt}' is not known; choose one of {', '.join(FORMATS)}")
     write, frames = FORMATS[fmt]
-    loads = [_complete(load, frames) for load in _chosen(result, label)]
+    spread = (result.get("data") or {}).get("flange") or {}
+    loads = [_complete(load, frames, spread.get(load.get("label"), {})) for load in _chosen(result, label)]
     return write(loads, _one_line(str(result.get("robot", "robot"))))
 
 
@@ -94,14 +95,14 @@ def _chosen(result: Mapping[str, Any], label: str | None) -> list[Mapping[str, A
     raise DataUnusable("the result holds no load; estimate one first (servo-gateway estimate DATA --json OUT.json)")
 
 
-def _complete(load: Mapping[str, Any], frames: Sequence[str]) -> ExportLoad:
+def _complete(load: Mapping[str, Any], frames: Sequence[str], in_flange: Mapping[str, Any]) -> ExportLoad:
     label = str(load.get("label"))
     if load.get("mass_kg") is None:
         reason = load.get("refused") or _unidentifiable(load)
         raise DataUnusable(f"load '{label}' has no mass to hand over: {reason}")
     flange, link = load.get("com_flange_m"), load.get("com_m")
     if flange is not None and "flange" in frames:
-        return _checked(load, label, flange, "flange")
+        return _checked({**load, "com_std_m": in_flange.get("com_std_m")}, label, flange, "flange")
     if "link_6" in frames and link is not None:
         return _checked(load, label, link, "link_6")
     if link is None or any(value is None for value in link):
@@ -118,7 +119,7 @@ def _checked(load: Mapping[str, Any], label: str, com: Sequence[float | None], f
             f"load '{label}': the centre of gravity is not complete ({_unidentifiable(load)}); measure the poses that "
             "the result names under `next`"
         )
-    std = load.get("com_std_m") if frame == "link_6" else load.get("com_flange_std_m", load.get("com_std_m"))
+    std = load.get("com_std_m")
     known = std is not None and all(value is not None for value in std)
     return ExportLoad(
         label=_one_line(label),

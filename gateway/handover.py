@@ -14,7 +14,7 @@ from drives.profile import DriveProfile, load_profile, parse_profile
 from gateway.analysis import RECORDING_SUFFIXES, Given
 from gateway.provenance import provenance
 from gateway.recorded import ArmRecording, Recording
-from gateway.report.collect import drawn_poses
+from gateway.report.collect import drawn_poses, flange_spread
 from gateway.result import Result, to_dict
 from gateway.table import Table
 
@@ -50,6 +50,7 @@ def complete(result: Result, about: Given, table: Table, paths: Sequence[Path]) 
         "sources": [_source(path, about.recordings, table) for path in paths],
         "role": roles,
         "poses": _poses(result, about, roles),
+        "flange": {} if about.robot is None else flange_spread(about.robot, result.loads),
         "bus": _bus(about.recordings, about.arm.name if about.arm is not None else None),
     }
     if about.arm is not None:

@@ -11,6 +11,7 @@ The page is drawn from the result JSON alone. Beside the keys of `gateway.result
     curves         [{"name", "joint", "x_label", "x_unit", "y_label", "x", "y", "low", "high", "points_x", "points_y"}]
     bus            [{"name", "cycles", "incomplete", "late", "planned_load_percent", "emcy", ...}]
     torque_limit_nm  [6]
+    flange         {label: {"com_std_m": [3], "correlation": 4 x 4}}: uncertainty in the frame of the flange
 
 `provenance` of the result holds {"J2": {"gear_ratio": {"value", "unit", "source"}, ...}, ...}.
 """

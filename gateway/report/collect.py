@@ -58,6 +58,37 @@ def drawn_poses(
     return entries
 
 
+def flange_spread(robot: Robot, loads: Sequence[LoadResult]) -> dict[str, dict[str, Any]]:
+    """Uncertainty of each centre of gravity in the frame of the flange.
+
+    Parameters
+    ----------
+    robot : Robot
+    loads : sequence of LoadResult
+        Standard deviations and correlation of [mass, x, y, z] in link_6.
+
+    Returns
+    -------
+    dict
+        label -> {"com_std_m": [3], "correlation": 4 x 4 of [mass, x, y, z]}; empty where the flange is not known.
+    """
+    if robot.flange is None:
+        return {}
+    turn = np.eye(4)
+    turn[1:, 1:] = robot.flange[:3, :3].T
+    spread = {}
+    for load in loads:
+        if load.com_std_m is None or load.correlation is None or np.shape(load.correlation) != (4, 4):
+            continue
+        std = np.array([load.mass_std_kg, *load.com_std_m])
+        covariance = turn @ (np.array(load.correlation) * np.outer(std, std)) @ turn.T
+        if np.isfinite(covariance).all() and (np.diag(covariance) > 0).all():
+            size = np.sqrt(np.diag(covariance))
+            correlation = covariance / np.outer(size, size)
+            spread[load.label] = {"com_std_m": size[1:].tolist(), "correlation": correlation.tolist()}
+    return spread
+
+
 def _rows_to_draw(rows: Rows) -> list[int]:
     """One row per pose, the last load first; of a moving run a few instants."""
     if not rows.q_rad:

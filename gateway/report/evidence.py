@@ -70,6 +70,48 @@ def evidence_figure(candidates: Sequence[Candidate]) -> Markup | None:
     return panel.svg("Held-out error of every effect that was tried")
 
 
+def per_pose_figure(result: Json, classes: Mapping[str, str]) -> Markup | None:
+    """Mass that each pose alone would give, for every load, with the 95 % interval of all poses together."""
+    loads = [load for load in result.get("loads") or [] if load.get("per_pose_mass_kg")]
+    names = sorted({pose for load in loads for pose in load["per_pose_mass_kg"]}, key=_as_number)
+    if not names:
+        return None
+    values = [mass for load in loads for mass in load["per_pose_mass_kg"].values() if mass is not None]
+    panel = Panel(430.0, 190.0, (-0.7, len(names) - 0.3), limits([*values, *map(_mass, loads)]), left=56.0)
+    panel.y_axis("mass by each pose alone [kg]")
+    for place, name in enumerate(names):
+        if len(names) <= 24 or place % 5 == 0:
+            panel.text(panel.x(place), panel.height - panel.bottom + 13, name, "tick mid")
+    panel.x_label("pose")
+    for load in loads:
+        _per_pose(panel, load, names, classes.get(str(load.get("label")), "load-1"))
+    return panel.svg("Mass that each pose alone would give")
+
+
+def _per_pose(panel: Panel, load: Json, names: Sequence[str], kind: str) -> None:
+    mass, std = load.get("mass_kg"), load.get("mass_std_kg")
+    if mass is not None and std is not None:
+        half = words.TWO_SIDED_95 * std
+        panel.box(panel.x_range, (mass - half, mass + half), f"between {kind}")
+        panel.segment((panel.x_range[0], mass), (panel.x_range[1], mass), f"whisker {kind}")
+    for place, name in enumerate(names):
+        value = load["per_pose_mass_kg"].get(name)
+        if value is not None:
+            panel.dot(place, value, f"dot {kind}", f"load {load['label']}, pose {name}: {value:.2f} kg", 3.4)
+
+
+def _mass(load: Json) -> float:
+    value = load.get("mass_kg")
+    return math.nan if value is None else float(value)
+
+
+def _as_number(name: str) -> tuple[float, str]:
+    try:
+        return float(name), name
+    except ValueError:
+        return math.inf, name
+
+
 def friction_figure(result: Json) -> Markup | None:
     """Friction band of every visit and its typical value per axis, logarithmic."""
     rows = result.get("rows") or {}

@@ -22,7 +22,7 @@ def torque_figures(result: Json) -> list[tuple[str, Markup]]:
     rows, plan = _rows(result)
     if plan is None:
         return []
-    return [(words.axis(axis + 1), _torque(rows, plan, axis)) for axis in measured_axes(rows)]
+    return [(words.axis(axis + 1), _torque(result, plan, axis)) for axis in measured_axes(rows)]
 
 
 def residual_figures(result: Json) -> list[tuple[str, Markup]]:
@@ -44,7 +44,8 @@ def residual_figures(result: Json) -> list[tuple[str, Markup]]:
 def load_classes(result: Json) -> dict[str, str]:
     """CSS class of each load label, the bare arm first."""
     rows = result.get("rows") or {}
-    labels = list(dict.fromkeys(rows.get("load") or []))
+    named_loads = [str(load.get("label")) for load in result.get("loads") or []]
+    labels = list(dict.fromkeys([*(rows.get("load") or []), *named_loads]))
     bare = [label for label in labels if label == "none"]
     rest = [label for label in labels if label != "none"]
     named = dict.fromkeys(bare, LOAD_CLASSES[0])
@@ -58,7 +59,8 @@ def _rows(result: Json) -> tuple[Json, Layout | None]:
     return rows, layout(rows, (result.get("data") or {}).get("role"))
 
 
-def _torque(rows: Json, plan: Layout, axis: int) -> Markup:
+def _torque(result: Json, plan: Layout, axis: int) -> Markup:
+    rows = result["rows"]
     tau = [cell(rows["tau_nm"], row, axis) for row in plan.order]
     model = [cell(rows.get("model_nm"), row, axis) for row in plan.order]
     band = [_zero(cell(rows.get("band_nm"), row, axis)) for row in plan.order]
@@ -66,7 +68,7 @@ def _torque(rows: Json, plan: Layout, axis: int) -> Markup:
     panel = Panel(WIDTH, HEIGHT, plan.width, limits([*spread, *model]))
     _shade_fresh(panel, plan)
     _frame(panel, plan, f"{words.axis(axis + 1)} torque [Nm]")
-    colours = load_classes({"rows": rows})
+    colours = load_classes(result)
     radius = 1.6 if plan.dense else 3.2
     for place, row, value, half in zip(plan.place, plan.order, tau, band, strict=True):
         if not math.isfinite(value):

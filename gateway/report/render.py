@@ -32,12 +32,15 @@ def render(result: Json) -> str:
     environment = Environment(
         loader=PackageLoader("gateway", "report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
+    result = _in_flange(result)
     shown = view(result)
     style = files("gateway.report").joinpath("report.css").read_text(encoding="utf-8")
     return environment.get_template("report.html.j2").render(
         result=_Lenient(result),
         data=_Lenient(result.get("data") or {}),
         view=shown,
+        about=_about(result),
+        residual_known=any(axis.fit is not None or axis.after is not None for axis in shown.axes),
         css=Markup(style),  # noqa: S704 - the package's own file
         sig=words.significant,
         degrees=lambda q: words.plain(None if q is None else math.degrees(q), 1),
@@ -45,6 +48,25 @@ def render(result: Json) -> str:
         **_figures(result, shown),
         **_tables(result),
     )
+
+
+def _in_flange(result: Json) -> Json:
+    """The result with the uncertainty of each load in the frame its centre of gravity is given in."""
+    spread = (result.get("data") or {}).get("flange") or {}
+    loads = []
+    for load in result.get("loads") or []:
+        own = spread.get(load.get("label")) if load.get("com_flange_m") else None
+        extra = {} if own is None else {"com_flange_std_m": own["com_std_m"], "correlation": own["correlation"]}
+        loads.append({**load, **extra})
+    return {**result, "loads": loads}
+
+
+def _about(result: Json) -> list[Markup]:
+    """Robot, cell, arm and date for the head of the page, as far as they are known."""
+    data = result.get("data") or {}
+    named = [("robot", result.get("robot")), ("cell", data.get("cell")), ("arm", data.get("arm"))]
+    parts = [Markup("{} <b>{}</b>").format(name, value) for name, value in named if value]
+    return parts + ([Markup("{}").format(data["created"])] if data.get("created") else [])
 
 
 class _Lenient(dict):
@@ -59,8 +81,10 @@ def _figures(result: Json, shown: View) -> dict[str, Any]:
     data = result.get("data") or {}
     drawn = space.pose_figures(result, classes)
     com, curves = _com(result), _curves(result)
+    measured = dict.fromkeys((result.get("rows") or {}).get("load") or [])
     return {
         "quality": evidence.quality_figure(shown.axes),
+        "per_pose": evidence.per_pose_figure(result, classes),
         "evidence": evidence.evidence_figure(shown.candidates),
         "friction": evidence.friction_figure(result),
         "more_candidates": max(0, len(shown.candidates) - evidence.MOST_CANDIDATES),
@@ -74,7 +98,7 @@ def _figures(result: Json, shown: View) -> dict[str, Any]:
         "side_views": _Lenient({label: pictures[0][1] for label, pictures in com}),
         "flange": any(load.get("com_flange_m") for load in result.get("loads") or []),
         "swatches": {label: _swatch(kind) for label, kind in classes.items()},
-        "legend": [(words.load(label), _swatch(kind)) for label, kind in classes.items()],
+        "legend": [(words.load(label), _swatch(classes[label])) for label in measured],
     }
 
 

@@ -41,9 +41,11 @@ def headline(result: Json) -> str:
     for load in good:
         value, half = mass(load)
         parts.append(
-            f"{value} kg" + (f" ± {half} kg" if half else "") + (f" ({load['label']})" if len(good) > 1 else "")
+            f"{value} kg" + (f" ± {half} kg" if half else "") + (f" ({load['label']})" if len(loads) > 1 else "")
         )
-    return f"{words.listing(parts)} on the flange"
+    refused = [str(load["label"]) for load in loads if load.get("refused")]
+    rest = f"; {words.listing(refused)} refused" if refused else ""
+    return f"{words.listing(parts)} on the flange{rest}"
 
 
 def verdict_sentence(result: Json) -> str:

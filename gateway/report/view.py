@@ -12,6 +12,14 @@ from gateway.report import sentences, words
 Json = Mapping[str, Any]
 
 
+UNKNOWNS = {
+    "mass_kg": "mass",
+    "com_x_m": "centre of gravity along x",
+    "com_y_m": "centre of gravity along y",
+    "com_z_m": "centre of gravity along z",
+}
+
+
 @dataclass(frozen=True, slots=True)
 class ComponentView:
     """One component of the centre of gravity, mm; texts."""
@@ -196,7 +204,7 @@ def _components(
 def _reason(item: Any) -> str:
     if isinstance(item, Mapping):
         return ": ".join(str(item[key]) for key in ("what", "why") if item.get(key))
-    return str(item)
+    return UNKNOWNS.get(str(item), str(item))
 
 
 def _effect(effect: Json) -> EffectView:

@@ -6,8 +6,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from gateway.model.robot import robot_from_urdf
-from gateway.report.collect import drawn_poses
+from gateway.model.robot import robot_from_urdf, with_flange
+from gateway.report.collect import drawn_poses, flange_spread
 from gateway.result import LoadResult, Rows
 
 URDF = Path(__file__).parents[3] / "examples" / "small" / "robot.urdf"
@@ -56,3 +56,20 @@ def test_of_a_moving_run_a_few_instants_are_drawn(arms):
 
 def test_without_rows_there_is_nothing_to_draw(arms):
     assert drawn_poses(arms[0], Rows(), []) == []
+
+
+def test_uncertainty_turns_with_the_flange(arms):
+    # a quarter turn about z: x of the flange is y of link 6, y is minus x
+    robot = with_flange(arms[0], (0.0, 0.0, 0.1), (0.0, 0.0, np.pi / 2))
+    correlation = ((1.0, 0.0, 0.5, 0.0), (0.0, 1.0, 0.2, 0.0), (0.5, 0.2, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    load = LoadResult("a", 5.0, 0.1, (0.0, 0.0, 0.1), (0.001, 0.002, 0.003), correlation=correlation)
+    spread = flange_spread(robot, [load])["a"]
+    assert np.allclose(spread["com_std_m"], [0.002, 0.001, 0.003])
+    assert np.allclose(spread["correlation"][0], [1.0, 0.5, 0.0, 0.0])
+    assert np.isclose(spread["correlation"][1][2], -0.2)
+
+
+def test_without_flange_or_correlation_nothing_is_said_of_its_uncertainty(arms):
+    load = LoadResult("a", 5.0, 0.1, (0.0, 0.0, 0.1), (0.001, 0.002, 0.003))
+    assert flange_spread(arms[0], [load]) == {}
+    assert flange_spread(with_flange(arms[0], (0.0, 0.0, 0.1), (0.0, 0.0, 0.0)), [load]) == {}

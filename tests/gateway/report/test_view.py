@@ -66,7 +66,7 @@ def test_a_refused_load_turns_the_page_red(result):
     result["loads"][1] |= {"mass_kg": None, "refused": "rows 9 and 10 have the wrong sign"}
     shown = view(result)
     assert shown.status == "bad"
-    assert shown.headline == "25.03 kg ± 0.22 kg on the flange"
+    assert shown.headline == "25.03 kg ± 0.22 kg (tool) on the flange; tool+part refused"
     assert shown.loads[1].refused.startswith("rows 9")
 
 
