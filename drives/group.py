@@ -181,7 +181,8 @@ class DriveGroup:
             exchange.close()
             raise
         limits = [_silence_s(drive.setup) for drive in self.drives]
-        watch = HeartbeatWatch(self._bus, [drive.node_id for drive in self.drives], limits)
+        node_ids = [drive.node_id for drive in self.drives]
+        watch = HeartbeatWatch(self._bus, node_ids, limits, lambda: exchange.sync_time_s)
         self._exchange, self._watch = exchange, watch
         guard_limits = Limits(self.options.silent_syncs, self.options.foreign_frames)
         self._guard = Guard(self._bus, exchange, watch, self._emcy, guard_limits)

@@ -6,7 +6,7 @@ A drive is watched from its first heartbeat on: one that never sent any is not c
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import IntEnum
 from typing import Final
 
@@ -95,14 +95,24 @@ class HeartbeatWatch:
         Whom to watch.
     limits_s : sequence of float or None
         Longest silence of each, None = its heartbeat is not expected.
+    sync_time_s : callable, optional
+        Time by SYNCs. In lockstep a drive may count by SYNCs or by its own clock: it is lost only when it has been
+        silent for too long by both.
     """
 
-    def __init__(self, bus: Bus, node_ids: Sequence[int], limits_s: Sequence[float | None]) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        node_ids: Sequence[int],
+        limits_s: Sequence[float | None],
+        sync_time_s: Callable[[], float] | None = None,
+    ) -> None:
         self.states: dict[int, NmtState | None] = dict.fromkeys(node_ids)
         #: Nodes that booted since `forgive` was called.
         self.booted: set[int] = set()
         self._limits_s = dict(zip(node_ids, limits_s, strict=True))
-        self._last_s: dict[int, float] = {}
+        self._last_s: dict[int, tuple[float, float]] = {}
+        self._sync_time_s = sync_time_s or time.monotonic
         self._bus = bus
         for node_id in node_ids:
             bus.subscribe(HEARTBEAT_BASE + node_id, self._on_frame)
@@ -123,7 +133,7 @@ class HeartbeatWatch:
             self.booted.add(node_id)
             self._last_s.pop(node_id, None)
         else:
-            self._last_s[node_id] = time.monotonic()
+            self._last_s[node_id] = (time.monotonic(), self._sync_time_s())
 
     def forgive(self) -> None:
         """Forget boot-ups and start every timer afresh at the next heartbeat."""
@@ -132,9 +142,9 @@ class HeartbeatWatch:
 
     def lost(self) -> tuple[int, ...]:
         """Nodes whose heartbeat has been silent for longer than their limit."""
-        now = time.monotonic()
+        now, sync_now = time.monotonic(), self._sync_time_s()
         return tuple(
             node_id
-            for node_id, last_s in self._last_s.items()
-            if (limit_s := self._limits_s[node_id]) is not None and now - last_s > limit_s
+            for node_id, (last_s, sync_last_s) in self._last_s.items()
+            if (limit_s := self._limits_s[node_id]) is not None and min(now - last_s, sync_now - sync_last_s) > limit_s
         )

@@ -8,6 +8,7 @@ import pytest
 
 from drives.drive import DriveCommand
 from drives.errors import (
+    BusError,
     BusOff,
     CommandRefused,
     ConfigurationRefused,
@@ -429,3 +430,27 @@ def test_node_ids_must_differ_also_from_the_masters(bus, setups):
         DriveGroup(bus, setups(2), PERIOD_S, master_node_id=2)
     with pytest.raises(ConfigurationRefused):
         DriveGroup(bus, setups(2), math.nan)
+
+
+def test_a_master_that_paused_does_not_call_a_heartbeat_lost(group, slaves, wire):
+    """In lockstep the drives' time stands still while nobody sends SYNC."""
+    group.enable()
+    slaves[0].heartbeat()
+    group.hold()
+    wire.sleep(60.0)
+    for _ in range(50):
+        group.hold()
+    assert group.enabled
+
+
+def test_an_adapter_that_dies_in_a_run_is_one_error_in_bounded_time(group, slaves, wire):
+    group.enable()
+    wire.send_errors = 1 << 30
+    start = wire.now_s
+    with pytest.raises(BusError, match="could not be sent"):
+        group.hold()
+    assert wire.now_s - start < 1.0
+    assert not group.enabled
+    wire.send_errors = 0
+    group.disable()
+    assert {slave.state for slave in slaves} == {"switch on disabled"}
