@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gateway.diagnose.ask import questions
+from gateway.diagnose.bias import stuck
 from gateway.diagnose.decide import STRUCTURE_P, Decision, decide
 from gateway.diagnose.deflection import wound_up
 from gateway.diagnose.fit import Fit, Problem, fit, visit_loads
 from gateway.diagnose.holdout import Held, predicted
-from gateway.diagnose.mistakes import Mistake, band_signs, find_mistakes, suspicious
+from gateway.diagnose.mistakes import Mistake, band_signs, find_mistakes, strained, suspicious
 from gateway.diagnose.motion import MotionOptions, diagnose_motion
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.outcome import (
@@ -28,7 +29,7 @@ from gateway.diagnose.pictures import Visits, pictures
 from gateway.diagnose.problem import BARE_LABEL, Knowledge, build_problem, first_noise
 from gateway.diagnose.rows import joined, rest_rows
 from gateway.diagnose.search import Search, run
-from gateway.diagnose.structure import fresh_misfit
+from gateway.diagnose.structure import fresh_misfit, spare_rows
 from gateway.errors import ConfigError, DataUnusable
 from gateway.model.robot import Robot
 from gateway.model.terms.library import Setup, named_terms, unnamed_terms
@@ -115,7 +116,8 @@ class RestDiagnosis:
         found = self._searched(table, (), 0.0)
         mistakes: tuple[Mistake, ...] = ()
         gained = 0.0
-        if suspicious(found.search.problem, found.chosen):
+        problem = found.search.problem
+        if suspicious(problem, found.chosen) or strained(problem, found.search.fitted(())):
             mistakes, gained = find_mistakes(table, self.problem, self.options.allowed)
         if mistakes:
             other = self._searched(table, mistakes, gained)
@@ -129,7 +131,8 @@ class RestDiagnosis:
         plain = fit(problem, (), noise)
         bodies = problem.model.bodies(plain.setting, plain.links, visit_loads(problem, plain.loads))
         torque, _ = problem.model.joint_torque(plain.setting, bodies)
-        setup = Setup(tuple(self.options.gear_ratio), bool(self.options.known), torque)
+        weighed = bool(self.options.known) or self.knowledge.inertials == "exact"
+        setup = Setup(tuple(self.options.gear_ratio), weighed, torque)
         named = [term for term in named_terms(problem.rows, setup) if term.name in self.options.allowed]
         search = Search(problem, tuple(named), tuple(unnamed_terms(problem.rows, setup)), noise)
         return Found(table, search, run(search), mistakes, gained)
@@ -148,12 +151,15 @@ class RestDiagnosis:
         visit = np.concatenate([visit[both.use_sum], visit[both.use_difference]])
         return Held(both, visit >= len(seen))
 
-    def _before(self, decision: Decision, judge: Judge, found: Found) -> FitSummary:
+    def _before(self, decision: Decision, judge: Judge, found: Found, sided: bool) -> FitSummary:
         """What the model without effects says of the data as they were read."""
         second = np.isfinite(found.search.problem.rows.wind_up_rad).any()
-        if not found.mistakes and not second:
+        if not (found.mistakes or second or sided):
             return summary(judge.problem, decision.before, judge, self.robot)
-        problem = self.problem(replace(found.table, q2nd_rad=np.full_like(found.table.q2nd_rad, np.nan)))
+        table = replace(found.table, q2nd_rad=np.full_like(found.table.q2nd_rad, np.nan))
+        if sided:
+            table = replace(table, direction=np.zeros_like(table.direction))
+        problem = self.problem(table)
         return summary(problem, fit(problem, (), first_noise(problem)), Judge(problem, None), self.robot)
 
     def report(self, found: Found, holdout: Table | None = None, kind: str = "given") -> Result:
@@ -161,15 +167,16 @@ class RestDiagnosis:
         search, problem = found.search, found.search.problem
         decision = decide(search, found.chosen)
         held = self._held(found, holdout)
-        decision, findings = self._confirmed(decision, held)
+        decision, findings = self._confirmed(decision, held, problem)
         judge = Judge(problem, held)
         effects = [entry for mistake in found.mistakes for entry in mistake_effect(mistake, found.gained)]
         effects += proven(search, decision, judge)
         seen_by_encoder = wound_up(problem, decision.after) if "joint_elasticity" in self.options.allowed else []
-        effects += seen_by_encoder
+        by_direction = stuck(problem, decision.after) if "static_friction" in self.options.allowed else []
+        effects += seen_by_encoder + by_direction
         effects += possible(search, decision, judge) if decision.verdict == "undecided" else []
         verdict = decision.verdict
-        if found.mistakes or seen_by_encoder:
+        if found.mistakes or seen_by_encoder or by_direction:
             verdict = {"none_needed": "explained", "unexplained": "improved"}.get(verdict, verdict)
         after = summary(problem, decision.after, judge, self.robot)
         floor, band = floor_and_band(problem, decision)
@@ -180,7 +187,7 @@ class RestDiagnosis:
             loads=after.loads,
             verdict=verdict,
             effects=tuple(effects),
-            before=self._before(decision, judge, found),
+            before=self._before(decision, judge, found, bool(by_direction)),
             after=after,
             holdout_kind="blocks" if held is None else kind,
             noise_floor_nm=floor,
@@ -199,13 +206,14 @@ class RestDiagnosis:
             extra={"data": drawn},
         )
 
-    def _confirmed(self, decision: Decision, held: Held | None) -> tuple[Decision, list[Finding]]:
+    def _confirmed(self, decision: Decision, held: Held | None, problem: Problem) -> tuple[Decision, list[Finding]]:
         """The decision in the light of rows that no fit has seen."""
         if held is None:
             return decision, []
         group = held.problem.group[held.mask]
         residual = predicted(held, decision.after)
-        chance = fresh_misfit(residual, decision.after.noise.std[group], group % 6)
+        spare = spare_rows(problem, decision.after)
+        chance = fresh_misfit(residual, decision.after.noise.std[group], group % 6, spare)
         if chance >= STRUCTURE_P:
             return decision, []
         verdict = {"explained": "improved", "none_needed": "unexplained"}.get(decision.verdict, decision.verdict)

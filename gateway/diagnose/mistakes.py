@@ -92,15 +92,20 @@ def band_signs(problem: Problem, result: Fit) -> float:
     """Log probability that every friction band of a fit is positive."""
     at = problem.n_common - 6
     band_std = np.sqrt(np.maximum(np.diag(result.covariance)[at : at + 6], 1e-30))
-    seen = np.bincount(problem.group, minlength=18)[6:12] > 0
+    count = np.bincount(problem.group, minlength=18)
+    seen = count[6:12] + count[12:] > 0
     return float(np.sum(norm.logcdf(result.band[seen] / band_std[seen])))
+
+
+def strained(problem: Problem, fitted: Fit) -> bool:
+    """Whether a fit asks for links that are far from what the CAD says."""
+    return float(np.sum(((fitted.links - problem.links) / problem.link_std) ** 2)) > STRAINED
 
 
 def suspicious(problem: Problem, plain: Fit) -> bool:
     """Whether the best hypothesis is so odd, or leaves so much, that a mistake is worth looking for."""
     sums = np.unique(problem.group[problem.group < 6])
     ratio = (plain.noise.std[sums] / plain.noise.start[sums]).max(initial=0.0)
-    strain = float(np.sum(((plain.links - problem.links) / problem.link_std) ** 2))
     at = problem.n_common - 6
     band_std = np.sqrt(np.maximum(np.diag(plain.covariance)[at : at + 6], 1e-30))
     backward = bool((plain.band / band_std < NEGATIVE_BAND).any())
@@ -108,7 +113,7 @@ def suspicious(problem: Problem, plain: Fit) -> bool:
     gains = [abs(float(v[0])) for t, v in zip(plain.terms, plain.theta, strict=True) if t.name == _SCALE]
     unnamed = any(term.name == "unnamed" for term in plain.terms)
     odd = unnamed or one_sided or backward or max(gains, default=0.0) > ODD_GAIN
-    return odd or ratio > SUSPICIOUS or strain > STRAINED
+    return odd or ratio > SUSPICIOUS or strained(problem, plain)
 
 
 def find_mistakes(

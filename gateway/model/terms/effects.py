@@ -15,18 +15,6 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class StaticFriction(OnAxis):
-    """Mean friction by approach direction; only one-sided visits tell it from the band."""
-
-    name: ClassVar[str] = "static_friction"
-    parameters: ClassVar[tuple[str, ...]] = ("bias_nm",)
-    units: ClassVar[tuple[str, ...]] = ("Nm",)
-
-    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
-        return replace(setting, side_nm=plus(setting.side_nm, self.axis, theta[0]))
-
-
-@dataclass(frozen=True, slots=True)
 class LoadDependentFriction(OnAxis):
     """`nu |tau| sign(dir)`: gear losses in proportion to the transmitted torque (Hamon, Gautier, Garrec 2010)."""
 

@@ -18,7 +18,6 @@ from gateway.model.terms.effects import (
     LinkMass,
     LoadDependentFriction,
     PayloadShift,
-    StaticFriction,
     ThermalDrift,
     TorqueConstantScale,
     TorqueOffset,
@@ -41,7 +40,7 @@ class Setup:
     Attributes
     ----------
     gear_ratio : six gear ratios, NaN where unknown
-    common_scale : whether a load is known, so that a common torque scale can be seen
+    common_scale : whether a load or the links are known, so that a common torque scale can be seen
     torque_nm : (n, 6) modelled torque of the model without effects
     """
 
@@ -55,7 +54,6 @@ def named_terms(rows: RestRows, setup: Setup) -> list[Term]:
     terms: list[Term] = [BaseTilt()]
     largest = np.maximum(np.abs(setup.torque_nm).max(axis=0), 1e-6)
     missed = np.nan_to_num(np.abs(rows.sum_nm - setup.torque_nm)).max(axis=0)
-    one_sided = bool((rows.side != 0).any())
     for axis in range(6):
         if not np.isfinite(rows.sum_nm[:, axis]).any():
             continue
@@ -64,8 +62,6 @@ def named_terms(rows: RestRows, setup: Setup) -> list[Term]:
             terms.append(JointElasticity(axis, float(largest[axis])))
         terms += _drifts(rows, axis)
         terms += _ripples(axis, setup.gear_ratio[axis])
-        if one_sided:
-            terms.append(StaticFriction(axis))
         if axis >= 3:
             terms += [CableTorque(axis, "linear"), CableTorque(axis, "harmonic")]
     terms += [AxisCoupling(row, column) for row, column in COUPLED]

@@ -95,7 +95,6 @@ class Setting:
     offset_nm : (n, 6) added to the reading
     coupling : (6, 6) reported axis i shows sum_j coupling[i, j] * axis j
     load_friction : (6,) nu of nu |tau|
-    side_nm : (6,) mean friction of one-sided visits by direction
     band_gain : (n, 6) factor on the friction band
     gain_per_nm : (6,) added to the gain per Nm of motor torque
     pull_n : (6, 3) force in the base frame on the origin of each link
@@ -112,7 +111,6 @@ class Setting:
     offset_nm: Floats
     coupling: Floats
     load_friction: Floats
-    side_nm: Floats
     band_gain: Floats
     gain_per_nm: Floats
     pull_n: Floats
@@ -133,7 +131,6 @@ def neutral(n: int) -> Setting:
         offset_nm=np.zeros((n, 6)),
         coupling=np.eye(6),
         load_friction=six,
-        side_nm=six,
         band_gain=np.ones((n, 6)),
         gain_per_nm=six,
         pull_n=np.zeros((6, 3)),
@@ -255,7 +252,7 @@ class Model:
         setting : Setting
         links : array of shape (24,), [m, hx, hy, hz] per link
         load : array of shape (n, 4), the load's [m, hx, hy, hz] at each visit
-        band_nm : array of shape (6,), friction band of two-sided visits
+        band_nm : array of shape (6,), mean friction against the direction of approach
         """
         torque, _ = self.joint_torque(setting, self.bodies(setting, links, load))
         return self.readings(setting, torque, band_nm)
@@ -264,7 +261,7 @@ class Model:
         """Readings from the torque (n, 6) the gears transmit."""
         losses = setting.load_friction * np.abs(torque)
         two = self.rows.two_sided[:, None]
-        friction = np.where(two, band_nm * setting.band_gain + losses, setting.side_nm + losses)
+        friction = band_nm * setting.band_gain + losses
         if self._straight(setting):
             # the way through the gear and back cancels: each side reads torque and friction as they are
             middle = (setting.gain * torque + setting.offset_nm) @ setting.coupling.T

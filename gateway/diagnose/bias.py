@@ -1,0 +1,37 @@
+"""Static friction by direction: proven where one-sided visits came from both sides and differ."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import norm
+
+from gateway.diagnose.fit import Fit, Problem
+from gateway.result import EffectResult, Evidence
+
+SURE = 5.0
+LEAST_STRENGTH = 0.5
+EACH_SIDE = 2
+
+
+def stuck(problem: Problem, after: Fit) -> list[EffectResult]:
+    """Axes whose mean friction against the approach shows in one-sided visits.
+
+    In a two-sided visit the same friction is the band, which every model has; a one-sided visit alone cannot
+    tell it from torque, but visits from both sides together can.
+    """
+    rows = problem.rows
+    single = ~rows.two_sided
+    at = problem.n_common - 6
+    out = []
+    for axis in range(6):
+        side = rows.side[single & problem.use_sum[:, axis], axis]
+        if min(int((side > 0).sum()), int((side < 0).sum())) < EACH_SIDE:
+            continue
+        bias, std = float(after.band[axis]), float(np.sqrt(max(after.covariance[at + axis, at + axis], 0.0)))
+        noise = float(after.noise.std[12 + axis])
+        if bias < SURE * std or bias < LEAST_STRENGTH * noise:
+            continue
+        ratio = noise / float(np.hypot(noise, bias))
+        evidence = Evidence(holdout_rms_ratio=ratio, p_value=float(max(6 * norm.sf(bias / std), 1e-300)))
+        out.append(EffectResult("static_friction", (axis + 1,), {"bias_nm": bias}, {"bias_nm": std}, evidence))
+    return out
