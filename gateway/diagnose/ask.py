@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.decide import LEAST_POSES, Decision
-from gateway.diagnose.fit import Fit, Problem, modelled, with_terms
+from gateway.diagnose.linear import Fit, Problem, modelled, with_terms
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.problem import BARE_LABEL, Knowledge, build_problem
 from gateway.diagnose.rows import joined

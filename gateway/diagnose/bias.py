@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import norm
 
-from gateway.diagnose.fit import Fit, Problem
+from gateway.diagnose.linear import Fit, Problem
 from gateway.result import EffectResult, Evidence
 
 SURE = 5.0

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.fit import Fit, Problem, modelled, with_terms
+from gateway.diagnose.linear import Fit, Problem, modelled, with_terms
 from gateway.diagnose.screen import projector
 from gateway.diagnose.search import NEEDED, Label, Search, label, pruned
 from gateway.diagnose.structure import misfit

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import t as student
 
-from gateway.diagnose.fit import Fit, Problem, modelled
+from gateway.diagnose.linear import Fit, Problem, modelled
 from gateway.result import EffectResult, Evidence
 
 SURE = 6.0

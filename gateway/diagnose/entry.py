@@ -10,8 +10,9 @@ from gateway.diagnose.ask import questions
 from gateway.diagnose.bias import stuck
 from gateway.diagnose.decide import STRUCTURE_P, Decision, decide
 from gateway.diagnose.deflection import wound_up
-from gateway.diagnose.fit import Fit, Problem, fit, visit_loads
+from gateway.diagnose.fit import fit
 from gateway.diagnose.holdout import Held, predicted
+from gateway.diagnose.linear import Fit, Problem, visit_loads
 from gateway.diagnose.mistakes import Mistake, band_signs, find_mistakes, strained, suspicious
 from gateway.diagnose.motion import MotionOptions, diagnose_motion
 from gateway.diagnose.options import DiagnoseOptions

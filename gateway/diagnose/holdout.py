@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.fit import Fit, Problem, modelled, with_terms
+from gateway.diagnose.linear import Fit, Problem, modelled, with_terms
 from gateway.diagnose.screen import Screen
 
 Floats = NDArray[np.float64]
@@ -81,7 +81,7 @@ def by_axis(axis: NDArray[np.int_], residual: Floats) -> Floats:
     """RMS (6,) per axis, NaN for axes without rows."""
     count = np.bincount(axis, minlength=6)
     total = np.bincount(axis, weights=residual**2, minlength=6)
-    return np.sqrt(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+    return np.asarray(np.sqrt(np.where(count > 0, total / np.maximum(count, 1), np.nan)), dtype=float)
 
 
 def weighted_rms(residual: Floats, std: Floats) -> float:

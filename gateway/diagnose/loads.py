@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.fit import Fit, Problem
+from gateway.diagnose.linear import Fit, Problem
 from gateway.model.robot import Robot
 from gateway.result import LoadResult
 

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from gateway.diagnose.fit import Fit, Problem, fit
+from gateway.diagnose.fit import fit
+from gateway.diagnose.linear import Fit, Problem
 from gateway.diagnose.problem import first_noise
 from gateway.table import Table
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from gateway.diagnose.decide import Decision, noise_floor
-from gateway.diagnose.fit import Fit, Problem
 from gateway.diagnose.holdout import (
     Held,
     axis_of_rows,
@@ -20,6 +19,7 @@ from gateway.diagnose.holdout import (
     predicted,
     weighted_rms,
 )
+from gateway.diagnose.linear import Fit, Problem
 from gateway.diagnose.loads import loads_of
 from gateway.diagnose.mistakes import Mistake
 from gateway.diagnose.screen import screen

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.decide import Decision
-from gateway.diagnose.fit import Fit, Problem, visit_loads, with_terms
 from gateway.diagnose.holdout import Held
-from gateway.model.terms.term import Term
+from gateway.diagnose.linear import Fit, Problem, visit_loads, with_terms
 from gateway.model.terms.reading import Model, Prediction, RestRows
+from gateway.model.terms.term import Term
 from gateway.result import Rows
 
 Floats = NDArray[np.float64]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.fit import RELATIVE_FLOOR, Noise, Problem
+from gateway.diagnose.linear import RELATIVE_FLOOR, Noise, Problem
 from gateway.errors import DataUnusable, InputError
 from gateway.model.robot import Robot
 from gateway.model.terms.reading import Model, RestRows

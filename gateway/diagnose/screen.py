@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.fit import Fit, Problem, spread_of, term_columns
+from gateway.diagnose.linear import Fit, Problem, spread_of, term_columns
 from gateway.model.terms.term import Term
 
 Floats = NDArray[np.float64]

@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.fit import Fit, Noise, Problem, fit
+from gateway.diagnose.fit import fit
+from gateway.diagnose.linear import Fit, Noise, Problem
 from gateway.diagnose.screen import Screen, columns_of, pair_log_bayes, screen
 from gateway.model.terms.term import Term
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, f
 
-from gateway.diagnose.fit import Fit, Problem
+from gateway.diagnose.linear import Fit, Problem
 
 Floats = NDArray[np.float64]
 DRAWS = 400
@@ -89,11 +89,26 @@ def _scatter(problem: Problem, fit: Fit) -> float:
     return min(1.0, smallest * max(tests, 1))
 
 
-def fresh_misfit(residual: Floats, std: Floats, axis: NDArray[np.int_]) -> float:
-    """Probability of residuals this large on fresh rows (per axis, over all tests), given their standard deviations."""
+def spare_rows(problem: Problem, fit: Fit) -> Floats:
+    """Rows (6,) of each axis beyond what the fit has taken up: how well its noise is known."""
+    leverage = (fit.orthogonal**2).sum(axis=1)
+    return np.asarray(np.bincount(problem.group % 6, weights=1.0 - leverage, minlength=6), dtype=float)
+
+
+def fresh_misfit(residual: Floats, std: Floats, axis: NDArray[np.int_], spare: Floats | None = None) -> float:
+    """Probability of residuals this large on fresh rows (per axis, over all tests), given their standard deviations.
+
+    `spare` (6,) is how many rows the standard deviation of each axis was estimated from: few rows know their own noise
+    badly. None = it is known.
+    """
     smallest = 1.0
     axes = np.unique(axis)
     for number in axes:
         scaled = residual[axis == number] / std[axis == number]
-        smallest = min(smallest, float(chi2.sf(float(np.sum(scaled**2)) / 1.15, len(scaled))))
+        mean = float(np.mean(scaled**2)) / 1.15
+        if spare is None:
+            chance = float(chi2.sf(mean * len(scaled), len(scaled)))
+        else:
+            chance = float(f.sf(mean, len(scaled), max(float(spare[number]), 1.0)))
+        smallest = min(smallest, chance)
     return min(1.0, smallest * len(axes))

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from gateway.diagnose import DiagnoseOptions, close_loop, diagnose
-from gateway.diagnose.fit import Fit
+from gateway.diagnose.linear import Fit
 from gateway.diagnose.loads import loads_of
 from gateway.diagnose.mistakes import Mistake
 from gateway.diagnose.problem import Knowledge, build_problem, first_noise

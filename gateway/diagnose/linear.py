@@ -1,0 +1,195 @@
+"""What a hypothesis is fitted to, what a fit is, and the derivatives of the modelled rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.model.terms.reading import Model, RestRows, Setting, neutral
+from gateway.model.terms.term import Term
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+RELATIVE_FLOOR = 2e-4
+STRENGTH_SPREAD = 10.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """Rows, prior and noise groups that all hypotheses share.
+
+    Attributes
+    ----------
+    model : Model
+    links : (24,) CAD value of the link parameters
+    link_std : (24,) its standard deviation
+    labels : labels of the loads to estimate
+    member : (n, labels) 1 where the visit carries that load
+    fixed_load : (n, 4) what is known to hang on the flange
+    use_sum, use_difference : (n, 6) rows that are fitted
+    target : (rows,) half sums, then half differences
+    group : (rows,) noise group: axis + 6 * (0 half sum, 1 half difference, 2 one-sided)
+    prior_rows, prior_target : further knowledge of the links: `prior_rows @ links = prior_target` with unit std
+    """
+
+    model: Model
+    links: Floats
+    link_std: Floats
+    labels: tuple[str, ...]
+    member: Floats
+    fixed_load: Floats
+    use_sum: Mask
+    use_difference: Mask
+    target: Floats
+    group: NDArray[np.int_]
+    prior_rows: Floats
+    prior_target: Floats
+
+    @property
+    def rows(self) -> RestRows:
+        """The visits."""
+        return self.model.rows
+
+    @property
+    def n_common(self) -> int:
+        """Parameters that every hypothesis has: links, loads, bands."""
+        return 24 + 4 * len(self.labels) + 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Noise:
+    """Standard deviation of the rows: prior `start` and estimate `std` per group (18,), groups without rows are NaN."""
+
+    start: Floats
+    std: Floats
+    least: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """A fitted hypothesis.
+
+    Attributes
+    ----------
+    terms : effects of the hypothesis
+    links : (24,), loads : (labels, 4), band : (6,)
+    theta : parameters of each effect
+    covariance : of [links, loads, band, theta]
+    setting : Setting at the solution
+    residual : (rows,) measured - modelled
+    design : (rows, p) derivative of the modelled reading
+    noise : Noise
+    evidence : float
+    prior_std : (p,) standard deviation of the prior, inf where there is none
+    orthogonal : (rows, p) weighted design in an orthonormal basis: leverages are its squares
+    """
+
+    terms: tuple[Term, ...]
+    links: Floats
+    loads: Floats
+    band: Floats
+    theta: tuple[Floats, ...]
+    covariance: Floats
+    setting: Setting
+    residual: Floats
+    design: Floats
+    noise: Noise
+    evidence: float
+    prior_std: Floats
+    orthogonal: Floats
+    mode: float = 0.0
+
+    @property
+    def flat_theta(self) -> Floats:
+        """All effect parameters in one vector."""
+        return np.concatenate(self.theta) if self.theta else np.zeros(0)
+
+
+def visit_loads(problem: Problem, loads: Floats) -> Floats:
+    """Load parameters (n, 4) at each visit."""
+    return problem.fixed_load + problem.member @ loads if len(problem.labels) else problem.fixed_load.copy()
+
+
+def with_terms(terms: Sequence[Term], theta: Sequence[Floats], rows: RestRows) -> Setting:
+    """The setting with all effects of a hypothesis in it."""
+    setting = neutral(len(rows))
+    for term, values in zip(terms, theta, strict=True):
+        setting = term.apply(setting, values, rows)
+    return setting
+
+
+def stacked(problem: Problem, half_sum: Floats, difference: Floats) -> Floats:
+    """Modelled half sums and differences (n, 6[, k]) as one column (rows[, k])."""
+    return np.concatenate([half_sum[problem.use_sum], difference[problem.use_difference]])
+
+
+def modelled(problem: Problem, setting: Setting, links: Floats, loads: Floats, band: Floats) -> Floats:
+    """Modelled rows (rows,)."""
+    prediction = problem.model.predict(setting, links, visit_loads(problem, loads), band)
+    return stacked(problem, prediction.sum_nm, prediction.difference_nm)
+
+
+def common_columns(problem: Problem, setting: Setting, links: Floats, loads: Floats, band: Floats) -> Floats:
+    """Columns (rows, 24 + 4 labels + 6) of links, loads and bands."""
+    model = problem.model
+    bodies = model.bodies(setting, links, visit_loads(problem, loads))
+    torque, regressor = model.joint_torque(setting, bodies)
+    chain = model.sum_by_torque(setting, torque, band)
+    body_columns = np.matmul(chain, regressor)
+    n_labels = len(problem.labels)
+    half_sum = np.zeros((len(problem.rows), 6, problem.n_common))
+    half_sum[:, :, :24] = body_columns
+    load_columns = body_columns[:, :, 20:].copy()
+    load_columns[:, :, 0] += np.einsum("nak,nk->na", body_columns[:, :, 21:], setting.moment_factor)
+    for k in range(n_labels):
+        half_sum[:, :, 24 + 4 * k : 28 + 4 * k] = load_columns * problem.member[:, k, None, None]
+    difference = np.zeros_like(half_sum)
+    base = model.readings(setting, torque, band)
+    for axis in range(6):
+        step = 1e-3 * (1.0 + abs(band[axis]))
+        moved = band.copy()
+        moved[axis] += step
+        shifted = model.readings(setting, torque, moved)
+        column = 24 + 4 * n_labels + axis
+        half_sum[:, :, column] = (shifted.sum_nm - base.sum_nm) / step
+        difference[:, :, column] = (shifted.difference_nm - base.difference_nm) / step
+    return stacked(problem, half_sum, difference)
+
+
+def term_columns(problem: Problem, fit: Fit, term: Term, theta: Floats, position: int | None = None) -> Floats:
+    """Derivative (rows, k) of the modelled reading by the parameters of one effect.
+
+    `position` is the effect's place among those of the fit, None for an effect that is not in it (built in last).
+    """
+    columns = np.empty((len(problem.target), len(theta)))
+    rest = [k for k in range(len(fit.terms)) if k != position]
+    base = with_terms([fit.terms[k] for k in rest], [fit.theta[k] for k in rest], problem.rows)
+    for k, step in enumerate(_steps(term, theta, fit.noise)):
+        sides = []
+        for sign in (1.0, -1.0):
+            moved = theta.copy()
+            moved[k] += sign * step
+            setting = term.apply(base, moved, problem.rows)
+            sides.append(modelled(problem, setting, fit.links, fit.loads, fit.band))
+        columns[:, k] = (sides[0] - sides[1]) / (2.0 * step)
+    return columns
+
+
+def _steps(term: Term, theta: Floats, noise: Noise) -> Floats:
+    spread = np.array(term.spread)
+    fallback = 0.1 * float(np.median(noise.start))
+    linear = np.array(term.linear)
+    return np.where(np.isnan(spread), np.where(linear, fallback, 1e-3), 1e-3 * spread) + 1e-6 * np.abs(theta)
+
+
+def spread_of(problem: Problem, noise: Noise, term: Term, columns: Floats) -> Floats:
+    """Prior standard deviation (k,) of an effect's parameters: what is plausible, or ten noise floors."""
+    weighted = columns / noise.std[problem.group][:, None]
+    size = np.sqrt((weighted**2).sum(axis=0) / max(len(problem.rows), 1))
+    by_strength = STRENGTH_SPREAD / np.maximum(size, max(1e-3 * float(size.max(initial=0.0)), 1e-12))
+    plausible = np.array(term.spread)
+    return np.where(np.isnan(plausible), by_strength, plausible)
