@@ -29,7 +29,8 @@ _CODE: Final = struct.Struct("<L")
 _CCS_DOWNLOAD_SEGMENT, _CCS_DOWNLOAD, _CCS_UPLOAD, _CCS_UPLOAD_SEGMENT = 0x00, 0x20, 0x40, 0x60
 _SCS_UPLOAD_SEGMENT, _SCS_DOWNLOAD_SEGMENT, _SCS_UPLOAD, _SCS_DOWNLOAD, _ABORT = 0x00, 0x20, 0x40, 0x60, 0x80
 _TOGGLE: Final = 0x10
-_DEVICE_TYPE: Final = (0x1000, 0)
+#: What `ask` asks for in turn, so that a late answer to one question is not taken for the answer to the next.
+_QUESTIONS: Final = ((0x1000, 0), (0x1018, 1), (0x1001, 0), (0x1018, 2), (0x1018, 3), (0x1018, 4))
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +61,8 @@ class _Pending:
     specifier: int
     address: tuple[int, int] | None
     until_s: float
-    asked: bool = False
+    #: Number of the question of `ask`; 0 = a transfer that was given up.
+    question: int = 0
 
 
 class SdoClient:
@@ -88,6 +90,7 @@ class SdoClient:
         self._pending: list[_Pending] = []
         self._pending_lock = threading.Lock()
         self._strange = 0
+        self._questions = 0
         self._counts: Counter[str] = Counter()
         self._latency = LatencyHistogram()
         bus.subscribe(SDO_ANSWER_BASE + node_id, self._on_answer)
@@ -114,16 +117,19 @@ class SdoClient:
     # -- without waiting ---------------------------------------------------------------------------------------------
 
     def ask(self) -> None:
-        """Ask for the device type without waiting; `asked` until the answer comes."""
-        question = _Pending(_SCS_UPLOAD, _DEVICE_TYPE, time.monotonic() + self.slow_timeout_s, asked=True)
+        """Ask for something that every device has, without waiting; `asked` until the answer comes, also a refusal."""
+        address = _QUESTIONS[self._questions % len(_QUESTIONS)]
+        self._questions += 1
+        now = time.monotonic()
+        question = _Pending(_SCS_UPLOAD, address, now + self.slow_timeout_s, self._questions)
         with self._pending_lock:
-            self._pending = [*(pending for pending in self._pending if not pending.asked), question]
-        self._bus.send(SDO_REQUEST_BASE + self.node_id, _HEAD.pack(_CCS_UPLOAD, *_DEVICE_TYPE) + bytes(4))
+            self._pending = [*(pending for pending in self._pending if pending.until_s > now), question]
+        self._bus.send(SDO_REQUEST_BASE + self.node_id, _HEAD.pack(_CCS_UPLOAD, *address) + bytes(4))
 
     @property
     def asked(self) -> bool:
-        """Whether a question of `ask` is still open."""
-        return any(pending.asked for pending in self._pending)
+        """Whether the last question of `ask` is still open."""
+        return any(pending.question == self._questions for pending in self._pending)
 
     # -- values ------------------------------------------------------------------------------------------------------
 
@@ -332,7 +338,7 @@ class SdoClient:
             for pending in self._pending:
                 if kind in (pending.specifier, _ABORT) and pending.address in (None, (index, subindex)):
                     self._pending.remove(pending)
-                    self._counts["late"] += not pending.asked
+                    self._counts["late"] += not pending.question
                     return True
         return False
 

@@ -245,6 +245,24 @@ def test_a_transfer_from_a_frame_handler_is_refused_at_once(bus, sdo, wire):
     assert "only store the frame" in caught[0]
 
 
+def test_a_question_is_open_until_its_own_answer_comes(bus, sdo, slave):
+    assert not sdo.asked
+    delays = iter([0.05, 0.3])
+    slave.reply = lambda request, answer: [(next(delays, 0.001), answer)]
+    sdo.ask()
+    slave.wire.sleep(0.01)
+    sdo.ask()
+    bus.listen(0.1)
+    assert sdo.asked
+    bus.listen(0.3)
+    assert not sdo.asked
+    assert sdo.statistics.late == sdo.statistics.foreign == 0
+    slave.refused[0x1001, 0] = 0x06020000
+    sdo.ask()
+    bus.listen(0.01)
+    assert not sdo.asked
+
+
 def test_latency_histogram_counts_every_answer(sdo, slave):
     for delay_s in (0.0001, 0.003, 0.003, 0.04):
         slave.reply = lambda request, answer, delay_s=delay_s: [(delay_s, answer)]
