@@ -65,10 +65,10 @@ KINDS: dict[str, Kind] = {
     "tpdo_short": Kind("wire", "retried", 1, "the answer is shorter than mapped"),
     "tpdo_empty": Kind("wire", "retried", 1, "the answer has no data"),
     "tpdo_torn": Kind("wire", "retried", 1, "two different answers to one SYNC"),
-    "tpdo_stuck": Kind("wire", "stops", 30, "the answers of a drive show old values for ever"),
+    "tpdo_stuck": Kind("wire", "stops", 52, "the answers of a drive show old values for ever"),
     "tpdo_random_loss": Kind("wire", "retried", 1, "a share of all answers is lost"),
     "rpdo_lost": Kind("wire", "goes on", 1, "commands to one drive are lost for a few SYNCs"),
-    "rpdo_gone": Kind("wire", "stops", 60, "no command reaches one drive any more"),
+    "rpdo_gone": Kind("wire", "stops", 100, "no command reaches one drive any more"),
     "sync_lost": Kind("wire", "retried", 1, "a SYNC reaches no drive"),
     # SDO on the wire
     "sdo_late": Kind("wire", "goes on", None, "answers late, but in time"),
@@ -99,7 +99,7 @@ KINDS: dict[str, Kind] = {
     "safe_torque_off": Kind("drive", "stops", 2, "the safety circuit takes the torque away"),
     "not_remote": Kind("wire", "stops", 2, "statusword bit 9 falls: a panel has taken the drive"),
     "warning": Kind("wire", "goes on", 1, "statusword bit 7: warning"),
-    "brake_engaged": Kind("drive", "stops", 60, "the holding brake falls in under power"),
+    "brake_engaged": Kind("drive", "stops", 100, "the holding brake falls in under power"),
     "never_settles": Kind("drive", "stops", None, "the position loop hunts: the axis never comes to rest"),
     "torque_spike": Kind("wire", "stops", 4, "the torque jumps and stays, as on contact"),
     # what the drive says about itself

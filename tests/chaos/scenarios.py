@@ -54,7 +54,7 @@ DETAILS: dict[str, dict[str, Any]] = {
     "following_error": {"syncs": 0},
     "not_remote": {"syncs": 0},
     "warning": {"syncs": 0},
-    "torque_spike": {"syncs": 0},
+    "torque_spike": {"syncs": 0, "code": 1500},
     "second_master_sync": {"syncs": 0},
     "second_master_nmt": {"syncs": 0},
     "second_master_sdo": {"syncs": 0},
@@ -73,7 +73,9 @@ DETAILS: dict[str, dict[str, Any]] = {
     "duplicate_node": {"syncs": 0},
 }
 #: Faults that show late, or only while the axis moves, begin in the first motion.
-IN_MOTION = frozenset({"tpdo_stuck", "rpdo_gone", "brake_engaged", "torque_spike", "heartbeat_lost", "heartbeat_back"})
+IN_MOTION = frozenset({"tpdo_stuck", "rpdo_gone", "brake_engaged", "heartbeat_lost", "heartbeat_back"})
+#: SYNCs after the start at which a fault begins; the torque is watched once the brakes have handed over the load.
+EARLY, TAKEN_OVER, ANY = (5, 20), (35, 250), (5, 250)
 #: Faults of the whole bus: the message cannot name a node.
 NAMELESS = ("second_master", "bus_off")
 BEFORE = frozenset({"refuses", "finding"})
@@ -163,7 +165,7 @@ def play(rig: Rig, kind: str, seed: int) -> Outcome:
     def begin(event: Event) -> None:
         nonlocal start
         if isinstance(event, Started) and not before:
-            offset = rng.randint(5, 20) if kind in IN_MOTION else rng.randint(5, 250)
+            offset = rng.randint(*(TAKEN_OVER if kind == "torque_spike" else EARLY if kind in IN_MOTION else ANY))
             start = rig.wire.sync + offset
             if fault is not None:
                 rig.wire.arm_in(fault, offset)

@@ -7,6 +7,7 @@ import re
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
 
 import can
@@ -14,8 +15,9 @@ import pytest
 
 from drives.bus import BusSpec, open_bus
 from drives.errors import ForeignMaster
-from drives.group import DriveGroup
+from drives.group import DriveGroup, GroupOptions
 from drives.probe import probe
+from gateway.acquire import opening
 from gateway.acquire.opening import BusOverride, axis_setups, open_arm
 from gateway.acquire.planning import plan_of_poses
 from gateway.acquire.session import RecordRequest, record
@@ -23,6 +25,9 @@ from gateway.recording import read
 from sim.faults import Fault
 from tests.chaos.killing import few_samples
 from tests.chaos.processes import Drives, poses
+
+#: An emulated processor that others use as well answers late; nothing here is about time.
+PATIENT = GroupOptions(answer_timeout_s=5.0, gap_timeout_s=2.0)
 
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(200)]
 
@@ -49,14 +54,17 @@ def spec(served: Drives) -> BusSpec:
 def enabled(served: Drives, spec: BusSpec) -> Iterator[DriveGroup]:
     """All six drives of the arm, enabled and holding."""
     setups = axis_setups(served.loaded, served.loaded.cell.arm[0])
-    with open_bus(spec) as bus, DriveGroup(bus, setups, 0.02) as group:
+    with open_bus(spec) as bus, DriveGroup(bus, setups, 0.02, options=PATIENT) as group:
         group.connect()
         group.configure()
         group.enable()
         yield group
 
 
-def test_bring_up_and_a_short_recording(served: Drives, spec: BusSpec, tmp_path: Path) -> None:
+def test_bring_up_and_a_short_recording(
+    served: Drives, spec: BusSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(opening, "GroupOptions", partial(GroupOptions, answer_timeout_s=5.0, gap_timeout_s=2.0))
     path = tmp_path / "run.h5"
     with open_arm(served.loaded, BusOverride(spec, ledger=tmp_path / "ledger.json")) as opened:
         plan = plan_of_poses(opened.loaded, opened.config, opened.workspace, poses(2))
