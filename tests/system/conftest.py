@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import shutil
+import sys
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -119,6 +121,45 @@ def serve(place) -> Iterator[Callable[..., Drives]]:
             return stack.enter_context(started(**options))
 
         yield start
+
+
+class Hands:
+    """Stands in for stdin: hangs the load that was asked for, then presses Enter."""
+
+    def __init__(self, drives, capsys, hangs):
+        self.drives, self.capsys, self.hangs = drives, capsys, hangs
+        self.asked, self.said = [], ""
+
+    def readline(self):
+        if not self.hangs:
+            return ""
+        self.said += self.capsys.readouterr().out
+        label = self.said.rsplit("HANG LOAD ", 1)[1].split()[0]
+        assert self.drives.stand_still()
+        self.asked.append(label)
+        self.drives.hang(label)
+        return "\n"
+
+    def isatty(self):
+        return False
+
+
+@pytest.fixture
+def commission(place, monkeypatch, capsys):
+    """Run `commission` in this process and return exit code, result and what was said."""
+
+    def run(drives, *more, hangs=True):
+        hands = Hands(drives, capsys, hangs)
+        monkeypatch.setattr(sys, "stdin", hands)
+        arguments = ["commission", place.cell, "--bus", drives.bus, "--yes", "--out", place.folder / "out", *more]
+        with pytest.raises(SystemExit) as left:
+            main([str(argument) for argument in arguments])
+        output = capsys.readouterr()
+        path = place.folder / "out" / "result.json"
+        result = json.loads(path.read_text()) if path.exists() else None
+        return left.value.code, result, hands, output
+
+    return run
 
 
 @pytest.fixture

@@ -1,0 +1,71 @@
+"""The whole job on simulated drives: check, bare, load, diagnosis, fresh poses, report; then what follows from it."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+pytestmark = pytest.mark.system
+TRUTH_KG, TRUTH_COM_M = 6.0, (0.02, 0.01, 0.10)
+
+
+def test_the_whole_job_and_what_follows_from_it(place, serve, commission, gateway):
+    drives = serve()
+    code, result, hands, output = commission(drives)
+    assert code == 0, output.err
+    assert hands.asked == ["load"]
+    assert drives.stand_still()
+    (load,) = result["loads"]
+    assert result["verdict"] == "none_needed"
+    assert result["holdout_kind"] == "fresh"
+    assert abs(load["mass_kg"] - TRUTH_KG) < 4 * load["mass_std_kg"]
+    for value, std, truth in zip(load["com_m"], load["com_std_m"], TRUTH_COM_M, strict=True):
+        assert abs(value - truth) < 4 * std
+    out = place.folder / "out"
+    page = (out / "report.html").read_text()
+    for text in ("Is the model good?", "pose 5, fresh", "datasheet p. 7", "SYNC cycles", "assumed"):
+        assert text in page
+
+    again = gateway("estimate", out / "run.h5", "--json", "-")
+    assert again.exit_code == 0, again.output
+    estimated = json.loads(again.stdout)["loads"][0]
+    assert estimated["mass_kg"] == pytest.approx(load["mass_kg"], abs=3 * load["mass_std_kg"])
+    exported = gateway("export", out / "result.json", "--format", "kuka")
+    assert f"M {load['mass_kg']:.3f}," in exported.stdout
+    assert gateway("report", out / "result.json", "-o", out / "again.html").exit_code == 0
+    back = gateway("restore", place.cell, "--bus", drives.bus)
+    assert back.exit_code == 0, back.output
+    assert "objects put back" in back.stdout
+    assert "nothing to put back" in gateway("restore", place.cell, "--bus", drives.bus).stdout
+
+
+def test_the_check_stops_the_job_before_anything_moves(place, serve, commission):
+    drives = serve(fault='[[fault]]\nkind = "fault_at_start"\nnode = 3\n')
+    code, result, hands, output = commission(drives)
+    assert code == 7
+    assert "nothing has moved" in output.err
+    assert result is None
+    assert hands.asked == []
+    assert not (place.folder / "out" / "run.h5").exists()
+
+
+def test_a_job_that_broke_is_gone_on_with(place, serve, commission):
+    broken = serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 2\nat_sync = 3000\n')
+    code, result, _, output = commission(broken)
+    assert code == 4
+    assert "commission --resume" in output.err
+    assert result is None
+    assert broken.stand_still()
+    code, result, _, output = commission(serve(), "--resume")
+    assert code == 0, output.err
+    assert result["loads"][0]["mass_kg"] == pytest.approx(TRUTH_KG, rel=0.02)
+
+
+def test_nobody_hangs_the_load(serve, commission):
+    drives = serve()
+    code, result, _, output = commission(drives, hangs=False)
+    assert code == 130
+    assert result is None
+    assert drives.stand_still()
+    assert "kept" in output.err
