@@ -58,11 +58,11 @@ def regressor(
     out = _checked(q, out, 10 * AXES)
     gravity = np.asarray(gravity_m_s2, dtype=float)
     constants = newton_euler.Constants.of(robot)
-    for size, starts in _blocks(len(q), _MOVING_BLOCK):
-        work = newton_euler.Workspace.of(constants, size)
-        for start in starts:
-            rows = slice(start, start + size)
-            newton_euler.block(constants, work, (q[rows], qd[rows], qdd[rows]), gravity, out[rows])
+    size, starts = _blocks(len(q), _MOVING_BLOCK)
+    work = newton_euler.Workspace.of(constants, size)
+    for start in starts:
+        rows = slice(start, start + size)
+        newton_euler.block(constants, work, (q[rows], qd[rows], qdd[rows]), gravity, out[rows])
     return out
 
 
@@ -114,17 +114,20 @@ def _checked(q: Floats, out: Floats | None, columns: int) -> Floats:
     return out
 
 
-def _blocks(count: int, size: int) -> list[tuple[int, range]]:
-    """(size, starts) of whole blocks, and of what is left over."""
-    whole = count - count % size
-    return [(size, range(0, whole, size)), (count - whole, range(whole, count, size))]
+def _blocks(count: int, most: int) -> tuple[int, list[int]]:
+    """Size of the blocks and their starts; the last one goes back over rows of the one before, so that all fit."""
+    size = min(count, most)
+    if not size:
+        return 0, []
+    starts = list(range(0, count - size, size))
+    return size, [*starts, count - size]
 
 
 def _rest_rows(robot: Robot, q: Floats, gravity_m_s2: ArrayLike, out: Floats) -> Floats:
     constants = statics.Constants.of(robot, np.asarray(gravity_m_s2, dtype=float))
-    for size, starts in _blocks(len(q), _REST_BLOCK):
-        work = statics.Workspace.of(size)
-        for start in starts:
-            rows = slice(start, start + size)
-            statics.block(constants, work, q[rows], out[rows])
+    size, starts = _blocks(len(q), _REST_BLOCK)
+    work = statics.Workspace.of(size)
+    for start in starts:
+        rows = slice(start, start + size)
+        statics.block(constants, work, q[rows], out[rows])
     return out
