@@ -13,7 +13,7 @@ from gateway.diagnose.deflection import wound_up
 from gateway.diagnose.fit import fit
 from gateway.diagnose.holdout import Held, predicted
 from gateway.diagnose.linear import Fit, Problem, visit_loads
-from gateway.diagnose.mistakes import Mistake, band_signs, find_mistakes, strained, suspicious
+from gateway.diagnose.mistakes import Mistake, band_signs, find_mistakes, strained, suspicious, wrecked
 from gateway.diagnose.motion import MotionOptions, diagnose_motion
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.outcome import (
@@ -38,6 +38,7 @@ from gateway.result import Finding, FitSummary, LoadResult, Result
 from gateway.table import Table
 
 SURER = 5.0
+OBVIOUS = 150.0
 
 
 def diagnose(table: Table, robot: Robot, options: DiagnoseOptions | None = None) -> Result:
@@ -114,17 +115,28 @@ class RestDiagnosis:
 
     def search(self, table: Table) -> Found:
         """Fit the hypotheses, with commissioning mistakes undone where that is what the data ask for."""
-        found = self._searched(table, (), 0.0)
+        problem = self.problem(table)
+        plain = fit(problem, (), first_noise(problem))
         mistakes: tuple[Mistake, ...] = ()
         gained = 0.0
-        problem = found.search.problem
-        if suspicious(problem, found.chosen) or strained(problem, found.search.fitted(())):
+        looked = wrecked(problem, plain)
+        if looked:
+            mistakes, gained = find_mistakes(table, self.problem, self.options.allowed)
+            if gained > OBVIOUS and self._settled(_undone(table, mistakes)):
+                return self._searched(table, mistakes, gained)
+        found = self._searched(table, (), 0.0)
+        if not looked and (suspicious(found.search.problem, found.chosen) or strained(problem, plain)):
             mistakes, gained = find_mistakes(table, self.problem, self.options.allowed)
         if mistakes:
             other = self._searched(table, mistakes, gained)
             if other.score > found.score:
                 found = other
         return found
+
+    def _settled(self, table: Table) -> bool:
+        """Whether the model without effects meets the data, or nearly."""
+        problem = self.problem(table)
+        return not suspicious(problem, fit(problem, (), first_noise(problem)))
 
     def _searched(self, table: Table, mistakes: tuple[Mistake, ...], gained: float) -> Found:
         problem = self.problem(_undone(table, mistakes))

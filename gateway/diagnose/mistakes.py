@@ -25,6 +25,7 @@ Floats = NDArray[np.float64]
 SURE = 20.0
 SUSPICIOUS = 1.7
 STRAINED = 60.0
+WRECKED = 8.0
 NEGATIVE_BAND = -3.0
 ODD_GAIN = 0.24
 _SCALE = "torque_constant_scale"
@@ -101,6 +102,13 @@ def band_signs(problem: Problem, result: Fit) -> float:
 def strained(problem: Problem, fitted: Fit) -> bool:
     """Whether a fit asks for links that are far from what the CAD says."""
     return float(np.sum(((fitted.links - problem.links) / problem.link_std) ** 2)) > STRAINED
+
+
+def wrecked(problem: Problem, plain: Fit) -> bool:
+    """Whether the model without effects fails so badly that a mistake is the first thing to look for."""
+    sums = np.unique(problem.group[problem.group < 6])
+    ratio = (plain.noise.std[sums] / plain.noise.start[sums]).max(initial=0.0)
+    return ratio > WRECKED or band_signs(problem, plain) < -WRECKED
 
 
 def suspicious(problem: Problem, plain: Fit) -> bool:

@@ -22,7 +22,6 @@ from gateway.diagnose.holdout import (
 from gateway.diagnose.linear import Fit, Problem
 from gateway.diagnose.loads import loads_of
 from gateway.diagnose.mistakes import Mistake
-from gateway.diagnose.screen import screen
 from gateway.diagnose.search import Search, label
 from gateway.model.robot import Robot
 from gateway.model.terms.term import Term
@@ -160,7 +159,7 @@ def rejected(search: Search, decision: Decision) -> list[Rejected]:
     """Every candidate that is not in the answer: held-out error with it over that without it, pose by pose."""
     problem, after = search.problem, decision.after
     taken = {label(term) for term in after.terms}
-    view = screen(problem, after, [t for t in search.named if label(t) not in taken], after.noise.std)
+    view = search.view(after, [t for t in search.named if label(t) not in taken], after.noise.std)
     base = left_out(problem, after)
     std = after.noise.std[problem.group]
     axis = axis_of_rows(problem)
