@@ -86,9 +86,10 @@ def draw_arm(rng: np.random.Generator) -> Arm:
     protocol = Protocol(samples=100, settle=rng.uniform(0.1, 0.6, 6), resolution_nm=capacity * 1e-3)
     std = prior_std(chain)
     tool = loads["tool"]
-    known = {}
+    known: dict[str, tuple[float, float, float, float]] = {}
     if rng.random() < 0.2:
-        known = {"tool": (tool.mass_kg, *(float(v) for v in tool.com_m))}
+        x, y, z = (float(v) for v in tool.com_m)
+        known = {"tool": (tool.mass_kg, x, y, z)}
     return Arm(
         chain=chain,
         urdf=_believed(chain, std, rng),
