@@ -13,6 +13,8 @@ from drives.bus import Bus, BusSpec, open_bus
 from drives.group import DriveGroup, GroupOptions
 from drives.profile import DriveProfile
 from gateway.acquire.opening import BusOverride, axis_setups
+from gateway.check import judge_bus_load
+from gateway.check_rules import CheckItem
 from gateway.config import ArmConfig, LoadedCell, load_cell
 
 
@@ -50,6 +52,16 @@ class CellContext:
     def profiles(self, arm: ArmConfig) -> tuple[DriveProfile, ...]:
         """Drive profiles of the six axes."""
         return tuple(setup.profile for setup in axis_setups(self.loaded, arm))
+
+    def bus_load(self, arm: ArmConfig) -> CheckItem:
+        """Judge the planned load of an arm's bus, all arms on it included."""
+        axes = [
+            (axis.node_id, profile)
+            for other in self.arms
+            if other.bus == arm.bus
+            for axis, profile in zip(other.axis, self.profiles(other), strict=True)
+        ]
+        return judge_bus_load(self.loaded.cell.bus[arm.bus], axes)
 
     def ledger(self, arm: ArmConfig) -> Path:
         """Write ledger of an arm: one per cell file, arm and bus, so that parallel runs do not share one."""

@@ -6,15 +6,19 @@ from collections.abc import Sequence
 
 from drives.bringup import read_identity
 from drives.bus import Bus
+from drives.busload import cycle_bits_worst, load_percent
 from drives.errors import DriveError, SdoAbort, SdoError
 from drives.objects import OBJECTS
+from drives.pdo import rpdo_plan, tpdo_plans
 from drives.probe import probe
 from drives.profile import CountsFromObjects, DriveProfile, ObjectReference
 from drives.sdo import SdoClient
 from drives.values import Identity
 from gateway.check_rules import Address, Axis, CheckItem, Readings, judge_axis, judge_identity, judge_limits
-from gateway.config import ArmConfig
+from gateway.config import ArmConfig, BusConfig
 
+# Largest planned worst-case load of a bus that the clock paces.
+LOAD_LIMIT_PERCENT = 70.0
 READ_ALWAYS = (
     "statusword",
     "max_torque",
@@ -92,6 +96,35 @@ def check_arm(bus: Bus, arm: ArmConfig, profiles: Sequence[DriveProfile]) -> lis
         items += judge_axis(axis, readings)
         items += judge_limits(axis, arm, readings)
     return items
+
+
+def judge_bus_load(config: BusConfig, axes: Sequence[tuple[int, DriveProfile]]) -> CheckItem:
+    """Worst-case share of the wire that the planned exchange of all drives on a bus takes.
+
+    Parameters
+    ----------
+    config : BusConfig
+        Bit rate, SYNC period and pacing.
+    axes : sequence of (node id, DriveProfile)
+        Every drive on this bus.
+
+    Returns
+    -------
+    CheckItem
+        Failing above `LOAD_LIMIT_PERCENT` where the clock paces the bus; in lockstep the bus paces itself.
+    """
+    sizes = [0]
+    for node_id, profile in axes:
+        plans = (rpdo_plan(node_id), *tpdo_plans(profile, node_id)[0])
+        sizes += [plan.size_bytes for plan in plans]
+    bits = cycle_bits_worst(sizes)
+    percent = load_percent(bits, config.sync_period_s, config.bitrate_bit_s)
+    shortest_s = bits / (config.bitrate_bit_s * LOAD_LIMIT_PERCENT / 100.0)
+    what = f"planned {percent:.0f} % of {config.bitrate_bit_s} bit/s in the worst case, {len(axes)} drives"
+    if percent <= LOAD_LIMIT_PERCENT:
+        return CheckItem("ok", "bus", what)
+    advice = f"set sync_period_s to at least {shortest_s:.4f}"
+    return CheckItem("fail" if config.pacing == "real" else "warn", "bus", what, advice)
 
 
 def _twice(axis: Axis, answers: int) -> CheckItem:

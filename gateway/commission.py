@@ -122,7 +122,7 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
 
 def _check(job: Job, dialogue: Dialogue) -> None:
     with job.context.open_bus(job.arm) as bus:
-        items = check_arm(bus, job.arm, job.context.profiles(job.arm))
+        items = [job.context.bus_load(job.arm), *check_arm(bus, job.arm, job.context.profiles(job.arm))]
     dialogue.checked(items)
     failed = [item for item in items if item.severity == "fail"]
     if failed:

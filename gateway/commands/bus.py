@@ -79,7 +79,7 @@ def check(cell: Path, bus_spec: str | None, json_out: str | None) -> None:
     items: dict[str, list[CheckItem]] = {}
     for arm in context.arms:
         with context.open_bus(arm) as bus:
-            items[arm.name] = _check_arm(bus, context, arm)
+            items[arm.name] = [context.bus_load(arm), *_check_arm(bus, context, arm)]
     session = session_of()
     for name, lines in items.items():
         shown = [line for line in lines if session.verbosity > 0 or line.severity in ("warn", "fail")]

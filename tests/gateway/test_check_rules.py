@@ -7,8 +7,9 @@ import pytest
 from drives.objects import OBJECTS
 from drives.profile import load_profile, parse_profile
 from drives.values import Identity
+from gateway.check import judge_bus_load
 from gateway.check_rules import Axis, judge_axis, judge_identity, judge_limits
-from gateway.config import ArmConfig
+from gateway.config import ArmConfig, BusConfig
 
 PROFILE = load_profile("generic-cia402")
 COUNTS = 65536
@@ -158,3 +159,18 @@ def test_software_limits_narrower_than_the_cell_fail():
     assert "drive -1.500 to 1.500 rad" in narrow[0].what
     wide = judge_limits(axis(), arm(), readings(position_limit_min=-2 * end, position_limit_max=2 * end))
     assert not worst(wide)
+
+
+@pytest.mark.parametrize(
+    ("period_s", "pacing", "severity", "percent"),
+    [(0.004, "real", "ok", 62), (0.002, "real", "fail", 124), (0.002, "lockstep", "warn", 124)],
+)
+def test_bus_load_of_six_drives_with_two_tpdos_each(period_s, pacing, severity, percent):
+    # SYNC 55 bits, 18 frames of 8 bytes or 6: 6 x (RPDO 8 B 135 + TPDO1 8 B 135 + TPDO2 6 B 115) + 55 = 2365 bits
+    config = BusConfig(interface="virtual", channel="c", sync_period_s=period_s, pacing=pacing)
+    item = judge_bus_load(config, [(node, PROFILE) for node in range(1, 7)])
+    assert item.severity == severity
+    bits = 6 * (135 + 135 + 115) + 55
+    assert f"planned {100 * bits / (period_s * 1e6):.0f} %" in item.what
+    assert abs(100 * bits / (period_s * 1e6) - percent) < 6
+    assert bool(item.advice) == (severity != "ok")
