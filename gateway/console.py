@@ -14,6 +14,7 @@ from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
 AXES = ("J1", "J2", "J3", "J4", "J5", "J6")
 SEVERITY_STYLE = {"fail": "bold red", "warn": "yellow", "warning": "yellow", "ok": "green", "pass": "green"}
@@ -45,9 +46,9 @@ class Session:
         return self._consoles[err]
 
     def show(self, item: Any) -> None:
-        """Print a table or a line of the answer."""
+        """Print a table or a line of the answer, as it stands: square brackets are units."""
         if self.verbosity >= 0:
-            self.console(err=self.data_on_stdout).print(item)
+            self.console(err=self.data_on_stdout).print(item, markup=False)
 
     def note(self, text: str, level: int = 0) -> None:
         """Print a remark to stderr."""
@@ -173,7 +174,7 @@ def findings_table(findings: Sequence[Mapping[str, Any]], title: str = "findings
     for finding in findings:
         severity = str(finding.get("severity", ""))
         table.add_row(
-            f"[{SEVERITY_STYLE.get(severity, 'default')}]{severity}[/]",
+            Text(severity, style=SEVERITY_STYLE.get(severity, "default")),
             _plain(finding.get("where")),
             _plain(finding.get("what")),
             _plain(finding.get("advice")),
@@ -182,6 +183,4 @@ def findings_table(findings: Sequence[Mapping[str, Any]], title: str = "findings
 
 
 def _plain(value: object) -> str:
-    from rich.markup import escape
-
-    return escape("" if value is None else str(value))
+    return "" if value is None else str(value)

@@ -1,0 +1,183 @@
+"""estimate and diagnose from the command line: published and measured data, bad input, exit codes."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from gateway.cli import main
+from gateway.model.regressor import gravity_regressor
+from gateway.model.robot import robot_from_urdf
+
+URDF = Path(__file__).parents[2] / "examples" / "small" / "robot.urdf"
+COEFFICIENT = ("--method", "coefficient", "--axis", "2", "--lever", "x_k2_m")
+GEAR = ("--gear-ratio", "210", "--gear-efficiency", "0.8", "--rated-torque", "23.875")
+TOOL = (4.0, 0.02, -0.01, 0.12)
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def published():
+    folder = os.environ.get("SERVO_GATEWAY_DATA")
+    if not folder:
+        pytest.skip("SERVO_GATEWAY_DATA is not set: the published and measured data are elsewhere")
+    return Path(folder)
+
+
+@pytest.fixture
+def table(tmp_path):
+    """Write a rest table of the small arm from its closed-form gravity, bare and with a tool."""
+    robot = robot_from_urdf(URDF.read_text(encoding="utf-8"), str(URDF))
+    rng = np.random.default_rng(4)
+    poses = rng.uniform(-1.2, 1.2, (8, 6))
+
+    def write(name="rows.csv", poses=poses, loads=("none", "tool"), change=lambda line: line):
+        bodies = np.concatenate([robot.mass_kg[:, None], robot.mass_kg[:, None] * robot.com_m], axis=1)
+        mass, *com = TOOL
+        names = [pattern.format(joint) for pattern in ("q{}_rad", "dir{}", "tau{}_nm") for joint in range(1, 7)]
+        lines = [",".join(["load", "pose", *names])]
+        for load in loads:
+            carried = bodies.copy()
+            if load != "none":
+                carried[5] += mass * np.array([1.0, *com])
+            torque = gravity_regressor(robot, poses) @ carried.ravel()
+            for number, (q, tau) in enumerate(zip(poses, torque, strict=True), start=1):
+                for side in (-1, 1):
+                    noisy = tau + side * np.array([4.0, 4.0, 2.0, 0.6, 0.5, 0.3]) + rng.normal(0, 0.05, 6)
+                    values = (*q.tolist(), *[side] * 6, *noisy.tolist())
+                    lines.append(",".join([load, str(number), *map(repr, values)]))
+        path = tmp_path / name
+        path.write_text("\n".join(change(line) for line in lines) + "\n", encoding="utf-8")
+        return path
+
+    return write
+
+
+def complains(done, code, *says):
+    assert done.exit_code == code, done.output
+    assert "Traceback" not in done.output
+    for text in says:
+        assert text in done.stderr, done.stderr
+
+
+def test_a_load_is_estimated_by_every_method(table):
+    path = table()
+    for method in ("joint", "difference", "posture"):
+        done = run("estimate", path, "--robot", URDF, "--method", method, "--json", "-")
+        assert done.exit_code == 0, done.output
+        (load,) = json.loads(done.stdout)["loads"]
+        assert load["mass_kg"] == pytest.approx(TOOL[0], abs=0.05)
+        assert load["com_m"] == pytest.approx(TOOL[1:], abs=0.005)
+
+
+def test_json_on_stdout_is_json_alone_and_the_table_is_on_stderr(table):
+    done = run("estimate", table(), "--robot", URDF, "--json", "-")
+    body = json.loads(done.stdout)
+    assert body["schema"] == 1
+    assert {"rows", "data", "provenance"} <= set(body)
+    assert "mass [kg]" in done.stderr
+    quiet = run("estimate", table(), "--robot", URDF, "--json", "-", "-q")
+    assert quiet.stderr == ""
+
+
+def test_a_report_of_an_estimate_needs_the_json_alone(table, tmp_path):
+    out, page = tmp_path / "out.json", tmp_path / "report.html"
+    assert run("estimate", table(), "--robot", URDF, "--json", out).exit_code == 0
+    assert run("report", out, "-o", page).exit_code == 0
+    text = page.read_text(encoding="utf-8")
+    assert text.count('aria-label="The arm in') == 8
+    assert "Residual per axis and pose" in text
+
+
+def test_a_stored_bare_identification_serves_later_loads(table, tmp_path):
+    bare = tmp_path / "bare.json"
+    done = run("estimate", table("bare.csv", loads=("none",)), "--robot", URDF, "--inertials", "ignore", "--json", bare)
+    assert done.exit_code == 0, done.output
+    done = run(
+        "estimate", table("tool.csv", loads=("tool",)), "--robot", URDF, "--inertials", "ignore", "--bare", bare,
+        "--method", "posture", "--json", "-",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["loads"][0]["mass_kg"] == pytest.approx(TOOL[0], abs=0.1)
+
+
+def test_a_table_that_cannot_be_used_is_named_with_its_line(table, tmp_path):
+    path = table(change=lambda line: line.replace(",3,", ",3,nan,", 1) if line.startswith("none,3") else line)
+    complains(run("estimate", path, "--robot", URDF), 3, "rows.csv:")
+    path = table(
+        "nan.csv", change=lambda line: line[: line.rindex(",")] + ",nan" if line.startswith("tool,2") else line
+    )
+    complains(run("estimate", path, "--robot", URDF), 3, "nan.csv:", "tau6_nm")
+    path = table("column.csv", change=lambda line: line.replace("tau6_nm", "tau6_ncm"))
+    complains(run("estimate", path, "--robot", URDF), 3, "tau6_ncm")
+    complains(run("estimate", tmp_path / "nowhere.csv", "--robot", URDF), 3, "nowhere.csv")
+    complains(run("estimate", tmp_path / "rows.txt", "--robot", URDF), 3, "rows.txt")
+
+
+def test_one_posture_has_rank_three(table):
+    path = table(poses=np.array([[0.1, 0.4, -0.3, 0.2, 0.5, -0.6]]))
+    complains(run("estimate", path, "--robot", URDF), 6, "rank 3", "posture")
+
+
+def test_what_is_missing_is_asked_for(table):
+    path = table()
+    complains(run("estimate", path), 3, "--robot")
+    complains(run("estimate", path, "--robot", "nowhere.urdf"), 3, "nowhere.urdf")
+    complains(run("estimate", path, "--robot", URDF, "--known", "box=1,0,0,0"), 3, "box")
+    complains(run("estimate", path, "--robot", URDF, "--known", "tool=heavy"), 3, "LABEL=MASS,X,Y,Z")
+    complains(run("estimate", path, "--robot", URDF, "--inertials", "perhaps"), 3, "perhaps")
+    complains(run("estimate", path, "--robot", URDF, "--bare", path), 3, "rows.csv")
+    complains(run("estimate", path, "--robot", URDF, "--method", "guess"), 2, "guess")
+    complains(run("estimate", path, "--method", "coefficient"), 2, "--lever")
+    complains(run("diagnose", path, "--robot", URDF, "--only", "gremlins"), 2, "gremlins")
+
+
+def test_diagnose_finds_nothing_missing_in_what_the_model_made(table):
+    done = run("diagnose", table(), "--robot", URDF, "--json", "-")
+    assert done.exit_code == 0, done.output
+    body = json.loads(done.stdout)
+    assert body["verdict"] == "none_needed"
+    assert body["effects"] == []
+
+
+def test_diagnose_finds_a_reversed_sign_and_ends_with_seven(table):
+    path = table(change=lambda line: line if line.startswith("load") else _turned(line))
+    done = run("diagnose", path, "--robot", URDF, "--json", "-")
+    assert done.exit_code == 7, done.output
+    assert ("sign_reversed", [2]) in [(item["name"], item["joints"]) for item in json.loads(done.stdout)["effects"]]
+    assert "J2" in done.stderr
+
+
+def _turned(line):
+    cells = line.split(",")
+    cells[15] = repr(-float(cells[15]))
+    return ",".join(cells)
+
+
+@pytest.mark.data
+def test_the_published_load_of_21_kg_is_recomputed_and_the_one_of_70_kg_refused(published):
+    done = run("estimate", published / "qh165" / "table2.csv", *COEFFICIENT, *GEAR, "--json", "-")
+    assert done.exit_code == 7
+    a, b = json.loads(done.stdout)["loads"]
+    assert all(20.9 <= mass <= 21.4 for mass in a["per_pose_mass_kg"].values())
+    assert len(a["per_pose_mass_kg"]) == 10
+    assert b["mass_kg"] is None
+    assert "rated" in b["refused"]
+    assert "9, 10" in b["refused"]
+    assert "load b" in done.stderr
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["kr300", "tx40", "ur10"])
+def test_measured_runs_fit_and_every_axis_has_its_residual(published, name):
+    folder = published / name
+    done = run("estimate", *sorted(folder.glob("*.csv")), "--robot", folder / "robot.urdf", "--json", "-")
+    assert done.exit_code == 0, done.output
+    assert all(value is not None and value > 0 for value in json.loads(done.stdout)["after"]["rms_nm"])
+    assert "residual" in done.stderr
