@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.stamp
 
-.PHONY: venv demo test lint bench blind vcan chaos clean
+.PHONY: venv demo test lint bench blind vcan chaos soak clean
 
 venv: $(STAMP)
 
@@ -17,7 +17,7 @@ demo: venv
 	$(BIN)/python -m sim.demo --out out/demo
 
 test: venv
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadgroup
 
 lint: venv
 	$(BIN)/ruff check .
@@ -36,6 +36,9 @@ vcan: venv
 
 chaos: venv
 	$(BIN)/python -m tests.chaos --out out/chaos
+
+soak: venv
+	$(BIN)/python -m tests.chaos soak --out out/soak
 
 clean:
 	rm -rf $(VENV) out
