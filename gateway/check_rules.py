@@ -193,7 +193,7 @@ def _torque_limit(lines: _Lines, readings: Readings) -> None:
     if rated.object is not None:
         word = readings.get((rated.object.index, rated.object.subindex))
         full = word * (rated.unit or math.nan) if isinstance(word, int) else None
-    if full is None:
+    if not full:
         return
     joint = abs(config.gear_ratio.value) * full * limit / 1000.0
     if limit == 0:

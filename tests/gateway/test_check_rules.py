@@ -80,6 +80,7 @@ def test_a_healthy_drive_passes_every_rule():
         ({"rated_torque": None}, "fail", "missing"),
         ({"torque": None}, "fail", "does not have the torque object"),
         ({"max_torque": 0}, "fail", "gives no torque"),
+        ({"rated_torque": 1_270_000}, "fail", "another unit"),
         ({"max_torque": 500}, "warn", "saturate"),
         ({"polarity": 0x80}, "warn", "turned round"),
         ({"gear_motor_revolutions": 100}, "fail", "gear ratio of its own"),
