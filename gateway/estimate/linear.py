@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
@@ -112,7 +113,7 @@ def solve(
     scale[scale <= _NOTHING * scale.max(initial=0.0)] = 1.0  # rounding of a column that is zero is not a column
     big /= scale
     q, r = np.linalg.qr(big)
-    left, size, turned = np.linalg.svd(r)
+    left, size, turned = _singular_values(r)
     keep = size > tolerance * size.max(initial=0.0)
     basis = left[:, : len(size)][:, keep]
     inverse = turned[: len(size)][keep].T / size[keep] / scale[:, None]
@@ -134,6 +135,15 @@ def solve(
         condition=float(kept[0] / kept[-1]) if len(kept) else np.inf,
         log_determinant=float(2.0 * np.sum(np.log(kept)) + 2.0 * np.sum(np.log(scale))),
     )
+
+
+def _singular_values(factor: Floats) -> tuple[Floats, Floats, Floats]:
+    """Full SVD; divide and conquer fails on rare finite matrices, the slower iteration does not."""
+    try:
+        left, size, turned = np.linalg.svd(factor)
+    except np.linalg.LinAlgError:
+        left, size, turned = scipy.linalg.svd(factor, lapack_driver="gesvd")
+    return left, size, turned
 
 
 def determined(solution: Solution, directions: Floats, tolerance: float = 1e-5) -> NDArray[np.bool_]:

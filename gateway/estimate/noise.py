@@ -27,6 +27,8 @@ _DOUBT_POOLED = 0.02
 _DOUBT_GROUP = 0.002
 _LEAST_FREEDOM = 2.0
 _SMALLEST = 1e-9
+_LEAST_NM = 1e-6
+_MOST_TELLING = 3
 _NORMAL = 1.959963984540054
 
 
@@ -155,7 +157,10 @@ def _explained(solution: Solution, weight: Floats, groups: Groups) -> bool:
 
 
 def _pooled(design: Floats, target: Floats, prior: Prior, groups: Groups) -> float:
-    """One factor on all scales: the extra variance of group g is `factor * scale_g^2`."""
+    """One factor on all scales: the extra variance of group g is `factor * scale_g^2`.
+
+    The median over the groups that tell their own, so that one axis whose scale is off does not lead the others.
+    """
     square = groups.scale_nm[groups.index] ** 2
     has = np.isfinite(groups.seen)
     one = Groups(
@@ -170,7 +175,13 @@ def _pooled(design: Floats, target: Floats, prior: Prior, groups: Groups) -> flo
     start = float(np.average(excess, weights=groups.seen_weight[has])) if has.any() else np.nan
     scaled = 1.0 / groups.scale_nm[groups.index]
     fit = _iterate(design * scaled[:, None], target * scaled, prior, one, np.array([start]))
-    return float(fit.extra[0])
+    count = len(groups.scale_nm)
+    freedom = np.bincount(groups.index, weights=1.0 - fit.solution.leverage, minlength=count)
+    total = np.bincount(groups.index, weights=fit.solution.residual**2 - one.stated, minlength=count)
+    telling = freedom > _LEAST_FREEDOM
+    if telling.sum() < _MOST_TELLING:
+        return float(fit.extra[0])
+    return float(np.median(np.maximum(total[telling] / freedom[telling], 0.0)))
 
 
 def _with_pooled(groups: Groups, pooled: float) -> Groups:
@@ -190,7 +201,7 @@ def _iterate(design: Floats, target: Floats, prior: Prior, groups: Groups, start
     """Fisher scoring of the restricted likelihood in the extra variances, kept from falling below zero."""
     count, typical = len(groups.scale_nm), _typical(groups)
     level = float(np.mean(target**2))
-    least = (_SMALLEST * (groups.scale_nm + np.sqrt(level))) ** 2
+    least = np.maximum((_SMALLEST * (groups.scale_nm + np.sqrt(level))) ** 2, _LEAST_NM**2)
     member = np.zeros((len(target), count))
     member[np.arange(len(target)), groups.index] = 1.0
 
@@ -233,7 +244,8 @@ def _described(design: Floats, groups: Groups, levels: Levels) -> NoiseFit:
     for g in claimed:
         mixed = np.tensordot(spread[g], second, axes=1)
         cost -= second[g] @ covariance @ mixed
-    widened = covariance + covariance @ (cost + cost.T) @ covariance
+    size, vectors = np.linalg.eigh(covariance @ (cost + cost.T) @ covariance)
+    widened = covariance + (vectors * np.maximum(size, 0.0)) @ vectors.T
     return NoiseFit(levels.solution, levels.weight, levels.extra, spread, slopes, widened)
 
 

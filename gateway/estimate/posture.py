@@ -140,6 +140,7 @@ def _check(own: Visits, robot: Robot, alone: Options, bare: Bare, base: BaseSet,
     covariance = directions @ fit.covariance @ directions.T + np.asarray(bare.covariance)
     span = base.combination[:, LOAD_COLUMNS]
     size, vectors = np.linalg.eigh(covariance)
+    spread = np.sqrt(np.maximum(np.diag(covariance), 1e-12 * size[-1]))
     whiten = (vectors / np.sqrt(np.maximum(size, 1e-12 * size[-1]))).T
     white_span, white = whiten @ span, whiten @ change
     fitted = np.linalg.lstsq(white_span, white, rcond=None)[0]
@@ -147,7 +148,7 @@ def _check(own: Visits, robot: Robot, alone: Options, bare: Bare, base: BaseSet,
     freedom = base.rank - len(LOAD_NAMES)
     if freedom < 1 or chi2.sf(float(left @ left), freedom) > _SUSPICIOUS:
         return ()
-    worst = base.names[int(np.argmax(np.abs(change - span @ fitted) / np.sqrt(np.diag(covariance))))]
+    worst = base.names[int(np.argmax(np.abs(change - span @ fitted) / spread))]
     return (
         Finding(
             "warn", f"load {label}",

@@ -22,6 +22,8 @@ Ints = NDArray[np.int_]
 LOAD_NAMES = ("mass", "hx", "hy", "hz")
 LOAD_UNITS = ("kg", "kg m", "kg m", "kg m")
 WRIST_LENGTH_M = 0.1
+#: Prior standard deviation of the friction of a one-sided approach, as a share of the axis's torque.
+FRICTION_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,7 +187,9 @@ def build_problem(visits: Visits, robot: Robot, options: Options) -> Problem:
         axis=axis,
         design=np.hstack(parts),
         target=visits.tau_nm[visit, axis] - known,
-        prior=_prior(links, options.bare, len(names)),
+        prior=_prior(links, options.bare, len(names)).with_std(
+            offsets[-1] + 1 + np.arange(len(sided)), FRICTION_SHARE * _torque_rms(visits)[sided]
+        ),
         names=tuple(names),
         units=tuple(units),
         links=links,
@@ -201,9 +205,15 @@ def _link_units(links: Links) -> list[str]:
 
 
 def _sided_axes(visits: Visits, measured: NDArray[np.bool_]) -> Ints:
-    """Axes whose one-sided visits came from both sides: their friction can be told from an offset."""
-    side = np.where(measured & ~visits.two_sided[:, None], visits.direction, 0)
-    return np.flatnonzero((side > 0).any(axis=0) & (side < 0).any(axis=0))
+    """Axes that were approached from a known side alone: their friction is in the torque."""
+    one_sided = measured & ~visits.two_sided[:, None] & (visits.direction != 0)
+    return np.flatnonzero(one_sided.any(axis=0))
+
+
+def _torque_rms(visits: Visits) -> Floats:
+    """Root mean square (6,) of each axis's torque; 0 where not measured."""
+    count = np.isfinite(visits.tau_nm).sum(axis=0)
+    return np.sqrt(np.nansum(visits.tau_nm**2, axis=0) / np.maximum(count, 1))
 
 
 def _prior(links: Links, bare: Bare | None, count: int) -> Prior:

@@ -1,11 +1,12 @@
 """Checks that every estimator of rest rows has to pass."""
 
+import contextlib
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from gateway.errors import ConfigError, DataUnusable, InputError
+from gateway.errors import ConfigError, DataUnusable, GatewayError, InputError
 from gateway.estimate import ESTIMATORS, Options, estimate, run
 from gateway.result import from_json, to_json
 
@@ -162,3 +163,37 @@ def test_no_rest_rows(arm, poses, measured, method):
     empty = table.take(np.zeros(len(table), dtype=bool))
     with pytest.raises(DataUnusable):
         estimate(empty, arm.robot, Options(), method)
+
+
+def broken(table, rng):
+    """The same table with axes, rows, sides or noise missing, as data are that come from elsewhere."""
+    tau, std, side = table.tau_nm.copy(), table.tau_std_nm.copy(), table.direction.copy()
+    if rng.random() < 0.3:
+        tau[:, rng.integers(0, 6, 3)] = np.nan
+    if rng.random() < 0.2:
+        tau[rng.random(tau.shape) < 0.3] = np.nan
+    tau *= rng.choice([1.0, 0.0, 1e6, 1e-6], p=[0.7, 0.1, 0.1, 0.1])
+    if rng.random() < 0.4:
+        std[rng.random(std.shape) < rng.choice([0.5, 1.0])] = rng.choice([0.0, 0.3, 5.0])
+    if rng.random() < 0.3:
+        side[:, rng.integers(0, 6, 2)] = 0
+    keep = rng.random(len(table)) < rng.choice([0.6, 1.0])
+    return replace(table, tau_nm=tau, tau_std_nm=std, direction=side).take(keep)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_whatever_the_rows_are_a_result_or_a_typed_error_comes_out(arm, measured, method):
+    rng = np.random.default_rng(0)
+    for _ in range(25):
+        q = rng.uniform(-2, 2, (rng.integers(1, 10), 6))
+        q[:, rng.integers(0, 6, rng.integers(0, 5))] = 0.0
+        loads = {"none": None, "tool": (rng.choice([0.0, 0.5, 50.0]), *(0.2 * rng.normal(size=3)))}
+        sides = [(1, -1), (1,), (-1,)][rng.integers(3)]
+        table = broken(measured(arm, q, loads, rng, left=rng.choice([0.0, 0.1, 1.0]), sides=sides), rng)
+        options = Options(inertials=str(rng.choice(["ignore", "exact", "prior:0.05"])))
+        with contextlib.suppress(GatewayError):
+            result = run(table, arm.robot, options, method)
+            assert to_json(from_json(to_json(result))) == to_json(result)
+            for load in result.loads:
+                assert np.isfinite(load.mass_kg) == np.isfinite(load.mass_std_kg)
+                assert np.isfinite(load.mass_kg) != ("mass_kg" in load.unidentifiable)
