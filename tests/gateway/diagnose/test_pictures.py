@@ -1,0 +1,120 @@
+"""What the report draws of a diagnosis, against the effect that was built into the simulated arm."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gateway.diagnose import DiagnoseOptions, diagnose
+from gateway.model.robot import robot_from_urdf
+from gateway.rows import Table, concatenate
+from sim.draw import choose_poses, draw_arm
+from sim.effects import apply_effects
+from sim.offline import Visit, measure, point_jacobian
+
+FRESH = 3
+
+
+def diagnosed(hidden):
+    """Diagnosis of an arm with an effect, ten poses bare and loaded, three fresh ones loaded."""
+    rng = np.random.default_rng([4, 99])
+    arm = draw_arm(rng)
+    plant = apply_effects(arm.plant, [hidden], point_jacobian(arm.chain))
+    poses = choose_poses(arm, 10 + FRESH, rng)
+
+    def table(rows, load, start_s):
+        visits = [Visit(k, load, start_s + 25.0 * k, poses[k]) for k in rows]
+        columns = measure(arm.chain, plant, visits, arm.loads, arm.protocol, np.random.default_rng([7, int(start_s)]))
+        n = len(columns["pose"])
+        return Table(
+            file=("bench",) * n,
+            line=np.arange(n),
+            run=np.full(n, "bench"),
+            load=np.array(columns["load"]),
+            pose=columns["pose"].astype(int),
+            time_s=columns["time_s"].astype(float),
+            q_rad=columns["q_rad"],
+            qd_rad_s=np.zeros((n, 6)),
+            qdd_rad_s2=np.zeros((n, 6)),
+            moving=np.zeros(n, dtype=bool),
+            direction=columns["dir"].astype(np.int8),
+            tau_nm=columns["tau_nm"],
+            tau_std_nm=columns["tau_std_nm"],
+            count=columns["n"].astype(int),
+            q2nd_rad=columns["q2nd_rad"],
+            temperature_c=columns["temp_c"],
+            motor_torque_nm=np.full((n, 6), np.nan),
+        )
+
+    seen = concatenate([table(range(10), "none", 0.0), table(range(10), "tool", 400.0)])
+    options = DiagnoseOptions(
+        efficiency=arm.efficiency,
+        gear_ratio=arm.gear_ratio,
+        holdout=table(range(10, 10 + FRESH), "tool", 800.0),
+        holdout_kind="fresh",
+    )
+    return diagnose(seen, robot_from_urdf(arm.urdf, "drawn"), options), plant
+
+
+@pytest.fixture(scope="module")
+def friction():
+    return diagnosed({"name": "load_dependent_friction", "joints": [3], "parameters": {"coefficient": 0.15}})
+
+
+def test_every_visit_is_drawn_the_fresh_ones_too(friction):
+    result, _ = friction
+    data, rows = result.extra["data"], result.rows
+    assert len(rows.pose) == 20 + FRESH
+    assert data["role"] == ["fit"] * 20 + ["fresh"] * FRESH
+    assert np.shape(data["model_before_nm"]) == np.shape(rows.tau_nm) == (20 + FRESH, 6)
+    assert rows.pose[-FRESH:] == (10, 11, 12)
+    left = np.array(rows.tau_nm) - np.array(rows.model_nm)
+    rms = np.sqrt(np.mean(left[:20] ** 2, axis=0))
+    assert rms == pytest.approx(np.array(result.after.rms_nm), rel=0.8)
+
+
+def test_the_curve_of_a_friction_is_its_coefficient_times_the_torque(friction):
+    result, _ = friction
+    (curve,) = result.extra["data"]["curves"]
+    assert (curve["name"], curve["joint"]) == ("load_dependent_friction", 3)
+    assert "half the difference" in curve["y_label"]
+    assert curve["x_unit"] == "Nm"
+    x, y = np.array(curve["x"]), np.array(curve["y"])
+    low, high = np.array(curve["low"]), np.array(curve["high"])
+    assert (np.diff(x) >= 0).all()
+    assert (low <= y).all()
+    assert (y <= high).all()
+    coefficient = result.effects[0].parameters["coefficient"]
+    assert y == pytest.approx(coefficient * np.abs(x), rel=0.02, abs=0.02 * y.max())
+    # some of the friction built in is lost while a joint settles, none is gained
+    assert 0.4 * 0.15 < coefficient < 0.15
+    std = result.effects[0].std["coefficient"]
+    assert high - y == pytest.approx(1.96 * std * np.abs(x), rel=0.02, abs=0.02 * y.max())
+    points = np.array(curve["points_y"])
+    assert len(points) == 20 + FRESH
+    assert np.sqrt(np.mean((points - coefficient * np.abs(curve["points_x"])) ** 2)) < 0.2 * y.max()
+
+
+def test_a_balancer_is_drawn_over_its_joint_angle():
+    spring = {"stiffness_n_m": 2e4, "lever_m": 0.2, "anchor_m": 0.5, "free_length_m": 0.2}
+    result, plant = diagnosed({"name": "balancer_spring", "joints": [2], "parameters": spring})
+    curve = next(item for item in result.extra["data"]["curves"] if item["name"] == "balancer_spring")
+    assert (curve["joint"], curve["x_label"], curve["x_unit"]) == (2, "q2", "rad")
+    x, y = np.array(curve["x"]), np.array(curve["y"])
+    truth = []
+    for angle in x:
+        q = np.zeros(6)
+        q[1] = angle
+        truth.append(-plant.passive_torque(q, 0.0, np.zeros(6))[1])
+    # sines of the angle and a constant may stand with the links: what is left of the spring is the same shape
+    shapes = np.column_stack([np.ones_like(x), np.sin(x), np.cos(x)])
+    rest = [values - shapes @ np.linalg.lstsq(shapes, values, rcond=None)[0] for values in (y, np.array(truth))]
+    assert np.linalg.norm(rest[0] - rest[1]) < 0.3 * np.linalg.norm(rest[1])
+    assert len(curve["points_x"]) == 20 + FRESH
+
+
+def test_nothing_found_draws_no_curve():
+    result, _ = diagnosed({"name": "base_tilt", "joints": [], "parameters": {"tilt_x_rad": 0.0, "tilt_y_rad": 0.0}})
+    assert result.effects == ()
+    assert "curves" not in result.extra["data"]
+    assert "model_before_nm" not in result.extra["data"]
