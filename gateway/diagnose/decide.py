@@ -48,6 +48,7 @@ class Decision:
     verdict : as in the result file
     before, after : fits without effects and with the proven ones
     whole : fit with the shapes without a name that are needed besides
+    proven : effects of `after` that the data show; the others only correct the CAD's links and are not named
     rivals : other sets within `SURE_ODDS`, best first
     near : other sets within `ASK_ODDS`, worth more measurements
     structure_p : probability that noise leaves what is left
@@ -59,6 +60,7 @@ class Decision:
     before: Fit
     after: Fit
     whole: Fit
+    proven: tuple[Term, ...]
     rivals: tuple[Rival, ...]
     near: tuple[Rival, ...]
     structure_p: float
@@ -77,26 +79,27 @@ def decide(search: Search, chosen: Fit) -> Decision:
     """
     problem = search.problem
     before = search.fitted(())
-    whole = _gated(search, chosen)
-    named = [term for term in whole.terms if term.name != "unnamed"]
-    after = search.fitted(named, whole)
+    whole = _without_weak(search, chosen)
+    after = search.fitted([term for term in whole.terms if term.name != "unnamed"], whole)
+    proven = tuple(term for term in after.terms if strong(search, whole, term))
     near = _rivals(search, whole)
     rivals = tuple(rival for rival in near if rival.odds < SURE_ODDS and not rival.holds)
     structure_p = misfit(problem, whole)
     odds, runner_up = _odds(search, after)
-    verdict = _verdict(whole, rivals, structure_p)
+    verdict = _verdict(search, whole, proven, rivals, structure_p)
     if len(np.unique(problem.rows.pose)) < LEAST_POSES:
-        verdict, after, rivals = "undecided", before, ()
-    return Decision(verdict, before, after, whole, rivals, near, structure_p, odds, runner_up)
+        verdict, after, proven, rivals = "undecided", before, (), ()
+    return Decision(verdict, before, after, whole, proven, rivals, near, structure_p, odds, runner_up)
 
 
-def _verdict(whole: Fit, rivals: tuple[Rival, ...], structure_p: float) -> str:
-    named = any(term.name != "unnamed" for term in whole.terms)
+def _verdict(
+    search: Search, whole: Fit, proven: tuple[Term, ...], rivals: tuple[Rival, ...], structure_p: float
+) -> str:
     unnamed = any(term.name == "unnamed" for term in whole.terms)
     left = unnamed or structure_p < STRUCTURE_P
-    if not named:
+    if not proven:
         return "unexplained" if left else "none_needed"
-    if any(_key(rival.fit)[0] for rival in rivals):
+    if any(_key(search, rival.fit)[0] for rival in rivals):
         return "undecided"
     return "improved" if left else "explained"
 
@@ -122,24 +125,17 @@ def strength(search: Search, whole: Fit, term: Term) -> float:
     return float(np.sqrt((squares / np.maximum(count, 1)).max()))
 
 
-def _gated(search: Search, chosen: Fit) -> Fit:
-    """The hypothesis without effects too weak to be told from what links and loads take up.
-
-    Where one as good has strong effects alone, that one is taken.
-    """
-    while True:
-        weak = [term for term in chosen.terms if not _strong(search, chosen, term)]
-        if not weak:
-            return chosen
-        level = search.score(chosen) - NEEDED
-        as_good = [fit for fit in search.pool.values() if search.score(fit) >= level and fit.terms]
-        strong = [fit for fit in as_good if all(_strong(search, fit, term) for term in fit.terms)]
-        if strong:
-            return pruned(search, search.best(strong))
-        chosen = pruned(search, search.fitted([term for term in chosen.terms if term not in weak], chosen))
+def _without_weak(search: Search, chosen: Fit) -> Fit:
+    """A hypothesis as good as the chosen one whose effects are all strong, where there is one."""
+    if all(strong(search, chosen, term) for term in chosen.terms):
+        return chosen
+    level = search.score(chosen) - NEEDED
+    as_good = [fit for fit in search.pool.values() if search.score(fit) >= level and fit.terms]
+    better = [fit for fit in as_good if all(strong(search, fit, term) for term in fit.terms)]
+    return pruned(search, search.best(better)) if better else chosen
 
 
-def _strong(search: Search, hypothesis: Fit, term: Term) -> bool:
+def strong(search: Search, hypothesis: Fit, term: Term) -> bool:
     """Whether the data, and not the prior on the links alone, show an effect."""
     if term.name == "unnamed":
         return True
@@ -147,28 +143,29 @@ def _strong(search: Search, hypothesis: Fit, term: Term) -> bool:
     return strength(search, hypothesis, term) >= least
 
 
-def _key(hypothesis: Fit) -> Key:
-    named = frozenset(label(term) for term in hypothesis.terms if term.name != "unnamed")
-    return named, any(term.name == "unnamed" for term in hypothesis.terms)
+def _key(search: Search, hypothesis: Fit) -> Key:
+    """Names of the strong effects of a hypothesis, and whether it holds a shape without a name."""
+    named = [term for term in hypothesis.terms if term.name != "unnamed"]
+    shown = frozenset(label(term) for term in named if strong(search, hypothesis, term))
+    return shown, len(named) < len(hypothesis.terms)
 
 
 def _rivals(search: Search, whole: Fit) -> tuple[Rival, ...]:
     """Sets of names by the sum of the evidence of their shapes; larger ones only where they gain something."""
+    level = search.score(whole) - math.log(ASK_ODDS) - NEEDED
     groups: dict[Key, list[Fit]] = {}
     for hypothesis in search.pool.values():
-        groups.setdefault(_key(hypothesis), []).append(hypothesis)
-    own, own_unnamed = _key(whole)
+        if search.score(hypothesis) >= level:
+            groups.setdefault(_key(search, hypothesis), []).append(hypothesis)
+    own, own_unnamed = _key(search, whole)
     total = {key: _log_sum([search.score(member) for member in members]) for key, members in groups.items()}
     reference = max(total[(own, own_unnamed)], search.score(whole))
     out = []
     for (names, unnamed), members in groups.items():
         contains = names >= own and unnamed >= own_unnamed
         odds = math.exp(min(reference - total[(names, unnamed)], 50.0))
-        if (names, unnamed) == (own, own_unnamed) or odds > (HINT_ODDS if contains else ASK_ODDS):
-            continue
-        best = search.best(members)
-        if all(_strong(search, best, term) for term in best.terms):
-            out.append(Rival(best, odds, contains))
+        if (names, unnamed) != (own, own_unnamed) and odds <= (HINT_ODDS if contains else ASK_ODDS):
+            out.append(Rival(search.best(members), odds, contains))
     return tuple(sorted(out, key=lambda rival: rival.odds))
 
 

@@ -193,6 +193,7 @@ class RestDiagnosis:
             verdict = {"none_needed": "explained", "unexplained": "improved"}.get(verdict, verdict)
         after = summary(problem, decision.after, judge, self.robot)
         floor, band = floor_and_band(problem, decision)
+        findings += _links(decision)
         findings += mistake_findings(found.mistakes) + _load_findings(after.loads) + _limits(problem)
         rows, drawn = pictures(Visits.of(problem, held, "fresh" if kind == "fresh" else "held out"), decision)
         return Result(
@@ -265,6 +266,13 @@ def _load_findings(loads: tuple[LoadResult, ...]) -> list[Finding]:
         for load in loads
         if load.refused
     ]
+
+
+def _links(decision: Decision) -> list[Finding]:
+    """Corrections of the CAD's links that the fit needs, too weak in the torque to be named as effects."""
+    weak = [term for term in decision.after.terms if term not in decision.proven]
+    text = "the CAD's inertials are off by more than they are trusted to be; the fit corrects them"
+    return [Finding("info", "links", text, "give the CAD less trust, or weigh the links")] if weak else []
 
 
 def _limits(problem: Problem) -> list[Finding]:

@@ -23,6 +23,7 @@ from gateway.table import Table
 Floats = NDArray[np.float64]
 
 SURE = 20.0
+COMMON = 30.0
 SUSPICIOUS = 1.7
 STRAINED = 60.0
 WRECKED = 8.0
@@ -152,6 +153,8 @@ def find_mistakes(
                 continue
             changed = build(mistake.undo(table))
             scale = -float(np.sum(np.isin(changed.group % 6 + 1, mistake.joints))) * np.log(mistake.factor)
+            if len(mistake.joints) > 2:
+                scale -= COMMON  # heavier links look alike: all axes at once needs more than one axis does
             value, result = plain_score(changed, scale)
             if best is None or value > best[0]:
                 best = value, mistake, changed, result

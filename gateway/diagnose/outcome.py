@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from gateway.diagnose.decide import Decision, noise_floor
+from gateway.diagnose.decide import Decision, noise_floor, strong
 from gateway.diagnose.holdout import (
     Held,
     axis_of_rows,
@@ -87,6 +87,8 @@ def proven(search: Search, decision: Decision, judge: Judge) -> list[EffectResul
     after = decision.after
     out = []
     for position, term in enumerate(after.terms):
+        if term not in decision.proven:
+            continue
         without = search.fitted([other for other in after.terms if other is not term], after)
         evidence = Evidence(
             holdout_rms_ratio=judge.ratio(after, without, term.joints),
@@ -100,11 +102,11 @@ def proven(search: Search, decision: Decision, judge: Judge) -> list[EffectResul
 
 def possible(search: Search, decision: Decision, judge: Judge) -> list[EffectResult]:
     """The effects of the rivals that the decision does not hold, with their odds."""
-    known = {label(term) for term in decision.after.terms}
+    known = {label(term) for term in decision.proven}
     out: list[EffectResult] = []
     for rival in decision.rivals:
         for position, term in enumerate(rival.fit.terms):
-            if term.name == "unnamed" or label(term) in known:
+            if term.name == "unnamed" or label(term) in known or not strong(search, rival.fit, term):
                 continue
             known.add(label(term))
             ratio = judge.ratio(rival.fit, decision.before, term.joints)
@@ -158,8 +160,9 @@ def mistake_findings(mistakes: Sequence[Mistake]) -> list[Finding]:
 def rejected(search: Search, decision: Decision) -> list[Rejected]:
     """Every candidate that is not in the answer: held-out error with it over that without it, pose by pose."""
     problem, after = search.problem, decision.after
-    taken = {label(term) for term in after.terms}
-    view = search.view(after, [t for t in search.named if label(t) not in taken], after.noise.std)
+    taken = {label(term) for term in decision.proven}
+    fitted = {label(term) for term in after.terms}
+    view = search.view(after, [term for term in search.named if label(term) not in fitted], after.noise.std)
     base = left_out(problem, after)
     std = after.noise.std[problem.group]
     axis = axis_of_rows(problem)

@@ -83,10 +83,10 @@ def pictures(visits: Visits, decision: Decision) -> tuple[Rows, dict[str, Any]]:
         std_nm=_matrix(np.broadcast_to(after.noise.std[:6], rows.sum_nm.shape)),
     )
     data: dict[str, Any] = {"role": [visits.kind if fresh else "fit" for fresh in visits.fresh]}
-    if after.terms:
+    if decision.proven:
         before = _predict(problem, decision.before, decision.before.terms).sum_nm
         data["model_before_nm"] = _known(before, problem).tolist()
-        data["curves"] = [_curve(problem, after, position) for position in range(len(after.terms))]
+        data["curves"] = [_curve(problem, after, after.terms.index(term)) for term in decision.proven]
     return shown, data
 
 

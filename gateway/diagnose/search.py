@@ -32,6 +32,7 @@ IMPLAUSIBLE = 8.0
 RARE = 2.0
 SHAPES = 2
 SHAPES_FITTED = 6
+SHAPES_ADDED = 3
 
 
 def label(term: Term) -> Label:
@@ -157,15 +158,16 @@ def _extend(search: Search, leader: Fit, candidates: Sequence[Term], count: int)
     open_terms = [term for term in candidates if label(term) not in taken]
     for std in (leader.noise.std, search.noise.start):
         view = search.view(leader, open_terms, std)
-        seen: set[Label | Term] = set()
+        seen: dict[Label | Term, int] = {}
         for index in np.argsort(-view.log_bayes):
             term = view.terms[index]
             key = label(term) if term.name != "unnamed" else term
-            if key in seen:
+            shapes = 1 if all(term.linear) else SHAPES_ADDED
+            if seen.get(key, 0) >= shapes:
                 continue
-            if len(seen) >= count or view.log_bayes[index] + search.prior[term] < -2.0:
+            if (key not in seen and len(seen) >= count) or view.log_bayes[index] + search.prior[term] < -2.0:
                 break
-            seen.add(key)
+            seen[key] = seen.get(key, 0) + 1
             search.fitted((*leader.terms, term), leader)
 
 
