@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from gateway.errors import InputError
 from gateway.estimate.linear import Prior
 from gateway.estimate.options import BARE_LABEL, Options
-from gateway.estimate.problem import LOAD_NAMES, LOAD_UNITS, WRIST_LENGTH_M
+from gateway.estimate.problem import LOAD_NAMES, LOAD_UNITS
 from gateway.model.base import BaseSet, base_parameters, moving_base
 from gateway.model.regressor import FULL_NAMES, regressor
-from gateway.model.robot import AXES, Robot
+from gateway.model.robot import AXES, Robot, link_lengths_m
 from gateway.rows import Table
 
 Floats = NDArray[np.float64]
@@ -127,14 +127,14 @@ def body_parameters(mass_kg: float, com_m: Floats, inertia_kg_m2: Floats) -> Flo
 def link_prior(robot: Robot, trust: float) -> tuple[Floats, Floats]:
     """Mean and standard deviation (60,) of the link parameters at a relative trust; unknown links are open."""
     mean, std = np.zeros(AXES * _PER_BODY), np.full(AXES * _PER_BODY, np.inf)
+    lengths = link_lengths_m(robot)
     for link in range(AXES):
         mass, com, tensor = robot.mass_kg[link], robot.com_m[link], robot.inertia_kg_m2[link]
         if not (np.isfinite(mass) and np.isfinite(com).all()) or np.isinf(trust):
             continue
         part = slice(_PER_BODY * link, _PER_BODY * (link + 1))
         mean[part] = body_parameters(mass, com, np.nan_to_num(tensor))
-        onward = float(np.linalg.norm(robot.placement[link + 1, :3, 3])) if link + 1 < AXES else 0.0
-        length = max(onward, float(np.linalg.norm(com)), WRIST_LENGTH_M)
+        length = lengths[link]
         std[part] = trust * mass * np.concatenate([[1.0], np.full(3, length), np.full(6, length**2)])
     return mean, std
 

@@ -12,7 +12,7 @@ from gateway.estimate.linear import Prior
 from gateway.estimate.options import BARE_LABEL, Options
 from gateway.model.base import BaseSet, rest_base
 from gateway.model.regressor import GRAVITY_NAMES, LOAD_COLUMNS, gravity_regressor
-from gateway.model.robot import AXES, Robot
+from gateway.model.robot import AXES, Robot, link_lengths_m
 from gateway.model.visits import Visits
 from gateway.result import Bare
 
@@ -21,7 +21,6 @@ Ints = NDArray[np.int_]
 
 LOAD_NAMES = ("mass", "hx", "hy", "hz")
 LOAD_UNITS = ("kg", "kg m", "kg m", "kg m")
-WRIST_LENGTH_M = 0.1
 #: Prior standard deviation of the friction of a one-sided approach, as a share of the axis's torque.
 FRICTION_SHARE = 0.5
 
@@ -94,10 +93,9 @@ class Problem:
 def link_knowledge(robot: Robot, options: Options) -> Links:
     """What the robot model's inertials say, at the trust of the options.
 
-    The length of a link reaches to the next joint or to its centre of mass, whichever is further; that of link 6 to the
-    flange.
+    The standard deviation of a first moment is that share of mass x link length.
     """
-    trust = options.trust
+    trust, lengths = options.trust, link_lengths_m(robot)
     mean, std = np.zeros(24), np.full(24, np.inf)
     for link in range(AXES):
         mass, com = robot.mass_kg[link], robot.com_m[link]
@@ -105,20 +103,13 @@ def link_knowledge(robot: Robot, options: Options) -> Links:
             continue
         part = slice(4 * link, 4 * link + 4)
         mean[part] = mass * np.array([1.0, *com])
-        length = max(_reach(robot, link), float(np.linalg.norm(com)), WRIST_LENGTH_M)
-        std[part] = trust * mass * np.array([1.0, length, length, length])
+        std[part] = trust * mass * np.append(1.0, np.full(3, lengths[link]))
     open_ = np.isinf(std)
     fixed = np.where(std == 0.0, mean, 0.0)
     held = np.flatnonzero((std > 0.0) & ~open_)
     free = np.flatnonzero(open_)
     base = rest_base(robot, options.gravity_m_s2, free.tolist())
     return Links(fixed, mean, std, held, free, base)
-
-
-def _reach(robot: Robot, link: int) -> float:
-    if link + 1 < AXES:
-        return float(np.linalg.norm(robot.placement[link + 1, :3, 3]))
-    return 0.0 if robot.flange is None else float(np.linalg.norm(robot.flange[:3, 3]))
 
 
 def unknown_labels(visits: Visits, options: Options) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ from gateway.model import urdf
 
 Floats = NDArray[np.float64]
 AXES = 6
+SHORTEST_M = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,6 +105,18 @@ def with_flange(robot: Robot, xyz_m: Sequence[float], rpy_rad: Sequence[float] =
 def reach_m(robot: Robot) -> float:
     """Length of an arm: sum of the steps from joint to joint [m]."""
     return float(np.linalg.norm(robot.placement[1:, :3, 3], axis=1).sum())
+
+
+def link_lengths_m(robot: Robot) -> Floats:
+    """Length (6,) [m] of every link, what an error of its first moment is measured by.
+
+    To the next joint or to the centre of mass, whichever is further; the last link reaches to the flange, and counts no
+    less than the step before it, since what hangs on it is never smaller than the wrist. At least 0.1 m.
+    """
+    steps = np.linalg.norm(robot.placement[:, :3, 3], axis=1)
+    last = 0.0 if robot.flange is None else float(np.linalg.norm(robot.flange[:3, 3]))
+    onward = np.append(steps[1:], max(last, float(steps[-1])))
+    return np.maximum(np.maximum(onward, np.nan_to_num(np.linalg.norm(robot.com_m, axis=1))), SHORTEST_M)
 
 
 def robot_from_urdf(text: str, where: str) -> Robot:

@@ -9,7 +9,14 @@ import pytest
 
 from gateway.errors import ConfigError
 from gateway.model import kinematics
-from gateway.model.robot import robot_from_dh, robot_from_urdf, rotation_rpy, with_flange
+from gateway.model.robot import (
+    link_lengths_m,
+    reach_m,
+    robot_from_dh,
+    robot_from_urdf,
+    rotation_rpy,
+    with_flange,
+)
 
 
 def rot(axis, angle):
@@ -136,6 +143,16 @@ def test_a_link_without_inertial_is_unknown_and_limits_of_zero_are_not_given(ran
     assert np.isnan(robot.effort_nm).all()
     assert np.isnan(robot.velocity_rad_s).all()
     assert (robot.lower_rad == -3).all()
+
+
+def test_link_lengths_reach_to_the_next_joint_the_centre_of_mass_or_the_flange(random_urdf):
+    robot = robot_from_urdf(random_urdf(0), "r")
+    lengths = link_lengths_m(robot)
+    for i in range(6):
+        step = np.linalg.norm(robot.placement[min(i + 1, 5), :3, 3])
+        assert lengths[i] == pytest.approx(max(step, np.linalg.norm(robot.com_m[i]), 0.1))
+    assert link_lengths_m(with_flange(robot, (0.0, 0.0, 3.0)))[5] == pytest.approx(3.0)
+    assert reach_m(robot) == pytest.approx(np.linalg.norm(robot.placement[1:, :3, 3], axis=1).sum())
 
 
 def test_rotation_of_roll_pitch_yaw_is_the_one_of_pinocchio():
