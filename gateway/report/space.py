@@ -15,7 +15,7 @@ from gateway.report.view import centre
 Json = Mapping[str, Any]
 Vector = Sequence[float]
 AZIMUTH_RAD, ELEVATION_RAD = math.radians(-62.0), math.radians(16.0)
-ARM_WIDTH, ARM_HEIGHT = 190.0, 190.0
+ARM_WIDTH, ARM_MARGIN = 190.0, 9.0
 MOST_POSES = 24
 # radius of the drawn floor over the largest reach
 GROUND = 0.62
@@ -57,10 +57,14 @@ def _all_points(pose: Json) -> list[Vector]:
 
 
 def _scales(flat: Sequence[tuple[float, float]]) -> tuple[Scale, Scale]:
+    """Equal scales in both directions; the drawing is as high as the arm needs."""
     xs, ys = [x for x, _ in flat], [y for _, y in flat]
-    half = max(max(xs) - min(xs), max(ys) - min(ys)) / 2 * 1.04 or 1.0
-    x_mid, y_mid = (max(xs) + min(xs)) / 2, (max(ys) + min(ys)) / 2
-    return Scale(x_mid - half, x_mid + half, 4, ARM_WIDTH - 4), Scale(y_mid - half, y_mid + half, ARM_HEIGHT - 4, 4)
+    per_px = (max(xs) - min(xs)) / (ARM_WIDTH - 2 * ARM_MARGIN) or 1.0
+    height = min(max((max(ys) - min(ys)) / per_px, 0.4 * ARM_WIDTH), 1.2 * ARM_WIDTH)
+    per_px = max(per_px, (max(ys) - min(ys)) / height)
+    x_mid, half = (max(xs) + min(xs)) / 2, per_px * (ARM_WIDTH / 2 - ARM_MARGIN)
+    right = Scale(x_mid - half, x_mid + half, ARM_MARGIN, ARM_WIDTH - ARM_MARGIN)
+    return right, Scale(min(ys), min(ys) + per_px * height, ARM_MARGIN + height, ARM_MARGIN)
 
 
 def _title(pose: Json) -> str:
@@ -86,7 +90,7 @@ def _arm(pose: Json, scales: tuple[Scale, Scale], ground: float, classes: Mappin
     hint = "q = " + ", ".join(f"{math.degrees(q):.0f}" for q in pose.get("q_rad") or []) + " deg"
     body = "".join(parts)
     label = f'role="img" aria-label="The arm in {escape(_title(pose))}"'
-    size = f'viewBox="0 0 {ARM_WIDTH:g} {ARM_HEIGHT:g}"'
+    size = f'viewBox="0 0 {ARM_WIDTH:g} {scales[1].start_px + ARM_MARGIN:.0f}"'
     return Markup(f"<svg {size} {label}><title>{escape(hint)}</title>{body}</svg>")  # noqa: S704 - numbers and escaped text
 
 

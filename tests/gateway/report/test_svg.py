@@ -52,4 +52,4 @@ def test_a_panel_is_well_formed_and_its_text_cannot_leave_its_place():
     assert root.get("viewBox") == "0 0 200 100"
     assert not [node for node in root.iter() if node.tag == "script"]
     circle = next(node for node in root.iter() if node.tag == "circle")
-    assert (float(circle.get("cx")), float(circle.get("cy"))) == (120.0, 36.0)
+    assert (float(circle.get("cx")), float(circle.get("cy"))) == (124.0, 36.0)
