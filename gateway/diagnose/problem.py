@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.linear import RELATIVE_FLOOR, Noise, Problem
 from gateway.errors import DataUnusable, InputError
-from gateway.model.robot import Robot
+from gateway.model.robot import Robot, link_lengths_m
 from gateway.model.terms.reading import Model, RestRows
 from gateway.result import Bare
 
@@ -82,13 +82,14 @@ def build_problem(robot: Robot, rows: RestRows, knowledge: Knowledge) -> Problem
 def link_prior(robot: Robot, inertials: str) -> tuple[Floats, Floats]:
     """CAD value and standard deviation (24,) of [m, hx, hy, hz] per link.
 
-    The mass is trusted to the given share of itself, the first moment to that share of mass x link length, where the
-    length reaches to the next joint or to the centre of mass, whichever is further. Unknown links are open.
+    The mass is trusted to the given share of itself, the first moment to that share of mass x link length. Unknown
+    links are open.
     """
     relative = {"exact": EXACT, "ignore": np.inf}.get(inertials)
     if relative is None:
         relative = float(inertials.removeprefix("prior:"))
     links, std = np.zeros(24), np.zeros(24)
+    lengths = link_lengths_m(robot)
     for link in range(6):
         mass, com = robot.mass_kg[link], robot.com_m[link]
         known = bool(np.isfinite(mass) and np.isfinite(com).all()) and np.isfinite(relative)
@@ -97,11 +98,7 @@ def link_prior(robot: Robot, inertials: str) -> tuple[Floats, Floats]:
             std[part] = [OPEN_MASS_KG, *[OPEN_MOMENT_KG_M] * 3]
             continue
         links[part] = mass * np.array([1.0, *com])
-        reach = np.linalg.norm(robot.placement[link + 1, :3, 3]) if link < 5 else 0.0
-        if link == 5 and robot.flange is not None:
-            reach = np.linalg.norm(robot.flange[:3, 3])
-        length = max(float(reach), float(np.linalg.norm(com)), 1e-3)
-        std[part] = max(relative, EXACT) * max(mass, 1e-6) * np.array([1.0, length, length, length])
+        std[part] = max(relative, EXACT) * max(mass, 1e-6) * np.append(1.0, np.full(3, lengths[link]))
     return links, std
 
 
