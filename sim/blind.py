@@ -14,15 +14,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.draw import GRAVITY, Arm, choose_poses, draw_arm
-from sim.draw_effects import CHANGE_S, MAKERS, OFF_MAKERS, VISIT_S, Effect, Maker
+from sim.draw import LOADED_S, POSES, VISIT_S, Arm, choose_poses, draw_arm
+from sim.draw_effects import MAKERS, OFF_MAKERS, Effect, Maker
 from sim.effects import apply_effects
 from sim.offline import Protocol, Visit, gravity_columns, measure, point_jacobian
 from sim.plant import Plant
 
 Array = NDArray[np.float64]
 
-LEAST_STRENGTH = 1.5
+LEAST_STRENGTH, MOST_STRENGTH = 1.5, 20.0
 MIX = {"clean": 0.52, "two": 0.14, "off": 0.08}
 
 
@@ -58,14 +58,13 @@ class BlindCell:
         )
 
 
-def draw_cell(seed: int, count: int = 12) -> BlindCell:
-    """Cell of one seed: arm, effects, and `count` rest poses, bare and then with the load."""
+def draw_cell(seed: int) -> BlindCell:
+    """Cell of one seed: arm, effects, and rest poses, bare and then with the load."""
     rng = np.random.default_rng([seed, 1])
     arm = draw_arm(rng)
-    poses = choose_poses(arm, count, rng)
+    poses = choose_poses(arm, POSES, rng)
     visits = [Visit(k, "none", VISIT_S * k, q) for k, q in enumerate(poses)]
-    start = VISIT_S * count + CHANGE_S
-    visits += [Visit(k, "tool", start + VISIT_S * k, q) for k, q in enumerate(poses)]
+    visits += [Visit(k, "tool", LOADED_S + VISIT_S * k, q) for k, q in enumerate(poses)]
     truth, protocol = _draw_truth(arm, visits, rng)
     in_plant = [effect for effect in truth.effects if effect["name"] != "position_friction"]
     plant = apply_effects(arm.plant, in_plant, point_jacobian(arm.chain))
@@ -82,15 +81,20 @@ def _draw_truth(arm: Arm, visits: list[Visit], rng: np.random.Generator) -> tupl
     chosen = [names[k] for k in rng.permutation(len(names))[: 2 if two else 1]]
     effects, strengths, protocol = [], [], arm.protocol
     for name in chosen:
-        wanted = float(np.exp(rng.uniform(np.log(1.5), np.log(20.0))))
+        wanted = wanted_strength(rng)
         if name == "position_friction":
             protocol, strength = _position_friction(arm, wanted, rng)
             effects.append({"name": name, "joints": [], "parameters": {}})
         else:
-            effect, strength = _scaled(arm, visits, makers[name], wanted, rng)
+            effect, strength = scaled(arm, visits, makers[name], wanted, rng)
             effects.append(effect)
         strengths.append(strength)
     return Truth("two" if two else "off" if off else "one", tuple(effects), tuple(strengths)), protocol
+
+
+def wanted_strength(rng: np.random.Generator) -> float:
+    """Strength to aim at: 1.5 to 20, every factor as likely."""
+    return float(np.exp(rng.uniform(np.log(LEAST_STRENGTH), np.log(MOST_STRENGTH))))
 
 
 def _applies(name: str, arm: Arm, two: bool) -> bool:
@@ -99,7 +103,7 @@ def _applies(name: str, arm: Arm, two: bool) -> bool:
     return not (two and name in ("sign_reversed", "axes_swapped", "current_rms_peak"))
 
 
-def _scaled(
+def scaled(
     arm: Arm, visits: list[Visit], maker: Maker, wanted: float, rng: np.random.Generator
 ) -> tuple[Effect, float]:
     """An effect whose strength is `wanted`, as far as its physical limit lets it; of several draws the closest."""
@@ -137,7 +141,7 @@ def strength(arm: Arm, visits: Sequence[Visit], effect: Mapping[str, object]) ->
     half_difference = with_[1] - without[1]
     half_difference = (half_difference - half_difference.mean(axis=0)) / arm.floor_nm
     q = np.array([visit.q_rad for visit in visits])
-    links = gravity_columns(arm.chain, q, GRAVITY) / arm.floor_nm[:, None]
+    links = gravity_columns(arm.chain, q, arm.plant.gravity_m_s2) / arm.floor_nm[:, None]
     loaded = np.array([visit.load != "none" for visit in visits], dtype=float)
     columns = [(links * arm.prior_std).reshape(-1, 24)]
     free = 0
@@ -177,4 +181,14 @@ def _position_friction(arm: Arm, wanted: float, rng: np.random.Generator) -> tup
     return replace(arm.protocol, band_factor=factor), reached
 
 
-__all__ = ["LEAST_STRENGTH", "VISIT_S", "BlindCell", "Truth", "draw_cell", "strength"]
+__all__ = [
+    "LEAST_STRENGTH",
+    "MOST_STRENGTH",
+    "VISIT_S",
+    "BlindCell",
+    "Truth",
+    "draw_cell",
+    "scaled",
+    "strength",
+    "wanted_strength",
+]

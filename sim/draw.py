@@ -20,6 +20,11 @@ Array = NDArray[np.float64]
 
 CAD_ERROR = 0.05
 GRAVITY = np.array([0.0, 0.0, -9.80665])
+POSES = 12
+VISIT_S = 25.0
+CHANGE_S = 180.0
+#: Start of the first visit with the load: after the bare ones.
+LOADED_S = POSES * VISIT_S + CHANGE_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +42,7 @@ class Arm:
     protocol : how it is measured
     gear_ratio, efficiency : (6,) as the cell file states them
     floor_nm : (6,) true noise floor of half the sum of both sides
+    shift_time_s : between which times a load may shift: well inside the visits with the load
     """
 
     chain: Chain
@@ -49,6 +55,7 @@ class Arm:
     gear_ratio: Array
     efficiency: Array
     floor_nm: Array
+    shift_time_s: tuple[float, float]
 
 
 def draw_arm(rng: np.random.Generator) -> Arm:
@@ -101,6 +108,7 @@ def draw_arm(rng: np.random.Generator) -> Arm:
         gear_ratio=np.round(rng.uniform(80, 220, 6)),
         efficiency=efficiency,
         floor_nm=half_floor(plant, protocol),
+        shift_time_s=(LOADED_S + 3.0 * VISIT_S, LOADED_S + 9.0 * VISIT_S),
     )
 
 
@@ -201,7 +209,7 @@ def choose_poses(arm: Arm, count: int, rng: np.random.Generator) -> Array:
     """Rest poses (count, 6) that say most about load and links: greedy D-optimal among random ones."""
     lower, upper = arm.chain.lower_rad, arm.chain.upper_rad
     q = rng.uniform(0.95 * lower, 0.95 * upper, (80, 6))
-    columns = gravity_columns(arm.chain, q, GRAVITY) / arm.floor_nm[:, None]
+    columns = gravity_columns(arm.chain, q, arm.plant.gravity_m_s2) / arm.floor_nm[:, None]
     scaled = columns * arm.prior_std
     inverse = np.eye(24)
     chosen: list[int] = []

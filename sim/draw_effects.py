@@ -9,8 +9,6 @@ import numpy as np
 from sim.draw import Arm
 
 Effect = dict[str, object]
-VISIT_S = 25.0
-CHANGE_S = 180.0
 
 Build = Callable[[float], Effect]
 Maker = Callable[[Arm, np.random.Generator], tuple[Build, float | None]]
@@ -126,7 +124,7 @@ def _link_mass(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
 def _shift(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
     direction = rng.standard_normal(3)
     direction /= np.linalg.norm(direction)
-    when = VISIT_S * 12 + CHANGE_S + VISIT_S * float(rng.uniform(3, 9))
+    when = float(rng.uniform(*arm.shift_time_s))
     reach = 0.3 * (arm.loads["tool"].mass_kg / 100.0) ** 0.3
     return lambda s: _entry("payload_shift", [], shift_m=[float(v) for v in s * direction], time_s=when), reach
 

@@ -22,8 +22,11 @@ from sim.nominal import plant_of
 from sim.offline import point_jacobian
 from sim.plant import Payload
 from sim.server import ArmUnit, BusServer
+from sim.undeclared import draw_undeclared
 
 NOISE_SEED = 1
+#: Between the seeds of two arms of one cell.
+ARM_SEED = 100_000
 
 
 class BusError(OSError):
@@ -38,8 +41,8 @@ class ServeOptions:
     ----------
     bus : INTERFACE:CHANNEL[,key=value]... in place of the cell's bus; with several buses NAME=SPEC;NAME=SPEC
     payload : file of loads that can be hung on the flange
-    undeclared : file of effects that the gateway is not told
-    seed : draw build errors instead
+    undeclared : file of effects that the gateway is not told; `build_errors = SEED` in it draws build errors beside
+    seed : draw build errors, and an effect, none or two instead
     fault : scenario of what goes wrong
     truth : where the truth is written at start
     """
@@ -59,7 +62,7 @@ class Simulation:
     ----------
     cell : what was read
     loads : by label
-    effects : what is built in
+    effects : what is built in; where there are several arms, each effect names its `arm`
     specs : the buses, by name
     servers : one for each bus
     """
@@ -67,7 +70,7 @@ class Simulation:
     def __init__(self, cell_path: Path, options: ServeOptions) -> None:
         self.cell = read_cell(cell_path)
         self.loads: dict[str, Payload] = read_payloads(options.payload) if options.payload else {}
-        self.effects = _read_effects(options.undeclared) if options.undeclared else []
+        self.effects, self._build_seed = _undeclared(options)
         self._options = options
         faults = read_faults(options.fault) if options.fault else ()
         units = {arm.name: self._unit(index) for index, arm in enumerate(self.cell.arms)}
@@ -86,9 +89,14 @@ class Simulation:
         arm = self.cell.arms[index]
         plant = plant_of(arm)
         seed = self._options.seed
+        if self._build_seed is not None:
+            plant = with_build_errors(plant, arm.chain, self._build_seed)
+        effects = self.effects
         if seed is not None:
-            plant = with_build_errors(plant, arm.chain, seed)
-        plant = apply_effects(plant, self.effects, point_jacobian(arm.chain))
+            effects = draw_undeclared(arm, plant, self.loads, seed + ARM_SEED * index)
+            named = {"arm": arm.name} if len(self.cell.arms) > 1 else {}
+            self.effects = [*self.effects, *(effect | named for effect in effects)]
+        plant = apply_effects(plant, effects, point_jacobian(arm.chain))
         noise = (NOISE_SEED if seed is None else seed) + 1000 * index
         return ArmUnit(arm, plant, self.cell.buses[arm.bus].sync_period_s, noise)
 
@@ -143,11 +151,18 @@ class Simulation:
                 unit.world.close()
 
 
-def _read_effects(path: Path) -> list[dict[str, Any]]:
-    effects = read_toml(path).get("effect", [])
+def _undeclared(options: ServeOptions) -> tuple[list[dict[str, Any]], int | None]:
+    """Effects of the file, and the seed of the build errors."""
+    path = options.undeclared
+    if path is None:
+        return [], options.seed
+    table = read_toml(path)
+    effects, errors = table.get("effect", []), table.get("build_errors", options.seed)
     if not isinstance(effects, list) or not all(isinstance(effect, dict) for effect in effects):
         raise CellFileError(f"{path}: effects are [[effect]] tables with name, joints and parameters.")
-    return effects
+    if errors is not None and (not isinstance(errors, int) or isinstance(errors, bool) or errors < 0):
+        raise CellFileError(f"{path}: build_errors is the seed of the links' errors, a number from 0, got {errors!r}.")
+    return effects, errors
 
 
 def _bus_specs(cell: CellSpec, given: str | None) -> dict[str, BusSpec]:
