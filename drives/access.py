@@ -76,6 +76,10 @@ class ObjectAccess:
             what = f"{value:#x} was written, {back:#x} reads back"
             self.refuse(entry, what, "the drive limits or ignores this value")
 
+    def is_in_ledger(self, *indices: int) -> bool:
+        """Whether the ledger holds a write to one of these objects of this node that was not put back."""
+        return any(entry.index in indices for entry in self._ledger.of_node(self.node_id))
+
     def _entry(self, step: Step, old: int) -> LedgerEntry:
         address = (step.index, step.subindex)
         return LedgerEntry(self.node_id, *address, step.data_type, old, step.value, step.reason, self.serial_number)

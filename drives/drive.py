@@ -8,13 +8,13 @@ from typing import Final, Protocol
 from drives import bringup
 from drives.access import ObjectAccess
 from drives.bus import Bus, Frame
-from drives.cia402 import Mode
+from drives.cia402 import ENABLE_OPERATION, Mode
 from drives.decode import Decoder, Fields, double_decoder, single_decoder
 from drives.errors import CommandRefused, ConfigurationRefused, DriveError
 from drives.heartbeat import NmtCommand, send_nmt
 from drives.ledger import WriteLedger
 from drives.objects import OBJECTS
-from drives.pdo import COMMAND, PdoPlan, rpdo_plan, tpdo_plans
+from drives.pdo import COMMAND, OFFSET, VELOCITY_OFFSET, PdoPlan, offset_plan, rpdo_plan, tpdo_plans
 from drives.scaling import MotorScale, motor_scale
 from drives.sdo import ONCE
 from drives.values import AxisSetup, DriveCommand, DriveReading, Identity
@@ -70,6 +70,10 @@ class Drive(Protocol):
         """The frame of the staged target."""
         ...
 
+    def offset_frame(self) -> Frame | None:
+        """The frame of the staged velocity offset, after `frame`; None where the drive takes none."""
+        ...
+
     def decoder(self, first_slot: int) -> Decoder:
         """Function that turns the frames of one SYNC into this drive's reading."""
         ...
@@ -98,7 +102,9 @@ class Cia402Drive:
         self._rpdo = rpdo_plan(self.node_id)
         self._tpdos, self._roles = tpdo_plans(setup.profile, self.node_id)
         self._frame = bus.prepare(self._rpdo.cob_id, COMMAND.size)
-        self._staged = (0, 0)
+        self._offset_plan = offset_plan(self.node_id) if setup.feedforward else None
+        self._offset_frame = None if self._offset_plan is None else bus.prepare(self._offset_plan.cob_id, OFFSET.size)
+        self._staged = (0, 0, 0)
         self._sync_period_s = 0.0
         self._max_step_count = 0.0
         self._lowest, self._highest = setup.position_limit_count or (-_I32_MAX - 1, _I32_MAX)
@@ -122,8 +128,13 @@ class Cia402Drive:
 
     @property
     def plans(self) -> tuple[PdoPlan, ...]:
-        """Every PDO of the exchange."""
-        return (self._rpdo, *self._tpdos)
+        """Every PDO of the exchange, RPDO1 first."""
+        return (*self.commands, *self._tpdos)
+
+    @property
+    def commands(self) -> tuple[PdoPlan, ...]:
+        """The RPDOs of the exchange, RPDO1 first."""
+        return (self._rpdo,) if self._offset_plan is None else (self._rpdo, self._offset_plan)
 
     @property
     def answers(self) -> tuple[tuple[int, int], ...]:
@@ -166,6 +177,8 @@ class Cia402Drive:
         scale = motor_scale(self.setup.profile, bringup.read_constants(access), self.setup.torque_constant_nm_per_a)
         bringup.check_sync(access)
         send_nmt(self._bus, NmtCommand.ENTER_PREOPERATIONAL, self.node_id)
+        if self._offset_plan is not None or access.is_in_ledger(VELOCITY_OFFSET.index, self._rpdo.mapping + 1):
+            access.write(VELOCITY_OFFSET, 0, "no velocity offset is left of an earlier run")
         for plan in self.plans:
             access.map_pdo(plan)
         bringup.set_mode(access, Mode.CYCLIC_SYNC_POSITION)
@@ -216,6 +229,7 @@ class Cia402Drive:
         try:
             count = round(command.position_rad / scale.count_rad)
             offset = self._offset(command.torque_offset_nm) if command.torque_offset_nm else 0
+            velocity = self._velocity(command.velocity_offset_rad_s) if command.velocity_offset_rad_s else 0
         except (ValueError, OverflowError) as error:
             raise CommandRefused(f"{command} is no target: {error}", node=self.node_id) from error
         if not self._lowest <= count <= self._highest:
@@ -226,7 +240,18 @@ class Cia402Drive:
             what = f"target asks for {abs(step) * scale.count_rad / self._sync_period_s:.1f} rad/s"
             advice = f"the limit is {self.setup.max_motor_speed_rad_s:.1f} rad/s at the motor"
             raise CommandRefused(what, node=self.node_id, index=0x607A, advice=advice)
-        self._staged = (count, offset)
+        self._staged = (count, offset, velocity)
+
+    def _velocity(self, velocity_rad_s: float) -> int:
+        unit = self.scale.velocity_rad_s
+        if self._offset_frame is None or unit is None:
+            advice = "set the drive up with feedforward"
+            raise CommandRefused("takes no velocity offset", node=self.node_id, index=0x60B1, advice=advice)
+        if abs(velocity_rad_s) > self.setup.max_motor_speed_rad_s:
+            what = f"velocity offset of {velocity_rad_s:.1f} rad/s"
+            advice = f"the limit is {self.setup.max_motor_speed_rad_s:.1f} rad/s at the motor"
+            raise CommandRefused(what, node=self.node_id, index=0x60B1, advice=advice)
+        return round(velocity_rad_s / unit)
 
     def _offset(self, torque_nm: float) -> int:
         unit = self.scale.offset_nm
@@ -240,15 +265,26 @@ class Cia402Drive:
         return offset
 
     def hold(self, position_count: int) -> None:
-        """Keep a position, without torque offset, for the next frame."""
-        self._staged = (position_count, 0)
+        """Keep a position, without offsets, for the next frame."""
+        self._staged = (position_count, 0, 0)
 
     def frame(self, controlword: int) -> Frame:
-        """The frame of the staged target; from now on it counts as commanded."""
-        count, offset = self._staged
+        """The frame of the staged target; from now on it counts as commanded.
+
+        Offsets are sent only beside the controlword that keeps OPERATION ENABLED.
+        """
+        if controlword != ENABLE_OPERATION:
+            self._staged = (self._staged[0], 0, 0)
+        count, offset, _ = self._staged
         self.target_count = count
         COMMAND.pack_into(self._frame.data, 0, controlword, count, offset)
         return self._frame
+
+    def offset_frame(self) -> Frame | None:
+        """The frame of the staged velocity offset, after `frame`; None where the drive takes none."""
+        if self._offset_frame is not None:
+            OFFSET.pack_into(self._offset_frame.data, 0, self._staged[2])
+        return self._offset_frame
 
     def decoder(self, first_slot: int) -> Decoder:
         """Function that turns the frames of one SYNC into this drive's reading.

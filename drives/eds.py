@@ -13,6 +13,7 @@ from canopen.objectdictionary.eds import import_eds
 
 from drives.errors import ProfileError
 from drives.objects import OBJECTS
+from drives.pdo import VELOCITY_OFFSET
 from drives.profile import CountsFromObjects, DriveProfile, ObjectReference, Rated
 
 _TYPES: Final = {
@@ -87,6 +88,8 @@ def _wanted(profile: DriveProfile) -> Iterator[tuple[ObjectReference, bool]]:
         yield from _rated(profile.torque_offset.rated)
     if profile.velocity is not None:
         yield profile.velocity.object, profile.current is not None
+    if profile.feedforward is not None:
+        yield VELOCITY_OFFSET, True
     counts = profile.position.counts_per_revolution
     if isinstance(counts, CountsFromObjects):
         yield counts.object, False

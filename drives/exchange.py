@@ -15,7 +15,6 @@ from drives.decode import Decoder
 from drives.drive import Cia402Drive
 from drives.epoch import Epoch, EpochCollector
 from drives.heartbeat import HeartbeatProducer
-from drives.pdo import COMMAND
 from drives.values import DriveReading
 
 Pacing = Literal["lockstep", "real"]
@@ -104,11 +103,14 @@ class SyncExchange:
         for drive in self.drives:
             self._first_slots.append(len(slots))
             slots += drive.answers
-            bus.watch_master_id(drive.plans[0].cob_id)
+            for plan in drive.commands:
+                bus.watch_master_id(plan.cob_id)
         owners = [drive for drive in self.drives for _ in drive.answers]
         self.collector = EpochCollector(bus, slots, _Inquiry(owners))
         #: Worst-case bits of one cycle.
-        self.cycle_bits = cycle_bits_worst([0, *(size for _, size in slots), *[COMMAND.size] * len(self.drives)])
+        commands = [plan.size_bytes for drive in self.drives for plan in drive.commands]
+        self.cycle_bits = cycle_bits_worst([0, *(size for _, size in slots), *commands])
+        self._feeding = tuple(drive for drive in self.drives if drive.setup.feedforward)
         self._decoders: tuple[Decoder, ...] = ()
         self._answer_timeout_s = timing.answer_timeout_s
         self._bus = bus
@@ -169,6 +171,10 @@ class SyncExchange:
             send = self._bus.send_frame
             for drive, word in zip(self.drives, words, strict=True):
                 send(drive.frame(word))
+            for drive in self._feeding:
+                frame = drive.offset_frame()
+                if frame is not None:
+                    send(frame)
 
     def _send_sync(self, now_s: float) -> float:
         self.sync_index += 1

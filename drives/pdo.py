@@ -2,6 +2,7 @@
 
 RPDO1 = controlword, target position, torque offset. TPDO1 = statusword, position and, if it fits, the torque object.
 TPDO2, where it is needed = the torque object if it did not fit, velocity, current. All synchronous, every SYNC.
+RPDO2, only in a run with feedforward = velocity offset; the torque offset stays in RPDO1.
 """
 
 from __future__ import annotations
@@ -31,9 +32,12 @@ CONTROLWORD: Final = ObjectReference(index=0x6040, type="u16")
 STATUSWORD: Final = ObjectReference(index=0x6041, type="u16")
 TARGET_POSITION: Final = ObjectReference(index=0x607A, type="i32")
 TORQUE_OFFSET: Final = ObjectReference(index=0x60B2, type="i16")
+VELOCITY_OFFSET: Final = ObjectReference(index=0x60B1, type="i32")
 
 #: What the master sends: controlword, target position (counts), torque offset (raw).
 COMMAND: Final = struct.Struct("<Hih")
+#: What it sends beside that in a run with feedforward: velocity offset (raw).
+OFFSET: Final = struct.Struct("<i")
 
 #: Reads one object as a number, by index, subindex and type.
 Read = Callable[[int, int, str], int]
@@ -46,7 +50,7 @@ class PdoPlan:
     Attributes
     ----------
     name : str
-        TPDO1, TPDO2 or RPDO1.
+        TPDO1, TPDO2, RPDO1 or RPDO2.
     communication, mapping : int
         Indices of its parameter and mapping records.
     cob_id : int
@@ -87,6 +91,11 @@ def rpdo_plan(node_id: int) -> PdoPlan:
     """RPDO1 of a node."""
     entries = (CONTROLWORD, TARGET_POSITION, TORQUE_OFFSET)
     return PdoPlan("RPDO1", RPDO_COMMUNICATION, RPDO_MAPPING, 0x200 + node_id, entries)
+
+
+def offset_plan(node_id: int) -> PdoPlan:
+    """RPDO2 of a node in a run with feedforward: the velocity offset."""
+    return PdoPlan("RPDO2", RPDO_COMMUNICATION + 1, RPDO_MAPPING + 1, 0x300 + node_id, (VELOCITY_OFFSET,))
 
 
 def tpdo_plans(profile: DriveProfile, node_id: int) -> tuple[tuple[PdoPlan, ...], tuple[Role, ...]]:

@@ -38,6 +38,10 @@ _NEEDED_WRITES = (
 )
 
 
+#: And beside them in a run with feedforward.
+_FEEDFORWARD_WRITES = (RPDO_COMMUNICATION + 1, RPDO_MAPPING + 1, 0x60B1)
+
+
 class _Strict(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -152,6 +156,24 @@ class TorqueOffset(_Strict):
         return self
 
 
+class Share(_Strict):
+    """A part of a whole and where the number comes from."""
+
+    value: float = Field(ge=0, le=1, allow_inf_nan=False)
+    source: Source
+
+
+class Feedforward(_Strict):
+    """What the drive takes beside the position: velocity offset 0x60B1 (in units of [velocity]), torque offset 0x60B2.
+
+    `velocity_share` is the part of the commanded velocity that the drive's own loops feed forward: the master adds only
+    the rest.
+    """
+
+    velocity_share: Share
+    source: Source
+
+
 class Velocity(_Strict):
     """The velocity object, motor side."""
 
@@ -244,6 +266,9 @@ class DriveProfile(_Strict):
     current: Signal | None = None
     torque_offset: TorqueOffset | None = None
     velocity: Velocity | None = None
+    feedforward: Feedforward | None = Field(
+        default=None, description="absent: the drive has no 0x60B1, or it is not known how it takes it"
+    )
     position: Position
     state_machine: StateMachine
     sdo: SdoTimes
@@ -281,7 +306,18 @@ class DriveProfile(_Strict):
         second = TPDO_COMMUNICATION + 1 in self.write.allow and TPDO_MAPPING + 1 in self.write.allow
         if (self.current is not None or self.torque.object.size_bits > 16) and not second:
             raise ValueError("a second TPDO is needed: write.allow lacks 0x1801 and 0x1A01")
+        if self.feedforward is not None:
+            self._check_feedforward()
         return self
+
+    def _check_feedforward(self) -> None:
+        if self.velocity is None:
+            raise ValueError("feedforward needs [velocity]: the velocity offset 0x60B1 is in its unit")
+        if self.torque_offset is None and not self.torque.kind.startswith("permille"):
+            raise ValueError("feedforward needs [torque_offset]: it is not known what one bit of 0x60B2 is")
+        missing = [f"0x{index:04X}" for index in _FEEDFORWARD_WRITES if index not in self.write.allow]
+        if missing:
+            raise ValueError(f"feedforward needs a second RPDO: write.allow lacks {', '.join(missing)}")
 
 
 def list_profiles() -> list[str]:

@@ -26,6 +26,8 @@ class AxisSetup:
         Largest speed that may be commanded, motor side.
     position_limit_count : (int, int), optional
         Lowest and highest target that may be commanded, position counts.
+    feedforward : bool
+        The second RPDO with the velocity offset is mapped and sent.
 
     Raises
     ------
@@ -38,6 +40,7 @@ class AxisSetup:
     torque_constant_nm_per_a: float
     max_motor_speed_rad_s: float
     position_limit_count: tuple[int, int] | None = None
+    feedforward: bool = False
 
     def __post_init__(self) -> None:
         if not 1 <= self.node_id <= 127:
@@ -50,14 +53,18 @@ class AxisSetup:
         if self.position_limit_count is not None and not self.position_limit_count[0] < self.position_limit_count[1]:
             what = f"position limits {self.position_limit_count} are not in order"
             raise ProfileError(what, node=self.node_id, advice="correct the cell file")
+        if self.feedforward and self.profile.feedforward is None:
+            what = f"profile {self.profile.name} has no [feedforward]: the drive takes no velocity offset 0x60B1"
+            raise ProfileError(what, node=self.node_id, advice="follow the path without feedforward on this drive")
 
 
 @dataclass(frozen=True, slots=True)
 class DriveCommand:
-    """Target of one SYNC, motor side."""
+    """Target of one SYNC, motor side; a velocity offset only for a drive that was set up with feedforward."""
 
     position_rad: float
     torque_offset_nm: float = 0.0
+    velocity_offset_rad_s: float = 0.0
 
 
 class DriveReading(NamedTuple):
