@@ -37,6 +37,7 @@ from drives.exchange import Pacing, SyncExchange, Timing
 from drives.guard import Guard, Limits, refuse_foreign
 from drives.heartbeat import HeartbeatProducer, HeartbeatWatch, NmtCommand, send_nmt
 from drives.ledger import WriteLedger
+from drives.proof import StopTrace, fall_silent
 from drives.statistics import GroupStatistics, group_statistics
 
 #: Before anything is sent: how long to listen for another master.
@@ -296,6 +297,44 @@ class DriveGroup:
         for drive in self.drives:
             drive.hold(drive.target_count)
         return self._cycle()
+
+    def fall_silent(self, commands: Sequence[Sequence[DriveCommand]]) -> tuple[StopTrace, ...]:
+        """Stop the master's heartbeat on purpose while the axes move, watch each drive stop by itself, disable all.
+
+        Parameters
+        ----------
+        commands : sequence of sequences of DriveCommand
+            Set points that go on without a heartbeat, one row per SYNC; slow ones.
+
+        Returns
+        -------
+        tuple of StopTrace
+            One per axis. A drive that reacts with a fault stays in it.
+
+        Raises
+        ------
+        SeveralFailures or DriveError
+            A frame could not be sent, or axes of which it is not known that they are disabled.
+        """
+        self._require(self.enabled, "enable() first")
+        exchange, _ = self._parts()
+        self.enabled = False
+        try:
+            traces = fall_silent(exchange, commands, self._last_beat)
+        except BaseException as error:
+            self._after(error, stopping.quick_stop)
+            raise
+        try:
+            if any(trace.left_s is None for trace in traces):
+                self.quick_stop()
+        finally:
+            self.disable()
+        return traces
+
+    def _last_beat(self) -> None:
+        """One more heartbeat, from which the drives count, and no other."""
+        self._producer.start(self.sync_index * self.timing.period_s)
+        self._producer.stop()
 
     def _cycle(self) -> Epoch:
         exchange, guard = self._parts()

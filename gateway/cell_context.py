@@ -65,8 +65,15 @@ class CellContext:
 
     def ledger(self, arm: ArmConfig) -> Path:
         """Write ledger of an arm: one per cell file, arm and bus, so that parallel runs do not share one."""
+        return self._state(arm, "")
+
+    def stop_proof(self, arm: ArmConfig) -> Path:
+        """Where the proof is kept that the drives of an arm stop on loss of the master."""
+        return self._state(arm, "-stop")
+
+    def _state(self, arm: ArmConfig, kind: str) -> Path:
         key = f"{self.path.resolve()}|{arm.name}|{self.bus_spec(arm)}"
-        name = f"{self.loaded.cell.name}-{arm.name}-{hashlib.sha256(key.encode()).hexdigest()[:12]}.json"
+        name = f"{self.loaded.cell.name}-{arm.name}-{hashlib.sha256(key.encode()).hexdigest()[:12]}{kind}.json"
         folder = _state_folder()
         folder.mkdir(parents=True, exist_ok=True)
         return folder / "".join(part if part.isalnum() or part in "-_." else "_" for part in name)

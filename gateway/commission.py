@@ -21,6 +21,7 @@ from gateway.analysis import Given, ModelRequest, diagnose_arguments, estimate_o
 from gateway.cell_context import CellContext
 from gateway.check import check_arm
 from gateway.check_rules import CheckItem
+from gateway.check_stop import ensure_proven
 from gateway.config import ArmConfig
 from gateway.data import read_data
 from gateway.diagnose import DiagnoseOptions
@@ -98,7 +99,7 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
     Raises
     ------
     FindingFailed
-        The pre-flight check failed; nothing has moved.
+        The pre-flight check failed and nothing has moved, or a drive does not stop on loss of the master.
     PlanRefused, DriveError, DataUnusable, InputError, KeyboardInterrupt
         As the parts; the arm stands, what was measured is kept.
     """
@@ -106,6 +107,7 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
     plan = make_plan(job.context.loaded, arm=job.arm.name)
     dialogue.planned(plan)
     with open_arm(job.context.loaded, job.context.override(job.arm), job.arm.name) as opened:
+        ensure_proven(opened, job.context.stop_proof(job.arm), dialogue.say)
         robot = _Robot(job, dialogue, opened, plan)
         for label in (BARE, *job.labels):
             robot.measure_load(label)

@@ -82,6 +82,10 @@ def _unsigned(drive: FakeDrive, _fault: Fault) -> None:
     _replace_torque(drive, lambda get: lambda: abs(get()))
 
 
+def _deaf(drive: FakeDrive, _fault: Fault) -> None:
+    drive.node.on_heartbeat_lost = lambda _node: None
+
+
 def _scaled_rating(factor: int) -> Callable[[FakeDrive, Fault], None]:
     def change(drive: FakeDrive, _fault: Fault) -> None:
         for address in ((0x6075, 0), (0x6076, 0)):
@@ -107,6 +111,7 @@ ACTIONS: dict[str, Callable[[FakeDrive, Fault], None]] = {
     "never_settles": _wobble,
     "demand_torque": _demand,
     "unsigned_torque": _unsigned,
+    "heartbeat_ignored": _deaf,
     "wrong_rated": _scaled_rating(1000),
     "rated_zero": _scaled_rating(0),
     "wrong_vendor": _other_make,

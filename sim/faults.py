@@ -105,6 +105,7 @@ KINDS: dict[str, Kind] = {
     # what the drive says about itself
     "demand_torque": Kind("drive", "finding", None, "0x6077 shows the demand, not the measurement"),
     "unsigned_torque": Kind("drive", "finding", None, "0x6077 has lost its sign"),
+    "heartbeat_ignored": Kind("drive", "finding", None, "the drive goes on when the master's heartbeat is gone"),
     "wrong_rated": Kind("object", "finding", None, "rated torque in uNm instead of mNm"),
     "rated_zero": Kind("object", "refuses", None, "rated torque is zero"),
     "wrong_vendor": Kind("object", "refuses", None, "another make of drive"),

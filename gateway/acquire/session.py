@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -15,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from gateway.acquire.events import Event, Listener, PoseDone, VisitDone
+from gateway.acquire.interrupt import ctrl_c_asks
 from gateway.acquire.opening import BusOverride, OpenArm, open_arm
 from gateway.acquire.plan import Plan
 from gateway.acquire.planning import make_plan, plan_of_poses
@@ -128,7 +126,7 @@ def record(opened: OpenArm, plan: Plan, request: RecordRequest, listeners: Seque
     tally = _Tally()
     try:
         writer.begin(_arm_header(opened, poses))
-        with _ctrl_c() as stop_asked:
+        with ctrl_c_asks() as stop_asked:
             station = Station(opened.arm, opened.workspace, writer, (tally, *listeners), stop_asked)
             run_plan(station, RunRequest(plan, request.load, done))
         statistics = _plain(asdict(opened.group.statistics))
@@ -231,24 +229,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     return value if value is None or isinstance(value, bool | int | float | str) else str(value)
-
-
-@contextmanager
-def _ctrl_c() -> Iterator[Callable[[], bool]]:
-    """Turn the first Ctrl-C into a question with the answer yes; the second one interrupts at once."""
-    if threading.current_thread() is not threading.main_thread():
-        yield lambda: False
-        return
-    asked = False
-
-    def on_signal(number: int, frame: Any) -> None:
-        nonlocal asked
-        if asked:
-            signal.default_int_handler(number, frame)
-        asked = True
-
-    before = signal.signal(signal.SIGINT, on_signal)
-    try:
-        yield lambda: asked
-    finally:
-        signal.signal(signal.SIGINT, before)

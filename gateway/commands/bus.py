@@ -9,13 +9,25 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from gateway.commands.options import bus_option, cell_argument, common, json_option, session_of, write_json
+from gateway.commands.options import (
+    bus_option,
+    cell_argument,
+    common,
+    confirm,
+    json_option,
+    session_of,
+    stop_on_termination,
+    write_json,
+    yes_option,
+)
 from gateway.console import findings_table, grid
 from gateway.errors import FindingFailed
 
 if TYPE_CHECKING:
     from drives.probe import ScanResult
+    from gateway.cell_context import CellContext
     from gateway.check_rules import CheckItem
+    from gateway.config import ArmConfig
 
 DEFAULT_BUS = "socketcan:can0"
 
@@ -68,27 +80,75 @@ def _hex(value: int | None) -> str:
 
 @click.command()
 @cell_argument
+@click.option("--move", is_flag=True, help="Small moves: signs, axis order, gear ratios, torque, against the model.")
+@click.option(
+    "--prove-stop", is_flag=True, help="Withhold the heartbeat while the arm moves slowly: do the drives stop?"
+)
 @bus_option
 @json_option
+@yes_option
 @common
-def check(cell: Path, bus_spec: str | None, json_out: str | None) -> None:
-    """Pre-flight check of every drive against profile and cell file. Nothing is written, nothing moves."""
+def check(cell: Path, move: bool, prove_stop: bool, bus_spec: str | None, json_out: str | None, yes: bool) -> None:
+    """Pre-flight check of every drive against profile and cell file.
+
+    Nothing is written and nothing moves unless --move or --prove-stop is given; then it asks.
+    """
     from gateway.cell_context import open_cell
 
     context = open_cell(cell, bus_spec)
+    session = session_of()
     items: dict[str, list[CheckItem]] = {}
+    proofs: list[dict[str, Any]] = []
     for arm in context.arms:
         with context.open_bus(arm) as bus:
             items[arm.name] = [context.bus_load(arm), *_check_arm(bus, context, arm)]
-    session = session_of()
+    failed = any(line.severity == "fail" for lines in items.values() for line in lines)
+    if (move or prove_stop) and not failed:
+        for arm in context.arms:
+            confirm(_question(context, arm, prove_stop), yes=yes)
+            found, seen = _in_motion(context, arm, move, prove_stop)
+            items[arm.name] += found
+            proofs += seen
+    elif move or prove_stop:
+        session.note("nothing has moved: correct what has failed first")
     for name, lines in items.items():
         shown = [line for line in lines if session.verbosity > 0 or line.severity in ("warn", "fail")]
         title = f"arm {name}: {_count(lines)}"
         session.show(findings_table([line.as_json() for line in shown], title) if shown else title)
     findings = [line.as_json() for lines in items.values() for line in lines]
     if json_out:
-        write_json(json_out, {"schema": 1, "cell": context.loaded.cell.name, "findings": findings})
+        body = {"schema": 1, "cell": context.loaded.cell.name, "findings": findings}
+        write_json(json_out, body | ({"stop_proof": proofs} if proofs else {}))
     _fail_on(findings)
+
+
+def _question(context: CellContext, arm: ArmConfig, prove_stop: bool) -> str:
+    text = f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move a little on every joint"
+    if prove_stop or not context.stop_proof(arm).exists():
+        text += ", and its drives lose the master's heartbeat on purpose (a fault they answer with is reset)"
+    return f"{text}. Is nobody near it, and the emergency stop at hand?"
+
+
+def _in_motion(
+    context: CellContext, arm: ArmConfig, move: bool, prove_stop: bool
+) -> tuple[list[CheckItem], list[dict[str, Any]]]:
+    """Checks that move the arm; the stop is proven before anything else moves."""
+    from gateway.acquire.opening import open_arm
+    from gateway.check_stop import keep_proof, proven_on
+    from gateway.check_stop import prove_stop as prove
+
+    items: list[CheckItem] = []
+    seen: list[dict[str, Any]] = []
+    path = context.stop_proof(arm)
+    with stop_on_termination(), open_arm(context.loaded, context.override(arm), arm.name) as opened:
+        if prove_stop or proven_on(path, opened) is None:
+            proof = prove(opened)
+            keep_proof(path, opened, proof)
+            items += proof.items
+            seen.append(proof.as_json())
+            if not proof.passed:
+                return items, seen
+    return items, seen
 
 
 def _check_arm(bus: Any, context: Any, arm: Any) -> list[CheckItem]:

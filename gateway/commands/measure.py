@@ -106,10 +106,14 @@ def record(
     bus_spec: str | None,
     yes: bool,
 ) -> None:
-    """Measure the rest poses under one load. The arm moves; Ctrl-C stops it and keeps what was measured."""
+    """Measure the rest poses under one load. The arm moves; Ctrl-C stops it and keeps what was measured.
+
+    The first time with these drives, it is proven before anything else that they stop when the master is gone.
+    """
     from gateway.acquire.session import RecordRequest, open_arm
     from gateway.arm_model import arm_named
     from gateway.cell_context import open_cell
+    from gateway.check_stop import ensure_proven
     from gateway.progress import recording_with_progress
 
     context = open_cell(cell, bus_spec)
@@ -118,8 +122,10 @@ def record(
     session = session_of()
     if not yes:
         show_plan(chosen)
-    confirm(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move. Is nobody near it?", yes=yes)
+    first = "" if context.stop_proof(arm).exists() else " At first its drives lose the heartbeat on purpose."
+    confirm(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is nobody near it?", yes=yes)
     with stop_on_termination(), open_arm(context.loaded, context.override(arm, trace), arm.name) as opened:
+        ensure_proven(opened, context.stop_proof(arm), session.note)
         summary = recording_with_progress(session, opened, chosen, RecordRequest(label, output, resume))
     session.show(f"{output}: {summary.visits} visits under load {label}, {summary.skipped} were there already")
     session.show(axis_table("friction band [Nm], median over the poses", {"band": summary.friction_band_nm}))

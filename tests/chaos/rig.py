@@ -125,6 +125,7 @@ class Rig:
     def _renew(self) -> None:
         for drive, (values, entries) in zip(self.server.drives, self._fresh, strict=True):
             drive.node.silent = False
+            drive.node.on_heartbeat_lost = drive._heartbeat_lost
             drive.motion.brake_stuck = False
             drive.motion.wobble = None
             drive.store.entries.update(entries)

@@ -11,10 +11,10 @@ import pytest
 from drives.bus import BusSpec
 from drives.errors import NodeMissing, SeveralFailures
 from gateway.acquire.events import PoseDone, Progress, VisitDone
+from gateway.acquire.interrupt import ctrl_c_asks
 from gateway.acquire.session import (
     BusOverride,
     RecordRequest,
-    _ctrl_c,
     make_plan,
     open_arm,
     plan_of_recording,
@@ -152,7 +152,7 @@ def test_nobody_on_the_bus(small_cell):
 
 def test_first_ctrl_c_asks_and_the_second_interrupts():
     before = signal.getsignal(signal.SIGINT)
-    with _ctrl_c() as stop_asked:
+    with ctrl_c_asks() as stop_asked:
         assert not stop_asked()
         signal.raise_signal(signal.SIGINT)
         assert stop_asked()

@@ -1,0 +1,312 @@
+"""Proof on the machine that the drives stop when the master is gone: the arm moves slowly, the heartbeat is withheld.
+
+The proof stands for these six drives (serial number, firmware) with these settings; it is kept beside the write ledger
+and asked for before anything else moves.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from drives.cia402 import State, decode_state
+from drives.errors import DriveError
+from drives.objects import OBJECTS
+from drives.proof import StopTrace
+from gateway.acquire.arm import Arm
+from gateway.acquire.contact import TAKE_OVER_S
+from gateway.acquire.interrupt import ctrl_c_asks
+from gateway.acquire.opening import OpenArm
+from gateway.acquire.plan import approach_limits
+from gateway.acquire.stream import Stream
+from gateway.acquire.trajectory import Motion, straight
+from gateway.acquire.watch import Watch
+from gateway.acquire.workspace import Workspace
+from gateway.check_rules import CheckItem
+from gateway.errors import FindingFailed, PlanRefused
+
+#: Speed of every joint while the heartbeat is withheld, and how far it may travel on its way.
+SPEED_RAD_S: Final = 0.05
+TRAVEL_RAD: Final = 0.1
+#: How much longer than the longest heartbeat time the arm would go on.
+BEYOND_S: Final = 0.5
+#: A drive may travel this far [rad, joint] once it has left OPERATION ENABLED.
+COAST_RAD: Final = 0.05
+#: Left before this share of its heartbeat time: for another reason.
+EARLY: Final = 0.4
+#: Error codes that the loss of the heartbeat explains (CiA 301, table 26: 0x81xx communication).
+COMMUNICATION_CLASS: Final = 0x81
+SCHEMA: Final = 1
+
+
+@dataclass(frozen=True, slots=True)
+class StopProof:
+    """What the drives of an arm did without their master.
+
+    Attributes
+    ----------
+    arm : str
+    traces : tuple of 6 StopTrace
+    moved_rad, coast_rad : tuples of 6 floats
+        Joint angle from the last heartbeat to rest, and from the last SYNC in OPERATION ENABLED to rest.
+    items : tuple of CheckItem
+    """
+
+    arm: str
+    traces: tuple[StopTrace, ...]
+    moved_rad: tuple[float, ...]
+    coast_rad: tuple[float, ...]
+    items: tuple[CheckItem, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every drive stopped as stated."""
+        return not any(item.severity == "fail" for item in self.items)
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "arm": self.arm,
+            "drives": [
+                asdict(trace) | {"state": str(trace.state), "moved_joint_rad": moved, "coast_joint_rad": coast}
+                for trace, moved, coast in zip(self.traces, self.moved_rad, self.coast_rad, strict=True)
+            ],
+        }
+
+
+def slow_motion(arm: str, workspace: Workspace, start_rad: np.ndarray, consumer_s: float, period_s: float) -> Motion:
+    """A slow motion of all six joints that lasts longer than the heartbeat time, inside all limits.
+
+    Parameters
+    ----------
+    arm : str
+        Name, for messages.
+    workspace : Workspace
+    start_rad : array of shape (6,)
+        Where the arm stands.
+    consumer_s : float
+        Longest heartbeat time of the drives.
+    period_s : float
+        SYNC period.
+
+    Raises
+    ------
+    PlanRefused
+        The arm has no room around it.
+    """
+    reason = workspace.why_not(start_rad)
+    if reason is not None:
+        raise PlanRefused(f"arm '{arm}' stands where it may not move: {reason}; move it clear by hand")
+    lasts_s = consumer_s + 2.0 * BEYOND_S
+    speed = min(SPEED_RAD_S, TRAVEL_RAD / lasts_s, float(workspace.speed_rad_s.min()))
+    for scale in (1.0, 0.5):
+        for signs in _directions(workspace, start_rad):
+            target = start_rad + scale * speed * lasts_s * signs
+            if workspace.path_clear(start_rad[None], target[None])[0]:
+                return straight(start_rad, target, approach_limits(workspace, scale * speed), period_s)
+    raise PlanRefused(
+        f"arm '{arm}' has no room for {speed * lasts_s:.2f} rad on every joint where it stands; "
+        "bring it to a free posture, away from limits and keep_out boxes"
+    )
+
+
+def _directions(workspace: Workspace, start_rad: np.ndarray) -> Iterator[np.ndarray]:
+    """Signs to try: away from the nearer limit, back, then others."""
+    inward = np.where(start_rad > (workspace.lower_rad + workspace.upper_rad) / 2, -1.0, 1.0)
+    yield inward
+    yield -inward
+    flips = np.random.default_rng(0).permutation(62) + 1
+    for flip in flips:
+        yield np.where(flip >> np.arange(6) & 1, -inward, inward)
+
+
+def prove_stop(opened: OpenArm) -> StopProof:
+    """Move slowly, withhold the heartbeat, watch every drive stop, and bring the drives back to where they were.
+
+    A drive that answers the lost heartbeat with a fault of the communication class is reset afterwards, since the
+    person who asked for the proof asked for that fault; any other fault stays.
+
+    Parameters
+    ----------
+    opened : OpenArm
+        Connected and configured, in its brakes.
+
+    Raises
+    ------
+    PlanRefused
+        No room to move.
+    LimitExceeded, DriveError, KeyboardInterrupt
+        The arm was stopped.
+    """
+    arm, workspace = opened.arm, opened.workspace
+    period_s = opened.group.timing.period_s
+    consumer_s = max(profile.heartbeat.consumer_ms for profile in opened.profiles) / 1000.0
+    motion = slow_motion(arm.name, workspace, arm.where(), consumer_s, period_s)
+    speed = np.abs(motion.qd_rad_s).max(axis=1)
+    steady = int(np.argmax(speed >= 0.99 * speed.max())) + 1
+    with ctrl_c_asks() as stop_asked:
+        stream = Stream(arm, Watch(arm.name, workspace, period_s), stop_asked, lambda *_: None, len(motion) + 1)
+        try:
+            stream.start(arm.enable().q_rad)
+            for row in range(int(np.ceil(TAKE_OVER_S / period_s))):
+                stream.hold("open the brakes", row, 0)
+            stream.move(_rows(motion, slice(0, steady)), "move slowly")
+            traces = opened.group.fall_silent(arm.commands(motion.q_rad[steady:]))
+        except BaseException as error:
+            _stop(arm, error)
+            raise
+    return _judge(opened, traces, float(speed.max()), _reset_provoked(opened))
+
+
+def _rows(motion: Motion, rows: slice) -> Motion:
+    return Motion(motion.q_rad[rows], motion.qd_rad_s[rows], motion.qdd_rad_s2[rows], motion.period_s)
+
+
+def _stop(arm: Arm, error: BaseException) -> None:
+    for action in (arm.quick_stop, arm.disable):
+        try:
+            action()
+        except DriveError as failure:
+            error.add_note(f"while stopping: {failure}")
+
+
+def _reset_provoked(opened: OpenArm) -> dict[int, str]:
+    """Reset the faults that the withheld heartbeat explains; what stays, by node."""
+    left: dict[int, str] = {}
+    for access in opened.group.access:
+        try:
+            if decode_state(access.read(OBJECTS["statusword"])) is not State.FAULT:
+                continue
+            code = access.read(OBJECTS["error_code"])
+            if code >> 8 != COMMUNICATION_CLASS:
+                left[access.node_id] = f"stays in FAULT, error code 0x{code:04X}, which no lost heartbeat explains"
+                continue
+            opened.group.reset_fault(access.node_id)
+        except DriveError as error:
+            left[access.node_id] = str(error)
+    return left
+
+
+def _judge(opened: OpenArm, traces: tuple[StopTrace, ...], speed_rad_s: float, left: dict[int, str]) -> StopProof:
+    axes = opened.arm.axes
+    to_joint = np.abs(np.linalg.inv(axes.coupling)) / np.abs(axes.ratio)
+    moved = to_joint @ np.array([trace.moved_rad for trace in traces])
+    coast = to_joint @ np.array([trace.coast_rad for trace in traces])
+    items = []
+    for joint, trace in enumerate(traces, start=1):
+        where = f"J{joint} node {trace.node_id}:{OBJECTS['consumer_heartbeat']}"
+        items += [CheckItem(*found) for found in _findings(where, trace, moved[joint - 1], coast[joint - 1])]
+        if trace.node_id in left:
+            advice = "find and remove the cause, then reset it at the drive"
+            items.append(CheckItem("fail", f"J{joint} node {trace.node_id}", left[trace.node_id], advice))
+    about = f"arm {opened.config.name}"
+    what = f"heartbeat withheld at {speed_rad_s:.3f} rad/s on every joint; the drives are back as they were"
+    items.insert(0, CheckItem("info", about, what))
+    return StopProof(opened.config.name, traces, tuple(moved.tolist()), tuple(coast.tolist()), tuple(items))
+
+
+def _findings(where: str, trace: StopTrace, moved_rad: float, coast_rad: float) -> Iterator[tuple[Any, ...]]:
+    stated = f"{1000 * trace.stated_s:.0f} ms are stated"
+    seen = f"left OPERATION ENABLED after {1000 * (trace.left_s or 0.0):.0f} ms ({stated})"
+    path = f"{moved_rad:.4f} rad from the last heartbeat to rest, {coast_rad:.4f} rad of them after it had left"
+    if trace.left_s is None:
+        advice = "it ignores the loss of the master: do not move this arm; check 0x1016 and 0x6007, and its firmware"
+        yield "fail", where, f"went on moving without the master's heartbeat; {stated}; the master stopped it", advice
+    elif not trace.in_time:
+        advice = "lower consumer_ms of its profile, or correct what the profile states"
+        yield "fail", where, f"{seen}: too late, {path}", advice
+    elif trace.left_s < EARLY * trace.stated_s:
+        advice = "something else has stopped it; find out what, then prove the stop again"
+        yield "fail", where, f"{seen}: too early for a lost heartbeat", advice
+    elif not trace.stood:
+        advice = "check brake and quick stop ramp (0x6085), and the brake's delay"
+        yield "fail", where, f"{seen}, but did not come to rest: {path}", advice
+    elif coast_rad > COAST_RAD:
+        advice = "the brake closes late or the ramp is too flat: check 0x605A, 0x6085 and the brake's delay"
+        yield "fail", where, f"{seen}, {path}; {COAST_RAD} rad are allowed", advice
+    else:
+        yield "ok", where, f"{seen}, {trace.state}: {path}"
+
+
+# ------------------------------------------------------------------------------------------------- proofs that are kept
+
+
+def fingerprint(opened: OpenArm) -> list[dict[str, Any]]:
+    """What a proof stands for: the six drives and what they were told to do."""
+    return [
+        {
+            "node_id": identity.node_id,
+            "vendor_id": identity.vendor_id,
+            "product_code": identity.product_code,
+            "serial_number": identity.serial_number,
+            "firmware": identity.software_version,
+            "consumer_ms": profile.heartbeat.consumer_ms,
+            "abort_connection": profile.heartbeat.abort_connection,
+        }
+        for identity, profile in zip(opened.identities, opened.profiles, strict=True)
+    ]
+
+
+def proven_on(path: Path, opened: OpenArm) -> str | None:
+    """Date of a proof for these drives with these settings; None = there is none."""
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    if not isinstance(stored, dict) or stored.get("schema") != SCHEMA or stored.get("drives") != fingerprint(opened):
+        return None
+    return str(stored.get("date"))
+
+
+def keep_proof(path: Path, opened: OpenArm, proof: StopProof) -> None:
+    """Keep a proof that was passed; one that failed removes what was kept."""
+    if not proof.passed:
+        path.unlink(missing_ok=True)
+        return
+    date = datetime.now(UTC).isoformat(timespec="seconds")
+    body = {"schema": SCHEMA, "date": date, "drives": fingerprint(opened), "seen": proof.as_json()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary.write_text(json.dumps(body, indent=1) + "\n", encoding="utf-8")
+    os.replace(temporary, path)
+
+
+def ensure_proven(opened: OpenArm, path: Path, say: Callable[[str], None]) -> None:
+    """Make sure that loss of the master stops these drives, before anything else moves; proven once, then kept.
+
+    Parameters
+    ----------
+    opened : OpenArm
+        Connected and configured, in its brakes; the person has agreed that it moves.
+    path : Path
+        Where the proof is kept.
+    say : callable
+        Takes a remark.
+
+    Raises
+    ------
+    FindingFailed
+        A drive does not stop.
+    PlanRefused, DriveError, KeyboardInterrupt
+        As `prove_stop`.
+    """
+    date = proven_on(path, opened)
+    if date is not None:
+        say(f"drives stop on loss of the master: proven {date}")
+        return
+    say("proving that the drives stop on loss of the master: a slow motion without heartbeat")
+    proof = prove_stop(opened)
+    keep_proof(path, opened, proof)
+    failed = [item for item in proof.items if item.severity == "fail"]
+    if failed:
+        more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
+        first = failed[0]
+        raise FindingFailed(f"nothing is measured: {first.where}: {first.what}; {first.advice}{more}")
+    say(f"every drive stopped by itself, within {1000 * max(trace.left_s or 0.0 for trace in proof.traces):.0f} ms")

@@ -1,0 +1,113 @@
+"""The checks that move the arm: stopping on loss of the master, proven before anything else moves."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+pytestmark = pytest.mark.system
+
+DEAF = '[[fault]]\nkind = "heartbeat_ignored"\nnode = {}\n'
+
+
+def check(gateway, place, drives, *more, cell=None, **options):
+    done = gateway(
+        "check", cell or place.cell, "--bus", drives.bus, "--json", place.folder / "check.json", *more, **options
+    )
+    path = place.folder / "check.json"
+    body = json.loads(path.read_text()) if path.exists() else {"findings": []}
+    return done, body
+
+
+def failed(body):
+    return [item for item in body["findings"] if item["severity"] == "fail"]
+
+
+# ---------------------------------------------------------------------------------------------- loss of the master
+
+
+def test_every_drive_stops_when_the_heartbeat_is_withheld(place, gateway, serve):
+    drives = serve()
+    done, body = check(gateway, place, drives, "--prove-stop", "--yes")
+    assert done.exit_code == 0, done.output
+    (proof,) = body["stop_proof"]
+    assert [drive["node_id"] for drive in proof["drives"]] == [1, 2, 3, 4, 5, 6]
+    for drive in proof["drives"]:
+        assert 0.4 < drive["left_s"] <= drive["stated_s"] == pytest.approx(0.51)
+        assert 0.01 < drive["moved_joint_rad"] < 0.05
+        assert drive["coast_joint_rad"] < 0.01
+    assert drives.stand_still()
+    assert all(not drive.automaton.state.name.startswith("FAULT") for drive in drives.handle.simulation.arms[0].drives)
+
+
+def test_a_drive_that_goes_on_without_its_master_is_found_and_stopped(place, gateway, serve):
+    drives = serve(fault=DEAF.format(4))
+    done, body = check(gateway, place, drives, "--prove-stop", "--yes")
+    assert done.exit_code == 7, done.output
+    (item,) = failed(body)
+    assert item["where"].startswith("J4 node 4")
+    assert "without the master's heartbeat" in item["what"]
+    assert "do not move this arm" in item["advice"]
+    assert drives.stand_still()
+
+
+def test_a_fault_that_the_withheld_heartbeat_provoked_is_reset_and_no_other(place, gateway, serve):
+    """Some drives go to FAULT whatever 0x6007 says; a fault of another class is the engineer's to look at."""
+    drives = serve()
+    devices = drives.handle.simulation.arms[0].drives
+    for device, code in zip(devices, (0x8130, 0x8130, 0x8130, 0x8130, 0x7305, 0x8130), strict=True):
+        device.node.on_heartbeat_lost = lambda _node, device=device, code=code: device.raise_fault(code)
+    done, body = check(gateway, place, drives, "--prove-stop", "--yes")
+    assert done.exit_code == 7, done.output
+    (item,) = failed(body)
+    assert item["where"] == "J5 node 5"
+    assert "0x7305" in item["what"]
+    assert all(drive["state"] == "FAULT" for drive in body["stop_proof"][0]["drives"])
+    assert [device.automaton.state.name for device in devices].count("FAULT") == 1
+
+
+@pytest.mark.parametrize("option", ["--move", "--prove-stop"])
+def test_nothing_moves_without_a_yes_or_with_a_failed_check(place, gateway, serve, option):
+    drives = serve()
+    done, _ = check(gateway, place, drives, option, input="n\n")
+    assert done.exit_code == 130
+    faulty = serve(fault='[[fault]]\nkind = "fault_at_start"\nnode = 3\n')
+    done, body = check(gateway, place, faulty, option, "--yes")
+    assert done.exit_code == 7
+    assert "nothing has moved" in done.stderr
+    for each in (drives, faulty):
+        assert each.handle.simulation.servers[0].sync_count == 0
+        assert each.stand_still()
+
+
+def test_no_room_no_motion(place, gateway, serve):
+    drives = serve()
+    cell = place.variant("narrow", ("position_limit_rad = [-2.8, 2.8]", "position_limit_rad = [-0.02, 0.02]"))
+    done, _ = check(gateway, place, drives, "--prove-stop", "--yes", cell=cell)
+    assert done.exit_code == 5, done.output
+    assert "no room" in done.stderr
+    assert drives.stand_still()
+
+
+def test_recording_needs_the_proof_once(place, gateway, serve):
+    drives = serve()
+    first = gateway("record", place.cell, "--bus", drives.bus, "--load", "none", "-o", place.run, "--yes")
+    assert first.exit_code == 0, first.output
+    assert "every drive stopped by itself" in first.stderr
+    again = gateway("record", place.cell, "--bus", drives.bus, "--load", "none", "-o", place.folder / "b.h5", "--yes")
+    assert again.exit_code == 0, again.output
+    assert "proven 20" in again.stderr
+
+
+def test_recording_is_refused_where_a_drive_goes_on(place, gateway, serve, commission):
+    drives = serve(fault=DEAF.format(2))
+    done = gateway("record", place.cell, "--bus", drives.bus, "--load", "none", "-o", place.run, "--yes")
+    assert done.exit_code == 7, done.output
+    assert "J2 node 2" in done.stderr
+    assert not place.run.exists()
+    code, result, hands, output = commission(drives)
+    assert code == 7, output.err
+    assert result is None
+    assert hands.asked == []
+    assert drives.stand_still()
