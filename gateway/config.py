@@ -92,6 +92,9 @@ class AxisConfig(_Strict):
     acceleration_limit_rad_s2: Positive | None = None
     jerk_limit_rad_s3: Positive | None = None
     following_error_limit_rad: Positive = 0.1
+    rotor_inertia_kg_m2: Constant | None = Field(default=None, description="of motor and gear, at the joint")
+    coulomb_nm: Constant | None = Field(default=None, description="dry friction of motor and gear, at the joint")
+    viscous_nm_s_rad: Constant | None = Field(default=None, description="friction that grows with the joint speed")
 
     @property
     def acceleration_rad_s2(self) -> float:
@@ -140,6 +143,13 @@ class ArmConfig(_Strict):
     coupling: tuple[tuple[float, ...], ...] | None = Field(
         default=None, description="6 x 6 matrix A of q_motor_side = A q_joint, ratios not included; identity if absent"
     )
+    base_xyz_m: Vector3 = Field(default=(0.0, 0.0, 0.0), description="base of the arm in the world")
+    base_rpy_rad: Vector3 = (0.0, 0.0, 0.0)
+    tool_xyz_m: Vector3 = Field(default=(0.0, 0.0, 0.0), description="fingertip of the gripper in the flange")
+    tool_rpy_rad: Vector3 = (0.0, 0.0, 0.0)
+    start_rad: tuple[Finite, Finite, Finite, Finite, Finite, Finite] | None = Field(
+        default=None, description="joint angles at which an arm of a pair grips the part: start of the path"
+    )
     axis: tuple[AxisConfig, ...]
 
     @model_validator(mode="after")
@@ -172,6 +182,35 @@ class PosesConfig(_Strict):
     file: str | None = Field(default=None, description="CSV with pose, q1_rad .. q6_rad instead of chosen poses")
 
 
+class SixFold(_Strict):
+    """A number for the three straight directions [N/m, Ns/m, N, m] and one for the three turns [per rad]."""
+
+    straight: Positive
+    turned: Positive
+
+
+class PairConfig(_Strict):
+    """Two arms that carry one workpiece; the part's frame lies in its centre."""
+
+    master: str
+    slave: str
+    path: str = Field(description="CSV: time_s and the part's pose in the world x_m .. yaw_rad")
+    speed: Positive = Field(default=1.0, description="speed setting; 1 = as the path says")
+    part_mass_kg: Positive
+    master_grasp_xyz_m: Vector3 = Field(description="fingertip of the master in the part's frame")
+    master_grasp_rpy_rad: Vector3
+    slave_grasp_xyz_m: Vector3
+    slave_grasp_rpy_rad: Vector3
+    force_limit_n: Positive = Field(description="largest force inside the part; twice of it for 20 ms stops both arms")
+    contact_stiffness: SixFold = Field(description="of part and gears together, what the correction works against")
+    impedance_damping: SixFold
+    impedance_stiffness: SixFold
+    knots: int = Field(default=9, ge=2, description="points that are taught, evenly spread over the way")
+    servo_lag_s: Positive = Field(default=0.016, description="by which the axes follow their set points")
+    loop_delay_s: Positive = Field(default=0.035, description="from a force to the correction that answers it")
+    force_filter_hz: Positive = 15.0
+
+
 class Cell(_Strict):
     """The whole cell file."""
 
@@ -179,6 +218,7 @@ class Cell(_Strict):
     bus: dict[str, BusConfig]
     arm: tuple[ArmConfig, ...] = Field(min_length=1)
     poses: PosesConfig = PosesConfig()
+    pair: PairConfig | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Cell:
@@ -193,7 +233,24 @@ class Cell(_Strict):
                 if (arm.bus, axis.node_id) in taken:
                     raise ValueError(f"bus '{arm.bus}': node id {axis.node_id} is used by two arms")
                 taken.add((arm.bus, axis.node_id))
+        if self.pair is not None:
+            _check_pair(self.pair, self)
         return self
+
+
+def _check_pair(pair: PairConfig, cell: Cell) -> None:
+    arms = {arm.name: arm for arm in cell.arm}
+    for role in ("master", "slave"):
+        name = getattr(pair, role)
+        if name not in arms:
+            raise ValueError(f"pair: {role} = '{name}' is no arm of this cell; it has {', '.join(arms)}")
+        if arms[name].start_rad is None:
+            raise ValueError(f"arm '{name}' is the {role} of a pair and needs start_rad")
+    if pair.master == pair.slave or arms[pair.master].bus == arms[pair.slave].bus:
+        raise ValueError("pair: master and slave are two arms on two buses")
+    first, second = (cell.bus[arms[name].bus] for name in (pair.master, pair.slave))
+    if (first.sync_period_s, first.pacing) != (second.sync_period_s, second.pacing):
+        raise ValueError("pair: sync_period_s and pacing of both buses must be the same")
 
 
 class LoadedCell(_Strict):

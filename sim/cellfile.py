@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 Table = Mapping[str, Any]
 
 PAYLOAD_DENSITY_KG_M3 = 2500.0
+#: Constants of an axis that a cell may leave out.
+OPTIONAL_CONSTANTS = ("rotor_inertia_kg_m2", "coulomb_nm", "viscous_nm_s_rad")
 
 
 class CellFileError(ValueError):
@@ -60,11 +62,17 @@ class AxisSpec:
     position_limit_rad: tuple[float, float]
     speed_limit_rad_s: float
     torque_limit_nm: float
+    rotor_inertia_kg_m2: float = 0.0
+    coulomb_nm: float = 0.0
+    viscous_nm_s_rad: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class ArmSpec:
-    """One arm: its chain, its six axes, and how it stands in gravity."""
+    """One arm: its chain, its six axes, and how it stands in gravity.
+
+    `start_rad` is where an arm of a pair grips the part.
+    """
 
     name: str
     bus: str
@@ -72,15 +80,17 @@ class ArmSpec:
     gravity_m_s2: Array
     coupling: Array
     axes: tuple[AxisSpec, ...]
+    start_rad: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class CellSpec:
-    """The whole cell."""
+    """The whole cell; `pair` is the table of two arms that hold one workpiece."""
 
     name: str
     buses: Mapping[str, BusSpec]
     arms: tuple[ArmSpec, ...]
+    pair: Table | None = None
 
 
 def read_toml(path: Path) -> Table:
@@ -112,7 +122,7 @@ def read_cell(path: Path) -> CellSpec:
         for arm in arms:
             if arm.bus not in buses:
                 raise CellFileError(f"{path}: arm '{arm.name}' names bus '{arm.bus}', which has no [bus.{arm.bus}]")
-        return CellSpec(name=str(table["name"]), buses=buses, arms=arms)
+        return CellSpec(name=str(table["name"]), buses=buses, arms=arms, pair=table.get("pair"))
     except KeyError as error:
         raise CellFileError(f"{path}: key {error} is missing; add it to the file.") from error
     except UrdfError as error:
@@ -189,6 +199,7 @@ def _arm(entry: Table, path: Path) -> ArmSpec:
         gravity_m_s2=np.array(entry.get("gravity_m_s2", (0.0, 0.0, -9.80665)), dtype=float),
         coupling=np.array(entry.get("coupling", np.eye(6)), dtype=float),
         axes=tuple(_axis(axis, path) for axis in entry["axis"]),
+        start_rad=tuple(float(value) for value in entry["start_rad"]) if "start_rad" in entry else None,
     )
 
 
@@ -206,6 +217,7 @@ def _axis(entry: Table, path: Path) -> AxisSpec:
         position_limit_rad=(float(low), float(high)),
         speed_limit_rad_s=float(entry["speed_limit_rad_s"]),
         torque_limit_nm=float(entry["torque_limit_nm"]),
+        **{key: float(entry[key]["value"]) for key in OPTIONAL_CONSTANTS if key in entry},
     )
 
 

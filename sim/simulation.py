@@ -7,7 +7,7 @@ import threading
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import can
 
@@ -20,6 +20,7 @@ from sim.faulty_wire import FaultyWire
 from sim.multicast import QuietMulticastBus
 from sim.nominal import plant_of
 from sim.offline import point_jacobian
+from sim.pair.cell import PairOptions, pair_units
 from sim.plant import Payload
 from sim.server import ArmUnit, BusServer
 from sim.undeclared import draw_undeclared
@@ -67,13 +68,13 @@ class Simulation:
     servers : one for each bus
     """
 
-    def __init__(self, cell_path: Path, options: ServeOptions) -> None:
+    def __init__(self, cell_path: Path, options: ServeOptions, pair: PairOptions | None = None) -> None:
         self.cell = read_cell(cell_path)
         self.loads: dict[str, Payload] = read_payloads(options.payload) if options.payload else {}
         self.effects, self._build_seed = _undeclared(options)
         self._options = options
         faults = read_faults(options.fault) if options.fault else ()
-        units = {arm.name: self._unit(index) for index, arm in enumerate(self.cell.arms)}
+        units = self._units(pair or PairOptions(options.seed))
         self.specs = _bus_specs(self.cell, options.bus)
         self.servers: list[BusServer] = []
         if options.truth is not None:
@@ -84,6 +85,11 @@ class Simulation:
                 if arms:
                     self.servers.append(_server(spec, arms, faults, opened))
             opened.pop_all()
+
+    def _units(self, pair: PairOptions) -> dict[str, ArmUnit]:
+        if self.cell.pair is not None:
+            return cast("dict[str, ArmUnit]", pair_units(self.cell, pair))
+        return {arm.name: self._unit(index) for index, arm in enumerate(self.cell.arms)}
 
     def _unit(self, index: int) -> ArmUnit:
         arm = self.cell.arms[index]

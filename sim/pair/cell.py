@@ -1,0 +1,129 @@
+"""The pair of a cell file with what the gateway is not told, drawn from a seed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.cellfile import ArmSpec, CellFileError, CellSpec
+from sim.pair.errors import GEAR_STIFFNESS_NM_RAD, ArmErrors, PairErrors, draw
+from sim.pair.geometry import TOOL_M, bases, frames, nominal_arm, nominal_arms
+from sim.pair.motors import DriveTrain
+from sim.pair.unit import PairUnit
+from sim.pair.world import ArmTruth, PairWorld, WorldSettings
+from sim.urdf import Body, combine
+
+Array = NDArray[np.float64]
+
+#: Servo lag of a pair without drawn errors [s].
+NOMINAL_LAG_S = 0.016
+#: Half the bar about its end, as a rod of 0.2 m.
+HALF_PART_M = 0.2
+FIT_M = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class PairOptions:
+    """What may be changed about the simulated pair.
+
+    Attributes
+    ----------
+    seed : of the undeclared errors; None = the arms of the data sheet
+    errors : drawn errors in place of the seed's
+    settings : fields of `WorldSettings` to change
+    """
+
+    seed: int | None = None
+    errors: PairErrors | None = None
+    settings: Mapping[str, Any] | None = None
+
+
+def pair_units(cell: CellSpec, options: PairOptions) -> dict[str, PairUnit]:
+    """Both arms of a cell on one physics, by name.
+
+    Raises
+    ------
+    CellFileError : a key is missing, or the arms are not the ones this simulator builds
+    """
+    names = [str((cell.pair or {}).get(role)) for role in ("master", "slave")]
+    specs = {arm.name: arm for arm in cell.arms}
+    if not all(name in specs for name in names) or names[0] == names[1]:
+        raise CellFileError(f"[pair] of cell '{cell.name}': master and slave must name two arms of it, got {names}")
+    arms = (specs[names[0]], specs[names[1]])
+    for arm in arms:
+        _check(arm)
+    errors = options.errors
+    if errors is None:
+        errors = _without_errors() if options.seed is None else draw(options.seed, bases())
+    part = float((cell.pair or {}).get("part_mass_kg", 0.0))
+    truths = (_truth(arms[0], errors.master, part), _truth(arms[1], errors.slave, part))
+    start = tuple(np.array(arm.start_rad, dtype=float) for arm in arms)
+    settings = WorldSettings(
+        (start[0], start[1]), skew_s=errors.skew_s, seed=1 if options.seed is None else options.seed
+    )
+    world = PairWorld(truths, replace(settings, **(options.settings or {})))
+    return {arm.name: PairUnit(arm, world, index, cell.buses[arm.bus].sync_period_s) for index, arm in enumerate(arms)}
+
+
+def _check(arm: ArmSpec) -> None:
+    """The simulated pair is built from its own table of rows; the cell's URDF has to be the same arm."""
+    if arm.start_rad is None or len(arm.start_rad) != 6:
+        raise CellFileError(
+            f"arm '{arm.name}' of a pair needs start_rad: six joint angles at which the part is gripped"
+        )
+    nominal = nominal_arm(np.eye(4))
+    own = frames(nominal, np.zeros(6))
+    before = np.eye(4)
+    for i in range(6):
+        before = before @ arm.chain.placement[i]
+        wanted = np.eye(4) if i == 0 else own[i - 1]
+        if np.abs(before - wanted).max() > FIT_M:
+            raise CellFileError(f"arm '{arm.name}': joint {i + 1} does not stand where the simulated pair has it")
+
+
+def _without_errors() -> PairErrors:
+    one, zero = np.ones(6), np.zeros(6)
+    master, slave = (
+        ArmErrors(arm, GEAR_STIFFNESS_NM_RAD, np.full(6, NOMINAL_LAG_S), zero, zero, zero, one, one, one)
+        for arm in nominal_arms()
+    )
+    return PairErrors(-1, master, slave, 0.0)
+
+
+def _truth(arm: ArmSpec, errors: ArmErrors, part_mass_kg: float) -> ArmTruth:
+    axes = arm.axes
+    bodies: list[Body] = []
+    for number, body in enumerate(arm.chain.bodies):
+        if body is None:
+            raise CellFileError(f"robot of arm '{arm.name}': link {number + 1} has no <inertial>; all six are needed")
+        share = 1.0 / float(errors.gravity_scale[number])
+        bodies.append(Body(body.mass_kg * share, body.com_m, body.inertia_kg_m2 * share))
+    bodies[5] = combine(bodies[5], _half_part(0.5 * part_mass_kg))
+    rated = np.array([axis.torque_limit_nm / 3.0 for axis in axes])
+    train = DriveTrain(
+        stiffness_nm_rad=errors.gear_stiffness_nm_rad,
+        rotor_kg_m2=np.array([axis.rotor_inertia_kg_m2 for axis in axes]),
+        coulomb_nm=np.array([axis.coulomb_nm for axis in axes]) / errors.friction_scale,
+        viscous_nm_s_rad=np.array([axis.viscous_nm_s_rad for axis in axes]) / errors.friction_scale,
+        rated_nm=rated,
+        lag_s=np.maximum(errors.lag_s, 1e-3),
+        backlash_rad=errors.backlash_rad,
+        cyclic_rad=errors.cyclic_rad,
+        cyclic_per_rad=errors.cyclic_per_rev,
+        cyclic_phase_rad=errors.cyclic_phase_rad,
+    )
+    if not np.all(train.rotor_kg_m2 > 0):
+        raise CellFileError(f"arm '{arm.name}' of a pair: every axis needs rotor_inertia_kg_m2, coulomb_nm, viscous")
+    shift = np.array([axis.zero_offset_rad for axis in axes])
+    speed = np.array([3.0 * axis.speed_limit_rad_s for axis in axes])
+    return ArmTruth(errors.geometry, tuple(bodies), train, shift, speed)
+
+
+def _half_part(mass_kg: float) -> Body:
+    """Half the part at the fingertip of link 6."""
+    place = np.array([0.0, 0.0, 0.10 + TOOL_M])
+    return Body(mass_kg, place, np.eye(3) * mass_kg * HALF_PART_M**2 / 3.0)

@@ -1,0 +1,75 @@
+"""One arm of a pair as its bus sees it: six drives whose motors stand in the common world."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import can
+
+from sim.cellfile import ArmSpec
+from sim.fake_drive import DriveSite, FakeDrive
+from sim.pair.world import PairWorld
+from sim.plant import Payload
+
+
+class PairUnit:
+    """Six drives of one arm; the surface of `sim.server.ArmUnit`.
+
+    Parameters
+    ----------
+    arm : cell's description
+    world : common physics
+    index : 0 master, 1 slave
+    sync_period_s : of its bus
+
+    Attributes
+    ----------
+    name, world, drives
+    """
+
+    def __init__(self, arm: ArmSpec, world: PairWorld, index: int, sync_period_s: float) -> None:
+        self.name, self.world, self._index = arm.name, world, index
+        self.send: Callable[[can.Message], None] = lambda _message: None
+        axes = world.motors.axes[6 * index : 6 * index + 6]
+        self.drives = [
+            FakeDrive(DriveSite(spec.node_id, spec, sync_period_s), axis, self._send)  # type: ignore[arg-type]
+            for spec, axis in zip(arm.axes, axes, strict=True)
+        ]
+        world.before.append(self._plan)
+        world.after.append(self._advanced)
+        self._measure()
+
+    def _send(self, message: can.Message) -> None:
+        self.send(message)
+
+    def _measure(self) -> None:
+        for drive, reading in zip(self.drives, self.world.reading_nm(self._index), strict=True):
+            drive.reading_nm = reading
+
+    def sync(self) -> None:
+        """A SYNC came: once the physics is where it has to be, take the setpoints, send what is mapped to it."""
+        self.world.catch_up(self._index)
+        self._measure()
+        for drive in self.drives:
+            drive.sync()
+
+    def advance(self, seconds: float) -> None:
+        """Let simulated time pass, as soon as the other arm's bus lets it pass too."""
+        self.world.ask(self._index, seconds)
+
+    def hang(self, payload: Payload) -> None:
+        """A pair holds its workpiece and nothing else.
+
+        Raises
+        ------
+        ValueError : always
+        """
+        raise ValueError(f"arm {self.name} holds the workpiece; load {payload.label} cannot be hung on it")
+
+    def _plan(self, ticks: int) -> None:
+        for drive in self.drives:
+            drive.motion.plan(ticks)
+
+    def _advanced(self, time_s: float) -> None:
+        for drive in self.drives:
+            drive.advanced(time_s)

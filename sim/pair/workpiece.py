@@ -1,0 +1,94 @@
+"""The workpiece as a six-dimensional spring and damper between two grippers, handed to the joints as `J^T W`.
+
+Where gripper 2 belongs is gripper 1 times the grasp; how far it is away from there, straight and turned, is what the
+part resists. Between two exact evaluations the deviation follows the joints linearly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.pair.geometry import ArmGeometry, jacobian, tip
+
+Array = NDArray[np.float64]
+
+#: Damping of the part against the effective mass between the grippers, share of critical.
+DAMPING = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Stiffness:
+    """Of the part: straight [N/m] and turned [Nm/rad]."""
+
+    straight_n_m: float = 4.0e5
+    turned_nm_rad: float = 4.0e3
+
+
+def rotation_vector(rotation: Array) -> Array:
+    """Rotation vector (3,) [rad] of a rotation (3, 3) by a small angle."""
+    skew = 0.5 * np.array(
+        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
+    )
+    sine = float(np.sqrt(skew @ skew))
+    return skew if sine < 1e-9 else skew * (np.arctan2(sine, 0.5 * (np.trace(rotation) - 1.0)) / sine)
+
+
+@dataclass(slots=True)
+class Closure:
+    """Both grippers at one instant.
+
+    Attributes
+    ----------
+    deviation : (6,) of gripper 2 from where gripper 1 and the part want it [m; rad], world axes
+    jacobian : (6, 12) its rate per joint speed; columns of arm 1, then of arm 2
+    tips : fingertips (4, 4) in the world [m]
+    q_rad : (12,) where it was evaluated
+    """
+
+    deviation: Array
+    jacobian: Array
+    tips: tuple[Array, Array]
+    q_rad: Array
+
+
+class Workpiece:
+    """The part between two arms.
+
+    Parameters
+    ----------
+    arms : true geometry of both
+    stiffness : of the part
+    """
+
+    def __init__(self, arms: tuple[ArmGeometry, ArmGeometry], stiffness: Stiffness) -> None:
+        self.arms = arms
+        self.grasp = np.eye(4)
+        self.stiffness = np.repeat([stiffness.straight_n_m, stiffness.turned_nm_rad], 3)
+        self.damping = np.zeros(6)
+
+    def grip(self, q_rad: Array) -> None:
+        """Close both grippers free of force at joint angles (12,)."""
+        first, second = (tip(arm, q_rad[6 * i : 6 * i + 6]) for i, arm in enumerate(self.arms))
+        self.grasp = np.linalg.inv(first) @ second
+
+    def at(self, q_rad: Array) -> Closure:
+        """Deviation and its Jacobian at joint angles (12,)."""
+        first, second = (tip(arm, q_rad[6 * i : 6 * i + 6]) for i, arm in enumerate(self.arms))
+        wanted = first @ self.grasp
+        deviation = np.concatenate([second[:3, 3] - wanted[:3, 3], rotation_vector(second[:3, :3] @ wanted[:3, :3].T)])
+        shifted = jacobian(self.arms[0], q_rad[:6])
+        lever = wanted[:3, 3] - first[:3, 3]
+        shifted[:3] -= (
+            np.array([[0, -lever[2], lever[1]], [lever[2], 0, -lever[0]], [-lever[1], lever[0], 0]]) @ (shifted[3:])
+        )
+        rate = np.concatenate([-shifted, jacobian(self.arms[1], q_rad[6:])], axis=1)
+        return Closure(deviation, rate, (first, second), q_rad)
+
+    def size_damping(self, mobility: Array) -> None:
+        """Damping from the mobility (6, 6) between the grippers, `J M^-1 J^T`: of its largest mode, each kind."""
+        for part in (slice(0, 3), slice(3, 6)):
+            effective = 1.0 / float(np.linalg.eigvalsh(mobility[part, part])[-1])
+            self.damping[part] = 2.0 * DAMPING * np.sqrt(self.stiffness[part] * effective)

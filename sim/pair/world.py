@@ -1,0 +1,306 @@
+"""Two arms and one workpiece in PyBullet, one body with two branches, stepped a quarter of a millisecond at a time.
+
+Links are PyBullet's; rotors, gears and the workpiece are not: they hand their torques to the joints at every step. The
+world knows no clock. It moves on when both arms have asked for it, so that two buses share one physics.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.pair.geometry import ArmGeometry, turn
+from sim.pair.motors import DriveTrain, Motors, joined
+from sim.pair.workpiece import Closure, Stiffness, Workpiece
+from sim.physics import bullet
+from sim.servo import TICK_S
+from sim.urdf import Body, Chain, write_chain
+
+Array = NDArray[np.float64]
+
+STEP_S = 0.00025
+#: Longest the physics waits for the SYNC of the other bus, wall clock [s].
+WAIT_S = 0.25
+#: Largest modulus of a mode of the linearised step.
+STABLE = 1.0 + 1e-6
+JOINTS = tuple(range(12))
+
+
+class UnstableStepError(ValueError):
+    """The step is too long for the stiffest mode."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmTruth:
+    """One arm as it really is.
+
+    Attributes
+    ----------
+    geometry : with its errors
+    bodies : six links, gripper and half the part on the last
+    train : drives and gears
+    shift_rad : (6,) cell's zero offsets
+    max_rad_s : (6,) speed limit of the drives
+    """
+
+    geometry: ArmGeometry
+    bodies: tuple[Body, ...]
+    train: DriveTrain
+    shift_rad: Array
+    max_rad_s: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WorldSettings:
+    """What is not an arm.
+
+    Attributes
+    ----------
+    start_rad : two (6,) encoder angles at which the part is gripped free of force
+    stiffness : of the part
+    skew_s, skew_jitter_s : how much later than the master's the slave's SYNC acts, constant and evenly spread part
+    step_s : physics step
+    seed : of the noise
+    filter_s : time constant of the drives' torque filters
+    """
+
+    start_rad: tuple[Array, Array]
+    stiffness: Stiffness = field(default_factory=Stiffness)
+    skew_s: float = 0.0
+    skew_jitter_s: float = 0.0
+    step_s: float = STEP_S
+    seed: int = 1
+    filter_s: float = 0.001
+
+
+class PairWorld:
+    """Physics of two arms that hold one part.
+
+    Parameters
+    ----------
+    arms : master and slave
+    settings : WorldSettings
+
+    Attributes
+    ----------
+    time_s : simulated time
+    record : one row a millisecond while `recording`: time [s], force on gripper 2 (3) [N], moment about the part's
+        centre (3) [Nm], the part's centre (3) [m]
+    push : (12,) torque on the joints from outside [Nm], or None
+    before, after : called around every stretch of time with its milliseconds, and with the time [s]
+    """
+
+    def __init__(self, arms: tuple[ArmTruth, ArmTruth], settings: WorldSettings) -> None:
+        self.arms, self.settings = arms, settings
+        self.time_s = 0.0
+        self.record: list[tuple[float, ...]] = []
+        self.recording = False
+        self.push: Array | None = None
+        self.before: list[Callable[[int], None]] = []
+        self.after: list[Callable[[float], None]] = []
+        self.part = Workpiece((arms[0].geometry, arms[1].geometry), settings.stiffness)
+        self._lock = threading.Condition()
+        self._asked, self._live = [0.0, 0.0], [False, False]
+        self._random = np.random.default_rng(settings.seed)
+        self._early = np.zeros(12)
+        self._substeps = round(TICK_S / settings.step_s)
+        self._share = TICK_S / (TICK_S + settings.filter_s)
+        self._client, self._body = _load(arms, settings.step_s)
+        shift = np.concatenate([arm.shift_rad for arm in arms])
+        limits = np.concatenate([arm.max_rad_s for arm in arms])
+        self.motors = Motors(joined((arms[0].train, arms[1].train)), shift, limits, settings.step_s)
+        self._rated = self.motors.train.rated_nm
+        self.q, self.qd = np.zeros(12), np.zeros(12)
+        self._stand(np.concatenate(settings.start_rad))
+        self.radius = self._largest_mode()
+        if self.radius > STABLE:
+            raise UnstableStepError(
+                f"the physics step of {settings.step_s * 1e3:g} ms is too long: its fastest mode grows by"
+                f" {self.radius:.4f} a step; take a shorter one or a softer workpiece"
+            )
+
+    # -- setting up --------------------------------------------------------------------------------------------------
+
+    def _stand(self, theta_rad: Array) -> None:
+        """Hang still, gears wound up by gravity, the part gripped free of force."""
+        q, gravity = theta_rad.copy(), np.zeros(12)
+        stiffness = self.motors.train.stiffness_nm_rad
+        for _ in range(20):
+            gravity = self._gravity(q)
+            q = theta_rad - gravity / stiffness
+        self.q, self.qd = q, np.zeros(12)
+        for joint in JOINTS:
+            bullet.resetJointState(self._body, joint, float(q[joint]), 0.0, physicsClientId=self._client)
+        self.motors.place(q, gravity)
+        self.part.grip(q)
+        closure = self.part.at(q)
+        self.part.size_damping(closure.jacobian @ np.linalg.solve(self._mass(q), closure.jacobian.T))
+        self.wrench = np.zeros(6)
+        self._centre = _centre(closure)
+
+    def _gravity(self, q: Array) -> Array:
+        still = [0.0] * 12
+        return np.array(
+            bullet.calculateInverseDynamics(self._body, q.tolist(), still, still, physicsClientId=self._client)
+        )
+
+    def _mass(self, q: Array) -> Array:
+        return np.array(bullet.calculateMassMatrix(self._body, q.tolist(), physicsClientId=self._client))
+
+    def _largest_mode(self) -> float:
+        """Largest modulus of the eigenvalues of one step, linearised at rest."""
+        train, h, n = self.motors.train, self.settings.step_s, 12
+        rate = self.part.at(self.q).jacobian
+        inverse = np.linalg.inv(self._mass(self.q))
+        spring, damper = np.diag(train.stiffness_nm_rad), np.diag(train.damping_nm_s_rad)
+        part_spring = rate.T @ (self.part.stiffness[:, None] * rate)
+        part_damper = rate.T @ (self.part.damping[:, None] * rate)
+        rotor = h * np.diag(1.0 / train.rotor_kg_m2)
+        zero, one = np.zeros((n, n)), np.eye(n)
+        # q, qd, theta, omega; forces from the old state, angles from the new speeds
+        speed = np.hstack(
+            [
+                -h * inverse @ (spring + part_spring),
+                one - h * inverse @ (damper + part_damper),
+                h * inverse @ spring,
+                h * inverse @ damper,
+            ]
+        )
+        turn_ = np.hstack([rotor @ spring, rotor @ damper, -rotor @ spring, one - rotor @ damper])
+        angle = np.hstack([one, zero, zero, zero]) + h * speed
+        shaft = np.hstack([zero, zero, one, zero]) + h * turn_
+        return float(np.abs(np.linalg.eigvals(np.vstack([angle, speed, shaft, turn_]))).max())
+
+    # -- time --------------------------------------------------------------------------------------------------------
+
+    def catch_up(self, arm: int) -> None:
+        """Wait until the physics has done what this arm has asked for; not for an arm whose bus is silent."""
+        with self._lock:
+            if self._asked[arm] <= self.time_s + 1e-9:
+                return
+            self._lock.wait_for(lambda: self._asked[arm] <= self.time_s + 1e-9, WAIT_S)
+            if self._asked[arm] > self.time_s + 1e-9:
+                self._live[1 - arm] = False
+                self._run()
+
+    def ask(self, arm: int, seconds: float) -> None:
+        """An arm's SYNC came: go on once the other's has come too."""
+        with self._lock:
+            self._live[arm] = True
+            self._asked[arm] = max(self._asked[arm], self.time_s) + seconds
+            self._run()
+
+    def _run(self) -> None:
+        goal = min(asked for asked, live in zip(self._asked, self._live, strict=True) if live)
+        ticks = int((goal - self.time_s) / TICK_S + 1e-6)
+        if ticks > 0:
+            self._stretch(ticks)
+            self._lock.notify_all()
+
+    def _stretch(self, ticks: int) -> None:
+        for act in self.before:
+            act(ticks)
+        jitter = self.settings.skew_jitter_s
+        self._early[6:] = -self.settings.skew_s - (self._random.uniform(0.0, jitter) if jitter else 0.0)
+        for _ in range(ticks):
+            self._tick()
+        self.motors.show()
+        for act in self.after:
+            act(self.time_s)
+
+    def _tick(self) -> None:
+        """One millisecond."""
+        motors, part, body, client = self.motors, self.part, self._body, self._client
+        motors.control(self._early, self._share, TICK_S)
+        q, qd = self.q, self.qd
+        closure = part.at(q)
+        rate, stiffness, damping = closure.jacobian, part.stiffness, part.damping
+        base, push, wrench = closure.deviation - rate @ q, self.push, self.wrench
+        for _ in range(self._substeps):
+            wrench = -stiffness * (base + rate @ q) - damping * (rate @ qd)
+            torque = motors.step(q, qd) + wrench @ rate
+            if push is not None:
+                torque = torque + push
+            bullet.setJointMotorControlArray(
+                body, JOINTS, bullet.TORQUE_CONTROL, forces=torque.tolist(), physicsClientId=client
+            )
+            bullet.stepSimulation(physicsClientId=client)
+            states = bullet.getJointStates(body, JOINTS, physicsClientId=client)
+            q, qd = np.array([state[0] for state in states]), np.array([state[1] for state in states])
+        self.q, self.qd, self.wrench = q, qd, wrench
+        self.time_s = round((self.time_s + TICK_S) / TICK_S) * TICK_S
+        if self.recording:
+            self._note(closure)
+
+    def _note(self, closure: Closure) -> None:
+        centre = _centre(closure)
+        force = self.wrench[:3]
+        moment = self.wrench[3:] + np.cross(closure.tips[1][:3, 3] - centre, force)
+        self.record.append((self.time_s, *force.tolist(), *moment.tolist(), *centre.tolist()))
+
+    # -- what is seen ------------------------------------------------------------------------------------------------
+
+    def reading_nm(self, arm: int) -> list[float]:
+        """What six drives report as motor torque, gear output side [Nm]."""
+        six = slice(6 * arm, 6 * arm + 6)
+        motors = self.motors
+        noise = 0.003 * self._rated[six] * self._random.standard_normal(6)
+        return ((motors.shown_nm[six] + noise) * motors.live[six]).tolist()
+
+    def close(self) -> None:
+        """Give the physics engine back; may be called again."""
+        if self._client >= 0:
+            bullet.disconnect(physicsClientId=self._client)
+            self._client = -1
+
+
+def _centre(closure: Closure) -> Array:
+    return 0.5 * (closure.tips[0][:3, 3] + closure.tips[1][:3, 3])
+
+
+def chain_of(arm: ArmTruth) -> Chain:
+    """The arm in the world as joints about z: everything between two axes is in the placement of the second."""
+    geometry = arm.geometry
+    before, placement = geometry.base, []
+    for i in range(6):
+        placement.append(before @ turn("z", geometry.zero_rad[i]))
+        before = np.eye(4)
+        before[:3, 3] = geometry.a_m[i], 0.0, geometry.d_m[i]
+        before = before @ turn("x", geometry.alpha_rad[i])
+    free = np.full(6, np.inf)
+    axis = np.tile([0.0, 0.0, 1.0], (6, 1))
+    return Chain("arm", np.array(placement), axis, arm.bodies, -free, free, free, free)
+
+
+def _load(arms: tuple[ArmTruth, ArmTruth], step_s: float) -> tuple[int, int]:
+    """Engine and body: both arms on one fixed base."""
+    client = bullet.connect(bullet.DIRECT)
+    bullet.setTimeStep(step_s, physicsClientId=client)
+    bullet.setGravity(0.0, 0.0, -9.80665, physicsClientId=client)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "pair.urdf"
+        path.write_text(_tree([write_chain(chain_of(arm)) for arm in arms]), encoding="utf-8")
+        flags = bullet.URDF_USE_INERTIA_FROM_FILE
+        body = bullet.loadURDF(str(path), useFixedBase=True, flags=flags, physicsClientId=client)
+    for joint in range(-1, 12):
+        bullet.changeDynamics(body, joint, linearDamping=0, angularDamping=0, jointDamping=0, physicsClientId=client)
+    bullet.setJointMotorControlArray(body, JOINTS, bullet.VELOCITY_CONTROL, forces=[0.0] * 12, physicsClientId=client)
+    return client, body
+
+
+def _tree(chains: list[str]) -> str:
+    """Two chains as two branches of one base link."""
+    lines = ['<?xml version="1.0"?>', '<robot name="pair">']
+    for number, text in enumerate(chains):
+        links = re.findall(r"  <link.*?</link>", text, re.DOTALL)
+        joints = re.findall(r"  <joint.*?</joint>", text, re.DOTALL)
+        lines += links[:1] if number == 0 else []
+        lines += [re.sub(r'"((?:link|joint)_\d)"', rf'"arm_{number}_\1"', part) for part in [*links[1:], *joints]]
+    return "\n".join([*lines, "</robot>"])
