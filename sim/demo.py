@@ -1,8 +1,8 @@
 """The whole job on the simulator, as a person at the robot would do it: `python -m sim.demo --out out/demo`.
 
 Two programs in two processes on a free bus: the simulated drives, and the gateway, which is told to commission the
-cell. When the gateway asks for a load to be hung, it is hung. At the end the truth, which only the simulator knew, is
-put beside the estimate.
+cell. When the gateway asks for a load to be hung, it is hung. The arm has a balancer that its model does not know (or
+whatever a seed hides). At the end the truth, which only the simulator knew, is put beside the estimate.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from sim.serve import command, free_bus, wait_until_ready
 from sim.simulation import ServeOptions
 
 EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "large"
-SEED = 1
 HANG = re.compile(r"HANG LOAD (\S+)")
 FAILED_FINDING = 7
 
@@ -36,18 +35,22 @@ class Demo:
     cell: Path
     payload: Path
     undeclared: Path | None
-    seed: int
+    seed: int | None
     out: Path
 
 
 @click.command()
 @click.option("--cell", type=click.Path(exists=True, path_type=Path), default=EXAMPLE / "cell.toml")
 @click.option("--payload", type=click.Path(exists=True, path_type=Path), default=EXAMPLE / "payload.toml")
-@click.option("--undeclared", type=click.Path(exists=True, path_type=Path), help="Effects in place of a seed.")
-@click.option("--seed", type=click.IntRange(min=0), default=SEED, show_default=True)
+@click.option("--undeclared", type=click.Path(exists=True, path_type=Path), help="What is hidden [a balancer spring].")
+@click.option("--seed", type=click.IntRange(min=0), help="Draw what is hidden from this seed instead.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("out/demo"), show_default=True)
-def main(cell: Path, payload: Path, undeclared: Path | None, seed: int, out: Path) -> None:
-    """Commission a simulated cell from the first frame to the report."""
+def main(cell: Path, payload: Path, undeclared: Path | None, seed: int | None, out: Path) -> None:
+    """Commission a simulated cell that hides something, from the first frame to the report."""
+    if seed is None:
+        undeclared = undeclared or EXAMPLE / "undeclared.toml"
+    elif undeclared is not None:
+        raise click.UsageError("--undeclared and --seed exclude each other.")
     sys.exit(run(Demo(cell, payload, undeclared, seed, out)))
 
 
@@ -59,7 +62,7 @@ def run(demo: Demo) -> int:
         bus=bus,
         payload=demo.payload,
         undeclared=demo.undeclared,
-        seed=None if demo.undeclared else demo.seed,
+        seed=demo.seed,
         truth=truth,
     )
     with _simulator(command(demo.cell, options)) as simulator:
@@ -131,9 +134,15 @@ def comparison(result: dict[str, Any]) -> list[str]:
         for axis, was, is_, std in zip("xyz", true["com_m"], load["com_m"], load["com_std_m"], strict=True):
             rows.append((f"com {axis} [mm]", 1e3, was, is_, std))
         lines += [_row(f"{load['label']} {name}", *figures) for name, *figures in rows]
-    named = ", ".join(str(effect["name"]) for effect in result["truth"]["effects"]) or "none"
-    found = ", ".join(str(effect["name"]) for effect in result.get("effects", [])) or "none"
+    named, found = (
+        ", ".join(str(effect["name"]) for effect in effects) or "none"
+        for effects in (result["truth"]["effects"], result.get("effects", []))
+    )
     lines.append(f"undeclared effects: {named}; found: {found}; verdict: {result.get('verdict')}")
+    residual = [(result.get(when) or {}).get("holdout_rms_nm") or [] for when in ("before", "after")]
+    if result.get("effects") and all(len(six) == 6 for six in residual):
+        pairs = [(old, new) for old, new in zip(*residual, strict=True) if old is not None and new is not None]
+        lines.append("held-out RMS [Nm], before > after: " + ", ".join(f"{old:.4g} > {new:.4g}" for old, new in pairs))
     return lines
 
 

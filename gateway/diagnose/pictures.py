@@ -61,7 +61,7 @@ class Visits:
 
 
 def pictures(visits: Visits, decision: Decision) -> tuple[Rows, dict[str, Any]]:
-    """Rows of the result and the keys `role`, `model_before_nm`, `curves` that the report reads.
+    """Rows of the result and the keys that the report reads: role, curves, models before and after.
 
     Parameters
     ----------
@@ -83,9 +83,11 @@ def pictures(visits: Visits, decision: Decision) -> tuple[Rows, dict[str, Any]]:
         std_nm=_matrix(np.broadcast_to(after.noise.std[:6], rows.sum_nm.shape)),
     )
     data: dict[str, Any] = {"role": [visits.kind if fresh else "fit" for fresh in visits.fresh]}
+    data["band_model_nm"] = _known_band(_predict(problem, after, after.terms).difference_nm, problem)
     if decision.proven:
-        before = _predict(problem, decision.before, decision.before.terms).sum_nm
-        data["model_before_nm"] = _known(before, problem).tolist()
+        before = _predict(problem, decision.before, decision.before.terms)
+        data["model_before_nm"] = _known(before.sum_nm, problem).tolist()
+        data["band_model_before_nm"] = _known_band(before.difference_nm, problem)
         data["curves"] = [_curve(problem, after, after.terms.index(term)) for term in decision.proven]
     return shown, data
 
@@ -96,6 +98,10 @@ def _matrix(values: Floats) -> tuple[tuple[float, ...], ...]:
 
 def _known(values: Floats, problem: Problem) -> Floats:
     return np.where(problem.use_sum, values, np.nan)
+
+
+def _known_band(values: Floats, problem: Problem) -> list[list[float]]:
+    return np.where(problem.use_difference, values, np.nan).tolist()
 
 
 def _predict(problem: Problem, fit: Fit, terms: Sequence[Term]) -> Prediction:

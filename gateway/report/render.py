@@ -10,7 +10,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from gateway.report import evidence, figures, space, words
+from gateway.report import evidence, figures, posture, space, words
 from gateway.report.view import View, centre, view
 
 Json = Mapping[str, Any]
@@ -85,6 +85,8 @@ def _figures(result: Json, shown: View) -> dict[str, Any]:
     return {
         "quality": evidence.quality_figure(shown.axes),
         "per_pose": evidence.per_pose_figure(result, classes),
+        "change": posture.load_change_figure(result),
+        "posture": posture.posture_figures(result),
         "evidence": evidence.evidence_figure(shown.candidates),
         "friction": evidence.friction_figure(result),
         "more_candidates": max(0, len(shown.candidates) - evidence.MOST_CANDIDATES),

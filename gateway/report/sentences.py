@@ -85,8 +85,11 @@ def quality_sentence(axes: Sequence[AxisView], result: Json) -> str:
     ratio, worst = max(rated, key=lambda pair: pair[0])
     place = "" if held_out_known(result) else " in the fit itself"
     settled = result.get("verdict") in ("none_needed", "explained")
-    good = settled or ratio <= NEAR_FLOOR
-    judged = "The model is as good as the data" if good else "The model is not as good as the data"
+    judged = "The model is not as good as the data"
+    if ratio <= NEAR_FLOOR:
+        judged = "The model is as good as the data"
+    elif settled:
+        judged = "What is left is within what so few readings scatter"
     return (
         f"{judged}: the residual{place} is {ratio:.1f} times the noise floor on the worst axis, {worst.name} "
         f"({words.significant(worst.after)} Nm against {words.significant(worst.floor)} Nm)."

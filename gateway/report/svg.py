@@ -128,6 +128,13 @@ class Panel:
         place = f'cx="{self.x(x):.1f}" cy="{self.y(y):.1f}" r="{radius}"'
         self.add(f'<circle class="{kind}" {place}>{hint}</circle>')
 
+    def triangle(self, x: float, y: float, side: int, kind: str, size: float = 4.2) -> None:
+        """Mark at a data position that points up (`side` 1) or down (-1)."""
+        px, py = self.x(x), self.y(y)
+        corners = ((0.0, -1.15 * side), (1.0, 0.75 * side), (-1.0, 0.75 * side))
+        places = " ".join(f"{px + size * dx:.1f},{py + size * dy:.1f}" for dx, dy in corners)
+        self.add(f'<polygon class="{kind}" points="{places}"/>')
+
     def segment(self, start: Point, end: Point, kind: str) -> None:
         """Straight line between two data positions."""
         (x0, y0), (x1, y1) = ((self.x(x), self.y(y)) for x, y in (start, end))

@@ -6,15 +6,18 @@ import json
 import subprocess
 import sys
 import threading
+import tomllib
 from pathlib import Path
 
 import can
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from drives.profile import list_profiles
 from sim.build_errors import with_build_errors
 from sim.demo import comparison
+from sim.demo import main as demo_command
 from sim.multicast import QuietMulticastBus
 from sim.nominal import plant_of
 from sim.serve import free_bus, running
@@ -247,3 +250,32 @@ def test_truth_beside_the_estimate():
     assert lines[3].endswith("not identifiable")
     assert lines[4].split()[-4:] == ["200.00", "-10.00", "4.00", "-2.50"]
     assert lines[5] == "undeclared effects: none; found: none; verdict: none_needed"
+    assert len(lines) == 6
+
+
+def test_truth_beside_an_effect_that_was_found():
+    spring = {"name": "balancer_spring", "joints": [2], "parameters": {"stiffness_n_m": 4e4}}
+    result = {
+        "loads": [],
+        "verdict": "explained",
+        "effects": [spring],
+        "before": {"holdout_rms_nm": [1.0, 800.0, None, 2.0, 1.0, 1.0]},
+        "after": {"holdout_rms_nm": [1.0, 8.0, None, 2.0, 1.0, 1.0]},
+        "truth": {"loads": [], "effects": [spring]},
+    }
+    named, residual = comparison(result)[1:]
+    assert named == "undeclared effects: balancer_spring; found: balancer_spring; verdict: explained"
+    assert "1 > 1, 800 > 8, 2 > 2" in residual
+
+
+def test_the_demo_hides_what_its_own_file_says(monkeypatch):
+    ran = []
+    monkeypatch.setattr("sim.demo.run", lambda demo: ran.append(demo) or 0)
+    runner = CliRunner()
+    assert runner.invoke(demo_command, []).exit_code == 0
+    assert runner.invoke(demo_command, ["--seed", "3"]).exit_code == 0
+    assert runner.invoke(demo_command, ["--seed", "3", "--undeclared", str(SMALL)]).exit_code == 2
+    hidden, drawn = ran
+    (effect,) = tomllib.loads(hidden.undeclared.read_text(encoding="utf-8"))["effect"]
+    assert (effect["name"], effect["joints"], hidden.seed) == ("balancer_spring", [2], None)
+    assert (drawn.undeclared, drawn.seed) == (None, 3)

@@ -54,6 +54,8 @@ def test_the_page_is_well_formed(page):
         "Poses measured",
         "Torque, measured against model",
         "Residual per axis and pose",
+        "Residual against posture and direction",
+        "Load before and after.",
         "Friction band per axis",
         "What to measure next",
         "48211",
@@ -77,7 +79,8 @@ def test_every_axis_of_every_drawing_is_labelled_with_its_unit(page):
 
 
 def test_there_are_six_drawings_per_axis_and_one_per_pose(page):
-    assert len(re.findall(r'aria-label="Residual of J\d', page)) == 6
+    assert len(re.findall(r'aria-label="Residual of J\d for', page)) == 6
+    assert len(re.findall(r'aria-label="Residual of J\d against posture', page)) == 6
     assert len(re.findall(r'aria-label="Torque of J\d', page)) == 6
     assert len(re.findall(r'aria-label="The arm in', page)) == 14
     assert page.count("balancer spring as a curve") == 1
@@ -112,7 +115,8 @@ def test_axes_without_torque_have_no_drawing(result):
     for row in result["rows"]["tau_nm"]:
         row[0] = None
     page = render(result)
-    assert len(re.findall(r'aria-label="Residual of J\d', page)) == 5
+    assert len(re.findall(r'aria-label="Residual of J\d for', page)) == 5
+    assert len(re.findall(r'aria-label="Residual of J\d against posture', page)) == 5
 
 
 def test_a_long_moving_run_is_drawn_as_a_line(result):
