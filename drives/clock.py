@@ -33,9 +33,9 @@ class SyncClock:
         self._period_s = period_s
         self._due_s: float | None = None
 
-    def restart(self) -> None:
-        """Forget the rhythm: the next SYNC is due at once."""
-        self._due_s = None
+    def restart(self, at_s: float | None = None) -> None:
+        """Forget the rhythm: the next SYNC is due at once, or at a monotonic time [s] that several clocks share."""
+        self._due_s = at_s
 
     def wait(self) -> float:
         """Wait until the next SYNC is due; returns the monotonic time, s.

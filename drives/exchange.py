@@ -97,6 +97,8 @@ class SyncExchange:
         self.cycles = 0
         self.incomplete = 0
         self.started_s: float | None = None
+        #: Monotonic time of the last SYNC.
+        self.sent_s = 0.0
         self.clock = SyncClock(bus, timing.period_s)
         slots: list[tuple[int, int]] = []
         self._first_slots = []
@@ -179,6 +181,7 @@ class SyncExchange:
     def _send_sync(self, now_s: float) -> float:
         self.sync_index += 1
         self._bus.send_frame(self._sync_frame)
+        self.sent_s = time.monotonic()
         return now_s
 
     def _row(self, frames: list[bytes | bytearray | None]) -> tuple[DriveReading | None, ...]:

@@ -119,6 +119,8 @@ class DriveGroup:
         self.enabled = False
         #: The last row, also the one that led to an error.
         self.last_epoch: Epoch | None = None
+        #: Called before the axes are stopped because of an error: what moves with them is told in the same cycle.
+        self.on_stop: Callable[[], None] = lambda: None
         self._bus = bus
         self._master_node_id = master_node_id
         consumer_s = min(setup.profile.heartbeat.consumer_ms for setup in setups) / 1000.0
@@ -355,6 +357,7 @@ class DriveGroup:
         if isinstance(error, DriveRebooted):
             self._configured = False
         failures: list[DriveError] = []
+        self.on_stop()
         if self._running and self._exchange is not None:
             failures = stop(self._exchange)
             if stop is stopping.disable:
@@ -487,6 +490,16 @@ class DriveGroup:
     def sync_index(self) -> int:
         """Number of the last SYNC."""
         return 0 if self._exchange is None else self._exchange.sync_index
+
+    @property
+    def sync_sent_s(self) -> float:
+        """Monotonic time of the last SYNC."""
+        return 0.0 if self._exchange is None else self._exchange.sent_s
+
+    def align(self, at_s: float) -> None:
+        """By the clock: the next SYNC is due at a monotonic time, so that several groups keep one rhythm."""
+        exchange, _ = self._parts()
+        exchange.clock.restart(at_s)
 
     @property
     def statistics(self) -> GroupStatistics:
