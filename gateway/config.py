@@ -115,6 +115,10 @@ class AxisConfig(_Strict):
             raise ValueError("gear_ratio must not be 0 and torque_constant_nm_per_a must be positive")
         if not 0 < self.gear_efficiency.value <= 1:
             raise ValueError(f"gear_efficiency must lie in (0, 1], got {self.gear_efficiency.value}")
+        for name in ("rotor_inertia_kg_m2", "coulomb_nm", "viscous_nm_s_rad"):
+            constant = getattr(self, name)
+            if constant is not None and constant.value < 0:
+                raise ValueError(f"{name} must not be negative; leave it out if it is not known")
         return self
 
 
@@ -135,6 +139,12 @@ class ArmConfig(_Strict):
         description="heaviest load that will hang on the flange; absent: half of each torque limit is kept",
     )
     max_load_com_m: Vector3 | None = Field(
+        default=None, description="its centre of gravity in link_6; the flange if absent"
+    )
+    rated_load_kg: Constant | None = Field(
+        default=None, description="load the arm is rated for: what feedforward assumes as long as none is entered"
+    )
+    rated_load_com_m: Vector3 | None = Field(
         default=None, description="its centre of gravity in link_6; the flange if absent"
     )
     load_points_m: tuple[Vector3, ...] = Field(
@@ -160,6 +170,8 @@ class ArmConfig(_Strict):
         twice = sorted({node for node in ids if ids.count(node) > 1})
         if twice:
             raise ValueError(f"arm '{self.name}': node id {twice[0]} is given to more than one axis")
+        if self.rated_load_kg is not None and self.rated_load_kg.value <= 0:
+            raise ValueError(f"arm '{self.name}': rated_load_kg must be positive")
         if (self.robot is None) == (self.dh is None):
             raise ValueError(f"arm '{self.name}' needs either robot = \"FILE.urdf\" or [arm.dh], not both")
         if self.coupling is not None:

@@ -1,0 +1,131 @@
+"""From the motion of an instant to what each drive is given beside its position: motor side, plain floats.
+
+    f = A^-T tau(q, q', q'') + coulomb s + viscous theta'       torque at the gear outputs
+    u = f / eta where the motor drives, f eta where it is driven back (in between as s passes zero) + J theta''
+    torque offset = st u / N,   velocity offset = (1 - share) sp N theta'
+
+theta = A (q - q0) are the angles at the gear outputs, s = theta' / v cut off at -1 and 1, J the rotor's inertia at the
+gear output (N squared times that on its own shaft); `share` is the part of the velocity that the drive feeds forward
+itself. Friction and gear losses turn round with the commanded velocity.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.feedforward.dynamics import ArmDynamics
+from gateway.model.robot import AXES
+
+Floats = NDArray[np.float64]
+Six = list[float]
+
+#: Speed at the gear output over which friction and gear losses turn round [rad/s].
+TURN_ROUND_RAD_S = 0.005
+
+
+@dataclass(frozen=True, slots=True)
+class AxisTerms:
+    """What stands between a joint and its drive.
+
+    Attributes
+    ----------
+    ratio : float
+        N, negative where the gear turns the sense round.
+    position_sign, torque_sign : float
+    efficiency : float
+        eta in (0, 1].
+    rotor_kg_m2 : float
+        At the gear output; 0 where it is left out, which `gateway.feedforward.terms` says.
+    coulomb_nm, viscous_nm_s_rad : float
+        At the gear output; 0 where they are left out.
+    velocity_share : float
+        Part of the commanded velocity that the drive feeds forward itself.
+    limit_nm : float
+        Largest torque offset, motor side.
+    """
+
+    ratio: float
+    position_sign: float
+    torque_sign: float
+    efficiency: float
+    rotor_kg_m2: float
+    coulomb_nm: float
+    viscous_nm_s_rad: float
+    velocity_share: float
+    limit_nm: float
+
+
+class FeedforwardLaw:
+    """Both offsets of six axes.
+
+    Parameters
+    ----------
+    dynamics : ArmDynamics
+        Arm and load.
+    axes : sequence of 6 AxisTerms
+    coupling : array of shape (6, 6), optional
+        A of theta = A (q - q0); None = identity.
+    """
+
+    __slots__ = ("_axes", "_coupling", "_dynamics", "_limits", "_to_gear", "_velocity")
+
+    def __init__(self, dynamics: ArmDynamics, axes: Sequence[AxisTerms], coupling: Floats | None = None) -> None:
+        if len(axes) != AXES:
+            raise ValueError(f"{AXES} axes are needed, got {len(axes)}")
+        self._dynamics = dynamics
+        self._limits = tuple(axis.limit_nm for axis in axes)
+        self._velocity = tuple((1.0 - axis.velocity_share) * axis.position_sign * axis.ratio for axis in axes)
+        self._axes = tuple(
+            (
+                axis.coulomb_nm,
+                axis.viscous_nm_s_rad,
+                1.0 / axis.efficiency - 1.0,
+                1.0 - axis.efficiency,
+                axis.rotor_kg_m2,
+                axis.torque_sign / axis.ratio,
+            )
+            for axis in axes
+        )
+        identity = coupling is None or np.array_equal(coupling, np.eye(AXES))
+        self._coupling = None if coupling is None or identity else np.asarray(coupling, dtype=float)
+        self._to_gear = None if self._coupling is None else np.linalg.inv(self._coupling).T
+
+    @property
+    def limits_nm(self) -> tuple[float, ...]:
+        """Largest torque offset (6,) [Nm], motor side."""
+        return self._limits
+
+    def offsets(self, q: Six, qd: Six, qdd: Six) -> tuple[Six, Six]:
+        """Velocity offsets [rad/s] and torque offsets [Nm] (6,) each, motor side, not limited.
+
+        Parameters
+        ----------
+        q, qd, qdd : lists of 6 floats
+            Commanded joint positions [rad], velocities [rad/s], accelerations [rad/s2].
+        """
+        torque = self._dynamics.torque(q, qd, qdd)
+        rates, gains = qd, qdd
+        if self._coupling is not None and self._to_gear is not None:
+            torque = (self._to_gear @ torque).tolist()
+            rates, gains = (self._coupling @ qd).tolist(), (self._coupling @ qdd).tolist()
+        out = []
+        for force, rate, gain, axis in zip(torque, rates, gains, self._axes, strict=True):
+            coulomb, viscous, more, less, rotor, to_motor = axis
+            side = rate / TURN_ROUND_RAD_S
+            side = 1.0 if side > 1.0 else -1.0 if side < -1.0 else side
+            force += coulomb * side + viscous * rate
+            driving = side if force > 0.0 else -side
+            force += force * driving * (more if driving > 0.0 else less)
+            out.append((force + rotor * gain) * to_motor)
+        return [factor * rate for factor, rate in zip(self._velocity, rates, strict=True)], out
+
+    def excess(self, torque_nm: Sequence[float]) -> tuple[int, float] | None:
+        """Axis (from 0) and offset [Nm] of the one that is furthest beyond its limit; None = all are within."""
+        shares = [abs(value) / limit for value, limit in zip(torque_nm, self._limits, strict=True)]
+        worst = max(range(AXES), key=shares.__getitem__)
+        return (worst, torque_nm[worst]) if not shares[worst] <= 1.0 or math.isnan(shares[worst]) else None

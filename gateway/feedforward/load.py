@@ -1,0 +1,169 @@
+"""The load that the feedforward reckons with: identified, or the most the arm may carry.
+
+Rest poses reveal mass and centre of gravity, not the load's own inertia (JP3698770B2 neglects it). It is estimated as
+that of a solid cube of `CUBE_DENSITY_KG_M3` and said to be assumed, unless the result brings one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.config import ArmConfig, LoadedCell
+from gateway.errors import ConfigError, DataUnusable, InputError
+from gateway.model.robot import Robot
+from gateway.result import LoadResult, Result
+
+Floats = NDArray[np.float64]
+
+#: Between a hollow aluminium gripper and solid steel, assumed.
+CUBE_DENSITY_KG_M3 = 3000.0
+FRAME = "link_6"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FeedLoad:
+    """A rigid body on link 6.
+
+    Attributes
+    ----------
+    label : str
+    mass_kg : float
+    com_m : array of shape (3,)
+        In link 6.
+    inertia_kg_m2 : array of shape (3, 3)
+        About the centre of gravity, axes of link 6.
+    source, inertia_source : str
+        Where mass and centre of gravity, and the inertia, come from.
+    mass_std_kg : float
+        NaN where it is not known.
+    """
+
+    label: str
+    mass_kg: float
+    com_m: Floats
+    inertia_kg_m2: Floats
+    source: str
+    inertia_source: str
+    mass_std_kg: float = float("nan")
+
+    @property
+    def parameters(self) -> Floats:
+        """[m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz] (10,) about the origin of link 6."""
+        return body_parameters(self.mass_kg, self.com_m, self.inertia_kg_m2)
+
+    def scaled(self, factor: float) -> FeedLoad:
+        """The same body, `factor` times as heavy."""
+        inertia = factor * self.inertia_kg_m2
+        return replace(self, mass_kg=factor * self.mass_kg, inertia_kg_m2=inertia, source=f"{factor:g} x {self.source}")
+
+
+def body_parameters(mass_kg: float, com_m: Floats, inertia_kg_m2: Floats) -> Floats:
+    """[m, m c, I about the frame's origin] (10,) of a body with inertia (3, 3) about its centre of gravity."""
+    about = inertia_kg_m2 + mass_kg * (com_m @ com_m * np.eye(3) - np.outer(com_m, com_m))
+    return np.concatenate([[mass_kg], mass_kg * com_m, about[np.triu_indices(3)]])
+
+
+def cube_inertia(mass_kg: float, density_kg_m3: float = CUBE_DENSITY_KG_M3) -> Floats:
+    """Inertia (3, 3) [kg m2] of a solid cube about its centre: m a^2 / 6 with a^3 = m / density."""
+    side_m = (mass_kg / density_kg_m3) ** (1.0 / 3.0)
+    return np.eye(3) * (mass_kg * side_m**2 / 6.0)
+
+
+def assumed_load(label: str, mass_kg: float, com_m: Floats, source: str) -> FeedLoad:
+    """A load of which mass and centre of gravity are given and the shape is not."""
+    about = f"assumed: solid cube of {CUBE_DENSITY_KG_M3:g} kg/m3"
+    return FeedLoad(label, mass_kg, np.asarray(com_m, dtype=float), cube_inertia(mass_kg), source, about)
+
+
+def identified_load(result: Result, label: str | None, where: str) -> FeedLoad:
+    """The identified load of a result.
+
+    Parameters
+    ----------
+    result : Result
+    label : str or None
+        Which one, if the result holds several.
+    where : str
+        Name of the file, for messages.
+
+    Raises
+    ------
+    ConfigError
+        No such label, or several loads and no label.
+    DataUnusable
+        No load was identified, it was refused, or mass or centre of gravity could not be told.
+    InputError
+        It stands in another frame than link 6.
+    """
+    chosen = _chosen(result, label, where)
+    if chosen.frame != FRAME:
+        raise InputError(f"{where}: load '{chosen.label}' is given in frame '{chosen.frame}', {FRAME} is needed")
+    if chosen.refused:
+        raise DataUnusable(f"{where}: load '{chosen.label}' was refused, there is nothing to feed: {chosen.refused}")
+    com = np.array(chosen.com_m or (np.nan,) * 3)
+    if not np.isfinite([chosen.mass_kg, *com]).all() or chosen.mass_kg <= 0:
+        missing = ", ".join(chosen.unidentifiable) or "mass or centre of gravity"
+        raise DataUnusable(
+            f"{where}: load '{chosen.label}' is not fully identified ({missing}); measure the poses that the result "
+            "names under `next`"
+        )
+    source = f"{where}, load {chosen.label}"
+    load = assumed_load(chosen.label, chosen.mass_kg, com, source)
+    return replace(load, mass_std_kg=chosen.mass_std_kg)
+
+
+def _chosen(result: Result, label: str | None, where: str) -> LoadResult:
+    if not result.loads:
+        raise DataUnusable(f"{where}: holds no identified load; estimate one first: servo-gateway estimate DATA --json")
+    known = ", ".join(load.label for load in result.loads)
+    named = [load for load in result.loads if label in (None, load.label)]
+    if not named:
+        raise ConfigError(f"{where}: load '{label}' is not in it; it holds {known}")
+    if label is None and len(result.loads) > 1:
+        raise ConfigError(f"{where}: holds several loads ({known}); name one with --label")
+    return named[0]
+
+
+def check_origin(result: Result, loaded: LoadedCell, arm: ArmConfig, robot: Robot, where: str) -> None:
+    """Refuse a result of another robot, cell or arm.
+
+    Raises
+    ------
+    InputError
+        It was identified elsewhere; says where.
+    """
+    data = result.extra.get("data") or {}
+    for what, have, want in (
+        ("robot", result.robot, robot.name),
+        ("cell", data.get("cell"), loaded.cell.name),
+        ("arm", data.get("arm"), arm.name),
+    ):
+        if have is not None and have != want:
+            raise InputError(
+                f"{where}: was identified on {what} '{have}', not on '{want}': the load of another arm stands in "
+                "another frame; identify it on this one"
+            )
+
+
+def rated_load(arm: ArmConfig, robot: Robot) -> FeedLoad:
+    """The most the arm may carry: what a controller assumes as long as nobody has entered a load.
+
+    Raises
+    ------
+    ConfigError
+        The cell file says neither rated_load_kg nor max_load_kg.
+    """
+    flange = np.zeros(3) if robot.flange is None else robot.flange[:3, 3]
+    if arm.rated_load_kg is not None:
+        com = flange if arm.rated_load_com_m is None else np.array(arm.rated_load_com_m)
+        return assumed_load("maximum", arm.rated_load_kg.value, com, f"rated load, {arm.rated_load_kg.source}")
+    if arm.max_load_kg is not None:
+        com = flange if arm.max_load_com_m is None else np.array(arm.max_load_com_m)
+        return assumed_load("maximum", arm.max_load_kg, com, "max_load_kg of the cell file")
+    raise ConfigError(
+        f"arm '{arm.name}': rated_load_kg is missing in the cell file: the load that is assumed when none is entered; "
+        'give rated_load_kg = { value = .., source = "datasheet" } and rated_load_com_m'
+    )

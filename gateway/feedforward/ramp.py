@@ -1,0 +1,65 @@
+"""Gain of the offsets over time: eased in, eased out, zero at once when the drives are not in OPERATION ENABLED."""
+
+from __future__ import annotations
+
+
+class Ramp:
+    """A gain between 0 and 1, stepped once per SYNC.
+
+    Parameters
+    ----------
+    period_s : float
+        SYNC period.
+    duration_s : float
+        Time from 0 to 1.
+
+    Attributes
+    ----------
+    gain : float
+        What the offsets are multiplied by.
+    reason : str or None
+        Why the offsets were cut off; they stay zero then.
+    """
+
+    __slots__ = ("_share", "_step", "_wanted", "gain", "reason")
+
+    def __init__(self, period_s: float, duration_s: float) -> None:
+        self._step = min(period_s / duration_s, 1.0)
+        self._share = 0.0
+        self._wanted = 0.0
+        self.gain = 0.0
+        self.reason: str | None = None
+
+    def rise(self) -> None:
+        """From now on towards 1."""
+        self._wanted = 1.0
+
+    def fall(self) -> None:
+        """From now on towards 0."""
+        self._wanted = 0.0
+
+    @property
+    def resting(self) -> bool:
+        """Whether the gain is where it is wanted."""
+        return self._share == self._wanted
+
+    def cut(self, reason: str) -> None:
+        """Zero at once, for good."""
+        self._share = self._wanted = self.gain = 0.0
+        self.reason = self.reason or reason
+
+    def step(self, *, enabled: bool) -> float:
+        """Gain of the next SYNC.
+
+        Parameters
+        ----------
+        enabled : bool
+            Every drive was in OPERATION ENABLED at the last SYNC.
+        """
+        if not enabled:
+            self.cut("a drive is not in OPERATION ENABLED")
+        if self.reason is None and self._share != self._wanted:
+            change = max(-self._step, min(self._step, self._wanted - self._share))
+            self._share += change
+            self.gain = self._share * self._share * (3.0 - 2.0 * self._share)
+        return self.gain
