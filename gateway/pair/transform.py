@@ -114,6 +114,31 @@ def apply_correction(transform: ArrayLike, correction: ArrayLike) -> Floats:
     return pose(exp_rotation(change[..., 3:]) @ given[..., :3, :3], given[..., :3, 3] + change[..., :3])
 
 
+def corrected_pose(transform: Floats, correction: Floats) -> Floats:
+    """`apply_correction` for one pose (4, 4) and one correction (6,): the scalar path that runs each SYNC."""
+    dx, dy, dz, x, y, z = correction.tolist()
+    square = x * x + y * y + z * z
+    if square < SMALL_RAD**2:
+        first, second = 1.0 - square / 6.0, 0.5 - square / 24.0
+    else:
+        angle = math.sqrt(square)
+        first, half = math.sin(angle) / angle, math.sin(0.5 * angle) / angle
+        second = 2.0 * half * half
+    change = np.array(
+        [
+            [1.0 - second * (y * y + z * z), second * x * y - first * z, second * x * z + first * y],
+            [second * x * y + first * z, 1.0 - second * (x * x + z * z), second * y * z - first * x],
+            [second * x * z - first * y, second * y * z + first * x, 1.0 - second * (x * x + y * y)],
+        ]
+    )
+    result = transform.copy()
+    result[:3, :3] = change @ transform[:3, :3]
+    result[0, 3] += dx
+    result[1, 3] += dy
+    result[2, 3] += dz
+    return result
+
+
 def correction_between(corrected: ArrayLike, transform: ArrayLike) -> Floats:
     """Correction (..., 6) [m, rad] that turns `transform` into `corrected` (CN104379308 eqs. (21), (22))."""
     after, before = np.asarray(corrected, dtype=float), np.asarray(transform, dtype=float)

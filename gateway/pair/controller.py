@@ -1,0 +1,294 @@
+"""The pair, one control cycle at a time: forces in, commands of both grippers out. No clock, no I/O.
+
+Per command `m` the slave's command is the master's through the function of the way, `B2_T_E2 = inv(W_T_B2) W_T_B1
+command T(s[m])` (CN104379308 eq. (4)), plus what the yielding hands add. Function and corrections change only between
+two cycles: functions are exchanged at m = 0, corrections start from nothing there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gateway.errors import InputError, PlanRefused
+from gateway.pair.calibration import PairCalibration, PathWrenches
+from gateway.pair.embodiments import Embodiment
+from gateway.pair.force import dead_band
+from gateway.pair.function import TransformFunction
+from gateway.pair.impedance import Admittance, lag_of_correction_s, refuse_unstable
+from gateway.pair.learner import Cycle, Learned, Learner
+from gateway.pair.path import PairPath
+from gateway.pair.transform import Floats, apply_correction, corrected_pose, correction_between, inverse
+
+WAY_TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class CycleSummary:
+    """One finished cycle.
+
+    Attributes
+    ----------
+    cycle : number, from 1
+    complete : every command was run, with every epoch complete
+    learned : whether the second function was rebuilt from it
+    reason : why not, "" where there is nothing to say
+    function : "first" or "second", what the slave followed
+    knots : of that function
+    force_n, moment_nm : largest internal force and moment as estimated, NaN where no force is measured
+    at_command : index of the largest force, -1 = none
+    correction_m, correction_rad : largest correction of the slave
+    change_m, change_rad : how far the knots of the second function moved, NaN where it was not rebuilt
+    """
+
+    cycle: int
+    complete: bool
+    learned: bool
+    reason: str
+    function: str
+    knots: int
+    force_n: float
+    moment_nm: float
+    at_command: int
+    correction_m: float
+    correction_rad: float
+    change_m: float
+    change_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ControllerState:
+    """What the controller holds between two cycles."""
+
+    cycle: int
+    frozen: bool
+    first: TransformFunction
+    second: TransformFunction | None
+    in_use: str
+    points: np.ndarray
+    margin: float
+    lead_s: float
+
+
+class PairController:
+    """Runs one embodiment on one path.
+
+    Parameters
+    ----------
+    config : Embodiment
+    path : PairPath
+    calibration : PairCalibration
+    first_function : TransformFunction
+
+    Raises
+    ------
+    ConfigError
+        Impedance too close to oscillation.
+    InputError
+        The function reaches beyond the path.
+    """
+
+    def __init__(
+        self, config: Embodiment, path: PairPath, calibration: PairCalibration, first_function: TransformFunction
+    ) -> None:
+        if first_function.s_m[-1] > path.length_m * (1.0 + WAY_TOLERANCE):
+            raise InputError(
+                f"the function's last knot lies at {first_function.s_m[-1]:.4g} m, the path is only"
+                f" {path.length_m:.4g} m long: the function belongs to another path"
+            )
+        self._config, self._path, self._calibration = config, path, calibration
+        yielding = {"none": (), "slave": (1,), "master": (0,), "both": (0, 1)}[config.corrects]
+        gains = config.gains.doubled() if len(yielding) == 2 else config.gains
+        self._hands = [Admittance(gains, path.dt_s) if arm in yielding else None for arm in (0, 1)]
+        self._distance = config.sensing == "distance"
+        stiffness = np.eye(6) if self._distance else calibration.chain_stiffness
+        self._margin = refuse_unstable(config.gains, stiffness, calibration.loop_time_s) if yielding else np.inf
+        self._band = np.repeat(np.asarray(config.dead_band, dtype=float), 3)
+        self._banded = bool(self._band.any())
+        self._shared = inverse(calibration.w_t_b2) @ calibration.w_t_b1
+        slave = self._shared @ path.commands @ first_function.many(path.s_m)
+        self._wrenches = PathWrenches(calibration, path, slave)
+        rule = config.learning
+        self._figure = 0 if rule is None else rule.figure
+        self._lead_s = 0.0
+        if rule is not None and yielding:
+            estimate = lag_of_correction_s(config.gains, stiffness, calibration.loop_time_s)
+            self._lead_s = estimate if rule.lead_s is None else rule.lead_s
+        self._first = first_function
+        self._learner = (
+            None if rule is None else Learner(rule, path, calibration, first_function, round(self._lead_s / path.dt_s))
+        )
+        self._cycle, self._frozen, self._running = 0, False, False
+
+    def start_cycle(self) -> None:
+        """Begin a cycle, standing still at the start: corrections back to nothing, function exchanged if it is due."""
+        count, commands = len(self._path), self._path.commands
+        for admittance in self._hands:
+            if admittance is not None:
+                admittance.reset()
+        self._function = self.function
+        self._relations = self._function.many(self._path.s_m)
+        if self._learner is not None and self._figure == 15 and self._hands[0] is not None:
+            commands = apply_correction(commands, self._learner.master_mean)
+        self._slave_base = self._shared @ commands @ self._relations
+        self._corrections = np.zeros((count, 2, 6))
+        self._measured = np.full((count, 2, 4, 4), np.nan)
+        self._force = np.zeros((count, 6))
+        self._visited = np.zeros(count, dtype=bool)
+        self._blind = -1
+        self._cycle += 1
+        self._running = True
+
+    def step(
+        self,
+        m: int,
+        wrench_1: Floats | None,
+        wrench_2: Floats | None,
+        measured: tuple[Floats, Floats] | None = None,
+    ) -> tuple[Floats, Floats]:
+        """Commands of both grippers for command `m`.
+
+        Parameters
+        ----------
+        m : int
+            Index of the command, from 0.
+        wrench_1, wrench_2 : arrays of shape (6,) or None
+            What the part exerts on each gripper, at its fingertip, base axes [N, Nm]; None = not measured. With
+            distance sensors `wrench_2` is what the slave's fingertip still has to move [m, rad], base axes.
+        measured : two arrays of shape (4, 4), optional
+            Present poses of both grippers, for rules that learn from measured positions.
+
+        Returns
+        -------
+        two arrays of shape (4, 4)
+            `B1_T_E1`, `B2_T_E2` [m].
+
+        Raises
+        ------
+        PlanRefused
+            No cycle was started, or learning from measured positions without any.
+        """
+        if not self._running:
+            raise PlanRefused("the pair has no cycle running: start one before commanding")
+        felt = wrench_2 if self._distance else self._wrenches.internal(m, wrench_1, wrench_2)
+        if felt is not None:
+            self._force[m] = felt
+        elif self._hands and self._blind < 0:
+            self._blind = m
+        master, slave = self._path.commands[m], self._slave_base[m]
+        if self._hands[0] is not None:
+            master = corrected_pose(master, self._yield(0, m, felt))
+            if self._figure == 14:
+                slave = self._shared @ master @ self._relations[m]
+        if self._hands[1] is not None:
+            slave = corrected_pose(slave, self._yield(1, m, felt))
+        self._visited[m] = True
+        if measured is not None:
+            self._measured[m] = measured
+        return master, slave
+
+    def _yield(self, arm: int, m: int, felt: Floats | None) -> Floats:
+        """Correction of a hand after one more cycle; without a force it stays as it is."""
+        admittance = self._hands[arm]
+        if admittance is None:
+            return self._corrections[m, arm]
+        if felt is not None:
+            wrench = felt if self._distance else self._wrenches.at_tip(arm, m, felt if arm else -felt)
+            correction = admittance.step(dead_band(wrench, self._band) if self._banded else wrench)
+        else:
+            correction = admittance.correction
+        self._corrections[m, arm] = correction
+        return correction
+
+    def end_cycle(self, complete: bool) -> CycleSummary:
+        """Finish a cycle; learns from it if it was complete and learning is on.
+
+        Parameters
+        ----------
+        complete : bool
+            False when an epoch was incomplete or the arms were stopped.
+        """
+        self._running = False
+        whole = complete and bool(self._visited.all())
+        reason = self._reason(complete)
+        learned = Learned(False, len(self._function))
+        if not reason and self._learner is not None:
+            learned = self._learner.learn(Cycle(self._slave_base, self._to_learn(), self._force))
+        size = np.linalg.norm(self._force[:, :3], axis=1)
+        known = bool(size.any())
+        correction = np.linalg.norm(self._corrections[:, 1].reshape(-1, 2, 3), axis=2).max(axis=0)
+        return CycleSummary(
+            cycle=self._cycle,
+            complete=whole,
+            learned=learned.updated,
+            reason=reason,
+            function="first" if self._function is self._first else "second",
+            knots=len(self._function),
+            force_n=float(size.max()) if known else float("nan"),
+            moment_nm=float(np.linalg.norm(self._force[:, 3:], axis=1).max()) if known else float("nan"),
+            at_command=int(np.argmax(size)) if known else -1,
+            correction_m=float(correction[0]),
+            correction_rad=float(correction[1]),
+            change_m=learned.change_m if learned.updated else float("nan"),
+            change_rad=learned.change_rad if learned.updated else float("nan"),
+        )
+
+    def _reason(self, complete: bool) -> str:
+        """Why a cycle is not learned from; "" when it is, or when nothing is ever learned."""
+        rule = self._config.learning
+        if rule is None:
+            return ""
+        if not complete:
+            return "an epoch was incomplete or the arms were stopped"
+        if not self._visited.all():
+            return f"command {int(np.argmin(self._visited)) + 1} was not run"
+        if self._frozen:
+            return "learning is off"
+        if self._blind >= 0:
+            return f"no force could be told at command {self._blind + 1}"
+        if rule.source != "command" and np.isnan(self._measured).any():
+            return "present positions are missing"
+        return ""
+
+    def _to_learn(self) -> Floats:
+        """Corrections (M, 2, 6) by which commands or present positions differ from the commands before correction."""
+        source = "command" if self._config.learning is None else self._config.learning.source
+        corrections = self._corrections.copy()
+        if source != "command":
+            corrections[:, 0] = correction_between(self._measured[:, 0], self._path.commands)
+        if source == "measured":
+            corrections[:, 1] = correction_between(self._measured[:, 1], self._slave_base)
+        return corrections
+
+    def freeze(self) -> None:
+        """Learning off: functions stay as they are, to the last bit."""
+        self._frozen = True
+
+    def resume(self) -> None:
+        """Learning on again."""
+        self._frozen = False
+
+    def reset(self) -> None:
+        """Forget all that was learned; from the next cycle on the first function is used."""
+        if self._learner is not None:
+            self._learner.reset()
+
+    @property
+    def function(self) -> TransformFunction:
+        """The function of the next cycle."""
+        return self._first if self._learner is None else self._learner.in_use
+
+    def state(self) -> ControllerState:
+        """What is held between two cycles."""
+        learner = self._learner
+        return ControllerState(
+            cycle=self._cycle,
+            frozen=self._frozen,
+            first=self._first,
+            second=None if learner is None else learner.second,
+            in_use="first" if self.function is self._first else "second",
+            points=self._path.nearest(self._first.s_m) if learner is None else learner.points,
+            margin=self._margin,
+            lead_s=self._lead_s,
+        )

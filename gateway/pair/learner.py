@@ -1,0 +1,170 @@
+"""First and second function of the pair, and how the second one comes about while the pair runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gateway.pair.calibration import PairCalibration
+from gateway.pair.function import TransformFunction
+from gateway.pair.learning import (
+    LearningRule,
+    at_points,
+    from_local,
+    largest_change,
+    led,
+    local,
+    raw_relation,
+)
+from gateway.pair.path import PairPath
+from gateway.pair.representative import representative
+from gateway.pair.selection import Record, prune, score, select
+from gateway.pair.store import CorrectionStore
+from gateway.pair.transform import Floats, apply_correction, correction_between, inverse
+
+SETTLED_M, SETTLED_RAD = 0.05e-3, 0.2e-3
+SETTLED_CYCLES = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cycle:
+    """What one complete cycle has shown: slave's commands before correction (M, 4, 4), corrections (M, 2, 6), internal
+    wrench (M, 6)."""
+
+    slave_base: Floats
+    corrections: Floats
+    force: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """What a learning step has done; `change` is that of the function at its knots."""
+
+    updated: bool
+    knots: int
+    change_m: float = 0.0
+    change_rad: float = 0.0
+
+
+class Learner:
+    """Learns the second function by a rule; holds no time and does no I/O.
+
+    Parameters
+    ----------
+    rule : LearningRule
+    path : PairPath
+    calibration : PairCalibration
+    first : TransformFunction
+    lead : int
+        How many commands later a correction is read.
+    """
+
+    def __init__(
+        self, rule: LearningRule, path: PairPath, calibration: PairCalibration, first: TransformFunction, lead: int
+    ) -> None:
+        self._rule, self._path, self._calibration, self._lead = rule, path, calibration, lead
+        self.first = first
+        self._reference = first.many(path.s_m)
+        self._store = CorrectionStore(rule.cycles, len(path))
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all that was learned."""
+        self.second: TransformFunction | None = None
+        self.master_mean = np.zeros((len(self._path), 6))
+        self._store.clear()
+        self._points = np.unique(np.append(self._path.nearest(self.first.s_m), [0, len(self._path) - 1]))
+        self._forces: list[Floats] = []
+        self._force_before = np.zeros((len(self._path), 6))
+        self._change_before = np.zeros((len(self._path), 6))
+        self._settled = 0
+        self._in_use = False
+        self._first_force = np.inf
+        self._last_change = np.inf
+
+    @property
+    def in_use(self) -> TransformFunction:
+        """The function of the next cycle."""
+        return self.second if self.second is not None and self._in_use else self.first
+
+    @property
+    def points(self) -> np.ndarray:
+        """Indices of the learning points."""
+        return self._points.copy()
+
+    def learn(self, cycle: Cycle) -> Learned:
+        """Take in one complete cycle; rebuilds the second function when the rule says so."""
+        self._store.add(cycle.corrections)
+        self._forces = [*self._forces, cycle.force][-self._rule.cycles :]
+        if self._rule.schedule == "block" and not self._store.full:
+            return Learned(False, len(self.in_use))
+        stored = self._store.corrections
+        typical = led(representative(stored, self._rule.kind), self._lead)
+        raw = raw_relation(self._calibration.bases, self._path.commands, self._slave_of(cycle, typical), typical)
+        present = self.in_use.many(self._path.s_m)
+        before = local(present, self._reference)
+        change = local(raw, self._reference) - before
+        coordinates = self._rule.forgetting.update(
+            before, change, self._change_before, self._path.duration_s * self._rule.cycles
+        )
+        self._change_before = change
+        updated = from_local(coordinates, self._reference)
+        self._choose_points(typical[:, 1])
+        function = at_points(updated, self._path.s_m, self._points)
+        if self._rule.selection is not None and self._rule.selection.keep == "union":
+            function = prune(self._rule.selection, function)
+            self._points = self._path.nearest(function.s_m)
+        return self._take(function, cycle)
+
+    def _slave_of(self, cycle: Cycle, typical: Floats) -> Floats:
+        """Slave's second learning commands: the function applied to the corrected commands of the master (fig. 14)."""
+        if self._rule.figure == 15:
+            return cycle.slave_base
+        shared = inverse(self._calibration.w_t_b2) @ self._calibration.w_t_b1
+        return shared @ apply_correction(self._path.commands, typical[:, 0]) @ self.in_use.many(self._path.s_m)
+
+    def _choose_points(self, correction: Floats) -> None:
+        if self._rule.selection is None:
+            return
+        force = np.mean(self._forces, axis=0)
+        record = Record(force, correction, self._force_before)
+        self._force_before = force
+        scores = score(self._rule.selection, record, self._path)
+        self._points = select(self._rule.selection, scores, self._path, self._points)
+
+    def _take(self, function: TransformFunction, cycle: Cycle) -> Learned:
+        """Put a rebuilt function in place of the second one."""
+        ways = self._path.s_m
+        last = self.first if self.second is None else self.second
+        change_m, change_rad = largest_change(function.many(ways)[self._points], last.many(ways)[self._points])
+        present = self.in_use
+        self.master_mean = self._store.corrections[:, :, 0].mean(axis=0)
+        self.second = function
+        self._choose(float(np.linalg.norm(cycle.force[:, :3], axis=1).max()), change_m, change_rad)
+        if self._rule.schedule == "block":
+            self._store.clear()
+        elif self.in_use is not present:
+            shared = inverse(self._calibration.w_t_b2) @ self._calibration.w_t_b1 @ self._path.commands
+            moved = correction_between(shared @ self.in_use.many(ways), shared @ present.many(ways))
+            self._store.rereference(moved)
+        return Learned(True, len(function), change_m, change_rad)
+
+    def _choose(self, force: float, change_m: float, change_rad: float) -> None:
+        """Which function the next cycle uses.
+
+        With "convergence" the second one is used once its knots have moved less than 0.05 mm and 0.2 mrad in two
+        successive updates, and given up when the force exceeds that of the last cycle under the first function or when
+        the knots move by more than that and ever further.
+        """
+        if self._rule.choice == "always":
+            self._in_use = True
+            return
+        small = change_m < SETTLED_M and change_rad < SETTLED_RAD
+        if not self._in_use:
+            self._first_force = force
+            self._settled = self._settled + 1 if small else 0
+            self._in_use = self._settled >= SETTLED_CYCLES
+        elif force > self._first_force or (not small and change_m > self._last_change):
+            self._in_use, self._settled = False, 0
+        self._last_change = change_m
