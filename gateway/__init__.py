@@ -1,0 +1,6 @@
+"""Load identification of six-axis robots from the torque of their own drives."""
+
+import os
+
+# The matrices are small: threads of the linear algebra cost more than they give, most of all on a busy machine.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

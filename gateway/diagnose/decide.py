@@ -126,12 +126,21 @@ def strength(search: Search, whole: Fit, term: Term) -> float:
 
 
 def _without_weak(search: Search, chosen: Fit) -> Fit:
-    """A hypothesis as good as the chosen one whose effects are all strong, where there is one."""
-    if all(strong(search, chosen, term) for term in chosen.terms):
+    """A hypothesis as good as the chosen one whose effects are all strong, where there is one.
+
+    What a correction of the CAD's links explains as well, another effect has to show as clearly as a link would.
+    """
+    weak = [term for term in chosen.terms if not strong(search, chosen, term)]
+    if not weak:
         return chosen
     level = search.score(chosen) - NEEDED
+    least = LEAST_LINK_STRENGTH if all(term.name == "link_mass" for term in weak) else LEAST_STRENGTH
     as_good = [fit for fit in search.pool.values() if search.score(fit) >= level and fit.terms]
-    better = [fit for fit in as_good if all(strong(search, fit, term) for term in fit.terms)]
+    better = [
+        fit
+        for fit in as_good
+        if all(strong(search, fit, term) and strength(search, fit, term) >= least for term in fit.terms)
+    ]
     return pruned(search, search.best(better)) if better else chosen
 
 

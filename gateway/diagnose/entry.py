@@ -94,7 +94,8 @@ class Found:
             axes = self.search.problem.group % 6 + 1
             scale -= float(np.sum(np.isin(axes, mistake.joints))) * float(np.log(mistake.factor))
         signs = band_signs(self.search.problem, self.chosen)
-        return self.search.score(self.chosen) + signs + scale - SURER * len(self.mistakes)
+        against = sum(SURER + mistake.handicap for mistake in self.mistakes)
+        return self.search.score(self.chosen) + signs + scale - against
 
 
 class RestDiagnosis:

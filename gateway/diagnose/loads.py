@@ -6,7 +6,9 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm, t
 
+from gateway.diagnose.fit import NOISE_WEIGHT
 from gateway.diagnose.linear import Fit, Problem
 from gateway.model.robot import Robot
 from gateway.result import LoadResult
@@ -28,7 +30,7 @@ def _load(problem: Problem, fit: Fit, robot: Robot, index: int) -> LoadResult:
     label = problem.labels[index]
     phi = fit.loads[index]
     part = slice(24 + 4 * index, 28 + 4 * index)
-    covariance = fit.covariance[part, part]
+    covariance = fit.covariance[part, part] * _widening(problem, fit, part) ** 2
     mass, mass_std = float(phi[0]), float(np.sqrt(covariance[0, 0]))
     if mass + AGAINST_MASS * mass_std < 0:
         reason = f"the data ask for a mass of {mass:.3g} kg (standard deviation {mass_std:.2g} kg)"
@@ -57,6 +59,21 @@ def _load(problem: Problem, fit: Fit, robot: Robot, index: int) -> LoadResult:
         unidentifiable=tuple(name for name, missing in zip(NAMES, blind, strict=True) if missing),
         per_pose_mass_kg=_per_pose(problem, fit, index),
     )
+
+
+def _widening(problem: Problem, fit: Fit, part: slice) -> float:
+    """Factor on the standard deviations, so that 1.96 of them hold 95 % although the noise itself is estimated.
+
+    Student's t over the normal quantile, its degrees of freedom those of the noise of each axis, weighted by what the
+    axis says about the load.
+    """
+    count = np.bincount(problem.group, minlength=18)
+    taken = np.bincount(problem.group, weights=(fit.orthogonal**2).sum(axis=1), minlength=18)
+    freedom = np.maximum(count - taken, 0.0) + NOISE_WEIGHT
+    told = ((fit.design[:, part] / fit.noise.std[problem.group][:, None]) ** 2).sum(axis=1)
+    if not told.any():
+        return 1.0
+    return float(t.ppf(0.975, np.average(freedom[problem.group], weights=told)) / norm.ppf(0.975))
 
 
 def _in_flange(com_m: Floats, flange: Floats) -> tuple[float, ...]:

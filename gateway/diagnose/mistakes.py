@@ -50,6 +50,11 @@ class Mistake:
     factor: float = 1.0
     with_positions: bool = False
 
+    @property
+    def handicap(self) -> float:
+        """Log odds against the mistake beforehand: heavier links look like a factor on all axes at once."""
+        return COMMON if len(self.joints) > 2 else 0.0
+
     def undo(self, table: Table) -> Table:
         """The table as it would read without the mistake."""
         axes = [joint - 1 for joint in self.joints]
@@ -153,9 +158,10 @@ def find_mistakes(
                 continue
             changed = build(mistake.undo(table))
             scale = -float(np.sum(np.isin(changed.group % 6 + 1, mistake.joints))) * np.log(mistake.factor)
-            if len(mistake.joints) > 2:
-                scale -= COMMON  # heavier links look alike: all axes at once needs more than one axis does
+            scale -= mistake.handicap
             value, result = plain_score(changed, scale)
+            if mistake.handicap and strained(changed, result):
+                continue  # a factor on all axes leaves links as the CAD has them, one heavy link does not
             if best is None or value > best[0]:
                 best = value, mistake, changed, result
         if best is None or best[0] - before < SURE:

@@ -156,12 +156,15 @@ def _difference_scatter(problem: Problem, axis: int, torque_nm: Floats) -> float
 def _repeated_scatter(rows: RestRows, axis: int) -> float:
     """Pooled standard deviation of visits that repeat a pose under one load; NaN below four degrees of freedom."""
     total, freedom = 0.0, 0
-    keys = list(zip(rows.load.tolist(), rows.pose.tolist(), rows.side[:, axis].tolist(), strict=True))
-    for key in set(keys):
-        values = rows.sum_nm[[k for k, other in enumerate(keys) if other == key], axis]
-        values = values[np.isfinite(values)]
+    groups: dict[tuple[str, int, float], list[float]] = {}
+    known = np.flatnonzero(np.isfinite(rows.sum_nm[:, axis]))
+    keys = zip(rows.load[known].tolist(), rows.pose[known].tolist(), rows.side[known, axis].tolist(), strict=True)
+    for key, value in zip(keys, rows.sum_nm[known, axis].tolist(), strict=True):
+        groups.setdefault(key, []).append(value)
+    for values in groups.values():
         if len(values) > 1:
-            total += float(np.sum((values - values.mean()) ** 2))
+            mean = sum(values) / len(values)
+            total += sum((value - mean) ** 2 for value in values)
             freedom += len(values) - 1
     return float(np.sqrt(total / freedom)) if freedom >= 4 else float("nan")
 

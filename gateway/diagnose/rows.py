@@ -38,26 +38,24 @@ def rest_rows(table: Table, efficiency: Floats) -> RestRows:
 def _pairs(table: Table, members: list[int]) -> list[tuple[int, int | None]]:
     """Rows of one pose and load as (up, down) pairs, left-overs as (row, None)."""
     open_rows = sorted(members, key=lambda row: (np.nan_to_num(table.time_s[row]), row))
+    if len(open_rows) == 2 and _facing(table, *open_rows):
+        return [(open_rows[0], open_rows[1])]
     out: list[tuple[int, int | None]] = []
     while open_rows:
         row = open_rows.pop(0)
-        facing = table.direction[row]
-        partner = next(
-            (
-                other
-                for other in open_rows
-                if facing.any()
-                and np.array_equal(table.direction[other], -facing)
-                and np.abs(table.q_rad[other] - table.q_rad[row]).max() < _SAME_RAD
-            ),
-            None,
-        )
-        if partner is None:
-            out.append((row, None))
-            continue
-        open_rows.remove(partner)
+        partner = next((other for other in open_rows if _facing(table, row, other)), None)
         out.append((row, partner))
+        if partner is not None:
+            open_rows.remove(partner)
     return out
+
+
+def _facing(table: Table, row: int, other: int) -> bool:
+    """Whether two rows stand at one pose, approached from opposite sides."""
+    facing = table.direction[row]
+    if not facing.any() or (table.direction[other] != -facing).any():
+        return False
+    return bool(np.abs(table.q_rad[other] - table.q_rad[row]).max() < _SAME_RAD)
 
 
 def _visits(table: Table, pairs: list[tuple[int, int | None]], efficiency: Floats) -> RestRows:

@@ -20,10 +20,11 @@ from gateway.result import LoadResult, Result
 from gateway.table import Table
 from sim.blind import LEAST_STRENGTH, VISIT_S, BlindCell, draw_cell
 from sim.draw import choose_poses
+from sim.offline import Visit
 
 MISTAKES = ("sign_reversed", "axes_swapped", "current_rms_peak")
 VALIDATION = 4
-TIMED = 10
+TIMED, TIMED_POSES = 10, 40
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,16 +107,27 @@ def run_cell(seed: int) -> dict:
     robot = robot_from_urdf(cell.arm.urdf, f"seed {seed}")
     table = table_of(cell.measure(cell.visits), "first")
     options = options_of(cell)
+    first_s = _time_of_many(cell, robot, options) if seed % TIMED == 0 else float("nan")
     begin = time.process_time()
-    first_s = float("nan")
-    if seed % TIMED == 0:
-        diagnose(table, robot, options)
-        first_s = time.process_time() - begin
     side = Robotside(cell)
     validation = choose_poses(cell.arm, VALIDATION, np.random.default_rng([seed, 3]))
     result, fitted = close_loop(table, robot, options, side.measure, validation)
     total_s = time.process_time() - begin
     return asdict(_score(cell, robot, options, result, fitted, (first_s, total_s, side.calls - 1)))
+
+
+def _time_of_many(cell: BlindCell, robot: Robot, options: DiagnoseOptions) -> float:
+    """CPU time [s] of a diagnosis of many poses, each bare and with the load."""
+    poses = choose_poses(cell.arm, TIMED_POSES, np.random.default_rng([cell.seed, 9]))
+    visits = [
+        Visit(number, label, VISIT_S * (number + TIMED_POSES * place), q)
+        for place, label in enumerate(("none", "tool"))
+        for number, q in enumerate(poses)
+    ]
+    table = table_of(cell.measure(visits, 99), "many")
+    begin = time.process_time()
+    diagnose(table, robot, options)
+    return time.process_time() - begin
 
 
 def true_labels(cell: BlindCell) -> list[tuple[str, tuple[int, ...], float]]:

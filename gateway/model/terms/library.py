@@ -91,11 +91,12 @@ def unnamed_terms(rows: RestRows, setup: Setup) -> list[Term]:
 
 
 def _drifts(rows: RestRows, axis: int) -> list[Term]:
+    causes = []
     if np.isfinite(rows.temperature_c[:, axis]).all() and np.ptp(rows.temperature_c[:, axis]) > 0.5:
-        return [ThermalDrift(axis, "temperature", "torque"), ThermalDrift(axis, "temperature", "friction")]
+        causes.append("temperature")
     if np.ptp(rows.time_s) > 0:
-        return [ThermalDrift(axis, "time", "torque"), ThermalDrift(axis, "time", "friction")]
-    return []
+        causes.append("time")
+    return [ThermalDrift(axis, cause, on) for cause in causes for on in ("torque", "friction")]
 
 
 def _ripples(axis: int, ratio: float) -> list[Term]:
