@@ -279,6 +279,11 @@ class PairController:
         """The function of the next cycle."""
         return self._first if self._learner is None else self._learner.in_use
 
+    @property
+    def needs_measured(self) -> bool:
+        """Whether `step` must be given the present poses."""
+        return self._config.learning is not None and self._config.learning.source != "command"
+
     def state(self) -> ControllerState:
         """What is held between two cycles."""
         learner = self._learner

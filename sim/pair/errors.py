@@ -32,7 +32,7 @@ DRIFT_M = 0.1e-3
 DRIFT_S = 600.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class ArmErrors:
     """One real arm.
 
@@ -58,7 +58,7 @@ class ArmErrors:
     friction_scale: Array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class PairErrors:
     """Both arms, and how much later than the master's bus the slave's bus has its SYNC [s]."""
 

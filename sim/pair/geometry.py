@@ -27,7 +27,7 @@ DURATION_S = 6.0
 START_RAD = np.deg2rad([[-25.0, 85.0, -182.0, 0.0, -83.0, -25.0], [25.0, 85.0, -182.0, 0.0, -83.0, 25.0]])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class ArmGeometry:
     """One arm (or a stack of arms).
 
