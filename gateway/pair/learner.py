@@ -16,6 +16,7 @@ from gateway.pair.learning import (
     led,
     local,
     raw_relation,
+    smoothed,
 )
 from gateway.pair.path import PairPath
 from gateway.pair.representative import representative
@@ -100,7 +101,8 @@ class Learner:
         if self._rule.schedule == "block" and not self._store.full:
             return Learned(False, len(self.in_use))
         stored = self._store.corrections
-        typical = led(representative(stored, self._rule.kind), self._lead)
+        width = round(0.5 * self._rule.smooth_s / self._path.dt_s)
+        typical = led(smoothed(representative(stored, self._rule.kind), width), self._lead)
         raw = raw_relation(self._calibration.bases, self._path.commands, self._slave_of(cycle, typical), typical)
         present = self.in_use.many(self._path.s_m)
         before = local(present, self._reference)

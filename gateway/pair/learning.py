@@ -73,6 +73,8 @@ class LearningRule:
     source : "command" (corrected commands), "measured" (present positions of both), or "master_measured" (for a
         master whose controller filters its commands: its present positions, the slave's corrected commands)
     lead_s : how much later than the command its correction is read; None = damping/stiffness + loop time
+    smooth_s : width of the symmetric mean over the commands around the one that is read; what changes faster than the
+        correction can follow would otherwise build up from update to update where learning points are close
     figure : 14: the slave follows the master's corrected command; 15: the stored command plus the mean of the
         master's stored corrections, which keeps the master's momentary correction away from the slave
     forgetting : Forgetting
@@ -85,6 +87,7 @@ class LearningRule:
     schedule: Schedule = "block"
     source: Source = "command"
     lead_s: float | None = None
+    smooth_s: float = 0.06
     figure: Literal[14, 15] = 15
     forgetting: Forgetting = Forgetting()
     selection: Selection | None = None
@@ -100,8 +103,10 @@ class LearningRule:
             )
         if self.kind not in get_args(Kind) or self.source not in get_args(Source):
             raise ConfigError(f"learning: representative '{self.kind}' or source '{self.source}' is not known")
-        if self.lead_s is not None and not self.lead_s >= 0.0:
-            raise ConfigError(f"learning: lead must not be negative, got {self.lead_s} s")
+        if (self.lead_s is not None and not self.lead_s >= 0.0) or not self.smooth_s >= 0.0:
+            raise ConfigError(
+                f"learning: lead and smoothing must not be negative, got {self.lead_s}, {self.smooth_s} s"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,6 +120,16 @@ class Bases:
 def led(values: Floats, lead: int) -> Floats:
     """Values (M, ...) as they are `lead` commands later; the last one holds at the end."""
     return values[np.minimum(np.arange(len(values)) + lead, len(values) - 1)]
+
+
+def smoothed(values: Floats, width: int) -> Floats:
+    """Symmetric moving mean of values (M, ...) over `2 width + 1` commands, fewer towards both ends: no phase shift."""
+    count = len(values)
+    total = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
+    index = np.arange(count)
+    half = np.minimum(width, np.minimum(index, count - 1 - index))
+    size = (2 * half + 1).reshape((-1,) + (1,) * (values.ndim - 1))
+    return (total[index + half + 1] - total[index - half]) / size
 
 
 def raw_relation(bases: Bases, commands: Floats, slave_base: Floats, corrections: Floats) -> Floats:
