@@ -1,0 +1,252 @@
+"""What a cell file says about a pair: arms, geometry, path, model; everything that can be known without a bus."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from drives.bus import BusSpec
+from gateway.arm_model import arm_robot
+from gateway.config import ArmConfig, LoadedCell, PairConfig, load_cell
+from gateway.errors import ConfigError, InputError
+from gateway.model.regressor import regressor
+from gateway.model.robot import Robot, rotation_rpy, transform
+from gateway.pair.inverse import Chain, chain_of, path_joint_angles
+from gateway.pair.path import PairPath, PathProgram, master_commands
+from gateway.pair.relation import relation, slave_command
+from gateway.pair.transform import Floats
+
+COLUMNS = ("time_s", "x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairArm:
+    """One arm of a pair.
+
+    Attributes
+    ----------
+    config : ArmConfig
+    robot : Robot
+        With the fingertip as its flange.
+    chain : Chain
+    world_from_base : array of shape (4, 4)
+    part_from_tip : array of shape (4, 4)
+        Fingertip in the part's frame.
+    rotor_kg_m2, coulomb_nm, viscous_nm_s_rad : arrays of shape (6,)
+    links : array of shape (60,)
+        Inertial parameters of the links, gripper included, part not.
+    """
+
+    config: ArmConfig
+    robot: Robot
+    chain: Chain
+    world_from_base: Floats
+    part_from_tip: Floats
+    rotor_kg_m2: Floats
+    coulomb_nm: Floats
+    viscous_nm_s_rad: Floats
+    links: Floats
+
+    @property
+    def start_rad(self) -> Floats:
+        """Joint angles (6,) at which the part is gripped [rad]."""
+        return np.array(self.config.start_rad)
+
+    def model_torque(self, q_rad: Floats, qd_rad_s: Floats, qdd_rad_s2: Floats) -> Floats:
+        """Actuator torque (n, 6) [Nm] of a free motion, rotors included, friction not."""
+        rows = regressor(self.robot, q_rad, qd_rad_s, qdd_rad_s2, self.config.gravity_m_s2)
+        return rows @ self.links + self.rotor_kg_m2 * qdd_rad_s2
+
+    def mass_matrix(self, q_rad: Floats) -> Floats:
+        """Inertia (n, 6, 6) [kg m2] that the motors turn, rotors included."""
+        still = np.zeros_like(q_rad)
+        at_rest = self.model_torque(q_rad, still, still)
+        columns = [self.model_torque(q_rad, still, still + unit) - at_rest for unit in np.eye(6)]
+        return np.stack(columns, axis=2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairCell:
+    """A cell with a pair.
+
+    Attributes
+    ----------
+    loaded : LoadedCell
+    config : PairConfig
+    arms : two PairArm
+        Master and slave.
+    program : PathProgram
+        Of the master.
+    specs : tuple of two BusSpec
+    """
+
+    loaded: LoadedCell
+    config: PairConfig
+    arms: tuple[PairArm, PairArm]
+    program: PathProgram
+    specs: tuple[BusSpec, BusSpec]
+
+    @property
+    def sync_period_s(self) -> float:
+        """Of both buses."""
+        return self.loaded.cell.bus[self.arms[0].config.bus].sync_period_s
+
+    @property
+    def pacing(self) -> str:
+        """Of both buses."""
+        return self.loaded.cell.bus[self.arms[0].config.bus].pacing
+
+    @property
+    def nominal_relation(self) -> Floats:
+        """Gripper 2 in gripper 1 (4, 4) by the grasps alone [m]."""
+        first, second = self.arms
+        return relation(np.eye(4), first.part_from_tip, np.eye(4), second.part_from_tip)
+
+    def path(self, speed: float | None = None) -> PairPath:
+        """Commands of the master at a speed setting (the cell's if none is given)."""
+        return self.program.at_speed(speed or self.config.speed, self.sync_period_s)
+
+    def nominal_slave(self, path: PairPath) -> Floats:
+        """Commands (M, 4, 4) of the slave by the nominal relation."""
+        first, second = self.arms
+        return slave_command(first.world_from_base, path.commands, second.world_from_base, self.nominal_relation)
+
+    def joints(self, path: PairPath) -> tuple[Floats, Floats]:
+        """Nominal joint angles (M, 6) of both arms along a path [rad]; refuses a singular posture."""
+        first, second = self.arms
+        return (
+            path_joint_angles(first.chain, path.commands, first.start_rad)[0],
+            path_joint_angles(second.chain, self.nominal_slave(path), second.start_rad)[0],
+        )
+
+
+def load_pair(path: Path, bus: str | None = None) -> PairCell:
+    """Read a cell file with a pair.
+
+    Parameters
+    ----------
+    path : Path
+    bus : str, optional
+        NAME=SPEC;NAME=SPEC in place of the cell's buses.
+
+    Raises
+    ------
+    ConfigError, InputError
+        The cell, its robots or its path cannot be used.
+    BusError
+        A SPEC is not understood.
+    """
+    loaded = load_cell(path)
+    config = loaded.cell.pair
+    if config is None:
+        raise ConfigError(f"{path}: the cell has no [pair]; two arms that carry one part are described there")
+    arms = {arm.name: arm for arm in loaded.cell.arm}
+    grasps = (
+        _pose(config.master_grasp_xyz_m, config.master_grasp_rpy_rad),
+        _pose(config.slave_grasp_xyz_m, config.slave_grasp_rpy_rad),
+    )
+    names = (config.master, config.slave)
+    built = [_arm(loaded, arms[name], grasp) for name, grasp in zip(names, grasps, strict=True)]
+    poses, step_s = read_path(loaded.path(config.path))
+    commands = master_commands(poses, built[0].world_from_base, built[0].part_from_tip)
+    specs = _specs(loaded, [arms[name].bus for name in names], bus)
+    return PairCell(loaded, config, (built[0], built[1]), PathProgram(commands, step_s), specs)
+
+
+def _pose(xyz_m: tuple[float, float, float], rpy_rad: tuple[float, float, float]) -> Floats:
+    return transform(rotation_rpy(rpy_rad), xyz_m)
+
+
+def _arm(loaded: LoadedCell, config: ArmConfig, grasp: Floats) -> PairArm:
+    robot = arm_robot(loaded, config)
+    flange = np.eye(4) if robot.flange is None else robot.flange
+    robot = replace(robot, flange=flange @ _pose(config.tool_xyz_m, config.tool_rpy_rad))
+    if not np.isfinite(robot.mass_kg).all():
+        unknown = int(np.argmin(np.isfinite(robot.mass_kg))) + 1
+        raise ConfigError(
+            f"arm '{config.name}': the mass of link {unknown} is not known, and force from torque needs every link:"
+            " give <inertial> in the URDF, or commission the arm first"
+        )
+    constants = []
+    for key in ("rotor_inertia_kg_m2", "coulomb_nm", "viscous_nm_s_rad"):
+        values = [getattr(axis, key) for axis in config.axis]
+        if None in values:
+            where = values.index(None) + 1
+            raise ConfigError(
+                f"arm '{config.name}', axis {where}: {key} is missing; force from torque needs it, nothing is assumed"
+            )
+        constants.append(np.array([value.value for value in values]))
+    return PairArm(
+        config,
+        robot,
+        chain_of(robot),
+        _pose(config.base_xyz_m, config.base_rpy_rad),
+        grasp,
+        *constants,
+        links=_links(robot),
+    )
+
+
+def _links(robot: Robot) -> Floats:
+    """Inertial parameters (60,) of the links about their origins, in the order of the regressor's columns."""
+    rows = []
+    for mass, com, inertia in zip(robot.mass_kg, robot.com_m, robot.inertia_kg_m2, strict=True):
+        about = inertia + mass * (com @ com * np.eye(3) - np.outer(com, com))
+        rows.append([mass, *(mass * com), *about[np.triu_indices(3)]])
+    return np.array(rows).ravel()
+
+
+def read_path(path: Path) -> tuple[Floats, float]:
+    """Poses (M, 4, 4) of a part in the world [m] and the time between them [s], from a CSV.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, a column is missing, a number is none, or the times are not evenly spaced.
+    """
+    try:
+        with path.open(encoding="utf-8", newline="") as lines:
+            reader = csv.DictReader(lines)
+            missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
+            if missing:
+                raise InputError(f"{path}: column {missing[0]} is missing; a path has {', '.join(COLUMNS)}")
+            table = [_row(row, path, number) for number, row in enumerate(reader, start=2)]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}; correct the key path of [pair]") from error
+    if len(table) < 3:
+        raise InputError(f"{path}: a path needs at least three poses, got {len(table)}")
+    rows = np.array(table)
+    steps = np.diff(rows[:, 0])
+    if steps.min() <= 0 or np.ptp(steps) > 1e-6 * steps.mean() + 1e-6:
+        raise InputError(f"{path}: the times of a path must rise in even steps")
+    poses = np.array([_pose(tuple(row[1:4]), tuple(row[4:7])) for row in rows])
+    return poses, float((rows[-1, 0] - rows[0, 0]) / len(steps))
+
+
+def _row(row: Mapping[str, str], path: Path, number: int) -> list[float]:
+    try:
+        values = [float(row[name]) for name in COLUMNS]
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{path}:{number}: {error}") from error
+    if not np.isfinite(values).all():
+        raise InputError(f"{path}:{number}: a value is not finite")
+    return values
+
+
+def _specs(loaded: LoadedCell, names: list[str], bus: str | None) -> tuple[BusSpec, BusSpec]:
+    given: dict[str, BusSpec] = {}
+    for part in bus.split(";") if bus else ():
+        name, _, text = part.partition("=")
+        if name not in names or not text:
+            raise ConfigError(f"--bus '{part}': a pair has two buses, give NAME=SPEC;NAME=SPEC with {', '.join(names)}")
+        given[name] = BusSpec.parse(text)
+    found = []
+    for name in names:
+        config = loaded.cell.bus[name]
+        cell_spec = BusSpec(config.interface, config.channel, config.bitrate_bit_s, dict(config.options))
+        found.append(given.get(name, cell_spec))
+    return found[0], found[1]

@@ -1,0 +1,122 @@
+"""From gripper commands to joint targets and from joint torques to wrenches, prepared for a whole path."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gateway.acquire.arm import ArmSample
+from gateway.errors import PlanRefused
+from gateway.pair.cell import PairArm
+from gateway.pair.force import dead_band
+from gateway.pair.inverse import SINGULAR
+from gateway.pair.transform import Floats, correction_between
+
+#: Joint speed at which dry friction has nearly reached its full size [rad/s].
+FRICTION_SPEED_RAD_S = 0.01
+#: How far a command may lie from the prepared path; further away the prepared Jacobians no longer hold.
+LARGEST_OFFSET = 0.03
+
+
+class JointFollower:
+    """Joint targets of one arm for gripper commands close to a prepared path.
+
+    Parameters
+    ----------
+    arm : PairArm
+    q_rad : array of shape (M, 6)
+        Joint angles of the prepared path.
+
+    Attributes
+    ----------
+    jacobian : array of shape (M, 6, 6)
+    """
+
+    def __init__(self, arm: PairArm, q_rad: Floats) -> None:
+        self.arm = arm
+        self.q_rad = q_rad
+        self.poses, self.jacobian = arm.chain.poses(q_rad)
+        self._inverse = np.linalg.inv(self.jacobian)
+
+    def joints(self, m: int, command: Floats) -> Floats:
+        """Joint angles (6,) [rad] for a command (4, 4) near pose m of the path: two Newton steps, exact to micrometres.
+
+        Raises
+        ------
+        PlanRefused
+            The command lies more than 30 mm or 30 mrad off the path.
+        """
+        away = correction_between(command, self.poses[m])
+        if np.abs(away).max() > LARGEST_OFFSET:
+            raise PlanRefused(
+                f"arm '{self.arm.config.name}', command {m + 1}: it lies {1e3 * np.abs(away).max():.0f} mm or mrad off"
+                " the nominal path; the function or a correction has run away"
+            )
+        q = self.q_rad[m] + self._inverse[m] @ away
+        rest = correction_between(command, self.arm.chain.poses(q[None])[0][0])
+        return q + self._inverse[m] @ rest
+
+
+class WrenchFromTorque:
+    """Wrench on one gripper from the torques of its arm along a path (CN104379308 [0063]).
+
+    What the drives report belongs to where the arm was when it was sampled: one cycle and the servos' lag behind the
+    command. Next to standstill dry friction may have any value inside its band, so the band is a dead band there.
+
+    Parameters
+    ----------
+    arm : PairArm
+    follower : JointFollower
+    dt_s : control cycle
+    lag_s : servo lag
+    cutoff_hz : of the low-pass
+    """
+
+    def __init__(self, arm: PairArm, follower: JointFollower, dt_s: float, lag_s: float, cutoff_hz: float) -> None:
+        self._share = 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * dt_s)
+        late = np.maximum(np.arange(len(follower.q_rad)) - (1.0 + lag_s / dt_s), 0.0)
+        every = np.arange(len(late))
+        q = np.stack([np.interp(late, every, column) for column in follower.q_rad.T], axis=1)
+        moving = (late > 0.0)[:, None]
+        qd = np.gradient(q, dt_s, axis=0) * moving
+        turned = np.tanh(qd / FRICTION_SPEED_RAD_S)
+        free = arm.model_torque(q, qd, np.zeros_like(q))
+        self._known = free + arm.coulomb_nm * turned + arm.viscous_nm_s_rad * qd
+        self._mass = arm.mass_matrix(q) / dt_s**2
+        self._band = arm.coulomb_nm * (1.0 - np.abs(turned))
+        jacobian = arm.chain.poses(q)[1]
+        least = np.linalg.svd(jacobian, compute_uv=False)[:, -1]
+        if least.min() < SINGULAR:
+            raise PlanRefused(
+                f"arm '{arm.config.name}', command {int(np.argmin(least)) + 1}: the force is not observable, smallest"
+                f" singular value {least.min():.3f}, at least {SINGULAR} is needed; move the path or the base"
+            )
+        self._map = -np.linalg.inv(np.swapaxes(jacobian, 1, 2))
+        self.wrench: Floats | None = None
+        #: External joint torque (6,) [Nm] of the SYNC before, not filtered.
+        self.external_nm: Floats | None = None
+        self._last: ArmSample | None = None
+        self._before: ArmSample | None = None
+
+    def reset(self) -> None:
+        """Forget the filter's state."""
+        self.wrench = self.external_nm = self._last = self._before = None
+
+    def update(self, m: int, sample: ArmSample) -> None:
+        """Take in what was measured at the SYNC of command m; an incomplete sample leaves the last wrench.
+
+        The wrench is that of the SYNC before: only now the acceleration there is known from the encoders. With that of
+        the commands in its place the loop would answer the torque by which its own corrections move the arm.
+        """
+        before, last = self._before, self._last
+        self._before, self._last = (last, sample) if sample.complete else (None, None)
+        self.external_nm = None
+        if not sample.complete or last is None or before is None:
+            return
+        at = max(m - 1, 0)
+        inertia = self._mass[at] @ (sample.q_rad - 2.0 * last.q_rad + before.q_rad)
+        self.external_nm = last.joint_torque_nm - self._known[at] - inertia
+        external = dead_band(self.external_nm, self._band[at])
+        fresh = self._map[at] @ external
+        self.wrench = fresh if self.wrench is None else self.wrench + self._share * (fresh - self.wrench)

@@ -1,0 +1,125 @@
+"""One embodiment on one path, cycle after cycle, over two buses.
+
+A cycle carries the part along the path and back. On the way forward the controller corrects and learns, on the way back
+it only corrects. Learning never sees a cycle with an incomplete epoch or a stop in it.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+from gateway.pair.cell import PairCell
+from gateway.pair.controller import CycleSummary, PairController
+from gateway.pair.embodiments import Embodiment
+from gateway.pair.function import TransformFunction, function_of_knots
+from gateway.pair.link import PairLink
+from gateway.pair.motion import MotionOptions, PairMotion, Passage, Streamed
+from gateway.pair.path import PairPath
+from gateway.pair.relation import slave_command
+from gateway.pair.transform import Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairCycle:
+    """One way forward.
+
+    Attributes
+    ----------
+    summary : CycleSummary
+    force : array of shape (M, 6)
+        Internal wrench about the part's centre, world axes, as estimated [N, Nm].
+    learning_s : time that the learning step took
+    evaluation_s : mean time of one evaluation of the controller, joint angles included
+    """
+
+    summary: CycleSummary
+    force: Floats
+    learning_s: float
+    evaluation_s: float
+
+
+def reversed_path(path: PairPath) -> PairPath:
+    """The same path from its end to its start."""
+    return replace(path, commands=path.commands[::-1].copy(), s_m=path.length_m - path.s_m[::-1])
+
+
+def reversed_function(function: TransformFunction, length_m: float) -> TransformFunction:
+    """The same relation by the way from the end."""
+    return function_of_knots(length_m - function.s_m[::-1], function.knots[::-1])
+
+
+class PairRun:
+    """Runs one embodiment.
+
+    Parameters
+    ----------
+    cell : PairCell
+    link : PairLink
+    config : Embodiment
+    first : TransformFunction
+    options : MotionOptions, optional
+
+    Attributes
+    ----------
+    controller : PairController
+    path : PairPath
+    motion : PairMotion
+    """
+
+    def __init__(
+        self,
+        cell: PairCell,
+        link: PairLink,
+        config: Embodiment,
+        first: TransformFunction,
+        options: MotionOptions | None = None,
+    ) -> None:
+        self.config, self._cell = config, cell
+        self.motion = PairMotion(cell, link, options)
+        self.path = cell.path(self.motion.options.speed)
+        self._way = self.motion.passage(self.path, (cell.arms[0].start_rad, cell.arms[1].start_rad))
+        self.controller = PairController(config, self.path, self.motion.calibration, first)
+        self._home: Passage | None = None
+
+    def start(self) -> None:
+        """Power both arms at the start of the path, where the part is gripped."""
+        self.motion.start()
+
+    def cycle(self) -> PairCycle:
+        """One way forward, from standing at the start; learns from it if it was complete.
+
+        Raises
+        ------
+        PairStopped, DriveError, KeyboardInterrupt
+            Both arms were stopped; nothing was learned from this cycle.
+        """
+        controller, way = self.controller, self._way
+        controller.start_cycle()
+        self.motion.approach(self.motion.targets(way, 0, self._standing()))
+        try:
+            streamed: Streamed = self.motion.stream(way, controller.step)
+        except BaseException:
+            controller.end_cycle(complete=False)
+            raise
+        began = time.perf_counter()
+        summary = controller.end_cycle(streamed.complete)
+        return PairCycle(summary, streamed.force, time.perf_counter() - began, streamed.evaluation_s)
+
+    def _standing(self) -> tuple[Floats, Floats]:
+        """Both gripper commands at the start of the path, without corrections."""
+        first, second = self._cell.arms
+        command = self.path.commands[0]
+        relation = self.controller.function.at(float(self.path.s_m[0]))
+        return command, slave_command(first.world_from_base, command, second.world_from_base, relation)
+
+    def back(self) -> None:
+        """The same way back under the same function, corrected but not learned from."""
+        path = reversed_path(self.path)
+        if self._home is None:
+            ends = (self._way.joints[0][-1], self._way.joints[1][-1])
+            self._home = self.motion.passage(path, ends)
+        function = reversed_function(self.controller.function, self.path.length_m)
+        controller = PairController(replace(self.config, learning=None), path, self.motion.calibration, function)
+        controller.start_cycle()
+        self.motion.stream(self._home, controller.step, fade=True)
