@@ -22,7 +22,7 @@ from sim.friction import JointFriction
 from sim.motor import MotorAxis
 from sim.plant import Payload, Plant
 from sim.servo import TICK_S, Gains, ServoLoop
-from sim.urdf import Body, Chain, combine, write_chain
+from sim.urdf import Body, Chain, UrdfError, combine, write_chain
 
 Array = NDArray[np.float64]
 
@@ -52,6 +52,8 @@ POSITION_SHARE = 0.2
 POSITION_GAIN_1_S = 6.0
 #: Milliseconds after which springs, drift and payload shift are looked at again.
 REFRESH_TICKS = 20
+#: Attempts at building the links, and how much further out their centres of gravity are in each.
+NUDGES, NUDGE = 12, 1e-11
 #: Displacement of the payload after which the links are built anew [m].
 SHIFT_M = 1e-4
 
@@ -95,13 +97,41 @@ class ArmWorld:
     def _load_body(self) -> None:
         """Build the links with what hangs on the flange, in the present posture.
 
+        PyBullet refuses an inertia that its own rounding made unsymmetrical in the last bit; centres of gravity a few
+        picometres further out round otherwise.
+        """
+        for attempt in range(NUDGES):
+            self._build(1.0 + attempt * NUDGE)
+            if self._usable():
+                return
+        raise UrdfError("PyBullet refuses the inertias of the arm")
+
+    def _usable(self) -> bool:
+        """Whether the engine can do inverse dynamics with the links; what it prints if not is dropped."""
+        kept = os.dup(1)
+        with tempfile.TemporaryFile() as said:
+            os.dup2(said.fileno(), 1)
+            try:
+                bullet.calculateMassMatrix(self._body, self._q, physicsClientId=self._client)
+            except (bullet.error, SystemError):  # the one is raised from the other
+                return False
+            finally:
+                os.dup2(kept, 1)
+                os.close(kept)
+            said.seek(0)
+            os.write(1, said.read())
+        return True
+
+    def _build(self, stretch: float) -> None:
+        """Build the links, their centres of gravity stretched by a factor.
+
         In a fresh engine: PyBullet keeps inverse dynamics by address, and may hand out those of a body that is gone.
         """
         self.close()
         self._client = bullet.connect(bullet.DIRECT)
         bullet.setTimeStep(TICK_S, physicsClientId=self._client)
         self._loaded = self._now.payload
-        text = write_chain(physical_chain(self._chain, self._now))
+        text = write_chain(physical_chain(self._chain, replace(self._now, link_com_m=self._now.link_com_m * stretch)))
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "arm.urdf"
             path.write_text(text, encoding="utf-8")

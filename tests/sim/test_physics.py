@@ -8,6 +8,8 @@ import numpy as np
 import pinocchio
 import pytest
 
+from sim.build_errors import with_build_errors
+from sim.nominal import plant_of
 from sim.physics import ArmWorld, physical_chain
 from sim.plant import Payload
 from sim.urdf import write_chain
@@ -192,3 +194,13 @@ def test_time_is_that_of_the_steps(world_of):
     world = world_of("small")
     world.advance(37)
     assert world.time_s == pytest.approx(0.037)
+
+
+def test_an_arm_whose_inertia_bullet_rounds_badly_is_built_all_the_same(arm_of, capfd):
+    arm = arm_of("large")
+    world = ArmWorld(arm, with_build_errors(plant_of(arm), arm.chain, 5), 5)
+    try:
+        assert np.isfinite(world.joint_torque_nm()).all()
+    finally:
+        world.close()
+    assert "b3Error" not in capfd.readouterr().out
