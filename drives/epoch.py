@@ -160,7 +160,7 @@ class EpochCollector:
         """Fill slots until none is left or the deadline, which moves on with each answer if a gap is allowed."""
         slot_of, sizes, receive, clock = self._slot_of.get, self._sizes, self._bus.receive, time.monotonic
         frames = self.frames
-        timeout_s = deadline_s - clock()
+        timeout_s = max(deadline_s - clock(), 0.0)  # the process may have slept past it
         while left:
             frame = receive(timeout_s)
             if frame is not None:
