@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.pair.geometry import ArmGeometry, nominal_arm, translation
+from sim.pair.geometry import ArmGeometry, bases, nominal_arm, translation
 
 Array = NDArray[np.float64]
 
@@ -68,17 +68,17 @@ class PairErrors:
     skew_s: float
 
 
-def draw(seed: int, bases: tuple[Array, Array]) -> PairErrors:
+def draw(seed: int, nominal_bases: tuple[Array, Array]) -> PairErrors:
     """Errors of both arms; the same seed gives the same errors.
 
     Parameters
     ----------
     seed : int
-    bases : two arrays of shape (4, 4)
-        Nominal bases of master and slave in the world [m].
+    nominal_bases : two arrays of shape (4, 4)
+        Bases of master and slave in the world [m].
     """
     rng = np.random.default_rng([seed, 0xA51])
-    master, slave = (_draw_arm(rng, base, lag) for base, lag in zip(bases, SERVO_LAG_S, strict=True))
+    master, slave = (_draw_arm(rng, base, lag) for base, lag in zip(nominal_bases, SERVO_LAG_S, strict=True))
     return PairErrors(seed, master, slave, float(rng.uniform(0.0, SKEW_S)))
 
 
@@ -94,6 +94,15 @@ def without_lag(errors: PairErrors) -> PairErrors:
     zero = np.zeros(6)
     master, slave = (replace(arm, lag_s=zero) for arm in (errors.master, errors.slave))
     return replace(errors, master=master, slave=slave, skew_s=0.0)
+
+
+def ideal(errors: PairErrors) -> PairErrors:
+    """Arms as their data sheets say, servos that follow at once; only what the force estimate is told stays wrong."""
+    plain = without_local(without_lag(errors))
+    master, slave = (
+        replace(arm, geometry=nominal_arm(base)) for arm, base in zip((plain.master, plain.slave), bases(), strict=True)
+    )
+    return replace(plain, master=master, slave=slave)
 
 
 def warmed(errors: PairErrors, time_s: float) -> PairErrors:

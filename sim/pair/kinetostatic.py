@@ -137,6 +137,10 @@ class KinetostaticPair:
         self.grasp = np.tile(np.eye(4), (len(errors), 1, 1))
         self.snag_n = np.zeros((len(errors), 3))
 
+    def delay(self, skew_s: Array) -> None:
+        """How much later (n,) [s] than the master's bus the slave's bus has its SYNC from now on."""
+        self._late = np.asarray(skew_s, dtype=float)[:, None] / self._constants.dt_s
+
     def place(self, q_rad: Array) -> None:
         """Stand still at joint positions (n, 2, 6) [rad]; gears in the middle of their play, filters at rest."""
         self._command = [q_rad.copy(), q_rad.copy()]

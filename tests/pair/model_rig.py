@@ -87,6 +87,11 @@ class Track:
         """Chain stiffness (M, 6, 6) of one pair of arms along the path."""
         return _stiffness(self.constants, errors)
 
+    def yielding(self, errors: PairErrors) -> Array:
+        """Compliance (M, 3, 3) [m/N] of the master's gears at its fingertip."""
+        linear = self.constants.jacobian[:, 0, :3]
+        return (linear / errors.master.gear_stiffness_nm_rad) @ np.swapaxes(linear, 1, 2)
+
 
 @functools.lru_cache(maxsize=256)
 def _stiffness(constants: PathConstants, errors: PairErrors) -> Array:
@@ -116,6 +121,7 @@ class Run:
     cycles : how many it runs
     freeze_after : cycles after which learning is switched off
     snag_cycle : cycle in which a cable pulls arm 2 with 20 N, 0 = none
+    jitter_s : the skew of the slave's SYNC is drawn anew each cycle of the bus between 0 and this, None = as drawn
     """
 
     name: str
@@ -124,17 +130,22 @@ class Run:
     cycles: int = 1
     freeze_after: int = 10**6
     snag_cycle: int = 0
+    jitter_s: float | None = None
     grasp: Array | None = None
     results: list[CycleResult] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CycleResult:
-    """Truth of one cycle: internal wrench (M, 6), world axes, and what the controller says of it."""
+    """Truth of one cycle: internal wrench (M, 6), world axes, and what the controller says of it.
+
+    `part_off_m` is how far the part is moved off the path of the unloaded master: by the master's own corrections, and
+    by what the force winds up its gears.
+    """
 
     internal: Array
     summary: CycleSummary
-    master_off_m: float
+    part_off_m: float
 
     @property
     def force_n(self) -> float:
@@ -175,7 +186,9 @@ def _cycle(on: Track, runs: list[Run], cycle: int) -> None:
     measured = [run.controller.needs_measured for run in runs]
     internal = np.empty((count, len(runs), 6))
     off = np.zeros(len(runs))
+    skew = _skew(runs, count, cycle)
     for m in range(count):
+        plant.delay(skew[m])
         poses = on.chain.poses(reading.encoder_rad.reshape(-1, 6))[0].reshape(-1, 2, 4, 4) if any(measured) else None
         commands = []
         for row, run in enumerate(runs):
@@ -185,10 +198,20 @@ def _cycle(on: Track, runs: list[Run], cycle: int) -> None:
         q = _joints(on, commands, q + ahead)
         reading = plant.step(m, q, noises[m])
         internal[m] = reading.internal
-        off = np.maximum(off, [np.abs(pair[0][:3, 3] - path.commands[m, :3, 3]).max() for pair in commands])
+        off = np.maximum(off, [np.linalg.norm(pair[0][:3, 3] - path.commands[m, :3, 3]) for pair in commands])
     for row, run in enumerate(runs):
         summary = run.controller.end_cycle(complete=True)
-        run.results.append(CycleResult(internal[:, row].copy(), summary, float(off[row])))
+        wound = float(np.linalg.norm(on.yielding(run.errors) @ internal[:, row, :3, None], axis=1).max())
+        run.results.append(CycleResult(internal[:, row].copy(), summary, float(off[row]) + wound))
+
+
+def _skew(runs: list[Run], count: int, cycle: int) -> Array:
+    """Skew (count, n) [s] of the slave's bus."""
+    skew = np.tile([run.errors.skew_s for run in runs], (count, 1))
+    for row, run in enumerate(runs):
+        if run.jitter_s is not None:
+            skew[:, row] = np.random.default_rng([run.errors.seed, cycle, 0x5C]).uniform(0.0, run.jitter_s, count)
+    return skew
 
 
 def _joints(on: Track, commands: Sequence[tuple[Array, Array]], seeds: Array) -> Array:

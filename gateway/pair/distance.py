@@ -1,0 +1,116 @@
+"""Distance sensors in place of force: two hands that keep a gap without touching (CN104379308 embodiment 5).
+
+Sensors on the slave's gripper look at planes of the part that the master holds. From their readings follows how the
+slave's fingertip is displaced against the wanted relation, in as many components as the sensors determine; only the
+selected ones are corrected. All else (functions, learning) is as with force.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gateway.errors import ConfigError
+from gateway.pair.transform import Floats
+
+COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
+#: Lever that makes turning comparable with moving [m].
+LEVER_M = 0.1
+LEAST_SINGULAR = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DistanceSensors:
+    """Sensors on gripper 2 and the planes they look at.
+
+    Attributes
+    ----------
+    origin_m, beam : arrays of shape (n, 3)
+        Where a sensor sits and the unit direction it looks in, frame of gripper 2.
+    point_m, normal : arrays of shape (n, 3)
+        A point of the plane and its unit normal, frame of gripper 1.
+    """
+
+    origin_m: Floats
+    beam: Floats
+    point_m: Floats
+    normal: Floats
+
+    def __post_init__(self) -> None:
+        shapes = {np.shape(value) for value in (self.origin_m, self.beam, self.point_m, self.normal)}
+        if len(shapes) != 1 or next(iter(shapes))[1:] != (3,):
+            raise ConfigError(f"distance sensors: origin, beam, point and normal need one shape (n, 3), got {shapes}")
+        for name, value in (("beam", self.beam), ("normal", self.normal)):
+            if np.abs(np.linalg.norm(value, axis=1) - 1.0).max() > 1e-9:
+                raise ConfigError(f"distance sensors: {name} needs unit vectors")
+
+    def readings(self, e1_t_e2: ArrayLike) -> Floats:
+        """Distances (n,) [m] along the beams at a relation (4, 4)."""
+        relation = np.asarray(e1_t_e2, dtype=float)
+        origin = self.origin_m @ relation[:3, :3].T + relation[:3, 3]
+        beam = self.beam @ relation[:3, :3].T
+        facing = np.sum(self.normal * beam, axis=1)
+        return np.sum(self.normal * (self.point_m - origin), axis=1) / facing
+
+    def sensitivity(self, e1_t_e2: ArrayLike) -> Floats:
+        """Change (n, 6) of the readings per displacement `[m; rad]` of fingertip 2, axes of gripper 1."""
+        relation = np.asarray(e1_t_e2, dtype=float)
+        beam = self.beam @ relation[:3, :3].T
+        facing = np.sum(self.normal * beam, axis=1, keepdims=True)
+        spot = self.origin_m @ relation[:3, :3].T + self.readings(relation)[:, None] * beam
+        return -np.concatenate([self.normal, np.cross(spot, self.normal)], axis=1) / facing
+
+
+class DistanceEstimator:
+    """What the slave's fingertip still has to move, from distances.
+
+    Parameters
+    ----------
+    sensors : DistanceSensors
+    wanted : array of shape (4, 4)
+        Relation `E1_T_E2` at which every gap is as demanded.
+    components : sequence of str
+        Which of x, y, z, rx, ry, rz (axes of gripper 1) are measured and corrected.
+
+    Raises
+    ------
+    ConfigError
+        Unknown component, or one that the sensors do not determine.
+    """
+
+    def __init__(self, sensors: DistanceSensors, wanted: ArrayLike, components: Sequence[str] = COMPONENTS) -> None:
+        unknown = [name for name in components if name not in COMPONENTS]
+        if unknown or not components:
+            raise ConfigError(f"distance sensors: components must be among {', '.join(COMPONENTS)}, got {components}")
+        self._wanted = np.array(wanted, dtype=float)
+        chosen = [COMPONENTS.index(name) for name in components]
+        self.selection = np.zeros((len(chosen), 6))
+        self.selection[np.arange(len(chosen)), chosen] = 1.0
+        scale = np.where(np.array(chosen) < 3, 1.0, LEVER_M)
+        matrix = sensors.sensitivity(self._wanted) @ self.selection.T
+        left, singular, right = np.linalg.svd(matrix / scale, full_matrices=False)
+        if len(singular) < len(chosen) or singular[-1] < LEAST_SINGULAR:
+            weak = components[int(np.argmax(np.abs(right[-1])))] if len(singular) == len(chosen) else components[-1]
+            raise ConfigError(
+                f"distance sensors: {len(matrix)} sensors do not determine component '{weak}'; leave it out or add one"
+            )
+        self._solve = self.selection.T @ ((right.T / singular @ left.T) / scale[:, None])
+        self._demanded = sensors.readings(self._wanted)
+
+    @property
+    def demanded_m(self) -> Floats:
+        """Demanded distances (n,) [m]."""
+        return self._demanded.copy()
+
+    def error(self, readings_m: ArrayLike) -> Floats:
+        """Move (6,) `[m; rad]` that brings the selected components home, axes of gripper 1; zero for the others."""
+        return -self._solve @ (np.asarray(readings_m, dtype=float) - self._demanded)
+
+    def error_in_base(self, readings_m: ArrayLike, slave_command: ArrayLike) -> Floats:
+        """The same (6,) in axes of the slave's base, near a slave command (4, 4)."""
+        turn = np.asarray(slave_command, dtype=float)[:3, :3] @ self._wanted[:3, :3].T
+        error = self.error(readings_m)
+        return np.concatenate([turn @ error[:3], turn @ error[3:]])
