@@ -40,6 +40,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "diagnose": ("analyse", "What the model lacks, judged on data that no fit has seen."),
     "report": ("handover", "One HTML page from a result."),
     "export": ("handover", "The load as URDF, JSON or in a robot controller's syntax."),
+    "follow": ("follow", "Following error without, with maximum-load and with identified feedforward."),
     "profiles": ("handover", "Drive profiles: list, show, schema."),
 }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -35,11 +35,14 @@ class BusOverride:
         Where the frames are logged (`.blf`, `.log`).
     ledger : Path or None
         Where the write ledger is kept.
+    feedforward : bool
+        The drives take velocity and torque offsets: a second RPDO is mapped.
     """
 
     spec: BusSpec | None = None
     trace: Path | None = None
     ledger: Path | None = None
+    feedforward: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,7 +134,7 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
     config = arm_named(loaded, arm)
     text = robot_text(loaded, config)
     workspace = workspace_of(config, robot_from_text(config, text, config.robot or "cell"))
-    setups = axis_setups(loaded, config)
+    setups = tuple(replace(setup, feedforward=override.feedforward) for setup in axis_setups(loaded, config))
     bus_config = loaded.cell.bus[config.bus]
     spec = override.spec or BusSpec(
         bus_config.interface, bus_config.channel, bus_config.bitrate_bit_s, dict(bus_config.options)

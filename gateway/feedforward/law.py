@@ -4,9 +4,10 @@
     u = f / eta where the motor drives, f eta where it is driven back (in between as s passes zero) + J theta''
     torque offset = st u / N,   velocity offset = (1 - share) sp N theta'
 
-theta = A (q - q0) are the angles at the gear outputs, s = theta' / v cut off at -1 and 1, J the rotor's inertia at the
-gear output (N squared times that on its own shaft); `share` is the part of the velocity that the drive feeds forward
-itself. Friction and gear losses turn round with the commanded velocity.
+theta = A (q - q0) are the angles at the gear outputs, J the rotor's inertia at the gear output (N squared times that on
+its own shaft); `share` is the part of the velocity that the drive feeds forward itself. s is the sense of friction and
+gear losses: it follows the way, s += d theta / theta_s within -1 and 1 (Dahl, 1968), so that it turns round within a
+small displacement and stays what it was while the axis rests, as the torque that the drive holds by itself does.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ from gateway.model.robot import AXES
 Floats = NDArray[np.float64]
 Six = list[float]
 
-#: Speed at the gear output over which friction and gear losses turn round [rad/s].
-TURN_ROUND_RAD_S = 0.005
+#: Way at the gear output over which friction and gear losses build up from none [rad]; twice that turns them round.
+TURN_ROUND_RAD = 2e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,13 +101,28 @@ class FeedforwardLaw:
         """Largest torque offset (6,) [Nm], motor side."""
         return self._limits
 
-    def offsets(self, q: Six, qd: Six, qdd: Six) -> tuple[Six, Six]:
+    def sense(self, before: Six, way_rad: Six) -> Six:
+        """Sense (6,) of friction and gear losses after a way.
+
+        Parameters
+        ----------
+        before : list of 6 floats
+            Sense before it, each within -1 and 1; 0 = not known.
+        way_rad : list of 6 floats
+            Change of the joint positions.
+        """
+        way = way_rad if self._coupling is None else (self._coupling @ way_rad).tolist()
+        return [max(-1.0, min(1.0, old + step / TURN_ROUND_RAD)) for old, step in zip(before, way, strict=True)]
+
+    def offsets(self, q: Six, qd: Six, qdd: Six, sense: Six) -> tuple[Six, Six]:
         """Velocity offsets [rad/s] and torque offsets [Nm] (6,) each, motor side, not limited.
 
         Parameters
         ----------
         q, qd, qdd : lists of 6 floats
             Commanded joint positions [rad], velocities [rad/s], accelerations [rad/s2].
+        sense : list of 6 floats
+            Of friction and gear losses, see `sense`.
         """
         torque = self._dynamics.torque(q, qd, qdd)
         rates, gains = qd, qdd
@@ -114,10 +130,8 @@ class FeedforwardLaw:
             torque = (self._to_gear @ torque).tolist()
             rates, gains = (self._coupling @ qd).tolist(), (self._coupling @ qdd).tolist()
         out = []
-        for force, rate, gain, axis in zip(torque, rates, gains, self._axes, strict=True):
+        for force, rate, gain, side, axis in zip(torque, rates, gains, sense, self._axes, strict=True):
             coulomb, viscous, more, less, rotor, to_motor = axis
-            side = rate / TURN_ROUND_RAD_S
-            side = 1.0 if side > 1.0 else -1.0 if side < -1.0 else side
             force += coulomb * side + viscous * rate
             driving = side if force > 0.0 else -side
             force += force * driving * (more if driving > 0.0 else less)

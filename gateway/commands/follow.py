@@ -1,0 +1,126 @@
+"""follow: a path without, with maximum-load and with identified feedforward, and how well the arm follows each time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from gateway.commands.measure import arm_option
+from gateway.commands.options import (
+    bus_option,
+    cell_argument,
+    common,
+    confirm,
+    json_option,
+    session_of,
+    stop_on_termination,
+    write_json,
+    write_text,
+    yes_option,
+)
+from gateway.commands.outcome import fail_on_findings
+from gateway.console import AXES, Session, findings_table, grid, number
+
+if TYPE_CHECKING:
+    from gateway.follow.job import Prepared
+
+FILE = click.Path(path_type=Path, dir_okay=False)
+QUANTITIES = (
+    ("peak error [mrad]", "peak_rad", 1000.0),
+    ("rms error [mrad]", "rms_rad", 1000.0),
+    ("lag [ms]", "lag_s", 1000.0),
+    ("overshoot [mrad]", "overshoot_rad", 1000.0),
+)
+
+
+@click.command()
+@cell_argument
+@click.option("--path", "path_file", required=True, metavar="FILE", type=FILE, help="Path: joint waypoints or timed.")
+@click.option("--load", "load_file", metavar="RESULT.json", type=FILE, help="Identified load: a result of estimate.")
+@click.option("--label", metavar="LABEL", help="Which load of the result, if it holds several.")
+@click.option("--report", "report_file", metavar="REPORT.html", type=FILE, help="Page with the settings side by side.")
+@click.option("--trace", metavar="FILE", type=FILE, help="Frame log (.blf, .log).")
+@arm_option
+@bus_option
+@json_option
+@yes_option
+@common
+def follow(
+    cell: Path,
+    path_file: Path,
+    load_file: Path | None,
+    label: str | None,
+    report_file: Path | None,
+    trace: Path | None,
+    arm_name: str | None,
+    bus_spec: str | None,
+    json_out: str | None,
+    yes: bool,
+) -> None:
+    """Follow a path without feedforward, with the maximum load assumed, with the identified load. The arm moves.
+
+    The offsets (velocity 0x60B1, torque 0x60B2) are eased in and out at rest and zero outside OPERATION ENABLED.
+    """
+    from dataclasses import replace
+
+    from gateway.acquire.interrupt import ctrl_c_asks
+    from gateway.acquire.opening import open_arm
+    from gateway.arm_model import arm_named
+    from gateway.cell_context import open_cell
+    from gateway.check_stop import ensure_proven
+    from gateway.follow.body import body_of
+    from gateway.follow.job import FollowRequest, drive, prepare
+    from gateway.follow.page import page
+
+    context = open_cell(cell, bus_spec)
+    arm = arm_named(context.loaded, arm_name)
+    prepared = prepare(context.loaded, arm, FollowRequest(path_file, load_file, label))
+    session = session_of()
+    _announce(prepared, session)
+    first = "" if context.stop_proof(arm).exists() else " At first its drives lose the heartbeat on purpose."
+    confirm(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is nobody near it?", yes=yes)
+    override = replace(context.override(arm, trace), feedforward=True)
+    try:
+        with stop_on_termination(), open_arm(context.loaded, override, arm.name) as opened:
+            ensure_proven(opened, context.stop_proof(arm), session.note)
+            with ctrl_c_asks() as stop_asked, session.progress(prepared.duration_s, "follow") as bar:
+                job = drive(opened, prepared, stop_asked, lambda what, done: bar.set(done, prepared.duration_s, what))
+    except KeyboardInterrupt as stopped:
+        for note in getattr(stopped, "__notes__", []):
+            session.note(note)
+        raise
+    body = body_of(job)
+    if json_out:
+        write_json(json_out, body)
+    if report_file:
+        write_text(report_file, page(body))
+    _show(body, session)
+    if report_file:
+        session.show(f"report: {report_file}")
+    fail_on_findings(body)
+
+
+def _announce(prepared: Prepared, session: Session) -> None:
+    path = prepared.path
+    names = ", ".join(setting.name for setting in prepared.settings)
+    session.note(f"path {path.name}: {path.duration_s:.1f} s under each of the settings {names}")
+    for setting in prepared.settings:
+        if setting.load is not None:
+            com = " ".join(f"{1000 * value:.0f}" for value in setting.load.com_m)
+            session.note(f"{setting.name}: {setting.load.mass_kg:.2f} kg at {com} mm in link_6 ({setting.load.source})")
+
+
+def _show(body: dict[str, Any], session: Session) -> None:
+    for title, key, scale in QUANTITIES:
+        rows = [
+            [setting["name"], *(number(None if value is None else scale * value, 3) for value in setting[key])]
+            for setting in body["settings"]
+        ]
+        session.show(grid(title, ["setting", *AXES], rows))
+    if body["computing_s"]:
+        median, p99 = (1e6 * body["computing_s"][key] for key in ("median", "p99"))
+        session.show(f"both offsets of six axes: {median:.0f} us per SYNC, 99 % within {p99:.0f} us")
+    if body["findings"]:
+        session.show(findings_table(body["findings"]))

@@ -1,0 +1,161 @@
+"""An arm whose drives are given velocity and torque offsets beside every target, and a record of what came of it.
+
+A target that goes out with SYNC n is reached one period later: the drive moves evenly from the target before to this
+one. The offsets are those of the middle of that stretch: mean position, difference quotient as velocity, and as
+acceleration the change of velocity from the stretch before to the stretch after.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from drives.cia402 import State, decode_state
+from drives.drive import DriveCommand
+from gateway.acquire.arm import Arm, ArmSample
+from gateway.errors import LimitExceeded
+from gateway.feedforward.law import FeedforwardLaw
+from gateway.feedforward.ramp import Ramp
+from gateway.follow.track import Recorder
+
+Six = list[float]
+NOTHING = [0.0] * 6
+
+
+class FedRow(list[DriveCommand]):
+    """Targets of one SYNC with the motion they belong to: position, velocity and acceleration between two targets."""
+
+    __slots__ = ("q_rad", "state")
+
+    def __init__(self, motor_rad: Six, q_rad: Six, state: tuple[Six, Six, Six]) -> None:
+        super().__init__(map(DriveCommand, motor_rad))
+        self.q_rad = q_rad
+        self.state = state
+
+
+class FedArm(Arm):
+    """An arm with feedforward.
+
+    Parameters
+    ----------
+    arm : Arm
+        Whose drives were set up with feedforward.
+    period_s : float
+        SYNC period.
+    ramp_s : float
+        Time in which the offsets are eased in or out.
+
+    Attributes
+    ----------
+    ramp : Ramp
+    recorder : Recorder or None
+        Takes every SYNC while it is set.
+    """
+
+    def __init__(self, arm: Arm, period_s: float, ramp_s: float) -> None:
+        super().__init__(arm.name, arm.drives, arm.axes)
+        self.ramp = Ramp(period_s, ramp_s)
+        self.recorder: Recorder | None = None
+        self._law: FeedforwardLaw | None = None
+        self._period_s = period_s
+        self._enabled = False
+        self._last = np.zeros(6)
+        self._rate = np.zeros(6)
+        self._sense = list(NOTHING)
+
+    def use(self, law: FeedforwardLaw | None) -> None:
+        """Take another law; only while no offset is given, so before the arm is moved to where it is to be fed."""
+        if self.ramp.gain:
+            raise ValueError("the offsets must be eased out before another law is used")
+        self._law = law
+
+    def enable(self) -> ArmSample:
+        """Power the drives; no offset is given yet."""
+        sample = super().enable()
+        self._last, self._rate = sample.q_rad, np.zeros(6)
+        self._see(sample)
+        return sample
+
+    def disable(self) -> None:
+        """Brakes on, power off; the drives' frames carry no offset from now on."""
+        self._enabled = False
+        super().disable()
+
+    def quick_stop(self) -> None:
+        """Stop by the drives' own ramp, without offsets from the first frame."""
+        self.ramp.cut("the arm was stopped")
+        super().quick_stop()
+
+    def commands(self, q_rad: np.ndarray) -> list[list[DriveCommand]]:
+        """Rows of targets (n, 6) with their motion; the first begins at the last target that went out."""
+        if not len(q_rad):
+            return []
+        points = np.vstack([self._last, q_rad])
+        rates = np.diff(points, axis=0) / self._period_s
+        around = np.vstack([self._rate, rates, np.zeros(6)])
+        gains = (around[2:] - around[:-2]) / (2.0 * self._period_s)
+        middle = 0.5 * (points[1:] + points[:-1])
+        motor = self.axes.motor_position(q_rad)
+        rows = zip(*(part.tolist() for part in (motor, q_rad, middle, rates, gains)), strict=True)
+        return [FedRow(target, q, (mean, rate, gain)) for target, q, mean, rate, gain in rows]
+
+    def exchange(self, commands: Sequence[DriveCommand]) -> ArmSample:
+        """One SYNC with targets of `commands` and their offsets.
+
+        Raises
+        ------
+        LimitExceeded
+            A torque offset beyond its limit: no frame was sent, and no offset is given any more.
+        """
+        if not isinstance(commands, FedRow):
+            return self._see(super().exchange(commands))
+        before, self._last = self._last, np.array(commands.q_rad)
+        fed = self._fed(commands, before)
+        self._rate = np.array(commands.state[1])
+        sample = self._see(super().exchange(fed))
+        if self.recorder is not None:
+            self.recorder.add(before, sample)
+        return sample
+
+    def hold(self) -> ArmSample:
+        """One SYNC at the last target; gravity goes on being carried."""
+        motor = self.axes.motor_position(self._last).tolist()
+        q_rad = self._last.tolist()
+        return self.exchange(FedRow(motor, q_rad, (q_rad, NOTHING, NOTHING)))
+
+    def _fed(self, row: FedRow, before: np.ndarray) -> Sequence[DriveCommand]:
+        gain = self.ramp.step(enabled=self._enabled)
+        begun = time.perf_counter()
+        if self._law is not None:
+            self._sense = self._law.sense(self._sense, (self._last - before).tolist())
+        if self._law is None or gain == 0.0:
+            if self.recorder is not None:
+                self.recorder.fed(NOTHING, NOTHING, 0.0)
+            return row
+        velocity, torque = self._law.offsets(*row.state, self._sense)
+        velocity = [gain * value for value in velocity]
+        torque = [gain * value for value in torque]
+        excess = self._law.excess(torque)
+        took_s = time.perf_counter() - begun
+        if excess is not None:
+            self.ramp.cut("a torque offset has reached its limit")
+            axis, value = excess
+            raise LimitExceeded(
+                f"arm '{self.name}', axis {axis + 1}: the feedforward asks for {value:.2f} Nm at the motor, its "
+                f"limit is {self._law.limits_nm[axis]:.2f} Nm: stopped, offsets zero; check load and torque_limit_nm",
+                joint=axis + 1,
+            )
+        if self.recorder is not None:
+            self.recorder.fed(velocity, torque, took_s)
+        return [
+            DriveCommand(target.position_rad, nm, rad_s)
+            for target, nm, rad_s in zip(row, torque, velocity, strict=True)
+        ]
+
+    def _see(self, sample: ArmSample) -> ArmSample:
+        """Note whether the drives are in OPERATION ENABLED; one that did not answer was seen before."""
+        states = [decode_state(reading.statusword) for reading in sample.readings if reading is not None]
+        self._enabled = all(state is State.OPERATION_ENABLED for state in states)
+        return sample

@@ -1,0 +1,138 @@
+"""The whole job of `servo-gateway follow`: files in, checked, driven, compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from gateway.acquire.opening import OpenArm, axis_setups
+from gateway.acquire.workspace import Workspace, workspace_of
+from gateway.arm_model import arm_robot
+from gateway.config import ArmConfig, LoadedCell
+from gateway.errors import DataUnusable, InputError
+from gateway.feedforward.load import check_origin, identified_load
+from gateway.follow.body import Comparison
+from gateway.follow.path import FollowPath, check_path, read_path
+from gateway.follow.run import FollowStation, Tell, follow
+from gateway.follow.settings import IDENTIFIED, FeedModel, Setting, check_offsets, feed_model, three_settings
+from gateway.follow.trend import load_trend
+from gateway.result import Result, from_json
+
+
+@dataclass(frozen=True, slots=True)
+class FollowRequest:
+    """What to follow and with which load.
+
+    Attributes
+    ----------
+    path : Path
+        TOML or CSV, see `gateway.follow.path`.
+    load : Path or None
+        Result JSON of `estimate`, `diagnose` or `commission`.
+    label : str or None
+        Which load of the result.
+    """
+
+    path: Path
+    load: Path | None
+    label: str | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prepared:
+    """Everything that can be checked without a bus is checked.
+
+    Attributes
+    ----------
+    loaded : LoadedCell
+    arm : ArmConfig
+    workspace : Workspace
+    path : FollowPath
+    path_file : str
+    model : FeedModel
+    settings : tuple of Setting
+    """
+
+    loaded: LoadedCell
+    arm: ArmConfig
+    workspace: Workspace
+    path: FollowPath
+    path_file: str
+    model: FeedModel
+    settings: tuple[Setting, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Time of all passes of the path; the ways between them come on top."""
+        return len(self.settings) * self.path.duration_s
+
+
+def prepare(loaded: LoadedCell, arm: ArmConfig, request: FollowRequest) -> Prepared:
+    """Read and check path, load, cell and profiles; nothing is opened and nothing moves.
+
+    Raises
+    ------
+    ConfigError
+        A profile without the objects, links that are not known, no rated load.
+    InputError
+        A file that cannot be used, a load of another robot, cell, arm or frame.
+    DataUnusable
+        No identified load.
+    PlanRefused
+        The path leaves the workspace, or takes an offset to its limit.
+    """
+    robot = arm_robot(loaded, arm)
+    profiles = [setup.profile for setup in axis_setups(loaded, arm)]
+    result, where = _result(request)
+    check_origin(result, loaded, arm, robot, where)
+    load = identified_load(result, request.label, where)
+    model = feed_model(arm, robot, profiles, result)
+    settings = three_settings(arm, model, load)
+    workspace = workspace_of(arm, robot)
+    path = read_path(request.path, workspace, loaded.cell.bus[arm.bus].sync_period_s)
+    check_path(path, workspace)
+    check_offsets(path, settings, arm.name)
+    return Prepared(loaded, arm, workspace, path, str(request.path), model, settings)
+
+
+def _result(request: FollowRequest) -> tuple[Result, str]:
+    if request.load is None:
+        raise DataUnusable(
+            "no identified load: give --load RESULT.json, as `servo-gateway estimate DATA --json RESULT.json` or "
+            "`commission` writes it for this cell"
+        )
+    try:
+        text = request.load.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"{request.load}: cannot be read: {error}; name the JSON that `estimate --json` wrote"
+        ) from error
+    return from_json(text, str(request.load)), str(request.load)
+
+
+def drive(opened: OpenArm, prepared: Prepared, stop_asked: Callable[[], bool], tell: Tell) -> Comparison:
+    """Drive the path under every setting and compare.
+
+    Raises
+    ------
+    PlanRefused, LimitExceeded, DriveError, KeyboardInterrupt
+        As `gateway.follow.run.follow`.
+    """
+    station = FollowStation(opened.arm, prepared.workspace, stop_asked, tell)
+    tracks = follow(station, prepared.path, prepared.settings)
+    trend = None
+    for setting, track in zip(prepared.settings, tracks, strict=True):
+        if setting.name == IDENTIFIED and setting.load is not None:
+            trend = load_trend(track, prepared.model, setting.load)
+    return Comparison(
+        robot=prepared.model.robot.name,
+        cell=prepared.loaded.cell.name,
+        arm=prepared.arm.name,
+        path=prepared.path,
+        path_file=prepared.path_file,
+        model=prepared.model,
+        settings=prepared.settings,
+        tracks=tracks,
+        trend=trend,
+    )

@@ -1,0 +1,209 @@
+"""The path to follow, from a file: joint waypoints or a timed joint path.
+
+TOML, straight from waypoint to waypoint with rest at each:
+
+    name = "swing"                      # optional
+    waypoints_rad = [[q1, .., q6], ..]  # at least two
+    speed_share = 1.0                   # optional, of the cell's speed, acceleration and jerk limits
+    dwell_s = 0.4                       # optional, rest at each waypoint
+    repeat = 1                          # optional
+
+CSV with the columns q1_rad .. q6_rad alone: the same waypoints. With time_s as well: a timed path, through the points
+as a spline of fifth order that starts and ends at rest; the points must lie close enough for it to keep the limits.
+"""
+
+from __future__ import annotations
+
+import csv
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from scipy.interpolate import make_interp_spline
+
+from drives.toml_text import parse_toml
+from gateway.acquire.trajectory import Motion, MotionLimits, straight
+from gateway.acquire.workspace import Workspace
+from gateway.errors import InputError, PlanRefused
+
+COLUMNS = tuple(f"q{axis}_rad" for axis in range(1, 7))
+SAME_RAD = 1e-9
+LEAST_TIMED = 4
+#: Largest file and longest path that are taken.
+MOST_BYTES = 4_000_000
+LONGEST_S = 600.0
+#: What a limit may be exceeded by through rounding.
+ROUNDING = 1e-6
+
+Six = tuple[float, float, float, float, float, float]
+Share = Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)]
+
+
+class _Waypoints(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    name: str | None = None
+    waypoints_rad: tuple[Six, ...] = Field(min_length=2)
+    speed_share: Share = 1.0
+    dwell_s: float = Field(default=0.4, ge=0, le=10)
+    repeat: int = Field(default=1, ge=1, le=100)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FollowPath:
+    """A path as set points.
+
+    Attributes
+    ----------
+    name : str
+    start_rad : array of shape (6,)
+    motions : tuple of Motion
+        Each begins where the one before ends, and ends at rest.
+    dwell_s : float
+        Rest after each motion.
+    period_s : float
+        SYNC period.
+    """
+
+    name: str
+    start_rad: np.ndarray
+    motions: tuple[Motion, ...]
+    dwell_s: float
+    period_s: float
+
+    @property
+    def duration_s(self) -> float:
+        """Time from start to end."""
+        return sum(motion.duration_s + self.dwell_s for motion in self.motions)
+
+    @property
+    def end_rad(self) -> np.ndarray:
+        """Last set point (6,)."""
+        return self.motions[-1].q_rad[-1]
+
+
+def read_path(file: Path, workspace: Workspace, period_s: float) -> FollowPath:
+    """Read a path and turn it into set points; nothing is checked against the workspace but its rates.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read or is none; file and place are named.
+    PlanRefused
+        A timed path that exceeds a limit of speed, acceleration or jerk.
+    """
+    try:
+        if file.stat().st_size > MOST_BYTES:
+            raise InputError(f"{file}: is larger than any path")
+        text = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{file}: cannot be read: {error}") from error
+    if file.suffix.lower() == ".csv":
+        times, points = _read_csv(text, file)
+        if times is not None:
+            return _timed(file.stem, times, points, workspace, period_s)
+        given = _Waypoints(waypoints_rad=tuple(tuple(row) for row in points.tolist()))
+    else:
+        given = _read_toml(text, file)
+    return _waypoints(given.name or file.stem, given, workspace, period_s, str(file))
+
+
+def _read_toml(text: str, file: Path) -> _Waypoints:
+    try:
+        return _Waypoints.model_validate(parse_toml(text))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{file}: not valid TOML: {error}") from error
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(str(part) for part in first["loc"]) or "file"
+        raise InputError(f"{file}: {key}: {first['msg']}; a path has waypoints_rad, six angles each") from error
+
+
+def _read_csv(text: str, file: Path) -> tuple[np.ndarray | None, np.ndarray]:
+    rows = [row for row in csv.reader(text.splitlines()) if row and not row[0].lstrip().startswith("#")]
+    header = [cell.strip() for cell in rows[0]] if rows else []
+    unknown = [name for name in header if name not in (*COLUMNS, "time_s")]
+    missing = [name for name in COLUMNS if name not in header]
+    if missing or unknown or len(set(header)) != len(header):
+        raise InputError(f"{file}:1: a path has the columns time_s (optional) and {', '.join(COLUMNS)}, each once")
+    try:
+        table = np.array([[float(cell) for cell in row] for row in rows[1:]])
+    except ValueError as error:
+        raise InputError(f"{file}: a cell is no number: {error}") from error
+    if table.ndim != 2 or len(table) < 2 or table.shape[1] != len(header) or not np.isfinite(table).all():
+        raise InputError(f"{file}: at least two full rows of finite numbers are needed")
+    points = table[:, [header.index(name) for name in COLUMNS]]
+    if "time_s" not in header:
+        return None, points
+    times = table[:, header.index("time_s")]
+    if len(times) < LEAST_TIMED or times[0] != 0 or (np.diff(times) <= 0).any() or times[-1] > LONGEST_S:
+        raise InputError(
+            f"{file}: time_s must start at 0 and increase, to {LONGEST_S:g} s at most, over {LEAST_TIMED} rows at least"
+        )
+    return times, points
+
+
+def _waypoints(name: str, given: _Waypoints, workspace: Workspace, period_s: float, where: str) -> FollowPath:
+    points = np.array(given.waypoints_rad)
+    points = np.vstack([points] * given.repeat)
+    share = given.speed_share
+    limits = MotionLimits(
+        share * workspace.speed_rad_s, share * workspace.acceleration_rad_s2, share * workspace.jerk_rad_s3
+    )
+    motions = tuple(
+        straight(start, end, limits, period_s)
+        for start, end in zip(points[:-1], points[1:], strict=True)
+        if np.abs(end - start).max() > SAME_RAD
+    )
+    if not motions:
+        raise InputError(f"{where}: all waypoints are the same place")
+    return FollowPath(name, points[0], motions, given.dwell_s, period_s)
+
+
+def _timed(name: str, times: np.ndarray, points: np.ndarray, workspace: Workspace, period_s: float) -> FollowPath:
+    still = [(1, np.zeros(6)), (2, np.zeros(6))]
+    spline = make_interp_spline(times, points, k=5, bc_type=(still, still))
+    count = max(1, int(np.ceil(times[-1] / period_s - 1e-9)))
+    at = np.minimum(np.arange(1, count + 1) * period_s, times[-1])
+    rates = [np.asarray(spline(at, derivative)) for derivative in range(4)]
+    for values, limit, what in (
+        (rates[1], workspace.speed_rad_s, "rad/s"),
+        (rates[2], workspace.acceleration_rad_s2, "rad/s2"),
+        (rates[3], workspace.jerk_rad_s3, "rad/s3"),
+    ):
+        over = np.abs(values) > limit * (1 + ROUNDING)
+        if over.any():
+            row, joint = np.argwhere(over)[0]
+            raise PlanRefused(
+                f"path '{name}': joint {joint + 1} reaches {abs(values[row, joint]):.3g} {what} at {at[row]:.2f} s, "
+                f"its limit is {limit[joint]:g}; stretch the path in time, or give its points closer together"
+            )
+    motion = Motion(rates[0], rates[1], rates[2], period_s)
+    motion.q_rad[-1], motion.qd_rad_s[-1], motion.qdd_rad_s2[-1] = points[-1], 0.0, 0.0
+    return FollowPath(name, points[0], (motion,), 0.0, period_s)
+
+
+def check_path(path: FollowPath, workspace: Workspace) -> None:
+    """Refuse a path that leaves the workspace anywhere.
+
+    Raises
+    ------
+    PlanRefused
+        A joint limit, a keep-out box or the holding torque; the first place is named.
+    """
+    begun_s = 0.0
+    for motion in path.motions:
+        bad = ~workspace.feasible(motion.q_rad)
+        if bad.any():
+            row = int(np.argmax(bad))
+            place = ", ".join(f"{value:.3f}" for value in motion.q_rad[row])
+            raise PlanRefused(
+                f"path '{path.name}' at {begun_s + (row + 1) * path.period_s:.2f} s, [{place}] rad: "
+                f"{workspace.why_not(motion.q_rad[row])}"
+            )
+        begun_s += motion.duration_s + path.dwell_s
+    reason = workspace.why_not(path.start_rad)
+    if reason is not None:
+        raise PlanRefused(f"path '{path.name}' at its start: {reason}")

@@ -1,0 +1,136 @@
+"""The three ways a path is driven: without feedforward, with the maximum load assumed, with the identified load."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drives.profile import DriveProfile
+from gateway.config import ArmConfig
+from gateway.errors import PlanRefused
+from gateway.feedforward.dynamics import ArmDynamics
+from gateway.feedforward.law import AxisTerms, FeedforwardLaw
+from gateway.feedforward.load import FeedLoad, rated_load
+from gateway.feedforward.parameters import corrected_parameters, drawn_parameters
+from gateway.feedforward.terms import AxisSources, axis_terms
+from gateway.follow.path import FollowPath
+from gateway.model.robot import Robot
+from gateway.result import Result
+
+Floats = NDArray[np.float64]
+
+OFF, MAXIMUM, IDENTIFIED = "off", "maximum", "identified"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setting:
+    """One way to drive the path; `law` and `load` are None without feedforward."""
+
+    name: str
+    law: FeedforwardLaw | None
+    load: FeedLoad | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FeedModel:
+    """Arm and axes as the feedforward knows them.
+
+    Attributes
+    ----------
+    robot : Robot
+    gravity_m_s2 : array of shape (3,)
+    links : array of shape (60,)
+        Inertial parameters of the bare arm.
+    links_source : str
+    axes : tuple of 6 AxisTerms
+    sources : tuple of 6 AxisSources
+    coupling : array of shape (6, 6)
+    """
+
+    robot: Robot
+    gravity_m_s2: Floats
+    links: Floats
+    links_source: str
+    axes: tuple[AxisTerms, ...]
+    sources: tuple[AxisSources, ...]
+    coupling: Floats
+
+    def law(self, load: FeedLoad) -> FeedforwardLaw:
+        """Offsets for the arm with a load."""
+        parameters = self.links.copy()
+        parameters[50:] += load.parameters
+        return FeedforwardLaw(ArmDynamics(self.robot, parameters, self.gravity_m_s2), self.axes, self.coupling)
+
+
+def feed_model(arm: ArmConfig, robot: Robot, profiles: Sequence[DriveProfile], result: Result) -> FeedModel:
+    """Model of an arm: the drawing's links, corrected by the bare identification of the result where there is one.
+
+    Raises
+    ------
+    ConfigError
+        Links that are not known, or a profile without the objects.
+    """
+    gravity = np.array(arm.gravity_m_s2)
+    drawn = drawn_parameters(robot, arm)
+    links = None if result.bare is None else corrected_parameters(robot, drawn, result.bare, gravity)
+    source = "robot model" if links is None else "robot model, corrected to the torque that was identified bare"
+    axes, sources = axis_terms(arm, profiles, result)
+    return FeedModel(
+        robot=robot,
+        gravity_m_s2=gravity,
+        links=drawn if links is None else links,
+        links_source=source,
+        axes=axes,
+        sources=sources,
+        coupling=np.eye(6) if arm.coupling is None else np.array(arm.coupling, dtype=float),
+    )
+
+
+def three_settings(arm: ArmConfig, model: FeedModel, identified: FeedLoad) -> tuple[Setting, ...]:
+    """Off, maximum load, identified load.
+
+    Raises
+    ------
+    ConfigError
+        The cell does not say what the maximum is.
+    """
+    most = rated_load(arm, model.robot)
+    return (
+        Setting(OFF, None, None),
+        Setting(MAXIMUM, model.law(most), most),
+        Setting(IDENTIFIED, model.law(identified), identified),
+    )
+
+
+def check_offsets(path: FollowPath, settings: Sequence[Setting], arm: str) -> None:
+    """Refuse a path that takes a torque offset to its limit under any setting; nothing has moved then.
+
+    Raises
+    ------
+    PlanRefused
+        Setting, axis, time, offset and limit are named.
+    """
+    for setting in settings:
+        law, begun_s, sense, at = setting.law, 0.0, [0.0] * 6, path.start_rad
+        if law is None:
+            continue
+        for motion in path.motions:
+            ways = np.diff(np.vstack([at, motion.q_rad]), axis=0)
+            at = motion.q_rad[-1]
+            parts = (motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2, ways)
+            for row, (q, rate, gain, step) in enumerate(zip(*(part.tolist() for part in parts), strict=True), start=1):
+                sense = law.sense(sense, step)
+                _, torque = law.offsets(q, rate, gain, sense)
+                excess = law.excess(torque)
+                if excess is not None:
+                    axis, value = excess
+                    raise PlanRefused(
+                        f"arm '{arm}', axis {axis + 1}, setting '{setting.name}', "
+                        f"{begun_s + row * path.period_s:.2f} s into path '{path.name}': the feedforward asks for "
+                        f"{value:.2f} Nm at the motor, its limit is {law.limits_nm[axis]:.2f} Nm; nothing has moved: "
+                        "slow the path down, or correct load and torque_limit_nm"
+                    )
+            begun_s += motion.duration_s + path.dwell_s

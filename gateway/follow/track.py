@@ -1,0 +1,149 @@
+"""What was commanded, measured and fed, SYNC by SYNC, and how well the arm followed: pure numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.acquire.arm import ArmSample
+
+Floats = NDArray[np.float64]
+
+#: Speed of the target below which an axis counts as standing [rad/s].
+STILL_RAD_S = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """One pass of the path.
+
+    Attributes
+    ----------
+    setting : str
+    period_s : float
+    target_rad, measured_rad : arrays of shape (n, 6)
+        Where each joint was told to be at a SYNC, and where it was; NaN where a drive did not answer.
+    torque_nm : array of shape (n, 6)
+        Measured, motor side.
+    velocity_offset_rad_s, torque_offset_nm : arrays of shape (n, 6)
+        What was fed, motor side.
+    computing_s : array of shape (n,)
+        Time that both offsets of six axes took; 0 where none were worked out.
+    """
+
+    setting: str
+    period_s: float
+    target_rad: Floats
+    measured_rad: Floats
+    torque_nm: Floats
+    velocity_offset_rad_s: Floats
+    torque_offset_nm: Floats
+    computing_s: Floats
+
+    @property
+    def time_s(self) -> Floats:
+        """Time of every row (n,)."""
+        return np.arange(len(self.target_rad), dtype=float) * self.period_s
+
+    @property
+    def error_rad(self) -> Floats:
+        """Following error (n, 6): target less measured."""
+        return self.target_rad - self.measured_rad
+
+    @property
+    def rate_rad_s(self) -> Floats:
+        """Velocity (n, 6) of the target, by central differences."""
+        return np.gradient(self.target_rad, self.period_s, axis=0)
+
+    @property
+    def gain_rad_s2(self) -> Floats:
+        """Acceleration (n, 6) of the target, by central differences."""
+        around = np.vstack([self.target_rad[:1], self.target_rad, self.target_rad[-1:]])
+        return np.asarray(np.diff(around, 2, axis=0), dtype=float) / self.period_s**2
+
+
+@dataclass(slots=True)
+class Recorder:
+    """Collects a track while the arm moves; one `fed` before each `add`."""
+
+    setting: str
+    period_s: float
+    _rows: list[tuple[Floats, Floats, list[float]]] = field(default_factory=list)
+    _fed: list[tuple[list[float], list[float], float]] = field(default_factory=list)
+
+    def fed(self, velocity_rad_s: list[float], torque_nm: list[float], computing_s: float) -> None:
+        """What goes out with the next SYNC."""
+        self._fed.append((velocity_rad_s, torque_nm, computing_s))
+
+    def add(self, target_rad: Floats, sample: ArmSample) -> None:
+        """What came back: the target that the drives had reached by then, and the readings."""
+        torque = [float("nan") if reading is None else reading.torque_nm for reading in sample.readings]
+        self._rows.append((target_rad, sample.q_rad, torque))
+
+    def track(self) -> Track:
+        """All of it."""
+        count = len(self._rows)
+        fed = self._fed[:count]
+        target, measured, torque = (
+            np.array([row[part] for row in self._rows], dtype=float).reshape(-1, 6) for part in range(3)
+        )
+        velocity, offset = (np.array([row[part] for row in fed], dtype=float).reshape(-1, 6) for part in range(2))
+        computing = np.array([row[2] for row in fed], dtype=float)
+        return Track(self.setting, self.period_s, target, measured, torque, velocity, offset, computing)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Following:
+    """How well one pass followed; arrays of shape (6,).
+
+    Attributes
+    ----------
+    peak_rad, rms_rad : following error
+    lag_s : time by which the axis is late: error over velocity, least squares; NaN for an axis that was not moved
+    overshoot_rad : furthest beyond a resting place, in the direction of the last motion
+    """
+
+    peak_rad: Floats
+    rms_rad: Floats
+    lag_s: Floats
+    overshoot_rad: Floats
+
+
+def following(track: Track) -> Following:
+    """Figures of one pass.
+
+    Parameters
+    ----------
+    track : Track
+
+    Raises
+    ------
+    ValueError
+        No complete row.
+    """
+    error = track.error_rad
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(error).all(axis=1))
+    if not known.any():
+        raise ValueError("no SYNC was answered by every drive")
+    rate = track.rate_rad_s
+    moving = (np.abs(rate) > STILL_RAD_S) & known[:, None]
+    power = np.sum(np.where(moving, rate**2, 0.0), axis=0)
+    late = np.sum(np.where(moving, error * rate, 0.0), axis=0)
+    return Following(
+        peak_rad=np.abs(error[known]).max(axis=0),
+        rms_rad=np.sqrt((error[known] ** 2).mean(axis=0)),
+        lag_s=np.divide(late, power, out=np.full(6, np.nan), where=power > 0),
+        overshoot_rad=_overshoot(track, known),
+    )
+
+
+def _overshoot(track: Track, known: NDArray[np.bool_]) -> Floats:
+    """Beyond the place in the direction of the motion that led there, over every rest that follows a motion."""
+    sense = np.sign(np.diff(track.target_rad, axis=0, prepend=track.target_rad[:1]))
+    rows = np.arange(len(sense))[:, None]
+    last = np.maximum.accumulate(np.where(sense != 0, rows, 0), axis=0)
+    led = np.take_along_axis(sense, last, axis=0)
+    past = np.where((sense == 0) & known[:, None], -led * track.error_rad, 0.0)
+    return np.maximum(past.max(axis=0), 0.0)

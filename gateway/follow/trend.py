@@ -1,0 +1,193 @@
+"""Is the load that was fed the load that hangs there? The torque residual regressed on the load's own columns.
+
+    T = (u - J theta'') eta^(+-1)                                   measured torque behind the gear
+    r = T - tau(arm + load) - friction                              residual of the model that was fed
+    r = s Y_load phi_load + nuisance                                trend: the load is (1 + s) times as heavy as entered
+    r = Y_load [dm, dh] + nuisance                                  the same, mass and first moment apart
+
+Nuisance per axis: offset, Coulomb and viscous friction, a part in proportion to the transmitted torque (gear losses
+that are not as entered), which turn round with the direction of motion while the load does not, and a part in
+proportion to the axis' own acceleration: a drive that moves in even steps from target to target changes its speed at
+each SYNC, and its torque, sampled there, misses part of what accelerates the axis. So gravity is what tells the load.
+Only rows in which an axis moves are used. Neighbouring rows err alike: standard deviations come from leaving out one
+stretch of time at a time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.feedforward.load import FeedLoad
+from gateway.follow.settings import FeedModel
+from gateway.follow.track import Track
+from gateway.model.regressor import regressor
+
+Floats = NDArray[np.float64]
+
+#: Speed below which friction has no clear sense [rad/s].
+SLOW_RAD_S = 0.02
+#: Stretches of time that are left out in turn.
+BLOCKS = 24
+LEAST_ROWS = 200
+NUISANCE = 5
+#: Singular values below this share of the largest do not tell anything.
+TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trend:
+    """What the torque of a pass says about the load that was fed.
+
+    Attributes
+    ----------
+    scale, scale_std : float
+        s of the trend and its standard deviation.
+    mass_kg, mass_std_kg : float
+        Mass that the torque asks for, first moment free; NaN where the path does not tell.
+    com_m, com_std_m : arrays of shape (3,)
+        Its centre of gravity in link 6; NaN where the path does not tell.
+    load_nm, residual_nm : arrays of shape (n, 6)
+        Torque of the load as fed, and the residual less the nuisance; NaN where an axis does not move.
+    rms_nm : array of shape (6,)
+        Of what the trend leaves.
+    """
+
+    scale: float
+    scale_std: float
+    mass_kg: float
+    mass_std_kg: float
+    com_m: Floats
+    com_std_m: Floats
+    load_nm: Floats
+    residual_nm: Floats
+    rms_nm: Floats
+
+
+def load_trend(track: Track, model: FeedModel, load: FeedLoad) -> Trend | None:
+    """Regress the torque residual of a pass on the columns of the load.
+
+    Parameters
+    ----------
+    track : Track
+    model : FeedModel
+    load : FeedLoad
+        That was fed.
+
+    Returns
+    -------
+    Trend or None
+        None where too little moves to tell.
+    """
+    q, rate, gain = track.target_rad, track.rate_rad_s, track.gain_rad_s2
+    columns = regressor(model.robot, q, rate, gain, model.gravity_m_s2)
+    to_gear = np.linalg.inv(model.coupling)
+    arm, own = (rows @ to_gear for rows in (columns @ model.links, columns[:, :, 50:] @ load.parameters))
+    rates, gains = rate @ model.coupling.T, gain @ model.coupling.T
+    used = (np.abs(rates) > SLOW_RAD_S) & np.isfinite(track.torque_nm)
+    used &= np.abs(np.gradient(np.sign(rates), axis=0)) == 0
+    if used.sum() < LEAST_ROWS:
+        return None
+    behind, friction = _behind_gears(track, model, rates, gains)
+    residual = np.where(used, behind - friction - arm - own, 0.0)
+    sense = np.sign(rates)
+    kinds = [np.ones_like(rates), sense, rates, sense * np.abs(arm + own), gains]
+    nuisance = np.stack(kinds, axis=2) * used[:, :, None]
+    moment = np.einsum("nij,ik->nkj", columns[:, :, 50:54], to_gear) * used[:, :, None]
+    problem = _Problem(residual, nuisance, used)
+    scale, scale_std, left = problem.solve((own * used)[:, :, None])
+    values, stds, _ = problem.solve(moment)
+    mass, mass_std, com, com_std = _as_load(load, values, stds)
+    return Trend(
+        scale=float(scale[0]),
+        scale_std=float(scale_std[0]),
+        mass_kg=mass,
+        mass_std_kg=mass_std,
+        com_m=com,
+        com_std_m=com_std,
+        load_nm=np.where(used, own, np.nan),
+        residual_nm=np.where(used, left + scale[0] * own, np.nan),
+        rms_nm=np.sqrt(np.sum(left**2, axis=0) / np.maximum(used.sum(axis=0), 1)),
+    )
+
+
+def _behind_gears(track: Track, model: FeedModel, rates: Floats, gains: Floats) -> tuple[Floats, Floats]:
+    """Measured torque behind the gears and friction as fed (n, 6) [Nm]."""
+    ratio = np.array([axis.torque_sign * axis.ratio for axis in model.axes])
+    rotor = np.array([axis.rotor_kg_m2 for axis in model.axes])
+    efficiency = np.array([axis.efficiency for axis in model.axes])
+    coulomb = np.array([axis.coulomb_nm for axis in model.axes])
+    viscous = np.array([axis.viscous_nm_s_rad for axis in model.axes])
+    fed = np.nan_to_num(track.torque_nm) * ratio - rotor * gains
+    behind = fed * efficiency ** np.sign(fed * rates)
+    return behind, coulomb * np.sign(rates) + viscous * rates
+
+
+class _Problem:
+    """Weighted least squares with nuisance columns per axis, and the jackknife over stretches of time."""
+
+    def __init__(self, residual: Floats, nuisance: Floats, used: NDArray[np.bool_]) -> None:
+        self._residual = residual
+        self._used = used
+        rows, axes, _ = nuisance.shape
+        wide = np.zeros((rows, axes, NUISANCE * axes))
+        for axis in range(axes):
+            wide[:, axis, NUISANCE * axis : NUISANCE * (axis + 1)] = nuisance[:, axis]
+        self._nuisance = wide
+        alone = np.linalg.lstsq(_flat(wide), residual.ravel(), rcond=1e-9)[0]
+        spread = residual - (_flat(wide) @ alone).reshape(rows, axes)
+        sigma = np.sqrt(np.sum(spread**2, axis=0) / np.maximum(used.sum(axis=0), 1))
+        self._weight = np.where(sigma > 0, 1.0 / np.maximum(sigma, 1e-9), 0.0)
+        self._block = np.minimum(np.arange(rows) * BLOCKS // max(rows, 1), BLOCKS - 1)
+
+    def solve(self, columns: Floats) -> tuple[Floats, Floats, Floats]:
+        """Values and standard deviations of `columns` (n, 6, k), and what is left of the residual (n, 6).
+
+        A direction that the rows do not tell is NaN.
+        """
+        count = columns.shape[2]
+        wide = np.concatenate([columns, self._nuisance], axis=2) * self._weight[:, None]
+        size = np.sqrt((_flat(wide) ** 2).sum(axis=0))
+        size[size == 0] = 1.0
+        wide = wide / size
+        target = self._residual * self._weight
+        grams = np.array([_gram(wide[self._block == b], target[self._block == b]) for b in range(BLOCKS)])
+        total = grams.sum(axis=0)
+        value, told = _solve(total)
+        parts = np.array([_solve(total - gram)[0] for gram in grams])
+        std = np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((parts - parts.mean(axis=0)) ** 2, axis=0))
+        fitted = (_flat(wide) @ value).reshape(target.shape)
+        weight = np.where(self._weight > 0, self._weight, 1.0)
+        left = np.where(self._used, (target - fitted) / weight, 0.0)
+        known = np.where(told[:count], 1.0, np.nan)
+        return known * value[:count] / size[:count], known * std[:count] / size[:count], left
+
+
+def _flat(rows: Floats) -> Floats:
+    return rows.reshape(-1, rows.shape[2])
+
+
+def _gram(rows: Floats, target: Floats) -> Floats:
+    """Normal equations of some rows, right side in the last column."""
+    flat = _flat(rows)
+    return np.column_stack([flat.T @ flat, flat.T @ target.ravel()])
+
+
+def _solve(gram: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """Minimum-norm solution and which unknowns the rows tell."""
+    matrix, right = gram[:, :-1], gram[:, -1]
+    power, turn = np.linalg.eigh(matrix)
+    good = power > TOLERANCE**2 * power[-1]
+    value = turn[:, good] @ ((turn[:, good].T @ right) / power[good])
+    hidden = (turn[:, ~good] ** 2).sum(axis=1)
+    return value, hidden < 1e-3
+
+
+def _as_load(load: FeedLoad, change: Floats, std: Floats) -> tuple[float, float, Floats, Floats]:
+    """Mass and centre of gravity of the load as fed plus a change of [mass, first moment]."""
+    mass = load.mass_kg + change[0]
+    com = (load.mass_kg * load.com_m + change[1:]) / mass
+    spread = np.sqrt(std[1:] ** 2 + (com * std[0]) ** 2) / abs(mass)
+    return float(mass), float(std[0]), com, spread
