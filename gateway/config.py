@@ -217,7 +217,7 @@ class PairConfig(_Strict):
     contact_stiffness: SixFold = Field(description="of part and gears together, what the correction works against")
     impedance_damping: SixFold
     impedance_stiffness: SixFold | None = Field(
-        default=None, description="0 if absent: corrects until no force is left"
+        default=None, description="absent: corrects until no force is left"
     )
     knots: int = Field(default=9, ge=2, description="points that are taught, evenly spread over the way")
     servo_lag_s: Positive = Field(default=0.016, description="by which the axes follow their set points")

@@ -54,7 +54,7 @@ class PairArm:
     @property
     def start_rad(self) -> Floats:
         """Joint angles (6,) at which the part is gripped [rad]."""
-        return np.array(self.config.start_rad)
+        return np.array(self.config.start_rad or (0.0,) * 6)
 
     def model_torque(self, q_rad: Floats, qd_rad_s: Floats, qdd_rad_s2: Floats) -> Floats:
         """Actuator torque (n, 6) [Nm] of a free motion, rotors included, friction not."""

@@ -103,6 +103,10 @@ class WrenchFromTorque:
         """Forget the filter's state."""
         self.wrench = self.external_nm = self._last = self._before = None
 
+    def wrench_of(self, external_nm: Floats, m: int = 0) -> Floats:
+        """Wrench (6,) of an external joint torque (6,) [Nm] at command m, friction already out of it."""
+        return self._map[m] @ external_nm
+
     def update(self, m: int, sample: ArmSample) -> None:
         """Take in what was measured at the SYNC of command m; an incomplete sample leaves the last wrench.
 

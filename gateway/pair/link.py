@@ -146,7 +146,7 @@ class PairLink:
         """Do something with both arms at the same time; the first failure is raised when both have ended."""
         second = self._pool.submit(action, 1)
         failure: BaseException | None = None
-        first = None
+        first = result = None
         try:
             first = action(0)
         except BaseException as error:

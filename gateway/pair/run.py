@@ -86,6 +86,10 @@ class PairRun:
         """Power both arms at the start of the path, where the part is gripped."""
         self.motion.start()
 
+    def stand(self) -> None:
+        """Bring both arms to the start of the path, corrections at nothing: where the grippers close."""
+        self.motion.approach(self.motion.targets(self._way, 0, self._standing()))
+
     def cycle(self) -> PairCycle:
         """One way forward, from standing at the start; learns from it if it was complete.
 
@@ -96,7 +100,7 @@ class PairRun:
         """
         controller, way = self.controller, self._way
         controller.start_cycle()
-        self.motion.approach(self.motion.targets(way, 0, self._standing()))
+        self.stand()
         try:
             streamed: Streamed = self.motion.stream(way, controller.step)
         except BaseException:

@@ -1,0 +1,351 @@
+"""First function from taught points (CN104379308 embodiment 1, fig. 5): point after point, force adjusted away at each.
+
+Both arms hold the part and go slowly from point to point. At rest dry friction hides the force, so both arms sweep
+together a little to and fro along the path: every joint then turns both ways, and over one period friction cancels. The
+slave's command is moved against the force until the force is below its set value; what is stored are the commands.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gateway.errors import InputError
+from gateway.pair.function import TransformFunction, function_of_knots
+from gateway.pair.impedance import Admittance, Gains
+from gateway.pair.motion import Pair, PairMotion, PairStopped, Passage, smooth
+from gateway.pair.path import PairPath
+from gateway.pair.relation import relation, slave_command
+from gateway.pair.transform import Floats, apply_correction
+
+SCHEMA = 1
+KIND = "servo-gateway taught points"
+#: A moment counts like the force at this lever.
+LEVER_M = 0.2
+#: Largest change of a correction in one step [m], [rad].
+LARGEST_STEP = (1.5e-3, 8e-3)
+
+
+@dataclass(frozen=True, slots=True)
+class TeachRule:
+    """How a point is taught.
+
+    Attributes
+    ----------
+    force_n, moment_nm : set value: below both a point is done
+    sweep_m, sweep_s : half the way of the sweep along the path, and its period
+    share : of the correction that would take the whole force away if the stiffness were the cell's
+    rounds : sweeps at one point at most
+    largest_m, largest_rad : a larger correction is an error, not an adjustment
+    way_m_s : mean speed from point to point along the path
+    """
+
+    force_n: float = 3.0
+    moment_nm: float = 1.0
+    sweep_m: float = 0.002
+    sweep_s: float = 1.0
+    share: float = 0.9
+    rounds: int = 20
+    largest_m: float = 20e-3
+    largest_rad: float = 50e-3
+    way_m_s: float = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TaughtPoint:
+    """One point.
+
+    Attributes
+    ----------
+    index : of the command on the path
+    s_m : way
+    relation : array of shape (4, 4), gripper 2 in gripper 1 by the adjusted commands
+    correction : array of shape (6,), of the slave at this point, its base [m, rad]
+    forces_n, moments_nm : of every sweep, the last one below the set value
+    """
+
+    index: int
+    s_m: float
+    relation: Floats
+    correction: Floats
+    forces_n: tuple[float, ...]
+    moments_nm: tuple[float, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """As plain values."""
+        return {
+            "command": self.index + 1,
+            "s_m": self.s_m,
+            "relation": self.relation.tolist(),
+            "correction_m": self.correction[:3].tolist(),
+            "correction_rad": self.correction[3:].tolist(),
+            "force_n": list(self.forces_n),
+            "moment_nm": list(self.moments_nm),
+        }
+
+
+@dataclass(slots=True)
+class Lesson:
+    """Points taught so far, for one path of one cell."""
+
+    path_hash: str
+    cell_hash: str
+    points: list[TaughtPoint] = field(default_factory=list)
+
+    def function(self, start: Floats) -> TransformFunction:
+        """Function through the points; `start` (4, 4) while there is none."""
+        if not self.points:
+            return function_of_knots([0.0], start[None])
+        ordered = sorted(self.points, key=lambda point: point.s_m)
+        return function_of_knots([point.s_m for point in ordered], np.array([point.relation for point in ordered]))
+
+    def to_json(self) -> str:
+        """Text of the file."""
+        body = {
+            "kind": KIND,
+            "schema": SCHEMA,
+            "path_hash": self.path_hash,
+            "cell_hash": self.cell_hash,
+            "units": {"relation": "m", "correction_m": "m", "correction_rad": "rad"},
+            "points": [point.as_json() for point in self.points],
+        }
+        return json.dumps(body, indent=1, allow_nan=False) + "\n"
+
+
+def lesson_from_json(text: str, where: str) -> Lesson:
+    """Read taught points.
+
+    Raises
+    ------
+    InputError
+        Not such a file, or a key is missing.
+    """
+    try:
+        body = json.loads(text)
+        if body["kind"] != KIND or body["schema"] != SCHEMA:
+            raise InputError(f"{where}: holds no taught points of schema {SCHEMA}")
+        points = [
+            TaughtPoint(
+                int(point["command"]) - 1,
+                float(point["s_m"]),
+                np.array(point["relation"], dtype=float).reshape(4, 4),
+                np.array([*point["correction_m"], *point["correction_rad"]], dtype=float),
+                tuple(point["force_n"]),
+                tuple(point["moment_nm"]),
+            )
+            for point in body["points"]
+        ]
+        return Lesson(str(body["path_hash"]), str(body["cell_hash"]), points)
+    except (ValueError, KeyError, TypeError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{where}: is no file of taught points: {error}; teach again without --resume") from error
+
+
+class _Yielding:
+    """Steps against a force whose stiffness is known by its upper bound only.
+
+    The compliance is corrected by what each step has done to the force (Broyden 1965, second method), and taken afresh
+    when the force has grown.
+
+    Parameters
+    ----------
+    compliance : array of shape (6,) [m/N, rad/Nm]
+    """
+
+    def __init__(self, compliance: Floats) -> None:
+        self._plain = np.diag(compliance)
+        self._scale = np.repeat([1.0, LEVER_M], 3)
+        self._matrix = self._plain.copy()
+        self._last: tuple[Floats, Floats] | None = None
+
+    def step(self, wrench: Floats) -> Floats:
+        """Change (6,) [m, rad] of the correction for a wrench (6,) [N, Nm] at the hand."""
+        if self._last is not None:
+            before, moved = self._last
+            fallen = before - wrench
+            weight = fallen / self._scale**2
+            if np.linalg.norm(wrench / self._scale) > np.linalg.norm(before / self._scale):
+                self._matrix = self._plain.copy()
+            else:
+                self._matrix += np.outer(moved - self._matrix @ fallen, weight) / float(weight @ fallen)
+        step = self._matrix @ wrench
+        step *= min(1.0, LARGEST_STEP[0] / max(float(np.linalg.norm(step[:3])), 1e-12))
+        step *= min(1.0, LARGEST_STEP[1] / max(float(np.linalg.norm(step[3:])), 1e-12))
+        self._last = (wrench, step)
+        return step
+
+
+class Teacher:
+    """Teaches the points of a path.
+
+    Parameters
+    ----------
+    motion : PairMotion
+        Not yet powered.
+    gains : Gains
+        Impedance on the way from point to point.
+    rule : TeachRule, optional
+    """
+
+    def __init__(self, motion: PairMotion, gains: Gains, rule: TeachRule | None = None) -> None:
+        self._motion, self._gains, self._rule = motion, gains, rule or TeachRule()
+        self._path = motion.cell.path(1.0)
+        self._joints = motion.cell.joints(self._path)
+        stiffness = motion.cell.config.contact_stiffness
+        self._compliance = self._rule.share / np.repeat([stiffness.straight, stiffness.turned], 3)
+        self._correction = np.zeros(6)
+        self._way_m = 0.0
+
+    def run(self, lesson: Lesson, indices: np.ndarray, save: Callable[[Lesson, TaughtPoint], None]) -> None:
+        """Teach the commands `indices` that the lesson lacks, then go back to the start; both arms stay powered.
+
+        Parameters
+        ----------
+        lesson : Lesson
+            Is added to.
+        indices : array of int
+        save : callable
+            Called with the lesson and each new point.
+
+        Raises
+        ------
+        PairStopped
+            A point cannot be adjusted; both arms were stopped, what was taught so far is saved.
+        """
+        self._motion.start()
+        done = {point.index for point in lesson.points}
+        for index in (int(value) for value in indices):
+            if index not in done:
+                point = self._teach(lesson, index)
+                lesson.points.append(point)
+                self._correction = np.zeros(6)
+                save(lesson, point)
+        self._go(lesson, 0.0)
+
+    # -- one point ---------------------------------------------------------------------------------------------------
+
+    def _teach(self, lesson: Lesson, index: int) -> TaughtPoint:
+        rule, length = self._rule, self._path.length_m
+        s_m = float(self._path.s_m[index])
+        centre = min(max(s_m, rule.sweep_m), length - rule.sweep_m)
+        self._go(lesson, centre - rule.sweep_m)
+        sweep = self._sweep(centre)
+        function = lesson.function(self._motion.cell.nominal_relation)
+        forces, moments = [], []
+        yielding = _Yielding(self._compliance)
+        for _ in range(rule.rounds):
+            felt = self._measure(sweep, function)
+            forces.append(float(np.linalg.norm(felt[:3])))
+            moments.append(float(np.linalg.norm(felt[3:])))
+            if forces[-1] <= rule.force_n and moments[-1] <= rule.moment_nm:
+                return self._taught(index, function, (tuple(forces), tuple(moments)))
+            self._correction = self._correction + yielding.step(sweep.maps.at_tip(1, 0, felt))
+            away_m, away_rad = np.linalg.norm(self._correction[:3]), np.linalg.norm(self._correction[3:])
+            if away_m > rule.largest_m or away_rad > rule.largest_rad:
+                self._motion.stop(
+                    f"point {index + 1}: the adjustment went {1e3 * away_m:.1f} mm and {1e3 * away_rad:.1f} mrad away;"
+                    " check bases, grasps and torque signs of both arms"
+                )
+            first, second = self._commands(sweep, function)(0, None, None)
+            self._motion.approach(self._motion.targets(sweep, 0, (first, second)), 0.0)
+        self._motion.stop(
+            f"point {index + 1}: {forces[-1]:.1f} N and {moments[-1]:.2f} Nm are left after {rule.rounds} sweeps, the"
+            f" set value is {rule.force_n} N and {rule.moment_nm} Nm; check friction and stiffness in the cell"
+        )
+        raise PairStopped("not reached")
+
+    def _taught(
+        self, index: int, function: TransformFunction, seen: tuple[tuple[float, ...], tuple[float, ...]]
+    ) -> TaughtPoint:
+        first, second = self._motion.cell.arms
+        command = self._path.commands[index]
+        s_m = float(self._path.s_m[index])
+        plain = slave_command(first.world_from_base, command, second.world_from_base, function.at(s_m))
+        adjusted = apply_correction(plain, self._correction)
+        together = relation(first.world_from_base, command, second.world_from_base, adjusted)
+        return TaughtPoint(index, s_m, together, self._correction.copy(), *seen)
+
+    def _measure(self, sweep: Passage, function: TransformFunction) -> Floats:
+        """Mean internal wrench (6,) over one period of the sweep, friction cancelled."""
+        streamed = self._motion.stream(sweep, self._commands(sweep, function))
+        whole = streamed.external_nm[:-1]
+        mean = np.nanmean(whole, axis=0)
+        wrenches = [each.wrench_of(mean[arm]) for arm, each in enumerate(sweep.wrenches)]
+        felt = sweep.maps.internal(0, wrenches[0], wrenches[1])
+        return np.zeros(6) if felt is None else felt
+
+    # -- ways --------------------------------------------------------------------------------------------------------
+
+    def _commands(self, way: Passage, function: TransformFunction) -> Callable[[int, Any, Any], Pair]:
+        """Both gripper commands of a way under a function and the present correction."""
+        first, second = self._motion.cell.arms
+        relations = function.many(way.path.s_m)
+        slave = slave_command(first.world_from_base, way.path.commands, second.world_from_base, relations)
+        return lambda m, _one, _two: (way.path.commands[m], apply_correction(slave[m], self._correction))
+
+    def _passage(self, ways_m: Floats) -> Passage:
+        """A way along the path through the ways (n,) [m], one per control cycle."""
+        path, dt_s = self._path, self._motion.dt_s
+        commands = commands_at(path, ways_m)
+        near = int(path.nearest(ways_m[:1])[0])
+        along = replace(path, commands=commands, s_m=ways_m, dt_s=dt_s)
+        return self._motion.passage(along, (self._joints[0][near], self._joints[1][near]))
+
+    def _sweep(self, centre_m: float) -> Passage:
+        rule, dt_s = self._rule, self._motion.dt_s
+        phase = 2.0 * np.pi * np.arange(round(rule.sweep_s / dt_s) + 1) * dt_s / rule.sweep_s
+        return self._passage(centre_m - rule.sweep_m * np.cos(phase))
+
+    def _go(self, lesson: Lesson, to_m: float) -> None:
+        """Along the path to a way [m], yielding to force; the correction is kept."""
+        function = lesson.function(self._motion.cell.nominal_relation)
+        length = abs(to_m - self._way_m)
+        count = max(10, round(max(0.5, length / self._rule.way_m_s) / self._motion.dt_s))
+        share = smooth_many(np.arange(1, count + 1) / count)
+        way = self._passage(self._way_m + share * (to_m - self._way_m))
+        plain = self._commands(way, function)
+        began = self._correction
+        admittance = Admittance(self._gains, self._motion.dt_s)
+
+        def yielding(m: int, one: Floats | None, two: Floats | None) -> Pair:
+            felt = way.maps.internal(m, one, two)
+            if felt is not None:
+                self._correction = began + admittance.step(way.maps.at_tip(1, m, felt))
+            return plain(m, one, two)
+
+        self._motion.stream(way, yielding, fade=True)
+        self._way_m = to_m
+
+
+def commands_at(path: PairPath, ways_m: Floats) -> Floats:
+    """Commands (n, 4, 4) of a path at the ways (n,) [m], between its own by a straight line and a turn."""
+    ways, first = np.unique(path.s_m, return_index=True)
+    function = function_of_knots(ways, path.commands[first])
+    return function.many(np.clip(ways_m, 0.0, path.length_m))
+
+
+def smooth_many(share: Floats) -> Floats:
+    """As `smooth`, for shares (n,)."""
+    return np.array([smooth(float(value)) for value in share])
+
+
+def read_lesson(path: Path, path_hash: str, cell_hash: str) -> Lesson:
+    """Taught points of a file, if it is for this path of this cell.
+
+    Raises
+    ------
+    InputError
+        It is for another one.
+    """
+    lesson = lesson_from_json(path.read_text(encoding="utf-8"), str(path))
+    if (lesson.path_hash, lesson.cell_hash) != (path_hash, cell_hash):
+        raise InputError(
+            f"{path}: its points were taught on another path or in another cell; teach again without --resume"
+        )
+    return lesson
