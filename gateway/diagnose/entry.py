@@ -11,8 +11,9 @@ from gateway.diagnose.bias import stuck
 from gateway.diagnose.decide import STRUCTURE_P, Decision, decide
 from gateway.diagnose.deflection import wound_up
 from gateway.diagnose.fit import fit
-from gateway.diagnose.holdout import Held, predicted
+from gateway.diagnose.holdout import Held, foretold_covariance, predicted
 from gateway.diagnose.linear import Fit, Problem, visit_loads
+from gateway.diagnose.loads import loads_of
 from gateway.diagnose.mistakes import Mistake, band_signs, find_mistakes, strained, suspicious, wrecked
 from gateway.diagnose.motion import MotionOptions, diagnose_motion
 from gateway.diagnose.options import DiagnoseOptions
@@ -28,6 +29,7 @@ from gateway.diagnose.outcome import (
 )
 from gateway.diagnose.pictures import Visits, pictures
 from gateway.diagnose.problem import BARE_LABEL, Knowledge, build_problem, first_noise
+from gateway.diagnose.remarks import corrected_links, limits, refused_loads
 from gateway.diagnose.rows import joined, rest_rows
 from gateway.diagnose.search import Search, run
 from gateway.diagnose.structure import fresh_misfit, spare_rows
@@ -176,6 +178,10 @@ class RestDiagnosis:
         problem = self.problem(table)
         return summary(problem, fit(problem, (), first_noise(problem)), Judge(problem, None), self.robot)
 
+    def _from_all(self, held: Held, seen: Fit) -> tuple[LoadResult, ...]:
+        """Loads of the same hypothesis on fitted and fresh visits together."""
+        return loads_of(held.problem, fit(held.problem, seen.terms, seen.noise, seen), self.robot)
+
     def report(self, found: Found, holdout: Table | None = None, kind: str = "given") -> Result:
         """Verdict and figures of a search; `holdout` are rows that no fit has seen, `kind` where they come from."""
         search, problem = found.search, found.search.problem
@@ -192,17 +198,23 @@ class RestDiagnosis:
         verdict = decision.verdict
         if found.mistakes or seen_by_encoder or by_direction:
             verdict = {"none_needed": "explained", "unexplained": "improved"}.get(verdict, verdict)
+        before = self._before(decision, judge, found, bool(by_direction))
         after = summary(problem, decision.after, judge, self.robot)
+        if held is not None and kind == "fresh" and not findings:
+            # what the proof has confirmed is told by all visits, those of the proof included
+            after = replace(after, loads=self._from_all(held, decision.after))
+            if decision.after is decision.before and not found.mistakes:
+                before = replace(before, loads=after.loads)
         floor, band = floor_and_band(problem, decision)
-        findings += _links(decision)
-        findings += mistake_findings(found.mistakes) + _load_findings(after.loads) + _limits(problem)
+        findings += corrected_links(decision)
+        findings += mistake_findings(found.mistakes) + refused_loads(after.loads) + limits(problem)
         rows, drawn = pictures(Visits.of(problem, held, "fresh" if kind == "fresh" else "held out"), decision)
         return Result(
             robot=self.robot.name,
             loads=after.loads,
             verdict=verdict,
             effects=tuple(effects),
-            before=self._before(decision, judge, found, bool(by_direction)),
+            before=before,
             after=after,
             holdout_kind="blocks" if held is None else kind,
             noise_floor_nm=floor,
@@ -228,7 +240,7 @@ class RestDiagnosis:
         group = held.problem.group[held.mask]
         residual = predicted(held, decision.after)
         spare = spare_rows(problem, decision.after)
-        chance = fresh_misfit(residual, decision.after.noise.std[group], group % 6, spare)
+        chance = fresh_misfit(residual, foretold_covariance(held, decision.after), group % 6, spare)
         if chance >= STRUCTURE_P:
             return decision, []
         verdict = {"explained": "improved", "none_needed": "unexplained"}.get(decision.verdict, decision.verdict)
@@ -259,35 +271,3 @@ def _inertials(robot: Robot, given: str | None) -> str:
     except ValueError:
         pass
     raise ConfigError(f"inertials: '{given}' is none of exact, prior:S with S > 0, ignore")
-
-
-def _load_findings(loads: tuple[LoadResult, ...]) -> list[Finding]:
-    return [
-        Finding("fail", f"load {load.label}", f"refused: {load.refused}", "check its rows, units and signs")
-        for load in loads
-        if load.refused
-    ]
-
-
-def _links(decision: Decision) -> list[Finding]:
-    """Corrections of the CAD's links that the fit needs, too weak in the torque to be named as effects."""
-    weak = [term for term in decision.after.terms if term not in decision.proven]
-    text = "the CAD's inertials are off by more than they are trusted to be; the fit corrects them"
-    return [Finding("info", "links", text, "give the CAD less trust, or weigh the links")] if weak else []
-
-
-def _limits(problem: Problem) -> list[Finding]:
-    """What these visits cannot show, whatever the search says."""
-    out = []
-    rows = problem.rows
-    if len(np.unique(rows.pose)) < 4:
-        text = f"{len(np.unique(rows.pose))} poses leave none to hold out: no effect is named"
-        out.append(Finding("warn", "data", text, "measure at least four poses under each load"))
-    if not (rows.load == BARE_LABEL).any() and not len(problem.prior_target):
-        out.append(
-            Finding("warn", "data", "no bare run: load and link 6 are told apart by the CAD alone", "record one")
-        )
-    if not rows.two_sided.any():
-        text = "every pose was approached from one side only: friction is noise here"
-        out.append(Finding("info", "data", text, "approach each pose from both sides"))
-    return out

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.linear import Fit, Problem, modelled, with_terms
+from gateway.diagnose.linear import Fit, Problem, common_columns, modelled, term_columns, with_terms
 from gateway.diagnose.screen import Screen
 
 Floats = NDArray[np.float64]
@@ -70,6 +70,22 @@ class Held:
 def predicted(held: Held, fit: Fit) -> Floats:
     """Residual (held-out rows,) [Nm] of a fit on rows it has not seen."""
     return _at(held.problem, fit)[held.mask]
+
+
+def foretold_covariance(held: Held, fit: Fit) -> Floats:
+    """Covariance (held-out rows, held-out rows) [Nm2] of the residuals of a fit on rows it has not seen.
+
+    The noise of the rows, and what the covariance of the fit's parameters leaves open about them.
+    """
+    problem = held.problem
+    setting = with_terms(fit.terms, fit.theta, problem.rows)
+    columns = [common_columns(problem, setting, fit.links, fit.loads, fit.band)]
+    columns += [
+        term_columns(problem, fit, term, fit.theta[position], position) for position, term in enumerate(fit.terms)
+    ]
+    design = np.hstack(columns)[held.mask]
+    noise = fit.noise.std[problem.group[held.mask]] ** 2
+    return np.asarray(design @ fit.covariance @ design.T + np.diag(noise), dtype=float)
 
 
 def _at(problem: Problem, fit: Fit) -> Floats:

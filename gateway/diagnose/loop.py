@@ -37,7 +37,7 @@ def close_loop(
 
     Returns
     -------
-    the result, and all visits that were fitted
+    the result, and all visits
     """
     rest = RestDiagnosis(robot, options)
     table = table.take(~table.moving)
@@ -51,7 +51,9 @@ def close_loop(
         found = rest.search(table)
         result = rest.report(found)
     if len(validation_rad):
-        result = rest.report(found, measure(np.asarray(validation_rad, dtype=float)), "fresh")
+        fresh = measure(np.asarray(validation_rad, dtype=float))
+        result = rest.report(found, fresh, "fresh")
+        table = concatenate([table, fresh])
     return result, table
 
 

@@ -95,20 +95,27 @@ def spare_rows(problem: Problem, fit: Fit) -> Floats:
     return np.asarray(np.bincount(problem.group % 6, weights=1.0 - leverage, minlength=6), dtype=float)
 
 
-def fresh_misfit(residual: Floats, std: Floats, axis: NDArray[np.int_], spare: Floats | None = None) -> float:
-    """Probability of residuals this large on fresh rows (per axis, over all tests), given their standard deviations.
+def fresh_misfit(residual: Floats, covariance: Floats, axis: NDArray[np.int_], spare: Floats | None = None) -> float:
+    """Probability of residuals this large on fresh rows (per axis, over all tests).
 
-    `spare` (6,) is how many rows the standard deviation of each axis was estimated from: few rows know their own noise
-    badly. None = it is known.
+    Parameters
+    ----------
+    residual : array of shape (k,)
+    covariance : array of shape (k, k)
+        Of the residuals: their own noise, and what the fit does not know of the rows it foretells.
+    axis : array of shape (k,)
+    spare : array of shape (6,), optional
+        How many rows the noise of each axis was estimated from: few rows know their own noise badly. None = known.
     """
     smallest = 1.0
     axes = np.unique(axis)
     for number in axes:
-        scaled = residual[axis == number] / std[axis == number]
-        mean = float(np.mean(scaled**2)) / 1.15
+        rows = np.flatnonzero(axis == number)
+        scaled = residual[rows] @ np.linalg.solve(covariance[np.ix_(rows, rows)], residual[rows])
+        mean = float(scaled) / len(rows) / 1.15
         if spare is None:
-            chance = float(chi2.sf(mean * len(scaled), len(scaled)))
+            chance = float(chi2.sf(mean * len(rows), len(rows)))
         else:
-            chance = float(f.sf(mean, len(scaled), max(float(spare[number]), 1.0)))
+            chance = float(f.sf(mean, len(rows), max(float(spare[number]), 1.0)))
         smallest = min(smallest, chance)
     return min(1.0, smallest * len(axes))
