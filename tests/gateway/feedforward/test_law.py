@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gateway.feedforward.dynamics import ArmDynamics
-from gateway.feedforward.law import TURN_ROUND_RAD_S, AxisTerms, FeedforwardLaw
+from gateway.feedforward.law import TURN_ROUND_RAD, AxisTerms, FeedforwardLaw
 from gateway.feedforward.load import body_parameters
 from gateway.feedforward.ramp import Ramp
 from gateway.model.regressor import regressor
@@ -46,31 +46,48 @@ def test_both_offsets_by_formula(law, qh165, parameters):
     rates, gains = np.array(QD), np.array(QDD)
     output = rigid + 40.0 * np.sign(rates) + 50.0 * rates
     motor = np.where(output * rates > 0, output / 0.8, output * 0.8) + 30.0 * gains
-    velocity, torque = law.offsets(Q, QD, QDD)
+    velocity, torque = law.offsets(Q, QD, QDD, np.sign(QD).tolist())
     np.testing.assert_allclose(torque, motor / 100.0, rtol=1e-12)
     np.testing.assert_allclose(velocity, -0.2 * 100.0 * rates, rtol=1e-12)
 
 
-def test_at_rest_the_offset_is_the_gravity_torque_over_a_loss_free_gear(law, qh165, parameters):
+def test_at_rest_and_with_no_motion_known_the_offset_is_gravity_over_a_loss_free_gear(law, qh165, parameters):
     rest = [0.0] * 6
     rigid = regressor(qh165, [Q], [rest], [rest])[0] @ parameters
-    velocity, torque = law.offsets(Q, rest, rest)
+    velocity, torque = law.offsets(Q, rest, rest, rest)
     np.testing.assert_allclose(torque, rigid / 100.0, rtol=1e-12, atol=1e-12)
     assert velocity == [0.0] * 6
 
 
-def test_friction_and_gear_losses_turn_round_without_a_jump(law):
-    """Either side of a reversal differs by what the smallest speed makes, not by twice the friction."""
-    small = 1e-6
-    before = law.offsets(Q, [-small] * 6, [0.0] * 6)[1]
-    after = law.offsets(Q, [small] * 6, [0.0] * 6)[1]
-    bound = 2.0 * small / TURN_ROUND_RAD_S * (40.0 + 0.5 * 12000.0) / 100.0
-    assert np.abs(np.subtract(after, before)).max() <= bound
+def test_friction_turns_round_within_a_small_way_and_keeps_its_sense_at_rest(law):
+    forward = law.sense([0.0] * 6, [TURN_ROUND_RAD] * 6)
+    assert forward == pytest.approx([1.0] * 6)
+    assert law.sense(forward, [0.1] * 6) == [1.0] * 6
+    assert law.sense(forward, [0.0] * 6) == forward
+    half = law.sense(forward, [-TURN_ROUND_RAD] * 6)
+    assert half == pytest.approx([0.0] * 6)
+    assert law.sense(half, [-0.1] * 6) == [-1.0] * 6
+
+
+def test_the_offset_has_no_jump_as_the_sense_passes_zero(law):
+    rest = [0.0] * 6
+    before, after = (law.offsets(Q, rest, rest, [side] * 6)[1] for side in (-1e-9, 1e-9))
+    np.testing.assert_allclose(before, after, atol=1e-5)
+
+
+def test_at_rest_the_offset_is_that_of_the_side_the_axis_came_from(law, qh165, parameters):
+    """Driven up the motor carried T / eta + friction, let down T eta - friction: it still does while it rests."""
+    rest = [0.0] * 6
+    rigid = regressor(qh165, [Q], [rest], [rest])[0] @ parameters
+    for side in (-1.0, 1.0):
+        output = rigid + 40.0 * side
+        expected = np.where(output * side > 0, output / 0.8, output * 0.8) / 100.0
+        np.testing.assert_allclose(law.offsets(Q, rest, rest, [side] * 6)[1], expected, rtol=1e-12)
 
 
 def test_a_drive_that_feeds_all_of_the_velocity_is_given_none(qh165, parameters):
     law = FeedforwardLaw(ArmDynamics(qh165, parameters), [terms(velocity_share=1.0)] * 6)
-    assert law.offsets(Q, QD, QDD)[0] == pytest.approx([0.0] * 6)
+    assert law.offsets(Q, QD, QDD, [0.0] * 6)[0] == pytest.approx([0.0] * 6)
 
 
 def test_a_coupled_wrist_gets_the_torque_of_both_joints(qh165, parameters):
@@ -79,7 +96,7 @@ def test_a_coupled_wrist_gets_the_torque_of_both_joints(qh165, parameters):
     coupling[5, 4] = -1.0
     bare = terms(efficiency=1.0, rotor_kg_m2=0.0, coulomb_nm=0.0, viscous_nm_s_rad=0.0, torque_sign=1.0)
     law = FeedforwardLaw(ArmDynamics(qh165, parameters), [bare] * 6, coupling)
-    velocity, torque = law.offsets(Q, QD, QDD)
+    velocity, torque = law.offsets(Q, QD, QDD, [1.0] * 6)
     gear = 100.0 * np.array(torque)
     rates = np.array(velocity) / (-0.2 * 100.0)
     np.testing.assert_allclose(rates, coupling @ QD)
