@@ -7,7 +7,7 @@ from typing import NoReturn
 from drives.abort import NO_OBJECT, NO_SUBINDEX
 from drives.bus import Bus
 from drives.cia402 import AT_REST, decode_state
-from drives.errors import ConfigurationRefused, DriveError, DriveFault, IdentityMismatch, SdoAbort
+from drives.errors import ConfigurationRefused, DriveError, DriveFault, IdentityMismatch, SdoAbort, SdoTimeout
 from drives.heartbeat import NmtCommand, send_nmt
 from drives.ledger import LedgerEntry, WriteLedger
 from drives.objects import OBJECTS, ObjectEntry
@@ -70,7 +70,7 @@ class ObjectAccess:
             return
         step = Step(entry.index, entry.subindex, entry.type, value, reason)
         self._ledger.note(self._entry(step, now))
-        self.sdo.write(step.index, step.subindex, step.data_type, step.value)
+        self._send(step)
         back = self.read(entry, options)
         if back != value:
             what = f"{value:#x} was written, {back:#x} reads back"
@@ -79,6 +79,15 @@ class ObjectAccess:
     def is_in_ledger(self, *indices: int) -> bool:
         """Whether the ledger holds a write to one of these objects of this node that was not put back."""
         return any(entry.index in indices for entry in self._ledger.of_node(self.node_id))
+
+    def _send(self, step: Step) -> None:
+        """Write a parameter; where the answer stays away it is read back, and written once more if it is not there."""
+        words = (step.index, step.subindex, step.data_type, step.value)
+        try:
+            self.sdo.write(*words)
+        except SdoTimeout:
+            if self.sdo.read(step.index, step.subindex, step.data_type) != step.value:
+                self.sdo.write(*words)
 
     def _entry(self, step: Step, old: int) -> LedgerEntry:
         address = (step.index, step.subindex)
@@ -115,7 +124,7 @@ class ObjectAccess:
                 self._check_allowed(step.index, step.subindex)
             self._ledger.note(*(self._entry(step, self._before(step)) for step in steps))
             for step in steps:
-                self.sdo.write(step.index, step.subindex, step.data_type, step.value)
+                self._send(step)
             left = differences(plan, self.sdo.read)
             if left:
                 what = f"{plan.name} {', '.join(left)} after it was written"

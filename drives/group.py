@@ -482,6 +482,11 @@ class DriveGroup:
     # -- looking back ------------------------------------------------------------------------------------------------
 
     @property
+    def bus(self) -> Bus:
+        """The bus that the drives are on."""
+        return self._bus
+
+    @property
     def access(self) -> tuple[ObjectAccess, ...]:
         """SDO access to each drive, in the order of the axes."""
         return tuple(drive.access for drive in self.drives)

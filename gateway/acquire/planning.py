@@ -140,7 +140,7 @@ def expectation(
     """
     q_rad = np.array([pose.q_rad for pose in poses]).reshape(-1, 6)
     information = payload_information(workspace.robot, q_rad, noise_nm, workspace.gravity_m_s2).sum(axis=0)
-    mass_kg, com_m = _reference_load(workspace, q_rad)
+    mass_kg, com_m = reference_load(workspace, q_rad)
     mass_std_kg, com_std_m = expected_std(information, mass_kg, com_m)
     if not np.isfinite([mass_std_kg, *com_std_m]).all():
         raise PlanRefused(
@@ -156,7 +156,7 @@ def expectation(
     )
 
 
-def _reference_load(workspace: Workspace, q_rad: np.ndarray) -> tuple[float, np.ndarray]:
+def reference_load(workspace: Workspace, q_rad: np.ndarray) -> tuple[float, np.ndarray]:
     """The cell's heaviest load, else half of what the free share of the torque limits carries at the flange."""
     if workspace.max_load is not None:
         return float(workspace.max_load[0]), workspace.max_load[1:] / workspace.max_load[0]

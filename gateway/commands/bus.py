@@ -25,6 +25,7 @@ from gateway.errors import FindingFailed
 
 if TYPE_CHECKING:
     from drives.probe import ScanResult
+    from gateway.acquire.opening import OpenArm
     from gateway.cell_context import CellContext
     from gateway.check_rules import CheckItem
     from gateway.config import ArmConfig
@@ -148,7 +149,18 @@ def _in_motion(
             seen.append(proof.as_json())
             if not proof.passed:
                 return items, seen
+        if move:
+            items += _small_moves(opened)
     return items, seen
+
+
+def _small_moves(opened: OpenArm) -> tuple[CheckItem, ...]:
+    from gateway.check_move import check_moves
+    from gateway.progress import ProgressListener
+
+    session = session_of()
+    with session.progress(1.0, "small moves") as bar:
+        return check_moves(opened, (ProgressListener(session, bar),)).items
 
 
 def _check_arm(bus: Any, context: Any, arm: Any) -> list[CheckItem]:

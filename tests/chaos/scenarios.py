@@ -24,6 +24,8 @@ from gateway.acquire.poses import RestPose
 from gateway.acquire.run import Station
 from gateway.acquire.runner import RunRequest, run_plan
 from gateway.check import check_arm
+from gateway.check_move import check_moves
+from gateway.check_stop import prove_stop
 from gateway.errors import GatewayError
 from gateway.visit import Visit
 from sim.faults import KINDS, Fault
@@ -196,10 +198,16 @@ def play(rig: Rig, kind: str, seed: int) -> Outcome:
 
 
 def look(opened: OpenArm) -> str:
-    """First failing item of the pre-flight check."""
-    items = check_arm(opened.group._bus, opened.config, opened.profiles)
-    failing = [item for item in items if item.severity == "fail"]
-    return str(failing[0]) if failing else ""
+    """First failing item of the pre-flight check: at rest, then without heartbeat, then by small moves."""
+    for items in (
+        lambda: check_arm(opened.group.bus, opened.config, opened.profiles),
+        lambda: prove_stop(opened).items,
+        lambda: check_moves(opened).items,
+    ):
+        failing = [item for item in items() if item.severity == "fail"]
+        if failing:
+            return str(failing[0])
+    return ""
 
 
 def fill_queue(opened: OpenArm, rng: random.Random) -> None:
@@ -238,10 +246,11 @@ def judge(rig: Rig, outcome: Outcome, fault: Fault | None, error: Exception | No
         complain("no error was raised")
     if about.reaction == "finding" and not (finding or error):
         complain("the check found nothing")
-    if about.reaction in ("refuses", "finding") and any(ENABLED in states for _, states, _, _ in rig.seen.states):
+    if about.reaction == "refuses" and any(ENABLED in states for _, states, _, _ in rig.seen.states):
         complain("an axis was enabled")
-    named = fault is None or not fault.node or fault.kind.startswith(NAMELESS) or f"{fault.node}" in str(error)
-    if about.reaction in ("stops", "refuses") and error is not None and not named:
+    said = finding or str(error)
+    named = fault is None or not fault.node or fault.kind.startswith(NAMELESS) or f"node {fault.node}" in said
+    if about.reaction in ("stops", "refuses", "finding") and said and not named:
         complain(f"the message does not name the node: {error}")
     states = [drive.automaton.state for drive in rig.server.drives if not drive.node.silent]
     if ENABLED in states:

@@ -111,3 +111,70 @@ def test_recording_is_refused_where_a_drive_goes_on(place, gateway, serve, commi
     assert result is None
     assert hands.asked == []
     assert drives.stand_still()
+
+
+# ------------------------------------------------------------------------------------------------------ small moves
+
+WRONG = '[[effect]]\nname = "{}"\njoints = {}\n'
+LYING = '[[fault]]\nkind = "demand_torque"\nnode = 3\n[[fault]]\nkind = "unsigned_torque"\nnode = 4\n'
+
+
+def test_small_moves_of_a_good_cell_pass_and_say_what_they_cannot_see(place, gateway, serve):
+    drives = serve()
+    done, body = check(gateway, place, drives, "--move", "--yes")
+    assert done.exit_code == 0, done.output
+    assert body["stop_proof"], "the stop is proven before anything else moves"
+    lines = {item["where"]: item for item in body["findings"] if "sense" in item["what"]}
+    assert lines["J2 node 2"]["severity"] == lines["J3 node 3"]["severity"] == "ok"
+    assert lines["J1 node 1"]["severity"] == "warn", "gravity says nothing of an upright axis"
+    assert "see that joint 1 turned" in lines["J1 node 1"]["advice"]
+    measured = [item for item in body["findings"] if "measured torque" in item["what"]]
+    assert len(measured) == 6
+    assert drives.stand_still()
+    again, body = check(gateway, place, drives, "--yes")
+    assert again.exit_code == 0, again.output
+    assert "stop_proof" not in body
+
+
+def test_a_torque_that_is_a_demand_and_one_without_sign_are_named(place, gateway, serve):
+    done, body = check(gateway, place, serve(fault=LYING), "--move", "--yes")
+    assert done.exit_code == 7, done.output
+    found = {item["where"]: item["what"] for item in failed(body)}
+    assert "it is a demand" in found["J3 node 3:6077:00 (torque)"]
+    assert "magnitude only" in found["J4 node 4:6077:00 (torque)"]
+    assert len(found) == 2
+
+
+def test_a_reversed_torque_sign_is_named(place, gateway, serve):
+    done, body = check(gateway, place, serve(effect=WRONG.format("sign_reversed", [2])), "--move", "--yes")
+    assert done.exit_code == 7, done.output
+    says = [item["what"] for item in failed(body) if item["where"] == "J2 node 2"]
+    assert says == ["torque sign is reversed relative to position"]
+
+
+def test_swapped_drives_are_named(place, gateway, serve):
+    """Of one ratio and one range: else the drives' software limits give them away before anything moves."""
+    text = place.cell.read_text()
+    for old, new in (("[-1.5, 1.8]", "[-1.5, 1.5]"), ("[-1.3, 1.8]", "[-1.5, 1.5]"), ("value = 100,", "value = 120,")):
+        assert old in text
+        text = text.replace(old, new, 1)
+    place.cell.write_text(text)
+    done, body = check(gateway, place, serve(effect=WRONG.format("axes_swapped", [2, 3])), "--move", "--yes")
+    assert done.exit_code == 7, done.output
+    assert [item["what"] for item in failed(body)] == ["the drives of J2 and J3 are in each other's place"]
+    (item,) = failed(body)
+    assert "node ids 2 and 3" in item["advice"]
+
+
+def test_a_wrong_gear_ratio_is_named_with_its_factor(place, gateway, serve):
+    drives = serve()
+    parts = place.cell.read_text().split("[[arm.axis]]")
+    parts[2] = parts[2].replace("value = 120", "value = 60")
+    cell = place.folder / "half.toml"
+    cell.write_text("[[arm.axis]]".join(parts))
+    done, body = check(gateway, place, drives, "--move", "--yes", cell=cell)
+    assert done.exit_code == 7, done.output
+    (item,) = failed(body)
+    assert item["where"] == "J2 node 2"
+    assert "gear_ratio is 0.4" in item["what"] or "gear_ratio is 0.5" in item["what"]
+    assert drives.stand_still()

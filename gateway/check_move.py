@@ -1,0 +1,285 @@
+"""Small moves of every axis: signs, order, gear ratios and the provenance of the torque, against the model.
+
+Each axis in turn is displaced a little, every posture is approached slowly from both sides, settled and averaged, with
+all limits watched as in a recording. Nothing is stored; what the drives say of demand and current is heard beside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from drives.busload import cycle_bits_worst, load_percent
+from drives.witness import TorqueWitness, TorqueWords
+from gateway.acquire.events import Listener
+from gateway.acquire.interrupt import ctrl_c_asks
+from gateway.acquire.opening import OpenArm
+from gateway.acquire.plan import Plan, VisitSettings, plan_poses
+from gateway.acquire.planning import reference_load
+from gateway.acquire.poses import RestPose
+from gateway.acquire.run import Station
+from gateway.acquire.runner import RunRequest, run_plan
+from gateway.acquire.workspace import Workspace
+from gateway.check import LOAD_LIMIT_PERCENT
+from gateway.check_rules import Axis, CheckItem
+from gateway.check_torque import Scales, judge_torque
+from gateway.check_wiring import Arm, AxisView, Moves, Verdict, Wiring, judge_wiring
+from gateway.errors import LimitExceeded, PlanRefused
+from gateway.visit import Visit
+
+#: Displacement of each axis [rad]: the wrist sees little gravity and reaches little.
+STEPS_RAD: Final = (0.15, 0.15, 0.15, 0.3, 0.3, 0.3)
+APPROACH_RAD: Final = 0.03
+SPEED_RAD_S: Final = 0.05
+SAMPLES: Final = 20
+SETTLE_S: Final = 10.0
+#: A misfit above this says that the model does not describe the arm, whatever the wiring.
+MISFIT: Final = 2.0
+LOAD: Final = "check"
+
+
+class _Shelf:
+    """Visits, in memory."""
+
+    def __init__(self) -> None:
+        self.visits: list[Visit] = []
+
+    def add(self, arm: str, visit: Visit) -> Visit:
+        """Keep one that is complete."""
+        if visit.complete:
+            self.visits.append(visit)
+        return visit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MoveCheck:
+    """What the moves showed.
+
+    Attributes
+    ----------
+    items : tuple of CheckItem
+    verdict : Verdict or None
+        None where the arm had to be stopped, or its links are not known.
+    """
+
+    items: tuple[CheckItem, ...]
+    verdict: Verdict | None
+
+
+def plan_moves(arm: str, workspace: Workspace, start_rad: np.ndarray, period_s: float) -> Plan:
+    """Where the arm stands, and one displacement of each axis from there.
+
+    Parameters
+    ----------
+    arm : str
+    workspace : Workspace
+    start_rad : array of shape (6,)
+    period_s : float
+        SYNC period.
+
+    Raises
+    ------
+    PlanRefused
+        An axis has no room to either side.
+    """
+    reason = workspace.why_not(start_rad)
+    if reason is not None:
+        raise PlanRefused(f"arm '{arm}' stands where it may not move: {reason}; move it clear by hand")
+    inward = np.where(start_rad > (workspace.lower_rad + workspace.upper_rad) / 2, -1.0, 1.0)
+    poses = [RestPose(1, _tuple(start_rad), "fit")]
+    for joint in range(6):
+        poses.append(RestPose(joint + 2, _displaced(arm, workspace, start_rad, joint, float(inward[joint])), "fit"))
+    plan, unreachable = plan_poses(arm, workspace, poses, _settings(period_s))
+    if unreachable:
+        raise PlanRefused(f"arm '{arm}': no free way to the small moves; bring it to a posture with more room")
+    return plan
+
+
+def _displaced(arm: str, workspace: Workspace, start_rad: np.ndarray, joint: int, inward: float) -> tuple[float, ...]:
+    """The axis displaced inward or else outward, the approach to both sides included."""
+    for step in (inward * STEPS_RAD[joint], -inward * STEPS_RAD[joint]):
+        target = start_rad.copy()
+        target[joint] += step
+        ends = np.array([target + APPROACH_RAD, target - APPROACH_RAD])
+        if workspace.path_clear(np.array([start_rad, start_rad]), ends).all():
+            return _tuple(target)
+    raise PlanRefused(
+        f"arm '{arm}', joint {joint + 1}: no room for {STEPS_RAD[joint]} rad to either side; bring the arm to a "
+        "posture away from limits and keep_out boxes"
+    )
+
+
+def _tuple(q_rad: np.ndarray) -> tuple[float, ...]:
+    return tuple(float(value) for value in q_rad)
+
+
+def _settings(period_s: float) -> VisitSettings:
+    return VisitSettings(APPROACH_RAD, SPEED_RAD_S, SETTLE_S, SAMPLES, period_s)
+
+
+def check_moves(opened: OpenArm, listeners: Sequence[Listener] = ()) -> MoveCheck:
+    """Move every axis a little and judge what the torques say.
+
+    Parameters
+    ----------
+    opened : OpenArm
+        Connected and configured, in its brakes; the stop on loss of the master is proven.
+    listeners : sequence of Listener
+
+    Raises
+    ------
+    PlanRefused
+        No room to move, or a pose never settled.
+    DriveError, KeyboardInterrupt
+        The arm was stopped.
+    """
+    group, config = opened.group, opened.config
+    plan = plan_moves(config.name, opened.workspace, opened.arm.where(), group.timing.period_s)
+    shelf = _Shelf()
+    with TorqueWitness(group.bus, group.drives if _room_for_witness(opened) else ()) as witness:
+        try:
+            with ctrl_c_asks() as stop_asked:
+                station = Station(opened.arm, opened.workspace, shelf, tuple(listeners), stop_asked)
+                run_plan(station, RunRequest(plan, LOAD))
+        except LimitExceeded as error:
+            advice = "check the order of the node ids, position_sign, torque_sign and gear_ratio of the axes by hand"
+            return MoveCheck(
+                (CheckItem("fail", f"J{error.joint}", f"small moves were stopped: {error}", advice),), None
+            )
+    items: list[CheckItem] = []
+    nothing = [TorqueWords(axis.node_id, missing="the bus is too full for a third TPDO") for axis in config.axis]
+    for joint, (axis, profile, drive, words) in enumerate(
+        zip(config.axis, opened.profiles, group.drives, witness.words or nothing, strict=True), start=1
+    ):
+        items += judge_torque(Axis(joint, axis, profile), words, Scales.of(drive.scale, axis))
+    if opened.workspace.links is None:
+        what = "signs, order and gear ratios were not compared: the cell does not trust the robot's inertials"
+        advice = 'set inertials = "prior:0.1" if the URDF has link masses'
+        items.append(CheckItem("warn", f"arm {config.name}", what, advice))
+        return MoveCheck(tuple(items), None)
+    verdict = judge_wiring(_arm(opened), moves_of(opened, shelf.visits))
+    node_ids = [axis.node_id for axis in config.axis]
+    return MoveCheck((*items, *wiring_items(config.name, node_ids, verdict)), verdict)
+
+
+def _room_for_witness(opened: OpenArm) -> bool:
+    """By the clock: whether a third TPDO of every drive still fits the bus."""
+    timing, spec = opened.group.timing, opened.group.bus.spec
+    sizes = [0, *(8 for _ in opened.group.drives), *(p.size_bytes for d in opened.group.drives for p in d.plans)]
+    load = load_percent(cycle_bits_worst(sizes), timing.period_s, spec.bitrate_bit_s)
+    return timing.pacing == "lockstep" or load <= LOAD_LIMIT_PERCENT
+
+
+def _arm(opened: OpenArm) -> Arm:
+    config, workspace = opened.config, opened.workspace
+    trust = float(config.inertials.removeprefix("prior:")) if config.inertials.startswith("prior:") else 0.0
+    load_kg, _ = reference_load(workspace, opened.arm.where()[None])
+    return Arm(workspace.robot, workspace.gravity_m_s2, opened.arm.axes, workspace.torque_nm, trust, load_kg)
+
+
+def moves_of(opened: OpenArm, visits: Sequence[Visit]) -> Moves:
+    """Means of the visits, pose by pose, both sides."""
+    by_key = {(visit.pose, visit.approach): visit for visit in visits}
+    numbers = sorted({visit.pose for visit in visits})
+    pairs = [[by_key[number, side] for side in (-1, 1)] for number in numbers]
+    motor = opened.arm.axes.motor_position
+    return Moves(
+        np.array([[motor(visit.q_rad.mean(axis=0)) for visit in pair] for pair in pairs]),
+        np.array([[visit.motor_torque_nm.mean(axis=0) for visit in pair] for pair in pairs]),
+    )
+
+
+# -------------------------------------------------------------------------------------------------------- in words
+
+
+def wiring_items(arm: str, node_ids: Sequence[int], verdict: Verdict) -> list[CheckItem]:
+    """A verdict as lines of the check.
+
+    Parameters
+    ----------
+    arm : str
+    node_ids : sequence of 6 int
+    verdict : Verdict
+    """
+    items = [_found(node_ids, wiring, verdict) for wiring in verdict.found]
+    if verdict.misfit > MISFIT:
+        what = f"torques differ from the model by {verdict.misfit:.1f} times what is allowed for, as wired"
+        advice = "check the URDF's link masses, gravity_m_s2, what hangs on the arm, and the zero offsets"
+        items.append(CheckItem("warn", f"arm {arm}", what, advice))
+    changed = {joint for wiring in verdict.found for joint in wiring.joints}
+    for joint, view in enumerate(verdict.axes, start=1):
+        if joint not in changed:
+            items.append(_seen(joint, node_ids[joint - 1], view))
+    return items
+
+
+def _found(node_ids: Sequence[int], wiring: Wiring, verdict: Verdict) -> CheckItem:
+    joint = wiring.joints[0]
+    where = f"J{joint} node {node_ids[joint - 1]}"
+    rivals = [rival for rival in verdict.rivals if wiring is verdict.found[-1]]
+    if wiring.name == "swapped":
+        other = wiring.joints[1]
+        what = f"the drives of J{joint} and J{other} are in each other's place"
+        advice = f"exchange node ids {node_ids[joint - 1]} and {node_ids[other - 1]} in the cell file, or their cables"
+        return CheckItem("fail", where, what + _or(rivals), advice)
+    if wiring.name in ("gear_ratio", "torque_scale"):
+        kind = "gear_ratio is" if wiring.name == "gear_ratio" else "torque reads"
+        what = f"{kind} {wiring.factor:.2f} times what the model and the moves ask for"
+        advice = (
+            "correct gear_ratio" if wiring.name == "gear_ratio" else "check torque constant, rated torque, rms or peak"
+        )
+        return CheckItem("fail", where, what + _or(rivals), advice)
+    words = {
+        "reversed": ("turns the other way round than the model", "change position_sign and torque_sign both"),
+        "position_reversed": ("position sign is reversed", "change position_sign"),
+        "torque_reversed": ("torque sign is reversed relative to position", "change torque_sign"),
+    }
+    what, advice = words[wiring.name]
+    if any(rival.joints == wiring.joints for rival in rivals):
+        what, advice = (
+            "torque and position have opposite senses",
+            "change torque_sign, or position_sign: see how it turns",
+        )
+        rivals = []
+    return CheckItem("fail", where, what + _or(rivals), advice)
+
+
+def _or(rivals: Sequence[Wiring]) -> str:
+    """What explains it nearly as well."""
+    if not rivals:
+        return ""
+    words = [
+        f"{rival.name.replace('_', ' ')} of J{' and J'.join(str(joint) for joint in rival.joints)}"
+        + (f" by {rival.factor:.2f}" if rival.factor != 1.0 else "")
+        for rival in rivals[:3]
+    ]
+    return f" (or {', '.join(words)}: not told apart here)"
+
+
+def _seen(joint: int, node_id: int, view: AxisView) -> CheckItem:
+    where = f"J{joint} node {node_id}"
+    parts = [f"torque and position have the same sense (friction {view.band_nm:.2g} Nm)"]
+    if abs(view.band_nm) < 3.0 * view.band_std_nm:
+        parts = [f"friction of {view.band_nm:.2g} Nm is too small to show the sense of the torque"]
+    missing = []
+    if view.ratio_seen:
+        parts.append(f"gear ratio {view.ratio:.2f} +- {view.ratio_std:.2f} of the cell's")
+    else:
+        missing.append("gear ratio")
+    if not view.sign_seen:
+        missing.append("sense of rotation")
+    if view.swaps_unseen:
+        missing.append(f"whether it is not {', '.join(f'J{other}' for other in view.swaps_unseen)}")
+    if not missing:
+        parts.append("sense of rotation and place agree with the model")
+        return CheckItem("ok", where, "; ".join(parts))
+    parts.append(f"gravity does not tell here: {', '.join(missing)}")
+    advice = (
+        f"see that joint {joint} turned by {STEPS_RAD[joint - 1]} rad, in the model's positive sense when its angle "
+        "rose; or repeat with a load or in another posture"
+    )
+    severity = "info" if view.sign_seen and not view.swaps_unseen else "warn"
+    return CheckItem(severity, where, "; ".join(parts), advice)

@@ -1,0 +1,376 @@
+"""Is the arm wired as the cell file says? Small moves of each axis against gravity's torque in the model.
+
+An encoder follows its own motor whatever the cell file says: a sign, a gear ratio or the order of the axes can only be
+seen where the torque changes with the posture as the model says, or as it would with another wiring. Each wiring is a
+hypothesis with a Gaussian evidence; links are known as far as the cell trusts them, the load is not known at all, small
+errors of encoder zeros, gear losses and torque constants are allowed for. Friction needs no model: it opposes the
+motion, so half the difference of the two approaches is positive where torque and position have the same sense.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from gateway.acquire.axis import AxisConversion
+from gateway.model.regressor import gravity_regressor
+from gateway.model.robot import AXES, Robot, link_lengths_m
+
+Floats = NDArray[np.float64]
+
+#: A wiring is named when its evidence is better by this (natural logarithm), and seen when the others are worse by it.
+NAMED: Final = 12.0
+SEEN: Final = 5.0
+#: Factors of ratio and torque scale that are tried, and those that count as none.
+FACTORS: Final = np.exp(np.linspace(np.log(0.1), np.log(10.0), 47))
+AGREES: Final = (0.75, 1.33)
+#: What is allowed for without being called a mistake: gear losses and torque constants [share], encoder zeros [rad].
+SCALE_STD: Final = 0.05
+ZERO_STD_RAD: Final = 0.01
+#: Least scatter of the friction from one approach to the next, as a share of its band, and how far the scatter that was
+#: seen in a few postures is trusted.
+SCATTER: Final = 0.25
+SCATTER_SEEN: Final = 1.5
+#: Torque that the model need not explain, as a share of the torque limit.
+FLOOR_SHARE: Final = 0.0005
+OFFSET_SHARE: Final = 0.003
+#: Relative standard deviation of link masses that are called exact.
+LEAST_TRUST: Final = 0.01
+#: The band is not zero when it is this many of its own standard deviations.
+BAND_SIGMAS: Final = 4.0
+MOST: Final = 3
+STEP_RAD: Final = 1e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moves:
+    """Motor-side means at rest, each posture approached from both sides.
+
+    Attributes
+    ----------
+    motor_rad, motor_nm : arrays of shape (n, 2, 6)
+        By drive; first the approach with all joints decreasing, then increasing.
+    """
+
+    motor_rad: Floats
+    motor_nm: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arm:
+    """What is known of the arm.
+
+    Attributes
+    ----------
+    robot : Robot
+    gravity_m_s2 : array of shape (3,)
+    axes : AxisConversion
+        As the cell file says.
+    torque_limit_nm : array of shape (6,)
+    trust : float
+        Relative standard deviation of the links' masses.
+    load_kg : float
+        Standard deviation of the unknown load's mass.
+    """
+
+    robot: Robot
+    gravity_m_s2: Floats
+    axes: AxisConversion
+    torque_limit_nm: Floats
+    trust: float
+    load_kg: float
+
+
+@dataclass(frozen=True, slots=True)
+class Wiring:
+    """How the arm differs from the cell file.
+
+    Attributes
+    ----------
+    name : str
+        `as_stated`, `reversed` (position and torque), `position_reversed`, `torque_reversed`, `swapped`, `gear_ratio`,
+        `torque_scale`.
+    joints : tuple of int
+        From 1.
+    factor : float
+        The cell's gear ratio over the true one; reported over true torque.
+    """
+
+    name: str
+    joints: tuple[int, ...] = ()
+    factor: float = 1.0
+
+
+AS_STATED: Final = Wiring("as_stated")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reading:
+    """Motor words as another wiring reads them: order of the drives, conversion, torque factor."""
+
+    order: NDArray[np.int64]
+    axes: AxisConversion
+    torque_factor: Floats
+    #: Product of what a torque is multiplied by, per axis, against the cell's reading.
+    scale: Floats
+
+    @classmethod
+    def stated(cls, axes: AxisConversion) -> Reading:
+        """As the cell file says."""
+        return cls(np.arange(AXES), axes, np.ones(AXES), np.ones(AXES))
+
+    def with_wiring(self, wiring: Wiring) -> Reading:
+        """The same with one more difference."""
+        at = [joint - 1 for joint in wiring.joints]
+        if wiring.name == "swapped":
+            order = self.order.copy()
+            order[at] = order[at[::-1]]
+            return replace(self, order=order)
+        axes, torque, scale = self.axes, self.torque_factor.copy(), self.scale.copy()
+        signs = np.ones(AXES)
+        signs[at] = -1.0
+        if wiring.name in ("reversed", "position_reversed"):
+            axes = replace(axes, position_sign=axes.position_sign * signs)
+        if wiring.name in ("reversed", "torque_reversed"):
+            axes = replace(axes, torque_sign=axes.torque_sign * signs)
+        if wiring.name == "gear_ratio":
+            ratio = axes.ratio.copy()
+            ratio[at] /= wiring.factor
+            axes = replace(axes, ratio=ratio)
+        if wiring.name == "torque_scale":
+            torque[at] *= wiring.factor
+        if wiring.name in ("gear_ratio", "torque_scale"):
+            scale[at] *= wiring.factor
+        return replace(self, axes=axes, torque_factor=torque, scale=scale)
+
+    def joints(self, moves: Moves, stated: AxisConversion) -> tuple[Floats, Floats, Floats]:
+        """Joint angles, half sums of the two approaches, and half their difference along the motion, (n, 6) each.
+
+        The half difference is taken without the gear's efficiency: friction and gear losses both make it positive.
+        """
+        position, torque = moves.motor_rad[..., self.order], moves.motor_nm[..., self.order] / self.torque_factor
+        up = np.sign(self.axes.joint_velocity(stated.motor_velocity(np.ones(AXES))[self.order]))
+        sides = [self.axes.joint_torque_by_direction(torque[:, side], sense * up) for side, sense in enumerate((-1, 1))]
+        band = self.axes.joint_torque(torque[:, 1] - torque[:, 0]) / 2.0 * up
+        return self.axes.joint_position(position.mean(axis=1)), (sides[0] + sides[1]) / 2.0, band
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AxisView:
+    """What the moves show of one axis.
+
+    Attributes
+    ----------
+    sign_seen, ratio_seen : bool
+        Whether the model tells the stated sign, and the stated gear ratio, from others.
+    ratio, ratio_std : float
+        The cell's gear ratio over the true one, as the torques have it.
+    band_nm, band_std_nm : float
+        Friction that opposes the motion; negative where torque and position have opposite senses.
+    swaps_unseen : tuple of int
+        Axes that this one could be in the place of.
+    """
+
+    sign_seen: bool
+    ratio_seen: bool
+    ratio: float
+    ratio_std: float
+    band_nm: float
+    band_std_nm: float
+    swaps_unseen: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdict:
+    """What the moves say of the wiring.
+
+    Attributes
+    ----------
+    found : tuple of Wiring
+        Differences from the cell file that the torques ask for, most likely first.
+    rivals : tuple of Wiring
+        What explains them nearly as well as the last one found.
+    odds : float
+        Natural logarithm of the evidence gained.
+    axes : tuple of 6 AxisView
+        Under what was found.
+    misfit : float
+        Root mean square of what is left over what is allowed for.
+    """
+
+    found: tuple[Wiring, ...]
+    rivals: tuple[Wiring, ...]
+    odds: float
+    axes: tuple[AxisView, ...]
+    misfit: float
+
+
+@dataclass(slots=True)
+class _Evidence:
+    """Evidence of readings of the same moves."""
+
+    arm: Arm
+    moves: Moves
+    _noise_nm: Floats = field(init=False)
+    _mean: Floats = field(init=False)
+    _root: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        arm = self.arm
+        _, _, band = Reading.stated(arm.axes).joints(self.moves, arm.axes)
+        seen = np.hypot(SCATTER * np.abs(band).mean(axis=0), SCATTER_SEEN * _scatter(band))
+        noise = np.hypot(seen, FLOOR_SHARE * arm.torque_limit_nm)
+        #: Of one half sum, motor side, by drive.
+        self._noise_nm = noise / np.abs(arm.axes.ratio)
+        lengths = link_lengths_m(arm.robot)
+        mass = np.nan_to_num(arm.robot.mass_kg)
+        self._mean = np.column_stack([mass, mass[:, None] * np.nan_to_num(arm.robot.com_m)]).ravel()
+        std = max(arm.trust, LEAST_TRUST) * np.column_stack([mass, *[mass * lengths] * 3])
+        load = arm.load_kg * np.append(1.0, np.full(3, lengths[-1] + 0.1))
+        std[-1] = np.hypot(std[-1], load)
+        self._root = std.ravel()
+
+    def of(self, reading: Reading) -> float:
+        """Natural logarithm of the evidence."""
+        return self._whitened(reading)[0]
+
+    def misfit(self, reading: Reading) -> float:
+        """Root mean square of the whitened residual."""
+        return float(np.sqrt(np.mean(self._whitened(reading)[1] ** 2)))
+
+    def _whitened(self, reading: Reading) -> tuple[float, Floats]:
+        arm = self.arm
+        q, measured, _ = reading.joints(self.moves, arm.axes)
+        rows = gravity_regressor(arm.robot, q, arm.gravity_m_s2)
+        expected = rows @ self._mean
+        count = expected.size
+        free = [rows.reshape(count, -1) * self._root, *self._free_columns(q, expected, measured)]
+        noise = self._noise_nm[reading.order] * np.abs(reading.axes.ratio) / reading.torque_factor
+        shape = np.hstack(free)
+        covariance = shape @ shape.T + np.diag(np.tile(noise**2, len(q)))
+        factor = np.linalg.cholesky(covariance)
+        white = np.linalg.solve(factor, (measured - expected).ravel())
+        log = -0.5 * float(white @ white) - float(np.log(np.diag(factor)).sum()) - 0.5 * count * np.log(2 * np.pi)
+        return log - len(q) * float(np.log(np.abs(reading.scale)).sum()), np.asarray(white, dtype=np.float64)
+
+    def _free_columns(self, q: Floats, expected: Floats, measured: Floats) -> Iterator[Floats]:
+        """Small errors that are no mistake, one column each: zeros of the encoders, offset and scale of each axis."""
+        arm = self.arm
+        for joint in range(AXES):
+            moved = q.copy()
+            moved[:, joint] += STEP_RAD
+            change = gravity_regressor(arm.robot, moved, arm.gravity_m_s2) @ self._mean - expected
+            yield change.reshape(-1, 1) * (ZERO_STD_RAD / STEP_RAD)
+            for value in (SCALE_STD * np.abs(measured[:, joint]), OFFSET_SHARE * arm.torque_limit_nm[joint]):
+                column = np.zeros_like(expected)
+                column[:, joint] = value
+                yield column.reshape(-1, 1)
+
+
+def judge_wiring(arm: Arm, moves: Moves) -> Verdict:
+    """Look for the wiring that explains the torques.
+
+    Parameters
+    ----------
+    arm : Arm
+    moves : Moves
+
+    Returns
+    -------
+    Verdict
+    """
+    evidence = _Evidence(arm, moves)
+    reading = Reading.stated(arm.axes)
+    value = evidence.of(reading)
+    found: list[Wiring] = []
+    rivals: tuple[Wiring, ...] = ()
+    gained = 0.0
+    while len(found) < MOST:
+        parity = _parity(reading, arm, moves)
+        scored = _scored(evidence, reading, parity)
+        best_value, best = max(scored, key=lambda each: each[0])
+        forced = any(sign < 0 for sign in parity)
+        if best_value - value < NAMED and not forced:
+            break
+        near = [each for each in scored if best_value - each[0] < SEEN]
+        best_value, best = next((each for each in near if each[1].name == "gear_ratio"), (best_value, best))
+        near = [each for each in near if each[1] is not best]
+        rivals = tuple(each for _, each in sorted(near, key=lambda each: -each[0]))
+        found.append(best)
+        reading = reading.with_wiring(best)
+        gained += best_value - value
+        value = best_value
+    views = tuple(_view(evidence, reading, joint, value) for joint in range(1, AXES + 1))
+    return Verdict(tuple(found), rivals, gained, views, evidence.misfit(reading))
+
+
+def _parity(reading: Reading, arm: Arm, moves: Moves) -> list[int]:
+    """Sense of torque against position by friction, per axis: 1 same, -1 opposite, 0 not told."""
+    mean, std = _bands(reading, arm, moves)
+    return [
+        int(np.sign(value)) if abs(value) > BAND_SIGMAS * spread else 0 for value, spread in zip(mean, std, strict=True)
+    ]
+
+
+def _bands(reading: Reading, arm: Arm, moves: Moves) -> tuple[Floats, Floats]:
+    _, _, band = reading.joints(moves, arm.axes)
+    spread = band.std(axis=0, ddof=1) / np.sqrt(len(band))
+    return band.mean(axis=0), np.hypot(spread, FLOOR_SHARE * arm.torque_limit_nm)
+
+
+def _scatter(band: Floats) -> Floats:
+    """Scatter (6,) of half differences (n, 6), by their median: gear losses differ where one axis was displaced."""
+    return np.median(np.abs(band - np.median(band, axis=0)), axis=0) * 1.4826
+
+
+def _scored(evidence: _Evidence, reading: Reading, parity: Sequence[int]) -> list[tuple[float, Wiring]]:
+    """Evidence of every single difference that friction allows; where friction asks for one, of those alone."""
+    opposite = [joint for joint in range(1, AXES + 1) if parity[joint - 1] < 0]
+    names = ("torque_reversed", "position_reversed") if opposite else ("reversed",)
+    wirings = [Wiring(name, (joint,)) for joint in opposite or range(1, AXES + 1) for name in names]
+    pairs = itertools.combinations(range(1, AXES + 1), 2)
+    wirings += [Wiring("swapped", pair) for pair in pairs if not opposite or set(pair) <= set(opposite)]
+    scored = [(evidence.of(reading.with_wiring(wiring)), wiring) for wiring in wirings]
+    if opposite:
+        return scored
+    for name in ("gear_ratio", "torque_scale"):
+        for joint in range(1, AXES + 1):
+            values, factor, _ = _factor(evidence, reading, name, joint)
+            if not AGREES[0] < factor < AGREES[1]:
+                scored.append((values, Wiring(name, (joint,), factor)))
+    return scored
+
+
+def _factor(evidence: _Evidence, reading: Reading, name: str, joint: int) -> tuple[float, float, float]:
+    """Evidence averaged over the factors, the mean factor, and its standard deviation (both of the logarithm)."""
+    logs = np.array([evidence.of(reading.with_wiring(Wiring(name, (joint,), float(factor)))) for factor in FACTORS])
+    weight = np.exp(logs - logsumexp(logs))
+    mean = float(weight @ np.log(FACTORS))
+    std = float(np.sqrt(weight @ (np.log(FACTORS) - mean) ** 2))
+    return float(logsumexp(logs) - np.log(len(FACTORS))), float(np.exp(mean)), std
+
+
+def _view(evidence: _Evidence, reading: Reading, joint: int, value: float) -> AxisView:
+    mirrored = evidence.of(reading.with_wiring(Wiring("reversed", (joint,))))
+    _, factor, spread = _factor(evidence, reading, "gear_ratio", joint)
+    unseen = tuple(
+        other
+        for other in range(1, AXES + 1)
+        if other != joint and value - evidence.of(reading.with_wiring(Wiring("swapped", (joint, other)))) < SEEN
+    )
+    band, band_std = _bands(reading, evidence.arm, evidence.moves)
+    return AxisView(
+        sign_seen=value - mirrored > SEEN,
+        ratio_seen=spread < 0.5 * np.log(AGREES[1]) and AGREES[0] < factor < AGREES[1],
+        ratio=factor,
+        ratio_std=factor * spread,
+        band_nm=float(band[joint - 1]),
+        band_std_nm=float(band_std[joint - 1]),
+        swaps_unseen=unseen,
+    )
