@@ -25,7 +25,8 @@ PATIENCE_S: Final = 0.2
 _RAMP_S: Final = 2.0
 #: SYNCs without an answer after which an axis is asked by SDO: a drive may leave NMT state OPERATIONAL (0x1029).
 _SILENT: Final = 2
-_STILL_REVOLUTIONS: Final = 0.001
+#: Motor revolutions between two SYNCs that count as standing: a braked axis shakes while others are stopped.
+_STILL_REVOLUTIONS: Final = 0.003
 _STILL_SYNCS: Final = 3
 
 
@@ -75,14 +76,15 @@ class _Axis:
         self.enabled_s = 0.0
         self.left_s: float | None = None
         self._still = 0
+        self._stood = False
         self._counts: list[int] = []
         self._at_leaving = 0
         self._allowed = max(1.0, _STILL_REVOLUTIONS * 2.0 * math.pi / drive.scale.count_rad)
 
     @property
     def done(self) -> bool:
-        """Out of operation, and at rest."""
-        return self.left_s is not None and self._still >= _STILL_SYNCS
+        """Out of operation, and come to rest."""
+        return self._stood
 
     def see(self, time_s: float, state: State, count: int) -> None:
         """One answer."""
@@ -94,7 +96,8 @@ class _Axis:
             self.enabled_s = time_s
             self._at_leaving = len(self._counts) - 1
         elif self.left_s is None:
-            self.left_s = time_s
+            self.left_s, self._still = time_s, 0
+        self._stood |= self.left_s is not None and self._still >= _STILL_SYNCS
 
     def ask(self, time_s: float) -> None:
         """The same by SDO."""
