@@ -41,6 +41,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "report": ("handover", "One HTML page from a result."),
     "export": ("handover", "The load as URDF, JSON or in a robot controller's syntax."),
     "follow": ("follow", "Following error without, with maximum-load and with identified feedforward."),
+    "teach": ("pair", "Two arms: the first function from points where the force is adjusted away."),
+    "run-pair": ("pair", "Two arms: carry the part along the path, learning from force."),
+    "learn": ("pair", "Two arms: status of what was learned, learning off and on, forget it."),
+    "pair-report": ("pair", "Two arms: one HTML page, force along the path and convergence."),
     "profiles": ("handover", "Drive profiles: list, show, schema."),
 }
 
@@ -59,7 +63,7 @@ class LadderGroup(click.Group):
         if cmd_name not in COMMANDS:
             return None
         module = importlib.import_module(f"gateway.commands.{COMMANDS[cmd_name][0]}")
-        return getattr(module, cmd_name)
+        return getattr(module, cmd_name.replace("-", "_"))
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands without importing them."""

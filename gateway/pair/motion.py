@@ -133,6 +133,8 @@ class PairMotion:
         self.q_rad: Pair = (cell.arms[0].start_rad, cell.arms[1].start_rad)
         self._limit_n = self.options.force_limit_n or cell.config.force_limit_n
         self._follow_rad = [np.array([axis.following_error_limit_rad for axis in arm.config.axis]) for arm in cell.arms]
+        #: What both arms reported last.
+        self.samples: tuple[ArmSample, ArmSample] | None = None
         self._too_far = 0
         self._complete = True
 
@@ -253,7 +255,7 @@ class PairMotion:
     def exchange(self, q: Pair) -> tuple[ArmSample, ArmSample]:
         """One cycle with joint targets (6,) of both arms; checks that they follow."""
         before, self.q_rad = self.q_rad, q
-        samples = self.link.exchange(q)
+        samples = self.samples = self.link.exchange(q)
         far: tuple[int, int] | None = None
         for index, (sample, wanted) in enumerate(zip(samples, before, strict=True)):
             if not sample.complete:

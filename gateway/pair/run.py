@@ -14,7 +14,7 @@ from gateway.pair.controller import CycleSummary, PairController
 from gateway.pair.embodiments import Embodiment
 from gateway.pair.function import TransformFunction, function_of_knots
 from gateway.pair.link import PairLink
-from gateway.pair.motion import MotionOptions, PairMotion, Passage, Streamed
+from gateway.pair.motion import Commander, MotionOptions, PairMotion, Passage, Streamed
 from gateway.pair.path import PairPath
 from gateway.pair.relation import slave_command
 from gateway.pair.transform import Floats
@@ -102,13 +102,29 @@ class PairRun:
         controller.start_cycle()
         self.stand()
         try:
-            streamed: Streamed = self.motion.stream(way, controller.step)
+            streamed: Streamed = self.motion.stream(way, self._commander())
         except BaseException:
             controller.end_cycle(complete=False)
             raise
         began = time.perf_counter()
         summary = controller.end_cycle(streamed.complete)
         return PairCycle(summary, streamed.force, time.perf_counter() - began, streamed.evaluation_s)
+
+    def _commander(self) -> Commander:
+        """The controller's step, with the present positions of both grippers where the embodiment learns from them."""
+        rule = self.config.learning
+        if rule is None or rule.source == "command":
+            return self.controller.step
+        return lambda m, one, two: self.controller.step(m, one, two, self._present())
+
+    def _present(self) -> tuple[Floats, Floats] | None:
+        samples = self.motion.samples
+        if samples is None or not (samples[0].complete and samples[1].complete):
+            return None
+        first, second = (
+            arm.chain.poses(sample.q_rad[None])[0][0] for arm, sample in zip(self._cell.arms, samples, strict=True)
+        )
+        return first, second
 
     def _standing(self) -> tuple[Floats, Floats]:
         """Both gripper commands at the start of the path, without corrections."""

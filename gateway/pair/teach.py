@@ -45,12 +45,12 @@ class TeachRule:
     way_m_s : mean speed from point to point along the path
     """
 
-    force_n: float = 3.0
-    moment_nm: float = 1.0
+    force_n: float = 5.0
+    moment_nm: float = 1.5
     sweep_m: float = 0.002
     sweep_s: float = 1.0
     share: float = 0.9
-    rounds: int = 20
+    rounds: int = 25
     largest_m: float = 20e-3
     largest_rad: float = 50e-3
     way_m_s: float = 0.1

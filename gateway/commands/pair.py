@@ -1,0 +1,224 @@
+"""teach, run-pair, learn and pair-report: two arms that carry one workpiece."""
+
+from __future__ import annotations
+
+import datetime as dt
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from gateway.commands.options import (
+    cell_argument,
+    common,
+    confirm,
+    json_option,
+    one_of,
+    session_of,
+    stop_on_termination,
+    write_json,
+    write_text,
+    yes_option,
+)
+from gateway.console import grid, number
+
+if TYPE_CHECKING:
+    from gateway.pair.cell import PairCell
+    from gateway.pair.storage import PairStore
+
+store_option = click.option(
+    "--store",
+    metavar="FOLDER",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Where functions and runs are kept; beside the cell file if omitted.",
+)
+buses_option = click.option("--bus", "bus_spec", metavar="NAME=SPEC;NAME=SPEC", help="Buses instead of the cell's.")
+
+
+def _open(cell: Path, bus_spec: str | None, folder: Path | None) -> tuple[PairCell, PairStore]:
+    from gateway.pair.cell import load_pair
+    from gateway.pair.storage import PairStore
+
+    pair = load_pair(cell, bus_spec)
+    return pair, PairStore(pair, folder or cell.with_suffix(".pair"))
+
+
+def _ledgers(cell: Path, pair: PairCell) -> tuple[Path, Path]:
+    from gateway.cell_context import CellContext
+
+    first, second = (
+        CellContext(pair.loaded, cell, spec).ledger(arm.config) for arm, spec in zip(pair.arms, pair.specs, strict=True)
+    )
+    return first, second
+
+
+def _ask(pair: PairCell, what: str, *, yes: bool) -> None:
+    first, second = (arm.config.name for arm in pair.arms)
+    confirm(
+        f"Arms '{first}' and '{second}' of cell '{pair.loaded.cell.name}' stand at the start with the part gripped and"
+        f" will {what}. Is nobody near them?",
+        yes=yes,
+    )
+
+
+@click.command()
+@cell_argument
+@click.option("--resume", is_flag=True, help="Go on with the points that are still missing.")
+@store_option
+@buses_option
+@yes_option
+@json_option
+@common
+def teach(cell: Path, resume: bool, store: Path | None, bus_spec: str | None, yes: bool, json_out: str | None) -> None:
+    """Teach the first function of CELL: both arms go from point to point, the force is adjusted away at each."""
+    from gateway.pair.link import open_link
+    from gateway.pair.session import open_lesson, teach_pair
+
+    pair, kept = _open(cell, bus_spec, store)
+    lesson = open_lesson(pair, kept, resume)
+    session = session_of()
+    _ask(pair, f"move slowly along the path, to {pair.config.knots - len(lesson.points)} points", yes=yes)
+    with stop_on_termination(), open_link(pair, _ledgers(cell, pair)) as link:
+        function = teach_pair(
+            link,
+            pair,
+            kept,
+            lesson,
+            lambda point, done, count: session.show(
+                f"point {done} of {count} at {point.s_m:.3f} m: {point.forces_n[0]:.1f} N before,"
+                f" {point.forces_n[-1]:.1f} N after {len(point.forces_n)} sweeps; slave moved {1e3 * abs(point.correction[:3]).max():.2f} mm"
+            ),
+        )
+        link.disable()
+    session.show(f"{kept.folder / 'first.json'}: first function with {len(function)} points")
+    if json_out:
+        write_json(json_out, {"schema": 1, "points": [point.as_json() for point in lesson.points]})
+
+
+@click.command()
+@cell_argument
+@click.option("--embodiment", default="C8", show_default=True, metavar="NAME", help="Row of the table in the README.")
+@click.option("--cycles", type=click.IntRange(min=1), default=1, show_default=True, help="There and back.")
+@click.option("--speed", type=click.FloatRange(0, min_open=True), help="Speed setting; the cell's if omitted.")
+@store_option
+@buses_option
+@yes_option
+@json_option
+@common
+def run_pair(
+    cell: Path,
+    embodiment: str,
+    cycles: int,
+    speed: float | None,
+    store: Path | None,
+    bus_spec: str | None,
+    yes: bool,
+    json_out: str | None,
+) -> None:
+    """Carry the part along the path of CELL and back; Ctrl-C stops both arms and keeps what was learned."""
+    from gateway.pair.link import open_link
+    from gateway.pair.motion import MotionOptions
+    from gateway.pair.session import RunRequest, embodiment_of, first_function
+    from gateway.pair.session import run_pair as run
+
+    pair, kept = _open(cell, bus_spec, store)
+    row = embodiment_of(pair, embodiment)
+    at = speed or pair.config.speed
+    _, origin = first_function(pair, kept, row, at)
+    session = session_of()
+    session.note(f"{row.name}, {row.text}; function: {origin}; learning {'off' if kept.frozen else 'on'}", level=1)
+    _ask(pair, f"run {cycles} cycles at speed {at:g}", yes=yes)
+    with stop_on_termination(), open_link(pair, _ledgers(cell, pair)) as link:
+        body = run(
+            link,
+            pair,
+            kept,
+            RunRequest(embodiment, cycles),
+            lambda cycle: session.show(_cycle_line(cycle.summary)),
+            MotionOptions(speed=at),
+        )
+    statistics = body["statistics"]
+    session.show(f"SYNCs {statistics['cycles']}, incomplete epochs {statistics['incomplete']}")
+    if statistics["skew_s"]:
+        skew = statistics["skew_s"]
+        session.show(
+            f"slave's SYNC after the master's: median {1e6 * skew['median']:.0f} us, p99 {1e6 * skew['p99']:.0f}"
+        )
+    if json_out:
+        write_json(json_out, {"schema": 1, **body})
+
+
+def _cycle_line(summary: Any) -> str:
+    learned = "learned" if summary.learned else (summary.reason or "not learned")
+    return (
+        f"cycle {summary.cycle}: force up to {summary.force_n:.1f} N, moment up to {summary.moment_nm:.1f} Nm,"
+        f" correction up to {1e3 * summary.correction_m:.2f} mm, {summary.knots} points, {learned}"
+    )
+
+
+@click.command()
+@click.argument("action", type=one_of(["status", "freeze", "resume", "reset"]))
+@cell_argument
+@store_option
+@json_option
+@common
+def learn(action: str, cell: Path, store: Path | None, json_out: str | None) -> None:
+    """Status of what was learned in CELL; freeze or resume learning; reset forgets the second function."""
+    _, kept = _open(cell, None, store)
+    session = session_of()
+    if action == "reset":
+        session.show("what was learned is forgotten" if kept.forget() else "there was nothing to forget")
+    elif action != "status":
+        kept.freeze(action == "freeze")
+    stored = {stage: kept.load(stage) for stage in ("first", "second")}
+    body = {
+        "schema": 1,
+        "learning": "off" if kept.frozen else "on",
+        "functions": {
+            stage: None
+            if one is None
+            else {
+                "points": len(one.function),
+                "learn_source": one.learn_source,
+                "speed": one.speed,
+                "date": one.date,
+                "embodiment": one.embodiment,
+                "cycles": one.cycles,
+            }
+            for stage, one in stored.items()
+        },
+    }
+    session.show(f"learning is {body['learning']}")
+    rows = [[stage, *(("-",) * 5 if one is None else _function_row(one))] for stage, one in body["functions"].items()]
+    session.show(grid("functions", ["", "points", "from", "speed", "embodiment", "date"], rows, left=6))
+    if json_out:
+        write_json(json_out, body)
+
+
+def _function_row(one: dict[str, Any]) -> list[str]:
+    return [str(one["points"]), one["learn_source"], number(one["speed"]), one["embodiment"], one["date"]]
+
+
+@click.command()
+@cell_argument
+@click.option("-o", "--output", required=True, metavar="REPORT.html", type=click.Path(path_type=Path, dir_okay=False))
+@store_option
+@common
+def pair_report(cell: Path, output: Path, store: Path | None) -> None:
+    """One HTML page: force along the path for every embodiment that was run, learning points, convergence."""
+    from gateway.errors import DataUnusable
+    from gateway.pair.report import render_pair
+
+    pair, kept = _open(cell, None, store)
+    rows = [row for row in kept.runs() if row.get("cycles")]
+    if not rows:
+        raise DataUnusable(f"{kept.folder}: holds no run; run-pair first")
+    data = {
+        "cell": pair.loaded.cell.name,
+        "date": dt.datetime.now(dt.UTC).isoformat(timespec="seconds"),
+        "force_limit_n": pair.config.force_limit_n,
+        "source": "as estimated from the motors' torques",
+        "rows": rows,
+    }
+    write_text(output, render_pair(data))
+    session_of().show(f"{output}: {len(rows)} embodiments")

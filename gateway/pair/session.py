@@ -1,0 +1,199 @@
+"""Teaching and running a pair from its files to its files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from gateway.errors import ConfigError, InputError
+from gateway.pair.cell import PairCell
+from gateway.pair.embodiments import EMBODIMENTS, Embodiment, with_gains
+from gateway.pair.function import TransformFunction, constant_function
+from gateway.pair.impedance import Gains
+from gateway.pair.link import PairLink
+from gateway.pair.motion import MotionOptions, PairMotion
+from gateway.pair.run import PairCycle, PairRun
+from gateway.pair.speed import SpeedTable
+from gateway.pair.storage import PairStore, run_as_json
+from gateway.pair.stored import from_json, refuse_foreign
+from gateway.pair.teach import Lesson, TaughtPoint, Teacher, read_lesson
+
+#: What can be run without the simulator's truth.
+RUNNABLE = tuple(name for name, row in EMBODIMENTS.items() if row.first != "exact" and row.sensing == "force")
+
+
+@dataclass(frozen=True, slots=True)
+class RunRequest:
+    """What to run: embodiment by name, and how many cycles."""
+
+    embodiment: str
+    cycles: int
+
+
+def cell_gains(cell: PairCell) -> Gains:
+    """Impedance of the cell file."""
+    damping, stiffness = cell.config.impedance_damping, cell.config.impedance_stiffness
+    spring = (0.0, 0.0) if stiffness is None else (stiffness.straight, stiffness.turned)
+    return Gains((damping.straight, damping.turned), spring)
+
+
+def embodiment_of(cell: PairCell, name: str) -> Embodiment:
+    """A row of the table with the cell's impedance.
+
+    Raises
+    ------
+    ConfigError
+        No such row, or it needs what no cell has.
+    """
+    if name not in RUNNABLE:
+        raise ConfigError(f"embodiment '{name}' cannot be run in a cell; choose one of {', '.join(RUNNABLE)}")
+    return with_gains(EMBODIMENTS[name], cell_gains(cell))
+
+
+def open_lesson(cell: PairCell, store: PairStore, resume: bool) -> Lesson:  # noqa: FBT001 - as on the command line
+    """Taught points to go on with, or an empty lesson.
+
+    Raises
+    ------
+    InputError
+        There are points and nobody asked to go on with them, or they are for another path or cell.
+    """
+    if not store.points.exists():
+        return Lesson(store.path_hash, store.cell_hash)
+    if not resume:
+        raise InputError(
+            f"{store.points}: holds taught points; go on with --resume, or delete the file to teach afresh"
+        )
+    return read_lesson(store.points, store.path_hash, store.cell_hash)
+
+
+def teach_pair(
+    link: PairLink,
+    cell: PairCell,
+    store: PairStore,
+    lesson: Lesson,
+    told: Callable[[TaughtPoint, int, int], None],
+    options: MotionOptions | None = None,
+) -> TransformFunction:
+    """Teach what the lesson lacks and store the first function.
+
+    Parameters
+    ----------
+    told : callable
+        Called with each new point, its number and how many there will be.
+    """
+    motion = PairMotion(cell, link, options)
+    indices = cell.path(1.0).uniform(cell.config.knots)
+
+    def save(present: Lesson, point: TaughtPoint) -> None:
+        store.write("points.json", present.to_json())
+        told(point, len(present.points), len(indices))
+
+    Teacher(motion, cell_gains(cell)).run(lesson, indices, save)
+    function = lesson.function(cell.nominal_relation)
+    store.save("first", function, learn_source="taught", speed=0.0, embodiment="C1")
+    return function
+
+
+def first_function(cell: PairCell, store: PairStore, row: Embodiment, speed: float) -> tuple[TransformFunction, str]:
+    """Function that a run begins with, and where it comes from.
+
+    Raises
+    ------
+    InputError
+        Nothing was taught, or what is stored is for another path or cell.
+    """
+    if row.first == "fixed":
+        return constant_function(cell.nominal_relation), "one relation, from the start"
+    first = store.load("first")
+    if first is None:
+        raise InputError(f"{store.folder}: holds no first function; run teach before this embodiment")
+    if row.first == "speed_table":
+        return speed_table(store, first.function).at(speed), "interpolated between stored speeds"
+    if row.learning is None:
+        return first.function, f"taught {first.date}"
+    second = store.load("second")
+    if second is None or second.embodiment != row.name:
+        return first.function, f"taught {first.date}"
+    return second.function, f"learned by {second.embodiment} {second.date}"
+
+
+def speed_table(store: PairStore, first: TransformFunction) -> SpeedTable:
+    """Functions of all speeds that were learned, 0 being the taught one."""
+    functions = {0.0: first}
+    for path in sorted(store.folder.glob("speed-*.json")):
+        stored = from_json(path.read_text(encoding="utf-8"), str(path))
+        refuse_foreign(stored, store.path_hash, store.cell_hash, str(path))
+        functions[stored.speed] = stored.function
+    return SpeedTable(functions)
+
+
+def run_pair(
+    link: PairLink,
+    cell: PairCell,
+    store: PairStore,
+    request: RunRequest,
+    told: Callable[[PairCycle], None],
+    options: MotionOptions | None = None,
+) -> dict[str, Any]:
+    """Run cycles of an embodiment, keep what was learned and what the report shows.
+
+    Returns
+    -------
+    dict
+        The run as it is stored for the report, with the statistics of both buses.
+    """
+    row = embodiment_of(cell, request.embodiment)
+    speed = (options.speed if options else None) or cell.config.speed
+    first, _ = first_function(cell, store, row, speed)
+    if row.first == "speed_table":
+        row = replace(row, learning=None)
+    run = PairRun(cell, link, row, first, options)
+    if store.frozen:
+        run.controller.freeze()
+    cycles: list[PairCycle] = []
+    run.start()
+    try:
+        for _ in range(request.cycles):
+            cycles.append(run.cycle())
+            _keep(store, run, cycles)
+            told(cycles[-1])
+            run.back()
+    finally:
+        body = _stored(cell, run, cycles)
+        if cycles:
+            store.write(f"run-{row.name}.json", json.dumps(body, allow_nan=False) + "\n")
+    link.disable()
+    return body
+
+
+def _keep(store: PairStore, run: PairRun, cycles: list[PairCycle]) -> None:
+    """After a cycle that has taught something: the function goes to disk at once."""
+    if not cycles[-1].summary.learned:
+        return
+    rule = run.config.learning
+    origin = {
+        "learn_source": "command" if rule is None else rule.source,
+        "speed": run.path.speed,
+        "embodiment": run.config.name,
+        "cycles": len(cycles),
+    }
+    second = run.controller.state().second
+    if second is not None:
+        path = store.save("second", second, **origin)
+        store.write(f"speed-{run.path.speed:g}.json", path.read_text(encoding="utf-8"))
+
+
+def _stored(cell: PairCell, run: PairRun, cycles: list[PairCycle]) -> dict[str, Any]:
+    if not cycles:
+        return {}
+    body = run_as_json(cell, run.path, (run.config.name, run.config.text), cycles)
+    body["knots_s_m"] = np.round(run.controller.function.s_m, 6).tolist()
+    body["statistics"] = run.motion.link.statistics()
+    body["learning_s"] = max(cycle.learning_s for cycle in cycles)
+    body["evaluation_s"] = float(np.mean([cycle.evaluation_s for cycle in cycles]))
+    return body

@@ -1,0 +1,156 @@
+"""What a pair keeps on disk beside its cell file: points, functions, the switch of learning, runs for the report.
+
+CELL.pair/points.json    taught points, so that teaching can be resumed
+CELL.pair/first.json     function through the taught points
+CELL.pair/second.json    function learned on the run
+    CELL.pair/speed-X.json   the last one of each speed setting
+CELL.pair/state.json     learning on or off
+CELL.pair/run-NAME.json  cycles of the last run of an embodiment
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import hashlib
+import json
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gateway.errors import InputError
+from gateway.pair.cell import PairCell
+from gateway.pair.function import TransformFunction
+from gateway.pair.path import PairPath
+from gateway.pair.run import PairCycle
+from gateway.pair.stored import StoredFunction, from_json, refuse_foreign, to_json
+from gateway.pair.transform import Floats
+
+HASH_DECIMALS = 7
+
+
+def cell_hash(cell: PairCell) -> str:
+    """SHA-256 of what a function depends on beside the path: bases, arms, grips, zero positions."""
+    digest = hashlib.sha256()
+    for arm in cell.arms:
+        axes = [[axis.zero_offset_rad, axis.gear_ratio.value, axis.position_sign] for axis in arm.config.axis]
+        for value in (arm.world_from_base, arm.part_from_tip, arm.chain.fixed, arm.chain.step_m, arm.chain.tool, axes):
+            digest.update(np.ascontiguousarray(np.round(value, HASH_DECIMALS) + 0.0, dtype="<f8").tobytes())
+    return digest.hexdigest()
+
+
+class PairStore:
+    """Files of one pair.
+
+    Parameters
+    ----------
+    cell : PairCell
+    folder : Path
+    """
+
+    def __init__(self, cell: PairCell, folder: Path) -> None:
+        self.folder = folder
+        self.path_hash, self.cell_hash = cell.program.hash, cell_hash(cell)
+        self.points = folder / "points.json"
+
+    def save(self, stage: str, function: TransformFunction, **origin: Any) -> Path:
+        """Store a function; `origin` are the fields of `StoredFunction` that are not known here."""
+        stored = StoredFunction(
+            function=function,
+            path_hash=self.path_hash,
+            cell_hash=self.cell_hash,
+            stage=stage,
+            date=dt.datetime.now(dt.UTC).isoformat(timespec="seconds"),
+            **origin,
+        )
+        return self.write(f"{stage}.json", to_json(stored))
+
+    def load(self, stage: str) -> StoredFunction | None:
+        """A stored function, None where there is none.
+
+        Raises
+        ------
+        InputError
+            It is for another path or another cell, or damaged.
+        """
+        path = self.folder / f"{stage}.json"
+        if not path.exists():
+            return None
+        stored = from_json(path.read_text(encoding="utf-8"), str(path))
+        refuse_foreign(stored, self.path_hash, self.cell_hash, str(path))
+        return stored
+
+    def write(self, name: str, text: str) -> Path:
+        """Write a file whole: under a temporary name first."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / name
+        temporary = path.with_name(f".{name}.{os.getpid()}.tmp")
+        temporary.write_text(text, encoding="utf-8")
+        os.replace(temporary, path)
+        return path
+
+    @property
+    def frozen(self) -> bool:
+        """Learning is switched off."""
+        return bool(self._json("state.json").get("frozen", False))
+
+    def freeze(self, frozen: bool) -> None:  # noqa: FBT001 - the state itself
+        """Switch learning off or on."""
+        self.write("state.json", json.dumps({"frozen": frozen}) + "\n")
+
+    def forget(self) -> bool:
+        """Delete the second function and switch learning on; whether there was one."""
+        path = self.folder / "second.json"
+        there = path.exists()
+        path.unlink(missing_ok=True)
+        (self.folder / "state.json").unlink(missing_ok=True)
+        return there
+
+    def runs(self) -> list[dict[str, Any]]:
+        """Stored runs, for the report."""
+        return [self._json(path.name) for path in sorted(self.folder.glob("run-*.json"))]
+
+    def _json(self, name: str) -> dict[str, Any]:
+        path = self.folder / name
+        if not path.exists():
+            return {}
+        try:
+            body = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise InputError(f"{path}: not readable as JSON: {error}; delete it") from error
+        if not isinstance(body, dict):
+            raise InputError(f"{path}: is not what this program writes; delete it")
+        return body
+
+
+def line_of_grippers(cell: PairCell, path: PairPath) -> Floats:
+    """Unit direction (M, 3) from gripper 1 to gripper 2 in the world."""
+    first, second = cell.arms
+    one = (first.world_from_base @ path.commands)[:, :3, 3]
+    two = (second.world_from_base @ cell.nominal_slave(path))[:, :3, 3]
+    return (two - one) / np.linalg.norm(two - one, axis=1, keepdims=True)
+
+
+def run_as_json(cell: PairCell, path: PairPath, name: tuple[str, str], cycles: list[PairCycle]) -> dict[str, Any]:
+    """Cycles of one run as the report takes them; `name` is embodiment and its text."""
+    along = line_of_grippers(cell, path)
+    forces = [np.sum(cycle.force[:, :3] * along, axis=1) for cycle in cycles]
+    return {
+        "name": name[0],
+        "text": name[1],
+        "speed": path.speed,
+        "s_m": path.s_m.tolist(),
+        "x_m": (cell.arms[0].world_from_base @ path.commands)[:, 0, 3].tolist(),
+        "first_n": np.round(forces[0], 2).tolist(),
+        "last_n": np.round(forces[-1], 2).tolist(),
+        "knots_s_m": [],
+        "cycles": [_plain(asdict(cycle.summary)) for cycle in cycles],
+    }
+
+
+def _plain(summary: dict[str, Any]) -> dict[str, Any]:
+    return {
+        key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in summary.items()
+    }
