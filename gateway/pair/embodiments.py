@@ -58,7 +58,7 @@ _ROWS = (
     Embodiment(
         "C2m", "E2: learned each cycle from measured positions", learning=LearningRule(source="measured", lead_s=0.0)
     ),
-    Embodiment("C2c", "E2: learned each cycle from commands", learning=LearningRule(lead_s=0.0)),
+    Embodiment("C2c", "E2: learned each cycle from commands", learning=LearningRule()),
     Embodiment("C3", "E3: function interpolated between learned speeds", first="speed_table"),
     Embodiment("C7", "E7: representative of 3 cycles", learning=_UNIFORM),
     Embodiment("C8", "E8: learning points where force acts", learning=replace(_UNIFORM, selection=FORCE_POINTS)),

@@ -20,6 +20,8 @@ from gateway.pair.transform import Floats, cross_matrix, log_rotation
 SINGULAR = 0.05
 ITERATIONS = 60
 TOLERANCE = 1e-10
+#: Below this error one more step lands within the tolerance, and is not looked at again.
+LAST_STEP = 1e-5
 LARGEST_STEP_RAD = 0.3
 SEED_EVERY = 10
 
@@ -92,6 +94,8 @@ def solve(chain: Chain, targets: ArrayLike, seeds_rad: ArrayLike) -> Floats:
         damping = (1e-3 * np.minimum(error, 1.0) ** 2)[:, None, None] * np.eye(6)
         normal = jacobian @ np.swapaxes(jacobian, 1, 2) + damping + 1e-14 * np.eye(6)
         step = (np.swapaxes(jacobian, 1, 2) @ np.linalg.solve(normal, missing[..., None]))[..., 0]
+        if error.max() < LAST_STEP:
+            return q + step
         largest = np.abs(step).max(axis=1, keepdims=True)
         q = q + step * np.minimum(1.0, LARGEST_STEP_RAD / np.maximum(largest, 1e-300))
     worst = int(np.argmax(error))
