@@ -18,7 +18,8 @@ import can
 import canopen
 
 from drives.bus_spec import BusSpec
-from drives.errors import BusError, BusOff
+from drives.errors import BusError
+from drives.reactions import DRIVE_RULES
 
 __all__ = ["Bus", "BusSpec", "Frame", "Handler", "open_bus"]
 
@@ -37,7 +38,7 @@ _ADVICE: Final = {
     "udp_multicast": "needs msgpack and a multicast address such as 239.74.163.2,port=43113",
 }
 #: How long a full transmit queue is waited for before the send counts as failed.
-SEND_TIMEOUT_S: Final = 0.02
+SEND_TIMEOUT_S: Final = DRIVE_RULES["queue_full"].limit
 #: Receptions that may fail in a row (stray datagrams) before the adapter counts as broken.
 _RECEIVE_FAILURES: Final = 1000
 _CAN_ERROR_BUS_OFF: Final = 0x40
@@ -147,8 +148,7 @@ class Bus:
     def check(self) -> None:
         """Raise `BusOff` when the controller has left the bus."""
         if self.bus_off:
-            advice = "check wiring, termination and bit rate, then bring the interface up again"
-            raise BusOff(f"{self.spec}: the CAN controller is bus-off", advice=advice)
+            raise DRIVE_RULES["bus_off"].raised(f"{self.spec}: the CAN controller is bus-off")
 
     def dispatch(self, frame: Frame) -> None:
         """Hand a frame to its handlers."""
@@ -285,8 +285,7 @@ class Bus:
             else:
                 return
         what = f"frame {frame.arbitration_id:03X} could not be sent within {SEND_TIMEOUT_S * 1e3:.0f} ms"
-        advice = "check that the bus is connected and up, and that txqueuelen is at least 1000"
-        raise BusError(f"{self.spec}: {what}: {error}", advice=advice) from error
+        raise DRIVE_RULES["queue_full"].raised(f"{self.spec}: {what}: {error}") from error
 
     def _log_sent(self, frame: Frame) -> None:
         copy = can.Message(

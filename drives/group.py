@@ -38,11 +38,12 @@ from drives.guard import Guard, Limits, refuse_foreign
 from drives.heartbeat import HeartbeatProducer, HeartbeatWatch, NmtCommand, send_nmt
 from drives.ledger import WriteLedger
 from drives.proof import StopTrace, fall_silent
+from drives.reactions import DRIVE_RULES
 from drives.statistics import GroupStatistics, group_statistics
 
 #: Before anything is sent: how long to listen for another master.
 _LISTEN_S: Final = 0.05
-_SHORTEST_SILENCE_S: Final = 0.5
+_SHORTEST_SILENCE_S: Final = DRIVE_RULES["heartbeat_lost"].limit
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +66,8 @@ class GroupOptions:
     answer_timeout_s: float = 1.0
     gap_timeout_s: float = 0.02
     window: float = 0.9
-    silent_syncs: int = 5
-    foreign_frames: int = 3
+    silent_syncs: int = DRIVE_RULES["silent"].count
+    foreign_frames: int = DRIVE_RULES["foreign_master"].count
     load_limit_percent: float = 70.0
 
 

@@ -12,15 +12,13 @@ from drives.epoch import Epoch
 from drives.errors import (
     DriveError,
     DriveFault,
-    DriveRebooted,
     ForeignMaster,
-    HeartbeatLost,
-    IncompleteEpochs,
     SeveralFailures,
     raise_failures,
 )
 from drives.exchange import SyncExchange
 from drives.heartbeat import HeartbeatWatch
+from drives.reactions import DRIVE_RULES
 from drives.symptoms import Symptoms
 
 _EVERY: Final = 16
@@ -39,8 +37,8 @@ class Limits:
         Frames of another master with one id.
     """
 
-    silent_syncs: int = 5
-    foreign_frames: int = 3
+    silent_syncs: int = DRIVE_RULES["silent"].count
+    foreign_frames: int = DRIVE_RULES["foreign_master"].count
 
 
 class Guard:
@@ -93,15 +91,9 @@ class Guard:
         failures: list[DriveError] = []
         for reading in epoch.readings:
             if reading is not None and decode_state(reading.statusword) is not State.OPERATION_ENABLED:
-                failures.append(
-                    DriveFault(
-                        f"left OPERATION ENABLED: {describe(reading.statusword)}",
-                        node=reading.node_id,
-                        index=0x6041,
-                        code=reading.statusword,
-                        advice="all axes were stopped; find and remove the cause before enabling again",
-                    )
-                )
+                what, where = f"left OPERATION ENABLED: {describe(reading.statusword)}", reading.node_id
+                rule = DRIVE_RULES["left_enabled"]
+                failures.append(rule.raised(what, node=where, index=0x6041, code=reading.statusword))
         return failures
 
     def last_words(self, node_id: int) -> str:
@@ -119,11 +111,7 @@ class Guard:
         """Axes that leave too many SYNCs unanswered."""
         raise_failures(
             [
-                IncompleteEpochs(
-                    f"left {silent} SYNCs in a row unanswered",
-                    node=drive.node_id,
-                    advice="all axes were stopped; check power and cabling of this drive",
-                )
+                DRIVE_RULES["silent"].raised(f"left {silent} SYNCs in a row unanswered", node=drive.node_id)
                 for drive, silent in zip(self._exchange.drives, self._exchange.silent, strict=True)
                 if silent >= self.limits.silent_syncs
             ]
@@ -132,19 +120,14 @@ class Guard:
     def check_bus(self) -> None:
         """Bus-off, boot-ups, lost heartbeats, another master."""
         self._bus.check()
-        again = "it lost power or was reset, and its configuration is gone: connect() and configure() again"
-        booted = sorted(self._watch.booted)
-        raise_failures([DriveRebooted("booted during the run", node=node, advice=again) for node in booted])
-        advice = "check power and cabling of this drive"
-        lost = sorted(self._watch.lost())
-        raise_failures([HeartbeatLost("its heartbeat stopped", node=node, advice=advice) for node in lost])
+        booted, lost = DRIVE_RULES["booted"], DRIVE_RULES["heartbeat_lost"]
+        raise_failures([booted.raised("booted during the run", node=node) for node in sorted(self._watch.booted)])
+        raise_failures([lost.raised("its heartbeat stopped", node=node) for node in sorted(self._watch.lost())])
         for can_id, number in self._bus.foreign.items():
             new = number - self._foreign_before.get(can_id, 0)
             if new >= self.limits.foreign_frames:
-                raise ForeignMaster(
-                    f"{new} frames with id {can_id:03X} on {self._bus.spec} came from another master",
-                    advice="all axes were stopped; stop the other master before enabling again",
-                )
+                what = f"{new} frames with id {can_id:03X} on {self._bus.spec} came from another master"
+                raise DRIVE_RULES["foreign_master"].raised(what)
 
 
 def refuse_foreign(bus: Bus, listen_s: float) -> None:

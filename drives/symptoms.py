@@ -12,23 +12,24 @@ from typing import Final
 from drives.cia402 import FOLLOWING_ERROR, INTERNAL_LIMIT, REMOTE
 from drives.emcy import EmcyLog
 from drives.epoch import Epoch
-from drives.errors import DriveError, DriveFault, raise_failures
+from drives.errors import DriveError, raise_failures
 from drives.exchange import SyncExchange
+from drives.reactions import DRIVE_RULES
 from drives.values import DriveReading
 
 #: SYNCs in a row that a bit has to stand: one may be the moment of a transition.
-BITS_IN_A_ROW: Final = 2
+BITS_IN_A_ROW: Final = DRIVE_RULES["internal_limit"].count
 #: SYNCs in a row with the very same answer before the drive is asked by SDO whether it is true.
-SAME_IN_A_ROW: Final = 25
+SAME_IN_A_ROW: Final = DRIVE_RULES["stale"].count
 #: How far SDO and the repeated answer may lie apart, in motor revolutions: an axis at rest stands still.
 SAME_REVOLUTIONS: Final = 0.002
 
 _MASK: Final = INTERNAL_LIMIT | FOLLOWING_ERROR | REMOTE
 _GOOD: Final = REMOTE
-_WORDS: Final = (
-    (INTERNAL_LIMIT, INTERNAL_LIMIT, "a limit inside the drive acts (bit 11)", "see its torque, current, speed limits"),
-    (FOLLOWING_ERROR, FOLLOWING_ERROR, "following error (bit 13)", "look for contact, a brake that drags, the tuning"),
-    (REMOTE, 0, "no longer under remote control (bit 9)", "a panel or tool has taken it: release it there"),
+_BITS: Final = (
+    (INTERNAL_LIMIT, INTERNAL_LIMIT, DRIVE_RULES["internal_limit"]),
+    (FOLLOWING_ERROR, FOLLOWING_ERROR, DRIVE_RULES["following_error"]),
+    (REMOTE, 0, DRIVE_RULES["not_remote"]),
 )
 
 
@@ -88,11 +89,11 @@ class Symptoms:
 
     def _check_emergencies(self) -> None:
         new, self._heard = self._emcy.count - self._heard, self._emcy.count
-        advice = "all axes were stopped; find and remove the cause before enabling again"
+        rule = DRIVE_RULES["emergency"]
         first = {each.node_id: each for each in reversed(self._emcy.messages[-new:]) if not each.is_reset}
         raise_failures(
             [
-                DriveFault(f"sent an emergency: {each.what}", node=node_id, code=each.code, advice=advice)
+                rule.raised(f"sent an emergency: {each.what}", node=node_id, code=each.code)
                 for node_id, each in sorted(first.items())
             ]
         )
@@ -108,13 +109,12 @@ class Symptoms:
             return
         if abs(position - reading.position_count) <= allowed and self._same[axis] < 2 * SAME_IN_A_ROW:
             return
-        raise DriveFault(
+        raise DRIVE_RULES["stale"].raised(
             f"repeats position {reading.position_count}, torque {reading.torque_raw} since {self._same[axis]} SYNCs; "
             f"SDO says position {position}, torque {torque}",
             node=drive.node_id,
             index=drive.plans[1].mapping,
             code=reading.statusword,
-            advice="all axes were stopped; its answers to SYNC are not fresh: restart the drive, check its firmware",
         )
 
 
@@ -123,14 +123,8 @@ def _odd_bits(epoch: Epoch) -> list[DriveError]:
     for reading in epoch.readings:
         if reading is None or reading.statusword & _MASK == _GOOD:
             continue
-        found = [(words, advice) for mask, value, words, advice in _WORDS if reading.statusword & mask == value]
-        failures.append(
-            DriveFault(
-                "; ".join(words for words, _ in found),
-                node=reading.node_id,
-                index=0x6041,
-                code=reading.statusword,
-                advice="all axes were stopped; " + "; ".join(advice for _, advice in found),
-            )
-        )
+        first, *others = [rule for mask, value, rule in _BITS if reading.statusword & mask == value]
+        what = "; ".join(rule.what for rule in (first, *others))
+        more = "; ".join(rule.advice for rule in others)
+        failures.append(first.raised(what, node=reading.node_id, index=0x6041, code=reading.statusword, more=more))
     return failures

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gateway.acquire.reactions import ARM_RULES
 from gateway.acquire.workspace import Workspace
 from gateway.errors import LimitExceeded
 
@@ -16,14 +17,14 @@ from gateway.errors import LimitExceeded
 #: A gear that turns from driving to driven back adds (1 / eta - eta) of the torque it carries.
 CONTACT_SHARE = 0.25
 #: SYNCs in a row that it has to last, to the same side: set points that come late make the torque swing.
-IN_A_ROW = 3
+IN_A_ROW = ARM_RULES["contact"].count
 #: Time constant of the recent mean.
 MEMORY_S = 0.5
 #: After the brakes open, the drives take over the torque that the brakes have carried; nothing moves yet.
 TAKE_OVER_S = 0.3
 #: Commanded way over which a joint has to move along, and the share of it that it has to go; one that lags at speed and
 #: is turned round has gone less, but stands close to its target then.
-FOLLOW_RAD = 0.04
+FOLLOW_RAD = ARM_RULES["stays_behind"].limit
 FOLLOW_SHARE = 0.2
 
 
@@ -87,8 +88,8 @@ class Contact:
                 joint = int(np.argmax(self._count))
                 raise LimitExceeded(
                     f"arm '{self._arm}', joint {joint + 1}: the torque has jumped by {jump[joint]:.0f} Nm, more than "
-                    f"{self._limit[joint]:.0f} Nm and the reversal of its gear explain: stopped; look for contact, a "
-                    "load that slips, a cable that is caught",
+                    f"{self._limit[joint]:.0f} Nm and the reversal of its gear explain: "
+                    f"{ARM_RULES['contact'].advice}",
                     joint=joint + 1,
                 )
             return
@@ -111,8 +112,8 @@ class Contact:
             joint = int(np.argmax(behind))
             raise LimitExceeded(
                 f"arm '{self._arm}', joint {joint + 1} was told to move by {asked[joint]:.3f} rad and has moved by "
-                f"{q_rad[joint] - start_q[joint]:.3f} rad: stopped; look for a brake that is engaged, commands that do "
-                "not reach the drive, position_sign and gear_ratio of this axis",
+                f"{q_rad[joint] - start_q[joint]:.3f} rad: "
+                f"{ARM_RULES['stays_behind'].advice}",
                 joint=joint + 1,
             )
         start_q[far], start_target[far] = q_rad[far], target_rad[far]

@@ -23,6 +23,7 @@ from gateway.acquire.plan import (
     step_durations,
     travel_limits,
 )
+from gateway.acquire.reactions import ARM_RULES
 from gateway.acquire.settle import SettleTest
 from gateway.acquire.stream import Stream
 from gateway.acquire.trajectory import straight
@@ -34,10 +35,10 @@ from gateway.visit import Visit, VisitLabel, visit_from_samples
 #: Between two messages about progress.
 PROGRESS_S = 0.25
 #: Incomplete SYNCs while sampling, as a share of the samples asked for, before the visit is given up.
-REPEATED_SHARE = 0.5
+REPEATED_SHARE = ARM_RULES["repeats"].limit
 REPEATED_LEAST = 10
 #: How far the arm may sink when its brakes open, before the checked plan no longer fits.
-SINK_RAD = 0.02
+SINK_RAD = ARM_RULES["sinks"].limit
 
 
 class VisitStore(Protocol):
@@ -109,7 +110,7 @@ class Run:
             joint = int(np.argmax(np.nan_to_num(sunk, nan=np.inf))) + 1
             raise PlanRefused(
                 f"arm '{self.plan.arm}', joint {joint} moved by {sunk[joint - 1]:.3f} rad while its brake opened; "
-                "check the drive's tuning, and gear_ratio and position_sign of this axis"
+                f"{ARM_RULES['sinks'].advice}"
             )
         self._stream.start(sample.q_rad)
 
@@ -162,8 +163,7 @@ class Run:
         joint = 1 if restless is None else int(np.argmax(restless)) + 1
         raise PoseNeverSettles(
             f"pose {step.pose} does not settle within {step.timeout_s:g} s: joint {joint} still moves or its torque "
-            "drifts; look for a swinging load, a loose mounting or a hunting position loop, or raise [poses] "
-            "settle_timeout_s",
+            f"drifts; {ARM_RULES['never_settles'].advice}",
             pose=step.pose,
             joint=joint,
         )
@@ -184,7 +184,7 @@ class Run:
                 if repeated > max(REPEATED_LEAST, REPEATED_SHARE * step.count):
                     raise IncompleteEpochs(
                         f"pose {step.pose}: {repeated} SYNCs were left unanswered while {len(samples)} were sampled",
-                        advice="the visit was given up; check cabling, termination and bus load, then record --resume",
+                        advice=ARM_RULES["repeats"].advice,
                     )
         except BaseException:
             self.broken = visit_from_samples(label, samples, False, repeated) if samples else None

@@ -8,12 +8,13 @@ import numpy as np
 
 from gateway.acquire.arm import ArmSample
 from gateway.acquire.contact import Contact
+from gateway.acquire.reactions import ARM_RULES
 from gateway.acquire.workspace import Workspace
 from gateway.errors import LimitExceeded
 from gateway.model.regressor import gravity_regressor
 
 #: A limit counts as left after this many SYNCs in a row: one noisy reading stops nothing.
-IN_A_ROW = 3
+IN_A_ROW = ARM_RULES["limits"].count
 #: How far a joint may stand outside its range by control and rounding.
 POSITION_TOLERANCE_RAD = 0.02
 #: Measured speed, a difference of counts, against the limit.
@@ -99,8 +100,8 @@ class Watch:
         if self._count[RANGE].any():
             joint = int(np.argmax(self._count[RANGE]))
             raise LimitExceeded(
-                f"arm '{self._arm}', joint {joint + 1} stands at {q_rad[joint]:.3f} rad, outside its range: stopped; "
-                "check position_sign, gear_ratio and zero_offset_rad of this axis",
+                f"arm '{self._arm}', joint {joint + 1} stands at {q_rad[joint]:.3f} rad, outside its range: "
+                f"{ARM_RULES['range'].advice}",
                 joint=joint + 1,
             )
         if self._count.max() >= IN_A_ROW:
@@ -108,7 +109,6 @@ class Watch:
             what = KINDS[kind].format(value=abs(values[kind, joint]))
             limit = f"{self._limits[kind, joint]:g} {UNITS[kind]}"
             raise LimitExceeded(
-                f"arm '{self._arm}', joint {joint + 1} {what}, its limit is {limit}: "
-                "stopped; look for contact, a brake that drags, or a wrong limit or torque constant",
+                f"arm '{self._arm}', joint {joint + 1} {what}, its limit is {limit}: {ARM_RULES['limits'].advice}",
                 joint=int(joint) + 1,
             )

@@ -249,7 +249,8 @@ def judge(rig: Rig, outcome: Outcome, fault: Fault | None, error: Exception | No
     if about.reaction == "refuses" and any(ENABLED in states for _, states, _, _ in rig.seen.states):
         complain("an axis was enabled")
     said = finding or str(error)
-    named = fault is None or not fault.node or fault.kind.startswith(NAMELESS) or f"node {fault.node}" in said
+    anybody = fault is None or not fault.node or fault.kind.startswith(NAMELESS)
+    named = anybody or any(f"{word} {fault.node}" in said for word in ("node", "joint") if fault is not None)
     if about.reaction in ("stops", "refuses", "finding") and said and not named:
         complain(f"the message does not name the node: {error}")
     states = [drive.automaton.state for drive in rig.server.drives if not drive.node.silent]

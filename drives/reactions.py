@@ -1,0 +1,166 @@
+"""What is seen on the bus and in a drive while axes are enabled, and what follows from it: one table, used by the code.
+
+`stop`: every axis is stopped by its quick stop ramp, then disabled, and nothing resumes by itself. `retry`: the SYNC is
+marked incomplete and whoever sampled it samples again. `count`: it is counted in the statistics and nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final, Literal
+
+from drives.errors import (
+    BusError,
+    BusOff,
+    DriveError,
+    DriveFault,
+    DriveRebooted,
+    ForeignMaster,
+    HeartbeatLost,
+    IncompleteEpochs,
+)
+
+Reaction = Literal["stop", "retry", "count"]
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """One thing that can be seen.
+
+    Attributes
+    ----------
+    what : str
+        What is seen.
+    reaction : "stop", "retry" or "count"
+    limit : float
+        How much of it is needed.
+    unit : str
+        Of the limit.
+    advice : str
+        What the engineer does.
+    error : class of DriveError or None
+        What is raised; None where nothing is, or not by the drives.
+    """
+
+    what: str
+    reaction: Reaction
+    limit: float
+    unit: str
+    advice: str = ""
+    error: type[DriveError] | None = None
+
+    @property
+    def count(self) -> int:
+        """The limit as a number of things."""
+        return int(self.limit)
+
+    def raised(
+        self, what: str, *, node: int | None = None, index: int | None = None, code: int | None = None, more: str = ""
+    ) -> DriveError:
+        """The error of this rule about a node or the whole bus; `more` is added to the advice."""
+        advice = "; ".join(part for part in (self.advice, more) if part)
+        return (self.error or DriveError)(what, node=node, index=index, code=code, advice=advice)
+
+
+_ONE: Final = "SYNC"
+_ROW: Final = "SYNCs in a row"
+_FIND: Final = "all axes were stopped; find and remove the cause before enabling again"
+
+DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
+    {
+        "left_enabled": Rule("a drive leaves OPERATION ENABLED by itself", "stop", 1, _ONE, _FIND, DriveFault),
+        "emergency": Rule("an emergency message", "stop", 1, "message", _FIND, DriveFault),
+        "silent": Rule(
+            "a drive leaves SYNCs unanswered",
+            "stop",
+            5,
+            _ROW,
+            "all axes were stopped; check power and cabling of this drive",
+            IncompleteEpochs,
+        ),
+        "internal_limit": Rule(
+            "a limit inside the drive acts (statusword bit 11)",
+            "stop",
+            2,
+            _ROW,
+            "all axes were stopped; see its torque, current, speed limits",
+            DriveFault,
+        ),
+        "following_error": Rule(
+            "following error in the drive (statusword bit 13)",
+            "stop",
+            2,
+            _ROW,
+            "all axes were stopped; look for contact, a brake that drags, the tuning",
+            DriveFault,
+        ),
+        "not_remote": Rule(
+            "no longer under remote control (statusword bit 9)",
+            "stop",
+            2,
+            _ROW,
+            "all axes were stopped; a panel or tool has taken it: release it there",
+            DriveFault,
+        ),
+        "stale": Rule(
+            "the same answer again and again, and SDO says otherwise",
+            "stop",
+            25,
+            _ROW,
+            "all axes were stopped; its answers to SYNC are not fresh: restart the drive, check its firmware",
+            DriveFault,
+        ),
+        "heartbeat_lost": Rule(
+            "a drive's heartbeat is missing for three of its periods, by the clock and by SYNCs",
+            "stop",
+            0.5,
+            "s at least",
+            "check power and cabling of this drive",
+            HeartbeatLost,
+        ),
+        "booted": Rule(
+            "a boot-up in the middle of a run",
+            "stop",
+            1,
+            "message",
+            "it lost power or was reset, and its configuration is gone: connect() and configure() again",
+            DriveRebooted,
+        ),
+        "foreign_master": Rule(
+            "SYNC, NMT, SDO requests or commands of another master",
+            "stop",
+            3,
+            "frames",
+            "all axes were stopped; stop the other master before enabling again",
+            ForeignMaster,
+        ),
+        "bus_off": Rule(
+            "the CAN controller is bus-off",
+            "stop",
+            1,
+            "error frame",
+            "check wiring, termination and bit rate, then bring the interface up again",
+            BusOff,
+        ),
+        "queue_full": Rule(
+            "the transmit queue stays full",
+            "stop",
+            0.02,
+            "s",
+            "check that the bus is connected and up, and that txqueuelen is at least 1000",
+            BusError,
+        ),
+        "unanswered": Rule("a drive leaves one SYNC unanswered", "retry", 1, _ONE),
+        "ambiguous": Rule("two different answers of a drive to one SYNC", "retry", 1, _ONE),
+        "wrong_length": Rule("an answer shorter or longer than mapped", "retry", 1, _ONE),
+        "late": Rule("an answer after its SYNC was closed", "retry", 1, _ONE),
+        "duplicate": Rule("the same answer twice", "count", 1, "frame"),
+        "overrun": Rule("a SYNC that the clock could not send in time", "count", 1, _ONE),
+        "emergency_reset": Rule("an emergency message that says that all is well again", "count", 1, "message"),
+        "warning": Rule("warning (statusword bit 7)", "count", 1, _ONE),
+        "error_frames": Rule("error frames, error passive", "count", 1, "frame"),
+        "strange_frames": Rule("extended and remote frames, ids that nobody here uses", "count", 1, "frame"),
+    }
+)

@@ -1,0 +1,100 @@
+"""Every reaction of a cell under power, in one table: what stops the arm, what is taken again, what only counts.
+
+The drives' part is `drives.reactions`; here stands what only an arm can see. `python -m gateway.acquire.reactions`
+prints the whole table as Markdown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+from drives.reactions import DRIVE_RULES, Rule
+
+_ROW: Final = "SYNCs in a row"
+_STOPPED: Final = "stopped; "
+
+ARM_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
+    {
+        "range": Rule(
+            "a joint outside its range",
+            "stop",
+            1,
+            "SYNC",
+            _STOPPED + "check position_sign, gear_ratio and zero_offset_rad of this axis",
+        ),
+        "limits": Rule(
+            "following error, speed or torque of a joint beyond its limit",
+            "stop",
+            3,
+            _ROW,
+            _STOPPED + "look for contact, a brake that drags, or a wrong limit or torque constant",
+        ),
+        "contact": Rule(
+            "a jump of the torque that the model and the gear's reversal do not explain",
+            "stop",
+            3,
+            _ROW,
+            _STOPPED + "look for contact, a load that slips, a cable that is caught",
+        ),
+        "stays_behind": Rule(
+            "a joint that is told to move and does not",
+            "stop",
+            0.04,
+            "rad of commanded way",
+            _STOPPED + "look for a brake that is engaged, commands that do not reach the drive, position_sign and "
+            "gear_ratio of this axis",
+        ),
+        "sinks": Rule(
+            "a joint moves while its brake opens",
+            "stop",
+            0.02,
+            "rad",
+            "check the drive's tuning, and gear_ratio and position_sign of this axis",
+        ),
+        "never_settles": Rule(
+            "a pose does not come to rest in its time",
+            "stop",
+            1,
+            "settle_timeout_s",
+            "look for a swinging load, a loose mounting or a hunting position loop, or raise [poses] settle_timeout_s",
+        ),
+        "repeats": Rule(
+            "too many SYNCs of a visit had to be taken again",
+            "stop",
+            0.5,
+            "of the samples, at least 10",
+            "the visit was given up; check cabling, termination and bus load, then record --resume",
+        ),
+        "asked": Rule("Ctrl-C, or a request to terminate", "stop", 1, "signal", "go on with --resume"),
+    }
+)
+
+#: All of them, the drives' first.
+REACTIONS: Final[Mapping[str, Rule]] = MappingProxyType({**DRIVE_RULES, **ARM_RULES})
+
+#: What a reaction means.
+MEANING: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "stop": "stops all axes, then brakes; nothing resumes by itself",
+        "retry": "the sample is incomplete, is reported and taken again",
+        "count": "is counted and reported",
+    }
+)
+
+
+def markdown() -> str:
+    """The table, one row per rule."""
+    rows = ["| what is seen | how much of it | reaction |", "|---|---|---|"]
+    for reaction in MEANING:
+        rows += [
+            f"| {rule.what} | {rule.limit:g} {rule.unit} | {reaction} |"
+            for rule in REACTIONS.values()
+            if rule.reaction == reaction
+        ]
+    return "\n".join(rows)
+
+
+if __name__ == "__main__":
+    print(markdown())  # noqa: T201 - this is what it is for
