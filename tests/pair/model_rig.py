@@ -175,7 +175,7 @@ def _cycle(on: Track, runs: list[Run], cycle: int) -> None:
         (path.commands[0], slave_command(BASES[0], path.commands[0], BASES[1], run.controller.function.at(0.0)))
         for run in runs
     ]
-    q = _joints(on, start, np.broadcast_to(on.constants.q_rad[0], (len(runs), 2, 6)))
+    q = joints_of(on, start, np.broadcast_to(on.constants.q_rad[0], (len(runs), 2, 6)))
     plant.place(q)
     plant.grip()
     for row, run in enumerate(runs):
@@ -195,7 +195,7 @@ def _cycle(on: Track, runs: list[Run], cycle: int) -> None:
             seen = None if poses is None or not measured[row] else (poses[row, 0], poses[row, 1])
             commands.append(run.controller.step(m, reading.wrench[row, 0], reading.wrench[row, 1], seen))
         ahead = on.constants.q_rad[m] - on.constants.q_rad[max(m - 1, 0)]
-        q = _joints(on, commands, q + ahead)
+        q = joints_of(on, commands, q + ahead)
         reading = plant.step(m, q, noises[m])
         internal[m] = reading.internal
         off = np.maximum(off, [np.linalg.norm(pair[0][:3, 3] - path.commands[m, :3, 3]) for pair in commands])
@@ -214,7 +214,8 @@ def _skew(runs: list[Run], count: int, cycle: int) -> Array:
     return skew
 
 
-def _joints(on: Track, commands: Sequence[tuple[Array, Array]], seeds: Array) -> Array:
+def joints_of(on: Track, commands: Sequence[tuple[Array, Array]], seeds: Array) -> Array:
+    """Joint positions (n, 2, 6) [rad] for commands of both grippers, each near its seed (n, 2, 6)."""
     return solve(on.chain, np.array(commands).reshape(-1, 4, 4), seeds.reshape(-1, 6)).reshape(-1, 2, 6)
 
 
@@ -237,7 +238,7 @@ def teach(on: Track, errors: Sequence[PairErrors], points: NDArray[np.int64]) ->
     rule = AdjustmentRule()
     adjustments = [Adjustment(rule, SYNC_S, STIFFNESS, LOOP_TIME_S) for _ in each]
     rng = np.random.default_rng([errors[0].seed, 0x7E])
-    q = _joints(on, list(zip(master, slave, strict=True)), on.constants.q_rad[index])
+    q = joints_of(on, list(zip(master, slave, strict=True)), on.constants.q_rad[index])
     plant.place(q)
     running = np.ones(len(each), dtype=bool)
     reading = plant.step(index, q, np.zeros((len(each), 2, 6)), 0.0)
@@ -251,7 +252,7 @@ def teach(on: Track, errors: Sequence[PairErrors], points: NDArray[np.int64]) ->
             assert verdict in ("running", "done"), verdict
             running[row] = verdict == "running"
             corrections[row] = adjustments[row].correction
-        q = _joints(on, list(zip(master, apply_correction(slave, corrections), strict=True)), q)
+        q = joints_of(on, list(zip(master, apply_correction(slave, corrections), strict=True)), q)
         noise = torque_noise(int(rng.integers(1 << 30)), 0, len(each))
         reading = plant.step(index, q, noise, 0.0)
     taught = relation(BASES[0], master, BASES[1], apply_correction(slave, corrections))
@@ -278,7 +279,7 @@ def exact(on: Track, errors: PairErrors, rounds: int = 4) -> TransformFunction:
     q = on.constants.q_rad
     turn = BASES[1][:3, :3]
     for _ in range(rounds):
-        q = _joints(on, list(zip(master, slave, strict=True)), q)
+        q = joints_of(on, list(zip(master, slave, strict=True)), q)
         plant.place(q)
         mismatch = plant.mismatch()
         slave = apply_correction(slave, -np.concatenate([mismatch[:, :3] @ turn, mismatch[:, 3:] @ turn], axis=1))
