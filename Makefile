@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.stamp
 
-.PHONY: venv demo test lint bench blind vcan chaos soak clean
+.PHONY: venv demo test lint bench blind vcan chaos soak follow clean
 
 venv: $(STAMP)
 
@@ -39,6 +39,9 @@ chaos: venv
 
 soak: venv
 	$(BIN)/python -m tests.chaos soak --out out/soak
+
+follow: venv
+	$(BIN)/python -m tests.follow --out out/follow
 
 clean:
 	rm -rf $(VENV) out

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+#: So that a whole number of steps is not made one longer by rounding.
+_ROUNDING = 1e-9
+
 
 class Ramp:
     """A gain between 0 and 1, stepped once per SYNC.
@@ -59,7 +62,8 @@ class Ramp:
         if not enabled:
             self.cut("a drive is not in OPERATION ENABLED")
         if self.reason is None and self._share != self._wanted:
-            change = max(-self._step, min(self._step, self._wanted - self._share))
-            self._share += change
+            left = self._wanted - self._share
+            step = self._step * (1.0 + _ROUNDING)
+            self._share = self._wanted if abs(left) <= step else self._share + (step if left > 0 else -step)
             self.gain = self._share * self._share * (3.0 - 2.0 * self._share)
         return self.gain

@@ -59,9 +59,10 @@ class Track:
 
     @property
     def gain_rad_s2(self) -> Floats:
-        """Acceleration (n, 6) of the target, by central differences."""
-        around = np.vstack([self.target_rad[:1], self.target_rad, self.target_rad[-1:]])
-        return np.asarray(np.diff(around, 2, axis=0), dtype=float) / self.period_s**2
+        """Acceleration (n, 6) of the target, by central differences; 0 at both ends."""
+        gain = np.zeros_like(self.target_rad)
+        gain[1:-1] = np.diff(self.target_rad, 2, axis=0) / self.period_s**2
+        return gain
 
 
 @dataclass(slots=True)

@@ -1,0 +1,122 @@
+"""A simulated cell, identified and followed through the gateway's own commands; the simulator keeps its truth.
+
+What the gateway is told differs from what the simulator obeys: links drawn with build errors, datasheet rotor inertia
+rounded, friction only as the rest poses show it, the load as it was identified.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from click.testing import CliRunner, Result
+
+from gateway.acquire.opening import BusOverride, open_arm
+from gateway.arm_model import arm_named
+from gateway.cell_context import open_cell
+from gateway.cli import main
+from gateway.follow.body import body_of
+from gateway.follow.job import FollowRequest, Prepared, drive, prepare
+from sim.serve import RunningSimulation, running
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+LABEL = "load"
+
+
+@dataclass(frozen=True)
+class Place:
+    """A folder with the files of one example cell."""
+
+    folder: Path
+    path: Path
+
+    @property
+    def cell(self) -> Path:
+        return self.folder / "cell.toml"
+
+    @property
+    def result(self) -> Path:
+        return self.folder / "result.json"
+
+    def told(self, name: str, pattern: str, new: str) -> Path:
+        """A cell file that tells the gateway something else than the simulator obeys."""
+        text, count = re.subn(pattern, new, self.cell.read_text())
+        assert count, pattern
+        (self.folder / f"{name}.toml").write_text(text)
+        return self.folder / f"{name}.toml"
+
+    def result_with(self, name: str, factor: float) -> Path:
+        """The identified load with another mass."""
+        body = json.loads(self.result.read_text())
+        for loads in (body["loads"], body["after"]["loads"]):
+            for load in loads:
+                load["mass_kg"] *= factor
+        (self.folder / f"{name}.json").write_text(json.dumps(body))
+        return self.folder / f"{name}.json"
+
+
+def set_up(folder: Path, example: str) -> Place:
+    """Copy an example cell into a folder of its own."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for file in (EXAMPLES / example).iterdir():
+        if file.suffix in (".toml", ".urdf", ".csv"):
+            shutil.copy(file, folder / file.name)
+    os.environ["XDG_STATE_HOME"] = str(folder / "state")
+    path = next(folder / name for name in ("path.toml", "path.csv") if (folder / name).exists())
+    return Place(folder, path)
+
+
+@contextmanager
+def drives(place: Place, build_errors: int) -> Iterator[RunningSimulation]:
+    """Simulated drives of the cell with links that differ from the drawing."""
+    hidden = place.folder / "hidden.toml"
+    hidden.write_text(f"build_errors = {build_errors}\n")
+    bus = f"virtual:follow-{uuid.uuid4().hex}"
+    with running(place.cell, bus, payload=place.folder / "payload.toml", undeclared=hidden) as handle:
+        yield handle
+
+
+def command(*arguments: object) -> Result:
+    """Run the command line in this process."""
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def identify(place: Place, handle: RunningSimulation) -> None:
+    """Record bare and loaded, estimate; the load stays on the flange."""
+    for label in ("none", LABEL):
+        handle.hang(label)
+        run = place.folder / f"{label}.h5"
+        told = command("record", place.cell, "--load", label, "-o", run, "--bus", handle.bus, "--yes", "-q")
+        assert told.exit_code == 0, told.output
+    runs = [place.folder / "none.h5", place.folder / f"{LABEL}.h5"]
+    told = command("estimate", *runs, "--cell", place.cell, "--json", place.result, "-q")
+    assert told.exit_code == 0, told.output
+
+
+def follow_command(place: Place, handle: RunningSimulation, load: Path, out: Path, *options: object) -> Result:
+    """`servo-gateway follow` with JSON and report."""
+    files = ["--path", place.path, "--load", load, "--json", out.with_suffix(".json")]
+    return command("follow", place.cell, *files, "--report", out, "--bus", handle.bus, "--yes", "-q", *options)
+
+
+def followed(handle: RunningSimulation, cell: Path, request: FollowRequest, *names: str) -> dict[str, Any]:
+    """The body of a job under the named settings only."""
+    context = open_cell(cell, handle.bus)
+    prepared = _prepared(context, request, names)
+    override = BusOverride(context.spec, ledger=context.ledger(prepared.arm), feedforward=True)
+    with open_arm(context.loaded, override, prepared.arm.name) as opened:
+        return body_of(drive(opened, prepared, lambda: False, lambda what, done: None))
+
+
+def _prepared(context: Any, request: FollowRequest, names: tuple[str, ...]) -> Prepared:
+    prepared = prepare(context.loaded, arm_named(context.loaded), request)
+    chosen = tuple(setting for setting in prepared.settings if not names or setting.name in names)
+    return replace(prepared, settings=chosen)

@@ -1,0 +1,91 @@
+"""What the command refuses before it opens the bus, each with its exit code and reason."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from gateway.cli import main
+from gateway.result import LoadResult, Result, to_json
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+LOAD = LoadResult("a", 70.0, 0.2, (0.05, -0.02, 0.22), (0.001, 0.001, 0.002))
+RESULT = Result(robot="qh165", loads=(LOAD,), extra={"data": {"cell": "large", "arm": "main"}})
+
+
+@pytest.fixture
+def cell(tmp_path):
+    for file in (EXAMPLES / "large").glob("*"):
+        shutil.copy(file, tmp_path / file.name)
+    text = (tmp_path / "cell.toml").read_text().replace('"udp_multicast"', '"virtual"')
+    (tmp_path / "cell.toml").write_text(text.replace("options = { port = 43113 }", ""))
+    return tmp_path / "cell.toml"
+
+
+def change(file, old, new, count=1):
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new, count))
+
+
+def run(cell, result, *more):
+    load = []
+    if result is not None:
+        (cell.parent / "r.json").write_text(to_json(result))
+        load = ["--load", str(cell.parent / "r.json")]
+    words = ["follow", str(cell), "--path", str(cell.parent / "path.toml"), *load, *more]
+    return CliRunner().invoke(main, words, input="n\n")
+
+
+@pytest.mark.parametrize(
+    ("result", "code", "words"),
+    [
+        (None, 6, "no identified load"),
+        (replace(RESULT, loads=()), 6, "holds no identified load"),
+        (replace(RESULT, loads=(replace(LOAD, refused="rows contradict"),)), 6, "rows contradict"),
+        (replace(RESULT, robot="kr300"), 3, "identified on robot 'kr300'"),
+        (replace(RESULT, extra={"data": {"cell": "small"}}), 3, "identified on cell 'small'"),
+        (replace(RESULT, loads=(replace(LOAD, frame="flange"),)), 3, "frame 'flange'"),
+        (replace(RESULT, loads=(replace(LOAD, mass_kg=900.0),)), 5, "the feedforward asks for"),
+    ],
+)
+def test_a_load_that_may_not_be_fed_is_refused(cell, result, code, words):
+    told = run(cell, result, "--yes")
+    assert told.exit_code == code, told.output
+    assert words in told.output
+    assert told.output.count("error:") == 1
+
+
+def test_a_profile_without_the_objects_is_refused(cell):
+    change(cell, 'profile = "generic-cia402"', 'profile = "beckhoff-ax8000"')
+    told = run(cell, RESULT, "--yes")
+    assert (told.exit_code, "axis 1 (node 1, beckhoff-ax8000)" in told.output) == (3, True)
+
+
+def test_a_cell_that_does_not_say_what_the_arm_may_carry_is_refused(cell):
+    change(cell, "rated_load_kg", "# rated_load_kg")
+    told = run(cell, RESULT, "--yes")
+    assert (told.exit_code, "rated_load_kg is missing" in told.output) == (3, True)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("rotor_inertia_kg_m2 = { value = 220,", "rotor_inertia_kg_m2 = { value = -1,"),
+        ("rated_load_kg = { value = 165,", "rated_load_kg = { value = 0,"),
+        ("rotor_inertia_kg_m2 = { value = 220, source", "rotor_inertia_kg_m2 = { value = 220 } #"),
+    ],
+)
+def test_constants_that_cannot_be_are_refused(cell, old, new):
+    change(cell, old, new)
+    assert run(cell, RESULT, "--yes").exit_code == 3
+
+
+def test_it_asks_before_it_moves(cell):
+    told = run(cell, RESULT)
+    assert told.exit_code == 130
+    assert "will move" in told.output
