@@ -86,7 +86,8 @@ def teach(cell: Path, resume: bool, store: Path | None, bus_spec: str | None, ye
             lesson,
             lambda point, done, count: session.show(
                 f"point {done} of {count} at {point.s_m:.3f} m: {point.forces_n[0]:.1f} N before,"
-                f" {point.forces_n[-1]:.1f} N after {len(point.forces_n)} sweeps; slave moved {1e3 * abs(point.correction[:3]).max():.2f} mm"
+                f" {point.forces_n[-1]:.1f} N after {len(point.forces_n)} sweeps;"
+                f" slave moved {1e3 * abs(point.correction[:3]).max():.2f} mm"
             ),
         )
         link.disable()

@@ -37,9 +37,9 @@ def render_pair(data: Json) -> str:
     ----------
     data : mapping
         `cell`, `date`, `force_limit_n`, `source` (how the force is known), and `rows`, each with `name`, `text`,
-        `speed`, `s_m`, `x_m` (way and gripper position per command), `first_n`, `last_n` (force along the line between the
-        grippers in the first and the last cycle), `knots_s_m`, and `cycles`: per cycle `force_n`, `moment_nm`, `knots`,
-        `learned`, `reason`.
+        `speed`, `s_m`, `x_m` (way and gripper position per command), `first_n`, `last_n` (force along the line between
+        the grippers in the first and the last cycle), `knots_s_m`, and `cycles`: per cycle `force_n`, `moment_nm`,
+        `knots`.
 
     Returns
     -------

@@ -26,8 +26,11 @@ from sim.urdf import Body, Chain, write_chain
 Array = NDArray[np.float64]
 
 STEP_S = 0.00025
-#: Longest the physics waits for the SYNC of the other bus, wall clock [s].
-WAIT_S = 0.25
+#: How long the physics waits for the SYNC of the other bus, wall clock [s]: in many short pieces, so that a process that
+#: was put aside for long does not take its own sleep for a silent bus.
+WAIT_S, WAITS = 0.01, 25
+#: A bus whose SYNC stayed away for longer begins afresh, simulated [s].
+SILENT_S = 0.1
 #: Largest modulus of a mode of the linearised step.
 STABLE = 1.0 + 1e-6
 JOINTS = tuple(range(12))
@@ -185,7 +188,9 @@ class PairWorld:
         with self._lock:
             if self._asked[arm] <= self.time_s + 1e-9:
                 return
-            self._lock.wait_for(lambda: self._asked[arm] <= self.time_s + 1e-9, WAIT_S)
+            for _ in range(WAITS):
+                if self._lock.wait_for(lambda: self._asked[arm] <= self.time_s + 1e-9, WAIT_S):
+                    return
             if self._asked[arm] > self.time_s + 1e-9:
                 self._live[1 - arm] = False
                 self._run()
@@ -194,11 +199,15 @@ class PairWorld:
         """An arm's SYNC came: go on once the other's has come too."""
         with self._lock:
             self._live[arm] = True
-            self._asked[arm] = max(self._asked[arm], self.time_s) + seconds
+            asked = self._asked[arm] + seconds
+            self._asked[arm] = asked if asked > self.time_s - SILENT_S else self.time_s + seconds
             self._run()
 
     def _run(self) -> None:
-        goal = min(asked for asked, live in zip(self._asked, self._live, strict=True) if live)
+        """Go on to what has been asked for by all arms that are powered and whose SYNC has not stayed away."""
+        powered = [bool(self.motors.live[6 * arm : 6 * arm + 6].any()) for arm in (0, 1)]
+        waited = [live and power for live, power in zip(self._live, powered, strict=True)]
+        goal = min(self._asked[arm] for arm in (0, 1) if waited[arm]) if any(waited) else max(self._asked)
         ticks = int((goal - self.time_s) / TICK_S + 1e-6)
         if ticks > 0:
             self._stretch(ticks)
