@@ -123,6 +123,67 @@ def _ratio(cell: Cell) -> float:
     return float(np.sqrt(np.mean((after / np.maximum(told, 1e-9)) ** 2))) if np.any(after != told) else 1.0
 
 
+def bus_figures(cells: list[Cell]) -> dict[str, dict]:
+    """Figures of the cells over the bus; none where none were run."""
+    if not cells:
+        return {}
+    right = [float(names(c, "truth") == names(c, "found") and c["finished"]) for c in cells]
+    inside = [v for c in cells for v in c["inside"]]
+    times = [c["time_s"] for c in cells]
+    parts = [
+        ("bus: from start to report", [float(c["finished"]) for c in cells], f"of {len(cells)} cells", 1.0),
+        ("bus: exactly what is there named", right, f"of {len(cells)} cells", 0.9),
+        ("bus: 95 % intervals hold the truth", [float(v) for v in inside], f"of {len(inside)}", 0.85),
+    ]
+    out: dict[str, dict] = {}
+    for name, hits, unit, goal in parts:
+        value = float(np.mean(hits)) if hits else float("nan")
+        interval = clopper_pearson(float(np.sum(hits)), len(hits))
+        met = value >= goal if hits else None
+        out[name] = {"value": value, "interval": interval, "unit": unit, "goal": f">= {goal:g}", "met": met}
+    out["bus: time of one cell"] = {
+        "value": float(np.median(times)),
+        "interval": [float(min(times)), float(max(times))],
+        "unit": "s (median; shortest .. longest)",
+        "goal": "printed",
+        "met": True,
+    }
+    return out
+
+
+def there_and_said(cell: Cell) -> tuple[str, str]:
+    """What a cell holds, and what was said of it, with axes."""
+    parts = []
+    for key in ("truth", "found"):
+        named = [f"{name} {'-'.join(f'J{joint}' for joint in joints)}".strip() for name, joints in cell[key]]
+        parts.append(" + ".join(named))
+    verdict = cell["verdict"]
+    said = f"{parts[1]} ({verdict})" if parts[1] else verdict
+    return parts[0] or "nothing that counts", said
+
+
+def weakest(cells: list[Cell]) -> list[tuple[str, str, str, str]]:
+    """Cells that were not answered exactly: (seed, what is there, strengths, what was said), the strongest first."""
+    rows = []
+    for cell in cells:
+        off = cell["kind"] == "off"
+        wrong = bool(cell["found"]) if off else places(cell, "truth") != places(cell, "found") or _claims_more(cell)
+        if wrong:
+            size = max(cell["strengths"], default=0.0)
+            strengths = ", ".join(f"{value:.1f}" for value in cell["strengths"])
+            rows.append((size, (str(cell["seed"]), *_in_order(cell, strengths))))
+    return [row for _, row in sorted(rows, key=lambda entry: -entry[0])]
+
+
+def _in_order(cell: Cell, strengths: str) -> tuple[str, str, str]:
+    there, said = there_and_said(cell)
+    return there, strengths, said
+
+
+def _claims_more(cell: Cell) -> bool:
+    return cell["kind"] == "clean" and claims(cell)
+
+
 def confusion(cells: list[Cell]) -> list[tuple[str, str, int]]:
     """(what is there, what was said, how often), most frequent first."""
     counter: Counter = Counter()

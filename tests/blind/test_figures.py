@@ -4,7 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from tests.blind.figures import claims, clopper_pearson, confusion, credit, figures, places
+from tests.blind.figures import (
+    bus_figures,
+    claims,
+    clopper_pearson,
+    confusion,
+    credit,
+    figures,
+    places,
+    weakest,
+)
 
 
 def cell(kind: str, truth: list, found: list, verdict: str, strength: float = 5.0) -> dict:
@@ -58,3 +67,27 @@ def test_figures_say_what_is_met():
     assert out["both named, two effects of strength >= 3"]["value"] == 0.0
     assert out["95 % intervals hold the truth"]["value"] == pytest.approx(0.95)
     assert ("two effects", "one of them", 1) in confusion(cells)
+
+
+def test_the_weakest_cells_are_those_not_answered_exactly_the_strongest_first():
+    right, wrong = cell("one", [TILT], [TILT], "explained", 9.0), cell("one", [TILT], [SHIFTED], "explained", 8.0)
+    pair = cell("one", [SHIFTED], [SHIFTED, TILT], "undecided", 12.0)
+    alarm, quiet = cell("clean", [], [], "unexplained"), cell("clean", [], [], "none_needed")
+    rows = weakest([right, wrong, pair, alarm, quiet])
+    assert [row[1:3] for row in rows] == [
+        ("joint_zero_offset J2", "12.0"),
+        ("base_tilt", "8.0"),
+        ("nothing that counts", ""),
+    ]
+    assert rows[0][3] == "joint_zero_offset J2 + base_tilt (undecided)"
+
+
+def test_cells_over_the_bus_have_to_end_and_to_name_exactly_what_is_there():
+    done = cell("one", [TILT], [TILT], "explained") | {"finished": True, "time_s": 30.0}
+    broken = cell("clean", [], [], "none") | {"finished": False, "inside": [], "time_s": 2.0}
+    out = bus_figures([done, broken])
+    assert out["bus: from start to report"]["value"] == 0.5
+    assert out["bus: exactly what is there named"]["value"] == 0.5
+    assert out["bus: 95 % intervals hold the truth"]["met"]
+    assert out["bus: time of one cell"]["interval"] == [2.0, 30.0]
+    assert bus_figures([]) == {}
