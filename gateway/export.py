@@ -6,7 +6,9 @@ identify is refused, never filled in.
 
 Units and frames: ABB technical reference manual RAPID, data type `loaddata` (kg, mm, kg m2, wrist frame `tool0`);
 KUKA system variables `$LOAD`, `LOAD_DATA[]` (kg, mm, degrees A B C, flange frame); Universal Robots script manual,
-`set_target_payload` (kg, m, tool flange frame).
+`set_target_payload` (kg, m, tool flange frame); FANUC payload schedules, screen MOTION/PAYLOAD SET and system variable
+`$PLST_GRP1` (kg, cm, faceplate frame: x up, z out); Yaskawa Smart Pendant preset files `.yps`, preset `tool` (kg, mm, kg m2,
+tool mounting plate).
 """
 
 from __future__ import annotations
@@ -261,6 +263,66 @@ def to_ur(loads: Sequence[ExportLoad], robot: str) -> str:
     return "\n".join([*lines, ""])
 
 
+def to_fanuc(loads: Sequence[ExportLoad], robot: str) -> str:
+    """TP program (ASCII, .LS) that fills payload schedules from 1 on: mass kg, centre of gravity cm in the faceplate frame.
+
+    Inertia is written as 0. The program holds no motion; `PAYLOAD[n]` selects a schedule. Negative constants stand in
+    brackets, a remark has at most 32 characters.
+    """
+    lines = [f"!{_remark(f'loads of {robot}')}", "!kg, cm from the faceplate"]
+    for number, load in enumerate(loads, start=1):
+        lines += [f"!{_remark(load.label)}", f"!{_remark(_short_accuracy(load))}", "!inertia not measured: 0"]
+        lines.append(f"$PLST_GRP1[{number}].$PAYLOAD={_number(load.mass_kg, 3)}")
+        for axis, value in zip("XYZ", load.com_m, strict=True):
+            text = _number(100 * value, 3)
+            lines.append(f"$PLST_GRP1[{number}].$PAYLOAD_{axis}={f'({text})' if text.startswith('-') else text}")
+        lines += [f"$PLST_GRP1[{number}].$PAYLOAD_I{axis}=0" for axis in "XYZ"]
+    lines.append("!select with PAYLOAD[n]")
+    body = [f"{number:4d}:  {line} ;" for number, line in enumerate(lines, start=1)]
+    head = ["/PROG  SETLOADS", "/ATTR", 'COMMENT = "identified loads";', "DEFAULT_GROUP = *,*,*,*,*;", "/MN"]
+    return "\n".join([*head, *body, "/POS", "/END", ""])
+
+
+def _remark(text: str) -> str:
+    return re.sub(r"[^A-Za-z0-9 .,:+=()_-]", " ", text)[:32].rstrip()
+
+
+def _short_accuracy(load: ExportLoad) -> str:
+    std = "" if load.mass_std_kg is None else f" +- {load.mass_std_kg:.3f}"
+    return f"{load.mass_kg:.3f}{std} kg"
+
+
+def to_yaskawa(loads: Sequence[ExportLoad], robot: str) -> str:
+    """Smart Pendant preset file (.yps) with a tool per load: weight kg, com mm from the mounting plate, moi kg m2.
+
+    The pendant pre-fills a new tool's settings; the person there confirms them. The tool's own weight is not in it: the
+    controller's "tool" is everything on the flange, which is what was identified. moi is written as 0, offset is left
+    to the pendant's default.
+    """
+    lines = [
+        f"// loads identified on {robot}; frame: tool mounting plate",
+        "{",
+        '  filetype: "presets",',
+        "  presets: [",
+    ]
+    for load in loads:
+        com = ", ".join(_number(1000 * value, 2) for value in load.com_m)
+        name = _identifier(load.label)
+        lines += [
+            f"    // {load.label}: {_accuracy(load)}; {INERTIA_NOTE}: 0, enter it from CAD if it is large",
+            "    {",
+            '      preset: "tool",',
+            f'      id: "local.{_identifier(robot).lower()}.{name.lower()}",',
+            f'      displayNames: {{ en: "{name[:16]}" }},',
+            f"      weight: {_number(load.mass_kg, 3)},",
+            f"      com: [{com}],",
+            "      moi: [0.0, 0.0, 0.0]",
+            "    },",
+        ]
+    lines[-1] = "    }"
+    return "\n".join([*lines, "  ]", "}", ""])
+
+
 Writer = Callable[[Sequence[ExportLoad], str], str]
 
 # format -> writer and the frames it may be given in, the preferred one first
@@ -270,4 +332,6 @@ FORMATS: dict[str, tuple[Writer, tuple[str, ...]]] = {
     "abb": (to_abb, ("flange",)),
     "kuka": (to_kuka, ("flange",)),
     "ur": (to_ur, ("flange",)),
+    "fanuc": (to_fanuc, ("flange",)),
+    "yaskawa": (to_yaskawa, ("flange",)),
 }

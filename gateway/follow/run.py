@@ -26,12 +26,12 @@ from gateway.follow.track import Recorder, Track
 #: Time in which the offsets are eased in and out, at rest.
 RAMP_S = 0.8
 #: Rest with the offsets on: the drives' integral parts give back what the offsets now carry.
-SETTLE_S = 0.6
+SETTLE_S = 1.0
 #: Rest after the path, still recorded.
 REST_S = 0.3
 #: The start is reached along the same short way under every setting, with the offsets on: friction and the drives'
 #: integral parts are then where a motion leaves them, not where easing the offsets in has pushed them.
-LEAD_RAD = 0.03
+LEAD_RAD = 0.06
 PROGRESS_S = 0.25
 
 #: Called with what is done and the share of the whole that is done.

@@ -60,7 +60,46 @@ def test_urdf_and_json_fall_back_to_link_6_and_say_so():
     assert (only["frame"], only["com_m"], only["inertia_kg_m2"]) == ("link_6", LOAD["com_m"], None)
 
 
-@pytest.mark.parametrize("fmt", ["abb", "kuka", "ur"])
+def test_fanuc_is_kilogram_and_centimetre_in_the_faceplate_frame():
+    lines = [
+        line.split(":", 1)[1].strip() for line in export(result(), "fanuc").splitlines() if re.match(r" +\d+:", line)
+    ]
+    assert all(line.endswith(" ;") for line in lines)
+    told = [line.removesuffix(" ;") for line in lines if line.startswith("$")]
+    assert told == [
+        "$PLST_GRP1[1].$PAYLOAD=12.500",
+        "$PLST_GRP1[1].$PAYLOAD_X=1.000",
+        "$PLST_GRP1[1].$PAYLOAD_Y=(-2.000)",
+        "$PLST_GRP1[1].$PAYLOAD_Z=8.000",
+        "$PLST_GRP1[1].$PAYLOAD_IX=0",
+        "$PLST_GRP1[1].$PAYLOAD_IY=0",
+        "$PLST_GRP1[1].$PAYLOAD_IZ=0",
+    ]
+    assert all(len(line.removesuffix(" ;")) <= 33 for line in lines if line.startswith("!"))
+
+
+def test_fanuc_fills_a_schedule_per_load_without_motion():
+    body = {"schema": 1, "robot": "r", "loads": [LOAD, LOAD | {"label": "b;\nL P[1] 100% FINE", "mass_kg": 3.0}]}
+    text = export(body, "fanuc")
+    assert "$PLST_GRP1[2].$PAYLOAD=3.000" in text
+    assert "DEFAULT_GROUP = *,*,*,*,*;" in text
+    numbers = [int(line.split(":")[0]) for line in text.splitlines() if re.match(r" +\d+:", line)]
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert not re.search(r"^ +\d+: +[JL] ", text, flags=re.MULTILINE)
+
+
+def test_yaskawa_is_kilogram_and_millimetre_from_the_mounting_plate():
+    text = export(result(), "yaskawa")
+    # the format is JSON with comments and bare keys: give it quotes, then read it back
+    plain = "\n".join(line for line in text.splitlines() if not line.strip().startswith("//"))
+    body = json.loads(re.sub(r"(\w+):", r'"\1":', plain))
+    (preset,) = body["presets"]
+    assert (body["filetype"], preset["preset"]) == ("presets", "tool")
+    assert (preset["weight"], preset["com"], preset["moi"]) == (12.5, [10.0, -20.0, 80.0], [0.0, 0.0, 0.0])
+    assert preset["displayNames"] == {"en": "gripper_2"}
+
+
+@pytest.mark.parametrize("fmt", ["abb", "kuka", "ur", "fanuc", "yaskawa"])
 def test_a_controller_needs_the_flange(fmt):
     load = {key: value for key, value in LOAD.items() if key != "com_flange_m"}
     with pytest.raises(ConfigError, match="flange_xyz_m"):
@@ -95,4 +134,4 @@ def test_refused_loads_are_left_out_unless_named():
     with pytest.raises(ConfigError, match="gripper 2, b"):
         export(body, "kuka", "c")
     with pytest.raises(ConfigError, match="choose one of"):
-        export(body, "fanuc")
+        export(body, "staubli")
