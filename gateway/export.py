@@ -7,8 +7,8 @@ identify is refused, never filled in.
 Units and frames: ABB technical reference manual RAPID, data type `loaddata` (kg, mm, kg m2, wrist frame `tool0`);
 KUKA system variables `$LOAD`, `LOAD_DATA[]` (kg, mm, degrees A B C, flange frame); Universal Robots script manual,
 `set_target_payload` (kg, m, tool flange frame); FANUC payload schedules, screen MOTION/PAYLOAD SET and system variable
-`$PLST_GRP1` (kg, cm, faceplate frame: x up, z out); Yaskawa Smart Pendant preset files `.yps`, preset `tool` (kg, mm, kg m2,
-tool mounting plate).
+`$PLST_GRP1` (kg, cm, faceplate frame: x up, z out); Yaskawa Smart Pendant preset files `.yps`, preset `tool` (kg, mm,
+kg m2, tool mounting plate).
 """
 
 from __future__ import annotations
@@ -264,7 +264,7 @@ def to_ur(loads: Sequence[ExportLoad], robot: str) -> str:
 
 
 def to_fanuc(loads: Sequence[ExportLoad], robot: str) -> str:
-    """TP program (ASCII, .LS) that fills payload schedules from 1 on: mass kg, centre of gravity cm in the faceplate frame.
+    """TP program (ASCII, .LS) that fills payload schedules from 1 on: mass kg, centre of gravity cm from the faceplate.
 
     Inertia is written as 0. The program holds no motion; `PAYLOAD[n]` selects a schedule. Negative constants stand in
     brackets, a remark has at most 32 characters.
