@@ -53,6 +53,7 @@ class MotionOptions:
     Attributes
     ----------
     speed : speed setting, the cell's if None
+    back_speed : of the way back, as forward if None
     force_limit_n : twice this force inside the part stops both arms; None = the cell's limit
     force_stop_s : after this time
     stop_asked : asked every cycle; true stops both arms by KeyboardInterrupt
@@ -60,6 +61,7 @@ class MotionOptions:
     """
 
     speed: float | None = None
+    back_speed: float | None = None
     force_limit_n: float | None = None
     force_stop_s: float = 0.02
     stop_asked: Callable[[], bool] = lambda: False

@@ -135,7 +135,7 @@ class PairRun:
 
     def back(self) -> None:
         """The same way back under the same function, corrected but not learned from."""
-        path = reversed_path(self.path)
+        path = reversed_path(self._cell.path(self.motion.options.back_speed or self.path.speed))
         if self._home is None:
             ends = (self._way.joints[0][-1], self._way.joints[1][-1])
             self._home = self.motion.passage(path, ends)

@@ -26,10 +26,10 @@ from sim.urdf import Body, Chain, write_chain
 Array = NDArray[np.float64]
 
 STEP_S = 0.00025
-#: How long the physics waits for the SYNC of the other bus, wall clock [s]: in many short pieces, so that a process that
-#: was put aside for long does not take its own sleep for a silent bus.
+#: How long the physics waits for the SYNC of the other bus, wall clock [s]: in many short pieces, so that a process
+#: that was put aside for long does not take its own sleep for a silent bus.
 WAIT_S, WAITS = 0.01, 25
-#: A bus whose SYNC stayed away for longer begins afresh, simulated [s].
+#: A SYNC that comes later than this begins afresh; an earlier one finds the time it stands for gone already [s].
 SILENT_S = 0.1
 #: Largest modulus of a mode of the linearised step.
 STABLE = 1.0 + 1e-6
@@ -110,7 +110,7 @@ class PairWorld:
         self.after: list[Callable[[float], None]] = []
         self.part = Workpiece((arms[0].geometry, arms[1].geometry), settings.stiffness)
         self._lock = threading.Condition()
-        self._asked, self._live = [0.0, 0.0], [False, False]
+        self._asked, self._owed, self._live = [0.0, 0.0], [0.0, 0.0], [False, False]
         self._random = np.random.default_rng(settings.seed)
         self._early = np.zeros(12)
         self._substeps = round(TICK_S / settings.step_s)
@@ -193,14 +193,18 @@ class PairWorld:
                     return
             if self._asked[arm] > self.time_s + 1e-9:
                 self._live[1 - arm] = False
+                before_s = self.time_s
                 self._run()
+                self._owed[1 - arm] += self.time_s - before_s
 
     def ask(self, arm: int, seconds: float) -> None:
         """An arm's SYNC came: go on once the other's has come too."""
         with self._lock:
             self._live[arm] = True
-            asked = self._asked[arm] + seconds
-            self._asked[arm] = asked if asked > self.time_s - SILENT_S else self.time_s + seconds
+            owed = self._owed[arm] if self._owed[arm] < SILENT_S else 0.0
+            late = min(owed, seconds)
+            self._owed[arm] = owed - late
+            self._asked[arm] = max(self._asked[arm], self.time_s) + seconds - late
             self._run()
 
     def _run(self) -> None:

@@ -1,0 +1,136 @@
+"""Two simulated arms and twelve drives in this process, the gateway's side open: what the rows are run on."""
+
+from __future__ import annotations
+
+import threading
+import uuid
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from gateway.pair.cell import PairCell, load_pair
+from gateway.pair.embodiments import Embodiment
+from gateway.pair.function import TransformFunction
+from gateway.pair.link import PairLink, open_link
+from gateway.pair.motion import MotionOptions, PairMotion
+from gateway.pair.run import PairCycle, PairRun
+from gateway.pair.session import cell_gains
+from gateway.pair.storage import line_of_grippers
+from gateway.pair.teach import Lesson, Teacher
+from sim.pair.cell import PairOptions
+from sim.pair.world import PairWorld
+from sim.simulation import ServeOptions, Simulation
+from tests.pair.model_rows import oscillation
+
+Array = NDArray[np.float64]
+
+CELL = Path(__file__).resolve().parents[2] / "examples" / "pair" / "cell.toml"
+BACK_SPEED = 3.0
+PER_SYNC = 4
+#: Above any force of the comparison: rows that exceed the limit are run to their end.
+NO_LIMIT_N = 1e6
+
+
+@dataclass(slots=True)
+class PairRig:
+    """The simulation and the gateway's side of it."""
+
+    simulation: Simulation
+    world: PairWorld
+    cell: PairCell
+    link: PairLink
+    seed: int | None
+
+    def teach(self, count: int) -> tuple[TransformFunction, Lesson]:
+        """First function through `count` points."""
+        lesson = Lesson("", "")
+        motion = PairMotion(self.cell, self.link, MotionOptions(force_limit_n=NO_LIMIT_N))
+        Teacher(motion, cell_gains(self.cell)).run(
+            lesson, self.cell.path(1.0).uniform(count), lambda _lesson, _point: None
+        )
+        self.link.disable()
+        return lesson.function(self.cell.nominal_relation), lesson
+
+    def run(self, row: Embodiment, first: TransformFunction, options: MotionOptions) -> PairRun:
+        """A row that stands at the start, powered, the part gripped there free of force."""
+        run = PairRun(self.cell, self.link, row, first, options)
+        run.start()
+        run.stand()
+        self.grip()
+        return run
+
+    def grip(self) -> None:
+        """Open both grippers and close them again."""
+        self.world.catch_up(0)
+        self.world.part.grip(self.world.q)
+
+    def cycle(self, run: PairRun) -> tuple[PairCycle, Array]:
+        """One way forward; its true record (4 M, 10): time, force, moment, centre of the part."""
+        self.world.record.clear()
+        self.world.recording = True
+        done = run.cycle()
+        self.world.catch_up(0)
+        self.world.recording = False
+        return done, np.array(self.world.record[-PER_SYNC * len(run.path) :])
+
+
+@contextmanager
+def pair_rig(seed: int | None, settings: Mapping[str, Any] | None = None, **options: Any) -> Iterator[PairRig]:
+    """Both buses on `virtual`; the simulated drives in threads of this process."""
+    name = uuid.uuid4().hex
+    bus = f"left=virtual:{name}-l;right=virtual:{name}-r"
+    simulation = Simulation(CELL, ServeOptions(bus=bus), PairOptions(seed, settings=settings, **options))
+    thread = threading.Thread(target=simulation.run, name="pair-sim")
+    thread.start()
+    try:
+        cell = load_pair(CELL, bus)
+        with open_link(cell) as link:
+            yield PairRig(simulation, simulation.servers[0].arms[0].world, cell, link, seed)  # type: ignore[arg-type]
+    finally:
+        simulation.stop()
+        thread.join()
+        simulation.close()
+
+
+def figures_of(run: PairRun, done: PairCycle, record: Array, limit_n: float) -> dict[str, Any]:
+    """Figures of one cycle from the true force inside the part."""
+    size = np.linalg.norm(record[:, 1:4], axis=1)
+    worst = int(np.argmax(size))
+    command = min(worst // PER_SYNC, len(run.path) - 1)
+    return {
+        "tier": "bus",
+        "row": run.config.name,
+        "speed": run.path.speed,
+        "cycle": done.summary.cycle,
+        "force_n": float(size[worst]),
+        "moment_nm": float(np.linalg.norm(record[:, 4:7], axis=1).max()),
+        "rms_n": float(np.sqrt(np.mean(size**2))),
+        "p99_n": float(np.percentile(size, 99.0)),
+        "share_above": float(np.mean(size > limit_n)),
+        "worst_at_m": float(run.path.s_m[command]),
+        "oscillation": oscillation(record[:, 1:7], 1e-3),
+        "knots": done.summary.knots,
+        "function": done.summary.function,
+        "estimated_n": done.summary.force_n,
+        "learned": done.summary.learned,
+        "complete": done.summary.complete,
+        "learning_s": done.learning_s,
+        "evaluation_s": done.evaluation_s,
+    }
+
+
+def off_path_m(record: Array, uncorrected: Array) -> float:
+    """How far the part's centre goes off the way it takes when nothing is corrected [m]."""
+    return float(cKDTree(uncorrected[:, 7:10]).query(record[:, 7:10])[0].max())
+
+
+def along_n(run: PairRun, cell: PairCell, record: Array) -> list[float]:
+    """Force along the line between the grippers at every command [N]."""
+    force = record[::PER_SYNC, 1:4][: len(run.path)]
+    return np.round(np.sum(force * line_of_grippers(cell, run.path)[: len(force)], axis=1), 2).tolist()

@@ -1,0 +1,272 @@
+"""The rows of the comparison over PyBullet and twelve CAN drives, for one seed."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from drives.errors import DriveError
+from gateway.pair.embodiments import EMBODIMENTS, Embodiment, with_gains
+from gateway.pair.function import TransformFunction, constant_function
+from gateway.pair.motion import MotionOptions, PairStopped
+from gateway.pair.session import cell_gains
+from gateway.pair.speed import ExtrapolationWarning, SpeedTable
+from sim.states import PdsState
+from tests.pair.bus_rig import BACK_SPEED, NO_LIMIT_N, PairRig, along_n, figures_of, off_path_m, pair_rig
+
+Row = dict[str, Any]
+
+STATIC, SLOW, BETWEEN, USUAL, BEYOND, FAST = 0.05, 0.75, 1.1, 1.5, 1.8, 3.0
+LEARNING = 13
+E2_CYCLES = 6
+SNAG_N = 20.0
+
+
+@dataclass(slots=True)
+class Bench:
+    """One seed: its rig, taught functions, and what was gathered."""
+
+    rig: PairRig
+    nine: TransformFunction
+    frozen_cycles: int
+    rows: list[Row] = field(default_factory=list)
+    curves: list[Row] = field(default_factory=list)
+    functions: dict[str, TransformFunction] = field(default_factory=dict)
+    uncorrected: dict[float, Any] = field(default_factory=dict)
+
+    @property
+    def limit_n(self) -> float:
+        """Largest force that the part may feel."""
+        return self.rig.cell.config.force_limit_n
+
+    def row_of(self, name: str) -> Embodiment:
+        """A row with the gains of the cell file."""
+        return with_gains(EMBODIMENTS[name], cell_gains(self.rig.cell))
+
+    def first(self, row: Embodiment) -> TransformFunction:
+        """First function of a row."""
+        return constant_function(self.rig.cell.nominal_relation) if row.first == "fixed" else self.nine
+
+    def run(
+        self,
+        label: str,
+        row: Embodiment,
+        speed: float,
+        cycles: int = 1,
+        first: TransformFunction | None = None,
+        freeze_after: int = 10**6,
+        snag_cycle: int = 0,
+    ) -> TransformFunction:
+        """Cycles of one row; returns the function it ends with."""
+        rig = self.rig
+        options = MotionOptions(speed=speed, back_speed=BACK_SPEED, force_limit_n=NO_LIMIT_N)
+        run = rig.run(row, first or self.first(row), options)
+        curve: Row = {"cycles": []}
+        for number in range(1, cycles + 1):
+            if number > freeze_after:
+                run.controller.freeze()
+            if number == snag_cycle:
+                rig.world.push = _snag(rig)
+            done, record = rig.cycle(run)
+            rig.world.push = None
+            figures = figures_of(run, done, record, self.limit_n)
+            if label == "A":
+                self.uncorrected.setdefault(speed, record)
+            if speed in self.uncorrected:
+                figures["part_off_m"] = off_path_m(record, self.uncorrected[speed])
+            self.rows.append({**figures, "row": label, "seed": rig.seed, "frozen": number > freeze_after})
+            curve["cycles"].append(figures)
+            curve["last_n"] = along_n(run, rig.cell, record)
+            curve.setdefault("first_n", curve["last_n"])
+            if number < cycles:
+                run.back()
+        path = run.path
+        curve |= {"name": label, "text": row.text, "speed": speed, "s_m": path.s_m.tolist()}
+        curve["x_m"] = (rig.cell.arms[0].world_from_base @ path.commands)[:, 0, 3].tolist()
+        curve["knots_s_m"] = run.controller.function.s_m.tolist()
+        self.curves.append(curve)
+        run.back()
+        rig.link.disable()
+        self.functions[f"{label}@{speed:g}"] = run.controller.function
+        return run.controller.function
+
+
+def _snag(rig: PairRig) -> Any:
+    """Joint torques of 20 N on the fingertip of arm 2, across the line between the grippers."""
+    torque = np.zeros(12)
+    torque[6:] = rig.world.part.at(rig.world.q).jacobian[1, 6:] * SNAG_N
+    return torque
+
+
+def short(bench: Bench) -> None:
+    """Rows A, B, C2c, C7, C8, and C1i which they start from, at the usual speed."""
+    for name in ("A", "B", "C1i"):
+        bench.run(name, bench.row_of(name), USUAL)
+    bench.run("C2c", bench.row_of("C2c"), USUAL, E2_CYCLES)
+    bench.run("C7", bench.row_of("C7"), USUAL, LEARNING)
+    frozen = LEARNING - 1 + bench.frozen_cycles
+    bench.run("C8", bench.row_of("C8"), USUAL, frozen, freeze_after=LEARNING - 1)
+
+
+def others(bench: Bench) -> None:
+    """What else there is at the usual speed."""
+    bench.run("C1", bench.row_of("C1"), USUAL)
+    bench.run("C2m", bench.row_of("C2m"), USUAL, E2_CYCLES)
+    bench.run("C8r", bench.row_of("C8r"), USUAL, LEARNING)
+
+
+def even(bench: Bench) -> None:
+    """C8u: as many learning points as C8 ended with, evenly spread over what was taught."""
+    path = bench.rig.cell.path(USUAL)
+    points = path.uniform(len(bench.functions[f"C8@{USUAL:g}"]))
+    ways = np.unique(path.s_m[points])
+    spread = TransformFunction(ways, *_split(bench.nine.many(ways)))
+    bench.run("C8u", bench.row_of("C8u"), USUAL, LEARNING, first=spread)
+
+
+def _split(poses: Any) -> tuple[Any, Any]:
+    return poses[:, :3, 3], poses[:, :3, :3]
+
+
+def speeds(bench: Bench) -> None:
+    """E3: learned at .75 and 1.5, used at 1.1 and 1.8 without any learning there."""
+    slow = bench.run("C2c", bench.row_of("C2c"), SLOW, E2_CYCLES)
+    known = {0.0: bench.nine, SLOW: slow, USUAL: bench.functions[f"C2c@{USUAL:g}"]}
+    for speed in (BETWEEN, BEYOND):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ExtrapolationWarning)
+            table = SpeedTable(known).at(speed)
+        bench.run("C1i", bench.row_of("C1i"), speed)
+        bench.run("C3", bench.row_of("C3"), speed, first=table)
+
+
+def fast(bench: Bench) -> None:
+    """Twice the usual speed."""
+    for name in ("A", "B", "C1i"):
+        bench.run(name, bench.row_of(name), FAST)
+    frozen = LEARNING - 1 + bench.frozen_cycles
+    bench.run("C8", bench.row_of("C8"), FAST, frozen, freeze_after=LEARNING - 1)
+
+
+def static(bench: Bench) -> None:
+    """Geometry alone: nearly standing still, taught at 9 and at 17 points."""
+    seventeen, _ = bench.rig.teach(17)
+    bench.run("A", bench.row_of("A"), STATIC)
+    bench.run("C1", bench.row_of("C1"), STATIC)
+    bench.run("C1 N=17", bench.row_of("C1"), STATIC, first=seventeen)
+
+
+def snag(bench: Bench) -> None:
+    """A cable pulls arm 2 for one cycle: with learning off, and with the mean and the median of five cycles."""
+    off = bench.run("C7 off", bench.row_of("C7"), USUAL, 3, freeze_after=0, snag_cycle=2)
+    moved: dict[str, float] = {}
+    for kind in ("mean", "median"):
+        row = bench.row_of("C7")
+        if row.learning is None:
+            continue
+        row = replace(row, learning=replace(row.learning, cycles=5, kind=kind))
+        plain = bench.run(f"C7 {kind}", row, USUAL, 5)
+        caught = bench.run(f"C7 {kind} snag", row, USUAL, 5, snag_cycle=3)
+        moved[kind] = float(np.linalg.norm(plain.position_m - caught.position_m, axis=1).max())
+    same = bool(np.array_equal(off.knots, bench.nine.knots))
+    summary = {"mean_m": moved["mean"], "median_m": moved["median"], "frozen_identical": same}
+    bench.rows.append({"tier": "bus", "row": "snag", "seed": bench.rig.seed, "speed": USUAL, **summary})
+
+
+def stop(bench: Bench) -> None:
+    """The comparison example with its limit in force: both arms have to stop, and the force stays bounded."""
+    rig, states = bench.rig, []
+    drives = [drive for unit in rig.simulation.arms for drive in unit.drives]
+
+    def note(time_s: float) -> None:
+        moving = sum(drive.automaton.state is PdsState.OPERATION_ENABLED for drive in drives)
+        states.append((time_s, moving, float(np.linalg.norm(rig.world.wrench[:3]))))
+
+    run = rig.run(bench.row_of("A"), bench.first(bench.row_of("A")), MotionOptions(speed=USUAL))
+    decided: list[float] = []
+    plain = run.motion.link.quick_stop
+    run.motion.link.quick_stop = lambda: (decided.append(rig.world.time_s), plain())[1]  # type: ignore[method-assign]
+    rig.world.after.append(note)
+    why = ""
+    try:
+        run.cycle()
+    except (PairStopped, DriveError) as error:
+        why = str(error)
+    rig.world.after.remove(note)
+    run.motion.link.quick_stop = plain  # type: ignore[method-assign]
+    rig.link.disable()
+    period = rig.cell.sync_period_s
+    left = next((time_s for time_s, moving, _ in states if moving == 0), float("nan"))
+    first = next((time_s for time_s, moving, _ in states if moving < len(drives)), float("nan"))
+    after = [force for time_s, _, force in states if decided and time_s >= decided[0]]
+    bench.rows.append(
+        {
+            "tier": "bus",
+            "row": "stop",
+            "seed": rig.seed,
+            "speed": USUAL,
+            "stopped": bool(decided) and "above" in why,
+            "syncs": (left - decided[0]) / period if decided else float("nan"),
+            "apart_syncs": (left - first) / period,
+            "force_at_stop_n": after[0] if after else float("nan"),
+            "force_after_n": max(after, default=float("nan")),
+        }
+    )
+
+
+#: Stages that run in the rig of the seed; `skew` and `step` need rigs of their own.
+STAGES: dict[str, Callable[[Bench], None]] = {
+    "short": short,
+    "others": others,
+    "even": even,
+    "speeds": speeds,
+    "fast": fast,
+    "static": static,
+    "snag": snag,
+    "stop": stop,
+}
+
+
+def skewed(seed: int, nine: TransformFunction) -> list[Row]:
+    """C8 with the slave's SYNC constantly .5 ms late, and late by anew 0 to 1 ms each time."""
+    rows: list[Row] = []
+    for label, skew_s, jitter_s in (("C8 skew .5 ms", 0.5e-3, 0.0), ("C8 jitter 1 ms", 0.0, 1.0e-3)):
+        with pair_rig(seed, {"skew_s": skew_s, "skew_jitter_s": jitter_s}) as rig:
+            bench = Bench(rig, nine, 0)
+            bench.run(label, bench.row_of("C8"), USUAL, LEARNING)
+            rows += bench.rows
+    return rows
+
+
+def halved(seed: int, nine: TransformFunction) -> list[Row]:
+    """Row C1i with the physics step halved."""
+    with pair_rig(seed, {"step_s": 0.125e-3}) as rig:
+        bench = Bench(rig, nine, 0)
+        bench.run("C1i, half the step", bench.row_of("C1i"), USUAL)
+        return bench.rows
+
+
+def run_seed(seed: int, stages: tuple[str, ...], frozen_cycles: int) -> dict[str, Any]:
+    """All stages of one seed: rows, curves, taught points, statistics of the buses."""
+    with pair_rig(seed) as rig:
+        nine, lesson = rig.teach(9)
+        bench = Bench(rig, nine, frozen_cycles)
+        for stage in stages:
+            if stage in STAGES:
+                STAGES[stage](bench)
+        statistics = rig.link.statistics()
+    rows = list(bench.rows)
+    rows += skewed(seed, nine) if "skew" in stages else []
+    rows += halved(seed, nine) if "step" in stages else []
+    return {
+        "seed": seed,
+        "stages": list(stages),
+        "rows": rows,
+        "curves": bench.curves,
+        "points": [point.as_json() for point in lesson.points],
+        "statistics": statistics,
+    }
