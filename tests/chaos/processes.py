@@ -51,8 +51,11 @@ class Drives:
     loaded : the cell
     """
 
-    def __init__(self, folder: Path, edit: Callable[[str], str], bus: str | None = None) -> None:
+    def __init__(
+        self, folder: Path, edit: Callable[[str], str], bus: str | None = None, patience_s: float = 30.0
+    ) -> None:
         self.bus = bus or free_bus()
+        self._patience_s = patience_s
         self._pipe, theirs = FORK.Pipe()
         self._process = FORK.Process(target=_serve, args=(folder, edit, self.bus, theirs))
         self._process.start()
@@ -62,7 +65,7 @@ class Drives:
     def ask(self, *question: Any) -> Any:
         """Have something done there and wait for the answer."""
         self._pipe.send(question)
-        if not self._pipe.poll(30.0):
+        if not self._pipe.poll(self._patience_s):
             raise TimeoutError(f"the drives' process does not answer {question}")
         return self._pipe.recv()
 

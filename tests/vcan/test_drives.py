@@ -25,11 +25,13 @@ from gateway.recording import read
 from sim.faults import Fault
 from tests.chaos.killing import few_samples
 from tests.chaos.processes import Drives, poses
+from tests.vcan.slave_process import PATIENCE
 
 #: An emulated processor that others use as well answers late; nothing here is about time.
-PATIENT = GroupOptions(answer_timeout_s=5.0, gap_timeout_s=2.0)
+PATIENCE_S = {"answer_timeout_s": 1.0 * PATIENCE, "gap_timeout_s": 0.5 * PATIENCE}
+PATIENT = GroupOptions(**PATIENCE_S)
 
-pytestmark = [pytest.mark.vcan, pytest.mark.timeout(200)]
+pytestmark = [pytest.mark.vcan, pytest.mark.timeout(900)]
 
 
 def short_ways(text: str) -> str:
@@ -39,7 +41,13 @@ def short_ways(text: str) -> str:
 
 @pytest.fixture(scope="module")
 def served(vcan: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Drives]:
-    process = Drives(tmp_path_factory.mktemp("vcan"), short_ways, f"socketcan:{vcan}")
+    folder = tmp_path_factory.mktemp("vcan")
+    process = Drives(folder, short_ways, f"socketcan:{vcan}", patience_s=30.0 * PATIENCE)
+    profile = folder / "drive.toml"
+    times = f"slow_timeout_s = {PATIENCE}"
+    profile.write_text(
+        re.sub(r"(?m)^timeout_s = 0.3\nslow_timeout_s = .*$", f"timeout_s = {PATIENCE}\n{times}", profile.read_text())
+    )
     yield process
     process.close()
 
@@ -64,7 +72,7 @@ def enabled(served: Drives, spec: BusSpec) -> Iterator[DriveGroup]:
 def test_bring_up_and_a_short_recording(
     served: Drives, spec: BusSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(opening, "GroupOptions", partial(GroupOptions, answer_timeout_s=5.0, gap_timeout_s=2.0))
+    monkeypatch.setattr(opening, "GroupOptions", partial(GroupOptions, **PATIENCE_S))
     path = tmp_path / "run.h5"
     with open_arm(served.loaded, BusOverride(spec, ledger=tmp_path / "ledger.json")) as opened:
         plan = plan_of_poses(opened.loaded, opened.config, opened.workspace, poses(2))
@@ -98,7 +106,7 @@ def test_burst_of_requests_into_a_short_queue(
     """A scan asks 127 nodes at once; the queue takes four frames: none may be lost, no error may reach the user."""
     with open_bus(spec) as bus:
         with short_queue(4, 1):
-            answers = probe(bus, range(1, 128), timeout_s=2.0)
+            answers = probe(bus, range(1, 128), timeout_s=1.0 * PATIENCE)
         retries = bus.counts["send_retries"]
     assert {node for node, number in answers.items() if number} == {1, 2, 3, 4, 5, 6}
     assert retries > 0

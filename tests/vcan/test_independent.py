@@ -15,7 +15,7 @@ import pytest
 from drives.bus import Bus, BusSpec, open_bus
 from drives.errors import SdoAbort, SdoTimeout
 from drives.sdo import SdoClient
-from tests.vcan.slave_process import IndependentSlave
+from tests.vcan.slave_process import PATIENCE, IndependentSlave
 
 NODE = 5
 MASTER = 127
@@ -43,7 +43,7 @@ def slave(spec: BusSpec, bus: Bus) -> Iterator[IndependentSlave]:
 
 @pytest.fixture
 def sdo(bus: Bus, slave: IndependentSlave) -> Iterator[SdoClient]:
-    client = SdoClient(bus, NODE, timeout_s=2.0)
+    client = SdoClient(bus, NODE, timeout_s=1.0 * PATIENCE)
     yield client
     client.close()
 
@@ -54,7 +54,7 @@ def frames(bus: Bus, can_id: int) -> tuple[list[bytes], Callable[[int, float], N
     bus.subscribe(can_id, lambda _id, data, _time: seen.append(bytes(data)))
 
     def wait(count: int, timeout_s: float) -> None:
-        deadline_s = time.monotonic() + timeout_s
+        deadline_s = time.monotonic() + timeout_s * PATIENCE
         while len(seen) < count and time.monotonic() < deadline_s:
             bus.listen(0.01)
 
@@ -90,7 +90,10 @@ def test_nmt_commands_show_in_the_heartbeat(bus: Bus, slave: IndependentSlave) -
     seen, wait = frames(bus, 0x700 + NODE)
     for command, state in ((0x01, OPERATIONAL), (0x80, PRE_OPERATIONAL), (0x02, STOPPED)):
         bus.send(0x000, bytes([command, NODE]))
-        wait(len(seen) + 3, 2.0)
+        for _ in range(20):
+            wait(len(seen) + 1, 1.0)
+            if seen[-1:] == [bytes([state])]:
+                break
         assert seen[-1] == bytes([state])
 
 
@@ -121,7 +124,7 @@ def test_emergency_arrives_whole(bus: Bus, sdo: SdoClient) -> None:
 
 
 def test_slave_that_dies_is_a_timeout_not_an_old_answer(bus: Bus, slave: IndependentSlave) -> None:
-    client = SdoClient(bus, NODE, timeout_s=0.2)
+    client = SdoClient(bus, NODE, timeout_s=0.1 * PATIENCE)
     assert client.upload(0x1000)
     slave.kill()
     with pytest.raises(SdoTimeout):

@@ -21,7 +21,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
@@ -34,7 +34,9 @@ GUEST_STARTS = "guest: command starts"
 GUEST_ENDS = "guest: command ended"
 KERNEL_META = "linux-image-amd64"
 SYSTEM_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
-TIME_LIMIT_S = 600.0
+TIME_LIMIT_S = 1800.0
+#: Times that a download is tried, and the pause between them [s].
+TRIES, PAUSE_S = 4, 15.0
 PYTEST = (sys.executable, "-m", "pytest", "-p", "no:cacheprovider")
 PASSED_ON = ("SERVO_GATEWAY_DATA", "SERVO_GATEWAY_SLAVE", "HYPOTHESIS_PROFILE")
 
@@ -138,9 +140,26 @@ def provide_tools(install: bool) -> None:
             f"the kernel has no vcan and {', '.join(missing)} is missing for the virtual machine; "
             f"install {' '.join(PACKAGES)}, or run this as root with --install"
         )
-    run(["apt-get", "update", "-qq"], "package lists cannot be read")
     words = ["apt-get", "install", "-y", "-qq", "--no-install-recommends", *PACKAGES]
-    run(words, "packages for the virtual machine cannot be installed", {"DEBIAN_FRONTEND": "noninteractive"})
+
+    def install_all() -> None:
+        run(["apt-get", "update", "-qq"], "package lists cannot be read")
+        run(words, "packages for the virtual machine cannot be installed", {"DEBIAN_FRONTEND": "noninteractive"})
+
+    again(install_all)
+
+
+def again(download: Callable[[], None]) -> None:
+    """Do something that the network may spoil, and do it again if it did."""
+    for attempt in range(TRIES):
+        try:
+            return download()
+        except VcanMissing as missing:
+            if attempt == TRIES - 1:
+                raise
+            print(f"{missing}; once more in {PAUSE_S:.0f} s", flush=True)
+            time.sleep(PAUSE_S)
+    return None
 
 
 def provide_kernel() -> tuple[Path, str]:
@@ -151,13 +170,17 @@ def provide_kernel() -> tuple[Path, str]:
         return unpacked, versions[-1]
     if shutil.which("apt-cache") is None:
         raise VcanMissing("no kernel package can be fetched here (apt-cache is missing)")
-    depends = run(["apt-cache", "depends", KERNEL_META], "the kernel package is unknown")
-    names = re.findall(r"linux-image-\d\S*", depends)
-    if not names:
-        raise VcanMissing(f"{KERNEL_META} names no kernel package; run apt-get update first")
     shutil.rmtree(CACHE, ignore_errors=True)
     CACHE.mkdir(parents=True)
-    run(["apt-get", "download", "-qq", names[0]], f"{names[0]} cannot be fetched", folder=CACHE)
+    names: list[str] = []
+
+    def fetch() -> None:
+        names[:] = re.findall(r"linux-image-\d\S*", kernel_names())
+        if not names:
+            raise VcanMissing(f"{KERNEL_META} names no kernel package")
+        run(["apt-get", "download", "-qq", names[0]], f"{names[0]} cannot be fetched", folder=CACHE)
+
+    again(fetch)
     package = next(CACHE.glob("linux-image-*.deb"))
     run(["dpkg", "-x", str(package), str(unpacked)], f"{package.name} cannot be unpacked")
     package.unlink()
@@ -165,6 +188,18 @@ def provide_kernel() -> tuple[Path, str]:
     run(["depmod", "-b", str(unpacked), version], "module list cannot be made")
     (unpacked / ".complete").touch()
     return unpacked, version
+
+
+def kernel_names() -> str:
+    """What the distribution's kernel package depends on; its lists are read anew where it is not known."""
+    try:
+        found = run(["apt-cache", "depends", KERNEL_META], "the kernel package is unknown")
+    except VcanMissing:
+        found = ""
+    if "linux-image-" in found.replace(KERNEL_META, ""):
+        return found
+    run(["apt-get", "update", "-qq"], "package lists cannot be read")
+    return run(["apt-cache", "depends", KERNEL_META], "the kernel package is unknown")
 
 
 def build_ramdisk(unpacked: Path, version: str, work: Path) -> Path:
