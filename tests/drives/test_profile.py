@@ -27,12 +27,19 @@ def test_every_profile_loads_and_is_named_as_its_file(name):
     assert profile.torque.nature == "measured"
 
 
-def test_the_four_kinds_of_torque_arithmetic_are_there():
+def test_every_kind_of_torque_arithmetic_is_there():
     found = {(profile.torque.kind, profile.torque.object.index) for profile in map(load_profile, list_profiles())}
     assert ("permille_rated_torque", 0x6077) in found
     assert ("permille_rated_current", 0x6077) in found
     assert ("milliampere", 0x30D1) in found
     assert ("permille_rated_torque", 0x3241) in found
+    assert ("internal_unit", 0x6077) in found
+    assert "value" in {_rated_from(load_profile(name)) for name in list_profiles()}
+
+
+def _rated_from(profile):
+    rated = profile.torque.rated
+    return "none" if rated is None else "object" if rated.value is None else "value"
 
 
 @pytest.mark.parametrize("name", list_profiles())
@@ -132,15 +139,27 @@ def test_milliampere():
     assert 100 * scale.offset_nm == pytest.approx(0.1 * 0.2)
 
 
+def test_internal_units():
+    """Technosoft iPOS: A = raw x 2 x I_peak / 65520; only zero may be sent as torque offset."""
+    scale = motor_scale(load_profile("technosoft-ipos8010"), constants(), 0.05)
+    assert 3276 * scale.torque_nm == pytest.approx(3276 * 2 * 20 / 65520 * 0.05)
+    assert scale.offset_nm is None
+    # 16.16 fixed point: 65536 is one increment of 8192 in a millisecond
+    assert 65536 * scale.velocity_rad_s == pytest.approx(2 * math.pi / 8192 * 1000)
+
+
 def test_internal_units_with_rms_and_peak_the_other_way():
-    """Technosoft iPOS style: A = IU x 2 x I_peak / 65520."""
-    text = (PROFILE_FOLDER / "maxon-epos4.toml").read_text()
-    text = text.replace('kind = "milliampere"', 'kind = "internal_unit"').replace(
-        'current_reference = "peak"',
-        'current_reference = "rms"\ninternal_unit_a = { value = 0.001221, source = "2 x 40 A / 65520" }',
-    )
-    scale = motor_scale(parse_profile(text, "x"), constants(offset_rated=0.2), 0.05)
-    assert 1000 * scale.torque_nm == pytest.approx(1.221 * math.sqrt(2) * 0.05)
+    text = (PROFILE_FOLDER / "technosoft-ipos8010.toml").read_text()
+    text = text.replace('current_reference = "peak"', 'current_reference = "rms"')
+    scale = motor_scale(parse_profile(text, "x"), constants(), 0.05)
+    assert 1000 * scale.torque_nm == pytest.approx(1000 * 2 * 20 / 65520 * math.sqrt(2) * 0.05)
+
+
+def test_per_mille_of_a_current_of_the_drive_and_not_of_the_motor():
+    """Kollmorgen AKD: 1000 per mille = DRV.ICONT of the size of drive, 6 A rms; what 0x6075 says plays no part."""
+    scale = motor_scale(load_profile("kollmorgen-akd-x00606"), constants(torque_rated=6.0), 0.4)
+    assert 250 * scale.torque_nm == pytest.approx(0.25 * 6.0 * 0.4)
+    assert 250 * scale.offset_nm == pytest.approx(0.25 * 6.0 * 0.4)
 
 
 def test_counts_and_velocity():
