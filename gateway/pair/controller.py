@@ -7,11 +7,9 @@ two cycles: functions are exchanged at m = 0, corrections start from nothing the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from gateway.errors import InputError, PlanRefused
+from gateway.errors import ConfigError, InputError, PlanRefused
 from gateway.pair.calibration import PairCalibration, PathWrenches
 from gateway.pair.embodiments import Embodiment
 from gateway.pair.force import dead_band
@@ -19,56 +17,10 @@ from gateway.pair.function import TransformFunction
 from gateway.pair.impedance import Admittance, lag_of_correction_s, refuse_unstable
 from gateway.pair.learner import Cycle, Learned, Learner
 from gateway.pair.path import PairPath
+from gateway.pair.summary import ControllerState, CycleSummary
 from gateway.pair.transform import Floats, apply_correction, corrected_pose, correction_between, inverse
 
 WAY_TOLERANCE = 1e-4
-
-
-@dataclass(frozen=True, slots=True)
-class CycleSummary:
-    """One finished cycle.
-
-    Attributes
-    ----------
-    cycle : number, from 1
-    complete : every command was run, with every epoch complete
-    learned : whether the second function was rebuilt from it
-    reason : why not, "" where there is nothing to say
-    function : "first" or "second", what the slave followed
-    knots : of that function
-    force_n, moment_nm : largest internal force and moment as estimated, NaN where no force is measured
-    at_command : index of the largest force, -1 = none
-    correction_m, correction_rad : largest correction of the slave
-    change_m, change_rad : how far the knots of the second function moved, NaN where it was not rebuilt
-    """
-
-    cycle: int
-    complete: bool
-    learned: bool
-    reason: str
-    function: str
-    knots: int
-    force_n: float
-    moment_nm: float
-    at_command: int
-    correction_m: float
-    correction_rad: float
-    change_m: float
-    change_rad: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ControllerState:
-    """What the controller holds between two cycles."""
-
-    cycle: int
-    frozen: bool
-    first: TransformFunction
-    second: TransformFunction | None
-    in_use: str
-    points: np.ndarray
-    margin: float
-    lead_s: float
 
 
 class PairController:
@@ -84,7 +36,7 @@ class PairController:
     Raises
     ------
     ConfigError
-        Impedance too close to oscillation.
+        Impedance too close to oscillation; hands that yield without effect.
     InputError
         The function reaches beyond the path.
     """
@@ -103,14 +55,21 @@ class PairController:
         self._hands = [Admittance(gains, path.dt_s) if arm in yielding else None for arm in (0, 1)]
         self._distance = config.sensing == "distance"
         stiffness = np.eye(6) if self._distance else calibration.chain_stiffness
-        self._margin = refuse_unstable(config.gains, stiffness, calibration.loop_time_s) if yielding else np.inf
         self._band = np.repeat(np.asarray(config.dead_band, dtype=float), 3)
         self._banded = bool(self._band.any())
         self._shared = inverse(calibration.w_t_b2) @ calibration.w_t_b1
         slave = self._shared @ path.commands @ first_function.many(path.s_m)
         self._wrenches = PathWrenches(calibration, path, slave)
+        tips = (calibration.w_t_b1 @ path.commands[0])[:3, 3], (calibration.w_t_b2 @ slave[0])[:3, 3]
+        levers = [tips[1] - tips[arm] for arm in yielding]
+        self._margin = refuse_unstable(gains, stiffness, calibration.loop_time_s, levers) if levers else np.inf
         rule = config.learning
         self._figure = 0 if rule is None else rule.figure
+        if config.corrects == "master" and self._figure == 14:
+            raise ConfigError(
+                "pair: with fig. 14 the slave follows the master's corrected command, so a master that yields alone"
+                " changes nothing between the hands; let the slave yield too, or use fig. 15"
+            )
         self._lead_s = 0.0
         if rule is not None and yielding:
             estimate = lag_of_correction_s(config.gains, stiffness, calibration.loop_time_s)
@@ -129,8 +88,9 @@ class PairController:
                 admittance.reset()
         self._function = self.function
         self._relations = self._function.many(self._path.s_m)
-        if self._learner is not None and self._figure == 15 and self._hands[0] is not None:
-            commands = apply_correction(commands, self._learner.master_mean)
+        if self._learner is not None and self._learner.master_offset.any():
+            commands = apply_correction(commands, self._learner.master_offset)
+        self._master_base = commands
         self._slave_base = self._shared @ commands @ self._relations
         self._corrections = np.zeros((count, 2, 6))
         self._measured = np.full((count, 2, 4, 4), np.nan)
@@ -176,7 +136,7 @@ class PairController:
             self._force[m] = felt
         elif self._hands and self._blind < 0:
             self._blind = m
-        master, slave = self._path.commands[m], self._slave_base[m]
+        master, slave = self._master_base[m], self._slave_base[m]
         if self._hands[0] is not None:
             master = corrected_pose(master, self._yield(0, m, felt))
             if self._figure == 14:
@@ -214,7 +174,7 @@ class PairController:
         reason = self._reason(complete)
         learned = Learned(False, len(self._function))
         if not reason and self._learner is not None:
-            learned = self._learner.learn(Cycle(self._slave_base, self._to_learn(), self._force))
+            learned = self._learner.learn(Cycle(self._master_base, self._slave_base, self._to_learn(), self._force))
         size = np.linalg.norm(self._force[:, :3], axis=1)
         known = bool(size.any())
         correction = np.linalg.norm(self._corrections[:, 1].reshape(-1, 2, 3), axis=2).max(axis=0)
@@ -256,7 +216,7 @@ class PairController:
         source = "command" if self._config.learning is None else self._config.learning.source
         corrections = self._corrections.copy()
         if source != "command":
-            corrections[:, 0] = correction_between(self._measured[:, 0], self._path.commands)
+            corrections[:, 0] = correction_between(self._measured[:, 0], self._master_base)
         if source == "measured":
             corrections[:, 1] = correction_between(self._measured[:, 1], self._slave_base)
         return corrections

@@ -9,13 +9,14 @@ largest eigenvalue of `D^-1 K_tot` counts.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gateway.errors import ConfigError
-from gateway.pair.transform import Floats
+from gateway.pair.transform import Floats, cross_matrix
 
 #: A configuration below this distance to oscillation is refused; 1.5 is wise, 2 better.
 LEAST_MARGIN = 1.0
@@ -89,25 +90,50 @@ class Admittance:
         return self._x
 
 
-def stability_margin(gains: Gains, chain_stiffness: ArrayLike, loop_time_s: float) -> float:
+def mobility(gains: Gains, levers_m: Sequence[ArrayLike]) -> Floats:
+    """How fast (6, 6) the gap at fingertip 2 closes per wrench there, by all yielding hands together.
+
+    Parameters
+    ----------
+    gains : Gains
+        Of each hand.
+    levers_m : sequence of arrays of shape (3,)
+        From the fingertip of each yielding hand to fingertip 2: a hand that turns sweeps the far end of the part along
+        with it, so a yielding master needs far more damping against turning than a yielding slave.
+    """
+    total = np.zeros((6, 6))
+    for lever in levers_m:
+        sweep = np.eye(6)
+        sweep[:3, 3:] = -cross_matrix(lever)
+        total += (sweep / np.repeat(gains.damping, 3)) @ sweep.T
+    return total
+
+
+def stability_margin(
+    gains: Gains, chain_stiffness: ArrayLike, loop_time_s: float, levers_m: Sequence[ArrayLike] = (np.zeros(3),)
+) -> float:
     """How many times the damping is above the one at which the loop starts to oscillate.
 
     Parameters
     ----------
     gains : Gains
     chain_stiffness : array of shape (6, 6)
-        Of gears and workpiece between the hands, `[N/m; Nm/rad]`, about the corrected fingertip.
+        Of gears and workpiece between the hands, `[N/m; Nm/rad]`, about fingertip 2.
     loop_time_s : float
         Servo lag + bus delay + force filter + half a cycle.
+    levers_m : sequence of arrays of shape (3,)
+        As in `mobility`; the slave alone unless given.
     """
     stiffness = np.asarray(chain_stiffness, dtype=float)
-    root = 1.0 / np.sqrt(np.repeat(gains.damping, 3))
-    crossover = float(np.linalg.eigvalsh(root[:, None] * (0.5 * (stiffness + stiffness.T)) * root)[-1])
+    closing = mobility(gains, levers_m) @ (0.5 * (stiffness + stiffness.T))
+    crossover = float(np.abs(np.linalg.eigvals(closing)).max())
     inertia_s = max(mass / damping for mass, damping in zip(gains.inertia, gains.damping, strict=True))
     return (math.pi / 2.0) / (crossover * (loop_time_s + inertia_s))
 
 
-def refuse_unstable(gains: Gains, chain_stiffness: ArrayLike, loop_time_s: float) -> float:
+def refuse_unstable(
+    gains: Gains, chain_stiffness: ArrayLike, loop_time_s: float, levers_m: Sequence[ArrayLike] = (np.zeros(3),)
+) -> float:
     """Margin of stability of a configuration that may be used.
 
     Raises
@@ -115,7 +141,7 @@ def refuse_unstable(gains: Gains, chain_stiffness: ArrayLike, loop_time_s: float
     ConfigError
         Margin below 1; says what damping would do.
     """
-    margin = stability_margin(gains, chain_stiffness, loop_time_s)
+    margin = stability_margin(gains, chain_stiffness, loop_time_s, levers_m)
     if not margin >= LEAST_MARGIN:
         needed = tuple(value * 2.0 / margin for value in gains.damping)
         raise ConfigError(

@@ -30,9 +30,17 @@ SETTLED_CYCLES = 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cycle:
-    """What one complete cycle has shown: slave's commands before correction (M, 4, 4), corrections (M, 2, 6), internal
-    wrench (M, 6)."""
+    """What one complete cycle has shown.
 
+    Attributes
+    ----------
+    master_base, slave_base : arrays of shape (M, 4, 4)
+        Commands before correction [m].
+    corrections : array of shape (M, 2, 6)
+    force : array of shape (M, 6), internal wrench
+    """
+
+    master_base: Floats
     slave_base: Floats
     corrections: Floats
     force: Floats
@@ -59,6 +67,13 @@ class Learner:
     first : TransformFunction
     lead : int
         How many commands later a correction is read.
+
+    Attributes
+    ----------
+    master_offset : array of shape (M, 6)
+        What the master has taken over of its own corrections (fig. 15). A mean that is only lent to the slave would
+        outlive its cause: once the function holds what both hands did, the force goes, the master no longer yields,
+        and the slave would still follow where it had.
     """
 
     def __init__(
@@ -73,7 +88,7 @@ class Learner:
     def reset(self) -> None:
         """Forget all that was learned."""
         self.second: TransformFunction | None = None
-        self.master_mean = np.zeros((len(self._path), 6))
+        self.master_offset = np.zeros((len(self._path), 6))
         self._store.clear()
         self._points = np.unique(np.append(self._path.nearest(self.first.s_m), [0, len(self._path) - 1]))
         self._forces: list[Floats] = []
@@ -82,7 +97,7 @@ class Learner:
         self._settled = 0
         self._in_use = False
         self._first_force = np.inf
-        self._last_change = np.inf
+        self._last_change, self._growing = np.inf, 0
 
     @property
     def in_use(self) -> TransformFunction:
@@ -103,7 +118,7 @@ class Learner:
         stored = self._store.corrections
         width = round(0.5 * self._rule.smooth_s / self._path.dt_s)
         typical = led(smoothed(representative(stored, self._rule.kind), width), self._lead)
-        raw = raw_relation(self._calibration.bases, self._path.commands, self._slave_of(cycle, typical), typical)
+        raw = raw_relation(self._calibration.bases, cycle.master_base, self._slave_of(cycle, typical), typical)
         present = self.in_use.many(self._path.s_m)
         before = local(present, self._reference)
         change = local(raw, self._reference) - before
@@ -117,14 +132,15 @@ class Learner:
         if self._rule.selection is not None and self._rule.selection.keep == "union":
             function = prune(self._rule.selection, function)
             self._points = self._path.nearest(function.s_m)
-        return self._take(function, cycle)
+        taken_over = self._rule.figure == 15 and self._rule.source == "command"
+        return self._take(function, cycle, typical[:, 0] if taken_over else np.zeros_like(typical[:, 0]))
 
     def _slave_of(self, cycle: Cycle, typical: Floats) -> Floats:
         """Slave's second learning commands: the function applied to the corrected commands of the master (fig. 14)."""
         if self._rule.figure == 15:
             return cycle.slave_base
         shared = inverse(self._calibration.w_t_b2) @ self._calibration.w_t_b1
-        return shared @ apply_correction(self._path.commands, typical[:, 0]) @ self.in_use.many(self._path.s_m)
+        return shared @ apply_correction(cycle.master_base, typical[:, 0]) @ self.in_use.many(self._path.s_m)
 
     def _choose_points(self, correction: Floats) -> None:
         if self._rule.selection is None:
@@ -135,21 +151,22 @@ class Learner:
         scores = score(self._rule.selection, record, self._path)
         self._points = select(self._rule.selection, scores, self._path, self._points)
 
-    def _take(self, function: TransformFunction, cycle: Cycle) -> Learned:
-        """Put a rebuilt function in place of the second one."""
+    def _take(self, function: TransformFunction, cycle: Cycle, master: Floats) -> Learned:
+        """Put a rebuilt function in place of the second one, and the master's correction (M, 6) into its commands."""
         ways = self._path.s_m
         last = self.first if self.second is None else self.second
         change_m, change_rad = largest_change(function.many(ways)[self._points], last.many(ways)[self._points])
         present = self.in_use
-        self.master_mean = self._store.corrections[:, :, 0].mean(axis=0)
         self.second = function
+        moved_master = apply_correction(cycle.master_base, master)
+        self.master_offset = correction_between(moved_master, self._path.commands)
         self._choose(float(np.linalg.norm(cycle.force[:, :3], axis=1).max()), change_m, change_rad)
         if self._rule.schedule == "block":
             self._store.clear()
-        elif self.in_use is not present:
+        else:
             shared = inverse(self._calibration.w_t_b2) @ self._calibration.w_t_b1 @ self._path.commands
             moved = correction_between(shared @ self.in_use.many(ways), shared @ present.many(ways))
-            self._store.rereference(moved)
+            self._store.rereference(np.stack([master, moved], axis=1))
         return Learned(True, len(function), change_m, change_rad)
 
     def _choose(self, force: float, change_m: float, change_rad: float) -> None:
@@ -157,7 +174,7 @@ class Learner:
 
         With "convergence" the second one is used once its knots have moved less than 0.05 mm and 0.2 mrad in two
         successive updates, and given up when the force exceeds that of the last cycle under the first function or when
-        the knots move by more than that and ever further.
+        the knots move by more than that and further twice in a row.
         """
         if self._rule.choice == "always":
             self._in_use = True
@@ -167,6 +184,9 @@ class Learner:
             self._first_force = force
             self._settled = self._settled + 1 if small else 0
             self._in_use = self._settled >= SETTLED_CYCLES
-        elif force > self._first_force or (not small and change_m > self._last_change):
-            self._in_use, self._settled = False, 0
+            self._last_change, self._growing = np.inf, 0
+            return
+        self._growing = self._growing + 1 if not small and change_m > self._last_change else 0
         self._last_change = change_m
+        if force > self._first_force or self._growing >= SETTLED_CYCLES:
+            self._in_use, self._settled = False, 0

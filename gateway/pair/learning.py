@@ -75,8 +75,8 @@ class LearningRule:
     lead_s : how much later than the command its correction is read; None = damping/stiffness + loop time
     smooth_s : width of the symmetric mean over the commands around the one that is read; what changes faster than the
         correction can follow would otherwise build up from update to update where learning points are close
-    figure : 14: the slave follows the master's corrected command; 15: the stored command plus the mean of the
-        master's stored corrections, which keeps the master's momentary correction away from the slave
+    figure : 14: the slave follows the master's corrected command; 15: the stored command plus the master's
+        representative correction, which keeps the master's momentary correction away from the slave
     forgetting : Forgetting
     selection : where the learning points belong (embodiment 8); None = where the first function has its knots
     choice : "always" uses a learned function from the next cycle on, "convergence" once it has settled

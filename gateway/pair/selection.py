@@ -1,9 +1,10 @@
 """Where along the path the learning points belong (CN104379308 embodiment 8, fig. 16).
 
 Every feature gives a value per command; divided by its threshold it is a score, and commands whose score reaches 1 are
-candidates at its local maxima. The best ones are accepted first, apart in time and in way. Start and end always
-belong. Old points stay (union): a region that is well learned shows no force any more, and without its points the
-force would come back. Taking the new points alone (replace) is the patent's text, kept for comparison.
+candidates at its local maxima (all of a level stretch). The best ones are accepted first, apart in time and in way.
+Position and time confine the other features under "all". Start and end always belong. Old points stay (union): a region
+that is well learned shows no force any more, and without its points the force would come back. Taking the new points
+alone (replace) is the patent's text, kept for comparison.
 """
 
 from __future__ import annotations
@@ -99,7 +100,12 @@ def score(selection: Selection, record: Record, path: PairPath) -> Floats:
     each = np.array([_value(feature, record, path) / feature.threshold for feature in selection.features])
     if selection.combination == "any":
         return each.max(axis=0)
-    return each.min(axis=0) if selection.combination == "all" else each.sum(axis=0)
+    if selection.combination == "sum":
+        return each.sum(axis=0)
+    confines = np.array([feature.kind in ("position", "time") for feature in selection.features])
+    if confines.all():
+        return each.min(axis=0)
+    return each[~confines].min(axis=0) * each[confines].all(axis=0)
 
 
 def select(selection: Selection, scores: ArrayLike, path: PairPath, present: ArrayLike) -> np.ndarray:
@@ -122,7 +128,7 @@ def select(selection: Selection, scores: ArrayLike, path: PairPath, present: Arr
     if selection.keep == "union":
         chosen += [int(index) for index in np.asarray(present) if 0 < index < len(path) - 1]
     inner = value[1:-1]
-    peak = (inner >= 1.0) & (inner >= value[:-2]) & (inner > value[2:])
+    peak = (inner >= 1.0) & (inner >= value[:-2]) & (inner >= value[2:])
     candidates = np.flatnonzero(peak) + 1
     for index in candidates[np.argsort(-value[candidates], kind="stable")]:
         if len(chosen) >= selection.largest_count:

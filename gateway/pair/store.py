@@ -57,12 +57,12 @@ class CorrectionStore:
         self._kept = []
 
     def rereference(self, change: ArrayLike) -> None:
-        """Subtract from the slave's stored corrections what the function has since taken over.
+        """Subtract from the stored corrections what the commands have since taken over.
 
         Parameters
         ----------
-        change : array of shape (M, 6)
-            Change of the slave's command by the new function, base axes.
+        change : array of shape (M, 2, 6)
+            Change of the commands of master and slave by what was learned, base axes.
         """
         for cycle in self._kept:
-            cycle[:, 1] -= np.asarray(change, dtype=float)
+            cycle -= np.asarray(change, dtype=float)

@@ -1,0 +1,30 @@
+"""When the force stops both arms."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from gateway.errors import ConfigError
+from gateway.pair.guard import ForceGuard
+
+
+def test_trips_after_more_than_20_ms_above_twice_the_limit() -> None:
+    guard = ForceGuard(40.0, 0.004)
+    assert [guard.step(81.0) for _ in range(7)] == [False] * 5 + [True] * 2
+
+
+def test_short_peaks_and_forces_below_do_not_trip_and_a_trip_stays() -> None:
+    guard = ForceGuard(40.0, 0.004)
+    for _ in range(50):
+        assert not any(guard.step(200.0) for _ in range(5))
+        assert not guard.step(80.0)
+    for _ in range(6):
+        guard.step(math.nan)
+    assert guard.step(0.0)
+
+
+def test_useless_limits_are_refused() -> None:
+    with pytest.raises(ConfigError, match="force guard"):
+        ForceGuard(0.0, 0.004)

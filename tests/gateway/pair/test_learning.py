@@ -1,0 +1,187 @@
+"""Learning on the run: forgetting, lead, representative relations, and a scalar pair that has to converge."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gateway.errors import ConfigError
+from gateway.pair.calibration import PairCalibration
+from gateway.pair.function import TransformFunction, function_of_knots
+from gateway.pair.learner import Cycle, Learner
+from gateway.pair.learning import Forgetting, LearningRule, from_local, led, local, raw_relation, smoothed
+from gateway.pair.path import PairPath
+from gateway.pair.relation import relation, slave_command
+from gateway.pair.selection import Feature, Selection
+from gateway.pair.transform import apply_correction, correction_between
+
+FIXED = np.eye(4)
+FIXED[0, 3] = 0.4
+
+
+def first_function(path: PairPath, count: int = 9) -> TransformFunction:
+    points = path.uniform(count)
+    return function_of_knots(path.s_m[points], np.tile(FIXED, (len(points), 1, 1)))
+
+
+def true_commands(path: PairPath, cell: PairCalibration) -> np.ndarray:
+    """Slave's commands that would leave no force: millimetres off, smoothly along the way."""
+    nominal = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, FIXED)
+    u = path.s_m / path.length_m
+    off = np.stack([1e-3 * np.sin(3 * u), 2e-3 * u, 1e-3 * u**2, 2e-3 * u, 1e-3 * np.cos(2 * u), 1e-3 * u], axis=1)
+    return apply_correction(nominal, off)
+
+
+def run_cycles(learner: Learner, path: PairPath, cell: PairCalibration, count: int, gain: float = 0.8) -> list[float]:
+    """Cycles in which the hand takes the share `gain` of every mismatch away; largest mismatch per cycle."""
+    wanted, largest = true_commands(path, cell), []
+    for _ in range(count):
+        base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learner.in_use.many(path.s_m))
+        mismatch = correction_between(wanted, base)
+        largest.append(float(np.abs(mismatch).max()))
+        corrections = np.stack([np.zeros_like(mismatch), gain * mismatch], axis=1)
+        learner.learn(Cycle(path.commands, base, corrections, 1e5 * mismatch))
+    return largest
+
+
+def learner_of(rule: LearningRule, path: PairPath, cell: PairCalibration, lead: int = 0) -> Learner:
+    return Learner(rule, path, cell, first_function(path), lead)
+
+
+def test_forgetting_has_the_stated_bias_and_limit() -> None:
+    rule = Forgetting(gamma=0.05, phi=0.6)
+    for gain in (1.0, 0.5):
+        u = 0.0
+        for _ in range(500):
+            u = float(rule.update(np.array([u]), np.array([gain * (1.0 - u)]), np.zeros(1), 4.0)[0])
+        assert 1.0 - u == pytest.approx(rule.bias(gain), rel=1e-9)
+        assert rule.bias(gain) == pytest.approx(0.05 / (0.05 + 0.6 * gain))
+    assert not rule.converges(4.0)
+    assert rule.converges(1.0)
+    with pytest.raises(ConfigError, match="does not converge"):
+        Forgetting(phi=2.1)
+    with pytest.raises(ConfigError, match="gamma"):
+        Forgetting(gamma=1.0)
+
+
+def test_change_rate_enters_with_its_gain() -> None:
+    rule = Forgetting(gamma=0.0, phi=0.5, psi_s=0.2)
+    assert rule.update(np.array([1.0]), np.array([0.4]), np.array([0.1]), 2.0)[0] == pytest.approx(1.0 + 0.2 + 0.03)
+
+
+def test_lead_and_symmetric_mean() -> None:
+    values = np.arange(10.0)[:, None]
+    assert led(values, 3)[:, 0].tolist() == [3, 4, 5, 6, 7, 8, 9, 9, 9, 9]
+    assert np.array_equal(smoothed(values, 0), values)
+    assert np.allclose(smoothed(values, 2), values)
+    peak = np.zeros((9, 1))
+    peak[4] = 1.0
+    assert np.allclose(smoothed(peak, 1)[:, 0], [0, 0, 0, 1 / 3, 1 / 3, 1 / 3, 0, 0, 0])
+
+
+def test_local_coordinates_come_back(path: PairPath) -> None:
+    reference = path.commands[:20]
+    coordinates = np.random.default_rng(0).normal(scale=0.1, size=(20, 6))
+    assert np.allclose(local(from_local(coordinates, reference), reference), coordinates, atol=1e-13)
+
+
+def test_raw_relation_is_that_of_the_corrected_commands(path: PairPath, cell: PairCalibration) -> None:
+    corrections = np.random.default_rng(0).normal(scale=1e-3, size=(len(path), 2, 6))
+    base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, FIXED)
+    raw = raw_relation(cell.bases, path.commands, base, corrections)
+    k = 33
+    expected = relation(
+        cell.w_t_b1,
+        apply_correction(path.commands[k], corrections[k, 0]),
+        cell.w_t_b2,
+        apply_correction(base[k], corrections[k, 1]),
+    )
+    assert np.allclose(raw[k], expected, atol=1e-14)
+
+
+def test_every_cycle_contracts_to_the_interpolation_error(path: PairPath, cell: PairCalibration) -> None:
+    largest = run_cycles(learner_of(LearningRule(smooth_s=0.0), path, cell), path, cell, 8)
+    assert largest[1] == pytest.approx(0.2 * largest[0], rel=0.1)
+    assert largest[-1] < 0.03 * largest[0]
+
+
+@pytest.mark.parametrize("kind", ["mean", "weighted", "median", "mode"])
+def test_blocks_update_once_per_r_cycles(path: PairPath, cell: PairCalibration, kind: str) -> None:
+    rule = LearningRule(cycles=3, kind=kind, smooth_s=0.0)  # type: ignore[arg-type]
+    largest = run_cycles(learner_of(rule, path, cell), path, cell, 13)
+    assert largest[0] == largest[1] == largest[2]
+    assert largest[3] == pytest.approx(0.2 * largest[0], rel=0.1)
+    assert largest[-1] < 0.03 * largest[0]
+
+
+def test_rereferenced_rebuild_converges_with_five_cycles(path: PairPath, cell: PairCalibration) -> None:
+    rule = LearningRule(cycles=5, schedule="rereferenced", smooth_s=0.0)
+    largest = run_cycles(learner_of(rule, path, cell), path, cell, 20, gain=1.0)
+    assert max(largest[10:]) < 0.03 * largest[0]
+
+
+def test_sliding_rebuild_is_refused_with_the_reason() -> None:
+    with pytest.raises(ConfigError, match=r"unstable from R = 5 on"):
+        LearningRule(cycles=5, schedule="sliding")  # type: ignore[arg-type]
+
+
+def test_forgetting_keeps_a_share_of_the_first_function(path: PairPath, cell: PairCalibration) -> None:
+    forgetting = Forgetting(gamma=0.1, phi=0.5)
+    rule = LearningRule(forgetting=forgetting, smooth_s=0.0)
+    largest = run_cycles(learner_of(rule, path, cell), path, cell, 60, gain=1.0)
+    assert largest[-1] / largest[0] == pytest.approx(forgetting.bias(1.0), abs=0.02)
+
+
+def test_phase_lead_finds_the_error_of_a_late_correction(path: PairPath, cell: PairCalibration) -> None:
+    late, wanted = 5, true_commands(path, cell)
+    after = []
+    for lead in (0, late):
+        learner = Learner(LearningRule(smooth_s=0.0), path, cell, first_function(path, 40), lead)
+        base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learner.in_use.many(path.s_m))
+        mismatch = correction_between(wanted, base)
+        delayed = mismatch[np.maximum(np.arange(len(path)) - late, 0)]
+        learner.learn(Cycle(path.commands, base, np.stack([0 * delayed, delayed], axis=1), delayed))
+        again = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learner.in_use.many(path.s_m))
+        after.append(np.abs(correction_between(wanted, again))[late:-late].max())
+    assert after[1] < 0.2 * after[0]
+
+
+def test_second_function_is_used_once_it_has_settled(path: PairPath, cell: PairCalibration) -> None:
+    learner = learner_of(LearningRule(choice="convergence", smooth_s=0.0), path, cell)
+    first = learner.first
+    used = []
+    for _ in range(5):
+        run_cycles(learner, path, cell, 1)
+        used.append(learner.in_use is first)
+    assert used == [True, True, False, False, False]
+    base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learner.in_use.many(path.s_m))
+    jump = np.full((len(path), 2, 6), 1e-3)
+    learner.learn(Cycle(path.commands, base, jump, np.full((len(path), 6), 1e4)))
+    assert learner.in_use is first
+
+
+def test_reset_forgets_everything(path: PairPath, cell: PairCalibration) -> None:
+    learner = learner_of(LearningRule(), path, cell)
+    run_cycles(learner, path, cell, 3)
+    assert learner.in_use is not learner.first
+    learner.reset()
+    assert learner.in_use is learner.first
+    assert learner.second is None
+
+
+def test_points_grow_where_force_acts_and_old_ones_stay(path: PairPath, cell: PairCalibration) -> None:
+    selection = Selection(features=(Feature("force", 10.0),), largest_count=14)
+    learner = learner_of(LearningRule(selection=selection, smooth_s=0.0), path, cell)
+    before = set(learner.points.tolist())
+    base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, FIXED)
+    bump = np.exp(-0.5 * ((np.arange(len(path)) - 108.0) / 4.0) ** 2)
+    corrections = np.zeros((len(path), 2, 6))
+    corrections[:, 1, 0] = 1e-3 * bump + 1e-4 * np.sin(np.arange(len(path)) / 9.0)
+    force = np.zeros((len(path), 6))
+    force[:, 0] = 50.0 * bump
+    learner.learn(Cycle(path.commands, base, corrections, force))
+    assert 108 in set(learner.points.tolist()) - before
+    off = correction_between(
+        slave_command(cell.w_t_b1, path.commands[108], cell.w_t_b2, learner.in_use.at(float(path.s_m[108]))), base[108]
+    )
+    assert off[0] == pytest.approx(1e-3, rel=0.15)

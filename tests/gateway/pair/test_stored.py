@@ -1,0 +1,97 @@
+"""Functions as files: everything comes back, nothing foreign is taken."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from gateway.errors import InputError
+from gateway.pair.function import TransformFunction
+from gateway.pair.stored import StoredFunction, from_json, refuse_foreign, to_json
+
+
+def example() -> StoredFunction:
+    rng = np.random.default_rng(3)
+    turn = Rotation.from_rotvec(0.1 * rng.normal(size=(4, 3))).as_matrix()
+    function = TransformFunction(np.cumsum(rng.uniform(0.1, 0.2, 4)), rng.normal(size=(4, 3)), turn)
+    return StoredFunction(function, "ab" * 32, "cd" * 32, "second", "command", 1.5, "2026-01-31T12:00:00Z", "C8", 12)
+
+
+def test_everything_comes_back_to_the_last_bit() -> None:
+    stored = example()
+    again = from_json(to_json(stored), "f.json")
+    assert np.array_equal(again.function.knots, stored.function.knots)
+    assert np.array_equal(again.function.s_m, stored.function.s_m)
+    for name in ("path_hash", "cell_hash", "stage", "learn_source", "speed", "date", "embodiment", "cycles"):
+        assert getattr(again, name) == getattr(stored, name)
+
+
+def test_file_states_units_frames_and_origin() -> None:
+    document = json.loads(to_json(example()))
+    assert document["units"] == {"s_m": "m", "position_m": "m", "rotation": "1"}
+    assert set(document["frames"]) == {"from", "to"}
+    assert document["learn_source"] == "command"
+    assert document["speed"] == 1.5
+
+
+def test_other_path_and_other_cell_are_refused_with_the_reason() -> None:
+    stored = example()
+    refuse_foreign(stored, "ab" * 32, "cd" * 32, "f.json")
+    with pytest.raises(InputError, match=r"f\.json: is valid for another path"):
+        refuse_foreign(stored, "00" * 32, "cd" * 32, "f.json")
+    with pytest.raises(InputError, match=r"f\.json: was made in another cell"):
+        refuse_foreign(stored, "ab" * 32, "00" * 32, "f.json")
+
+
+def damaged(change: dict[str, object]) -> str:
+    return json.dumps(json.loads(to_json(example())) | change)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "not readable"),
+        ("[]", "no stored transform function"),
+        (damaged({"kind": "x"}), "no stored transform function"),
+        (damaged({"schema": 2}), "schema 2"),
+        (damaged({"units": {"s_m": "mm"}}), "units"),
+        (damaged({"stage": "third"}), "stage"),
+        (damaged({"path_hash": 3}), "path_hash"),
+        (damaged({"speed": "fast"}), "speed"),
+        (damaged({"speed": -1}), "speed"),
+        (damaged({"knots": []}), "knots"),
+        (damaged({"knots": [{"s_m": 0.0}]}), "a knot has no"),
+        (damaged({"knots": [{"s_m": 0.0, "position_m": [0, 0], "rotation": [[1, 0, 0]]}]}), "needs N ways"),
+        (damaged({"knots": [{"s_m": "a", "position_m": [0, 0, 0], "rotation": [[1, 0, 0]] * 3}]}), "f.json"),
+    ],
+)
+def test_damaged_files_are_refused(text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        from_json(text, "f.json")
+
+
+def test_knots_out_of_order_are_refused() -> None:
+    document = json.loads(to_json(example()))
+    document["knots"].reverse()
+    with pytest.raises(InputError, match="out of order"):
+        from_json(json.dumps(document), "f.json")
+
+
+@given(
+    st.recursive(
+        st.none() | st.booleans() | st.floats() | st.text(max_size=5), lambda inner: st.lists(inner, max_size=4)
+    )
+)
+def test_any_knots_either_load_or_are_refused(value: object) -> None:
+    document = json.loads(to_json(example()))
+    document["knots"][1]["position_m"] = value
+    try:
+        loaded = from_json(json.dumps(document), "f.json")
+    except InputError:
+        return
+    assert np.isfinite(loaded.function.position_m).all()
