@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from gateway.diagnose.motion_effects import parameters_of
 from gateway.diagnose.motion_fit import Problem
 from gateway.diagnose.motion_load import friction_level, loads_of
+from gateway.diagnose.motion_pictures import pictures
 from gateway.diagnose.motion_select import Chosen
 from gateway.diagnose.motion_state import State
 from gateway.diagnose.motion_trial import Trial
@@ -42,6 +43,7 @@ def result_of(outcome: Outcome) -> Result:
     undecided = bool(doubtful) and not effects
     if undecided:
         effects = tuple(part for item in doubtful for part in _rivals(problem, after, item, _tried(outcome)))
+    drawn = [item.terms for item in outcome.effects]
     before = outcome.as_read if outcome.as_read is not None else outcome.before
     loads = loads_of(problem, after, outcome.known)
     return Result(
@@ -58,6 +60,7 @@ def result_of(outcome: Outcome) -> Result:
         findings=(*_faults(effects), *_remarks(outcome)),
         provenance=_provenance(problem, outcome),
         rows=_rows(problem, after),
+        extra={"data": pictures(problem, outcome.before, after, drawn, _kept(problem))},
     )
 
 
@@ -225,10 +228,14 @@ def _provenance(problem: Problem, outcome: Outcome) -> dict[str, object]:
     }
 
 
+def _kept(problem: Problem) -> NDArray[np.int_]:
+    """Rows that the result file keeps."""
+    return np.arange(0, len(problem.motion), max(1, int(np.ceil(len(problem.motion) / ROWS_KEPT))))
+
+
 def _rows(problem: Problem, state: State) -> Rows:
     motion = problem.motion
-    step = max(1, int(np.ceil(len(motion) / ROWS_KEPT)))
-    kept = np.arange(0, len(motion), step)
+    kept = _kept(problem)
 
     def matrix(values: Floats) -> tuple[tuple[float, ...], ...]:
         return tuple(_six(row) for row in values[kept])

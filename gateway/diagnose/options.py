@@ -35,7 +35,8 @@ class DiagnoseOptions:
 
     Attributes
     ----------
-    inertials : "exact", "prior:S", "ignore"; None = prior:0.05 where the robot has inertials
+    inertials : "exact", "prior:S", "ignore"; None = at rest prior:0.05 where the robot has inertials, in moving runs
+        the trust that the data themselves support
     known : label -> (mass [kg], x, y, z [m] in link 6) of loads that were weighed
     bare : stored bare identification
     holdout : rows that no fit may see

@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 
 from gateway.model.motion import PER_BODY, Motion
 from gateway.model.regressor import regressor
-from gateway.model.robot import AXES, Robot
+from gateway.model.robot import AXES, SHORTEST_M, Robot, link_lengths_m
 
 Floats = NDArray[np.float64]
 
 BARE = "none"
 EXACT = 1e-4
 TIGHT_OFFSET = 0.003
-SHORTEST_M = 0.1
 FREE = 1e-5
 SIZE = 1.0
 INERTIA_RADIUS_M = 0.2
@@ -65,9 +64,7 @@ def has_inertials(robot: Robot) -> bool:
 def body_deviation(robot: Robot, trust: float) -> Floats:
     """Prior standard deviation (60,) of the link parameters for a relative trust."""
     out = np.empty((AXES, PER_BODY))
-    for i in range(AXES):
-        onward = np.linalg.norm(robot.placement[i + 1, :3, 3]) if i + 1 < AXES else 0.0
-        length = max(float(onward), float(np.linalg.norm(robot.com_m[i])), SHORTEST_M)
+    for i, length in enumerate(link_lengths_m(robot).tolist()):
         mass = robot.mass_kg[i]
         out[i] = trust * mass * np.concatenate([[1.0], np.full(3, length), np.full(6, length**2)])
     return out.reshape(-1)

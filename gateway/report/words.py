@@ -12,7 +12,7 @@ TWO_SIDED_95 = 1.96
 EFFECTS: dict[str, str] = {
     "static_friction": "friction that differs by direction",
     "load_dependent_friction": "friction that grows with the transmitted torque",
-    "velocity_friction": "friction that grows with speed",
+    "velocity_friction": "friction that changes with speed",
     "base_tilt": "a tilted base",
     "joint_zero_offset": "a shifted joint zero",
     "torque_constant_scale": "a wrong torque constant",

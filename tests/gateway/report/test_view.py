@@ -103,4 +103,4 @@ def test_parameters_carry_their_unit(result):
 
 def test_an_effect_on_several_axes_is_named_once(result):
     result["effects"] = [{"name": "velocity_friction", "joints": [joint]} for joint in (3, 1, 4)]
-    assert "friction that grows with speed on J1, J3 and J4" in view(result).verdict
+    assert "friction that changes with speed on J1, J3 and J4" in view(result).verdict
