@@ -1,12 +1,14 @@
 """What a simulated drive does with its axis in each CiA 402 state and mode: reference, brake, ramps, monitoring.
 
 The reference advances once per stretch of simulated time (one SYNC in lockstep); the servo loop moves it evenly over
-the milliseconds of that stretch, which is the linear interpolation of cyclic synchronous position.
+the milliseconds of that stretch, which is the linear interpolation of cyclic synchronous position. By the clock, set
+points that come early or late within a period pass through a buffer that the drive empties by a clock of its own.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import TYPE_CHECKING
 
 from sim.servo import TICK_S
@@ -22,6 +24,9 @@ EMCY_FOLLOWING = 0x8611
 #: A stopping axis counts as standing below this speed [rad/s], or this long after its ramp whatever it does [s].
 STANDSTILL_RAD_S = 0.02
 STOP_TIMEOUT_S = 0.3
+#: How much the drive's own clock is drawn when its buffer of set points is empty or holds more than one.
+CLOCK_DRAW = 0.03
+MOST_BUFFERED = 8
 
 
 class Motion:
@@ -32,6 +37,7 @@ class Motion:
     target_limited : the target position was cut by a software limit
     brake_stuck : the holding brake does not open
     wobble : amplitude [rad] and frequency [Hz] of a loop that hunts and never comes to rest
+    buffered : set points are taken over by a clock of the drive's own
     """
 
     def __init__(self, drive: FakeDrive) -> None:
@@ -39,6 +45,9 @@ class Motion:
         self.target_limited = False
         self.brake_stuck = False
         self.wobble: tuple[float, float] | None = None
+        self.buffered = False
+        self._buffer: deque[float] = deque(maxlen=MOST_BUFFERED)
+        self._goal = self._starved_s = 0.0
         self._wobbled = 0.0
         self._speed = 0.0
         self._left_s = 0.0
@@ -59,6 +68,8 @@ class Motion:
             if before is not PdsState.OPERATION_ENABLED:
                 delay = float(drive.spec.profile.get("state_machine", {}).get("brake_delay_s", 0.0))
                 self._release_s = self._time_s + delay
+                self._buffer.clear()
+                self._left_s = 0.0
                 self._pp_goal, self._acknowledged = None, False
             self._handshake()
         elif not drive.automaton.energised:
@@ -124,12 +135,43 @@ class Motion:
 
     def target_set(self) -> None:
         """A target position came: it is to be reached within the interpolation period (0x60C2)."""
+        if self.buffered:
+            self._buffer.append(self._drive.target_rad())
+        else:
+            self._left_s = self._period_s()
+
+    def _period_s(self) -> float:
         store = self._drive.store
-        self._left_s = store.number((0x60C2, 1)) * 10.0 ** store.number((0x60C2, 2))
+        return store.number((0x60C2, 1)) * 10.0 ** store.number((0x60C2, 2))
+
+    def _from_buffer(self, seconds: float) -> float:
+        """Way of the reference [rad] when set points wait their turn; without one the axis slows down to a stop."""
+        at = self._drive.axis.servo.reference_rad - self._wobbled
+        begin, period_s = at, self._period_s()
+        while seconds > 1e-9:
+            if self._left_s <= 1e-9 and self._buffer:
+                self._goal = self._buffer.popleft()
+                draw = CLOCK_DRAW * (1 if not self._buffer else -min(len(self._buffer) - 1, 3))
+                self._left_s, self._starved_s = period_s * (1.0 + draw), 0.0
+            if self._left_s > 1e-9:
+                step = min(seconds, self._left_s)
+                at += (self._goal - at) * step / self._left_s
+                self._left_s -= step
+            else:
+                step = min(seconds, 0.001)
+                at += self._speed * step * max(0.0, 1.0 - self._starved_s / period_s)
+                self._starved_s += step
+            seconds -= step
+        return at - begin
 
     def _track(self, seconds: float) -> float:
         """Cyclic synchronous position: what is left of the way, evenly over what is left of the period."""
         drive = self._drive
+        if self.buffered:
+            travel = self._from_buffer(seconds)
+            most = drive.axis.servo.max_rad_s * seconds
+            self.target_limited |= abs(travel) > most
+            return min(max(travel, -most), most)
         way = drive.target_rad() + self._wobbled - drive.axis.servo.reference_rad
         travel = way * seconds / self._left_s if self._left_s > seconds else way
         self._left_s = max(self._left_s - seconds, 0.0)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import select
 import socket
+import struct
 import time
 from collections import Counter
 from typing import Any
@@ -19,6 +20,9 @@ from can.interfaces.udp_multicast import UdpMulticastBus
 from can.interfaces.udp_multicast.utils import pack_message, unpack_message
 
 MAX_FRAME_BYTES = 4096
+#: SO_TIMESTAMPNS of Linux, which python-can switches on: when the kernel received a datagram.
+SO_TIMESTAMPNS = 35
+_STAMP = struct.Struct("@ll")
 #: Own frames that never came back (the socket's buffer was full) are forgotten beyond this number.
 MAX_OUTSTANDING = 4096
 
@@ -68,7 +72,7 @@ class QuietMulticastBus:
         end = None if timeout is None else time.monotonic() + timeout
         while True:
             try:
-                data = self._socket.recv(MAX_FRAME_BYTES)
+                data, notes, _, _ = self._socket.recvmsg(MAX_FRAME_BYTES, socket.CMSG_SPACE(_STAMP.size))
             except BlockingIOError:
                 wait = None if end is None else end - time.monotonic()
                 if wait is not None and wait <= 0:
@@ -84,12 +88,22 @@ class QuietMulticastBus:
                 continue
             message = _decoded(data)
             if message is not None:
+                message.timestamp = _received_s(notes)
                 return message
 
     def shutdown(self) -> None:
         """Close the bus."""
         self._socket.close()
         self._bus.shutdown()
+
+
+def _received_s(notes: list[tuple[int, int, bytes]]) -> float:
+    """When the kernel received a datagram, wall clock [s]; 0 where it does not say."""
+    for level, kind, data in notes:
+        if level == socket.SOL_SOCKET and kind == SO_TIMESTAMPNS and len(data) >= _STAMP.size:
+            seconds, nanoseconds = _STAMP.unpack_from(data)
+            return seconds + nanoseconds * 1e-9
+    return 0.0
 
 
 def _decoded(data: bytes) -> can.Message | None:

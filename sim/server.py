@@ -1,8 +1,9 @@
 """Simulated drives on one bus: frames in, physics forward, frames out; one thread, no asyncio.
 
 Lockstep: simulated time advances by one SYNC period with each SYNC and stands still otherwise. Real: it follows the
-wall clock. At a SYNC the synchronous RPDOs become valid and the TPDOs show the state of that instant; only then does
-the physics move on, while the master already works on the answers.
+wall clock, and a frame acts at the time it was received, also where the machine gets round to it later. At a SYNC the
+synchronous RPDOs become valid and the TPDOs show the state of that instant; only then does the physics move on, while
+the master already works on the answers.
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ HEARTBEAT_ID = 0x700
 IDLE_S = 0.05
 REAL_STEP_S = 0.002
 #: Real pacing: what the physics may have to catch up at once after a stall of the machine [s].
-MOST_CATCH_UP_S = 0.1
+MOST_CATCH_UP_S = 0.5
+#: A frame that is said to have come longer ago than this has a clock of its own [s].
+OLDEST_FRAME_S = 5.0
 
 
 class ArmUnit:
@@ -113,6 +116,7 @@ class BusServer:
         for arm in self.arms:
             arm.send = bus.send
         for drive in self.drives:
+            drive.motion.buffered = self._real
             drive.node.associate_network(self._network)
             for pdo in drive.rpdos:
                 pdo.on_change = self._reroute
@@ -166,12 +170,12 @@ class BusServer:
             recv, beat_at = self.bus.recv, 0.0
             while not self._stop.is_set():
                 message = recv(wait)
+                if self._real:
+                    self._follow_the_clock(message)
                 if message is not None and not message.is_error_frame and not message.is_extended_id:
                     self._take(message)
                 while self._jobs:
                     self._jobs.popleft()()
-                if self._real:
-                    self._follow_the_clock()
                 now = time.monotonic()
                 if message is None or message.arbitration_id == SYNC_ID or now - beat_at > IDLE_S:
                     beat_at = now
@@ -206,9 +210,15 @@ class BusServer:
             for arm in self.arms:
                 arm.advance(self._period_s)
 
-    def _follow_the_clock(self) -> None:
+    def _follow_the_clock(self, message: can.Message | None) -> None:
+        """Let the time pass until a frame was received, or until now."""
         now = time.monotonic()
+        age = 0.0 if message is None else time.time() - message.timestamp
+        if 0.0 < age < OLDEST_FRAME_S:
+            now -= age
         passed = min(now - self._real_at_s, MOST_CATCH_UP_S)
+        if passed <= 0.0:
+            return
         self._real_at_s = now
         for arm in self.arms:
             arm.advance(passed)
