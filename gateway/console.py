@@ -117,12 +117,12 @@ class LineBar(Bar):
 
 def grid(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> Table:
     """Table with `left` text columns followed by right-aligned ones."""
-    text = escape(title)
+    text = escape(title)  # printing without markup spares headers and cells, not the title
     table = Table(title=text, title_justify="left", title_style="bold", header_style="bold", box=box.SIMPLE_HEAD)
     for index, name in enumerate(columns):
-        table.add_column(escape(name), justify="left" if index < left else "right", overflow="fold")
+        table.add_column(name, justify="left" if index < left else "right", overflow="fold")
     for row in rows:
-        table.add_row(*map(escape, row))
+        table.add_row(*row)
     return table
 
 

@@ -47,7 +47,7 @@ def test_every_command_explains_itself_and_knows_v_and_q(name):
 
 
 def test_unknown_command_and_missing_argument_are_usage_errors():
-    for arguments in (["fly"], ["report"], ["export", "x.json", "--format", "fanuc"], ["estimate"]):
+    for arguments in (["fly"], ["report"], ["export", "x.json", "--format", "staubli"], ["estimate"]):
         done = run(*arguments)
         assert done.exit_code == 2
         assert "Traceback" not in done.output
