@@ -56,7 +56,9 @@ class GroupOptions:
         Where the write ledger is kept, so that a restore is possible after a crash.
     answer_timeout_s, gap_timeout_s, window : float
         As in `drives.exchange.Timing`.
-    silent_syncs, foreign_frames : int
+    silent_syncs : int or None
+        As in `drives.guard.Limits`; None = as the table of reactions says.
+    foreign_frames : int
         As in `drives.guard.Limits`.
     load_limit_percent : float
         By the clock: largest planned worst-case bus load.
@@ -66,7 +68,7 @@ class GroupOptions:
     answer_timeout_s: float = 1.0
     gap_timeout_s: float = 0.02
     window: float = 0.9
-    silent_syncs: int = DRIVE_RULES["silent"].count
+    silent_syncs: int | None = None
     foreign_frames: int = DRIVE_RULES["foreign_master"].count
     load_limit_percent: float = 70.0
 
@@ -188,7 +190,8 @@ class DriveGroup:
         node_ids = [drive.node_id for drive in self.drives]
         watch = HeartbeatWatch(self._bus, node_ids, limits, lambda: exchange.sync_time_s)
         self._exchange, self._watch = exchange, watch
-        guard_limits = Limits(self.options.silent_syncs, self.options.foreign_frames)
+        silent = self.options.silent_syncs or DRIVE_RULES["silent"].syncs(self.timing.period_s, self.timing.pacing)
+        guard_limits = Limits(silent, self.options.foreign_frames)
         self._guard = Guard(self._bus, exchange, watch, self._emcy, guard_limits)
         self._configured = True
 

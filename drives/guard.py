@@ -61,6 +61,7 @@ class Guard:
         self._emcy = emcy
         self._symptoms = Symptoms(exchange, emcy)
         self._foreign_before: dict[int, int] = {}
+        self._late_before = 0
         self.forgive()
 
     def forgive(self) -> None:
@@ -68,6 +69,7 @@ class Guard:
         self._watch.forgive()
         self._symptoms.forgive()
         self._foreign_before = dict(self._bus.foreign)
+        self._late_before = self._exchange.collector.counts.late
 
     def check(self, epoch: Epoch) -> None:
         """All checks of an exchange in which every axis shall be enabled.
@@ -109,9 +111,13 @@ class Guard:
 
     def check_silence(self) -> None:
         """Axes that leave too many SYNCs unanswered."""
+        if max(self._exchange.silent) < self.limits.silent_syncs:
+            return
+        late = self._exchange.collector.counts.late - self._late_before
+        more = f"{late} answers came late in this run: is this computer busy, or the bus?" if late else ""
         raise_failures(
             [
-                DRIVE_RULES["silent"].raised(f"left {silent} SYNCs in a row unanswered", node=drive.node_id)
+                DRIVE_RULES["silent"].raised(f"left {silent} SYNCs in a row unanswered", node=drive.node_id, more=more)
                 for drive, silent in zip(self._exchange.drives, self._exchange.silent, strict=True)
                 if silent >= self.limits.silent_syncs
             ]

@@ -6,6 +6,7 @@ marked incomplete and whoever sampled it samples again. `count`: it is counted i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -42,6 +43,9 @@ class Rule:
         What the engineer does.
     error : class of DriveError or None
         What is raised; None where nothing is, or not by the drives.
+    least_s : float
+        Where SYNCs are paced by the clock: how long it has to last at least, since an operating system may pause
+        whoever sends or answers.
     """
 
     what: str
@@ -50,11 +54,16 @@ class Rule:
     unit: str
     advice: str = ""
     error: type[DriveError] | None = None
+    least_s: float = 0.0
 
     @property
     def count(self) -> int:
         """The limit as a number of things."""
         return int(self.limit)
+
+    def syncs(self, period_s: float, pacing: str) -> int:
+        """The limit as a number of SYNCs at this period."""
+        return self.count if pacing == "lockstep" else max(self.count, math.ceil(self.least_s / period_s))
 
     def raised(
         self, what: str, *, node: int | None = None, index: int | None = None, code: int | None = None, more: str = ""
@@ -79,6 +88,7 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             _ROW,
             "all axes were stopped; check power and cabling of this drive",
             IncompleteEpochs,
+            0.1,
         ),
         "internal_limit": Rule(
             "a limit inside the drive acts (statusword bit 11)",
@@ -87,6 +97,7 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             _ROW,
             "all axes were stopped; see its torque, current, speed limits",
             DriveFault,
+            0.03,
         ),
         "following_error": Rule(
             "following error in the drive (statusword bit 13)",
@@ -95,6 +106,7 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             _ROW,
             "all axes were stopped; look for contact, a brake that drags, the tuning",
             DriveFault,
+            0.03,
         ),
         "not_remote": Rule(
             "no longer under remote control (statusword bit 9)",
@@ -103,6 +115,7 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             _ROW,
             "all axes were stopped; a panel or tool has taken it: release it there",
             DriveFault,
+            0.03,
         ),
         "stale": Rule(
             "the same answer again and again, and SDO says otherwise",

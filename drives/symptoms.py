@@ -17,7 +17,7 @@ from drives.exchange import SyncExchange
 from drives.reactions import DRIVE_RULES
 from drives.values import DriveReading
 
-#: SYNCs in a row that a bit has to stand: one may be the moment of a transition.
+#: SYNCs in a row that a bit has to stand, in lockstep: one may be the moment of a transition.
 BITS_IN_A_ROW: Final = DRIVE_RULES["internal_limit"].count
 #: SYNCs in a row with the very same answer before the drive is asked by SDO whether it is true.
 SAME_IN_A_ROW: Final = DRIVE_RULES["stale"].count
@@ -46,6 +46,8 @@ class Symptoms:
         self._exchange = exchange
         self._emcy = emcy
         self._heard = 0
+        timing = exchange.timing
+        self._bits_in_a_row = DRIVE_RULES["internal_limit"].syncs(timing.period_s, timing.pacing)
         self._odd: list[int] = []
         self._same: list[int] = []
         self._last: list[tuple[int, int] | None] = []
@@ -74,7 +76,7 @@ class Symptoms:
                 continue
             if reading.statusword & _MASK != _GOOD:
                 self._odd[axis] += 1
-                if self._odd[axis] >= BITS_IN_A_ROW:
+                if self._odd[axis] >= self._bits_in_a_row:
                     raise_failures(_odd_bits(epoch))
             elif self._odd[axis]:
                 self._odd[axis] = 0

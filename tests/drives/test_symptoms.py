@@ -9,6 +9,7 @@ import pytest
 from drives.emcy import EmcyLog
 from drives.epoch import Epoch
 from drives.errors import DriveFault
+from drives.exchange import Timing
 from drives.profile import load_profile
 from drives.symptoms import BITS_IN_A_ROW, SAME_IN_A_ROW, Symptoms
 from drives.values import DriveReading
@@ -25,7 +26,7 @@ class Rig:
         profile = load_profile("generic-cia402")
         drives = tuple(self._drive(axis, profile) for axis in range(2))
         self.emcy = EmcyLog({})
-        self.symptoms = Symptoms(SimpleNamespace(drives=drives), self.emcy)  # type: ignore[arg-type]
+        self.symptoms = Symptoms(SimpleNamespace(drives=drives, timing=Timing(0.01)), self.emcy)  # type: ignore[arg-type]
         self.asked = 0
         self._index = 0
 
