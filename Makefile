@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.stamp
 
-.PHONY: venv demo test lint bench blind vcan chaos soak follow clean
+.PHONY: venv demo test lint bench blind vcan chaos soak pair pair-full follow clean
 
 venv: $(STAMP)
 
@@ -42,6 +42,13 @@ soak: venv
 
 follow: venv
 	$(BIN)/python -m tests.follow --out out/follow
+
+# Two arms: the numpy tier and two seeds over PyBullet and twelve CAN drives; all rows on ten seeds, with verdicts.
+pair: venv
+	$(BIN)/python -m tests.pair --out out/pair
+
+pair-full: venv
+	$(BIN)/python -m tests.pair --full --out out/pair-full
 
 clean:
 	rm -rf $(VENV) out

@@ -66,7 +66,7 @@ def pair_units(cell: CellSpec, options: PairOptions) -> dict[str, PairUnit]:
         (start[0], start[1]), skew_s=errors.skew_s, seed=1 if options.seed is None else options.seed
     )
     world = PairWorld(truths, replace(settings, **(options.settings or {})))
-    return {arm.name: PairUnit(arm, world, index, cell.buses[arm.bus].sync_period_s) for index, arm in enumerate(arms)}
+    return {arm.name: PairUnit(arm, world, index, cell.buses[arm.bus]) for index, arm in enumerate(arms)}
 
 
 def _check(arm: ArmSpec) -> None:

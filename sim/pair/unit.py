@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import can
 
-from sim.cellfile import ArmSpec
+from sim.cellfile import ArmSpec, BusSpec
 from sim.fake_drive import DriveSite, FakeDrive
 from sim.pair.world import PairWorld
 from sim.plant import Payload
@@ -20,19 +20,20 @@ class PairUnit:
     arm : cell's description
     world : common physics
     index : 0 master, 1 slave
-    sync_period_s : of its bus
+    bus : its SYNC period and pacing; by the clock nobody waits for the other bus
 
     Attributes
     ----------
     name, world, drives
     """
 
-    def __init__(self, arm: ArmSpec, world: PairWorld, index: int, sync_period_s: float) -> None:
+    def __init__(self, arm: ArmSpec, world: PairWorld, index: int, bus: BusSpec) -> None:
         self.name, self.world, self._index = arm.name, world, index
+        self._lockstep = bus.pacing != "real"
         self.send: Callable[[can.Message], None] = lambda _message: None
         axes = world.motors.axes[6 * index : 6 * index + 6]
         self.drives = [
-            FakeDrive(DriveSite(spec.node_id, spec, sync_period_s), axis, self._send)  # type: ignore[arg-type]
+            FakeDrive(DriveSite(spec.node_id, spec, bus.sync_period_s), axis, self._send)  # type: ignore[arg-type]
             for spec, axis in zip(arm.axes, axes, strict=True)
         ]
         world.before.append(self._plan)
@@ -48,7 +49,8 @@ class PairUnit:
 
     def sync(self) -> None:
         """A SYNC came: once the physics is where it has to be, take the setpoints, send what is mapped to it."""
-        self.world.catch_up(self._index)
+        if self._lockstep:
+            self.world.catch_up(self._index)
         self._measure()
         for drive in self.drives:
             drive.sync()

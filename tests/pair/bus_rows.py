@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -250,23 +251,49 @@ def halved(seed: int, nine: TransformFunction) -> list[Row]:
         return bench.rows
 
 
-def run_seed(seed: int, stages: tuple[str, ...], frozen_cycles: int) -> dict[str, Any]:
-    """All stages of one seed: rows, curves, taught points, statistics of the buses."""
+def run_seed(
+    seed: int, stages: tuple[str, ...], frozen_cycles: int, stored: dict[str, Any] | None = None
+) -> dict[str, Any]:
+    """Stages of one seed: rows, curves, functions, taught points, statistics of the buses.
+
+    Parameters
+    ----------
+    stored : dict, optional
+        What earlier stages of this seed have given; it is added to.
+    """
+    before = stored or {"rows": [], "curves": [], "functions": {}, "stages": [], "minutes": 0.0}
+    began = time.monotonic()
     with pair_rig(seed) as rig:
-        nine, lesson = rig.teach(9)
-        bench = Bench(rig, nine, frozen_cycles)
+        if stored is None:
+            nine, lesson = rig.teach(9)
+            points = [point.as_json() for point in lesson.points]
+        else:
+            nine, points = _function(stored["nine"]), stored["points"]
+        functions = {name: _function(knots) for name, knots in before["functions"].items()}
+        bench = Bench(rig, nine, frozen_cycles, functions=functions)
         for stage in stages:
             if stage in STAGES:
                 STAGES[stage](bench)
         statistics = rig.link.statistics()
-    rows = list(bench.rows)
+    rows = before["rows"] + bench.rows
     rows += skewed(seed, nine) if "skew" in stages else []
     rows += halved(seed, nine) if "step" in stages else []
     return {
         "seed": seed,
-        "stages": list(stages),
+        "stages": [*before["stages"], *stages],
         "rows": rows,
-        "curves": bench.curves,
-        "points": [point.as_json() for point in lesson.points],
+        "curves": before["curves"] + bench.curves,
+        "points": points,
+        "nine": _knots(nine),
+        "functions": {name: _knots(function) for name, function in bench.functions.items()},
         "statistics": statistics,
+        "minutes": before["minutes"] + (time.monotonic() - began) / 60.0,
     }
+
+
+def _knots(function: TransformFunction) -> list[Any]:
+    return [function.s_m.tolist(), function.position_m.tolist(), function.rotation.tolist()]
+
+
+def _function(knots: list[Any]) -> TransformFunction:
+    return TransformFunction(*knots)

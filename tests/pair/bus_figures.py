@@ -1,0 +1,144 @@
+"""From the rows over PyBullet and CAN to the figures: counts for two seeds, verdicts for ten."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from tests.blind.figures import clopper_pearson
+from tests.pair.bus_rows import BETWEEN, FAST, LEARNING, STATIC, USUAL
+
+Row = dict[str, Any]
+Figure = dict[str, Any]
+NAN = float("nan")
+
+
+class Table:
+    """Cycles by row, speed and seed."""
+
+    def __init__(self, rows: Sequence[Row], limit_n: float) -> None:
+        self.rows, self.limit_n = list(rows), limit_n
+        self.seeds = sorted({row["seed"] for row in rows})
+
+    def cycles(self, name: str, speed: float, seed: int) -> list[Row]:
+        """All cycles of one run in order."""
+        return [row for row in self.rows if (row["row"], row["speed"], row["seed"]) == (name, speed, seed)]
+
+    def force(self, name: str, speed: float, seed: int, cycle: int = -1) -> float:
+        """Largest true force of a cycle [N], the last one if none is named; NaN where it was not run."""
+        found = self.cycles(name, speed, seed)
+        return float(found[cycle]["force_n"]) if found else NAN
+
+    def count(self, holds: Callable[[int], bool | None]) -> tuple[int, int]:
+        """On how many seeds something holds, of how many it is known for."""
+        known = [answer for seed in self.seeds if (answer := holds(seed)) is not None]
+        return sum(known), len(known)
+
+    def after_learning(self, name: str, speed: float, seed: int) -> bool | None:
+        """Whether every cycle after the fourth update stays below the limit."""
+        found = self.cycles(name, speed, seed)[LEARNING - 1 :]
+        return None if not found else all(row["force_n"] < self.limit_n for row in found)
+
+
+def _less(a: float, b: float) -> bool | None:
+    return None if np.isnan(a) or np.isnan(b) else a < b
+
+
+def _share(hits: int, total: int, goal: str, needed: float | None) -> Figure:
+    value = hits / total if total else NAN
+    met = None if needed is None or not total else bool(value >= needed)
+    return {
+        "value": value,
+        "interval": clopper_pearson(hits, total),
+        "unit": f"of {total} seeds",
+        "goal": goal,
+        "met": met,
+    }
+
+
+def _value(values: Sequence[float], unit: str, goal: str, met: Callable[[float], bool] | None) -> Figure:
+    known = [value for value in values if not np.isnan(value)]
+    if not known:
+        return {"value": NAN, "interval": [NAN, NAN], "unit": unit, "goal": goal, "met": None}
+    middle = float(np.median(known))
+    spread = [float(min(known)), float(max(known))]
+    return {"value": middle, "interval": spread, "unit": unit, "goal": goal, "met": met and met(middle)}
+
+
+def figures(rows: Sequence[Row], limit_n: float, *, judged: bool) -> dict[str, Figure]:
+    """Every figure; without `judged` counts only, no verdict."""
+    table = Table(rows, limit_n)
+    out: dict[str, Figure] = {}
+
+    def share(name: str, holds: Callable[[int], bool | None], goal: str, needed: float) -> None:
+        hits, total = table.count(holds)
+        if total:
+            out[name] = _share(hits, total, goal if judged else "count", needed if judged else None)
+
+    def above(name: str, speed: float) -> Callable[[int], bool | None]:
+        return lambda seed: _less(limit_n, table.force(name, speed, seed, 0))
+
+    share("P1: A exceeds the limit", above("A", USUAL), "all", 1.0)
+    ratio = [table.force("A", USUAL, seed) / table.force("B", USUAL, seed) for seed in table.seeds]
+    out["P2: A over B"] = _value(
+        ratio, "median, least and most", ">= 3" if judged else "", judged and (lambda v: v >= 3)
+    )
+    share("P2: B exceeds the limit, speed 1.5", above("B", USUAL), ">= 0.6 here or at 3", 0.6)
+    share("P2: B exceeds the limit, speed 3", above("B", FAST), ">= 0.6 here or at 1.5", 0.6)
+    share(
+        "P4: C2c, cycle 6 below cycle 1",
+        lambda seed: _less(table.force("C2c", USUAL, seed), table.force("C2c", USUAL, seed, 0)),
+        ">= 0.9",
+        0.9,
+    )
+    share("P6: C7 inside the limit after 4 updates", lambda s: table.after_learning("C7", USUAL, s), ">= 0.9", 0.9)
+    share("P7: C8 inside the limit, then frozen", lambda s: table.after_learning("C8", USUAL, s), "all", 1.0)
+    share("P7: C8 at speed 3, then frozen", lambda s: table.after_learning("C8", FAST, s), "all", 1.0)
+    if judged:
+        out |= _judged(table)
+    for name in ("A", "B", "C1", "C1i", "C2m", "C2c", "C7", "C8", "C8u", "C8r"):
+        forces = [table.force(name, USUAL, seed) for seed in table.seeds]
+        if not np.isnan(forces).all():
+            out[f"largest force of the last cycle, {name}"] = _value(forces, "N, median, least and most", "", None)
+    moved = [float(row["part_off_m"]) * 1e3 for row in table.rows if "part_off_m" in row and row["speed"] == USUAL]
+    out["part moved off its way, all rows"] = _value(
+        [max(moved)] if moved else [], "mm", "<= 1" if judged else "", judged and (lambda v: v <= 1.0)
+    )
+    return {name: figure for name, figure in out.items() if not np.isnan(figure["value"])}
+
+
+def _judged(table: Table) -> dict[str, Figure]:
+    seeds, out = table.seeds, {}
+    static = [table.force("C1", STATIC, s) / table.force("A", STATIC, s) for s in seeds]
+    out["P3: C1 over A at rest, 9 points"] = _value(static, "median, least and most", "<= 0.2", lambda v: v <= 0.2)
+    finer = [table.force("C1 N=17", STATIC, s) / table.force("C1", STATIC, s) for s in seeds]
+    out["P3: 17 points over 9"] = _value(finer, "median, least and most", "<= 0.75", lambda v: v <= 0.75)
+    speed = [table.force("C3", BETWEEN, s) / table.force("C1i", BETWEEN, s) for s in seeds]
+    out["P5: C3 over C1i at 1.1"] = _value(speed, "median, least and most", "<= 0.8", lambda v: v <= 0.8)
+    even = [table.force("C8", USUAL, s) / table.force("C8u", USUAL, s) for s in seeds]
+    out["P7b: C8 over C8u"] = _value(even, "median, least and most", "reported", None)
+    snags = [row for row in table.rows if row["row"] == "snag"]
+    if snags:
+        same = sum(bool(row["frozen_identical"]) for row in snags)
+        out["P8: learning off, function unchanged"] = _share(same, len(snags), "all", 1.0)
+        kinds = [row["median_m"] / row["mean_m"] for row in snags]
+        out["P8: median over mean after a snag"] = _value(kinds, "median, least and most", "< 0.1", lambda v: v < 0.1)
+    for label, goal in (("C8 skew .5 ms", "all"), ("C8 jitter 1 ms", "reported")):
+        hits, total = table.count(lambda s, label=label: table.after_learning(label, USUAL, s))
+        if total:
+            out[f"P9: {label} inside the limit"] = _share(hits, total, goal, 1.0 if goal == "all" else None)
+    stops = [row for row in table.rows if row["row"] == "stop"]
+    if stops:
+        out["P10: SYNCs until all twelve stop"] = _value(
+            [row["syncs"] for row in stops], "median, least and most", "<= 3", lambda v: v <= 3
+        )
+        after = [row["force_after_n"] for row in stops]
+        out["P10: force after the stop"] = _value(after, "N, median, least and most", "reported", None)
+    half = [
+        abs(table.force("C1i, half the step", USUAL, s) / table.force("C1i", USUAL, s) - 1.0) if s in seeds else NAN
+        for s in seeds
+    ]
+    out["P11: change with half the step"] = _value(half, "median, least and most", "< 0.02", lambda v: v < 0.02)
+    return out
