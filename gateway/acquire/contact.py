@@ -20,6 +20,8 @@ CONTACT_SHARE = 0.25
 IN_A_ROW = ARM_RULES["contact"].count
 #: Time constant of the recent mean.
 MEMORY_S = 0.5
+#: A SYNC that goes out late makes the drives wait and start again: no contact is looked for until that has faded.
+LATE_GRACE_S = ARM_RULES["late_sync"].limit
 #: After the brakes open, the drives take over the torque that the brakes have carried; nothing moves yet.
 TAKE_OVER_S = 0.3
 #: Commanded way over which a joint has to move along, and the share of it that it has to go; one that lags at speed and
@@ -47,9 +49,15 @@ class Contact:
         self._reversal = 1.0 / workspace.efficiency - workspace.efficiency
         self._mean = np.zeros(6)
         self._taking_over = int(np.ceil(TAKE_OVER_S / period_s))
+        self._grace_syncs = int(np.ceil(LATE_GRACE_S / period_s))
+        self._grace = 0
         self._count = np.zeros(6, dtype=int)
         self._side = np.zeros(6)
         self._from: tuple[np.ndarray, np.ndarray] | None = None
+
+    def sync_was_late(self) -> None:
+        """The next SYNCs show a shaken arm."""
+        self._grace = self._grace_syncs
 
     def check(self, q_rad: np.ndarray, torque_nm: np.ndarray, modelled_nm: np.ndarray, target_rad: np.ndarray) -> None:
         """One complete SYNC.
@@ -73,6 +81,10 @@ class Contact:
         if self._taking_over > 0:
             self._taking_over -= 1
             self._mean = unexplained_nm
+            return
+        if self._grace > 0:
+            self._grace -= 1
+            self._count[:] = 0
             return
         signed = unexplained_nm - self._mean
         jump = np.abs(signed)

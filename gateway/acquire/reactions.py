@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
+from drives.errors import IncompleteEpochs
 from drives.reactions import DRIVE_RULES, Rule
 
 _ROW: Final = "SYNCs in a row"
@@ -37,6 +38,20 @@ ARM_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             3,
             _ROW,
             _STOPPED + "look for contact, a load that slips, a cable that is caught",
+        ),
+        "rhythm": Rule(
+            "SYNCs that go out late by more than half a period",
+            "stop",
+            0.2,
+            "of those within 2 s",
+            _STOPPED + "this computer does not keep the SYNC rhythm: end other work on it, or raise sync_period_s",
+            IncompleteEpochs,
+        ),
+        "late_sync": Rule(
+            "one late SYNC: the drives wait for it, which shakes the arm; contact is not looked for",
+            "count",
+            0.25,
+            "s after it",
         ),
         "stays_behind": Rule(
             "a joint that is told to move and does not",

@@ -21,6 +21,9 @@ POSITION_TOLERANCE_RAD = 0.02
 SPEED_TOLERANCE = 1.2
 #: Shortest span over which speed is measured.
 SPEED_SPAN_S = 0.02
+#: By the clock: a SYNC is late from this share of a period on, and so many of them are looked at.
+LATE_SHARE = 0.5
+RHYTHM_S = 2.0
 
 KINDS = ("is {value:.3f} rad off its target", "turns with {value:.3f} rad/s", "needs {value:.0f} Nm")
 UNITS = ("rad", "rad/s", "Nm")
@@ -51,6 +54,8 @@ class Watch:
         self._counting = False
         self._target: np.ndarray | None = None
         self._contact = Contact(arm, workspace, period_s)
+        self._sent: tuple[int, float] | None = None
+        self._late: deque[bool] = deque(maxlen=max(20, round(RHYTHM_S / period_s)))
         self._history: deque[tuple[int, np.ndarray]] = deque(maxlen=max(2, round(SPEED_SPAN_S / period_s) + 1))
 
     def modelled_torque(self, q_rad: np.ndarray) -> np.ndarray:
@@ -75,9 +80,12 @@ class Watch:
         ------
         LimitExceeded
             A joint left its range, or another limit for `IN_A_ROW` SYNCs.
+        IncompleteEpochs
+            The SYNC rhythm is not kept.
         """
         expected = target_rad if self._target is None else self._target
         self._target = target_rad
+        self._check_rhythm(sample)
         if not sample.complete:
             return
         q_rad = sample.q_rad
@@ -95,6 +103,20 @@ class Watch:
             self._count[:] = 0
             self._counting = False
         self._contact.check(q_rad, torque_nm, modelled_nm, expected)
+
+    def _check_rhythm(self, sample: ArmSample) -> None:
+        """Late SYNCs are counted; too many of them stop the arm."""
+        before, self._sent = self._sent, (sample.sync_index, sample.time_s)
+        if before is None:
+            return
+        on_time_s = before[1] + (sample.sync_index - before[0] + LATE_SHARE) * self._period_s
+        self._late.append(sample.time_s > on_time_s)
+        if not self._late[-1]:
+            return
+        self._contact.sync_was_late()
+        late, rule = sum(self._late), ARM_RULES["rhythm"]
+        if late > rule.limit * (self._late.maxlen or 1):
+            raise rule.raised(f"arm '{self._arm}': {late} of the last {len(self._late)} SYNCs went out late")
 
     def _refuse(self, values: np.ndarray, q_rad: np.ndarray) -> None:
         if self._count[RANGE].any():

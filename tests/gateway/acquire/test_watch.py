@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from drives.drive import DriveReading
+from drives.errors import IncompleteEpochs
 from gateway.acquire.arm import ArmSample
 from gateway.acquire.plan import travel_limits
+from gateway.acquire.reactions import ARM_RULES
 from gateway.acquire.settle import SettleTest
 from gateway.acquire.trajectory import straight
 from gateway.acquire.watch import IN_A_ROW, Watch
@@ -174,3 +176,25 @@ class TestSettle:
         for row in range(60):
             test.add(np.zeros(6), joint(4, row * 0.1))
         assert test.restless().tolist() == [False, False, False, True, False, False]
+
+
+def late(index: int, extra_s: float, torque_nm: np.ndarray = ZERO) -> ArmSample:
+    return ArmSample(index, index * PERIOD_S + extra_s, ZERO, torque_nm, (ANSWER,) * 6)
+
+
+def test_one_late_sync_is_no_contact_and_a_contact_after_it_is(watch, workspace):
+    jump = joint(2, 0.5 * workspace.torque_nm[1])
+    quiet = [late(k, 0.0) for k in range(60)]
+    shaken = [late(60 + k, 0.02, jump if k < 10 else ZERO) for k in range(40)]
+    assert stream(watch, quiet + shaken, [ZERO] * 100) == -1
+    assert stream(watch, [late(100 + k, 0.02, jump) for k in range(10)], [ZERO] * 10) == IN_A_ROW - 1
+
+
+def test_a_rhythm_that_is_not_kept_stops_the_arm(watch):
+    for k in range(30):
+        watch.check(late(k, 0.02 * k), ZERO, ZERO)
+    share = int(ARM_RULES["rhythm"].limit * 2.0 / PERIOD_S)
+    for k in range(30, share + 1):
+        watch.check(late(k, 0.02 * k), ZERO, ZERO)
+    with pytest.raises(IncompleteEpochs, match="SYNCs went out late"):
+        watch.check(late(share + 1, 0.02 * (share + 1)), ZERO, ZERO)
