@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose import motion_report as report
+from gateway.diagnose.motion_deflection import wound_up
 from gateway.diagnose.motion_fit import Noise, Problem, blocks
 from gateway.diagnose.motion_mistakes import Mistake, find_mistakes, undo
 from gateway.diagnose.motion_select import Chosen, select, weigh
@@ -25,7 +26,7 @@ from gateway.errors import ConfigError, DataUnusable, InputError
 from gateway.model.motion import Motion, prepare
 from gateway.model.motion_baseline import BARE, EXACT, baseline, has_inertials
 from gateway.model.robot import Robot
-from gateway.result import Result
+from gateway.result import EffectResult, Result
 from gateway.table import Table
 
 Floats = NDArray[np.float64]
@@ -87,6 +88,7 @@ class Outcome:
     as_read: State | None
     structure: Mapping[int, float]
     known: Mapping[str, tuple[float, Floats]]
+    wound: tuple[EffectResult, ...] = ()
 
 
 def diagnose_motion(table: Table, robot: Robot, options: Options) -> Result:
@@ -130,7 +132,14 @@ def diagnose_motion(table: Table, robot: Robot, options: Options) -> Result:
             again = replace(problem, base=baseline(problem.motion, chosen, known))
             start = () if chosen is None else state.terms
             problem, state, left = select(with_noise_of(again, start, None), allowed, start)
-    return report.result_of(_outcome(problem, state, left, allowed, mistakes, as_read, known))
+    outcome = _outcome(problem, state, left, allowed, mistakes, as_read, known)
+    wound = wound_up(problem, outcome.after) if "joint_elasticity" in allowed else ()
+    if wound and as_read is None:
+        stiff = replace(table, q2nd_rad=np.full_like(table.q2nd_rad, np.nan))
+        held = options.holdout and replace(options.holdout, q2nd_rad=np.full_like(options.holdout.q2nd_rad, np.nan))
+        by_motor = prepare(stiff, held, robot, np.asarray(options.gravity_m_s2))
+        as_read = state_of(_problem(_foretold(by_motor, known), problem.base.trust, known), ())
+    return report.result_of(replace(outcome, wound=wound, as_read=as_read))
 
 
 def _outcome(  # noqa: PLR0913 - gathers what the stages left

@@ -77,7 +77,8 @@ def _geometry(problem: Problem) -> Iterator[Term]:
     motion = problem.motion
     yield readings.base_tilt(motion)
     yield from (readings.zero_offset(axis, motion) for axis in range(6))
-    yield from (readings.elasticity(axis, motion) for axis in range(3))
+    # a secondary encoder shows the elasticity of its joint by itself
+    yield from (readings.elasticity(axis, motion) for axis in range(3) if not np.isfinite(motion.wind_up_rad[0, axis]))
     if problem.base.trust is not None:
         yield from (readings.link_mass(link) for link in (1, 2, 3))
     yield from (readings.payload_shift(label) for label in problem.base.loads)

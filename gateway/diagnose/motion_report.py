@@ -38,7 +38,11 @@ FAULTS = ("sign_reversed", "axes_swapped", "current_rms_peak")
 def result_of(outcome: Outcome) -> Result:
     """Write up a finished diagnosis."""
     problem, after = outcome.problem, outcome.after
-    effects = (*_mistakes(outcome), *(_effect(problem, after, item, _tried(outcome)) for item in outcome.effects))
+    effects = (
+        *_mistakes(outcome),
+        *outcome.wound,
+        *(_effect(problem, after, item, _tried(outcome)) for item in outcome.effects),
+    )
     doubtful = outcome.doubtful
     undecided = bool(doubtful) and not effects
     if undecided:

@@ -51,7 +51,10 @@ class Motion:
         Top speed of each axis.
     rigid : array of shape (n, 6, 60)
         Rigid body regressor, ten columns per link.
-    q2nd_rad, temperature_c : arrays of shape (n, 6)
+    wind_up_rad : array of shape (n, 6)
+        Angle of the secondary encoder over that of the motor encoder, NaN where there is none. Where there is one,
+        `q_rad` is the angle of the link.
+    temperature_c : array of shape (n, 6)
         NaN where absent.
     """
 
@@ -69,7 +72,7 @@ class Motion:
     sign: Floats
     speed_rad_s: Floats
     rigid: Floats
-    q2nd_rad: Floats
+    wind_up_rad: Floats
     temperature_c: Floats
 
     def __len__(self) -> int:
@@ -117,6 +120,10 @@ def prepare(table: Table, given: Table | None, robot: Robot, gravity_m_s2: Float
     }
     run, is_given = run[keep], is_given[keep]
     tau = fields.pop("tau_nm")
+    link = fields.pop("q2nd_rad")
+    seen = np.isfinite(link).all(axis=0)
+    wind_up = np.where(seen, link - fields["q_rad"], np.nan)
+    fields["q_rad"] = np.where(seen, link, fields["q_rad"])
     time = fields.pop("time_s").copy()
     for number in np.unique(run):
         time[run == number] -= time[run == number].min()
@@ -134,6 +141,7 @@ def prepare(table: Table, given: Table | None, robot: Robot, gravity_m_s2: Float
         judged=judged,
         sign=smooth_sign(fields["qd_rad_s"], speed),
         speed_rad_s=speed,
+        wind_up_rad=wind_up,
         rigid=_rigid(robot, fields["q_rad"], fields["qd_rad_s"], fields["qdd_rad_s2"], gravity_m_s2),
         **fields,
     )

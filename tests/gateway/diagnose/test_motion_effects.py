@@ -6,7 +6,7 @@ The torque is pinocchio's inverse dynamics plus friction, rotor inertia, one eff
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -297,3 +297,24 @@ def test_what_the_report_draws_of_a_moving_run():
 def test_a_clean_moving_run_draws_no_curve():
     table, robot, _ = measured(0, World())
     assert "curves" not in diagnose_motion(table, robot, IGNORE).extra["data"]
+
+
+@pytest.mark.parametrize(("compliance", "found"), [(2e-4, ["joint_elasticity"]), (0.0, [])])
+def test_a_secondary_encoder_shows_an_elastic_joint(compliance, found):
+    table, robot, scale = measured(1, World())
+    q2nd = table.q_rad.copy()
+    noise = np.random.default_rng(5).normal(size=len(q2nd)) * 1e-4
+    # the motor is ahead of the link by what the gear winds up under the torque, and the zeros differ
+    ahead = compliance * table.tau_nm[:, 1]
+    q2nd[:, [0, 2, 3, 4, 5]] = np.nan
+    q2nd[:, 1] += 0.002 + noise
+    motor = table.q_rad.copy()
+    motor[:, 1] += ahead
+    result = diagnose_motion(replace(table, q_rad=motor, q2nd_rad=q2nd), robot, IGNORE)
+    assert [effect.name for effect in result.effects] == found
+    for effect in result.effects:
+        assert effect.joints == (2,)
+        # friction stands in the torque that is read, not in the torque of the links
+        assert effect.parameters["compliance_rad_nm"] == pytest.approx(compliance, rel=0.2)
+        assert effect.evidence.holdout_rms_ratio < 0.7
+        assert result.verdict == "improved"
