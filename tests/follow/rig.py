@@ -23,8 +23,11 @@ from gateway.acquire.opening import BusOverride, open_arm
 from gateway.arm_model import arm_named
 from gateway.cell_context import open_cell
 from gateway.cli import main
+from gateway.feedforward.dynamics import ArmDynamics
+from gateway.feedforward.law import FeedforwardLaw
 from gateway.follow.body import body_of
 from gateway.follow.job import FollowRequest, Prepared, drive, prepare
+from gateway.follow.settings import Setting
 from sim.serve import RunningSimulation, running
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -107,6 +110,23 @@ def follow_command(place: Place, handle: RunningSimulation, load: Path, out: Pat
     return command("follow", place.cell, *files, "--report", out, "--bus", handle.bus, "--yes", "-q", *options)
 
 
+class VelocityAlone(FeedforwardLaw):
+    """The velocity offset of a law, without its torque offset."""
+
+    def offsets(self, *state: list[float]) -> tuple[list[float], list[float]]:
+        return super().offsets(*state)[0], [0.0] * 6
+
+
+def velocity_alone(prepared: Prepared) -> Setting:
+    """A fourth setting: what the velocity offset does by itself."""
+    model, load = prepared.model, prepared.settings[-1].load
+    assert load is not None
+    parameters = model.links.copy()
+    parameters[50:] += load.parameters
+    law = VelocityAlone(ArmDynamics(model.robot, parameters, model.gravity_m_s2), model.axes, model.coupling)
+    return Setting("velocity alone", law, None)
+
+
 def followed(handle: RunningSimulation, cell: Path, request: FollowRequest, *names: str) -> dict[str, Any]:
     """The body of a job under the named settings only."""
     context = open_cell(cell, handle.bus)
@@ -118,5 +138,6 @@ def followed(handle: RunningSimulation, cell: Path, request: FollowRequest, *nam
 
 def _prepared(context: Any, request: FollowRequest, names: tuple[str, ...]) -> Prepared:
     prepared = prepare(context.loaded, arm_named(context.loaded), request)
-    chosen = tuple(setting for setting in prepared.settings if not names or setting.name in names)
+    settings = (*prepared.settings, velocity_alone(prepared))
+    chosen = tuple(setting for setting in settings if setting.name in names)
     return replace(prepared, settings=chosen)
