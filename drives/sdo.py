@@ -54,6 +54,33 @@ SLOW: Final = Transfer(slow=True)
 ONCE: Final = Transfer(attempts=1)
 
 
+@dataclass(slots=True)
+class Posted:
+    """A read that nobody waits for.
+
+    Attributes
+    ----------
+    data_type : str
+    until_s : float
+        Monotonic time after which the answer no longer counts.
+    value : int or None
+        None = no answer yet, or a refusal.
+    answered : bool
+    """
+
+    data_type: str
+    until_s: float
+    value: int | None = None
+    answered: bool = False
+
+    def take(self, answer: bytes) -> None:
+        """Keep the value of an expedited answer; anything else counts as a refusal."""
+        self.answered = True
+        size = SIZE_BYTES[self.data_type]
+        if answer[0] & 0xE0 == _SCS_UPLOAD and answer[0] & 0x02:
+            self.value = int.from_bytes(answer[4 : 4 + size], "little", signed=self.data_type.startswith("i"))
+
+
 @dataclass(frozen=True, slots=True)
 class _Pending:
     """An answer that may still come: its specifier and address, and until when."""
@@ -63,6 +90,7 @@ class _Pending:
     until_s: float
     #: Number of the question of `ask`; 0 = a transfer that was given up.
     question: int = 0
+    posted: Posted | None = None
 
 
 class SdoClient:
@@ -125,6 +153,25 @@ class SdoClient:
         with self._pending_lock:
             self._pending = [*(pending for pending in self._pending if pending.until_s > now), question]
         self._bus.send(SDO_REQUEST_BASE + self.node_id, _HEAD.pack(_CCS_UPLOAD, *address) + bytes(4))
+
+    def post(self, index: int, subindex: int, data_type: str) -> Posted:
+        """Ask for an object without waiting; the answer is kept when it comes.
+
+        Parameters
+        ----------
+        index, subindex : int
+            Which object.
+        data_type : str
+            u8 i8 u16 i16 u32 i32.
+        """
+        now = time.monotonic()
+        posted = Posted(data_type, now + self.timeout_s)
+        address = (index, subindex)
+        pending = _Pending(_SCS_UPLOAD, address, now + self.slow_timeout_s, posted=posted)
+        with self._pending_lock:
+            self._pending = [*(each for each in self._pending if each.until_s > now), pending]
+        self._bus.send(SDO_REQUEST_BASE + self.node_id, _HEAD.pack(_CCS_UPLOAD, *address) + bytes(4))
+        return posted
 
     @property
     def asked(self) -> bool:
@@ -338,7 +385,10 @@ class SdoClient:
             for pending in self._pending:
                 if kind in (pending.specifier, _ABORT) and pending.address in (None, (index, subindex)):
                     self._pending.remove(pending)
-                    self._counts["late"] += not pending.question
+                    if pending.posted is not None:
+                        pending.posted.take(answer)
+                    else:
+                        self._counts["late"] += not pending.question
                     return True
         return False
 

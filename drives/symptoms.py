@@ -7,6 +7,7 @@ repeats an old answer gives numbers that must not be believed.
 from __future__ import annotations
 
 import math
+import time
 from typing import Final
 
 from drives.cia402 import FOLLOWING_ERROR, INTERNAL_LIMIT, REMOTE
@@ -15,6 +16,7 @@ from drives.epoch import Epoch
 from drives.errors import DriveError, raise_failures
 from drives.exchange import SyncExchange
 from drives.reactions import DRIVE_RULES
+from drives.sdo import Posted
 from drives.values import DriveReading
 
 #: SYNCs in a row that a bit has to stand, in lockstep: one may be the moment of a transition.
@@ -23,6 +25,10 @@ BITS_IN_A_ROW: Final = DRIVE_RULES["internal_limit"].count
 SAME_IN_A_ROW: Final = DRIVE_RULES["stale"].count
 #: How far SDO and the repeated answer may lie apart, in motor revolutions: an axis at rest stands still.
 SAME_REVOLUTIONS: Final = 0.002
+#: By the clock: how often that is asked before a missing answer counts as none.
+ATTEMPTS: Final = 2
+#: By the clock: SYNCs that the answer to SYNC has to stay the same after SDO has said otherwise.
+SETTLED_SYNCS: Final = 2
 
 _MASK: Final = INTERNAL_LIMIT | FOLLOWING_ERROR | REMOTE
 _GOOD: Final = REMOTE
@@ -51,6 +57,9 @@ class Symptoms:
         self._odd: list[int] = []
         self._same: list[int] = []
         self._last: list[tuple[int, int] | None] = []
+        #: By the clock: questions by SDO that are on their way, and how often they were asked.
+        self._open: dict[int, tuple[Posted, Posted, int]] = {}
+        self._waited: dict[int, int] = {}
         self.forgive()
 
     def forgive(self) -> None:
@@ -58,6 +67,7 @@ class Symptoms:
         self._heard = self._emcy.count
         axes = len(self._exchange.drives)
         self._odd, self._same, self._last = [0] * axes, [0] * axes, [None] * axes
+        self._open.clear()
 
     def check(self, epoch: Epoch) -> None:
         """One SYNC.
@@ -84,9 +94,12 @@ class Symptoms:
             if answer != self._last[axis]:
                 self._last[axis] = answer
                 self._same[axis] = 0
+                self._open.pop(axis, None)
             else:
                 self._same[axis] += 1
-                if self._same[axis] % SAME_IN_A_ROW == 0:
+                if axis in self._open:
+                    self._look_up(axis, reading)
+                elif self._same[axis] % SAME_IN_A_ROW == 0:
                     self._confirm(axis, reading)
 
     def _check_emergencies(self) -> None:
@@ -101,11 +114,48 @@ class Symptoms:
         )
 
     def _confirm(self, axis: int, reading: DriveReading) -> None:
-        """Ask by SDO what a drive keeps answering; the two ways share nothing but the drive."""
+        """Ask by SDO what a drive keeps answering; the two ways share nothing but the drive.
+
+        By the clock nobody waits for the answer: SYNC goes on, and the answer is looked up at the SYNCs to come.
+        """
+        if self._exchange.timing.pacing == "real":
+            self._ask(axis, 1)
+            return
         drive = self._exchange.drives[axis]
         profile = drive.setup.profile
-        position = drive.access.read(profile.position.object)
-        torque = drive.access.read(profile.torque.object)
+        position, torque = drive.access.read(profile.position.object), drive.access.read(profile.torque.object)
+        self._compare(axis, reading, position, torque)
+
+    def _ask(self, axis: int, attempt: int) -> None:
+        drive = self._exchange.drives[axis]
+        profile, post = drive.setup.profile, drive.access.sdo.post
+        position, torque = (
+            post(entry.index, entry.subindex, entry.type) for entry in (profile.position.object, profile.torque.object)
+        )
+        self._open[axis] = (position, torque, attempt)
+        self._waited[axis] = 0
+
+    def _look_up(self, axis: int, reading: DriveReading) -> None:
+        position, torque, attempt = self._open[axis]
+        if position.value is not None and torque.value is not None:
+            # An axis that has just begun to move shows it by SDO before it shows it at the next SYNCs.
+            self._waited[axis] += 1
+            if self._waited[axis] > SETTLED_SYNCS:
+                del self._open[axis]
+                self._compare(axis, reading, position.value, torque.value)
+        elif time.monotonic() > torque.until_s or position.answered and torque.answered:
+            del self._open[axis]
+            if attempt < ATTEMPTS:
+                self._ask(axis, attempt + 1)
+                return
+            raise DRIVE_RULES["stale"].raised(
+                f"gives the same answer since {self._same[axis]} SYNCs, and does not confirm it by SDO",
+                node=self._exchange.drives[axis].node_id,
+                code=reading.statusword,
+            )
+
+    def _compare(self, axis: int, reading: DriveReading, position: int, torque: int) -> None:
+        drive = self._exchange.drives[axis]
         allowed = SAME_REVOLUTIONS * 2.0 * math.pi / drive.scale.count_rad + 1.0
         if abs(position - reading.position_count) <= allowed and torque == reading.torque_raw:
             return

@@ -355,3 +355,16 @@ def test_whatever_comes_is_a_value_or_a_typed_error(monkeypatch, answers, upload
                 assert isinstance(sdo.upload(0x1008), bytes)
             else:
                 sdo.download(0x1008, 0, bytes(9))
+
+
+def test_a_posted_read_takes_its_answer_when_it_comes(bus, sdo, slave):
+    slave.reply = lambda request, answer: [(0.02, answer)]
+    posted = sdo.post(0x1018, 1, "u32")
+    refused = sdo.post(0x5FFF, 0, "u16")
+    assert posted.value is None
+    assert not posted.answered
+    bus.listen(0.1)
+    assert (posted.value, posted.answered) == (0x1234, True)
+    assert (refused.value, refused.answered) == (None, True)
+    assert sdo.read(0x1018, 1, "u32") == 0x1234
+    assert sdo.statistics.late == sdo.statistics.foreign == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -11,7 +12,8 @@ from drives.epoch import Epoch
 from drives.errors import DriveFault
 from drives.exchange import Timing
 from drives.profile import load_profile
-from drives.symptoms import BITS_IN_A_ROW, SAME_IN_A_ROW, Symptoms
+from drives.sdo import Posted
+from drives.symptoms import BITS_IN_A_ROW, SAME_IN_A_ROW, SETTLED_SYNCS, Symptoms
 from drives.values import DriveReading
 
 ENABLED = 0x0237
@@ -21,13 +23,14 @@ COUNT_RAD = 6.283185307179586 / 65536
 class Rig:
     """Two drives whose SDO answers are `truth`, (position, torque) by axis."""
 
-    def __init__(self) -> None:
+    def __init__(self, pacing: str = "lockstep") -> None:
         self.truth = [(1000, 10), (2000, 20)]
         profile = load_profile("generic-cia402")
         drives = tuple(self._drive(axis, profile) for axis in range(2))
         self.emcy = EmcyLog({})
-        self.symptoms = Symptoms(SimpleNamespace(drives=drives, timing=Timing(0.01)), self.emcy)  # type: ignore[arg-type]
+        self.symptoms = Symptoms(SimpleNamespace(drives=drives, timing=Timing(0.01, pacing)), self.emcy)  # type: ignore[arg-type]
         self.asked = 0
+        self.deaf = False
         self._index = 0
 
     def _drive(self, axis: int, profile: object) -> SimpleNamespace:
@@ -35,10 +38,17 @@ class Rig:
             self.asked += 1
             return self.truth[axis][entry is profile.torque.object]  # type: ignore[attr-defined]
 
+        def post(index: int, subindex: int, data_type: str) -> Posted:
+            self.asked += 1
+            posted = Posted(data_type, time.monotonic() + (0.0 if self.deaf else 60.0))
+            if not self.deaf:
+                posted.value, posted.answered = self.truth[axis][index == profile.torque.object.index], True
+            return posted
+
         return SimpleNamespace(
             node_id=axis + 1,
             setup=SimpleNamespace(profile=profile),
-            access=SimpleNamespace(read=read),
+            access=SimpleNamespace(read=read, sdo=SimpleNamespace(post=post)),
             scale=SimpleNamespace(count_rad=COUNT_RAD),
             plans=(None, SimpleNamespace(mapping=0x1A00)),
         )
@@ -117,3 +127,35 @@ def test_a_torque_that_stays_at_rest_stops_when_sdo_keeps_contradicting(rig: Rig
     others = [None if number % 2 else (ENABLED, number, 20) for number in range(2 * SAME_IN_A_ROW + 1)]
     with pytest.raises(DriveFault, match="node 1.*torque 10.*torque 11"):
         rig.checks(*(((ENABLED, 1000, 10), other) for other in others))
+
+
+# ------------------------------------------------------------------------------- by the clock nobody waits for SDO
+
+LATEST = SAME_IN_A_ROW + SETTLED_SYNCS + 2
+
+
+def test_by_the_clock_an_axis_that_stands_still_is_asked_and_believed() -> None:
+    rig = Rig("real")
+    rig.checks(*(((ENABLED, 1000, 10), (ENABLED, 2000, 20)) for _ in range(LATEST)))
+    assert rig.asked == 4
+
+
+def test_by_the_clock_an_answer_that_stays_while_the_axis_moves_stops() -> None:
+    rig = Rig("real")
+    rig.truth[1] = (2400, 20)
+    with pytest.raises(DriveFault, match=r"node 2.*repeats position 2000.*SDO says position 2400"):
+        rig.checks(*(((ENABLED, number, 0), (ENABLED, 2000, 20)) for number in range(LATEST)))
+
+
+def test_by_the_clock_an_axis_that_begins_to_move_is_believed() -> None:
+    rig = Rig("real")
+    rig.truth[1] = (2400, 20)
+    rig.checks(*(((ENABLED, number, 0), (ENABLED, 2000, 20)) for number in range(SAME_IN_A_ROW + 2)))
+    rig.checks(*(((ENABLED, number, 0), (ENABLED, 2000 + 9 * number, 20)) for number in range(1, LATEST)))
+
+
+def test_by_the_clock_a_drive_that_never_confirms_stops() -> None:
+    rig = Rig("real")
+    rig.deaf = True
+    with pytest.raises(DriveFault, match="node 2.*does not confirm it by SDO"):
+        rig.checks(*(((ENABLED, number, 0), (ENABLED, 2000, 20)) for number in range(LATEST)))
