@@ -35,10 +35,29 @@ FORGETTING = Forgetting(gamma=0.05, phi=0.6)
 
 @dataclass(frozen=True, slots=True)
 class Scope:
-    """How much is run: cycles with learning frozen, and which of the stages."""
+    """How much is run.
+
+    Attributes
+    ----------
+    frozen_cycles : cycles of C8 with learning off
+    updates : of the learners that take three cycles for each
+    each_cycles : cycles of the learners that update every cycle
+    static_sync_s : sampling of the path that is run nearly at rest
+    stages : which stages, in this order
+    skip : rows that are left out
+    """
 
     frozen_cycles: int = FROZEN_CYCLES
+    updates: int = UPDATES
+    each_cycles: int = E2_CYCLES
+    static_sync_s: float = STATIC_SYNC_S
     stages: tuple[str, ...] = ("static", "usual", "even", "speeds", "fast", "snag", "skew")
+    skip: tuple[str, ...] = ()
+
+    @property
+    def learning(self) -> int:
+        """Cycles of a learner by blocks, the one after the last update included."""
+        return 1 + BLOCK * self.updates
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +73,10 @@ class Stock:
         return fixed_function() if row.first == "fixed" else self.nine[index]
 
 
-def figures(seeds: Sequence[int], scope: Scope = Scope()) -> list[Row]:
+ALL = Scope()
+
+
+def figures(seeds: Sequence[int], scope: Scope = ALL) -> list[Row]:
     """All cycles of all rows.
 
     Parameters
@@ -86,15 +108,16 @@ def row_of(name: str) -> Embodiment:
     return with_gains(EMBODIMENTS[name], stored())
 
 
-def collect(on: Track, runs: Sequence[Run]) -> list[Row]:
-    """Run side by side; one dict per cycle."""
+def collect(on: Track, runs: list[Run], scope: Scope) -> list[Row]:
+    """Run side by side what is not to be skipped; one dict per cycle."""
+    runs[:] = [run for run in runs if run.name not in scope.skip]
     run_all(on, runs)
     return [row for run in runs for row in cycle_rows(run, on.path)]
 
 
 def _static(stock: Stock, scope: Scope, learned: dict[str, list[Run]]) -> list[Row]:
     """Geometry alone: nearly standing still, no correction, no learning."""
-    on = track(QUASI_STATIC, STATIC_SYNC_S)
+    on = track(QUASI_STATIC, scope.static_sync_s)
     runs = []
     for index, errors in enumerate(stock.errors):
         firsts = {
@@ -105,30 +128,30 @@ def _static(stock: Stock, scope: Scope, learned: dict[str, list[Run]]) -> list[R
         }
         for label, first in firsts.items():
             runs.append(Run(label, errors, controller(on, row_of(label.split()[0]), first)))
-    return collect(on, runs)
+    return collect(on, runs, scope)
 
 
 def _usual(stock: Stock, scope: Scope, learned: dict[str, list[Run]]) -> list[Row]:
     """Override 1.5: the comparison, the noise floor, the learners; C8 stays on with learning frozen."""
     on = track(USUAL)
     runs = []
-    learning = 1 + BLOCK * UPDATES
+    learning = scope.learning
     for index, errors in enumerate(stock.errors):
         nine = stock.nine[index]
         for name in ("A", "B", "C1", "C1i"):
             runs.append(Run(name, errors, controller(on, row_of(name), stock.first(row_of(name), index))))
         for name in ("C2m", "C2c"):
-            runs.append(Run(name, errors, controller(on, row_of(name), nine), E2_CYCLES))
-        runs.append(Run("C2m no lag", without_lag(errors), controller(on, row_of("C2m"), nine), E2_CYCLES))
+            runs.append(Run(name, errors, controller(on, row_of(name), nine), scope.each_cycles))
+        runs.append(Run("C2m no lag", without_lag(errors), controller(on, row_of("C2m"), nine), scope.each_cycles))
         runs.append(Run("floor", ideal(errors), controller(on, row_of("B"), fixed_function())))
         runs.append(Run("O", errors, controller(on, row_of("O"), exact(on, errors))))
         for name in ("C7", "C8r"):
             runs.append(Run(name, errors, controller(on, row_of(name), nine), learning))
         forgetting = replace(row_of("C2c"), learning=LearningRule(forgetting=FORGETTING))
-        runs.append(Run("C6", errors, controller(on, forgetting, nine), E2_CYCLES))
+        runs.append(Run("C6", errors, controller(on, forgetting, nine), scope.each_cycles))
         frozen = learning - 1 + scope.frozen_cycles
         runs.append(Run("C8", errors, controller(on, row_of("C8"), nine), frozen, freeze_after=learning - 1))
-    rows = collect(on, runs)
+    rows = collect(on, runs, scope)
     for run in runs:
         learned.setdefault(run.name, []).append(run)
     return rows
@@ -141,18 +164,18 @@ def _even(stock: Stock, scope: Scope, learned: dict[str, list[Run]]) -> list[Row
     for index, errors in enumerate(stock.errors):
         count = len(learned["C8"][index].controller.function)
         first = teach(on, [errors], on.path.uniform(count))[0]
-        runs.append(Run("C8u", errors, controller(on, row_of("C8u"), first), 1 + BLOCK * UPDATES))
-    return collect(on, runs)
+        runs.append(Run("C8u", errors, controller(on, row_of("C8u"), first), scope.learning))
+    return collect(on, runs, scope)
 
 
 def _speeds(stock: Stock, scope: Scope, learned: dict[str, list[Run]]) -> list[Row]:
     """E3: functions learned at .75 and 1.5, used at 1.1 and 1.8 without any learning there."""
     on = track(SLOW)
     slow = [
-        Run("C2c", errors, controller(on, row_of("C2c"), stock.nine[index]), E2_CYCLES)
+        Run("C2c", errors, controller(on, row_of("C2c"), stock.nine[index]), scope.each_cycles)
         for index, errors in enumerate(stock.errors)
     ]
-    rows = collect(on, slow)
+    rows = collect(on, slow, scope)
     fast = learned["C2c"]
     for speed in (BETWEEN, BEYOND):
         on = track(speed)
@@ -171,7 +194,7 @@ def _speeds(stock: Stock, scope: Scope, learned: dict[str, list[Run]]) -> list[R
                 runs.append(Run(label, errors, controller(on, row_of(label.split()[0]), first)))
                 bare = replace(row_of(label.split()[0]), corrects="none")
                 runs.append(Run(f"{label}, no impedance", errors, controller(on, bare, first)))
-        rows += collect(on, runs)
+        rows += collect(on, runs, scope)
     return rows
 
 
@@ -182,14 +205,14 @@ def _fast(stock: Stock, scope: Scope, learned: dict[str, list[Run]]) -> list[Row
     printed = {"lead_s": 0.0, "smooth_s": 0.0}
     literal = replace(row_of("C8"), learning=replace(_rule("C8"), **printed))
     each = replace(row_of("C2c"), learning=replace(_rule("C2c"), **printed))
-    learning = 1 + BLOCK * UPDATES
+    learning = scope.learning
     for index, errors in enumerate(stock.errors):
         for name in ("A", "B", "C1i"):
             runs.append(Run(name, errors, controller(on, row_of(name), stock.first(row_of(name), index))))
         for label, row, cycles in (
-            ("C2m", row_of("C2m"), E2_CYCLES),
-            ("C2c", row_of("C2c"), E2_CYCLES),
-            ("C2c no lead", each, E2_CYCLES),
+            ("C2m", row_of("C2m"), scope.each_cycles),
+            ("C2c", row_of("C2c"), scope.each_cycles),
+            ("C2c no lead", each, scope.each_cycles),
             ("C7", row_of("C7"), learning),
             ("C8", row_of("C8"), learning - 1 + scope.frozen_cycles),
             ("C8 no lead", literal, learning),
@@ -197,7 +220,7 @@ def _fast(stock: Stock, scope: Scope, learned: dict[str, list[Run]]) -> list[Row
             freeze = learning - 1 if label == "C8" else 10**6
             runs.append(Run(label, errors, controller(on, row, stock.nine[index]), cycles, freeze_after=freeze))
         runs.append(Run("floor", ideal(errors), controller(on, row_of("B"), fixed_function())))
-    rows = collect(on, runs)
+    rows = collect(on, runs, scope)
     learned["C8 fast"] = [run for run in runs if run.name == "C8"]
     return rows
 
@@ -224,7 +247,7 @@ def _snag(stock: Stock, scope: Scope, learned: dict[str, list[Run]]) -> list[Row
         same = np.array_equal(off[index].controller.function.knots, stock.nine[index].knots)
         rows.append(
             {"tier": "numpy", "row": "snag", "seed": errors.seed, "speed": USUAL, "mean_m": moved["mean"]}
-            | {"median_m": moved["median"], "ratio": moved["median"] / moved["mean"], "frozen_identical": same}
+            | {"median_m": moved["median"], "ratio": moved["median"] / moved["mean"], "frozen_identical": float(same)}
         )
     return rows
 
@@ -242,11 +265,9 @@ def _skew(stock: Stock, scope: Scope, learned: dict[str, list[Run]]) -> list[Row
     for index, errors in enumerate(stock.errors):
         for label, skew_s, jitter_s in (("C8 skew .5 ms", 0.5e-3, None), ("C8 jitter 1 ms", 0.0, 1e-3)):
             late = replace(errors, skew_s=skew_s)
-            run = Run(
-                label, late, controller(on, row_of("C8"), stock.nine[index]), 1 + BLOCK * UPDATES, jitter_s=jitter_s
-            )
+            run = Run(label, late, controller(on, row_of("C8"), stock.nine[index]), scope.learning, jitter_s=jitter_s)
             runs.append(run)
-    return collect(on, runs)
+    return collect(on, runs, scope)
 
 
 def _rule(name: str) -> LearningRule:

@@ -122,6 +122,7 @@ class Run:
     freeze_after : cycles after which learning is switched off
     snag_cycle : cycle in which a cable pulls arm 2 with 20 N, 0 = none
     jitter_s : the skew of the slave's SYNC is drawn anew each cycle of the bus between 0 and this, None = as drawn
+    knots_m : where the first function has its knots
     """
 
     name: str
@@ -133,6 +134,10 @@ class Run:
     jitter_s: float | None = None
     grasp: Array | None = None
     results: list[CycleResult] = field(default_factory=list)
+    knots_m: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.knots_m = self.controller.function.s_m
 
 
 @dataclass(frozen=True, slots=True, eq=False)

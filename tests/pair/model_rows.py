@@ -25,6 +25,7 @@ def cycle_rows(run: Run, path: PairPath, label: str = "") -> list[dict[str, obje
     for result in run.results:
         size = np.linalg.norm(result.internal[:, :3], axis=1)
         worst = int(np.argmax(size))
+        at_knots = path.nearest(run.knots_m)
         rows.append(
             {
                 "tier": "numpy",
@@ -37,9 +38,11 @@ def cycle_rows(run: Run, path: PairPath, label: str = "") -> list[dict[str, obje
                 "rms_n": float(np.sqrt(np.mean(size**2))),
                 "p99_n": float(np.percentile(size, 99.0)),
                 "share_above": float(np.mean(size > LIMIT_N)),
+                "at_first_knots_n": float(size[at_knots].max()),
                 "worst_at_m": float(path.s_m[worst]),
                 "oscillation": oscillation(result.internal, path.dt_s),
                 "knots": result.summary.knots,
+                "frozen": float(result.summary.cycle > run.freeze_after),
                 "function": result.summary.function,
                 "estimated_n": result.summary.force_n,
                 "part_off_m": result.part_off_m,
