@@ -1,0 +1,40 @@
+"""The table of reactions: complete, and printed where the engineer reads it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from drives.errors import DriveError
+from gateway.acquire.reactions import MEANING, REACTIONS, markdown
+
+README = (Path(__file__).parents[3] / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_readme_prints_the_table_that_the_code_goes_by() -> None:
+    assert markdown() in README
+
+
+@pytest.mark.parametrize("name", list(REACTIONS))
+def test_every_rule_says_what_how_much_and_what_to_do(name: str) -> None:
+    rule = REACTIONS[name]
+    assert rule.reaction in MEANING
+    assert rule.limit > 0
+    assert rule.unit
+    assert rule.advice or rule.reaction != "stop"
+    if rule.error is not None:
+        raised = rule.raised("something", node=3, more="and more")
+        assert isinstance(raised, DriveError)
+        assert raised.node == 3
+        assert str(raised).endswith("and more")
+
+
+def test_every_fault_that_is_not_fit_is_a_kind_of_the_simulator() -> None:
+    from sim.faults import KINDS
+
+    table = README[README.index("**Not yet fit for a real robot**") : README.index("## Real SocketCAN")]
+    named = {word for line in table.splitlines() for word in line.split("|")[1:2] for word in word.split("`")[1::2]}
+    known = {kind for name in named for kind in KINDS if kind == name or kind.startswith(name.rstrip("*"))}
+    assert {name for name in named if not any(k == name or k.startswith(name.rstrip("*")) for k in known)} == set()
+    assert f"({len(KINDS)} kinds)" in README
