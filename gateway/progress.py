@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gateway.acquire.events import Event, PoseDone, Progress, SampleRepeated, Started, Stopped, VisitDone
+from gateway.acquire.events import Event, PoseDone, Progress, SampleRepeated, Started, StateChanged, Stopped, VisitDone
 from gateway.acquire.opening import OpenArm
 from gateway.acquire.plan import Plan
 from gateway.acquire.session import RecordingSummary, RecordRequest, record
@@ -39,6 +39,8 @@ class ProgressListener:
         elif isinstance(event, SampleRepeated):
             axes = ", ".join(f"J{axis}" for axis in event.axes)
             self._session.note(f"SYNC {event.sync_index} was not answered by {axes}; sampled again")
+        elif isinstance(event, StateChanged):
+            self._session.note(str(event.state), level=2)
         elif isinstance(event, Stopped):
             self._session.note(f"stopped: {event.reason}")
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from gateway.acquire.state import CellState
+
 
 @dataclass(frozen=True, slots=True)
 class Started:
@@ -78,5 +80,12 @@ class Stopped:
     reason: str
 
 
-Event = Started | Progress | SampleRepeated | VisitDone | PoseDone | Stopped
+@dataclass(frozen=True, slots=True)
+class StateChanged:
+    """The arm does something else now."""
+
+    state: CellState
+
+
+Event = StateChanged | Started | Progress | SampleRepeated | VisitDone | PoseDone | Stopped
 Listener = Callable[[Event], None]

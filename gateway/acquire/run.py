@@ -12,7 +12,16 @@ import numpy as np
 from drives.errors import IncompleteEpochs
 from gateway.acquire.arm import Arm, ArmSample
 from gateway.acquire.contact import TAKE_OVER_S
-from gateway.acquire.events import Event, Listener, PoseDone, Progress, SampleRepeated, Started, VisitDone
+from gateway.acquire.events import (
+    Event,
+    Listener,
+    PoseDone,
+    Progress,
+    SampleRepeated,
+    Started,
+    StateChanged,
+    VisitDone,
+)
 from gateway.acquire.plan import (
     Approach,
     MoveTo,
@@ -25,6 +34,7 @@ from gateway.acquire.plan import (
 )
 from gateway.acquire.reactions import ARM_RULES
 from gateway.acquire.settle import SettleTest
+from gateway.acquire.state import Phase, StateKeeper
 from gateway.acquire.stream import Stream
 from gateway.acquire.trajectory import straight
 from gateway.acquire.watch import Watch
@@ -37,6 +47,7 @@ PROGRESS_S = 0.25
 #: Incomplete SYNCs while sampling, as a share of the samples asked for, before the visit is given up.
 REPEATED_SHARE = ARM_RULES["repeats"].limit
 REPEATED_LEAST = 10
+PHASES = {MoveTo: Phase.MOVING, Approach: Phase.MOVING, Settle: Phase.SETTLING, Sample: Phase.SAMPLING}
 #: How far the arm may sink when its brakes open, before the checked plan no longer fits.
 SINK_RAD = ARM_RULES["sinks"].limit
 
@@ -87,6 +98,7 @@ class Run:
     def __init__(self, station: Station, plan: Plan, load: str) -> None:
         self.plan = plan
         self.broken: Visit | None = None
+        self.state = StateKeeper(plan.arm, lambda state: station.tell(StateChanged(state)))
         self._load = load
         self._arm = station.arm
         self._workspace: Workspace = station.workspace
@@ -113,6 +125,12 @@ class Run:
                 f"{ARM_RULES['sinks'].advice}"
             )
         self._stream.start(sample.q_rad)
+        self.state.enter(Phase.HOLDING, sample.sync_index)
+
+    @property
+    def sync_index(self) -> int:
+        """Last SYNC of this run."""
+        return self._stream.sync_index
 
     def execute(self) -> None:
         """All steps."""
@@ -122,6 +140,7 @@ class Run:
             self._stream.hold("open the brakes", 0, rows)
         for number, step in enumerate(self.plan.steps):
             self._step = number
+            self.state.enter(PHASES[type(step)], self.sync_index)
             if isinstance(step, MoveTo):
                 self._move(step.q_rad, "move")
             elif isinstance(step, Approach):
@@ -160,7 +179,7 @@ class Run:
                 if restless is not None and not restless.any():
                     self._settle_s = (row + 1) * self._period_s
                     return
-        joint = 1 if restless is None else int(np.argmax(restless)) + 1
+        joint = test.worst + 1
         raise PoseNeverSettles(
             f"pose {step.pose} does not settle within {step.timeout_s:g} s: joint {joint} still moves or its torque "
             f"drifts; {ARM_RULES['never_settles'].advice}",

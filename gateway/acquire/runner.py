@@ -9,6 +9,7 @@ from drives.errors import DriveError
 from gateway.acquire.events import Stopped
 from gateway.acquire.plan import Plan, check_plan, plan_from
 from gateway.acquire.run import Run, Station
+from gateway.acquire.state import Phase
 from gateway.errors import GatewayError, LimitExceeded
 
 
@@ -56,8 +57,14 @@ def run_plan(station: Station, request: RunRequest) -> None:
         failure = error
         raise
     finally:
+        run.state.enter(Phase.STOPPING, run.sync_index)
+        since = run.state.state
         _make_safe(station, run, failure)
-        if failure is not None:
+        if failure is None:
+            run.state.enter(Phase.IN_BRAKES, run.sync_index)
+        else:
+            failure.add_note(f"It happened at {since.since:%H:%M:%S} UTC, SYNC {since.sync_index} of this run.")
+            run.state.enter(Phase.STOPPED, run.sync_index, str(failure) or type(failure).__name__)
             _keep_the_rest(station, run, failure)
 
 

@@ -36,6 +36,8 @@ class SettleTest:
     def __init__(self, period_s: float, torque_limit_nm: np.ndarray) -> None:
         self.window = max(LEAST_WINDOW, round(WINDOW_S / period_s))
         self._floor_nm = TORQUE_FLOOR_SHARE * torque_limit_nm
+        #: Joint, from 0, that stands least: it moves farthest, or else its torque drifts farthest for its limit.
+        self.worst = 0
         self._rows: deque[np.ndarray] = deque(maxlen=WINDOWS * self.window)
 
     def add(self, q_rad: np.ndarray, torque_nm: np.ndarray) -> None:
@@ -48,7 +50,9 @@ class SettleTest:
             return None
         rows = np.array(self._rows)
         noise = np.sqrt((np.diff(rows, axis=0) ** 2).mean(axis=0) / 2.0)
-        moved = np.ptp(rows[-self.window :, :6], axis=0) > POSITION_FLOOR_RAD + 2.0 * SIGMAS * noise[:6]
+        way = np.ptp(rows[-self.window :, :6], axis=0)
+        moved = way > POSITION_FLOOR_RAD + 2.0 * SIGMAS * noise[:6]
         drift = np.ptp(rows[:, 6:].reshape(WINDOWS, self.window, 6).mean(axis=1), axis=0)
         allowed = self._floor_nm + SIGMAS * np.sqrt(2.0 / self.window) * noise[6:]
+        self.worst = int(np.argmax(way * moved if moved.any() else drift / allowed))
         return moved | (drift > allowed)

@@ -32,6 +32,8 @@ class Stream:
     q_rad : array of shape (6,)
         Last set point.
     moving : bool
+    sync_index : int
+        Of the last answer.
     """
 
     def __init__(
@@ -39,6 +41,7 @@ class Stream:
     ) -> None:
         self.q_rad = np.zeros(6)
         self.moving = False
+        self.sync_index = 0
         self._rates = (np.zeros(6), np.zeros(6))
         self._modelled_nm = np.zeros(6)
         self._arm = arm
@@ -72,6 +75,7 @@ class Stream:
             if row % self._report_every == 0:
                 self._report(what, row, len(commands))
             sample = exchange(command)
+            self.sync_index = sample.sync_index
             self.q_rad = motion.q_rad[row]
             self._rates = (motion.qd_rad_s[row], motion.qdd_rad_s2[row])
             self._modelled_nm = modelled[row]
@@ -85,6 +89,7 @@ class Stream:
         if row % self._report_every == 0:
             self._report(what, row, rows)
         sample = self._arm.hold()
+        self.sync_index = sample.sync_index
         self._watch.check(sample, self.q_rad, self._modelled_nm)
         if self._stop_asked():
             raise KeyboardInterrupt

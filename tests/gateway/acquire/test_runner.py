@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from drives.errors import DriveFault, IncompleteEpochs
-from gateway.acquire.events import PoseDone, Progress, SampleRepeated, Started, Stopped, VisitDone
+from gateway.acquire.events import PoseDone, Progress, SampleRepeated, Started, StateChanged, Stopped, VisitDone
 from gateway.acquire.plan import Plan, VisitSettings, plan_poses
 from gateway.acquire.poses import RestPose
 from gateway.acquire.run import Station
 from gateway.acquire.runner import RunRequest, run_plan
+from gateway.acquire.state import SAFE, Phase
 from gateway.acquire.watch import IN_A_ROW
 from gateway.errors import InputError, LimitExceeded, PlanRefused, PoseNeverSettles
 from gateway.visit import Visit
@@ -58,7 +59,11 @@ def events() -> list:
 
 @pytest.fixture
 def station(arm, workspace, store, events) -> Station:
-    return Station(arm, workspace, store, (events.append,))
+    def keep(event):
+        if not isinstance(event, StateChanged):
+            events.append(event)
+
+    return Station(arm, workspace, store, (keep,))
 
 
 def test_all_poses_are_measured_from_both_sides(station, plan, store, events, fake):
@@ -160,6 +165,24 @@ def test_contact_stops_by_the_drives_ramp(station, plan, fake, workspace):
     assert stopped.value.joint == 3
     assert fake.sync_index == 200 + IN_A_ROW - 1
     assert fake.log == ["enable", "quick stop", "disable"]
+
+
+def test_the_state_of_the_cell_is_told_all_the_way(station, plan, fake):
+    told = []
+    listening = replace(station, listeners=(told.append,))
+    run_plan(listening, RunRequest(plan, "a"))
+    phases = [event.state.phase for event in told if isinstance(event, StateChanged)]
+    assert phases[:4] == [Phase.HOLDING, Phase.MOVING, Phase.SETTLING, Phase.SAMPLING]
+    assert phases[-2:] == [Phase.STOPPING, Phase.IN_BRAKES]
+    told.clear()
+    fake.fault_at = fake.sync_index + 100
+    with pytest.raises(DriveFault) as failed:
+        run_plan(listening, RunRequest(plan, "a"))
+    stopping, stopped = [event.state for event in told if isinstance(event, StateChanged)][-2:]
+    assert (stopping.phase, stopped.phase) == (Phase.STOPPING, Phase.STOPPED)
+    assert stopped.phase in SAFE
+    assert str(failed.value) in str(stopped)
+    assert f"SYNC {stopping.sync_index} of this run" in failed.value.__notes__[-1]
 
 
 def test_a_joint_that_does_not_follow(station, plan, fake):

@@ -1,0 +1,75 @@
+"""The state of a whole cell as the master knows it: in which phase, since when, and after a stop what happened."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from enum import Enum
+
+
+class Phase(Enum):
+    """What the arm does."""
+
+    IN_BRAKES = "in its brakes"
+    HOLDING = "under power, holding"
+    MOVING = "moving"
+    SETTLING = "settling"
+    SAMPLING = "being sampled"
+    STOPPING = "being stopped"
+    STOPPED = "stopped, in its brakes"
+
+    def __str__(self) -> str:
+        return self.value
+
+
+#: Phases in which no axis is energised by the master's will.
+SAFE = frozenset({Phase.IN_BRAKES, Phase.STOPPED})
+
+
+@dataclass(frozen=True, slots=True)
+class CellState:
+    """One state.
+
+    Attributes
+    ----------
+    arm : str
+    phase : Phase
+    since : datetime
+        UTC.
+    sync_index : int
+        Last SYNC before it; 0 = none yet.
+    reason : str
+        After a stop: what happened, on which axis, what to do.
+    """
+
+    arm: str
+    phase: Phase
+    since: datetime
+    sync_index: int = 0
+    reason: str = ""
+
+    def __str__(self) -> str:
+        when = f"since {self.since:%Y-%m-%d %H:%M:%S} UTC" + (f", SYNC {self.sync_index}" if self.sync_index else "")
+        return f"arm '{self.arm}' is {self.phase} {when}" + (f": {self.reason}" if self.reason else "")
+
+
+class StateKeeper:
+    """Keeps the state of one arm and tells when it changes.
+
+    Parameters
+    ----------
+    arm : str
+    tell : callable
+        Takes every new state.
+    """
+
+    def __init__(self, arm: str, tell: Callable[[CellState], None]) -> None:
+        self.state = CellState(arm, Phase.IN_BRAKES, datetime.now(UTC))
+        self._tell = tell
+
+    def enter(self, phase: Phase, sync_index: int = 0, reason: str = "") -> None:
+        """The arm is in this phase from now on; nothing happens if it is already."""
+        if phase is not self.state.phase:
+            self.state = CellState(self.state.arm, phase, datetime.now(UTC), sync_index, reason)
+            self._tell(self.state)
