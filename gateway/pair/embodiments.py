@@ -11,11 +11,13 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from gateway.pair.impedance import Gains
-from gateway.pair.learning import LearningRule
+from gateway.pair.learning import Forgetting, LearningRule
 from gateway.pair.selection import Feature, Selection
 
 #: Twice the damping at which a chain of 1.6e5 N/m, 3.6e3 Nm/rad with a loop time of 35 ms oscillates.
 DEFAULT_GAINS = Gains(damping=(7.2e3, 160.0))
+#: Twice the damping [s] at which a distance loop of 35 ms oscillates.
+DISTANCE_GAINS = Gains(damping=(0.045, 0.045))
 FORCE_POINTS = Selection(features=(Feature("force", 10.0),))
 
 First = Literal["fixed", "taught", "speed_table", "exact"]
@@ -60,6 +62,20 @@ _ROWS = (
     ),
     Embodiment("C2c", "E2: learned each cycle from commands", learning=LearningRule()),
     Embodiment("C3", "E3: function interpolated between learned speeds", first="speed_table"),
+    Embodiment(
+        "C5",
+        "E5: gap kept by distance sensors",
+        first="fixed",
+        sensing="distance",
+        gains=DISTANCE_GAINS,
+        learning=LearningRule(smooth_s=0.0),
+        points=30,
+    ),
+    Embodiment(
+        "C6",
+        "E6: learned each cycle, with forgetting",
+        learning=LearningRule(forgetting=Forgetting(gamma=0.05, phi=0.6)),
+    ),
     Embodiment("C7", "E7: representative of 3 cycles", learning=_UNIFORM),
     Embodiment("C8", "E8: learning points where force acts", learning=replace(_UNIFORM, selection=FORCE_POINTS)),
     Embodiment("C8u", "as C8, points spread evenly", learning=_UNIFORM, points=20),

@@ -14,7 +14,7 @@ import numpy as np
 
 from gateway.pair.embodiments import EMBODIMENTS, Embodiment, with_gains
 from gateway.pair.function import TransformFunction
-from gateway.pair.learning import Forgetting, LearningRule
+from gateway.pair.learning import LearningRule
 from gateway.pair.speed import ExtrapolationWarning, SpeedTable
 from sim.pair.errors import PairErrors, draw, ideal, without_lag
 from tests.pair.model_rig import BASES, Run, Track, controller, exact, fixed_function, run_all, teach, track
@@ -30,7 +30,6 @@ BLOCK = 3
 UPDATES = 4
 FROZEN_CYCLES = 20
 SNAG_BLOCK = 5
-FORGETTING = Forgetting(gamma=0.05, phi=0.6)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,15 +139,13 @@ def _usual(stock: Stock, scope: Scope, learned: dict[str, list[Run]]) -> list[Ro
         nine = stock.nine[index]
         for name in ("A", "B", "C1", "C1i"):
             runs.append(Run(name, errors, controller(on, row_of(name), stock.first(row_of(name), index))))
-        for name in ("C2m", "C2c"):
+        for name in ("C2m", "C2c", "C6"):
             runs.append(Run(name, errors, controller(on, row_of(name), nine), scope.each_cycles))
         runs.append(Run("C2m no lag", without_lag(errors), controller(on, row_of("C2m"), nine), scope.each_cycles))
         runs.append(Run("floor", ideal(errors), controller(on, row_of("B"), fixed_function())))
         runs.append(Run("O", errors, controller(on, row_of("O"), exact(on, errors))))
         for name in ("C7", "C8r"):
             runs.append(Run(name, errors, controller(on, row_of(name), nine), learning))
-        forgetting = replace(row_of("C2c"), learning=LearningRule(forgetting=FORGETTING))
-        runs.append(Run("C6", errors, controller(on, forgetting, nine), scope.each_cycles))
         frozen = learning - 1 + scope.frozen_cycles
         runs.append(Run("C8", errors, controller(on, row_of("C8"), nine), frozen, freeze_after=learning - 1))
     rows = collect(on, runs, scope)

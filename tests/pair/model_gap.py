@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.pair.controller import PairController
 from gateway.pair.distance import COMPONENTS, DistanceEstimator, DistanceSensors
-from gateway.pair.embodiments import Embodiment
+from gateway.pair.embodiments import EMBODIMENTS
 from gateway.pair.function import function_of_knots
-from gateway.pair.impedance import Gains
-from gateway.pair.learning import LearningRule
 from gateway.pair.relation import slave_command
 from sim.pair.errors import PairErrors, draw
 from sim.pair.kinetostatic import KinetostaticPair
@@ -22,9 +20,8 @@ from tests.pair.model_rig import BASES, FIXED, Track, calibration, joints_of, tr
 
 Array = NDArray[np.float64]
 GAP_M = 0.005
-#: Twice the damping at which a loop of 26 ms (two bus cycles, servo, half a cycle) oscillates.
-GAINS = Gains((0.05, 0.05))
-POINTS = 30
+ROW = EMBODIMENTS["C5"]
+STILL = replace(ROW, corrects="none", learning=None)
 CYCLES = 4
 SPEED = 1.5
 
@@ -50,9 +47,9 @@ def gaps(seeds: Sequence[int], components: Sequence[str] = COMPONENTS, speed: fl
     """
     on, rig = track(speed), sensors_for(components)
     errors = [draw(seed, BASES) for seed in seeds]
-    fixed = function_of_knots(on.path.s_m[on.path.uniform(POINTS)], np.tile(FIXED, (POINTS, 1, 1)))
-    still = [PairController(_row(None), on.path, calibration(), fixed) for _ in seeds]
-    yielding = [PairController(_row(LearningRule(smooth_s=0.0)), on.path, calibration(), fixed) for _ in seeds]
+    fixed = function_of_knots(on.path.s_m[on.path.uniform(ROW.points)], np.tile(FIXED, (ROW.points, 1, 1)))
+    still = [PairController(STILL, on.path, calibration(), fixed) for _ in seeds]
+    yielding = [PairController(ROW, on.path, calibration(), fixed) for _ in seeds]
     without = _cycle(on, errors, still, rig, components, 0)
     each = [_cycle(on, errors, yielding, rig, components, cycle) for cycle in range(1, CYCLES + 1)]
     return [
@@ -66,11 +63,6 @@ def sensors_for(components: Sequence[str]) -> Rig:
     rig = six_sensors(FIXED, GAP_M)
     count = 6 if set(components) - {"z", "rx", "ry"} else 3
     return Rig(rig.origin[:count], rig.beam[:count], rig.point[:count], rig.normal[:count])
-
-
-def _row(learning: LearningRule | None) -> Embodiment:
-    corrects = "none" if learning is None else "slave"
-    return Embodiment("C5", "E5: distance", corrects=corrects, gains=GAINS, sensing="distance", learning=learning)
 
 
 def _cycle(
