@@ -35,6 +35,7 @@ LEAST_TIMED = 4
 #: Largest file and longest path that are taken.
 MOST_BYTES = 4_000_000
 LONGEST_S = 600.0
+MOST_WAYPOINTS = 1000
 #: What a limit may be exceeded by through rounding.
 ROUNDING = 1e-6
 
@@ -45,7 +46,7 @@ Share = Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)]
 class _Waypoints(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     name: str | None = None
-    waypoints_rad: tuple[Six, ...] = Field(min_length=2)
+    waypoints_rad: tuple[Six, ...] = Field(min_length=2, max_length=MOST_WAYPOINTS)
     speed_share: Share = 1.0
     dwell_s: float = Field(default=0.4, ge=0, le=10)
     repeat: int = Field(default=1, ge=1, le=100)
@@ -104,6 +105,8 @@ def read_path(file: Path, workspace: Workspace, period_s: float) -> FollowPath:
         times, points = _read_csv(text, file)
         if times is not None:
             return _timed(file.stem, times, points, workspace, period_s)
+        if len(points) > MOST_WAYPOINTS:
+            raise InputError(f"{file}: holds {len(points)} waypoints, {MOST_WAYPOINTS} are the most")
         given = _Waypoints(waypoints_rad=tuple(tuple(row) for row in points.tolist()))
     else:
         given = _read_toml(text, file)
@@ -159,7 +162,10 @@ def _waypoints(name: str, given: _Waypoints, workspace: Workspace, period_s: flo
     )
     if not motions:
         raise InputError(f"{where}: all waypoints are the same place")
-    return FollowPath(name, points[0], motions, given.dwell_s, period_s)
+    path = FollowPath(name, points[0], motions, given.dwell_s, period_s)
+    if path.duration_s > LONGEST_S:
+        raise InputError(f"{where}: the path takes {path.duration_s:.0f} s, {LONGEST_S:g} s are the most")
+    return path
 
 
 def _timed(name: str, times: np.ndarray, points: np.ndarray, workspace: Workspace, period_s: float) -> FollowPath:
