@@ -21,6 +21,7 @@ from sim.multicast import QuietMulticastBus
 from sim.nominal import plant_of
 from sim.offline import point_jacobian
 from sim.pair.cell import PairOptions, pair_units
+from sim.pair.unit import PairUnit
 from sim.plant import Payload
 from sim.server import ArmUnit, BusServer
 from sim.undeclared import draw_undeclared
@@ -75,6 +76,8 @@ class Simulation:
         self._options = options
         faults = read_faults(options.fault) if options.fault else ()
         units = self._units(pair or PairOptions(options.seed))
+        told: list[Any] = [unit.world.told_nobody for unit in list[Any](units.values()) if isinstance(unit, PairUnit)]
+        self._pair_truth = {"pair": told[0]} if told else {}
         self.specs = _bus_specs(self.cell, options.bus)
         self.servers: list[BusServer] = []
         if options.truth is not None:
@@ -118,7 +121,7 @@ class Simulation:
             {"label": load.label, "mass_kg": load.mass_kg, "com_m": [float(value) for value in load.com_m]}
             for load in self.loads.values()
         ]
-        return {"loads": loads, "effects": self.effects}
+        return {"loads": loads, "effects": self.effects} | self._pair_truth
 
     def hang(self, label: str, arm: str | None = None) -> None:
         """Hang a load on the flange (`none`: take it off); returns when it hangs. Call from outside the servers.

@@ -120,7 +120,7 @@ class WrenchFromTorque:
             return
         at = max(m - 1, 0)
         inertia = self._mass[at] @ (sample.q_rad - 2.0 * last.q_rad + before.q_rad)
-        self.external_nm = last.joint_torque_nm - self._known[at] - inertia
-        external = dead_band(self.external_nm, self._band[at])
+        rest = self.external_nm = last.joint_torque_nm - self._known[at] - inertia
+        external = dead_band(rest, self._band[at])
         fresh = self._map[at] @ external
         self.wrench = fresh if self.wrench is None else self.wrench + self._share * (fresh - self.wrench)

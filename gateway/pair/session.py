@@ -14,13 +14,14 @@ from gateway.pair.cell import PairCell
 from gateway.pair.embodiments import EMBODIMENTS, Embodiment, with_gains
 from gateway.pair.function import TransformFunction, constant_function
 from gateway.pair.impedance import Gains
+from gateway.pair.lesson import Lesson, TaughtPoint, read_lesson
 from gateway.pair.link import PairLink
 from gateway.pair.motion import MotionOptions, PairMotion
 from gateway.pair.run import PairCycle, PairRun
 from gateway.pair.speed import SpeedTable
 from gateway.pair.storage import PairStore, run_as_json
 from gateway.pair.stored import from_json, refuse_foreign
-from gateway.pair.teach import Lesson, TaughtPoint, Teacher, read_lesson
+from gateway.pair.teach import Teacher
 
 #: What can be run without the simulator's truth.
 RUNNABLE = tuple(name for name, row in EMBODIMENTS.items() if row.first != "exact" and row.sensing == "force")

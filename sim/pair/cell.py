@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.cellfile import ArmSpec, CellFileError, CellSpec
+from sim.pair.body import ArmTruth
 from sim.pair.errors import GEAR_STIFFNESS_NM_RAD, ArmErrors, PairErrors, draw
 from sim.pair.geometry import TOOL_M, bases, frames, nominal_arm, nominal_arms
 from sim.pair.motors import DriveTrain
 from sim.pair.unit import PairUnit
-from sim.pair.world import ArmTruth, PairWorld, WorldSettings
+from sim.pair.world import PairWorld, WorldSettings
 from sim.urdf import Body, combine
 
 Array = NDArray[np.float64]
@@ -66,6 +67,7 @@ def pair_units(cell: CellSpec, options: PairOptions) -> dict[str, PairUnit]:
         (start[0], start[1]), skew_s=errors.skew_s, seed=1 if options.seed is None else options.seed
     )
     world = PairWorld(truths, replace(settings, **(options.settings or {})))
+    world.told_nobody = _plain(asdict(errors))
     return {arm.name: PairUnit(arm, world, index, cell.buses[arm.bus]) for index, arm in enumerate(arms)}
 
 
@@ -83,6 +85,13 @@ def _check(arm: ArmSpec) -> None:
         wanted = np.eye(4) if i == 0 else own[i - 1]
         if np.abs(before - wanted).max() > FIT_M:
             raise CellFileError(f"arm '{arm.name}': joint {i + 1} does not stand where the simulated pair has it")
+
+
+def _plain(value: Any) -> Any:
+    """Arrays as lists, all the way down."""
+    if isinstance(value, dict):
+        return {key: _plain(one) for key, one in value.items()}
+    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 def _without_errors() -> PairErrors:

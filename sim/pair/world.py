@@ -6,22 +6,19 @@ world knows no clock. It moves on when both arms have asked for it, so that two 
 
 from __future__ import annotations
 
-import re
-import tempfile
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.pair.geometry import ArmGeometry, turn
-from sim.pair.motors import DriveTrain, Motors, joined
+from sim.pair.body import JOINTS, ArmTruth, load_pair
+from sim.pair.motors import Motors, joined
 from sim.pair.workpiece import Closure, Stiffness, Workpiece
 from sim.physics import bullet
 from sim.servo import TICK_S
-from sim.urdf import Body, Chain, write_chain
 
 Array = NDArray[np.float64]
 
@@ -33,31 +30,10 @@ WAIT_S, WAITS = 0.01, 25
 SILENT_S = 0.1
 #: Largest modulus of a mode of the linearised step.
 STABLE = 1.0 + 1e-6
-JOINTS = tuple(range(12))
 
 
 class UnstableStepError(ValueError):
     """The step is too long for the stiffest mode."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ArmTruth:
-    """One arm as it really is.
-
-    Attributes
-    ----------
-    geometry : with its errors
-    bodies : six links, gripper and half the part on the last
-    train : drives and gears
-    shift_rad : (6,) cell's zero offsets
-    max_rad_s : (6,) speed limit of the drives
-    """
-
-    geometry: ArmGeometry
-    bodies: tuple[Body, ...]
-    train: DriveTrain
-    shift_rad: Array
-    max_rad_s: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,6 +73,7 @@ class PairWorld:
     record : one row a millisecond while `recording`: time [s], force on gripper 2 (3) [N], moment about the part's
         centre (3) [Nm], the part's centre (3) [m]
     push : (12,) torque on the joints from outside [Nm], or None
+    told_nobody : drawn errors, for the truth file
     before, after : called around every stretch of time with its milliseconds, and with the time [s]
     """
 
@@ -106,6 +83,7 @@ class PairWorld:
         self.record: list[tuple[float, ...]] = []
         self.recording = False
         self.push: Array | None = None
+        self.told_nobody: dict[str, Any] = {}
         self.before: list[Callable[[int], None]] = []
         self.after: list[Callable[[float], None]] = []
         self.part = Workpiece((arms[0].geometry, arms[1].geometry), settings.stiffness)
@@ -115,7 +93,7 @@ class PairWorld:
         self._early = np.zeros(12)
         self._substeps = round(TICK_S / settings.step_s)
         self._share = TICK_S / (TICK_S + settings.filter_s)
-        self._client, self._body = _load(arms, settings.step_s)
+        self._client, self._body = load_pair(arms, settings.step_s)
         shift = np.concatenate([arm.shift_rad for arm in arms])
         limits = np.concatenate([arm.max_rad_s for arm in arms])
         self.motors = Motors(joined((arms[0].train, arms[1].train)), shift, limits, settings.step_s)
@@ -276,44 +254,3 @@ class PairWorld:
 
 def _centre(closure: Closure) -> Array:
     return 0.5 * (closure.tips[0][:3, 3] + closure.tips[1][:3, 3])
-
-
-def chain_of(arm: ArmTruth) -> Chain:
-    """The arm in the world as joints about z: everything between two axes is in the placement of the second."""
-    geometry = arm.geometry
-    before, placement = geometry.base, []
-    for i in range(6):
-        placement.append(before @ turn("z", geometry.zero_rad[i]))
-        before = np.eye(4)
-        before[:3, 3] = geometry.a_m[i], 0.0, geometry.d_m[i]
-        before = before @ turn("x", geometry.alpha_rad[i])
-    free = np.full(6, np.inf)
-    axis = np.tile([0.0, 0.0, 1.0], (6, 1))
-    return Chain("arm", np.array(placement), axis, arm.bodies, -free, free, free, free)
-
-
-def _load(arms: tuple[ArmTruth, ArmTruth], step_s: float) -> tuple[int, int]:
-    """Engine and body: both arms on one fixed base."""
-    client = bullet.connect(bullet.DIRECT)
-    bullet.setTimeStep(step_s, physicsClientId=client)
-    bullet.setGravity(0.0, 0.0, -9.80665, physicsClientId=client)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "pair.urdf"
-        path.write_text(_tree([write_chain(chain_of(arm)) for arm in arms]), encoding="utf-8")
-        flags = bullet.URDF_USE_INERTIA_FROM_FILE
-        body = bullet.loadURDF(str(path), useFixedBase=True, flags=flags, physicsClientId=client)
-    for joint in range(-1, 12):
-        bullet.changeDynamics(body, joint, linearDamping=0, angularDamping=0, jointDamping=0, physicsClientId=client)
-    bullet.setJointMotorControlArray(body, JOINTS, bullet.VELOCITY_CONTROL, forces=[0.0] * 12, physicsClientId=client)
-    return client, body
-
-
-def _tree(chains: list[str]) -> str:
-    """Two chains as two branches of one base link."""
-    lines = ['<?xml version="1.0"?>', '<robot name="pair">']
-    for number, text in enumerate(chains):
-        links = re.findall(r"  <link.*?</link>", text, re.DOTALL)
-        joints = re.findall(r"  <joint.*?</joint>", text, re.DOTALL)
-        lines += links[:1] if number == 0 else []
-        lines += [re.sub(r'"((?:link|joint)_\d)"', rf'"arm_{number}_\1"', part) for part in [*links[1:], *joints]]
-    return "\n".join([*lines, "</robot>"])

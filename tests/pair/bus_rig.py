@@ -17,12 +17,13 @@ from scipy.spatial import cKDTree
 from gateway.pair.cell import PairCell, load_pair
 from gateway.pair.embodiments import Embodiment
 from gateway.pair.function import TransformFunction
+from gateway.pair.lesson import Lesson
 from gateway.pair.link import PairLink, open_link
 from gateway.pair.motion import MotionOptions, PairMotion
 from gateway.pair.run import PairCycle, PairRun
 from gateway.pair.session import cell_gains
 from gateway.pair.storage import line_of_grippers
-from gateway.pair.teach import Lesson, Teacher
+from gateway.pair.teach import Teacher
 from sim.pair.cell import PairOptions
 from sim.pair.world import PairWorld
 from sim.simulation import ServeOptions, Simulation

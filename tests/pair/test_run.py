@@ -11,10 +11,11 @@ from drives.errors import DriveError
 from gateway.errors import PlanRefused
 from gateway.pair.embodiments import EMBODIMENTS, with_gains
 from gateway.pair.function import constant_function
+from gateway.pair.lesson import Lesson, lesson_from_json
 from gateway.pair.motion import MotionOptions, PairMotion, PairStopped
 from gateway.pair.run import PairRun
 from gateway.pair.session import cell_gains
-from gateway.pair.teach import Lesson, Teacher, TeachRule, lesson_from_json
+from gateway.pair.teach import Teacher, TeachRule
 from sim.fake_drive import FakeDrive
 from sim.states import PdsState
 from tests.pair.bus_rig import NO_LIMIT_N, PairRig, pair_rig
