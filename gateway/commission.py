@@ -21,7 +21,6 @@ from gateway.analysis import Given, ModelRequest, diagnose_arguments, estimate_o
 from gateway.cell_context import CellContext
 from gateway.check import check_arm
 from gateway.check_rules import CheckItem
-from gateway.check_stop import ensure_proven
 from gateway.config import ArmConfig
 from gateway.data import read_data
 from gateway.diagnose import DiagnoseOptions
@@ -32,6 +31,7 @@ from gateway.handover import complete
 from gateway.recorded import ArmRecording
 from gateway.recording import read
 from gateway.result import Result
+from gateway.stop_proofs import ensure_proven
 from gateway.table import Table
 
 BARE = "none"

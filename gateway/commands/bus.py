@@ -135,8 +135,8 @@ def _in_motion(
 ) -> tuple[list[CheckItem], list[dict[str, Any]]]:
     """Checks that move the arm; the stop is proven before anything else moves."""
     from gateway.acquire.opening import open_arm
-    from gateway.check_stop import keep_proof, proven_on
     from gateway.check_stop import prove_stop as prove
+    from gateway.stop_proofs import keep_proof, proven_on
 
     items: list[CheckItem] = []
     seen: list[dict[str, Any]] = []
