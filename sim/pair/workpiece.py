@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.pair.geometry import ArmGeometry, jacobian, tip
+from sim.pair.geometry import ArmGeometry, frames
 
 Array = NDArray[np.float64]
 
@@ -64,28 +64,36 @@ class Workpiece:
     """
 
     def __init__(self, arms: tuple[ArmGeometry, ArmGeometry], stiffness: Stiffness) -> None:
-        self.arms = arms
+        self._both = ArmGeometry(
+            *(np.stack([getattr(arm, name) for arm in arms]) for name in ArmGeometry.__slots__)  # type: ignore[attr-defined]
+        )
         self.grasp = np.eye(4)
         self.stiffness = np.repeat([stiffness.straight_n_m, stiffness.turned_nm_rad], 3)
         self.damping = np.zeros(6)
 
     def grip(self, q_rad: Array) -> None:
         """Close both grippers free of force at joint angles (12,)."""
-        first, second = (tip(arm, q_rad[6 * i : 6 * i + 6]) for i, arm in enumerate(self.arms))
+        first, second = self._both.base @ frames(self._both, q_rad.reshape(2, 6))[:, 5] @ self._both.tool
         self.grasp = np.linalg.inv(first) @ second
 
     def at(self, q_rad: Array) -> Closure:
         """Deviation and its Jacobian at joint angles (12,)."""
-        first, second = (tip(arm, q_rad[6 * i : 6 * i + 6]) for i, arm in enumerate(self.arms))
+        both = self._both
+        links = both.base[:, None] @ frames(both, q_rad.reshape(2, 6))
+        first, second = links[:, 5] @ both.tool
         wanted = first @ self.grasp
-        deviation = np.concatenate([second[:3, 3] - wanted[:3, 3], rotation_vector(second[:3, :3] @ wanted[:3, :3].T)])
-        shifted = jacobian(self.arms[0], q_rad[:6])
-        lever = wanted[:3, 3] - first[:3, 3]
-        shifted[:3] -= (
-            np.array([[0, -lever[2], lever[1]], [lever[2], 0, -lever[0]], [-lever[1], lever[0], 0]]) @ (shifted[3:])
-        )
-        rate = np.concatenate([-shifted, jacobian(self.arms[1], q_rad[6:])], axis=1)
-        return Closure(deviation, rate, (first, second), q_rad)
+        deviation = np.empty(6)
+        deviation[:3] = second[:3, 3] - wanted[:3, 3]
+        deviation[3:] = rotation_vector(second[:3, :3] @ wanted[:3, :3].T)
+        before = np.concatenate([both.base[:, None], links[:, :5]], axis=1)
+        axis = before[:, :, :3, 2]
+        arm = np.stack([wanted[:3, 3], second[:3, 3]])[:, None] - before[:, :, :3, 3]
+        rate = np.empty((6, 2, 6))
+        rate[3:] = axis.transpose(2, 0, 1)
+        for row, (a, b) in enumerate(((1, 2), (2, 0), (0, 1))):
+            rate[row] = axis[..., a] * arm[..., b] - axis[..., b] * arm[..., a]
+        rate[:, 0] *= -1.0
+        return Closure(deviation, rate.reshape(6, 12), (first, second), q_rad)
 
     def size_damping(self, mobility: Array) -> None:
         """Damping from the mobility (6, 6) between the grippers, `J M^-1 J^T`: of its largest mode, each kind."""
