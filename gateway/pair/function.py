@@ -107,6 +107,11 @@ def function_of_knots(s_m: ArrayLike, knots: ArrayLike) -> TransformFunction:
     return TransformFunction(s_m, given[:, :3, 3], given[:, :3, :3])
 
 
+def sampled(function: TransformFunction, s_m: ArrayLike) -> TransformFunction:
+    """The same function with knots at other ways (N,) [m], to learn there; exact at these ways."""
+    return function_of_knots(s_m, function.many(s_m))
+
+
 def closed(function: TransformFunction, end_m: float) -> TransformFunction:
     """For a path that ends where it starts: the first knot once more at its end [m].
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gateway.pair.controller import PairController
 from gateway.pair.distance import COMPONENTS, DistanceEstimator, DistanceSensors
 from gateway.pair.embodiments import EMBODIMENTS
-from gateway.pair.function import function_of_knots
+from gateway.pair.function import constant_function, sampled
 from gateway.pair.relation import slave_command
 from sim.pair.errors import PairErrors, draw
 from sim.pair.kinetostatic import KinetostaticPair
@@ -47,7 +47,7 @@ def gaps(seeds: Sequence[int], components: Sequence[str] = COMPONENTS, speed: fl
     """
     on, rig = track(speed), sensors_for(components)
     errors = [draw(seed, BASES) for seed in seeds]
-    fixed = function_of_knots(on.path.s_m[on.path.uniform(ROW.points)], np.tile(FIXED, (ROW.points, 1, 1)))
+    fixed = sampled(constant_function(FIXED), on.path.s_m[on.path.uniform(ROW.points)])
     still = [PairController(STILL, on.path, calibration(), fixed) for _ in seeds]
     yielding = [PairController(ROW, on.path, calibration(), fixed) for _ in seeds]
     without = _cycle(on, errors, still, rig, components, 0)

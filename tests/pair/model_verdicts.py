@@ -128,7 +128,7 @@ def _p4_measured(given: Figures) -> Verdict | None:
     cycles, floor = given.cycles("C2m no lag", USUAL), given.last("floor", USUAL)
     if not cycles or not len(floor):
         return None
-    passed = [c[-2] <= 0.9 * c[0] or c[-2] < FLOOR_FACTOR * f for c, f in zip(cycles, floor, strict=True)]
+    passed = [c[-2] <= 0.9 * c[0] or min(c[0], c[-2]) < FLOOR_FACTOR * f for c, f in zip(cycles, floor, strict=True)]
     lagging = given.cycles("C2m", USUAL)
     text = ", ".join(f"{c[0]:.0f}->{c[-2]:.0f}" for c in cycles) + " N; with lag "
     text += ", ".join(f"{c[0]:.0f}->{c[-1]:.0f}" for c in lagging) + " N"

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from gateway.errors import InputError
-from gateway.pair.function import TransformFunction, closed, constant_function, function_of_knots
+from gateway.pair.function import TransformFunction, closed, constant_function, function_of_knots, sampled
 
 
 def rz(degree: float) -> np.ndarray:
@@ -95,6 +95,14 @@ def test_stored_arrays_cannot_be_changed() -> None:
     function = smooth(3)
     with pytest.raises(ValueError, match="read-only"):
         function.position_m[0] = 1.0
+
+
+def test_other_knots_agree_where_they_lie() -> None:
+    function = smooth(5)
+    ways = np.linspace(function.s_m[0], function.s_m[-1], 7)
+    again = sampled(function, ways)
+    assert np.array_equal(again.many(ways), function.many(ways))
+    assert len(sampled(constant_function(function.knots[0]), ways)) == 7
 
 
 def test_function_of_knots_is_the_same_function() -> None:
