@@ -6,7 +6,8 @@
  "ratio": {"peak_over_off": {NAME: [6]}, "peak_over_maximum": [6]},
  "trend": {"scale", "scale_std", "mass_kg", "mass_std_kg", "com_m", "com_std_m", "rms_nm": [6]} | null,
  "model": {"links", "axes": [{"gear_losses", "rotor_inertia", "coulomb", "viscous", "velocity_share", "missing"}]},
- "computing_s": {"median", "p99", "largest"}, "findings": [..], "series": {..}}
+ "computing_s": {"median", "p99", "largest"}, "left_out_syncs": 0,
+     "findings": [..], "series": {..}}
 """
 
 from __future__ import annotations
@@ -76,6 +77,7 @@ def body_of(job: Comparison) -> dict[str, Any]:
             "axes": [{**asdict(source), "missing": list(source.missing)} for source in job.model.sources],
         },
         "computing_s": _computing(job.tracks),
+        "left_out_syncs": sum(int(np.isnan(track.measured_rad).any(axis=1).sum()) for track in job.tracks),
         "findings": findings(job, figures),
         "series": _series(job),
     }

@@ -11,6 +11,10 @@ from gateway.acquire.arm import ArmSample
 
 Floats = NDArray[np.float64]
 
+#: After a SYNC that was not answered in full, as many rows are left out: answers may come one SYNC late.
+DOUBTFUL_ROWS = 2
+#: Way of the target between two SYNCs [rad] on which an arm whose readings all stay the same was not read anew.
+STALE_WAY_RAD = 1e-3
 #: Speed of the target below which an axis counts as standing [rad/s].
 STILL_RAD_S = 1e-6
 
@@ -24,7 +28,8 @@ class Track:
     setting : str
     period_s : float
     target_rad, measured_rad : arrays of shape (n, 6)
-        Where each joint was told to be at a SYNC, and where it was; NaN where a drive did not answer.
+        Where each joint was told to be at a SYNC, and where it was; NaN where a drive did not answer, right after that,
+        and where all six readings repeat the last ones although the arm moves.
     torque_nm : array of shape (n, 6)
         Measured, motor side.
     velocity_offset_rad_s, torque_offset_nm : arrays of shape (n, 6)
@@ -92,7 +97,19 @@ class Recorder:
         )
         velocity, offset = (np.array([row[part] for row in fed], dtype=float).reshape(-1, 6) for part in range(2))
         computing = np.array([row[2] for row in fed], dtype=float)
+        measured = np.where(_doubtful(target, measured)[:, None], np.nan, measured)
         return Track(self.setting, self.period_s, target, measured, torque, velocity, offset, computing)
+
+
+def _doubtful(target: Floats, measured: Floats) -> NDArray[np.bool_]:
+    """Rows (n,) whose reading is missing, may be late, or is an old one."""
+    missing: NDArray[np.bool_] = np.asarray(~np.isfinite(measured).all(axis=1))
+    out = missing.copy()
+    for step in range(1, DOUBTFUL_ROWS + 1):
+        out[step:] |= missing[:-step]
+    moved = np.abs(np.diff(target, axis=0, prepend=target[:1])).max(axis=1) > STALE_WAY_RAD
+    repeated = np.abs(np.diff(np.nan_to_num(measured), axis=0, prepend=np.inf)).max(axis=1) == 0.0
+    return np.asarray(out | (moved & repeated))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from gateway.follow.track import Track, following
+from gateway.follow.track import Recorder, Track, following
 
 PERIOD_S = 0.01
 
@@ -51,6 +54,22 @@ def test_an_axis_that_is_not_moved_has_no_lag_and_a_lost_answer_counts_for_nothi
     assert found.peak_rad.max() == 0.0
     with pytest.raises(ValueError, match="answered"):
         following(track(target, np.full_like(measured, np.nan)))
+
+
+def test_rows_after_a_lost_answer_and_repeated_readings_are_left_out():
+    ramp = 0.002 * np.arange(30)[:, None] * np.ones(6)
+    measured = ramp.copy()
+    measured[10, 3] = np.nan
+    measured[20] = measured[19]
+    recorder = Recorder("off", PERIOD_S)
+    for target, q_rad in zip(ramp, measured, strict=True):
+        recorder.fed([0.0] * 6, [0.0] * 6, 0.0)
+        recorder.add(target, SimpleNamespace(q_rad=q_rad, readings=(SimpleNamespace(torque_nm=0.0),) * 6))
+    track = recorder.track()
+    assert np.flatnonzero(np.isnan(track.measured_rad).any(axis=1)).tolist() == [10, 11, 12, 20]
+    assert following(track).peak_rad.max() == 0.0
+    still = np.zeros((30, 6))
+    assert following(dataclasses.replace(track, target_rad=still, measured_rad=still)).peak_rad.max() == 0.0
 
 
 def test_rates_are_those_of_the_target():
