@@ -48,6 +48,7 @@ def render_pair(data: Json) -> str:
     """
     css = files("gateway.report").joinpath("report.css").read_text(encoding="utf-8") + STYLE
     rows = [{**row, "cycles": [_known(cycle) for cycle in row["cycles"]]} for row in data["rows"]]
+    several = [row for row in rows if len(row["cycles"]) > 1] or rows
     parts = [
         f"<header class='top'><h1>Two arms, one workpiece: {escape(data['cell'])}</h1>"
         f"<div class='meta'>{escape(data['date'])}</div></header>",
@@ -59,9 +60,10 @@ def render_pair(data: Json) -> str:
         *[_figure(_along(row, float(data["force_limit_n"])), _caption(row)) for row in rows],
         "</div><h2>Convergence</h2><div class='panels'>",
         _figure(
-            _convergence(rows, float(data["force_limit_n"])), "Largest force inside the part per cycle; " + _key(rows)
+            _convergence(several, float(data["force_limit_n"])),
+            "Largest force inside the part per cycle; " + _key(several),
         ),
-        _figure(_knots(rows), "Learning points per cycle; " + _key(rows)),
+        _figure(_knots(several), "Learning points per cycle; " + _key(several)),
         "</div>",
     ]
     body = "\n".join(str(part) for part in parts)

@@ -46,6 +46,10 @@ def _less(a: float, b: float) -> bool | None:
     return None if np.isnan(a) or np.isnan(b) else a < b
 
 
+def _either(one: bool | None, two: bool | None) -> bool | None:
+    return None if one is None and two is None else bool(one) or bool(two)
+
+
 def _share(hits: int, total: int, goal: str, needed: float | None) -> Figure:
     value = hits / total if total else NAN
     met = None if needed is None or not total else bool(value >= needed)
@@ -72,7 +76,7 @@ def figures(rows: Sequence[Row], limit_n: float, *, judged: bool) -> dict[str, F
     table = Table(rows, limit_n)
     out: dict[str, Figure] = {}
 
-    def share(name: str, holds: Callable[[int], bool | None], goal: str, needed: float) -> None:
+    def share(name: str, holds: Callable[[int], bool | None], goal: str, needed: float | None) -> None:
         hits, total = table.count(holds)
         if total:
             out[name] = _share(hits, total, goal if judged else "count", needed if judged else None)
@@ -85,8 +89,14 @@ def figures(rows: Sequence[Row], limit_n: float, *, judged: bool) -> dict[str, F
     out["P2: A over B"] = _value(
         ratio, "median, least and most", ">= 3" if judged else "", judged and (lambda v: v >= 3)
     )
-    share("P2: B exceeds the limit, speed 1.5", above("B", USUAL), ">= 0.6 here or at 3", 0.6)
-    share("P2: B exceeds the limit, speed 3", above("B", FAST), ">= 0.6 here or at 1.5", 0.6)
+    share("P2: B exceeds the limit, speed 1.5", above("B", USUAL), "reported", None)
+    share("P2: B exceeds the limit, speed 3", above("B", FAST), "reported", None)
+    share(
+        "P2: B exceeds the limit, speed 1.5 or 3",
+        lambda s: _either(above("B", USUAL)(s), above("B", FAST)(s)),
+        ">= 0.6",
+        0.6,
+    )
     share(
         "P4: C2c, cycle 6 below cycle 1",
         lambda seed: _less(table.force("C2c", USUAL, seed), table.force("C2c", USUAL, seed, 0)),
@@ -102,10 +112,10 @@ def figures(rows: Sequence[Row], limit_n: float, *, judged: bool) -> dict[str, F
         forces = [table.force(name, USUAL, seed) for seed in table.seeds]
         if not np.isnan(forces).all():
             out[f"largest force of the last cycle, {name}"] = _value(forces, "N, median, least and most", "", None)
-    moved = [float(row["part_off_m"]) * 1e3 for row in table.rows if "part_off_m" in row and row["speed"] == USUAL]
-    out["part moved off its way, all rows"] = _value(
-        [max(moved)] if moved else [], "mm", "<= 1" if judged else "", judged and (lambda v: v <= 1.0)
-    )
+    for name in ("B", "C8"):
+        last = [table.cycles(name, USUAL, seed)[-1:] for seed in table.seeds]
+        moved = [1e3 * float(one[0]["part_off_m"]) for one in last if one and "part_off_m" in one[0]]
+        out[f"part off the way it takes in A, {name}"] = _value(moved, "mm, median, least and most", "", None)
     return {name: figure for name, figure in out.items() if not np.isnan(figure["value"])}
 
 
