@@ -78,12 +78,12 @@ def set_up(folder: Path, example: str) -> Place:
 
 
 @contextmanager
-def drives(place: Place, build_errors: int) -> Iterator[RunningSimulation]:
-    """Simulated drives of the cell with links that differ from the drawing."""
+def drives(place: Place, build_errors: int, **options: Path) -> Iterator[RunningSimulation]:
+    """Simulated drives of the cell with links that differ from the drawing; `options` of `ServeOptions`."""
     hidden = place.folder / "hidden.toml"
     hidden.write_text(f"build_errors = {build_errors}\n")
     bus = f"virtual:follow-{uuid.uuid4().hex}"
-    with running(place.cell, bus, payload=place.folder / "payload.toml", undeclared=hidden) as handle:
+    with running(place.cell, bus, payload=place.folder / "payload.toml", undeclared=hidden, **options) as handle:
         yield handle
 
 

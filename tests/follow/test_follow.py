@@ -113,3 +113,18 @@ def test_afterwards_the_drives_hold_no_offset_and_the_brakes_hold_the_arm(drives
     (arm,) = drives.simulation.arms
     assert [(drive.velocity_offset, drive.torque_offset) for drive in arm.drives] == [(0, 0)] * 6
     assert not any(drive.automaton.energised for drive in arm.drives)
+
+
+def test_a_drive_that_faults_while_it_is_fed_takes_every_offset_to_zero(place):
+    fault = place.folder / "fault.toml"
+    fault.write_text('[[fault]]\nkind = "drive_fault"\nnode = 3\nat_sync = 2400\n')
+    with rig.drives(place, BUILD_ERRORS, fault=fault) as handle:
+        handle.hang("load")
+        told = rig.follow_command(place, handle, place.result, place.folder / "fault.html")
+        assert told.exit_code == 4, told.output
+        assert "brought to zero" in told.output
+        (arm,) = handle.simulation.arms
+        assert [(drive.velocity_offset, drive.torque_offset) for drive in arm.drives if drive.node_id != 3] == [
+            (0, 0)
+        ] * 5
+        assert not any(drive.automaton.energised for drive in arm.drives)
