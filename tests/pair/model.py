@@ -30,6 +30,8 @@ BLOCK = 3
 UPDATES = 4
 FROZEN_CYCLES = 20
 SNAG_BLOCK = 5
+#: The whole warm-up of 10 min in 9 cycles.
+WARM_CYCLES, WARM_FROZEN, WARM_S = 9, 2, 75.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +52,7 @@ class Scope:
     updates: int = UPDATES
     each_cycles: int = E2_CYCLES
     static_sync_s: float = STATIC_SYNC_S
-    stages: tuple[str, ...] = ("static", "usual", "even", "speeds", "fast", "snag", "skew")
+    stages: tuple[str, ...] = ("static", "usual", "even", "speeds", "fast", "snag", "skew", "drift")
     skip: tuple[str, ...] = ()
 
     @property
@@ -267,6 +269,17 @@ def _skew(stock: Stock, scope: Scope, learned: dict[str, list[Run]]) -> list[Row
     return collect(on, runs, scope)
 
 
+def _drift(stock: Stock, scope: Scope, learned: dict[str, list[Run]]) -> list[Row]:
+    """Both upper arms warm up while the pair runs: a function that is learned on, and one that is frozen early."""
+    on = track(USUAL)
+    runs = []
+    for index, errors in enumerate(stock.errors):
+        for label, freeze in (("C2c warming", 10**6), ("C2c warming, frozen", WARM_FROZEN)):
+            under_test = controller(on, row_of("C2c"), stock.nine[index])
+            runs.append(Run(label, errors, under_test, WARM_CYCLES, freeze_after=freeze, warming_s=WARM_S))
+    return collect(on, runs, scope)
+
+
 def _rule(name: str) -> LearningRule:
     rule = EMBODIMENTS[name].learning
     assert rule is not None
@@ -281,4 +294,5 @@ STAGES: dict[str, Callable[[Stock, Scope, dict[str, list[Run]]], list[Row]]] = {
     "fast": _fast,
     "snag": _snag,
     "skew": _skew,
+    "drift": _drift,
 }

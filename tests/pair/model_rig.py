@@ -22,7 +22,7 @@ from gateway.pair.path import PairPath, PathProgram, master_commands
 from gateway.pair.relation import relation, slave_command
 from gateway.pair.transform import apply_correction, inverse
 from sim.pair import geometry
-from sim.pair.errors import PairErrors
+from sim.pair.errors import PairErrors, warmed
 from sim.pair.kinetostatic import (
     KinetostaticPair,
     PathConstants,
@@ -122,6 +122,7 @@ class Run:
     freeze_after : cycles after which learning is switched off
     snag_cycle : cycle in which a cable pulls arm 2 with 20 N, 0 = none
     jitter_s : the skew of the slave's SYNC is drawn anew each cycle of the bus between 0 and this, None = as drawn
+    warming_s : time of work that passes with each cycle: both upper arms grow
     knots_m : where the first function has its knots
     """
 
@@ -132,6 +133,7 @@ class Run:
     freeze_after: int = 10**6
     snag_cycle: int = 0
     jitter_s: float | None = None
+    warming_s: float = 0.0
     grasp: Array | None = None
     results: list[CycleResult] = field(default_factory=list)
     knots_m: Array = field(init=False)
@@ -170,7 +172,8 @@ def run_all(on: Track, runs: Sequence[Run]) -> None:
 
 def _cycle(on: Track, runs: list[Run], cycle: int) -> None:
     count, path = len(on.path), on.path
-    plant = KinetostaticPair(on.constants, [run.errors for run in runs], [on.stiffness(run.errors) for run in runs])
+    present = [warmed(run.errors, run.warming_s * (cycle - 1)) for run in runs]
+    plant = KinetostaticPair(on.constants, present, [on.stiffness(run.errors) for run in runs])
     for row, run in enumerate(runs):
         run.controller.start_cycle()
         plant.snag_n[row, 0] = 20.0 if cycle == run.snag_cycle else 0.0

@@ -233,6 +233,17 @@ def _p9(given: Figures) -> Verdict | None:
     return Verdict("P9", demands, constant.max(), "N, largest", text, bool(np.all(constant < LIMIT_N)))
 
 
+def _drift(given: Figures) -> Verdict | None:
+    on, off = given.last("C2c warming", USUAL), given.last("C2c warming, frozen", USUAL)
+    if not len(on):
+        return None
+    text = f"learned on {_list(on)} N, frozen after 2 cycles {_list(off)} N"
+    passed = bool(np.all(on < LIMIT_N))
+    return Verdict(
+        "warm-up", "C2c below the limit while both upper arms grow by .1 mm", on.max(), "N, largest", text, passed
+    )
+
+
 def _gap(gaps: Sequence[GapFigures]) -> Verdict:
     before = np.array([gap.without_m for gap in gaps])
     after = np.array([gap.cycles_m[-1] for gap in gaps])
@@ -242,4 +253,4 @@ def _gap(gaps: Sequence[GapFigures]) -> Verdict:
     return Verdict("E5", demands, 1e3 * after.max(), "mm, largest", text, passed)
 
 
-CONDITIONS = (_p1, _p2, _p3, _p3_points, _p4, _p4_measured, _p5, _p5_bare, _p6, _p7, _p7_fast, _p7b, _p8, _p9)
+CONDITIONS = (_p1, _p2, _p3, _p3_points, _p4, _p4_measured, _p5, _p5_bare, _p6, _p7, _p7_fast, _p7b, _p8, _p9, _drift)
