@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 from drives.bus import Bus
 from drives.drive import Cia402Drive
 from drives.errors import DuplicateNode, NodeMissing
 from drives.heartbeat import NmtCommand, send_nmt
-from drives.probe import probe
+from drives.probe import QUESTIONS, probe
 from drives.values import AxisSetup, Identity
+
+#: Longest wait for whoever did not answer the first question.
+_PATIENCE_S: Final = 1.0
 
 
 def count_answers(bus: Bus, setups: Sequence[AxisSetup]) -> dict[int, int]:
@@ -24,7 +28,8 @@ def count_answers(bus: Bus, setups: Sequence[AxisSetup]) -> dict[int, int]:
     for node_id in again:
         if answers[node_id] == 0:
             send_nmt(bus, NmtCommand.ENTER_PREOPERATIONAL, node_id)
-    return answers | probe(bus, again, timeout_s) if again else answers
+    patience_s = max(timeout_s, _PATIENCE_S)
+    return answers | probe(bus, again, patience_s, QUESTIONS[1]) if again else answers
 
 
 def identify(drive: Cia402Drive, answers: int) -> Identity:

@@ -16,15 +16,16 @@ from drives.profile import list_profiles, load_profile
 from drives.sdo import SdoClient
 from drives.values import Identity
 
-#: Upload of 0x1000:00, which every CANopen device has.
-_ASK_DEVICE_TYPE: Final = bytes.fromhex("4000100000000000")
+#: Uploads of what every CANopen device has: device type, vendor id. Who asks again asks for the other one, so that a
+#: late answer to the first question does not count as a second device.
+QUESTIONS: Final = (bytes.fromhex("4000100000000000"), bytes.fromhex("4018100100000000"))
 #: After the last answer: how long a second device with the same id may still take.
 _QUIET_S: Final = 0.05
 _PAUSE_EVERY: Final = 16
 
 
-def probe(bus: Bus, node_ids: Iterable[int], timeout_s: float = 0.3) -> dict[int, int]:
-    """Ask every node for its device type.
+def probe(bus: Bus, node_ids: Iterable[int], timeout_s: float = 0.3, question: bytes = QUESTIONS[0]) -> dict[int, int]:
+    """Ask every node for something that it has.
 
     Parameters
     ----------
@@ -32,6 +33,8 @@ def probe(bus: Bus, node_ids: Iterable[int], timeout_s: float = 0.3) -> dict[int
     node_ids : iterable of int
     timeout_s : float
         Longest wait for those that do not answer.
+    question : bytes
+        One of `QUESTIONS`.
 
     Returns
     -------
@@ -43,7 +46,7 @@ def probe(bus: Bus, node_ids: Iterable[int], timeout_s: float = 0.3) -> dict[int
 
     def on_answer(can_id: int, data: bytes | bytearray, time_s: float) -> None:
         nonlocal last_s
-        if len(data) == 8 and data[1:4] == _ASK_DEVICE_TYPE[1:4]:
+        if len(data) == 8 and data[1:4] == question[1:4]:
             answers[can_id - SDO_ANSWER_BASE] += 1
             last_s = time.monotonic()
 
@@ -52,7 +55,7 @@ def probe(bus: Bus, node_ids: Iterable[int], timeout_s: float = 0.3) -> dict[int
         bus.subscribe(SDO_ANSWER_BASE + node_id, on_answer)
     try:
         for number, node_id in enumerate(answers, start=1):
-            bus.send(SDO_REQUEST_BASE + node_id, _ASK_DEVICE_TYPE)
+            bus.send(SDO_REQUEST_BASE + node_id, question)
             if number % _PAUSE_EVERY == 0:
                 bus.listen(0.002)
         deadline = time.monotonic() + timeout_s
