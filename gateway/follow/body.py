@@ -77,7 +77,7 @@ def body_of(job: Comparison) -> dict[str, Any]:
             "axes": [{**asdict(source), "missing": list(source.missing)} for source in job.model.sources],
         },
         "computing_s": _computing(job.tracks),
-        "left_out_syncs": sum(int(np.isnan(track.measured_rad).any(axis=1).sum()) for track in job.tracks),
+        "left_out_syncs": _left_out(job.tracks),
         "findings": findings(job, figures),
         "series": _series(job),
     }
@@ -120,9 +120,16 @@ def _computing(tracks: Sequence[Track]) -> dict[str, Any] | None:
     return {"median": np.median(times), "p99": np.percentile(times, 99), "largest": times.max(), "count": len(times)}
 
 
+def _left_out(tracks: Sequence[Track]) -> int:
+    return sum(int(np.isnan(track.measured_rad).any(axis=1).sum()) for track in tracks)
+
+
 def findings(job: Comparison, figures: dict[str, Following]) -> list[dict[str, str]]:
     """What the reader has to know, the worst first."""
     found = [*_load_finding(job), *_worse(figures), *_missing(job.model)]
+    if left := _left_out(job.tracks):
+        total = sum(len(track.target_rad) for track in job.tracks)
+        found.append(_finding("info", "bus", f"{left} of {total} SYNCs are left out: unanswered, late or repeated"))
     order = ("fail", "warn", "info")
     return sorted(found, key=lambda item: order.index(item["severity"]))
 
