@@ -62,6 +62,9 @@ def follow(
     """Follow a path without feedforward, with the maximum load assumed, with the identified load. The arm moves.
 
     The offsets (velocity 0x60B1, torque 0x60B2) are eased in and out at rest and zero outside OPERATION ENABLED.
+
+    FILE is TOML (waypoints_rad = [[q1, .., q6], ..], optional name, speed_share, dwell_s, repeat) or CSV
+    (q1_rad .. q6_rad: waypoints; with time_s: a timed path through the points).
     """
     from dataclasses import replace
 
