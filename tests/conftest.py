@@ -1,11 +1,17 @@
-"""For every test: it may leave neither a thread nor an open virtual CAN channel behind."""
+"""For every test: it may leave neither a thread nor an open virtual CAN channel behind.
+
+Linear algebra runs in one thread, as in the programs themselves: several test processes share the cores.
+"""
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 
 import pytest
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # How long a thread that was told to end may take.
 GRACE_S = 2.0

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gateway.diagnose import motion_report as report
 from gateway.diagnose.motion_deflection import wound_up
+from gateway.diagnose.motion_effects import certain
 from gateway.diagnose.motion_fit import Noise, Problem, blocks
 from gateway.diagnose.motion_mistakes import Mistake, find_mistakes, undo
 from gateway.diagnose.motion_select import Chosen, select, weigh
@@ -152,8 +153,8 @@ def _outcome(  # noqa: PLR0913 - gathers what the stages left
     known: Mapping[str, tuple[float, Floats]],
 ) -> Outcome:
     chosen = weigh(problem, state, allowed)
-    sure = tuple(item for item in chosen if not item.contested)
-    doubtful = tuple(item for item in chosen if item.contested)
+    sure = tuple(item for item in chosen if not item.contested and certain(problem, state, item.terms))
+    doubtful = tuple(item for item in chosen if item not in sure)
     if doubtful and sure:
         state = state_of(problem, [term for item in sure for term in item.terms])
     return Outcome(

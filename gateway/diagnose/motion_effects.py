@@ -20,6 +20,7 @@ Conversion = Callable[[Floats], Named]
 RMS_PEAK = np.sqrt(2.0)
 RMS_PEAK_TOLERANCE = 0.05
 STEP = 1e-6
+SURE = 4.0
 
 
 def parameters_of(problem: Problem, state: State, terms: Sequence[Term]) -> tuple[str, Named, Named]:
@@ -42,6 +43,26 @@ def parameters_of(problem: Problem, state: State, terms: Sequence[Term]) -> tupl
             {"factor": std["scale"] / parameters["scale"] ** 2},
         )
     return name, parameters, std
+
+
+def converted(problem: Problem, terms: Sequence[Term], value: Floats, covariance: Floats) -> tuple[Named, Named]:
+    """Parameters and standard deviations of coefficients (k,) with their covariance (k, k)."""
+    if terms[0].name == "velocity_friction":
+        # the Coulomb and viscous part belong to the model that is in the fit
+        std = np.sqrt(np.diag(covariance))
+        symbols = [symbol for term in terms for symbol in term.symbols]
+        named = zip(symbols, value, std, strict=True)
+        listed = [(symbol, float(x), float(spread)) for symbol, x, spread in named]
+        return {symbol: x for symbol, x, _ in listed}, {symbol: spread for symbol, _, spread in listed}
+    return _with_spread(_conversion(problem, terms), np.asarray(value, dtype=float), covariance)
+
+
+def certain(problem: Problem, state: State, terms: Sequence[Term]) -> bool:
+    """Whether a scale of a reading is so far from 1 that a failing finding may be made of it; other effects are."""
+    if terms[0].name != "torque_constant_scale":
+        return True
+    _, parameters, std = parameters_of(problem, state, terms)
+    return all(abs(parameters[key] - 1.0) > SURE * std[key] for key in std)
 
 
 def _positions(problem: Problem, state: State, terms: Sequence[Term]) -> list[int]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.motion_effects import parameters_of
+from gateway.diagnose.motion_effects import converted, parameters_of
 from gateway.diagnose.motion_fit import Problem
 from gateway.diagnose.motion_load import friction_level, loads_of
 from gateway.diagnose.motion_pictures import pictures
@@ -61,7 +61,7 @@ def result_of(outcome: Outcome) -> Result:
         friction_band_nm=_six(friction_level(problem, after)),
         rejected=_rejected(outcome),
         next=(*(_tell_apart(item) for item in doubtful), *_richer(outcome, bool(effects))),
-        findings=(*_faults(effects), *_remarks(outcome)),
+        findings=(*_faults(() if undecided else effects), *_remarks(outcome)),
         provenance=_provenance(problem, outcome),
         rows=_rows(problem, after),
         extra={"data": pictures(problem, outcome.before, after, drawn, _kept(problem))},
@@ -126,9 +126,7 @@ def _rivals(problem: Problem, state: State, item: Chosen, tried: int) -> list[Ef
     found = [_effect(problem, state, item, tried)]
     rival = item.runner_up
     if rival is not None:
-        values = dict(zip(rival.term.symbols, (float(x) for x in rival.value), strict=True))
-        spread = np.sqrt(np.diag(rival.covariance))
-        std = dict(zip(rival.term.symbols, (float(x) for x in spread), strict=True))
+        values, std = converted(problem, (rival.term,), rival.value, rival.covariance)
         evidence = Evidence(rival.ratio, max(rival.p_demand, 1e-300), item.terms[0].name, 1.0 / item.odds)
         found.append(EffectResult(rival.term.name, _joints(rival.term.joints), values, std, evidence))
     return found

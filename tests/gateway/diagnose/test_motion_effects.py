@@ -318,3 +318,12 @@ def test_a_secondary_encoder_shows_an_elastic_joint(compliance, found):
         assert effect.parameters["compliance_rad_nm"] == pytest.approx(compliance, rel=0.2)
         assert effect.evidence.holdout_rms_ratio < 0.7
         assert result.verdict == "improved"
+
+
+def test_a_scale_that_is_not_certain_is_no_failing_finding():
+    table, robot, _ = measured(1, World(gain={4: 2.0**-0.5}))
+    result = diagnose_motion(table, robot, IGNORE)
+    assert result.verdict == "undecided"
+    assert (5,) in [effect.joints for effect in result.effects]
+    assert not [finding for finding in result.findings if finding.severity == "fail"]
+    assert result.next
