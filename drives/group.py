@@ -11,217 +11,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Final
 
-from drives import bringup, finding, starting, stopping
-from drives.access import ObjectAccess
-from drives.bus import EMCY_BASE, Bus
-from drives.busload import load_percent
-from drives.cia402 import ENABLE_OPERATION, Mode
-from drives.drive import AxisSetup, Cia402Drive, DriveCommand, Identity
-from drives.emcy import EmcyLog
+from drives import bringup, starting, stopping
+from drives.cia402 import Mode
+from drives.drive import DriveCommand
 from drives.epoch import Epoch
-from drives.errors import (
-    BusError,
-    BusOverload,
-    ConfigurationRefused,
-    DriveError,
-    DriveRebooted,
-    NodeMissing,
-    SdoTimeout,
-    raise_failures,
-)
-from drives.exchange import Pacing, SyncExchange, Timing
-from drives.guard import Guard, Limits, refuse_foreign
-from drives.heartbeat import HeartbeatProducer, HeartbeatWatch, NmtCommand, send_nmt
-from drives.ledger import WriteLedger
+from drives.errors import BusError, DriveError, DriveRebooted, SdoTimeout, raise_failures
+from drives.exchange import SyncExchange
+from drives.group_setup import DriveSetup, GroupOptions
+from drives.guard import Guard
+from drives.heartbeat import NmtCommand, send_nmt
 from drives.proof import StopTrace, fall_silent
-from drives.reactions import DRIVE_RULES
-from drives.statistics import GroupStatistics, group_statistics
 
-#: Before anything is sent: how long to listen for another master.
-_LISTEN_S: Final = 0.05
-_SHORTEST_SILENCE_S: Final = DRIVE_RULES["heartbeat_lost"].limit
+__all__ = ["DriveGroup", "GroupOptions"]
 
 
-@dataclass(frozen=True, slots=True)
-class GroupOptions:
-    """Times and limits of a group; the defaults suit six drives.
-
-    Attributes
-    ----------
-    ledger_path : Path, optional
-        Where the write ledger is kept, so that a restore is possible after a crash.
-    answer_timeout_s, gap_timeout_s, window : float
-        As in `drives.exchange.Timing`.
-    silent_syncs : int or None
-        As in `drives.guard.Limits`; None = as the table of reactions says.
-    foreign_frames : int
-        As in `drives.guard.Limits`.
-    load_limit_percent : float
-        By the clock: largest planned worst-case bus load.
-    """
-
-    ledger_path: Path | None = None
-    answer_timeout_s: float = 1.0
-    gap_timeout_s: float = 0.02
-    window: float = 0.9
-    silent_syncs: int | None = None
-    foreign_frames: int = DRIVE_RULES["foreign_master"].count
-    load_limit_percent: float = 70.0
-
-
-class DriveGroup:
-    """Drives that follow one SYNC.
-
-    Parameters
-    ----------
-    bus : Bus
-    setups : sequence of AxisSetup
-        One per axis, in the order of all commands and readings.
-    sync_period_s : float
-        Time between two SYNCs; in lockstep the time that a SYNC stands for.
-    pacing : "lockstep" or "real"
-        Next SYNC as soon as all have answered, or by the clock.
-    master_node_id : int
-        Node id of the master's heartbeat.
-    options : GroupOptions, optional
-
-    Raises
-    ------
-    ConfigurationRefused
-        No setup, a node id twice, a period that is not positive, or a damaged ledger.
-    """
-
-    def __init__(
-        self,
-        bus: Bus,
-        setups: Sequence[AxisSetup],
-        sync_period_s: float,
-        pacing: Pacing = "lockstep",
-        master_node_id: int = 127,
-        options: GroupOptions | None = None,
-    ) -> None:
-        ids = [setup.node_id for setup in setups]
-        if not ids or len({*ids, master_node_id}) != len(ids) + 1:
-            raise ConfigurationRefused(
-                f"node ids {ids} and {master_node_id} of the master must each be given once", advice="correct the cell"
-            )
-        if not (math.isfinite(sync_period_s) and sync_period_s > 0):
-            raise ConfigurationRefused(f"SYNC period {sync_period_s} s is not positive", advice="correct the cell")
-        self.setups = tuple(setups)
-        self.options = options or GroupOptions()
-        self.timing = Timing(
-            sync_period_s, pacing, self.options.answer_timeout_s, self.options.gap_timeout_s, self.options.window
-        )
-        self.ledger = WriteLedger(self.options.ledger_path)
-        self.drives: tuple[Cia402Drive, ...] = ()
-        #: Every axis is in OPERATION ENABLED and follows `exchange`.
-        self.enabled = False
-        #: The last row, also the one that led to an error.
-        self.last_epoch: Epoch | None = None
-        #: Called before the axes are stopped because of an error: what moves with them is told in the same cycle.
-        self.on_stop: Callable[[], None] = lambda: None
-        self._bus = bus
-        self._master_node_id = master_node_id
-        consumer_s = min(setup.profile.heartbeat.consumer_ms for setup in setups) / 1000.0
-        self._producer = HeartbeatProducer(bus, master_node_id, consumer_s)
-        self._emcy = EmcyLog({setup.node_id: setup.profile for setup in setups})
-        self._watch: HeartbeatWatch | None = None
-        self._exchange: SyncExchange | None = None
-        self._guard: Guard | None = None
-        self._running = self._configured = False
-        self._enable_words = (ENABLE_OPERATION,) * len(ids)
-        bus.add_chore(self._beat)
-
-    def _beat(self) -> None:
-        self._producer.tick(0.0 if self._exchange is None else self._exchange.sync_time_s)
-
-    # -- finding and setting up --------------------------------------------------------------------------------------
-
-    def connect(self) -> tuple[Identity, ...]:
-        """Find every drive and compare it with its profile; no object is written.
-
-        Raises
-        ------
-        NodeMissing, DuplicateNode, IdentityMismatch, SeveralFailures
-            Everything that is wrong, of all drives at once.
-        ForeignMaster
-            Somebody else sends SYNC or NMT commands.
-        """
-        self._forget()
-        refuse_foreign(self._bus, max(_LISTEN_S, 3.0 * self.timing.period_s))
-        answers = finding.count_answers(self._bus, self.setups)
-        self.drives = tuple(Cia402Drive(self._bus, setup, self.ledger) for setup in self.setups)
-        for drive in self.drives:
-            self._bus.subscribe(EMCY_BASE + drive.node_id, self._emcy.on_frame)
-        identities: list[Identity] = []
-        try:
-            self._for_each(lambda drive: identities.append(finding.identify(drive, answers[drive.node_id])))
-        except DriveError:
-            self._forget()
-            raise
-        return tuple(identities)
-
-    def configure(self) -> None:
-        """Map the PDOs, set mode, period, heartbeats and the reaction to a lost master; everything is read back.
-
-        Raises
-        ------
-        BusOverload
-            By the clock: the exchange would fill more of the wire than allowed.
-        SeveralFailures or DriveError
-            What failed, of all drives at once.
-        """
-        self._require(bool(self.drives) and not self._running, "connect() first, and do not configure while enabled")
-        first_index = 0 if self._exchange is None else self._exchange.sync_index
-        self._close_exchange()
-        exchange = SyncExchange(self._bus, self.drives, self.timing, self._producer, first_index)
-        try:
-            self._check_load(exchange)
-            self._for_each(lambda drive: drive.configure(self.timing.period_s))
-            self._for_each(lambda drive: drive.arm(self._master_node_id))
-        except BaseException:
-            exchange.close()
-            raise
-        limits = [_silence_s(drive.setup) for drive in self.drives]
-        node_ids = [drive.node_id for drive in self.drives]
-        watch = HeartbeatWatch(self._bus, node_ids, limits, lambda: exchange.sync_time_s)
-        self._exchange, self._watch = exchange, watch
-        silent = self.options.silent_syncs or DRIVE_RULES["silent"].syncs(self.timing.period_s, self.timing.pacing)
-        guard_limits = Limits(silent, self.options.foreign_frames)
-        self._guard = Guard(self._bus, exchange, watch, self._emcy, guard_limits)
-        self._configured = True
-
-    def _check_load(self, exchange: SyncExchange) -> None:
-        spec, allowed = self._bus.spec, self.options.load_limit_percent
-        load = load_percent(exchange.cycle_bits, self.timing.period_s, spec.bitrate_bit_s)
-        if self.timing.pacing == "real" and load > allowed:
-            period_s = exchange.cycle_bits / (spec.bitrate_bit_s * allowed / 100.0)
-            what = f"the exchange would fill {load:.0f} % of {spec} in the worst case, {allowed:.0f} % are allowed"
-            advice = f"set sync_period_s to at least {math.ceil(period_s * 1e4) / 1e4:.4f}"
-            raise BusOverload(what, advice=advice)
-
-    def _for_each(self, action: Callable[[Cia402Drive], object]) -> None:
-        """Do something with every drive, then raise what failed of all of them."""
-        failures: list[DriveError] = []
-        for drive in self.drives:
-            try:
-                action(drive)
-            except DriveError as error:
-                failures.append(error)
-        raise_failures(failures)
-
-    def _require(self, condition: bool, advice: str) -> None:
-        if not condition:
-            raise ConfigurationRefused("the drives are not ready for this", advice=advice)
-
-    def _parts(self) -> tuple[SyncExchange, Guard]:
-        if self._exchange is None or self._guard is None:
-            raise ConfigurationRefused("the drives are not configured", advice="connect() and configure() first")
-        return self._exchange, self._guard
+class DriveGroup(DriveSetup):
+    """Drives that follow one SYNC; parameters as `DriveSetup`."""
 
     # -- moving ------------------------------------------------------------------------------------------------------
 
@@ -411,38 +217,6 @@ class DriveGroup:
         self._running = False
         return failures
 
-    def reset_fault(self, node_id: int) -> None:
-        """Reset the fault of one drive, because a person has removed its cause and says so; the axis stays disabled.
-
-        Raises
-        ------
-        DriveFault
-            The fault is still there.
-        """
-        self._require(not self._running, "disable() first")
-        drive = next((each for each in self.drives if each.node_id == node_id), None)
-        if drive is None:
-            raise NodeMissing("is not connected", node=node_id, advice="connect() first")
-        starting.reset_fault(drive)
-
-    def restore(self) -> None:
-        """Put back every object that the ledger holds of the connected drives.
-
-        Raises
-        ------
-        SeveralFailures or DriveError
-            What could not be put back; it stays in the ledger.
-        """
-        self._require(bool(self.drives) and not self._running, "connect() first, and disable() before restoring")
-        failures: list[DriveError] = []
-        for drive in self.drives:
-            try:
-                failures += drive.access.restore()
-            except DriveError as error:
-                failures.append(error)
-        self._close_exchange()
-        raise_failures(failures)
-
     def close(self) -> None:
         """Disable if enabled, leave the drives in PRE-OPERATIONAL, stop listening; may be called again."""
         try:
@@ -468,55 +242,3 @@ class DriveGroup:
                 raise
             if isinstance(error, DriveError):
                 error.while_stopping += (failure,)
-
-    def _forget(self) -> None:
-        self._close_exchange()
-        for drive in self.drives:
-            self._bus.unsubscribe(EMCY_BASE + drive.node_id, self._emcy.on_frame)
-            drive.close()
-        self.drives = ()
-
-    def _close_exchange(self) -> None:
-        for listener in (self._watch, self._exchange):
-            if listener is not None:
-                listener.close()
-        self._watch = self._exchange = self._guard = None
-        self._configured = False
-
-    # -- looking back ------------------------------------------------------------------------------------------------
-
-    @property
-    def bus(self) -> Bus:
-        """The bus that the drives are on."""
-        return self._bus
-
-    @property
-    def access(self) -> tuple[ObjectAccess, ...]:
-        """SDO access to each drive, in the order of the axes."""
-        return tuple(drive.access for drive in self.drives)
-
-    @property
-    def sync_index(self) -> int:
-        """Number of the last SYNC."""
-        return 0 if self._exchange is None else self._exchange.sync_index
-
-    @property
-    def sync_sent_s(self) -> float:
-        """Monotonic time of the last SYNC."""
-        return 0.0 if self._exchange is None else self._exchange.sent_s
-
-    def align(self, at_s: float) -> None:
-        """By the clock: the next SYNC is due at a monotonic time, so that several groups keep one rhythm."""
-        exchange, _ = self._parts()
-        exchange.clock.restart(at_s)
-
-    @property
-    def statistics(self) -> GroupStatistics:
-        """Counters and latencies so far."""
-        return group_statistics(self._bus, self.drives, self._exchange, self._emcy)
-
-
-def _silence_s(setup: AxisSetup) -> float | None:
-    """Longest silence of a drive's heartbeat: three times its period."""
-    producer_ms = setup.profile.heartbeat.producer_ms
-    return None if producer_ms is None else max(_SHORTEST_SILENCE_S, 3.0 * producer_ms / 1000.0)
