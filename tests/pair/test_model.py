@@ -15,6 +15,8 @@ from tests.pair.model_rig import LIMIT_N, LOOP_TIME_S, STIFFNESS
 from tests.pair.model_tune import FILE, MARGIN, stored
 from tests.pair.model_verdicts import Figures, Verdict, verdicts
 
+pytestmark = pytest.mark.timeout(1800)
+
 SEEDS = range(6)
 SKIP = ("C8r", "C6", "C7", "C8 no lead", "C2c no lead", "C2m no lag", "C3 nearest")
 SHORT = Scope(
