@@ -1,0 +1,241 @@
+"""The sections of a drive profile, each validated on its own."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from drives.objects import RPDO_COMMUNICATION, RPDO_MAPPING, SIZE_BYTES, TPDO_COMMUNICATION, TPDO_MAPPING, DataType
+
+Source = Annotated[str, Field(min_length=1, description="where the number comes from: datasheet page, read, assumed")]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+#: Objects that no profile may allow: storing and restoring parameters is never the master's business.
+_FORBIDDEN_WRITES = {0x1010: "storing parameters", 0x1011: "restoring factory parameters"}
+#: Objects that the master writes on every drive.
+_NEEDED_WRITES = (
+    0x1016,
+    RPDO_COMMUNICATION,
+    RPDO_MAPPING,
+    TPDO_COMMUNICATION,
+    TPDO_MAPPING,
+    0x6007,
+    0x6040,
+    0x6060,
+    0x607A,
+    0x60B2,
+)
+
+
+class Strict(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Constant(Strict):
+    """A number and where it comes from."""
+
+    value: Positive
+    source: Source
+
+
+class ObjectReference(Strict):
+    """An object that is read, written or mapped."""
+
+    index: int = Field(ge=0x1000, le=0xFFFF)
+    subindex: int = Field(default=0, ge=0, le=0xFF)
+    type: DataType
+
+    @property
+    def size_bits(self) -> int:
+        """Length in a PDO."""
+        return 8 * SIZE_BYTES[self.type]
+
+    @property
+    def mapping(self) -> int:
+        """Value of a PDO mapping entry: index, subindex, length (CiA 301, 7.5.2.36)."""
+        return self.index << 16 | self.subindex << 8 | self.size_bits
+
+
+class Identity(Strict):
+    """What 0x1018 must say; a key that is not given matches anything."""
+
+    vendor_id: int | None = Field(default=None, ge=0, le=0xFFFFFFFF)
+    product_code: int | None = Field(default=None, ge=0, le=0xFFFFFFFF)
+    revision_min: int | None = Field(default=None, ge=0, le=0xFFFFFFFF)
+    revision_max: int | None = Field(default=None, ge=0, le=0xFFFFFFFF)
+
+
+class Rated(Strict):
+    """Rated torque (Nm) or rated current (A): read from the drive, or given."""
+
+    object: ObjectReference | None = None
+    unit: Positive | None = Field(default=None, description="Nm or A per least significant bit of `object`")
+    value: Positive | None = Field(default=None, description="Nm or A")
+    source: Source
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> Rated:
+        if (self.object is None) == (self.value is None):
+            raise ValueError("give either object and unit (read from the drive), or value")
+        if (self.object is None) != (self.unit is None):
+            raise ValueError("object and unit belong together: without the unit the number means nothing")
+        return self
+
+
+class Signal(Strict):
+    """A torque or current object and its arithmetic."""
+
+    kind: Literal["permille_rated_torque", "permille_rated_current", "milliampere", "internal_unit"]
+    object: ObjectReference
+    nature: Literal["measured", "demand", "unknown"]
+    signed: bool
+    filter_s: float = Field(ge=0, description="time constant of the drive's own filter on this value")
+    source: Source
+    rated: Rated | None = None
+    internal_unit_a: Constant | None = Field(default=None, description="ampere per unit, kind internal_unit")
+    current_reference: Literal["rms", "peak"] | None = Field(default=None, description="what the drive's ampere is")
+    torque_constant_per: Literal["rms", "peak"] | None = Field(
+        default=None, description="which ampere the torque constant of the cell file refers to"
+    )
+
+    @property
+    def is_current(self) -> bool:
+        """Whether the object is a current, so that the torque constant is needed."""
+        return self.kind != "permille_rated_torque"
+
+    @property
+    def current_factor(self) -> float:
+        """Ampere of the torque constant per ampere of the drive: 1, sqrt(2) or 1/sqrt(2)."""
+        if self.current_reference == self.torque_constant_per:
+            return 1.0
+        return math.sqrt(2.0) if self.current_reference == "rms" else math.sqrt(0.5)
+
+    @model_validator(mode="after")
+    def _complete(self) -> Signal:
+        if self.kind.startswith("permille") and self.rated is None:
+            raise ValueError(f"kind {self.kind} needs [..rated]: the value that 1000 per mille stands for")
+        if (self.kind == "internal_unit") != (self.internal_unit_a is not None):
+            raise ValueError("internal_unit_a belongs to kind internal_unit, and is needed there")
+        references = (self.current_reference, self.torque_constant_per)
+        if self.is_current and None in references:
+            raise ValueError("a current needs current_reference and torque_constant_per (rms or peak)")
+        if self.signed != self.object.type.startswith("i"):
+            raise ValueError(f"signed = {self.signed} does not fit the object type {self.object.type}")
+        return self
+
+
+class TorqueOffset(Strict):
+    """Arithmetic of 0x60B2 where it differs from that of the measured torque."""
+
+    kind: Literal["permille_rated_torque", "permille_rated_current"]
+    rated: Rated
+    current_reference: Literal["rms", "peak"] | None = None
+    torque_constant_per: Literal["rms", "peak"] | None = None
+    source: Source
+
+    @model_validator(mode="after")
+    def _complete(self) -> TorqueOffset:
+        references = (self.current_reference, self.torque_constant_per)
+        if self.kind == "permille_rated_current" and None in references:
+            raise ValueError("a current needs current_reference and torque_constant_per (rms or peak)")
+        return self
+
+
+class Share(Strict):
+    """A part of a whole and where the number comes from."""
+
+    value: float = Field(ge=0, le=1, allow_inf_nan=False)
+    source: Source
+
+
+class Feedforward(Strict):
+    """What the drive takes beside the position: velocity offset 0x60B1 (in units of [velocity]), torque offset 0x60B2.
+
+    `velocity_share` is the part of the commanded velocity that the drive's own loops feed forward: the master adds only
+    the rest.
+    """
+
+    velocity_share: Share
+    source: Source
+
+
+class Velocity(Strict):
+    """The velocity object, motor side."""
+
+    object: ObjectReference
+    unit_rad_s: Constant
+
+
+class CountsFromObjects(Strict):
+    """Encoder resolution read from the drive: object / per."""
+
+    object: ObjectReference
+    per: ObjectReference
+
+
+class Position(Strict):
+    """The position object and the counts of one motor revolution."""
+
+    object: ObjectReference = ObjectReference(index=0x6064, type="i32")
+    counts_per_revolution: CountsFromObjects | Constant
+
+    @model_validator(mode="after")
+    def _standard_object(self) -> Position:
+        if self.object.type != "i32":
+            raise ValueError("the position object must be of type i32, as the target position 0x607A is")
+        return self
+
+
+class StateMachine(Strict):
+    """Times and habits of the CiA 402 state machine."""
+
+    transition_timeout_s: Positive
+    mode_before_enable: bool = True
+    brake_delay_s: float = Field(default=0.0, ge=0)
+
+
+class SdoTimes(Strict):
+    """How long an answer may take."""
+
+    timeout_s: Positive
+    slow_timeout_s: Positive
+
+    @model_validator(mode="after")
+    def _ordered(self) -> SdoTimes:
+        if self.slow_timeout_s < self.timeout_s:
+            raise ValueError("slow_timeout_s must not be shorter than timeout_s")
+        return self
+
+
+class Heartbeat(Strict):
+    """How the drive watches the master (0x1016, 0x6007), and how the master watches the drive (0x1017)."""
+
+    consumer_ms: int = Field(ge=10, le=65535)
+    abort_connection: Literal[2, 3] = Field(description="0x6007: 2 disable voltage, 3 quick stop")
+    producer_ms: int | None = Field(default=None, ge=10, le=65535, description="0x1017, left alone if absent")
+
+
+class Write(Strict):
+    """Every object that the master may write."""
+
+    allow: tuple[Annotated[int, Field(ge=0x1000, le=0xFFFF)], ...]
+
+    @model_validator(mode="after")
+    def _safe(self) -> Write:
+        for index, meaning in _FORBIDDEN_WRITES.items():
+            if index in self.allow:
+                raise ValueError(f"allow must not hold 0x{index:04X}: {meaning} is left to the engineer")
+        missing = [f"0x{index:04X}" for index in _NEEDED_WRITES if index not in self.allow]
+        if missing:
+            raise ValueError(f"allow lacks {', '.join(missing)}, which bringing the drive up needs")
+        return self
+
+
+class EmcyEntry(Strict):
+    """What an emergency code means on this drive."""
+
+    code: int = Field(ge=0, le=0xFFFF)
+    text: str
+    advice: str
