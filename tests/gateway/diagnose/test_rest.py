@@ -266,3 +266,26 @@ def test_bare_run_alone_is_judged(clean):
     result = diagnose(table.take(table.load == "none"), bench.robot, bench.options)
     assert result.verdict == "none_needed"
     assert result.loads == ()
+
+
+def test_one_heavy_link_is_no_factor_on_all_axes():
+    bench = Bench(1, [])
+    body = bench.arm.chain.bodies[3]
+    assert body is not None
+    moment = [float(value) for value in 0.4 * body.mass_kg * np.array([0.5, 0.3, 0.4])]
+    heavy = Bench(1, [effect("link_mass", [4], mass_kg=0.8 * body.mass_kg, first_moment_kg_m=moment)])
+    result = diagnose(heavy.both(), heavy.robot, heavy.options)
+    assert not result.failed
+    assert {name for name, _ in found(result)} <= {"link_mass"}
+
+
+def test_fresh_poses_are_judged_first_and_then_tell_the_load_too():
+    bench = Bench(1, [])
+    table = bench.both()
+    alone = diagnose(table, bench.robot, bench.options)
+    result, whole = close_loop(table, bench.robot, bench.options, bench.more, bench.poses[:4] + 0.2)
+    assert result.holdout_kind == "fresh"
+    assert len(whole.pose) == len(table.pose) + 8
+    assert result.loads[0].mass_std_kg < alone.loads[0].mass_std_kg
+    assert len(result.loads[0].per_pose_mass_kg) > len(alone.loads[0].per_pose_mass_kg)
+    assert result.before.loads == result.loads == result.after.loads
