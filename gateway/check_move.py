@@ -26,9 +26,10 @@ from gateway.acquire.workspace import Workspace
 from gateway.check import LOAD_LIMIT_PERCENT
 from gateway.check_rules import Axis, CheckItem
 from gateway.check_torque import Scales, judge_torque
-from gateway.check_wiring import Arm, AxisView, Moves, Verdict, Wiring, judge_wiring
+from gateway.check_wiring import AxisView, Verdict, judge_wiring
 from gateway.errors import LimitExceeded, PlanRefused
 from gateway.visit import Visit
+from gateway.wiring import Arm, Moves, Wiring
 
 #: Displacement of each axis [rad]: the wrist sees little gravity and reaches little.
 STEPS_RAD: Final = (0.15, 0.15, 0.15, 0.3, 0.3, 0.3)

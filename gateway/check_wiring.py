@@ -11,18 +11,15 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from gateway.acquire.axis import AxisConversion
 from gateway.model.regressor import gravity_regressor
-from gateway.model.robot import AXES, Robot, link_lengths_m
-
-Floats = NDArray[np.float64]
+from gateway.model.robot import AXES, link_lengths_m
+from gateway.wiring import Arm, Floats, Moves, Reading, Wiring
 
 #: A wiring is named when its evidence is better by this (natural logarithm), and seen when the others are worse by it.
 NAMED: Final = 12.0
@@ -46,119 +43,6 @@ LEAST_TRUST: Final = 0.01
 BAND_SIGMAS: Final = 4.0
 MOST: Final = 3
 STEP_RAD: Final = 1e-4
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Moves:
-    """Motor-side means at rest, each posture approached from both sides.
-
-    Attributes
-    ----------
-    motor_rad, motor_nm : arrays of shape (n, 2, 6)
-        By drive; first the approach with all joints decreasing, then increasing.
-    """
-
-    motor_rad: Floats
-    motor_nm: Floats
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Arm:
-    """What is known of the arm.
-
-    Attributes
-    ----------
-    robot : Robot
-    gravity_m_s2 : array of shape (3,)
-    axes : AxisConversion
-        As the cell file says.
-    torque_limit_nm : array of shape (6,)
-    trust : float
-        Relative standard deviation of the links' masses.
-    load_kg : float
-        Standard deviation of the unknown load's mass.
-    """
-
-    robot: Robot
-    gravity_m_s2: Floats
-    axes: AxisConversion
-    torque_limit_nm: Floats
-    trust: float
-    load_kg: float
-
-
-@dataclass(frozen=True, slots=True)
-class Wiring:
-    """How the arm differs from the cell file.
-
-    Attributes
-    ----------
-    name : str
-        `as_stated`, `reversed` (position and torque), `position_reversed`, `torque_reversed`, `swapped`, `gear_ratio`,
-        `torque_scale`.
-    joints : tuple of int
-        From 1.
-    factor : float
-        The cell's gear ratio over the true one; reported over true torque.
-    """
-
-    name: str
-    joints: tuple[int, ...] = ()
-    factor: float = 1.0
-
-
-AS_STATED: Final = Wiring("as_stated")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Reading:
-    """Motor words as another wiring reads them: order of the drives, conversion, torque factor."""
-
-    order: NDArray[np.int64]
-    axes: AxisConversion
-    torque_factor: Floats
-    #: Product of what a torque is multiplied by, per axis, against the cell's reading.
-    scale: Floats
-
-    @classmethod
-    def stated(cls, axes: AxisConversion) -> Reading:
-        """As the cell file says."""
-        return cls(np.arange(AXES), axes, np.ones(AXES), np.ones(AXES))
-
-    def with_wiring(self, wiring: Wiring) -> Reading:
-        """The same with one more difference."""
-        at = [joint - 1 for joint in wiring.joints]
-        if wiring.name == "swapped":
-            order = self.order.copy()
-            order[at] = order[at[::-1]]
-            return replace(self, order=order)
-        axes, torque, scale = self.axes, self.torque_factor.copy(), self.scale.copy()
-        signs = np.ones(AXES)
-        signs[at] = -1.0
-        if wiring.name in ("reversed", "position_reversed"):
-            axes = replace(axes, position_sign=axes.position_sign * signs)
-        if wiring.name in ("reversed", "torque_reversed"):
-            axes = replace(axes, torque_sign=axes.torque_sign * signs)
-        if wiring.name == "gear_ratio":
-            ratio = axes.ratio.copy()
-            ratio[at] /= wiring.factor
-            axes = replace(axes, ratio=ratio)
-        if wiring.name == "torque_scale":
-            torque[at] *= wiring.factor
-        if wiring.name in ("gear_ratio", "torque_scale"):
-            scale[at] *= wiring.factor
-        return replace(self, axes=axes, torque_factor=torque, scale=scale)
-
-    def joints(self, moves: Moves, stated: AxisConversion) -> tuple[Floats, Floats, Floats]:
-        """Joint angles, half sums of the two approaches, and half their difference along the motion, (n, 6) each.
-
-        The half difference is taken without the gear's efficiency: friction and gear losses both make it positive.
-        """
-        position, torque = moves.motor_rad[..., self.order], moves.motor_nm[..., self.order] / self.torque_factor
-        up = np.sign(self.axes.joint_velocity(stated.motor_velocity(np.ones(AXES))[self.order]))
-        sides = [self.axes.joint_torque_by_direction(torque[:, side], sense * up) for side, sense in enumerate((-1, 1))]
-        band = self.axes.joint_torque(torque[:, 1] - torque[:, 0]) / 2.0 * up
-        return self.axes.joint_position(position.mean(axis=1)), (sides[0] + sides[1]) / 2.0, band
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,8 +11,9 @@ import pytest
 from gateway.acquire.axis import AxisConversion
 from gateway.arm_model import arm_robot
 from gateway.check_move import wiring_items
-from gateway.check_wiring import Arm, Moves, judge_wiring
+from gateway.check_wiring import judge_wiring
 from gateway.config import load_cell
+from gateway.wiring import Arm, Moves
 
 LOADED = load_cell(Path(__file__).parents[2] / "examples" / "small" / "cell.toml")
 CONFIG = LOADED.cell.arm[0]
