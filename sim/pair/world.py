@@ -28,6 +28,8 @@ STEP_S = 0.00025
 WAIT_S, WAITS = 0.01, 25
 #: A SYNC that comes later than this begins afresh; an earlier one finds the time it stands for gone already [s].
 SILENT_S = 0.1
+#: Rounding of times that are sums of many periods [s].
+HAIR_S = 1e-6
 #: Largest modulus of a mode of the linearised step.
 STABLE = 1.0 + 1e-6
 
@@ -164,12 +166,12 @@ class PairWorld:
     def catch_up(self, arm: int) -> None:
         """Wait until the physics has done what this arm has asked for; not for an arm whose bus is silent."""
         with self._lock:
-            if self._asked[arm] <= self.time_s + 1e-9:
+            if self._asked[arm] <= self.time_s + HAIR_S:
                 return
             for _ in range(WAITS):
-                if self._lock.wait_for(lambda: self._asked[arm] <= self.time_s + 1e-9, WAIT_S):
+                if self._lock.wait_for(lambda: self._asked[arm] <= self.time_s + HAIR_S, WAIT_S):
                     return
-            if self._asked[arm] > self.time_s + 1e-9:
+            if self._asked[arm] > self.time_s + HAIR_S:
                 self._live[1 - arm] = False
                 before_s = self.time_s
                 self._run()
@@ -182,7 +184,7 @@ class PairWorld:
             owed = self._owed[arm] if self._owed[arm] < SILENT_S else 0.0
             late = min(owed, seconds)
             self._owed[arm] = owed - late
-            self._asked[arm] = max(self._asked[arm], self.time_s) + seconds - late
+            self._asked[arm] = round(max(self._asked[arm], self.time_s) + seconds - late, 9)
             self._run()
 
     def _run(self) -> None:

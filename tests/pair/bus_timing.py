@@ -29,7 +29,7 @@ REAL_S = 20.0
 
 def _no_physics(world: PairWorld) -> None:
     """One millisecond in which nothing moves."""
-    world.time_s += 0.001
+    world.time_s = round(world.time_s + 0.001, 6)
 
 
 def _serve(cell_file: Path, bus: str, ready: Any, stop: Any) -> None:
