@@ -216,9 +216,7 @@ class PairConfig(_Strict):
     force_limit_n: Positive = Field(description="largest force inside the part; twice of it for 20 ms stops both arms")
     contact_stiffness: SixFold = Field(description="of part and gears together, what the correction works against")
     impedance_damping: SixFold
-    impedance_stiffness: SixFold | None = Field(
-        default=None, description="absent: corrects until no force is left"
-    )
+    impedance_stiffness: SixFold | None = Field(default=None, description="absent: corrects until no force is left")
     knots: int = Field(default=9, ge=2, description="points that are taught, evenly spread over the way")
     servo_lag_s: Positive = Field(default=0.016, description="by which the axes follow their set points")
     loop_delay_s: Positive = Field(default=0.035, description="from a force to the correction that answers it")
