@@ -69,7 +69,7 @@ _ROWS = (
         sensing="distance",
         gains=DISTANCE_GAINS,
         learning=LearningRule(smooth_s=0.0),
-        points=30,
+        points=60,
     ),
     Embodiment(
         "C6",
