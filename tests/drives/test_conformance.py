@@ -9,7 +9,7 @@ import pytest
 
 from drives.bus import BusSpec, open_bus
 from drives.drive import AxisSetup, DriveCommand
-from drives.group import DriveGroup
+from drives.group import DriveGroup, GroupOptions
 from drives.profile import list_profiles, load_profile
 
 pytest.importorskip("pybullet", reason="the simulated drives need the extra [sim]")
@@ -17,6 +17,8 @@ from sim.serve import running  # noqa: E402
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "small"
 PERIOD_S = 0.01
+#: Nothing here is about time, and the machine may be busy.
+PATIENT = GroupOptions(answer_timeout_s=20.0, gap_timeout_s=2.0)
 
 
 @pytest.fixture
@@ -37,7 +39,7 @@ def test_a_drive_of_every_profile_is_enabled_moved_and_read(cell):
         setups = [
             AxisSetup(drive.node_id, profile, drive.spec.torque_constant_nm_per_a, 400.0) for drive in unit.drives
         ]
-        with DriveGroup(bus, setups, PERIOD_S) as group:
+        with DriveGroup(bus, setups, PERIOD_S, options=PATIENT) as group:
             identities = group.connect()
             assert all(name in identity.name for identity in identities)
             group.configure()
