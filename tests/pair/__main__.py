@@ -124,9 +124,8 @@ def timing() -> dict[str, dict]:
     unit = f"of {steady['cycles']} cycles in lockstep, 12 drives, physics left out"
     add("incomplete epochs", steady["incomplete"], unit, "0", steady["incomplete"] == 0)
     add("cycle in lockstep, 12 drives", 1e3 * steady["cycle_s"], "ms, physics left out")
-    add(
-        "by the clock: cycles until the end", clock["cycles"], f"of {clock['wanted']}; {clock['ended'][:70] or 'to the end'}"
-    )
+    ended = clock["ended"][:70] or "to the end"
+    add("by the clock: cycles until the end", clock["cycles"], f"of {clock['wanted']}; {ended}")
     add("by the clock: cycles with a late answer", 1e2 * clock["late_share"], f"% of {clock['cycles']}")
     add("by the clock: jitter p50", 1e6 * clock["jitter_p50_s"], "us")
     add("by the clock: jitter p99", 1e6 * clock["jitter_p99_s"], "us")
