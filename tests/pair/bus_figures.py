@@ -68,7 +68,7 @@ def _value(values: Sequence[float], unit: str, goal: str, met: Callable[[float],
         return {"value": NAN, "interval": [NAN, NAN], "unit": unit, "goal": goal, "met": None}
     middle = float(np.median(known))
     spread = [float(min(known)), float(max(known))]
-    return {"value": middle, "interval": spread, "unit": unit, "goal": goal, "met": met and met(middle)}
+    return {"value": middle, "interval": spread, "unit": unit, "goal": goal, "met": met(middle) if met else None}
 
 
 def figures(rows: Sequence[Row], limit_n: float, *, judged: bool) -> dict[str, Figure]:
@@ -87,7 +87,7 @@ def figures(rows: Sequence[Row], limit_n: float, *, judged: bool) -> dict[str, F
     share("P1: A exceeds the limit", above("A", USUAL), "all", 1.0)
     ratio = [table.force("A", USUAL, seed) / table.force("B", USUAL, seed) for seed in table.seeds]
     out["P2: A over B"] = _value(
-        ratio, "median, least and most", ">= 3" if judged else "", judged and (lambda v: v >= 3)
+        ratio, "median, least and most", ">= 3" if judged else "", (lambda v: v >= 3) if judged else None
     )
     share("P2: B exceeds the limit, speed 1.5", above("B", USUAL), "reported", None)
     share("P2: B exceeds the limit, speed 3", above("B", FAST), "reported", None)
