@@ -95,7 +95,8 @@ def decide(search: Search, chosen: Fit) -> Decision:
 def _verdict(
     search: Search, whole: Fit, proven: tuple[Term, ...], rivals: tuple[Rival, ...], structure_p: float
 ) -> str:
-    unnamed = any(term.name == "unnamed" for term in whole.terms)
+    shapes = [term for term in whole.terms if term.name == "unnamed"]
+    unnamed = any(strength(search, whole, term) >= LEAST_STRENGTH for term in shapes)
     left = unnamed or structure_p < STRUCTURE_P
     if not proven:
         return "unexplained" if left else "none_needed"

@@ -99,6 +99,13 @@ class Found:
         against = sum(SURER + mistake.handicap for mistake in self.mistakes)
         return self.search.score(self.chosen) + signs + scale - against
 
+    @property
+    def taken_back(self) -> bool:
+        """Whether a scale of the same axis takes a factor back that was undone as a mistake."""
+        factors = {joint for mistake in self.mistakes if mistake.factor != 1.0 for joint in mistake.joints}
+        scaled = {j for term in self.chosen.terms if term.name == "torque_constant_scale" for j in term.joints}
+        return bool(factors & scaled)
+
 
 class RestDiagnosis:
     """Diagnosis of rest visits in two steps: the search, and the report with or without unseen rows."""
@@ -132,7 +139,7 @@ class RestDiagnosis:
             mistakes, gained = find_mistakes(table, self.problem, self.options.allowed)
         if mistakes:
             other = self._searched(table, mistakes, gained)
-            if other.score > found.score:
+            if other.score > found.score and not other.taken_back:
                 found = other
         return found
 
