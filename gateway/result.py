@@ -202,7 +202,7 @@ _ORDER_FIRST = ("schema",)
 
 def to_dict(result: Result) -> dict[str, Any]:
     """Plain dictionaries, lists and numbers of a result; NaN and infinity become None."""
-    plain = _plain(result)
+    plain = plain_values(result)
     extra = plain.pop("extra", {})
     first = {key: plain.pop(key) for key in _ORDER_FIRST}
     return first | plain | {key: value for key, value in extra.items() if key not in plain}
@@ -256,17 +256,18 @@ def _check_words(result: Result, where: str) -> None:
             )
 
 
-def _plain(value: Any) -> Any:
+def plain_values(value: Any) -> Any:
+    """The same in what JSON can hold: dataclasses as dictionaries, arrays as lists, NaN and infinity as None."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         optional = _OPTIONAL.get(type(value).__name__, set())
-        items = {item.name: _plain(getattr(value, item.name)) for item in dataclasses.fields(value)}
+        items = {item.name: plain_values(getattr(value, item.name)) for item in dataclasses.fields(value)}
         return {key: plain for key, plain in items.items() if plain is not None or key not in optional}
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain_values(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain_values(item) for item in value]
     if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
+        return plain_values(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

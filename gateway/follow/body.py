@@ -25,6 +25,7 @@ from gateway.follow.path import FollowPath
 from gateway.follow.settings import IDENTIFIED, MAXIMUM, OFF, FeedModel, Setting
 from gateway.follow.track import Following, Track, following
 from gateway.follow.trend import Trend
+from gateway.result import plain_values
 
 Floats = NDArray[np.float64]
 SCHEMA = 1
@@ -81,7 +82,7 @@ def body_of(job: Comparison) -> dict[str, Any]:
         "findings": findings(job, figures),
         "series": _series(job),
     }
-    return _plain(body)
+    return plain_values(body)
 
 
 def _setting(setting: Setting, figures: Following) -> dict[str, Any]:
@@ -233,15 +234,3 @@ def _chosen(track: Track) -> NDArray[np.int_]:
     size = (error / np.maximum(error.max(axis=0), 1e-12)).max(axis=1)
     edges = np.unique(np.linspace(0, len(size), min(CURVE_POINTS, len(size)) + 1).astype(int))
     return np.array([low + int(np.argmax(size[low:high])) for low, high in zip(edges[:-1], edges[1:], strict=True)])
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
