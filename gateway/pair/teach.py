@@ -55,8 +55,8 @@ class TeachRule:
 class _Yielding:
     """Steps against a force whose stiffness is known by its upper bound only.
 
-    The compliance is corrected by what each step has done to the force (Broyden 1965, second method), and taken afresh
-    when the force has grown.
+    The compliance is corrected by what each step has done to the force (Broyden 1965, second method). When the force
+    has grown, the step was too long: it is taken afresh, half of what it was.
 
     Parameters
     ----------
@@ -76,6 +76,7 @@ class _Yielding:
             fallen = before - wrench
             weight = fallen / self._scale**2
             if np.linalg.norm(wrench / self._scale) > np.linalg.norm(before / self._scale):
+                self._plain *= 0.5
                 self._matrix = self._plain.copy()
             else:
                 self._matrix += np.outer(moved - self._matrix @ fallen, weight) / float(weight @ fallen)

@@ -187,6 +187,11 @@ class PairWorld:
             self._asked[arm] = round(max(self._asked[arm], self.time_s) + seconds - late, 9)
             self._run()
 
+    def align(self) -> None:
+        """From now on the next SYNC of both arms stands for the same time, however many each has had until now."""
+        with self._lock:
+            self._asked, self._owed = [self.time_s, self.time_s], [0.0, 0.0]
+
     def _run(self) -> None:
         """Go on to what has been asked for by all arms that are powered and whose SYNC has not stayed away."""
         powered = [bool(self.motors.live[6 * arm : 6 * arm + 6].any()) for arm in (0, 1)]

@@ -1,10 +1,10 @@
 """Two arms, one workpiece: every row of the comparison, printed with every seed, written to `summary.json`.
 
-python -m tests.pair [--out out/pair] [--full] [--seeds 0,1] [--jobs 2] [--stages short,stop] [--no-timing]
+python -m tests.pair [--out out/pair] [--full] [--seeds 0,1] [--jobs 2] [--stages plain,stop] [--minutes 60]
 
 Without `--full`: the numpy tier, and two seeds of rows A, B, C1i, C2c, C7, C8 over PyBullet and twelve CAN drives,
-counts without a verdict. With it: ten seeds, all rows, verdicts. A seed that is done stays in `seed-N.json` and is not
-run again.
+counts without a verdict. With it: ten seeds, all rows, verdicts. A stage that is done stays in `seed-N.json` and is not
+run again; a run that was interrupted, or whose `--minutes` are over, prints what is there.
 """
 
 from __future__ import annotations
@@ -12,11 +12,9 @@ from __future__ import annotations
 import argparse
 import datetime as dt
 import json
-import multiprocessing
 import sys
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +24,13 @@ from rich.table import Table as RichTable
 from gateway.pair.report import render_pair
 from tests.pair.bus_figures import figures
 from tests.pair.bus_rig import CELL
-from tests.pair.bus_rows import run_seed
+from tests.pair.bus_tier import BusTier
 
-SHORT = ("short", "stop")
-FULL = ("short", "stop", "others", "even", "speeds", "fast", "static", "snag", "skew", "step")
+SHORT = ("plain", "each", "mean", "points", "stop")
+FULL = (
+    *("plain", "fast", "each", "stop", "step", "points", "mean", "snag", "skew"),
+    *("speeds", "even", "others", "fast_points", "static"),
+)
 FROZEN_SHORT, FROZEN_FULL = 3, 20
 LIMIT_N = 40.0
 
@@ -42,6 +43,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--seeds", help="seeds, separated by commas")
     parser.add_argument("--stages", help="stages, separated by commas")
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="no stage begins after these")
     parser.add_argument("--no-timing", action="store_true", help="leave out cycle times and 100000 cycles")
     parser.add_argument("--no-model", action="store_true", help="leave out the numpy tier")
     arguments = parser.parse_args(argv)
@@ -60,7 +62,10 @@ def main(argv: list[str]) -> int:
         out |= model_figures()
     if not arguments.no_timing:
         out |= timing()
-    done = bus_tier(arguments.out, seeds, stages, FROZEN_FULL if arguments.full else FROZEN_SHORT, arguments.jobs)
+    frozen = FROZEN_FULL if arguments.full else FROZEN_SHORT
+    tier = BusTier(arguments.out, seeds, stages, frozen, began + 60.0 * arguments.minutes)
+    tier.run(arguments.jobs)
+    done = tier.done()
     rows = [row for one in done for row in one["rows"]]
     show_seeds(rows)
     out |= figures(rows, LIMIT_N, judged=arguments.full) | costs(rows, done)
@@ -72,40 +77,16 @@ def main(argv: list[str]) -> int:
         "goal": "",
         "met": None,
     }
-    report(arguments.out, done)
+    if done:
+        report(arguments.out, done)
+    print(*tier.failed, sep="\n")
     plain = {
         name: figure | {"met": figure["met"] if figure["met"] in (True, False) else None}
         for name, figure in out.items()
     }
     (arguments.out / "summary.json").write_text(json.dumps({"figures": plain}, indent=1) + "\n")
     show(plain)
-    return 0 if all(figure["met"] is not False for figure in plain.values()) else 1
-
-
-def bus_tier(out: Path, seeds: Sequence[int], stages: tuple[str, ...], frozen: int, jobs: int) -> list[dict[str, Any]]:
-    """All seeds over PyBullet and CAN, what is there already not again."""
-    done: dict[int, dict[str, Any]] = {}
-    stored: dict[int, dict[str, Any]] = {}
-    for seed in seeds:
-        path = out / f"seed-{seed}.json"
-        if path.exists():
-            stored[seed] = json.loads(path.read_text())
-            if set(stages) <= set(stored[seed]["stages"]):
-                done[seed] = stored[seed]
-    missing = [seed for seed in seeds if seed not in done]
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(max(1, min(jobs, len(missing))), mp_context=context) as pool:
-        waiting = {}
-        for seed in missing:
-            there = stored.get(seed)
-            left = tuple(stage for stage in stages if there is None or stage not in there["stages"])
-            waiting[pool.submit(run_seed, seed, left, frozen, there)] = seed
-        for future in as_completed(waiting):
-            seed = waiting[future]
-            done[seed] = future.result()
-            (out / f"seed-{seed}.json").write_text(json.dumps(done[seed]) + "\n")
-            print(f"seed {seed} done, {len(done)} of {len(seeds)}", flush=True)
-    return [done[seed] for seed in seeds]
+    return 0 if all(figure["met"] is not False for figure in plain.values()) and not tier.failed else 1
 
 
 def timing() -> dict[str, dict]:
@@ -139,8 +120,8 @@ def costs(rows: Sequence[dict[str, Any]], done: Sequence[dict[str, Any]]) -> dic
     """Time of the learning step, incomplete epochs of the rows."""
     usual = [row for row in rows if row.get("speed") == 1.5 and row.get("learned")]
     share = max((row["learning_s"] for row in usual), default=float("nan")) / 4.0
-    incomplete = sum(sum(one["statistics"]["incomplete"]) for one in done)
-    cycles = sum(sum(one["statistics"]["cycles"]) for one in done)
+    incomplete = sum(one["statistics"]["incomplete"] for one in done)
+    cycles = sum(one["statistics"]["cycles"] for one in done)
     return {
         "learning step over the cycle's time": {
             "value": 1e2 * share, "interval": None, "unit": "%, slowest", "goal": "<= 5", "met": share <= 0.05,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 import threading
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from gateway.acquire.arm import ArmSample
 from gateway.pair.cell import PairCell, load_pair
 from gateway.pair.embodiments import Embodiment
 from gateway.pair.function import TransformFunction
@@ -27,7 +28,9 @@ from gateway.pair.storage import line_of_grippers
 from gateway.pair.teach import Teacher
 from sim.pair.cell import PairOptions
 from sim.pair.world import PairWorld
+from sim.server import BusServer
 from sim.simulation import ServeOptions, Simulation
+from tests.pair.inline import inline
 from tests.pair.model_rows import oscillation
 
 Array = NDArray[np.float64]
@@ -85,10 +88,46 @@ class PairRig:
 @contextmanager
 def pair_rig(seed: int | None, settings: Mapping[str, Any] | None = None, **options: Any) -> Iterator[PairRig]:
     """Both buses on `virtual`; the simulated drives in threads of this process."""
+    with _simulated(PairOptions(seed, settings=settings, **options)) as (simulation, path, buses):
+        thread = threading.Thread(target=simulation.run, name="pair-sim")
+        thread.start()
+        try:
+            cell = load_pair(path, _spec(buses))
+            with open_link(cell) as link:
+                yield _aligned(simulation, cell, link, seed, simulation.servers)
+        finally:
+            simulation.stop()
+            thread.join()
+
+
+@contextmanager
+def inline_rig(seed: int | None, settings: Mapping[str, Any] | None = None) -> Iterator[PairRig]:
+    """The same rig, the simulated drives in the thread that waits for them."""
+    with (
+        _simulated(PairOptions(seed, settings=settings)) as (simulation, path, buses),
+        inline(simulation.servers, buses),
+    ):
+        cell = load_pair(path, _spec(buses))
+        with open_link(cell) as link:
+            yield _aligned(simulation, cell, link, seed, ())
+
+
+@contextmanager
+def _simulated(options: PairOptions) -> Iterator[tuple[Simulation, Path, tuple[str, str]]]:
+    """Both arms, their cell file, and the channels of the buses."""
     name = uuid.uuid4().hex
-    bus = f"left=virtual:{name}-l;right=virtual:{name}-r"
+    buses = (f"{name}-l", f"{name}-r")
     with tempfile.TemporaryDirectory() as folder:
-        yield from _rig(patient_cell(Path(folder)), bus, PairOptions(seed, settings=settings, **options))
+        path = patient_cell(Path(folder))
+        simulation = Simulation(path, ServeOptions(bus=_spec(buses)), options)
+        try:
+            yield simulation, path, buses
+        finally:
+            simulation.close()
+
+
+def _spec(buses: tuple[str, str]) -> str:
+    return f"left=virtual:{buses[0]};right=virtual:{buses[1]}"
 
 
 def patient_cell(folder: Path) -> Path:
@@ -99,18 +138,32 @@ def patient_cell(folder: Path) -> Path:
     return folder / CELL.name
 
 
-def _rig(path: Path, bus: str, options: PairOptions) -> Iterator[PairRig]:
-    simulation = Simulation(path, ServeOptions(bus=bus), options)
-    thread = threading.Thread(target=simulation.run, name="pair-sim")
-    thread.start()
-    try:
-        cell = load_pair(path, bus)
-        with open_link(cell) as link:
-            yield PairRig(simulation, simulation.servers[0].arms[0].world, cell, link, options.seed)  # type: ignore[arg-type]
-    finally:
-        simulation.stop()
-        thread.join()
-        simulation.close()
+def _aligned(
+    simulation: Simulation, cell: PairCell, link: PairLink, seed: int | None, threads: Sequence[BusServer]
+) -> PairRig:
+    """After power-on the next two SYNCs are one instant, whichever arm was ready first: the same run every time.
+
+    `threads` are the servers that have one of their own.
+    """
+    world: PairWorld = simulation.servers[0].arms[0].world  # type: ignore[assignment]
+    plain = link.enable
+
+    def enable() -> tuple[ArmSample, ArmSample]:
+        samples = plain()
+        for server in threads:
+            _finished(server)
+        world.align()
+        return samples
+
+    link.enable = enable  # type: ignore[method-assign]
+    return PairRig(simulation, world, cell, link, seed)
+
+
+def _finished(server: BusServer) -> None:
+    """Wait until the thread of a server has done with all frames so far."""
+    done = threading.Event()
+    server.later(done.set)
+    done.wait(1.0)
 
 
 def figures_of(run: PairRun, done: PairCycle, record: Array, limit_n: float) -> dict[str, Any]:
@@ -141,8 +194,8 @@ def figures_of(run: PairRun, done: PairCycle, record: Array, limit_n: float) -> 
 
 
 def off_path_m(record: Array, uncorrected: Array) -> float:
-    """How far the part's centre goes off the way it takes when nothing is corrected [m]."""
-    return float(cKDTree(uncorrected[:, 7:10]).query(record[:, 7:10])[0].max())
+    """How far the part's centre goes off the way (n, 3) it takes when nothing is corrected [m]."""
+    return float(cKDTree(uncorrected).query(record[:, 7:10])[0].max())
 
 
 def along_n(run: PairRun, cell: PairCell, record: Array) -> list[float]:

@@ -17,7 +17,7 @@ from gateway.pair.motion import MotionOptions, PairStopped
 from gateway.pair.session import cell_gains
 from gateway.pair.speed import ExtrapolationWarning, SpeedTable
 from sim.states import PdsState
-from tests.pair.bus_rig import BACK_SPEED, NO_LIMIT_N, PairRig, along_n, figures_of, off_path_m, pair_rig
+from tests.pair.bus_rig import BACK_SPEED, NO_LIMIT_N, PairRig, along_n, figures_of, inline_rig, off_path_m
 
 Row = dict[str, Any]
 
@@ -76,7 +76,7 @@ class Bench:
             rig.world.push = None
             figures = figures_of(run, done, record, self.limit_n)
             if label == "A":
-                self.uncorrected.setdefault(speed, record)
+                self.uncorrected.setdefault(speed, record[:, 7:10])
             if speed in self.uncorrected:
                 figures["part_off_m"] = off_path_m(record, self.uncorrected[speed])
             self.rows.append({**figures, "row": label, "seed": rig.seed, "frozen": number > freeze_after})
@@ -103,14 +103,25 @@ def _snag(rig: PairRig) -> Any:
     return torque
 
 
-def short(bench: Bench) -> None:
-    """Rows A, B, C2c, C7, C8, and C1i which they start from, at the usual speed."""
+def plain(bench: Bench) -> None:
+    """Rows without learning at the usual speed."""
     for name in ("A", "B", "C1i"):
         bench.run(name, bench.row_of(name), USUAL)
+
+
+def each(bench: Bench) -> None:
+    """Learning in every cycle."""
     bench.run("C2c", bench.row_of("C2c"), USUAL, E2_CYCLES)
+
+
+def mean(bench: Bench) -> None:
+    """Learning from three cycles at a time, fixed points."""
     bench.run("C7", bench.row_of("C7"), USUAL, LEARNING)
-    frozen = LEARNING - 1 + bench.frozen_cycles
-    bench.run("C8", bench.row_of("C8"), USUAL, frozen, freeze_after=LEARNING - 1)
+
+
+def points(bench: Bench) -> None:
+    """Learning points where force acts, then frozen."""
+    bench.run("C8", bench.row_of("C8"), USUAL, LEARNING - 1 + bench.frozen_cycles, freeze_after=LEARNING - 1)
 
 
 def others(bench: Bench) -> None:
@@ -146,11 +157,14 @@ def speeds(bench: Bench) -> None:
 
 
 def fast(bench: Bench) -> None:
-    """Twice the usual speed."""
+    """Rows without learning at twice the usual speed."""
     for name in ("A", "B", "C1i"):
         bench.run(name, bench.row_of(name), FAST)
-    frozen = LEARNING - 1 + bench.frozen_cycles
-    bench.run("C8", bench.row_of("C8"), FAST, frozen, freeze_after=LEARNING - 1)
+
+
+def fast_points(bench: Bench) -> None:
+    """Learning points at twice the usual speed, then frozen."""
+    bench.run("C8", bench.row_of("C8"), FAST, LEARNING - 1 + bench.frozen_cycles, freeze_after=LEARNING - 1)
 
 
 def static(bench: Bench) -> None:
@@ -219,13 +233,17 @@ def stop(bench: Bench) -> None:
     )
 
 
-#: Stages that run in the rig of the seed; `skew` and `step` need rigs of their own.
+#: Stages that run in the rig of the seed.
 STAGES: dict[str, Callable[[Bench], None]] = {
-    "short": short,
+    "plain": plain,
+    "each": each,
+    "mean": mean,
+    "points": points,
     "others": others,
     "even": even,
     "speeds": speeds,
     "fast": fast,
+    "fast_points": fast_points,
     "static": static,
     "snag": snag,
     "stop": stop,
@@ -236,7 +254,7 @@ def skewed(seed: int, nine: TransformFunction) -> list[Row]:
     """C8 with the slave's SYNC constantly .5 ms late, and late by anew 0 to 1 ms each time."""
     rows: list[Row] = []
     for label, skew_s, jitter_s in (("C8 skew .5 ms", 0.5e-3, 0.0), ("C8 jitter 1 ms", 0.0, 1.0e-3)):
-        with pair_rig(seed, {"skew_s": skew_s, "skew_jitter_s": jitter_s}) as rig:
+        with inline_rig(seed, {"skew_s": skew_s, "skew_jitter_s": jitter_s}) as rig:
             bench = Bench(rig, nine, 0)
             bench.run(label, bench.row_of("C8"), USUAL, LEARNING)
             rows += bench.rows
@@ -245,50 +263,58 @@ def skewed(seed: int, nine: TransformFunction) -> list[Row]:
 
 def halved(seed: int, nine: TransformFunction) -> list[Row]:
     """Row C1i with the physics step halved."""
-    with pair_rig(seed, {"step_s": 0.125e-3}) as rig:
+    with inline_rig(seed, {"step_s": 0.125e-3}) as rig:
         bench = Bench(rig, nine, 0)
         bench.run("C1i, half the step", bench.row_of("C1i"), USUAL)
         return bench.rows
 
 
-def run_seed(
-    seed: int, stages: tuple[str, ...], frozen_cycles: int, stored: dict[str, Any] | None = None
-) -> dict[str, Any]:
-    """Stages of one seed: rows, curves, functions, taught points, statistics of the buses.
+#: Stages that need rigs of their own.
+APART: dict[str, Callable[[int, TransformFunction], list[Row]]] = {"skew": skewed, "step": halved}
 
-    Parameters
-    ----------
-    stored : dict, optional
-        What earlier stages of this seed have given; it is added to.
+
+def run_stage(seed: int, stage: str, frozen_cycles: int, stored: dict[str, Any] | None) -> dict[str, Any]:
+    """One stage of one seed, added to what earlier stages of this seed have given; teaches first if none has.
+
+    Returns
+    -------
+    dict
+        Rows, curves, functions, taught points, statistics of the buses.
     """
-    before = stored or {"rows": [], "curves": [], "functions": {}, "stages": [], "minutes": 0.0}
     began = time.monotonic()
-    with pair_rig(seed) as rig:
-        if stored is None:
-            nine, lesson = rig.teach(9)
-            points = [point.as_json() for point in lesson.points]
-        else:
-            nine, points = _function(stored["nine"]), stored["points"]
-        functions = {name: _function(knots) for name, knots in before["functions"].items()}
-        bench = Bench(rig, nine, frozen_cycles, functions=functions)
-        for stage in stages:
-            if stage in STAGES:
-                STAGES[stage](bench)
-        statistics = rig.link.statistics()
-    rows = before["rows"] + bench.rows
-    rows += skewed(seed, nine) if "skew" in stages else []
-    rows += halved(seed, nine) if "step" in stages else []
-    return {
-        "seed": seed,
-        "stages": [*before["stages"], *stages],
-        "rows": rows,
-        "curves": before["curves"] + bench.curves,
-        "points": points,
-        "nine": _knots(nine),
-        "functions": {name: _knots(function) for name, function in bench.functions.items()},
-        "statistics": statistics,
-        "minutes": before["minutes"] + (time.monotonic() - began) / 60.0,
-    }
+    seen = stored or _taught(seed)
+    if stage in APART:
+        seen["rows"] += APART[stage](seed, _function(seen["nine"]))
+    else:
+        with inline_rig(seed) as rig:
+            bench = Bench(rig, _function(seen["nine"]), frozen_cycles)
+            bench.functions = {name: _function(knots) for name, knots in seen["functions"].items()}
+            bench.uncorrected = {float(speed): np.array(way) for speed, way in seen["uncorrected"].items()}
+            STAGES[stage](bench)
+            _count(seen, rig)
+        seen["rows"] += bench.rows
+        seen["curves"] += bench.curves
+        seen["functions"] = {name: _knots(function) for name, function in bench.functions.items()}
+        seen["uncorrected"] = {f"{speed:g}": np.round(way, 7).tolist() for speed, way in bench.uncorrected.items()}
+    seen["stages"].append(stage)
+    seen["minutes"] += (time.monotonic() - began) / 60.0
+    return seen
+
+
+def _taught(seed: int) -> dict[str, Any]:
+    """A seed of which nothing is known but its taught function."""
+    seen: dict[str, Any] = {"seed": seed, "stages": [], "minutes": 0.0, "statistics": {"cycles": 0, "incomplete": 0}}
+    with inline_rig(seed) as rig:
+        nine, lesson = rig.teach(9)
+        _count(seen, rig)
+    points = [point.as_json() for point in lesson.points]
+    return seen | {"rows": [], "curves": [], "functions": {}, "uncorrected": {}, "points": points, "nine": _knots(nine)}
+
+
+def _count(seen: dict[str, Any], rig: PairRig) -> None:
+    statistics = rig.link.statistics()
+    for name in seen["statistics"]:
+        seen["statistics"][name] += sum(statistics[name])
 
 
 def _knots(function: TransformFunction) -> list[Any]:
