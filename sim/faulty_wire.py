@@ -6,6 +6,7 @@ is counted in SYNC frames; only late answers are late by the clock. Faults insid
 
 from __future__ import annotations
 
+import errno
 import random
 import threading
 import time
@@ -20,6 +21,9 @@ from sim.wire_rules import RPDO1, RULES, SYNC, TPDO1, TPDO2, Armed, invented
 
 #: What an adapter carries out inside a drive.
 DriveAction = Callable[[Fault], None]
+#: A queue that is full is waited for, as a drive waits for a free mailbox [s].
+QUEUE_FULL = (errno.ENOBUFS, errno.EAGAIN)
+QUEUE_PATIENCE_S = 5.0
 
 
 class FaultyWire:
@@ -102,7 +106,7 @@ class FaultyWire:
         with self._lock:
             self.on_frame(self.sync, msg)
             for frame in self._through(msg):
-                self._bus.send(frame, timeout)
+                self._put(frame)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Next frame that reaches the drives; late frames are sent when they are due."""
@@ -129,10 +133,21 @@ class FaultyWire:
     def __exit__(self, *exception: object) -> None:
         self.shutdown()
 
+    def _put(self, frame: can.Message) -> None:
+        end = time.monotonic() + QUEUE_PATIENCE_S
+        while True:
+            try:
+                return self._bus.send(frame)
+            except can.CanOperationError as error:
+                full = error.error_code in QUEUE_FULL or "buffer full" in str(error)
+                if not full or time.monotonic() > end:
+                    raise
+            time.sleep(0.001)
+
     def _flush(self) -> None:
         with self._lock:
             while self._due and self._due[0][0] <= time.monotonic():
-                self._bus.send(self._due.pop(0)[1])
+                self._put(self._due.pop(0)[1])
 
     def later(self, frame: can.Message, delay_s: float) -> None:
         """Send the frame after a time by the clock."""
@@ -173,7 +188,7 @@ class FaultyWire:
             self._answers = [0, self._answers[0]]
             late, self._next_sync = self._next_sync, []
             for frame in late:
-                self._bus.send(frame)
+                self._put(frame)
             reaches = True
             for armed in list(self._armed):
                 if not armed.fault.active(self.sync):
@@ -185,7 +200,7 @@ class FaultyWire:
                 for frame in invented(armed.fault):
                     if armed.take():
                         self._count(armed)
-                        self._bus.send(frame)
+                        self._put(frame)
             return reaches
 
     # -- from the drives ---------------------------------------------------------------------------------------------

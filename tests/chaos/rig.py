@@ -112,7 +112,7 @@ class Rig:
                 done.set()
 
         self.server.later(and_tell)
-        if not done.wait(10.0):
+        if not done.wait(60.0):
             raise TimeoutError("the simulated drives do not answer")
 
     def renew(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import struct
 import time
 import uuid
@@ -174,6 +175,25 @@ def test_every_kind_of_the_wire_is_carried_out(rig: Rig, kind: str) -> None:
     rig.wire.arm_in(Fault(kind, node=2), 1)
     rig.cycle(1)
     rig.cycle(2)
+
+
+def test_a_full_queue_is_waited_for(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    refused = [
+        can.CanOperationError("Failed to transmit", errno.ENOBUFS),
+        can.CanOperationError("Transmit buffer full"),
+    ]
+    send = can.interfaces.virtual.VirtualBus.send
+
+    def full_twice(bus: can.BusABC, message: can.Message, timeout: float | None = None) -> None:
+        if refused:
+            raise refused.pop()
+        send(bus, message, timeout)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(can.interfaces.virtual.VirtualBus, "send", full_twice)
+    assert rig.answer(bytes(8)) == [bytes(8)]
+    refused.append(can.CanOperationError("Network is down", errno.ENETDOWN))
+    with pytest.raises(can.CanOperationError, match="down"):
+        rig.answer(bytes(8))
 
 
 def test_faults_of_a_drive_are_handed_to_it() -> None:
