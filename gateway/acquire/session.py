@@ -106,7 +106,7 @@ def plan_of_recording(loaded: LoadedCell, recording: Recording, arm: str | None 
 
 
 def record(opened: OpenArm, plan: Plan, request: RecordRequest, listeners: Sequence[Listener] = ()) -> RecordingSummary:
-    """Measure a plan under one load; the arm is in its brakes before and after.
+    """Measure a plan under one load; the arm is in its brakes before and after, and all the time if nothing is missing.
 
     Ctrl-C stops the arm gently, keeps what was measured and raises KeyboardInterrupt.
 
@@ -120,15 +120,16 @@ def record(opened: OpenArm, plan: Plan, request: RecordRequest, listeners: Seque
     earlier = read(request.path) if request.resume and request.path.exists() else None
     poses = _all_poses(plan, earlier)
     stored = None if earlier is None else earlier.arm(plan.arm)
-    done = () if stored is None else stored.done(request.load)
-    done = tuple(set(done) & {(pose.number, side) for pose in plan.poses for side in (-1, 1)})
+    wanted = {(pose.number, side) for pose in plan.poses for side in (-1, 1)}
+    done = () if stored is None else tuple(wanted.intersection(stored.done(request.load)))
     writer = RecordingWriter(request.path, _header(opened), earlier)
     tally = _Tally()
     try:
         writer.begin(_arm_header(opened, poses))
-        with ctrl_c_asks() as stop_asked:
-            station = Station(opened.arm, opened.workspace, writer, (tally, *listeners), stop_asked)
-            run_plan(station, RunRequest(plan, request.load, done))
+        if len(done) < len(wanted):
+            with ctrl_c_asks() as stop_asked:
+                station = Station(opened.arm, opened.workspace, writer, (tally, *listeners), stop_asked)
+                run_plan(station, RunRequest(plan, request.load, done))
         statistics = _plain(asdict(opened.group.statistics))
         writer.finish(plan.arm, "success", "all poses measured", statistics)
     except BaseException as error:

@@ -30,6 +30,7 @@ def figures(scope: Any) -> dict[str, dict]:
     total = scope.count(sum(KILLS.values()))
     out["recordings interrupted"] = figure(interrupted, f">= {total}")
     out["finished visits lost"] = figure(lost, "== 0", f"of {announced}")
+    out["complaints of any other kind"] = figure(defects, "== 0")
     out["recordings unreadable after a kill"] = figure(unreadable, "== 0")
     out["restores after a kill that left something"] = figure(not_restored, "== 0", f"of {restored}")
     return out

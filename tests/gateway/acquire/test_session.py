@@ -141,6 +141,18 @@ def test_an_existing_file_is_refused_before_anything_moves(recorded, simulation,
         assert opened.group.sync_index == syncs
 
 
+def test_a_whole_file_is_gone_on_with_without_power(recorded, simulation, small_cell, plan):
+    visits = len(read(recorded[0]).arms[0].visits)
+    with open_arm(small_cell, override(simulation)) as opened:
+        syncs = opened.group.sync_index
+        summary = record(opened, plan, RecordRequest("none", recorded[0], resume=True))
+        assert opened.group.sync_index == syncs
+    recording = read(recorded[0])
+    assert (summary.visits, summary.skipped) == (0, 4)
+    assert recording.exit_status == "success"
+    assert len(recording.arms[0].visits) == visits
+
+
 def test_nobody_on_the_bus(small_cell):
     with (
         pytest.raises((NodeMissing, SeveralFailures), match="nobody answers") as refused,
