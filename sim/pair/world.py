@@ -104,6 +104,7 @@ class PairWorld:
         self._stand(np.concatenate(settings.start_rad))
         self.radius = self._largest_mode()
         if self.radius > STABLE:
+            self.close()
             raise UnstableStepError(
                 f"the physics step of {settings.step_s * 1e3:g} ms is too long: its fastest mode grows by"
                 f" {self.radius:.4f} a step; take a shorter one or a softer workpiece"
