@@ -49,7 +49,9 @@ def test_statics_agree_with_pybullet(chain, plant, poses):
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE
         body = pybullet.loadURDF(str(URDF), useFixedBase=True, flags=flags, physicsClientId=client)
         still = [0.0] * 6
-        expected = [pybullet.calculateInverseDynamics(body, list(q), still, still, physicsClientId=client) for q in poses]
+        expected = [
+            pybullet.calculateInverseDynamics(body, list(q), still, still, physicsClientId=client) for q in poses
+        ]
     finally:
         pybullet.disconnect(client)
     np.testing.assert_allclose(statics(chain, plant, poses), expected, rtol=1e-4, atol=0.02)
