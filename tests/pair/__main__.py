@@ -22,6 +22,7 @@ from rich.console import Console
 from rich.table import Table as RichTable
 
 from gateway.pair.report import render_pair
+from tests.bench.__main__ import show
 from tests.pair.bus_figures import figures
 from tests.pair.bus_rig import CELL
 from tests.pair.bus_tier import BusTier
@@ -157,22 +158,6 @@ def report(out: Path, done: Sequence[dict[str, Any]]) -> None:
         "rows": done[0]["curves"],
     }
     (out / "report.html").write_text(render_pair(data))
-
-
-def show(summary: dict[str, dict]) -> None:
-    """Print the figures as a table: value, interval, goal, and whether it is met."""
-    table = RichTable("figure", "value", "interval", "unit", "goal", "met")
-    for name, figure in summary.items():
-        interval = figure.get("interval")
-        table.add_row(
-            name,
-            f"{figure['value']:.4g}",
-            "" if not interval else f"{interval[0]:.4g} .. {interval[1]:.4g}",
-            figure.get("unit", ""),
-            figure.get("goal", ""),
-            {True: "yes", False: "MISSED", None: ""}[figure.get("met")],
-        )
-    Console(width=160).print(table)
 
 
 if __name__ == "__main__":
