@@ -15,6 +15,7 @@ from drives.profile import CountsFromObjects, DriveProfile, ObjectReference
 from drives.sdo import SdoClient
 from drives.values import Identity
 from gateway.check_rules import Address, Axis, CheckItem, Readings, judge_axis, judge_identity, judge_limits
+from gateway.check_swap import SeenDrive, judge_places
 from gateway.config import ArmConfig, BusConfig
 
 # Largest planned worst-case load of a bus that the clock paces.
@@ -73,6 +74,8 @@ def _read(sdo: SdoClient, address: Address, kind: str) -> int | None:
 def check_arm(bus: Bus, arm: ArmConfig, profiles: Sequence[DriveProfile]) -> list[CheckItem]:
     """Check the six drives of an arm; a drive that does not answer is a failing line, the others are still read.
 
+    Drives in each other's place come first: what each of them says of its limits follows from it.
+
     Parameters
     ----------
     bus : Bus
@@ -82,6 +85,7 @@ def check_arm(bus: Bus, arm: ArmConfig, profiles: Sequence[DriveProfile]) -> lis
     """
     answers = probe(bus, [config.node_id for config in arm.axis])
     items: list[CheckItem] = []
+    seen: list[SeenDrive] = []
     for joint, (config, profile) in enumerate(zip(arm.axis, profiles, strict=True), start=1):
         axis = Axis(joint, config, profile)
         if answers[config.node_id] > 1:
@@ -92,10 +96,11 @@ def check_arm(bus: Bus, arm: ArmConfig, profiles: Sequence[DriveProfile]) -> lis
         except SdoError as error:
             items.append(_unreachable(axis, error))
             continue
+        seen.append(SeenDrive(axis, identity, readings))
         items += judge_identity(axis, identity)
         items += judge_axis(axis, readings)
         items += judge_limits(axis, arm, readings)
-    return items
+    return judge_places(arm, seen) + items
 
 
 def judge_bus_load(config: BusConfig, axes: Sequence[tuple[int, DriveProfile]]) -> CheckItem:

@@ -183,19 +183,24 @@ def _rated(lines: _Lines, readings: Readings) -> None:
         lines.add("ok", address, f"{value * (rated.unit or math.nan):g} {unit} is 1000 per mille")
 
 
+def joint_torque_limit_nm(axis: Axis, readings: Readings) -> float | None:
+    """Torque that the drive's own limit allows at the joint [Nm]; None where the drive does not tell."""
+    limit, torque = _value(readings, "max_torque"), axis.profile.torque
+    if limit is None or torque.rated is None or torque.is_current:
+        return None
+    full = torque.rated.value
+    if torque.rated.object is not None:
+        word = readings.get((torque.rated.object.index, torque.rated.object.subindex))
+        full = word * (torque.rated.unit or math.nan) if isinstance(word, int) else None
+    return abs(axis.config.gear_ratio.value) * full * limit / 1000.0 if full else None
+
+
 def _torque_limit(lines: _Lines, readings: Readings) -> None:
-    config, torque = lines.axis.config, lines.axis.profile.torque
-    limit, rated = _value(readings, "max_torque"), torque.rated
+    config, limit = lines.axis.config, _value(readings, "max_torque")
     address = OBJECTS["max_torque"].address
-    if limit is None or rated is None or torque.is_current:
+    joint = joint_torque_limit_nm(lines.axis, readings)
+    if joint is None:
         return
-    full = rated.value
-    if rated.object is not None:
-        word = readings.get((rated.object.index, rated.object.subindex))
-        full = word * (rated.unit or math.nan) if isinstance(word, int) else None
-    if not full:
-        return
-    joint = abs(config.gear_ratio.value) * full * limit / 1000.0
     if limit == 0:
         lines.add("fail", address, "0: the drive gives no torque", "set the torque limit in the drive")
     elif not 1.0 / IMPLAUSIBLE < joint / config.torque_limit_nm < IMPLAUSIBLE:
@@ -275,19 +280,28 @@ def judge_limits(axis: Axis, arm: ArmConfig, readings: Readings) -> list[CheckIt
         what = f"stands at {q_rad:.3f} rad, limits {low:g} to {high:g} rad"
         advice = "" if inside else "bring the joint inside its limits, or correct zero_offset_rad and position_sign"
         lines.add("ok" if inside else "fail", OBJECTS["position"].address, what, advice)
-    _software_limits(lines, arm, readings, turn)
+    _software_limits(lines, arm, readings)
     return lines.items
 
 
-def _software_limits(lines: _Lines, arm: ArmConfig, readings: Readings, turn: float) -> None:
-    ends = [_value(readings, name) for name in ("position_limit_min", "position_limit_max")]
+def software_range_rad(axis: Axis, arm: ArmConfig, readings: Readings) -> tuple[float, float] | None:
+    """The drive's own range of the joint [rad], None where it has none or the joint is coupled."""
+    turn = counts_per_revolution(axis.profile, readings)
+    first, second = (_value(readings, name) for name in ("position_limit_min", "position_limit_max"))
+    if turn is None or arm.coupling is not None or first is None or second is None or first == second:
+        return None
+    ends = [_joint_rad(arm, axis.joint, end / turn) for end in (first, second)]
+    return min(ends), max(ends)
+
+
+def _software_limits(lines: _Lines, arm: ArmConfig, readings: Readings) -> None:
+    drive = software_range_rad(lines.axis, arm, readings)
     address = OBJECTS["position_limit_min"].address
-    if ends[0] is None or ends[1] is None or ends[0] == ends[1]:
+    if drive is None:
         what = "no software limits in the drive; the gateway keeps to those of the cell file"
         lines.add("info", address, what)
         return
     low, high = lines.axis.config.position_limit_rad
-    drive = sorted(_joint_rad(arm, lines.axis.joint, end / turn) for end in ends if end is not None)
     what = f"drive {drive[0]:.3f} to {drive[1]:.3f} rad, cell {low:g} to {high:g} rad"
     if drive[0] > low or drive[1] < high:
         lines.add("fail", address, what, "the drive stops before the cell's limit: narrow position_limit_rad")

@@ -152,6 +152,19 @@ def test_a_reversed_torque_sign_is_named(place, gateway, serve):
     assert says == ["torque sign is reversed relative to position"]
 
 
+def test_drives_whose_limits_give_them_away_are_named_before_anything_moves(place, gateway, serve):
+    drives = serve(effect=WRONG.format("axes_swapped", [2, 3]))
+    done, body = check(gateway, place, drives, "--move", "--yes")
+    assert done.exit_code == 7, done.output
+    first, second = failed(body)
+    assert "the drives of J2 and J3 look swapped" in first["what"]
+    assert "node ids 2 and 3" in first["advice"]
+    assert second["where"] == "J2 node 2:607D:01 (position_limit_min)"
+    assert "the drives of J2 and J3 look swapped" in " ".join(done.output.split())
+    assert "stop_proof" not in body
+    assert drives.stand_still()
+
+
 def test_swapped_drives_are_named(place, gateway, serve):
     """Of one ratio and one range: else the drives' software limits give them away before anything moves."""
     text = place.cell.read_text()
