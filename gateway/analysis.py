@@ -160,6 +160,8 @@ def read_bare(path: Path) -> Bare:
     bare = from_json(text, str(path)).bare
     if bare is None:
         raise InputError(f"{path}: holds no bare identification; estimate bare rows with --json and name that file")
+    if not all(np.isfinite(part).all() for part in (bare.value, bare.gravity_m_s2, bare.covariance, bare.combination)):
+        raise InputError(f"{path}: the bare identification lacks numbers; estimate the bare rows again")
     return bare
 
 

@@ -16,7 +16,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from drives.toml_text import parse_toml
 from gateway.errors import ConfigError
 
-Vector3 = tuple[float, float, float]
+#: Of a place, a direction or a turn: larger is a slip, and overflows further on.
+_Component = Annotated[float, Field(ge=-1e6, le=1e6)]
+Vector3 = tuple[_Component, _Component, _Component]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 

@@ -10,8 +10,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import types
-import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from gateway.errors import InputError
+from gateway.json_values import decode, kind_of
 
 SCHEMA = 1
 NAN = math.nan
@@ -27,6 +26,10 @@ UNKNOWN_THREE = (NAN,) * 3
 VERDICTS = ("none_needed", "explained", "improved", "unexplained", "undecided")
 HOLDOUT_KINDS = ("fresh", "given", "blocks")
 SEVERITIES = ("info", "warn", "fail")
+#: Columns [m, hx, hy, hz] of links 1 to 6.
+COLUMNS = 24
+#: Larger than any mass, place or variance of an arm; beyond it the arithmetic overflows.
+LARGEST = 1e12
 
 Numbers = tuple[float, ...]
 Matrix = tuple[tuple[float, ...], ...]
@@ -234,13 +237,16 @@ def from_json(text: str, where: str = "result") -> Result:
     except (ValueError, RecursionError) as error:
         raise InputError(f"{where}: holds a number or a nesting that no result file has: {error}") from error
     if not isinstance(data, dict):
-        raise InputError(f"{where}: a result file is one JSON object, this is {_kind(data)}")
+        raise InputError(f"{where}: a result file is one JSON object, this is {kind_of(data)}")
     if data.get("schema") != SCHEMA:
         raise InputError(f"{where}: schema: this version reads schema {SCHEMA}, the file says {data.get('schema')!r}")
     known = {item.name for item in dataclasses.fields(Result)} - {"extra"}
     extra = {key: value for key, value in data.items() if key not in known}
-    result = _decode(Result, {key: value for key, value in data.items() if key in known}, where)
+    result = decode(Result, {key: value for key, value in data.items() if key in known}, where)
     _check_words(result, where)
+    _check_loads(result, where)
+    if result.bare is not None:
+        _check_bare(result.bare, where)
     return dataclasses.replace(result, extra=extra)
 
 
@@ -254,6 +260,28 @@ def _check_words(result: Result, where: str) -> None:
             raise InputError(
                 f"{where}: findings[{index}].severity: {finding.severity!r} is not one of {', '.join(SEVERITIES)}"
             )
+
+
+def _check_loads(result: Result, where: str) -> None:
+    for index, load in enumerate(result.loads):
+        for key in ("com_m", "com_std_m"):
+            value = getattr(load, key)
+            if value is not None and len(value) != 3:
+                raise InputError(f"{where}: loads[{index}].{key}: three numbers are needed, got {len(value)}")
+        if any(abs(value) > LARGEST for value in (load.mass_kg, load.mass_std_kg, *(load.com_m or ()))):
+            raise InputError(f"{where}: loads[{index}]: a mass or a place beyond {LARGEST:g}")
+
+
+def _check_bare(bare: Bare, where: str) -> None:
+    rank = len(bare.value)
+    shapes = {"gravity_m_s2": (1, 3), "value": (1, rank), "covariance": (rank, rank), "combination": (rank, COLUMNS)}
+    for key, (height, width) in shapes.items():
+        given = getattr(bare, key)
+        rows = given if key in ("covariance", "combination") else (given,)
+        if len(rows) != height or any(len(row) != width for row in rows):
+            raise InputError(f"{where}: bare.{key}: {height} x {width} numbers are needed")
+        if any(abs(value) > LARGEST for row in rows for value in row):
+            raise InputError(f"{where}: bare.{key}: a number beyond {LARGEST:g}")
 
 
 def plain_values(value: Any) -> Any:
@@ -271,58 +299,3 @@ def plain_values(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
-
-
-def _decode(kind: Any, value: Any, where: str) -> Any:
-    """`value` as the annotated type `kind`; every mismatch is an InputError that names its path."""
-    if kind is Any:
-        return value
-    if dataclasses.is_dataclass(kind):
-        return _decode_dataclass(typing.cast(type, kind), value, where)
-    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
-    if origin in (types.UnionType, typing.Union):
-        return (
-            None if value is None else _decode(next(item for item in arguments if item is not type(None)), value, where)
-        )
-    if origin is tuple:
-        if not isinstance(value, list):
-            raise InputError(f"{where}: expected a list, got {_kind(value)}")
-        return tuple(_decode(arguments[0], item, f"{where}[{index}]") for index, item in enumerate(value))
-    if origin is Mapping:
-        if not isinstance(value, dict):
-            raise InputError(f"{where}: expected an object, got {_kind(value)}")
-        return {key: _decode(arguments[1], item, f"{where}.{key}") for key, item in value.items()}
-    return _decode_scalar(kind, value, where)
-
-
-def _decode_scalar(kind: type, value: Any, where: str) -> Any:
-    if kind is float:
-        if value is None:
-            return NAN
-        if isinstance(value, int | float) and not isinstance(value, bool):
-            return float(value)
-        raise InputError(f"{where}: expected a number or null, got {_kind(value)}")
-    if kind is int and isinstance(value, bool) or not isinstance(value, kind):
-        raise InputError(f"{where}: expected {kind.__name__}, got {_kind(value)}")
-    return value
-
-
-def _decode_dataclass(kind: type, value: Any, where: str) -> Any:
-    if not isinstance(value, dict):
-        raise InputError(f"{where}: expected an object, got {_kind(value)}")
-    hints = typing.get_type_hints(kind)
-    arguments = {}
-    for item in dataclasses.fields(kind):
-        if item.name in value:
-            arguments[item.name] = _decode(hints[item.name], value[item.name], _join(where, item.name))
-        elif item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING:
-            raise InputError(f"{where}: the key '{item.name}' is missing")
-    return kind(**arguments)
-
-
-def _join(where: str, key: str) -> str:
-    return f"{where}: {key}" if ": " not in where else f"{where}.{key}"
-
-
-def _kind(value: Any) -> str:
-    return "null" if value is None else f"{type(value).__name__} {value!r}"[:80]

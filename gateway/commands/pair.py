@@ -211,7 +211,7 @@ def pair_report(cell: Path, output: Path, store: Path | None) -> None:
     from gateway.pair.report import render_pair
 
     pair, kept = _open(cell, None, store)
-    rows = [row for row in kept.runs() if row.get("cycles")]
+    rows = kept.runs()
     if not rows:
         raise DataUnusable(f"{kept.folder}: holds no run; run-pair first")
     data = {

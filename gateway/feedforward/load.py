@@ -135,7 +135,8 @@ def check_origin(result: Result, loaded: LoadedCell, arm: ArmConfig, robot: Robo
     InputError
         It was identified elsewhere; says where.
     """
-    data = result.extra.get("data") or {}
+    data = result.extra.get("data")
+    data = data if isinstance(data, dict) else {}
     for what, have, want in (
         ("robot", result.robot, robot.name),
         ("cell", data.get("cell"), loaded.cell.name),

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import csv
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -36,6 +37,8 @@ LEAST_TIMED = 4
 MOST_BYTES = 4_000_000
 LONGEST_S = 600.0
 MOST_WAYPOINTS = 1000
+#: No joint turns further.
+FARTHEST_RAD = 1e4
 #: What a limit may be exceeded by through rounding.
 ROUNDING = 1e-6
 
@@ -103,6 +106,7 @@ def read_path(file: Path, workspace: Workspace, period_s: float) -> FollowPath:
         raise InputError(f"{file}: cannot be read: {error}") from error
     if file.suffix.lower() == ".csv":
         times, points = _read_csv(text, file)
+        _refuse_far(points, str(file))
         if times is not None:
             return _timed(file.stem, times, points, workspace, period_s)
         if len(points) > MOST_WAYPOINTS:
@@ -110,7 +114,13 @@ def read_path(file: Path, workspace: Workspace, period_s: float) -> FollowPath:
         given = _Waypoints(waypoints_rad=tuple(tuple(row) for row in points.tolist()))
     else:
         given = _read_toml(text, file)
+        _refuse_far(np.array(given.waypoints_rad), str(file))
     return _waypoints(given.name or file.stem, given, workspace, period_s, str(file))
+
+
+def _refuse_far(points: np.ndarray, where: str) -> None:
+    if np.abs(points).max() > FARTHEST_RAD:
+        raise InputError(f"{where}: an angle beyond {FARTHEST_RAD:g} rad; a path has joint angles in rad")
 
 
 def _read_toml(text: str, file: Path) -> _Waypoints:
@@ -150,22 +160,45 @@ def _read_csv(text: str, file: Path) -> tuple[np.ndarray | None, np.ndarray]:
 
 def _waypoints(name: str, given: _Waypoints, workspace: Workspace, period_s: float, where: str) -> FollowPath:
     points = np.array(given.waypoints_rad)
-    points = np.vstack([points] * given.repeat)
     share = given.speed_share
     limits = MotionLimits(
         share * workspace.speed_rad_s, share * workspace.acceleration_rad_s2, share * workspace.jerk_rad_s3
     )
-    motions = tuple(
-        straight(start, end, limits, period_s)
-        for start, end in zip(points[:-1], points[1:], strict=True)
-        if np.abs(end - start).max() > SAME_RAD
-    )
-    if not motions:
+    way = _distinct(points)
+    back = _distinct(np.vstack([points[-1:], points[:1]])) if given.repeat > 1 else []
+    if not way:
         raise InputError(f"{where}: all waypoints are the same place")
+    rests_s = given.dwell_s * (given.repeat * len(way) + (given.repeat - 1) * len(back))
+    least_s = given.repeat * _least_s(way, limits, period_s) + (given.repeat - 1) * _least_s(back, limits, period_s)
+    if not rests_s + least_s <= LONGEST_S:
+        raise InputError(f"{where}: the path takes {rests_s + least_s:.3g} s at least, {LONGEST_S:g} s are the most")
+    once, again = ([straight(start, end, limits, period_s) for start, end in pairs] for pairs in (way, back))
+    motions = (*once, *(again + once) * (given.repeat - 1))
     path = FollowPath(name, points[0], motions, given.dwell_s, period_s)
     if path.duration_s > LONGEST_S:
         raise InputError(f"{where}: the path takes {path.duration_s:.0f} s, {LONGEST_S:g} s are the most")
     return path
+
+
+def _distinct(points: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Neighbours of the waypoints (n, 6) [rad] that are not the same place."""
+    pairs = zip(points[:-1], points[1:], strict=True)
+    return [(start, end) for start, end in pairs if np.abs(end - start).max() > SAME_RAD]
+
+
+def _least_s(pairs: Sequence[tuple[np.ndarray, np.ndarray]], limits: MotionLimits, period_s: float) -> float:
+    """Time below which no motions from rest to rest exist, known before any of them is sampled.
+
+    Of a distance d: d / v, 2 sqrt(d / a), (32 d / j)^(1/3), each with the other two limits left out.
+    """
+    total_s = 0.0
+    for start, end in pairs:
+        way = np.abs(end - start)
+        by_speed = (way / limits.speed_rad_s).max()
+        by_acceleration = 2 * np.sqrt((way / limits.acceleration_rad_s2).max())
+        by_jerk = np.cbrt(32 * (way / limits.jerk_rad_s3).max())
+        total_s += max(by_speed, by_acceleration, by_jerk, period_s)
+    return float(total_s)
 
 
 def _timed(name: str, times: np.ndarray, points: np.ndarray, workspace: Workspace, period_s: float) -> FollowPath:

@@ -21,6 +21,8 @@ from gateway.pair.relation import relation, slave_command
 from gateway.pair.transform import Floats
 
 COLUMNS = ("time_s", "x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
+#: Largest number of a path.
+FARTHEST = 1e6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -234,6 +236,8 @@ def _row(row: Mapping[str, str], path: Path, number: int) -> list[float]:
         raise InputError(f"{path}:{number}: {error}") from error
     if not np.isfinite(values).all():
         raise InputError(f"{path}:{number}: a value is not finite")
+    if max(map(abs, values)) > FARTHEST:
+        raise InputError(f"{path}:{number}: a value beyond {FARTHEST:g}; a path is given in m, rad and s")
     return values
 
 

@@ -19,6 +19,8 @@ from gateway.pair.transform import Floats, cross_matrix, log_rotation, pose
 
 LARGEST_TURN_RAD = math.pi - 1e-3
 ORTHONORMAL = 1e-6
+#: Largest number of a function: no way and no position is longer [m].
+LARGEST = 1e6
 
 
 class TransformFunction:
@@ -134,6 +136,8 @@ def _checked(s_m: ArrayLike, position_m: ArrayLike, rotation: ArrayLike) -> tupl
         )
     if not all(np.isfinite(value).all() for value in (way, place, turn)):
         raise InputError("a transform function has a value that is not finite")
+    if any(np.abs(value).max() > LARGEST for value in (way, place, turn)):
+        raise InputError(f"a transform function has a value beyond {LARGEST:g}")
     if np.any(np.diff(way) <= 0.0):
         late = int(np.argmax(np.diff(way) <= 0.0))
         raise InputError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -90,22 +91,32 @@ def lesson_from_json(text: str, where: str) -> Lesson:
         body = json.loads(text)
         if body["kind"] != KIND or body["schema"] != SCHEMA:
             raise InputError(f"{where}: holds no taught points of schema {SCHEMA}")
-        points = [
-            TaughtPoint(
-                int(point["command"]) - 1,
-                float(point["s_m"]),
-                np.array(point["relation"], dtype=float).reshape(4, 4),
-                np.array([*point["correction_m"], *point["correction_rad"]], dtype=float),
-                tuple(point["force_n"]),
-                tuple(point["moment_nm"]),
-            )
-            for point in body["points"]
-        ]
+        points = [_point(point) for point in body["points"]]
         return Lesson(str(body["path_hash"]), str(body["cell_hash"]), points)
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{where}: is no file of taught points: {error}; teach again without --resume") from error
+
+
+def _point(point: Mapping[str, Any]) -> TaughtPoint:
+    """One point of the file; ValueError, KeyError, TypeError or OverflowError where it is none."""
+    command = point["command"]
+    if not isinstance(command, int) or isinstance(command, bool) or command < 1:
+        raise ValueError(f"command {command!r} is no number of a command")
+    correction, forces, moments = (
+        np.array(value, dtype=float)
+        for value in ([*point["correction_m"], *point["correction_rad"]], point["force_n"], point["moment_nm"])
+    )
+    relation = np.array(point["relation"], dtype=float).reshape(4, 4)
+    way = float(point["s_m"])
+    if correction.shape != (6,) or forces.ndim != 1 or moments.ndim != 1:
+        raise ValueError(f"command {command}: a correction has six numbers, forces and moments are lists")
+    if not all(np.isfinite(value).all() for value in (correction, forces, moments, relation, way)):
+        raise ValueError(f"command {command}: a value is not finite")
+    if not np.array_equal(relation[3], [0.0, 0.0, 0.0, 1.0]):
+        raise ValueError(f"command {command}: the relation is no pose")
+    return TaughtPoint(command - 1, way, relation, correction, tuple(forces.tolist()), tuple(moments.tolist()))
 
 
 def read_lesson(path: Path, path_hash: str, cell_hash: str) -> Lesson:
@@ -114,9 +125,13 @@ def read_lesson(path: Path, path_hash: str, cell_hash: str) -> Lesson:
     Raises
     ------
     InputError
-        It is for another one.
+        It cannot be read, or is for another one.
     """
-    lesson = lesson_from_json(path.read_text(encoding="utf-8"), str(path))
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}; teach again without --resume") from error
+    lesson = lesson_from_json(text, str(path))
     if (lesson.path_hash, lesson.cell_hash) != (path_hash, cell_hash):
         raise InputError(
             f"{path}: its points were taught on another path or in another cell; teach again without --resume"

@@ -20,6 +20,8 @@ from gateway.errors import InputError
 from gateway.pair.transform import Floats, inverse, log_rotation, pose
 
 RHO_M = 0.25
+#: Most commands of one pass: more than an hour at a control cycle of 4 ms.
+MOST_COMMANDS = 1_000_000
 HASH_DECIMALS = 7
 
 
@@ -109,7 +111,10 @@ class PathProgram:
             raise InputError(f"speed setting and control cycle must be positive, got {speed} and {sync_s} s")
         poses = np.asarray(self.poses, dtype=float)
         time = np.arange(len(poses)) * self.dt_s
-        count = int(np.floor(time[-1] / (speed * sync_s) * (1.0 + 1e-12))) + 1
+        cycles = time[-1] / (speed * sync_s) * (1.0 + 1e-12)
+        if not cycles < MOST_COMMANDS:
+            raise InputError(f"at speed setting {speed} the path takes {cycles:.3g} control cycles, too many to keep")
+        count = int(np.floor(cycles)) + 1
         if count < 3:
             raise InputError(f"at speed setting {speed} the path has only {count} control cycles")
         at = np.minimum(np.arange(count) * (speed * sync_s), time[-1])

@@ -20,7 +20,7 @@ from gateway.pair.motion import MotionOptions, PairMotion
 from gateway.pair.run import PairCycle, PairRun
 from gateway.pair.speed import SpeedTable
 from gateway.pair.storage import PairStore, run_as_json
-from gateway.pair.stored import from_json, refuse_foreign
+from gateway.pair.stored import read_stored, refuse_foreign
 from gateway.pair.teach import Teacher
 
 #: What can be run without the simulator's truth.
@@ -127,7 +127,7 @@ def speed_table(store: PairStore, first: TransformFunction) -> SpeedTable:
     """Functions of all speeds that were learned, 0 being the taught one."""
     functions = {0.0: first}
     for path in sorted(store.folder.glob("speed-*.json")):
-        stored = from_json(path.read_text(encoding="utf-8"), str(path))
+        stored = read_stored(path)
         refuse_foreign(stored, store.path_hash, store.cell_hash, str(path))
         functions[stored.speed] = stored.function
     return SpeedTable(functions)

@@ -25,7 +25,8 @@ from gateway.pair.cell import PairCell
 from gateway.pair.function import TransformFunction
 from gateway.pair.path import PairPath
 from gateway.pair.run import PairCycle
-from gateway.pair.stored import StoredFunction, from_json, refuse_foreign, to_json
+from gateway.pair.stored import StoredFunction, read_stored, refuse_foreign, to_json
+from gateway.pair.stored_run import check_run
 from gateway.pair.transform import Floats
 
 HASH_DECIMALS = 7
@@ -78,7 +79,7 @@ class PairStore:
         path = self.folder / f"{stage}.json"
         if not path.exists():
             return None
-        stored = from_json(path.read_text(encoding="utf-8"), str(path))
+        stored = read_stored(path)
         refuse_foreign(stored, self.path_hash, self.cell_hash, str(path))
         return stored
 
@@ -109,8 +110,20 @@ class PairStore:
         return there
 
     def runs(self) -> list[dict[str, Any]]:
-        """Stored runs, for the report."""
-        return [self._json(path.name) for path in sorted(self.folder.glob("run-*.json"))]
+        """Stored runs with at least one cycle, for the report.
+
+        Raises
+        ------
+        InputError
+            One of them is damaged.
+        """
+        found = []
+        for path in sorted(self.folder.glob("run-*.json")):
+            body = self._json(path.name)
+            if body.get("cycles"):
+                check_run(body, str(path))
+                found.append(body)
+        return found
 
     def _json(self, name: str) -> dict[str, Any]:
         path = self.folder / name
@@ -118,7 +131,7 @@ class PairStore:
             return {}
         try:
             body = json.loads(path.read_text(encoding="utf-8"))
-        except ValueError as error:
+        except (OSError, ValueError, RecursionError) as error:
             raise InputError(f"{path}: not readable as JSON: {error}; delete it") from error
         if not isinstance(body, dict):
             raise InputError(f"{path}: is not what this program writes; delete it")

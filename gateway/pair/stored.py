@@ -6,9 +6,9 @@ A function belongs to one path in one cell; for any other it is refused.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from gateway.errors import InputError
@@ -18,6 +18,8 @@ SCHEMA = 1
 KIND = "servo-gateway transform function"
 UNITS = {"s_m": "m", "position_m": "m", "rotation": "1"}
 FRAMES = {"from": "gripper of the master (E1)", "to": "gripper of the slave (E2)"}
+#: Largest speed setting that a function may have been learned at.
+FASTEST = 1e3
 STAGES = ("first", "second")
 
 
@@ -75,6 +77,21 @@ def to_json(stored: StoredFunction) -> str:
     return json.dumps(document, indent=1, allow_nan=False) + "\n"
 
 
+def read_stored(path: Path) -> StoredFunction:
+    """Read the file of a function.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or as `from_json`.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}; teach or learn it again") from error
+    return from_json(text, str(path))
+
+
 def from_json(text: str, where: str) -> StoredFunction:
     """Read a stored function.
 
@@ -110,7 +127,7 @@ def from_json(text: str, where: str) -> StoredFunction:
         learn_source=_text(document, "learn_source", where),
         speed=_speed(document, where),
         date=_text(document, "date", where),
-        embodiment=str(document.get("embodiment", "")),
+        embodiment=_text(document, "embodiment", where) if document.get("embodiment") else "",
         cycles=int(document["cycles"]) if isinstance(document.get("cycles"), int) else 0,
     )
 
@@ -144,20 +161,20 @@ def _function(document: Mapping[str, Any], where: str) -> TransformFunction:
         return TransformFunction(*columns)
     except KeyError as error:
         raise InputError(f"{where}: a knot has no {error}") from error
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, OverflowError) as error:
         raise InputError(f"{where}: {error}") from error
 
 
 def _text(document: Mapping[str, Any], key: str, where: str) -> str:
     value = document.get(key)
-    if not isinstance(value, str) or not value:
+    if not isinstance(value, str) or not value.isprintable() or not value:
         raise InputError(f"{where}: {key} is missing")
     return value
 
 
 def _speed(document: Mapping[str, Any], where: str) -> float:
     value = document.get("speed")
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or value < 0.0:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= FASTEST:
         raise InputError(f"{where}: speed must be a number, not negative, got {value!r}")
     return float(value)
 

@@ -33,7 +33,7 @@ from tests.chaos.killing import few_samples
 from tests.chaos.processes import poses
 from tests.chaos.rig import rig
 from tests.fuzz.guard import bounded
-from tests.fuzz.mutate import edited
+from tests.fuzz.mutate import damaged, edited
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples"
@@ -56,7 +56,7 @@ def seeds(pattern: str) -> list[bytes]:
 
 
 def cells() -> st.SearchStrategy[bytes]:
-    return edited(seeds("*/cell.toml"))
+    return damaged(seeds("*/cell.toml"))
 
 
 def check_cell(data: bytes) -> None:
@@ -71,7 +71,7 @@ def check_cell(data: bytes) -> None:
 
 
 def profiles() -> st.SearchStrategy[bytes]:
-    return edited([path.read_bytes() for path in sorted(PROFILE_FOLDER.glob("*.toml"))])
+    return damaged([path.read_bytes() for path in sorted(PROFILE_FOLDER.glob("*.toml"))])
 
 
 def check_profile(data: bytes) -> None:
@@ -84,7 +84,7 @@ def check_profile(data: bytes) -> None:
 
 
 def robots() -> st.SearchStrategy[bytes]:
-    return edited(seeds("*/robot.urdf"))
+    return damaged(seeds("*/robot.urdf"))
 
 
 def check_urdf(data: bytes) -> None:
@@ -126,7 +126,7 @@ CSV_SEEDS = [
 
 
 def tables() -> st.SearchStrategy[bytes]:
-    return edited(CSV_SEEDS)
+    return damaged(CSV_SEEDS)
 
 
 def check_csv(data: bytes) -> None:
@@ -163,7 +163,7 @@ RESULT_SEED = b"""{"schema": 1, "robot": "kr300", "loads": [{"label": "a", "mass
 
 
 def results() -> st.SearchStrategy[bytes]:
-    return edited([RESULT_SEED])
+    return damaged([RESULT_SEED])
 
 
 def check_result(data: bytes) -> None:
@@ -189,7 +189,7 @@ seed = 7
 
 
 def scenarios() -> st.SearchStrategy[bytes]:
-    return edited([SCENARIO_SEED])
+    return damaged([SCENARIO_SEED])
 
 
 def check_scenario(data: bytes) -> None:
@@ -222,7 +222,7 @@ LEDGER_SEED = json.dumps(
 
 
 def ledgers() -> st.SearchStrategy[bytes]:
-    return edited([LEDGER_SEED])
+    return damaged([LEDGER_SEED])
 
 
 def check_ledger(data: bytes) -> None:
@@ -373,9 +373,11 @@ def _apply_change(file: h5py.File, change: Change) -> None:
     if change.name == "gone":
         del file[change.where]
     elif change.name == "huge":
-        shape, kind = (10**9, 6), file[change.where].dtype
-        del file[change.where]
-        file.create_dataset(change.where, shape, kind, chunks=(1000, 6))
+        data = file[change.where]
+        if isinstance(data, h5py.Dataset):
+            kind = data.dtype
+            del file[change.where]
+            file.create_dataset(change.where, (10**9, 6), kind, chunks=(1000, 6))
     elif change.name:
         place = file[change.where] if change.where else file
         place.attrs[change.name] = h5py.Empty("f8") if change.value is None else change.value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from hypothesis import strategies as st
@@ -55,8 +56,8 @@ _EDITS = st.tuples(
 
 def edited(seeds: Sequence[bytes]) -> st.SearchStrategy[bytes]:
     """A valid file after a few edits (sometimes none), or a short run of any bytes."""
-    damaged = st.builds(_apply, st.sampled_from(list(seeds)), st.lists(_EDITS, max_size=5))
-    return st.one_of(damaged, damaged, damaged, st.binary(max_size=200))
+    changed = st.builds(_apply, st.sampled_from(list(seeds)), st.lists(_EDITS, max_size=5))
+    return st.one_of(changed, changed, changed, st.binary(max_size=200))
 
 
 def _apply(seed: bytes, edits: Sequence[Edit]) -> bytes:
@@ -77,6 +78,56 @@ def _apply(seed: bytes, edits: Sequence[Edit]) -> bytes:
         else:
             data = data[:start] + data[start:stop][::-1] + data[stop:]
     return data
+
+
+#: Values that are well formed and that no reader expects where they stand.
+VALUES: tuple[bytes, ...] = (
+    b"0",
+    b"-1",
+    b"1e-300",
+    b"1e9",
+    b"1e300",
+    b"-1e308",
+    b"1e400",
+    b"9" * 40,
+    b"9" * 400,
+    b"NaN",
+    b"nan",
+    b"inf",
+    b"true",
+    b"null",
+    b"[]",
+    b"{}",
+    b"[[1], 2]",
+    b'""',
+    b'"\\ud800"',
+    b'"<&>"',
+)
+_TOKEN = re.compile(rb'"[^"\n]*"|-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?|true|false|null')
+
+_LIST = re.compile(rb"\[[^\[\]{}]*\]|\{[^\[\]{}]*\}")
+
+
+def revalued(seeds: Sequence[bytes]) -> st.SearchStrategy[bytes]:
+    """A valid JSON, TOML or CSV file with a few of its values exchanged: what still reads, and means something odd."""
+    number = st.from_regex(rb"-?[0-9]{1,4}(\.[0-9]{1,3})?", fullmatch=True)
+    change = st.tuples(st.integers(0, 2**20), st.one_of(st.sampled_from(VALUES), number))
+    return st.builds(_revalue, st.sampled_from(list(seeds)), st.lists(change, min_size=1, max_size=3))
+
+
+def _revalue(seed: bytes, changes: Sequence[tuple[int, bytes]]) -> bytes:
+    data = seed
+    for place, value in changes:
+        found = list((_LIST if place % 4 == 0 else _TOKEN).finditer(data))
+        if found:
+            token = found[place // 4 % len(found)]
+            data = data[: token.start()] + value + data[token.end() :]
+    return data
+
+
+def damaged(seeds: Sequence[bytes]) -> st.SearchStrategy[bytes]:
+    """As `edited` or as `revalued`."""
+    return st.one_of(edited(seeds), revalued(seeds))
 
 
 def frames(ids: Sequence[int], max_frames: int = 6) -> st.SearchStrategy[list[tuple[int, bytes]]]:

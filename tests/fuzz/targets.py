@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from hypothesis import strategies as st
 
-from tests.fuzz import check_files, check_frames
+from tests.fuzz import check_files, check_follow, check_frames, check_pair
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,4 +43,13 @@ TARGETS: tuple[Target, ...] = (
     Target("recording bytes", "reader", check_files.recordings, check_files.check_recording, 0.8),
     Target("recording content", "reader", check_files.changes, check_files.check_changes, 0.2),
     Target("result json", "reader", check_files.results, check_files.check_result),
+    Target("follow path toml", "reader", check_follow.toml_paths, check_follow.check_toml_path),
+    Target("follow path csv", "reader", check_follow.csv_paths, check_follow.check_csv_path),
+    Target("load json", "reader", check_follow.loads, check_follow.check_load),
+    Target("pair cell toml", "reader", check_pair.cells, check_pair.check_cell),
+    Target("pair path csv", "reader", check_pair.paths, check_pair.check_path),
+    Target("pair function json", "reader", check_pair.functions, check_pair.check_function),
+    Target("taught points json", "reader", check_pair.lessons, check_pair.check_lesson),
+    Target("pair state json", "reader", check_pair.states, check_pair.check_state),
+    Target("pair run json", "reader", check_pair.runs, check_pair.check_run),
 )

@@ -51,8 +51,28 @@ def example() -> Result:
         provenance={"gear_ratio": [210, "datasheet"]},
         parameters=(Parameter("friction", 1.0, 0.1, "Nm"),),
         rows=Rows(run=("r",), load=("a",), pose=(1,), q_rad=((0.0,) * 6,)),
-        bare=Bare("kr300", (0.0, 0.0, -9.80665), (0,), ("m1",), (1.0,), ((0.1,),), ((1.0,),)),
+        bare=Bare("kr300", (0.0, 0.0, -9.80665), (0,), ("m1",), (1.0,), ((0.1,),), ((1.0, *[0.0] * 23),)),
     )
+
+
+def bare(**changes):
+    body = {
+        "robot": "r",
+        "gravity_m_s2": [0.0, 0.0, -9.8],
+        "columns": [0, 1],
+        "names": ["m1", "hx1"],
+        "value": [1.0, 0.1],
+        "covariance": [[1.0, 0.0], [0.0, 1.0]],
+        "combination": [[0.0] * 24, [0.0] * 24],
+    }
+    return body | changes
+
+
+def test_a_bare_identification_of_one_rank_is_taken():
+    data = json.loads(to_json(example())) | {"bare": bare()}
+    found = from_json(json.dumps(data)).bare
+    assert found is not None
+    assert found.value == (1.0, 0.1)
 
 
 def test_round_trip_keeps_every_value():
@@ -101,6 +121,14 @@ def test_numpy_values_are_written_as_numbers():
         ({"verdict": "perhaps"}, "verdict: 'perhaps'"),
         ({"holdout_kind": "none"}, "holdout_kind"),
         ({"findings": [{"severity": "bad", "where": "J1", "what": "x"}]}, "findings[0].severity"),
+        ({"loads": [{"label": "a", "com_m": [0.0, 0.1]}]}, "loads[0].com_m: three numbers"),
+        ({"loads": [{"label": "a", "mass_kg": 10**400}]}, "too large to hold"),
+        ({"loads": [{"label": "a", "mass_kg": 1e300}]}, "loads[0]: a mass or a place"),
+        ({"bare": bare(combination=[[0.0] * 24])}, "bare.combination: 2 x 24"),
+        ({"bare": bare(combination=[[0.0] * 24, [0.0] * 23])}, "bare.combination: 2 x 24"),
+        ({"bare": bare(covariance=[[1.0, 0.0], []])}, "bare.covariance: 2 x 2"),
+        ({"bare": bare(gravity_m_s2=[0.0, 0.0])}, "bare.gravity_m_s2"),
+        ({"bare": bare(value=[1e300, 0.0])}, "bare.value: a number beyond"),
         ({"effects": [{"name": "x", "joints": [1.5]}]}, "effects[0].joints[0]: expected int"),
     ],
 )

@@ -60,6 +60,16 @@ def test_waypoints_are_reached_at_rest_and_repeated(tmp_path, workspace):
     assert path.duration_s == pytest.approx(sum(m.duration_s for m in path.motions) + 5 * 0.4)
 
 
+@pytest.mark.parametrize("share", [1.0, 0.1, 0.01])
+@pytest.mark.parametrize("way_rad", [0.001, 0.05, 1.0])
+def test_no_path_that_is_short_enough_is_called_too_long(tmp_path, workspace, monkeypatch, way_rad, share):
+    text = f"waypoints_rad = [[0,0,0,0,0,0], [{way_rad},0,0,{-way_rad},0,0]]\nspeed_share = {share}\ndwell_s = 0\n"
+    file = write(tmp_path, "p.toml", text)
+    taken_s = read_path(file, workspace, PERIOD_S).duration_s
+    monkeypatch.setattr("gateway.follow.path.LONGEST_S", taken_s + 1e-6)
+    assert read_path(file, workspace, PERIOD_S).duration_s == taken_s
+
+
 def test_a_csv_without_times_holds_waypoints(tmp_path, workspace):
     text = "# a comment\nq1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad\n0,0,0,0,0,0\n0.1,0,0,0,0,0\n"
     assert len(read_path(write(tmp_path, "p.csv", text), workspace, PERIOD_S).motions) == 1
@@ -96,6 +106,10 @@ TIMED = "time_s,q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad\n"
         ("p.csv", TIMED + "".join(f"{t},{t},0,0,0,0,0\n" for t in range(5)), PlanRefused, "joint 1 reaches"),
         ("p.csv", TIMED[7:] + "0,0,0,0,0,0\n" * 1001, InputError, "1001 waypoints"),
         ("p.toml", f"waypoints_rad = [{'[1,0,0,0,0,0], [-1,0,0,0,0,0],' * 200}]", InputError, "s are the most"),
+        ("p.toml", "waypoints_rad = [[0,0,0,0,0,0], [9000,0,0,0,0,0]]", InputError, "at least, 600 s are the most"),
+        ("p.toml", "speed_share = 1e-9\nwaypoints_rad = [[0,0,0,0,0,0], [1,0,0,0,0,0]]", InputError, "at least"),
+        ("p.toml", "waypoints_rad = [[0,0,0,0,0,0], [1e300,0,0,0,0,0]]", InputError, "beyond 10000 rad"),
+        ("p.csv", TIMED[7:] + "0,0,0,0,0,0\n0,-1e308,0,0,0,0\n", InputError, "beyond 10000 rad"),
         ("none.toml", None, InputError, "cannot be read"),
     ],
 )

@@ -45,6 +45,14 @@ def test_speed_setting_keeps_the_path_and_its_hash(speed: float) -> None:
     assert np.all(np.diff(path.s_m) >= 0.0)
 
 
+@pytest.mark.parametrize("speed", [1e-300, 1e-7])
+def test_a_speed_setting_that_takes_for_ever_is_refused(speed: float) -> None:
+    poses = np.tile(np.eye(4), (5, 1, 1))
+    poses[:, 0, 3] = np.arange(5) * 0.1
+    with pytest.raises(InputError, match="too many to keep"):
+        PathProgram(poses, 0.1).at_speed(speed, 0.004)
+
+
 def test_another_path_has_another_hash() -> None:
     poses = circle()
     poses[100, 0, 3] += 1e-5

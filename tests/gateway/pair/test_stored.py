@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from gateway.errors import InputError
 from gateway.pair.function import TransformFunction
-from gateway.pair.stored import StoredFunction, from_json, refuse_foreign, to_json
+from gateway.pair.stored import StoredFunction, from_json, read_stored, refuse_foreign, to_json
 
 
 def example() -> StoredFunction:
@@ -73,6 +74,22 @@ def damaged(change: dict[str, object]) -> str:
 def test_damaged_files_are_refused(text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         from_json(text, "f.json")
+
+
+@pytest.mark.parametrize("value", [1e300, 10**400, "1e999"])
+@pytest.mark.parametrize("key", ["s_m", "position_m", "rotation"])
+def test_numbers_beyond_any_robot_are_refused(key: str, value: object) -> None:
+    document = json.loads(to_json(example()))
+    knot = document["knots"][-1]
+    knot[key] = {"s_m": value, "position_m": [0.0, value, 0.0], "rotation": [[1, 0, 0], [0, value, 0], [0, 0, 1]]}[key]
+    with pytest.raises(InputError, match=r"f\.json"):
+        from_json(json.dumps(document).replace('"1e999"', "1e999"), "f.json")
+
+
+def test_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "first.json").write_bytes(b"\x80{}")
+    with pytest.raises(InputError, match="cannot be read"):
+        read_stored(tmp_path / "first.json")
 
 
 def test_knots_out_of_order_are_refused() -> None:
