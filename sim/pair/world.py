@@ -73,7 +73,7 @@ class PairWorld:
     ----------
     time_s : simulated time
     record : one row a millisecond while `recording`: time [s], force on gripper 2 (3) [N], moment about the part's
-        centre (3) [Nm], the part's centre (3) [m]
+        centre (3) [Nm], the part's centre (3), fingertip 1 (3) [m]
     push : (12,) torque on the joints from outside [Nm], or None
     told_nobody : drawn errors, for the truth file
     before, after : called around every stretch of time with its milliseconds, and with the time [s]
@@ -250,7 +250,8 @@ class PairWorld:
         centre = _centre(closure)
         force = self.wrench[:3]
         moment = self.wrench[3:] + np.cross(closure.tips[1][:3, 3] - centre, force)
-        self.record.append((self.time_s, *force.tolist(), *moment.tolist(), *centre.tolist()))
+        hand = closure.tips[0][:3, 3]
+        self.record.append((self.time_s, *force.tolist(), *moment.tolist(), *centre.tolist(), *hand.tolist()))
 
     # -- what is seen ------------------------------------------------------------------------------------------------
 

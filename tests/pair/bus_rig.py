@@ -74,7 +74,7 @@ class PairRig:
         self.world.part.grip(self.world.q)
 
     def cycle(self, run: PairRun) -> tuple[PairCycle, Array]:
-        """One way forward; its true record (4 M, 10): time, force, moment, centre of the part."""
+        """One way forward; its true record (4 M, 13): time, force, moment, part's centre, fingertip 1."""
         self.world.record.clear()
         self.world.recording = True
         done = run.cycle()
@@ -167,9 +167,9 @@ def figures_of(run: PairRun, done: PairCycle, record: Array, limit_n: float) -> 
     }
 
 
-def off_path_m(record: Array, uncorrected: Array) -> float:
-    """How far the part's centre goes off the way (n, 3) it takes when nothing is corrected [m]."""
-    return float(cKDTree(uncorrected).query(record[:, 7:10])[0].max())
+def off_way_m(record: Array, alone: Array) -> float:
+    """How far the part is moved off the way that the master takes alone, at its fingertip, (n, 3) [m]."""
+    return float(cKDTree(alone).query(record[:, 10:13])[0].max())
 
 
 def along_n(run: PairRun, cell: PairCell, record: Array) -> list[float]:
