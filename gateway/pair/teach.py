@@ -1,8 +1,8 @@
 """First function from taught points (CN104379308 embodiment 1, fig. 5): point after point, force adjusted away at each.
 
 Both arms hold the part and go slowly from point to point. At rest dry friction hides the force, so both arms sweep
-together a little to and fro along the path: every joint then turns both ways, and over one period friction cancels. The
-slave's command is moved against the force until the force is below its set value; what is stored are the commands.
+together a little to and fro: every joint then turns both ways, and over one period friction cancels. The slave's
+command is moved against the force until the force is below its set value; what is stored are the commands.
 """
 
 from __future__ import annotations
@@ -19,10 +19,9 @@ from gateway.pair.lesson import Lesson, TaughtPoint
 from gateway.pair.motion import Pair, PairMotion, PairStopped, Passage, smooth
 from gateway.pair.path import PairPath
 from gateway.pair.relation import relation, slave_command
+from gateway.pair.sweep import LEVER_M, liveliest_twist, swept
 from gateway.pair.transform import Floats, apply_correction
 
-#: A moment counts like the force at this lever.
-LEVER_M = 0.2
 #: Largest change of a correction in one step [m], [rad].
 LARGEST_STEP = (1.5e-3, 8e-3)
 
@@ -34,7 +33,7 @@ class TeachRule:
     Attributes
     ----------
     force_n, moment_nm : set value: below both a point is done
-    sweep_m, sweep_s : half the way of the sweep along the path, and its period
+    sweep_m, sweep_s : half the way of the sweep, a turn counted at a lever of 0.2 m, and its period
     share : of the correction that would take the whole force away if the stiffness were the cell's
     rounds : sweeps at one point at most
     largest_m, largest_rad : a larger correction is an error, not an adjustment
@@ -137,15 +136,15 @@ class Teacher:
     # -- one point ---------------------------------------------------------------------------------------------------
 
     def _teach(self, lesson: Lesson, index: int) -> TaughtPoint:
-        rule, length = self._rule, self._path.length_m
-        s_m = float(self._path.s_m[index])
-        centre = min(max(s_m, rule.sweep_m), length - rule.sweep_m)
-        self._go(lesson, centre - rule.sweep_m)
-        sweep = self._sweep(centre)
+        rule = self._rule
+        self._go(lesson, float(self._path.s_m[index]))
+        sweep = self._sweep(index)
         function = lesson.function(self._motion.cell.nominal_relation)
         forces, moments = [], []
         yielding = _Yielding(self._compliance)
         for _ in range(rule.rounds):
+            begin = self._commands(sweep, function)(0, None, None)
+            self._motion.approach(self._motion.targets(sweep, 0, begin), 0.0)
             felt = self._measure(sweep, function)
             forces.append(float(np.linalg.norm(felt[:3])))
             moments.append(float(np.linalg.norm(felt[3:])))
@@ -158,8 +157,6 @@ class Teacher:
                     f"point {index + 1}: the adjustment went {1e3 * away_m:.1f} mm and {1e3 * away_rad:.1f} mrad away;"
                     " check bases, grasps and torque signs of both arms"
                 )
-            first, second = self._commands(sweep, function)(0, None, None)
-            self._motion.approach(self._motion.targets(sweep, 0, (first, second)), 0.0)
         self._motion.stop(
             f"point {index + 1}: {forces[-1]:.1f} N and {moments[-1]:.2f} Nm are left after {rule.rounds} sweeps, the"
             f" set value is {rule.force_n} N and {rule.moment_nm} Nm; check friction and stiffness in the cell"
@@ -195,18 +192,20 @@ class Teacher:
         slave = slave_command(first.world_from_base, way.path.commands, second.world_from_base, relations)
         return lambda m, _one, _two: (way.path.commands[m], apply_correction(slave[m], self._correction))
 
-    def _passage(self, ways_m: Floats) -> Passage:
-        """A way along the path through the ways (n,) [m], one per control cycle."""
+    def _passage(self, commands: Floats, ways_m: Floats) -> Passage:
+        """The master's commands (n, 4, 4), one per control cycle, near the path at the ways (n,) [m]."""
         path, dt_s = self._path, self._motion.dt_s
-        commands = commands_at(path, ways_m)
         near = int(path.nearest(ways_m[:1])[0])
         along = replace(path, commands=commands, s_m=ways_m, dt_s=dt_s)
         return self._motion.passage(along, (self._joints[0][near], self._joints[1][near]))
 
-    def _sweep(self, centre_m: float) -> Passage:
-        rule, dt_s = self._rule, self._motion.dt_s
+    def _sweep(self, index: int) -> Passage:
+        rule, dt_s, cell = self._rule, self._motion.dt_s, self._motion.cell
+        command = self._path.commands[index]
+        twist, _ = liveliest_twist(cell, command, (self._joints[0][index], self._joints[1][index]))
         phase = 2.0 * np.pi * np.arange(round(rule.sweep_s / dt_s) + 1) * dt_s / rule.sweep_s
-        return self._passage(centre_m - rule.sweep_m * np.cos(phase))
+        commands = swept(cell, command, twist, -rule.sweep_m * np.cos(phase))
+        return self._passage(commands, np.full(len(phase), self._path.s_m[index]))
 
     def _go(self, lesson: Lesson, to_m: float) -> None:
         """Along the path to a way [m], yielding to force; the correction is kept."""
@@ -214,7 +213,8 @@ class Teacher:
         length = abs(to_m - self._way_m)
         count = max(10, round(max(0.5, length / self._rule.way_m_s) / self._motion.dt_s))
         share = smooth_many(np.arange(1, count + 1) / count)
-        way = self._passage(self._way_m + share * (to_m - self._way_m))
+        ways_m = self._way_m + share * (to_m - self._way_m)
+        way = self._passage(commands_at(self._path, ways_m), ways_m)
         plain = self._commands(way, function)
         began = self._correction
         admittance = Admittance(self._gains, self._motion.dt_s)

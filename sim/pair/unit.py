@@ -51,6 +51,7 @@ class PairUnit:
         """A SYNC came: once the physics is where it has to be, take the setpoints, send what is mapped to it."""
         if self._lockstep:
             self.world.catch_up(self._index)
+            self.world.arrive(self._index)
         self._measure()
         for drive in self.drives:
             drive.sync()

@@ -76,6 +76,10 @@ class Workpiece:
         first, second = self._both.base @ frames(self._both, q_rad.reshape(2, 6))[:, 5] @ self._both.tool
         self.grasp = np.linalg.inv(first) @ second
 
+    def let_go(self) -> None:
+        """Open both grippers for good: no force from here on."""
+        self.stiffness, self.damping = np.zeros(6), np.zeros(6)
+
     def at(self, q_rad: Array) -> Closure:
         """Deviation and its Jacobian at joint angles (12,)."""
         both = self._both

@@ -73,7 +73,7 @@ class PairWorld:
     ----------
     time_s : simulated time
     record : one row a millisecond while `recording`: time [s], force on gripper 2 (3) [N], moment about the part's
-        centre (3) [Nm], the part's centre (3) [m]
+        centre (3) [Nm], the part's centre (3), fingertip 1 (3) [m]
     push : (12,) torque on the joints from outside [Nm], or None
     told_nobody : drawn errors, for the truth file
     before, after : called around every stretch of time with its milliseconds, and with the time [s]
@@ -188,17 +188,25 @@ class PairWorld:
             self._asked[arm] = round(max(self._asked[arm], self.time_s) + seconds - late, 9)
             self._run()
 
-    def align(self) -> None:
-        """From now on the next SYNC of both arms stands for the same time, however many each has had until now."""
+    def arrive(self, arm: int) -> None:
+        """A SYNC of an arm came, nothing has been answered yet.
+
+        The slave's SYNC follows the master's and stands for the same instant. One that was there before the master's is
+        of an instant that the master's bus has skipped: it passes now, and both are in step from here on.
+        """
         with self._lock:
-            self._asked, self._owed = [self.time_s, self.time_s], [0.0, 0.0]
+            if arm == 0 and self._asked[0] <= self.time_s + HAIR_S < self._asked[1]:
+                self._pass(self._asked[1])
 
     def _run(self) -> None:
         """Go on to what has been asked for by all arms that are powered and whose SYNC has not stayed away."""
         powered = [bool(self.motors.live[6 * arm : 6 * arm + 6].any()) for arm in (0, 1)]
         waited = [live and power for live, power in zip(self._live, powered, strict=True)]
         goal = min(self._asked[arm] for arm in (0, 1) if waited[arm]) if any(waited) else max(self._asked)
-        ticks = int((goal - self.time_s) / TICK_S + 1e-6)
+        self._pass(goal)
+
+    def _pass(self, until_s: float) -> None:
+        ticks = int((until_s - self.time_s) / TICK_S + 1e-6)
         if ticks > 0:
             self._stretch(ticks)
             self._lock.notify_all()
@@ -242,7 +250,8 @@ class PairWorld:
         centre = _centre(closure)
         force = self.wrench[:3]
         moment = self.wrench[3:] + np.cross(closure.tips[1][:3, 3] - centre, force)
-        self.record.append((self.time_s, *force.tolist(), *moment.tolist(), *centre.tolist()))
+        hand = closure.tips[0][:3, 3]
+        self.record.append((self.time_s, *force.tolist(), *moment.tolist(), *centre.tolist(), *hand.tolist()))
 
     # -- what is seen ------------------------------------------------------------------------------------------------
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 import threading
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gateway.acquire.arm import ArmSample
 from gateway.pair.cell import PairCell, load_pair
 from gateway.pair.embodiments import Embodiment
 from gateway.pair.function import TransformFunction
@@ -28,7 +27,6 @@ from gateway.pair.storage import line_of_grippers
 from gateway.pair.teach import Teacher
 from sim.pair.cell import PairOptions
 from sim.pair.world import PairWorld
-from sim.server import BusServer
 from sim.simulation import ServeOptions, Simulation
 from tests.pair.inline import inline
 from tests.pair.model_rows import oscillation
@@ -76,7 +74,7 @@ class PairRig:
         self.world.part.grip(self.world.q)
 
     def cycle(self, run: PairRun) -> tuple[PairCycle, Array]:
-        """One way forward; its true record (4 M, 10): time, force, moment, centre of the part."""
+        """One way forward; its true record (4 M, 13): time, force, moment, part's centre, fingertip 1."""
         self.world.record.clear()
         self.world.recording = True
         done = run.cycle()
@@ -94,7 +92,7 @@ def pair_rig(seed: int | None, settings: Mapping[str, Any] | None = None, **opti
         try:
             cell = load_pair(path, _spec(buses))
             with open_link(cell) as link:
-                yield _aligned(simulation, cell, link, seed, simulation.servers)
+                yield PairRig(simulation, _world(simulation), cell, link, seed)
         finally:
             simulation.stop()
             thread.join()
@@ -109,7 +107,7 @@ def inline_rig(seed: int | None, settings: Mapping[str, Any] | None = None) -> I
     ):
         cell = load_pair(path, _spec(buses))
         with open_link(cell) as link:
-            yield _aligned(simulation, cell, link, seed, ())
+            yield PairRig(simulation, _world(simulation), cell, link, seed)
 
 
 @contextmanager
@@ -126,6 +124,10 @@ def _simulated(options: PairOptions) -> Iterator[tuple[Simulation, Path, tuple[s
             simulation.close()
 
 
+def _world(simulation: Simulation) -> PairWorld:
+    return simulation.servers[0].arms[0].world  # type: ignore[return-value]
+
+
 def _spec(buses: tuple[str, str]) -> str:
     return f"left=virtual:{buses[0]};right=virtual:{buses[1]}"
 
@@ -136,34 +138,6 @@ def patient_cell(folder: Path) -> Path:
         text = source.read_text(encoding="utf-8").replace("consumer_ms = 500", "consumer_ms = 10000")
         (folder / source.name).write_text(text, encoding="utf-8")
     return folder / CELL.name
-
-
-def _aligned(
-    simulation: Simulation, cell: PairCell, link: PairLink, seed: int | None, threads: Sequence[BusServer]
-) -> PairRig:
-    """After power-on the next two SYNCs are one instant, whichever arm was ready first: the same run every time.
-
-    `threads` are the servers that have one of their own.
-    """
-    world: PairWorld = simulation.servers[0].arms[0].world  # type: ignore[assignment]
-    plain = link.enable
-
-    def enable() -> tuple[ArmSample, ArmSample]:
-        samples = plain()
-        for server in threads:
-            _finished(server)
-        world.align()
-        return samples
-
-    link.enable = enable  # type: ignore[method-assign]
-    return PairRig(simulation, world, cell, link, seed)
-
-
-def _finished(server: BusServer) -> None:
-    """Wait until the thread of a server has done with all frames so far."""
-    done = threading.Event()
-    server.later(done.set)
-    done.wait(1.0)
 
 
 def figures_of(run: PairRun, done: PairCycle, record: Array, limit_n: float) -> dict[str, Any]:
@@ -193,9 +167,9 @@ def figures_of(run: PairRun, done: PairCycle, record: Array, limit_n: float) -> 
     }
 
 
-def off_path_m(record: Array, uncorrected: Array) -> float:
-    """How far the part's centre goes off the way (n, 3) it takes when nothing is corrected [m]."""
-    return float(cKDTree(uncorrected).query(record[:, 7:10])[0].max())
+def off_way_m(record: Array, alone: Array) -> float:
+    """How far the part is moved off the way that the master takes alone, at its fingertip, (n, 3) [m]."""
+    return float(cKDTree(alone).query(record[:, 10:13])[0].max())
 
 
 def along_n(run: PairRun, cell: PairCell, record: Array) -> list[float]:

@@ -17,7 +17,7 @@ from gateway.pair.motion import MotionOptions, PairStopped
 from gateway.pair.session import cell_gains
 from gateway.pair.speed import ExtrapolationWarning, SpeedTable
 from sim.states import PdsState
-from tests.pair.bus_rig import BACK_SPEED, NO_LIMIT_N, PairRig, along_n, figures_of, inline_rig, off_path_m
+from tests.pair.bus_rig import BACK_SPEED, NO_LIMIT_N, PairRig, along_n, figures_of, inline_rig, off_way_m
 
 Row = dict[str, Any]
 
@@ -37,7 +37,7 @@ class Bench:
     rows: list[Row] = field(default_factory=list)
     curves: list[Row] = field(default_factory=list)
     functions: dict[str, TransformFunction] = field(default_factory=dict)
-    uncorrected: dict[float, Any] = field(default_factory=dict)
+    alone: dict[float, Any] = field(default_factory=dict)
 
     @property
     def limit_n(self) -> float:
@@ -75,10 +75,8 @@ class Bench:
             done, record = rig.cycle(run)
             rig.world.push = None
             figures = figures_of(run, done, record, self.limit_n)
-            if label == "A":
-                self.uncorrected.setdefault(speed, record[:, 7:10])
-            if speed in self.uncorrected:
-                figures["part_off_m"] = off_path_m(record, self.uncorrected[speed])
+            if speed in self.alone:
+                figures["part_off_m"] = off_way_m(record, self.alone[speed])
             self.rows.append({**figures, "row": label, "seed": rig.seed, "frozen": number > freeze_after})
             curve["cycles"].append(figures)
             curve["last_n"] = along_n(run, rig.cell, record)
@@ -289,26 +287,38 @@ def run_stage(seed: int, stage: str, frozen_cycles: int, stored: dict[str, Any] 
         with inline_rig(seed) as rig:
             bench = Bench(rig, _function(seen["nine"]), frozen_cycles)
             bench.functions = {name: _function(knots) for name, knots in seen["functions"].items()}
-            bench.uncorrected = {float(speed): np.array(way) for speed, way in seen["uncorrected"].items()}
+            bench.alone = {float(speed): np.array(way) for speed, way in seen["alone"].items()}
             STAGES[stage](bench)
             _count(seen, rig)
         seen["rows"] += bench.rows
         seen["curves"] += bench.curves
         seen["functions"] = {name: _knots(function) for name, function in bench.functions.items()}
-        seen["uncorrected"] = {f"{speed:g}": np.round(way, 7).tolist() for speed, way in bench.uncorrected.items()}
+        seen["alone"] = {f"{speed:g}": np.round(way, 7).tolist() for speed, way in bench.alone.items()}
     seen["stages"].append(stage)
     seen["minutes"] += (time.monotonic() - began) / 60.0
     return seen
 
 
 def _taught(seed: int) -> dict[str, Any]:
-    """A seed of which nothing is known but its taught function."""
+    """A seed of which nothing is known but its taught function, and the ways of the master alone."""
     seen: dict[str, Any] = {"seed": seed, "stages": [], "minutes": 0.0, "statistics": {"cycles": 0, "incomplete": 0}}
     with inline_rig(seed) as rig:
         nine, lesson = rig.teach(9)
         _count(seen, rig)
     points = [point.as_json() for point in lesson.points]
-    return seen | {"rows": [], "curves": [], "functions": {}, "uncorrected": {}, "points": points, "nine": _knots(nine)}
+    seen |= {"rows": [], "curves": [], "functions": {}, "points": points, "nine": _knots(nine)}
+    return seen | {"alone": {f"{speed:g}": np.round(_alone(seed, nine, speed), 7).tolist() for speed in (USUAL, FAST)}}
+
+
+def _alone(seed: int, nine: TransformFunction, speed: float) -> Any:
+    """Way (n, 3) of the master's fingertip when nothing is held between the arms [m]."""
+    with inline_rig(seed) as rig:
+        rig.world.part.let_go()
+        bench = Bench(rig, nine, 0)
+        row = bench.row_of("A")
+        _, record = rig.cycle(rig.run(row, bench.first(row), MotionOptions(speed=speed, force_limit_n=NO_LIMIT_N)))
+        rig.link.disable()
+        return record[:, 10:13]
 
 
 def _count(seen: dict[str, Any], rig: PairRig) -> None:

@@ -113,6 +113,24 @@ def test_one_arm_alone_goes_on_when_the_other_bus_is_silent(world: PairWorld) ->
     assert world.time_s == pytest.approx(together_s + 0.012)
 
 
+def test_a_slave_that_is_one_sync_ahead_is_brought_into_step(world: PairWorld) -> None:
+    """Bring-up sends the slave one SYNC more; afterwards both answers of a cycle are of the same instant."""
+    for axis in world.motors.axes:
+        axis.release()
+    world.ask(0, 0.004)
+    world.ask(1, 0.004)
+    world.ask(1, 0.004)
+    for _ in range(3):
+        times = []
+        for arm in (0, 1):
+            world.catch_up(arm)
+            world.arrive(arm)
+            times.append(world.time_s)
+            world.ask(arm, 0.004)
+        assert times[0] == times[1]
+        assert world.time_s == pytest.approx(times[1] + 0.004)
+
+
 def test_workpiece_turns_like_a_rigid_lever() -> None:
     """A turn of arm 1 about its first axis moves the place where gripper 2 belongs on a circle."""
     made = world_of(None)

@@ -1,0 +1,71 @@
+"""The little way to and fro that takes dry friction out of what is felt at a taught point.
+
+Friction cancels over a period of those joints alone that turn both ways. Along the path a joint may all but stand,
+so the part is moved and turned as all twelve joints turn best.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from gateway.pair.cell import PairCell
+from gateway.pair.transform import Floats, cross_matrix, exp_rotation, inverse, pose
+
+#: A turn counts as a way at this lever [m].
+LEVER_M = 0.2
+
+
+def directions() -> Floats:
+    """Twists (364, 6) of length 1, a turn counted at the lever: every mixture of the six axes but for the sign."""
+    mixtures = np.array([mixture for mixture in product((0.0, 1.0, -1.0), repeat=6) if any(mixture)])
+    first = mixtures[np.arange(len(mixtures)), np.argmax(mixtures != 0.0, axis=1)]
+    kept = mixtures[first > 0.0]
+    return kept / np.linalg.norm(kept, axis=1)[:, None] / np.repeat([1.0, LEVER_M], 3)
+
+
+def liveliest_twist(cell: PairCell, command: Floats, q_rad: tuple[Floats, Floats]) -> tuple[Floats, float]:
+    """Twist of the part under which the joint that turns least turns most.
+
+    Parameters
+    ----------
+    cell : PairCell
+    command : array of shape (4, 4)
+        Of the master's gripper.
+    q_rad : two arrays of shape (6,)
+        Joint angles of both arms there.
+
+    Returns
+    -------
+    tuple
+        Twist (6,) of the part about its centre, world axes, length 1 [m/m, rad/m]; how far the joint that turns least
+        turns with it [rad/m].
+    """
+    centre = _centre(cell, command)
+    twists = directions()
+    least = np.full(len(twists), np.inf)
+    for arm, q in zip(cell.arms, q_rad, strict=True):
+        tips, jacobians = arm.chain.poses(q[None])
+        lever = (arm.world_from_base @ tips[0])[:3, 3] - centre
+        to_base = np.kron(np.eye(2), arm.world_from_base[:3, :3].T)
+        at_tip = np.eye(6)
+        at_tip[:3, 3:] = -cross_matrix(lever)
+        rates = np.linalg.solve(jacobians[0], to_base @ at_tip @ twists.T)
+        least = np.minimum(least, np.abs(rates).min(axis=0))
+    best = int(np.argmax(least))
+    return twists[best], float(least[best])
+
+
+def swept(cell: PairCell, command: Floats, twist: Floats, ways_m: Floats) -> Floats:
+    """Master's commands (n, 4, 4) that take the part from a command along a twist by the ways (n,) [m]."""
+    base = cell.arms[0].world_from_base
+    centre = pose(np.eye(3), _centre(cell, command))
+    back = inverse(base)
+    moved = [pose(exp_rotation(twist[3:] * way_m), twist[:3] * way_m) for way_m in ways_m]
+    return np.array([back @ centre @ each @ inverse(centre) @ base @ command for each in moved])
+
+
+def _centre(cell: PairCell, command: Floats) -> Floats:
+    first = cell.arms[0]
+    return (first.world_from_base @ command @ inverse(first.part_from_tip))[:3, 3]
