@@ -33,6 +33,7 @@ from drives.profile_parts import (
     Write,
 )
 from drives.toml_text import parse_toml
+from drives.validation import problems_in_words
 
 __all__ = [
     "PROFILE_FOLDER",
@@ -175,7 +176,7 @@ def parse_profile(text: str, where: str, folder: Path = PROFILE_FOLDER) -> Drive
         raise ProfileError(f"{where}: not valid TOML: {error}", advice="correct the file") from error
     except ValidationError as error:
         advice = "see drives/profiles/README.md, or `servo-gateway profiles schema`"
-        raise ProfileError(f"{where}: {_in_words(error)}", advice=advice) from error
+        raise ProfileError(f"{where}: {problems_in_words(error)}", advice=advice) from error
     object.__setattr__(profile, "_text", text)
     object.__setattr__(profile, "_folder", folder)
     if profile.eds_path is not None:
@@ -188,16 +189,3 @@ def parse_profile(text: str, where: str, folder: Path = PROFILE_FOLDER) -> Drive
 def profile_schema() -> dict[str, Any]:
     """JSON schema of the profile file."""
     return DriveProfile.model_json_schema()
-
-
-def _in_words(error: ValidationError) -> str:
-    lines = []
-    for problem in error.errors(include_url=False):
-        key = ".".join(str(part) for part in problem["loc"]) or "file"
-        message = problem["msg"].removeprefix("Value error, ")
-        if problem["type"] == "extra_forbidden":
-            message = "unknown key; remove it or correct its spelling"
-        elif problem["type"] == "missing":
-            message = "is missing; nothing is assumed in its place"
-        lines.append(f"{key}: {message}")
-    return "; ".join(lines)

@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from drives.toml_text import parse_toml
+from drives.validation import problems_in_words
 from gateway.errors import ConfigError
 
 #: Of a place, a direction or a turn: larger is a slip, and overflows further on.
@@ -286,7 +287,7 @@ def parse_cell(text: str, where: str) -> Cell:
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{where}: not valid TOML: {error}") from error
     except ValidationError as error:
-        raise ConfigError(f"{where}: {_in_words(error)}") from error
+        raise ConfigError(f"{where}: {problems_in_words(error)}") from error
 
 
 def load_cell(path: Path) -> LoadedCell:
@@ -296,16 +297,3 @@ def load_cell(path: Path) -> LoadedCell:
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from error
     return LoadedCell(cell=parse_cell(text, str(path)), text=text, folder=path.resolve().parent)
-
-
-def _in_words(error: ValidationError) -> str:
-    lines = []
-    for problem in error.errors(include_url=False):
-        key = ".".join(str(part) for part in problem["loc"]) or "file"
-        message = problem["msg"].removeprefix("Value error, ")
-        if problem["type"] == "extra_forbidden":
-            message = "unknown key; remove it or correct its spelling (units are part of the name)"
-        elif problem["type"] == "missing":
-            message = "is missing; nothing is assumed in its place"
-        lines.append(f"{key}: {message}")
-    return "; ".join(lines)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
@@ -44,3 +45,12 @@ def leaves_nothing_behind():
     assert not left, f"threads left behind: {sorted(thread.name for thread in left)}"
     open_channels = _channels() - channels
     assert not open_channels, f"virtual channels left open: {sorted(open_channels)}"
+
+
+@pytest.fixture(scope="session")
+def measured_data() -> Path:
+    """Folder of the measured runs of real robots."""
+    folder = os.environ.get("SERVO_GATEWAY_DATA")
+    if not folder:
+        pytest.skip("SERVO_GATEWAY_DATA is not set: the measured runs of real robots are not at hand")
+    return Path(folder)

@@ -21,6 +21,7 @@ from gateway.table import Table
 from sim.blind import LEAST_STRENGTH, VISIT_S, BlindCell, draw_cell
 from sim.draw import choose_poses
 from sim.offline import Visit
+from tests.tables import simulated_table
 
 MISTAKES = ("sign_reversed", "axes_swapped", "current_rms_peak")
 VALIDATION = 4
@@ -49,32 +50,6 @@ class Score:
     structure_p: float
 
 
-def table_of(columns: dict, run: str) -> Table:
-    """The simulator's columns as a table."""
-    n = len(columns["pose"])
-    unknown = np.full((n, 6), np.nan)
-    return Table(
-        file=(run,) * n,
-        line=np.arange(n),
-        run=np.full(n, run),
-        load=np.array(columns["load"]),
-        pose=columns["pose"].astype(int),
-        time_s=columns["time_s"].astype(float),
-        q_rad=columns["q_rad"],
-        qd_rad_s=np.zeros((n, 6)),
-        qdd_rad_s2=np.zeros((n, 6)),
-        moving=np.zeros(n, dtype=bool),
-        direction=columns["dir"].astype(np.int8),
-        tau_nm=columns["tau_nm"],
-        tau_std_nm=columns["tau_std_nm"],
-        count=columns["n"].astype(int),
-        q2nd_rad=columns["q2nd_rad"],
-        temperature_c=columns["temp_c"],
-        motor_torque_nm=unknown,
-        extra={},
-    )
-
-
 class Robotside:
     """Drives to poses and measures, as the engineer's cell would; numbers new poses and lets time pass."""
 
@@ -90,7 +65,7 @@ class Robotside:
         visits = self.cell.later(poses_rad, self.next_pose, self.time_s)
         self.next_pose += len(visits)
         self.time_s += VISIT_S * len(visits)
-        return table_of(self.cell.measure(visits, self.calls), f"more{self.calls}")
+        return simulated_table(self.cell.measure(visits, self.calls), f"more{self.calls}")
 
 
 def options_of(cell: BlindCell) -> DiagnoseOptions:
@@ -105,7 +80,7 @@ def run_cell(seed: int) -> dict:
     """Draw, measure, diagnose, decide, validate and score one seed."""
     cell = draw_cell(seed)
     robot = robot_from_urdf(cell.arm.urdf, f"seed {seed}")
-    table = table_of(cell.measure(cell.visits), "first")
+    table = simulated_table(cell.measure(cell.visits), "first")
     options = options_of(cell)
     first_s = _time_of_many(cell, robot, options) if seed % TIMED == 0 else float("nan")
     begin = time.process_time()
@@ -124,7 +99,7 @@ def _time_of_many(cell: BlindCell, robot: Robot, options: DiagnoseOptions) -> fl
         for place, label in enumerate(("none", "tool"))
         for number, q in enumerate(poses)
     ]
-    table = table_of(cell.measure(visits, 99), "many")
+    table = simulated_table(cell.measure(visits, 99), "many")
     begin = time.process_time()
     diagnose(table, robot, options)
     return time.process_time() - begin

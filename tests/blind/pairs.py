@@ -26,7 +26,7 @@ from gateway.model.terms.library import Setup, named_terms
 from gateway.model.terms.term import Term
 from sim.draw import VISIT_S, Arm, draw_arm
 from sim.offline import Visit, measure
-from tests.blind.cells import table_of
+from tests.tables import simulated_table
 
 Floats = NDArray[np.float64]
 
@@ -93,7 +93,7 @@ def _problem(arm: Arm, seed: int, poses: int) -> Problem:
     ]
     quiet = replace(arm.protocol, settle=np.zeros(6), resolution_nm=np.zeros(6))
     still = replace(arm.plant, reading_noise_nm=np.full(6, 1e-9))
-    table = table_of(measure(arm.chain, still, visits, arm.loads, quiet, rng), "pairs")
+    table = simulated_table(measure(arm.chain, still, visits, arm.loads, quiet, rng), "pairs")
     robot = robot_from_urdf(arm.urdf, f"seed {seed}")
     return build_problem(robot, rest_rows(table, arm.efficiency), Knowledge(inertials="ignore"))
 

@@ -1,7 +1,6 @@
-"""estimate and diagnose from the command line: published and measured data, bad input, exit codes."""
+"""estimate and diagnose from the command line: measured_data and measured data, bad input, exit codes."""
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -20,14 +19,6 @@ TOOL = (4.0, 0.02, -0.01, 0.12)
 
 def run(*arguments):
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
-
-
-@pytest.fixture(scope="module")
-def published():
-    folder = os.environ.get("SERVO_GATEWAY_DATA")
-    if not folder:
-        pytest.skip("SERVO_GATEWAY_DATA is not set: the published and measured data are elsewhere")
-    return Path(folder)
 
 
 @pytest.fixture
@@ -161,8 +152,8 @@ def _turned(line):
 
 
 @pytest.mark.data
-def test_the_published_load_of_21_kg_is_recomputed_and_the_one_of_70_kg_refused(published):
-    done = run("estimate", published / "qh165" / "table2.csv", *COEFFICIENT, *GEAR, "--json", "-")
+def test_the_measured_data_load_of_21_kg_is_recomputed_and_the_one_of_70_kg_refused(measured_data):
+    done = run("estimate", measured_data / "qh165" / "table2.csv", *COEFFICIENT, *GEAR, "--json", "-")
     assert done.exit_code == 7
     a, b = json.loads(done.stdout)["loads"]
     assert all(20.9 <= mass <= 21.4 for mass in a["per_pose_mass_kg"].values())
@@ -175,8 +166,8 @@ def test_the_published_load_of_21_kg_is_recomputed_and_the_one_of_70_kg_refused(
 
 @pytest.mark.data
 @pytest.mark.parametrize("name", ["kr300", "tx40", "ur10"])
-def test_measured_runs_fit_and_every_axis_has_its_residual(published, name):
-    folder = published / name
+def test_measured_runs_fit_and_every_axis_has_its_residual(measured_data, name):
+    folder = measured_data / name
     done = run("estimate", *sorted(folder.glob("*.csv")), "--robot", folder / "robot.urdf", "--json", "-")
     assert done.exit_code == 0, done.output
     assert all(value is not None and value > 0 for value in json.loads(done.stdout)["after"]["rms_nm"])

@@ -1,7 +1,6 @@
 """The measured table: what is read is what the file says, and everything else is refused by file and line."""
 
 import csv
-import os
 from pathlib import Path
 
 import numpy as np
@@ -299,22 +298,16 @@ def test_damaged_text_gives_a_table_or_a_typed_error(tmp_path, data):
     ("name", "rows", "moving"),
     [("kr300/run_A.csv", 800, True), ("tx40/run_1_first.csv", 553, True), ("ur10/run_1_first.csv", 1078, True)],
 )
-def test_measured_runs_load(name, rows, moving):
-    folder = os.environ.get("SERVO_GATEWAY_DATA")
-    if not folder:
-        pytest.skip("SERVO_GATEWAY_DATA is not set: no measured runs on this machine")
-    table = read_csv(Path(folder) / name, None)
+def test_measured_runs_load(measured_data, name, rows, moving):
+    table = read_csv(measured_data / name, None)
     assert len(table) == rows
     assert table.moving.all() == moving
     assert np.isfinite(table.tau_nm).all()
 
 
 @pytest.mark.data
-def test_paper_table_loads():
-    folder = os.environ.get("SERVO_GATEWAY_DATA")
-    if not folder:
-        pytest.skip("SERVO_GATEWAY_DATA is not set: no measured runs on this machine")
-    table = read_csv(Path(folder) / "qh165" / "table2.csv", conversion(ratio=np.full(6, 210.0)))
+def test_paper_table_loads(measured_data):
+    table = read_csv(measured_data / "qh165" / "table2.csv", conversion(ratio=np.full(6, 210.0)))
     assert len(table) == 30
     assert not table.moving.any()
     assert sorted(set(table.load)) == ["a", "b", "none"]

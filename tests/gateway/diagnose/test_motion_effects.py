@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from gateway.diagnose.motion import MotionOptions, diagnose_motion
 from gateway.model.robot import robot_from_urdf
-from gateway.table import Table
+from gateway.rows import MOVING
+from tests.tables import make_table
 
 URDF = (Path(__file__).parents[3] / "examples" / "small" / "robot.urdf").read_text()
 GRAVITY = np.array([0.0, 0.0, -9.80665])
@@ -109,7 +110,8 @@ def measured(seed, world, duration_s=24.0, rate_hz=25.0, noise=0.02, cad_error=0
     if world.swap is not None:
         tau[:, list(world.swap)] = tau[:, list(world.swap[::-1])]
     tau += noise * scale * (coloured(generator, tau.shape, rate_hz) + 0.2 * generator.normal(size=tau.shape))
-    return as_table(time, q, qd, qdd, tau, "none" if world.payload is None else "a"), robot, scale
+    label, still = "none" if world.payload is None else "a", np.full(len(time), MOVING)
+    return make_table([label] * len(time), still, q, tau, time=time, qd=qd, qdd=qdd), robot, scale
 
 
 def disturbance(world, q, qd, rigid, scale):
@@ -130,29 +132,6 @@ def disturbance(world, q, qd, rigid, scale):
     for axis, size in world.strange.items():
         out[:, axis] += size * scale[axis] * np.sin(2.0 * q[:, 0] + 1.0)
     return out
-
-
-def as_table(time, q, qd, qdd, tau, load):
-    n, unknown = len(time), np.full((len(time), 6), np.nan)
-    return Table(
-        file=("run.csv",) * n,
-        line=np.arange(n) + 2,
-        run=np.full(n, "1"),
-        load=np.full(n, load),
-        pose=np.full(n, -1),
-        time_s=time,
-        q_rad=q,
-        qd_rad_s=qd,
-        qdd_rad_s2=qdd,
-        moving=np.ones(n, dtype=bool),
-        direction=np.zeros((n, 6), dtype=np.int8),
-        tau_nm=tau,
-        tau_std_nm=unknown,
-        count=np.ones(n, dtype=int),
-        q2nd_rad=unknown,
-        temperature_c=unknown,
-        motor_torque_nm=unknown,
-    )
 
 
 IGNORE = MotionOptions(inertials="ignore")

@@ -19,7 +19,8 @@ from gateway.model import motion_readings, motion_terms
 from gateway.model.motion import prepare, smooth_sign, structural_base
 from gateway.model.motion_baseline import baseline, body_parameters
 from gateway.model.robot import robot_from_urdf
-from gateway.table import Table, concatenate
+from gateway.rows import MOVING, concatenate
+from tests.tables import make_table
 
 URDF = (Path(__file__).parents[3] / "examples" / "small" / "robot.urdf").read_text()
 GRAVITY = np.array([0.0, 0.0, -9.80665])
@@ -41,26 +42,8 @@ def table_of(seed=0, n=400, run="1", load="none", rate_hz=20.0):
         (omega[:, None] * np.cos(angle)).sum(0),
         -(omega[:, None] ** 2 * np.sin(angle)).sum(0),
     )
-    unknown = np.full((n, 6), np.nan)
-    return Table(
-        file=("run.csv",) * n,
-        line=np.arange(n) + 2,
-        run=np.full(n, run),
-        load=np.full(n, load),
-        pose=np.full(n, -1),
-        time_s=time + 7.0,
-        q_rad=q,
-        qd_rad_s=qd,
-        qdd_rad_s2=qdd,
-        moving=np.ones(n, dtype=bool),
-        direction=np.zeros((n, 6), dtype=np.int8),
-        tau_nm=generator.normal(size=(n, 6)),
-        tau_std_nm=unknown,
-        count=np.ones(n, dtype=int),
-        q2nd_rad=unknown,
-        temperature_c=unknown,
-        motor_torque_nm=unknown,
-    )
+    moving, tau = np.full(n, MOVING), generator.normal(size=(n, 6))
+    return make_table([load] * n, moving, q, tau, run=[run] * n, time=time + 7.0, qd=qd, qdd=qdd)
 
 
 def problem_of(robot, table, trust=None, count=4):

@@ -7,10 +7,11 @@ import pytest
 
 from gateway.diagnose import DiagnoseOptions, diagnose
 from gateway.model.robot import robot_from_urdf
-from gateway.rows import Table, concatenate
+from gateway.rows import concatenate
 from sim.draw import choose_poses, draw_arm
 from sim.effects import apply_effects
 from sim.offline import Visit, measure, point_jacobian
+from tests.tables import simulated_table
 
 FRESH = 3
 
@@ -25,26 +26,7 @@ def diagnosed(hidden):
     def table(rows, load, start_s):
         visits = [Visit(k, load, start_s + 25.0 * k, poses[k]) for k in rows]
         columns = measure(arm.chain, plant, visits, arm.loads, arm.protocol, np.random.default_rng([7, int(start_s)]))
-        n = len(columns["pose"])
-        return Table(
-            file=("bench",) * n,
-            line=np.arange(n),
-            run=np.full(n, "bench"),
-            load=np.array(columns["load"]),
-            pose=columns["pose"].astype(int),
-            time_s=columns["time_s"].astype(float),
-            q_rad=columns["q_rad"],
-            qd_rad_s=np.zeros((n, 6)),
-            qdd_rad_s2=np.zeros((n, 6)),
-            moving=np.zeros(n, dtype=bool),
-            direction=columns["dir"].astype(np.int8),
-            tau_nm=columns["tau_nm"],
-            tau_std_nm=columns["tau_std_nm"],
-            count=columns["n"].astype(int),
-            q2nd_rad=columns["q2nd_rad"],
-            temperature_c=columns["temp_c"],
-            motor_torque_nm=np.full((n, 6), np.nan),
-        )
+        return simulated_table(columns)
 
     seen = concatenate([table(range(10), "none", 0.0), table(range(10), "tool", 400.0)])
     options = DiagnoseOptions(

@@ -15,6 +15,7 @@ from gateway.table import Table, concatenate
 from sim.draw import Arm, choose_poses, draw_arm
 from sim.effects import apply_effects
 from sim.offline import Protocol, Visit, measure, point_jacobian
+from tests.tables import simulated_table
 
 STEP_S = 25.0
 
@@ -39,7 +40,7 @@ class Bench:
         self.now_s += 60.0
         rng = np.random.default_rng([self.seed, int(self.now_s)])
         columns = measure(self.arm.chain, self.plant, visits, self.arm.loads, protocol or self.arm.protocol, rng)
-        return table_of(columns)
+        return simulated_table(columns)
 
     def both(self) -> Table:
         return concatenate([self.table(self.poses, "none"), self.table(self.poses, "tool")])
@@ -47,30 +48,6 @@ class Bench:
     def more(self, poses: np.ndarray) -> Table:
         self.next_pose += len(poses)
         return self.table(poses, "tool", self.next_pose)
-
-
-def table_of(columns: dict) -> Table:
-    n = len(columns["pose"])
-    return Table(
-        file=("bench",) * n,
-        line=np.arange(n),
-        run=np.full(n, "bench"),
-        load=np.array(columns["load"]),
-        pose=columns["pose"].astype(int),
-        time_s=columns["time_s"].astype(float),
-        q_rad=columns["q_rad"],
-        qd_rad_s=np.zeros((n, 6)),
-        qdd_rad_s2=np.zeros((n, 6)),
-        moving=np.zeros(n, dtype=bool),
-        direction=columns["dir"].astype(np.int8),
-        tau_nm=columns["tau_nm"],
-        tau_std_nm=columns["tau_std_nm"],
-        count=columns["n"].astype(int),
-        q2nd_rad=columns["q2nd_rad"],
-        temperature_c=columns["temp_c"],
-        motor_torque_nm=np.full((n, 6), np.nan),
-        extra={},
-    )
 
 
 def effect(name: str, joints: list[int], **parameters: object) -> dict:

@@ -1,15 +1,14 @@
 """An arm, and tables of it whose torques come from pinocchio, so that no formula of the estimators tests itself."""
 
-import os
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 import pinocchio
 import pytest
 
 from gateway.model.robot import robot_from_urdf
-from gateway.rows import MOVING, Table
+from tests.arms import peer_of
+from tests.tables import make_table
 
 # link: joint origin xyz, axis, mass, centre of mass
 LINKS = (
@@ -48,8 +47,7 @@ class Arm:
         return robot_from_urdf(self.text, "twelve.urdf")
 
     def model(self, load=None, gravity=(0.0, 0.0, -9.80665)):
-        model = pinocchio.buildModelFromXML(self.text)
-        model.gravity.linear = np.array(gravity)
+        model, _ = peer_of(self.text, gravity)
         if load is not None:
             mass, *com = load
             body = pinocchio.Inertia(mass, np.array(com), np.zeros((3, 3)))
@@ -77,32 +75,6 @@ def arm():
 def poses():
     """Twelve postures well spread over the joint space."""
     return np.random.default_rng(11).uniform([-2, -1.2, -1.5, -2.5, -1.8, -2.5], [2, 1.2, 1.5, 2.5, 1.8, 2.5], (12, 6))
-
-
-def make_table(load, pose, q, tau, **given):
-    """Rest rows; `direction`, `std`, `count`, `run`, `time`, `extra`, `motor` as they stand."""
-    n = len(load)
-    blank = np.full((n, 6), np.nan)
-    return Table(
-        file=("made.csv",) * n,
-        line=np.arange(2, n + 2),
-        run=np.asarray(given.get("run", ["r"] * n)),
-        load=np.asarray(load),
-        pose=np.asarray(pose),
-        time_s=np.asarray(given.get("time", np.full(n, np.nan)), dtype=float),
-        q_rad=np.asarray(q, dtype=float),
-        qd_rad_s=np.asarray(given.get("qd", np.zeros((n, 6)))),
-        qdd_rad_s2=np.asarray(given.get("qdd", np.zeros((n, 6)))),
-        moving=np.asarray(pose) == MOVING,
-        direction=np.broadcast_to(np.asarray(given.get("direction", 0)), (n, 6)).astype(np.int8),
-        tau_nm=np.asarray(tau, dtype=float),
-        tau_std_nm=np.broadcast_to(np.asarray(given.get("std", np.nan), dtype=float), (n, 6)).copy(),
-        count=np.full(n, given.get("count", 1)),
-        q2nd_rad=blank,
-        temperature_c=blank,
-        motor_torque_nm=np.asarray(given.get("motor", blank), dtype=float),
-        extra=dict(given.get("extra", {})),
-    )
 
 
 @pytest.fixture(scope="session")
@@ -140,12 +112,3 @@ def measured():
 @pytest.fixture(scope="session")
 def band_nm():
     return BAND_NM
-
-
-@pytest.fixture
-def measured_data() -> Path:
-    """Folder of the measured runs of real robots."""
-    folder = os.environ.get("SERVO_GATEWAY_DATA")
-    if not folder:
-        pytest.skip("SERVO_GATEWAY_DATA is not set: the measured runs of real robots are not at hand")
-    return Path(folder)

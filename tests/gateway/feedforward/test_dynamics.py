@@ -12,22 +12,9 @@ from gateway.feedforward.dynamics import ArmDynamics
 from gateway.feedforward.load import FeedLoad
 from gateway.model.regressor import regressor
 from gateway.model.robot import robot_from_urdf
+from tests.arms import link_parameters, peer_of, states
 
 GRAVITY = (1.5, -2.0, -9.0)
-
-
-def states(seed, n):
-    rng = np.random.default_rng(seed)
-    return rng.uniform(-np.pi, np.pi, (n, 6)), rng.normal(size=(n, 6)), 3 * rng.normal(size=(n, 6))
-
-
-def link_parameters(robot):
-    out = []
-    for i in range(6):
-        mass, com = robot.mass_kg[i], robot.com_m[i]
-        about = robot.inertia_kg_m2[i] + mass * (com @ com * np.eye(3) - np.outer(com, com))
-        out += [mass, *(mass * com), *about[np.triu_indices(3)]]
-    return np.array(out)
 
 
 def torques(dynamics, q, qd, qdd):
@@ -38,9 +25,7 @@ def torques(dynamics, q, qd, qdd):
 def test_torque_agrees_with_pinocchio(random_urdf, seed):
     text = random_urdf(seed)
     robot = robot_from_urdf(text, "random.urdf")
-    model = pinocchio.buildModelFromXML(text)
-    model.gravity.linear = np.array(GRAVITY)
-    data = model.createData()
+    model, data = peer_of(text, GRAVITY)
     q, qd, qdd = states(seed, 30)
     expected = [pinocchio.rnea(model, data, *row) for row in zip(q, qd, qdd, strict=True)]
     found = torques(ArmDynamics(robot, link_parameters(robot), GRAVITY), q, qd, qdd)
@@ -61,9 +46,7 @@ def test_a_load_is_a_body_fixed_to_link_6(random_urdf):
         '<inertial><origin xyz="0.1 -0.05 0.3"/><mass value="7"/>'
         '<inertia ixx="0.2" ixy="0" ixz="0" iyy="0.3" iyz="0" izz="0.4"/></inertial>'
     )
-    model = pinocchio.buildModelFromXML(random_urdf(5, inertial))
-    model.gravity.linear = np.array(GRAVITY)
-    data = model.createData()
+    model, data = peer_of(random_urdf(5, inertial), GRAVITY)
     robot = robot_from_urdf(random_urdf(5), "random.urdf")
     parameters = link_parameters(robot)
     parameters[50:] += load.parameters

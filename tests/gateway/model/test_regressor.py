@@ -12,24 +12,11 @@ import pytest
 from gateway.model import regressor as rows_of
 from gateway.model.kinematics import link_frames
 from gateway.model.robot import robot_from_dh, robot_from_urdf
+from tests.arms import link_parameters, peer_of, states
 
 # pinocchio keeps [m, h, Ixx, Ixy, Iyy, Ixz, Iyz, Izz]
 FROM_PINOCCHIO = np.concatenate([10 * link + np.array([0, 1, 2, 3, 4, 5, 7, 6, 8, 9]) for link in range(6)])
 GRAVITY_COLUMNS = np.concatenate([10 * link + np.arange(4) for link in range(6)])
-
-
-def states(seed, n):
-    rng = np.random.default_rng(seed)
-    return rng.uniform(-np.pi, np.pi, (n, 6)), rng.normal(size=(n, 6)), 3 * rng.normal(size=(n, 6))
-
-
-def link_parameters(robot):
-    out = []
-    for i in range(6):
-        mass, com = robot.mass_kg[i], robot.com_m[i]
-        about = robot.inertia_kg_m2[i] + mass * (com @ com * np.eye(3) - np.outer(com, com))
-        out += [mass, *(mass * com), *about[np.triu_indices(3)]]
-    return np.array(out)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -37,9 +24,7 @@ def link_parameters(robot):
 def test_full_rows_agree_with_pinocchio(random_urdf, seed, gravity):
     text = random_urdf(seed)
     robot = robot_from_urdf(text, "random.urdf")
-    model = pinocchio.buildModelFromXML(text)
-    model.gravity.linear = np.array(gravity)
-    data = model.createData()
+    model, data = peer_of(text, gravity)
     q, qd, qdd = states(seed, 40)
     rows = rows_of.regressor(robot, q, qd, qdd, gravity)
     for n in range(len(q)):

@@ -17,6 +17,7 @@ from gateway.model.robot import (
     rotation_rpy,
     with_flange,
 )
+from tests.arms import peer_of
 
 
 def rot(axis, angle):
@@ -38,8 +39,7 @@ def move(x, z):
 def test_link_frames_agree_with_pinocchio(random_urdf, seed):
     text = random_urdf(seed)
     robot = robot_from_urdf(text, "random.urdf")
-    model = pinocchio.buildModelFromXML(text)
-    data = model.createData()
+    model, data = peer_of(text)
     q = np.random.default_rng(seed + 100).uniform(-3, 3, (7, 6))
     frames = kinematics.link_frames(robot, q)
     axes, origins = kinematics.joint_axes_origins(robot, q)
@@ -68,8 +68,7 @@ def test_fixed_joints_are_merged_as_pinocchio_merges_them(random_urdf):
     )
     text = text.replace("</robot>", extra + "</robot>")
     robot = robot_from_urdf(text, "merged.urdf")
-    model = pinocchio.buildModelFromXML(text)
-    data = model.createData()
+    model, data = peer_of(text)
     q = np.random.default_rng(0).uniform(-3, 3, 6)
     pinocchio.forwardKinematics(model, data, q)
     np.testing.assert_allclose(kinematics.link_frames(robot, q[None])[0, 5], data.oMi[6].homogeneous, atol=1e-12)
