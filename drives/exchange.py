@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from typing import Final, Literal
 from drives.bus import SYNC_ID, Bus
 from drives.busload import cycle_bits_worst
 from drives.cia402 import State, decode_state
-from drives.clock import SyncClock
+from drives.clock import SyncClock, spare_collections
 from drives.decode import Decoder
 from drives.drive import Cia402Drive
 from drives.epoch import Epoch, EpochCollector
@@ -122,6 +123,8 @@ class SyncExchange:
     def close(self) -> None:
         """Stop listening."""
         self.collector.close()
+        if self.timing.pacing == "real":
+            gc.unfreeze()
 
     @property
     def sync_time_s(self) -> float:
@@ -134,6 +137,8 @@ class SyncExchange:
         self.clock.restart()
         self.silent = [0] * len(self.drives)
         self._answer_timeout_s = self.timing.answer_timeout_s
+        if self.timing.pacing == "real":
+            spare_collections()
 
     def hurry(self) -> None:
         """From now on wait less for a drive that may only be slow: something has to be stopped."""
