@@ -15,18 +15,18 @@ import numpy as np
 
 from sim.off_library import OFF_LIBRARY, OFF_LIBRARY_WITH_GEOMETRY
 from sim.plant import Plant
-from sim.request import Array, EffectError, PointJacobian, Request, Transform, add_passive, add_reading
-
-WARM_UP_K = 30.0
-WARM_UP_TIME_S = 1800.0
-AMBIENT_C = 25.0
-
-
-def _with(values: Array, index: int | slice, change: Callable[[Array], Array | float]) -> Array:
-    changed = np.array(values, dtype=float)
-    changed[index] = change(changed[index])
-    return changed
-
+from sim.reading_effects import (
+    axes_swapped,
+    axis_coupling,
+    current_rms_peak,
+    sign_reversed,
+    thermal_drift,
+    torque_constant_scale,
+    torque_offset,
+    torque_ripple,
+    warm_up,
+)
+from sim.request import Array, EffectError, PointJacobian, Request, Transform, add_passive, changed
 
 # ---------------------------------------------------------------------------------------------------------- friction
 
@@ -38,8 +38,8 @@ def static_friction(request: Request) -> Transform:
     def apply(plant: Plant) -> Plant:
         return replace(
             plant,
-            coulomb_nm=_with(plant.coulomb_nm, axis, lambda value: value + bias),
-            stiction_nm=_with(plant.stiction_nm, axis, lambda value: value + abs(bias)),
+            coulomb_nm=changed(plant.coulomb_nm, axis, lambda value: value + bias),
+            stiction_nm=changed(plant.stiction_nm, axis, lambda value: value + abs(bias)),
         )
 
     return apply
@@ -48,7 +48,7 @@ def static_friction(request: Request) -> Transform:
 def load_dependent_friction(request: Request) -> Transform:
     """Gear losses in proportion to the transmitted torque (Hamon, Gautier, Garrec 2010)."""
     axis, nu = request.axis(), request.number("coefficient")
-    return lambda plant: replace(plant, load_friction=_with(plant.load_friction, axis, lambda value: value + nu))
+    return lambda plant: replace(plant, load_friction=changed(plant.load_friction, axis, lambda value: value + nu))
 
 
 def velocity_friction(request: Request) -> Transform:
@@ -57,8 +57,8 @@ def velocity_friction(request: Request) -> Transform:
     coulomb, viscous = request.number("coulomb_nm", 0.0), request.number("viscous_nm_s_rad", 0.0)
     return lambda plant: replace(
         plant,
-        coulomb_nm=_with(plant.coulomb_nm, axis, lambda value: value + coulomb),
-        viscous_nm_s_rad=_with(plant.viscous_nm_s_rad, axis, lambda value: value + viscous),
+        coulomb_nm=changed(plant.coulomb_nm, axis, lambda value: value + coulomb),
+        viscous_nm_s_rad=changed(plant.viscous_nm_s_rad, axis, lambda value: value + viscous),
     )
 
 
@@ -79,7 +79,7 @@ def joint_zero_offset(request: Request) -> Transform:
     """The link stands `offset_rad` further than the encoder says."""
     axis, offset = request.axis(), request.number("offset_rad")
     return lambda plant: replace(
-        plant, zero_offset_rad=_with(plant.zero_offset_rad, axis, lambda value: value + offset)
+        plant, zero_offset_rad=changed(plant.zero_offset_rad, axis, lambda value: value + offset)
     )
 
 
@@ -87,113 +87,8 @@ def joint_elasticity(request: Request) -> Transform:
     """The gear winds up under the torque it transmits."""
     axis, compliance = request.axis(), request.number("compliance_rad_nm")
     return lambda plant: replace(
-        plant, compliance_rad_nm=_with(plant.compliance_rad_nm, axis, lambda value: value + compliance)
+        plant, compliance_rad_nm=changed(plant.compliance_rad_nm, axis, lambda value: value + compliance)
     )
-
-
-# ---------------------------------------------------------------------------------------------------- reading chain
-
-
-def torque_constant_scale(request: Request) -> Transform:
-    """The motor gives `scale` times the torque per ampere that is stored; without joints all six do."""
-    scale = request.number("scale")
-    if scale <= 0:
-        raise EffectError(f"effect {request.name}: scale must be positive, got {scale}")
-    which = slice(None) if not request.joints else request.axis()
-    return lambda plant: replace(
-        plant, torque_constant_scale=_with(plant.torque_constant_scale, which, lambda value: value * scale)
-    )
-
-
-def torque_offset(request: Request) -> Transform:
-    """The current sensor of one drive reads a constant too much."""
-    axis, offset = request.axis(), request.number("offset_nm")
-    return lambda plant: replace(
-        plant, reading_offset_nm=_with(plant.reading_offset_nm, axis, lambda value: value + offset)
-    )
-
-
-def thermal_drift(request: Request) -> Transform:
-    """Reading (or friction) changes with motor temperature (`per_k`) or with time (`per_s`) since the start."""
-    axis = request.axis()
-    per_k, per_s = request.number("per_k", 0.0), request.number("per_s", 0.0)
-    on_friction = request.parameters.get("on", "torque_constant") == "friction"
-
-    def apply(plant: Plant) -> Plant:
-        temperature = plant.temperature_c or warm_up
-        start = np.asarray(temperature(0.0))[axis]
-        earlier = plant.drift
-
-        def drift(time_s: float) -> dict[str, object]:
-            changes: dict[str, object] = dict(earlier(time_s)) if earlier else {}
-            factor = 1.0 + per_k * (np.asarray(temperature(time_s))[axis] - start) + per_s * time_s
-            if on_friction:
-                for name in ("coulomb_nm", "stiction_nm"):
-                    changes[name] = _with(changes.get(name, getattr(plant, name)), axis, lambda value: value * factor)  # type: ignore[arg-type]
-            else:
-                scale = changes.get("torque_constant_scale", plant.torque_constant_scale)
-                changes["torque_constant_scale"] = _with(scale, axis, lambda value: value / factor)  # type: ignore[arg-type]
-            return changes
-
-        return replace(plant, drift=drift, temperature_c=temperature)
-
-    return apply
-
-
-def warm_up(time_s: float) -> Array:
-    """Motor temperatures while an arm warms up; the wrist motors stay cooler [deg C]."""
-    rise = WARM_UP_K * (1.0 - math.exp(-time_s / WARM_UP_TIME_S))
-    return AMBIENT_C + rise * np.array([1.0, 1.1, 1.0, 0.8, 0.8, 0.7])
-
-
-def torque_ripple(request: Request) -> Transform:
-    """The reading of one axis swings `per_revolution` times per turn of the joint."""
-    axis, amplitude = request.axis(), request.number("amplitude_nm")
-    periods, phase = request.number("per_revolution"), request.number("phase_rad", 0.0)
-
-    def error(q_rad: Array, _torque_nm: Array) -> Array:
-        swing = np.zeros(6)
-        swing[axis] = amplitude * math.sin(periods * q_rad[axis] + phase)
-        return swing
-
-    return lambda plant: add_reading(plant, error)
-
-
-def axis_coupling(request: Request) -> Transform:
-    """Motor j turns when joint i turns; axis i feels `coefficient` times the torque of axis j."""
-    if len(request.joints) != 2 or request.joints[0] == request.joints[1]:
-        raise EffectError(f"effect {request.name} needs two joints [i, j], got {list(request.joints)}")
-    row, column = request.joints[0] - 1, request.joints[1] - 1
-    mixing = np.eye(6)
-    mixing[row, column] = request.number("coefficient")
-    return lambda plant: replace(plant, coupling=mixing @ plant.coupling)
-
-
-def sign_reversed(request: Request) -> Transform:
-    """The drive reports the torque of one axis with the wrong sign."""
-    axis = request.axis()
-    return lambda plant: replace(plant, torque_sign=_with(plant.torque_sign, axis, lambda value: -value))
-
-
-def axes_swapped(request: Request) -> Transform:
-    """The drives of two axes are bolted to each other's joint."""
-    if len(request.joints) != 2:
-        raise EffectError(f"effect {request.name} needs two joints, got {list(request.joints)}")
-    first, second = (joint - 1 for joint in request.joints)
-
-    def apply(plant: Plant) -> Plant:
-        order = plant.drive_joint.copy()
-        order[[first, second]] = order[[second, first]]
-        return replace(plant, drive_joint=order)
-
-    return apply
-
-
-def current_rms_peak(request: Request) -> Transform:
-    """The drive's ampere is a peak value where an rms value is expected (factor sqrt 2), or the reverse."""
-    which = slice(None) if not request.joints else request.axis()
-    factor = request.number("factor", math.sqrt(2.0))
-    return lambda plant: replace(plant, current_factor=_with(plant.current_factor, which, lambda value: value * factor))
 
 
 # ------------------------------------------------------------------------------------------- bodies, springs, cables

@@ -7,49 +7,25 @@ between motor and gear output, and is exact at rest. The coupling is numerical: 
 
 from __future__ import annotations
 
-import os
-import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.cellfile import ArmSpec
+from sim.engine import bullet, unsaid_if_raised
 from sim.friction import JointFriction
 from sim.motor import MotorAxis
 from sim.plant import Payload, Plant
-from sim.servo import TICK_S, Gains, ServoLoop
+from sim.servo import TICK_S
+from sim.tuning import coupling, servo_loops
 from sim.urdf import Body, Chain, UrdfError, combine, write_chain
 
 Array = NDArray[np.float64]
 
 
-def _quietly() -> Any:
-    """Import PyBullet without the line it writes to standard error, which belongs to the program's own messages."""
-    sys.stderr.flush()
-    kept = os.dup(2)
-    try:
-        with open(os.devnull, "wb") as sink:
-            os.dup2(sink.fileno(), 2)
-        import pybullet
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-    return pybullet
-
-
-bullet = _quietly()
-
-#: Highest natural frequency of the numerical coupling times the step; below 2 the step is stable.
-COUPLING_PHASE = 0.6
-COUPLING_DAMPING = 0.15
-#: Bandwidth of the velocity loop on all that the motor turns [rad/s], and the share of it the position loop gets.
-SPEED_BANDWIDTH_RAD_S = 200.0
-POSITION_SHARE = 0.2
-POSITION_GAIN_1_S = 6.0
 #: Milliseconds after which springs, drift and payload shift are looked at again.
 REFRESH_TICKS = 20
 #: Attempts at building the links, and how much further out their centres of gravity are in each.
@@ -85,9 +61,8 @@ class ArmWorld:
         self._refreshed_s = 0.0
         self._passive: list[float] | None = None
         self._load_body()
-        self.axes = [
-            MotorAxis(servo, JointFriction(seed * 8 + i), filters_s[i]) for i, servo in enumerate(self._servos(arm))
-        ]
+        loops = servo_loops(arm, self._masses(), plant.rotor_inertia_kg_m2)
+        self.axes = [MotorAxis(servo, JointFriction(seed * 8 + i), filters_s[i]) for i, servo in enumerate(loops)]
         self._tune()
         self._take_over()
         self._settle()
@@ -108,18 +83,11 @@ class ArmWorld:
 
     def _usable(self) -> bool:
         """Whether the engine can do inverse dynamics with the links; what it prints if not is dropped."""
-        kept = os.dup(1)
-        with tempfile.TemporaryFile() as said:
-            os.dup2(said.fileno(), 1)
-            try:
+        try:
+            with unsaid_if_raised():
                 bullet.calculateMassMatrix(self._body, self._q, physicsClientId=self._client)
-            except (bullet.error, SystemError):  # the one is raised from the other
-                return False
-            finally:
-                os.dup2(kept, 1)
-                os.close(kept)
-            said.seek(0)
-            os.write(1, said.read())
+        except (bullet.error, SystemError):  # the one is raised from the other
+            return False
         return True
 
     def _build(self, stretch: float) -> None:
@@ -163,34 +131,12 @@ class ArmWorld:
             for q in self._postures()
         ]
 
-    def _servos(self, arm: ArmSpec) -> list[ServoLoop]:
-        rotor = self.plant.rotor_inertia_kg_m2.tolist()
-        inertia = (np.max([np.diag(mass) for mass in self._masses()], axis=0) + rotor).tolist()
-        servos = []
-        for i, axis in enumerate(arm.axes):
-            speed_gain = min(SPEED_BANDWIDTH_RAD_S * inertia[i], 0.3 * rotor[i] / TICK_S)
-            bandwidth = speed_gain / inertia[i]
-            gains = Gains(position_1_s=min(POSITION_SHARE * bandwidth, POSITION_GAIN_1_S), speed_nm_s_rad=speed_gain)
-            max_nm = axis.torque_limit_nm / axis.gear_efficiency * 1.25
-            servos.append(ServoLoop(gains, max_nm, 3.0 * axis.speed_limit_rad_s))
-        return servos
-
     def _tune(self) -> None:
-        """Size the numerical coupling from the mass matrix, so that its fastest mode stays stable."""
+        """Size the numerical coupling for what hangs on the arm."""
         rotor = self.plant.rotor_inertia_kg_m2
-        masses = self._masses()
-        link = np.min([1.0 / np.diag(np.linalg.inv(mass)) for mass in masses], axis=0)
-        reduced = 1.0 / (1.0 / rotor + 1.0 / link)
-        shape = np.block([[np.diag(reduced), -np.diag(reduced)], [-np.diag(reduced), np.diag(reduced)]])
-        fastest = 0.0
-        for mass in masses:
-            inverse = np.zeros((12, 12))
-            inverse[:6, :6], inverse[6:, 6:] = np.diag(1.0 / rotor), np.linalg.inv(mass)
-            fastest = max(fastest, float(np.max(np.linalg.eigvals(inverse @ shape).real)))
-        frequency = COUPLING_PHASE / TICK_S / np.sqrt(fastest)
+        stiffness, damping = coupling(self._masses(), rotor)
         for i, axis in enumerate(self.axes):
-            axis.stiffness = float(reduced[i] * frequency**2)
-            axis.damping = float(2.0 * COUPLING_DAMPING * reduced[i] * frequency)
+            axis.stiffness, axis.damping = float(stiffness[i]), float(damping[i])
             axis.step = float(TICK_S / rotor[i])
 
     def _take_over(self) -> None:

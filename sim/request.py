@@ -58,6 +58,13 @@ class Request:
         return self.joints[0] - 1
 
 
+def changed(values: Array, index: int | slice, change: Callable[[Array], Array | float]) -> Array:
+    """A copy of the values, one of them (or all) as a function makes it."""
+    copy = np.array(values, dtype=float)
+    copy[index] = change(copy[index])
+    return copy
+
+
 def add_passive(plant: Plant, torque: Callable[[Array, float, Array], Array]) -> Plant:
     """A further torque on the joints."""
     earlier = plant.passive_torque

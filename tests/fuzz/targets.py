@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from hypothesis import strategies as st
 
-from tests.fuzz import check_files, check_follow, check_frames, check_pair
+from tests.fuzz import check_files, check_follow, check_frames, check_pair, check_recordings
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +40,8 @@ TARGETS: tuple[Target, ...] = (
     Target("scenario toml", "reader", check_files.scenarios, check_files.check_scenario),
     Target("ledger json", "reader", check_files.ledgers, check_files.check_ledger, 0.2),
     Target("eds", "reader", check_files.sheets, check_files.check_sheet, 0.1),
-    Target("recording bytes", "reader", check_files.recordings, check_files.check_recording, 0.8),
-    Target("recording content", "reader", check_files.changes, check_files.check_changes, 0.2),
+    Target("recording bytes", "reader", check_recordings.recordings, check_recordings.check_recording, 0.8),
+    Target("recording content", "reader", check_recordings.changes, check_recordings.check_changes, 0.2),
     Target("result json", "reader", check_files.results, check_files.check_result),
     Target("follow path toml", "reader", check_follow.toml_paths, check_follow.check_toml_path),
     Target("follow path csv", "reader", check_follow.csv_paths, check_follow.check_csv_path),

@@ -1,0 +1,122 @@
+"""Effects of the reading chain: what drives, motors and wiring make of the torque before it is reported.
+
+Each is a function from one `Plant` to the next, as in `sim.effects`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from sim.plant import Plant
+from sim.request import Array, EffectError, Request, Transform, add_reading, changed
+
+WARM_UP_K = 30.0
+WARM_UP_TIME_S = 1800.0
+AMBIENT_C = 25.0
+
+
+def torque_constant_scale(request: Request) -> Transform:
+    """The motor gives `scale` times the torque per ampere that is stored; without joints all six do."""
+    scale = request.number("scale")
+    if scale <= 0:
+        raise EffectError(f"effect {request.name}: scale must be positive, got {scale}")
+    which = slice(None) if not request.joints else request.axis()
+    return lambda plant: replace(
+        plant, torque_constant_scale=changed(plant.torque_constant_scale, which, lambda value: value * scale)
+    )
+
+
+def torque_offset(request: Request) -> Transform:
+    """The current sensor of one drive reads a constant too much."""
+    axis, offset = request.axis(), request.number("offset_nm")
+    return lambda plant: replace(
+        plant, reading_offset_nm=changed(plant.reading_offset_nm, axis, lambda value: value + offset)
+    )
+
+
+def thermal_drift(request: Request) -> Transform:
+    """Reading (or friction) changes with motor temperature (`per_k`) or with time (`per_s`) since the start."""
+    axis = request.axis()
+    per_k, per_s = request.number("per_k", 0.0), request.number("per_s", 0.0)
+    on_friction = request.parameters.get("on", "torque_constant") == "friction"
+
+    def apply(plant: Plant) -> Plant:
+        temperature = plant.temperature_c or warm_up
+        start = np.asarray(temperature(0.0))[axis]
+        earlier = plant.drift
+
+        def drift(time_s: float) -> dict[str, object]:
+            changes: dict[str, object] = dict(earlier(time_s)) if earlier else {}
+            factor = 1.0 + per_k * (np.asarray(temperature(time_s))[axis] - start) + per_s * time_s
+            if on_friction:
+                for name in ("coulomb_nm", "stiction_nm"):
+                    changes[name] = changed(changes.get(name, getattr(plant, name)), axis, lambda value: value * factor)  # type: ignore[arg-type]
+            else:
+                scale = changes.get("torque_constant_scale", plant.torque_constant_scale)
+                changes["torque_constant_scale"] = changed(scale, axis, lambda value: value / factor)  # type: ignore[arg-type]
+            return changes
+
+        return replace(plant, drift=drift, temperature_c=temperature)
+
+    return apply
+
+
+def warm_up(time_s: float) -> Array:
+    """Motor temperatures while an arm warms up; the wrist motors stay cooler [deg C]."""
+    rise = WARM_UP_K * (1.0 - math.exp(-time_s / WARM_UP_TIME_S))
+    return AMBIENT_C + rise * np.array([1.0, 1.1, 1.0, 0.8, 0.8, 0.7])
+
+
+def torque_ripple(request: Request) -> Transform:
+    """The reading of one axis swings `per_revolution` times per turn of the joint."""
+    axis, amplitude = request.axis(), request.number("amplitude_nm")
+    periods, phase = request.number("per_revolution"), request.number("phase_rad", 0.0)
+
+    def error(q_rad: Array, _torque_nm: Array) -> Array:
+        swing = np.zeros(6)
+        swing[axis] = amplitude * math.sin(periods * q_rad[axis] + phase)
+        return swing
+
+    return lambda plant: add_reading(plant, error)
+
+
+def axis_coupling(request: Request) -> Transform:
+    """Motor j turns when joint i turns; axis i feels `coefficient` times the torque of axis j."""
+    if len(request.joints) != 2 or request.joints[0] == request.joints[1]:
+        raise EffectError(f"effect {request.name} needs two joints [i, j], got {list(request.joints)}")
+    row, column = request.joints[0] - 1, request.joints[1] - 1
+    mixing = np.eye(6)
+    mixing[row, column] = request.number("coefficient")
+    return lambda plant: replace(plant, coupling=mixing @ plant.coupling)
+
+
+def sign_reversed(request: Request) -> Transform:
+    """The drive reports the torque of one axis with the wrong sign."""
+    axis = request.axis()
+    return lambda plant: replace(plant, torque_sign=changed(plant.torque_sign, axis, lambda value: -value))
+
+
+def axes_swapped(request: Request) -> Transform:
+    """The drives of two axes are bolted to each other's joint."""
+    if len(request.joints) != 2:
+        raise EffectError(f"effect {request.name} needs two joints, got {list(request.joints)}")
+    first, second = (joint - 1 for joint in request.joints)
+
+    def apply(plant: Plant) -> Plant:
+        order = plant.drive_joint.copy()
+        order[[first, second]] = order[[second, first]]
+        return replace(plant, drive_joint=order)
+
+    return apply
+
+
+def current_rms_peak(request: Request) -> Transform:
+    """The drive's ampere is a peak value where an rms value is expected (factor sqrt 2), or the reverse."""
+    which = slice(None) if not request.joints else request.axis()
+    factor = request.number("factor", math.sqrt(2.0))
+    return lambda plant: replace(
+        plant, current_factor=changed(plant.current_factor, which, lambda value: value * factor)
+    )
