@@ -1,7 +1,9 @@
-"""Objects of one drive: read, write under the profile's allow-list with a ledger entry before and a read-back after."""
+"""Objects of one node: read, write under an allow-list with a ledger entry before and a read-back after."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from dataclasses import dataclass
 from typing import NoReturn
 
 from drives.abort import NO_OBJECT, NO_SUBINDEX
@@ -19,24 +21,33 @@ Entry = ObjectEntry | ObjectReference
 _ABSENT = (NO_OBJECT, NO_SUBINDEX)
 
 
-class ObjectAccess:
-    """SDO access to one drive.
+@dataclass(frozen=True, slots=True)
+class AccessRules:
+    """What may be written to a node, by the profile of this name, and how long its answers may take."""
+
+    name: str
+    allow: Collection[int]
+    timeout_s: float = 0.3
+    slow_timeout_s: float = 2.0
+
+
+class NodeAccess:
+    """SDO access to one node.
 
     Parameters
     ----------
     bus : Bus
     node_id : int
-    profile : DriveProfile
-        Its allow-list and time-outs.
+    rules : AccessRules
     ledger : WriteLedger
         Where every write is entered before it happens.
     """
 
-    def __init__(self, bus: Bus, node_id: int, profile: DriveProfile, ledger: WriteLedger) -> None:
+    def __init__(self, bus: Bus, node_id: int, rules: AccessRules, ledger: WriteLedger) -> None:
         self.node_id = node_id
-        self.profile = profile
+        self.rules = rules
         self.bus = bus
-        self.sdo = SdoClient(bus, node_id, profile.sdo.timeout_s, profile.sdo.slow_timeout_s)
+        self.sdo = SdoClient(bus, node_id, rules.timeout_s, rules.slow_timeout_s)
         #: Serial number of the device, entered in the ledger.
         self.serial_number: int | None = None
         self._ledger = ledger
@@ -94,9 +105,9 @@ class ObjectAccess:
         return LedgerEntry(self.node_id, *address, step.data_type, old, step.value, step.reason, self.serial_number)
 
     def _check_allowed(self, index: int, subindex: int) -> None:
-        if index not in self.profile.write.allow:
+        if index not in self.rules.allow:
             raise ConfigurationRefused(
-                f"must not be written: profile {self.profile.name} does not allow it",
+                f"must not be written: profile {self.rules.name} does not allow it",
                 node=self.node_id,
                 index=index,
                 subindex=subindex,
@@ -157,13 +168,17 @@ class ObjectAccess:
         if any(entry.serial_number not in (None, self.serial_number) for entry in entries):
             what = f"serial number {self.serial_number} is not that of the drive in the write ledger"
             return [IdentityMismatch(what, node=self.node_id, index=0x1018, subindex=4, advice="check by hand")]
-        if decode_state(self.read(OBJECTS["statusword"])) not in AT_REST:
+        if self._busy():
             return [DriveFault("is enabled", node=self.node_id, advice="disable it before restoring")]
         send_nmt(self.bus, NmtCommand.ENTER_PREOPERATIONAL, self.node_id)
         failures = self._put_back({(entry.index, entry.subindex): (entry.data_type, entry.old) for entry in entries})
         failed = {(failure.index, failure.subindex) for failure in failures}
         self._ledger.forget(*(entry for entry in entries if (entry.index, entry.subindex) not in failed))
         return failures
+
+    def _busy(self) -> bool:
+        """Whether nothing may be put back now."""
+        return False
 
     def _put_back(self, old: dict[tuple[int, int], tuple[str, int]]) -> list[DriveError]:
         failures: list[DriveError] = []
@@ -173,3 +188,25 @@ class ObjectAccess:
             except DriveError as error:
                 failures.append(error)
         return failures
+
+
+class ObjectAccess(NodeAccess):
+    """SDO access to one drive.
+
+    Parameters
+    ----------
+    bus : Bus
+    node_id : int
+    profile : DriveProfile
+        Its allow-list and time-outs.
+    ledger : WriteLedger
+        Where every write is entered before it happens.
+    """
+
+    def __init__(self, bus: Bus, node_id: int, profile: DriveProfile, ledger: WriteLedger) -> None:
+        self.profile = profile
+        rules = AccessRules(profile.name, profile.write.allow, profile.sdo.timeout_s, profile.sdo.slow_timeout_s)
+        super().__init__(bus, node_id, rules, ledger)
+
+    def _busy(self) -> bool:
+        return decode_state(self.read(OBJECTS["statusword"])) not in AT_REST

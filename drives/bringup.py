@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Final
 
-from drives.access import ObjectAccess
+from drives.access import NodeAccess, ObjectAccess
 from drives.cia402 import AT_REST, Mode, decode_state, describe
 from drives.errors import ConfigurationRefused, DriveFault, IdentityMismatch, SdoAbort
 from drives.objects import OBJECTS
@@ -123,7 +123,7 @@ def _rated(access: ObjectAccess, rated: Rated | None) -> float | None:
     return raw * rated.unit
 
 
-def check_sync(access: ObjectAccess) -> None:
+def check_sync(access: NodeAccess) -> None:
     """SYNC must come from us, with the standard id and without a counter.
 
     Raises

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 from drives.bus import Bus, Frame
-from drives.values import DriveReading
+from drives.values import DriveReading, InstrumentReading
 
 #: How long an answer that stayed away is reckoned with.
 _ASTRAY_S: Final = 0.5
@@ -44,11 +44,14 @@ class Epoch:
         Lockstep: SYNC index times period; by the clock: when this SYNC was sent, from the first one on.
     readings : tuple of DriveReading or None
         One per axis; None = this axis gave no answer, or one that cannot be assigned to this SYNC.
+    instruments : tuple of InstrumentReading or None
+        The same, one per measuring device beside the drives.
     """
 
     sync_index: int
     time_s: float
     readings: tuple[DriveReading | None, ...]
+    instruments: tuple[InstrumentReading | None, ...] = ()
 
     @property
     def complete(self) -> bool:

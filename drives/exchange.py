@@ -16,7 +16,9 @@ from drives.decode import Decoder
 from drives.drive import Cia402Drive
 from drives.epoch import Epoch, EpochCollector
 from drives.heartbeat import HeartbeatProducer
-from drives.values import DriveReading
+from drives.instrument import Instrument
+from drives.sdo import SdoClient
+from drives.values import DriveReading, InstrumentReading
 
 Pacing = Literal["lockstep", "real"]
 
@@ -51,19 +53,19 @@ class Timing:
 
 
 class _Inquiry:
-    """Asks drives by SDO."""
+    """Asks nodes by SDO."""
 
-    def __init__(self, drive_of_slot: Sequence[Cia402Drive]) -> None:
-        self._drives = tuple(drive_of_slot)
+    def __init__(self, sdo_of_slot: Sequence[SdoClient]) -> None:
+        self._sdo = tuple(sdo_of_slot)
 
     def ask(self, slots: Sequence[int]) -> None:
-        """Ask the drives that these slots belong to, each once."""
-        for drive in {id(self._drives[slot]): self._drives[slot] for slot in slots}.values():
-            drive.access.sdo.ask()
+        """Ask the nodes that these slots belong to, each once."""
+        for sdo in {id(self._sdo[slot]): self._sdo[slot] for slot in slots}.values():
+            sdo.ask()
 
     def answered(self, slot: int) -> bool:
-        """Whether the drive of a slot has answered the question."""
-        return not self._drives[slot].access.sdo.asked
+        """Whether the node of a slot has answered the question."""
+        return not self._sdo[slot].asked
 
 
 class SyncExchange:
@@ -78,6 +80,8 @@ class SyncExchange:
         The master's heartbeat goes out before the commands, when it is due.
     first_index : int
         SYNC index before the first one.
+    instruments : sequence of Instrument
+        Measuring devices whose TPDOs answer the same SYNC; an epoch is complete without them.
     """
 
     def __init__(
@@ -87,6 +91,7 @@ class SyncExchange:
         timing: Timing,
         producer: HeartbeatProducer,
         first_index: int = 0,
+        instruments: Sequence[Instrument] = (),
     ) -> None:
         self.drives = tuple(drives)
         self.timing = timing
@@ -108,7 +113,12 @@ class SyncExchange:
             slots += drive.answers
             for plan in drive.commands:
                 bus.watch_master_id(plan.cob_id)
-        owners = [drive for drive in self.drives for _ in drive.answers]
+        owners = [drive.access.sdo for drive in self.drives for _ in drive.answers]
+        self._instruments: list[tuple[Instrument, int]] = []
+        for instrument in instruments:
+            self._instruments.append((instrument, len(slots)))
+            slots += instrument.answers
+            owners += [instrument.access.sdo] * len(instrument.answers)
         self.collector = EpochCollector(bus, slots, _Inquiry(owners))
         #: Worst-case bits of one cycle.
         commands = [plan.size_bytes for drive in self.drives for plan in drive.commands]
@@ -171,7 +181,7 @@ class SyncExchange:
         if self.started_s is None:
             self.started_s = now
         self.cycles += 1
-        return Epoch(self.sync_index, time_s, self._row(frames))
+        return Epoch(self.sync_index, time_s, self._row(frames), self._beside(frames))
 
     def _send_commands(self, words: Sequence[int] | None) -> None:
         if words is not None:
@@ -188,6 +198,10 @@ class SyncExchange:
         self._bus.send_frame(self._sync_frame)
         self.sent_s = time.monotonic()
         return now_s
+
+    def _beside(self, frames: list[bytes | bytearray | None]) -> tuple[InstrumentReading | None, ...]:
+        index = self.sync_index
+        return tuple(instrument.decode(index, frames, slot) for instrument, slot in self._instruments)
 
     def _row(self, frames: list[bytes | bytearray | None]) -> tuple[DriveReading | None, ...]:
         index, states, silent = self.sync_index, self.states, self.silent

@@ -59,8 +59,8 @@ class DriveGroup(DriveSetup):
         exchange.restart()
         self._producer.start(exchange.sync_time_s)
         self._running = True
-        for drive in self.drives:
-            send_nmt(self._bus, NmtCommand.START, drive.node_id)
+        for node in (*self.drives, *self.instruments):
+            send_nmt(self._bus, NmtCommand.START, node.node_id)
         epoch = starting.first_epoch(exchange)
         readings = {reading.node_id: reading for reading in epoch.readings if reading is not None}
         self._for_each(lambda drive: starting.compare_with_sdo(drive, readings[drive.node_id]))
@@ -224,8 +224,8 @@ class DriveGroup(DriveSetup):
         finally:
             self._producer.stop()
             try:
-                for drive in self.drives if self._exchange is not None else ():
-                    send_nmt(self._bus, NmtCommand.ENTER_PREOPERATIONAL, drive.node_id)
+                for node in (*self.drives, *self.instruments) if self._exchange is not None else ():
+                    send_nmt(self._bus, NmtCommand.ENTER_PREOPERATIONAL, node.node_id)
             except BusError:
                 self._bus.counts["unsent_at_close"] += 1
             self._forget()

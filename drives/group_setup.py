@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -26,6 +27,7 @@ from drives.errors import (
 from drives.exchange import Pacing, SyncExchange, Timing
 from drives.guard import Guard, Limits, refuse_foreign
 from drives.heartbeat import HeartbeatProducer, HeartbeatWatch
+from drives.instrument import Instrument, InstrumentSetup
 from drives.ledger import WriteLedger
 from drives.reactions import DRIVE_RULES
 from drives.statistics import GroupStatistics, group_statistics
@@ -51,6 +53,8 @@ class GroupOptions:
         As in `drives.guard.Limits`.
     load_limit_percent : float
         By the clock: largest planned worst-case bus load.
+    instruments : tuple of InstrumentSetup
+        Measuring devices on the same bus, read with each row.
     """
 
     ledger_path: Path | None = None
@@ -60,6 +64,7 @@ class GroupOptions:
     silent_syncs: int | None = None
     foreign_frames: int = DRIVE_RULES["foreign_master"].count
     load_limit_percent: float = 70.0
+    instruments: tuple[InstrumentSetup, ...] = ()
 
 
 class DriveSetup:
@@ -93,20 +98,21 @@ class DriveSetup:
         master_node_id: int = 127,
         options: GroupOptions | None = None,
     ) -> None:
-        ids = [setup.node_id for setup in setups]
-        if not ids or len({*ids, master_node_id}) != len(ids) + 1:
+        self.options = options or GroupOptions()
+        ids = [setup.node_id for setup in (*setups, *self.options.instruments)]
+        if not setups or len({*ids, master_node_id}) != len(ids) + 1:
             raise ConfigurationRefused(
                 f"node ids {ids} and {master_node_id} of the master must each be given once", advice="correct the cell"
             )
         if not (math.isfinite(sync_period_s) and sync_period_s > 0):
             raise ConfigurationRefused(f"SYNC period {sync_period_s} s is not positive", advice="correct the cell")
         self.setups = tuple(setups)
-        self.options = options or GroupOptions()
         self.timing = Timing(
             sync_period_s, pacing, self.options.answer_timeout_s, self.options.gap_timeout_s, self.options.window
         )
         self.ledger = WriteLedger(self.options.ledger_path)
         self.drives: tuple[Cia402Drive, ...] = ()
+        self.instruments: tuple[Instrument, ...] = ()
         #: Every axis is in OPERATION ENABLED and follows `exchange`.
         self.enabled = False
         #: The last row, also the one that led to an error.
@@ -122,7 +128,7 @@ class DriveSetup:
         self._exchange: SyncExchange | None = None
         self._guard: Guard | None = None
         self._running = self._configured = False
-        self._enable_words = (ENABLE_OPERATION,) * len(ids)
+        self._enable_words = (ENABLE_OPERATION,) * len(setups)
         bus.add_chore(self._beat)
 
     def _beat(self) -> None:
@@ -144,11 +150,14 @@ class DriveSetup:
         refuse_foreign(self._bus, max(_LISTEN_S, 3.0 * self.timing.period_s))
         answers = finding.count_answers(self._bus, self.setups)
         self.drives = tuple(Cia402Drive(self._bus, setup, self.ledger) for setup in self.setups)
+        self.instruments = tuple(Instrument(self._bus, setup, self.ledger) for setup in self.options.instruments)
         for drive in self.drives:
             self._bus.subscribe(EMCY_BASE + drive.node_id, self._emcy.on_frame)
         identities: list[Identity] = []
         try:
-            self._for_each(lambda drive: identities.append(finding.identify(drive, answers[drive.node_id])))
+            self._for_each(
+                lambda drive: identities.append(finding.identify(drive, answers[drive.node_id])), Instrument.identify
+            )
         except DriveError:
             self._forget()
             raise
@@ -167,10 +176,10 @@ class DriveSetup:
         self._require(bool(self.drives) and not self._running, "connect() first, and do not configure while enabled")
         first_index = 0 if self._exchange is None else self._exchange.sync_index
         self._close_exchange()
-        exchange = SyncExchange(self._bus, self.drives, self.timing, self._producer, first_index)
+        exchange = SyncExchange(self._bus, self.drives, self.timing, self._producer, first_index, self.instruments)
         try:
             self._check_load(exchange)
-            self._for_each(lambda drive: drive.configure(self.timing.period_s))
+            self._for_each(lambda drive: drive.configure(self.timing.period_s), Instrument.configure)
             self._for_each(lambda drive: drive.arm(self._master_node_id))
         except BaseException:
             exchange.close()
@@ -193,12 +202,15 @@ class DriveSetup:
             advice = f"set sync_period_s to at least {math.ceil(period_s * 1e4) / 1e4:.4f}"
             raise BusOverload(what, advice=advice)
 
-    def _for_each(self, action: Callable[[Cia402Drive], object]) -> None:
-        """Do something with every drive, then raise what failed of all of them."""
+    def _for_each(
+        self, action: Callable[[Cia402Drive], object], beside: Callable[[Instrument], object] = lambda _: None
+    ) -> None:
+        """Do something with every drive, then with every instrument, then raise what failed of all of them."""
         failures: list[DriveError] = []
-        for drive in self.drives:
+        jobs = [partial(action, drive) for drive in self.drives]
+        for job in (*jobs, *(partial(beside, instrument) for instrument in self.instruments)):
             try:
-                action(drive)
+                job()
             except DriveError as error:
                 failures.append(error)
         raise_failures(failures)
@@ -238,9 +250,9 @@ class DriveSetup:
         """
         self._require(bool(self.drives) and not self._running, "connect() first, and disable() before restoring")
         failures: list[DriveError] = []
-        for drive in self.drives:
+        for node in (*self.drives, *self.instruments):
             try:
-                failures += drive.access.restore()
+                failures += node.access.restore()
             except DriveError as error:
                 failures.append(error)
         self._close_exchange()
@@ -251,7 +263,9 @@ class DriveSetup:
         for drive in self.drives:
             self._bus.unsubscribe(EMCY_BASE + drive.node_id, self._emcy.on_frame)
             drive.close()
-        self.drives = ()
+        for instrument in self.instruments:
+            instrument.close()
+        self.drives, self.instruments = (), ()
 
     def _close_exchange(self) -> None:
         for listener in (self._watch, self._exchange):

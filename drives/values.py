@@ -99,6 +99,25 @@ class DriveReading(NamedTuple):
     current_a: float | None
 
 
+class InstrumentReading(NamedTuple):
+    """What one measuring device reported for one SYNC.
+
+    Attributes
+    ----------
+    node_id, sync_index : int
+        Who, and after which SYNC.
+    raw : tuple of int
+        As received, one per channel.
+    values : tuple of float or None
+        In the SI unit of its setup; None = the device says that this channel has no valid value.
+    """
+
+    node_id: int
+    sync_index: int
+    raw: tuple[int, ...]
+    values: tuple[float | None, ...]
+
+
 @dataclass(frozen=True, slots=True)
 class Identity:
     """Who answers at a node id; None = the drive does not have the object."""

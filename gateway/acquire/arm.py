@@ -10,6 +10,7 @@ import numpy as np
 
 from drives.drive import DriveCommand, DriveReading
 from drives.epoch import Epoch
+from drives.values import InstrumentReading
 from gateway.acquire.axis import AxisConversion
 
 AXES = 6
@@ -57,6 +58,8 @@ class ArmSample:
         Ratio, sign and coupling applied, efficiency not; NaN where a drive did not answer.
     readings : tuple of DriveReading or None
         Motor side, raw and SI.
+    instruments : tuple of InstrumentReading or None
+        Measuring devices on the same bus, at the same SYNC; None where one did not answer.
     """
 
     sync_index: int
@@ -64,6 +67,7 @@ class ArmSample:
     q_rad: np.ndarray
     joint_torque_nm: np.ndarray
     readings: tuple[DriveReading | None, ...]
+    instruments: tuple[InstrumentReading | None, ...] = ()
 
     @property
     def complete(self) -> bool:
@@ -126,4 +130,5 @@ class Arm:
     def _sample(self, epoch: Epoch) -> ArmSample:
         motor = np.array([(np.nan, np.nan) if r is None else (r.position_rad, r.torque_nm) for r in epoch.readings])
         q_rad = motor[:, 0] @ self._to_joint + self._zero
-        return ArmSample(epoch.sync_index, epoch.time_s, q_rad, motor[:, 1] @ self._to_torque, epoch.readings)
+        torque_nm = motor[:, 1] @ self._to_torque
+        return ArmSample(epoch.sync_index, epoch.time_s, q_rad, torque_nm, epoch.readings, epoch.instruments)

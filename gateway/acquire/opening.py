@@ -14,6 +14,7 @@ from drives.bus import BusSpec, open_bus
 from drives.drive import AxisSetup, DriveCommand, Identity
 from drives.epoch import Epoch
 from drives.group import DriveGroup, GroupOptions
+from drives.instrument import InstrumentSetup
 from drives.profile import DriveProfile, list_profiles, load_profile
 from drives.scaling import Constants
 from gateway.acquire.arm import Arm
@@ -37,12 +38,15 @@ class BusOverride:
         Where the write ledger is kept.
     feedforward : bool
         The drives take velocity and torque offsets: a second RPDO is mapped.
+    instruments : tuple of InstrumentSetup
+        Measuring devices that are read with the drives.
     """
 
     spec: BusSpec | None = None
     trace: Path | None = None
     ledger: Path | None = None
     feedforward: bool = False
+    instruments: tuple[InstrumentSetup, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,7 +143,7 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
     spec = override.spec or BusSpec(
         bus_config.interface, bus_config.channel, bus_config.bitrate_bit_s, dict(bus_config.options)
     )
-    options = GroupOptions(ledger_path=override.ledger)
+    options = GroupOptions(ledger_path=override.ledger, instruments=override.instruments)
     with (
         open_bus(spec, override.trace) as bus,
         DriveGroup(bus, setups, bus_config.sync_period_s, bus_config.pacing, options=options) as group,

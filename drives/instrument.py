@@ -1,0 +1,188 @@
+"""A measuring device beside the drives (CiA 404): process values by synchronous TPDO, in the same row as the drives.
+
+It knows no meaning of its channels. All frames of one SYNC make one reading; where one of them is missing there is
+none, and a channel whose status says that it is not valid has no value.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from drives.access import AccessRules, NodeAccess
+from drives.bringup import check_sync, read_identity
+from drives.bus import Bus
+from drives.decode import Frames
+from drives.errors import ConfigurationRefused, DuplicateNode, IdentityMismatch, NodeMissing
+from drives.heartbeat import NmtCommand, send_nmt
+from drives.ledger import WriteLedger
+from drives.objects import TPDO_COMMUNICATION, TPDO_MAPPING
+from drives.pdo import PdoPlan
+from drives.probe import probe
+from drives.profile_parts import ObjectReference
+from drives.values import InstrumentReading
+
+PROFILE_NUMBER: Final = 404
+#: CiA 404: physical unit (coded as CiA 303-2 says) and decimal digits of the process value.
+UNIT, DIGITS = 0x6131, 0x6132
+METRE: Final = 0x01
+_INVALID: Final = 0x07
+_MAX_BITS: Final = 64
+_TPDOS: Final = 4
+_PATIENCE_S: Final = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class InstrumentSetup:
+    """What is read from a measuring device.
+
+    Attributes
+    ----------
+    node_id : int
+    index : int
+        Object of the process values, one channel per subindex: 0x9130 (i32) or 0x7130 (i16) by the standard.
+    type : "i16" or "i32"
+    subindices : tuple of int
+        Which channels, in the order of the values.
+    per_bit : float
+        What one bit means, in the SI unit.
+    unit : int
+        That unit by its code in CiA 303-2; the device is asked whether it agrees.
+    status_index : int or None
+        Object of the channels' status, 0x6150 by the standard; None = the device has none.
+    """
+
+    node_id: int
+    index: int
+    type: Literal["i16", "i32"]
+    subindices: tuple[int, ...]
+    per_bit: float
+    unit: int = METRE
+    status_index: int | None = None
+
+    def plans(self) -> tuple[PdoPlan, ...]:
+        """TPDOs that carry all values, then all status bytes.
+
+        Raises
+        ------
+        ConfigurationRefused
+            They do not fit into four.
+        """
+        entries = [ObjectReference(index=self.index, subindex=sub, type=self.type) for sub in self.subindices]
+        if self.status_index is not None:
+            entries += [ObjectReference(index=self.status_index, subindex=sub, type="u8") for sub in self.subindices]
+        frames: list[list[ObjectReference]] = [[]]
+        for entry in entries:
+            if sum(other.size_bits for other in frames[-1]) + entry.size_bits > _MAX_BITS:
+                frames.append([])
+            frames[-1].append(entry)
+        if len(frames) > _TPDOS:
+            what = f"{len(self.subindices)} channels need {len(frames)} TPDOs, a device has {_TPDOS}"
+            raise ConfigurationRefused(what, node=self.node_id, advice="use fewer channels, or 16 bits")
+        return tuple(
+            PdoPlan(
+                f"TPDO{number + 1}",
+                TPDO_COMMUNICATION + number,
+                TPDO_MAPPING + number,
+                0x180 + 0x100 * number + self.node_id,
+                tuple(frame),
+            )
+            for number, frame in enumerate(frames)
+        )
+
+
+class Instrument:
+    """One measuring device.
+
+    Parameters
+    ----------
+    bus : Bus
+    setup : InstrumentSetup
+    ledger : WriteLedger
+        Where every write is entered before it happens.
+    """
+
+    def __init__(self, bus: Bus, setup: InstrumentSetup, ledger: WriteLedger) -> None:
+        self.setup, self.node_id = setup, setup.node_id
+        self.plans = setup.plans()
+        allowed = {index for plan in self.plans for index in (plan.communication, plan.mapping)}
+        self.access = NodeAccess(bus, setup.node_id, AccessRules("measuring device", allowed), ledger)
+        self._bus = bus
+        self._unpack = [plan.layout.unpack for plan in self.plans]
+
+    def close(self) -> None:
+        """Stop listening."""
+        self.access.sdo.close()
+
+    @property
+    def answers(self) -> tuple[tuple[int, int], ...]:
+        """CAN id and length of every frame that answers a SYNC."""
+        return tuple((plan.cob_id, plan.size_bytes) for plan in self.plans)
+
+    def identify(self) -> None:
+        """Make sure that one measuring device answers, and no other kind.
+
+        Raises
+        ------
+        NodeMissing, DuplicateNode, IdentityMismatch
+        """
+        answers = probe(self._bus, [self.node_id], _PATIENCE_S)[self.node_id]
+        if answers == 0:
+            advice = "check power, node id, bit rate and cabling of the measuring device"
+            raise NodeMissing("nobody answers", node=self.node_id, advice=advice)
+        if answers > 1:
+            raise DuplicateNode(f"{answers} devices answer at this node id", node=self.node_id, advice="correct one")
+        identity = read_identity(self.access.sdo)
+        self.access.serial_number = identity.serial_number
+        if identity.device_type is not None and identity.device_type & 0xFFFF != PROFILE_NUMBER:
+            what = f"device type {identity.device_type:#010x} is no CiA 404 measuring device"
+            raise IdentityMismatch(what, node=self.node_id, index=0x1000, advice="correct the node id in the cell")
+
+    def configure(self) -> None:
+        """Unit compared, TPDOs mapped to the SYNC; everything read back.
+
+        Raises
+        ------
+        ConfigurationRefused, SdoError
+            As the device answers.
+        """
+        check_sync(self.access)
+        for subindex in self.setup.subindices:
+            self._check_unit(subindex)
+        send_nmt(self._bus, NmtCommand.ENTER_PREOPERATIONAL, self.node_id)
+        for plan in self.plans:
+            self.access.map_pdo(plan)
+
+    def _check_unit(self, subindex: int) -> None:
+        unit = ObjectReference(index=UNIT, subindex=subindex, type="u32")
+        code = self.access.read_optional(unit)
+        digits = self.access.read_optional(ObjectReference(index=DIGITS, subindex=subindex, type="u8"))
+        if code is None:
+            return
+        prefix = (code >> 24 ^ 0x80) - 0x80
+        says = 10.0 ** (prefix - (digits or 0))
+        if code >> 16 & 0xFF != self.setup.unit or not math.isclose(says, self.setup.per_bit, rel_tol=1e-6):
+            raise ConfigurationRefused(
+                f"says unit {code:#010x} with {digits or 0} decimal digits, the cell {self.setup.per_bit:g} per bit",
+                node=self.node_id,
+                index=UNIT,
+                subindex=subindex,
+                advice="correct the cell, or set the unit of the device",
+            )
+
+    def decode(self, sync_index: int, frames: Frames, first_slot: int) -> InstrumentReading | None:
+        """Reading of one SYNC; None where a frame of this device is missing."""
+        words: list[int] = []
+        for slot, unpack in enumerate(self._unpack, start=first_slot):
+            data = frames[slot]
+            if data is None:
+                return None
+            words += unpack(data)
+        count = len(self.setup.subindices)
+        status = words[count:] or [0] * count
+        values = tuple(
+            None if state & _INVALID else word * self.setup.per_bit
+            for word, state in zip(words[:count], status, strict=True)
+        )
+        return InstrumentReading(self.node_id, sync_index, tuple(words[:count]), values)
