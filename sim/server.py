@@ -21,6 +21,7 @@ import numpy as np
 
 from sim.cellfile import ArmSpec
 from sim.fake_drive import DriveSite, FakeDrive
+from sim.measuring import FakeMeasuringDevice
 from sim.node import SlaveNode
 from sim.pdo import Pdo
 from sim.physics import ArmWorld
@@ -45,6 +46,7 @@ class ArmUnit:
     name : of the arm
     world : physics
     drives : six, in the order of the cell's axes
+    instruments : measuring devices on the same bus
     """
 
     def __init__(self, arm: ArmSpec, plant: Plant, sync_period_s: float, seed: int) -> None:
@@ -54,6 +56,7 @@ class ArmUnit:
         self._joints = [int(joint) for joint in plant.drive_joint]
         self._rest_s = 0.0
         self.send: Callable[[can.Message], None] = lambda _message: None
+        self.instruments: list[FakeMeasuringDevice] = []
         coupled = not np.array_equal(arm.coupling, np.eye(6))
         self.drives = [
             FakeDrive(
@@ -114,19 +117,21 @@ class BusServer:
         self._routes: dict[int, tuple[FakeDrive, int]] = {}
         self._real_at_s = time.monotonic()
         self.drives = [drive for arm in self.arms for drive in arm.drives]
+        self.instruments = [device for arm in self.arms for device in arm.instruments]
         for arm in self.arms:
             arm.send = bus.send
         for drive in self.drives:
             drive.motion.buffered = self._real
-            drive.node.associate_network(self._network)
             for pdo in drive.rpdos:
                 pdo.on_change = self._reroute
+        for node in self.nodes:
+            node.associate_network(self._network)
         self._reroute()
 
     @property
     def nodes(self) -> list[SlaveNode]:
         """All devices."""
-        return [drive.node for drive in self.drives]
+        return [device.node for device in (*self.drives, *self.instruments)]
 
     def drive(self, node_id: int) -> FakeDrive:
         """The drive with a node id."""
@@ -233,6 +238,8 @@ class BusServer:
             for drive in arm.drives:
                 drive.send_events(now)
                 drive.node.keep_time(now, wall_s)
+            for device in arm.instruments:
+                device.node.keep_time(now, wall_s)
 
 
 def _listens(pdo: Pdo) -> bool:

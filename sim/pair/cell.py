@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from sim.cellfile import ArmSpec, CellFileError, CellSpec
 from sim.pair.body import ArmTruth
 from sim.pair.errors import GEAR_STIFFNESS_NM_RAD, ArmErrors, PairErrors, draw
+from sim.pair.gap import GapSensors, add_sensors
 from sim.pair.geometry import TOOL_M, bases, frames, nominal_arm, nominal_arms
 from sim.pair.motors import DriveTrain
 from sim.pair.unit import PairUnit
+from sim.pair.workpiece import Stiffness
 from sim.pair.world import PairWorld, WorldSettings
 from sim.urdf import Body, combine
 
@@ -60,15 +62,23 @@ def pair_units(cell: CellSpec, options: PairOptions) -> dict[str, PairUnit]:
     errors = options.errors
     if errors is None:
         errors = _without_errors() if options.seed is None else draw(options.seed, bases())
-    part = float((cell.pair or {}).get("part_mass_kg", 0.0))
-    truths = (_truth(arms[0], errors.master, part), _truth(arms[1], errors.slave, part))
+    pair = cell.pair or {}
+    part, apart = float(pair.get("part_mass_kg", 0.0)), "distance" in pair
+    shares = (_whole_part(part), None) if apart else (_half_part(0.5 * part),) * 2
+    truths = (_truth(arms[0], errors.master, shares[0]), _truth(arms[1], errors.slave, shares[1]))
     start = tuple(np.array(arm.start_rad, dtype=float) for arm in arms)
     settings = WorldSettings(
         (start[0], start[1]), skew_s=errors.skew_s, seed=1 if options.seed is None else options.seed
     )
+    if apart:
+        settings = replace(settings, stiffness=Stiffness(0.0, 0.0))
     world = PairWorld(truths, replace(settings, **(options.settings or {})))
     world.told_nobody = _plain(asdict(errors))
-    return {arm.name: PairUnit(arm, world, index, cell.buses[arm.bus]) for index, arm in enumerate(arms)}
+    units = {arm.name: PairUnit(arm, world, index, cell.buses[arm.bus]) for index, arm in enumerate(arms)}
+    if apart:
+        unit = next(units[arm.name] for arm in arms if arm.bus == pair["distance"]["bus"])
+        add_sensors(pair, unit, GapSensors(pair, world, settings.seed))
+    return units
 
 
 def _check(arm: ArmSpec) -> None:
@@ -103,7 +113,7 @@ def _without_errors() -> PairErrors:
     return PairErrors(-1, master, slave, 0.0)
 
 
-def _truth(arm: ArmSpec, errors: ArmErrors, part_mass_kg: float) -> ArmTruth:
+def _truth(arm: ArmSpec, errors: ArmErrors, carried: Body | None) -> ArmTruth:
     axes = arm.axes
     bodies: list[Body] = []
     for number, body in enumerate(arm.chain.bodies):
@@ -111,7 +121,8 @@ def _truth(arm: ArmSpec, errors: ArmErrors, part_mass_kg: float) -> ArmTruth:
             raise CellFileError(f"robot of arm '{arm.name}': link {number + 1} has no <inertial>; all six are needed")
         share = 1.0 / float(errors.gravity_scale[number])
         bodies.append(Body(body.mass_kg * share, body.com_m, body.inertia_kg_m2 * share))
-    bodies[5] = combine(bodies[5], _half_part(0.5 * part_mass_kg))
+    if carried is not None:
+        bodies[5] = combine(bodies[5], carried)
     rated = np.array([axis.torque_limit_nm / 3.0 for axis in axes])
     train = DriveTrain(
         stiffness_nm_rad=errors.gear_stiffness_nm_rad,
@@ -136,3 +147,10 @@ def _half_part(mass_kg: float) -> Body:
     """Half the part at the fingertip of link 6."""
     place = np.array([0.0, 0.0, 0.10 + TOOL_M])
     return Body(mass_kg, place, np.eye(3) * mass_kg * HALF_PART_M**2 / 3.0)
+
+
+def _whole_part(mass_kg: float) -> Body:
+    """The part on the master alone: it holds one end of it."""
+    place = np.array([-HALF_PART_M, 0.0, 0.10 + TOOL_M])
+    inertia = mass_kg * HALF_PART_M**2 / 3.0
+    return Body(mass_kg, place, np.diag([1e-4 * mass_kg, inertia, inertia]))

@@ -8,6 +8,7 @@ import can
 
 from sim.cellfile import ArmSpec, BusSpec
 from sim.fake_drive import DriveSite, FakeDrive
+from sim.measuring import FakeMeasuringDevice
 from sim.pair.world import PairWorld
 from sim.plant import Payload
 
@@ -25,6 +26,7 @@ class PairUnit:
     Attributes
     ----------
     name, world, drives
+    instruments : measuring devices on the same bus
     """
 
     def __init__(self, arm: ArmSpec, world: PairWorld, index: int, bus: BusSpec) -> None:
@@ -36,6 +38,7 @@ class PairUnit:
             FakeDrive(DriveSite(spec.node_id, spec, bus.sync_period_s), axis, self._send)  # type: ignore[arg-type]
             for spec, axis in zip(arm.axes, axes, strict=True)
         ]
+        self.instruments: list[FakeMeasuringDevice] = []
         world.before.append(self._plan)
         world.after.append(self._advanced)
         self._measure()
@@ -53,8 +56,8 @@ class PairUnit:
             self.world.catch_up(self._index)
             self.world.arrive(self._index)
         self._measure()
-        for drive in self.drives:
-            drive.sync()
+        for device in (*self.drives, *self.instruments):
+            device.sync()
 
     def advance(self, seconds: float) -> None:
         """Let simulated time pass, as soon as the other arm's bus lets it pass too."""

@@ -1,0 +1,147 @@
+"""A simulated CANopen measuring device: written from CiA 301 and CiA 404, speaking on the wire.
+
+Process values stand at one object, a channel per subindex, with unit (0x6131, coded as CiA 303-2 says), decimal digits
+(0x6132) and status (0x6150: bit 0 not valid, bit 1 above, bit 2 below the measuring range). They are sampled at the
+SYNC, and every synchronous TPDO shows that one sample.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import can
+
+from sim.node import OPERATIONAL, SlaveNode
+from sim.objects import LIMITS, ObjectStore
+from sim.pdo import DISABLED, Pdo, due
+
+DEVICE_TYPE = 0x0002_0194  # analogue inputs, CiA 404
+METRE = 0x01
+NOT_VALID, ABOVE, BELOW = 0x01, 0x02, 0x04
+TPDO_COUNT = 4
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuringSite:
+    """Where a measuring device sits and what it shows.
+
+    Attributes
+    ----------
+    node_id : on the bus
+    index, type : object of the process values, "i16" or "i32"
+    status_index : object of the status, or None
+    subindices : one per channel
+    lsb_m : what one bit means
+    range_m : measuring range
+    """
+
+    node_id: int
+    index: int
+    type: str
+    status_index: int | None
+    subindices: tuple[int, ...]
+    lsb_m: float
+    range_m: tuple[float, float]
+
+
+class FakeMeasuringDevice:
+    """One device on the bus.
+
+    Parameters
+    ----------
+    site : MeasuringSite
+    measure : gives the distances [m] at the present instant, one per channel
+    send : puts a frame on the bus
+
+    Attributes
+    ----------
+    node : SlaveNode; store : its objects
+    measure : as given
+    """
+
+    def __init__(
+        self, site: MeasuringSite, measure: Callable[[], Sequence[float]], send: Callable[[can.Message], None]
+    ) -> None:
+        self.node_id, self.site = site.node_id, site
+        self.measure, self._send = measure, send
+        self._words = [0] * len(site.subindices)
+        self._status = [NOT_VALID] * len(site.subindices)
+        self._sync_count = 0
+        self.store = ObjectStore()
+        self._fill()
+        self.tpdos = [
+            Pdo(self.store, 0x1800 + n, 0x1A00 + n, 0x180 + 0x100 * n + site.node_id) for n in range(TPDO_COUNT)
+        ]
+        self._preset()
+        self.node = SlaveNode(site.node_id, self.store)
+        self.node.on_nmt = self._nmt_changed
+        self.node.on_reset = self._preset
+
+    def _fill(self) -> None:
+        site, store = self.site, self.store
+        store.constant((0x1000, 0), "u32", DEVICE_TYPE)
+        store.parameter((0x1005, 0), "u32", 0x80)
+        store.constant((0x1008, 0), "str", "distance sensors")
+        for sub, value in enumerate((4, 0x0000_0051, 0x0000_0404, 0x0001_0000, 0x40_4000 + site.node_id)):
+            store.constant((0x1018, sub), "u32" if sub else "u8", value)
+        count = max(site.subindices)
+        unit = _unit(site.lsb_m)
+        if unit is not None:
+            store.constant((0x6131, 0), "u8", count)
+            store.constant((0x6132, 0), "u8", count)
+        store.constant((site.index, 0), "u8", count)
+        if site.status_index is not None:
+            store.constant((site.status_index, 0), "u8", count)
+        for channel, sub in enumerate(site.subindices):
+            if unit is not None:
+                store.constant((0x6131, sub), "u32", unit[0])
+                store.constant((0x6132, sub), "u8", unit[1])
+            store.live((site.index, sub), site.type, lambda channel=channel: self._words[channel])
+            if site.status_index is not None:
+                store.live((site.status_index, sub), "u8", lambda channel=channel: self._status[channel])
+
+    def _preset(self) -> None:
+        """Power-on maps: nothing is sent until a master has switched a TPDO on."""
+        for n, tpdo in enumerate(self.tpdos):
+            tpdo.cob_id = (0x180 + 0x100 * n + self.node_id) | DISABLED
+            tpdo.preset([(self.site.index, self.site.subindices[0])], 255)
+        self._sync_count = 0
+
+    def _nmt_changed(self, _old: int, new: int) -> None:
+        if new == OPERATIONAL:
+            self._sync_count = 0
+
+    def sync(self) -> None:
+        """SYNC: sample, then send what is mapped to it."""
+        if self.node.state != OPERATIONAL or self.node.silent:
+            return
+        self._sync_count += 1
+        self._sample()
+        for tpdo in self.tpdos:
+            if due(tpdo, self._sync_count):
+                self.transmit(tpdo)
+
+    def _sample(self) -> None:
+        low, high = self.site.range_m
+        least, most = LIMITS[self.site.type]
+        for channel, distance in enumerate(self.measure()):
+            known = math.isfinite(distance)
+            shown = min(max(distance, low), high) if known else 0.0
+            self._words[channel] = min(max(round(shown / self.site.lsb_m), least), most)
+            out = (ABOVE if distance > high else BELOW if distance < low else 0) if known else 0
+            self._status[channel] = (NOT_VALID if out or not known else 0) | out
+
+    def transmit(self, tpdo: Pdo) -> None:
+        """Put one TPDO on the bus."""
+        self._send(can.Message(arbitration_id=tpdo.frame_id, data=tpdo.pack(), is_extended_id=False))
+
+
+def _unit(lsb_m: float) -> tuple[int, int] | None:
+    """Unit code and decimal digits of a power of ten; a device with another resolution states none."""
+    exponent = round(math.log10(lsb_m))
+    if not math.isclose(10.0**exponent, lsb_m, rel_tol=1e-9) or exponent > 0:
+        return None
+    prefix = next(power for power in (0, -3, -6, -9) if power - 3 < exponent <= power or power == -9)
+    return (prefix & 0xFF) << 24 | METRE << 16, max(0, prefix - exponent)
