@@ -11,31 +11,23 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from drives.toml_text import parse_toml
 from drives.validation import problems_in_words
+from gateway.config_base import Finite, Positive, Strict, Vector3
+from gateway.config_pair import DistanceConfig, PairConfig
 from gateway.errors import ConfigError
 
-#: Of a place, a direction or a turn: larger is a slip, and overflows further on.
-_Component = Annotated[float, Field(ge=-1e6, le=1e6)]
-Vector3 = tuple[_Component, _Component, _Component]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class Constant(_Strict):
+class Constant(Strict):
     """A number and where it comes from."""
 
     value: Finite
     source: Annotated[str, Field(min_length=1)]
 
 
-class BusConfig(_Strict):
+class BusConfig(Strict):
     """One CAN bus; `options` go to the python-can interface as they stand."""
 
     interface: str
@@ -46,7 +38,7 @@ class BusConfig(_Strict):
     options: dict[str, str | int | float | bool] = Field(default_factory=dict)
 
 
-class KeepOut(_Strict):
+class KeepOut(Strict):
     """Axis-aligned box in the base frame that no joint origin, flange or load point may enter."""
 
     min_m: Vector3
@@ -59,7 +51,7 @@ class KeepOut(_Strict):
         return self
 
 
-class DhTable(_Strict):
+class DhTable(Strict):
     """Denavit-Hartenberg rows of the six axes; theta = q + theta_offset."""
 
     convention: Literal["modified", "standard"]
@@ -74,7 +66,7 @@ RAMP_S = 0.6
 ONSET_S = 0.2
 
 
-class AxisConfig(_Strict):
+class AxisConfig(Strict):
     """One servo axis: the drive, and what stands between motor and joint.
 
     A drive that reports the motor angle p and the motor torque t belongs to a joint at
@@ -125,7 +117,7 @@ class AxisConfig(_Strict):
         return self
 
 
-class ArmConfig(_Strict):
+class ArmConfig(Strict):
     """One arm of six axes on one bus."""
 
     name: str
@@ -184,7 +176,7 @@ class ArmConfig(_Strict):
         return self
 
 
-class PosesConfig(_Strict):
+class PosesConfig(Strict):
     """How many rest poses, and how each is approached, settled and sampled."""
 
     count: int = Field(default=10, ge=2)
@@ -197,36 +189,7 @@ class PosesConfig(_Strict):
     file: str | None = Field(default=None, description="CSV with pose, q1_rad .. q6_rad instead of chosen poses")
 
 
-class SixFold(_Strict):
-    """A number for the three straight directions [N/m, Ns/m, N, m] and one for the three turns [per rad]."""
-
-    straight: Positive
-    turned: Positive
-
-
-class PairConfig(_Strict):
-    """Two arms that carry one workpiece; the part's frame lies in its centre."""
-
-    master: str
-    slave: str
-    path: str = Field(description="CSV: time_s and the part's pose in the world x_m .. yaw_rad")
-    speed: Positive = Field(default=1.0, description="speed setting; 1 = as the path says")
-    part_mass_kg: Positive
-    master_grasp_xyz_m: Vector3 = Field(description="fingertip of the master in the part's frame")
-    master_grasp_rpy_rad: Vector3
-    slave_grasp_xyz_m: Vector3
-    slave_grasp_rpy_rad: Vector3
-    force_limit_n: Positive = Field(description="largest force inside the part; twice of it for 20 ms stops both arms")
-    contact_stiffness: SixFold = Field(description="of part and gears together, what the correction works against")
-    impedance_damping: SixFold
-    impedance_stiffness: SixFold | None = Field(default=None, description="absent: corrects until no force is left")
-    knots: int = Field(default=9, ge=2, description="points that are taught, evenly spread over the way")
-    servo_lag_s: Positive = Field(default=0.016, description="by which the axes follow their set points")
-    loop_delay_s: Positive = Field(default=0.035, description="from a force to the correction that answers it")
-    force_filter_hz: Positive = 15.0
-
-
-class Cell(_Strict):
+class Cell(Strict):
     """The whole cell file."""
 
     name: str
@@ -266,9 +229,18 @@ def _check_pair(pair: PairConfig, cell: Cell) -> None:
     first, second = (cell.bus[arms[name].bus] for name in (pair.master, pair.slave))
     if (first.sync_period_s, first.pacing) != (second.sync_period_s, second.pacing):
         raise ValueError("pair: sync_period_s and pacing of both buses must be the same")
+    if pair.distance is not None:
+        _check_distance(pair.distance, cell, (arms[pair.master].bus, arms[pair.slave].bus))
 
 
-class LoadedCell(_Strict):
+def _check_distance(distance: DistanceConfig, cell: Cell, buses: tuple[str, str]) -> None:
+    if distance.bus not in buses:
+        raise ValueError(f"distance: bus '{distance.bus}' is none of the pair's; use '{buses[0]}' or '{buses[1]}'")
+    if any(arm.bus == distance.bus and distance.node_id in [axis.node_id for axis in arm.axis] for arm in cell.arm):
+        raise ValueError(f"distance: node id {distance.node_id} on bus '{distance.bus}' is a drive's")
+
+
+class LoadedCell(Strict):
     """A cell, the text it was read from and the folder its relative paths start at."""
 
     cell: Cell

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -54,9 +55,10 @@ def _ledgers(cell: Path, pair: PairCell) -> tuple[Path, Path]:
 
 def _ask(pair: PairCell, what: str, *, yes: bool) -> None:
     first, second = (arm.config.name for arm in pair.arms)
+    held = "with the part gripped" if pair.gap is None else f"with '{second}' clear of the part"
     confirm(
-        f"Arms '{first}' and '{second}' of cell '{pair.loaded.cell.name}' stand at the start with the part gripped and"
-        f" will {what}. Is nobody near them?",
+        f"Arms '{first}' and '{second}' of cell '{pair.loaded.cell.name}' stand at the start {held} and will {what}."
+        " Is nobody near them?",
         yes=yes,
     )
 
@@ -151,6 +153,11 @@ def run_pair(
 
 def _cycle_line(summary: Any) -> str:
     learned = "learned" if summary.learned else (summary.reason or "not learned")
+    if not math.isnan(summary.gap_m):
+        return (
+            f"cycle {summary.cycle}: gap off by up to {1e3 * summary.gap_m:.3f} mm, correction up to"
+            f" {1e3 * summary.correction_m:.2f} mm, {summary.knots} points, {learned}"
+        )
     return (
         f"cycle {summary.cycle}: force up to {summary.force_n:.1f} N, moment up to {summary.moment_nm:.1f} Nm,"
         f" correction up to {1e3 * summary.correction_m:.2f} mm, {summary.knots} points, {learned}"
@@ -206,19 +213,23 @@ def _function_row(one: dict[str, Any]) -> list[str]:
 @store_option
 @common
 def pair_report(cell: Path, output: Path, store: Path | None) -> None:
-    """One HTML page: force along the path for every embodiment that was run, learning points, convergence."""
+    """One HTML page: force or gap along the path for every embodiment that was run, learning points, convergence."""
     from gateway.errors import DataUnusable
     from gateway.pair.report import render_pair
 
     pair, kept = _open(cell, None, store)
-    rows = kept.runs()
+    drawn = "last_n" if pair.gap is None else "last_m"
+    rows = [row for row in kept.runs() if row.get(drawn)]
     if not rows:
         raise DataUnusable(f"{kept.folder}: holds no run; run-pair first")
     data = {
         "cell": pair.loaded.cell.name,
         "date": dt.datetime.now(dt.UTC).isoformat(timespec="seconds"),
-        "force_limit_n": pair.config.force_limit_n,
-        "source": "as estimated from the motors' torques",
+        **(
+            {"force_limit_n": pair.config.force.limit_n, "source": "as estimated from the motors' torques"}
+            if pair.gap is None
+            else {"gap_limit_m": pair.gap.limit_m, "source": "as the distance sensors measured it"}
+        ),
         "rows": rows,
     }
     write_text(output, render_pair(data))

@@ -15,6 +15,7 @@ from gateway.config import ArmConfig, LoadedCell, PairConfig, load_cell
 from gateway.errors import ConfigError, InputError
 from gateway.model.regressor import regressor
 from gateway.model.robot import Robot, rotation_rpy, transform
+from gateway.pair.gap import GapLayout, gap_layout
 from gateway.pair.inverse import Chain, chain_of, path_joint_angles
 from gateway.pair.path import PairPath, PathProgram, master_commands
 from gateway.pair.relation import relation, slave_command
@@ -84,6 +85,8 @@ class PairCell:
     program : PathProgram
         Of the master.
     specs : tuple of two BusSpec
+    gap : GapLayout or None
+        Distance sensors, None = the part is felt by force.
     """
 
     loaded: LoadedCell
@@ -91,6 +94,7 @@ class PairCell:
     arms: tuple[PairArm, PairArm]
     program: PathProgram
     specs: tuple[BusSpec, BusSpec]
+    gap: GapLayout | None = None
 
     @property
     def sync_period_s(self) -> float:
@@ -106,7 +110,7 @@ class PairCell:
     def nominal_relation(self) -> Floats:
         """Gripper 2 in gripper 1 (4, 4) by the grasps alone [m]."""
         first, second = self.arms
-        return relation(np.eye(4), first.part_from_tip, np.eye(4), second.part_from_tip)
+        return nominal_relation(first.part_from_tip, second.part_from_tip)
 
     def path(self, speed: float | None = None) -> PairPath:
         """Commands of the master at a speed setting (the cell's if none is given)."""
@@ -155,8 +159,18 @@ def load_pair(path: Path, bus: str | None = None) -> PairCell:
     built = [_arm(loaded, arms[name], grasp) for name, grasp in zip(names, grasps, strict=True)]
     poses, step_s = read_path(loaded.path(config.path))
     commands = master_commands(poses, built[0].world_from_base, built[0].part_from_tip)
-    specs = _specs(loaded, [arms[name].bus for name in names], bus)
-    return PairCell(loaded, config, (built[0], built[1]), PathProgram(commands, step_s), specs)
+    buses = [arms[name].bus for name in names]
+    distance = config.distance
+    gap = None
+    if distance is not None:
+        gap = gap_layout(distance, buses.index(distance.bus), nominal_relation(*grasps))
+    specs = _specs(loaded, buses, bus)
+    return PairCell(loaded, config, (built[0], built[1]), PathProgram(commands, step_s), specs, gap)
+
+
+def nominal_relation(master_grasp: Floats, slave_grasp: Floats) -> Floats:
+    """Gripper 2 in gripper 1 (4, 4) from both fingertips (4, 4) in the part's frame."""
+    return relation(np.eye(4), master_grasp, np.eye(4), slave_grasp)
 
 
 def _pose(xyz_m: tuple[float, float, float], rpy_rad: tuple[float, float, float]) -> Floats:

@@ -176,7 +176,7 @@ class PairController:
         if not reason and self._learner is not None:
             learned = self._learner.learn(Cycle(self._master_base, self._slave_base, self._to_learn(), self._force))
         size = np.linalg.norm(self._force[:, :3], axis=1)
-        known = bool(size.any())
+        known = bool(size.any()) and not self._distance
         correction = np.linalg.norm(self._corrections[:, 1].reshape(-1, 2, 3), axis=2).max(axis=0)
         return CycleSummary(
             cycle=self._cycle,
@@ -206,7 +206,8 @@ class PairController:
         if self._frozen:
             return "learning is off"
         if self._blind >= 0:
-            return f"no force could be told at command {self._blind + 1}"
+            what = "gap" if self._distance else "force"
+            return f"no {what} could be told at command {self._blind + 1}"
         if rule.source != "command" and np.isnan(self._measured).any():
             return "present positions are missing"
         return ""

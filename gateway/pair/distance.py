@@ -1,14 +1,14 @@
 """Distance sensors in place of force: two hands that keep a gap without touching (CN104379308 embodiment 5).
 
-Sensors on the slave's gripper look at planes of the part that the master holds. From their readings follows how the
-slave's fingertip is displaced against the wanted relation, in as many components as the sensors determine; only the
-selected ones are corrected. All else (functions, learning) is as with force.
+Sensors on one gripper look at planes of what the other one carries. From their readings follows how the slave's
+fingertip is displaced against the wanted relation, in as many components as the sensors determine; only the selected
+ones are corrected. All else (functions, learning) is as with force.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,22 +24,27 @@ LEAST_SINGULAR = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DistanceSensors:
-    """Sensors on gripper 2 and the planes they look at.
+    """Sensors on one gripper and the planes on the other one that they look at.
 
     Attributes
     ----------
     origin_m, beam : arrays of shape (n, 3)
-        Where a sensor sits and the unit direction it looks in, frame of gripper 2.
+        Where a sensor sits and the unit direction it looks in, frame of the gripper that carries it.
     point_m, normal : arrays of shape (n, 3)
-        A point of the plane and its unit normal, frame of gripper 1.
+        A point of the plane and its unit normal, frame of the other gripper.
+    on_master : array of bool of shape (n,)
+        Carried by gripper 1; all by gripper 2 unless given.
     """
 
     origin_m: Floats
     beam: Floats
     point_m: Floats
     normal: Floats
+    on_master: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
     def __post_init__(self) -> None:
+        if len(self.on_master) != len(self.origin_m):
+            object.__setattr__(self, "on_master", np.zeros(len(self.origin_m), dtype=bool))
         shapes = {np.shape(value) for value in (self.origin_m, self.beam, self.point_m, self.normal)}
         if len(shapes) != 1 or next(iter(shapes))[1:] != (3,):
             raise ConfigError(f"distance sensors: origin, beam, point and normal need one shape (n, 3), got {shapes}")
@@ -49,19 +54,27 @@ class DistanceSensors:
 
     def readings(self, e1_t_e2: ArrayLike) -> Floats:
         """Distances (n,) [m] along the beams at a relation (4, 4)."""
-        relation = np.asarray(e1_t_e2, dtype=float)
-        origin = self.origin_m @ relation[:3, :3].T + relation[:3, 3]
-        beam = self.beam @ relation[:3, :3].T
-        facing = np.sum(self.normal * beam, axis=1)
-        return np.sum(self.normal * (self.point_m - origin), axis=1) / facing
+        origin, beam, point, normal = self._in_gripper_1(np.asarray(e1_t_e2, dtype=float))
+        return np.sum(normal * (point - origin), axis=1) / np.sum(normal * beam, axis=1)
 
     def sensitivity(self, e1_t_e2: ArrayLike) -> Floats:
         """Change (n, 6) of the readings per displacement `[m; rad]` of fingertip 2, axes of gripper 1."""
         relation = np.asarray(e1_t_e2, dtype=float)
-        beam = self.beam @ relation[:3, :3].T
-        facing = np.sum(self.normal * beam, axis=1, keepdims=True)
-        spot = self.origin_m @ relation[:3, :3].T + self.readings(relation)[:, None] * beam
-        return -np.concatenate([self.normal, np.cross(spot, self.normal)], axis=1) / facing
+        origin, beam, _, normal = self._in_gripper_1(relation)
+        facing = np.sum(normal * beam, axis=1, keepdims=True)
+        spot = origin + self.readings(relation)[:, None] * beam - relation[:3, 3]
+        away = np.where(self.on_master, 1.0, -1.0)[:, None] / facing
+        return away * np.concatenate([normal, np.cross(spot, normal)], axis=1)
+
+    def _in_gripper_1(self, relation: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """Origin, beam, point and normal (n, 3), all in the frame of gripper 1."""
+        turn, shift, there = relation[:3, :3].T, relation[:3, 3], self.on_master[:, None]
+        return (
+            np.where(there, self.origin_m, self.origin_m @ turn + shift),
+            np.where(there, self.beam, self.beam @ turn),
+            np.where(there, self.point_m @ turn + shift, self.point_m),
+            np.where(there, self.normal @ turn, self.normal),
+        )
 
 
 class DistanceEstimator:

@@ -63,13 +63,13 @@ _ROWS = (
     Embodiment("C2c", "E2: learned each cycle from commands", learning=LearningRule()),
     Embodiment("C3", "E3: function interpolated between learned speeds", first="speed_table"),
     Embodiment(
-        "C5",
+        "E5",
         "E5: gap kept by distance sensors",
         first="fixed",
         sensing="distance",
         gains=DISTANCE_GAINS,
-        learning=LearningRule(smooth_s=0.0),
-        points=60,
+        learning=LearningRule(),
+        points=100,
     ),
     Embodiment(
         "C6",

@@ -71,9 +71,14 @@ class WrenchFromTorque:
     dt_s : control cycle
     lag_s : servo lag
     cutoff_hz : of the low-pass
+
+    Attributes
+    ----------
+    count : commands of the path
     """
 
     def __init__(self, arm: PairArm, follower: JointFollower, dt_s: float, lag_s: float, cutoff_hz: float) -> None:
+        self.count = len(follower.q_rad)
         self._share = 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * dt_s)
         late = np.maximum(np.arange(len(follower.q_rad)) - (1.0 + lag_s / dt_s), 0.0)
         every = np.arange(len(late))

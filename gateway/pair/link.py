@@ -15,11 +15,13 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from drives.drive import DriveCommand
 from gateway.acquire.arm import ArmSample
 from gateway.acquire.opening import BusOverride, OpenArm, open_arm
 from gateway.pair.cell import PairCell
@@ -96,8 +98,16 @@ class PairLink:
         first, second = (opened.arm.where() for opened in self.arms)
         return first, second
 
-    def exchange(self, q_rad: tuple[Floats, Floats]) -> tuple[ArmSample, ArmSample]:
+    def exchange(
+        self, q_rad: tuple[Floats, Floats], offset_nm: tuple[Floats, Floats] | None = None
+    ) -> tuple[ArmSample, ArmSample]:
         """One cycle: joint targets (6,) to both arms, what both measured at this SYNC.
+
+        Parameters
+        ----------
+        q_rad : two arrays of shape (6,)
+        offset_nm : two arrays of shape (6,), optional
+            Joint torque that the drives add to their own.
 
         Raises
         ------
@@ -105,6 +115,9 @@ class PairLink:
             A drive or a bus failed; both arms have been stopped.
         """
         commands = [opened.arm.commands(q[None])[0] for opened, q in zip(self.arms, q_rad, strict=True)]
+        if offset_nm is not None:
+            given = zip(self.arms, commands, offset_nm, strict=True)
+            commands = [_with_offset(opened, plain, nm) for opened, plain, nm in given]
         try:
             if self._real:
                 samples = self._both(lambda index: self.arms[index].arm.exchange(commands[index]))
@@ -195,6 +208,11 @@ class PairLink:
         }
 
 
+def _with_offset(opened: OpenArm, commands: list[DriveCommand], joint_nm: Floats) -> list[DriveCommand]:
+    offsets = opened.arm.axes.motor_torque(joint_nm).tolist()
+    return [replace(command, torque_offset_nm=nm) for command, nm in zip(commands, offsets, strict=True)]
+
+
 @contextmanager
 def open_link(cell: PairCell, ledgers: tuple[Path | None, Path | None] = (None, None)) -> Iterator[PairLink]:
     """Connect and configure both arms; on leaving all drives are disabled and both buses closed.
@@ -206,8 +224,9 @@ def open_link(cell: PairCell, ledgers: tuple[Path | None, Path | None] = (None, 
     """
     with ExitStack() as opened:
         arms = []
-        for arm, spec, ledger in zip(cell.arms, cell.specs, ledgers, strict=True):
-            override = BusOverride(spec=spec, ledger=ledger)
+        for index, (arm, spec, ledger) in enumerate(zip(cell.arms, cell.specs, ledgers, strict=True)):
+            beside = () if cell.gap is None or cell.gap.arm != index else (cell.gap.instrument,)
+            override = BusOverride(spec=spec, ledger=ledger, instruments=beside)
             arms.append(opened.enter_context(open_arm(cell.loaded, override, arm.config.name)))
         link = PairLink((arms[0], arms[1]), cell.pacing)
         opened.callback(link.close)

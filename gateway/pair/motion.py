@@ -1,14 +1,15 @@
 """Both arms streamed along prepared ways: commands out, torques in, forces watched. Run and teaching stand on it.
 
 What stops both arms: an error of any drive or bus, a joint that does not follow, a force inside the part above twice
-the limit for more than 20 ms, and the operator. They stop at the same time by the quick stop ramp of their drives.
+the limit for more than 20 ms, a gap outside its range or without a value, and the operator. They stop at the same time
+by the quick stop ramp of their drives.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,7 +17,10 @@ from gateway.acquire.arm import ArmSample
 from gateway.errors import PlanRefused
 from gateway.pair.calibration import PairCalibration, PathWrenches
 from gateway.pair.cell import PairCell
+from gateway.pair.felt import Felt, FeltByDistance, FeltByForce
 from gateway.pair.follow import JointFollower, WrenchFromTorque
+from gateway.pair.friction import FrictionOffset
+from gateway.pair.gap import GapWatch
 from gateway.pair.guard import ForceGuard
 from gateway.pair.inverse import path_joint_angles
 from gateway.pair.link import PairLink
@@ -30,6 +34,8 @@ APPROACH_RAD_S = 0.1
 APPROACH_S = 0.2
 #: Standing still before a way begins, so that the servos have settled [s].
 DWELL_S = 0.1
+#: For closing a gap at standstill: many times what one correction takes [s].
+SETTLE_S = 0.4
 #: Over which the end of one motion fades into the next [s].
 FADE_S = 0.4
 #: Standing still before a way, until torques have become wrenches.
@@ -89,12 +95,15 @@ class Streamed:
         Internal wrench about the part's centre, world axes, low-passed [N, Nm].
     external_nm : array of shape (M, 2, 6)
         External joint torque of both arms, not filtered; NaN where a sample was incomplete.
+    gaps_m : array of shape (M, n)
+        Distances less the demanded ones [m], NaN where a cycle had no value; n = 0 without sensors.
     complete : every epoch was complete
     evaluation_s : mean time that one command took to compute
     """
 
     force: Floats
     external_nm: Floats
+    gaps_m: Floats
     complete: bool
     evaluation_s: float
 
@@ -102,14 +111,19 @@ class Streamed:
 def calibration_of(cell: PairCell) -> PairCalibration:
     """What the controller must know of a cell."""
     first, second = cell.arms
-    stiffness = cell.config.contact_stiffness
-    return PairCalibration(
+    plain = PairCalibration(
         first.world_from_base,
         second.world_from_base,
         inverse(first.part_from_tip),
+        loop_time_s=cell.config.loop_delay_s,
+    )
+    if cell.gap is not None:
+        return plain
+    stiffness = cell.config.force.stiffness
+    return replace(
+        plain,
         part_mass_kg=cell.config.part_mass_kg,
         chain_stiffness=np.diag([stiffness.straight] * 3 + [stiffness.turned] * 3),
-        loop_time_s=cell.config.loop_delay_s,
     )
 
 
@@ -133,7 +147,9 @@ class PairMotion:
         self.calibration = calibration_of(cell)
         self.dt_s = cell.sync_period_s
         self.q_rad: Pair = (cell.arms[0].start_rad, cell.arms[1].start_rad)
-        self._limit_n = self.options.force_limit_n or cell.config.force_limit_n
+        self._gap = None if cell.gap is None else GapWatch(cell.gap)
+        lag_s = cell.config.servo_lag_s
+        self._friction = [FrictionOffset(arm, self.dt_s, lag_s) for arm in cell.arms] if cell.gap else []
         self._follow_rad = [np.array([axis.following_error_limit_rad for axis in arm.config.axis]) for arm in cell.arms]
         #: What both arms reported last.
         self.samples: tuple[ArmSample, ArmSample] | None = None
@@ -186,6 +202,7 @@ class PairMotion:
                 )
         first, second = self.link.enable()
         self.q_rad = (first.q_rad.copy(), second.q_rad.copy())
+        self._look((first, second))
 
     def approach(self, goal: Pair, dwell_s: float = DWELL_S) -> None:
         """Bring both arms to joint targets (6,) slowly, at the same time, then stand still."""
@@ -197,6 +214,12 @@ class PairMotion:
             self.exchange((began[0] + share * (goal[0] - began[0]), began[1] + share * (goal[1] - began[1])))
         for _ in range(round(dwell_s / self.dt_s)):
             self.exchange(goal)
+
+    def settle(self, way: Passage, commander: Commander) -> None:
+        """Stand at the beginning of a way until the commander has nothing left to correct."""
+        felt = self._felt(way)
+        for _ in range(round(SETTLE_S / self.dt_s)):
+            felt.listen(self.exchange(self.targets(way, 0, commander(0, *felt.inputs(0)))))
 
     def targets(self, way: Passage, m: int, commands: Pair) -> Pair:
         """Joint targets of both arms for the gripper commands of index m."""
@@ -211,53 +234,38 @@ class PairMotion:
         PairStopped, DriveError, KeyboardInterrupt
             Both arms have been stopped.
         """
-        count = len(way.path)
-        self._listen(way)
-        guard = ForceGuard(self._limit_n, self.dt_s, self.options.force_stop_s)
-        force, external = np.zeros((count, 6)), np.full((count, 2, 6), np.nan)
+        count, felt = len(way.path), self._felt(way)
+        for _ in range(LISTEN_CYCLES):
+            felt.listen(self.exchange(self.q_rad))
         self._complete, spent, offset = True, 0.0, None
         fading = round(FADE_S / self.dt_s) if fade else 0
         for m in range(count):
             began = time.perf_counter()
-            q = self.targets(way, m, commander(m, way.wrenches[0].wrench, way.wrenches[1].wrench))
+            q = self.targets(way, m, commander(m, *felt.inputs(m)))
             spent += time.perf_counter() - began
             if m < fading:
                 offset = offset or (self.q_rad[0] - q[0], self.q_rad[1] - q[1])
                 share = 1.0 - smooth((m + 1) / fading)
                 q = (q[0] + share * offset[0], q[1] + share * offset[1])
-            samples = self.exchange(q)
-            for index, (each, sample) in enumerate(zip(way.wrenches, samples, strict=True)):
-                each.update(m, sample)
-                if m and each.external_nm is not None:
-                    external[m - 1, index] = each.external_nm
-            felt = way.maps.internal(m, way.wrenches[0].wrench, way.wrenches[1].wrench)
-            if felt is not None:
-                force[m] = felt
-                self._watch(guard, float(np.linalg.norm(felt[:3])), (m, count))
+            trouble = felt.take(m, self.exchange(q))
+            if trouble:
+                self.stop(trouble)
             if m % 50 == 0:
                 self.options.progress(m, count)
-        return Streamed(force, external, self._complete, spent / count)
+        return Streamed(felt.force, felt.external_nm, felt.gaps_m, self._complete, spent / count)
 
-    def _listen(self, way: Passage) -> None:
-        """Stand still until both wrenches are known, so that a way begins with forces and not without."""
-        for each in way.wrenches:
-            each.reset()
-        for _ in range(LISTEN_CYCLES):
-            for each, sample in zip(way.wrenches, self.exchange(self.q_rad), strict=True):
-                each.update(0, sample)
-
-    def _watch(self, guard: ForceGuard, force_n: float, place: tuple[int, int]) -> None:
-        if guard.step(force_n):
-            self.stop(
-                f"the force inside the part was above {2.0 * self._limit_n:.0f} N for more than"
-                f" {1e3 * self.options.force_stop_s:.0f} ms ({force_n:.0f} N at command {place[0] + 1} of {place[1]}):"
-                " both arms were stopped; release the part before moving on, then teach again or lower the speed"
-            )
+    def _felt(self, way: Passage) -> Felt:
+        """What tells on this way how far the hands are off, from standing still on."""
+        if self._gap is not None:
+            return FeltByDistance(self._gap, self.cell.nominal_slave(way.path))
+        limit_n = self.options.force_limit_n or self.cell.config.force.limit_n
+        return FeltByForce(way.wrenches, way.maps, ForceGuard(limit_n, self.dt_s, self.options.force_stop_s))
 
     def exchange(self, q: Pair) -> tuple[ArmSample, ArmSample]:
         """One cycle with joint targets (6,) of both arms; checks that they follow."""
         before, self.q_rad = self.q_rad, q
-        samples = self.samples = self.link.exchange(q)
+        samples = self.samples = self.link.exchange(q, self._offsets(q))
+        self._look(samples)
         far: tuple[int, int] | None = None
         for index, (sample, wanted) in enumerate(zip(samples, before, strict=True)):
             if not sample.complete:
@@ -274,6 +282,19 @@ class PairMotion:
             self.link.quick_stop()
             raise KeyboardInterrupt
         return samples
+
+    def _offsets(self, q: Pair) -> Pair | None:
+        """Friction of free hands; with a common part the torque is what tells the force, and nothing is added to it."""
+        if not self._friction:
+            return None
+        first, second = (each.at(target) for each, target in zip(self._friction, q, strict=True))
+        return first, second
+
+    def _look(self, samples: tuple[ArmSample, ArmSample]) -> None:
+        """Watch the gap wherever the arms are powered, also on the way to the start."""
+        trouble = "" if self._gap is None else self._gap.take(samples)
+        if trouble:
+            self.stop(trouble)
 
     def stop(self, why: str) -> None:
         """Both arms by quick stop, at the same time; raises PairStopped with the reason."""

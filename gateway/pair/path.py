@@ -73,6 +73,12 @@ class PairPath:
             raise InputError(f"learning points must be at least 2 and fewer than the {len(self)} commands, got {count}")
         return np.unique(self.nearest(np.linspace(0.0, self.length_m, count)))
 
+    def in_time(self, count: int) -> np.ndarray:
+        """Indices of `count` learning points, evenly spread over the time: dense where the motion begins and ends."""
+        if not 2 <= count < len(self):
+            raise InputError(f"learning points must be at least 2 and fewer than the {len(self)} commands, got {count}")
+        return np.unique(np.round(np.linspace(0, len(self) - 1, count)).astype(int))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathProgram:

@@ -9,6 +9,8 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from gateway.pair.cell import PairCell
 from gateway.pair.controller import CycleSummary, PairController
 from gateway.pair.embodiments import Embodiment
@@ -29,12 +31,15 @@ class PairCycle:
     summary : CycleSummary
     force : array of shape (M, 6)
         Internal wrench about the part's centre, world axes, as estimated [N, Nm].
+    gaps_m : array of shape (M, n)
+        Distances less the demanded ones, NaN where a cycle had no value; n = 0 without sensors.
     learning_s : time that the learning step took
     evaluation_s : mean time of one evaluation of the controller, joint angles included
     """
 
     summary: CycleSummary
     force: Floats
+    gaps_m: Floats
     learning_s: float
     evaluation_s: float
 
@@ -102,13 +107,19 @@ class PairRun:
         controller.start_cycle()
         self.stand()
         try:
+            if self.config.sensing == "distance":
+                self.motion.settle(way, self._commander())
             streamed: Streamed = self.motion.stream(way, self._commander())
         except BaseException:
             controller.end_cycle(complete=False)
             raise
         began = time.perf_counter()
         summary = controller.end_cycle(streamed.complete)
-        return PairCycle(summary, streamed.force, time.perf_counter() - began, streamed.evaluation_s)
+        learning_s = time.perf_counter() - began
+        gaps_m = streamed.gaps_m
+        if gaps_m.size and not np.isnan(gaps_m).all():
+            summary = replace(summary, gap_m=float(np.nanmax(np.abs(gaps_m))))
+        return PairCycle(summary, streamed.force, gaps_m, learning_s, streamed.evaluation_s)
 
     def _commander(self) -> Commander:
         """The controller's step, with the present positions of both grippers where the embodiment learns from them."""

@@ -11,8 +11,8 @@ import numpy as np
 
 from gateway.errors import ConfigError, InputError
 from gateway.pair.cell import PairCell
-from gateway.pair.embodiments import EMBODIMENTS, Embodiment, with_gains
-from gateway.pair.function import TransformFunction, constant_function
+from gateway.pair.embodiments import DISTANCE_GAINS, EMBODIMENTS, Embodiment, with_gains
+from gateway.pair.function import TransformFunction, constant_function, sampled
 from gateway.pair.impedance import Gains
 from gateway.pair.lesson import Lesson, TaughtPoint, read_lesson
 from gateway.pair.link import PairLink
@@ -24,7 +24,7 @@ from gateway.pair.stored import read_stored, refuse_foreign
 from gateway.pair.teach import Teacher
 
 #: What can be run without the simulator's truth.
-RUNNABLE = tuple(name for name, row in EMBODIMENTS.items() if row.first != "exact" and row.sensing == "force")
+RUNNABLE = tuple(name for name, row in EMBODIMENTS.items() if row.first != "exact")
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,9 +37,13 @@ class RunRequest:
 
 def cell_gains(cell: PairCell) -> Gains:
     """Impedance of the cell file."""
-    damping, stiffness = cell.config.impedance_damping, cell.config.impedance_stiffness
-    spring = (0.0, 0.0) if stiffness is None else (stiffness.straight, stiffness.turned)
-    return Gains((damping.straight, damping.turned), spring)
+    distance = cell.config.distance
+    if distance is not None:
+        given = distance.damping_s
+        return DISTANCE_GAINS if given is None else Gains((given.straight, given.turned))
+    force = cell.config.force
+    spring = (0.0, 0.0) if force.spring is None else (force.spring.straight, force.spring.turned)
+    return Gains((force.damping.straight, force.damping.turned), spring)
 
 
 def embodiment_of(cell: PairCell, name: str) -> Embodiment:
@@ -52,7 +56,20 @@ def embodiment_of(cell: PairCell, name: str) -> Embodiment:
     """
     if name not in RUNNABLE:
         raise ConfigError(f"embodiment '{name}' cannot be run in a cell; choose one of {', '.join(RUNNABLE)}")
-    return with_gains(EMBODIMENTS[name], cell_gains(cell))
+    row = EMBODIMENTS[name]
+    if cell.gap is not None and row.first == "fixed" and row.corrects == "none":
+        return replace(row, sensing="distance")
+    if row.sensing == "distance" and cell.gap is None:
+        raise ConfigError(
+            f"embodiment '{name}' keeps a gap by distance sensors, and cell '{cell.loaded.cell.name}' has none; declare"
+            " them in [pair.distance]"
+        )
+    if row.sensing == "force" and cell.gap is not None:
+        raise ConfigError(
+            f"embodiment '{name}' feels a common part, and the arms of cell '{cell.loaded.cell.name}' keep a gap"
+            " ([pair.distance]); choose E5, or A to compare with"
+        )
+    return with_gains(row, cell_gains(cell))
 
 
 def open_lesson(cell: PairCell, store: PairStore, resume: bool) -> Lesson:  # noqa: FBT001 - as on the command line
@@ -62,7 +79,14 @@ def open_lesson(cell: PairCell, store: PairStore, resume: bool) -> Lesson:  # no
     ------
     InputError
         There are points and nobody asked to go on with them, or they are for another path or cell.
+    ConfigError
+        The arms of this cell keep a gap: there is no force to teach by.
     """
+    if cell.gap is not None:
+        raise ConfigError(
+            f"cell '{cell.loaded.cell.name}' keeps a gap by distance sensors ([pair.distance]): there is no common part"
+            " to be taught by force; use run-pair --embodiment E5"
+        )
     if not store.points.exists():
         return Lesson(store.path_hash, store.cell_hash)
     if not resume:
@@ -109,7 +133,7 @@ def first_function(cell: PairCell, store: PairStore, row: Embodiment, speed: flo
         Nothing was taught, or what is stored is for another path or cell.
     """
     if row.first == "fixed":
-        return constant_function(cell.nominal_relation), "one relation, from the start"
+        return _from_one_relation(cell, store, row, speed)
     first = store.load("first")
     if first is None:
         raise InputError(f"{store.folder}: holds no first function; run teach before this embodiment")
@@ -121,6 +145,25 @@ def first_function(cell: PairCell, store: PairStore, row: Embodiment, speed: flo
     if second is None or second.embodiment != row.name:
         return first.function, f"taught {first.date}"
     return second.function, f"learned by {second.embodiment} {second.date}"
+
+
+def _from_one_relation(
+    cell: PairCell, store: PairStore, row: Embodiment, speed: float
+) -> tuple[TransformFunction, str]:
+    """The grasps' relation, or what this embodiment has learned from it."""
+    second = None if row.learning is None else store.load("second")
+    if second is not None and second.embodiment == row.name:
+        return second.function, f"learned by {second.embodiment} {second.date}"
+    return one_relation(cell, row, speed), "one relation, from the start"
+
+
+def one_relation(cell: PairCell, row: Embodiment, speed: float) -> TransformFunction:
+    """The grasps' relation all along the path, with the learning points of a row that learns from there."""
+    function = constant_function(cell.nominal_relation)
+    if row.learning is None:
+        return function
+    path = cell.path(speed)
+    return sampled(function, np.unique(path.s_m[path.in_time(row.points)]))
 
 
 def speed_table(store: PairStore, first: TransformFunction) -> SpeedTable:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import json
+import math
 import os
 from dataclasses import asdict
 from pathlib import Path
@@ -33,12 +34,14 @@ HASH_DECIMALS = 7
 
 
 def cell_hash(cell: PairCell) -> str:
-    """SHA-256 of what a function depends on beside the path: bases, arms, grips, zero positions."""
+    """SHA-256 of what a function depends on beside the path: bases, arms, grips, zero positions, distance sensors."""
     digest = hashlib.sha256()
     for arm in cell.arms:
         axes = [[axis.zero_offset_rad, axis.gear_ratio.value, axis.position_sign] for axis in arm.config.axis]
         for value in (arm.world_from_base, arm.part_from_tip, arm.chain.fixed, arm.chain.step_m, arm.chain.tool, axes):
             digest.update(np.ascontiguousarray(np.round(value, HASH_DECIMALS) + 0.0, dtype="<f8").tobytes())
+    if cell.gap is not None:
+        digest.update(cell.gap.config.model_dump_json(include={"components", "channel"}).encode())
     return digest.hexdigest()
 
 
@@ -148,19 +151,32 @@ def line_of_grippers(cell: PairCell, path: PairPath) -> Floats:
 
 def run_as_json(cell: PairCell, path: PairPath, name: tuple[str, str], cycles: list[PairCycle]) -> dict[str, Any]:
     """Cycles of one run as the report takes them; `name` is embodiment and its text."""
-    along = line_of_grippers(cell, path)
-    forces = [np.sum(cycle.force[:, :3] * along, axis=1) for cycle in cycles]
     return {
         "name": name[0],
         "text": name[1],
         "speed": path.speed,
         "s_m": path.s_m.tolist(),
         "x_m": (cell.arms[0].world_from_base @ path.commands)[:, 0, 3].tolist(),
-        "first_n": np.round(forces[0], 2).tolist(),
-        "last_n": np.round(forces[-1], 2).tolist(),
+        **(_forces(cell, path, cycles) if cell.gap is None else _gaps(cycles)),
         "knots_s_m": [],
         "cycles": [_plain(asdict(cycle.summary)) for cycle in cycles],
     }
+
+
+def _forces(cell: PairCell, path: PairPath, cycles: list[PairCycle]) -> dict[str, Any]:
+    """Force along the line between the grippers in the first and the last cycle [N]."""
+    along = line_of_grippers(cell, path)
+    first, last = (np.sum(cycle.force[:, :3] * along, axis=1) for cycle in (cycles[0], cycles[-1]))
+    return {"first_n": np.round(first, 2).tolist(), "last_n": np.round(last, 2).tolist()}
+
+
+def _gaps(cycles: list[PairCycle]) -> dict[str, Any]:
+    """The distance that is furthest off the demanded one, by how much, in the first and the last cycle [m]."""
+    found = {}
+    for name, gaps_m in (("first_m", cycles[0].gaps_m), ("last_m", cycles[-1].gaps_m)):
+        worst = [max(row, key=abs) for row in gaps_m.tolist()]
+        found[name] = [None if math.isnan(value) else round(value, 7) for value in worst]
+    return found
 
 
 def _plain(summary: dict[str, Any]) -> dict[str, Any]:

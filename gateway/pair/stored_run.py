@@ -38,6 +38,7 @@ class _Strict(BaseModel):
 class _Cycle(_Strict):
     force_n: _Known | None = None
     moment_nm: _Known | None = None
+    gap_m: _Known | None = None
     knots: int | None = Field(default=None, ge=0, le=LARGEST)
 
 
@@ -47,16 +48,21 @@ class _Run(_Strict):
     speed: _Known
     s_m: list[_Known] = Field(min_length=2)
     x_m: list[_Known]
-    first_n: list[_Sample]
-    last_n: list[_Sample]
+    first_n: list[_Sample] = Field(default_factory=list)
+    last_n: list[_Sample] = Field(default_factory=list)
+    first_m: list[_Known | None] = Field(default_factory=list)
+    last_m: list[_Known | None] = Field(default_factory=list)
     knots_s_m: list[_Known]
     cycles: list[_Cycle]
 
     @model_validator(mode="after")
     def _of_one_length(self) -> _Run:
-        lengths = {len(values) for values in (self.s_m, self.x_m, self.last_n, self.first_n or self.s_m)}
+        if bool(self.last_n) == bool(self.last_m):
+            raise ValueError("either last_n or last_m is needed")
+        first, last = (self.first_n, self.last_n) if self.last_n else (self.first_m, self.last_m)
+        lengths = {len(values) for values in (self.s_m, self.x_m, last, first or self.s_m)}
         if len(lengths) > 1:
-            raise ValueError("s_m, x_m, first_n and last_n differ in length")
+            raise ValueError("s_m, x_m, first and last differ in length")
         return self
 
 

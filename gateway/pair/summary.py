@@ -25,6 +25,7 @@ class CycleSummary:
     at_command : index of the largest force, -1 = none
     correction_m, correction_rad : largest correction of the slave
     change_m, change_rad : how far the knots of the second function moved, NaN where it was not rebuilt
+    gap_m : largest deviation of a distance from the demanded one, NaN where none is measured
     """
 
     cycle: int
@@ -40,6 +41,7 @@ class CycleSummary:
     correction_rad: float
     change_m: float
     change_rad: float
+    gap_m: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -102,7 +102,7 @@ class Teacher:
         self._motion, self._gains, self._rule = motion, gains, rule or TeachRule()
         self._path = motion.cell.path(1.0)
         self._joints = motion.cell.joints(self._path)
-        stiffness = motion.cell.config.contact_stiffness
+        stiffness = motion.cell.config.force.stiffness
         self._compliance = self._rule.share / np.repeat([stiffness.straight, stiffness.turned], 3)
         self._correction = np.zeros(6)
         self._way_m = 0.0

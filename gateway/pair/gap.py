@@ -1,0 +1,121 @@
+"""Distance sensors of a cell: which device says what, what follows from it, and when the gap must stop both arms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drives.instrument import InstrumentSetup
+from gateway.acquire.arm import ArmSample
+from gateway.config_pair import DistanceConfig
+from gateway.pair.distance import DistanceEstimator, DistanceSensors
+from gateway.pair.transform import Floats, inverse
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GapLayout:
+    """Distance sensors of a pair.
+
+    Attributes
+    ----------
+    config : DistanceConfig
+    arm : int
+        On whose bus the device is, 0 master, 1 slave.
+    estimator : DistanceEstimator
+    instrument : InstrumentSetup
+    """
+
+    config: DistanceConfig
+    arm: int
+    estimator: DistanceEstimator
+    instrument: InstrumentSetup
+
+    @property
+    def limit_m(self) -> float:
+        """How far a distance may be off the demanded one at least before both arms are stopped."""
+        low, high = self.config.range_m
+        return min(min(one.gap_m - low, high - one.gap_m) for one in self.config.channel)
+
+
+def gap_layout(config: DistanceConfig, arm: int, wanted: Floats) -> GapLayout:
+    """Sensors of a cell file, each a demanded gap from its plane at the wanted relation (4, 4).
+
+    Raises
+    ------
+    ConfigError
+        The sensors do not determine the components that shall be corrected.
+    ConfigurationRefused
+        Too many channels for one device.
+    """
+    origin = np.array([one.at_m for one in config.channel])
+    beam = np.array([np.array(one.beam) / np.linalg.norm(one.beam) for one in config.channel])
+    gap = np.array([[one.gap_m] for one in config.channel])
+    on_master = np.array([one.on == "master" for one in config.channel])
+    # a plane is fixed to the other gripper: that is where the beam ends at the wanted relation
+    spots = [
+        _moved(inverse(wanted) if master else wanted, start, along)
+        for master, start, along in zip(on_master.tolist(), origin + gap * beam, -beam, strict=True)
+    ]
+    point, normal = np.array([spot for spot, _ in spots]), np.array([turned for _, turned in spots])
+    estimator = DistanceEstimator(DistanceSensors(origin, beam, point, normal, on_master), wanted, config.components)
+    instrument = InstrumentSetup(
+        config.node_id,
+        config.object,
+        config.type,
+        tuple(one.subindex for one in config.channel),
+        config.lsb_m,
+        status_index=config.status_object,
+    )
+    instrument.plans()
+    return GapLayout(config, arm, estimator, instrument)
+
+
+def _moved(relation: Floats, point: Floats, direction: Floats) -> tuple[Floats, Floats]:
+    return relation[:3, :3] @ point + relation[:3, 3], relation[:3, :3] @ direction
+
+
+class GapWatch:
+    """Takes in the distances of every SYNC; keeps none that is older.
+
+    Parameters
+    ----------
+    layout : GapLayout
+
+    Attributes
+    ----------
+    readings_m : distances (n,) of the last SYNC [m], None = it brought no value
+    """
+
+    def __init__(self, layout: GapLayout) -> None:
+        self.layout = layout
+        self.readings_m: Floats | None = None
+        self._missing = 0
+
+    def take(self, samples: tuple[ArmSample, ArmSample]) -> str:
+        """Take in what both arms' buses brought at a SYNC; why both arms must stop, "" = they need not."""
+        config = self.layout.config
+        reading = samples[self.layout.arm].instruments[0]
+        self.readings_m = None
+        values = () if reading is None else reading.values
+        known = [(one, value) for one, value in zip(config.channel, values, strict=False) if value is not None]
+        low, high = config.range_m
+        for channel, value in known:
+            if not low <= value <= high:
+                return (
+                    f"distance sensor {channel.subindex} measures {1e3 * value:.2f} mm, its range is {1e3 * low:g} to"
+                    f" {1e3 * high:g} mm: both arms were stopped; move them apart, then check grasps and bases"
+                )
+        if len(known) == len(config.channel):
+            self.readings_m = np.array([value for _, value in known])
+            self._missing = 0
+            return ""
+        self._missing += 1
+        if self._missing < config.missing_cycles:
+            return ""
+        without = [one.subindex for one, value in zip(config.channel, values, strict=False) if value is None]
+        why = f"sensor {without[0]} reports no valid value" if without else "its frames are missing or late"
+        return (
+            f"node {config.node_id} on bus '{config.bus}': no distances for {self._missing} cycles, {why}: both arms"
+            " were stopped; check the measuring device"
+        )
