@@ -27,10 +27,10 @@ from tests.pair.bus_figures import figures
 from tests.pair.bus_rig import CELL
 from tests.pair.bus_tier import BusTier
 
-SHORT = ("plain", "each", "mean", "points", "stop")
+SHORT = ("plain", "each", "mean", "points", "stop", "distance")
 FULL = (
     *("plain", "fast", "each", "stop", "step", "points", "mean", "snag", "skew"),
-    *("speeds", "even", "others", "fast_points", "static"),
+    *("distance", "speeds", "even", "others", "fast_points", "static"),
 )
 FROZEN_SHORT, FROZEN_FULL = 3, 20
 LIMIT_N = 40.0
@@ -78,7 +78,7 @@ def main(argv: list[str]) -> int:
         "goal": "",
         "met": None,
     }
-    if done:
+    if any(one["curves"] for one in done):
         report(arguments.out, done)
     print(*tier.failed, sep="\n")
     plain = {

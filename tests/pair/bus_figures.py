@@ -121,6 +121,7 @@ def figures(rows: Sequence[Row], limit_n: float, *, judged: bool) -> dict[str, F
     share("P7: C8 at speed 3, then frozen", lambda s: table.after_learning("C8", FAST, s), "all", 1.0)
     if judged:
         out |= _judged(table)
+    out |= _gaps(table)
     for name in ("A", "B", "C1", "C1i", "C2m", "C2c", "C7", "C8", "C8u", "C8r"):
         forces = [table.force(name, USUAL, seed) for seed in table.seeds]
         if not np.isnan(forces).all():
@@ -133,6 +134,21 @@ def figures(rows: Sequence[Row], limit_n: float, *, judged: bool) -> dict[str, F
             moved, "mm, median, least and most", goal, _most(1.0) if goal else None
         )
     return {name: figure for name, figure in out.items() if not np.isnan(figure["value"])}
+
+
+def _gaps(table: Table) -> dict[str, Figure]:
+    """Distance sensors: largest true deviation of any gap, by one relation and after the last cycle."""
+    before, after = (
+        [1e3 * float(cycles[-1]["gap_m"]) for seed in table.seeds if (cycles := table.cycles(name, USUAL, seed))]
+        for name in ("gap", "E5")
+    )
+    label = "E5 in the cell: largest gap error"
+    return {
+        f"{label} before learning": _value(
+            before, "mm, median, least and most", "all >= 1", lambda values: min(values) >= 1.0
+        ),
+        f"{label} after learning": _value(after, "mm, median, least and most", "all <= 0.1", _most(0.1)),
+    }
 
 
 def _judged(table: Table) -> dict[str, Figure]:

@@ -17,6 +17,7 @@ from gateway.pair.motion import MotionOptions, PairStopped
 from gateway.pair.session import cell_gains
 from gateway.pair.speed import ExtrapolationWarning, SpeedTable
 from sim.states import PdsState
+from tests.pair.bus_gap import gaps_in_the_cell
 from tests.pair.bus_rig import BACK_SPEED, NO_LIMIT_N, PairRig, along_n, figures_of, inline_rig, off_way_m
 
 Row = dict[str, Any]
@@ -267,6 +268,9 @@ def halved(seed: int, nine: TransformFunction) -> list[Row]:
         return bench.rows
 
 
+#: Stages that need another cell, and nothing taught.
+ALONE: dict[str, Callable[[int], list[Row]]] = {"distance": gaps_in_the_cell}
+
 #: Stages that need rigs of their own.
 APART: dict[str, Callable[[int, TransformFunction], list[Row]]] = {"skew": skewed, "step": halved}
 
@@ -280,8 +284,12 @@ def run_stage(seed: int, stage: str, frozen_cycles: int, stored: dict[str, Any] 
         Rows, curves, functions, taught points, statistics of the buses.
     """
     began = time.monotonic()
-    seen = stored or _taught(seed)
-    if stage in APART:
+    seen = stored or _untouched(seed)
+    if stage not in ALONE and "nine" not in seen:
+        seen |= _taught(seed)
+    if stage in ALONE:
+        seen["rows"] += ALONE[stage](seed)
+    elif stage in APART:
         seen["rows"] += APART[stage](seed, _function(seen["nine"]))
     else:
         with inline_rig(seed) as rig:
@@ -299,14 +307,20 @@ def run_stage(seed: int, stage: str, frozen_cycles: int, stored: dict[str, Any] 
     return seen
 
 
+def _untouched(seed: int) -> dict[str, Any]:
+    """A seed of which nothing is known."""
+    statistics = {"cycles": 0, "incomplete": 0}
+    return {"seed": seed, "stages": [], "minutes": 0.0, "statistics": statistics, "rows": [], "curves": []}
+
+
 def _taught(seed: int) -> dict[str, Any]:
-    """A seed of which nothing is known but its taught function, and the ways of the master alone."""
-    seen: dict[str, Any] = {"seed": seed, "stages": [], "minutes": 0.0, "statistics": {"cycles": 0, "incomplete": 0}}
+    """What is known of a seed once it is taught: its function, and the ways of the master alone."""
+    seen: dict[str, Any] = {"statistics": {"cycles": 0, "incomplete": 0}}
     with inline_rig(seed) as rig:
         nine, lesson = rig.teach(9)
         _count(seen, rig)
     points = [point.as_json() for point in lesson.points]
-    seen |= {"rows": [], "curves": [], "functions": {}, "points": points, "nine": _knots(nine)}
+    seen |= {"functions": {}, "points": points, "nine": _knots(nine)}
     return seen | {"alone": {f"{speed:g}": np.round(_alone(seed, nine, speed), 7).tolist() for speed in (USUAL, FAST)}}
 
 

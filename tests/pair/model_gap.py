@@ -20,7 +20,7 @@ from tests.pair.model_rig import BASES, FIXED, Track, calibration, joints_of, tr
 
 Array = NDArray[np.float64]
 GAP_M = 0.005
-ROW = EMBODIMENTS["C5"]
+ROW = EMBODIMENTS["E5"]
 STILL = replace(ROW, corrects="none", learning=None)
 CYCLES = 4
 SPEED = 1.5

@@ -196,7 +196,7 @@ def test_measured_positions_are_learned_as_they_are(path: PairPath, bare: PairCa
 
 
 def test_distance_error_goes_where_it_is_told(path: PairPath, bare: PairCalibration) -> None:
-    row = replace(EMBODIMENTS["C5"], gains=Gains((0.08, 0.08)))
+    row = replace(EMBODIMENTS["E5"], gains=Gains((0.08, 0.08)))
     controller = PairController(row, path, bare, first_function(path))
     controller.start_cycle()
     error = np.array([1e-3, -2e-3, 0.0, 1e-3, 0.0, 0.0])
