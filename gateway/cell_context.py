@@ -16,6 +16,7 @@ from gateway.acquire.opening import BusOverride, axis_setups
 from gateway.check import judge_bus_load
 from gateway.check_rules import CheckItem
 from gateway.config import ArmConfig, LoadedCell, load_cell
+from gateway.pair.gap import instrument_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,9 +85,11 @@ class CellContext:
 
     @contextmanager
     def connected(self, arm: ArmConfig) -> Iterator[DriveGroup]:
-        """The drives of an arm, found and identified, nothing written."""
-        config = self.loaded.cell.bus[arm.bus]
-        options = GroupOptions(ledger_path=self.ledger(arm))
+        """The drives of an arm, and the measuring device on its bus, found and identified, nothing written."""
+        config, pair = self.loaded.cell.bus[arm.bus], self.loaded.cell.pair
+        distance = None if pair is None else pair.distance
+        beside = () if distance is None or distance.bus != arm.bus else (instrument_of(distance),)
+        options = GroupOptions(ledger_path=self.ledger(arm), instruments=beside)
         with (
             self.open_bus(arm) as bus,
             DriveGroup(

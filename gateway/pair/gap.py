@@ -59,7 +59,14 @@ def gap_layout(config: DistanceConfig, arm: int, wanted: Floats) -> GapLayout:
     ]
     point, normal = np.array([spot for spot, _ in spots]), np.array([turned for _, turned in spots])
     estimator = DistanceEstimator(DistanceSensors(origin, beam, point, normal, on_master), wanted, config.components)
-    instrument = InstrumentSetup(
+    instrument = instrument_of(config)
+    instrument.plans()
+    return GapLayout(config, arm, estimator, instrument)
+
+
+def instrument_of(config: DistanceConfig) -> InstrumentSetup:
+    """The measuring device, without what its channels mean."""
+    return InstrumentSetup(
         config.node_id,
         config.object,
         config.type,
@@ -67,8 +74,6 @@ def gap_layout(config: DistanceConfig, arm: int, wanted: Floats) -> GapLayout:
         config.lsb_m,
         status_index=config.status_object,
     )
-    instrument.plans()
-    return GapLayout(config, arm, estimator, instrument)
 
 
 def _moved(relation: Floats, point: Floats, direction: Floats) -> tuple[Floats, Floats]:

@@ -65,7 +65,8 @@ class GapRig:
         done = run.cycle()
         self.world.catch_up(0)
         self.world.after.remove(note)
-        return done, np.array(true[-len(run.path) :])
+        # what a SYNC shows is what the stretch before it has ended with
+        return done, np.array(true[-len(run.path) - 1 : -1])
 
 
 @contextmanager

@@ -88,3 +88,34 @@ def test_wrong_shapes_are_refused() -> None:
         DistanceSensors(np.zeros((2, 3)), np.zeros((3, 3)), np.zeros((2, 3)), np.zeros((2, 3)))
     with pytest.raises(ConfigError, match="unit"):
         DistanceSensors(np.zeros((1, 3)), np.ones((1, 3)), np.zeros((1, 3)), np.eye(3)[:1])
+
+
+def mixed() -> DistanceSensors:
+    """The six of `sensors`, the first three carried by gripper 1 and looking at planes of gripper 2."""
+    given, back = sensors(), np.linalg.inv(WANTED)
+    on_master = np.arange(6) < 3
+    origin, beam = given.origin_m.copy(), given.beam.copy()
+    point, normal = given.point_m.copy(), given.normal.copy()
+    for i in range(3):
+        origin[i], beam[i] = WANTED[:3, :3] @ origin[i] + WANTED[:3, 3], WANTED[:3, :3] @ beam[i]
+        point[i], normal[i] = back[:3, :3] @ point[i] + back[:3, 3], back[:3, :3] @ normal[i]
+    return DistanceSensors(origin, beam, point, normal, on_master)
+
+
+def test_sensors_on_either_gripper() -> None:
+    given = mixed()
+    assert np.allclose(given.readings(WANTED), 0.005)
+    moved = apply_correction(WANTED, [1e-3, -2e-3, 5e-4, 3e-3, 1e-3, -2e-3])
+    for i, reading in enumerate(given.readings(moved)[:3]):
+        normal = moved[:3, :3] @ given.normal[i]
+        point = moved[:3, :3] @ given.point_m[i] + moved[:3, 3]
+        assert normal @ (given.origin_m[i] + reading * given.beam[i] - point) == pytest.approx(0.0, abs=1e-15)
+    for column in range(6):
+        step = np.zeros(6)
+        step[column] = 1e-6
+        there, back = apply_correction(WANTED, step), apply_correction(WANTED, -step)
+        change = (given.readings(there) - given.readings(back)) / 2e-6
+        assert np.allclose(given.sensitivity(WANTED)[:, column], change, atol=1e-8)
+    away = np.array([1e-3, -2e-3, 5e-4, 3e-3, 1e-3, -2e-3])
+    error = DistanceEstimator(given, WANTED).error(given.readings(apply_correction(WANTED, away)))
+    assert np.allclose(error, -away, atol=2e-5)
