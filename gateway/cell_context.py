@@ -11,6 +11,7 @@ from pathlib import Path
 
 from drives.bus import Bus, BusSpec, open_bus
 from drives.group import DriveGroup, GroupOptions
+from drives.instrument import InstrumentSetup
 from drives.profile import DriveProfile
 from gateway.acquire.opening import BusOverride, axis_setups
 from gateway.check import judge_bus_load
@@ -62,7 +63,13 @@ class CellContext:
             if other.bus == arm.bus
             for axis, profile in zip(other.axis, self.profiles(other), strict=True)
         ]
-        return judge_bus_load(self.loaded.cell.bus[arm.bus], axes)
+        return judge_bus_load(self.loaded.cell.bus[arm.bus], axes, self.instruments(arm))
+
+    def instruments(self, arm: ArmConfig) -> tuple[InstrumentSetup, ...]:
+        """Measuring devices on the bus of an arm."""
+        pair = self.loaded.cell.pair
+        distance = None if pair is None else pair.distance
+        return () if distance is None or distance.bus != arm.bus else (instrument_of(distance),)
 
     def ledger(self, arm: ArmConfig) -> Path:
         """Write ledger of an arm: one per cell file, arm and bus, so that parallel runs do not share one."""
@@ -86,10 +93,8 @@ class CellContext:
     @contextmanager
     def connected(self, arm: ArmConfig) -> Iterator[DriveGroup]:
         """The drives of an arm, and the measuring device on its bus, found and identified, nothing written."""
-        config, pair = self.loaded.cell.bus[arm.bus], self.loaded.cell.pair
-        distance = None if pair is None else pair.distance
-        beside = () if distance is None or distance.bus != arm.bus else (instrument_of(distance),)
-        options = GroupOptions(ledger_path=self.ledger(arm), instruments=beside)
+        config = self.loaded.cell.bus[arm.bus]
+        options = GroupOptions(ledger_path=self.ledger(arm), instruments=self.instruments(arm))
         with (
             self.open_bus(arm) as bus,
             DriveGroup(

@@ -8,6 +8,7 @@ from drives.bringup import read_identity
 from drives.bus import Bus
 from drives.busload import cycle_bits_worst, load_percent
 from drives.errors import DriveError, SdoAbort, SdoError
+from drives.instrument import InstrumentSetup
 from drives.objects import OBJECTS
 from drives.pdo import rpdo_plan, tpdo_plans
 from drives.probe import probe
@@ -103,8 +104,10 @@ def check_arm(bus: Bus, arm: ArmConfig, profiles: Sequence[DriveProfile]) -> lis
     return judge_places(arm, seen) + items
 
 
-def judge_bus_load(config: BusConfig, axes: Sequence[tuple[int, DriveProfile]]) -> CheckItem:
-    """Worst-case share of the wire that the planned exchange of all drives on a bus takes.
+def judge_bus_load(
+    config: BusConfig, axes: Sequence[tuple[int, DriveProfile]], instruments: Sequence[InstrumentSetup] = ()
+) -> CheckItem:
+    """Worst-case share of the wire that the planned exchange of everything on a bus takes.
 
     Parameters
     ----------
@@ -112,6 +115,8 @@ def judge_bus_load(config: BusConfig, axes: Sequence[tuple[int, DriveProfile]]) 
         Bit rate, SYNC period and pacing.
     axes : sequence of (node id, DriveProfile)
         Every drive on this bus.
+    instruments : sequence of InstrumentSetup, optional
+        Measuring devices beside them.
 
     Returns
     -------
@@ -122,10 +127,12 @@ def judge_bus_load(config: BusConfig, axes: Sequence[tuple[int, DriveProfile]]) 
     for node_id, profile in axes:
         plans = (rpdo_plan(node_id), *tpdo_plans(profile, node_id)[0])
         sizes += [plan.size_bytes for plan in plans]
+    sizes += [plan.size_bytes for setup in instruments for plan in setup.plans()]
     bits = cycle_bits_worst(sizes)
     percent = load_percent(bits, config.sync_period_s, config.bitrate_bit_s)
     shortest_s = bits / (config.bitrate_bit_s * LOAD_LIMIT_PERCENT / 100.0)
     what = f"planned {percent:.0f} % of {config.bitrate_bit_s} bit/s in the worst case, {len(axes)} drives"
+    what += f", {len(instruments)} measuring device" if instruments else ""
     if percent <= LOAD_LIMIT_PERCENT:
         return CheckItem("ok", "bus", what)
     advice = f"set sync_period_s to at least {shortest_s:.4f}"

@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from drives.instrument import InstrumentSetup
 from drives.objects import OBJECTS
 from drives.profile import load_profile, parse_profile
 from drives.values import Identity
@@ -175,3 +176,13 @@ def test_bus_load_of_six_drives_with_two_tpdos_each(period_s, pacing, severity, 
     assert f"planned {100 * bits / (period_s * 1e6):.0f} %" in item.what
     assert abs(100 * bits / (period_s * 1e6) - percent) < 6
     assert bool(item.advice) == (severity != "ok")
+
+
+def test_bus_load_counts_a_measuring_device():
+    """Six values of 32 bits in three frames of 8 bytes, six status bytes in one of 6: 3 x 135 + 115 bits."""
+    config = BusConfig(interface="virtual", channel="c", sync_period_s=0.004, pacing="real")
+    device = InstrumentSetup(20, 0x9130, "i32", (1, 2, 3, 4, 5, 6), 1e-6, status_index=0x6150)
+    item = judge_bus_load(config, [(node, PROFILE) for node in range(1, 7)], [device])
+    bits = 6 * (135 + 135 + 115) + 55 + 3 * 135 + 115
+    assert f"planned {100 * bits / 4000:.0f} %" in item.what
+    assert item.severity == "fail"
