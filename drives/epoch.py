@@ -16,6 +16,8 @@ _ASTRAY_S: Final = 0.5
 _SECOND_S: Final = 0.002
 _SLOW: Final = 4.0
 _ASK_AGAIN_S: Final = 0.1
+#: By the clock: a process that wakes so late was held up itself, and what was answered meanwhile waits to be read [s].
+_OVERSLEPT_S: Final = 0.001
 #: Share of the time-out that a drive is waited for once others have answered.
 _OTHERS: Final = 0.4
 
@@ -132,8 +134,11 @@ class EpochCollector:
         start = time.monotonic()
         left = self._begin()
         if gap_s is None:
-            left = self._gather(left, start + timeout_s, None)
             second_s = start + timeout_s
+            left = self._gather(left, second_s, None)
+            slept_s = time.monotonic() - second_s
+            if left and slept_s > _OVERSLEPT_S:
+                left = self._gather(left, time.monotonic() + min(slept_s, timeout_s), None)
         else:
             gap_s = max(gap_s, _SLOW * self._usual_s)
             left = self._gather(left, start + gap_s, gap_s)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
+from can import Message
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -171,6 +174,37 @@ def test_a_question_that_is_lost_as_well_is_asked_again(group, slaves, wire):
     assert step(group, slaves).missing == (1,)
     assert wire.now_s - start < 0.15
     assert step(group, slaves).complete
+
+
+class HeldUp:
+    """A bus whose master is put aside for long in its first wait; what has arrived meanwhile is there afterwards."""
+
+    def __init__(self, asleep_s: float, arrived: list[Message]) -> None:
+        self.now_s, self._asleep_s, self._arrived = 0.0, asleep_s, arrived
+
+    def subscribe(self, _can_id: int, _handler: object) -> None:
+        pass
+
+    def receive(self, timeout_s: float) -> Message | None:
+        if self._asleep_s:
+            self.now_s += self._asleep_s
+            self._asleep_s = 0.0
+        elif self._arrived:
+            return self._arrived.pop(0)
+        else:
+            self.now_s += timeout_s
+        return None
+
+
+@pytest.mark.parametrize(("asleep_s", "whole"), [(0.03, True), (0.009, False)])
+def test_by_the_clock_a_master_that_slept_past_the_window_reads_what_waits_for_it(monkeypatch, asleep_s, whole):
+    """Window 9 ms. Who wakes in time finds the window over; who was held up finds the answers in its queue."""
+    bus = HeldUp(asleep_s, [Message(arbitration_id=0x181, data=bytes(8)), Message(arbitration_id=0x182, data=bytes(8))])
+    monkeypatch.setattr("drives.epoch.time", SimpleNamespace(monotonic=lambda: bus.now_s))
+    collector = EpochCollector(bus, [(0x181, 8), (0x182, 8)])  # type: ignore[arg-type]
+    frames = collector.collect(0.009, None)
+    assert (None not in frames) == whole
+    assert bus.now_s <= asleep_s + 0.009
 
 
 def test_a_lost_answer_costs_little_time(group, slaves, wire):
