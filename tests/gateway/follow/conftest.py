@@ -30,6 +30,7 @@ class Row:
     sync_index: int
     time_s: float
     readings: tuple
+    instruments: tuple = ()
 
 
 @dataclass
