@@ -37,6 +37,8 @@ LEAST_TIMED = 4
 MOST_BYTES = 4_000_000
 LONGEST_S = 600.0
 MOST_WAYPOINTS = 1000
+#: Rows of a timed path that are closer have no speed between them.
+LEAST_STEP_S = 1e-4
 #: No joint turns further.
 FARTHEST_RAD = 1e4
 #: What a limit may be exceeded by through rounding.
@@ -151,9 +153,11 @@ def _read_csv(text: str, file: Path) -> tuple[np.ndarray | None, np.ndarray]:
     if "time_s" not in header:
         return None, points
     times = table[:, header.index("time_s")]
-    if len(times) < LEAST_TIMED or times[0] != 0 or (np.diff(times) <= 0).any() or times[-1] > LONGEST_S:
+    steps_s = np.diff(times)
+    if len(times) < LEAST_TIMED or times[0] != 0 or not (steps_s >= LEAST_STEP_S).all() or times[-1] > LONGEST_S:
         raise InputError(
-            f"{file}: time_s must start at 0 and increase, to {LONGEST_S:g} s at most, over {LEAST_TIMED} rows at least"
+            f"{file}: time_s must start at 0 and increase, by {1e3 * LEAST_STEP_S:g} ms at least and to {LONGEST_S:g} s"
+            f" at most, over {LEAST_TIMED} rows at least"
         )
     return times, points
 

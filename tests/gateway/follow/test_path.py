@@ -103,6 +103,7 @@ TIMED = "time_s,q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad\n"
         ("p.csv", "", InputError, "columns"),
         ("p.csv", TIMED + "0,0,0,0,0,0,zero\n", InputError, "no number"),
         ("p.csv", TIMED + "0,0,0,0,0,0,0\n1,0,0,0,0,0,0\n1,0,0,0,0,0,0\n2,0,0,0,0,0,0\n", InputError, "increase"),
+        ("p.csv", TIMED + "0,0,0,0,0,0,0\n1e-300,1,0,0,0,0,0\n1,0,0,0,0,0,0\n2,0,0,0,0,0,0\n", InputError, "0.1 ms"),
         ("p.csv", TIMED + "".join(f"{t},{t},0,0,0,0,0\n" for t in range(5)), PlanRefused, "joint 1 reaches"),
         ("p.csv", TIMED[7:] + "0,0,0,0,0,0\n" * 1001, InputError, "1001 waypoints"),
         ("p.toml", f"waypoints_rad = [{'[1,0,0,0,0,0], [-1,0,0,0,0,0],' * 200}]", InputError, "s are the most"),
