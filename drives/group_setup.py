@@ -148,7 +148,8 @@ class DriveSetup:
         """
         self._forget()
         refuse_foreign(self._bus, max(_LISTEN_S, 3.0 * self.timing.period_s))
-        answers = finding.count_answers(self._bus, self.setups)
+        timeout_s = max(setup.profile.sdo.timeout_s for setup in self.setups)
+        answers = finding.count_answers(self._bus, [setup.node_id for setup in self.setups], timeout_s)
         self.drives = tuple(Cia402Drive(self._bus, setup, self.ledger) for setup in self.setups)
         self.instruments = tuple(Instrument(self._bus, setup, self.ledger) for setup in self.options.instruments)
         for drive in self.drives:

@@ -14,12 +14,12 @@ from drives.access import AccessRules, NodeAccess
 from drives.bringup import check_sync, read_identity
 from drives.bus import Bus
 from drives.decode import Frames
-from drives.errors import ConfigurationRefused, DuplicateNode, IdentityMismatch, NodeMissing
+from drives.errors import ConfigurationRefused, IdentityMismatch
+from drives.finding import count_answers, require_one
 from drives.heartbeat import NmtCommand, send_nmt
 from drives.ledger import WriteLedger
 from drives.objects import TPDO_COMMUNICATION, TPDO_MAPPING
 from drives.pdo import PdoPlan
-from drives.probe import probe
 from drives.profile_parts import ObjectReference
 from drives.values import InstrumentReading
 
@@ -30,7 +30,6 @@ METRE: Final = 0x01
 _INVALID: Final = 0x07
 _MAX_BITS: Final = 64
 _TPDOS: Final = 4
-_PATIENCE_S: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,12 +126,8 @@ class Instrument:
         ------
         NodeMissing, DuplicateNode, IdentityMismatch
         """
-        answers = probe(self._bus, [self.node_id], _PATIENCE_S)[self.node_id]
-        if answers == 0:
-            advice = "check power, node id, bit rate and cabling of the measuring device"
-            raise NodeMissing("nobody answers", node=self.node_id, advice=advice)
-        if answers > 1:
-            raise DuplicateNode(f"{answers} devices answer at this node id", node=self.node_id, advice="correct one")
+        answers = count_answers(self._bus, [self.node_id], self.access.rules.timeout_s)
+        require_one(self.node_id, answers[self.node_id])
         identity = read_identity(self.access.sdo)
         self.access.serial_number = identity.serial_number
         if identity.device_type is not None and identity.device_type & 0xFFFF != PROFILE_NUMBER:

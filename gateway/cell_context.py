@@ -17,7 +17,7 @@ from gateway.acquire.opening import BusOverride, axis_setups
 from gateway.check import judge_bus_load
 from gateway.check_rules import CheckItem
 from gateway.config import ArmConfig, LoadedCell, load_cell
-from gateway.pair.gap import instrument_of
+from gateway.pair.gap import instruments_on
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +67,7 @@ class CellContext:
 
     def instruments(self, arm: ArmConfig) -> tuple[InstrumentSetup, ...]:
         """Measuring devices on the bus of an arm."""
-        pair = self.loaded.cell.pair
-        distance = None if pair is None else pair.distance
-        return () if distance is None or distance.bus != arm.bus else (instrument_of(distance),)
+        return instruments_on(arm.bus, self.loaded.cell.pair)
 
     def ledger(self, arm: ArmConfig) -> Path:
         """Write ledger of an arm: one per cell file, arm and bus, so that parallel runs do not share one."""

@@ -190,6 +190,8 @@ class BusServer:
                     beat_at = now
                     self._keep_time(now)
         finally:
+            if self._real:
+                gc.unfreeze()
             for node in self.nodes:
                 node.remove_network()
             self.bus.shutdown()

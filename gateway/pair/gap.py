@@ -8,7 +8,7 @@ import numpy as np
 
 from drives.instrument import InstrumentSetup
 from gateway.acquire.arm import ArmSample
-from gateway.config_pair import DistanceConfig
+from gateway.config_pair import DistanceConfig, PairConfig
 from gateway.pair.distance import DistanceEstimator, DistanceSensors
 from gateway.pair.transform import Floats, inverse
 
@@ -23,13 +23,11 @@ class GapLayout:
     arm : int
         On whose bus the device is, 0 master, 1 slave.
     estimator : DistanceEstimator
-    instrument : InstrumentSetup
     """
 
     config: DistanceConfig
     arm: int
     estimator: DistanceEstimator
-    instrument: InstrumentSetup
 
     @property
     def limit_m(self) -> float:
@@ -59,13 +57,17 @@ def gap_layout(config: DistanceConfig, arm: int, wanted: Floats) -> GapLayout:
     ]
     point, normal = np.array([spot for spot, _ in spots]), np.array([turned for _, turned in spots])
     estimator = DistanceEstimator(DistanceSensors(origin, beam, point, normal, on_master), wanted, config.components)
-    instrument = instrument_of(config)
-    instrument.plans()
-    return GapLayout(config, arm, estimator, instrument)
+    _instrument(config).plans()
+    return GapLayout(config, arm, estimator)
 
 
-def instrument_of(config: DistanceConfig) -> InstrumentSetup:
-    """The measuring device, without what its channels mean."""
+def instruments_on(bus: str, pair: PairConfig | None) -> tuple[InstrumentSetup, ...]:
+    """Measuring devices of a cell on a bus, without what their channels mean."""
+    distance = None if pair is None else pair.distance
+    return () if distance is None or distance.bus != bus else (_instrument(distance),)
+
+
+def _instrument(config: DistanceConfig) -> InstrumentSetup:
     return InstrumentSetup(
         config.node_id,
         config.object,

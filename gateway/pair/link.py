@@ -25,6 +25,7 @@ from drives.drive import DriveCommand
 from gateway.acquire.arm import ArmSample
 from gateway.acquire.opening import BusOverride, OpenArm, open_arm
 from gateway.pair.cell import PairCell
+from gateway.pair.gap import instruments_on
 from gateway.pair.transform import Floats
 
 #: Until the first common SYNC by the clock [s].
@@ -224,8 +225,8 @@ def open_link(cell: PairCell, ledgers: tuple[Path | None, Path | None] = (None, 
     """
     with ExitStack() as opened:
         arms = []
-        for index, (arm, spec, ledger) in enumerate(zip(cell.arms, cell.specs, ledgers, strict=True)):
-            beside = () if cell.gap is None or cell.gap.arm != index else (cell.gap.instrument,)
+        for arm, spec, ledger in zip(cell.arms, cell.specs, ledgers, strict=True):
+            beside = instruments_on(arm.config.bus, cell.config)
             override = BusOverride(spec=spec, ledger=ledger, instruments=beside)
             arms.append(opened.enter_context(open_arm(cell.loaded, override, arm.config.name)))
         link = PairLink((arms[0], arms[1]), cell.pacing)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import tempfile
 import tomllib
-import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,14 +20,13 @@ from sim.measuring import FakeMeasuringDevice
 from sim.pair.cell import PairOptions
 from sim.pair.gap import GapSensors
 from sim.pair.world import PairWorld
-from sim.simulation import ServeOptions, Simulation
-from tests.pair.bus_rig import patient_cell
+from tests.pair.bus_rig import BACK_SPEED, bus_spec, simulated
 from tests.pair.inline import inline
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
 
-SPEED, BACK_SPEED = 1.5, 3.0
+SPEED = 1.5
 CYCLES = 6
 
 
@@ -72,23 +68,17 @@ class GapRig:
 @contextmanager
 def gap_rig(seed: int | None) -> Iterator[GapRig]:
     """Both buses of the example cell with distance sensors, the simulated devices in the thread that waits for them."""
-    name = uuid.uuid4().hex
-    buses = (f"{name}-l", f"{name}-r")
-    spec = f"left=virtual:{buses[0]};right=virtual:{buses[1]}"
-    with tempfile.TemporaryDirectory() as folder:
-        path = patient_cell(Path(folder)).with_name("distance.toml")
+    with (
+        simulated(PairOptions(seed), "distance.toml") as (simulation, path, buses),
+        inline(simulation.servers, buses),
+    ):
         table = tomllib.loads(path.read_text(encoding="utf-8"))["pair"]
-        simulation = Simulation(path, ServeOptions(bus=spec), PairOptions(seed))
         world: PairWorld = simulation.servers[0].arms[0].world  # type: ignore[assignment]
         demanded = np.array([channel["gap_m"] for channel in table["distance"]["channel"]])
-        try:
-            with inline(simulation.servers, buses):
-                cell = load_pair(path, spec)
-                with open_link(cell) as link:
-                    device = simulation.servers[1].instruments[0]
-                    yield GapRig(world, device, GapSensors(table, world, 0), demanded, cell, link, simulation.arms)
-        finally:
-            simulation.close()
+        cell = load_pair(path, bus_spec(buses))
+        with open_link(cell) as link:
+            device = simulation.servers[1].instruments[0]
+            yield GapRig(world, device, GapSensors(table, world, 0), demanded, cell, link, simulation.arms)
 
 
 def gaps_in_the_cell(seed: int) -> list[Row]:
@@ -108,7 +98,8 @@ def gaps_in_the_cell(seed: int) -> list[Row]:
                         "cycle": cycle,
                         "gap_m": float(np.abs(true).max()),
                         "sensed_gap_m": done.summary.gap_m,
-                        "learned": False,
+                        "learned": done.summary.learned,
+                        "learning_s": done.learning_s,
                     }
                 )
                 run.back()

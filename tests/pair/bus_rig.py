@@ -86,11 +86,11 @@ class PairRig:
 @contextmanager
 def pair_rig(seed: int | None, settings: Mapping[str, Any] | None = None, **options: Any) -> Iterator[PairRig]:
     """Both buses on `virtual`; the simulated drives in threads of this process."""
-    with _simulated(PairOptions(seed, settings=settings, **options)) as (simulation, path, buses):
+    with simulated(PairOptions(seed, settings=settings, **options)) as (simulation, path, buses):
         thread = threading.Thread(target=simulation.run, name="pair-sim")
         thread.start()
         try:
-            cell = load_pair(path, _spec(buses))
+            cell = load_pair(path, bus_spec(buses))
             with open_link(cell) as link:
                 yield PairRig(simulation, _world(simulation), cell, link, seed)
         finally:
@@ -102,22 +102,22 @@ def pair_rig(seed: int | None, settings: Mapping[str, Any] | None = None, **opti
 def inline_rig(seed: int | None, settings: Mapping[str, Any] | None = None) -> Iterator[PairRig]:
     """The same rig, the simulated drives in the thread that waits for them."""
     with (
-        _simulated(PairOptions(seed, settings=settings)) as (simulation, path, buses),
+        simulated(PairOptions(seed, settings=settings)) as (simulation, path, buses),
         inline(simulation.servers, buses),
     ):
-        cell = load_pair(path, _spec(buses))
+        cell = load_pair(path, bus_spec(buses))
         with open_link(cell) as link:
             yield PairRig(simulation, _world(simulation), cell, link, seed)
 
 
 @contextmanager
-def _simulated(options: PairOptions) -> Iterator[tuple[Simulation, Path, tuple[str, str]]]:
-    """Both arms, their cell file, and the channels of the buses."""
+def simulated(options: PairOptions, file: str = CELL.name) -> Iterator[tuple[Simulation, Path, tuple[str, str]]]:
+    """Both arms of a cell file of the example, that file, and the channels of the buses."""
     name = uuid.uuid4().hex
     buses = (f"{name}-l", f"{name}-r")
     with tempfile.TemporaryDirectory() as folder:
-        path = patient_cell(Path(folder))
-        simulation = Simulation(path, ServeOptions(bus=_spec(buses)), options)
+        path = patient_cell(Path(folder)).with_name(file)
+        simulation = Simulation(path, ServeOptions(bus=bus_spec(buses)), options)
         try:
             yield simulation, path, buses
         finally:
@@ -128,7 +128,8 @@ def _world(simulation: Simulation) -> PairWorld:
     return simulation.servers[0].arms[0].world  # type: ignore[return-value]
 
 
-def _spec(buses: tuple[str, str]) -> str:
+def bus_spec(buses: tuple[str, str]) -> str:
+    """Both buses as on the command line."""
     return f"left=virtual:{buses[0]};right=virtual:{buses[1]}"
 
 
