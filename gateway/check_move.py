@@ -15,19 +15,19 @@ import numpy as np
 from drives.busload import cycle_bits_worst, load_percent
 from drives.witness import TorqueWitness, TorqueWords
 from gateway.acquire.events import Listener
-from gateway.acquire.interrupt import ctrl_c_asks
-from gateway.acquire.opening import OpenArm
 from gateway.acquire.plan import Plan, VisitSettings, plan_poses
 from gateway.acquire.planning import reference_load
 from gateway.acquire.poses import RestPose
 from gateway.acquire.run import Station
 from gateway.acquire.runner import RunRequest, run_plan
-from gateway.acquire.workspace import Workspace
 from gateway.check import LOAD_LIMIT_PERCENT
 from gateway.check_rules import Axis, CheckItem
 from gateway.check_torque import Scales, judge_torque
 from gateway.check_wiring import AxisView, Verdict, judge_wiring
 from gateway.errors import LimitExceeded, PlanRefused
+from gateway.motion.interrupt import ctrl_c_asks
+from gateway.motion.opening import OpenArm
+from gateway.motion.workspace import Workspace
 from gateway.visit import Visit
 from gateway.wiring import Arm, Moves, Wiring
 

@@ -13,7 +13,7 @@ from drives.cia402 import FAULTED, Mode, State, decode_state, describe, mode_sup
 from drives.objects import OBJECTS, object_name
 from drives.profile import Constant, DriveProfile
 from drives.values import Identity
-from gateway.acquire.axis import AxisConversion
+from gateway.cell.conversion import AxisConversion
 from gateway.config import ArmConfig, AxisConfig
 
 Severity = Literal["ok", "info", "warn", "fail"]

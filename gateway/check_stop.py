@@ -12,17 +12,17 @@ from drives.cia402 import State, decode_state
 from drives.errors import DriveError
 from drives.objects import OBJECTS
 from drives.proof import StopTrace
-from gateway.acquire.arm import Arm
-from gateway.acquire.contact import TAKE_OVER_S
-from gateway.acquire.interrupt import ctrl_c_asks
-from gateway.acquire.opening import OpenArm
 from gateway.acquire.plan import approach_limits
-from gateway.acquire.stream import Stream
-from gateway.acquire.trajectory import Motion, straight
-from gateway.acquire.watch import Watch
-from gateway.acquire.workspace import Workspace
 from gateway.check_rules import CheckItem
 from gateway.errors import PlanRefused
+from gateway.motion.arm import Arm
+from gateway.motion.contact import TAKE_OVER_S
+from gateway.motion.interrupt import ctrl_c_asks
+from gateway.motion.opening import OpenArm
+from gateway.motion.stream import Stream
+from gateway.motion.trajectory import Motion, straight
+from gateway.motion.watch import Watch
+from gateway.motion.workspace import Workspace
 
 #: Speed of every joint while the heartbeat is withheld, and how far it may travel on its way.
 SPEED_RAD_S: Final = 0.05

@@ -13,7 +13,6 @@ from typing import Protocol
 
 import numpy as np
 
-from gateway.acquire.opening import OpenArm
 from gateway.acquire.plan import SIDES, Plan, check_plan, plan_poses
 from gateway.acquire.poses import PoseRequest, RestPose, feasible_postures
 from gateway.acquire.session import RecordRequest, make_plan, open_arm
@@ -28,6 +27,7 @@ from gateway.diagnose.loop import close_loop
 from gateway.errors import FindingFailed, PlanRefused
 from gateway.estimate import run as estimate_run
 from gateway.handover import complete
+from gateway.motion.opening import OpenArm
 from gateway.recorded import ArmRecording
 from gateway.recording import read
 from gateway.result import Result

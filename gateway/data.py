@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from gateway.acquire.axis import AxisConversion
+from gateway.cell.conversion import AxisConversion
 from gateway.config import LoadedCell
 from gateway.errors import InputError
 from gateway.recording import read

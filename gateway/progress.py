@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from gateway.acquire.events import Event, PoseDone, Progress, SampleRepeated, Started, StateChanged, Stopped, VisitDone
-from gateway.acquire.opening import OpenArm
 from gateway.acquire.plan import Plan
 from gateway.acquire.session import RecordingSummary, RecordRequest, record
 from gateway.console import Bar, Session
+from gateway.motion.opening import OpenArm
 
 
 class ProgressListener:

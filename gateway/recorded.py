@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from drives.scaling import Constants
-from gateway.acquire.axis import AxisConversion
 from gateway.acquire.poses import RestPose
+from gateway.cell.conversion import AxisConversion
 from gateway.config import ArmConfig, Cell
 from gateway.errors import InputError
 from gateway.rows import Table, concatenate

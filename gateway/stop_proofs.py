@@ -12,9 +12,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from gateway.acquire.opening import OpenArm
 from gateway.check_stop import StopProof, prove_stop
 from gateway.errors import FindingFailed
+from gateway.motion.opening import OpenArm
 
 SCHEMA: Final = 1
 

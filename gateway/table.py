@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway.acquire.axis import AxisConversion
+from gateway.cell.conversion import AxisConversion
 from gateway.csv_text import AXES, Columns, read_columns
 from gateway.errors import InputError
 from gateway.rows import MOVING, Table, concatenate, without_duplicates

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gateway.acquire.arm import ArmSample
 from gateway.errors import InputError
+from gateway.motion.arm import ArmSample
 
 #: Stands for a word that the drive does not send.
 NO_WORD = -(2**31)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.acquire.axis import AxisConversion
+from gateway.cell.conversion import AxisConversion
 from gateway.model.robot import AXES, Robot
 
 Floats = NDArray[np.float64]

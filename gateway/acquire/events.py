@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from gateway.acquire.state import CellState
+from gateway.motion.state import CellState
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,9 +13,9 @@ import numpy as np
 
 from gateway.acquire.poses import RestPose
 from gateway.acquire.route import Leg, find_route
-from gateway.acquire.trajectory import MotionLimits, straight
-from gateway.acquire.workspace import Workspace, path_points
 from gateway.errors import PlanRefused
+from gateway.motion.trajectory import MotionLimits, straight
+from gateway.motion.workspace import Workspace, path_points
 
 SIDES = (-1, 1)
 #: Share of the speed limit that moves between poses use.

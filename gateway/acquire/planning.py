@@ -17,12 +17,12 @@ from gateway.acquire.poses import (
     choose_poses,
     read_poses,
 )
-from gateway.acquire.workspace import Workspace, workspace_of
 from gateway.arm_model import arm_named, arm_robot
 from gateway.config import ArmConfig, LoadedCell
 from gateway.errors import PlanRefused
 from gateway.model.information import expected_std, payload_information
 from gateway.model.regressor import load_regressor
+from gateway.motion.workspace import Workspace, workspace_of
 
 #: Other choices that are tried if no path leads to some chosen pose.
 CHOICES = 5

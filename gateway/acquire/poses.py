@@ -14,10 +14,10 @@ from typing import Literal
 
 import numpy as np
 
-from gateway.acquire.workspace import Workspace
 from gateway.csv_text import read_columns
 from gateway.errors import InputError, PlanRefused
 from gateway.model.regressor import gravity_regressor
+from gateway.motion.workspace import Workspace
 
 #: Half-width of the friction band as a share of the torque limit, and what a two-sided approach leaves of it, until a
 #: recording has measured it.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gateway.acquire.poses import RestPose
-from gateway.acquire.workspace import Workspace
+from gateway.motion.workspace import Workspace
 
 VIA_SEED = 7
 VIA_POINTS = 200

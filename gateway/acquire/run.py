@@ -10,8 +10,6 @@ from typing import Protocol
 import numpy as np
 
 from drives.errors import IncompleteEpochs
-from gateway.acquire.arm import Arm, ArmSample
-from gateway.acquire.contact import TAKE_OVER_S
 from gateway.acquire.events import (
     Event,
     Listener,
@@ -32,14 +30,16 @@ from gateway.acquire.plan import (
     step_durations,
     travel_limits,
 )
-from gateway.acquire.reactions import ARM_RULES
 from gateway.acquire.settle import SettleTest
-from gateway.acquire.state import Phase, StateKeeper
-from gateway.acquire.stream import Stream
-from gateway.acquire.trajectory import straight
-from gateway.acquire.watch import Watch
-from gateway.acquire.workspace import Workspace
 from gateway.errors import PlanRefused, PoseNeverSettles
+from gateway.motion.arm import Arm, ArmSample
+from gateway.motion.contact import TAKE_OVER_S
+from gateway.motion.reactions import ARM_RULES
+from gateway.motion.state import Phase, StateKeeper
+from gateway.motion.stream import Stream
+from gateway.motion.trajectory import straight
+from gateway.motion.watch import Watch
+from gateway.motion.workspace import Workspace
 from gateway.visit import Visit, VisitLabel, visit_from_samples
 
 #: Between two messages about progress.

@@ -9,8 +9,8 @@ from drives.errors import DriveError
 from gateway.acquire.events import Stopped
 from gateway.acquire.plan import Plan, check_plan, plan_from
 from gateway.acquire.run import Run, Station
-from gateway.acquire.state import Phase
 from gateway.errors import GatewayError, LimitExceeded
+from gateway.motion.state import Phase
 
 
 @dataclass(frozen=True, slots=True)

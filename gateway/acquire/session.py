@@ -12,17 +12,17 @@ from typing import Any
 import numpy as np
 
 from gateway.acquire.events import Event, Listener, PoseDone, VisitDone
-from gateway.acquire.interrupt import ctrl_c_asks
-from gateway.acquire.opening import BusOverride, OpenArm, open_arm
 from gateway.acquire.plan import Plan
 from gateway.acquire.planning import make_plan, plan_of_poses
 from gateway.acquire.poses import RestPose
 from gateway.acquire.run import Station
 from gateway.acquire.runner import RunRequest, run_plan
-from gateway.acquire.workspace import workspace_of
 from gateway.arm_model import arm_named, arm_robot
 from gateway.config import LoadedCell
 from gateway.errors import GatewayError, InputError
+from gateway.motion.interrupt import ctrl_c_asks
+from gateway.motion.opening import BusOverride, OpenArm, open_arm
+from gateway.motion.workspace import workspace_of
 from gateway.recorded import Recording
 from gateway.recording import read
 from gateway.recording_writer import ArmHeader, RecordingHeader, RecordingWriter

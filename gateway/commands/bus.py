@@ -25,10 +25,10 @@ from gateway.errors import FindingFailed
 
 if TYPE_CHECKING:
     from drives.probe import ScanResult
-    from gateway.acquire.opening import OpenArm
     from gateway.cell_context import CellContext
     from gateway.check_rules import CheckItem
     from gateway.config import ArmConfig
+    from gateway.motion.opening import OpenArm
 
 DEFAULT_BUS = "socketcan:can0"
 
@@ -134,8 +134,8 @@ def _in_motion(
     context: CellContext, arm: ArmConfig, move: bool, prove_stop: bool
 ) -> tuple[list[CheckItem], list[dict[str, Any]]]:
     """Checks that move the arm; the stop is proven before anything else moves."""
-    from gateway.acquire.opening import open_arm
     from gateway.check_stop import prove_stop as prove
+    from gateway.motion.opening import open_arm
     from gateway.stop_proofs import keep_proof, proven_on
 
     items: list[CheckItem] = []

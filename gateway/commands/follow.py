@@ -68,13 +68,13 @@ def follow(
     """
     from dataclasses import replace
 
-    from gateway.acquire.interrupt import ctrl_c_asks
-    from gateway.acquire.opening import open_arm
     from gateway.arm_model import arm_named
     from gateway.cell_context import open_cell
     from gateway.follow.body import body_of
     from gateway.follow.job import FollowRequest, drive, prepare
     from gateway.follow.page import page
+    from gateway.motion.interrupt import ctrl_c_asks
+    from gateway.motion.opening import open_arm
     from gateway.stop_proofs import ensure_proven
 
     context = open_cell(cell, bus_spec)

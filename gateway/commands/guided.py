@@ -27,10 +27,10 @@ from gateway.console import Session, findings_table
 from gateway.errors import GatewayError
 
 if TYPE_CHECKING:
-    from gateway.acquire.opening import OpenArm
     from gateway.acquire.plan import Plan
     from gateway.acquire.session import RecordRequest
     from gateway.check_rules import CheckItem
+    from gateway.motion.opening import OpenArm
 
 
 @click.command()

@@ -6,8 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from gateway.acquire.opening import OpenArm, axis_setups
-from gateway.acquire.workspace import Workspace, workspace_of
 from gateway.arm_model import arm_robot
 from gateway.config import ArmConfig, LoadedCell
 from gateway.errors import DataUnusable, InputError
@@ -17,6 +15,8 @@ from gateway.follow.path import FollowPath, check_path, read_path
 from gateway.follow.run import FollowStation, Tell, follow
 from gateway.follow.settings import IDENTIFIED, FeedModel, Setting, check_offsets, feed_model, three_settings
 from gateway.follow.trend import load_trend
+from gateway.motion.opening import OpenArm, axis_setups
+from gateway.motion.workspace import Workspace, workspace_of
 from gateway.result import Result, from_json
 
 

@@ -26,9 +26,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.interpolate import make_interp_spline
 
 from drives.toml_text import parse_toml
-from gateway.acquire.trajectory import Motion, MotionLimits, straight
-from gateway.acquire.workspace import Workspace
 from gateway.errors import InputError, PlanRefused
+from gateway.motion.trajectory import Motion, MotionLimits, straight
+from gateway.motion.workspace import Workspace
 
 COLUMNS = tuple(f"q{axis}_rad" for axis in range(1, 7))
 SAME_RAD = 1e-9

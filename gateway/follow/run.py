@@ -8,20 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from drives.errors import DriveError
-from gateway.acquire.arm import Arm
-from gateway.acquire.contact import TAKE_OVER_S
 from gateway.acquire.plan import travel_limits
 from gateway.acquire.poses import RestPose
 from gateway.acquire.route import find_route
-from gateway.acquire.stream import Stream
-from gateway.acquire.trajectory import straight
-from gateway.acquire.watch import Watch
-from gateway.acquire.workspace import Workspace
 from gateway.errors import LimitExceeded, PlanRefused
 from gateway.follow.fed_arm import FedArm
 from gateway.follow.path import FollowPath, check_path
 from gateway.follow.settings import Setting
 from gateway.follow.track import Recorder, Track
+from gateway.motion.arm import Arm
+from gateway.motion.contact import TAKE_OVER_S
+from gateway.motion.stream import Stream
+from gateway.motion.trajectory import straight
+from gateway.motion.watch import Watch
+from gateway.motion.workspace import Workspace
 
 #: Time in which the offsets are eased in and out, at rest.
 RAMP_S = 0.8

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.acquire.arm import ArmSample
+from gateway.motion.arm import ArmSample
 
 Floats = NDArray[np.float64]
 

@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 
 from drives.drive import DriveCommand
-from gateway.acquire.arm import ArmSample
-from gateway.acquire.opening import BusOverride, OpenArm, open_arm
+from gateway.motion.arm import ArmSample
+from gateway.motion.opening import BusOverride, OpenArm, open_arm
 from gateway.pair.cell import PairCell
 from gateway.pair.gap import instruments_on
 from gateway.pair.transform import Floats

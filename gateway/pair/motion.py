@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gateway.acquire.arm import ArmSample
 from gateway.errors import PlanRefused
+from gateway.motion.arm import ArmSample
 from gateway.pair.calibration import PairCalibration, PathWrenches
 from gateway.pair.cell import PairCell
 from gateway.pair.felt import Felt, FeltByDistance, FeltByForce

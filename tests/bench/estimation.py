@@ -16,12 +16,12 @@ import pinocchio
 from numpy.typing import NDArray
 
 from gateway.acquire.poses import PoseRequest, assumed_noise_nm, choose_poses
-from gateway.acquire.workspace import workspace_of
 from gateway.arm_model import arm_robot
 from gateway.config import load_cell
 from gateway.estimate import ESTIMATORS, Options
 from gateway.estimate.estimate import LoadEstimate
 from gateway.model.robot import Robot, robot_from_urdf
+from gateway.motion.workspace import workspace_of
 from gateway.rows import Table
 from sim import draw
 from sim.cellfile import read_cell

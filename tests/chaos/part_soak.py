@@ -11,7 +11,7 @@ from typing import Any
 from drives.bus import BusSpec, open_bus
 from drives.drive import DriveCommand
 from drives.group import DriveGroup
-from gateway.acquire.opening import axis_setups
+from gateway.motion.opening import axis_setups
 from tests.chaos.figure import figure
 from tests.chaos.processes import drives
 from tests.chaos.rig import with_real_pacing

@@ -25,13 +25,13 @@ from drives.bus import BusSpec, open_bus
 from drives.errors import DriveError
 from drives.group import DriveGroup, GroupOptions
 from gateway.acquire.events import Event, VisitDone
-from gateway.acquire.opening import BusOverride, OpenArm, axis_setups, open_arm
 from gateway.acquire.planning import plan_of_poses
 from gateway.acquire.poses import RestPose
 from gateway.acquire.session import RecordRequest, record
 from gateway.arm_model import arm_named
 from gateway.config import LoadedCell, load_cell
 from gateway.errors import GatewayError
+from gateway.motion.opening import BusOverride, OpenArm, axis_setups, open_arm
 from sim.faults import Fault
 from sim.serve import free_bus
 from sim.states import PdsState

@@ -17,8 +17,8 @@ import can
 
 from drives.bus import BusSpec
 from drives.profile import PROFILE_FOLDER
-from gateway.acquire.opening import BusOverride, OpenArm, open_arm
 from gateway.config import LoadedCell, load_cell
+from gateway.motion.opening import BusOverride, OpenArm, open_arm
 from sim.faulty_wire import FaultyWire
 from sim.serve import ServeOptions, Simulation
 from sim.states import PdsState

@@ -17,7 +17,6 @@ import numpy as np
 
 from drives.errors import DriveError
 from gateway.acquire.events import Event, Started
-from gateway.acquire.opening import OpenArm
 from gateway.acquire.plan import Plan
 from gateway.acquire.planning import plan_of_poses
 from gateway.acquire.poses import RestPose
@@ -27,6 +26,7 @@ from gateway.check import check_arm
 from gateway.check_move import check_moves
 from gateway.check_stop import prove_stop
 from gateway.errors import GatewayError
+from gateway.motion.opening import OpenArm
 from gateway.visit import Visit
 from sim.faults import KINDS, Fault
 from sim.states import PdsState

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from drives.bus import BusSpec, open_bus
 from drives.drive import DriveCommand
 from drives.group import DriveGroup, GroupOptions
-from gateway.acquire.opening import axis_setups
+from gateway.motion.opening import axis_setups
 from sim.faults import Fault
 from tests.chaos.rig import Rig, rig
 

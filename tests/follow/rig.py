@@ -19,7 +19,6 @@ from typing import Any
 
 from click.testing import CliRunner, Result
 
-from gateway.acquire.opening import BusOverride, open_arm
 from gateway.arm_model import arm_named
 from gateway.cell_context import open_cell
 from gateway.cli import main
@@ -28,6 +27,7 @@ from gateway.feedforward.law import FeedforwardLaw
 from gateway.follow.body import body_of
 from gateway.follow.job import FollowRequest, Prepared, drive, prepare
 from gateway.follow.settings import Setting
+from gateway.motion.opening import BusOverride, open_arm
 from sim.serve import RunningSimulation, running
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -10,8 +10,6 @@ import numpy as np
 from hypothesis import strategies as st
 
 from drives.profile import DriveProfile
-from gateway.acquire.opening import axis_setups
-from gateway.acquire.workspace import Workspace, workspace_of
 from gateway.analysis import read_bare
 from gateway.arm_model import arm_robot
 from gateway.config import ArmConfig, LoadedCell, load_cell
@@ -20,6 +18,8 @@ from gateway.feedforward.load import check_origin, identified_load
 from gateway.follow.path import LONGEST_S, check_path, read_path
 from gateway.follow.settings import feed_model, three_settings
 from gateway.model.robot import Robot
+from gateway.motion.opening import axis_setups
+from gateway.motion.workspace import Workspace, workspace_of
 from gateway.result import from_json
 from tests.fuzz.check_files import EXAMPLES, RESULT_SEED, in_file
 from tests.fuzz.guard import bounded

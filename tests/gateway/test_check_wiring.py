@@ -8,8 +8,8 @@ import numpy as np
 import pinocchio
 import pytest
 
-from gateway.acquire.axis import AxisConversion
 from gateway.arm_model import arm_robot
+from gateway.cell.conversion import AxisConversion
 from gateway.check_move import wiring_items
 from gateway.check_wiring import judge_wiring
 from gateway.config import load_cell

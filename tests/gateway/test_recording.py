@@ -15,9 +15,9 @@ import pytest
 from drives.profile import load_profile
 from drives.scaling import Constants, motor_scale
 from gateway import seal
-from gateway.acquire.axis import AxisConversion
 from gateway.acquire.poses import RestPose
 from gateway.arm_model import robot_text
+from gateway.cell.conversion import AxisConversion
 from gateway.config import LoadedCell, load_cell
 from gateway.errors import InputError
 from gateway.recording import read

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gateway.acquire.axis import AxisConversion
+from gateway.cell.conversion import AxisConversion
 from gateway.errors import InputError
 from gateway.table import Table, concatenate, read_csv, write_csv
 

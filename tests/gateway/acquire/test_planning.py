@@ -19,10 +19,10 @@ from gateway.acquire.poses import (
     read_poses,
 )
 from gateway.acquire.route import find_route
-from gateway.acquire.workspace import path_points
 from gateway.arm_model import robot_text
 from gateway.errors import InputError, PlanRefused
 from gateway.model.information import payload_information
+from gateway.motion.workspace import path_points
 
 
 def load_information(workspace, q_rad: np.ndarray, noise_nm: np.ndarray) -> np.ndarray:
@@ -190,7 +190,7 @@ def test_broken_plans_are_refused(plan, workspace):
 
 def box_between(workspace, start: np.ndarray, end: np.ndarray):
     """A box of 10 cm where the flange would pass halfway."""
-    from gateway.acquire.workspace import body_points
+    from gateway.motion.workspace import body_points
 
     middle = body_points(workspace.robot, (start + end)[None] / 2, workspace.points_m)[0, -1]
     return replace(workspace, boxes_m=np.array([[middle - 0.05, middle + 0.05]]), links=None)
@@ -277,7 +277,7 @@ def test_a_visit_of_the_large_arm_takes_five_to_six_seconds(large_cell):
 
 
 def _workspace(cell):
-    from gateway.acquire.workspace import workspace_of
     from gateway.arm_model import arm_robot
+    from gateway.motion.workspace import workspace_of
 
     return workspace_of(cell.cell.arm[0], arm_robot(cell, cell.cell.arm[0]))

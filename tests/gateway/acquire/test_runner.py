@@ -11,9 +11,9 @@ from gateway.acquire.plan import Plan, VisitSettings, plan_poses
 from gateway.acquire.poses import RestPose
 from gateway.acquire.run import Station
 from gateway.acquire.runner import RunRequest, run_plan
-from gateway.acquire.state import SAFE, Phase
-from gateway.acquire.watch import IN_A_ROW
 from gateway.errors import InputError, LimitExceeded, PlanRefused, PoseNeverSettles
+from gateway.motion.state import SAFE, Phase
+from gateway.motion.watch import IN_A_ROW
 from gateway.visit import Visit
 
 SETTINGS = VisitSettings(

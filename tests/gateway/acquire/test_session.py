@@ -11,7 +11,6 @@ import pytest
 from drives.bus import BusSpec
 from drives.errors import NodeMissing, SeveralFailures
 from gateway.acquire.events import PoseDone, Progress, VisitDone
-from gateway.acquire.interrupt import ctrl_c_asks
 from gateway.acquire.session import (
     BusOverride,
     RecordRequest,
@@ -22,6 +21,7 @@ from gateway.acquire.session import (
 )
 from gateway.arm_model import robot_text
 from gateway.errors import InputError
+from gateway.motion.interrupt import ctrl_c_asks
 from gateway.recording import read
 from sim.serve import RunningSimulation, running
 

@@ -9,13 +9,13 @@ import pytest
 
 from drives.profile import load_profile
 from drives.values import DriveCommand, DriveReading
-from gateway.acquire.arm import Arm
-from gateway.acquire.axis import AxisConversion
-from gateway.acquire.workspace import workspace_of
 from gateway.arm_model import arm_robot
+from gateway.cell.conversion import AxisConversion
 from gateway.config import load_cell
 from gateway.feedforward.load import assumed_load
 from gateway.follow.settings import feed_model
+from gateway.motion.arm import Arm
+from gateway.motion.workspace import workspace_of
 from gateway.result import Result
 
 EXAMPLES = Path(__file__).parents[3] / "examples"

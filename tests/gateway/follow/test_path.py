@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.acquire.workspace import workspace_of
 from gateway.arm_model import arm_robot
 from gateway.config import load_cell
 from gateway.errors import InputError, PlanRefused
 from gateway.follow.path import check_path, read_path
+from gateway.motion.workspace import workspace_of
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 PERIOD_S = 0.01

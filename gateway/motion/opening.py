@@ -17,11 +17,11 @@ from drives.group import DriveGroup, GroupOptions
 from drives.instrument import InstrumentSetup
 from drives.profile import DriveProfile, list_profiles, load_profile
 from drives.scaling import Constants
-from gateway.acquire.arm import Arm
-from gateway.acquire.axis import AxisConversion
-from gateway.acquire.workspace import Workspace, workspace_of
 from gateway.arm_model import arm_named, robot_from_text, robot_text
+from gateway.cell.conversion import AxisConversion
 from gateway.config import ArmConfig, LoadedCell
+from gateway.motion.arm import Arm
+from gateway.motion.workspace import Workspace, workspace_of
 
 
 @dataclass(frozen=True, slots=True)

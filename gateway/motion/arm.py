@@ -11,7 +11,7 @@ import numpy as np
 from drives.drive import DriveCommand, DriveReading
 from drives.epoch import Epoch
 from drives.values import InstrumentReading
-from gateway.acquire.axis import AxisConversion
+from gateway.cell.conversion import AxisConversion
 
 AXES = 6
 

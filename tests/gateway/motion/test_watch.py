@@ -5,13 +5,13 @@ import pytest
 
 from drives.drive import DriveReading
 from drives.errors import IncompleteEpochs
-from gateway.acquire.arm import ArmSample
 from gateway.acquire.plan import travel_limits
-from gateway.acquire.reactions import ARM_RULES
 from gateway.acquire.settle import SettleTest
-from gateway.acquire.trajectory import straight
-from gateway.acquire.watch import IN_A_ROW, Watch
 from gateway.errors import LimitExceeded
+from gateway.motion.arm import ArmSample
+from gateway.motion.reactions import ARM_RULES
+from gateway.motion.trajectory import straight
+from gateway.motion.watch import IN_A_ROW, Watch
 
 PERIOD_S = 0.01
 ANSWER = DriveReading(1, 1, 0x1237, 0, 0, None, None, 0.0, 0.0, None, None)

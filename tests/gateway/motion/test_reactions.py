@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from drives.errors import DriveError
-from gateway.acquire.reactions import MEANING, REACTIONS, markdown
+from gateway.motion.reactions import MEANING, REACTIONS, markdown
 
 README = (Path(__file__).parents[3] / "README.md").read_text(encoding="utf-8")
 

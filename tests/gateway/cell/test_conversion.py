@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gateway.acquire.axis import AxisConversion
+from gateway.cell.conversion import AxisConversion
 
 
 def conversion(**changes) -> AxisConversion:

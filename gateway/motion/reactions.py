@@ -1,6 +1,6 @@
 """Every reaction of a cell under power, in one table: what stops the arm, what is taken again, what only counts.
 
-The drives' part is `drives.reactions`; here stands what only an arm can see. `python -m gateway.acquire.reactions`
+The drives' part is `drives.reactions`; here stands what only an arm can see. `python -m gateway.motion.reactions`
 prints the whole table as Markdown.
 """
 

@@ -6,12 +6,12 @@ from collections import deque
 
 import numpy as np
 
-from gateway.acquire.arm import ArmSample
-from gateway.acquire.contact import Contact
-from gateway.acquire.reactions import ARM_RULES
-from gateway.acquire.workspace import Workspace
 from gateway.errors import LimitExceeded
 from gateway.model.regressor import gravity_regressor
+from gateway.motion.arm import ArmSample
+from gateway.motion.contact import Contact
+from gateway.motion.reactions import ARM_RULES
+from gateway.motion.workspace import Workspace
 
 #: A limit counts as left after this many SYNCs in a row: one noisy reading stops nothing.
 IN_A_ROW = ARM_RULES["limits"].count

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.acquire.trajectory import MotionLimits, stop, straight
 from gateway.errors import PlanRefused
+from gateway.motion.trajectory import MotionLimits, stop, straight
 
 PERIOD_S = 0.01
 LIMITS = MotionLimits(np.full(6, 0.5), np.linspace(0.6, 1.2, 6), np.linspace(3.0, 6.0, 6))

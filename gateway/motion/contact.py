@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gateway.acquire.reactions import ARM_RULES
-from gateway.acquire.workspace import Workspace
 from gateway.errors import LimitExceeded
+from gateway.motion.reactions import ARM_RULES
+from gateway.motion.workspace import Workspace
 
 #: Jump of the unexplained torque, as a share of the joint's torque limit; friction at a reversal is below half of it.
 #: A gear that turns from driving to driven back adds (1 / eta - eta) of the torque it carries.

@@ -11,11 +11,11 @@ from drives.epoch import Epoch
 from drives.errors import DriveFault
 from drives.profile import load_profile
 from drives.scaling import Constants, motor_scale
-from gateway.acquire.arm import Arm
-from gateway.acquire.axis import AxisConversion
-from gateway.acquire.workspace import Workspace, workspace_of
 from gateway.arm_model import arm_robot
+from gateway.cell.conversion import AxisConversion
 from gateway.config import LoadedCell, load_cell
+from gateway.motion.arm import Arm
+from gateway.motion.workspace import Workspace, workspace_of
 
 ENABLED = 0x1237
 CONSTANTS = Constants(torque_rated=2.0, current_rated_a=4.0, offset_rated=None, counts_per_revolution=131072.0)
@@ -136,12 +136,12 @@ class FakeDrives:
 
 @pytest.fixture(scope="session")
 def small_cell() -> LoadedCell:
-    return load_cell(Path(__file__).parents[3] / "examples" / "small" / "cell.toml")
+    return load_cell(Path(__file__).parents[2] / "examples" / "small" / "cell.toml")
 
 
 @pytest.fixture(scope="session")
 def large_cell() -> LoadedCell:
-    return load_cell(Path(__file__).parents[3] / "examples" / "large" / "cell.toml")
+    return load_cell(Path(__file__).parents[2] / "examples" / "large" / "cell.toml")
 
 
 @pytest.fixture(scope="session")

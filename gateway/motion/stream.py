@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from gateway.acquire.arm import Arm, ArmSample
-from gateway.acquire.trajectory import Motion, MotionLimits, stop
-from gateway.acquire.watch import Watch
+from gateway.motion.arm import Arm, ArmSample
+from gateway.motion.trajectory import Motion, MotionLimits, stop
+from gateway.motion.watch import Watch
 
 #: Called with what is done, the row and the number of rows, now and then.
 Report = Callable[[str, int, int], None]

@@ -6,10 +6,10 @@ import numpy as np
 import pinocchio
 import pytest
 
-from gateway.acquire.workspace import TORQUE_SHARE, body_points, path_points, workspace_of
 from gateway.arm_model import arm_named, arm_robot, robot_text
 from gateway.config import AxisConfig, KeepOut
 from gateway.errors import ConfigError
+from gateway.motion.workspace import TORQUE_SHARE, body_points, path_points, workspace_of
 
 
 @pytest.fixture(scope="module")
