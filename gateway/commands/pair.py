@@ -100,7 +100,13 @@ def teach(cell: Path, resume: bool, store: Path | None, bus_spec: str | None, ye
 
 @click.command()
 @cell_argument
-@click.option("--embodiment", default="C8", show_default=True, metavar="NAME", help="Row of the table in the README.")
+@click.option(
+    "--embodiment",
+    default="C8",
+    show_default=True,
+    metavar="NAME",
+    help="Row of the table in docs/explanation/two-arms.md.",
+)
 @click.option("--cycles", type=click.IntRange(min=1), default=1, show_default=True, help="There and back.")
 @click.option("--speed", type=click.FloatRange(0, min_open=True), help="Speed setting; the cell's if omitted.")
 @store_option
