@@ -15,7 +15,7 @@ from drives.instrument import InstrumentSetup
 from drives.profile import DriveProfile
 from gateway.check import judge_bus_load
 from gateway.check_rules import CheckItem
-from gateway.config import ArmConfig, LoadedCell, load_cell
+from gateway.config import ArmConfig, LoadedCell, load_cell, with_pacing
 from gateway.motion.opening import BusOverride, axis_setups
 from gateway.pair.gap import instruments_on
 
@@ -109,8 +109,8 @@ def _state_folder() -> Path:
     return (Path(base) if base else Path.home() / ".local" / "state") / "servo-gateway"
 
 
-def open_cell(path: Path, bus_spec: str | None) -> CellContext:
-    """Read a cell file; `bus_spec` replaces the bus of every arm.
+def open_cell(path: Path, bus_spec: str | None, pacing: str | None = None) -> CellContext:
+    """Read a cell file; `bus_spec` replaces the bus of every arm, `pacing` that of every bus.
 
     Raises
     ------
@@ -119,4 +119,6 @@ def open_cell(path: Path, bus_spec: str | None) -> CellContext:
     BusError
         The SPEC is not understood.
     """
-    return CellContext(load_cell(path), path, None if bus_spec is None else BusSpec.parse(bus_spec))
+    return CellContext(
+        with_pacing(load_cell(path), pacing), path, None if bus_spec is None else BusSpec.parse(bus_spec)
+    )

@@ -18,15 +18,15 @@ from gateway.acquire.events import Listener
 from gateway.acquire.plan import Plan, VisitSettings, plan_poses
 from gateway.acquire.planning import reference_load
 from gateway.acquire.poses import RestPose
-from gateway.acquire.run import Station
+from gateway.acquire.run import Shelf, Station
 from gateway.acquire.runner import RunRequest, run_plan
 from gateway.check import LOAD_LIMIT_PERCENT
 from gateway.check_rules import Axis, CheckItem
 from gateway.check_torque import Scales, judge_torque
 from gateway.check_wiring import AxisView, Verdict, judge_wiring
 from gateway.errors import LimitExceeded, PlanRefused
-from gateway.motion.interrupt import ctrl_c_asks
 from gateway.motion.opening import OpenArm
+from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import Workspace
 from gateway.visit import Visit
 from gateway.wiring import Arm, Moves, Wiring
@@ -40,19 +40,6 @@ SETTLE_S: Final = 10.0
 #: A misfit above this says that the model does not describe the arm, whatever the wiring.
 MISFIT: Final = 2.0
 LOAD: Final = "check"
-
-
-class _Shelf:
-    """Visits, in memory."""
-
-    def __init__(self) -> None:
-        self.visits: list[Visit] = []
-
-    def add(self, arm: str, visit: Visit) -> Visit:
-        """Keep one that is complete."""
-        if visit.complete:
-            self.visits.append(visit)
-        return visit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,7 +108,7 @@ def _settings(period_s: float) -> VisitSettings:
     return VisitSettings(APPROACH_RAD, SPEED_RAD_S, SETTLE_S, SAMPLES, period_s)
 
 
-def check_moves(opened: OpenArm, listeners: Sequence[Listener] = ()) -> MoveCheck:
+def check_moves(opened: OpenArm, listeners: Sequence[Listener] = (), options: MoveOptions | None = None) -> MoveCheck:
     """Move every axis a little and judge what the torques say.
 
     Parameters
@@ -129,6 +116,7 @@ def check_moves(opened: OpenArm, listeners: Sequence[Listener] = ()) -> MoveChec
     opened : OpenArm
         Connected and configured, in its brakes; the stop on loss of the master is proven.
     listeners : sequence of Listener
+    options : MoveOptions, optional
 
     Raises
     ------
@@ -139,12 +127,12 @@ def check_moves(opened: OpenArm, listeners: Sequence[Listener] = ()) -> MoveChec
     """
     group, config = opened.group, opened.config
     plan = plan_moves(config.name, opened.workspace, opened.arm.where(), group.timing.period_s)
-    shelf = _Shelf()
+    shelf = Shelf()
     with TorqueWitness(group.bus, group.drives if _room_for_witness(opened) else ()) as witness:
         try:
-            with ctrl_c_asks() as stop_asked:
-                station = Station(opened.arm, opened.workspace, shelf, tuple(listeners), stop_asked)
-                run_plan(station, RunRequest(plan, LOAD))
+            pacing = group.timing.pacing
+            station = Station(opened.arm, opened.workspace, shelf, tuple(listeners), options or MoveOptions(), pacing)
+            run_plan(station, RunRequest(plan, LOAD))
         except LimitExceeded as error:
             advice = "check the order of the node ids, position_sign, torque_sign and gear_ratio of the axes by hand"
             return MoveCheck(

@@ -15,13 +15,14 @@ from drives.proof import StopTrace
 from gateway.acquire.plan import approach_limits
 from gateway.check_rules import CheckItem
 from gateway.errors import PlanRefused
-from gateway.motion.arm import Arm
+from gateway.motion.arms import Arms
 from gateway.motion.contact import TAKE_OVER_S
-from gateway.motion.interrupt import ctrl_c_asks
 from gateway.motion.opening import OpenArm
-from gateway.motion.stream import Stream
+from gateway.motion.power import powered
+from gateway.motion.state import StateKeeper
+from gateway.motion.stops import StopDesk
+from gateway.motion.stream import MoveOptions, Station, Stream
 from gateway.motion.trajectory import Motion, straight
-from gateway.motion.watch import Watch
 from gateway.motion.workspace import Workspace
 
 #: Speed of every joint while the heartbeat is withheld, and how far it may travel on its way.
@@ -118,7 +119,7 @@ def _directions(workspace: Workspace, start_rad: np.ndarray) -> Iterator[np.ndar
         yield np.where(flip >> np.arange(6) & 1, -inward, inward)
 
 
-def prove_stop(opened: OpenArm) -> StopProof:
+def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof:
     """Move slowly, withhold the heartbeat, watch every drive stop, and bring the drives back to where they were.
 
     A drive that answers the lost heartbeat with a fault of the communication class is reset afterwards, since the
@@ -142,17 +143,12 @@ def prove_stop(opened: OpenArm) -> StopProof:
     motion = slow_motion(arm.name, workspace, arm.where(), consumer_s, period_s)
     speed = np.abs(motion.qd_rad_s).max(axis=1)
     steady = int(np.argmax(speed >= 0.99 * speed.max())) + 1
-    with ctrl_c_asks() as stop_asked:
-        stream = Stream(arm, Watch(arm.name, workspace, period_s), stop_asked, lambda *_: None, len(motion) + 1)
-        try:
-            stream.start(arm.enable().q_rad)
-            for row in range(int(np.ceil(TAKE_OVER_S / period_s))):
-                stream.hold("open the brakes", row, 0)
-            stream.move(_rows(motion, slice(0, steady)), "move slowly")
-            traces = opened.group.fall_silent(arm.commands(motion.q_rad[steady:]))
-        except BaseException as error:
-            _stop(arm, error)
-            raise
+    with powered(Stream(_station(opened, StopDesk() if options is None else options.desk))) as stream:
+        rows = int(np.ceil(TAKE_OVER_S / period_s))
+        for row in range(rows):
+            stream.hold("open the brakes", row, rows)
+        stream.move([_rows(motion, slice(0, steady))], "move slowly")
+        traces = opened.group.fall_silent([arm.command(q) for q in motion.q_rad[steady:]])
     return _judge(opened, traces, float(speed.max()), _reset_provoked(opened))
 
 
@@ -160,12 +156,15 @@ def _rows(motion: Motion, rows: slice) -> Motion:
     return Motion(motion.q_rad[rows], motion.qd_rad_s[rows], motion.qdd_rad_s2[rows], motion.period_s)
 
 
-def _stop(arm: Arm, error: BaseException) -> None:
-    for action in (arm.quick_stop, arm.disable):
-        try:
-            action()
-        except DriveError as failure:
-            error.add_note(f"while stopping: {failure}")
+def _station(opened: OpenArm, desk: StopDesk) -> Station:
+    arm, timing = opened.arm, opened.group.timing
+    return Station(
+        arms=Arms((arm,), timing.pacing),
+        workspaces=(opened.workspace,),
+        period_s=timing.period_s,
+        state=StateKeeper(arm.name, lambda _state: None),
+        options=MoveOptions(desk),  # slow by itself: no override slows it further
+    )
 
 
 def _reset_provoked(opened: OpenArm) -> dict[int, str]:

@@ -7,7 +7,7 @@ whole after each visit.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -28,6 +28,7 @@ from gateway.errors import FindingFailed, PlanRefused
 from gateway.estimate import run as estimate_run
 from gateway.handover import complete
 from gateway.motion.opening import OpenArm
+from gateway.motion.stream import MoveOptions
 from gateway.recorded import ArmRecording
 from gateway.recording import read
 from gateway.result import Result
@@ -54,7 +55,7 @@ class Dialogue(Protocol):
         """Ask for a load to be hung; returns when it hangs."""
         ...
 
-    def measure(self, opened: OpenArm, plan: Plan, request: RecordRequest) -> None:
+    def measure(self, opened: OpenArm, plan: Plan, request: RecordRequest, options: MoveOptions) -> None:
         """Record and show how far it is."""
         ...
 
@@ -75,12 +76,14 @@ class Job:
         Loads, in the order in which they are hung.
     recording : Path
         Where everything measured goes; a file that is there is gone on with.
+    options : MoveOptions
     """
 
     context: CellContext
     arm: ArmConfig
     labels: tuple[str, ...]
     recording: Path
+    options: MoveOptions = field(default_factory=MoveOptions)
 
 
 def commission(job: Job, dialogue: Dialogue) -> Result:
@@ -107,8 +110,8 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
     plan = make_plan(job.context.loaded, arm=job.arm.name)
     dialogue.planned(plan)
     with open_arm(job.context.loaded, job.context.override(job.arm), job.arm.name) as opened:
-        ensure_proven(opened, job.context.stop_proof(job.arm), dialogue.say)
-        robot = _Robot(job, dialogue, opened, plan)
+        options = ensure_proven(opened, job.context.stop_proof(job.arm), dialogue.say, job.options)
+        robot = _Robot(replace(job, options=options), dialogue, opened, plan)
         for label in (BARE, *job.labels):
             robot.measure_load(label)
         about, table = robot.data()
@@ -208,4 +211,6 @@ class _Robot:
                 "open the keep_out boxes or narrow the joint limits"
             )
         check_plan(plan, opened.workspace)
-        self._dialogue.measure(opened, plan, RecordRequest(self._load, self._job.recording, resume=True))
+        request = RecordRequest(self._load, self._job.recording, resume=True)
+        self._dialogue.measure(opened, plan, request, self._job.options)
+        self._job = replace(self._job, options=replace(self._job.options, first_done=None))

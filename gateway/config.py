@@ -269,3 +269,12 @@ def load_cell(path: Path) -> LoadedCell:
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from error
     return LoadedCell(cell=parse_cell(text, str(path)), text=text, folder=path.resolve().parent)
+
+
+def with_pacing(loaded: LoadedCell, pacing: str | None) -> LoadedCell:
+    """The same cell with another pacing on every bus; None = as it is."""
+    if pacing is None:
+        return loaded
+    cell = loaded.cell
+    buses = {name: bus.model_copy(update={"pacing": pacing}) for name, bus in cell.bus.items()}
+    return loaded.model_copy(update={"cell": cell.model_copy(update={"bus": buses})})

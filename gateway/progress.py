@@ -7,6 +7,7 @@ from gateway.acquire.plan import Plan
 from gateway.acquire.session import RecordingSummary, RecordRequest, record
 from gateway.console import Bar, Session
 from gateway.motion.opening import OpenArm
+from gateway.motion.stream import MoveOptions
 
 
 class ProgressListener:
@@ -45,7 +46,9 @@ class ProgressListener:
             self._session.note(f"stopped: {event.reason}")
 
 
-def recording_with_progress(session: Session, opened: OpenArm, plan: Plan, request: RecordRequest) -> RecordingSummary:
+def recording_with_progress(
+    session: Session, opened: OpenArm, plan: Plan, request: RecordRequest, options: MoveOptions
+) -> RecordingSummary:
     """Measure a plan under one load and show how far it is.
 
     Raises
@@ -53,5 +56,5 @@ def recording_with_progress(session: Session, opened: OpenArm, plan: Plan, reque
     InputError, PlanRefused, DriveError, KeyboardInterrupt
         As `record`.
     """
-    with session.progress(plan.duration_s, f"load {request.load}") as bar:
-        return record(opened, plan, request, (ProgressListener(session, bar),))
+    with session.progress(plan.duration_s / options.override, f"load {request.load}") as bar:
+        return record(opened, plan, request, (ProgressListener(session, bar),), options)

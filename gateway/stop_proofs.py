@@ -15,6 +15,7 @@ from typing import Any, Final
 from gateway.check_stop import StopProof, prove_stop
 from gateway.errors import FindingFailed
 from gateway.motion.opening import OpenArm
+from gateway.motion.stream import MoveOptions
 
 SCHEMA: Final = 1
 
@@ -59,7 +60,7 @@ def keep_proof(path: Path, opened: OpenArm, proof: StopProof) -> None:
     os.replace(temporary, path)
 
 
-def ensure_proven(opened: OpenArm, path: Path, say: Callable[[str], None]) -> None:
+def ensure_proven(opened: OpenArm, path: Path, say: Callable[[str], None], options: MoveOptions) -> MoveOptions:
     """Make sure that loss of the master stops these drives, before anything else moves; proven once, then kept.
 
     Parameters
@@ -70,6 +71,12 @@ def ensure_proven(opened: OpenArm, path: Path, say: Callable[[str], None]) -> No
         Where the proof is kept.
     say : callable
         Takes a remark.
+    options : MoveOptions
+
+    Returns
+    -------
+    MoveOptions
+        For what moves next.
 
     Raises
     ------
@@ -81,9 +88,9 @@ def ensure_proven(opened: OpenArm, path: Path, say: Callable[[str], None]) -> No
     date = proven_on(path, opened)
     if date is not None:
         say(f"drives stop on loss of the master: proven {date}")
-        return
+        return options
     say("proving that the drives stop on loss of the master: a slow motion without heartbeat")
-    proof = prove_stop(opened)
+    proof = prove_stop(opened, options)
     keep_proof(path, opened, proof)
     failed = [item for item in proof.items if item.severity == "fail"]
     if failed:
@@ -91,3 +98,4 @@ def ensure_proven(opened: OpenArm, path: Path, say: Callable[[str], None]) -> No
         first = failed[0]
         raise FindingFailed(f"nothing is measured: {first.where}: {first.what}; {first.advice}{more}")
     say(f"every drive stopped by itself, within {1000 * max(trace.left_s or 0.0 for trace in proof.traces):.0f} ms")
+    return options

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import accumulate
 from typing import Protocol
@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from drives.errors import IncompleteEpochs
+from drives.exchange import Pacing
 from gateway.acquire.events import (
     Event,
     Listener,
@@ -17,7 +18,6 @@ from gateway.acquire.events import (
     Progress,
     SampleRepeated,
     Started,
-    StateChanged,
     VisitDone,
 )
 from gateway.acquire.plan import (
@@ -31,19 +31,17 @@ from gateway.acquire.plan import (
     travel_limits,
 )
 from gateway.acquire.settle import SettleTest
-from gateway.errors import PlanRefused, PoseNeverSettles
+from gateway.errors import GatewayError, PlanRefused, PoseNeverSettles
 from gateway.motion.arm import Arm, ArmSample
 from gateway.motion.contact import TAKE_OVER_S
 from gateway.motion.reactions import ARM_RULES
 from gateway.motion.state import Phase, StateKeeper
-from gateway.motion.stream import Stream
+from gateway.motion.stops import StopKind, StopRequest, guarded
+from gateway.motion.stream import MoveOptions, Stream
 from gateway.motion.trajectory import straight
-from gateway.motion.watch import Watch
 from gateway.motion.workspace import Workspace
 from gateway.visit import Visit, VisitLabel, visit_from_samples
 
-#: Between two messages about progress.
-PROGRESS_S = 0.25
 #: Incomplete SYNCs while sampling, as a share of the samples asked for, before the visit is given up.
 REPEATED_SHARE = ARM_RULES["repeats"].limit
 REPEATED_LEAST = 10
@@ -53,15 +51,54 @@ SINK_RAD = ARM_RULES["sinks"].limit
 
 
 class VisitStore(Protocol):
-    """Where visits go."""
+    """Where visits go; nothing here may keep the motion loop waiting but `flush`."""
 
     def add(self, arm: str, visit: Visit) -> Visit:
-        """Keep a visit; returns it with its number."""
+        """Take a visit; returns it with its number."""
+        ...
+
+    def written(self) -> Sequence[Visit]:
+        """Visits that have been kept for good since this was asked last."""
+        ...
+
+    def trouble(self) -> GatewayError | None:
+        """Why no more visits should be measured: a disk that is full or too slow."""
+        ...
+
+    def flush(self) -> None:
+        """Wait until everything is kept for good.
+
+        Raises
+        ------
+        InputError
+            It cannot be kept.
+        """
         ...
 
 
-def _never() -> bool:
-    return False
+class Shelf:
+    """Visits in memory."""
+
+    def __init__(self) -> None:
+        self.visits: list[Visit] = []
+        self._told = 0
+
+    def add(self, arm: str, visit: Visit) -> Visit:
+        """Keep a visit."""
+        del arm
+        self.visits.append(replace(visit, number=len(self.visits) + 1))
+        return self.visits[-1]
+
+    def written(self) -> Sequence[Visit]:
+        """What was added since."""
+        since, self._told = self.visits[self._told :], len(self.visits)
+        return since
+
+    def trouble(self) -> None:
+        """None: memory is not expected to be full."""
+
+    def flush(self) -> None:
+        """Nothing to wait for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,71 +113,80 @@ class Station:
     store : VisitStore
     listeners : tuple of Listener
         Called with every event, in the thread of the run.
-    stop_asked : callable
-        Asked at every SYNC; true stops the arm.
+    options : MoveOptions
+    pacing : "lockstep" or "real"
     """
 
     arm: Arm
     workspace: Workspace
     store: VisitStore
     listeners: tuple[Listener, ...] = ()
-    stop_asked: Callable[[], bool] = field(default=_never)
+    options: MoveOptions = field(default_factory=MoveOptions)
+    pacing: Pacing = "lockstep"
 
     def tell(self, event: Event) -> None:
-        """Hand an event to all listeners."""
+        """Hand an event to all listeners; one that fails stops the arm, and the others still hear."""
         for listener in self.listeners:
-            listener(event)
+            guarded(listener, self.options.desk)(event)
 
 
 class Run:
-    """One run of one plan; `broken` is the visit that an error has cut short."""
+    """One run of one plan under power; `broken` is the visit that an error has cut short.
 
-    def __init__(self, station: Station, plan: Plan, load: str) -> None:
+    Parameters
+    ----------
+    station : Station
+    plan : Plan
+        From where the arm stands.
+    load : str
+    state : StateKeeper
+    """
+
+    def __init__(self, station: Station, plan: Plan, load: str, state: StateKeeper) -> None:
         self.plan = plan
         self.broken: Visit | None = None
-        self.state = StateKeeper(plan.arm, lambda state: station.tell(StateChanged(state)))
+        self.state = state
         self._load = load
         self._arm = station.arm
-        self._workspace: Workspace = station.workspace
+        self._workspace = station.workspace
         self._store = station.store
         self._tell = station.tell
         self._period_s = plan.settings.period_s
         self._ends = [0.0, *accumulate(step_durations(plan, self._workspace))]
-        self._step = 0
-        self._settle_s = 0.0
+        self._slower = 1.0 / station.options.override
+        self._step = -1
+        self._settle_s: dict[int, float] = {}
         self._direction = np.zeros(6, dtype=np.int8)
         self._first_side: Visit | None = None
-        watch = Watch(plan.arm, self._workspace, self._period_s)
-        every = max(1, round(PROGRESS_S / self._period_s))
-        self._stream = Stream(self._arm, watch, station.stop_asked, self._progress, every)
+        self._settled_s = 0.0
 
-    def start(self, sample: ArmSample) -> None:
-        """Take over the enabled arm."""
+    def check_start(self, stream: Stream) -> None:
+        """Refuse an arm that has sunk while its brakes opened: the checked plan no longer fits.
+
+        Raises
+        ------
+        PlanRefused
+        """
         planned = np.array(self.plan.start_rad)
-        sunk = np.abs(sample.q_rad - planned)
+        sunk = np.abs(stream.q_rad[0] - planned)
         if not sunk.max() <= SINK_RAD:
             joint = int(np.argmax(np.nan_to_num(sunk, nan=np.inf))) + 1
             raise PlanRefused(
                 f"arm '{self.plan.arm}', joint {joint} moved by {sunk[joint - 1]:.3f} rad while its brake opened; "
                 f"{ARM_RULES['sinks'].advice}"
             )
-        self._stream.start(sample.q_rad)
-        self.state.enter(Phase.HOLDING, sample.sync_index)
 
-    @property
-    def sync_index(self) -> int:
-        """Last SYNC of this run."""
-        return self._stream.sync_index
-
-    def execute(self) -> None:
+    def execute(self, stream: Stream) -> None:
         """All steps."""
-        self._tell(Started(self.plan.arm, self._load, len(self.plan.visits), self._ends[-1]))
+        self.check_start(stream)
+        self._stream = stream
+        self._tell(Started(self.plan.arm, self._load, len(self.plan.visits), self._slower * self._ends[-1]))
         rows = int(np.ceil(TAKE_OVER_S / self._period_s))
-        for _ in range(rows):
-            self._stream.hold("open the brakes", 0, rows)
+        for row in range(rows):
+            stream.hold("open the brakes", row, rows)
         for number, step in enumerate(self.plan.steps):
             self._step = number
-            self.state.enter(PHASES[type(step)], self.sync_index)
+            self.state.enter(PHASES[type(step)], stream.sync_index)
             if isinstance(step, MoveTo):
                 self._move(step.q_rad, "move")
             elif isinstance(step, Approach):
@@ -149,35 +195,37 @@ class Run:
                 self._settle(step)
             else:
                 self._sample(step)
-        self._tell(Progress(len(self.plan.steps), len(self.plan.steps), "done", self._ends[-1], 0.0))
+        self._tell(Progress(len(self.plan.steps), len(self.plan.steps), "done", self._slower * self._ends[-1], 0.0))
 
-    def stop_softly(self) -> None:
-        """Jerk-limited stop; by the drives' own ramp where that fails."""
-        try:
-            self._stream.stop_softly(travel_limits(self._workspace), self._period_s)
-        except BaseException:
-            self._arm.quick_stop()
-            raise
+    def disk(self) -> StopRequest | None:
+        """Tell of the visits that are on disk by now; a wish to stop where the disk does not keep up.
+
+        The motion loop asks at every SYNC.
+        """
+        for visit in self._store.written():
+            self._announce(visit)
+        trouble = self._store.trouble()
+        return None if trouble is None else StopRequest(StopKind.ALONG_PATH, trouble)
 
     def _move(self, target_rad: Sequence[float], what: str, speed_rad_s: float | None = None) -> None:
         limits = travel_limits(self._workspace)
         if speed_rad_s is not None:
             limits = approach_limits(self._workspace, speed_rad_s)
-        target = np.array(target_rad)
-        self._direction = np.sign(target - self._stream.q_rad).astype(np.int8)
-        self._stream.move(straight(self._stream.q_rad, target, limits, self._period_s), what)
+        target, (at,) = np.array(target_rad), self._stream.q_rad
+        self._direction = np.sign(target - at).astype(np.int8)
+        self._stream.move([straight(at, target, limits, self._period_s)], what)
 
     def _settle(self, step: Settle) -> None:
         test = SettleTest(self._period_s, self._workspace.torque_nm)
         restless: np.ndarray | None = None
         limit = int(np.ceil(step.timeout_s / self._period_s))
         for row in range(limit):
-            sample = self._stream.hold(f"settle pose {step.pose}", row, limit)
+            (sample,) = self._stream.hold(f"settle pose {step.pose}", row, limit)
             if sample.complete:
                 test.add(sample.q_rad, sample.joint_torque_nm)
                 restless = test.restless()
                 if restless is not None and not restless.any():
-                    self._settle_s = (row + 1) * self._period_s
+                    self._settled_s = (row + 1) * self._period_s
                     return
         joint = test.worst + 1
         raise PoseNeverSettles(
@@ -189,12 +237,13 @@ class Run:
 
     def _sample(self, step: Sample) -> None:
         purpose = next(pose.purpose for pose in self.plan.poses if pose.number == step.pose)
-        label = VisitLabel(self._load, step.pose, purpose, step.direction, self._direction, self._stream.q_rad)
+        (at,) = self._stream.q_rad
+        label = VisitLabel(self._load, step.pose, purpose, step.direction, self._direction, at)
         samples: list[ArmSample] = []
         repeated = 0
         try:
             while len(samples) < step.count:
-                sample = self._stream.hold(f"sample pose {step.pose}", len(samples), step.count)
+                (sample,) = self._stream.hold(f"sample pose {step.pose}", len(samples), step.count)
                 if sample.complete:
                     samples.append(sample)
                     continue
@@ -214,17 +263,21 @@ class Run:
         first, self._first_side = self._first_side, visit
         if first is not None and first.pose == visit.pose and first.approach == -visit.approach:
             visit = with_half_sums(self._arm, first, visit)
-        stored = self._store.add(self.plan.arm, visit)
+        self._settle_s[self._store.add(self.plan.arm, visit).number] = self._settled_s
+
+    def _announce(self, visit: Visit) -> None:
+        if not visit.complete:
+            return
         torque = visit.joint_torque_nm
         self._tell(
             VisitDone(
-                number=stored.number,
+                number=visit.number,
                 pose=visit.pose,
                 direction=visit.approach,
                 load=visit.load,
                 torque_nm=tuple(torque.mean(axis=0).tolist()),
                 torque_std_nm=tuple(torque.std(axis=0, ddof=min(1, len(visit) - 1)).tolist()),
-                settle_s=self._settle_s,
+                settle_s=self._settle_s.pop(visit.number, 0.0),
                 incomplete_epochs=visit.incomplete_epochs,
             )
         )
@@ -232,10 +285,12 @@ class Run:
             gravity, band = tuple(visit.gravity_nm.tolist()), tuple(visit.friction_band_nm.tolist())
             self._tell(PoseDone(visit.pose, visit.load, gravity, band))
 
-    def _progress(self, what: str, row: int, rows: int) -> None:
-        begin, end = self._ends[self._step], self._ends[self._step + 1]
-        elapsed = begin + (end - begin) * row / rows
-        self._tell(Progress(self._step + 1, len(self.plan.steps), what, elapsed, self._ends[-1] - elapsed))
+    def report(self, what: str, row: int, rows: int) -> None:
+        """Where the run stands, told by the motion loop now and then."""
+        begin, end = (self._ends[self._step], self._ends[self._step + 1]) if self._step >= 0 else (0.0, 0.0)
+        elapsed = begin + (end - begin) * max(row, 0) / rows
+        left = self._slower * (self._ends[-1] - elapsed)
+        self._tell(Progress(self._step + 1, len(self.plan.steps), what, self._slower * elapsed, left))
 
 
 def with_half_sums(arm: Arm, first: Visit, second: Visit) -> Visit:

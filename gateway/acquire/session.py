@@ -15,17 +15,18 @@ from gateway.acquire.events import Event, Listener, PoseDone, VisitDone
 from gateway.acquire.plan import Plan
 from gateway.acquire.planning import make_plan, plan_of_poses
 from gateway.acquire.poses import RestPose
-from gateway.acquire.run import Station
+from gateway.acquire.run import Shelf, Station
 from gateway.acquire.runner import RunRequest, run_plan
 from gateway.arm_model import arm_named, arm_robot
 from gateway.config import LoadedCell
 from gateway.errors import GatewayError, InputError
-from gateway.motion.interrupt import ctrl_c_asks
 from gateway.motion.opening import BusOverride, OpenArm, open_arm
+from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import workspace_of
 from gateway.recorded import Recording
 from gateway.recording import read
 from gateway.recording_writer import ArmHeader, RecordingHeader, RecordingWriter
+from gateway.visit import Visit
 
 __all__ = [
     "BusOverride",
@@ -105,10 +106,16 @@ def plan_of_recording(loaded: LoadedCell, recording: Recording, arm: str | None 
     return plan_of_poses(loaded, config, workspace, stored.poses)
 
 
-def record(opened: OpenArm, plan: Plan, request: RecordRequest, listeners: Sequence[Listener] = ()) -> RecordingSummary:
+def record(
+    opened: OpenArm,
+    plan: Plan,
+    request: RecordRequest,
+    listeners: Sequence[Listener] = (),
+    options: MoveOptions | None = None,
+) -> RecordingSummary:
     """Measure a plan under one load; the arm is in its brakes before and after, and all the time if nothing is missing.
 
-    Ctrl-C stops the arm gently, keeps what was measured and raises KeyboardInterrupt.
+    Whoever asks the desk of `options` for a stop stops the arm; what was measured is kept.
 
     Raises
     ------
@@ -127,9 +134,10 @@ def record(opened: OpenArm, plan: Plan, request: RecordRequest, listeners: Seque
     try:
         writer.begin(_arm_header(opened, poses))
         if len(done) < len(wanted):
-            with ctrl_c_asks() as stop_asked:
-                station = Station(opened.arm, opened.workspace, writer, (tally, *listeners), stop_asked)
-                run_plan(station, RunRequest(plan, request.load, done))
+            heard = (tally, *listeners)
+            pacing = opened.group.timing.pacing
+            station = Station(opened.arm, opened.workspace, _Direct(writer), heard, options or MoveOptions(), pacing)
+            run_plan(station, RunRequest(plan, request.load, done))
         statistics = _plain(asdict(opened.group.statistics))
         writer.finish(plan.arm, "success", "all poses measured", statistics)
     except BaseException as error:
@@ -152,7 +160,7 @@ def _finish_broken(writer: RecordingWriter, opened: OpenArm, arm: str, error: Ba
     if not writer.visits:
         return
     status = "abort" if isinstance(error, KeyboardInterrupt) else "fail"
-    reason = str(error) or "stopped by Ctrl-C"
+    reason = str(error) or "stopped by a person"
     try:
         writer.finish(arm, status, reason, _plain(asdict(opened.group.statistics)))
     except GatewayError as failed:
@@ -203,6 +211,19 @@ def _arm_header(opened: OpenArm, poses: tuple[RestPose, ...]) -> ArmHeader:
         identities=[_plain(asdict(identity)) for identity in opened.identities],
         ledger=[_plain(asdict(entry)) for entry in opened.group.ledger.entries],
     )
+
+
+class _Direct(Shelf):
+    """Visits go to the file at once."""
+
+    def __init__(self, writer: RecordingWriter) -> None:
+        super().__init__()
+        self._writer = writer
+
+    def add(self, arm: str, visit: Visit) -> Visit:
+        """Store a visit."""
+        self.visits.append(self._writer.add(arm, visit))
+        return self.visits[-1]
 
 
 class _Tally:

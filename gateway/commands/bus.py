@@ -9,16 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from gateway.commands.moving import MoveChoice, move_options, stoppable
 from gateway.commands.options import (
     bus_option,
     cell_argument,
     common,
-    confirm,
     json_option,
     session_of,
-    stop_on_termination,
     write_json,
-    yes_option,
 )
 from gateway.console import findings_table, grid
 from gateway.errors import FindingFailed
@@ -29,6 +27,7 @@ if TYPE_CHECKING:
     from gateway.check_rules import CheckItem
     from gateway.config import ArmConfig
     from gateway.motion.opening import OpenArm
+    from gateway.motion.stream import MoveOptions
 
 DEFAULT_BUS = "socketcan:can0"
 
@@ -87,16 +86,18 @@ def _hex(value: int | None) -> str:
 )
 @bus_option
 @json_option
-@yes_option
+@move_options
 @common
-def check(cell: Path, move: bool, prove_stop: bool, bus_spec: str | None, json_out: str | None, yes: bool) -> None:
+def check(
+    cell: Path, move: bool, prove_stop: bool, bus_spec: str | None, json_out: str | None, moving: MoveChoice
+) -> None:
     """Pre-flight check of every drive against profile and cell file.
 
     Nothing is written and nothing moves unless --move or --prove-stop is given; then it asks.
     """
     from gateway.cell_context import open_cell
 
-    context = open_cell(cell, bus_spec)
+    context = open_cell(cell, bus_spec, moving.pacing)
     session = session_of()
     items: dict[str, list[CheckItem]] = {}
     proofs: list[dict[str, Any]] = []
@@ -106,8 +107,8 @@ def check(cell: Path, move: bool, prove_stop: bool, bus_spec: str | None, json_o
     failed = any(line.severity == "fail" for lines in items.values() for line in lines)
     if (move or prove_stop) and not failed:
         for arm in context.arms:
-            confirm(_question(context, arm, prove_stop), yes=yes)
-            found, seen = _in_motion(context, arm, move, prove_stop)
+            moving.ask(_question(context, arm, prove_stop))
+            found, seen = _in_motion(context, arm, (move, prove_stop), moving)
             items[arm.name] += found
             proofs += seen
     elif move or prove_stop:
@@ -131,36 +132,37 @@ def _question(context: CellContext, arm: ArmConfig, prove_stop: bool) -> str:
 
 
 def _in_motion(
-    context: CellContext, arm: ArmConfig, move: bool, prove_stop: bool
+    context: CellContext, arm: ArmConfig, wanted: tuple[bool, bool], moving: MoveChoice
 ) -> tuple[list[CheckItem], list[dict[str, Any]]]:
     """Checks that move the arm; the stop is proven before anything else moves."""
     from gateway.check_stop import prove_stop as prove
     from gateway.motion.opening import open_arm
     from gateway.stop_proofs import keep_proof, proven_on
 
+    move, prove_stop = wanted
     items: list[CheckItem] = []
     seen: list[dict[str, Any]] = []
     path = context.stop_proof(arm)
-    with stop_on_termination(), open_arm(context.loaded, context.override(arm), arm.name) as opened:
+    with stoppable(moving) as options, open_arm(context.loaded, context.override(arm), arm.name) as opened:
         if prove_stop or proven_on(path, opened) is None:
-            proof = prove(opened)
+            proof = prove(opened, options)
             keep_proof(path, opened, proof)
             items += proof.items
             seen.append(proof.as_json())
             if not proof.passed:
                 return items, seen
         if move:
-            items += _small_moves(opened)
+            items += _small_moves(opened, options)
     return items, seen
 
 
-def _small_moves(opened: OpenArm) -> tuple[CheckItem, ...]:
+def _small_moves(opened: OpenArm, options: MoveOptions) -> tuple[CheckItem, ...]:
     from gateway.check_move import check_moves
     from gateway.progress import ProgressListener
 
     session = session_of()
     with session.progress(1.0, "small moves") as bar:
-        return check_moves(opened, (ProgressListener(session, bar),)).items
+        return check_moves(opened, (ProgressListener(session, bar),), options).items
 
 
 def _check_arm(bus: Any, context: Any, arm: Any) -> list[CheckItem]:

@@ -8,17 +8,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gateway.commands.measure import arm_option
+from gateway.commands.moving import MoveChoice, move_options, stoppable
 from gateway.commands.options import (
     bus_option,
     cell_argument,
     common,
-    confirm,
     json_option,
     session_of,
-    stop_on_termination,
     write_json,
     write_text,
-    yes_option,
 )
 from gateway.commands.outcome import fail_on_findings
 from gateway.console import AXES, Session, findings_table, grid, number
@@ -45,7 +43,7 @@ QUANTITIES = (
 @arm_option
 @bus_option
 @json_option
-@yes_option
+@move_options
 @common
 def follow(
     cell: Path,
@@ -57,7 +55,7 @@ def follow(
     arm_name: str | None,
     bus_spec: str | None,
     json_out: str | None,
-    yes: bool,
+    moving: MoveChoice,
 ) -> None:
     """Follow a path without feedforward, with the maximum load assumed, with the identified load. The arm moves.
 
@@ -73,23 +71,22 @@ def follow(
     from gateway.follow.body import body_of
     from gateway.follow.job import FollowRequest, drive, prepare
     from gateway.follow.page import page
-    from gateway.motion.interrupt import ctrl_c_asks
     from gateway.motion.opening import open_arm
     from gateway.stop_proofs import ensure_proven
 
-    context = open_cell(cell, bus_spec)
+    context = open_cell(cell, bus_spec, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
     prepared = prepare(context.loaded, arm, FollowRequest(path_file, load_file, label))
     session = session_of()
     _announce(prepared, session)
     first = "" if context.stop_proof(arm).exists() else " At first its drives lose the heartbeat on purpose."
-    confirm(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is nobody near it?", yes=yes)
+    moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is nobody near it?")
     override = replace(context.override(arm, trace), feedforward=True)
     try:
-        with stop_on_termination(), open_arm(context.loaded, override, arm.name) as opened:
-            ensure_proven(opened, context.stop_proof(arm), session.note)
-            with ctrl_c_asks() as stop_asked, session.progress(prepared.duration_s, "follow") as bar:
-                job = drive(opened, prepared, stop_asked, lambda what, done: bar.set(done, prepared.duration_s, what))
+        with stoppable(moving) as options, open_arm(context.loaded, override, arm.name) as opened:
+            options = ensure_proven(opened, context.stop_proof(arm), session.note, options)
+            with session.progress(prepared.duration_s, "follow") as bar:
+                job = drive(opened, prepared, lambda what, done: bar.set(done, prepared.duration_s, what), options)
     except KeyboardInterrupt as stopped:
         for note in getattr(stopped, "__notes__", []):
             session.note(note)

@@ -11,16 +11,14 @@ from typing import TYPE_CHECKING
 import click
 
 from gateway.commands.measure import arm_option, show_plan
+from gateway.commands.moving import MoveChoice, move_options, stoppable
 from gateway.commands.options import (
     bus_option,
     cell_argument,
     common,
-    confirm,
     session_of,
-    stop_on_termination,
     write_json,
     write_text,
-    yes_option,
 )
 from gateway.commands.outcome import fail_on_findings, show_result
 from gateway.console import Session, findings_table
@@ -31,6 +29,7 @@ if TYPE_CHECKING:
     from gateway.acquire.session import RecordRequest
     from gateway.check_rules import CheckItem
     from gateway.motion.opening import OpenArm
+    from gateway.motion.stream import MoveOptions
 
 
 @click.command()
@@ -42,7 +41,7 @@ if TYPE_CHECKING:
 @click.option("--resume", is_flag=True, help="Go on with OUT/run.h5 instead of starting a new one.")
 @arm_option
 @bus_option
-@yes_option
+@move_options
 @common
 def commission(
     cell: Path,
@@ -51,7 +50,7 @@ def commission(
     resume: bool,
     arm_name: str | None,
     bus_spec: str | None,
-    yes: bool,
+    moving: MoveChoice,
 ) -> None:
     """All of it, guided: check, bare arm, each load, diagnosis, fresh poses, report. The arm moves."""
     from drives.errors import DriveError
@@ -62,16 +61,16 @@ def commission(
     from gateway.handover import as_json
     from gateway.report.render import render
 
-    context = open_cell(cell, bus_spec)
+    context = open_cell(cell, bus_spec, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
     out.mkdir(parents=True, exist_ok=True)
     recording = out / "run.h5"
     if not resume:
         _set_aside(recording, session_of())
-    job = Job(context, arm, labels, recording)
     try:
-        with stop_on_termination():
-            result = run(job, _Terminal(session_of(), context.loaded.cell.name, yes))
+        with stoppable(moving) as options:
+            job = Job(context, arm, labels, recording, options)
+            result = run(job, _Terminal(session_of(), context.loaded.cell.name, moving))
     except (GatewayError, DriveError, KeyboardInterrupt) as error:
         if recording.exists():
             error.add_note(f"What was measured is in {recording}; go on with commission --resume.")
@@ -99,7 +98,7 @@ class _Terminal:
 
     session: Session
     cell: str
-    yes: bool
+    moving: MoveChoice
 
     def checked(self, items: Sequence[CheckItem]) -> None:
         """Show what is wrong."""
@@ -112,7 +111,7 @@ class _Terminal:
     def planned(self, plan: Plan) -> None:
         """Show the plan and ask."""
         show_plan(plan)
-        confirm(f"Arm '{plan.arm}' of cell '{self.cell}' will move. Is nobody near it?", yes=self.yes)
+        self.moving.ask(f"Arm '{plan.arm}' of cell '{self.cell}' will move. Is nobody near it?")
 
     def hang(self, label: str) -> None:
         """Ask for a load; a line on stdin says that it hangs."""
@@ -121,11 +120,11 @@ class _Terminal:
         if not sys.stdin.readline():
             raise click.Abort
 
-    def measure(self, opened: OpenArm, plan: Plan, request: RecordRequest) -> None:
+    def measure(self, opened: OpenArm, plan: Plan, request: RecordRequest, options: MoveOptions) -> None:
         """Record with a progress bar."""
         from gateway.progress import recording_with_progress
 
-        recording_with_progress(self.session, opened, plan, request)
+        recording_with_progress(self.session, opened, plan, request, options)
 
     def say(self, text: str) -> None:
         """A remark."""

@@ -8,16 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from gateway.commands.moving import MoveChoice, move_options, stoppable
 from gateway.commands.options import (
     bus_option,
     cell_argument,
     common,
-    confirm,
     json_option,
     session_of,
-    stop_on_termination,
     write_json,
-    yes_option,
 )
 from gateway.console import AXES, axis_table, grid
 
@@ -94,7 +92,7 @@ def plan_as_json(chosen: Plan) -> dict[str, Any]:
 )
 @arm_option
 @bus_option
-@yes_option
+@move_options
 @common
 def record(
     cell: Path,
@@ -104,9 +102,9 @@ def record(
     trace: Path | None,
     arm_name: str | None,
     bus_spec: str | None,
-    yes: bool,
+    moving: MoveChoice,
 ) -> None:
-    """Measure the rest poses under one load. The arm moves; Ctrl-C stops it and keeps what was measured.
+    """Measure the rest poses under one load. The arm moves; Ctrl-C stops it along its way and keeps what was measured.
 
     The first time with these drives, it is proven before anything else that they stop when the master is gone.
     """
@@ -116,17 +114,18 @@ def record(
     from gateway.progress import recording_with_progress
     from gateway.stop_proofs import ensure_proven
 
-    context = open_cell(cell, bus_spec)
+    context = open_cell(cell, bus_spec, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
     chosen = _plan_for(context.loaded, output, resume, arm.name)
     session = session_of()
-    if not yes:
+    if not moving.yes:
         show_plan(chosen)
     first = "" if context.stop_proof(arm).exists() else " At first its drives lose the heartbeat on purpose."
-    confirm(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is nobody near it?", yes=yes)
-    with stop_on_termination(), open_arm(context.loaded, context.override(arm, trace), arm.name) as opened:
-        ensure_proven(opened, context.stop_proof(arm), session.note)
-        summary = recording_with_progress(session, opened, chosen, RecordRequest(label, output, resume))
+    moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is nobody near it?")
+    with stoppable(moving) as options, open_arm(context.loaded, context.override(arm, trace), arm.name) as opened:
+        options = ensure_proven(opened, context.stop_proof(arm), session.note, options)
+        request = RecordRequest(label, output, resume)
+        summary = recording_with_progress(session, opened, chosen, request, options)
     session.show(f"{output}: {summary.visits} visits under load {label}, {summary.skipped} were there already")
     session.show(axis_table("friction band [Nm], median over the poses", {"band": summary.friction_band_nm}))
 

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-import signal
-import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -54,7 +51,6 @@ json_option = click.option(
     "--json", "json_out", metavar="OUT", callback=_json_target, help="Write the result as JSON; - for stdout."
 )
 bus_option = click.option("--bus", "bus_spec", metavar="SPEC", help="Bus to use instead of the cell file's.")
-yes_option = click.option("--yes", is_flag=True, help="Do not ask before moving.")
 cell_argument = click.argument("cell", type=click.Path(path_type=Path, dir_okay=False))
 
 
@@ -110,19 +106,6 @@ def confirm(question: str, *, yes: bool) -> None:
     """Ask before anything moves; no answer means no."""
     if not yes:
         click.confirm(question, abort=True, err=True)
-
-
-@contextmanager
-def stop_on_termination() -> Iterator[None]:
-    """While the arm may move, a request to terminate stops it as Ctrl-C does."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def one_of(names: Sequence[str]) -> click.Choice:

@@ -9,17 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from gateway.commands.moving import MoveChoice, move_options, stoppable
 from gateway.commands.options import (
     cell_argument,
     common,
-    confirm,
     json_option,
     one_of,
     session_of,
-    stop_on_termination,
     write_json,
     write_text,
-    yes_option,
 )
 from gateway.console import grid, number
 
@@ -36,11 +34,13 @@ store_option = click.option(
 buses_option = click.option("--bus", "bus_spec", metavar="NAME=SPEC;NAME=SPEC", help="Buses instead of the cell's.")
 
 
-def _open(cell: Path, bus_spec: str | None, folder: Path | None) -> tuple[PairCell, PairStore]:
+def _open(
+    cell: Path, bus_spec: str | None, folder: Path | None, pacing: str | None = None
+) -> tuple[PairCell, PairStore]:
     from gateway.pair.cell import load_pair
     from gateway.pair.storage import PairStore
 
-    pair = load_pair(cell, bus_spec)
+    pair = load_pair(cell, bus_spec, pacing)
     return pair, PairStore(pair, folder or cell.with_suffix(".pair"))
 
 
@@ -53,13 +53,12 @@ def _ledgers(cell: Path, pair: PairCell) -> tuple[Path, Path]:
     return first, second
 
 
-def _ask(pair: PairCell, what: str, *, yes: bool) -> None:
+def _ask(pair: PairCell, what: str, moving: MoveChoice) -> None:
     first, second = (arm.config.name for arm in pair.arms)
     held = "with the part gripped" if pair.gap is None else f"with '{second}' clear of the part"
-    confirm(
+    moving.ask(
         f"Arms '{first}' and '{second}' of cell '{pair.loaded.cell.name}' stand at the start {held} and will {what}."
-        " Is nobody near them?",
-        yes=yes,
+        " Is nobody near them?"
     )
 
 
@@ -68,19 +67,22 @@ def _ask(pair: PairCell, what: str, *, yes: bool) -> None:
 @click.option("--resume", is_flag=True, help="Go on with the points that are still missing.")
 @store_option
 @buses_option
-@yes_option
+@move_options
 @json_option
 @common
-def teach(cell: Path, resume: bool, store: Path | None, bus_spec: str | None, yes: bool, json_out: str | None) -> None:
+def teach(
+    cell: Path, resume: bool, store: Path | None, bus_spec: str | None, moving: MoveChoice, json_out: str | None
+) -> None:
     """Teach the first function of CELL: both arms go from point to point, the force is adjusted away at each."""
     from gateway.pair.link import open_link
+    from gateway.pair.motion import MotionOptions
     from gateway.pair.session import open_lesson, teach_pair
 
-    pair, kept = _open(cell, bus_spec, store)
+    pair, kept = _open(cell, bus_spec, store, moving.pacing)
     lesson = open_lesson(pair, kept, resume)
     session = session_of()
-    _ask(pair, f"move slowly along the path, to {pair.config.knots - len(lesson.points)} points", yes=yes)
-    with stop_on_termination(), open_link(pair, _ledgers(cell, pair)) as link:
+    _ask(pair, f"move slowly along the path, to {pair.config.knots - len(lesson.points)} points", moving)
+    with stoppable(moving) as options, open_link(pair, _ledgers(cell, pair)) as link:
         function = teach_pair(
             link,
             pair,
@@ -91,8 +93,8 @@ def teach(cell: Path, resume: bool, store: Path | None, bus_spec: str | None, ye
                 f" {point.forces_n[-1]:.1f} N after {len(point.forces_n)} sweeps;"
                 f" slave moved {1e3 * abs(point.correction[:3]).max():.2f} mm"
             ),
+            MotionOptions(moves=options),
         )
-        link.disable()
     session.show(f"{kept.folder / 'first.json'}: first function with {len(function)} points")
     if json_out:
         write_json(json_out, {"schema": 1, "points": [point.as_json() for point in lesson.points]})
@@ -111,7 +113,7 @@ def teach(cell: Path, resume: bool, store: Path | None, bus_spec: str | None, ye
 @click.option("--speed", type=click.FloatRange(0, min_open=True), help="Speed setting; the cell's if omitted.")
 @store_option
 @buses_option
-@yes_option
+@move_options
 @json_option
 @common
 def run_pair(
@@ -121,30 +123,30 @@ def run_pair(
     speed: float | None,
     store: Path | None,
     bus_spec: str | None,
-    yes: bool,
+    moving: MoveChoice,
     json_out: str | None,
 ) -> None:
-    """Carry the part along the path of CELL and back; Ctrl-C stops both arms and keeps what was learned."""
+    """Carry the part along the path of CELL and back; Ctrl-C stops both arms along it and keeps what was learned."""
     from gateway.pair.link import open_link
     from gateway.pair.motion import MotionOptions
     from gateway.pair.session import RunRequest, embodiment_of, first_function
     from gateway.pair.session import run_pair as run
 
-    pair, kept = _open(cell, bus_spec, store)
+    pair, kept = _open(cell, bus_spec, store, moving.pacing)
     row = embodiment_of(pair, embodiment)
     at = speed or pair.config.speed
     _, origin = first_function(pair, kept, row, at)
     session = session_of()
     session.note(f"{row.name}, {row.text}; function: {origin}; learning {'off' if kept.frozen else 'on'}", level=1)
-    _ask(pair, f"run {cycles} cycles at speed {at:g}", yes=yes)
-    with stop_on_termination(), open_link(pair, _ledgers(cell, pair)) as link:
+    _ask(pair, f"run {cycles} cycles at speed {at:g}", moving)
+    with stoppable(moving) as options, open_link(pair, _ledgers(cell, pair)) as link:
         body = run(
             link,
             pair,
             kept,
             RunRequest(embodiment, cycles),
             lambda cycle: session.show(_cycle_line(cycle.summary)),
-            MotionOptions(speed=at),
+            MotionOptions(speed=at, moves=options),
         )
     statistics = body["statistics"]
     session.show(f"SYNCs {statistics['cycles']}, incomplete epochs {statistics['incomplete']}")

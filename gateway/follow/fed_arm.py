@@ -8,7 +8,7 @@ acceleration the change of velocity from the stretch before to the stretch after
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -29,7 +29,7 @@ class FedRow(list[DriveCommand]):
 
     __slots__ = ("q_rad", "state")
 
-    def __init__(self, motor_rad: Six, q_rad: Six, state: tuple[Six, Six, Six]) -> None:
+    def __init__(self, motor_rad: Six, q_rad: np.ndarray, state: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
         super().__init__(map(DriveCommand, motor_rad))
         self.q_rad = q_rad
         self.state = state
@@ -71,9 +71,9 @@ class FedArm(Arm):
             raise ValueError("the offsets must be eased out before another law is used")
         self._law = law
 
-    def enable(self) -> ArmSample:
+    def enable(self, stop_asked: Callable[[], bool] = lambda: False) -> ArmSample:
         """Power the drives; no offset is given yet."""
-        sample = super().enable()
+        sample = super().enable(stop_asked)
         self._last, self._rate = sample.q_rad, np.zeros(6)
         self._see(sample)
         return sample
@@ -88,18 +88,22 @@ class FedArm(Arm):
         self.ramp.cut("the arm was stopped")
         super().quick_stop()
 
-    def commands(self, q_rad: np.ndarray) -> list[list[DriveCommand]]:
-        """Rows of targets (n, 6) with their motion; the first begins at the last target that went out."""
-        if not len(q_rad):
-            return []
-        points = np.vstack([self._last, q_rad])
-        rates = np.diff(points, axis=0) / self._period_s
-        around = np.vstack([self._rate, rates, np.zeros(6)])
-        gains = (around[2:] - around[:-2]) / (2.0 * self._period_s)
-        middle = 0.5 * (points[1:] + points[:-1])
-        motor = self.axes.motor_position(q_rad)
-        rows = zip(*(part.tolist() for part in (motor, q_rad, middle, rates, gains)), strict=True)
-        return [FedRow(target, q, (mean, rate, gain)) for target, q, mean, rate, gain in rows]
+    def command(
+        self, q_rad: np.ndarray, ahead_rad: np.ndarray | None = None, offset_nm: np.ndarray | None = None
+    ) -> FedRow:
+        """Targets (6,) with their motion, from the target that went out last to this one, and on to the one ahead.
+
+        Raises
+        ------
+        ValueError
+            An offset beside the feedforward.
+        """
+        if offset_nm is not None:
+            raise ValueError("an arm that is fed forward takes no other offset")
+        rate = (q_rad - self._last) / self._period_s
+        after = np.zeros(6) if ahead_rad is None else (ahead_rad - q_rad) / self._period_s
+        state = (0.5 * (self._last + q_rad), rate, (after - self._rate) / (2.0 * self._period_s))
+        return FedRow(self.axes.motor_position(q_rad).tolist(), q_rad, state)
 
     def exchange(self, commands: Sequence[DriveCommand]) -> ArmSample:
         """One SYNC with targets of `commands` and their offsets.
@@ -111,9 +115,9 @@ class FedArm(Arm):
         """
         if not isinstance(commands, FedRow):
             return self._see(super().exchange(commands))
-        before, self._last = self._last, np.array(commands.q_rad)
+        before, self._last = self._last, commands.q_rad
         fed = self._fed(commands, before)
-        self._rate = np.array(commands.state[1])
+        self._rate = commands.state[1]
         sample = self._see(super().exchange(fed))
         if self.recorder is not None:
             self.recorder.add(before, sample)
@@ -121,9 +125,9 @@ class FedArm(Arm):
 
     def hold(self) -> ArmSample:
         """One SYNC at the last target; gravity goes on being carried."""
+        still = np.zeros(6)
         motor = self.axes.motor_position(self._last).tolist()
-        q_rad = self._last.tolist()
-        return self.exchange(FedRow(motor, q_rad, (q_rad, NOTHING, NOTHING)))
+        return self.exchange(FedRow(motor, self._last, (self._last, still, still)))
 
     def _fed(self, row: FedRow, before: np.ndarray) -> Sequence[DriveCommand]:
         gain = self.ramp.step(enabled=self._enabled)
@@ -134,7 +138,8 @@ class FedArm(Arm):
             if self.recorder is not None:
                 self.recorder.fed(NOTHING, NOTHING, 0.0)
             return row
-        velocity, torque = self._law.offsets(*row.state, self._sense)
+        mean, rate, change = row.state
+        velocity, torque = self._law.offsets(mean.tolist(), rate.tolist(), change.tolist(), self._sense)
         velocity = [gain * value for value in velocity]
         torque = [gain * value for value in torque]
         excess = self._law.excess(torque)

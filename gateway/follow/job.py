@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from gateway.follow.run import FollowStation, Tell, follow
 from gateway.follow.settings import IDENTIFIED, FeedModel, Setting, check_offsets, feed_model, three_settings
 from gateway.follow.trend import load_trend
 from gateway.motion.opening import OpenArm, axis_setups
+from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import Workspace, workspace_of
 from gateway.result import Result, from_json
 
@@ -111,7 +111,7 @@ def _result(request: FollowRequest) -> tuple[Result, str]:
     return from_json(text, str(request.load)), str(request.load)
 
 
-def drive(opened: OpenArm, prepared: Prepared, stop_asked: Callable[[], bool], tell: Tell) -> Comparison:
+def drive(opened: OpenArm, prepared: Prepared, tell: Tell, options: MoveOptions | None = None) -> Comparison:
     """Drive the path under every setting and compare.
 
     Raises
@@ -119,7 +119,8 @@ def drive(opened: OpenArm, prepared: Prepared, stop_asked: Callable[[], bool], t
     PlanRefused, LimitExceeded, DriveError, KeyboardInterrupt
         As `gateway.follow.run.follow`.
     """
-    station = FollowStation(opened.arm, prepared.workspace, stop_asked, tell)
+    pacing = opened.group.timing.pacing
+    station = FollowStation(opened.arm, prepared.workspace, tell, options or MoveOptions(), pacing)
     tracks = follow(station, prepared.path, prepared.settings)
     trend = None
     for setting, track in zip(prepared.settings, tracks, strict=True):

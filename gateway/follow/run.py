@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from drives.errors import DriveError
+from drives.exchange import Pacing
 from gateway.acquire.plan import travel_limits
 from gateway.acquire.poses import RestPose
 from gateway.acquire.route import find_route
-from gateway.errors import LimitExceeded, PlanRefused
+from gateway.errors import PlanRefused
 from gateway.follow.fed_arm import FedArm
 from gateway.follow.path import FollowPath, check_path
 from gateway.follow.settings import Setting
 from gateway.follow.track import Recorder, Track
 from gateway.motion.arm import Arm
+from gateway.motion.arms import Arms
 from gateway.motion.contact import TAKE_OVER_S
-from gateway.motion.stream import Stream
+from gateway.motion.power import powered
+from gateway.motion.state import StateKeeper
+from gateway.motion.stream import MoveOptions, Station, Stream
 from gateway.motion.trajectory import straight
-from gateway.motion.watch import Watch
 from gateway.motion.workspace import Workspace
 
 #: Time in which the offsets are eased in and out, at rest.
@@ -32,7 +36,6 @@ REST_S = 0.3
 #: The start is reached along the same short way under every setting, with the offsets on: friction and the drives'
 #: integral parts are then where a motion leaves them, not where easing the offsets in has pushed them.
 LEAD_RAD = 0.06
-PROGRESS_S = 0.25
 
 #: Called with what is done and the share of the whole that is done.
 Tell = Callable[[str, float], None]
@@ -47,15 +50,16 @@ class FollowStation:
     arm : Arm
         Connected, set up with feedforward, not enabled.
     workspace : Workspace
-    stop_asked : callable
-        Asked at every SYNC; true stops the arm.
     tell : Tell
+    options : MoveOptions
+    pacing : "lockstep" or "real"
     """
 
     arm: Arm
     workspace: Workspace
-    stop_asked: Callable[[], bool]
     tell: Tell
+    options: MoveOptions = field(default_factory=MoveOptions)
+    pacing: Pacing = "lockstep"
 
 
 def follow(station: FollowStation, path: FollowPath, settings: Sequence[Setting]) -> tuple[Track, ...]:
@@ -76,15 +80,8 @@ def follow(station: FollowStation, path: FollowPath, settings: Sequence[Setting]
     lead = _lead(station.workspace, path.start_rad)
     ways = [way(station.workspace, station.arm.where(), lead), way(station.workspace, path.end_rad, lead)]
     run = _Run(station, path)
-    failure: BaseException | None = None
-    try:
-        run.start()
+    with run.under_power():
         return tuple(run.drive(setting, ways[min(number, 1)], number) for number, setting in enumerate(settings))
-    except BaseException as error:
-        failure = error
-        raise
-    finally:
-        run.make_safe(failure)
 
 
 def way(workspace: Workspace, start_rad: np.ndarray, end_rad: np.ndarray) -> list[np.ndarray]:
@@ -121,26 +118,54 @@ class _Run:
     """One enabled arm and where it is in the job."""
 
     def __init__(self, station: FollowStation, path: FollowPath) -> None:
-        period_s = path.period_s
         self._path = path
-        self._workspace = station.workspace
         self._tell = station.tell
-        self._arm = FedArm(station.arm, period_s, RAMP_S)
-        watch = Watch(station.arm.name, station.workspace, period_s)
-        every = max(1, round(PROGRESS_S / period_s))
-        self._stream = Stream(self._arm, watch, station.stop_asked, self._progress, every)
+        self._arm = FedArm(station.arm, path.period_s, RAMP_S)
         self._limits = travel_limits(station.workspace)
         self._pass = ("", 0.0)
+        self._station = Station(
+            arms=Arms((self._arm,), station.pacing),
+            workspaces=(station.workspace,),
+            period_s=path.period_s,
+            state=StateKeeper(station.arm.name, lambda _state: None),
+            options=station.options,
+            report=self._progress,
+        )
 
-    def _progress(self, what: str, row: int, rows: int) -> None:
+    def _progress(self, what: str, row: int, _rows: int) -> None:
         name, done_s = self._pass
-        self._tell(f"{name}: {what}" if name else what, done_s + row * self._path.period_s)
-        del rows
+        self._tell(f"{name}: {what}" if name else what, done_s + max(row, 0) * self._path.period_s)
 
-    def start(self) -> None:
-        """Enable, and stand until the drives carry what the brakes carried."""
-        self._stream.start(self._arm.enable().q_rad)
-        self._hold(TAKE_OVER_S, "open the brakes")
+    @contextmanager
+    def under_power(self) -> Iterator[None]:
+        """Enable, stand until the drives carry what the brakes carried; offsets are zero when this is left."""
+        try:
+            with powered(Stream(self._station)) as self._stream:
+                self._hold(TAKE_OVER_S, "open the brakes")
+                try:
+                    yield
+                except BaseException as failure:
+                    self._ease_out(failure)
+                    raise
+        finally:
+            self._arm.ramp.cut("the run has ended")
+
+    def _ease_out(self, failure: BaseException) -> None:
+        """Say in which state the offsets were; where the arm has come to rest along its path, ease them out."""
+        ramp = self._arm.ramp
+        self._arm.recorder = None
+        if not ramp.gain:
+            return
+        when = "while the offsets were being eased" if not ramp.resting else "with the offsets on"
+        failure.add_note(f"stopped {when} (at {100 * ramp.gain:.0f} %): they were brought to zero")
+        if isinstance(failure, Exception) or self._stream.moving or self._stream.urgent:
+            return
+        try:
+            ramp.fall()
+            while not ramp.resting:
+                self._arm.hold()
+        except DriveError as error:
+            failure.add_note(f"while easing the offsets out: {error}")
 
     def drive(self, setting: Setting, points: Sequence[np.ndarray], number: int) -> Track:
         """One pass: near the start without offsets, ease in, to the start, path, ease out."""
@@ -156,7 +181,7 @@ class _Run:
         self._hold(SETTLE_S, "settle")
         self._arm.recorder = recorder = Recorder(setting.name, self._path.period_s)
         for motion in self._path.motions:
-            self._stream.move(motion, "follow the path")
+            self._stream.move([motion], "follow the path")
             self._hold(self._path.dwell_s, "rest")
             begun_s += motion.duration_s + self._path.dwell_s
             self._pass = (setting.name, begun_s)
@@ -166,8 +191,8 @@ class _Run:
         return recorder.track()
 
     def _move(self, point: np.ndarray) -> None:
-        motion = straight(self._stream.q_rad, point, self._limits, self._path.period_s)
-        self._stream.move(motion, "to the start of the path")
+        motion = straight(self._stream.q_rad[0], point, self._limits, self._path.period_s)
+        self._stream.move([motion], "to the start of the path")
 
     def _hold(self, seconds: float, what: str) -> None:
         rows = int(np.ceil(seconds / self._path.period_s - 1e-9))
@@ -180,37 +205,3 @@ class _Run:
         while not self._arm.ramp.resting:
             self._stream.hold("ease the offsets", row, 1)
             row += 1
-
-    def make_safe(self, failure: BaseException | None) -> None:
-        """Stop, offsets to zero, brakes on, whatever the stop does; an error on the way joins the one under way."""
-        gain = self._arm.ramp.gain
-        if failure is not None and gain:
-            when = "while the offsets were being eased" if not self._arm.ramp.resting else "with the offsets on"
-            failure.add_note(f"stopped {when} (at {100 * gain:.0f} %): they were brought to zero")
-        stop = self._arm.quick_stop if isinstance(failure, DriveError | LimitExceeded) else self._stop_softly
-        try:
-            _attempt(stop, failure)
-        finally:
-            self._arm.ramp.cut("the run has ended")
-            _attempt(self._arm.disable, failure)
-
-    def _stop_softly(self) -> None:
-        """Jerk-limited stop with the offsets on, then ease them out; by the drives' own ramp where that fails."""
-        self._arm.recorder = None
-        try:
-            self._stream.stop_softly(self._limits, self._path.period_s)
-            self._arm.ramp.fall()
-            while not self._arm.ramp.resting:
-                self._arm.hold()
-        except BaseException:
-            self._arm.quick_stop()
-            raise
-
-
-def _attempt(action: Callable[[], None], failure: BaseException | None) -> None:
-    try:
-        action()
-    except Exception as error:
-        if failure is None:
-            raise
-        failure.add_note(f"while stopping: {error}")

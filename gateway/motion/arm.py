@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -23,8 +23,8 @@ class SixDrives(Protocol):
         """Where the six motors stand, read while they are not enabled."""
         ...
 
-    def enable(self) -> Epoch:
-        """Power the drives where they stand."""
+    def enable(self, stop_asked: Callable[[], bool], /) -> Epoch:
+        """Power the drives where they stand; `stop_asked` is asked at every SYNC of the way up."""
         ...
 
     def exchange(self, commands: Sequence[DriveCommand], /) -> Epoch:
@@ -41,6 +41,22 @@ class SixDrives(Protocol):
 
     def quick_stop(self) -> None:
         """Stop by the drives' own ramp."""
+        ...
+
+    def sag_rad(self) -> Sequence[float]:
+        """How far each motor has turned since the drives were disabled."""
+        ...
+
+    def when_stopping(self, tell: Callable[[], None], /) -> None:
+        """Have `tell` called before the drives are stopped because of an error of theirs."""
+        ...
+
+    def align(self, at_s: float, /) -> None:
+        """By the clock: the next SYNC is due at a monotonic time."""
+        ...
+
+    def sync_sent_s(self) -> float:
+        """Monotonic time of the last SYNC."""
         ...
 
 
@@ -103,9 +119,9 @@ class Arm:
         """Joint positions (6,) [rad] of the arm in its brakes."""
         return self.axes.joint_position(np.array(self.drives.positions_rad()))
 
-    def enable(self) -> ArmSample:
+    def enable(self, stop_asked: Callable[[], bool] = lambda: False) -> ArmSample:
         """Power the drives; they hold the position they stand at."""
-        return self._sample(self.drives.enable())
+        return self._sample(self.drives.enable(stop_asked))
 
     def disable(self) -> None:
         """Brakes on, power off."""
@@ -115,12 +131,32 @@ class Arm:
         """Stop by the drives' own ramp."""
         self.drives.quick_stop()
 
-    def commands(self, q_rad: np.ndarray) -> list[list[DriveCommand]]:
-        """Drive targets of joint positions (n, 6), one list of six per row."""
-        return [[DriveCommand(value) for value in row] for row in self.axes.motor_position(q_rad).tolist()]
+    def sag_rad(self) -> np.ndarray:
+        """How far each joint (6,) [rad] has moved since the drives were disabled."""
+        return np.abs(np.array(self.drives.sag_rad())) @ np.abs(self._to_joint)
+
+    def command(
+        self, q_rad: np.ndarray, ahead_rad: np.ndarray | None = None, offset_nm: np.ndarray | None = None
+    ) -> Sequence[DriveCommand]:
+        """Drive targets of joint positions (6,) [rad].
+
+        Parameters
+        ----------
+        q_rad : array of shape (6,)
+        ahead_rad : array of shape (6,), optional
+            Set point of the SYNC after, as far as it is known; for arms that are fed forward.
+        offset_nm : array of shape (6,), optional
+            Joint torque that the drives add to their own.
+        """
+        del ahead_rad
+        motor = self.axes.motor_position(q_rad).tolist()
+        if offset_nm is None:
+            return [DriveCommand(value) for value in motor]
+        torque = self.axes.motor_torque(offset_nm).tolist()
+        return [DriveCommand(value, nm) for value, nm in zip(motor, torque, strict=True)]
 
     def exchange(self, commands: Sequence[DriveCommand]) -> ArmSample:
-        """One SYNC with targets of `commands`."""
+        """One SYNC with targets of `command`."""
         return self._sample(self.drives.exchange(commands))
 
     def hold(self) -> ArmSample:

@@ -85,6 +85,7 @@ class Contact:
         if self._grace > 0:
             self._grace -= 1
             self._count[:] = 0
+            self._mean = self._mean + self._share * (unexplained_nm - self._mean)
             return
         signed = unexplained_nm - self._mean
         jump = np.abs(signed)

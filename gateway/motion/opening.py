@@ -82,7 +82,7 @@ class _GroupDrives:
     """A drive group as an arm sees it."""
 
     def __init__(self, group: DriveGroup) -> None:
-        self.enable: Callable[[], Epoch] = group.enable
+        self.enable: Callable[[Callable[[], bool]], Epoch] = lambda _stop_asked: group.enable()
         self.exchange: Callable[[Sequence[DriveCommand]], Epoch] = group.exchange
         self.hold: Callable[[], Epoch] = group.hold
         self.disable: Callable[[], None] = group.disable
@@ -93,6 +93,22 @@ class _GroupDrives:
         """Motor positions, read by SDO."""
         drives = self._group.drives
         return [drive.access.read(drive.setup.profile.position.object) * drive.scale.count_rad for drive in drives]
+
+    def sag_rad(self) -> tuple[float, ...]:
+        """How far each motor has turned since it was disabled."""
+        return getattr(self._group, "sag_rad", (0.0,) * len(self._group.drives))
+
+    def when_stopping(self, tell: Callable[[], None]) -> None:
+        """Have `tell` called before the drives are stopped because of an error of theirs."""
+        self._group.on_stop = tell
+
+    def align(self, at_s: float) -> None:
+        """By the clock: the next SYNC is due at a monotonic time."""
+        self._group.align(at_s)
+
+    def sync_sent_s(self) -> float:
+        """Monotonic time of the last SYNC."""
+        return self._group.sync_sent_s
 
 
 def axis_setups(loaded: LoadedCell, config: ArmConfig) -> tuple[AxisSetup, ...]:

@@ -1,62 +1,153 @@
-"""Set points to the drives, one per SYNC, each answer watched; knows where the arm was last told to be."""
+"""The only loop that sends set points: a row for all arms per SYNC, every answer watched, every wish to stop heard."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Final, TypeVar
 
 import numpy as np
 
-from gateway.motion.arm import Arm, ArmSample
-from gateway.motion.trajectory import Motion, MotionLimits, stop
+from gateway.motion.arm import ArmSample
+from gateway.motion.arms import Arms
+from gateway.motion.pathclock import PathClock
+from gateway.motion.state import StateKeeper
+from gateway.motion.stops import StopDesk, StopKind, guarded
+from gateway.motion.trajectory import Motion
 from gateway.motion.watch import Watch
+from gateway.motion.way import MotionWay, PerArm, Way
+from gateway.motion.workspace import Workspace
 
 #: Called with what is done, the row and the number of rows, now and then.
 Report = Callable[[str, int, int], None]
 
+Result = TypeVar("Result")
 
-class Stream:
-    """Motion and rest of one enabled arm.
+#: Between two reports [s].
+REPORT_S: Final = 0.25
+#: Speed override of the first motion with a set of drives.
+FIRST_SHARE: Final = 0.1
 
-    Parameters
-    ----------
-    arm : Arm
-    watch : Watch
-    stop_asked : callable
-        Asked at every SYNC; true ends the motion by KeyboardInterrupt.
-    report : Report
-    report_every : int
-        SYNCs between two reports.
+
+def _nothing(_what: str, _row: int, _rows: int) -> None:
+    """Nobody listens."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MoveOptions:
+    """How arms may be moved, and who may stop them.
 
     Attributes
     ----------
-    q_rad : array of shape (6,)
-        Last set point.
+    desk : StopDesk
+    override : float
+        Speed override in (0, 1].
+    first_done : callable or None
+        Set where nothing has moved yet with these drives: the first motion then goes at `FIRST_SHARE` of its speed, and
+        this is called once it has ended.
+    ready : callable
+        Called before power; returns when the person is ready.
+    """
+
+    desk: StopDesk = field(default_factory=StopDesk)
+    override: float = 1.0
+    first_done: Callable[[], None] | None = None
+    ready: Callable[[], None] = lambda: None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Station:
+    """What moves, inside which limits, and who is asked and told meanwhile.
+
+    Attributes
+    ----------
+    arms : Arms
+        Connected and configured, not enabled.
+    workspaces : tuple of Workspace
+        One per arm.
+    period_s : float
+        SYNC period.
+    state : StateKeeper
+    options : MoveOptions
+    report : Report
+    """
+
+    arms: Arms
+    workspaces: tuple[Workspace, ...]
+    period_s: float
+    state: StateKeeper
+    options: MoveOptions
+    report: Report = _nothing
+
+
+class Stream:
+    """Motion and rest of enabled arms.
+
+    Parameters
+    ----------
+    station : Station
+
+    Attributes
+    ----------
+    q_rad : tuple of arrays of shape (6,)
+        Last set points, one per arm.
+    samples : tuple of ArmSample
+        What was measured last.
     moving : bool
+        Set points of a way are going out.
+    urgent : bool
+        A quick stop was asked for.
     sync_index : int
         Of the last answer.
     """
 
-    def __init__(
-        self, arm: Arm, watch: Watch, stop_asked: Callable[[], bool], report: Report, report_every: int
-    ) -> None:
-        self.q_rad = np.zeros(6)
-        self.moving = False
+    def __init__(self, station: Station) -> None:
+        self.station = station
+        self.q_rad: PerArm = ()
+        self.samples: tuple[ArmSample, ...] = ()
+        self.moving = self.urgent = False
         self.sync_index = 0
-        self._rates = (np.zeros(6), np.zeros(6))
-        self._modelled_nm = np.zeros(6)
-        self._arm = arm
-        self._watch = watch
-        self._stop_asked = stop_asked
-        self._report = report
-        self._report_every = report_every
+        self._arms, self._desk, self._period_s = station.arms, station.options.desk, station.period_s
+        pairs = zip(station.arms.members, station.workspaces, strict=True)
+        self._watches = [Watch(arm.name, workspace, station.period_s) for arm, workspace in pairs]
+        self._acceleration = np.concatenate([each.acceleration_rad_s2 for each in station.workspaces])
+        self._jerk = np.concatenate([each.jerk_rad_s3 for each in station.workspaces])
+        self._report = guarded(station.report, station.options.desk)
+        self._first_done = station.options.first_done
+        self._every = max(1, round(REPORT_S / station.period_s))
+        self._gravity_nm: PerArm = ()
 
-    def start(self, q_rad: np.ndarray) -> None:
-        """Take over an arm that holds joint positions (6,) [rad]."""
-        self.q_rad = q_rad
-        self._modelled_nm = self._watch.modelled_torque(q_rad[None])[0]
+    def start(self) -> None:
+        """Power the arms; they hold the position that they stand at.
 
-    def move(self, motion: Motion, what: str) -> None:
-        """Stream a motion that starts at the last set point and ends at rest.
+        Raises
+        ------
+        DriveError
+            What failed; nothing is under power.
+        StoppedByPerson
+            A stop was asked for on the way up; nothing is under power.
+        """
+        try:
+            self.samples = self._arms.enable(self._desk.asked)
+        except BaseException as error:
+            wish = self._desk.look()
+            if wish is not None and not isinstance(error, type(wish.cause)):
+                raise wish.cause from error
+            raise
+        self.sync_index = self.samples[0].sync_index
+        self.q_rad = tuple(sample.q_rad for sample in self.samples)
+        for watch, q_rad in zip(self._watches, self.q_rad, strict=True):
+            watch.start(q_rad)
+        self._model()
+
+    def move(self, motions: Sequence[Motion], what: str) -> None:
+        """Stream one prepared motion per arm, from the last set points to rest; raises as `drive`."""
+        if len(motions[0]):
+            self.drive(MotionWay(self.q_rad, motions), what)
+
+    def drive(self, way: Way, what: str) -> None:
+        """Stream a way to its end, or to where a stop along it comes to rest.
 
         Raises
         ------
@@ -64,50 +155,89 @@ class Stream:
             The watch has seen a limit left.
         DriveError
             Bus or drive failed.
-        KeyboardInterrupt
-            A stop was asked for.
+        BaseException
+            The cause of a wish to stop; the arms stand, or (`urgent`) have to be stopped by their drives' ramps.
         """
-        exchange, check, stop_asked = self._arm.exchange, self._watch.check, self._stop_asked
-        commands = self._arm.commands(motion.q_rad)
-        modelled = self._watch.modelled_torque(motion.q_rad)
-        self.moving = bool(commands)
-        for row, command in enumerate(commands):
-            if row % self._report_every == 0:
-                self._report(what, row, len(commands))
-            sample = exchange(command)
-            self.sync_index = sample.sync_index
-            self.q_rad = motion.q_rad[row]
-            self._rates = (motion.qd_rad_s[row], motion.qdd_rad_s2[row])
-            self._modelled_nm = modelled[row]
-            check(sample, self.q_rad, self._modelled_nm)
-            if stop_asked():
-                raise KeyboardInterrupt
+        first_done, self._first_done = self._first_done, None
+        share = self.station.options.override
+        if first_done is not None:
+            share = min(FIRST_SHARE, share)
+        clock = PathClock(way.count, self._period_s, self._acceleration, self._jerk, share)
+        self.moving = way.count > 0
+        row = 0
+        while not clock.done:
+            wish = self._desk.look()
+            if wish is not None:
+                self.urgent = wish.kind is StopKind.QUICK_STOP
+                if self.urgent:
+                    raise wish.cause
+                clock.stop()
+            at = clock.advance(*way.rates(clock.at))
+            if clock.done and not clock.arrived:
+                break
+            if row % self._every == 0:
+                self._report(what, int(at), way.count)
+            row += 1
+            self._send(way, at, clock.rate)
         self.moving = False
+        self._model()
+        if first_done is not None and clock.arrived:
+            first_done()
+        wish = self._desk.look()
+        if wish is not None:
+            raise wish.cause
 
-    def hold(self, what: str, row: int, rows: int) -> ArmSample:
-        """One SYNC of the standing arm; raises as `move`."""
-        if row % self._report_every == 0:
+    def _send(self, way: Way, at: float, rate: float) -> None:
+        targets = way.targets(at, rate)
+        ahead, offsets = way.ahead(at, rate), way.offsets()
+        commands = [
+            arm.command(q, None if ahead is None else ahead[index], None if offsets is None else offsets[index])
+            for index, (arm, q) in enumerate(zip(self._arms.members, targets, strict=True))
+        ]
+        samples = self.samples = self._arms.exchange(commands)
+        self.q_rad = targets
+        modelled = way.modelled(at)
+        self._look(samples, self._gravity() if modelled is None else modelled)
+        way.take(at, rate, samples)
+
+    def hold(self, what: str, row: int, rows: int) -> tuple[ArmSample, ...]:
+        """One SYNC of the standing arms; raises as `drive`."""
+        if row % self._every == 0:
             self._report(what, row, rows)
-        sample = self._arm.hold()
-        self.sync_index = sample.sync_index
-        self._watch.check(sample, self.q_rad, self._modelled_nm)
-        if self._stop_asked():
-            raise KeyboardInterrupt
-        return sample
+        self._heed()
+        samples = self.samples = self._arms.hold()
+        self._look(samples, self._gravity_nm)
+        return samples
 
-    def stop_softly(self, limits: MotionLimits, period_s: float) -> None:
-        """Jerk-limited stop from the last set point; the arm that stands is left alone.
+    def hold_while(self, job: Callable[[], Result], what: str) -> Result:
+        """Do something that takes longer than a SYNC period, and keep the standing arms under SYNC meanwhile.
 
-        Raises
-        ------
-        PlanRefused
-            No stop fits the limits.
-        DriveError
-            Bus or drive failed.
+        In lockstep, where no time passes on the bus, the job is just done.
         """
-        if not self.moving:
-            return
-        self.moving = False
-        speed, acceleration = self._rates
-        for command in self._arm.commands(stop((self.q_rad, speed, acceleration), limits, period_s).q_rad):
-            self._arm.exchange(command)
+        if not (self._arms.real and self._arms.enabled):
+            return job()
+        with ThreadPoolExecutor(1, thread_name_prefix="beside") as beside:
+            done = beside.submit(job)
+            row = 0
+            while not done.done():
+                self.hold(what, row, row + 1)
+                row += 1
+            return done.result()
+
+    def _heed(self) -> None:
+        """The arms stand: whoever wants them to stop is answered at once."""
+        wish = self._desk.look()
+        if wish is not None:
+            self.urgent = wish.kind is StopKind.QUICK_STOP
+            raise wish.cause
+
+    def _look(self, samples: tuple[ArmSample, ...], modelled_nm: PerArm) -> None:
+        self.sync_index = samples[0].sync_index
+        for watch, sample, target, modelled in zip(self._watches, samples, self.q_rad, modelled_nm, strict=True):
+            watch.check(sample, target, modelled)
+
+    def _gravity(self) -> PerArm:
+        return tuple(watch.modelled_torque(q[None])[0] for watch, q in zip(self._watches, self.q_rad, strict=True))
+
+    def _model(self) -> None:
+        self._gravity_nm = self._gravity()

@@ -1,7 +1,8 @@
 """Jerk-limited motions of six joints, sampled once per SYNC (ruckig).
 
 All joints share one time law along a straight line in joint space: what was checked as a line is what is driven, also
-while braking. (Phase synchronisation of six separate time laws leaves the line where the joints' limits differ.)
+while `pathclock` brakes on it. (Phase synchronisation of six separate time laws leaves the line where the joints'
+limits differ.)
 """
 
 from __future__ import annotations
@@ -80,35 +81,6 @@ def straight(start_rad: np.ndarray, target_rad: np.ndarray, limits: MotionLimits
     motion.q_rad[-1] = target_rad
     motion.qd_rad_s[-1] = motion.qdd_rad_s2[-1] = 0.0
     return motion
-
-
-def stop(state: tuple[np.ndarray, np.ndarray, np.ndarray], limits: MotionLimits, period_s: float) -> Motion:
-    """Jerk-limited motion to rest, on the straight line the arm moves along.
-
-    Parameters
-    ----------
-    state : arrays of shape (6,)
-        Position, and velocity and acceleration along one line in joint space.
-    limits : MotionLimits
-    period_s : float
-
-    Raises
-    ------
-    PlanRefused
-        The state is outside what the limits allow.
-    """
-    q_rad, qd_rad_s, qdd_rad_s2 = state
-    line = qd_rad_s if np.abs(qd_rad_s).max() > STILL else qdd_rad_s2
-    largest = np.abs(line).max()
-    if largest <= STILL:
-        return _standing(period_s)
-    line = line / largest
-    request = _along(line, limits)
-    request.control_interface = ruckig.ControlInterface.Velocity
-    request.current_velocity = [float(qd_rad_s @ line / (line @ line))]
-    request.current_acceleration = [float(qdd_rad_s2 @ line / (line @ line))]
-    request.target_velocity = [0.0]
-    return _sample(request, q_rad, line, period_s)
 
 
 def _standing(period_s: float) -> Motion:

@@ -50,13 +50,19 @@ class Watch:
         half = (workspace.upper_rad - workspace.lower_rad) / 2 + POSITION_TOLERANCE_RAD
         speed = SPEED_TOLERANCE * workspace.speed_rad_s
         self._limits = np.array([workspace.following_error_rad, speed, workspace.torque_nm, half])
+        self._half = half
         self._count = np.zeros((4, 6), dtype=int)
         self._counting = False
         self._target: np.ndarray | None = None
         self._contact = Contact(arm, workspace, period_s)
         self._sent: tuple[int, float] | None = None
         self._late: deque[bool] = deque(maxlen=max(20, round(RHYTHM_S / period_s)))
-        self._history: deque[tuple[int, np.ndarray]] = deque(maxlen=max(2, round(SPEED_SPAN_S / period_s) + 1))
+        self._history: deque[tuple[float, np.ndarray]] = deque(maxlen=max(2, round(SPEED_SPAN_S / period_s) + 1))
+
+    def start(self, q_rad: np.ndarray) -> None:
+        """Take over an arm that holds joints (6,) [rad]; a joint that stands outside its range may move inwards."""
+        away = np.abs(q_rad - self._middle) + POSITION_TOLERANCE_RAD
+        self._limits[RANGE] = np.maximum(self._half, away)
 
     def modelled_torque(self, q_rad: np.ndarray) -> np.ndarray:
         """Torque (n, 6) [Nm] that the bare arm's model asks for at positions (n, 6); 0 if the links are unknown."""
@@ -89,9 +95,9 @@ class Watch:
         if not sample.complete:
             return
         q_rad = sample.q_rad
-        self._history.append((sample.sync_index, q_rad))
-        first_index, first_q = self._history[0]
-        span_s = max(sample.sync_index - first_index, 1) * self._period_s
+        self._history.append((sample.time_s, q_rad))
+        first_s, first_q = self._history[0]
+        span_s = max(sample.time_s - first_s, 0.5 * self._period_s)
         torque_nm = sample.joint_torque_nm
         values = np.array([q_rad - expected, (q_rad - first_q) / span_s, torque_nm, q_rad - self._middle])
         over = np.abs(values) > self._limits
@@ -102,7 +108,15 @@ class Watch:
         elif self._counting:
             self._count[:] = 0
             self._counting = False
+        self._narrow(q_rad)
         self._contact.check(q_rad, torque_nm, modelled_nm, expected)
+
+    def _narrow(self, q_rad: np.ndarray) -> None:
+        """A joint that was found outside its range comes in and never goes out again."""
+        reach = self._limits[RANGE]
+        if (reach > self._half).any():
+            inward = np.minimum(reach, np.abs(q_rad - self._middle) + POSITION_TOLERANCE_RAD)
+            self._limits[RANGE] = np.maximum(self._half, inward)
 
     def _check_rhythm(self, sample: ArmSample) -> None:
         """Late SYNCs are counted; too many of them stop the arm."""

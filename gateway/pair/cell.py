@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from drives.bus import BusSpec
+from drives.exchange import Pacing
 from gateway.arm_model import arm_robot
-from gateway.config import ArmConfig, LoadedCell, PairConfig, load_cell
+from gateway.config import ArmConfig, LoadedCell, PairConfig, load_cell, with_pacing
 from gateway.errors import ConfigError, InputError
 from gateway.model.regressor import regressor
 from gateway.model.robot import Robot, rotation_rpy, transform
@@ -102,7 +103,7 @@ class PairCell:
         return self.loaded.cell.bus[self.arms[0].config.bus].sync_period_s
 
     @property
-    def pacing(self) -> str:
+    def pacing(self) -> Pacing:
         """Of both buses."""
         return self.loaded.cell.bus[self.arms[0].config.bus].pacing
 
@@ -130,7 +131,7 @@ class PairCell:
         )
 
 
-def load_pair(path: Path, bus: str | None = None) -> PairCell:
+def load_pair(path: Path, bus: str | None = None, pacing: str | None = None) -> PairCell:
     """Read a cell file with a pair.
 
     Parameters
@@ -138,6 +139,8 @@ def load_pair(path: Path, bus: str | None = None) -> PairCell:
     path : Path
     bus : str, optional
         NAME=SPEC;NAME=SPEC in place of the cell's buses.
+    pacing : str, optional
+        In place of the buses' own.
 
     Raises
     ------
@@ -146,7 +149,7 @@ def load_pair(path: Path, bus: str | None = None) -> PairCell:
     BusError
         A SPEC is not understood.
     """
-    loaded = load_cell(path)
+    loaded = with_pacing(load_cell(path), pacing)
     config = loaded.cell.pair
     if config is None:
         raise ConfigError(f"{path}: the cell has no [pair]; two arms that carry one part are described there")

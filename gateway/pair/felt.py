@@ -13,7 +13,7 @@ from gateway.pair.gap import GapWatch
 from gateway.pair.guard import ForceGuard
 from gateway.pair.transform import Floats
 
-Samples = tuple[ArmSample, ArmSample]
+Samples = tuple[ArmSample, ...]
 
 
 class Felt(Protocol):
@@ -31,8 +31,15 @@ class Felt(Protocol):
         """What the commander is told for command m."""
         ...
 
-    def take(self, m: int, samples: Samples) -> str:
-        """Take in what was measured at the SYNC of command m; why both arms must stop, "" = they need not."""
+    def take(self, m: int, samples: Samples, rate: float = 1.0) -> str:
+        """Take in what was measured at the SYNC of command m; why both arms must stop, "" = they need not.
+
+        `rate` is how fast time passes along the path.
+        """
+        ...
+
+    def size_n(self, m: int) -> float:
+        """Force inside the part at command m [N]; 0 where nothing feels it."""
         ...
 
 
@@ -65,23 +72,27 @@ class FeltByForce:
         """Both wrenches (6,) [N, Nm], base axes."""
         return self._wrenches[0].wrench, self._wrenches[1].wrench
 
-    def take(self, m: int, samples: Samples) -> str:
+    def size_n(self, m: int) -> float:
+        """As `Felt.size_n`."""
+        return float(np.linalg.norm(self.force[m, :3]))
+
+    def take(self, m: int, samples: Samples, rate: float = 1.0) -> str:
         """As `Felt.take`."""
         for index, (each, sample) in enumerate(zip(self._wrenches, samples, strict=True)):
-            each.update(m, sample)
+            each.update(m, sample, rate)
             if m and each.external_nm is not None:
                 self.external_nm[m - 1, index] = each.external_nm
         felt = self._maps.internal(m, *self.inputs(m))
         if felt is None:
             return ""
         self.force[m] = felt
-        size_n = float(np.linalg.norm(felt[:3]))
+        size_n = self.size_n(m)
         if not self._guard.step(size_n):
             return ""
         return (
             f"the force inside the part was above {self._guard.threshold_n:.0f} N for more than"
             f" {1e3 * self._guard.time_s:.0f} ms ({size_n:.0f} N at command {m + 1} of {self._count}):"
-            " both arms were stopped; release the part before moving on, then teach again or lower the speed"
+            " both arms stop; release the part before moving on, then teach again or lower the speed"
         )
 
 
@@ -112,7 +123,11 @@ class FeltByDistance:
             return None, None
         return None, self._watch.layout.estimator.error_in_base(readings, self._slave[m])
 
-    def take(self, m: int, samples: Samples) -> str:
+    def size_n(self, m: int) -> float:
+        """0: nothing is held in common."""
+        return 0.0
+
+    def take(self, m: int, samples: Samples, rate: float = 1.0) -> str:
         """As `Felt.take`."""
         if self._watch.readings_m is not None:
             self.gaps_m[m] = self._watch.readings_m - self._watch.layout.estimator.demanded_m

@@ -88,6 +88,9 @@ class WrenchFromTorque:
         turned = np.tanh(qd / FRICTION_SPEED_RAD_S)
         free = arm.model_torque(q, qd, np.zeros_like(q))
         self._known = free + arm.coulomb_nm * turned + arm.viscous_nm_s_rad * qd
+        self._still = arm.model_torque(q, np.zeros_like(q), np.zeros_like(q))
+        self._product = free - self._still
+        self._qd, self._coulomb, self._viscous = qd, arm.coulomb_nm, arm.viscous_nm_s_rad
         self._mass = arm.mass_matrix(q) / dt_s**2
         self._band = arm.coulomb_nm * (1.0 - np.abs(turned))
         jacobian = arm.chain.poses(q)[1]
@@ -112,8 +115,19 @@ class WrenchFromTorque:
         """Wrench (6,) of an external joint torque (6,) [Nm] at command m, friction already out of it."""
         return self._map[m] @ external_nm
 
-    def update(self, m: int, sample: ArmSample) -> None:
+    def _expected(self, at: int, rate: float) -> tuple[Floats, Floats]:
+        """Torque (6,) of a free motion without its acceleration, and what is left of the friction band (6,)."""
+        if rate == 1.0:
+            return self._known[at], self._band[at]
+        speed = rate * self._qd[at]
+        turned = np.tanh(speed / FRICTION_SPEED_RAD_S)
+        known = self._still[at] + rate**2 * self._product[at] + self._coulomb * turned + self._viscous * speed
+        return known, self._coulomb * (1.0 - np.abs(turned))
+
+    def update(self, m: int, sample: ArmSample, rate: float = 1.0) -> None:
         """Take in what was measured at the SYNC of command m; an incomplete sample leaves the last wrench.
+
+        `rate` is how fast time passes along the path.
 
         The wrench is that of the SYNC before: only now the acceleration there is known from the encoders. With that of
         the commands in its place the loop would answer the torque by which its own corrections move the arm.
@@ -125,7 +139,8 @@ class WrenchFromTorque:
             return
         at = max(m - 1, 0)
         inertia = self._mass[at] @ (sample.q_rad - 2.0 * last.q_rad + before.q_rad)
-        rest = self.external_nm = last.joint_torque_nm - self._known[at] - inertia
-        external = dead_band(rest, self._band[at])
+        known, band = self._expected(at, rate)
+        rest = self.external_nm = last.joint_torque_nm - known - inertia
+        external = dead_band(rest, band)
         fresh = self._map[at] @ external
         self.wrench = fresh if self.wrench is None else self.wrench + self._share * (fresh - self.wrench)

@@ -82,6 +82,14 @@ def _moved(relation: Floats, point: Floats, direction: Floats) -> tuple[Floats, 
     return relation[:3, :3] @ point + relation[:3, 3], relation[:3, :3] @ direction
 
 
+@dataclass(frozen=True, slots=True)
+class GapTrouble:
+    """Why both arms must stop; `urgent` where the hands may touch before a stop along the path has ended."""
+
+    why: str
+    urgent: bool
+
+
 class GapWatch:
     """Takes in the distances of every SYNC; keeps none that is older.
 
@@ -99,8 +107,8 @@ class GapWatch:
         self.readings_m: Floats | None = None
         self._missing = 0
 
-    def take(self, samples: tuple[ArmSample, ArmSample]) -> str:
-        """Take in what both arms' buses brought at a SYNC; why both arms must stop, "" = they need not."""
+    def take(self, samples: tuple[ArmSample, ...]) -> GapTrouble | None:
+        """Take in what both arms' buses brought at a SYNC; why both arms must stop, None = they need not."""
         config = self.layout.config
         reading = samples[self.layout.arm].instruments[0]
         self.readings_m = None
@@ -109,20 +117,22 @@ class GapWatch:
         low, high = config.range_m
         for channel, value in known:
             if not low <= value <= high:
-                return (
+                return GapTrouble(
                     f"distance sensor {channel.subindex} measures {1e3 * value:.2f} mm, its range is {1e3 * low:g} to"
-                    f" {1e3 * high:g} mm: both arms were stopped; move them apart, then check grasps and bases"
+                    f" {1e3 * high:g} mm: both arms were stopped; move them apart, then check grasps and bases",
+                    urgent=True,
                 )
         if len(known) == len(config.channel):
             self.readings_m = np.array([value for _, value in known])
             self._missing = 0
-            return ""
+            return None
         self._missing += 1
         if self._missing < config.missing_cycles:
-            return ""
+            return None
         without = [one.subindex for one, value in zip(config.channel, values, strict=False) if value is None]
         why = f"sensor {without[0]} reports no valid value" if without else "its frames are missing or late"
-        return (
+        return GapTrouble(
             f"node {config.node_id} on bus '{config.bus}': no distances for {self._missing} cycles, {why}: both arms"
-            " were stopped; check the measuring device"
+            " were stopped; check the measuring device",
+            urgent=False,
         )

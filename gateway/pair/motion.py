@@ -1,20 +1,28 @@
-"""Both arms streamed along prepared ways: commands out, torques in, forces watched. Run and teaching stand on it.
+"""Both arms along prepared ways: gripper commands in, set points for the motion loop out, forces and gaps watched.
 
-What stops both arms: an error of any drive or bus, a joint that does not follow, a force inside the part above twice
-the limit for more than 20 ms, a gap outside its range or without a value, and the operator. They stop at the same time
-by the quick stop ramp of their drives.
+What a pair knows beyond its joints is judged here, and asks the motion loop for a stop: a force inside the part above
+twice the limit for more than 20 ms along the path, with the relation kept, and by quick stop if it goes on rising; a
+gap outside its range by quick stop, one without a value along the path. All else is seen by `gateway.motion`.
 """
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 
-from gateway.errors import PlanRefused
+from gateway.errors import LimitExceeded, PlanRefused
 from gateway.motion.arm import ArmSample
+from gateway.motion.contact import TAKE_OVER_S
+from gateway.motion.stops import StopKind
+from gateway.motion.stream import MoveOptions, Stream
+from gateway.motion.trajectory import Motion
+from gateway.motion.way import MotionWay, PerArm
+from gateway.motion.workspace import Workspace
 from gateway.pair.calibration import PairCalibration, PathWrenches
 from gateway.pair.cell import PairCell
 from gateway.pair.felt import Felt, FeltByDistance, FeltByForce
@@ -23,7 +31,6 @@ from gateway.pair.friction import FrictionOffset
 from gateway.pair.gap import GapWatch
 from gateway.pair.guard import ForceGuard
 from gateway.pair.inverse import path_joint_angles
-from gateway.pair.link import PairLink
 from gateway.pair.path import PairPath
 from gateway.pair.transform import Floats, inverse
 
@@ -40,16 +47,20 @@ SETTLE_S = 0.4
 FADE_S = 0.4
 #: Standing still before a way, until torques have become wrenches.
 LISTEN_CYCLES = 12
-#: Cycles in a row that a joint may stand too far off its target.
-FOLLOW_CYCLES = 3
+#: What a place along a way may miss a row by, through rounding.
+HAIR = 1e-9
+#: SYNCs after the decision to stop along the path in which the force may still rise, and by how much.
+RISING_SYNCS, RISING = 3, 1.05
 
+Result = TypeVar("Result")
 Pair = tuple[Floats, Floats]
+Samples = tuple[ArmSample, ...]
 #: From the index of a command and both filtered wrenches (None before the first) to both gripper commands.
 Commander = Callable[[int, Floats | None, Floats | None], Pair]
 
 
 class PairStopped(PlanRefused):  # noqa: N818 - reads as what happened
-    """Both arms were stopped; the message says why."""
+    """Both arms were stopped, or are about to be; the message says why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,27 +73,39 @@ class MotionOptions:
     back_speed : of the way back, as forward if None
     force_limit_n : twice this force inside the part stops both arms; None = the cell's limit
     force_stop_s : after this time
-    stop_asked : asked every cycle; true stops both arms by KeyboardInterrupt
-    progress : called every 50 cycles with cycles done and their number
+    moves : what holds for every motion, a single arm's too
     """
 
     speed: float | None = None
     back_speed: float | None = None
     force_limit_n: float | None = None
     force_stop_s: float = 0.02
-    stop_asked: Callable[[], bool] = lambda: False
-    progress: Callable[[int, int], None] = lambda _done, _count: None
+    moves: MoveOptions = field(default_factory=MoveOptions)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Passage:
-    """A way with everything prepared for it: joint targets, forces from torques, forces inside the part."""
+    """A way with everything prepared for it.
+
+    Attributes
+    ----------
+    path : PairPath
+        Of the master.
+    joints, followers : joint angles (M, 6) of both arms by the nominal relation, and targets near them
+    wrenches, maps : forces from torques, forces inside the part
+    speed_rad_s, acceleration_rad_s2 : arrays of shape (M, 12)
+        Of all joints.
+    free_nm : torque (M, 6) of both arms in a free motion
+    """
 
     path: PairPath
     joints: Pair
     followers: tuple[JointFollower, JointFollower]
     wrenches: tuple[WrenchFromTorque, WrenchFromTorque]
     maps: PathWrenches
+    speed_rad_s: Floats
+    acceleration_rad_s2: Floats
+    free_nm: Pair
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,33 +151,37 @@ def calibration_of(cell: PairCell) -> PairCalibration:
 
 
 class PairMotion:
-    """Moves both arms of a link.
+    """Moves both arms of a pair.
 
     Parameters
     ----------
     cell : PairCell
-    link : PairLink
+    stream : Stream
+        Of both arms, not necessarily powered yet.
     options : MotionOptions, optional
 
     Attributes
     ----------
-    q_rad : last targets (6,) of both arms
+    samples : what both arms reported last
     """
 
-    def __init__(self, cell: PairCell, link: PairLink, options: MotionOptions | None = None) -> None:
-        self.cell, self.link = cell, link
+    def __init__(self, cell: PairCell, stream: Stream, options: MotionOptions | None = None) -> None:
+        self.cell, self.stream = cell, stream
         self.options = options or MotionOptions()
         self.calibration = calibration_of(cell)
         self.dt_s = cell.sync_period_s
-        self.q_rad: Pair = (cell.arms[0].start_rad, cell.arms[1].start_rad)
+        self._desk = stream.station.options.desk
         self._gap = None if cell.gap is None else GapWatch(cell.gap)
         lag_s = cell.config.servo_lag_s
         self._friction = [FrictionOffset(arm, self.dt_s, lag_s) for arm in cell.arms] if cell.gap else []
-        self._follow_rad = [np.array([axis.following_error_limit_rad for axis in arm.config.axis]) for arm in cell.arms]
-        #: What both arms reported last.
-        self.samples: tuple[ArmSample, ArmSample] | None = None
-        self._too_far = 0
+        self.samples: Samples | None = None
         self._complete = True
+
+    @property
+    def q_rad(self) -> Pair:
+        """Last targets (6,) of both arms."""
+        first, second = self.stream.q_rad
+        return first, second
 
     def passage(self, path: PairPath, seeds_rad: Pair) -> Passage:
         """Prepare a way of the master that begins near joint angles (6,) of both arms.
@@ -162,7 +189,8 @@ class PairMotion:
         Raises
         ------
         PlanRefused
-            A pose out of reach, or a singular posture: there the force is not observable.
+            A pose out of reach, a singular posture (there the force is not observable), joints beyond the limits of
+            the cell, or a posture in a keep-out box.
         """
         cell = self.cell
         slave = cell.nominal_slave(path)
@@ -171,7 +199,15 @@ class PairMotion:
             path_joint_angles(arm.chain, to, seed)[0]
             for arm, to, seed in zip(cell.arms, targets, seeds_rad, strict=True)
         ]
+        for arm, workspace, q in zip(cell.arms, self.stream.station.workspaces, joints, strict=True):
+            refuse_unreachable(arm.config.name, workspace, q, path.dt_s)
         followers = [JointFollower(arm, q) for arm, q in zip(cell.arms, joints, strict=True)]
+        rates = [np.gradient(q, path.dt_s, axis=0) for q in joints]
+        changes = [np.gradient(rate, path.dt_s, axis=0) for rate in rates]
+        free = [
+            arm.model_torque(q, rate, change)
+            for arm, q, rate, change in zip(cell.arms, joints, rates, changes, strict=True)
+        ]
         wrenches = [
             WrenchFromTorque(arm, each, path.dt_s, cell.config.servo_lag_s, cell.config.force_filter_hz)
             for arm, each in zip(cell.arms, followers, strict=True)
@@ -182,77 +218,70 @@ class PairMotion:
             (followers[0], followers[1]),
             (wrenches[0], wrenches[1]),
             PathWrenches(self.calibration, path, slave),
+            np.hstack(rates),
+            np.hstack(changes),
+            (free[0], free[1]),
         )
 
     def start(self) -> None:
-        """Power both arms where they stand, at the start of the path with the part gripped.
+        """Both arms are powered: stand until the drives carry what the brakes carried."""
+        self.see(self.stream.samples)
+        self.stand(round(TAKE_OVER_S / self.dt_s), "open the brakes")
 
-        Raises
-        ------
-        PlanRefused
-            An arm stands elsewhere; nothing was powered.
-        """
-        for arm, q in zip(self.cell.arms, self.link.where(), strict=True):
-            away = np.abs(q - arm.start_rad)
-            if away.max() > START_TOLERANCE_RAD:
-                joint = int(np.argmax(away))
-                raise PlanRefused(
-                    f"arm '{arm.config.name}': joint {joint + 1} stands at {q[joint]:.4f} rad, the part is gripped at"
-                    f" {arm.start_rad[joint]:.4f} rad; bring both arms to the start of the path first"
-                )
-        first, second = self.link.enable()
-        self.q_rad = (first.q_rad.copy(), second.q_rad.copy())
-        self._look((first, second))
+    def stand(self, rows: int, what: str = "stand", listen: Callable[[Samples], None] | None = None) -> None:
+        """Stand for some SYNCs at the last targets."""
+        for row in range(rows):
+            samples = self.stream.hold(what, row, rows)
+            self.see(samples)
+            if listen is not None:
+                listen(samples)
 
     def approach(self, goal: Pair, dwell_s: float = DWELL_S) -> None:
         """Bring both arms to joint targets (6,) slowly, at the same time, then stand still."""
         began = self.q_rad
         most = max(float(np.abs(to - at).max()) for to, at in zip(goal, began, strict=True))
         count = max(1, round(max(APPROACH_S, most / APPROACH_RAD_S) / self.dt_s))
-        for row in range(1, count + 1):
-            share = smooth(row / count)
-            self.exchange((began[0] + share * (goal[0] - began[0]), began[1] + share * (goal[1] - began[1])))
-        for _ in range(round(dwell_s / self.dt_s)):
-            self.exchange(goal)
+        share = np.arange(1, count + 1)[:, None] / count
+        time_s = count * self.dt_s
+        motions = [
+            Motion(
+                at + share * share * (3.0 - 2.0 * share) * (to - at),
+                6.0 * share * (1.0 - share) * (to - at) / time_s,
+                (6.0 - 12.0 * share) * (to - at) / time_s**2,
+                self.dt_s,
+            )
+            for at, to in zip(began, goal, strict=True)
+        ]
+        self.stream.drive(_Approach(self, began, motions), "approach")
+        self.stand(round(dwell_s / self.dt_s))
+
+    def prepare(self, job: Callable[[], Result]) -> Result:
+        """Compute what takes longer than a cycle while both arms stand."""
+        return self.stream.hold_while(job, "compute")
 
     def settle(self, way: Passage, commander: Commander) -> None:
         """Stand at the beginning of a way until the commander has nothing left to correct."""
-        felt = self._felt(way)
-        for _ in range(round(SETTLE_S / self.dt_s)):
-            felt.listen(self.exchange(self.targets(way, 0, commander(0, *felt.inputs(0)))))
+        self.stream.drive(_Settling(self, way, commander, self._felt(way)), "settle")
 
     def targets(self, way: Passage, m: int, commands: Pair) -> Pair:
         """Joint targets of both arms for the gripper commands of index m."""
         first, second = way.followers
         return first.joints(m, commands[0]), second.joints(m, commands[1])
 
-    def stream(self, way: Passage, commander: Commander, *, fade: bool = False) -> Streamed:
+    def run(self, way: Passage, commander: Commander, *, fade: bool = False) -> Streamed:
         """Every command of a way; with `fade` what the arms stand off its beginning is faded out.
 
         Raises
         ------
-        PairStopped, DriveError, KeyboardInterrupt
-            Both arms have been stopped.
+        PairStopped, DriveError, LimitExceeded, KeyboardInterrupt
+            Both arms stand, or are stopped when their power is taken away.
         """
-        count, felt = len(way.path), self._felt(way)
-        for _ in range(LISTEN_CYCLES):
-            felt.listen(self.exchange(self.q_rad))
-        self._complete, spent, offset = True, 0.0, None
-        fading = round(FADE_S / self.dt_s) if fade else 0
-        for m in range(count):
-            began = time.perf_counter()
-            q = self.targets(way, m, commander(m, *felt.inputs(m)))
-            spent += time.perf_counter() - began
-            if m < fading:
-                offset = offset or (self.q_rad[0] - q[0], self.q_rad[1] - q[1])
-                share = 1.0 - smooth((m + 1) / fading)
-                q = (q[0] + share * offset[0], q[1] + share * offset[1])
-            trouble = felt.take(m, self.exchange(q))
-            if trouble:
-                self.stop(trouble)
-            if m % 50 == 0:
-                self.options.progress(m, count)
-        return Streamed(felt.force, felt.external_nm, felt.gaps_m, self._complete, spent / count)
+        felt = self._felt(way)
+        self.stand(LISTEN_CYCLES, listen=felt.listen)
+        self._complete = True
+        along = _Along(self, way, commander, felt, round(FADE_S / self.dt_s) if fade else 0)
+        self.stream.drive(along, "along the path")
+        return Streamed(felt.force, felt.external_nm, felt.gaps_m, self._complete, along.spent_s / len(way.path))
 
     def _felt(self, way: Passage) -> Felt:
         """What tells on this way how far the hands are off, from standing still on."""
@@ -261,49 +290,199 @@ class PairMotion:
         limit_n = self.options.force_limit_n or self.cell.config.force.limit_n
         return FeltByForce(way.wrenches, way.maps, ForceGuard(limit_n, self.dt_s, self.options.force_stop_s))
 
-    def exchange(self, q: Pair) -> tuple[ArmSample, ArmSample]:
-        """One cycle with joint targets (6,) of both arms; checks that they follow."""
-        before, self.q_rad = self.q_rad, q
-        samples = self.samples = self.link.exchange(q, self._offsets(q))
-        self._look(samples)
-        far: tuple[int, int] | None = None
-        for index, (sample, wanted) in enumerate(zip(samples, before, strict=True)):
-            if not sample.complete:
-                self._complete = False
-                continue
-            away = np.abs(sample.q_rad - wanted) > self._follow_rad[index]
-            if away.any():
-                far = (index, int(np.argmax(away)))
-        self._too_far = 0 if far is None else self._too_far + 1
-        if far is not None and self._too_far >= FOLLOW_CYCLES:
-            name = self.cell.arms[far[0]].config.name
-            self.stop(f"arm '{name}': joint {far[1] + 1} does not follow its target: both arms were stopped")
-        if self.options.stop_asked():
-            self.link.quick_stop()
-            raise KeyboardInterrupt
-        return samples
-
-    def _offsets(self, q: Pair) -> Pair | None:
+    def offsets(self, q: PerArm) -> PerArm | None:
         """Friction of free hands; with a common part the torque is what tells the force, and nothing is added to it."""
         if not self._friction:
             return None
-        first, second = (each.at(target) for each, target in zip(self._friction, q, strict=True))
-        return first, second
+        return tuple(each.at(target) for each, target in zip(self._friction, q, strict=True))
 
-    def _look(self, samples: tuple[ArmSample, ArmSample]) -> None:
-        """Watch the gap wherever the arms are powered, also on the way to the start."""
-        trouble = "" if self._gap is None else self._gap.take(samples)
-        if trouble:
-            self.stop(trouble)
+    def see(self, samples: Samples) -> None:
+        """Take in a SYNC wherever the arms are powered, also on the way to the start."""
+        self.samples = samples
+        if not all(sample.complete for sample in samples):
+            self._complete = False
+        trouble = None if self._gap is None else self._gap.take(samples)
+        if trouble is not None:
+            self.ask(trouble.why, StopKind.QUICK_STOP if trouble.urgent else StopKind.ALONG_PATH)
 
-    def stop(self, why: str) -> None:
-        """Both arms by quick stop, at the same time; raises PairStopped with the reason."""
-        error = PairStopped(why)
-        try:
-            self.link.quick_stop()
-        except Exception as failure:
-            error.add_note(f"while stopping: {failure}")
-        raise error
+    def ask(self, why: str, kind: StopKind = StopKind.ALONG_PATH) -> None:
+        """Have both arms stopped."""
+        self._desk.ask(PairStopped(why), kind)
+
+
+class _Approach(MotionWay):
+    """Prepared motions of both arms on which the gap is watched."""
+
+    def __init__(self, motion: PairMotion, began: Pair, motions: Sequence[Motion]) -> None:
+        super().__init__(began, motions)
+        self._motion = motion
+
+    def targets(self, at: float, rate: float) -> PerArm:
+        """As `Way.targets`."""
+        self._q_rad = super().targets(at, rate)
+        return self._q_rad
+
+    def offsets(self) -> PerArm | None:
+        """As `Way.offsets`."""
+        return self._motion.offsets(self._q_rad)
+
+    def take(self, at: float, rate: float, samples: tuple[ArmSample, ...]) -> None:
+        """As `Way.take`."""
+        self._motion.see(samples)
+
+
+class _Along:
+    """A prepared way under a commander.
+
+    Each row is computed once, when its SYNC is due: the commander answers what was measured last. Between two rows,
+    when time along the path is slowed down, set points lie on the straight line from row to row: both arms keep their
+    relation, and the hands yield once a row.
+    """
+
+    def __init__(self, motion: PairMotion, way: Passage, commander: Commander, felt: Felt, fading: int) -> None:
+        self.count = len(way.path)
+        self.spent_s = 0.0
+        self._motion, self._way, self._commander, self._felt = motion, way, commander, felt
+        self._fading = fading
+        self._offset: Pair | None = None
+        self._row = -1
+        self._before = self._after = motion.q_rad
+        #: SYNCs since a stop was asked for because of the force, and the largest force until then.
+        self._since, self._most_n = 0, 0.0
+
+    def rates(self, at: float) -> tuple[Floats, Floats]:
+        """As `Way.rates`."""
+        row = max(round(at), 0)
+        return self._way.speed_rad_s[row], self._way.acceleration_rad_s2[row]
+
+    def targets(self, at: float, rate: float) -> PerArm:
+        """As `Way.targets`."""
+        row = math.ceil(at - HAIR)
+        while self._row < row:
+            self._row += 1
+            self._before, self._after = self._after, self._compute(self._row)
+        share = 1.0 - (row - at) if row > at else 1.0
+        first, second = (
+            before + share * (after - before) for before, after in zip(self._before, self._after, strict=True)
+        )
+        self._q_rad = self._after if share == 1.0 else (first, second)
+        return self._q_rad
+
+    def _compute(self, m: int) -> Pair:
+        began = time.perf_counter()
+        q = self._motion.targets(self._way, m, self._commander(m, *self._felt.inputs(m)))
+        self.spent_s += time.perf_counter() - began
+        if m < self._fading:
+            at = self._motion.q_rad
+            self._offset = self._offset or (at[0] - q[0], at[1] - q[1])
+            share = 1.0 - smooth((m + 1) / self._fading)
+            q = (q[0] + share * self._offset[0], q[1] + share * self._offset[1])
+        return q
+
+    def ahead(self, at: float, rate: float) -> None:
+        """None: the commander answers what has not been measured yet."""
+
+    def offsets(self) -> PerArm | None:
+        """As `Way.offsets`."""
+        return self._motion.offsets(self._q_rad)
+
+    def modelled(self, at: float) -> PerArm:
+        """As `Way.modelled`."""
+        row = max(round(at), 0)
+        return tuple(free[row] for free in self._way.free_nm)
+
+    def take(self, at: float, rate: float, samples: tuple[ArmSample, ...]) -> None:
+        """As `Way.take`."""
+        self._motion.see(samples)
+        trouble = self._felt.take(self._row, samples, rate)
+        if not trouble:
+            return
+        size_n = self._felt.size_n(self._row)
+        if self._since == 0:
+            self._motion.ask(trouble)
+        elif self._since > RISING_SYNCS and size_n > RISING * self._most_n:
+            self._motion.ask(trouble, StopKind.QUICK_STOP)
+        self._since += 1
+        self._most_n = max(self._most_n, size_n)
+
+
+class _Settling:
+    """Rows at the beginning of a way, where the commander closes what is open."""
+
+    def __init__(self, motion: PairMotion, way: Passage, commander: Commander, felt: Felt) -> None:
+        self.count = round(SETTLE_S / motion.dt_s)
+        self._motion, self._way, self._commander, self._felt = motion, way, commander, felt
+        self._still = np.zeros(way.speed_rad_s.shape[1])
+
+    def rates(self, at: float) -> tuple[Floats, Floats]:
+        """As `Way.rates`: nothing goes on along this way, so that it can be left at once."""
+        return self._still, self._still
+
+    def targets(self, at: float, rate: float) -> PerArm:
+        """As `Way.targets`."""
+        self._q_rad = self._motion.targets(self._way, 0, self._commander(0, *self._felt.inputs(0)))
+        return self._q_rad
+
+    def ahead(self, at: float, rate: float) -> None:
+        """None."""
+
+    def offsets(self) -> PerArm | None:
+        """As `Way.offsets`."""
+        return self._motion.offsets(self._q_rad)
+
+    def modelled(self, at: float) -> PerArm:
+        """As `Way.modelled`."""
+        return tuple(free[0] for free in self._way.free_nm)
+
+    def take(self, at: float, rate: float, samples: tuple[ArmSample, ...]) -> None:
+        """As `Way.take`."""
+        self._motion.see(samples)
+        self._felt.listen(samples)
+
+
+def refuse_elsewhere(cell: PairCell, where: Sequence[Floats]) -> None:
+    """Make sure that both arms stand at the start of the path, where the part is gripped.
+
+    Parameters
+    ----------
+    cell : PairCell
+    where : joint positions (6,) of both arms in their brakes
+
+    Raises
+    ------
+    PlanRefused
+        An arm stands elsewhere.
+    """
+    for arm, q in zip(cell.arms, where, strict=True):
+        away = np.abs(q - arm.start_rad)
+        if away.max() > START_TOLERANCE_RAD:
+            joint = int(np.argmax(away))
+            raise PlanRefused(
+                f"arm '{arm.config.name}': joint {joint + 1} stands at {q[joint]:.4f} rad, the part is gripped at"
+                f" {arm.start_rad[joint]:.4f} rad; bring both arms to the start of the path first"
+            )
+
+
+def refuse_unreachable(name: str, workspace: Workspace, q_rad: Floats, dt_s: float) -> None:
+    """Make sure that a way (M, 6) [rad], one row per SYNC, keeps the limits of the cell.
+
+    Raises
+    ------
+    PlanRefused, LimitExceeded
+        A posture that is not allowed, or a joint that would turn faster than its limit.
+    """
+    for words, wrong in workspace.violations(q_rad):
+        if wrong.any():
+            raise PlanRefused(f"arm '{name}', command {int(np.argmax(wrong)) + 1}: {words}; move the path or the base")
+    speed = np.abs(np.diff(q_rad, axis=0)).max(axis=0) / dt_s
+    fast = speed > workspace.speed_rad_s
+    if fast.any():
+        joint = int(np.argmax(fast))
+        raise LimitExceeded(
+            f"arm '{name}', joint {joint + 1} would turn with {speed[joint]:.3f} rad/s, its limit is"
+            f" {workspace.speed_rad_s[joint]:g} rad/s; lower the speed",
+            joint + 1,
+        )
 
 
 def smooth(share: float) -> float:

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gateway.motion.stream import Stream
 from gateway.pair.cell import PairCell
 from gateway.pair.controller import CycleSummary, PairController
 from gateway.pair.embodiments import Embodiment
 from gateway.pair.function import TransformFunction, function_of_knots
-from gateway.pair.link import PairLink
 from gateway.pair.motion import Commander, MotionOptions, PairMotion, Passage, Streamed
 from gateway.pair.path import PairPath
 from gateway.pair.relation import slave_command
@@ -60,7 +60,8 @@ class PairRun:
     Parameters
     ----------
     cell : PairCell
-    link : PairLink
+    stream : Stream
+        Of both arms, not necessarily powered yet.
     config : Embodiment
     first : TransformFunction
     options : MotionOptions, optional
@@ -75,20 +76,22 @@ class PairRun:
     def __init__(
         self,
         cell: PairCell,
-        link: PairLink,
+        stream: Stream,
         config: Embodiment,
         first: TransformFunction,
         options: MotionOptions | None = None,
     ) -> None:
         self.config, self._cell = config, cell
-        self.motion = PairMotion(cell, link, options)
+        self.motion = PairMotion(cell, stream, options)
         self.path = cell.path(self.motion.options.speed)
         self._way = self.motion.passage(self.path, (cell.arms[0].start_rad, cell.arms[1].start_rad))
         self.controller = PairController(config, self.path, self.motion.calibration, first)
-        self._home: Passage | None = None
+        self._back = reversed_path(cell.path(self.motion.options.back_speed or self.path.speed))
+        ends = (self._way.joints[0][-1], self._way.joints[1][-1])
+        self._home: Passage = self.motion.passage(self._back, ends)
 
     def start(self) -> None:
-        """Power both arms at the start of the path, where the part is gripped."""
+        """Both arms are powered at the start of the path, where the part is gripped."""
         self.motion.start()
 
     def stand(self) -> None:
@@ -104,17 +107,17 @@ class PairRun:
             Both arms were stopped; nothing was learned from this cycle.
         """
         controller, way = self.controller, self._way
-        controller.start_cycle()
+        self.motion.prepare(controller.start_cycle)
         self.stand()
         try:
             if self.config.sensing == "distance":
                 self.motion.settle(way, self._commander())
-            streamed: Streamed = self.motion.stream(way, self._commander())
+            streamed: Streamed = self.motion.run(way, self._commander())
         except BaseException:
             controller.end_cycle(complete=False)
             raise
         began = time.perf_counter()
-        summary = controller.end_cycle(streamed.complete)
+        summary = self.motion.prepare(lambda: controller.end_cycle(streamed.complete))
         learning_s = time.perf_counter() - began
         gaps_m = streamed.gaps_m
         if gaps_m.size and not np.isnan(gaps_m).all():
@@ -146,11 +149,13 @@ class PairRun:
 
     def back(self) -> None:
         """The same way back under the same function, corrected but not learned from."""
-        path = reversed_path(self._cell.path(self.motion.options.back_speed or self.path.speed))
-        if self._home is None:
-            ends = (self._way.joints[0][-1], self._way.joints[1][-1])
-            self._home = self.motion.passage(path, ends)
+        controller = self.motion.prepare(self._returning)
+        self.motion.run(self._home, controller.step, fade=True)
+
+    def _returning(self) -> PairController:
+        """Controller of the way back, under the function of the way forward."""
         function = reversed_function(self.controller.function, self.path.length_m)
-        controller = PairController(replace(self.config, learning=None), path, self.motion.calibration, function)
+        config = replace(self.config, learning=None)
+        controller = PairController(config, self._back, self.motion.calibration, function)
         controller.start_cycle()
-        self.motion.stream(self._home, controller.step, fade=True)
+        return controller

@@ -10,13 +10,16 @@ from typing import Any
 import numpy as np
 
 from gateway.errors import ConfigError, InputError
+from gateway.motion.power import powered
+from gateway.motion.stops import guarded
+from gateway.motion.stream import Stream
 from gateway.pair.cell import PairCell
 from gateway.pair.embodiments import DISTANCE_GAINS, EMBODIMENTS, Embodiment, with_gains
 from gateway.pair.function import TransformFunction, constant_function, sampled
 from gateway.pair.impedance import Gains
 from gateway.pair.lesson import Lesson, TaughtPoint, read_lesson
 from gateway.pair.link import PairLink
-from gateway.pair.motion import MotionOptions, PairMotion
+from gateway.pair.motion import MotionOptions, PairMotion, refuse_elsewhere
 from gateway.pair.run import PairCycle, PairRun
 from gateway.pair.speed import SpeedTable
 from gateway.pair.storage import PairStore, run_as_json
@@ -111,14 +114,19 @@ def teach_pair(
     told : callable
         Called with each new point, its number and how many there will be.
     """
-    motion = PairMotion(cell, link, options)
+    options = options or MotionOptions()
+    refuse_elsewhere(cell, link.together.where())
+    stream = Stream(link.station(cell, options.moves))
+    motion = PairMotion(cell, stream, options)
+    teacher = Teacher(motion, cell_gains(cell))
     indices = cell.path(1.0).uniform(cell.config.knots)
 
     def save(present: Lesson, point: TaughtPoint) -> None:
-        store.write("points.json", present.to_json())
-        told(point, len(present.points), len(indices))
+        motion.prepare(lambda: store.write("points.json", present.to_json()))
+        guarded(told, options.moves.desk)(point, len(present.points), len(indices))
 
-    Teacher(motion, cell_gains(cell)).run(lesson, indices, save)
+    with powered(stream):
+        teacher.run(lesson, indices, save)
     function = lesson.function(cell.nominal_relation)
     store.save("first", function, learn_source="taught", speed=0.0, embodiment="C1")
     return function
@@ -192,26 +200,31 @@ def run_pair(
         The run as it is stored for the report, with the statistics of both buses.
     """
     row = embodiment_of(cell, request.embodiment)
-    speed = (options.speed if options else None) or cell.config.speed
+    options = options or MotionOptions()
+    moves = options.moves
+    speed = options.speed or cell.config.speed
     first, _ = first_function(cell, store, row, speed)
     if row.first == "speed_table":
         row = replace(row, learning=None)
-    run = PairRun(cell, link, row, first, options)
+    refuse_elsewhere(cell, link.together.where())
+    # a path that is planned slower is learned from as it is driven
+    stream = Stream(link.station(cell, replace(moves, override=1.0)))
+    run = PairRun(cell, stream, row, first, replace(options, speed=speed * moves.override))
     if store.frozen:
         run.controller.freeze()
     cycles: list[PairCycle] = []
-    run.start()
     try:
-        for _ in range(request.cycles):
-            cycles.append(run.cycle())
-            _keep(store, run, cycles)
-            told(cycles[-1])
-            run.back()
+        with powered(stream):
+            run.start()
+            for _ in range(request.cycles):
+                cycles.append(run.cycle())
+                run.motion.prepare(lambda: _keep(store, run, cycles))
+                guarded(told, moves.desk)(cycles[-1])
+                run.back()
     finally:
-        body = _stored(cell, run, cycles)
+        body = _stored(cell, link, run, cycles)
         if cycles:
             store.write(f"run-{row.name}.json", json.dumps(body, allow_nan=False) + "\n")
-    link.disable()
     return body
 
 
@@ -232,12 +245,12 @@ def _keep(store: PairStore, run: PairRun, cycles: list[PairCycle]) -> None:
         store.write(f"speed-{run.path.speed:g}.json", path.read_text(encoding="utf-8"))
 
 
-def _stored(cell: PairCell, run: PairRun, cycles: list[PairCycle]) -> dict[str, Any]:
+def _stored(cell: PairCell, link: PairLink, run: PairRun, cycles: list[PairCycle]) -> dict[str, Any]:
     if not cycles:
         return {}
     body = run_as_json(cell, run.path, (run.config.name, run.config.text), cycles)
     body["knots_s_m"] = np.round(run.controller.function.s_m, 6).tolist()
-    body["statistics"] = run.motion.link.statistics()
+    body["statistics"] = link.statistics()
     body["learning_s"] = max(cycle.learning_s for cycle in cycles)
     body["evaluation_s"] = float(np.mean([cycle.evaluation_s for cycle in cycles]))
     return body

@@ -92,7 +92,7 @@ class Teacher:
     Parameters
     ----------
     motion : PairMotion
-        Not yet powered.
+        Of powered arms.
     gains : Gains
         Impedance on the way from point to point.
     rule : TeachRule, optional
@@ -138,7 +138,7 @@ class Teacher:
     def _teach(self, lesson: Lesson, index: int) -> TaughtPoint:
         rule = self._rule
         self._go(lesson, float(self._path.s_m[index]))
-        sweep = self._sweep(index)
+        sweep = self._motion.prepare(lambda: self._sweep(index))
         function = lesson.function(self._motion.cell.nominal_relation)
         forces, moments = [], []
         yielding = _Yielding(self._compliance)
@@ -153,15 +153,14 @@ class Teacher:
             self._correction = self._correction + yielding.step(sweep.maps.at_tip(1, 0, felt))
             away_m, away_rad = np.linalg.norm(self._correction[:3]), np.linalg.norm(self._correction[3:])
             if away_m > rule.largest_m or away_rad > rule.largest_rad:
-                self._motion.stop(
+                raise PairStopped(
                     f"point {index + 1}: the adjustment went {1e3 * away_m:.1f} mm and {1e3 * away_rad:.1f} mrad away;"
                     " check bases, grasps and torque signs of both arms"
                 )
-        self._motion.stop(
+        raise PairStopped(
             f"point {index + 1}: {forces[-1]:.1f} N and {moments[-1]:.2f} Nm are left after {rule.rounds} sweeps, the"
             f" set value is {rule.force_n} N and {rule.moment_nm} Nm; check friction and stiffness in the cell"
         )
-        raise PairStopped("not reached")
 
     def _taught(
         self, index: int, function: TransformFunction, seen: tuple[tuple[float, ...], tuple[float, ...]]
@@ -176,7 +175,7 @@ class Teacher:
 
     def _measure(self, sweep: Passage, function: TransformFunction) -> Floats:
         """Mean internal wrench (6,) over one period of the sweep, friction cancelled."""
-        streamed = self._motion.stream(sweep, self._commands(sweep, function))
+        streamed = self._motion.run(sweep, self._commands(sweep, function))
         whole = streamed.external_nm[:-1]
         mean = np.nanmean(whole, axis=0)
         wrenches = [each.wrench_of(mean[arm]) for arm, each in enumerate(sweep.wrenches)]
@@ -214,7 +213,7 @@ class Teacher:
         count = max(10, round(max(0.5, length / self._rule.way_m_s) / self._motion.dt_s))
         share = smooth_many(np.arange(1, count + 1) / count)
         ways_m = self._way_m + share * (to_m - self._way_m)
-        way = self._passage(commands_at(self._path, ways_m), ways_m)
+        way = self._motion.prepare(lambda: self._passage(commands_at(self._path, ways_m), ways_m))
         plain = self._commands(way, function)
         began = self._correction
         admittance = Admittance(self._gains, self._motion.dt_s)
@@ -225,7 +224,7 @@ class Teacher:
                 self._correction = began + admittance.step(way.maps.at_tip(1, m, felt))
             return plain(m, one, two)
 
-        self._motion.stream(way, yielding, fade=True)
+        self._motion.run(way, yielding, fade=True)
         self._way_m = to_m
 
 

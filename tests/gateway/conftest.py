@@ -63,7 +63,7 @@ class FakeDrives:
     def positions_rad(self) -> Sequence[float]:
         return self.axes.motor_position(self.q_rad).tolist()
 
-    def enable(self) -> Epoch:
+    def enable(self, stop_asked=lambda: False) -> Epoch:
         self.log.append("enable")
         self.enabled = True
         self.q_rad = self.q_rad - self.drop_on_enable_rad
@@ -92,6 +92,18 @@ class FakeDrives:
     def quick_stop(self) -> None:
         self.log.append("quick stop")
         self.target_rad = self.q_rad
+
+    def sag_rad(self):
+        return (0.0,) * 6
+
+    def when_stopping(self, tell):
+        self.tell_others = tell
+
+    def align(self, at_s):
+        self.aligned_s = at_s
+
+    def sync_sent_s(self):
+        return self.period_s * self.sync_index
 
     def _follow(self) -> None:
         jammed = self.jam_at is not None and self.sync_index >= self.jam_at

@@ -9,12 +9,13 @@ from drives.errors import DriveFault, IncompleteEpochs
 from gateway.acquire.events import PoseDone, Progress, SampleRepeated, Started, StateChanged, Stopped, VisitDone
 from gateway.acquire.plan import Plan, VisitSettings, plan_poses
 from gateway.acquire.poses import RestPose
-from gateway.acquire.run import Station
+from gateway.acquire.run import Shelf, Station
 from gateway.acquire.runner import RunRequest, run_plan
 from gateway.errors import InputError, LimitExceeded, PlanRefused, PoseNeverSettles
 from gateway.motion.state import SAFE, Phase
+from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
+from gateway.motion.stream import MoveOptions
 from gateway.motion.watch import IN_A_ROW
-from gateway.visit import Visit
 
 SETTINGS = VisitSettings(
     approach_offset_rad=0.03, approach_speed_rad_s=0.05, settle_timeout_s=2.0, samples=40, period_s=0.01
@@ -25,19 +26,17 @@ POSES = (
 )
 
 
-class Store:
-    """Keeps visits in memory."""
+class Store(Shelf):
+    """Keeps visits in memory; full after some."""
 
     def __init__(self) -> None:
-        self.visits: list[Visit] = []
+        super().__init__()
         self.full_after: int | None = None
 
-    def add(self, arm: str, visit: Visit) -> Visit:
-        assert arm == "main"
+    def trouble(self):
         if self.full_after is not None and len(self.visits) >= self.full_after:
-            raise InputError("run.h5: cannot be written: No space left on device")
-        self.visits.append(visit)
-        return replace(visit, number=len(self.visits))
+            return InputError("run.h5: cannot be written: No space left on device")
+        return None
 
 
 @pytest.fixture
@@ -135,6 +134,12 @@ def test_incomplete_epochs_are_sampled_again_and_marked(station, plan, store, ev
     assert len(repeated) == sum(visit.incomplete_epochs for visit in store.visits)
 
 
+def stopped_by(station, asked, kind=StopKind.ALONG_PATH):
+    """The same station, where somebody wants the arm to stop as soon as `asked` says so."""
+    desk = StopDesk(lambda: StopRequest(kind, StoppedByPerson("a person")) if asked() else None)
+    return replace(station, options=MoveOptions(desk))
+
+
 def brought_to_rest(fake) -> bool:
     return not fake.enabled and fake.log[-1] == "disable"
 
@@ -210,7 +215,7 @@ def test_a_wish_to_stop_stops_gently_and_keeps_the_data(station, plan, store, ev
         return len(store.visits) == visits_before_stop and moved
 
     with pytest.raises(KeyboardInterrupt):
-        run_plan(replace(station, stop_asked=asked), RunRequest(plan, "none"))
+        run_plan(stopped_by(station, asked), RunRequest(plan, "none"))
     assert fake.log == ["enable", "disable"]
     assert len(store.visits) == visits_before_stop
     speed = np.diff(np.array(fake.path), axis=0) / SETTINGS.period_s
@@ -227,7 +232,7 @@ def test_a_wish_to_stop_while_sampling_keeps_the_samples_marked_incomplete(stati
         return sum(isinstance(e, Progress) and e.what == "sample pose 2" for e in events) == 2
 
     with pytest.raises(KeyboardInterrupt):
-        run_plan(replace(station, stop_asked=asked), RunRequest(plan, "none"))
+        run_plan(stopped_by(station, asked), RunRequest(plan, "none"))
     assert brought_to_rest(fake)
     assert not store.visits[-1].complete
     assert 0 < len(store.visits[-1]) < SETTINGS.samples

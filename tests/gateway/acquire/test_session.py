@@ -1,6 +1,5 @@
 """From the cell file to the measured table, on simulated drives."""
 
-import signal
 import uuid
 from pathlib import Path
 
@@ -21,7 +20,6 @@ from gateway.acquire.session import (
 )
 from gateway.arm_model import robot_text
 from gateway.errors import InputError
-from gateway.motion.interrupt import ctrl_c_asks
 from gateway.recording import read
 from sim.serve import RunningSimulation, running
 
@@ -160,14 +158,3 @@ def test_nobody_on_the_bus(small_cell):
     ):
         pass
     assert refused.value.exit_code == 4
-
-
-def test_first_ctrl_c_asks_and_the_second_interrupts():
-    before = signal.getsignal(signal.SIGINT)
-    with ctrl_c_asks() as stop_asked:
-        assert not stop_asked()
-        signal.raise_signal(signal.SIGINT)
-        assert stop_asked()
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
-    assert signal.getsignal(signal.SIGINT) is before

@@ -55,7 +55,7 @@ class PerfectDrives:
         )
         return Row(self.syncs, PERIOD_S * self.syncs, readings)
 
-    def enable(self):
+    def enable(self, stop_asked=lambda: False):
         self.calls.append("enable")
         return self._row()
 
@@ -68,6 +68,18 @@ class PerfectDrives:
     def hold(self):
         self.told.append(tuple(DriveCommand(p) for p in self.at))
         return self._row()
+
+    def sag_rad(self):
+        return (0.0,) * 6
+
+    def when_stopping(self, tell):
+        """Nobody is told."""
+
+    def align(self, at_s):
+        """There is no clock."""
+
+    def sync_sent_s(self):
+        return PERIOD_S * self.syncs
 
     def disable(self):
         self.calls.append("disable")

@@ -12,6 +12,8 @@ from gateway.follow.path import FollowPath, read_path
 from gateway.follow.run import RAMP_S, FollowStation, follow
 from gateway.follow.settings import Setting, check_offsets
 from gateway.follow.track import Recorder
+from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
+from gateway.motion.stream import MoveOptions
 
 PERIOD_S = 0.01
 FAULT = 0x0608
@@ -32,13 +34,18 @@ def ramped(fed):
     return fed
 
 
+def drive(fed, points):
+    """Targets (n, 6), each with the one after it."""
+    for q, ahead in zip(points, [*points[1:], points[-1]], strict=True):
+        fed.exchange(fed.command(q, ahead))
+
+
 def offsets(commands):
     return [c.velocity_offset_rad_s for c in commands], [c.torque_offset_nm for c in commands]
 
 
 def test_nothing_is_fed_before_the_offsets_are_asked_for(fed, perfect):
-    for row in fed.commands(np.full((5, 6), 0.001)):
-        fed.exchange(row)
+    drive(fed, np.full((5, 6), 0.001))
     assert {offset for told in perfect.told for pair in offsets(told) for offset in pair} == {0.0}
 
 
@@ -61,8 +68,7 @@ def test_the_offsets_are_those_of_the_middle_of_the_stretch(fed, perfect, law):
     ramped(fed)
     begun = len(perfect.told)
     time_s = PERIOD_S * np.arange(1, 31)
-    for row in fed.commands(0.5 * gain * time_s[:, None] ** 2):
-        fed.exchange(row)
+    drive(fed, 0.5 * gain * time_s[:, None] ** 2)
     n = 20
     middle_s = (n - 0.5) * PERIOD_S
     q = 0.5 * (0.5 * gain * (n * PERIOD_S) ** 2 + 0.5 * gain * ((n - 1) * PERIOD_S) ** 2)
@@ -75,8 +81,7 @@ def test_the_offsets_are_those_of_the_middle_of_the_stretch(fed, perfect, law):
 def test_what_is_recorded_is_the_target_that_the_drives_had_reached(fed):
     ramped(fed)
     fed.recorder = Recorder("identified", PERIOD_S)
-    for row in fed.commands(np.linspace(0.0, 0.02, 21)[1:, None] * np.ones(6)):
-        fed.exchange(row)
+    drive(fed, np.linspace(0.0, 0.02, 21)[1:, None] * np.ones(6))
     track = fed.recorder.track()
     np.testing.assert_allclose(track.error_rad, 0.0, atol=1e-12)
     assert (track.torque_offset_nm[:, 1] != 0).all()
@@ -125,7 +130,8 @@ def path(tmp_path, workspace) -> FollowPath:
 
 
 def station(arm, workspace, stop=lambda: False):
-    return FollowStation(arm, workspace, stop, lambda what, done: None)
+    desk = StopDesk(lambda: StopRequest(StopKind.ALONG_PATH, StoppedByPerson("a person")) if stop() else None)
+    return FollowStation(arm, workspace, lambda what, done: None, MoveOptions(desk))
 
 
 def test_one_track_per_setting_and_the_arm_ends_in_its_brakes(arm, workspace, path, law, perfect):
@@ -143,14 +149,16 @@ def test_a_stop_while_ramping_or_moving_brings_the_offsets_to_zero_with_the_reas
     arm, workspace, path, law, perfect, gain
 ):
     def stop():
+        if not perfect.told:
+            return False
         whole = law.offsets([0.0] * 6, [0.0] * 6, [0.0] * 6, [0.0] * 6)[1][1]
-        fed = bool(perfect.told) and perfect.told[-1][1].torque_offset_nm / whole
+        fed = perfect.told[-1][1].torque_offset_nm / whole
         moving = abs(perfect.told[-1][1].velocity_offset_rad_s) > 1.0
         return fed > gain if gain < 1.0 else bool(fed) and moving
 
     with pytest.raises(KeyboardInterrupt) as stopped:
         follow(station(arm, workspace, stop), path, [Setting("identified", law, None)])
-    (note,) = stopped.value.__notes__
+    note = stopped.value.__notes__[0]
     assert "brought to zero" in note
     assert ("while the offsets were being eased" in note) == (gain < 1.0)
     assert offsets(perfect.told[-1]) == ([0.0] * 6, [0.0] * 6)

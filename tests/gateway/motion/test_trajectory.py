@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.errors import PlanRefused
-from gateway.motion.trajectory import MotionLimits, stop, straight
+from gateway.motion.trajectory import MotionLimits, straight
 
 PERIOD_S = 0.01
 LIMITS = MotionLimits(np.full(6, 0.5), np.linspace(0.6, 1.2, 6), np.linspace(3.0, 6.0, 6))
@@ -47,27 +47,6 @@ def test_duration_of_a_long_motion():
 
 def test_no_way_is_no_motion():
     assert len(straight(np.ones(6), np.ones(6), LIMITS, PERIOD_S)) == 0
-
-
-@settings(max_examples=40, deadline=None)
-@given(start=angles, target=angles, at=st.floats(0, 1))
-def test_stop_brakes_on_the_line(start, target, at):
-    motion = straight(start, target, LIMITS, PERIOD_S)
-    if not len(motion):
-        return
-    row = int(at * (len(motion) - 1))
-    state = (motion.q_rad[row], motion.qd_rad_s[row], motion.qdd_rad_s2[row])
-    brake = stop(state, LIMITS, PERIOD_S)
-    if not len(brake):
-        return
-    assert np.abs(brake.qd_rad_s[-1]).max() < 1e-9
-    assert np.abs(brake.qdd_rad_s2[-1]).max() < 1e-6
-    path = np.vstack([motion.q_rad[: row + 1], brake.q_rad])
-    acceleration = rates(np.vstack([start, start, path]))[1]
-    assert (np.abs(acceleration).max(axis=0) <= LIMITS.acceleration_rad_s2 * 1.02 + 1e-6).all()
-    line = (target - start) / np.abs(target - start).max()
-    share = (path - start) @ line / (line @ line)
-    assert path - start == pytest.approx(share[:, None] * line, abs=1e-9)
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan])

@@ -1,0 +1,94 @@
+"""What every command that moves an arm has in common: its options, who may stop it, and how it asks first."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from gateway.commands.options import Function, confirm, one_of, session_of
+
+if TYPE_CHECKING:
+    from gateway.motion.stream import MoveOptions
+
+
+@dataclass(frozen=True, slots=True)
+class MoveChoice:
+    """The options MOVE of the command line.
+
+    Attributes
+    ----------
+    override : int
+        Speed override, percent.
+    hold_to_run : bool
+        The arms move only while a key is held.
+    yes : bool
+        Do not ask before moving.
+    pacing : str or None
+        Instead of the cell's.
+    """
+
+    override: int
+    hold_to_run: bool
+    yes: bool
+    pacing: str | None
+
+    def ask(self, question: str) -> None:
+        """Ask before anything moves; no answer means no."""
+        confirm(question, yes=self.yes)
+
+
+def move_options(function: Function) -> Function:
+    """Add MOVE: --override, --hold-to-run, --yes, --pacing; the command takes them as one argument `moving`."""
+
+    def gathered(*arguments: Any, override: int, hold_to_run: bool, yes: bool, pacing: str | None, **named: Any) -> Any:
+        return function(*arguments, moving=MoveChoice(override, hold_to_run, yes, pacing), **named)
+
+    gathered.__name__, gathered.__doc__ = function.__name__, function.__doc__
+    gathered.__click_params__ = getattr(function, "__click_params__", [])  # type: ignore[attr-defined]
+    wrapped: Callable[..., Any] = gathered
+    for option in (
+        click.option("--yes", is_flag=True, help="Do not ask before moving."),
+        click.option(
+            "--pacing",
+            type=one_of(["lockstep", "real"]),
+            help="Instead of the cell's; lockstep with the simulator alone.",
+        ),
+        click.option("--hold-to-run", is_flag=True, help="Move only while a key is held (no enabling device)."),
+        click.option(
+            "--override",
+            type=click.IntRange(1, 100),
+            default=100,
+            show_default=True,
+            metavar="PERCENT",
+            help="Speed override.",
+        ),
+    ):
+        wrapped = option(wrapped)
+    return wrapped  # type: ignore[return-value]
+
+
+@contextmanager
+def stoppable(move: MoveChoice) -> Iterator[MoveOptions]:
+    """While this is open, signals and the held key stop what moves; interrupted at once while nothing does."""
+    from gateway.motion.holdtorun import held_key
+    from gateway.motion.stops import StopDesk, signals_ask
+    from gateway.motion.stream import MoveOptions
+
+    desk = StopDesk()
+    with ExitStack() as stack:
+        stack.enter_context(signals_ask(desk))
+        if not move.hold_to_run:
+            yield MoveOptions(desk, move.override / 100.0)
+            return
+        key = stack.enter_context(held_key())
+        desk.watch(lambda: key() if desk.under_power else None)
+
+        def ready() -> None:
+            session_of().note("hold the space bar: the arm moves while it is held")
+            key.wait()
+
+        yield MoveOptions(desk, move.override / 100.0, ready=ready)

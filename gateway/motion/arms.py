@@ -1,0 +1,198 @@
+"""Arms that move together, each on its bus: brought up, given one SYNC per cycle from one clock, stopped together.
+
+In lockstep one thread serves all buses in turn, and a run is the same every time. By the clock each further bus has a
+thread of its own, all keep one rhythm, and the time between their SYNCs is measured.
+
+When a drive of one arm leaves OPERATION ENABLED, falls silent or its bus fails, the other arms are told in the same
+cycle, and all stop by the quick stop ramps of their drives.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Final, TypeVar
+
+import numpy as np
+
+from drives.drive import DriveCommand
+from drives.exchange import Pacing
+from gateway.motion.arm import Arm, ArmSample
+
+Result = TypeVar("Result")
+
+#: Until the first common SYNC by the clock [s].
+_START_S: Final = 0.02
+#: Skews that are kept for the quantiles.
+_KEPT: Final = 100_000
+
+
+class Arms:
+    """Arms under one clock.
+
+    Parameters
+    ----------
+    arms : sequence of Arm
+        Connected and configured, in their brakes.
+    pacing : "lockstep" or "real"
+
+    Attributes
+    ----------
+    members : tuple of Arm
+    skew_s : deque of float
+        By the clock: time between the SYNCs of the first and the last arm, cycle by cycle.
+    enabled : bool
+        All of them follow `exchange`.
+    stopped_by : int or None
+        Index of the arm whose error stopped all, None while none did.
+    """
+
+    def __init__(self, arms: Sequence[Arm], pacing: Pacing) -> None:
+        self.members = tuple(arms)
+        self.real = pacing == "real"
+        self.skew_s: deque[float] = deque(maxlen=_KEPT)
+        self.stopped_by: int | None = None
+        # each further arm may be in a cycle while each arm is being stopped
+        self._pool = ThreadPoolExecutor(2 * len(arms) - 1, thread_name_prefix="arm") if len(arms) > 1 else None
+        self._stopping: list[Future[None]] = []
+        self._lock = threading.Lock()
+        self.enabled = False
+        if len(arms) > 1:
+            for index, arm in enumerate(self.members):
+                arm.drives.when_stopping(lambda index=index: self._stop_others(index))
+
+    @property
+    def names(self) -> str:
+        """Names of all arms, as in a sentence."""
+        return " and ".join(f"'{arm.name}'" for arm in self.members)
+
+    def where(self) -> tuple[np.ndarray, ...]:
+        """Joint positions of every arm in its brakes [rad]."""
+        return tuple(arm.where() for arm in self.members)
+
+    def enable(self, stop_asked: Callable[[], bool]) -> tuple[ArmSample, ...]:
+        """Power all drives; an arm that is ready holds its position until the others are.
+
+        Raises
+        ------
+        DriveError
+            What failed, or that a stop was asked for; all arms are disabled again.
+        """
+        ready, failed = [False] * len(self.members), threading.Event()
+
+        def given_up() -> bool:
+            return failed.is_set() or stop_asked()
+
+        def up(index: int) -> ArmSample:
+            arm = self.members[index]
+            try:
+                sample = arm.enable(given_up)
+                ready[index] = True
+                while not all(ready) and not given_up():
+                    sample = arm.hold()
+            except BaseException:
+                failed.set()
+                raise
+            return sample
+
+        try:
+            samples = self._all(up)
+        except BaseException:
+            self.disable()
+            raise
+        self.enabled = True
+        if self.real and len(self.members) > 1:
+            due = time.monotonic() + _START_S
+            for arm in self.members:
+                arm.drives.align(due)
+        return samples
+
+    def exchange(self, commands: Sequence[Sequence[DriveCommand]]) -> tuple[ArmSample, ...]:
+        """One cycle: targets to every arm, what every arm measured at this SYNC.
+
+        Raises
+        ------
+        DriveError
+            A drive or a bus failed; all arms have been stopped, or are being stopped by the motion loop.
+        """
+        return self._cycle(lambda index: self.members[index].exchange(commands[index]))
+
+    def hold(self) -> tuple[ArmSample, ...]:
+        """One cycle at the last targets; raises as `exchange`."""
+        return self._cycle(lambda index: self.members[index].hold())
+
+    def quick_stop(self) -> None:
+        """All arms by the quick stop ramp of their drives, at the same time.
+
+        Raises
+        ------
+        DriveError
+            An axis of which it is not known that it stands.
+        """
+        self.enabled = False
+        self._all(lambda index: self.members[index].quick_stop())
+
+    def disable(self) -> None:
+        """Brakes on, power off, all arms at the same time."""
+        self.enabled = False
+        self._wait_stopped()
+        self._all(lambda index: self.members[index].disable())
+
+    def close(self) -> None:
+        """End the threads."""
+        self._wait_stopped()
+        if self._pool is not None:
+            self._pool.shutdown()
+
+    # -- inside ------------------------------------------------------------------------------------------------------
+
+    def _cycle(self, action: Callable[[int], ArmSample]) -> tuple[ArmSample, ...]:
+        try:
+            if not self.real:
+                return tuple(action(index) for index in range(len(self.members)))
+            samples = self._all(action)
+        except BaseException:
+            self._wait_stopped()
+            raise
+        if len(self.members) > 1:
+            self.skew_s.append(self.members[-1].drives.sync_sent_s() - self.members[0].drives.sync_sent_s())
+        return samples
+
+    def _all(self, action: Callable[[int], Result]) -> tuple[Result, ...]:
+        """Do something with all arms at the same time; the first failure is raised when all have ended."""
+        if self._pool is None:
+            return (action(0),)
+        others = [self._pool.submit(action, index) for index in range(1, len(self.members))]
+        results: list[Result] = []
+        failure: BaseException | None = None
+        for job in (lambda: action(0), *(other.result for other in others)):
+            try:
+                results.append(job())
+            except BaseException as error:
+                if failure is None:
+                    failure = error
+                else:
+                    failure.add_note(f"another arm: {error}")
+        if failure is not None:
+            raise failure
+        return tuple(results)
+
+    def _stop_others(self, index: int) -> None:
+        """An arm is about to stop because of an error: the others stop now as well, not when this one stands."""
+        with self._lock:
+            if not self.enabled or self._pool is None:
+                return
+            self.enabled = False
+            self.stopped_by = index
+            for other, arm in enumerate(self.members):
+                if other != index:
+                    self._stopping.append(self._pool.submit(arm.quick_stop))
+
+    def _wait_stopped(self) -> None:
+        while self._stopping:
+            with contextlib.suppress(Exception):
+                self._stopping.pop().result()

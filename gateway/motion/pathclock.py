@@ -1,0 +1,97 @@
+"""Time along a path: where the next set point lies, and how fast that place moves.
+
+Set points of a way are rows, one SYNC apart at full rate. The place advances by the rate at every SYNC: 1 = as
+planned, 0.1 = a speed override of 10 %, and on its way to 0 = a stop along the path. With the place s and its rate r,
+a joint has the speed q' r and the acceleration q'' r^2 + q' r', so the rate falls as fast as every joint's
+acceleration limit allows, and its fall begins and ends as softly as the jerk limits allow (path-velocity
+decomposition: Kant and Zucker 1986).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+#: A way that is at its limits all along leaves nothing to brake with: after the first time [s] it is brought to rest
+#: within the second one all the same.
+PATIENCE_S, LONGEST_S = 1.5, 1.0
+#: A joint that is slower does not limit the rate [rad/s].
+STILL_RAD_S = 1e-9
+
+
+class PathClock:
+    """Where along a way the next set point lies.
+
+    Parameters
+    ----------
+    count : int
+        Rows of the way; row 0 is due one SYNC after the start, which counts as row -1.
+    period_s : float
+        SYNC period.
+    acceleration_rad_s2, jerk_rad_s3 : arrays of shape (n,)
+        Limits of all joints of all arms.
+    most : float
+        Rate when nobody asks for a stop, in (0, 1].
+
+    Attributes
+    ----------
+    at : float
+        Row of the set point that is due, -1 to count - 1.
+    rate : float
+        Rows by which it moves per SYNC.
+    """
+
+    def __init__(
+        self, count: int, period_s: float, acceleration_rad_s2: np.ndarray, jerk_rad_s3: np.ndarray, most: float = 1.0
+    ) -> None:
+        self.at = -1.0
+        self.rate = most
+        self._last = count - 1
+        self._period_s = period_s
+        self._acceleration, self._jerk = acceleration_rad_s2, jerk_rad_s3
+        self._fall = self._stopping_s = 0.0
+        self.stopping = False
+
+    @property
+    def arrived(self) -> bool:
+        """The last row was reached."""
+        return self.at >= self._last
+
+    @property
+    def done(self) -> bool:
+        """Nothing is left to be sent: the way is at its end, or the stop has come to rest."""
+        return self.arrived or (self.stopping and self.rate == 0.0)
+
+    def stop(self) -> None:
+        """From now on towards rest."""
+        self.stopping = True
+
+    def advance(self, speed_rad_s: np.ndarray, acceleration_rad_s2: np.ndarray) -> float:
+        """Row of the next set point.
+
+        Parameters
+        ----------
+        speed_rad_s, acceleration_rad_s2 : arrays of shape (n,)
+            Of the way at full rate, where it is now.
+        """
+        if self.stopping:
+            self._slow_down(speed_rad_s, acceleration_rad_s2)
+        self.at = min(self.at + self.rate, float(self._last))
+        return self.at
+
+    def _slow_down(self, speed_rad_s: np.ndarray, acceleration_rad_s2: np.ndarray) -> None:
+        speed = np.abs(speed_rad_s)
+        moving = speed > STILL_RAD_S
+        if not moving.any():
+            self.rate = self._fall = 0.0
+            return
+        speed, along = speed[moving], (acceleration_rad_s2 * np.sign(speed_rad_s))[moving] * self.rate**2
+        steepest = float(((self._acceleration[moving] + along) / speed).min())
+        self._stopping_s += self._period_s
+        steepest = max(steepest, 0.0 if self._stopping_s < PATIENCE_S else 1.0 / LONGEST_S)
+        onset = float((self._jerk[moving] / speed).min())
+        self._fall = min(self._fall + onset * self._period_s, steepest, math.sqrt(2.0 * onset * self.rate))
+        self.rate -= self._fall * self._period_s
+        if self.rate <= onset * self._period_s**2:
+            self.rate = self._fall = 0.0

@@ -1,0 +1,97 @@
+"""Arms under power: brought up, handed to whoever moves them, and left standing in their brakes, whatever happens."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Final
+
+from drives.errors import DriveError
+from gateway.errors import LimitExceeded
+from gateway.motion.state import Phase
+from gateway.motion.stream import Stream
+
+#: A joint that moves farther once its brake has closed is reported [rad].
+SAG_RAD: Final = 0.005
+
+
+@contextmanager
+def powered(stream: Stream) -> Iterator[Stream]:
+    """Power the arms where they stand; on leaving, however that comes about, they stand and their brakes are on.
+
+    The stop fits the cause. Along the path the stream has come to rest by itself. While set points are going out, and
+    after an error of a drive or of a limit, all axes are stopped by their quick stop ramps at once. A stop that is not
+    confirmed ends the heartbeat (`drives.stopping`). Whoever listens is told afterwards.
+
+    Raises
+    ------
+    DriveError, LimitExceeded, KeyboardInterrupt
+        Whatever ended the motion, once the arms are safe; what went wrong on the way there is among its notes.
+    """
+    station = stream.station
+    desk = station.options.desk
+    failure: BaseException | None = None
+    station.options.ready()
+    try:
+        desk.under_power = True
+        stream.start()
+        station.state.enter(Phase.HOLDING, stream.sync_index)
+        yield stream
+    except BaseException as error:
+        failure = error
+        raise
+    finally:
+        try:
+            _make_safe(stream, failure)
+        finally:
+            desk.under_power = False
+        _tell_the_end(stream, failure)
+    wish = desk.look()
+    if wish is not None:
+        raise wish.cause
+
+
+def _make_safe(stream: Stream, failure: BaseException | None) -> None:
+    arms = stream.station.arms
+    quick = stream.moving or stream.urgent or isinstance(failure, DriveError | LimitExceeded)
+    try:
+        if quick:
+            _attempt(arms.quick_stop, failure)
+    finally:
+        _attempt(arms.disable, failure)
+
+
+def _attempt(action: Callable[[], None], failure: BaseException | None) -> None:
+    try:
+        action()
+    except Exception as error:
+        if failure is None:
+            raise
+        failure.add_note(f"while stopping: {error}")
+
+
+def _tell_the_end(stream: Stream, failure: BaseException | None) -> None:
+    state = stream.station.state
+    state.enter(Phase.STOPPING, stream.sync_index)
+    since = state.state
+    sag = _sag(stream)
+    if failure is None:
+        state.enter(Phase.IN_BRAKES, stream.sync_index, sag)
+        return
+    if sag:
+        failure.add_note(sag)
+    failure.add_note(f"It happened at {since.since:%H:%M:%S} UTC, SYNC {since.sync_index} of this run.")
+    state.enter(Phase.STOPPED, stream.sync_index, str(failure) or type(failure).__name__)
+
+
+def _sag(stream: Stream) -> str:
+    """Joints that have sunk in their brakes, in words."""
+    found = []
+    for arm in stream.station.arms.members:
+        sag_rad = arm.sag_rad()
+        found += [
+            f"arm '{arm.name}', joint {joint} sank by {value:.4f} rad in its brake"
+            for joint, value in enumerate(sag_rad.tolist(), start=1)
+            if value > SAG_RAD
+        ]
+    return "; ".join(found) + ("; check its brake and the brake's delay" if found else "")

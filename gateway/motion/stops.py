@@ -1,0 +1,135 @@
+"""Who may stop the arms, and how: every wish to stop is left here, and the motion loop looks at every SYNC.
+
+Two ways of stopping are asked for; a third follows where they fail (`drives.stopping`: no more heartbeat).
+
+along the path   all drives are healthy: a person, a question, a recording that falls behind, the force in a part
+quick stop       contact, a limit that was passed, a second signal
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, Final
+
+#: Signals by which a person or a system ends a program.
+SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class StopKind(IntEnum):
+    """How urgent a stop is; the larger one wins."""
+
+    ALONG_PATH = 1
+    QUICK_STOP = 2
+
+
+class StoppedByPerson(KeyboardInterrupt):  # noqa: N818 - reads as what happened
+    """A person, a signal or a closed terminal asked for it; the text says which."""
+
+
+@dataclass(frozen=True, slots=True)
+class StopRequest:
+    """One wish.
+
+    Attributes
+    ----------
+    kind : StopKind
+    cause : BaseException
+        Raised once the arms stand.
+    """
+
+    kind: StopKind
+    cause: BaseException
+
+
+#: Asked at every SYNC; None = go on.
+StopSource = Callable[[], StopRequest | None]
+
+
+class StopDesk:
+    """Where wishes to stop are left; `ask` may be called from any thread and from a signal handler.
+
+    Attributes
+    ----------
+    under_power : bool
+        Set by the motion loop: a signal then asks for a stop, at other times it interrupts at once.
+    """
+
+    def __init__(self, *sources: StopSource) -> None:
+        self.under_power = False
+        self._sources = list(sources)
+        self._request: StopRequest | None = None
+
+    def watch(self, source: StopSource) -> None:
+        """Ask `source` too from now on, at every SYNC."""
+        self._sources.append(source)
+
+    def forget(self, source: StopSource) -> None:
+        """Undo `watch`."""
+        self._sources.remove(source)
+
+    def ask(self, cause: BaseException, kind: StopKind = StopKind.ALONG_PATH) -> None:
+        """Leave a wish; the first cause is kept, the most urgent kind wins."""
+        before = self._request
+        if before is None:
+            self._request = StopRequest(kind, cause)
+        elif kind > before.kind:
+            self._request = StopRequest(kind, before.cause)
+
+    def look(self) -> StopRequest | None:
+        """The wish that stands, the sources asked."""
+        for source in self._sources:
+            wish = source()
+            if wish is not None:
+                self.ask(wish.cause, wish.kind)
+        return self._request
+
+    def asked(self) -> bool:
+        """Whether anybody wants the arms to stop."""
+        return self.look() is not None
+
+
+@contextmanager
+def signals_ask(desk: StopDesk) -> Iterator[None]:
+    """Let SIGINT, SIGTERM and SIGHUP ask for a stop along the path, and for a quick stop the second time.
+
+    While nothing is under power they interrupt at once (`StoppedByPerson`). A signal that was inherited as ignored is
+    heard as well. Outside the main thread, where Python takes no signals, nothing is changed.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    heard = 0
+
+    def on_signal(number: int, _frame: Any) -> None:
+        nonlocal heard
+        cause = StoppedByPerson(f"stopped by {signal.Signals(number).name}")
+        if not desk.under_power:
+            raise cause
+        heard += 1
+        desk.ask(cause, StopKind.ALONG_PATH if heard == 1 else StopKind.QUICK_STOP)
+
+    before = {number: signal.signal(number, on_signal) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def guarded(tell: Callable[..., None], desk: StopDesk) -> Callable[..., None]:
+    """A listener that cannot break the loop: what it raises becomes a wish to stop along the path."""
+
+    def safely(*told: Any) -> None:
+        try:
+            tell(*told)
+        except BrokenPipeError:
+            desk.ask(StoppedByPerson("stopped: the terminal was closed"))
+        except BaseException as error:
+            desk.ask(error)
+
+    return safely

@@ -1,0 +1,77 @@
+"""Wishes to stop: the first cause is kept, the most urgent kind wins, signals and listeners ask like everybody else."""
+
+import signal
+
+import pytest
+
+from gateway.motion.stops import (
+    SIGNALS,
+    StopDesk,
+    StopKind,
+    StoppedByPerson,
+    StopRequest,
+    guarded,
+    signals_ask,
+)
+
+
+def test_the_first_cause_is_kept_and_the_most_urgent_kind_wins():
+    desk = StopDesk()
+    assert desk.look() is None
+    first, second = ValueError("first"), ValueError("second")
+    desk.ask(first)
+    desk.ask(second, StopKind.QUICK_STOP)
+    desk.ask(second)
+    assert desk.look() == StopRequest(StopKind.QUICK_STOP, first)
+
+
+def test_sources_are_asked_until_they_are_forgotten():
+    desk, wish = StopDesk(), StopRequest(StopKind.ALONG_PATH, ValueError("full"))
+
+    def full():
+        return wish
+
+    desk.watch(full)
+    desk.forget(full)
+    assert not desk.asked()
+    desk.watch(full)
+    assert desk.look() == wish
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_under_power_a_signal_asks_and_the_second_one_is_urgent(number):
+    desk, before = StopDesk(), signal.getsignal(number)
+    with signals_ask(desk):
+        desk.under_power = True
+        signal.raise_signal(number)
+        assert desk.look().kind is StopKind.ALONG_PATH
+        assert isinstance(desk.look().cause, KeyboardInterrupt)
+        assert number.name in str(desk.look().cause)
+        signal.raise_signal(signal.SIGINT)
+        assert desk.look().kind is StopKind.QUICK_STOP
+    assert signal.getsignal(number) is before
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_that_was_inherited_as_ignored_is_heard(number):
+    before = signal.signal(number, signal.SIG_IGN)
+    try:
+        with signals_ask(StopDesk()), pytest.raises(StoppedByPerson, match=number.name):
+            signal.raise_signal(number)
+        assert signal.getsignal(number) is signal.SIG_IGN
+    finally:
+        signal.signal(number, before)
+
+
+def test_a_listener_that_fails_asks_for_a_stop_and_breaks_nothing():
+    desk = StopDesk()
+
+    def broken(_event):
+        raise BrokenPipeError(32, "Broken pipe")
+
+    guarded(broken, desk)("event")
+    assert isinstance(desk.look().cause, StoppedByPerson)
+    assert "terminal" in str(desk.look().cause)
+    other = StopDesk()
+    guarded(lambda: 1 / 0, other)()
+    assert isinstance(other.look().cause, ZeroDivisionError)
