@@ -5,12 +5,13 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.motion.stream import Stream
 from gateway.pair.cell import PairCell, load_pair
 from gateway.pair.link import PairLink, open_link
 from gateway.pair.motion import MotionOptions
@@ -20,7 +21,7 @@ from sim.measuring import FakeMeasuringDevice
 from sim.pair.cell import PairOptions
 from sim.pair.gap import GapSensors
 from sim.pair.world import PairWorld
-from tests.pair.bus_rig import BACK_SPEED, bus_spec, simulated
+from tests.pair.bus_rig import BACK_SPEED, Power, bus_spec, simulated
 from tests.pair.inline import inline
 
 Array = NDArray[np.float64]
@@ -41,12 +42,15 @@ class GapRig:
     cell: PairCell
     link: PairLink
     arms: list[Any]
+    power: Power = field(default_factory=Power)
 
     def run(self, name: str, speed: float) -> PairRun:
         """An embodiment that stands at the start, powered."""
         row = embodiment_of(self.cell, name)
         options = MotionOptions(speed=speed, back_speed=BACK_SPEED)
-        run = PairRun(self.cell, self.link, row, one_relation(self.cell, row, speed), options)
+        stream = Stream(self.link.station(self.cell, options.moves))
+        run = PairRun(self.cell, stream, row, one_relation(self.cell, row, speed), options)
+        self.power.on(stream)
         run.start()
         return run
 
@@ -58,7 +62,7 @@ class GapRig:
             true.append(self.sensors.true_m() - self.demanded_m)
 
         self.world.after.append(note)
-        done = run.cycle()
+        done = self.power.attempt(run.cycle)
         self.world.catch_up(0)
         self.world.after.remove(note)
         # what a SYNC shows is what the stretch before it has ended with
@@ -103,5 +107,5 @@ def gaps_in_the_cell(seed: int) -> list[Row]:
                     }
                 )
                 run.back()
-            rig.link.disable()
+            rig.power.off()
     return rows

@@ -5,16 +5,18 @@ from __future__ import annotations
 import tempfile
 import threading
 import uuid
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from gateway.motion.power import powered
+from gateway.motion.stream import Stream
 from gateway.pair.cell import PairCell, load_pair
 from gateway.pair.embodiments import Embodiment
 from gateway.pair.function import TransformFunction
@@ -32,12 +34,36 @@ from tests.pair.inline import inline
 from tests.pair.model_rows import oscillation
 
 Array = NDArray[np.float64]
+Done = TypeVar("Done")
 
 CELL = Path(__file__).resolve().parents[2] / "examples" / "pair" / "cell.toml"
 BACK_SPEED = 3.0
 PER_SYNC = 4
 #: Above any force of the comparison: rows that exceed the limit are run to their end.
 NO_LIMIT_N = 1e6
+
+
+class Power:
+    """Both arms under power from one step of a test to a later one, as `powered` keeps them in one block."""
+
+    def __init__(self) -> None:
+        self._stack = ExitStack()
+
+    def on(self, stream: Stream) -> None:
+        """Power the arms."""
+        self._stack.enter_context(powered(stream))
+
+    def off(self) -> None:
+        """Leave the block: the arms stand in their brakes."""
+        self._stack.close()
+
+    def attempt(self, action: Callable[[], Done]) -> Done:
+        """Do something; an error leaves the block as it would have there."""
+        try:
+            return action()
+        except BaseException as error:
+            self._stack.__exit__(type(error), error, error.__traceback__)
+            raise
 
 
 @dataclass(slots=True)
@@ -49,20 +75,23 @@ class PairRig:
     cell: PairCell
     link: PairLink
     seed: int | None
+    power: Power = field(default_factory=Power)
 
     def teach(self, count: int) -> tuple[TransformFunction, Lesson]:
         """First function through `count` points."""
         lesson = Lesson("", "")
-        motion = PairMotion(self.cell, self.link, MotionOptions(force_limit_n=NO_LIMIT_N))
-        Teacher(motion, cell_gains(self.cell)).run(
-            lesson, self.cell.path(1.0).uniform(count), lambda _lesson, _point: None
-        )
-        self.link.disable()
+        options = MotionOptions(force_limit_n=NO_LIMIT_N)
+        stream = Stream(self.link.station(self.cell, options.moves))
+        teacher = Teacher(PairMotion(self.cell, stream, options), cell_gains(self.cell))
+        with powered(stream):
+            teacher.run(lesson, self.cell.path(1.0).uniform(count), lambda _lesson, _point: None)
         return lesson.function(self.cell.nominal_relation), lesson
 
     def run(self, row: Embodiment, first: TransformFunction, options: MotionOptions) -> PairRun:
         """A row that stands at the start, powered, the part gripped there free of force."""
-        run = PairRun(self.cell, self.link, row, first, options)
+        stream = Stream(self.link.station(self.cell, options.moves))
+        run = PairRun(self.cell, stream, row, first, options)
+        self.power.on(stream)
         run.start()
         run.stand()
         self.grip()
@@ -77,7 +106,7 @@ class PairRig:
         """One way forward; its true record (4 M, 13): time, force, moment, part's centre, fingertip 1."""
         self.world.record.clear()
         self.world.recording = True
-        done = run.cycle()
+        done = self.power.attempt(run.cycle)
         self.world.catch_up(0)
         self.world.recording = False
         return done, np.array(self.world.record[-PER_SYNC * len(run.path) :])

@@ -90,7 +90,7 @@ class Bench:
         curve["knots_s_m"] = run.controller.function.s_m.tolist()
         self.curves.append(curve)
         run.back()
-        rig.link.disable()
+        rig.power.off()
         self.functions[f"{label}@{speed:g}"] = run.controller.function
         return run.controller.function
 
@@ -202,17 +202,17 @@ def stop(bench: Bench) -> None:
 
     run = rig.run(bench.row_of("A"), bench.first(bench.row_of("A")), MotionOptions(speed=USUAL))
     decided: list[float] = []
-    plain = run.motion.link.quick_stop
-    run.motion.link.quick_stop = lambda: (decided.append(rig.world.time_s), plain())[1]  # type: ignore[method-assign]
+    desk = run.motion.stream.station.options.desk
+    plain = desk.ask
+    desk.ask = lambda *wish: (decided.append(rig.world.time_s), plain(*wish))[1]  # type: ignore[method-assign]
     rig.world.after.append(note)
     why = ""
     try:
-        run.cycle()
+        rig.power.attempt(run.cycle)
     except (PairStopped, DriveError) as error:
         why = str(error)
     rig.world.after.remove(note)
-    run.motion.link.quick_stop = plain  # type: ignore[method-assign]
-    rig.link.disable()
+    rig.power.off()
     period = rig.cell.sync_period_s
     left = next((time_s for time_s, moving, _ in states if moving == 0), float("nan"))
     first = next((time_s for time_s, moving, _ in states if moving < len(drives)), float("nan"))
@@ -331,7 +331,7 @@ def _alone(seed: int, nine: TransformFunction, speed: float) -> Any:
         bench = Bench(rig, nine, 0)
         row = bench.row_of("A")
         _, record = rig.cycle(rig.run(row, bench.first(row), MotionOptions(speed=speed, force_limit_n=NO_LIMIT_N)))
-        rig.link.disable()
+        rig.power.off()
         return record[:, 10:13]
 
 

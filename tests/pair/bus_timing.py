@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import multiprocessing
 import threading
 import time
@@ -15,6 +14,8 @@ from typing import Any
 import numpy as np
 
 from drives.errors import DriveError
+from gateway.motion.power import powered
+from gateway.motion.stream import MoveOptions, Stream
 from gateway.pair.cell import PairCell, load_pair
 from gateway.pair.function import function_of_knots
 from gateway.pair.link import PairLink, open_link
@@ -65,16 +66,13 @@ def lockstep(cycles: int = CYCLES) -> dict[str, Any]:
     plain = PairWorld._tick
     PairWorld._tick = _no_physics  # type: ignore[method-assign]
     try:
-        with pair_rig(None) as rig:
-            rig.link.enable()
-            targets = (rig.cell.arms[0].start_rad, rig.cell.arms[1].start_rad)
+        with pair_rig(None) as rig, powered(Stream(rig.link.station(rig.cell, MoveOptions()))) as stream:
             before = rig.link.statistics()["incomplete"]
             began = time.perf_counter()
-            for _ in range(cycles):
-                rig.link.exchange(targets)
+            for cycle in range(cycles):
+                stream.hold("hold", cycle, cycles)
             took_s = time.perf_counter() - began
             after = rig.link.statistics()["incomplete"]
-            rig.link.disable()
     finally:
         PairWorld._tick = plain  # type: ignore[method-assign]
     return {"cycles": cycles, "incomplete": sum(after) - sum(before), "cycle_s": took_s / cycles}
@@ -96,21 +94,18 @@ def by_the_clock(seconds: float = REAL_S) -> dict[str, Any]:
 
 def _clocked(cell: PairCell, link: PairLink, wanted: int) -> dict[str, Any]:
     """Hold both arms for some cycles; a machine that is too busy for 4 ms ends it early, and that is told."""
-    targets = (cell.arms[0].start_rad, cell.arms[1].start_rad)
     cycles, late, ended = 0, 0, ""
     try:
-        link.enable()
-        link.skew_s.clear()
-        for _ in range(wanted):
-            samples = link.exchange(targets)
-            late += not all(sample.complete for sample in samples)
-            cycles += 1
+        with powered(Stream(link.station(cell, MoveOptions()))) as stream:
+            link.together.skew_s.clear()
+            for _ in range(wanted):
+                samples = stream.hold("hold", cycles, wanted)
+                late += not all(sample.complete for sample in samples)
+                cycles += 1
     except DriveError as error:
         ended = str(error)
-    groups = [opened.group.statistics for opened in link.arms]
-    skew = np.abs(link.skew_s) if link.skew_s else np.full(1, np.nan)
-    with contextlib.suppress(DriveError):
-        link.disable()
+    groups = [opened.group.statistics for opened in link.opened]
+    skew = np.abs(link.together.skew_s) if link.together.skew_s else np.full(1, np.nan)
     return {
         "cycles": cycles,
         "wanted": wanted,

@@ -48,10 +48,10 @@ def test_one_cycle_brings_the_gap_home_and_is_learned_from() -> None:
         plain = rig.run("A", FAST)
         free, off = rig.cycle(plain)
         plain.back()
-        rig.link.disable()
+        rig.power.off()
         run = rig.run("E5", FAST)
         done, kept = rig.cycle(run)
-        rig.link.disable()
+        rig.power.off()
     assert np.abs(off).max() > 1e-3
     assert np.abs(kept).max() < 0.5 * np.abs(off).max()
     assert done.summary.learned
@@ -80,7 +80,7 @@ def test_a_missing_frame_is_no_value_and_never_the_old_one() -> None:
         lost_at(rig, 1.5, 1.5)
         done, _ = rig.cycle(run)
         statistics = rig.link.statistics()
-        rig.link.disable()
+        rig.power.off()
     without = np.isnan(done.gaps_m).all(axis=1)
     assert 1 <= without.sum() <= 2
     assert not np.isnan(done.gaps_m[~without]).any()
@@ -117,7 +117,7 @@ def test_sensors_that_fail_and_a_gap_outside_its_range_stop_both_arms(
         run = rig.run("E5", FAST)
         harm(rig)
         with pytest.raises(PairStopped, match=said):
-            run.cycle()
+            rig.power.attempt(run.cycle)
         states = [drive.automaton.state for arm in rig.arms for drive in arm.drives]
     assert len(states) == 12
     assert PdsState.OPERATION_ENABLED not in states

@@ -9,10 +9,12 @@ import pytest
 
 from drives.errors import DriveError
 from gateway.errors import PlanRefused
+from gateway.motion.power import powered
+from gateway.motion.stream import Stream
 from gateway.pair.embodiments import EMBODIMENTS, with_gains
 from gateway.pair.function import constant_function
 from gateway.pair.lesson import Lesson, lesson_from_json
-from gateway.pair.motion import MotionOptions, PairMotion, PairStopped
+from gateway.pair.motion import MotionOptions, PairMotion, PairStopped, refuse_elsewhere
 from gateway.pair.run import PairRun
 from gateway.pair.session import cell_gains
 from gateway.pair.teach import Teacher, TeachRule
@@ -46,7 +48,7 @@ def test_one_cycle_with_twelve_drives() -> None:
         q = np.concatenate([sample.q_rad for sample in run.motion.samples or ()])
         wanted = np.concatenate(run.motion.q_rad)
         true = np.linalg.norm(record[:, 1:4], axis=1)
-        rig.link.disable()
+        rig.power.off()
     assert sum(statistics["incomplete"]) <= 2
     assert np.abs(q - wanted).max() < 0.02
     assert 20.0 < true.max() < 400.0
@@ -66,7 +68,7 @@ def test_a_cycle_with_a_gap_is_not_learned_from() -> None:
         rig.world.after.append(gap)
         done, _ = rig.cycle(run)
         rig.world.after.remove(gap)
-        rig.link.disable()
+        rig.power.off()
     assert not done.summary.complete
     assert not done.summary.learned
     assert "incomplete" in done.summary.reason
@@ -75,7 +77,7 @@ def test_a_cycle_with_a_gap_is_not_learned_from() -> None:
 def test_a_pair_without_errors_feels_next_to_nothing() -> None:
     with pair_rig(None) as rig:
         _, record = rig.cycle(row(rig, "A", speed=1.0))
-        rig.link.disable()
+        rig.power.off()
     # what is left: gears wound up by gravity and acceleration, friction at reversals
     assert np.linalg.norm(record[:, 1:4], axis=1).max() < 90.0
 
@@ -109,8 +111,8 @@ def test_one_arm_fails_and_both_stop(arm: int, harm: Callable[[FakeDrive], None]
 
         rig.world.after.append(break_later)
         with pytest.raises(DriveError):
-            run.cycle()
-        assert rig.link.stopped_by == arm
+            rig.power.attempt(run.cycle)
+        assert rig.link.together.stopped_by == arm
         assert run.controller.state().second is None
         assert all(
             drive.automaton.state is not PdsState.OPERATION_ENABLED for drive in drives(rig) if not drive.node.silent
@@ -136,7 +138,7 @@ def test_a_force_above_twice_the_limit_stops_both_at_once() -> None:
             )
         )
         with pytest.raises(PairStopped, match="above 80 N for more than 20 ms"):
-            run.cycle()
+            rig.power.attempt(run.cycle)
         moving = [count for _, count in left]
         assert moving[-1] == 0
         assert sum(0 < count < 12 for count in moving[moving.index(12) :]) <= 3
@@ -145,11 +147,10 @@ def test_a_force_above_twice_the_limit_stops_both_at_once() -> None:
 
 def test_an_arm_that_stands_elsewhere_is_refused() -> None:
     with pair_rig(None) as rig:
-        motion = PairMotion(rig.cell, rig.link)
         rig.world.motors.theta[2] += 0.1
         rig.world.motors.show()
         with pytest.raises(PlanRefused, match="joint 3 stands at"):
-            motion.start()
+            refuse_elsewhere(rig.cell, rig.link.together.where())
         assert all(drive.automaton.state is not PdsState.OPERATION_ENABLED for drive in drives(rig))
 
 
@@ -159,11 +160,11 @@ def test_teaching_goes_on_where_it_ended() -> None:
         indices = rig.cell.path(1.0).uniform(3)
         lesson, saved = Lesson("path", "cell"), []
         for count in (1, 3):
-            motion = PairMotion(rig.cell, rig.link, MotionOptions(force_limit_n=NO_LIMIT_N))
-            Teacher(motion, cell_gains(rig.cell), rule).run(
-                lesson, indices[:count], lambda _lesson, point: saved.append(point.index)
-            )
-            rig.link.disable()
+            options = MotionOptions(force_limit_n=NO_LIMIT_N)
+            stream = Stream(rig.link.station(rig.cell, options.moves))
+            teacher = Teacher(PairMotion(rig.cell, stream, options), cell_gains(rig.cell), rule)
+            with powered(stream):
+                teacher.run(lesson, indices[:count], lambda _lesson, point: saved.append(point.index))
             lesson = lesson_from_json(lesson.to_json(), "points.json")
     assert saved == indices.tolist()
     assert len(lesson.function(np.eye(4))) == 3
