@@ -1,0 +1,176 @@
+"""Arms under power: whatever ends a motion, the stop fits the cause and the brakes are on before anybody is told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drives.errors import DriveFault
+from gateway.motion.arms import Arms
+from gateway.motion.power import powered
+from gateway.motion.state import Phase, StateKeeper
+from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
+from gateway.motion.stream import FIRST_SHARE, MoveOptions, Station, Stream
+from gateway.motion.trajectory import MotionLimits, straight
+
+PERIOD_S = 0.01
+TARGET = np.array([0.3, 0.2, -0.2, 0.1, 0.2, -0.3])
+
+
+@pytest.fixture
+def told() -> list:
+    return []
+
+
+@pytest.fixture
+def station(arm, workspace, told) -> Station:
+    return Station(
+        arms=Arms((arm,), "lockstep"),
+        workspaces=(workspace,),
+        period_s=PERIOD_S,
+        state=StateKeeper("main", lambda state: told.append(state.phase)),
+        options=MoveOptions(),
+    )
+
+
+def move(stream: Stream, workspace, target=TARGET) -> None:
+    limits = MotionLimits(0.9 * workspace.speed_rad_s, workspace.acceleration_rad_s2, workspace.jerk_rad_s3)
+    stream.move([straight(stream.q_rad[0], target, limits, PERIOD_S)], "move")
+
+
+def stand(stream: Stream) -> None:
+    for row in range(100):
+        stream.hold("stand", row, 100)
+
+
+def asked_at(fake, sync: int, kind: StopKind) -> MoveOptions:
+    wish = StopRequest(kind, StoppedByPerson("a person"))
+    return MoveOptions(StopDesk(lambda: wish if fake.sync_index >= sync else None))
+
+
+def test_a_motion_ends_with_the_brakes_on(station, workspace, fake, told):
+    with powered(Stream(station)) as stream:
+        assert station.options.desk.under_power
+        move(stream, workspace)
+    assert fake.log == ["enable", "disable"]
+    assert fake.q_rad == pytest.approx(TARGET, abs=1e-5)
+    assert told == [Phase.HOLDING, Phase.STOPPING, Phase.IN_BRAKES]
+    assert not station.options.desk.under_power
+
+
+def test_a_wish_to_stop_brings_the_arm_to_rest_along_its_way(station, workspace, fake):
+    moved = replace(station, options=asked_at(fake, 40, StopKind.ALONG_PATH))
+    with pytest.raises(StoppedByPerson), powered(Stream(moved)) as stream:
+        move(stream, workspace)
+    assert fake.log == ["enable", "disable"]
+    path = np.array(fake.path)
+    acceleration = np.diff(path, n=2, axis=0) / PERIOD_S**2
+    assert (np.abs(acceleration) <= 1.05 * workspace.acceleration_rad_s2).all()
+    share = path @ TARGET / (TARGET @ TARGET)
+    assert path == pytest.approx(share[:, None] * TARGET, abs=1e-6)
+    assert 0.05 < share[-1] < 0.95
+
+
+def test_an_urgent_wish_is_a_quick_stop_with_the_next_sync(station, workspace, fake):
+    moved = replace(station, options=asked_at(fake, 40, StopKind.QUICK_STOP))
+    with pytest.raises(StoppedByPerson), powered(Stream(moved)) as stream:
+        move(stream, workspace)
+    assert fake.log == ["enable", "quick stop", "disable"]
+    assert fake.sync_index == 40
+
+
+def test_a_wish_while_the_arm_stands_is_answered_at_once(station, fake):
+    moved = replace(station, options=asked_at(fake, 5, StopKind.ALONG_PATH))
+    with pytest.raises(StoppedByPerson), powered(Stream(moved)) as stream:
+        stand(stream)
+    assert fake.log == ["enable", "disable"]
+    assert fake.sync_index == 5
+
+
+def test_a_wish_on_the_way_up_powers_nothing(station, fake):
+    asked = []
+
+    def enable(stop_asked):
+        asked.append(stop_asked())
+        raise DriveFault("a stop was asked for")
+
+    fake.enable = enable
+    moved = replace(station, options=asked_at(fake, 0, StopKind.ALONG_PATH))
+    with pytest.raises(StoppedByPerson), powered(Stream(moved)):
+        pass
+    assert asked == [True]
+    assert fake.log[-1] == "disable"
+
+
+def test_a_defect_while_set_points_go_out_is_a_quick_stop(station, workspace, fake):
+    stream = Stream(station)
+    look = stream._look
+
+    def broken(samples, modelled_nm):
+        if fake.sync_index == 30:
+            raise ZeroDivisionError
+        look(samples, modelled_nm)
+
+    stream._look = broken
+    with pytest.raises(ZeroDivisionError), powered(stream):
+        move(stream, workspace)
+    assert fake.log == ["enable", "quick stop", "disable"]
+
+
+def test_who_listens_is_told_after_the_arm_is_safe_and_cannot_prevent_it(station, workspace, fake):
+    log = []
+
+    def listen(state):
+        log.append((state.phase, fake.enabled))
+        if state.phase is Phase.STOPPING:
+            raise BrokenPipeError(32, "Broken pipe")
+
+    options = asked_at(fake, 40, StopKind.QUICK_STOP)
+    moved = replace(station, state=StateKeeper("main", listen), options=options)
+    with pytest.raises(BrokenPipeError), powered(Stream(moved)) as stream:
+        move(stream, workspace)
+    assert (Phase.STOPPING, False) in log
+    assert fake.log == ["enable", "quick stop", "disable"]
+
+
+def test_a_report_that_fails_stops_the_arm_along_its_way(station, workspace, fake):
+    def report(what, row, rows):
+        if row > 10:
+            raise BrokenPipeError(32, "Broken pipe")
+
+    with pytest.raises(StoppedByPerson, match="terminal"), powered(Stream(replace(station, report=report))) as stream:
+        move(stream, workspace)
+    assert fake.log == ["enable", "disable"]
+
+
+def test_the_first_motion_with_a_set_of_drives_is_slow_and_the_next_one_is_not(station, workspace, fake):
+    done = []
+    options = MoveOptions(override=0.8, first_done=lambda: done.append(fake.sync_index))
+    with powered(Stream(replace(station, options=options))) as stream:
+        move(stream, workspace)
+        first = np.abs(np.diff(np.array(fake.path), axis=0)).max(axis=0) / PERIOD_S
+        count = len(fake.path)
+        move(stream, workspace, np.zeros(6))
+    second = np.abs(np.diff(np.array(fake.path[count:]), axis=0)).max(axis=0) / PERIOD_S
+    assert first / second == pytest.approx(FIRST_SHARE / 0.8, rel=0.02)
+    assert done == [count]
+
+
+def test_a_joint_that_sinks_in_its_brake_is_told(station, fake):
+    keeper = station.state
+    fake.sag_rad = lambda: fake.axes.motor_velocity(np.array([0.0, 0.008, 0.0, 0.0, 0.0, 0.0])).tolist()
+    with powered(Stream(station)):
+        pass
+    assert "joint 2 sank by 0.0080 rad" in keeper.state.reason
+
+
+def test_an_error_of_a_drive_is_kept_and_what_fails_while_stopping_joins_it(station, workspace, fake):
+    fake.fault_at = 30
+
+    def broken():
+        raise DriveFault("cannot be disabled", node=4)
+
+    fake.disable = broken
+    with pytest.raises(DriveFault, match="FAULT") as failed, powered(Stream(station)) as stream:
+        move(stream, workspace)
+    assert any("cannot be disabled" in note for note in failed.value.__notes__)
