@@ -8,13 +8,14 @@
     5    plan refused, or motion stopped
     6    data cannot answer the question
     7    finished, a failing finding stands
-    130  stopped by Ctrl-C; the arm stands, what was measured is kept
+    130  stopped by a person, a signal or a closed terminal; the arm stands in its brakes, what was measured is kept
 
 Each command lives in `gateway/commands` and is imported when it is called, so that `--help` stays fast.
 """
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
 import sys
@@ -24,6 +25,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import click
+
+from gateway.motion.stops import StoppedByPerson
 
 PROGRAM = "servo-gateway"
 CTRL_C = 130
@@ -104,20 +107,27 @@ def report_error(error: BaseException) -> int:
     if isinstance(error, SystemExit):
         return error.code if isinstance(error.code, int) else 1
     if isinstance(error, click.Abort | KeyboardInterrupt):
-        click.echo("stopped: the arm stands still, what was measured is kept", err=True)
+        why = paragraph(error) if isinstance(error, StoppedByPerson) else "stopped"
+        _say(f"{why}: the arm stands in its brakes, what was measured is kept")
         return CTRL_C
     if isinstance(error, click.ClickException):
         error.show()
         return error.exit_code
     code = getattr(error, "exit_code", None)
     if isinstance(code, int):
-        click.echo(f"error: {paragraph(error)}", err=True)
+        _say(f"error: {paragraph(error)}")
         return code
     if isinstance(error, OSError) and error.filename is not None:
-        click.echo(f"error: {error.filename}: {error.strerror}; check the path and its permissions", err=True)
+        _say(f"error: {error.filename}: {error.strerror}; check the path and its permissions")
         return 3
-    click.echo(f"error: {_defect(error)}", err=True)
+    _say(f"error: {_defect(error)}")
     return 1
+
+
+def _say(text: str) -> None:
+    """To stderr, if anybody is there to read it."""
+    with contextlib.suppress(OSError, AttributeError):
+        click.echo(text, err=True)
 
 
 def paragraph(error: BaseException) -> str:
