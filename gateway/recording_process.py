@@ -13,6 +13,7 @@ from contextlib import suppress
 from typing import Any
 
 from gateway.errors import InputError
+from gateway.recording_lock import sole_writer
 from gateway.recording_pipe import (
     PIECE_BYTES,
     Failed,
@@ -27,6 +28,8 @@ from gateway.recording_pipe import (
 )
 from gateway.recording_writer import RecordingWriter
 
+#: How long the writer of a run that was killed may still be busy with what it was given.
+PATIENCE_S = 20.0
 #: Between two looks whether the process that feeds this one is still there: another one may hold its end of the pipe.
 LOOK_S = 0.5
 
@@ -66,13 +69,17 @@ def main() -> None:
     if not isinstance(start, Start):
         return
     try:
-        writer = RecordingWriter(start.path, start.header, start.earlier, start.write)
-        writer.begin(start.arm)
+        with sole_writer(start.path, PATIENCE_S):
+            _record(feed, start)
     except InputError as error:
         feed.say(Ready(str(error)))
-        return
-    feed.say(Ready(""))
+
+
+def _record(feed: _Feed, start: Start) -> None:
+    writer = RecordingWriter(start.path, start.header, start.earlier, start.write)
     try:
+        writer.begin(start.arm)
+        feed.say(Ready(""))
         _serve(feed, writer)
     finally:
         writer.close()

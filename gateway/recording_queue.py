@@ -57,7 +57,8 @@ class VisitQueue:
     Raises
     ------
     InputError
-        The file exists, was made with another cell, or the process does not start.
+        The file exists, was made with another cell, is written by another run, or cannot be written; the process does
+        not start.
     """
 
     def __init__(

@@ -114,7 +114,7 @@ class RecordingWriter:
     Raises
     ------
     InputError
-        The file exists, or was made with another cell.
+        The file exists, was made with another cell, or holds other visits than `earlier`.
     """
 
     def __init__(
@@ -131,6 +131,11 @@ class RecordingWriter:
                 raise InputError(f"{path} was recorded with another cell file; choose another name for this recording")
             with h5py.File(path, "r") as source:
                 source.copy("arms", self._file)
+            if _stored(self._file.require_group("arms")) != {
+                (arm.name, visit.number) for arm in earlier.arms for visit in arm.visits
+            }:
+                self._file.close()
+                raise InputError(f"{path} was still being written by an earlier run; go on with it once more")
         root = self._file.attrs
         root["schema"] = SCHEMA
         root["created"] = header.created if earlier is None else earlier.created
@@ -231,6 +236,12 @@ def replace_file(path: Path, content: bytes) -> None:
         raise InputError(
             f"{path}: cannot be written: {error.strerror or error}; what was recorded before is still in it"
         ) from error
+
+
+def _stored(arms: h5py.Group) -> set[tuple[str, int]]:
+    """Arm and number of every visit."""
+    names = [str(arm) for arm in arms]
+    return {(arm, int(str(number))) for arm in names for number in arms.require_group(f"{arm}/visits")}
 
 
 def _write_visit(group: h5py.Group, visit: Visit) -> None:

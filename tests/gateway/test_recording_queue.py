@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -20,6 +21,7 @@ import pytest
 from gateway.config import load_cell
 from gateway.errors import InputError
 from gateway.recording import read
+from gateway.recording_lock import sole_writer
 from gateway.recording_queue import VisitQueue
 from gateway.recording_writer import RecordingHeader, RecordingWriter
 from gateway.visit import Visit
@@ -199,18 +201,59 @@ def test_a_full_disk_is_told_and_the_file_before_stays(queue):
 
 
 def test_a_folder_that_is_not_there(tmp_path, header):
-    queue = VisitQueue(tmp_path / "none" / "run.h5", header, ARM_HEADER, None)
-    queue.add("main", visit())
-    until(queue, lambda: queue.failed is not None)
-    assert "No such file or directory" in str(queue.failed)
     with pytest.raises(InputError, match="No such file or directory"):
-        queue.finish("main", "fail", "", {})
+        VisitQueue(tmp_path / "none" / "run.h5", header, ARM_HEADER, None)
+
+
+def test_a_run_that_is_still_written_is_waited_for(tmp_path, header):
+    """The next run has read a file to which the writer of the one before still adds."""
+    gate = tmp_path / "gate"
+    gate.touch()
+    before = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None, write=partial(write_behind, gate))
+    before.add("main", visit(1, -1))
+    until(before, lambda: not before.waiting)
+    earlier = read(before.path)
+    gate.unlink()
+    before.add("main", visit(1, 1))
+    end = threading.Timer(0.1, lambda: (gate.touch(), before.close()))
+    end.start()
+    with pytest.raises(InputError, match="was still being written by an earlier run"):
+        VisitQueue(before.path, header, ARM_HEADER, earlier)
+    end.join()
+    queue = VisitQueue(before.path, header, ARM_HEADER, read(before.path))
+    assert queue.add("main", visit(2, 1)).number == 3
+    queue.close()
+    assert len(read(before.path).arms[0].visits) == 3
+
+
+def test_two_runs_do_not_write_one_recording(tmp_path):
+    path = tmp_path / "run.h5"
+    with sole_writer(path, 0.0), pytest.raises(InputError, match="another run is writing it"), sole_writer(path, 0.03):
+        pass
+    (tmp_path / "run.h5.lock").touch()
+    with sole_writer(path, 0.0):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_process_leaves_real_time(tmp_path, header):
+    before = os.sched_getscheduler(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except PermissionError:
+        pytest.skip("no real-time priority here")
+    try:
+        queue = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None)
+    finally:
+        os.sched_setscheduler(0, before, os.sched_param(0))
+    assert os.sched_getscheduler(queue._process.pid) == os.SCHED_OTHER
     queue.close()
 
 
 def test_files_that_are_not_gone_on_with(queue, header):
     queue.add("main", visit())
     queue.finish("main", "success", "", {})
+    queue.close()
     content = queue.path.read_bytes()
     with pytest.raises(InputError, match="--resume"):
         VisitQueue(queue.path, header, ARM_HEADER, None)
