@@ -77,7 +77,8 @@ def write_slowly(pause_s: float, path: Path, content: bytes) -> None:
 
 
 def write_behind(gate: Path, path: Path, content: bytes) -> None:
-    """A disk that hangs until the gate is there."""
-    while not gate.exists():
+    """A disk that hangs until the gate is there, or whoever would open it has gone."""
+    end_s = time.monotonic() + 20.0
+    while not gate.exists() and time.monotonic() < end_s:
         time.sleep(0.002)
     replace_file(path, content)

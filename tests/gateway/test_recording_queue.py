@@ -215,6 +215,8 @@ def test_a_run_that_is_still_written_is_waited_for(tmp_path, header):
     earlier = read(before.path)
     gate.unlink()
     before.add("main", visit(1, 1))
+    with pytest.raises(InputError, match="another run is writing it"), sole_writer(before.path, 0.0):
+        pass
     end = threading.Timer(0.1, lambda: (gate.touch(), before.close()))
     end.start()
     with pytest.raises(InputError, match="was still being written by an earlier run"):
@@ -263,13 +265,16 @@ def test_files_that_are_not_gone_on_with(queue, header):
 
 
 def test_signals_to_everybody_do_not_end_the_process(queue):
+    process = queue._process
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        os.kill(queue._process.pid, number)
-    assert os.getsid(queue._process.pid) != os.getsid(0)
+        os.kill(process.pid, number)
+    assert os.getsid(process.pid) != os.getsid(0)
     assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == set()
     queue.add("main", visit())
     queue.finish("main", "success", "", {})
     assert len(read(queue.path).arms[0].visits) == 1
+    assert queue._process is process
+    assert queue.failed is None
 
 
 def test_a_process_that_is_killed_is_replaced_once_the_arm_stands(tmp_path, header):
@@ -384,7 +389,7 @@ def test_closed_standard_streams_do_not_matter(tmp_path):
     body = """
         import os
         queue.add("main", t.visit())
-        for stream in (1, 2):
+        for stream in (0, 1, 2):
             try:
                 os.write(stream, b"noise")
             except OSError:
