@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,8 @@ from gateway.recording import SCHEMA, Recording, read
 from gateway.seal import sealed
 from gateway.visit import NO_WORD, Visit
 
+#: Puts a content in the place of a file, whole or not at all; raises InputError.
+Write = Callable[[Path, bytes], None]
 UNFINISHED = "not finished: still running, or killed"
 
 #: dataset -> (field of Visit, unit)
@@ -71,6 +74,31 @@ class RecordingHeader:
     software: str
 
 
+class Numbering:
+    """Numbers visits on from those of a file and lets their time run on.
+
+    Parameters
+    ----------
+    earlier : Recording or None
+        The file's content so far.
+    """
+
+    def __init__(self, earlier: Recording | None) -> None:
+        visits = [] if earlier is None else [visit for arm in earlier.arms for visit in arm.visits]
+        self._number = max((visit.number for visit in visits), default=0)
+        self._last_s = max((float(visit.time_s[-1]) for visit in visits), default=-np.inf)
+        self._shift_s: float | None = None
+
+    def next(self, visit: Visit) -> Visit:
+        """The visit as it is stored, with its number."""
+        if self._shift_s is None:
+            period_s = float(np.diff(visit.time_s).min()) if len(visit) > 1 else 1.0
+            late = self._last_s + period_s - float(visit.time_s[0])
+            self._shift_s = max(0.0, late)
+        self._number += 1
+        return replace(visit, number=self._number, time_s=visit.time_s + self._shift_s)
+
+
 class RecordingWriter:
     """Adds visits to one file; `visits` counts them.
 
@@ -80,15 +108,20 @@ class RecordingWriter:
     header : RecordingHeader
     earlier : Recording or None
         The file's content so far, to go on with; None = the file must not exist.
+    write : callable, optional
+        Puts the content in the place of the file, whole or not at all; `replace_file` unless given.
 
     Raises
     ------
     InputError
-        The file exists, or was made with another cell.
+        The file exists, was made with another cell, or holds other visits than `earlier`.
     """
 
-    def __init__(self, path: Path, header: RecordingHeader, earlier: Recording | None) -> None:
+    def __init__(
+        self, path: Path, header: RecordingHeader, earlier: Recording | None, write: Write | None = None
+    ) -> None:
         self.path = path
+        self._write = write or replace_file
         if earlier is None and path.exists():
             raise InputError(f"{path} exists; go on with it by --resume, or choose another name")
         self._file = h5py.File("in-memory", "w", driver="core", backing_store=False)
@@ -98,6 +131,11 @@ class RecordingWriter:
                 raise InputError(f"{path} was recorded with another cell file; choose another name for this recording")
             with h5py.File(path, "r") as source:
                 source.copy("arms", self._file)
+            if _stored(self._file.require_group("arms")) != {
+                (arm.name, visit.number) for arm in earlier.arms for visit in arm.visits
+            }:
+                self._file.close()
+                raise InputError(f"{path} was still being written by an earlier run; go on with it once more")
         root = self._file.attrs
         root["schema"] = SCHEMA
         root["created"] = header.created if earlier is None else earlier.created
@@ -105,11 +143,7 @@ class RecordingWriter:
         root["profiles"] = json.dumps(header.profiles)
         self._arms = self._file.require_group("arms")
         self.visits = 0
-        self._number = 0 if earlier is None else max((v.number for arm in earlier.arms for v in arm.visits), default=0)
-        self._last_s = -np.inf
-        if earlier is not None:
-            self._last_s = max((float(v.time_s[-1]) for arm in earlier.arms for v in arm.visits), default=-np.inf)
-        self._shift_s: float | None = None
+        self._numbering = Numbering(earlier)
 
     def begin(self, header: ArmHeader) -> None:
         """Store what belongs to an arm; an arm that is there already keeps its visits."""
@@ -138,16 +172,21 @@ class RecordingWriter:
         InputError
             The file cannot be written; the one before is still there.
         """
-        if self._shift_s is None:
-            period_s = float(np.diff(visit.time_s).min()) if len(visit) > 1 else 1.0
-            late = self._last_s + period_s - float(visit.time_s[0])
-            self._shift_s = max(0.0, late)
-        self._number += 1
-        stored = replace(visit, number=self._number, time_s=visit.time_s + self._shift_s)
-        _write_visit(self._arms.require_group(f"{arm}/visits").create_group(f"{stored.number:04d}"), stored)
+        stored = self._numbering.next(visit)
+        self.store(arm, stored)
+        return stored
+
+    def store(self, arm: str, visit: Visit) -> None:
+        """Store a visit that has its number and write the file.
+
+        Raises
+        ------
+        InputError
+            The file cannot be written; the one before is still there, and the next write holds this visit too.
+        """
+        _write_visit(self._arms.require_group(f"{arm}/visits").create_group(f"{visit.number:04d}"), visit)
         self._save("abort", UNFINISHED)
         self.visits += 1
-        return stored
 
     def finish(self, arm: str, status: str, reason: str, statistics: dict[str, Any]) -> None:
         """Store how the run ended (`success`, `abort`, `fail`) and write the file.
@@ -169,7 +208,7 @@ class RecordingWriter:
         self._file.attrs["exit_status"] = status
         self._file.attrs["reason"] = reason.replace("\0", "")
         self._file.flush()
-        replace_file(self.path, sealed(self._file.id.get_file_image()))
+        self._write(self.path, sealed(self._file.id.get_file_image()))
 
 
 def replace_file(path: Path, content: bytes) -> None:
@@ -197,6 +236,12 @@ def replace_file(path: Path, content: bytes) -> None:
         raise InputError(
             f"{path}: cannot be written: {error.strerror or error}; what was recorded before is still in it"
         ) from error
+
+
+def _stored(arms: h5py.Group) -> set[tuple[str, int]]:
+    """Arm and number of every visit."""
+    names = [str(arm) for arm in arms]
+    return {(arm, int(str(number))) for arm in names for number in arms.require_group(f"{arm}/visits")}
 
 
 def _write_visit(group: h5py.Group, visit: Visit) -> None:

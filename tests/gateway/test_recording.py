@@ -12,21 +12,14 @@ import h5py
 import numpy as np
 import pytest
 
-from drives.profile import load_profile
-from drives.scaling import Constants, motor_scale
 from gateway import seal
-from gateway.acquire.poses import RestPose
-from gateway.arm_model import robot_text
 from gateway.cell.conversion import AxisConversion
 from gateway.config import LoadedCell, load_cell
 from gateway.errors import InputError
 from gateway.recording import read
-from gateway.recording_writer import ArmHeader, RecordingHeader, RecordingWriter, replace_file
-from gateway.visit import NO_WORD, Visit
-
-CONSTANTS = Constants(torque_rated=2.0, current_rated_a=4.0, offset_rated=None, counts_per_revolution=131072.0)
-POSES = (RestPose(1, (0.1,) * 6, "fit"), RestPose(2, (0.2,) * 6, "fit"), RestPose(3, (0.3,) * 6, "validation"))
-SAMPLES = 12
+from gateway.recording_writer import RecordingHeader, RecordingWriter, replace_file
+from gateway.visit import Visit
+from tests.visits import ARM_HEADER, CONSTANTS, POSES, SAMPLES, header_of, visit
 
 
 @pytest.fixture(scope="module")
@@ -36,47 +29,7 @@ def cell() -> LoadedCell:
 
 @pytest.fixture(scope="module")
 def header(cell) -> RecordingHeader:
-    return RecordingHeader(
-        created="2025-01-01T00:00:00+00:00",
-        cell=cell.text,
-        profiles={"generic-cia402": load_profile("generic-cia402").text},
-        robot=robot_text(cell, cell.cell.arm[0]),
-        software="servo-gateway test",
-    )
-
-
-ARM_HEADER = ArmHeader("main", POSES, (CONSTANTS,) * 6, [{"node_id": 1}], [{"index": 0x6060, "old": 1}])
-
-
-def visit(pose: int = 1, approach: int = -1, load: str = "none", seed: int = 0, start_s: float = 0.0) -> Visit:
-    random = np.random.default_rng([seed, pose, approach + 1])
-    scale = motor_scale(load_profile("generic-cia402"), CONSTANTS, 1.0)
-    words = random.integers(-400, 400, (SAMPLES, 6))
-    currents = random.integers(-400, 400, (SAMPLES, 6))
-    axes = AxisConversion.from_arm(load_cell(Path("examples/small/cell.toml").resolve()).cell.arm[0])
-    counts = random.integers(-(10**6), 10**6, (SAMPLES, 6))
-    return Visit(
-        number=0,
-        load=load,
-        pose=pose,
-        purpose="fit" if pose < 3 else "validation",
-        approach=approach,
-        complete=True,
-        incomplete_epochs=2,
-        direction=np.full(6, approach, dtype=np.int8),
-        target_rad=np.full(6, 0.1 * pose),
-        statusword=np.full((SAMPLES, 6), 0x1237),
-        position_count=counts,
-        torque_word=words,
-        current_word=currents,
-        velocity_word=np.full((SAMPLES, 6), NO_WORD),
-        q_rad=axes.joint_position(counts * scale.count_rad),
-        motor_torque_nm=words * scale.torque_nm,
-        joint_torque_nm=axes.joint_torque(words * scale.torque_nm),
-        motor_current_a=currents * 0.004,
-        sync_index=np.arange(100, 100 + SAMPLES),
-        time_s=start_s + 0.01 * np.arange(SAMPLES),
-    )
+    return header_of(cell)
 
 
 @pytest.fixture(autouse=True)
@@ -217,14 +170,11 @@ def test_a_killed_writer_leaves_a_whole_file(tmp_path):
     """A process that records in a loop is killed at once; what it had reported as written is there."""
     script = textwrap.dedent(
         f"""
-        import sys
-        sys.path[:0] = [{str(Path(__file__).parent)!r}]
         from pathlib import Path
-        import test_recording as t
         from gateway.config import load_cell
-        from gateway.recording_writer import RecordingHeader, RecordingWriter
-        cell = load_cell(Path("examples/small/cell.toml").resolve())
-        header = RecordingHeader("x", cell.text, {{"generic-cia402": t.load_profile("generic-cia402").text}}, "", "x")
+        from gateway.recording_writer import RecordingWriter
+        from tests import visits as t
+        header = t.header_of(load_cell(Path("examples/small/cell.toml").resolve()))
         writer = RecordingWriter(Path({str(tmp_path / "run.h5")!r}), header, None)
         writer.begin(t.ARM_HEADER)
         for number in range(10_000):

@@ -1,0 +1,62 @@
+"""One writer for one recording: the writer of a run that was killed may still be busy when the next run starts."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from gateway.errors import InputError
+
+_LOOK_S = 0.02
+
+
+@contextmanager
+def sole_writer(path: Path, patience_s: float) -> Iterator[None]:
+    """Nobody else writes this recording meanwhile; the mark beside the file is no mark any more once its owner is gone.
+
+    Parameters
+    ----------
+    path : Path
+        The recording.
+    patience_s : float
+        How long another writer may take to come to its end.
+
+    Raises
+    ------
+    InputError
+        Another one goes on writing it, or nothing can be written there.
+    """
+    mark = path.with_name(path.name + ".lock")
+    until_s = time.monotonic() + patience_s
+    try:
+        while (descriptor := _taken(mark)) is None:
+            if time.monotonic() >= until_s:
+                raise InputError(f"{path}: another run is writing it; wait for its end, or choose another name")
+            time.sleep(_LOOK_S)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+    try:
+        yield
+    finally:
+        mark.unlink(missing_ok=True)
+        os.close(descriptor)
+
+
+def _taken(mark: Path) -> int | None:
+    """The mark, held; None if another one holds it, or has just taken it away."""
+    descriptor = os.open(mark, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if os.path.samestat(os.fstat(descriptor), os.stat(mark)):
+            return descriptor
+    except (BlockingIOError, FileNotFoundError):
+        pass
+    except OSError:
+        os.close(descriptor)
+        raise
+    os.close(descriptor)
+    return None
