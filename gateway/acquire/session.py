@@ -15,7 +15,7 @@ from gateway.acquire.events import Event, Listener, PoseDone, VisitDone
 from gateway.acquire.plan import Plan
 from gateway.acquire.planning import make_plan, plan_of_poses
 from gateway.acquire.poses import RestPose
-from gateway.acquire.run import Shelf, Station
+from gateway.acquire.run import Station
 from gateway.acquire.runner import RunRequest, run_plan
 from gateway.arm_model import arm_named, arm_robot
 from gateway.config import LoadedCell
@@ -25,7 +25,8 @@ from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import workspace_of
 from gateway.recorded import Recording
 from gateway.recording import read
-from gateway.recording_writer import ArmHeader, RecordingHeader, RecordingWriter
+from gateway.recording_queue import VisitQueue
+from gateway.recording_writer import UNFINISHED, ArmHeader, RecordingHeader
 from gateway.visit import Visit
 
 __all__ = [
@@ -129,14 +130,15 @@ def record(
     stored = None if earlier is None else earlier.arm(plan.arm)
     wanted = {(pose.number, side) for pose in plan.poses for side in (-1, 1)}
     done = () if stored is None else tuple(wanted.intersection(stored.done(request.load)))
-    writer = RecordingWriter(request.path, _header(opened), earlier)
+    writer = VisitQueue(request.path, _header(opened), _arm_header(opened, poses), earlier)
     tally = _Tally()
     try:
-        writer.begin(_arm_header(opened, poses))
         if len(done) < len(wanted):
             heard = (tally, *listeners)
             pacing = opened.group.timing.pacing
-            station = Station(opened.arm, opened.workspace, _Direct(writer), heard, options or MoveOptions(), pacing)
+            station = Station(
+                opened.arm, opened.workspace, _Queued(writer, plan.arm), heard, options or MoveOptions(), pacing
+            )
             run_plan(station, RunRequest(plan, request.load, done))
         statistics = _plain(asdict(opened.group.statistics))
         writer.finish(plan.arm, "success", "all poses measured", statistics)
@@ -156,7 +158,7 @@ def record(
     )
 
 
-def _finish_broken(writer: RecordingWriter, opened: OpenArm, arm: str, error: BaseException) -> None:
+def _finish_broken(writer: VisitQueue, opened: OpenArm, arm: str, error: BaseException) -> None:
     if not writer.visits:
         return
     status = "abort" if isinstance(error, KeyboardInterrupt) else "fail"
@@ -213,17 +215,32 @@ def _arm_header(opened: OpenArm, poses: tuple[RestPose, ...]) -> ArmHeader:
     )
 
 
-class _Direct(Shelf):
-    """Visits go to the file at once."""
+class _Queued:
+    """A recording's queue as the store of a run."""
 
-    def __init__(self, writer: RecordingWriter) -> None:
-        super().__init__()
-        self._writer = writer
+    def __init__(self, queue: VisitQueue, arm: str) -> None:
+        self._queue, self._arm = queue, arm
 
     def add(self, arm: str, visit: Visit) -> Visit:
-        """Store a visit."""
-        self.visits.append(self._writer.add(arm, visit))
-        return self.visits[-1]
+        """Take a visit."""
+        return self._queue.add(arm, visit)
+
+    def written(self) -> Sequence[Visit]:
+        """Visits that are on disk by now."""
+        return self._queue.written()
+
+    def trouble(self) -> GatewayError | None:
+        """A disk that cannot be written, or not as fast as visits come."""
+        if self._queue.failed is None and self._queue.full:
+            return InputError(
+                f"{self._queue.path}: {self._queue.waiting} visits wait for the disk, which is too slow: the arm was "
+                "stopped, none is lost; free the disk or record to another one, then go on with --resume"
+            )
+        return self._queue.failed
+
+    def flush(self) -> None:
+        """Wait for the disk."""
+        self._queue.finish(self._arm, "abort", UNFINISHED, {})
 
 
 class _Tally:
