@@ -9,10 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from drives import finding, starting
+from drives import bringup, finding, starting
 from drives.access import ObjectAccess
-from drives.bus import EMCY_BASE, Bus
-from drives.busload import load_percent
+from drives.bus import EMCY_BASE, Bus, Handler
+from drives.busload import frame_bits_worst, load_percent
 from drives.cia402 import ENABLE_OPERATION
 from drives.drive import AxisSetup, Cia402Drive, Identity
 from drives.emcy import EmcyLog
@@ -32,6 +32,8 @@ from drives.ledger import WriteLedger
 from drives.reactions import DRIVE_RULES
 from drives.statistics import GroupStatistics, group_statistics
 
+#: Interfaces that are a network: whoever reaches it can send frames to the drives.
+_NETWORKS: Final = frozenset({"udp_multicast", "virtual", "socketcand"})
 #: Before anything is sent: how long to listen for another master.
 _LISTEN_S: Final = 0.05
 _SHORTEST_SILENCE_S: Final = DRIVE_RULES["heartbeat_lost"].limit
@@ -55,6 +57,9 @@ class GroupOptions:
         By the clock: largest planned worst-case bus load.
     instruments : tuple of InstrumentSetup
         Measuring devices on the same bus, read with each row.
+    allow_real_drive : bool
+        A drive that is no simulator may be driven over an interface that is a network (udp_multicast, virtual,
+        socketcand), although anybody there can write frames. Lockstep stays refused.
     """
 
     ledger_path: Path | None = None
@@ -65,6 +70,7 @@ class GroupOptions:
     foreign_frames: int = DRIVE_RULES["foreign_master"].count
     load_limit_percent: float = 70.0
     instruments: tuple[InstrumentSetup, ...] = ()
+    allow_real_drive: bool = False
 
 
 class DriveSetup:
@@ -113,6 +119,8 @@ class DriveSetup:
         self.ledger = WriteLedger(self.options.ledger_path)
         self.drives: tuple[Cia402Drive, ...] = ()
         self.instruments: tuple[Instrument, ...] = ()
+        #: PDOs that the gateway does not use and must not switch off, in words, as `configure` found them.
+        self.left_pdos: tuple[str, ...] = ()
         #: Every axis is in OPERATION ENABLED and follows `exchange`.
         self.enabled = False
         #: The last row, also the one that led to an error.
@@ -124,6 +132,7 @@ class DriveSetup:
         consumer_s = min(setup.profile.heartbeat.consumer_ms for setup in setups) / 1000.0
         self._producer = HeartbeatProducer(bus, master_node_id, consumer_s)
         self._emcy = EmcyLog({setup.node_id: setup.profile for setup in setups})
+        self._emcy_listeners: list[tuple[int, Handler]] = []
         self._watch: HeartbeatWatch | None = None
         self._exchange: SyncExchange | None = None
         self._guard: Guard | None = None
@@ -143,6 +152,8 @@ class DriveSetup:
         ------
         NodeMissing, DuplicateNode, IdentityMismatch, SeveralFailures
             Everything that is wrong, of all drives at once.
+        ConfigurationRefused
+            Lockstep, or a network as the bus, with a node that is no simulator; emergency messages that are off.
         ForeignMaster
             Somebody else sends SYNC or NMT commands.
         """
@@ -152,17 +163,50 @@ class DriveSetup:
         answers = finding.count_answers(self._bus, [setup.node_id for setup in self.setups], timeout_s)
         self.drives = tuple(Cia402Drive(self._bus, setup, self.ledger) for setup in self.setups)
         self.instruments = tuple(Instrument(self._bus, setup, self.ledger) for setup in self.options.instruments)
-        for drive in self.drives:
-            self._bus.subscribe(EMCY_BASE + drive.node_id, self._emcy.on_frame)
         identities: list[Identity] = []
         try:
-            self._for_each(
-                lambda drive: identities.append(finding.identify(drive, answers[drive.node_id])), Instrument.identify
-            )
+            silent = [node_id for node_id, number in answers.items() if number == 0]
+            states = finding.nmt_states(self._bus, silent)
+
+            def identify(drive: Cia402Drive) -> None:
+                identities.append(finding.identify(drive, answers[drive.node_id], states.get(drive.node_id)))
+
+            self._for_each(identify, Instrument.identify)
+            self._for_each(self._refuse_real, self._refuse_real)
+            self._for_each(self._listen_to_emergencies)
         except DriveError:
             self._forget()
             raise
         return tuple(identities)
+
+    def _refuse_real(self, node: Cia402Drive | Instrument) -> None:
+        """A node that is no simulator gets SYNC by the clock alone, and not over a network unless that is allowed."""
+        lockstep = self.timing.pacing == "lockstep"
+        network = self._bus.spec.interface in _NETWORKS and not self.options.allow_real_drive
+        if not (lockstep or network) or bringup.is_simulator(node.access.sdo):
+            return
+        if lockstep:
+            what = "is no simulator (object 0x5FFE): in lockstep it would get SYNC as fast as it answers"
+            raise ConfigurationRefused(what, node=node.node_id, advice='write pacing = "real" for this bus in the cell')
+        what = f"is no simulator (object 0x5FFE), and anybody on {self._bus.spec} can write frames to it"
+        advice = "connect it by an adapter of its own; allow_real_drive = true for this bus takes the risk"
+        raise ConfigurationRefused(what, node=node.node_id, advice=advice)
+
+    def _listen_to_emergencies(self, drive: Cia402Drive) -> None:
+        """At the identifier that the drive states; messages are known by the node id all the same."""
+        own_id = EMCY_BASE + drive.node_id
+        can_id = bringup.emergency_id(drive.access) or own_id
+        answers = {cob_id for each in (*self.drives, *self.instruments) for cob_id, _ in each.answers}
+        if can_id in answers or can_id in {heard for heard, _ in self._emcy_listeners}:
+            what = f"emergency messages come with identifier {can_id:03X}, which another message has too"
+            advice = f"set 0x1014 to {own_id:#x} in the drive"
+            raise ConfigurationRefused(what, node=drive.node_id, index=0x1014, advice=advice)
+
+        def on_frame(_can_id: int, data: bytes | bytearray, time_s: float) -> None:
+            self._emcy.on_frame(own_id, data, time_s)
+
+        self._bus.subscribe(can_id, on_frame)
+        self._emcy_listeners.append((can_id, on_frame))
 
     def configure(self) -> None:
         """Map the PDOs, set mode, period, heartbeats and the reaction to a lost master; everything is read back.
@@ -179,8 +223,10 @@ class DriveSetup:
         self._close_exchange()
         exchange = SyncExchange(self._bus, self.drives, self.timing, self._producer, first_index, self.instruments)
         try:
+            self._survey(exchange)
             self._check_load(exchange)
-            self._for_each(lambda drive: drive.configure(self.timing.period_s), Instrument.configure)
+            period_s = self.timing.period_s
+            self._for_each(lambda drive: drive.configure(period_s), lambda device: device.configure(period_s))
             self._for_each(lambda drive: drive.arm(self._master_node_id))
         except BaseException:
             exchange.close()
@@ -193,6 +239,14 @@ class DriveSetup:
         guard_limits = Limits(silent, self.options.foreign_frames)
         self._guard = Guard(self._bus, exchange, watch, self._emcy, guard_limits)
         self._configured = True
+
+    def _survey(self, exchange: SyncExchange) -> None:
+        """PDOs that the exchange does not use: what cannot be switched off is counted into the cycle, and named."""
+        self._for_each(Cia402Drive.survey, Instrument.survey)
+        left = [pdo for node in (*self.drives, *self.instruments) for pdo in node.other_pdos]
+        left = [pdo for pdo in left if not pdo.may_be_switched_off]
+        self.left_pdos = tuple(str(pdo) for pdo in left)
+        exchange.cycle_bits += sum(frame_bits_worst(pdo.cyclic_bytes) for pdo in left if pdo.cyclic_bytes is not None)
 
     def _check_load(self, exchange: SyncExchange) -> None:
         spec, allowed = self._bus.spec, self.options.load_limit_percent
@@ -261,8 +315,10 @@ class DriveSetup:
 
     def _forget(self) -> None:
         self._close_exchange()
+        for can_id, listener in self._emcy_listeners:
+            self._bus.unsubscribe(can_id, listener)
+        self._emcy_listeners.clear()
         for drive in self.drives:
-            self._bus.unsubscribe(EMCY_BASE + drive.node_id, self._emcy.on_frame)
             drive.close()
         for instrument in self.instruments:
             instrument.close()
