@@ -22,6 +22,7 @@ from drives.group_setup import DriveSetup, GroupOptions
 from drives.guard import Guard
 from drives.heartbeat import NmtCommand, send_nmt
 from drives.proof import StopTrace, fall_silent
+from drives.way_up import WayUp
 
 __all__ = ["DriveGroup", "GroupOptions"]
 
@@ -56,7 +57,7 @@ class DriveGroup(DriveSetup):
         self._require(self._configured and not self.enabled, "configure() first, and enable() once")
         self._for_each(lambda drive: starting.refuse_fault(drive, guard))
         self._for_each(starting.refuse_unsafe)
-        way = starting.WayUp(exchange, guard, stop_asked)
+        way = WayUp(exchange, guard, stop_asked)
         way.check_stop()
         try:
             return self._enable(exchange, guard, way)
@@ -64,7 +65,7 @@ class DriveGroup(DriveSetup):
             self._after(error, stopping.disable)
             raise
 
-    def _enable(self, exchange: SyncExchange, guard: Guard, way: starting.WayUp) -> Epoch:
+    def _enable(self, exchange: SyncExchange, guard: Guard, way: WayUp) -> Epoch:
         self._for_each(lambda drive: drive.arm(self._master_node_id))
         guard.forgive()
         exchange.restart()
@@ -87,7 +88,7 @@ class DriveGroup(DriveSetup):
             way.check(epoch)
         return epoch
 
-    def _start_nodes(self, exchange: SyncExchange, guard: Guard, way: starting.WayUp) -> Epoch:
+    def _start_nodes(self, exchange: SyncExchange, guard: Guard, way: WayUp) -> Epoch:
         """NMT START, confirmed by every drive; the first row in which all of them answer."""
         watch = self._watch
         if watch is None:

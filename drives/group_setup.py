@@ -9,9 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from drives import bringup, finding, starting
+from drives import finding, starting
 from drives.access import ObjectAccess
-from drives.bus import EMCY_BASE, Bus, Handler
+from drives.admission import Admission, EmergencyEars
+from drives.bus import Bus
 from drives.busload import frame_bits_worst, load_percent
 from drives.cia402 import ENABLE_OPERATION
 from drives.drive import AxisSetup, Cia402Drive, Identity
@@ -32,8 +33,6 @@ from drives.ledger import WriteLedger
 from drives.reactions import DRIVE_RULES
 from drives.statistics import GroupStatistics, group_statistics
 
-#: Interfaces that are a network: whoever reaches it can send frames to the drives.
-_NETWORKS: Final = frozenset({"udp_multicast", "virtual", "socketcand"})
 #: Before anything is sent: how long to listen for another master.
 _LISTEN_S: Final = 0.05
 _SHORTEST_SILENCE_S: Final = DRIVE_RULES["heartbeat_lost"].limit
@@ -132,7 +131,7 @@ class DriveSetup:
         consumer_s = min(setup.profile.heartbeat.consumer_ms for setup in setups) / 1000.0
         self._producer = HeartbeatProducer(bus, master_node_id, consumer_s)
         self._emcy = EmcyLog({setup.node_id: setup.profile for setup in setups})
-        self._emcy_listeners: list[tuple[int, Handler]] = []
+        self._emcy_ears = EmergencyEars(bus, self._emcy)
         self._watch: HeartbeatWatch | None = None
         self._exchange: SyncExchange | None = None
         self._guard: Guard | None = None
@@ -172,41 +171,14 @@ class DriveSetup:
                 identities.append(finding.identify(drive, answers[drive.node_id], states.get(drive.node_id)))
 
             self._for_each(identify, Instrument.identify)
-            self._for_each(self._refuse_real, self._refuse_real)
-            self._for_each(self._listen_to_emergencies)
+            admission = Admission(self._bus.spec, self.timing.pacing, self.options.allow_real_drive)
+            self._for_each(admission.check, admission.check)
+            taken = {can_id for node in (*self.drives, *self.instruments) for can_id, _ in node.answers}
+            self._for_each(lambda drive: self._emcy_ears.add(drive.access, taken))
         except DriveError:
             self._forget()
             raise
         return tuple(identities)
-
-    def _refuse_real(self, node: Cia402Drive | Instrument) -> None:
-        """A node that is no simulator gets SYNC by the clock alone, and not over a network unless that is allowed."""
-        lockstep = self.timing.pacing == "lockstep"
-        network = self._bus.spec.interface in _NETWORKS and not self.options.allow_real_drive
-        if not (lockstep or network) or bringup.is_simulator(node.access.sdo):
-            return
-        if lockstep:
-            what = "is no simulator (object 0x5FFE): in lockstep it would get SYNC as fast as it answers"
-            raise ConfigurationRefused(what, node=node.node_id, advice='write pacing = "real" for this bus in the cell')
-        what = f"is no simulator (object 0x5FFE), and anybody on {self._bus.spec} can write frames to it"
-        advice = "connect it by an adapter of its own; allow_real_drive = true for this bus takes the risk"
-        raise ConfigurationRefused(what, node=node.node_id, advice=advice)
-
-    def _listen_to_emergencies(self, drive: Cia402Drive) -> None:
-        """At the identifier that the drive states; messages are known by the node id all the same."""
-        own_id = EMCY_BASE + drive.node_id
-        can_id = bringup.emergency_id(drive.access) or own_id
-        answers = {cob_id for each in (*self.drives, *self.instruments) for cob_id, _ in each.answers}
-        if can_id in answers or can_id in {heard for heard, _ in self._emcy_listeners}:
-            what = f"emergency messages come with identifier {can_id:03X}, which another message has too"
-            advice = f"set 0x1014 to {own_id:#x} in the drive"
-            raise ConfigurationRefused(what, node=drive.node_id, index=0x1014, advice=advice)
-
-        def on_frame(_can_id: int, data: bytes | bytearray, time_s: float) -> None:
-            self._emcy.on_frame(own_id, data, time_s)
-
-        self._bus.subscribe(can_id, on_frame)
-        self._emcy_listeners.append((can_id, on_frame))
 
     def configure(self) -> None:
         """Map the PDOs, set mode, period, heartbeats and the reaction to a lost master; everything is read back.
@@ -315,9 +287,7 @@ class DriveSetup:
 
     def _forget(self) -> None:
         self._close_exchange()
-        for can_id, listener in self._emcy_listeners:
-            self._bus.unsubscribe(can_id, listener)
-        self._emcy_listeners.clear()
+        self._emcy_ears.close()
         for drive in self.drives:
             drive.close()
         for instrument in self.instruments:

@@ -8,7 +8,7 @@ import pytest
 
 from drives.errors import DriveFault, StopAsked, TransitionTimeout
 from drives.group import DriveGroup
-from drives.starting import SAG_REVOLUTIONS
+from drives.way_up import SAG_REVOLUTIONS
 
 PERIOD_S = 0.004
 TURN = 65536
