@@ -107,6 +107,35 @@ def test_the_drives_own_limits_are_never_widened_unless_they_are_none(bus, slave
     assert held(slave) == new
 
 
+def test_a_later_run_with_wider_limits_gets_them_as_far_as_the_drive_was_found_with(bus, slave, generic, tmp_path):
+    options = GroupOptions(ledger_path=tmp_path / "ledger.json")
+    profile = allowing(generic, 0x607D)
+    ready(bus, profile, options, position_limit_rad=(-100 * COUNT_RAD, 2000 * COUNT_RAD)).close()
+    ready(bus, profile, options, position_limit_rad=LIMIT_RAD).close()
+    assert held(slave) == (-100_000 - TURN // 2, 200_000 + TURN // 2)
+    ready(bus, profile, options, position_limit_rad=(-20.0 * math.tau, 20.0 * math.tau)).close()
+    assert held(slave) == (-400_000, 400_000)
+
+
+def test_limits_stay_in_order_at_every_step(bus, slave, generic):
+    """A drive may abort a minimum above its maximum, 0x06090036; 0 and 0 mean none."""
+    slave.position = 900_000
+    slave.values[0x607D, 1] = slave.values[0x607D, 2] = 0
+    real = slave._sdo_download
+
+    def strict(request, address):
+        value = int.from_bytes(request[4:8], "little", signed=True)
+        if address == (0x607D, 1) and value > held(slave)[1]:
+            slave._abort(request, 0x06090036)
+        else:
+            real(request, address)
+
+    slave._sdo_download = strict
+    limit_rad = (800_000 * COUNT_RAD, 1_000_000 * COUNT_RAD)
+    ready(bus, allowing(generic, 0x607D), position_limit_rad=limit_rad).close()
+    assert held(slave) == (800_000 - TURN // 2, 1_000_000 + TURN // 2)
+
+
 @pytest.mark.parametrize("case", ["not allowed", "home offset", "reversed", "outside", "no limit", "absent"])
 def test_what_is_not_certain_is_left_alone(bus, slave, generic, case):
     profile = generic if case == "not allowed" else allowing(generic, 0x607D)
