@@ -96,6 +96,19 @@ class NodeAccess:
         found = (note.old for note in self._ledger.of_node(self.node_id) if (note.index, note.subindex) == address)
         return next(found, None)
 
+    def write_if_taken(self, entry: Entry, value: int, reason: str) -> bool:
+        """As `write`, where the drive may refuse it for good; whether it took the value."""
+        known = self.original(entry)
+        try:
+            self.write(entry, value, reason)
+        except SdoAbort:
+            if known is None:
+                address = (entry.index, entry.subindex)
+                notes = self._ledger.of_node(self.node_id)
+                self._ledger.forget(*(note for note in notes if (note.index, note.subindex) == address))
+            return False
+        return True
+
     def is_in_ledger(self, *indices: int) -> bool:
         """Whether the ledger holds a write to one of these objects of this node that was not put back."""
         return any(entry.index in indices for entry in self._ledger.of_node(self.node_id))

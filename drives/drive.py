@@ -99,6 +99,8 @@ class Cia402Drive:
         self.target_count = 0
         #: PDOs that are switched on and not of the exchange, as `survey` found them.
         self.other_pdos: tuple[OtherPdo, ...] = ()
+        #: Those of them that stay on, as far as it is known.
+        self.left_pdos: tuple[OtherPdo, ...] = ()
         self._bus = bus
         self._scale: MotorScale | None = None
         self._rpdo = rpdo_plan(self.node_id)
@@ -162,6 +164,7 @@ class Cia402Drive:
         """Read which PDOs are switched on that the exchange does not use; nothing is written."""
         planned = {plan.communication for plan in self.plans}
         self.other_pdos = other_pdos.other_pdos(self.access, planned)
+        self.left_pdos = tuple(pdo for pdo in self.other_pdos if not pdo.may_be_switched_off)
         return self.other_pdos
 
     def configure(self, sync_period_s: float) -> None:
@@ -191,8 +194,7 @@ class Cia402Drive:
         if self._offset_plan is not None or access.is_in_ledger(VELOCITY_OFFSET.index, self._rpdo.mapping + 1):
             access.write(VELOCITY_OFFSET, 0, "no velocity offset is left of an earlier run")
         bringup.settle_sync_period(access, sync_period_s)
-        for pdo in self.other_pdos:
-            other_pdos.switch_off(access, pdo)
+        self.left_pdos = tuple(pdo for pdo in self.other_pdos if not other_pdos.switch_off(access, pdo))
         for plan in self.plans:
             access.map_pdo(plan)
         self._set_limits(constants, scale)

@@ -195,10 +195,12 @@ class DriveSetup:
         self._close_exchange()
         exchange = SyncExchange(self._bus, self.drives, self.timing, self._producer, first_index, self.instruments)
         try:
-            self._survey(exchange)
-            self._check_load(exchange)
+            self._for_each(Cia402Drive.survey, Instrument.survey)
+            planned_bits = exchange.cycle_bits
+            self._check_load(exchange, planned_bits)
             period_s = self.timing.period_s
             self._for_each(lambda drive: drive.configure(period_s), lambda device: device.configure(period_s))
+            self._check_load(exchange, planned_bits)
             self._for_each(lambda drive: drive.arm(self._master_node_id))
         except BaseException:
             exchange.close()
@@ -212,15 +214,12 @@ class DriveSetup:
         self._guard = Guard(self._bus, exchange, watch, self._emcy, guard_limits)
         self._configured = True
 
-    def _survey(self, exchange: SyncExchange) -> None:
-        """PDOs that the exchange does not use: what cannot be switched off is counted into the cycle, and named."""
-        self._for_each(Cia402Drive.survey, Instrument.survey)
-        left = [pdo for node in (*self.drives, *self.instruments) for pdo in node.other_pdos]
-        left = [pdo for pdo in left if not pdo.may_be_switched_off]
+    def _check_load(self, exchange: SyncExchange, planned_bits: int) -> None:
+        """Worst-case load of the exchange and of the PDOs that cannot be switched off, which are named."""
+        left = [pdo for node in (*self.drives, *self.instruments) for pdo in node.left_pdos]
         self.left_pdos = tuple(str(pdo) for pdo in left)
-        exchange.cycle_bits += sum(frame_bits_worst(pdo.cyclic_bytes) for pdo in left if pdo.cyclic_bytes is not None)
-
-    def _check_load(self, exchange: SyncExchange) -> None:
+        sizes = [size for pdo in left if (size := pdo.cyclic_bytes) is not None]
+        exchange.cycle_bits = planned_bits + sum(frame_bits_worst(size) for size in sizes)
         spec, allowed = self._bus.spec, self.options.load_limit_percent
         load = load_percent(exchange.cycle_bits, self.timing.period_s, spec.bitrate_bit_s)
         if self.timing.pacing == "real" and load > allowed:

@@ -15,7 +15,7 @@ from drives.bringup import check_sync, read_identity, settle_sync_period
 from drives.bus import Bus
 from drives.decode import Frames
 from drives.errors import ConfigurationRefused, IdentityMismatch
-from drives.finding import count_answers, require_one
+from drives.finding import count_answers, nmt_states, require_one
 from drives.heartbeat import NmtCommand, send_nmt
 from drives.ledger import WriteLedger
 from drives.objects import OBJECTS, RPDO_COMMUNICATION, TPDO_COMMUNICATION, TPDO_MAPPING
@@ -111,6 +111,8 @@ class Instrument:
         allowed |= {area + number for area in (RPDO_COMMUNICATION, TPDO_COMMUNICATION) for number in range(_TPDOS)}
         #: PDOs that are switched on and not of the exchange, as `survey` found them.
         self.other_pdos: tuple[OtherPdo, ...] = ()
+        #: Those of them that stay on, as far as it is known.
+        self.left_pdos: tuple[OtherPdo, ...] = ()
         self.access = NodeAccess(bus, setup.node_id, AccessRules("measuring device", allowed), ledger)
         self._bus = bus
         self._unpack = [plan.layout.unpack for plan in self.plans]
@@ -131,8 +133,8 @@ class Instrument:
         ------
         NodeMissing, DuplicateNode, IdentityMismatch
         """
-        answers = count_answers(self._bus, [self.node_id], self.access.rules.timeout_s)
-        require_one(self.node_id, answers[self.node_id])
+        answers = count_answers(self._bus, [self.node_id], self.access.rules.timeout_s)[self.node_id]
+        require_one(self.node_id, answers, None if answers else nmt_states(self._bus, [self.node_id])[self.node_id])
         identity = read_identity(self.access.sdo)
         self.access.serial_number = identity.serial_number
         if identity.device_type is not None and identity.device_type & 0xFFFF != PROFILE_NUMBER:
@@ -142,6 +144,7 @@ class Instrument:
     def survey(self) -> tuple[OtherPdo, ...]:
         """Read which PDOs are switched on that the exchange does not use; nothing is written."""
         self.other_pdos = other_pdos(self.access, {plan.communication for plan in self.plans})
+        self.left_pdos = tuple(pdo for pdo in self.other_pdos if not pdo.may_be_switched_off)
         return self.other_pdos
 
     def configure(self, sync_period_s: float) -> None:
@@ -162,8 +165,7 @@ class Instrument:
             self._check_unit(subindex)
         send_nmt(self._bus, NmtCommand.ENTER_PREOPERATIONAL, self.node_id)
         settle_sync_period(self.access, sync_period_s)
-        for pdo in self.other_pdos:
-            switch_off(self.access, pdo)
+        self.left_pdos = tuple(pdo for pdo in self.other_pdos if not switch_off(self.access, pdo))
         for plan in self.plans:
             self.access.map_pdo(plan)
 

@@ -115,24 +115,31 @@ def _u32(index: int, subindex: int) -> ObjectReference:
     return ObjectReference(index=index, subindex=subindex, type="u32")
 
 
-def switch_off(access: NodeAccess, pdo: OtherPdo) -> None:
+def switch_off(access: NodeAccess, pdo: OtherPdo) -> bool:
     """Switch a PDO off through the write ledger.
+
+    Returns
+    -------
+    bool
+        Whether it is off; False where the profile does not allow it, or the node refuses.
 
     Raises
     ------
     ConfigurationRefused
-        It stays on; or the profile does not allow it and the frame can carry a controlword.
-    SdoError
+        It stays on, and its frame can carry a controlword.
+    SdoTimeout, SdoProtocolError
         A transfer failed.
     """
-    if pdo.may_be_switched_off:
-        access.write(_u32(pdo.communication, 1), pdo.cob_id | INVALID, f"{pdo.name} is not used by the gateway")
-    elif pdo.carries_controlword:
+    reason = f"{pdo.name} is not used by the gateway"
+    if pdo.may_be_switched_off and access.write_if_taken(_u32(pdo.communication, 1), pdo.cob_id | INVALID, reason):
+        return True
+    if pdo.carries_controlword:
         sender = f"whoever sends id {pdo.cob_id & 0x7FF:03X}"
         raise ConfigurationRefused(
-            f"{pdo.name} takes a controlword from {sender}, and must not be switched off",
+            f"{pdo.name} takes a controlword from {sender}, and cannot be switched off",
             node=pdo.node_id,
             index=pdo.communication,
             subindex=1,
             advice=f"add 0x{pdo.communication:04X} to write.allow, or switch this PDO off in the drive",
         )
+    return False

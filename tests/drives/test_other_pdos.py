@@ -90,3 +90,37 @@ def test_a_controlword_for_a_stranger_is_refused(bus, slaves, setups, locked):
     slaves[0]._pdo(0x1403, 0x1603, 0x501, [TARGET, CONTROLWORD])
     with pytest.raises(ConfigurationRefused, match="node 1:1403.*RPDO4 takes a controlword from whoever sends id 501"):
         configured(bus, with_profile(setups(1), locked))
+
+
+def read_only(slave, *addresses):
+    """Parameter records that the drive does not let anybody change (0x06010002)."""
+    real = slave._sdo_download
+
+    def download(request, address):
+        if address in addresses:
+            slave._abort(request, 0x06010002)
+        else:
+            real(request, address)
+
+    slave._sdo_download = download
+
+
+def test_a_pdo_that_the_drive_does_not_switch_off_is_named_and_counted_and_needs_no_restore(bus, slaves, setups):
+    (slave,) = slaves
+    with configured(bus, setups(1)) as group:
+        before = group.statistics.bus_load_planned_percent
+    slave._pdo(0x1802, 0x1A02, 0x381, [STATUSWORD])
+    slave.values[0x1802, 2] = 1
+    read_only(slave, (0x1802, 1))
+    with configured(bus, setups(1)) as group:
+        assert group.left_pdos == ("node 1: TPDO3 (id 381, with SYNC)",)
+        assert group.statistics.bus_load_planned_percent > before
+        group.restore()
+        assert group.ledger.entries == ()
+
+
+def test_a_controlword_for_a_stranger_that_the_drive_does_not_switch_off_is_refused(bus, slaves, setups):
+    slaves[0]._pdo(0x1402, 0x1602, 0x401, [CONTROLWORD])
+    read_only(slaves[0], (0x1402, 1))
+    with pytest.raises(ConfigurationRefused, match="RPDO3 takes a controlword"):
+        configured(bus, setups(1))
