@@ -11,6 +11,11 @@ TIMED_OUT: Final = 0x05040000
 COMMAND_UNKNOWN: Final = 0x05040001
 NO_OBJECT: Final = 0x06020000
 NO_SUBINDEX: Final = 0x06090011
+NO_DATA: Final = 0x08000024
+
+#: What a drive answers where it does not have what is asked for. An object that exists but must not be read this way
+#: (0x06010000, 0x06010001) is not absent: there the profile is wrong.
+ABSENT: Final = frozenset({NO_OBJECT, NO_SUBINDEX, NO_DATA})
 
 #: Abort code -> (what it says, what is likely behind it); CiA 301, table 22.
 ABORT_CODES: Final[dict[int, tuple[str, str]]] = {
@@ -44,7 +49,7 @@ ABORT_CODES: Final[dict[int, tuple[str, str]]] = {
     0x08000021: ("local control", "release the local control: another tool or panel holds the drive"),
     0x08000022: ("present device state", "the drive refuses this in its NMT or CiA 402 state: disable it first"),
     0x08000023: ("no object dictionary present", "restart the drive"),
-    0x08000024: ("no data available", "the value does not exist yet"),
+    NO_DATA: ("no data available", "the value does not exist yet"),
 }
 
 

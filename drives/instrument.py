@@ -11,14 +11,15 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from drives.access import AccessRules, NodeAccess
-from drives.bringup import check_sync, read_identity
+from drives.bringup import check_sync, read_identity, settle_sync_period
 from drives.bus import Bus
 from drives.decode import Frames
 from drives.errors import ConfigurationRefused, IdentityMismatch
-from drives.finding import count_answers, require_one
+from drives.finding import count_answers, nmt_states, require_one
 from drives.heartbeat import NmtCommand, send_nmt
 from drives.ledger import WriteLedger
-from drives.objects import TPDO_COMMUNICATION, TPDO_MAPPING
+from drives.objects import OBJECTS, RPDO_COMMUNICATION, TPDO_COMMUNICATION, TPDO_MAPPING
+from drives.other_pdos import OtherPdo, other_pdos, switch_off
 from drives.pdo import PdoPlan
 from drives.profile_parts import ObjectReference
 from drives.values import InstrumentReading
@@ -105,7 +106,13 @@ class Instrument:
     def __init__(self, bus: Bus, setup: InstrumentSetup, ledger: WriteLedger) -> None:
         self.setup, self.node_id = setup, setup.node_id
         self.plans = setup.plans()
-        allowed = {index for plan in self.plans for index in (plan.communication, plan.mapping)}
+        allowed = {OBJECTS["communication_cycle_period"].index}
+        allowed |= {index for plan in self.plans for index in (plan.communication, plan.mapping)}
+        allowed |= {area + number for area in (RPDO_COMMUNICATION, TPDO_COMMUNICATION) for number in range(_TPDOS)}
+        #: PDOs that are switched on and not of the exchange, as `survey` found them.
+        self.other_pdos: tuple[OtherPdo, ...] = ()
+        #: Those of them that stay on, as far as it is known.
+        self.left_pdos: tuple[OtherPdo, ...] = ()
         self.access = NodeAccess(bus, setup.node_id, AccessRules("measuring device", allowed), ledger)
         self._bus = bus
         self._unpack = [plan.layout.unpack for plan in self.plans]
@@ -126,16 +133,27 @@ class Instrument:
         ------
         NodeMissing, DuplicateNode, IdentityMismatch
         """
-        answers = count_answers(self._bus, [self.node_id], self.access.rules.timeout_s)
-        require_one(self.node_id, answers[self.node_id])
+        answers = count_answers(self._bus, [self.node_id], self.access.rules.timeout_s)[self.node_id]
+        require_one(self.node_id, answers, None if answers else nmt_states(self._bus, [self.node_id])[self.node_id])
         identity = read_identity(self.access.sdo)
         self.access.serial_number = identity.serial_number
         if identity.device_type is not None and identity.device_type & 0xFFFF != PROFILE_NUMBER:
             what = f"device type {identity.device_type:#010x} is no CiA 404 measuring device"
             raise IdentityMismatch(what, node=self.node_id, index=0x1000, advice="correct the node id in the cell")
 
-    def configure(self) -> None:
-        """Unit compared, TPDOs mapped to the SYNC; everything read back.
+    def survey(self) -> tuple[OtherPdo, ...]:
+        """Read which PDOs are switched on that the exchange does not use; nothing is written."""
+        self.other_pdos = other_pdos(self.access, {plan.communication for plan in self.plans})
+        self.left_pdos = tuple(pdo for pdo in self.other_pdos if not pdo.may_be_switched_off)
+        return self.other_pdos
+
+    def configure(self, sync_period_s: float) -> None:
+        """Unit compared, TPDOs mapped to the SYNC, the others of `survey` switched off; everything read back.
+
+        Parameters
+        ----------
+        sync_period_s : float
+            Written to 0x1006 where the device waits for SYNC and does not take 0.
 
         Raises
         ------
@@ -146,6 +164,8 @@ class Instrument:
         for subindex in self.setup.subindices:
             self._check_unit(subindex)
         send_nmt(self._bus, NmtCommand.ENTER_PREOPERATIONAL, self.node_id)
+        settle_sync_period(self.access, sync_period_s)
+        self.left_pdos = tuple(pdo for pdo in self.other_pdos if not switch_off(self.access, pdo))
         for plan in self.plans:
             self.access.map_pdo(plan)
 
