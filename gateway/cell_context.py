@@ -13,8 +13,8 @@ from drives.bus import Bus, BusSpec, open_bus
 from drives.group import DriveGroup, GroupOptions
 from drives.instrument import InstrumentSetup
 from drives.profile import DriveProfile
-from gateway.check import judge_bus_load
-from gateway.check_rules import CheckItem
+from gateway.check.preflight import judge_bus_load
+from gateway.check.rules import CheckItem
 from gateway.config import ArmConfig, LoadedCell, load_cell
 from gateway.motion.opening import BusOverride, axis_setups
 from gateway.pair.gap import instruments_on

@@ -18,8 +18,9 @@ from gateway.acquire.poses import PoseRequest, RestPose, feasible_postures
 from gateway.acquire.session import RecordRequest, make_plan, open_arm
 from gateway.analysis import Given, ModelRequest, diagnose_arguments, estimate_options, given, split_validation
 from gateway.cell_context import CellContext
-from gateway.check import check_arm
-from gateway.check_rules import CheckItem
+from gateway.check.preflight import check_arm
+from gateway.check.proofs import ensure_proven
+from gateway.check.rules import CheckItem
 from gateway.config import ArmConfig
 from gateway.data import read_data
 from gateway.diagnose import DiagnoseOptions
@@ -31,7 +32,6 @@ from gateway.motion.opening import OpenArm
 from gateway.recorded import ArmRecording
 from gateway.recording import read
 from gateway.result import Result
-from gateway.stop_proofs import ensure_proven
 from gateway.table import Table
 
 BARE = "none"

@@ -26,7 +26,7 @@ from gateway.errors import FindingFailed
 if TYPE_CHECKING:
     from drives.probe import ScanResult
     from gateway.cell_context import CellContext
-    from gateway.check_rules import CheckItem
+    from gateway.check.rules import CheckItem
     from gateway.config import ArmConfig
     from gateway.motion.opening import OpenArm
 
@@ -134,9 +134,9 @@ def _in_motion(
     context: CellContext, arm: ArmConfig, move: bool, prove_stop: bool
 ) -> tuple[list[CheckItem], list[dict[str, Any]]]:
     """Checks that move the arm; the stop is proven before anything else moves."""
-    from gateway.check_stop import prove_stop as prove
+    from gateway.check.proofs import keep_proof, proven_on
+    from gateway.check.stop import prove_stop as prove
     from gateway.motion.opening import open_arm
-    from gateway.stop_proofs import keep_proof, proven_on
 
     items: list[CheckItem] = []
     seen: list[dict[str, Any]] = []
@@ -155,7 +155,7 @@ def _in_motion(
 
 
 def _small_moves(opened: OpenArm) -> tuple[CheckItem, ...]:
-    from gateway.check_move import check_moves
+    from gateway.check.moves import check_moves
     from gateway.progress import ProgressListener
 
     session = session_of()
@@ -164,7 +164,7 @@ def _small_moves(opened: OpenArm) -> tuple[CheckItem, ...]:
 
 
 def _check_arm(bus: Any, context: Any, arm: Any) -> list[CheckItem]:
-    from gateway.check import check_arm
+    from gateway.check.preflight import check_arm
 
     return check_arm(bus, arm, context.profiles(arm))
 

@@ -17,9 +17,9 @@ from drives.bus import BusSpec, open_bus
 from drives.errors import ForeignMaster
 from drives.group import DriveGroup, GroupOptions
 from drives.probe import probe
-from gateway.motion import opening
 from gateway.acquire.planning import plan_of_poses
 from gateway.acquire.session import RecordRequest, record
+from gateway.motion import opening
 from gateway.motion.opening import BusOverride, axis_setups, open_arm
 from gateway.recording import read
 from sim.faults import Fault

@@ -15,8 +15,8 @@ from drives.probe import probe
 from drives.profile import CountsFromObjects, DriveProfile, ObjectReference
 from drives.sdo import SdoClient
 from drives.values import Identity
-from gateway.check_rules import Address, Axis, CheckItem, Readings, judge_axis, judge_identity, judge_limits
-from gateway.check_swap import SeenDrive, judge_places
+from gateway.check.rules import Address, Axis, CheckItem, Readings, judge_axis, judge_identity, judge_limits
+from gateway.check.swap import SeenDrive, judge_places
 from gateway.config import ArmConfig, BusConfig
 
 # Largest planned worst-case load of a bus that the clock paces.

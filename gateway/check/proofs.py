@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from gateway.check_stop import StopProof, prove_stop
+from gateway.check.stop import StopProof, prove_stop
 from gateway.errors import FindingFailed
 from gateway.motion.opening import OpenArm
 

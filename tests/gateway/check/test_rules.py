@@ -8,8 +8,8 @@ from drives.instrument import InstrumentSetup
 from drives.objects import OBJECTS
 from drives.profile import load_profile, parse_profile
 from drives.values import Identity
-from gateway.check import judge_bus_load
-from gateway.check_rules import Axis, judge_axis, judge_identity, judge_limits
+from gateway.check.preflight import judge_bus_load
+from gateway.check.rules import Axis, judge_axis, judge_identity, judge_limits
 from gateway.config import ArmConfig, BusConfig
 
 PROFILE = load_profile("generic-cia402")
