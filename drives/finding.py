@@ -8,7 +8,7 @@ from typing import Final
 from drives.bus import Bus
 from drives.drive import Cia402Drive
 from drives.errors import DuplicateNode, NodeMissing
-from drives.heartbeat import NmtCommand, send_nmt
+from drives.heartbeat import HeartbeatWatch, NmtCommand, NmtState, send_nmt
 from drives.probe import QUESTIONS, probe
 from drives.values import Identity
 
@@ -55,3 +55,14 @@ def identify(drive: Cia402Drive, answers: int) -> Identity:
     """
     require_one(drive.node_id, answers)
     return drive.identify()
+
+
+def nmt_states(bus: Bus, node_ids: Iterable[int], listen_s: float) -> dict[int, NmtState | None]:
+    """NMT state of each node as its heartbeat shows it within a time [s]; None = none was heard. Nothing is sent."""
+    wanted = tuple(node_ids)
+    watch = HeartbeatWatch(bus, wanted, [None] * len(wanted))
+    try:
+        bus.listen(listen_s)
+        return dict(watch.states)
+    finally:
+        watch.close()

@@ -18,14 +18,14 @@ from gateway.acquire.poses import PoseRequest, RestPose, feasible_postures
 from gateway.acquire.session import RecordRequest, make_plan, open_arm
 from gateway.analysis import Given, ModelRequest, diagnose_arguments, estimate_options, given, split_validation
 from gateway.cell_context import CellContext
-from gateway.check.preflight import check_arm
+from gateway.check.preflight import check_arm, require_passed
 from gateway.check.proofs import ensure_proven
 from gateway.check.rules import CheckItem
 from gateway.config import ArmConfig
 from gateway.data import read_data
 from gateway.diagnose import DiagnoseOptions
 from gateway.diagnose.loop import close_loop
-from gateway.errors import FindingFailed, PlanRefused
+from gateway.errors import PlanRefused
 from gateway.estimate import run as estimate_run
 from gateway.handover import complete
 from gateway.motion.opening import OpenArm
@@ -126,11 +126,7 @@ def _check(job: Job, dialogue: Dialogue) -> None:
     with job.context.open_bus(job.arm) as bus:
         items = [job.context.bus_load(job.arm), *check_arm(bus, job.arm, job.context.profiles(job.arm))]
     dialogue.checked(items)
-    failed = [item for item in items if item.severity == "fail"]
-    if failed:
-        more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
-        first = failed[0]
-        raise FindingFailed(f"check failed, nothing has moved: {first.where}: {first.what}; {first.advice}{more}")
+    require_passed(items, "check failed, nothing has moved")
 
 
 def _options(about: Given, opened: OpenArm) -> DiagnoseOptions:

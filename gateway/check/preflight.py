@@ -3,50 +3,118 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
 
+from drives.abort import NO_DATA, NO_OBJECT, NO_SUBINDEX, UNSUPPORTED, WRITE_ONLY
 from drives.bringup import read_identity
 from drives.bus import Bus
 from drives.busload import cycle_bits_worst, load_percent
-from drives.errors import DriveError, SdoAbort, SdoError
+from drives.errors import DriveError, SdoAbort, SdoError, raise_failures
+from drives.finding import nmt_states
+from drives.heartbeat import NmtState
 from drives.instrument import InstrumentSetup
-from drives.objects import OBJECTS
+from drives.objects import OBJECTS, object_name
 from drives.pdo import rpdo_plan, tpdo_plans
 from drives.probe import probe
 from drives.profile import CountsFromObjects, DriveProfile, ObjectReference
 from drives.sdo import SdoClient
 from drives.values import Identity
-from gateway.check.rules import Address, Axis, CheckItem, Readings, judge_axis, judge_identity, judge_limits
+from gateway.check.coasting import judge_coasting
+from gateway.check.limits import judge_place, judge_ranges
+from gateway.check.rules import (
+    Address,
+    Axis,
+    CheckItem,
+    Readings,
+    judge_identity,
+    judge_settings,
+    judge_state,
+)
 from gateway.check.swap import SeenDrive, judge_places
 from gateway.config import ArmConfig, BusConfig
+from gateway.errors import FindingFailed
 
 # Largest planned worst-case load of a bus that the clock paces.
 LOAD_LIMIT_PERCENT = 70.0
-READ_ALWAYS = (
-    "statusword",
+#: How long to listen for the heartbeat of a node that does not answer [s]: two of the slowest usual ones.
+LISTEN_S: Final = 1.0
+#: Read from every drive: what it is at this moment, and how it is set up.
+READ_LIVE: Final = ("statusword", "position", "digital_inputs", "torque_offset")
+READ_SETTINGS: Final = (
+    "abort_connection_option",
+    "consumer_heartbeat",
+    "quick_stop_option",
+    "shutdown_option",
+    "disable_operation_option",
+    "halt_option",
+    "fault_reaction_option",
+    "following_error_window",
+    "following_error_timeout",
     "max_torque",
-    "position",
+    "max_current",
+    "positive_torque_limit",
+    "negative_torque_limit",
+    "rated_current",
+    "rated_torque",
+    "position_range_min",
+    "position_range_max",
+    "home_offset",
     "position_limit_min",
     "position_limit_max",
     "polarity",
+    "max_profile_velocity",
+    "max_motor_speed",
+    "profile_deceleration",
+    "quick_stop_deceleration",
     "encoder_increments",
+    "encoder_revolutions",
     "gear_motor_revolutions",
     "gear_shaft_revolutions",
-    "torque_offset",
-    "abort_connection_option",
-    "consumer_heartbeat",
+    "feed",
+    "shaft_revolutions",
+    "position_offset",
     "supported_modes",
 )
+#: Aborts of a read that say that there is nothing to be read.
+_ABSENT: Final = (NO_OBJECT, NO_SUBINDEX, UNSUPPORTED, WRITE_ONLY, NO_DATA)
+
+
+@dataclass(frozen=True, slots=True)
+class Preflight:
+    """What the six drives of an arm said, and what it is worth.
+
+    Attributes
+    ----------
+    items : tuple of CheckItem
+    refusing : tuple of CheckItem
+        Failing ones that nobody else would refuse; a drive in fault, or a joint outside its limits, is refused in words
+        of its own when the drives are enabled or moved.
+    readings : tuple of 6 Readings
+        (index, subindex) -> value, None where the drive has no such object.
+    """
+
+    items: tuple[CheckItem, ...]
+    refusing: tuple[CheckItem, ...]
+    readings: tuple[Readings, ...]
 
 
 def addresses(profile: DriveProfile) -> dict[Address, str]:
     """Objects to read, with their types, for a drive of this profile."""
-    wanted = {OBJECTS[name].address: OBJECTS[name].type for name in READ_ALWAYS}
+    wanted = {OBJECTS[name].address: OBJECTS[name].type for name in (*READ_LIVE, *READ_SETTINGS)}
     references: list[ObjectReference] = [profile.torque.object]
-    references += [rated.object for rated in (profile.torque.rated,) if rated is not None and rated.object is not None]
+    rated = [signal.rated for signal in (profile.torque, profile.current) if signal is not None]
+    references += [each.object for each in rated if each is not None and each.object is not None]
     counts = profile.position.counts_per_revolution
     if isinstance(counts, CountsFromObjects):
         references += [counts.object, counts.per]
     return wanted | {(reference.index, reference.subindex): reference.type for reference in references}
+
+
+def live_addresses(profile: DriveProfile) -> frozenset[Address]:
+    """Objects among `addresses` that change by themselves or with every set point: state, position, torque."""
+    torque = profile.torque.object
+    return frozenset({OBJECTS[name].address for name in READ_LIVE} | {(torque.index, torque.subindex)})
 
 
 def read_axis(bus: Bus, axis: Axis) -> tuple[Identity, Readings]:
@@ -55,27 +123,39 @@ def read_axis(bus: Bus, axis: Axis) -> tuple[Identity, Readings]:
     Raises
     ------
     SdoError
-        The drive does not answer.
+        The drive does not answer, or refuses an object that it has.
     """
     sdo = SdoClient(bus, axis.config.node_id, axis.profile.sdo.timeout_s, axis.profile.sdo.slow_timeout_s)
     try:
-        identity = read_identity(sdo)
-        return identity, {address: _read(sdo, address, kind) for address, kind in addresses(axis.profile).items()}
+        return read_identity(sdo), read_objects(sdo, axis.profile)
     finally:
         sdo.close()
+
+
+def read_objects(sdo: SdoClient, profile: DriveProfile) -> Readings:
+    """Read every object of interest; None where the drive does not have it.
+
+    Raises
+    ------
+    SdoError
+        The drive does not answer, or refuses an object that it has.
+    """
+    return {address: _read(sdo, address, kind) for address, kind in addresses(profile).items()}
 
 
 def _read(sdo: SdoClient, address: Address, kind: str) -> int | None:
     try:
         return sdo.read(*address, kind)
-    except SdoAbort:
-        return None
+    except SdoAbort as abort:
+        if abort.code in _ABSENT:
+            return None
+        raise
 
 
 def check_arm(bus: Bus, arm: ArmConfig, profiles: Sequence[DriveProfile]) -> list[CheckItem]:
     """Check the six drives of an arm; a drive that does not answer is a failing line, the others are still read.
 
-    Drives in each other's place come first: what each of them says of its limits follows from it.
+    Drives in each other's place come before what each of them says of its limits, which follows from it.
 
     Parameters
     ----------
@@ -85,23 +165,94 @@ def check_arm(bus: Bus, arm: ArmConfig, profiles: Sequence[DriveProfile]) -> lis
         Of the axes, in order.
     """
     answers = probe(bus, [config.node_id for config in arm.axis])
+    silent = [node_id for node_id, number in answers.items() if number == 0]
+    states = nmt_states(bus, silent, LISTEN_S) if silent else {}
     items: list[CheckItem] = []
     seen: list[SeenDrive] = []
-    for joint, (config, profile) in enumerate(zip(arm.axis, profiles, strict=True), start=1):
-        axis = Axis(joint, config, profile)
-        if answers[config.node_id] > 1:
-            items.append(_twice(axis, answers[config.node_id]))
+    for axis in _axes(arm, profiles):
+        node_id = axis.config.node_id
+        if answers[node_id] > 1:
+            items.append(_twice(axis, answers[node_id]))
+            continue
+        if states.get(node_id) is NmtState.STOPPED:
+            items.append(_stopped(axis))
             continue
         try:
-            identity, readings = read_axis(bus, axis)
+            seen.append(SeenDrive(axis, *read_axis(bus, axis)))
         except SdoError as error:
             items.append(_unreachable(axis, error))
-            continue
-        seen.append(SeenDrive(axis, identity, readings))
-        items += judge_identity(axis, identity)
-        items += judge_axis(axis, readings)
-        items += judge_limits(axis, arm, readings)
-    return judge_places(arm, seen) + items
+    return [*items, *judge_drives(arm, seen).items]
+
+
+def look_over(
+    arm: ArmConfig, profiles: Sequence[DriveProfile], identities: Sequence[Identity], clients: Sequence[SdoClient]
+) -> Preflight:
+    """Read and judge drives that are connected already.
+
+    Parameters
+    ----------
+    arm : ArmConfig
+    profiles : sequence of 6 DriveProfile
+    identities : sequence of 6 Identity
+    clients : sequence of 6 SdoClient
+
+    Raises
+    ------
+    SdoError, SeveralFailures
+        Drives that do not answer, or refuse an object that they have; all at once.
+    """
+    seen: list[SeenDrive] = []
+    failures: list[DriveError] = []
+    for axis, identity, sdo in zip(_axes(arm, profiles), identities, clients, strict=True):
+        try:
+            seen.append(SeenDrive(axis, identity, read_objects(sdo, axis.profile)))
+        except DriveError as error:
+            failures.append(error)
+    raise_failures(failures)
+    return judge_drives(arm, seen)
+
+
+def judge_drives(arm: ArmConfig, seen: Sequence[SeenDrive]) -> Preflight:
+    """Judge drives that were read, drives in each other's place first."""
+    items = judge_places(arm, seen)
+    refusing = [item for item in items if item.severity == "fail"]
+    for drive in seen:
+        axis, readings = drive.axis, drive.readings
+        items += [*judge_identity(axis, drive.identity), *judge_state(axis, readings)]
+        items += judge_place(axis, arm, readings)
+        settings = [
+            *judge_settings(axis, readings),
+            *judge_coasting(axis, readings),
+            *judge_ranges(axis, arm, readings),
+        ]
+        items += settings
+        refusing += [item for item in settings if item.severity == "fail"]
+    return Preflight(tuple(items), tuple(refusing), tuple(drive.readings for drive in seen))
+
+
+def require_passed(items: Sequence[CheckItem], otherwise: str) -> None:
+    """Make sure that no item fails.
+
+    Parameters
+    ----------
+    items : sequence of CheckItem
+    otherwise : str
+        What an item that fails comes to: `nothing is measured`.
+
+    Raises
+    ------
+    FindingFailed
+        The first failing item, and how many more there are.
+    """
+    failed = [item for item in items if item.severity == "fail"]
+    if failed:
+        first, more = failed[0], f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
+        raise FindingFailed(f"{otherwise}: {first.where}: {first.what}; {first.advice}{more}")
+
+
+def _axes(arm: ArmConfig, profiles: Sequence[DriveProfile]) -> list[Axis]:
+    pairs = zip(arm.axis, profiles, strict=True)
+    return [Axis(joint, config, profile) for joint, (config, profile) in enumerate(pairs, start=1)]
 
 
 def judge_bus_load(
@@ -148,10 +299,19 @@ def _twice(axis: Axis, answers: int) -> CheckItem:
     )
 
 
-def _unreachable(axis: Axis, error: DriveError) -> CheckItem:
+def _stopped(axis: Axis) -> CheckItem:
     return CheckItem(
         "fail",
         f"J{axis.joint} node {axis.config.node_id}",
-        f"does not answer: {error.what}",
-        "check power, wiring and node id; `servo-gateway scan` shows who is there",
+        "is in NMT state STOPPED, where a drive answers no question",
+        "find out who stopped it; `servo-gateway restore CELL` wakes it (NMT 0x80), or switch it off and on",
     )
+
+
+def _unreachable(axis: Axis, error: DriveError) -> CheckItem:
+    where = f"J{axis.joint} node {axis.config.node_id}"
+    if isinstance(error, SdoAbort) and error.index is not None:
+        place = f"{where}:{object_name(error.index, error.subindex or 0)}"
+        return CheckItem("fail", place, f"cannot be read: {error.what}", error.advice)
+    advice = "check power, wiring and node id; `servo-gateway scan` shows who is there"
+    return CheckItem("fail", where, f"does not answer: {error.what}", advice)

@@ -12,8 +12,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
+from gateway.check.preflight import require_passed
 from gateway.check.stop import StopProof, prove_stop
-from gateway.errors import FindingFailed
 from gateway.motion.opening import OpenArm
 
 SCHEMA: Final = 1
@@ -85,9 +85,5 @@ def ensure_proven(opened: OpenArm, path: Path, say: Callable[[str], None]) -> No
     say("proving that the drives stop on loss of the master: a slow motion without heartbeat")
     proof = prove_stop(opened)
     keep_proof(path, opened, proof)
-    failed = [item for item in proof.items if item.severity == "fail"]
-    if failed:
-        more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
-        first = failed[0]
-        raise FindingFailed(f"nothing is measured: {first.where}: {first.what}; {first.advice}{more}")
+    require_passed(proof.items, "nothing is measured")
     say(f"every drive stopped by itself, within {1000 * max(trace.left_s or 0.0 for trace in proof.traces):.0f} ms")

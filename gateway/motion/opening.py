@@ -19,6 +19,8 @@ from drives.profile import DriveProfile, list_profiles, load_profile
 from drives.scaling import Constants
 from gateway.arm_model import arm_named, robot_from_text, robot_text
 from gateway.cell.conversion import AxisConversion
+from gateway.check.preflight import look_over, require_passed
+from gateway.check.rules import CheckItem, Readings
 from gateway.config import ArmConfig, LoadedCell
 from gateway.motion.arm import Arm
 from gateway.motion.workspace import Workspace, workspace_of
@@ -65,6 +67,10 @@ class OpenArm:
     identities : tuple of 6 Identity
     constants : tuple of 6 Constants
         Read from the drives.
+    preflight : tuple of CheckItem
+        What the drives were found to be, as found: before anything was written.
+    readings : tuple of 6 Readings
+        Objects of each drive as found, (index, subindex) -> value.
     """
 
     loaded: LoadedCell
@@ -76,6 +82,8 @@ class OpenArm:
     arm: Arm
     identities: tuple[Identity, ...]
     constants: tuple[Constants, ...]
+    preflight: tuple[CheckItem, ...]
+    readings: tuple[Readings, ...]
 
 
 class _GroupDrives:
@@ -118,7 +126,9 @@ def _profile(loaded: LoadedCell, name: str) -> DriveProfile:
 
 @contextmanager
 def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str | None = None) -> Iterator[OpenArm]:
-    """Connect and configure the drives of an arm; on leaving they are disabled and the bus is closed.
+    """Connect, check and configure the drives of an arm; on leaving they are disabled and the bus is closed.
+
+    Whatever opens an arm passes the pre-flight check here: nothing is written to a drive that fails it.
 
     Parameters
     ----------
@@ -133,6 +143,8 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
         Robot or cell cannot be used.
     DriveError
         Bus or drives: missing, twice, of another kind, in fault; all drives' failures at once.
+    FindingFailed
+        A drive is set up in a way that must not be moved.
     """
     override = override or BusOverride()
     config = arm_named(loaded, arm)
@@ -149,15 +161,20 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
         DriveGroup(bus, setups, bus_config.sync_period_s, bus_config.pacing, options=options) as group,
     ):
         identities = group.connect()
+        profiles = tuple(setup.profile for setup in setups)
+        found = look_over(config, profiles, identities, [access.sdo for access in group.access])
+        require_passed(found.refusing, "check failed, nothing has moved")
         group.configure()
         yield OpenArm(
             loaded=loaded,
             config=config,
             robot_text=text,
             workspace=workspace,
-            profiles=tuple(setup.profile for setup in setups),
+            profiles=profiles,
             group=group,
             arm=Arm(config.name, _GroupDrives(group), AxisConversion.from_arm(config)),
             identities=identities,
             constants=tuple(read_constants(access) for access in group.access),
+            preflight=found.items,
+            readings=found.readings,
         )

@@ -8,8 +8,9 @@ from drives.instrument import InstrumentSetup
 from drives.objects import OBJECTS
 from drives.profile import load_profile, parse_profile
 from drives.values import Identity
+from gateway.check.limits import judge_limits
 from gateway.check.preflight import judge_bus_load
-from gateway.check.rules import Axis, judge_axis, judge_identity, judge_limits
+from gateway.check.rules import Axis, judge_axis, judge_identity
 from gateway.config import ArmConfig, BusConfig
 
 PROFILE = load_profile("generic-cia402")
@@ -83,7 +84,7 @@ def test_a_healthy_drive_passes_every_rule():
         ({"max_torque": 0}, "fail", "gives no torque"),
         ({"rated_torque": 1_270_000}, "fail", "another unit"),
         ({"max_torque": 500}, "warn", "saturate"),
-        ({"polarity": 0x80}, "warn", "turned round"),
+        ({"polarity": 0xC0}, "fail", "turned round"),
         ({"gear_motor_revolutions": 100}, "fail", "gear ratio of its own"),
         ({"encoder_increments": 0}, "fail", "encoder resolution"),
         ({"torque_offset": 30}, "warn", "added to the torque"),
