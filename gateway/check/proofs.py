@@ -1,49 +1,103 @@
 """Proofs that the drives stop on loss of the master, kept beside the write ledger and asked for before anything moves.
 
-A proof stands for these six drives (serial number, firmware) with these settings.
+A proof stands for these six drives (serial number, firmware), as they are set up, under this SYNC, behind these gears.
+What changes any of it makes the proof void, and with it the knowledge that these drives have moved before.
 """
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from gateway.check.preflight import require_passed
+from drives.profile import DriveProfile
+from drives.values import Identity
+from gateway.check.preflight import live_addresses, require_passed
+from gateway.check.rules import Readings
 from gateway.check.stop import StopProof, prove_stop
+from gateway.config import AxisConfig
 from gateway.motion.opening import OpenArm
 
-SCHEMA: Final = 1
+SCHEMA: Final = 2
 
 
-def fingerprint(opened: OpenArm) -> list[dict[str, Any]]:
-    """What a proof stands for: the six drives and what they were told to do."""
-    return [
-        {
-            "node_id": identity.node_id,
-            "vendor_id": identity.vendor_id,
-            "product_code": identity.product_code,
-            "serial_number": identity.serial_number,
-            "firmware": identity.software_version,
-            "consumer_ms": profile.heartbeat.consumer_ms,
-            "abort_connection": profile.heartbeat.abort_connection,
-        }
-        for identity, profile in zip(opened.identities, opened.profiles, strict=True)
-    ]
+def fingerprint(opened: OpenArm) -> dict[str, Any]:
+    """What a proof stands for: SYNC, and of each axis drive, settings, gear and what the drive was told to do."""
+    timing = opened.group.timing
+    axes = zip(opened.config.axis, opened.profiles, opened.identities, opened.readings, strict=True)
+    return {
+        "pacing": timing.pacing,
+        "sync_period_s": timing.period_s,
+        "axes": [
+            _axis(config, profile, identity, _settings(opened, profile, identity, readings))
+            for config, profile, identity, readings in axes
+        ],
+    }
+
+
+def _axis(
+    config: AxisConfig, profile: DriveProfile, identity: Identity, settings: Mapping[str, int | None]
+) -> dict[str, Any]:
+    return {
+        "node_id": identity.node_id,
+        "vendor_id": identity.vendor_id,
+        "product_code": identity.product_code,
+        "revision": identity.revision,
+        "serial_number": identity.serial_number,
+        "firmware": identity.software_version,
+        "consumer_ms": profile.heartbeat.consumer_ms,
+        "abort_connection": profile.heartbeat.abort_connection,
+        "gear_ratio": config.gear_ratio.value,
+        "position_sign": config.position_sign,
+        "torque_sign": config.torque_sign,
+        "settings": dict(settings),
+    }
+
+
+def _settings(opened: OpenArm, profile: DriveProfile, identity: Identity, readings: Readings) -> dict[str, int | None]:
+    """Objects of one drive as the engineer left them: what the gateway wrote itself counts as before it was written."""
+    live = live_addresses(profile)
+    kept = {address: value for address, value in readings.items() if address not in live}
+    for entry in opened.group.ledger.of_node(identity.node_id):
+        if kept.get((entry.index, entry.subindex)) == entry.new:
+            kept[entry.index, entry.subindex] = entry.old
+    return {f"{index:04X}:{subindex:02X}": kept[index, subindex] for index, subindex in sorted(kept)}
 
 
 def proven_on(path: Path, opened: OpenArm) -> str | None:
     """Date of a proof for these drives with these settings; None = there is none."""
-    try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    if not isinstance(stored, dict) or stored.get("schema") != SCHEMA or stored.get("drives") != fingerprint(opened):
-        return None
-    return str(stored.get("date"))
+    stored = _stored(path, opened)
+    return None if stored is None else str(stored.get("date"))
+
+
+def first_motion_pending(path: Path, opened: OpenArm) -> bool:
+    """Whether no motion with these drives, as they are set up, was completed yet.
+
+    Parameters
+    ----------
+    path : Path
+        Where the proof is kept.
+    opened : OpenArm
+    """
+    stored = _stored(path, opened)
+    return stored is None or stored.get("moved") is not True
+
+
+def note_motion(path: Path, opened: OpenArm) -> None:
+    """A first motion with these drives was completed; nothing is noted where no proof stands for them.
+
+    Parameters
+    ----------
+    path : Path
+        Where the proof is kept.
+    opened : OpenArm
+    """
+    stored = _stored(path, opened)
+    if stored is not None and stored.get("moved") is not True:
+        _write(path, stored | {"moved": True})
 
 
 def keep_proof(path: Path, opened: OpenArm, proof: StopProof) -> None:
@@ -52,7 +106,23 @@ def keep_proof(path: Path, opened: OpenArm, proof: StopProof) -> None:
         path.unlink(missing_ok=True)
         return
     date = datetime.now(UTC).isoformat(timespec="seconds")
-    body = {"schema": SCHEMA, "date": date, "drives": fingerprint(opened), "seen": proof.as_json()}
+    moved = not first_motion_pending(path, opened)
+    body = {"schema": SCHEMA, "date": date, "drives": fingerprint(opened), "moved": moved, "seen": proof.as_json()}
+    _write(path, body)
+
+
+def _stored(path: Path, opened: OpenArm) -> dict[str, Any] | None:
+    """The proof that is kept, if it stands for these drives."""
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    if not isinstance(stored, dict) or stored.get("schema") != SCHEMA or stored.get("drives") != fingerprint(opened):
+        return None
+    return stored
+
+
+def _write(path: Path, body: Mapping[str, Any]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     temporary.write_text(json.dumps(body, indent=1) + "\n", encoding="utf-8")
