@@ -9,11 +9,13 @@ from drives.errors import SdoAbort
 TOGGLE_NOT_ALTERNATED: Final = 0x05030000
 TIMED_OUT: Final = 0x05040000
 COMMAND_UNKNOWN: Final = 0x05040001
-UNSUPPORTED: Final = 0x06010000
-WRITE_ONLY: Final = 0x06010001
 NO_OBJECT: Final = 0x06020000
 NO_SUBINDEX: Final = 0x06090011
 NO_DATA: Final = 0x08000024
+
+#: What a drive answers where it does not have what is asked for. An object that exists but must not be read this way
+#: (0x06010000, 0x06010001) is not absent: there the profile is wrong.
+ABSENT: Final = frozenset({NO_OBJECT, NO_SUBINDEX, NO_DATA})
 
 #: Abort code -> (what it says, what is likely behind it); CiA 301, table 22.
 ABORT_CODES: Final[dict[int, tuple[str, str]]] = {
@@ -24,8 +26,8 @@ ABORT_CODES: Final[dict[int, tuple[str, str]]] = {
     0x05040003: ("invalid sequence number", "a frame was lost; try again"),
     0x05040004: ("CRC error", "a frame was corrupted; try again"),
     0x05040005: ("out of memory", "restart the drive"),
-    UNSUPPORTED: ("unsupported access to an object", "correct the profile: this object cannot be used this way"),
-    WRITE_ONLY: ("attempt to read a write-only object", "correct the profile"),
+    0x06010000: ("unsupported access to an object", "correct the profile: this object cannot be used this way"),
+    0x06010001: ("attempt to read a write-only object", "correct the profile"),
     0x06010002: ("attempt to write a read-only object", "the value is fixed in this drive; correct the profile"),
     NO_OBJECT: ("object does not exist", "wrong profile or firmware: compare with the drive's object dictionary"),
     0x06040041: ("object cannot be mapped to a PDO", "correct the profile: choose an object that can be mapped"),

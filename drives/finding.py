@@ -14,6 +14,8 @@ from drives.values import Identity
 
 #: Longest wait for whoever did not answer the first question.
 _PATIENCE_S: Final = 1.0
+#: Longer than the heartbeat period that most devices come with.
+LISTEN_S: Final = 1.2
 
 
 def count_answers(bus: Bus, node_ids: Iterable[int], timeout_s: float) -> dict[int, int]:
@@ -31,38 +33,58 @@ def count_answers(bus: Bus, node_ids: Iterable[int], timeout_s: float) -> dict[i
     return answers | probe(bus, again, patience_s, QUESTIONS[1]) if again else answers
 
 
-def require_one(node_id: int, answers: int) -> None:
-    """Make sure that one device answers at a node id.
+def nmt_states(bus: Bus, node_ids: Iterable[int], listen_s: float = LISTEN_S) -> dict[int, NmtState | None]:
+    """NMT state of nodes by their heartbeats; None = none was heard. Nothing is sent.
+
+    Parameters
+    ----------
+    bus : Bus
+    node_ids : iterable of int
+    listen_s : float
+        How long to listen.
+    """
+    wanted = tuple(node_ids)
+    watch = HeartbeatWatch(bus, wanted, [None] * len(wanted))
+    try:
+        if wanted:
+            bus.listen(listen_s)
+        return dict(watch.states)
+    finally:
+        watch.close()
+
+
+def missing(node_id: int, state: NmtState | None) -> NodeMissing:
+    """The error about a node that does not answer SDO, by what its heartbeat says of it."""
+    if state is None:
+        return NodeMissing("nobody answers", node=node_id, advice="check power, node id, bit rate and cabling")
+    if state is NmtState.STOPPED:
+        what = "is in NMT state STOPPED, in which it answers no SDO"
+        advice = f"wake it: NMT command 0x80 (frame 000, data 80 {node_id:02X}), or switch it off and on"
+        return NodeMissing(what, node=node_id, advice=advice)
+    what = f"does not answer SDO, although its heartbeat says {str(state).upper()}"
+    return NodeMissing(what, node=node_id, advice="another tool may hold its SDO channel; else switch it off and on")
+
+
+def require_one(node_id: int, answers: int, state: NmtState | None = None) -> None:
+    """Make sure that one device answers at a node id; `state` is what its heartbeat says, if one was heard.
 
     Raises
     ------
     NodeMissing, DuplicateNode
     """
     if answers == 0:
-        advice = "check power, node id, bit rate and cabling"
-        raise NodeMissing("nobody answers", node=node_id, advice=advice)
+        raise missing(node_id, state)
     if answers > 1:
         advice = "give each drive its own node id"
         raise DuplicateNode(f"{answers} devices answer at this node id", node=node_id, advice=advice)
 
 
-def identify(drive: Cia402Drive, answers: int) -> Identity:
+def identify(drive: Cia402Drive, answers: int, state: NmtState | None = None) -> Identity:
     """Read who a drive is and compare it with its profile.
 
     Raises
     ------
     NodeMissing, DuplicateNode, IdentityMismatch
     """
-    require_one(drive.node_id, answers)
+    require_one(drive.node_id, answers, state)
     return drive.identify()
-
-
-def nmt_states(bus: Bus, node_ids: Iterable[int], listen_s: float) -> dict[int, NmtState | None]:
-    """NMT state of each node as its heartbeat shows it within a time [s]; None = none was heard. Nothing is sent."""
-    wanted = tuple(node_ids)
-    watch = HeartbeatWatch(bus, wanted, [None] * len(wanted))
-    try:
-        bus.listen(listen_s)
-        return dict(watch.states)
-    finally:
-        watch.close()

@@ -53,6 +53,7 @@ _TABLE: Final[tuple[ObjectEntry, ...]] = (
     ObjectEntry("error_history_count", 0x1003, 0, "u8"),
     ObjectEntry("error_history_1", 0x1003, 1, "u32"),
     ObjectEntry("sync_cob_id", 0x1005, 0, "u32"),
+    ObjectEntry("communication_cycle_period", 0x1006, 0, "u32", "us"),
     ObjectEntry("device_name", 0x1008, 0, "str"),
     ObjectEntry("hardware_version", 0x1009, 0, "str"),
     ObjectEntry("software_version", 0x100A, 0, "str"),
@@ -67,6 +68,9 @@ _TABLE: Final[tuple[ObjectEntry, ...]] = (
     ObjectEntry("revision", 0x1018, 3, "u32"),
     ObjectEntry("serial_number", 0x1018, 4, "u32"),
     ObjectEntry("sync_counter_overflow", 0x1019, 0, "u8"),
+    ObjectEntry("error_behaviour", 0x1029, 1, "u8"),
+    # manufacturer: what a simulator says of itself
+    ObjectEntry("simulator_name", 0x5FFE, 0, "str"),
     # CiA 402
     ObjectEntry("abort_connection_option", 0x6007, 0, "i16"),
     ObjectEntry("error_code", 0x603F, 0, "u16"),
@@ -112,8 +116,8 @@ _TABLE: Final[tuple[ObjectEntry, ...]] = (
     ObjectEntry("encoder_revolutions", 0x608F, 2, "u32", "revolution"),
     ObjectEntry("gear_motor_revolutions", 0x6091, 1, "u32", "revolution"),
     ObjectEntry("gear_shaft_revolutions", 0x6091, 2, "u32", "revolution"),
-    ObjectEntry("feed", 0x6092, 1, "u32", "count"),
-    ObjectEntry("shaft_revolutions", 0x6092, 2, "u32", "revolution"),
+    ObjectEntry("feed_constant_feed", 0x6092, 1, "u32", "count"),
+    ObjectEntry("feed_constant_revolutions", 0x6092, 2, "u32", "revolution"),
     ObjectEntry("position_offset", 0x60B0, 0, "i32", "count"),
     ObjectEntry("velocity_offset", 0x60B1, 0, "i32", "profile"),
     ObjectEntry("torque_offset", 0x60B2, 0, "i16", "per mille of rated torque"),

@@ -23,6 +23,8 @@ from drives.profile_parts import (
     ObjectReference,
     Position,
     Rated,
+    Reference,
+    SafetyCondition,
     SdoTimes,
     Signal,
     Source,
@@ -77,6 +79,12 @@ class DriveProfile(Strict):
     heartbeat: Heartbeat
     write: Write
     emcy: tuple[EmcyEntry, ...] = ()
+    safety: tuple[SafetyCondition, ...] = Field(
+        default=(), description="conditions of the safety chain that must hold before the drive is enabled"
+    )
+    reference: Reference | None = Field(
+        default=None, description="absent: the drive cannot tell whether its encoder is referenced"
+    )
     _text: str = PrivateAttr(default="")
     _folder: Path = PrivateAttr(default=PROFILE_FOLDER)
 

@@ -233,6 +233,42 @@ class Write(Strict):
         return self
 
 
+class Condition(Strict):
+    """A state of the drive that must hold for motion: the bits of `mask` in the object's value are those of `good`."""
+
+    object: ObjectReference
+    mask: int = Field(gt=0, le=0xFFFFFFFF, description="which bits of the value are looked at")
+    good: int = Field(ge=0, le=0xFFFFFFFF, description="what these bits are when all is well")
+    source: Source | None = None
+
+    def holds(self, value: int) -> bool:
+        """Whether a value of the object says that all is well."""
+        return value & self.mask == self.good
+
+    def words(self, value: int) -> str:
+        """What a value says, for a message."""
+        where = f"{self.object.index:04X}:{self.object.subindex:02X}"
+        return f"{where} & {self.mask:#x} is {value & self.mask:#x} instead of {self.good:#x}"
+
+    @model_validator(mode="after")
+    def _inside(self) -> Condition:
+        if self.good & ~self.mask:
+            raise ValueError(f"good = {self.good:#x} has bits that mask = {self.mask:#x} does not look at")
+        if self.mask >> self.object.size_bits:
+            raise ValueError(f"mask = {self.mask:#x} is wider than the object of {self.object.size_bits} bits")
+        return self
+
+
+class SafetyCondition(Condition):
+    """A condition of the safety chain, e.g. emergency stop released, safe torque off not active."""
+
+    what: Annotated[str, Field(min_length=1, description="what does not hold, e.g. STO or emergency stop")]
+
+
+class Reference(Condition):
+    """How the drive tells whether its encoder is referenced."""
+
+
 class EmcyEntry(Strict):
     """What an emergency code means on this drive."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +13,8 @@ from drives.bus import Bus, BusSpec, open_bus
 from drives.group import DriveGroup, GroupOptions
 from drives.instrument import InstrumentSetup
 from drives.profile import DriveProfile
+from gateway.cell.buses import bus_specs
+from gateway.check.machine import judge_surroundings
 from gateway.check.preflight import judge_bus_load
 from gateway.check.rules import CheckItem
 from gateway.config import ArmConfig, LoadedCell, load_cell
@@ -29,13 +31,13 @@ class CellContext:
     loaded : LoadedCell
     path : Path
         The cell file.
-    spec : BusSpec or None
-        Bus of the command line, in place of the cell's.
+    specs : mapping
+        Bus of every name in the cell, as the command line has it.
     """
 
     loaded: LoadedCell
     path: Path
-    spec: BusSpec | None
+    specs: Mapping[str, BusSpec]
 
     @property
     def arms(self) -> tuple[ArmConfig, ...]:
@@ -44,8 +46,7 @@ class CellContext:
 
     def bus_spec(self, arm: ArmConfig) -> BusSpec:
         """The bus of an arm."""
-        config = self.loaded.cell.bus[arm.bus]
-        return self.spec or BusSpec(config.interface, config.channel, config.bitrate_bit_s, dict(config.options))
+        return self.specs[arm.bus]
 
     def open_bus(self, arm: ArmConfig) -> Bus:
         """Open the bus of an arm."""
@@ -64,6 +65,11 @@ class CellContext:
             for axis, profile in zip(other.axis, self.profiles(other), strict=True)
         ]
         return judge_bus_load(self.loaded.cell.bus[arm.bus], axes, self.instruments(arm))
+
+    def surroundings(self, arm: ArmConfig) -> list[CheckItem]:
+        """Judge what the drives of an arm are reached by: load of the bus, who can write to it, the SYNC's clock."""
+        bus = self.loaded.cell.bus[arm.bus]
+        return [self.bus_load(arm), *judge_surroundings(bus, self.bus_spec(arm))]
 
     def instruments(self, arm: ArmConfig) -> tuple[InstrumentSetup, ...]:
         """Measuring devices on the bus of an arm."""
@@ -86,7 +92,7 @@ class CellContext:
 
     def override(self, arm: ArmConfig, trace: Path | None = None) -> BusOverride:
         """What differs from the cell file on the bus of an arm."""
-        return BusOverride(spec=self.spec, trace=trace, ledger=self.ledger(arm))
+        return BusOverride(spec=self.bus_spec(arm), trace=trace, ledger=self.ledger(arm))
 
     @contextmanager
     def connected(self, arm: ArmConfig) -> Iterator[DriveGroup]:
@@ -110,13 +116,14 @@ def _state_folder() -> Path:
 
 
 def open_cell(path: Path, bus_spec: str | None) -> CellContext:
-    """Read a cell file; `bus_spec` replaces the bus of every arm.
+    """Read a cell file; `bus_spec` replaces buses as `bus_specs` says.
 
     Raises
     ------
     ConfigError
-        The file cannot be used.
+        The file cannot be used, or it is not said which of its buses is meant.
     BusError
         The SPEC is not understood.
     """
-    return CellContext(load_cell(path), path, None if bus_spec is None else BusSpec.parse(bus_spec))
+    loaded = load_cell(path)
+    return CellContext(loaded, path, bus_specs(loaded.cell, bus_spec))

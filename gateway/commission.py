@@ -123,8 +123,9 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
 
 
 def _check(job: Job, dialogue: Dialogue) -> None:
+    items = job.context.surroundings(job.arm)
     with job.context.open_bus(job.arm) as bus:
-        items = [job.context.bus_load(job.arm), *check_arm(bus, job.arm, job.context.profiles(job.arm))]
+        items += check_arm(bus, job.arm, job.context.profiles(job.arm))
     dialogue.checked(items)
     require_passed(items, "check failed, nothing has moved")
 

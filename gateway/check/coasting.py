@@ -28,7 +28,7 @@ _OPTIONAL: Final = (
     "following_error_window",
     "max_current",
     "position_range_min",
-    "feed",
+    "feed_constant_feed",
     "position_offset",
     "positive_torque_limit",
     "digital_inputs",

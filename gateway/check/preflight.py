@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from drives.abort import NO_DATA, NO_OBJECT, NO_SUBINDEX, UNSUPPORTED, WRITE_ONLY
+from drives.abort import ABSENT
 from drives.bringup import read_identity
 from drives.bus import Bus
 from drives.busload import cycle_bits_worst, load_percent
 from drives.errors import DriveError, SdoAbort, SdoError, raise_failures
-from drives.finding import nmt_states
+from drives.finding import LISTEN_S, nmt_states
 from drives.heartbeat import NmtState
 from drives.instrument import InstrumentSetup
 from drives.objects import OBJECTS, object_name
@@ -27,6 +27,7 @@ from gateway.check.rules import (
     Axis,
     CheckItem,
     Readings,
+    conditions,
     judge_identity,
     judge_settings,
     judge_state,
@@ -37,8 +38,6 @@ from gateway.errors import FindingFailed
 
 # Largest planned worst-case load of a bus that the clock paces.
 LOAD_LIMIT_PERCENT = 70.0
-#: How long to listen for the heartbeat of a node that does not answer [s]: two of the slowest usual ones.
-LISTEN_S: Final = 1.0
 #: Read from every drive: what it is at this moment, and how it is set up.
 READ_LIVE: Final = ("statusword", "position", "digital_inputs", "torque_offset")
 READ_SETTINGS: Final = (
@@ -71,13 +70,11 @@ READ_SETTINGS: Final = (
     "encoder_revolutions",
     "gear_motor_revolutions",
     "gear_shaft_revolutions",
-    "feed",
-    "shaft_revolutions",
+    "feed_constant_feed",
+    "feed_constant_revolutions",
     "position_offset",
     "supported_modes",
 )
-#: Aborts of a read that say that there is nothing to be read.
-_ABSENT: Final = (NO_OBJECT, NO_SUBINDEX, UNSUPPORTED, WRITE_ONLY, NO_DATA)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,13 +105,15 @@ def addresses(profile: DriveProfile) -> dict[Address, str]:
     counts = profile.position.counts_per_revolution
     if isinstance(counts, CountsFromObjects):
         references += [counts.object, counts.per]
+    references += [condition.object for condition in conditions(profile)]
     return wanted | {(reference.index, reference.subindex): reference.type for reference in references}
 
 
 def live_addresses(profile: DriveProfile) -> frozenset[Address]:
     """Objects among `addresses` that change by themselves or with every set point: state, position, torque."""
-    torque = profile.torque.object
-    return frozenset({OBJECTS[name].address for name in READ_LIVE} | {(torque.index, torque.subindex)})
+    shown = [profile.torque.object, *(condition.object for condition in conditions(profile))]
+    named = {OBJECTS[name].address for name in READ_LIVE}
+    return frozenset(named | {(reference.index, reference.subindex) for reference in shown})
 
 
 def read_axis(bus: Bus, axis: Axis) -> tuple[Identity, Readings]:
@@ -147,7 +146,7 @@ def _read(sdo: SdoClient, address: Address, kind: str) -> int | None:
     try:
         return sdo.read(*address, kind)
     except SdoAbort as abort:
-        if abort.code in _ABSENT:
+        if abort.code in ABSENT:
             return None
         raise
 

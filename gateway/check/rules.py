@@ -10,6 +10,7 @@ from typing import Final, Literal
 from drives.cia402 import FAULTED, Mode, State, decode_state, describe, mode_supported
 from drives.objects import OBJECTS, object_name
 from drives.profile import Constant, DriveProfile, Signal
+from drives.profile_parts import Condition, SafetyCondition
 from drives.values import Identity
 from gateway.config import AxisConfig
 
@@ -101,7 +102,7 @@ def judge_axis(axis: Axis, readings: Readings) -> list[CheckItem]:
 
 def judge_state(axis: Axis, readings: Readings) -> list[CheckItem]:
     """State and constants: what bringing the drive up refuses with an error of its own; parameters as `judge_axis`."""
-    return _judged(axis, readings, (_state, _rated, _resolution))
+    return _judged(axis, readings, (_state, _rated, _resolution, _conditions))
 
 
 def judge_settings(axis: Axis, readings: Readings) -> list[CheckItem]:
@@ -166,6 +167,27 @@ def _state(lines: Lines, readings: Readings) -> None:
         lines.add("warn", address, describe(word), "somebody else has enabled this drive; find out who")
     else:
         lines.add("ok", address, describe(word))
+
+
+def conditions(profile: DriveProfile) -> tuple[Condition, ...]:
+    """What the drive itself says must hold for motion: safety chain, referenced encoder."""
+    return (*profile.safety, *(() if profile.reference is None else (profile.reference,)))
+
+
+def _conditions(lines: Lines, readings: Readings) -> None:
+    for condition in conditions(lines.axis.profile):
+        address = (condition.object.index, condition.object.subindex)
+        value = readings.get(address)
+        safety = isinstance(condition, SafetyCondition)
+        name = condition.what if safety else "encoder is not referenced"
+        if value is None:
+            what = f"{name}: the drive does not have the object that tells"
+            lines.add("fail", address, what, "correct [safety] or [reference] of the profile")
+        elif not condition.holds(value):
+            advice = "release it before the arm is to move" if safety else "have the encoder referenced at the drive"
+            lines.add("fail", address, f"{name}: {condition.words(value)}", advice)
+        else:
+            lines.add("ok", address, f"0x{value:X}: as it must be for motion")
 
 
 def _mode(lines: Lines, readings: Readings) -> None:
@@ -289,14 +311,14 @@ def _scaling(lines: Lines, readings: Readings) -> None:
 
 def _feed(lines: Lines, readings: Readings) -> None:
     """Feed constant: 1:1, or as many units as the encoder has counts; anything else scales the position."""
-    feed, turns = value_of(readings, "feed"), value_of(readings, "shaft_revolutions")
+    feed, turns = value_of(readings, "feed_constant_feed"), value_of(readings, "feed_constant_revolutions")
     if feed is None or turns is None or feed == turns:
         return
     counts = counts_per_revolution(lines.axis.profile, readings)
     if counts is None or feed != counts * turns:
         what = f"{feed}:{turns}: the drive scales the position by a feed of its own"
         advice = "set it to 1:1, or to the counts of one motor revolution; lengths have no place at a joint"
-        lines.add("fail", OBJECTS["feed"].address, what, advice)
+        lines.add("fail", OBJECTS["feed_constant_feed"].address, what, advice)
 
 
 def _resolution(lines: Lines, readings: Readings) -> None:

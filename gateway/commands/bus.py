@@ -95,14 +95,14 @@ def check(cell: Path, move: bool, prove_stop: bool, bus_spec: str | None, json_o
     Nothing is written and nothing moves unless --move or --prove-stop is given; then it asks.
     """
     from gateway.cell_context import open_cell
+    from gateway.check.preflight import require_passed
 
     context = open_cell(cell, bus_spec)
     session = session_of()
     items: dict[str, list[CheckItem]] = {}
     proofs: list[dict[str, Any]] = []
     for arm in context.arms:
-        with context.open_bus(arm) as bus:
-            items[arm.name] = [context.bus_load(arm), *_check_arm(bus, context, arm)]
+        items[arm.name] = _checked(context, arm)
     failed = any(line.severity == "fail" for lines in items.values() for line in lines)
     if (move or prove_stop) and not failed:
         for arm in context.arms:
@@ -120,7 +120,7 @@ def check(cell: Path, move: bool, prove_stop: bool, bus_spec: str | None, json_o
     if json_out:
         body = {"schema": 1, "cell": context.loaded.cell.name, "findings": findings}
         write_json(json_out, body | ({"stop_proof": proofs} if proofs else {}))
-    _fail_on(findings)
+    require_passed([line for lines in items.values() for line in lines], "check failed")
 
 
 def _question(context: CellContext, arm: ArmConfig, prove_stop: bool) -> str:
@@ -163,23 +163,21 @@ def _small_moves(opened: OpenArm) -> tuple[CheckItem, ...]:
         return check_moves(opened, (ProgressListener(session, bar),)).items
 
 
-def _check_arm(bus: Any, context: Any, arm: Any) -> list[CheckItem]:
+def _checked(context: CellContext, arm: ArmConfig) -> list[CheckItem]:
+    """Computer, bus and drives of one arm; the computer is told of once."""
+    from drives.realtime import available
+    from gateway.check.machine import judge_realtime
     from gateway.check.preflight import check_arm
 
-    return check_arm(bus, arm, context.profiles(arm))
+    items = [judge_realtime(available())] if arm is context.arms[0] else []
+    items += context.surroundings(arm)
+    with context.open_bus(arm) as bus:
+        return items + check_arm(bus, arm, context.profiles(arm))
 
 
 def _count(lines: Sequence[CheckItem]) -> str:
     count = {kind: sum(line.severity == kind for line in lines) for kind in ("ok", "info", "warn", "fail")}
     return ", ".join(f"{number} {kind}" for kind, number in count.items())
-
-
-def _fail_on(findings: Sequence[dict[str, str]]) -> None:
-    failed = [finding for finding in findings if finding["severity"] == "fail"]
-    if failed:
-        first = failed[0]
-        more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
-        raise FindingFailed(f"check failed: {first['where']}: {first['what']}; {first['advice']}{more}")
 
 
 @click.command()

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gateway.commands.options import (
+    bus_option,
     cell_argument,
     common,
     confirm,
@@ -33,7 +34,6 @@ store_option = click.option(
     type=click.Path(path_type=Path, file_okay=False),
     help="Where functions and runs are kept; beside the cell file if omitted.",
 )
-buses_option = click.option("--bus", "bus_spec", metavar="NAME=SPEC;NAME=SPEC", help="Buses instead of the cell's.")
 
 
 def _open(cell: Path, bus_spec: str | None, folder: Path | None) -> tuple[PairCell, PairStore]:
@@ -47,9 +47,8 @@ def _open(cell: Path, bus_spec: str | None, folder: Path | None) -> tuple[PairCe
 def _ledgers(cell: Path, pair: PairCell) -> tuple[Path, Path]:
     from gateway.cell_context import CellContext
 
-    first, second = (
-        CellContext(pair.loaded, cell, spec).ledger(arm.config) for arm, spec in zip(pair.arms, pair.specs, strict=True)
-    )
+    specs = {arm.config.bus: spec for arm, spec in zip(pair.arms, pair.specs, strict=True)}
+    first, second = (CellContext(pair.loaded, cell, specs).ledger(arm.config) for arm in pair.arms)
     return first, second
 
 
@@ -67,7 +66,7 @@ def _ask(pair: PairCell, what: str, *, yes: bool) -> None:
 @cell_argument
 @click.option("--resume", is_flag=True, help="Go on with the points that are still missing.")
 @store_option
-@buses_option
+@bus_option
 @yes_option
 @json_option
 @common
@@ -104,7 +103,7 @@ def teach(cell: Path, resume: bool, store: Path | None, bus_spec: str | None, ye
 @click.option("--cycles", type=click.IntRange(min=1), default=1, show_default=True, help="There and back.")
 @click.option("--speed", type=click.FloatRange(0, min_open=True), help="Speed setting; the cell's if omitted.")
 @store_option
-@buses_option
+@bus_option
 @yes_option
 @json_option
 @common

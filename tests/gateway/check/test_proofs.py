@@ -87,8 +87,8 @@ SETTINGS = [
     "encoder_revolutions",
     "gear_motor_revolutions",
     "gear_shaft_revolutions",
-    "feed",
-    "shaft_revolutions",
+    "feed_constant_feed",
+    "feed_constant_revolutions",
     "position_offset",
 ]
 

@@ -9,7 +9,7 @@ from drives.objects import OBJECTS
 from drives.profile import load_profile, parse_profile
 from drives.values import Identity
 from gateway.check.limits import judge_limits
-from gateway.check.preflight import judge_bus_load
+from gateway.check.preflight import addresses, judge_bus_load, live_addresses
 from gateway.check.rules import Axis, judge_axis, judge_identity, judge_settings, judge_state
 from gateway.config import ArmConfig, BusConfig
 
@@ -86,7 +86,7 @@ def test_a_healthy_drive_passes_every_rule():
         ({"max_torque": 500}, "warn", "saturate"),
         ({"polarity": 0xC0}, "fail", "turned round"),
         ({"gear_motor_revolutions": 100}, "fail", "gear ratio of its own"),
-        ({"feed": 360_000, "shaft_revolutions": 1}, "fail", "feed of its own"),
+        ({"feed_constant_feed": 360_000, "feed_constant_revolutions": 1}, "fail", "feed of its own"),
         ({"position_offset": -5}, "fail", "added to every target"),
         ({"positive_torque_limit": 0}, "fail", "gives no torque"),
         ({"negative_torque_limit": 500}, "warn", "64 Nm at the joint"),
@@ -108,9 +108,9 @@ def test_each_rule_says_what_is_wrong_and_what_to_do(changes, severity, says):
 @pytest.mark.parametrize(
     "changes",
     [
-        {"feed": 1, "shaft_revolutions": 1},
-        {"feed": COUNTS, "shaft_revolutions": 1},
-        {"feed": None, "shaft_revolutions": None},
+        {"feed_constant_feed": 1, "feed_constant_revolutions": 1},
+        {"feed_constant_feed": COUNTS, "feed_constant_revolutions": 1},
+        {"feed_constant_feed": None, "feed_constant_revolutions": None},
         {"position_offset": 0},
         {"positive_torque_limit": 3000, "negative_torque_limit": 3000},
         # 0.31 Nm/A, 4 A, ratio 100: 1000 per mille are 124 Nm, the cell allows 200
@@ -137,6 +137,40 @@ def test_a_torque_that_is_not_measured_is_refused(nature):
     text = PROFILE.text.replace('nature = "measured"', f'nature = "{nature}"', 1)
     found = worst(judge_axis(axis(profile=parse_profile(text, "p.toml")), readings()))
     assert any(nature in item.what and "cannot be estimated" in item.what for item in found)
+
+
+STO = """[[safety]]
+what = "safe torque off"
+object = { index = 0x60FD, type = "u32" }
+mask = 0x00030000
+good = 0x00010000
+
+[reference]
+object = { index = 0x2010, type = "u16" }
+mask = 1
+good = 1
+
+[[emcy]]
+"""
+
+
+@pytest.mark.parametrize(
+    ("inputs", "referenced", "says"),
+    [
+        (0xFF01_0000, 1, []),
+        (0xFF03_0000, 1, ["safe torque off"]),
+        (0, 0, ["safe torque off", "not referenced"]),
+        (None, 1, ["does not have the object"]),
+    ],
+)
+def test_safety_chain_and_reference_where_the_profile_names_them(inputs, referenced, says):
+    profile = parse_profile(PROFILE.text.replace("[[emcy]]\n", STO, 1), "p.toml")
+    found = readings() | {(0x60FD, 0): inputs, (0x2010, 0): referenced}
+    failing = worst(judge_state(axis(profile=profile), found))
+    assert len(failing) == len(says)
+    assert all(text in item.what and item.advice for text, item in zip(says, failing, strict=True))
+    assert {(0x60FD, 0), (0x2010, 0)} <= addresses(profile).keys()
+    assert {(0x60FD, 0), (0x2010, 0)} <= live_addresses(profile)
 
 
 def test_limit_of_the_drive_in_joint_torque():
