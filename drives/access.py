@@ -6,7 +6,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import NoReturn
 
-from drives.abort import NO_OBJECT, NO_SUBINDEX
+from drives.abort import ABSENT
 from drives.bus import Bus
 from drives.cia402 import AT_REST, decode_state
 from drives.errors import ConfigurationRefused, DriveError, DriveFault, IdentityMismatch, SdoAbort, SdoTimeout
@@ -18,7 +18,6 @@ from drives.profile import DriveProfile, ObjectReference
 from drives.sdo import NORMAL, SLOW, SdoClient, Transfer
 
 Entry = ObjectEntry | ObjectReference
-_ABSENT = (NO_OBJECT, NO_SUBINDEX)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +60,7 @@ class NodeAccess:
         try:
             return self.read(entry)
         except SdoAbort as abort:
-            if abort.code in _ABSENT:
+            if abort.code in ABSENT:
                 return None
             raise
 
@@ -87,6 +86,16 @@ class NodeAccess:
             what = f"{value:#x} was written, {back:#x} reads back"
             self.refuse(entry, what, "the drive limits or ignores this value")
 
+    def may_write(self, index: int) -> bool:
+        """Whether the profile allows writing this object."""
+        return index in self.rules.allow
+
+    def original(self, entry: Entry) -> int | None:
+        """What an object held before it was written first; None = it was not written, or has been put back."""
+        address = (entry.index, entry.subindex)
+        found = (note.old for note in self._ledger.of_node(self.node_id) if (note.index, note.subindex) == address)
+        return next(found, None)
+
     def is_in_ledger(self, *indices: int) -> bool:
         """Whether the ledger holds a write to one of these objects of this node that was not put back."""
         return any(entry.index in indices for entry in self._ledger.of_node(self.node_id))
@@ -105,7 +114,7 @@ class NodeAccess:
         return LedgerEntry(self.node_id, *address, step.data_type, old, step.value, step.reason, self.serial_number)
 
     def _check_allowed(self, index: int, subindex: int) -> None:
-        if index not in self.rules.allow:
+        if not self.may_write(index):
             raise ConfigurationRefused(
                 f"must not be written: profile {self.rules.name} does not allow it",
                 node=self.node_id,
@@ -120,6 +129,9 @@ class NodeAccess:
 
     def map_pdo(self, plan: PdoPlan) -> None:
         """Write a PDO and read it back; one that is right already is left alone.
+
+        Its inhibit time is never written: it has no meaning for a synchronous PDO (CiA 301, 7.5.2.37), and many drives
+        refuse to change it while the PDO exists.
 
         Raises
         ------
@@ -141,16 +153,13 @@ class NodeAccess:
                 what = f"{plan.name} {', '.join(left)} after it was written"
                 advice = "the drive's PDOs may be fixed: see its manual"
                 raise ConfigurationRefused(what, node=self.node_id, index=plan.mapping, advice=advice)
-        inhibit = ObjectReference(index=plan.communication, subindex=3, type="u16")
-        if plan.name.startswith("TPDO") and self.read_optional(inhibit):
-            self.write(inhibit, 0, f"{plan.name} at every SYNC")
 
     def _before(self, step: Step) -> int:
         """What an object holds before it is written; a mapping entry beyond the mapped ones may not exist yet."""
         try:
             return self.sdo.read(step.index, step.subindex, step.data_type)
         except SdoAbort as abort:
-            if abort.code in _ABSENT and 0x1600 <= step.index < 0x1C00:
+            if abort.code in ABSENT and 0x1600 <= step.index < 0x1C00:
                 return 0
             raise
 

@@ -16,6 +16,11 @@ from drives.values import Identity
 
 _POLL_S: Final = 0.005
 _SYNC_PRODUCER: Final = 1 << 30
+#: What object 0x5FFE of a simulated node says.
+SIMULATOR_NAME: Final = "servo-sim"
+#: 0x1014: the emergency object does not exist; and: it has an identifier of 29 bits.
+_EMCY_OFF: Final = 1 << 31
+_LONG_ID: Final = 1 << 29
 
 
 def read_identity(sdo: SdoClient) -> Identity:
@@ -45,6 +50,42 @@ def read_identity(sdo: SdoClient) -> Identity:
         hardware_version=text("hardware_version"),
         software_version=text("software_version"),
     )
+
+
+def is_simulator(sdo: SdoClient) -> bool:
+    """Whether a node says of itself that it is simulated; one without the object is taken for a real one.
+
+    Raises
+    ------
+    SdoTimeout, SdoProtocolError
+        It does not answer.
+    """
+    entry = OBJECTS["simulator_name"]
+    try:
+        return sdo.read_text(entry.index, entry.subindex) == SIMULATOR_NAME
+    except SdoAbort:
+        return False
+
+
+def emergency_id(access: NodeAccess) -> int | None:
+    """CAN id of the emergency messages of a node (0x1014); None = it does not say, and the standard one holds.
+
+    Raises
+    ------
+    ConfigurationRefused
+        It sends none, or with an id that is not listened to.
+    """
+    entry = OBJECTS["emcy_cob_id"]
+    cob_id = access.read_optional(entry)
+    if cob_id is None:
+        return None
+    if cob_id & _EMCY_OFF:
+        what = f"emergency messages are switched off (0x1014 = {cob_id:#010x}): a fault would not be explained"
+        access.refuse(entry, what, f"set 0x1014 to {0x80 + access.node_id:#x} in the drive")
+    if cob_id & _LONG_ID or not 0x080 < cob_id & 0x7FF < 0x780:
+        what = f"emergency messages come with identifier {cob_id:#010x}, which is not listened to"
+        access.refuse(entry, what, f"set 0x1014 to {0x80 + access.node_id:#x} in the drive")
+    return cob_id & 0x7FF
 
 
 def check_identity(identity: Identity, profile: DriveProfile) -> None:
@@ -138,6 +179,36 @@ def check_sync(access: NodeAccess) -> None:
     overflow = access.read_optional(OBJECTS["sync_counter_overflow"])
     if overflow:
         access.refuse(OBJECTS["sync_counter_overflow"], f"expects a SYNC counter up to {overflow}", "set 0x1019 to 0")
+
+
+def settle_sync_period(access: NodeAccess, sync_period_s: float) -> None:
+    """See that a node does not wait for SYNCs of another period (0x1006) than ours.
+
+    SYNC rests while nothing moves: a node that supervises its period would raise a communication error then. The object
+    is set to 0 (no supervision), or to our period where the node does not take 0.
+
+    Raises
+    ------
+    ConfigurationRefused
+        It waits for another period, and the profile does not allow changing that.
+    SdoError
+        A transfer failed.
+    """
+    entry = OBJECTS["communication_cycle_period"]
+    period_us = round(sync_period_s * 1e6)
+    found_us = access.read_optional(entry)
+    if not found_us:
+        return
+    if not access.may_write(entry.index):
+        if found_us != period_us:
+            what = f"waits for a SYNC every {found_us} us, the master sends one every {period_us} us"
+            access.refuse(entry, what, "set 0x1006 to 0 in the drive, or add 0x1006 to write.allow")
+        return
+    reason = "SYNC comes from the master, in its own rhythm"
+    try:
+        access.write(entry, 0, reason)
+    except SdoAbort:
+        access.write(entry, period_us, reason)
 
 
 def set_mode(access: ObjectAccess, mode: Mode) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final, Protocol
 
-from drives import bringup
+from drives import bringup, drive_limits, other_pdos
 from drives.access import ObjectAccess
 from drives.bus import Bus, Frame
 from drives.cia402 import ENABLE_OPERATION, Mode
@@ -14,15 +14,15 @@ from drives.errors import CommandRefused, ConfigurationRefused, DriveError
 from drives.heartbeat import NmtCommand, send_nmt
 from drives.ledger import WriteLedger
 from drives.objects import OBJECTS
+from drives.other_pdos import OtherPdo
 from drives.pdo import COMMAND, OFFSET, VELOCITY_OFFSET, PdoPlan, offset_plan, rpdo_plan, tpdo_plans
-from drives.scaling import MotorScale, motor_scale
+from drives.scaling import Constants, MotorScale, motor_scale
 from drives.sdo import ONCE
 from drives.values import AxisSetup, DriveCommand, DriveReading, Identity
 
 __all__ = ["AxisSetup", "Cia402Drive", "Drive", "DriveCommand", "DriveReading", "Identity"]
 
 _I16_MAX: Final = 0x7FFF
-_I32_MAX: Final = 0x7FFFFFFF
 
 
 class Drive(Protocol):
@@ -97,6 +97,8 @@ class Cia402Drive:
         self.identity: Identity | None = None
         #: Last position that was commanded.
         self.target_count = 0
+        #: PDOs that are switched on and not of the exchange, as `survey` found them.
+        self.other_pdos: tuple[OtherPdo, ...] = ()
         self._bus = bus
         self._scale: MotorScale | None = None
         self._rpdo = rpdo_plan(self.node_id)
@@ -107,7 +109,7 @@ class Cia402Drive:
         self._staged = (0, 0, 0)
         self._sync_period_s = 0.0
         self._max_step_count = 0.0
-        self._lowest, self._highest = setup.position_limit_count or (-_I32_MAX - 1, _I32_MAX)
+        self._lowest, self._highest = drive_limits.limits_in_counts(None, 1.0)
 
     def close(self) -> None:
         """Stop listening."""
@@ -156,8 +158,16 @@ class Cia402Drive:
         bringup.check_identity(self.identity, self.setup.profile)
         return self.identity
 
+    def survey(self) -> tuple[OtherPdo, ...]:
+        """Read which PDOs are switched on that the exchange does not use; nothing is written."""
+        planned = {plan.communication for plan in self.plans}
+        self.other_pdos = other_pdos.other_pdos(self.access, planned)
+        return self.other_pdos
+
     def configure(self, sync_period_s: float) -> None:
-        """Scaling read, PDOs mapped, mode and reaction to a lost master set; everything read back.
+        """Scaling read, PDOs mapped, limits, mode and reaction to a lost master set; everything read back.
+
+        The PDOs that `survey` found are switched off.
 
         Parameters
         ----------
@@ -174,13 +184,18 @@ class Cia402Drive:
         self._scale = None
         access, heartbeat = self.access, self.setup.profile.heartbeat
         bringup.check_at_rest(access)
-        scale = motor_scale(self.setup.profile, bringup.read_constants(access), self.setup.torque_constant_nm_per_a)
+        constants = bringup.read_constants(access)
+        scale = motor_scale(self.setup.profile, constants, self.setup.torque_constant_nm_per_a)
         bringup.check_sync(access)
         send_nmt(self._bus, NmtCommand.ENTER_PREOPERATIONAL, self.node_id)
         if self._offset_plan is not None or access.is_in_ledger(VELOCITY_OFFSET.index, self._rpdo.mapping + 1):
             access.write(VELOCITY_OFFSET, 0, "no velocity offset is left of an earlier run")
+        bringup.settle_sync_period(access, sync_period_s)
+        for pdo in self.other_pdos:
+            other_pdos.switch_off(access, pdo)
         for plan in self.plans:
             access.map_pdo(plan)
+        self._set_limits(constants, scale)
         bringup.set_mode(access, Mode.CYCLIC_SYNC_POSITION)
         bringup.set_interpolation_period(access, sync_period_s)
         if heartbeat.producer_ms is not None:
@@ -190,6 +205,54 @@ class Cia402Drive:
         self._sync_period_s = sync_period_s
         self._max_step_count = self.setup.max_motor_speed_rad_s * sync_period_s / scale.count_rad + 1.0
         self._scale = scale
+
+    def _set_limits(self, constants: Constants, scale: MotorScale) -> None:
+        """Position and torque limits of the cell, kept here and, where it is allowed, by the drive itself."""
+        setup = self.setup
+        limit = drive_limits.limits_in_counts(setup.position_limit_rad, scale.count_rad)
+        self._lowest, self._highest = limit
+        if setup.position_limit_rad is not None:
+            drive_limits.write_position_limits(self.access, limit, constants.counts_per_revolution)
+        rated_nm = drive_limits.rated_torque_nm(self.access, constants)
+        if setup.torque_limit_nm is not None and rated_nm is not None:
+            self.limit_torque(drive_limits.permille_of(setup.torque_limit_nm, rated_nm))
+
+    def limit_torque(self, permille: int) -> bool:
+        """Lower the drive's own torque limit (0x6072); `restore` puts it back.
+
+        Parameters
+        ----------
+        permille : int
+            Of the rated torque; above what the drive was found with it is left alone.
+
+        Returns
+        -------
+        bool
+            Whether the drive holds this limit now; False where profile or drive do not allow it.
+
+        Raises
+        ------
+        DriveFault
+            The drive is enabled.
+        """
+        return drive_limits.limit_torque(self.access, permille)
+
+    def safety_faults(self) -> list[str]:
+        """Which of the profile's conditions for motion do not hold now, in words; empty = all hold.
+
+        Emergency stop, safe torque off, and whether the encoder is referenced, as far as the profile names the objects.
+        """
+        profile = self.setup.profile
+        faults = []
+        for condition in profile.safety:
+            value = self.access.read(condition.object)
+            if not condition.holds(value):
+                faults.append(f"{condition.what}: {condition.words(value)}")
+        if profile.reference is not None:
+            value = self.access.read(profile.reference.object)
+            if not profile.reference.holds(value):
+                faults.append(f"the encoder is not referenced: {profile.reference.words(value)}")
+        return faults
 
     def arm(self, master_node_id: int) -> None:
         """Let the drive watch the master's heartbeat, from its first one on."""
@@ -232,15 +295,20 @@ class Cia402Drive:
             velocity = self._velocity(command.velocity_offset_rad_s) if command.velocity_offset_rad_s else 0
         except (ValueError, OverflowError) as error:
             raise CommandRefused(f"{command} is no target: {error}", node=self.node_id) from error
-        if not self._lowest <= count <= self._highest:
+        if not self._lowest <= count <= self._highest and not self._inward(count):
             what = f"target {count} counts is outside {self._lowest} .. {self._highest}"
-            raise CommandRefused(what, node=self.node_id, index=0x607A, advice="stay inside the limits of the axis")
+            advice = "stay inside the limits of the axis; from outside it moves only inwards"
+            raise CommandRefused(what, node=self.node_id, index=0x607A, advice=advice)
         step = count - self.target_count
         if not -self._max_step_count <= step <= self._max_step_count:
             what = f"target asks for {abs(step) * scale.count_rad / self._sync_period_s:.1f} rad/s"
             advice = f"the limit is {self.setup.max_motor_speed_rad_s:.1f} rad/s at the motor"
             raise CommandRefused(what, node=self.node_id, index=0x607A, advice=advice)
         self._staged = (count, offset, velocity)
+
+    def _inward(self, count: int) -> bool:
+        """Whether a target outside the limits does not lead further out than the present one."""
+        return self._highest < count <= self.target_count or self.target_count <= count < self._lowest
 
     def _velocity(self, velocity_rad_s: float) -> int:
         unit = self.scale.velocity_rad_s

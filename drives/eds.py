@@ -80,6 +80,8 @@ def _wanted(profile: DriveProfile) -> Iterator[tuple[ObjectReference, bool]]:
         )
         yield reference, name in _MAPPED
     yield profile.position.object, True
+    for condition in (*profile.safety, *(() if profile.reference is None else (profile.reference,))):
+        yield condition.object, False
     for signal in (profile.torque, profile.current):
         if signal is not None:
             yield signal.object, True

@@ -16,7 +16,9 @@ DriveError (4)
 +-- CommandRefused          a target outside the limits; nothing was sent (also ValueError)
 +-- DriveFault              FAULT, quick stop or a state that nobody asked for
 |   +-- DriveRebooted       boot-up in the middle of a run: its configuration is gone
-|   +-- HeartbeatLost       the drive's heartbeat stopped
+|   +-- HeartbeatLost       the drive's heartbeat stopped, or never came
++-- NotOperational          a node does not take the NMT command START
++-- StopAsked (130)         a person asked to stop while the drives were being enabled
 +-- TransitionTimeout       a CiA 402 transition did not happen in time (also TimeoutError)
 +-- IncompleteEpochs        an axis did not answer several SYNCs in a row
 +-- ProfileError (3)        a drive profile that cannot be used (also ValueError)
@@ -147,6 +149,16 @@ class DriveRebooted(DriveFault):
 
 class HeartbeatLost(DriveFault):
     """The heartbeat of a drive stopped."""
+
+
+class NotOperational(DriveError):  # noqa: N818 - reads as what happened
+    """A node does not go to NMT state OPERATIONAL, however often it is told to."""
+
+
+class StopAsked(DriveError):  # noqa: N818 - reads as what happened
+    """A person asked to stop while the drives were being enabled; all of them have been disabled."""
+
+    exit_code = 130
 
 
 class TransitionTimeout(DriveError, TimeoutError):  # noqa: N818 - reads as what happened

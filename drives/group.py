@@ -12,16 +12,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from drives import bringup, starting, stopping
+from drives import bringup, operational, starting, stopping
 from drives.cia402 import Mode
 from drives.drive import DriveCommand
 from drives.epoch import Epoch
-from drives.errors import BusError, DriveError, DriveRebooted, SdoTimeout, raise_failures
+from drives.errors import BusError, ConfigurationRefused, DriveError, DriveRebooted, SdoTimeout, raise_failures
 from drives.exchange import SyncExchange
 from drives.group_setup import DriveSetup, GroupOptions
 from drives.guard import Guard
 from drives.heartbeat import NmtCommand, send_nmt
 from drives.proof import StopTrace, fall_silent
+from drives.way_up import WayUp
 
 __all__ = ["DriveGroup", "GroupOptions"]
 
@@ -31,8 +32,13 @@ class DriveGroup(DriveSetup):
 
     # -- moving ------------------------------------------------------------------------------------------------------
 
-    def enable(self) -> Epoch:
+    def enable(self, stop_asked: Callable[[], bool] = lambda: False) -> Epoch:
         """Bring every axis to OPERATION ENABLED, where it holds the position it is at.
+
+        Parameters
+        ----------
+        stop_asked : callable
+            Asked at every SYNC until the brakes are open: whether a person wants to stop.
 
         Returns
         -------
@@ -41,41 +47,57 @@ class DriveGroup(DriveSetup):
 
         Raises
         ------
-        DriveFault, TransitionTimeout, IncompleteEpochs, SeveralFailures
-            What failed; all axes are disabled again. A drive in FAULT is refused and never reset.
+        DriveFault, NotOperational, TransitionTimeout, IncompleteEpochs, SeveralFailures
+            What failed; all axes are disabled again. A drive in FAULT is refused and never reset, one that falls back
+            on the way up is not led up again.
+        StopAsked
+            All axes are disabled again.
         """
         exchange, guard = self._parts()
         self._require(self._configured and not self.enabled, "configure() first, and enable() once")
         self._for_each(lambda drive: starting.refuse_fault(drive, guard))
+        self._for_each(starting.refuse_unsafe)
+        way = WayUp(exchange, guard, stop_asked)
+        way.check_stop()
         try:
-            return self._enable(exchange, guard)
+            return self._enable(exchange, guard, way)
         except BaseException as error:
             self._after(error, stopping.disable)
             raise
 
-    def _enable(self, exchange: SyncExchange, guard: Guard) -> Epoch:
+    def _enable(self, exchange: SyncExchange, guard: Guard, way: WayUp) -> Epoch:
         self._for_each(lambda drive: drive.arm(self._master_node_id))
         guard.forgive()
         exchange.restart()
         self._producer.start(exchange.sync_time_s)
         self._running = True
-        for node in (*self.drives, *self.instruments):
-            send_nmt(self._bus, NmtCommand.START, node.node_id)
-        epoch = starting.first_epoch(exchange)
+        epoch = self._start_nodes(exchange, guard, way)
         readings = {reading.node_id: reading for reading in epoch.readings if reading is not None}
         self._for_each(lambda drive: starting.compare_with_sdo(drive, readings[drive.node_id]))
         exchange.clock.restart()
-        epoch = starting.walk_up(exchange, guard, exchange.cycle(None))
+        epoch = way.walk(starting.first_epoch(exchange))
         for drive in self.drives:
             if not drive.setup.profile.state_machine.mode_before_enable:
                 bringup.check_mode(drive.access, Mode.CYCLIC_SYNC_POSITION)
         self.enabled = True
-        delay_s = max(setup.profile.state_machine.brake_delay_s for setup in self.setups)
-        for _ in range(math.ceil(delay_s / self.timing.period_s)):
+        for _ in range(math.ceil(way.brake_s / self.timing.period_s)):
             epoch = self.hold()
+            way.check(epoch)
         while not epoch.complete:
             epoch = self.hold()
+            way.check(epoch)
         return epoch
+
+    def _start_nodes(self, exchange: SyncExchange, guard: Guard, way: WayUp) -> Epoch:
+        """NMT START, confirmed by every drive; the first row in which all of them answer."""
+        watch = self._watch
+        if watch is None:
+            raise ConfigurationRefused("the drives are not configured", advice="connect() and configure() first")
+        start = operational.NmtStart(self._bus, self.drives, self.instruments, watch, guard)
+        start.begin()
+        start.confirm(way.check_stop)
+        exchange.clock.restart()
+        return starting.first_epoch(exchange, lambda epoch: way.check_stop() or start.again(epoch))
 
     def exchange(self, commands: Sequence[DriveCommand]) -> Epoch:
         """One SYNC: send a target to every axis, gather what every axis measured at this SYNC.

@@ -11,14 +11,15 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from drives.access import AccessRules, NodeAccess
-from drives.bringup import check_sync, read_identity
+from drives.bringup import check_sync, read_identity, settle_sync_period
 from drives.bus import Bus
 from drives.decode import Frames
 from drives.errors import ConfigurationRefused, IdentityMismatch
 from drives.finding import count_answers, require_one
 from drives.heartbeat import NmtCommand, send_nmt
 from drives.ledger import WriteLedger
-from drives.objects import TPDO_COMMUNICATION, TPDO_MAPPING
+from drives.objects import OBJECTS, RPDO_COMMUNICATION, TPDO_COMMUNICATION, TPDO_MAPPING
+from drives.other_pdos import OtherPdo, other_pdos, switch_off
 from drives.pdo import PdoPlan
 from drives.profile_parts import ObjectReference
 from drives.values import InstrumentReading
@@ -105,7 +106,11 @@ class Instrument:
     def __init__(self, bus: Bus, setup: InstrumentSetup, ledger: WriteLedger) -> None:
         self.setup, self.node_id = setup, setup.node_id
         self.plans = setup.plans()
-        allowed = {index for plan in self.plans for index in (plan.communication, plan.mapping)}
+        allowed = {OBJECTS["communication_cycle_period"].index}
+        allowed |= {index for plan in self.plans for index in (plan.communication, plan.mapping)}
+        allowed |= {area + number for area in (RPDO_COMMUNICATION, TPDO_COMMUNICATION) for number in range(_TPDOS)}
+        #: PDOs that are switched on and not of the exchange, as `survey` found them.
+        self.other_pdos: tuple[OtherPdo, ...] = ()
         self.access = NodeAccess(bus, setup.node_id, AccessRules("measuring device", allowed), ledger)
         self._bus = bus
         self._unpack = [plan.layout.unpack for plan in self.plans]
@@ -134,8 +139,18 @@ class Instrument:
             what = f"device type {identity.device_type:#010x} is no CiA 404 measuring device"
             raise IdentityMismatch(what, node=self.node_id, index=0x1000, advice="correct the node id in the cell")
 
-    def configure(self) -> None:
-        """Unit compared, TPDOs mapped to the SYNC; everything read back.
+    def survey(self) -> tuple[OtherPdo, ...]:
+        """Read which PDOs are switched on that the exchange does not use; nothing is written."""
+        self.other_pdos = other_pdos(self.access, {plan.communication for plan in self.plans})
+        return self.other_pdos
+
+    def configure(self, sync_period_s: float) -> None:
+        """Unit compared, TPDOs mapped to the SYNC, the others of `survey` switched off; everything read back.
+
+        Parameters
+        ----------
+        sync_period_s : float
+            Written to 0x1006 where the device waits for SYNC and does not take 0.
 
         Raises
         ------
@@ -146,6 +161,9 @@ class Instrument:
         for subindex in self.setup.subindices:
             self._check_unit(subindex)
         send_nmt(self._bus, NmtCommand.ENTER_PREOPERATIONAL, self.node_id)
+        settle_sync_period(self.access, sync_period_s)
+        for pdo in self.other_pdos:
+            switch_off(self.access, pdo)
         for plan in self.plans:
             self.access.map_pdo(plan)
 

@@ -1,8 +1,9 @@
-"""The way up: from whatever state the drives are in to OPERATION ENABLED, each axis holding the place it is at."""
+"""Before the way up: no fault, a closed safety chain, and TPDOs that say what SDO says."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Final
 
 from drives.cia402 import (
@@ -10,15 +11,18 @@ from drives.cia402 import (
     DISABLE_VOLTAGE,
     FAULT_RESET,
     FAULTED,
-    NoRoute,
     State,
     decode_state,
     describe,
-    next_controlword,
 )
 from drives.drive import Cia402Drive
 from drives.epoch import Epoch
-from drives.errors import ConfigurationRefused, DriveFault, IncompleteEpochs, TransitionTimeout, raise_failures
+from drives.errors import (
+    ConfigurationRefused,
+    DriveFault,
+    IncompleteEpochs,
+    raise_failures,
+)
 from drives.exchange import SyncExchange
 from drives.guard import Guard
 from drives.objects import OBJECTS
@@ -67,8 +71,28 @@ def reset_fault(drive: Cia402Drive) -> None:
         raise DriveFault(what, node=drive.node_id, index=0x6041, code=status, advice="its cause is still there")
 
 
-def first_epoch(exchange: SyncExchange) -> Epoch:
+def refuse_unsafe(drive: Cia402Drive) -> None:
+    """Make sure that the safety chain is closed and the encoder referenced, as far as the profile names the objects.
+
+    Raises
+    ------
+    DriveFault
+        They are not.
+    """
+    faults = drive.safety_faults()
+    if faults:
+        advice = "release the emergency stop, close the safety chain, or have the encoder referenced"
+        raise DriveFault(f"must not move: {'; '.join(faults)}", node=drive.node_id, advice=advice)
+
+
+def first_epoch(exchange: SyncExchange, again: Callable[[Epoch], bool] = lambda epoch: False) -> Epoch:
     """SYNC alone, until every drive answers: no command is sent before the position is known.
+
+    Parameters
+    ----------
+    exchange : SyncExchange
+    again : callable
+        Asked after the usual number of SYNCs: whether those that do not answer are to be given more of them.
 
     Raises
     ------
@@ -76,10 +100,15 @@ def first_epoch(exchange: SyncExchange) -> Epoch:
         Some do not.
     """
     epoch = exchange.cycle(None)
-    for _ in range(_FIRST_TRIES - 1):
-        if epoch.complete:
-            return epoch
+    tries = 1
+    while not epoch.complete:
+        more = again(epoch)
+        if tries >= _FIRST_TRIES and not more:
+            break
         epoch = exchange.cycle(None)
+        tries += 1
+    if epoch.complete:
+        return epoch
     advice = "check that its TPDOs are synchronous and that it is in NMT state OPERATIONAL"
     what = f"does not answer SYNC ({_FIRST_TRIES} sent)"
     raise_failures(
@@ -108,66 +137,3 @@ def compare_with_sdo(drive: Cia402Drive, reading: DriveReading) -> None:
             index=drive.plans[1].mapping,
             advice="the PDO mapping is shifted, or the axis moves although nobody enabled it",
         )
-
-
-def walk_up(exchange: SyncExchange, guard: Guard, epoch: Epoch) -> Epoch:
-    """Transitions to OPERATION ENABLED; until it is there, an axis is told to stay where it is.
-
-    Parameters
-    ----------
-    exchange : SyncExchange
-    guard : Guard
-    epoch : Epoch
-        The last one, complete.
-
-    Returns
-    -------
-    Epoch
-        Complete, every axis enabled.
-
-    Raises
-    ------
-    DriveFault, TransitionTimeout, IncompleteEpochs, DriveRebooted, SeveralFailures
-    """
-    states = exchange.states
-    waited = [0] * len(states)
-    while True:
-        raise_failures(_stuck(exchange, waited))
-        for drive, reading, state in zip(exchange.drives, epoch.readings, states, strict=True):
-            if reading is not None and state is not State.OPERATION_ENABLED:
-                drive.hold(reading.position_count)
-        words = _words_up(exchange, guard)
-        before = list(states)
-        epoch = exchange.cycle(words)
-        guard.check_bus()
-        guard.check_silence()
-        if epoch.complete and all(state is State.OPERATION_ENABLED for state in states):
-            return epoch
-        for axis, state in enumerate(states):
-            stands = state is before[axis] and state is not State.OPERATION_ENABLED
-            waited[axis] = waited[axis] + 1 if stands else 0
-
-
-def _words_up(exchange: SyncExchange, guard: Guard) -> list[int]:
-    words: list[int] = []
-    failures = []
-    for drive, state in zip(exchange.drives, exchange.states, strict=True):
-        try:
-            words.append(0 if state is None else next_controlword(state, State.OPERATION_ENABLED))
-        except NoRoute as error:
-            what = f"{error}: {drive.fault_words()}{guard.last_words(drive.node_id)}"
-            advice = "find and remove the cause; nothing is reset automatically"
-            failures.append(DriveFault(what, node=drive.node_id, index=0x6041, advice=advice))
-    raise_failures(failures)
-    return words
-
-
-def _stuck(exchange: SyncExchange, waited: list[int]) -> list[TransitionTimeout]:
-    failures = []
-    for drive, state, cycles in zip(exchange.drives, exchange.states, waited, strict=True):
-        limit_s = drive.setup.profile.state_machine.transition_timeout_s
-        if cycles * exchange.timing.period_s > limit_s:
-            what = f"stays in {state} for more than {limit_s} s on the way to OPERATION ENABLED"
-            advice = "check power stage, STO and enable input; the drive's display tells more"
-            failures.append(TransitionTimeout(what, node=drive.node_id, index=0x6041, advice=advice))
-    return failures

@@ -24,8 +24,10 @@ class AxisSetup:
         Of the motor, Nm/A; used only where the profile measures a current.
     max_motor_speed_rad_s : float
         Largest speed that may be commanded, motor side.
-    position_limit_count : (int, int), optional
-        Lowest and highest target that may be commanded, position counts.
+    position_limit_rad : (float, float), optional
+        Lowest and highest target that may be commanded, motor side; an axis that stands outside may only move inwards.
+    torque_limit_nm : float, optional
+        Lowest torque limit that may be set in the drive (0x6072), motor side; None = the drive's own is left alone.
     feedforward : bool
         The second RPDO with the velocity offset is mapped and sent.
 
@@ -39,19 +41,21 @@ class AxisSetup:
     profile: DriveProfile
     torque_constant_nm_per_a: float
     max_motor_speed_rad_s: float
-    position_limit_count: tuple[int, int] | None = None
+    position_limit_rad: tuple[float, float] | None = None
     feedforward: bool = False
+    torque_limit_nm: float | None = None
 
     def __post_init__(self) -> None:
         if not 1 <= self.node_id <= 127:
             raise ProfileError(f"node id {self.node_id} is not in 1 .. 127", advice="correct the cell file")
-        for name in ("torque_constant_nm_per_a", "max_motor_speed_rad_s"):
+        for name in ("torque_constant_nm_per_a", "max_motor_speed_rad_s", "torque_limit_nm"):
             value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
+            if value is not None and not (math.isfinite(value) and value > 0):
                 what = f"{name} = {value}, a positive number is needed"
                 raise ProfileError(what, node=self.node_id, advice="nothing is assumed in its place")
-        if self.position_limit_count is not None and not self.position_limit_count[0] < self.position_limit_count[1]:
-            what = f"position limits {self.position_limit_count} are not in order"
+        limit = self.position_limit_rad
+        if limit is not None and not (-math.inf < limit[0] < limit[1] < math.inf):
+            what = f"position limits {limit} rad are not in order"
             raise ProfileError(what, node=self.node_id, advice="correct the cell file")
         if self.feedforward and self.profile.feedforward is None:
             what = f"profile {self.profile.name} has no [feedforward]: the drive takes no velocity offset 0x60B1"

@@ -20,6 +20,8 @@ INITIALISING, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0, 4, 5, 127
 _COMMANDS = {1: OPERATIONAL, 2: STOPPED, 128: PRE_OPERATIONAL}
 RESET_NODE, RESET_COMMUNICATION = 129, 130
 MAX_HISTORY = 8
+#: Object by which every simulated node says what it is; it stands in the range that is free to manufacturers.
+SIMULATOR_OBJECT, SIMULATOR_NAME = (0x5FFE, 0), "servo-sim"
 
 SdoFilter = Callable[[int, int], int | None]
 
@@ -120,6 +122,7 @@ class SlaveNode(canopen.LocalNode):
 
     def _register(self) -> None:
         store = self.store
+        store.constant(SIMULATOR_OBJECT, "str", SIMULATOR_NAME)
         store.live((0x1001, 0), "u8", lambda: self.error_register)
         store.live((0x1003, 0), "u8", lambda: len(self._history), self._clear_history)
         for sub in range(1, MAX_HISTORY + 1):

@@ -60,6 +60,8 @@ class Wire:
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         until = self.now_s + (timeout or 0.0)
+        for slave in self.slaves:
+            slave.pass_time(min(until, self._queue[0][0]) if self._queue else until)
         if not self._queue or self._queue[0][0] > until:
             self.now_s = until + 1e-6
             return None
@@ -115,12 +117,25 @@ class Slave:
         self.refused: dict[tuple[int, int], int] = {}
         #: What becomes of an SDO answer: (request, answer) -> [(delay, answer), ..].
         self.reply: Reply = lambda request, answer: [(0.001, answer)]
+        #: Sends its heartbeat (0x1017).
+        self.beats = True
+        self._beat_s = wire.now_s
+        #: Time at which an event-driven TPDO3 is due, which it sends at 5 kHz.
+        self._event_s = wire.now_s
+        #: A communication error stands until this time: START is refused (CiA 301, 0x1029).
+        self.communication_error_until_s = 0.0
+        #: Supervises SYNC (0x1006): the time of the last one.
+        self._sync_s: float | None = None
+        self.communication_errors = 0
+        #: Aborts a write of an inhibit time while the PDO exists.
+        self.strict_inhibit = False
+        self.takes_nmt = True
         self._latched: bytes | None = None
         self._upload = b""
         self._toggle = 0
         self._download = bytearray()
         self._target = (0, 0)
-        self.texts = {(0x1008, 0): b"Test drive with a long name", (0x100A, 0): b"v1"}
+        self.texts = {(0x1008, 0): b"Test drive with a long name", (0x100A, 0): b"v1", (0x5FFE, 0): b"servo-sim"}
         self.types: dict[tuple[int, int], str] = {}
         self.values: dict[tuple[int, int], int] = {}
         self._fill(node_id if serial is None else serial)
@@ -206,7 +221,7 @@ class Slave:
         if not self.alive:
             return
         if can_id == 0x000 and data[1] in (0, self.node_id):
-            self.nmt = {1: 5, 2: 4, 128: 127}.get(data[0], self.nmt)
+            self._command(data[0])
         elif can_id == 0x600 + self.node_id and self.nmt != 4:
             self._sdo(data)
         elif can_id == self.values[0x1400, 1] and self.nmt == 5:
@@ -214,7 +229,38 @@ class Slave:
         elif can_id == 0x080 and self.nmt == 5:
             self._sync()
 
+    def _command(self, command: int) -> None:
+        refused = command == 1 and self.wire.now_s < self.communication_error_until_s
+        if self.takes_nmt and not refused:
+            self.nmt = {1: 5, 2: 4, 128: 127}.get(command, self.nmt)
+            self._sync_s = None
+
+    def pass_time(self, until_s: float) -> None:
+        """What the slave sends by itself before a time: its heartbeat, and an event-driven TPDO3."""
+        if not self.alive:
+            return
+        period_s = self.values[0x1017, 0] / 1000.0
+        if period_s and self.beats and self._beat_s + period_s <= until_s:
+            self._beat_s = max(self._beat_s + period_s, self.wire.now_s)
+            self.wire.emit(0x700 + self.node_id, bytes([self.nmt]), self._beat_s - self.wire.now_s)
+        cob_id, transmission = self.values.get((0x1802, 1), 1 << 31), self.values.get((0x1802, 2))
+        by_event = self.nmt == 5 and transmission == 255 and not cob_id & 1 << 31
+        if by_event and self._event_s + 0.0002 <= until_s:
+            self._event_s = max(self._event_s + 0.0002, self.wire.now_s)
+            self.wire.emit(cob_id & 0x7FF, bytes(2), self._event_s - self.wire.now_s)
+
+    def _supervise_sync(self) -> None:
+        """Communication cycle period (CiA 301, 0x1006): a SYNC that is late is a communication error."""
+        now_s, before_s, period_s = self.wire.now_s, self._sync_s, self.values.get((0x1006, 0), 0) * 1e-6
+        self._sync_s = now_s
+        if period_s and before_s is not None and now_s - before_s > 1.5 * period_s:
+            self.communication_errors += 1
+            self.nmt = 127
+
     def _sync(self) -> None:
+        self._supervise_sync()
+        if self.nmt != 5:
+            return
         self.sync_seen += 1
         for number in (0, 1):
             self._send_tpdo(number)
@@ -245,7 +291,7 @@ class Slave:
             self.wire.emit(cob_id & 0x7FF, data[: self.tpdo_cut], delay)
 
     def emergency(self, data: bytes) -> None:
-        self.wire.emit(0x80 + self.node_id, data)
+        self.wire.emit(self.values.get((0x1014, 0), 0x80 + self.node_id) & 0x7FF, data)
 
     def heartbeat(self, state: int | None = None) -> None:
         self.wire.emit(0x700 + self.node_id, bytes([self.nmt if state is None else state]))
@@ -306,6 +352,10 @@ class Slave:
         size = struct.calcsize(CODES[kind])
         if 4 - (request[0] >> 2 & 3) != size:
             self._abort(request, 0x06070010)
+            return
+        exists = not self.values.get((address[0], 1), 0) & 1 << 31
+        if self.strict_inhibit and exists and 0x1800 <= address[0] < 0x1A00 and address[1] == 3:
+            self._abort(request, 0x06090030)
             return
         mapping = 0x1600 <= address[0] < 0x1C00 and not 0x1800 <= address[0] < 0x1A00
         cob_id = self.values.get((address[0] & ~0x200, 1), 0)

@@ -86,7 +86,8 @@ def test_what_is_mapped_is_what_the_device_sends(ends: tuple[str, FakeMeasuringD
     with open_bus(BusSpec("virtual", channel)) as bus:
         instrument = Instrument(bus, SETUP, ledger := WriteLedger())
         instrument.identify()
-        instrument.configure()
+        instrument.survey()
+        instrument.configure(0.004)
         frames: dict[int, bytes] = {}
         for can_id, _ in instrument.answers:
             bus.subscribe(can_id, lambda can_id, data, _time_s: frames.__setitem__(can_id, bytes(data)))
@@ -117,7 +118,7 @@ def test_a_device_that_does_not_fit_is_refused(
 ) -> None:
     def act(instrument: Instrument) -> None:
         instrument.identify()
-        instrument.configure()
+        instrument.configure(0.004)
 
     with pytest.raises(kind, match=said):
         opened(ends[0], setup, act)

@@ -19,6 +19,11 @@ def test_boot_up_is_announced_and_identity_is_there(drives):
     assert master.wait(0x700 + NODE) == b"\x00"
 
 
+def test_every_node_says_that_it_is_simulated(drives):
+    master, _ = drives
+    assert {master.read(node, 0x5FFE) for node in range(1, 7)} == {b"servo-sim"}
+
+
 def test_strings_come_in_segments(drives):
     master, _ = drives
     assert master.read(NODE, 0x1008) == b"simulated servo drive, generic-cia402"

@@ -1,0 +1,106 @@
+"""Whom the master takes: simulators alone in lockstep and on networks, and nobody whose emergencies it cannot hear."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Final
+
+from drives.access import NodeAccess
+from drives.bringup import emergency_id, is_simulator
+from drives.bus import EMCY_BASE, Bus, Handler
+from drives.bus_spec import BusSpec
+from drives.drive import Cia402Drive
+from drives.emcy import EmcyLog
+from drives.errors import ConfigurationRefused
+from drives.exchange import Pacing
+from drives.instrument import Instrument
+
+#: Interfaces that are a network: whoever reaches it can send frames to the drives.
+NETWORKS: Final = frozenset({"udp_multicast", "virtual", "socketcand"})
+
+
+@dataclass(frozen=True, slots=True)
+class Admission:
+    """Which nodes may be driven over a bus.
+
+    Attributes
+    ----------
+    spec : BusSpec
+    pacing : "lockstep" or "real"
+    allow_real_drive : bool
+        A node that is no simulator may be driven over a network; never in lockstep.
+    """
+
+    spec: BusSpec
+    pacing: Pacing
+    allow_real_drive: bool
+
+    def check(self, node: Cia402Drive | Instrument) -> None:
+        """See that a node that is no simulator gets SYNC by the clock alone, and not over a network without leave.
+
+        Raises
+        ------
+        ConfigurationRefused
+        """
+        lockstep = self.pacing == "lockstep"
+        network = self.spec.interface in NETWORKS and not self.allow_real_drive
+        if not (lockstep or network) or is_simulator(node.access.sdo):
+            return
+        if lockstep:
+            what = "is no simulator (object 0x5FFE): in lockstep it would get SYNC as fast as it answers"
+            raise ConfigurationRefused(what, node=node.node_id, advice='write pacing = "real" for this bus in the cell')
+        what = f"is no simulator (object 0x5FFE), and anybody on {self.spec} can write frames to it"
+        advice = "connect it by an adapter of its own; allow_real_drive = true for this bus takes the risk"
+        raise ConfigurationRefused(what, node=node.node_id, advice=advice)
+
+
+class EmergencyEars:
+    """Listens to emergency messages at the identifiers that the drives state; they are known by node id all the same.
+
+    Parameters
+    ----------
+    bus : Bus
+    log : EmcyLog
+        Where messages go.
+    """
+
+    def __init__(self, bus: Bus, log: EmcyLog) -> None:
+        self._bus, self._log = bus, log
+        self._listeners: dict[int, Handler] = {}
+
+    def add(self, access: NodeAccess, taken: Collection[int]) -> None:
+        """Listen to one drive.
+
+        Parameters
+        ----------
+        access : NodeAccess
+        taken : collection of int
+            Identifiers of other messages.
+
+        Raises
+        ------
+        ConfigurationRefused
+            It sends none, or with an identifier that another message has.
+        """
+        own_id = EMCY_BASE + access.node_id
+        can_id = emergency_id(access) or own_id
+        if can_id in taken or can_id in self._listeners:
+            raise ConfigurationRefused(
+                f"emergency messages come with identifier {can_id:03X}, which another message has too",
+                node=access.node_id,
+                index=0x1014,
+                advice=f"set 0x1014 to {own_id:#x} in the drive",
+            )
+
+        def on_frame(_can_id: int, data: bytes | bytearray, time_s: float) -> None:
+            self._log.on_frame(own_id, data, time_s)
+
+        self._bus.subscribe(can_id, on_frame)
+        self._listeners[can_id] = on_frame
+
+    def close(self) -> None:
+        """Listen no more."""
+        for can_id, listener in self._listeners.items():
+            self._bus.unsubscribe(can_id, listener)
+        self._listeners.clear()

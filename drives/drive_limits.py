@@ -1,0 +1,134 @@
+"""Limits that the drive itself keeps: position (0x607D) and torque (0x6072), written from the cell, never loosened."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from drives.access import ObjectAccess
+from drives.cia402 import AT_REST, decode_state, describe
+from drives.errors import DriveFault
+from drives.objects import OBJECTS
+from drives.scaling import Constants
+
+#: How far the drive's own position limits stand outside those that the master keeps, in motor revolutions: a stop that
+#: begins at the master's limit ends before the drive's. Behind a gear of 100 it is 0.03 rad of the joint.
+LIMIT_MARGIN_REVOLUTIONS: Final = 0.5
+_I32_MAX: Final = 0x7FFFFFFF
+_U16_MAX: Final = 0xFFFF
+#: 0x607E: the sign of positions is turned round in the drive.
+_POSITION_REVERSED: Final = 0x80
+
+Counts = tuple[int, int]
+
+
+def limits_in_counts(limit_rad: tuple[float, float] | None, count_rad: float) -> Counts:
+    """Lowest and highest position count inside a range of motor angles [rad]; None = all there are."""
+    if limit_rad is None:
+        return -_I32_MAX - 1, _I32_MAX
+    low, high = math.ceil(limit_rad[0] / count_rad), math.floor(limit_rad[1] / count_rad)
+    return max(low, -_I32_MAX - 1), min(high, _I32_MAX)
+
+
+def write_position_limits(access: ObjectAccess, limit: Counts, revolution_counts: float) -> bool:
+    """Let the drive refuse targets far outside the axis' limits (0x607D), where profile and drive allow it.
+
+    The drive's own limits are narrowed, never widened. They are left alone where their meaning is not certain (home
+    offset 0x607C or reversed positions 0x607E), and where the axis stands outside of what would be written.
+
+    Parameters
+    ----------
+    access : ObjectAccess
+        Of a drive that is not enabled.
+    limit : (int, int)
+        Lowest and highest target that the master commands.
+    revolution_counts : float
+        Counts of one motor revolution.
+
+    Returns
+    -------
+    bool
+        Whether the drive keeps these limits now.
+    """
+    low, high = OBJECTS["position_limit_min"], OBJECTS["position_limit_max"]
+    if not access.may_write(low.index):
+        return False
+    held = access.read_optional(low), access.read_optional(high)
+    if held[0] is None or held[1] is None:
+        return False
+    shifted = access.read_optional(OBJECTS["home_offset"]) or 0
+    if shifted or (access.read_optional(OBJECTS["polarity"]) or 0) & _POSITION_REVERSED:
+        return False
+    first, last = access.original(low), access.original(high)
+    margin = round(LIMIT_MARGIN_REVOLUTIONS * revolution_counts)
+    found = (held[0] if first is None else first, held[1] if last is None else last)
+    new = _narrowed(found, (limit[0] - margin, limit[1] + margin))
+    position = access.read(access.profile.position.object)
+    if not new[0] <= position <= new[1]:
+        return False
+    reason = "position limits of the axis, and a margin"
+    steps = [(low, new[0]), (high, new[1])]
+    for entry, value in reversed(steps) if new[0] >= held[1] else steps:
+        access.write(entry, value, reason)
+    return True
+
+
+def _narrowed(found: Counts, wanted: Counts) -> Counts:
+    """Where both allow it; limits that are not in order, such as 0 and 0, are none."""
+    low, high = max(wanted[0], -_I32_MAX - 1), min(wanted[1], _I32_MAX)
+    if found[0] < found[1] and max(low, found[0]) < min(high, found[1]):
+        return max(low, found[0]), min(high, found[1])
+    return low, high
+
+
+def limit_torque(access: ObjectAccess, permille: int) -> bool:
+    """Lower the largest torque that the drive gives (0x6072), where profile and drive allow it.
+
+    Parameters
+    ----------
+    access : ObjectAccess
+    permille : int
+        Of the rated torque; above what the drive was found with it is left alone.
+
+    Returns
+    -------
+    bool
+        Whether the drive holds this limit now.
+
+    Raises
+    ------
+    DriveFault
+        The drive is enabled: a limit that changes under power lets an axis sag.
+    ConfigurationRefused, SdoError
+        As the drive answers.
+    """
+    entry = OBJECTS["max_torque"]
+    if not access.may_write(entry.index) or not 0 < permille <= _U16_MAX:
+        return False
+    status = access.read(OBJECTS["statusword"])
+    if decode_state(status) not in AT_REST:
+        what = f"is in {describe(status)}: its torque limit is changed only while it is disabled"
+        raise DriveFault(what, node=access.node_id, index=entry.index, code=status, advice="disable it first")
+    held = access.read_optional(entry)
+    if held is None:
+        return False
+    first = access.original(entry)
+    if permille > (held if first is None else first):
+        return False
+    access.write(entry, permille, "lowest torque that the motion needs")
+    return True
+
+
+def rated_torque_nm(access: ObjectAccess, constants: Constants) -> float | None:
+    """Nm that 1000 per mille of 0x6072 stand for; None = the profile does not say."""
+    profile = access.profile
+    if profile.torque.kind == "permille_rated_torque":
+        return constants.torque_rated
+    if profile.torque_offset is not None and profile.torque_offset.kind == "permille_rated_torque":
+        return constants.offset_rated
+    return None
+
+
+def permille_of(torque_nm: float, rated_nm: float) -> int:
+    """Smallest number of per mille that allows a torque."""
+    return math.ceil(1000.0 * torque_nm / rated_nm - 1e-9)

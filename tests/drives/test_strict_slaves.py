@@ -1,0 +1,196 @@
+"""Drives that keep to the letter of CiA 301, each configured and enabled: what other stacks refuse or insist on."""
+
+from __future__ import annotations
+
+import pytest
+
+from drives.errors import (
+    ConfigurationRefused,
+    DriveFault,
+    HeartbeatLost,
+    NodeMissing,
+    NotOperational,
+)
+from drives.finding import nmt_states
+from drives.group import DriveGroup
+from drives.heartbeat import NmtState
+from drives.profile import load_profile
+from drives.values import AxisSetup
+
+PERIOD_S = 0.004
+BOTH = pytest.mark.parametrize("pacing", ["lockstep", "real"])
+
+
+@pytest.fixture
+def slaves(add_slaves):
+    return add_slaves(2)
+
+
+def enabled(bus, setups, pacing="lockstep"):
+    """A group whose drives are up and have followed a few SYNCs; to be closed."""
+    group = DriveGroup(bus, setups, PERIOD_S, pacing)
+    group.connect()
+    group.configure()
+    group.enable()
+    for _ in range(5):
+        assert group.hold().complete
+    return group
+
+
+def put(slave, address, kind, value):
+    slave.types[address], slave.values[address] = kind, value
+
+
+@BOTH
+def test_a_slave_that_aborts_a_written_inhibit_time(bus, slaves, setups, pacing):
+    """CANopenNode: 0x06090030 while the PDO exists."""
+    slaves[0].strict_inhibit = True
+    enabled(bus, setups(2), pacing).close()
+    assert slaves[0].values[0x1800, 3] == 300
+    assert not [write for write in slaves[0].written if write[:2] in ((0x1800, 3), (0x1801, 3))]
+
+
+@BOTH
+def test_a_slave_that_refuses_start_until_its_communication_error_is_gone(bus, slaves, setups, wire, pacing):
+    slaves[1].communication_error_until_s = wire.now_s + 1.2
+    enabled(bus, setups(2), pacing).close()
+    started = [data for can_id, data in wire.sent if can_id == 0 and data == b"\x01\x02"]
+    assert 2 <= len(started) <= 8
+
+
+@pytest.mark.parametrize("profile", ["generic-cia402", "kollmorgen-akd-x00606"])
+def test_a_slave_that_never_starts_is_named_with_its_state(bus, slaves, wire, profile):
+    """With a heartbeat that the profile asks for, and without one: by its silence at SYNC."""
+    slaves[1].communication_error_until_s = wire.now_s + 1e9
+    for slave in slaves:
+        slave.values[0x1018, 1] = 0x6A
+        slave.values[0x1017, 0] = 100
+    setups = [AxisSetup(node, load_profile(profile), 0.5, 300.0) for node in (1, 2)]
+    with DriveGroup(bus, setups, PERIOD_S, "real") as group:
+        group.connect()
+        group.configure()
+        start_s = wire.now_s
+        with pytest.raises(NotOperational, match=r"PREOPERATIONAL.*0x1029.*0x1006") as caught:
+            group.enable()
+        assert caught.value.node == 2
+        assert 2.0 < wire.now_s - start_s < 3.5
+    assert {word & 0x08 for slave in slaves for word in slave.controlwords} <= {0}
+
+
+def test_a_drive_whose_heartbeat_never_comes_is_not_enabled(bus, slaves, setups):
+    slaves[0].beats = False
+    with DriveGroup(bus, setups(2), PERIOD_S) as group:
+        group.connect()
+        group.configure()
+        with pytest.raises(HeartbeatLost, match="node 1:1017.*sends no heartbeat"):
+            group.enable()
+    assert slaves[0].controlwords.count(0x0F) == 0
+
+
+@BOTH
+def test_a_slave_that_waits_for_sync(bus, slaves, setups, pacing):
+    """0x1006 = 1 ms: it falls out of OPERATIONAL with every SYNC that comes later."""
+    put(slaves[0], (0x1006, 0), "u32", 1000)
+    group = enabled(bus, setups(2), pacing)
+    assert slaves[0].values[0x1006, 0] == 0
+    assert slaves[0].communication_errors == 0
+    group.disable()
+    group.restore()
+    group.close()
+    assert slaves[0].values[0x1006, 0] == 1000
+
+
+def test_a_slave_that_does_not_take_zero_gets_our_period(bus, slaves, setups):
+    put(slaves[0], (0x1006, 0), "u32", 1000)
+    real = slaves[0]._sdo_download
+
+    def refusing(request, address):
+        if address == (0x1006, 0) and request[4:] == bytes(4):
+            slaves[0]._abort(request, 0x06090032)
+        else:
+            real(request, address)
+
+    slaves[0]._sdo_download = refusing
+    with DriveGroup(bus, setups(2), PERIOD_S, "real") as group:
+        group.connect()
+        group.configure()
+    assert slaves[0].values[0x1006, 0] == 4000
+
+
+def test_another_sync_period_that_must_not_be_written_is_refused(bus, slaves, generic):
+    put(slaves[0], (0x1006, 0), "u32", 1000)
+    write = generic.write.model_copy(update={"allow": tuple(i for i in generic.write.allow if i != 0x1006)})
+    setups = [AxisSetup(node, generic.model_copy(update={"write": write}), 0.5, 300.0) for node in (1, 2)]
+    with DriveGroup(bus, setups, PERIOD_S) as group:
+        group.connect()
+        with pytest.raises(ConfigurationRefused, match="node 1:1006.*every 1000 us.*4000 us"):
+            group.configure()
+        slaves[0].values[0x1006, 0] = 4000
+        group.configure()
+
+
+@BOTH
+@pytest.mark.parametrize("address", [(0x1019, 0), (0x1014, 0), (0x60C2, 1), (0x1006, 0), (0x1402, 1)])
+def test_a_slave_without_data_in_an_optional_object(bus, slaves, setups, pacing, address):
+    slaves[0].refused[address] = 0x08000024
+    enabled(bus, setups(2), pacing).close()
+
+
+@BOTH
+def test_a_slave_with_tpdo3_on_at_5_khz(bus, slaves, setups, pacing):
+    slaves[0]._pdo(0x1802, 0x1A02, 0x40000381, [0x60410010])
+    group = enabled(bus, setups(2), pacing)
+    assert slaves[0].values[0x1802, 1] & 1 << 31
+    before = bus.counts["unclaimed"]
+    for _ in range(20):
+        group.hold()
+    assert bus.counts["unclaimed"] == before
+    assert group.left_pdos == ()
+    group.disable()
+    group.restore()
+    group.close()
+    assert slaves[0].values[0x1802, 1] == 0x40000381
+
+
+@BOTH
+def test_a_slave_with_a_foreign_emergency_id(bus, slaves, setups, pacing):
+    put(slaves[1], (0x1014, 0), "u32", 0x0B5)
+    group = enabled(bus, setups(2), pacing)
+    slaves[1].state = "fault"
+    slaves[1].emergency(bytes.fromhex("1186 21"))
+    with pytest.raises(DriveFault, match="node 2.*following error too large"):
+        group.hold()
+    assert [message.node_id for message in group.statistics.emcy] == [2]
+    group.close()
+
+
+@pytest.mark.parametrize("cob_id", [0x80000082, 0x200000B5, 0x080, 0x181, 0x081])
+def test_emergencies_that_would_not_be_heard_are_refused(bus, slaves, setups, cob_id):
+    """Switched off, 29 bits, the SYNC's, that of a TPDO, that of another drive."""
+    put(slaves[1], (0x1014, 0), "u32", cob_id)
+    with (
+        DriveGroup(bus, setups(2), PERIOD_S) as group,
+        pytest.raises(ConfigurationRefused, match="node 2:1014") as caught,
+    ):
+        group.connect()
+    assert "set 0x1014 to 0x82" in str(caught.value)
+
+
+# -- NMT state STOPPED ------------------------------------------------------------------------------------------------
+
+
+def test_a_node_that_stays_stopped_is_called_stopped(bus, slaves, setups):
+    slaves[1].nmt, slaves[1].takes_nmt = 4, False
+    slaves[1].values[0x1017, 0] = 1000
+    with DriveGroup(bus, setups(2), PERIOD_S) as group, pytest.raises(NodeMissing) as caught:
+        group.connect()
+    assert "is in NMT state STOPPED" in str(caught.value)
+    assert "80 02" in caught.value.advice
+    assert "power" not in caught.value.advice
+
+
+def test_nmt_states_are_heard_without_a_word(bus, slaves, wire):
+    slaves[0].nmt, slaves[0].values[0x1017, 0] = 4, 500
+    slaves[1].nmt, slaves[1].values[0x1017, 0] = 5, 500
+    assert nmt_states(bus, [1, 2, 3], 0.6) == {1: NmtState.STOPPED, 2: NmtState.OPERATIONAL, 3: None}
+    assert wire.sent == []

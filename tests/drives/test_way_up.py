@@ -1,0 +1,199 @@
+"""The way up: stopped by a person, ended by an axis that falls back, bounded in time, and no target follows an axis."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+
+from drives.errors import DriveFault, StopAsked, TransitionTimeout
+from drives.group import DriveGroup
+from drives.way_up import SAG_REVOLUTIONS
+
+PERIOD_S = 0.004
+TURN = 65536
+OFF = "switch on disabled"
+
+
+@pytest.fixture
+def slaves(add_slaves):
+    return add_slaves(3)
+
+
+@pytest.fixture(params=["lockstep", "real"])
+def group(request, bus, slaves, setups):
+    with DriveGroup(bus, setups(3), PERIOD_S, request.param) as group:
+        group.connect()
+        group.configure()
+        yield group
+
+
+def enabling_words(slaves):
+    return {word for slave in slaves for word in slave.controlwords if word & 0x08}
+
+
+def targets(wire, node_id):
+    """Every target position that was sent to a node."""
+    return [struct.unpack("<Hih", data)[1] for can_id, data in wire.sent if can_id == 0x200 + node_id]
+
+
+# -- a person who asks to stop ----------------------------------------------------------------------------------------
+
+
+def test_who_asks_before_anything_began_gets_nothing_enabled(group, slaves):
+    with pytest.raises(StopAsked) as caught:
+        group.enable(lambda: True)
+    assert caught.value.exit_code == 130
+    assert [slave.controlwords for slave in slaves] == [[]] * 3
+
+
+def test_a_stop_is_heard_while_a_node_does_not_start(group, slaves, wire):
+    slaves[1].communication_error_until_s = wire.now_s + 1e9
+    begin_s = wire.now_s
+    with pytest.raises(StopAsked):
+        group.enable(lambda: wire.now_s > begin_s + 0.5)
+    assert wire.now_s - begin_s < 1.5
+    assert enabling_words(slaves) == set()
+
+
+def test_a_stop_is_heard_while_an_axis_does_not_switch_on(group, slaves):
+    slaves[2].stuck_in = "ready"
+    with pytest.raises(StopAsked):
+        group.enable(lambda: slaves[2].state == "ready")
+    assert {slave.state for slave in slaves[:2]} == {OFF}
+    assert not group.enabled
+
+
+@pytest.mark.parametrize("syncs", [0, 3, 10])
+def test_a_stop_is_heard_while_the_brakes_open(group, slaves, syncs):
+    """The profile gives the brakes 50 ms, 13 SYNCs."""
+
+    def asked():
+        return all(slave.controlwords.count(0x0F) > syncs for slave in slaves)
+
+    with pytest.raises(StopAsked):
+        group.enable(asked)
+    assert {slave.state for slave in slaves} == {OFF}
+    assert max(slave.controlwords.count(0x0F) for slave in slaves) <= syncs + 3
+    assert {slave.values[0x1016, 1] for slave in slaves} == {0}
+
+
+def test_nobody_asks_and_all_are_enabled(group, slaves):
+    assert group.enable(lambda: False).complete
+    assert {slave.state for slave in slaves} == {"operation enabled"}
+
+
+# -- falling back -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("place", "below"), [("switched on", "ready"), ("operation enabled", "switched on")])
+def test_an_axis_that_falls_back_is_not_led_up_again(group, slaves, place, below):
+    """It reaches a state, and some SYNCs later is below it while another axis is still on its way.
+
+    One word was on its way when the fall was told.
+    """
+    slaves[0].stuck_in = "ready"
+    real = slaves[1]._control
+    seen = []
+
+    def control(word):
+        real(word)
+        if slaves[1].state == place:
+            seen.append(word)
+        if len(seen) > 2 and slaves[1].state == place and word:
+            slaves[1].state = below
+
+    if place == "switched on":
+        slaves[1].stuck_in = place
+    slaves[1]._control = control
+    with pytest.raises(DriveFault, match="node 2.*fell back from .* on the way up") as caught:
+        group.enable()
+    assert caught.value.node == 2
+    assert {slaves[1].state, slaves[2].state} == {OFF}
+    assert len(seen) == 4
+
+
+def test_an_axis_that_falls_back_while_the_brakes_open_ends_it(group, slaves):
+    real = slaves[1]._control
+
+    def control(word):
+        real(word)
+        if slaves[1].controlwords.count(0x0F) == 6 and word == 0x0F:
+            slaves[1].state = "switched on"
+
+    slaves[1]._control = control
+    with pytest.raises(DriveFault, match="node 2.*left OPERATION ENABLED"):
+        group.enable()
+    assert {slave.state for slave in slaves} == {OFF}
+
+
+# -- time -------------------------------------------------------------------------------------------------------------
+
+
+def test_rows_that_never_become_complete_end_the_way_up(group, slaves, wire):
+    """Each axis answers often enough not to count as silent, but never all three at once."""
+
+    class Absent(dict):
+        def __init__(self, phase, begin):
+            super().__init__()
+            self.phase, self.begin = phase, begin
+
+        def get(self, number, default=None):
+            return None if number >= self.begin and number % 3 == self.phase else default
+
+    for phase, slave in enumerate(slaves):
+        slave.tpdo_delay_s = Absent(phase, 6)
+    with pytest.raises(TransitionTimeout, match=r"after 3\.\d s not all axes are enabled and answer"):
+        group.enable()
+    assert 2.9 < slaves[0].controlwords.count(0x0F) * PERIOD_S < 3.2
+    assert {slave.state for slave in slaves} == {OFF}
+
+
+# -- places -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_target_on_the_way_up_does_not_follow_an_axis_that_sags(group, slaves, wire):
+    """Every SYNC before its brake holds the axis sinks by 100 counts: it is told to stay where it stood."""
+    stood = slaves[1].position
+    slaves[0].stuck_in = "ready"
+    real = slaves[1]._control
+
+    def control(word):
+        real(word)
+        slaves[1].position -= 100
+
+    slaves[1]._control = control
+    slaves[1].stuck_in = "switched on"
+    with pytest.raises(TransitionTimeout):
+        with_short_patience(group)
+    assert set(targets(wire, 2)) == {stood}
+
+
+def with_short_patience(group):
+    """Enable; the axis sinks slowly enough to stay below what counts as moving."""
+    for drive in group.drives:
+        object.__setattr__(drive.setup.profile.state_machine, "transition_timeout_s", 0.4)
+    try:
+        group.enable()
+    finally:
+        for drive in group.drives:
+            object.__setattr__(drive.setup.profile.state_machine, "transition_timeout_s", 1.0)
+
+
+@pytest.mark.parametrize("share", [0.9, 1.1])
+def test_an_axis_that_moves_while_its_brake_opens_stops_the_way_up(group, slaves, share):
+    moved = round(share * SAG_REVOLUTIONS * TURN)
+
+    def sag(word):
+        real(word)
+        if word == 0x0F and slaves[1].state == "operation enabled":
+            slaves[1].values[0x607A, 0] -= moved
+
+    real, slaves[1]._control = slaves[1]._control, sag
+    if share < 1:
+        assert group.enable().complete
+        return
+    with pytest.raises(DriveFault, match=r"node 2:6064.*moves while its brake opens: 0\.2[78] motor") as caught:
+        group.enable()
+    assert caught.value.node == 2
+    assert {slave.state for slave in slaves} == {OFF}
