@@ -12,10 +12,11 @@ from pathlib import Path
 from drives.bus import Bus, BusSpec, open_bus
 from drives.group import DriveGroup, GroupOptions
 from drives.instrument import InstrumentSetup
+from drives.ledger import WriteLedger
 from drives.profile import DriveProfile
 from gateway.cell.buses import bus_specs
 from gateway.check.machine import judge_surroundings
-from gateway.check.preflight import judge_bus_load
+from gateway.check.preflight import check_arm, judge_bus_load
 from gateway.check.rules import CheckItem
 from gateway.config import ArmConfig, LoadedCell, load_cell
 from gateway.motion.opening import BusOverride, axis_setups
@@ -78,6 +79,12 @@ class CellContext:
     def ledger(self, arm: ArmConfig) -> Path:
         """Write ledger of an arm: one per cell file, arm and bus, so that parallel runs do not share one."""
         return self._state(arm, "")
+
+    def check(self, arm: ArmConfig) -> list[CheckItem]:
+        """Pre-flight check of an arm: what its drives are reached by, and the drives themselves; nothing is written."""
+        items = self.surroundings(arm)
+        with self.open_bus(arm) as bus:
+            return items + check_arm(bus, arm, self.profiles(arm), WriteLedger(self.ledger(arm)))
 
     def stop_proof(self, arm: ArmConfig) -> Path:
         """Where the proof is kept that the drives of an arm stop on loss of the master."""

@@ -18,7 +18,7 @@ from gateway.acquire.poses import PoseRequest, RestPose, feasible_postures
 from gateway.acquire.session import RecordRequest, make_plan, open_arm
 from gateway.analysis import Given, ModelRequest, diagnose_arguments, estimate_options, given, split_validation
 from gateway.cell_context import CellContext
-from gateway.check.preflight import check_arm, require_passed
+from gateway.check.preflight import require_passed
 from gateway.check.proofs import ensure_proven
 from gateway.check.rules import CheckItem
 from gateway.config import ArmConfig
@@ -123,9 +123,7 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
 
 
 def _check(job: Job, dialogue: Dialogue) -> None:
-    items = job.context.surroundings(job.arm)
-    with job.context.open_bus(job.arm) as bus:
-        items += check_arm(bus, job.arm, job.context.profiles(job.arm))
+    items = job.context.check(job.arm)
     dialogue.checked(items)
     require_passed(items, "check failed, nothing has moved")
 

@@ -74,14 +74,8 @@ def judge_realtime(status: RealTimeStatus) -> CheckItem:
     """Whether the loop may run with real-time priority in locked memory."""
     if status.fifo and status.locked:
         return CheckItem("ok", "computer", "real-time scheduling (SCHED_FIFO) and locked memory are allowed")
-    missing = [
-        name
-        for name, given in (("real-time scheduling (SCHED_FIFO)", status.fifo), ("locked memory", status.locked))
-        if not given
-    ]
-    what = f"no {' and no '.join(missing)}" + (f": {status.why}" if status.why else "")
-    advice = "allow rtprio and memlock for this user (/etc/security/limits.conf); else other programs delay SYNC"
-    return CheckItem("info", "computer", what, advice)
+    advice = "permit both: else other programs of this computer may delay the SYNC"
+    return CheckItem("info", "computer", status.why, advice)
 
 
 def judge_bus(config: BusConfig, spec: BusSpec) -> list[CheckItem]:

@@ -12,8 +12,10 @@ from drives.bus import Bus
 from drives.busload import cycle_bits_worst, load_percent
 from drives.errors import DriveError, SdoAbort, SdoError, raise_failures
 from drives.finding import LISTEN_S, nmt_states
+from drives.group import DriveGroup
 from drives.heartbeat import NmtState
 from drives.instrument import InstrumentSetup
+from drives.ledger import WriteLedger
 from drives.objects import OBJECTS, object_name
 from drives.pdo import rpdo_plan, tpdo_plans
 from drives.probe import probe
@@ -88,7 +90,7 @@ class Preflight:
         Failing ones that nobody else would refuse; a drive in fault, or a joint outside its limits, is refused in words
         of its own when the drives are enabled or moved.
     readings : tuple of 6 Readings
-        (index, subindex) -> value, None where the drive has no such object.
+        (index, subindex) -> value, None where the drive has no such object; as the engineer left them.
     """
 
     items: tuple[CheckItem, ...]
@@ -151,7 +153,22 @@ def _read(sdo: SdoClient, address: Address, kind: str) -> int | None:
         raise
 
 
-def check_arm(bus: Bus, arm: ArmConfig, profiles: Sequence[DriveProfile]) -> list[CheckItem]:
+def as_left(readings: Readings, identity: Identity, ledger: WriteLedger) -> Readings:
+    """Objects of one drive as the engineer left them: what the gateway wrote itself counts as before it was written.
+
+    Such values are written again from what they were, whenever the drives are configured.
+    """
+    kept = dict(readings)
+    for entry in ledger.of_node(identity.node_id):
+        address = (entry.index, entry.subindex)
+        if kept.get(address) == entry.new and entry.serial_number in (None, identity.serial_number):
+            kept[address] = entry.old
+    return kept
+
+
+def check_arm(
+    bus: Bus, arm: ArmConfig, profiles: Sequence[DriveProfile], ledger: WriteLedger | None = None
+) -> list[CheckItem]:
     """Check the six drives of an arm; a drive that does not answer is a failing line, the others are still read.
 
     Drives in each other's place come before what each of them says of its limits, which follows from it.
@@ -162,7 +179,10 @@ def check_arm(bus: Bus, arm: ArmConfig, profiles: Sequence[DriveProfile]) -> lis
     arm : ArmConfig
     profiles : sequence of 6 DriveProfile
         Of the axes, in order.
+    ledger : WriteLedger, optional
+        What the gateway wrote itself.
     """
+    ledger = ledger or WriteLedger()
     answers = probe(bus, [config.node_id for config in arm.axis])
     silent = [node_id for node_id, number in answers.items() if number == 0]
     states = nmt_states(bus, silent, LISTEN_S) if silent else {}
@@ -177,23 +197,22 @@ def check_arm(bus: Bus, arm: ArmConfig, profiles: Sequence[DriveProfile]) -> lis
             items.append(_stopped(axis))
             continue
         try:
-            seen.append(SeenDrive(axis, *read_axis(bus, axis)))
+            identity, readings = read_axis(bus, axis)
+            seen.append(SeenDrive(axis, identity, as_left(readings, identity, ledger)))
         except SdoError as error:
             items.append(_unreachable(axis, error))
     return [*items, *judge_drives(arm, seen).items]
 
 
-def look_over(
-    arm: ArmConfig, profiles: Sequence[DriveProfile], identities: Sequence[Identity], clients: Sequence[SdoClient]
-) -> Preflight:
+def look_over(arm: ArmConfig, group: DriveGroup, identities: Sequence[Identity]) -> Preflight:
     """Read and judge drives that are connected already.
 
     Parameters
     ----------
     arm : ArmConfig
-    profiles : sequence of 6 DriveProfile
+    group : DriveGroup
+        Connected, not configured.
     identities : sequence of 6 Identity
-    clients : sequence of 6 SdoClient
 
     Raises
     ------
@@ -202,9 +221,11 @@ def look_over(
     """
     seen: list[SeenDrive] = []
     failures: list[DriveError] = []
-    for axis, identity, sdo in zip(_axes(arm, profiles), identities, clients, strict=True):
+    axes = _axes(arm, [access.profile for access in group.access])
+    for axis, identity, access in zip(axes, identities, group.access, strict=True):
         try:
-            seen.append(SeenDrive(axis, identity, read_objects(sdo, axis.profile)))
+            readings = read_objects(access.sdo, axis.profile)
+            seen.append(SeenDrive(axis, identity, as_left(readings, identity, group.ledger)))
         except DriveError as error:
             failures.append(error)
     raise_failures(failures)

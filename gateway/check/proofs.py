@@ -32,7 +32,7 @@ def fingerprint(opened: OpenArm) -> dict[str, Any]:
         "pacing": timing.pacing,
         "sync_period_s": timing.period_s,
         "axes": [
-            _axis(config, profile, identity, _settings(opened, profile, identity, readings))
+            _axis(config, profile, identity, _settings(profile, readings))
             for config, profile, identity, readings in axes
         ],
     }
@@ -57,14 +57,10 @@ def _axis(
     }
 
 
-def _settings(opened: OpenArm, profile: DriveProfile, identity: Identity, readings: Readings) -> dict[str, int | None]:
-    """Objects of one drive as the engineer left them: what the gateway wrote itself counts as before it was written."""
+def _settings(profile: DriveProfile, readings: Readings) -> dict[str, int | None]:
     live = live_addresses(profile)
-    kept = {address: value for address, value in readings.items() if address not in live}
-    for entry in opened.group.ledger.of_node(identity.node_id):
-        if kept.get((entry.index, entry.subindex)) == entry.new:
-            kept[entry.index, entry.subindex] = entry.old
-    return {f"{index:04X}:{subindex:02X}": kept[index, subindex] for index, subindex in sorted(kept)}
+    kept = sorted((address, value) for address, value in readings.items() if address not in live)
+    return {f"{index:04X}:{subindex:02X}": value for (index, subindex), value in kept}
 
 
 def proven_on(path: Path, opened: OpenArm) -> str | None:

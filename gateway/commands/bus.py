@@ -167,12 +167,9 @@ def _checked(context: CellContext, arm: ArmConfig) -> list[CheckItem]:
     """Computer, bus and drives of one arm; the computer is told of once."""
     from drives.realtime import available
     from gateway.check.machine import judge_realtime
-    from gateway.check.preflight import check_arm
 
     items = [judge_realtime(available())] if arm is context.arms[0] else []
-    items += context.surroundings(arm)
-    with context.open_bus(arm) as bus:
-        return items + check_arm(bus, arm, context.profiles(arm))
+    return items + context.check(arm)
 
 
 def _count(lines: Sequence[CheckItem]) -> str:

@@ -68,9 +68,9 @@ class OpenArm:
     constants : tuple of 6 Constants
         Read from the drives.
     preflight : tuple of CheckItem
-        What the drives were found to be, as found: before anything was written.
+        What the drives were found to be before anything was written.
     readings : tuple of 6 Readings
-        Objects of each drive as found, (index, subindex) -> value.
+        Objects of each drive as the engineer left them, (index, subindex) -> value.
     """
 
     loaded: LoadedCell
@@ -161,8 +161,7 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
         DriveGroup(bus, setups, bus_config.sync_period_s, bus_config.pacing, options=options) as group,
     ):
         identities = group.connect()
-        profiles = tuple(setup.profile for setup in setups)
-        found = look_over(config, profiles, identities, [access.sdo for access in group.access])
+        found = look_over(config, group, identities)
         require_passed(found.refusing, "check failed, nothing has moved")
         group.configure()
         yield OpenArm(
@@ -170,7 +169,7 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
             config=config,
             robot_text=text,
             workspace=workspace,
-            profiles=profiles,
+            profiles=tuple(setup.profile for setup in setups),
             group=group,
             arm=Arm(config.name, _GroupDrives(group), AxisConversion.from_arm(config)),
             identities=identities,

@@ -92,8 +92,8 @@ def test_frame_times_of_the_kernel_are_those_of_socketcan():
     ("status", "severity", "says"),
     [
         (RealTimeStatus(True, True, ""), "ok", "are allowed"),
-        (RealTimeStatus(False, True, "limits rtprio"), "info", "no real-time scheduling"),
-        (RealTimeStatus(True, False, "limits memlock"), "info", "no locked memory: limits memlock"),
+        (RealTimeStatus(False, True, "no real-time scheduler"), "info", "no real-time scheduler"),
+        (RealTimeStatus(True, False, "memory is not locked"), "info", "not locked"),
     ],
 )
 def test_what_the_system_allows_is_told(status, severity, says):

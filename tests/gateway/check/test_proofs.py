@@ -9,7 +9,6 @@ from types import SimpleNamespace
 
 import pytest
 
-from drives.ledger import LedgerEntry, WriteLedger
 from drives.objects import OBJECTS
 from drives.profile import load_profile, parse_profile
 from drives.values import Identity
@@ -40,8 +39,7 @@ def opened(**changes):
         profiles=tuple(profiles),
         readings=tuple(readings),
         group=SimpleNamespace(
-            timing=SimpleNamespace(pacing=changes.get("pacing", "real"), period_s=changes.get("period_s", 0.004)),
-            ledger=changes.get("ledger", WriteLedger()),
+            timing=SimpleNamespace(pacing=changes.get("pacing", "real"), period_s=changes.get("period_s", 0.004))
         ),
     )
 
@@ -125,15 +123,6 @@ def test_sync_drive_gear_and_watchdog_belong_to_the_proof(path, changes):
 def test_what_changes_by_itself_does_not(path, name):
     keep_proof(path, opened(), PASSED)
     assert proven_on(path, opened(read={name: 7}))
-
-
-def test_what_the_gateway_wrote_itself_counts_as_it_was_before(path):
-    keep_proof(path, opened(read={"abort_connection_option": 1}), PASSED)
-    ledger = WriteLedger()
-    ledger.note(LedgerEntry(3, 0x6007, 0, "i16", 1, 3, "what the drive does when the master is gone"))
-    assert proven_on(path, opened(read={"abort_connection_option": 3}, ledger=ledger))
-    assert proven_on(path, opened(read={"abort_connection_option": 2}, ledger=ledger)) is None, "somebody else's"
-    assert proven_on(path, opened(read={"abort_connection_option": 3})) is None
 
 
 def test_a_failed_proof_removes_what_was_kept(path):
