@@ -17,7 +17,7 @@ from drives.group import DriveGroup, GroupOptions
 from drives.instrument import InstrumentSetup
 from drives.profile import DriveProfile, list_profiles, load_profile
 from drives.scaling import Constants
-from gateway.arm_model import arm_named, robot_from_text, robot_text
+from gateway.arm_model import arm_named, robot_from_text, robot_place, robot_text
 from gateway.cell.conversion import AxisConversion
 from gateway.check.preflight import look_over, require_passed
 from gateway.check.rules import CheckItem, Readings
@@ -149,7 +149,7 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
     override = override or BusOverride()
     config = arm_named(loaded, arm)
     text = robot_text(loaded, config)
-    workspace = workspace_of(config, robot_from_text(config, text, config.robot or "cell"))
+    workspace = workspace_of(config, robot_from_text(config, text, robot_place(loaded, config)))
     setups = tuple(replace(setup, feedforward=override.feedforward) for setup in axis_setups(loaded, config))
     bus_config = loaded.cell.bus[config.bus]
     spec = override.spec or BusSpec(

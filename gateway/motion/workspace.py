@@ -203,6 +203,10 @@ class Workspace:
 
         Boxes and joint limits are checked all along, the holding torque at points `PATH_STEP_RAD` apart.
         """
+        broken = ~np.isfinite(way_rad).all(axis=1)
+        if broken.any():
+            row = int(np.argmax(broken))
+            return Refusal(row, way_rad[row], "a joint angle is no finite number")
         places = _fine(way_rad)
         first = np.inf
         for begin in range(0, len(places), BLOCK):
