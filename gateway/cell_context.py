@@ -105,7 +105,11 @@ class CellContext:
     def connected(self, arm: ArmConfig) -> Iterator[DriveGroup]:
         """The drives of an arm, and the measuring device on its bus, found and identified, nothing written."""
         config = self.loaded.cell.bus[arm.bus]
-        options = GroupOptions(ledger_path=self.ledger(arm), instruments=self.instruments(arm))
+        options = GroupOptions(
+            ledger_path=self.ledger(arm),
+            instruments=self.instruments(arm),
+            allow_real_drive=config.allow_real_drive,
+        )
         with (
             self.open_bus(arm) as bus,
             DriveGroup(

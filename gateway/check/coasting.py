@@ -102,15 +102,19 @@ def _of_the_maker(lines: Lines, name: str, option: int) -> None:
     lines.add("info" if option < 0 else "warn", OBJECTS[name].address, what, advice)
 
 
+def quick_stop_ramp(readings: Readings) -> tuple[str, int | None]:
+    """Name of the object that holds the ramp of a quick stop, and its value; None = there is none, or not told."""
+    option = value_of(readings, "quick_stop_option")
+    name = "profile_deceleration" if option in BY_SLOW_RAMP else "quick_stop_deceleration"
+    return name, None if option in BY_LIMIT else value_of(readings, name)
+
+
 def _ramp(lines: Lines, readings: Readings) -> None:
     """The ramp that a quick stop uses, and what it comes to at the cell's speed limit."""
-    option = value_of(readings, "quick_stop_option")
-    if option in BY_LIMIT:
-        return
-    name = "profile_deceleration" if option in BY_SLOW_RAMP else "quick_stop_deceleration"
-    raw, address, velocity = value_of(readings, name), OBJECTS[name].address, lines.axis.profile.velocity
+    name, raw = quick_stop_ramp(readings)
     if raw is None:
         return
+    address, velocity = OBJECTS[name].address, lines.axis.profile.velocity
     if raw == 0:
         lines.add("fail", address, "0: the quick stop has no ramp", "set the deceleration in the drive")
         return

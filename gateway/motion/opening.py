@@ -19,10 +19,12 @@ from drives.profile import DriveProfile, list_profiles, load_profile
 from drives.scaling import Constants
 from gateway.arm_model import arm_named, robot_from_text, robot_place, robot_text
 from gateway.cell.conversion import AxisConversion
-from gateway.check.preflight import look_over, require_passed
+from gateway.check.preflight import Preflight, look_over, require_passed
 from gateway.check.rules import CheckItem, Readings
 from gateway.config import ArmConfig, LoadedCell
 from gateway.motion.arm import Arm
+from gateway.motion.drive_limits import motor_ranges_rad, motor_torques_nm, quick_stop_rad_s2
+from gateway.motion.torque_need import needed_torque_nm
 from gateway.motion.workspace import Workspace, workspace_of
 
 
@@ -115,9 +117,24 @@ def axis_setups(loaded: LoadedCell, config: ArmConfig) -> tuple[AxisSetup, ...]:
     speeds = np.array([axis.speed_limit_rad_s for axis in config.axis])
     motor_rad_s = np.abs(axes.ratio) * (np.abs(axes.coupling) @ speeds)
     return tuple(
-        AxisSetup(axis.node_id, _profile(loaded, axis.profile), axis.torque_constant_nm_per_a.value, float(speed))
-        for axis, speed in zip(config.axis, motor_rad_s, strict=True)
+        AxisSetup(
+            axis.node_id,
+            _profile(loaded, axis.profile),
+            axis.torque_constant_nm_per_a.value,
+            float(speed),
+            position_limit_rad=limit,
+        )
+        for axis, speed, limit in zip(config.axis, motor_rad_s, motor_ranges_rad(config), strict=True)
     )
+
+
+def _limit_torques(group: DriveGroup, config: ArmConfig, workspace: Workspace, found: Preflight) -> None:
+    """Let each drive give no more torque than the arm can need, where links, load and ramps are known."""
+    decel_rad_s2 = quick_stop_rad_s2(config, [setup.profile for setup in group.setups], found.readings)
+    needed_nm = None if decel_rad_s2 is None else needed_torque_nm(workspace, config, decel_rad_s2)
+    limits = motor_torques_nm(AxisConversion.from_arm(config), needed_nm)
+    for drive, limit_nm in zip(group.drives, limits, strict=True):
+        drive.setup = replace(drive.setup, torque_limit_nm=limit_nm)
 
 
 def _profile(loaded: LoadedCell, name: str) -> DriveProfile:
@@ -155,7 +172,11 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
     spec = override.spec or BusSpec(
         bus_config.interface, bus_config.channel, bus_config.bitrate_bit_s, dict(bus_config.options)
     )
-    options = GroupOptions(ledger_path=override.ledger, instruments=override.instruments)
+    options = GroupOptions(
+        ledger_path=override.ledger,
+        instruments=override.instruments,
+        allow_real_drive=bus_config.allow_real_drive,
+    )
     with (
         open_bus(spec, override.trace) as bus,
         DriveGroup(bus, setups, bus_config.sync_period_s, bus_config.pacing, options=options) as group,
@@ -163,6 +184,7 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
         identities = group.connect()
         found = look_over(config, group, identities)
         require_passed(found.refusing, "check failed, nothing has moved")
+        _limit_torques(group, config, workspace, found)
         group.configure()
         yield OpenArm(
             loaded=loaded,
