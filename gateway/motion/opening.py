@@ -129,9 +129,13 @@ def axis_setups(loaded: LoadedCell, config: ArmConfig) -> tuple[AxisSetup, ...]:
 
 
 def _limit_torques(group: DriveGroup, config: ArmConfig, workspace: Workspace, found: Preflight) -> None:
-    """Let each drive give no more torque than the arm can need, where links, load and ramps are known."""
-    decel_rad_s2 = quick_stop_rad_s2(config, [setup.profile for setup in group.setups], found.readings)
-    needed_nm = None if decel_rad_s2 is None else needed_torque_nm(workspace, config, decel_rad_s2)
+    """Let each drive give no more torque than the arm can need, where links, load and ramps are known.
+
+    A motion may accelerate harder than the quick stop brakes: the larger of both counts.
+    """
+    ramp = quick_stop_rad_s2(config, [setup.profile for setup in group.setups], found.readings)
+    hardest = None if ramp is None else np.maximum(ramp, workspace.acceleration_rad_s2)
+    needed_nm = None if hardest is None else needed_torque_nm(workspace, config, hardest)
     limits = motor_torques_nm(AxisConversion.from_arm(config), needed_nm)
     for drive, limit_nm in zip(group.drives, limits, strict=True):
         drive.setup = replace(drive.setup, torque_limit_nm=limit_nm)

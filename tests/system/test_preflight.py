@@ -95,6 +95,21 @@ def test_a_ramp_that_was_changed_is_proven_again(place, gateway, serve):
     assert "proven 20" in third.stderr
 
 
+def test_drives_are_given_the_limits_that_the_cell_needs_and_get_theirs_back(place, gateway, serve):
+    """J6 needs a fifth of what its drive may give; the drive's own limit comes back by `restore`, and is no finding."""
+    drives = serve()
+    last = drives.handle.simulation.arms[0].drives[5].store.values
+    found = int(last[0x6072, 0])
+    done = gateway("record", place.cell, "--bus", drives.bus, "--load", "none", "-o", place.run, "--yes")
+    assert done.exit_code == 0, done.output
+    assert 0 < int(last[0x6072, 0]) < found / 2
+    checked = gateway("check", place.cell, "--bus", drives.bus, "--json", "-")
+    assert checked.exit_code == 0, checked.output
+    assert not [item for item in json.loads(checked.stdout)["findings"] if item["severity"] == "warn"]
+    assert gateway("restore", place.cell, "--bus", drives.bus).exit_code == 0
+    assert int(last[0x6072, 0]) == found
+
+
 # ------------------------------------------------------------------------------------------------------ who sleeps
 
 
