@@ -43,6 +43,11 @@ def robot_text(loaded: LoadedCell, arm: ArmConfig) -> str:
         raise ConfigError(f"{path}: cannot be read: {error}; correct the key robot of arm '{arm.name}'") from error
 
 
+def robot_place(loaded: LoadedCell, arm: ArmConfig) -> str:
+    """Path of the arm's URDF, for messages and for the meshes beside it; "cell" where it has none."""
+    return "cell" if arm.robot is None else str(loaded.path(arm.robot))
+
+
 def arm_robot(loaded: LoadedCell, arm: ArmConfig) -> Robot:
     """Robot model of an arm, with the flange of the cell file where it is given.
 
@@ -51,7 +56,7 @@ def arm_robot(loaded: LoadedCell, arm: ArmConfig) -> Robot:
     ConfigError
         File unreadable, or not a chain of six revolute joints.
     """
-    return robot_from_text(arm, robot_text(loaded, arm), str(loaded.path(arm.robot)) if arm.robot else "cell")
+    return robot_from_text(arm, robot_text(loaded, arm), robot_place(loaded, arm))
 
 
 def robot_from_text(arm: ArmConfig, text: str, where: str) -> Robot:

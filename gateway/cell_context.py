@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,9 +12,12 @@ from pathlib import Path
 from drives.bus import Bus, BusSpec, open_bus
 from drives.group import DriveGroup, GroupOptions
 from drives.instrument import InstrumentSetup
+from drives.ledger import WriteLedger
 from drives.profile import DriveProfile
-from gateway.check import judge_bus_load
-from gateway.check_rules import CheckItem
+from gateway.cell.buses import bus_specs
+from gateway.check.machine import judge_surroundings
+from gateway.check.preflight import check_arm, judge_bus_load
+from gateway.check.rules import CheckItem
 from gateway.config import ArmConfig, LoadedCell, load_cell, with_pacing
 from gateway.motion.opening import BusOverride, axis_setups
 from gateway.pair.gap import instruments_on
@@ -29,13 +32,13 @@ class CellContext:
     loaded : LoadedCell
     path : Path
         The cell file.
-    spec : BusSpec or None
-        Bus of the command line, in place of the cell's.
+    specs : mapping
+        Bus of every name in the cell, as the command line has it.
     """
 
     loaded: LoadedCell
     path: Path
-    spec: BusSpec | None
+    specs: Mapping[str, BusSpec]
 
     @property
     def arms(self) -> tuple[ArmConfig, ...]:
@@ -44,8 +47,7 @@ class CellContext:
 
     def bus_spec(self, arm: ArmConfig) -> BusSpec:
         """The bus of an arm."""
-        config = self.loaded.cell.bus[arm.bus]
-        return self.spec or BusSpec(config.interface, config.channel, config.bitrate_bit_s, dict(config.options))
+        return self.specs[arm.bus]
 
     def open_bus(self, arm: ArmConfig) -> Bus:
         """Open the bus of an arm."""
@@ -65,6 +67,11 @@ class CellContext:
         ]
         return judge_bus_load(self.loaded.cell.bus[arm.bus], axes, self.instruments(arm))
 
+    def surroundings(self, arm: ArmConfig) -> list[CheckItem]:
+        """Judge what the drives of an arm are reached by: load of the bus, who can write to it, the SYNC's clock."""
+        bus = self.loaded.cell.bus[arm.bus]
+        return [self.bus_load(arm), *judge_surroundings(bus, self.bus_spec(arm))]
+
     def instruments(self, arm: ArmConfig) -> tuple[InstrumentSetup, ...]:
         """Measuring devices on the bus of an arm."""
         return instruments_on(arm.bus, self.loaded.cell.pair)
@@ -72,6 +79,12 @@ class CellContext:
     def ledger(self, arm: ArmConfig) -> Path:
         """Write ledger of an arm: one per cell file, arm and bus, so that parallel runs do not share one."""
         return self._state(arm, "")
+
+    def check(self, arm: ArmConfig) -> list[CheckItem]:
+        """Pre-flight check of an arm: what its drives are reached by, and the drives themselves; nothing is written."""
+        items = self.surroundings(arm)
+        with self.open_bus(arm) as bus:
+            return items + check_arm(bus, arm, self.profiles(arm), WriteLedger(self.ledger(arm)))
 
     def stop_proof(self, arm: ArmConfig) -> Path:
         """Where the proof is kept that the drives of an arm stop on loss of the master."""
@@ -86,13 +99,17 @@ class CellContext:
 
     def override(self, arm: ArmConfig, trace: Path | None = None) -> BusOverride:
         """What differs from the cell file on the bus of an arm."""
-        return BusOverride(spec=self.spec, trace=trace, ledger=self.ledger(arm))
+        return BusOverride(spec=self.bus_spec(arm), trace=trace, ledger=self.ledger(arm))
 
     @contextmanager
     def connected(self, arm: ArmConfig) -> Iterator[DriveGroup]:
         """The drives of an arm, and the measuring device on its bus, found and identified, nothing written."""
         config = self.loaded.cell.bus[arm.bus]
-        options = GroupOptions(ledger_path=self.ledger(arm), instruments=self.instruments(arm))
+        options = GroupOptions(
+            ledger_path=self.ledger(arm),
+            instruments=self.instruments(arm),
+            allow_real_drive=config.allow_real_drive,
+        )
         with (
             self.open_bus(arm) as bus,
             DriveGroup(
@@ -110,15 +127,14 @@ def _state_folder() -> Path:
 
 
 def open_cell(path: Path, bus_spec: str | None, pacing: str | None = None) -> CellContext:
-    """Read a cell file; `bus_spec` replaces the bus of every arm, `pacing` that of every bus.
+    """Read a cell file; `bus_spec` replaces buses as `bus_specs` says, `pacing` that of every bus.
 
     Raises
     ------
     ConfigError
-        The file cannot be used.
+        The file cannot be used, or it is not said which of its buses is meant.
     BusError
         The SPEC is not understood.
     """
-    return CellContext(
-        with_pacing(load_cell(path), pacing), path, None if bus_spec is None else BusSpec.parse(bus_spec)
-    )
+    loaded = with_pacing(load_cell(path), pacing)
+    return CellContext(loaded, path, bus_specs(loaded.cell, bus_spec))

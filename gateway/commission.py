@@ -18,13 +18,14 @@ from gateway.acquire.poses import PoseRequest, RestPose, feasible_postures
 from gateway.acquire.session import RecordRequest, make_plan, open_arm
 from gateway.analysis import Given, ModelRequest, diagnose_arguments, estimate_options, given, split_validation
 from gateway.cell_context import CellContext
-from gateway.check import check_arm
-from gateway.check_rules import CheckItem
+from gateway.check.preflight import require_passed
+from gateway.check.proofs import ensure_proven
+from gateway.check.rules import CheckItem
 from gateway.config import ArmConfig
 from gateway.data import read_data
 from gateway.diagnose import DiagnoseOptions
 from gateway.diagnose.loop import close_loop
-from gateway.errors import FindingFailed, PlanRefused
+from gateway.errors import PlanRefused
 from gateway.estimate import run as estimate_run
 from gateway.handover import complete
 from gateway.motion.opening import OpenArm
@@ -32,7 +33,6 @@ from gateway.motion.stream import MoveOptions
 from gateway.recorded import ArmRecording
 from gateway.recording import read
 from gateway.result import Result
-from gateway.stop_proofs import ensure_proven
 from gateway.table import Table
 
 BARE = "none"
@@ -126,14 +126,9 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
 
 
 def _check(job: Job, dialogue: Dialogue) -> None:
-    with job.context.open_bus(job.arm) as bus:
-        items = [job.context.bus_load(job.arm), *check_arm(bus, job.arm, job.context.profiles(job.arm))]
+    items = job.context.check(job.arm)
     dialogue.checked(items)
-    failed = [item for item in items if item.severity == "fail"]
-    if failed:
-        more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
-        first = failed[0]
-        raise FindingFailed(f"check failed, nothing has moved: {first.where}: {first.what}; {first.advice}{more}")
+    require_passed(items, "check failed, nothing has moved")
 
 
 def _options(about: Given, opened: OpenArm) -> DiagnoseOptions:

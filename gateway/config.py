@@ -35,11 +35,16 @@ class BusConfig(Strict):
     bitrate_bit_s: int = Field(default=1_000_000, gt=0)
     sync_period_s: Positive = 0.01
     pacing: Literal["lockstep", "real"] = "real"
+    allow_real_drive: bool = Field(
+        default=False,
+        description="real drives on an interface over the network: anybody on such a network can write frames, a "
+        "controlword too; never allows lockstep",
+    )
     options: dict[str, str | int | float | bool] = Field(default_factory=dict)
 
 
 class KeepOut(Strict):
-    """Axis-aligned box in the base frame that no joint origin, flange or load point may enter."""
+    """Axis-aligned box in the base frame that no link beyond the first and no load may enter, as thick as they are."""
 
     min_m: Vector3
     max_m: Vector3
@@ -117,6 +122,36 @@ class AxisConfig(Strict):
         return self
 
 
+class ObjectKey(Strict):
+    """An object of a device's dictionary."""
+
+    index: int = Field(ge=0x1000, le=0xFFFF)
+    subindex: int = Field(default=0, ge=0, le=0xFF)
+
+
+class HoldToRun(Strict):
+    """A digital input that has to be held while anything moves: motion is allowed while `value & mask == good`.
+
+    No enabling device in the sense of a safety standard: it is read over the bus, by software.
+    """
+
+    node_id: int = Field(ge=1, le=127, description="node on the arm's bus that has the input")
+    object: ObjectKey = Field(description="object that holds the inputs, such as { index = 0x60FD }")
+    mask: int = Field(gt=0, le=0xFFFFFFFF, description="bits that count")
+    good: int = Field(ge=0, le=0xFFFFFFFF, description="their value while the input is held")
+
+    @model_validator(mode="after")
+    def _can_be_released(self) -> HoldToRun:
+        if self.good & ~self.mask:
+            raise ValueError(f"hold_to_run: good {self.good:#x} has bits outside mask {self.mask:#x}: it is never met")
+        if self.good == 0:
+            raise ValueError("hold_to_run: good is 0, which a broken wire looks like too; wire the input to be 1 held")
+        return self
+
+
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
 class ArmConfig(Strict):
     """One arm of six axes on one bus."""
 
@@ -144,6 +179,19 @@ class ArmConfig(Strict):
     )
     load_points_m: tuple[Vector3, ...] = Field(
         default=(), description="points of the load in link_6, such as its corners, that stay out of keep_out"
+    )
+    link_radius_m: Positive | tuple[Positive, Positive, Positive, Positive, Positive, Positive] | None = Field(
+        default=None,
+        description="radius of the links whose shape the URDF's collision geometry does not give, one for all or six; "
+        "0.05 x reach is assumed if absent",
+    )
+    load_radius_m: NotNegative | None = Field(
+        default=None,
+        description="thickness of the load about the lines from the flange to load_points_m, 0 where these are its "
+        "corners; as link 6 if absent",
+    )
+    hold_to_run: HoldToRun | None = Field(
+        default=None, description="digital input that has to be held for motion; no enabling device of a standard"
     )
     coupling: tuple[tuple[float, ...], ...] | None = Field(
         default=None, description="6 x 6 matrix A of q_motor_side = A q_joint, ratios not included; identity if absent"

@@ -15,7 +15,7 @@ from gateway.acquire.poses import RestPose
 from gateway.acquire.route import Leg, find_route
 from gateway.errors import PlanRefused
 from gateway.motion.trajectory import MotionLimits, straight
-from gateway.motion.workspace import Workspace, path_points
+from gateway.motion.workspace import Workspace, angles
 
 SIDES = (-1, 1)
 #: Share of the speed limit that moves between poses use.
@@ -29,6 +29,13 @@ SAME_RAD = 1e-9
 @dataclass(frozen=True, slots=True)
 class MoveTo:
     """Straight joint motion at travel speed."""
+
+    q_rad: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class MoveInwards:
+    """Slow straight motion of the joints that stand outside their range, back into it; first step, if any."""
 
     q_rad: tuple[float, ...]
 
@@ -59,7 +66,7 @@ class Sample:
     count: int
 
 
-Step = MoveTo | Approach | Settle | Sample
+Step = MoveTo | MoveInwards | Approach | Settle | Sample
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +146,8 @@ def plan_poses(
 def plan_from(plan: Plan, workspace: Workspace, start_rad: np.ndarray, done: Sequence[tuple[int, int]] = ()) -> Plan:
     """The same poses ordered from where the arm stands, without the visits that are done.
 
+    An arm that stands outside its joint range moves back into it first, slowly.
+
     Parameters
     ----------
     plan : Plan
@@ -151,23 +160,40 @@ def plan_from(plan: Plan, workspace: Workspace, start_rad: np.ndarray, done: Seq
     PlanRefused
         The arm stands where it may not stand, or no checked path leads to a pose.
     """
-    reason = workspace.why_not(start_rad)
-    if reason is not None:
-        raise PlanRefused(
-            f"arm '{plan.arm}' stands at {_angles(start_rad)}: {reason}; move it clear by hand or jog it with the "
-            "drive's own tool, then start again"
-        )
+    inwards = inward_steps(workspace, start_rad, plan.arm)
+    begin_rad = np.array(inwards[-1].q_rad) if inwards else start_rad
     missing = {pose.number: tuple(side for side in SIDES if (pose.number, side) not in done) for pose in plan.poses}
     poses = [pose for pose in plan.poses if missing[pose.number]]
-    route = find_route(workspace, poses, start_rad, plan.settings.approach_offset_rad)
+    route = find_route(workspace, poses, begin_rad, plan.settings.approach_offset_rad)
     if route.unreachable:
         raise PlanRefused(
-            f"no path that keeps the limits leads from {_angles(start_rad)} to pose {route.unreachable[0].number} at "
-            f"{_angles(route.unreachable[0].q_rad)}; move the arm elsewhere or open the keep_out boxes"
+            f"no path that keeps the limits leads from {angles(begin_rad)} to pose {route.unreachable[0].number} at "
+            f"{angles(route.unreachable[0].q_rad)}; move the arm elsewhere or open the keep_out boxes"
         )
-    steps = tuple(_steps(route.legs, plan.settings, missing))
+    steps = (*inwards, *_steps(route.legs, plan.settings, missing))
     started = replace(plan, start_rad=tuple(float(value) for value in start_rad), steps=steps)
     return replace(started, duration_s=sum(step_durations(started, workspace)))
+
+
+def inward_steps(workspace: Workspace, start_rad: np.ndarray, arm: str) -> tuple[MoveInwards, ...]:
+    """The slow motion (one step) that an arm outside its joint range begins with; none for one that stands inside.
+
+    Raises
+    ------
+    PlanRefused
+        The arm stands where it may not stand, and cannot be brought inwards.
+    """
+    where = f"arm '{arm}' stands at {angles(start_rad)}"
+    try:
+        inside = workspace.inward_way(start_rad)
+    except PlanRefused as refused:
+        raise PlanRefused(f"{where}: {refused}") from refused
+    reason = workspace.why_not(start_rad if inside is None else inside)
+    if reason is not None:
+        raise PlanRefused(
+            f"{where}: {reason}; move it clear by hand or jog it with the drive's own tool, then start again"
+        )
+    return () if inside is None else (MoveInwards(tuple(inside.tolist())),)
 
 
 def _steps(legs: Sequence[Leg], settings: VisitSettings, missing: Mapping[int, tuple[int, ...]]) -> Iterator[Step]:
@@ -187,10 +213,15 @@ def travel_limits(workspace: Workspace) -> MotionLimits:
     return MotionLimits(TRAVEL_SPEED * workspace.speed_rad_s, workspace.acceleration_rad_s2, workspace.jerk_rad_s3)
 
 
-def approach_limits(workspace: Workspace, speed_rad_s: float) -> MotionLimits:
+def approach_limits(workspace: Workspace, speed_rad_s: float | np.ndarray) -> MotionLimits:
     """Limits of the slow last motion."""
     speed = np.minimum(speed_rad_s, TRAVEL_SPEED * workspace.speed_rad_s)
     return MotionLimits(speed, workspace.acceleration_rad_s2, workspace.jerk_rad_s3)
+
+
+def inward_limits(workspace: Workspace) -> MotionLimits:
+    """Limits of the way back into the joint range."""
+    return approach_limits(workspace, workspace.inward_speed_rad_s())
 
 
 def step_durations(plan: Plan, workspace: Workspace) -> list[float]:
@@ -206,6 +237,7 @@ def step_durations(plan: Plan, workspace: Workspace) -> list[float]:
             durations.append(step.count * plan.settings.period_s)
         else:
             limits = slow if isinstance(step, Approach) else travel
+            limits = inward_limits(workspace) if isinstance(step, MoveInwards) else limits
             start = np.array(step.q_rad if at is None else at)
             durations.append(straight(start, np.array(step.q_rad), limits, plan.settings.period_s).duration_s)
             at = step.q_rad
@@ -225,7 +257,9 @@ def check_plan(plan: Plan, workspace: Workspace) -> None:
     before: Step | None = None
     for number, step in enumerate(plan.steps, start=1):
         where = f"arm '{plan.arm}', step {number}"
-        if isinstance(step, MoveTo | Approach):
+        if isinstance(step, MoveInwards):
+            at = _check_inwards(workspace, step, at, where)
+        elif isinstance(step, MoveTo | Approach):
             target = np.array(step.q_rad)
             _check_motion(workspace, target if at is None else at, target, where)
             if isinstance(step, Approach):
@@ -267,20 +301,25 @@ def _check_limits(plan: Plan, workspace: Workspace) -> None:
             raise PlanRefused(f"arm '{plan.arm}': {name} is {value}, a positive number is needed")
 
 
+def _check_inwards(workspace: Workspace, step: MoveInwards, start: np.ndarray | None, where: str) -> np.ndarray:
+    inside = None if start is None else workspace.inward_way(start)
+    if inside is None or np.abs(inside - step.q_rad).max() > SAME_RAD:
+        raise PlanRefused(f"{where}: is not the way of an arm outside its joint range straight back into it")
+    return inside
+
+
 def _check_motion(workspace: Workspace, start: np.ndarray, target: np.ndarray, where: str) -> None:
     if target.shape != (6,) or not np.isfinite(target).all():
-        raise PlanRefused(f"{where}: a target of six finite joint angles is needed, got {_angles(target)}")
-    points = path_points(start, target)
-    bad = ~workspace.feasible(points)
-    if bad.any():
-        point = points[int(np.argmax(bad))]
-        raise PlanRefused(f"{where}: at {_angles(point)}: {workspace.why_not(point)}")
+        raise PlanRefused(f"{where}: a target of six finite joint angles is needed, got {angles(target)}")
+    reason = workspace.why_not_path(np.array([start, target]))
+    if reason is not None:
+        raise PlanRefused(f"{where}: {reason}")
 
 
 def _check_rest(workspace: Workspace, q_rad: np.ndarray, where: str) -> None:
     reason = workspace.why_not(q_rad, workspace.rest_share)
     if reason is not None:
-        raise PlanRefused(f"{where}: at {_angles(q_rad)}: {reason}")
+        raise PlanRefused(f"{where}: at {angles(q_rad)}: {reason}")
 
 
 def _check_approach(step: Approach, start: np.ndarray | None, where: str) -> None:
@@ -292,7 +331,3 @@ def _check_approach(step: Approach, start: np.ndarray | None, where: str) -> Non
     if wrong.any():
         joint = int(np.argmax(wrong)) + 1
         raise PlanRefused(f"{where}: joint {joint} does not come to pose {step.pose} from side {-step.direction:+d}")
-
-
-def _angles(q_rad: Sequence[float] | np.ndarray) -> str:
-    return "[" + ", ".join(f"{value:.3f}" for value in q_rad) + "] rad"

@@ -9,7 +9,6 @@ import numpy as np
 
 from gateway.acquire.plan import Expectation, Plan, VisitSettings, check_plan, plan_poses
 from gateway.acquire.poses import (
-    BAND_SHARE,
     LEFT_SHARE,
     PoseRequest,
     RestPose,
@@ -22,7 +21,7 @@ from gateway.config import ArmConfig, LoadedCell
 from gateway.errors import PlanRefused
 from gateway.model.information import expected_std, payload_information
 from gateway.model.regressor import load_regressor
-from gateway.motion.workspace import Workspace, workspace_of
+from gateway.motion.workspace import BAND_SHARE, Workspace, workspace_of
 
 #: Other choices that are tried if no path leads to some chosen pose.
 CHOICES = 5

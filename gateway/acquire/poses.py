@@ -17,11 +17,9 @@ import numpy as np
 from gateway.csv_text import read_columns
 from gateway.errors import InputError, PlanRefused
 from gateway.model.regressor import gravity_regressor
-from gateway.motion.workspace import Workspace
+from gateway.motion.workspace import BAND_SHARE, Workspace
 
-#: Half-width of the friction band as a share of the torque limit, and what a two-sided approach leaves of it, until a
-#: recording has measured it.
-BAND_SHARE = 0.013
+#: What a two-sided approach leaves of the friction band, until a recording has measured it.
 LEFT_SHARE = 0.2
 
 CANDIDATES = 1500
@@ -113,7 +111,7 @@ def feasible_postures(workspace: Workspace, request: PoseRequest, random: np.ran
     for _ in range(DRAWS):
         q = middle + half * random.uniform(-1, 1, (CANDIDATES, 6))
         good = workspace.feasible(q, request.margin_rad, workspace.rest_share)
-        good[good] = workspace.feasible(q[good] + offset) & workspace.feasible(q[good] - offset)
+        good[good] = workspace.path_clear(q[good] + offset, q[good] - offset)
         drawn.append(q)
         found.append(q[good])
         n_found += int(good.sum())

@@ -13,6 +13,8 @@ from gateway.motion.workspace import Workspace
 VIA_SEED = 7
 VIA_POINTS = 200
 VIA_TRIED = 40
+#: Points that are checked together.
+VIA_AT_ONCE = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,10 +100,14 @@ def _one_point_between(
     if not len(points):
         return None
     time_s = workspace.travel_time(start_rad, points) + workspace.travel_time(points, end_rad)
-    for row in np.argsort(time_s)[:VIA_TRIED]:
-        point = points[row]
-        if workspace.path_clear(np.array([start_rad, point]), np.array([point, end_rad])).all():
-            return point
+    nearest = points[np.argsort(time_s)[:VIA_TRIED]]
+    for begin in range(0, len(nearest), VIA_AT_ONCE):
+        tried = nearest[begin : begin + VIA_AT_ONCE]
+        begins = np.vstack([np.broadcast_to(start_rad, tried.shape), tried])
+        ends = np.vstack([tried, np.broadcast_to(end_rad, tried.shape)])
+        clear = workspace.path_clear(begins, ends).reshape(2, -1).all(axis=0)
+        if clear.any():
+            return tried[int(np.argmax(clear))]
     return None
 
 

@@ -22,6 +22,7 @@ from gateway.acquire.events import (
 )
 from gateway.acquire.plan import (
     Approach,
+    MoveInwards,
     MoveTo,
     Plan,
     Sample,
@@ -45,7 +46,13 @@ from gateway.visit import Visit, VisitLabel, visit_from_samples
 #: Incomplete SYNCs while sampling, as a share of the samples asked for, before the visit is given up.
 REPEATED_SHARE = ARM_RULES["repeats"].limit
 REPEATED_LEAST = 10
-PHASES = {MoveTo: Phase.MOVING, Approach: Phase.MOVING, Settle: Phase.SETTLING, Sample: Phase.SAMPLING}
+PHASES = {
+    MoveTo: Phase.MOVING,
+    MoveInwards: Phase.MOVING,
+    Approach: Phase.MOVING,
+    Settle: Phase.SETTLING,
+    Sample: Phase.SAMPLING,
+}
 #: How far the arm may sink when its brakes open, before the checked plan no longer fits.
 SINK_RAD = ARM_RULES["sinks"].limit
 
@@ -189,6 +196,8 @@ class Run:
             self.state.enter(PHASES[type(step)], stream.sync_index)
             if isinstance(step, MoveTo):
                 self._move(step.q_rad, "move")
+            elif isinstance(step, MoveInwards):
+                self._move(step.q_rad, "move back into the joint range", self._workspace.inward_speed_rad_s())
             elif isinstance(step, Approach):
                 self._move(step.q_rad, f"approach pose {step.pose}", self.plan.settings.approach_speed_rad_s)
             elif isinstance(step, Settle):
@@ -207,7 +216,7 @@ class Run:
         trouble = self._store.trouble()
         return None if trouble is None else StopRequest(StopKind.ALONG_PATH, trouble)
 
-    def _move(self, target_rad: Sequence[float], what: str, speed_rad_s: float | None = None) -> None:
+    def _move(self, target_rad: Sequence[float], what: str, speed_rad_s: float | np.ndarray | None = None) -> None:
         limits = travel_limits(self._workspace)
         if speed_rad_s is not None:
             limits = approach_limits(self._workspace, speed_rad_s)

@@ -24,7 +24,7 @@ from gateway.errors import FindingFailed
 if TYPE_CHECKING:
     from drives.probe import ScanResult
     from gateway.cell_context import CellContext
-    from gateway.check_rules import CheckItem
+    from gateway.check.rules import CheckItem
     from gateway.config import ArmConfig
     from gateway.motion.opening import OpenArm
     from gateway.motion.stream import MoveOptions
@@ -96,14 +96,14 @@ def check(
     Nothing is written and nothing moves unless --move or --prove-stop is given; then it asks.
     """
     from gateway.cell_context import open_cell
+    from gateway.check.preflight import require_passed
 
     context = open_cell(cell, bus_spec, moving.pacing)
     session = session_of()
     items: dict[str, list[CheckItem]] = {}
     proofs: list[dict[str, Any]] = []
     for arm in context.arms:
-        with context.open_bus(arm) as bus:
-            items[arm.name] = [context.bus_load(arm), *_check_arm(bus, context, arm)]
+        items[arm.name] = _checked(context, arm)
     failed = any(line.severity == "fail" for lines in items.values() for line in lines)
     if (move or prove_stop) and not failed:
         for arm in context.arms:
@@ -121,7 +121,7 @@ def check(
     if json_out:
         body = {"schema": 1, "cell": context.loaded.cell.name, "findings": findings}
         write_json(json_out, body | ({"stop_proof": proofs} if proofs else {}))
-    _fail_on(findings)
+    require_passed([line for lines in items.values() for line in lines], "check failed")
 
 
 def _question(context: CellContext, arm: ArmConfig, prove_stop: bool) -> str:
@@ -135,9 +135,9 @@ def _in_motion(
     context: CellContext, arm: ArmConfig, wanted: tuple[bool, bool], moving: MoveChoice
 ) -> tuple[list[CheckItem], list[dict[str, Any]]]:
     """Checks that move the arm; the stop is proven before anything else moves."""
-    from gateway.check_stop import prove_stop as prove
+    from gateway.check.proofs import keep_proof, proven_on
+    from gateway.check.stop import prove_stop as prove
     from gateway.motion.opening import open_arm
-    from gateway.stop_proofs import keep_proof, proven_on
 
     move, prove_stop = wanted
     items: list[CheckItem] = []
@@ -157,7 +157,7 @@ def _in_motion(
 
 
 def _small_moves(opened: OpenArm, options: MoveOptions) -> tuple[CheckItem, ...]:
-    from gateway.check_move import check_moves
+    from gateway.check.moves import check_moves
     from gateway.progress import ProgressListener
 
     session = session_of()
@@ -165,23 +165,18 @@ def _small_moves(opened: OpenArm, options: MoveOptions) -> tuple[CheckItem, ...]
         return check_moves(opened, (ProgressListener(session, bar),), options).items
 
 
-def _check_arm(bus: Any, context: Any, arm: Any) -> list[CheckItem]:
-    from gateway.check import check_arm
+def _checked(context: CellContext, arm: ArmConfig) -> list[CheckItem]:
+    """Computer, bus and drives of one arm; the computer is told of once."""
+    from drives.realtime import available
+    from gateway.check.machine import judge_realtime
 
-    return check_arm(bus, arm, context.profiles(arm))
+    items = [judge_realtime(available())] if arm is context.arms[0] else []
+    return items + context.check(arm)
 
 
 def _count(lines: Sequence[CheckItem]) -> str:
     count = {kind: sum(line.severity == kind for line in lines) for kind in ("ok", "info", "warn", "fail")}
     return ", ".join(f"{number} {kind}" for kind, number in count.items())
-
-
-def _fail_on(findings: Sequence[dict[str, str]]) -> None:
-    failed = [finding for finding in findings if finding["severity"] == "fail"]
-    if failed:
-        first = failed[0]
-        more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
-        raise FindingFailed(f"check failed: {first['where']}: {first['what']}; {first['advice']}{more}")
 
 
 @click.command()

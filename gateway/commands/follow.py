@@ -68,11 +68,11 @@ def follow(
 
     from gateway.arm_model import arm_named
     from gateway.cell_context import open_cell
+    from gateway.check.proofs import ensure_proven
     from gateway.follow.body import body_of
     from gateway.follow.job import FollowRequest, drive, prepare
     from gateway.follow.page import page
     from gateway.motion.opening import open_arm
-    from gateway.stop_proofs import ensure_proven
 
     context = open_cell(cell, bus_spec, moving.pacing)
     arm = arm_named(context.loaded, arm_name)

@@ -27,7 +27,7 @@ from gateway.errors import GatewayError
 if TYPE_CHECKING:
     from gateway.acquire.plan import Plan
     from gateway.acquire.session import RecordRequest
-    from gateway.check_rules import CheckItem
+    from gateway.check.rules import CheckItem
     from gateway.motion.opening import OpenArm
     from gateway.motion.stream import MoveOptions
 

@@ -111,8 +111,8 @@ def record(
     from gateway.acquire.session import RecordRequest, open_arm
     from gateway.arm_model import arm_named
     from gateway.cell_context import open_cell
+    from gateway.check.proofs import ensure_proven
     from gateway.progress import recording_with_progress
-    from gateway.stop_proofs import ensure_proven
 
     context = open_cell(cell, bus_spec, moving.pacing)
     arm = arm_named(context.loaded, arm_name)

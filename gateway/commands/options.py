@@ -50,7 +50,12 @@ def _json_target(ctx: click.Context, _param: click.Parameter, value: str | None)
 json_option = click.option(
     "--json", "json_out", metavar="OUT", callback=_json_target, help="Write the result as JSON; - for stdout."
 )
-bus_option = click.option("--bus", "bus_spec", metavar="SPEC", help="Bus to use instead of the cell file's.")
+bus_option = click.option(
+    "--bus",
+    "bus_spec",
+    metavar="SPEC",
+    help="Bus to use instead of the cell file's; NAME=SPEC;NAME=SPEC for a cell with several.",
+)
 cell_argument = click.argument("cell", type=click.Path(path_type=Path, dir_okay=False))
 
 

@@ -11,6 +11,7 @@ import click
 
 from gateway.commands.moving import MoveChoice, move_options, stoppable
 from gateway.commands.options import (
+    bus_option,
     cell_argument,
     common,
     json_option,
@@ -31,7 +32,6 @@ store_option = click.option(
     type=click.Path(path_type=Path, file_okay=False),
     help="Where functions and runs are kept; beside the cell file if omitted.",
 )
-buses_option = click.option("--bus", "bus_spec", metavar="NAME=SPEC;NAME=SPEC", help="Buses instead of the cell's.")
 
 
 def _open(
@@ -47,9 +47,8 @@ def _open(
 def _ledgers(cell: Path, pair: PairCell) -> tuple[Path, Path]:
     from gateway.cell_context import CellContext
 
-    first, second = (
-        CellContext(pair.loaded, cell, spec).ledger(arm.config) for arm, spec in zip(pair.arms, pair.specs, strict=True)
-    )
+    specs = {arm.config.bus: spec for arm, spec in zip(pair.arms, pair.specs, strict=True)}
+    first, second = (CellContext(pair.loaded, cell, specs).ledger(arm.config) for arm in pair.arms)
     return first, second
 
 
@@ -66,7 +65,7 @@ def _ask(pair: PairCell, what: str, moving: MoveChoice) -> None:
 @cell_argument
 @click.option("--resume", is_flag=True, help="Go on with the points that are still missing.")
 @store_option
-@buses_option
+@bus_option
 @move_options
 @json_option
 @common
@@ -112,7 +111,7 @@ def teach(
 @click.option("--cycles", type=click.IntRange(min=1), default=1, show_default=True, help="There and back.")
 @click.option("--speed", type=click.FloatRange(0, min_open=True), help="Speed setting; the cell's if omitted.")
 @store_option
-@buses_option
+@bus_option
 @move_options
 @json_option
 @common

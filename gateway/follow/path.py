@@ -28,7 +28,7 @@ from scipy.interpolate import make_interp_spline
 from drives.toml_text import parse_toml
 from gateway.errors import InputError, PlanRefused
 from gateway.motion.trajectory import Motion, MotionLimits, straight
-from gateway.motion.workspace import Workspace
+from gateway.motion.workspace import Workspace, angles
 
 COLUMNS = tuple(f"q{axis}_rad" for axis in range(1, 7))
 SAME_RAD = 1e-9
@@ -236,17 +236,12 @@ def check_path(path: FollowPath, workspace: Workspace) -> None:
     PlanRefused
         A joint limit, a keep-out box or the holding torque; the first place is named.
     """
-    begun_s = 0.0
+    begun_s, before = 0.0, path.start_rad
     for motion in path.motions:
-        bad = ~workspace.feasible(motion.q_rad)
-        if bad.any():
-            row = int(np.argmax(bad))
-            place = ", ".join(f"{value:.3f}" for value in motion.q_rad[row])
+        refusal = workspace.refused_on(np.vstack([before, motion.q_rad]))
+        if refusal is not None:
             raise PlanRefused(
-                f"path '{path.name}' at {begun_s + (row + 1) * path.period_s:.2f} s, [{place}] rad: "
-                f"{workspace.why_not(motion.q_rad[row])}"
+                f"path '{path.name}' at {begun_s + refusal.row * path.period_s:.2f} s, {angles(refusal.q_rad)}: "
+                f"{refusal.reason}"
             )
-        begun_s += motion.duration_s + path.dwell_s
-    reason = workspace.why_not(path.start_rad)
-    if reason is not None:
-        raise PlanRefused(f"path '{path.name}' at its start: {reason}")
+        begun_s, before = begun_s + motion.duration_s + path.dwell_s, motion.q_rad[-1]

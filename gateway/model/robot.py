@@ -16,10 +16,30 @@ from numpy.typing import NDArray
 
 from gateway.errors import ConfigError
 from gateway.model import urdf
+from gateway.model.urdf_elements import Pose
+from gateway.model.urdf_shapes import Shape
 
 Floats = NDArray[np.float64]
 AXES = 6
 SHORTEST_M = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinkShape:
+    """One shape of a link's body.
+
+    Attributes
+    ----------
+    pose : array of shape (4, 4)
+        Frame of the shape [m] in the link.
+    shape : Shape
+    own : bool
+        Of the link itself, not of something fixed to it.
+    """
+
+    pose: Floats
+    shape: Shape
+    own: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,6 +65,10 @@ class Robot:
     flange : array of shape (4, 4) or None
         Pose [m] of the flange in link 6.
     link_names, joint_names : tuples of 6 str
+    shapes : tuple of 6 tuples of LinkShape
+        What the source gives of each link's body; empty where it gives none.
+    source : str
+        File the arm was read from: names of meshes start beside it.
     """
 
     name: str
@@ -60,6 +84,8 @@ class Robot:
     flange: Floats | None = None
     link_names: tuple[str, ...] = tuple(f"link_{i + 1}" for i in range(AXES))
     joint_names: tuple[str, ...] = tuple(f"joint_{i + 1}" for i in range(AXES))
+    shapes: tuple[tuple[LinkShape, ...], ...] = ((),) * AXES
+    source: str = ""
 
 
 class DhRows(Protocol):
@@ -161,6 +187,8 @@ def robot_from_urdf(text: str, where: str) -> Robot:
         effort_nm=np.array([joint.effort_nm for joint in chain.joints]),
         link_names=tuple(link.name for link in chain.links),
         joint_names=tuple(joint.name for joint in chain.joints),
+        shapes=tuple(_shapes(link) for link in chain.links),
+        source=where,
     )
 
 
@@ -230,15 +258,26 @@ def _move(x: float, z: float) -> Floats:
     return transform(np.eye(3), (x, 0.0, z))
 
 
+def _chained(poses: Sequence[Pose]) -> Floats:
+    """Pose (4, 4) at the end of a chain of poses."""
+    frame = np.eye(4)
+    for pose in poses:
+        frame = frame @ transform(rotation_rpy(pose.rpy_rad), pose.xyz_m)
+    return frame
+
+
+def _shapes(link: urdf.MovedLink) -> tuple[LinkShape, ...]:
+    own = [LinkShape(_chained(placed.poses), placed.shape, True) for placed in link.own_shapes]
+    return (*own, *(LinkShape(_chained(placed.poses), placed.shape, False) for placed in link.fixed_shapes))
+
+
 def _merged(link: urdf.MovedLink) -> tuple[float, Floats, Floats]:
     """Mass [kg], centre of mass [m] and inertia about it [kg m2] of a link with all that is fixed to it."""
     if link.own is None:
         return np.nan, np.full(3, np.nan), np.full((3, 3), np.nan)
     parts = []
     for poses, inertial in [((), link.own), *link.fixed]:
-        frame = np.eye(4)
-        for pose in (*poses, inertial.pose):
-            frame = frame @ transform(rotation_rpy(pose.rpy_rad), pose.xyz_m)
+        frame = _chained((*poses, inertial.pose))
         xx, xy, xz, yy, yz, zz = inertial.inertia_kg_m2
         tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         parts.append((inertial.mass_kg, frame[:3, 3], frame[:3, :3] @ tensor @ frame[:3, :3].T))

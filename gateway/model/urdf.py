@@ -11,21 +11,12 @@ from dataclasses import dataclass
 from xml.parsers import expat
 
 from gateway.errors import ConfigError
+from gateway.model.urdf_elements import Pose, Three, number, origin, three
+from gateway.model.urdf_shapes import Shape, shapes_of
 
 MAX_CHARACTERS = 20_000_000
 MAX_DEPTH = 100
 TURNING = ("revolute", "continuous")
-
-Three = tuple[float, float, float]
-ZERO: Three = (0.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class Pose:
-    """`<origin>`: translation [m], fixed-axis roll, pitch, yaw [rad]."""
-
-    xyz_m: Three = ZERO
-    rpy_rad: Three = ZERO
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +45,22 @@ class Joint:
 
 
 @dataclass(frozen=True, slots=True)
+class PlacedShape:
+    """A shape of `<collision>` and the poses that lead to it from the moved link."""
+
+    poses: tuple[Pose, ...]
+    shape: Shape
+
+
+@dataclass(frozen=True, slots=True)
 class MovedLink:
-    """A link that a joint moves: its own inertial, and those of links fixed to it with the poses on the way."""
+    """A link that a joint moves: its own inertial and shapes, and those of links fixed to it with the poses between."""
 
     name: str
     own: Inertial | None
     fixed: tuple[tuple[tuple[Pose, ...], Inertial], ...]
+    own_shapes: tuple[PlacedShape, ...]
+    fixed_shapes: tuple[PlacedShape, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +101,8 @@ def _walk(
     current: str | None = root
     while current is not None:
         fixed: list[tuple[tuple[Pose, ...], Inertial]] = []
+        own_shapes: list[PlacedShape] = []
+        fixed_shapes: list[PlacedShape] = []
         onward: list[Joint] = []
         waiting: list[tuple[str, tuple[Pose, ...]]] = [(current, ())]
         while waiting:
@@ -107,9 +110,11 @@ def _walk(
             inertial = _inertial(links[link], link, where)
             if inertial is not None and link != current:
                 fixed.append((poses, inertial))
+            placed = [PlacedShape((*poses, pose), shape) for pose, shape in shapes_of(links[link], link, where)]
+            (own_shapes if link == current else fixed_shapes).extend(placed)
             for joint in children[link]:
                 if joint.get("type") == "fixed":
-                    waiting.append((_child(joint), (*poses, _origin(joint, f"joint '{joint.get('name')}'", where))))
+                    waiting.append((_child(joint), (*poses, origin(joint, f"joint '{joint.get('name')}'", where))))
                 else:
                     onward.append(_turning(joint, poses, where))
         if len(onward) > 1:
@@ -118,7 +123,8 @@ def _walk(
                 " the arm must be one chain, fix the joints that do not belong to it"
             )
         if current != root:
-            chain_links.append(MovedLink(current, _inertial(links[current], current, where), tuple(fixed)))
+            own = _inertial(links[current], current, where)
+            chain_links.append(MovedLink(current, own, tuple(fixed), tuple(own_shapes), tuple(fixed_shapes)))
         chain_joints += onward
         current = onward[0].child if onward else None
     return Chain(name, tuple(chain_joints), tuple(chain_links))
@@ -194,24 +200,24 @@ def _turning(joint: ET.Element, poses: tuple[Pose, ...], where: str) -> Joint:
         )
     if joint.find("mimic") is not None:
         raise ConfigError(f"{where}: {label}: <mimic> is not handled; every axis needs its own drive")
-    origin = _origin(joint, label, where)
+    pose = origin(joint, label, where)
     axis_element = joint.find("axis")
-    axis = (1.0, 0.0, 0.0) if axis_element is None else _three(axis_element, "xyz", f"{label} <axis>", where, None)
+    axis = (1.0, 0.0, 0.0) if axis_element is None else three(axis_element, "xyz", f"{label} <axis>", where, None)
     length = math.sqrt(sum(value * value for value in axis))
     if length < 1e-6:
         raise ConfigError(f"{where}: {label}: the axis is a zero vector")
     limit = joint.find("limit")
     lower, upper, velocity, effort = -math.inf, math.inf, math.nan, math.nan
     if limit is not None:
-        velocity = _number(limit, "velocity", f"{label} <limit>", where, 0.0) or math.nan
-        effort = _number(limit, "effort", f"{label} <limit>", where, 0.0) or math.nan
+        velocity = number(limit, "velocity", f"{label} <limit>", where, 0.0) or math.nan
+        effort = number(limit, "effort", f"{label} <limit>", where, 0.0) or math.nan
         if joint.get("type") == "revolute":
-            lower = _number(limit, "lower", f"{label} <limit>", where, -math.inf)
-            upper = _number(limit, "upper", f"{label} <limit>", where, math.inf)
+            lower = number(limit, "lower", f"{label} <limit>", where, -math.inf)
+            upper = number(limit, "upper", f"{label} <limit>", where, math.inf)
             if lower > upper:
                 raise ConfigError(f"{where}: {label} <limit>: lower {lower} is above upper {upper}")
     x, y, z = (value / length for value in axis)
-    return Joint(name, _child(joint), origin.xyz_m, origin.rpy_rad, (x, y, z), lower, upper, velocity, effort, poses)
+    return Joint(name, _child(joint), pose.xyz_m, pose.rpy_rad, (x, y, z), lower, upper, velocity, effort, poses)
 
 
 def _inertial(link: ET.Element, name: str, where: str) -> Inertial | None:
@@ -224,51 +230,10 @@ def _inertial(link: ET.Element, name: str, where: str) -> Inertial | None:
         raise ConfigError(
             f"{where}: {label}: <mass> and <inertia> are both needed (or no inertial: then it is unknown)"
         )
-    mass = _number(mass_element, "value", f"{label} <mass>", where, None)
+    mass = number(mass_element, "value", f"{label} <mass>", where, None)
     if mass < 0:
         raise ConfigError(f"{where}: {label}: mass {mass} kg is negative")
     xx, xy, xz, yy, yz, zz = (
-        _number(tensor, key, f"{label} <inertia>", where, None) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+        number(tensor, key, f"{label} <inertia>", where, None) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     )
-    return Inertial(_origin(element, label, where), mass, (xx, xy, xz, yy, yz, zz))
-
-
-def _origin(element: ET.Element, label: str, where: str) -> Pose:
-    origin = element.find("origin")
-    if origin is None:
-        return Pose()
-    return Pose(
-        _three(origin, "xyz", f"{label} <origin>", where, ZERO), _three(origin, "rpy", f"{label} <origin>", where, ZERO)
-    )
-
-
-def _three(element: ET.Element, key: str, label: str, where: str, default: Three | None) -> Three:
-    text = element.get(key)
-    if text is None:
-        if default is None:
-            raise ConfigError(f"{where}: {label}: {key} is missing")
-        return default
-    words = text.split()
-    if len(words) != 3:
-        raise ConfigError(f'{where}: {label}: {key}="{text}" needs three numbers')
-    x, y, z = (_finite(word, f"{label} {key}", where) for word in words)
-    return x, y, z
-
-
-def _number(element: ET.Element, key: str, label: str, where: str, default: float | None) -> float:
-    text = element.get(key)
-    if text is None:
-        if default is None:
-            raise ConfigError(f"{where}: {label}: {key} is missing")
-        return default
-    return _finite(text, f"{label} {key}", where)
-
-
-def _finite(text: str, label: str, where: str) -> float:
-    try:
-        value = float(text)
-    except ValueError as error:
-        raise ConfigError(f"{where}: {label}: '{text}' is not a number") from error
-    if not math.isfinite(value):
-        raise ConfigError(f"{where}: {label}: '{text}' is not finite")
-    return value
+    return Inertial(origin(element, label, where), mass, (xx, xy, xz, yy, yz, zz))

@@ -17,10 +17,14 @@ from drives.group import DriveGroup, GroupOptions
 from drives.instrument import InstrumentSetup
 from drives.profile import DriveProfile, list_profiles, load_profile
 from drives.scaling import Constants
-from gateway.arm_model import arm_named, robot_from_text, robot_text
+from gateway.arm_model import arm_named, robot_from_text, robot_place, robot_text
 from gateway.cell.conversion import AxisConversion
+from gateway.check.preflight import Preflight, look_over, require_passed
+from gateway.check.rules import CheckItem, Readings
 from gateway.config import ArmConfig, LoadedCell
 from gateway.motion.arm import Arm
+from gateway.motion.drive_limits import motor_ranges_rad, motor_torques_nm, quick_stop_rad_s2
+from gateway.motion.torque_need import needed_torque_nm
 from gateway.motion.workspace import Workspace, workspace_of
 
 
@@ -65,6 +69,10 @@ class OpenArm:
     identities : tuple of 6 Identity
     constants : tuple of 6 Constants
         Read from the drives.
+    preflight : tuple of CheckItem
+        What the drives were found to be before anything was written.
+    readings : tuple of 6 Readings
+        Objects of each drive as the engineer left them, (index, subindex) -> value.
     """
 
     loaded: LoadedCell
@@ -76,6 +84,8 @@ class OpenArm:
     arm: Arm
     identities: tuple[Identity, ...]
     constants: tuple[Constants, ...]
+    preflight: tuple[CheckItem, ...]
+    readings: tuple[Readings, ...]
 
 
 class _GroupDrives:
@@ -123,9 +133,28 @@ def axis_setups(loaded: LoadedCell, config: ArmConfig) -> tuple[AxisSetup, ...]:
     speeds = np.array([axis.speed_limit_rad_s for axis in config.axis])
     motor_rad_s = np.abs(axes.ratio) * (np.abs(axes.coupling) @ speeds)
     return tuple(
-        AxisSetup(axis.node_id, _profile(loaded, axis.profile), axis.torque_constant_nm_per_a.value, float(speed))
-        for axis, speed in zip(config.axis, motor_rad_s, strict=True)
+        AxisSetup(
+            axis.node_id,
+            _profile(loaded, axis.profile),
+            axis.torque_constant_nm_per_a.value,
+            float(speed),
+            position_limit_rad=limit,
+        )
+        for axis, speed, limit in zip(config.axis, motor_rad_s, motor_ranges_rad(config), strict=True)
     )
+
+
+def _limit_torques(group: DriveGroup, config: ArmConfig, workspace: Workspace, found: Preflight) -> None:
+    """Let each drive give no more torque than the arm can need, where links, load and ramps are known.
+
+    A motion may accelerate harder than the quick stop brakes: the larger of both counts.
+    """
+    ramp = quick_stop_rad_s2(config, [setup.profile for setup in group.setups], found.readings)
+    hardest = None if ramp is None else np.maximum(ramp, workspace.acceleration_rad_s2)
+    needed_nm = None if hardest is None else needed_torque_nm(workspace, config, hardest)
+    limits = motor_torques_nm(AxisConversion.from_arm(config), needed_nm)
+    for drive, limit_nm in zip(group.drives, limits, strict=True):
+        drive.setup = replace(drive.setup, torque_limit_nm=limit_nm)
 
 
 def _profile(loaded: LoadedCell, name: str) -> DriveProfile:
@@ -134,7 +163,9 @@ def _profile(loaded: LoadedCell, name: str) -> DriveProfile:
 
 @contextmanager
 def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str | None = None) -> Iterator[OpenArm]:
-    """Connect and configure the drives of an arm; on leaving they are disabled and the bus is closed.
+    """Connect, check and configure the drives of an arm; on leaving they are disabled and the bus is closed.
+
+    Whatever opens an arm passes the pre-flight check here: nothing is written to a drive that fails it.
 
     Parameters
     ----------
@@ -149,22 +180,31 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
         Robot or cell cannot be used.
     DriveError
         Bus or drives: missing, twice, of another kind, in fault; all drives' failures at once.
+    FindingFailed
+        A drive is set up in a way that must not be moved.
     """
     override = override or BusOverride()
     config = arm_named(loaded, arm)
     text = robot_text(loaded, config)
-    workspace = workspace_of(config, robot_from_text(config, text, config.robot or "cell"))
+    workspace = workspace_of(config, robot_from_text(config, text, robot_place(loaded, config)))
     setups = tuple(replace(setup, feedforward=override.feedforward) for setup in axis_setups(loaded, config))
     bus_config = loaded.cell.bus[config.bus]
     spec = override.spec or BusSpec(
         bus_config.interface, bus_config.channel, bus_config.bitrate_bit_s, dict(bus_config.options)
     )
-    options = GroupOptions(ledger_path=override.ledger, instruments=override.instruments)
+    options = GroupOptions(
+        ledger_path=override.ledger,
+        instruments=override.instruments,
+        allow_real_drive=bus_config.allow_real_drive,
+    )
     with (
         open_bus(spec, override.trace) as bus,
         DriveGroup(bus, setups, bus_config.sync_period_s, bus_config.pacing, options=options) as group,
     ):
         identities = group.connect()
+        found = look_over(config, group, identities)
+        require_passed(found.refusing, "check failed, nothing has moved")
+        _limit_torques(group, config, workspace, found)
         group.configure()
         yield OpenArm(
             loaded=loaded,
@@ -176,4 +216,6 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
             arm=Arm(config.name, _GroupDrives(group), AxisConversion.from_arm(config)),
             identities=identities,
             constants=tuple(read_constants(access) for access in group.access),
+            preflight=found.items,
+            readings=found.readings,
         )

@@ -46,6 +46,8 @@ def powered(stream: Stream) -> Iterator[Stream]:
         finally:
             desk.under_power = False
         _tell_the_end(stream, failure)
+        if stream.first_moved and station.options.first_done is not None:
+            station.options.first_done()
     wish = desk.look()
     if wish is not None:
         raise wish.cause

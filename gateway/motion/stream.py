@@ -45,7 +45,7 @@ class MoveOptions:
         Speed override in (0, 1].
     first_done : callable or None
         Set where nothing has moved yet with these drives: the first motion then goes at `FIRST_SHARE` of its speed, and
-        this is called once it has ended.
+        this is called once it has ended and the arms are in their brakes.
     ready : callable
         Called before power; returns when the person is ready.
     """
@@ -100,13 +100,15 @@ class Stream:
         A quick stop was asked for.
     sync_index : int
         Of the last answer.
+    first_moved : bool
+        The first motion with these drives has ended.
     """
 
     def __init__(self, station: Station) -> None:
         self.station = station
         self.q_rad: PerArm = ()
         self.samples: tuple[ArmSample, ...] = ()
-        self.moving = self.urgent = False
+        self.moving = self.urgent = self.first_moved = False
         self.sync_index = 0
         self._arms, self._desk, self._period_s = station.arms, station.options.desk, station.period_s
         pairs = zip(station.arms.members, station.workspaces, strict=True)
@@ -181,8 +183,7 @@ class Stream:
             self._send(way, at, clock.rate)
         self.moving = False
         self._model()
-        if first_done is not None and clock.arrived:
-            first_done()
+        self.first_moved |= first_done is not None and clock.arrived
         wish = self._desk.look()
         if wish is not None:
             raise wish.cause

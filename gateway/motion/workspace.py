@@ -2,24 +2,52 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gateway.config import ArmConfig
-from gateway.errors import ConfigError
-from gateway.model.kinematics import link_frames
+from gateway.errors import ConfigError, PlanRefused
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import Robot
+from gateway.motion.body import Body, body_of
+from gateway.motion.keep_out import PATH_RESOLUTION_M, blocked_at, clearance_m
 
 #: Share of each torque limit that holding the arm may take; bare at rest poses, the rest is left to an unknown load.
 TORQUE_SHARE = 0.9
 TORQUE_SHARE_BARE = 0.5
-#: Largest joint step between two checked points of a path.
+#: Largest joint step between two points of a path at which the holding torque is checked.
 PATH_STEP_RAD = 0.05
-#: Points between two joint origins that are checked against the boxes.
-POINTS_PER_LINK = 3
-BOX_TOLERANCE_M = 1e-6
+#: Postures that are checked at once.
+BLOCK = 20_000
+#: An arm that stands outside its joint range by no more than this may move back in, to this far inside.
+MOST_OUTSIDE_RAD = 0.35
+INWARD_MARGIN_RAD = 0.02
+#: Half-width of a friction band as a share of the torque limit, until a recording has measured it.
+BAND_SHARE = 0.013
+#: Speed of that way: this share of the speed limit, and no more than this.
+INWARD_SHARE = 0.1
+INWARD_SPEED_RAD_S = 0.05
+TOO_CLOSE = f"the arm passes a keep_out box closer than {500 * PATH_RESOLUTION_M:g} mm"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refusal:
+    """What stands against a way.
+
+    Attributes
+    ----------
+    row : float
+        Place on the way, in rows: 2.5 is halfway from the third to the fourth posture.
+    q_rad : array of shape (6,)
+        Posture there.
+    reason : str
+    """
+
+    row: float
+    q_rad: np.ndarray
+    reason: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +68,9 @@ class Workspace:
     boxes_m : array of shape (k, 2, 3)
         Lower and upper corners of the keep-out boxes, base frame.
     points_m : array of shape (p, 3)
-        Points in link 6 that stay out of the boxes: the flange and the corners of the load.
+        Points in link 6: the flange and the points of the load.
+    body : Body
+        Links beyond the first and load, as thick as they are: they stay out of the boxes.
     links : array of shape (24,) or None
         Mass and first moment of every link; None = not known, torque is then not checked.
     max_load : array of shape (4,) or None
@@ -59,8 +89,14 @@ class Workspace:
     following_error_rad: np.ndarray
     boxes_m: np.ndarray
     points_m: np.ndarray
+    body: Body
     links: np.ndarray | None
     max_load: np.ndarray | None
+
+    @property
+    def radius_source(self) -> tuple[str, ...]:
+        """One sentence per link beyond the first and for the load: how thick, and where that comes from."""
+        return tuple(f"{part}: {source}" for part, source in zip(self.body.parts, self.body.source, strict=True))
 
     @property
     def rest_share(self) -> float:
@@ -83,9 +119,9 @@ class Workspace:
         Returns
         -------
         list of (words, bool array of shape (n,))
-            One entry per joint limit, box and torque limit.
+            One entry per joint limit, part of the arm and box, and torque limit.
         """
-        outside = (q_rad < self.lower_rad + margin_rad) | (q_rad > self.upper_rad - margin_rad)
+        outside = ~((q_rad >= self.lower_rad + margin_rad) & (q_rad <= self.upper_rad - margin_rad))
         found = [
             (
                 f"joint {i + 1} outside [{self.lower_rad[i]:.3f}, {self.upper_rad[i]:.3f}] rad"
@@ -94,15 +130,24 @@ class Workspace:
             )
             for i in range(6)
         ]
-        points = body_points(self.robot, q_rad, self.points_m)
-        for number, (low, high) in enumerate(self.boxes_m, start=1):
-            inside = (points > low + BOX_TOLERANCE_M) & (points < high - BOX_TOLERANCE_M)
-            found.append((f"a point of the arm or load in keep_out box {number}", inside.all(axis=2).any(axis=1)))
+        found += self._in_boxes(q_rad)
         torque = self.holding_torque(q_rad)
         if torque is not None:
             usable = self.torque_nm * torque_share
             words = "holding torque of joint {} above {:.0%} of its limit"
             found += [(words.format(i + 1, torque_share), torque[:, i] > usable[i]) for i in range(6)]
+        return found
+
+    def _in_boxes(self, q_rad: np.ndarray) -> list[tuple[str, np.ndarray]]:
+        """Words and masks (n,) for every part of the arm and box."""
+        inside = clearance_m(self.robot, self.body, self.boxes_m, q_rad) <= 0.0
+        found = []
+        for part, source in zip(self.body.parts, self.body.source, strict=True):
+            capsules = [row for row, name in enumerate(self.body.part) if name == part]
+            of_part = np.any(inside[:, capsules], axis=1)
+            found += [
+                (f"{part} in keep_out box {box + 1} ({source})", of_part[:, box]) for box in range(inside.shape[2])
+            ]
         return found
 
     def feasible(self, q_rad: np.ndarray, margin_rad: float = 0.0, torque_share: float = TORQUE_SHARE) -> np.ndarray:
@@ -125,13 +170,122 @@ class Workspace:
         return torque / self.efficiency
 
     def path_clear(self, start_rad: np.ndarray, end_rad: np.ndarray) -> np.ndarray:
-        """Whether straight joint motions from start (n, 6) to end (n, 6) stay feasible: bool array of shape (n,)."""
-        span = np.abs(end_rad - start_rad).max(axis=1)
-        clear = np.ones(len(span), dtype=bool)
-        for path in range(len(span)):
-            along = path_points(start_rad[path], end_rad[path])
-            clear[path] = bool(self.feasible(along).all())
+        """Whether straight joint motions from start (n, 6) to end (n, 6) stay feasible: bool array of shape (n,).
+
+        Boxes and joint limits all along; the holding torque at points `PATH_STEP_RAD` apart.
+        """
+        clear = ~(self._out_of_range(start_rad) | self._out_of_range(end_rad))
+        rows = np.flatnonzero(clear)
+        blocked = blocked_at(self.robot, self.body, self.boxes_m, start_rad[rows], end_rad[rows])
+        clear[rows] = np.isnan(blocked)
+        if self.links is not None:
+            self._refuse_torque(clear, start_rad, end_rad)
         return clear
+
+    def _out_of_range(self, q_rad: np.ndarray) -> np.ndarray:
+        """Postures (n,) with a joint outside its range, or no finite number."""
+        return ~np.all((q_rad >= self.lower_rad) & (q_rad <= self.upper_rad), axis=1)
+
+    def _refuse_torque(self, clear: np.ndarray, start_rad: np.ndarray, end_rad: np.ndarray) -> None:
+        """Take off `clear` (n,) the motions that need too much torque somewhere."""
+        rows = np.flatnonzero(clear)
+        ways = [path_points(start_rad[row], end_rad[row]) for row in rows]
+        owner = np.repeat(rows, [len(way) for way in ways])
+        q_rad = np.concatenate([np.empty((0, 6)), *ways])
+        for first in range(0, len(q_rad), BLOCK):
+            torque = self.holding_torque(q_rad[first : first + BLOCK])
+            if torque is not None:
+                over = (torque > TORQUE_SHARE * self.torque_nm).any(axis=1)
+                clear[owner[first : first + BLOCK][over]] = False
+
+    def refused_on(self, way_rad: np.ndarray) -> Refusal | None:
+        """First thing that stands against a way of postures (n, 6) with straight joint motions between them.
+
+        Boxes and joint limits are checked all along, the holding torque at points `PATH_STEP_RAD` apart.
+        """
+        broken = ~np.isfinite(way_rad).all(axis=1)
+        if broken.any():
+            row = int(np.argmax(broken))
+            return Refusal(row, way_rad[row], "a joint angle is no finite number")
+        places = _fine(way_rad)
+        first = np.inf
+        for begin in range(0, len(places), BLOCK):
+            bad = ~self.feasible(_at(way_rad, places[begin : begin + BLOCK]))
+            if bad.any():
+                first = float(places[begin + int(np.argmax(bad))])
+                break
+        last = int(min(np.ceil(first), len(way_rad) - 1))
+        meets = blocked_at(self.robot, self.body, self.boxes_m, way_rad[:last], way_rad[1 : last + 1])
+        if not np.isnan(meets).all():
+            row = int(np.argmax(~np.isnan(meets)))
+            first = min(first, row + float(meets[row]))
+        if not np.isfinite(first):
+            return None
+        q_rad = _at(way_rad, np.array([first]))[0]
+        return Refusal(first, q_rad, self.why_not(q_rad) or TOO_CLOSE)
+
+    def why_not_path(self, q_rad: np.ndarray) -> str | None:
+        """First thing that stands against a sampled way (n, 6), the posture included; None = feasible all along."""
+        refusal = self.refused_on(q_rad)
+        return None if refusal is None else f"at {angles(refusal.q_rad)}: {refusal.reason}"
+
+    def inward_way(self, q_rad: np.ndarray) -> np.ndarray | None:
+        """Nearest posture (6,) inside the joint range, for an arm that stands outside; None = it stands inside.
+
+        Joints outside move in, by `INWARD_MARGIN_RAD`, the others stand; the straight way there is checked.
+
+        Raises
+        ------
+        PlanRefused
+            A joint is too far outside, or a box or a torque limit stands against the way.
+        """
+        if not self._out_of_range(q_rad[None])[0]:
+            return None
+        beyond = np.maximum(np.maximum(self.lower_rad - q_rad, q_rad - self.upper_rad), 0.0)
+        far = ~(beyond <= MOST_OUTSIDE_RAD)
+        if far.any():
+            joint = int(np.argmax(far))
+            raise PlanRefused(
+                f"joint {joint + 1} is {beyond[joint]:.3f} rad outside [{self.lower_rad[joint]:.3f}, "
+                f"{self.upper_rad[joint]:.3f}] rad, more than {MOST_OUTSIDE_RAD} rad: its encoder or zero_offset_rad "
+                "may be wrong; check them, or jog it in with the drive's own tool"
+            )
+        margin = np.minimum(INWARD_MARGIN_RAD, (self.upper_rad - self.lower_rad) / 2)
+        target = np.where(beyond > 0, np.clip(q_rad, self.lower_rad + margin, self.upper_rad - margin), q_rad)
+        wider = replace(self, lower_rad=np.minimum(self.lower_rad, q_rad), upper_rad=np.maximum(self.upper_rad, q_rad))
+        reason = wider.why_not_path(np.array([q_rad, target]))
+        if reason is not None:
+            raise PlanRefused(
+                f"on the way of joint {', '.join(map(str, np.flatnonzero(beyond > 0) + 1))} back into its range, "
+                f"{reason}; move the arm clear by hand or jog it with the drive's own tool"
+            )
+        return target
+
+    def inward_speed_rad_s(self) -> np.ndarray:
+        """Speed (6,) of the way back into the joint range."""
+        return np.minimum(INWARD_SHARE * self.speed_rad_s, INWARD_SPEED_RAD_S)
+
+    def slowed(self, share: float) -> Workspace:
+        """The same limits for an arm whose time runs slower: speed x share, acceleration x share^2, jerk x share^3.
+
+        Parameters
+        ----------
+        share : float
+            In (0, 1].
+
+        Raises
+        ------
+        ValueError
+            Any other share.
+        """
+        if not 0.0 < share <= 1.0:
+            raise ValueError(f"a share of the speed lies in (0, 1], got {share}")
+        return replace(
+            self,
+            speed_rad_s=share * self.speed_rad_s,
+            acceleration_rad_s2=share**2 * self.acceleration_rad_s2,
+            jerk_rad_s3=share**3 * self.jerk_rad_s3,
+        )
 
     def travel_time(self, start_rad: np.ndarray, end_rad: np.ndarray) -> np.ndarray:
         """Estimate [s] of the time of straight motions (..., 6): slowest axis at full speed plus its ramp."""
@@ -140,36 +294,31 @@ class Workspace:
         return (step / self.speed_rad_s).max(axis=-1) + ramp.max()
 
 
+def angles(q_rad: Sequence[float] | np.ndarray) -> str:
+    """A posture (6,) in words."""
+    return "[" + ", ".join(f"{value:.3f}" for value in q_rad) + "] rad"
+
+
 def path_points(start_rad: np.ndarray, end_rad: np.ndarray) -> np.ndarray:
     """Points (k, 6) of a straight joint motion, at most `PATH_STEP_RAD` apart, both ends included."""
-    count = int(np.ceil(np.abs(end_rad - start_rad).max() / PATH_STEP_RAD)) + 2
-    return start_rad + np.linspace(0.0, 1.0, count)[:, None] * (end_rad - start_rad)
+    way = np.array([start_rad, end_rad])
+    return _at(way, _fine(way))
 
 
-def body_points(robot: Robot, q_rad: np.ndarray, points_m: np.ndarray) -> np.ndarray:
-    """Points of the arm beyond link 1 in the base frame [m].
+def _fine(way_rad: np.ndarray) -> np.ndarray:
+    """Places (k,) in rows along a way (n, 6), at most `PATH_STEP_RAD` apart, all rows included."""
+    step = np.abs(np.diff(way_rad, axis=0)).max(axis=1)
+    count = np.maximum(np.ceil(step / PATH_STEP_RAD), 1).astype(int)
+    row = np.repeat(np.arange(len(count)), count)
+    within = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
+    return np.append(row + within / count[row], len(count))
 
-    Parameters
-    ----------
-    robot : Robot
-    q_rad : array of shape (n, 6)
-    points_m : array of shape (p, 3)
-        Further points in link 6.
 
-    Returns
-    -------
-    array of shape (n, points, 3)
-        Origins of joints 3 to 6, points along the links between them and from joint 2, and the points of link 6.
-        Base and link 1 cannot be moved out of a box and are left out.
-    """
-    frames = link_frames(robot, q_rad)
-    origins = frames[:, 1:, :3, 3]
-    carried = frames[:, 5, None, :3, 3] + np.einsum("nij,pj->npi", frames[:, 5, :3, :3], points_m)
-    ends = np.concatenate([origins[:, 1:], carried[:, :1]], axis=1)
-    share = np.arange(1, POINTS_PER_LINK + 1) / (POINTS_PER_LINK + 1)
-    between = origins[:, :, None] + share[:, None] * (ends - origins)[:, :, None]
-    between = between.reshape(len(q_rad), origins.shape[1] * POINTS_PER_LINK, 3)
-    return np.concatenate([origins[:, 1:], between, carried], axis=1)
+def _at(way_rad: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Postures (k, 6) at places in rows along a way (n, 6)."""
+    row = np.minimum(place.astype(int), max(len(way_rad) - 2, 0))
+    share = (place - row)[:, None]
+    return (1.0 - share) * way_rad[row] + share * way_rad[np.minimum(row + 1, len(way_rad) - 1)]
 
 
 def workspace_of(arm: ArmConfig, robot: Robot) -> Workspace:
@@ -204,6 +353,7 @@ def workspace_of(arm: ArmConfig, robot: Robot) -> Workspace:
         following_error_rad=np.array([axis.following_error_limit_rad for axis in arm.axis]),
         boxes_m=np.array([(box.min_m, box.max_m) for box in arm.keep_out]).reshape(-1, 2, 3),
         points_m=np.vstack([flange, *arm.load_points_m]),
+        body=body_of(arm, robot),
         links=moments if known else None,
         max_load=None if arm.max_load_kg is None else arm.max_load_kg * np.concatenate([[1.0], load_com]),
     )

@@ -12,6 +12,7 @@ import numpy as np
 from drives.bus import BusSpec
 from drives.exchange import Pacing
 from gateway.arm_model import arm_robot
+from gateway.cell.buses import bus_specs
 from gateway.config import ArmConfig, LoadedCell, PairConfig, load_cell, with_pacing
 from gateway.errors import ConfigError, InputError
 from gateway.model.regressor import regressor
@@ -167,8 +168,9 @@ def load_pair(path: Path, bus: str | None = None, pacing: str | None = None) -> 
     gap = None
     if distance is not None:
         gap = gap_layout(distance, buses.index(distance.bus), nominal_relation(*grasps))
-    specs = _specs(loaded, buses, bus)
-    return PairCell(loaded, config, (built[0], built[1]), PathProgram(commands, step_s), specs, gap)
+    specs = bus_specs(loaded.cell, bus)
+    chosen = (specs[buses[0]], specs[buses[1]])
+    return PairCell(loaded, config, (built[0], built[1]), PathProgram(commands, step_s), chosen, gap)
 
 
 def nominal_relation(master_grasp: Floats, slave_grasp: Floats) -> Floats:
@@ -256,18 +258,3 @@ def _row(row: Mapping[str, str], path: Path, number: int) -> list[float]:
     if max(map(abs, values)) > FARTHEST:
         raise InputError(f"{path}:{number}: a value beyond {FARTHEST:g}; a path is given in m, rad and s")
     return values
-
-
-def _specs(loaded: LoadedCell, names: list[str], bus: str | None) -> tuple[BusSpec, BusSpec]:
-    given: dict[str, BusSpec] = {}
-    for part in bus.split(";") if bus else ():
-        name, _, text = part.partition("=")
-        if name not in names or not text:
-            raise ConfigError(f"--bus '{part}': a pair has two buses, give NAME=SPEC;NAME=SPEC with {', '.join(names)}")
-        given[name] = BusSpec.parse(text)
-    found = []
-    for name in names:
-        config = loaded.cell.bus[name]
-        cell_spec = BusSpec(config.interface, config.channel, config.bitrate_bit_s, dict(config.options))
-        found.append(given.get(name, cell_spec))
-    return found[0], found[1]

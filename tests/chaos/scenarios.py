@@ -22,9 +22,9 @@ from gateway.acquire.planning import plan_of_poses
 from gateway.acquire.poses import RestPose
 from gateway.acquire.run import Station
 from gateway.acquire.runner import RunRequest, run_plan
-from gateway.check import check_arm
-from gateway.check_move import check_moves
-from gateway.check_stop import prove_stop
+from gateway.check.moves import check_moves
+from gateway.check.preflight import check_arm
+from gateway.check.stop import prove_stop
 from gateway.errors import GatewayError
 from gateway.motion.opening import OpenArm
 from gateway.visit import Visit

@@ -27,7 +27,7 @@ from gateway.feedforward.law import FeedforwardLaw
 from gateway.follow.body import body_of
 from gateway.follow.job import FollowRequest, Prepared, drive, prepare
 from gateway.follow.settings import Setting
-from gateway.motion.opening import BusOverride, open_arm
+from gateway.motion.opening import open_arm
 from sim.serve import RunningSimulation, running
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -131,7 +131,7 @@ def followed(handle: RunningSimulation, cell: Path, request: FollowRequest, *nam
     """The body of a job under the named settings only."""
     context = open_cell(cell, handle.bus)
     prepared = _prepared(context, request, names)
-    override = BusOverride(context.spec, ledger=context.ledger(prepared.arm), feedforward=True)
+    override = replace(context.override(prepared.arm), feedforward=True)
     with open_arm(context.loaded, override, prepared.arm.name) as opened:
         return body_of(drive(opened, prepared, lambda: False, lambda what, done: None))
 

@@ -53,6 +53,7 @@ def at(cell: dict, *keys):
     return cell
 
 
+HOLD = {"node_id": 7, "object": {"index": 0x60FD}, "mask": 4, "good": 4}
 AXIS = ("arm", 0, "axis", 2)
 
 
@@ -84,6 +85,15 @@ AXIS = ("arm", 0, "axis", 2)
         (("arm", 0), "inertials", "prior", "inertials"),
         (("arm", 0), "coupling", [[1.0, 0.0]], "coupling must be an invertible"),
         (("arm", 0), "keep_out", [{"min_m": [0, 0, 1], "max_m": [1, 1, 0]}], "must lie below max_m"),
+        (("arm", 0), "link_radius_m", 0.0, "link_radius_m"),
+        (("arm", 0), "link_radius_m", [0.1, 0.1], "link_radius_m"),
+        (("arm", 0), "load_radius_m", -0.1, "load_radius_m"),
+        (("arm", 0), "hold_to_run", HOLD | {"good": 5}, "bits outside mask 0x4"),
+        (("arm", 0), "hold_to_run", HOLD | {"good": 0}, "a broken wire looks like"),
+        (("arm", 0), "hold_to_run", HOLD | {"node_id": 0}, "hold_to_run.node_id"),
+        (("arm", 0), "hold_to_run", HOLD | {"object": {"index": 0xFD}}, "hold_to_run.object.index"),
+        (("arm", 0), "hold_to_run", HOLD | {"key": "space"}, "hold_to_run.key: unknown key"),
+        (("bus", "a"), "allow_real_drive", "perhaps", "allow_real_drive"),
         (("bus", "a"), "pacing", "fast", "pacing"),
         (("bus", "a"), "sync_period_s", -0.01, "sync_period_s"),
         (("poses",), "count", 1, "poses.count"),
@@ -139,3 +149,18 @@ def test_robot_that_cannot_be_read(cell, tmp_path):
     (tmp_path / "robot.urdf").write_text("<robot")
     with pytest.raises(ConfigError, match=r"robot.urdf"):
         arm_robot(loaded, loaded.cell.arm[0])
+
+
+def test_safety_keys_are_read_and_off_by_default(cell):
+    plain = parse_cell(as_toml(cell), "cell.toml")
+    assert plain.bus["a"].allow_real_drive is False
+    assert plain.arm[0].hold_to_run is None
+    assert plain.arm[0].link_radius_m is None
+    cell["arm"][0] |= {"hold_to_run": HOLD, "link_radius_m": [0.1, 0.09, 0.08, 0.07, 0.06, 0.05], "load_radius_m": 0}
+    cell["bus"]["a"]["allow_real_drive"] = True
+    read = parse_cell(as_toml(cell), "cell.toml")
+    hold = read.arm[0].hold_to_run
+    assert (hold.node_id, hold.object.index, hold.object.subindex, hold.mask, hold.good) == (7, 0x60FD, 0, 4, 4)
+    assert read.arm[0].link_radius_m == (0.1, 0.09, 0.08, 0.07, 0.06, 0.05)
+    assert read.arm[0].load_radius_m == 0
+    assert read.bus["a"].allow_real_drive is True

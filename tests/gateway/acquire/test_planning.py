@@ -7,7 +7,18 @@ import numpy as np
 import pinocchio
 import pytest
 
-from gateway.acquire.plan import Approach, MoveTo, Plan, Sample, Settle, check_plan, plan_from, plan_poses
+from gateway.acquire.plan import (
+    Approach,
+    MoveInwards,
+    MoveTo,
+    Plan,
+    Sample,
+    Settle,
+    check_plan,
+    plan_from,
+    plan_poses,
+    step_durations,
+)
 from gateway.acquire.planning import expectation, make_plan, plan_of_poses, visit_settings
 from gateway.acquire.poses import (
     DISTANCE_RAD,
@@ -22,6 +33,7 @@ from gateway.acquire.route import find_route
 from gateway.arm_model import robot_text
 from gateway.errors import InputError, PlanRefused
 from gateway.model.information import payload_information
+from gateway.model.kinematics import flange_frames
 from gateway.motion.workspace import path_points
 
 
@@ -110,7 +122,7 @@ def test_poses_are_feasible_apart_and_reproducible(workspace, poses):
 
 def test_too_little_room_says_why(workspace):
     shut = replace(workspace, boxes_m=np.array([[[-9.0, -9.0, -9.0], [9.0, 9.0, 9.0]]]))
-    with pytest.raises(PlanRefused, match="0 of .* random postures are feasible.*100% a point of the arm"):
+    with pytest.raises(PlanRefused, match="0 of .* random postures are feasible.*100% link . in keep_out box 1"):
         choose_poses(shut, REQUEST, assumed_noise_nm(workspace))
 
 
@@ -148,9 +160,48 @@ def test_plan_from_the_middle_leaves_out_what_is_done(plan, workspace):
 
 
 def test_a_start_out_of_bounds_is_refused(plan, workspace):
-    start = np.array(workspace.upper_rad) + 0.1
-    with pytest.raises(PlanRefused, match=r"arm 'main' stands at .*joint 1 outside"):
+    start = np.array(workspace.upper_rad) + 0.5
+    with pytest.raises(PlanRefused, match=r"arm 'main' stands at .*joint 1 is 0.500 rad outside"):
         plan_from(plan, workspace, start)
+    boxed = replace(workspace, boxes_m=np.array([[[-9.0, -9.0, -9.0], [9.0, 9.0, 9.0]]]))
+    with pytest.raises(PlanRefused, match=r"arm 'main' stands at .*keep_out box 1.*; move it clear"):
+        plan_from(plan, boxed, np.zeros(6))
+
+
+def outside(plan, workspace) -> np.ndarray:
+    start = np.array(plan.poses[0].q_rad)
+    start[3] = workspace.upper_rad[3] + 0.2
+    return start
+
+
+def test_an_arm_outside_its_range_begins_with_a_slow_motion_inwards(plan, workspace):
+    start = outside(plan, workspace)
+    going = plan_from(plan, workspace, start)
+    check_plan(going, workspace)
+    first, *others = going.steps
+    assert isinstance(first, MoveInwards)
+    assert not any(isinstance(step, MoveInwards) for step in others)
+    assert workspace.why_not(np.array(first.q_rad)) is None
+    moved = np.array(first.q_rad) - start
+    assert moved[3] < -0.2
+    assert moved[[0, 1, 2, 4, 5]].tolist() == [0.0] * 5
+    least_s = 0.2 / min(0.1 * workspace.speed_rad_s[3], 0.05)
+    assert least_s < step_durations(going, workspace)[0] < 2 * least_s
+
+
+def test_a_motion_inwards_that_is_none_is_refused(plan, workspace):
+    going = plan_from(plan, workspace, outside(plan, workspace))
+    inwards, *others = going.steps
+    assert isinstance(inwards, MoveInwards)
+    for steps in (
+        (*others, inwards),
+        (replace(inwards, q_rad=plan.poses[1].q_rad), *others),
+        (MoveTo(inwards.q_rad), *others),
+    ):
+        with pytest.raises(PlanRefused, match="straight back into it|joint 4 outside"):
+            check_plan(replace(going, steps=steps), workspace)
+    with pytest.raises(PlanRefused, match="straight back into it"):
+        check_plan(replace(going, start_rad=None), workspace)
 
 
 @pytest.mark.parametrize(
@@ -190,9 +241,7 @@ def test_broken_plans_are_refused(plan, workspace):
 
 def box_between(workspace, start: np.ndarray, end: np.ndarray):
     """A box of 10 cm where the flange would pass halfway."""
-    from gateway.motion.workspace import body_points
-
-    middle = body_points(workspace.robot, (start + end)[None] / 2, workspace.points_m)[0, -1]
+    middle = flange_frames(workspace.robot, (start + end)[None] / 2)[0, :3, 3]
     return replace(workspace, boxes_m=np.array([[middle - 0.05, middle + 0.05]]), links=None)
 
 

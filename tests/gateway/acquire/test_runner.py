@@ -248,7 +248,7 @@ def test_full_disk_stops_the_arm(station, plan, store, fake):
 
 def test_a_start_outside_the_limits_is_refused_before_anything_is_enabled(station, plan, fake):
     fake.q_rad = np.array([0.0, 0.0, 0.0, 0.0, 2.5, 0.0])
-    with pytest.raises(PlanRefused, match="joint 5 outside"):
+    with pytest.raises(PlanRefused, match="joint 5 is .* rad outside"):
         run_plan(station, RunRequest(plan, "none"))
     assert fake.log == []
 
@@ -272,3 +272,16 @@ def test_errors_on_the_way_to_safety_are_added_not_hidden(station, plan, fake):
         run_plan(station, RunRequest(plan, "none"))
     assert "cannot be stopped" in stopped.value.__notes__[0]
     assert brought_to_rest(fake)
+
+
+def test_an_arm_outside_its_range_comes_back_slowly_first(station, plan, fake, workspace, store):
+    fake.q_rad = fake.target_rad = np.array([0.0, 0.2, 0.1, workspace.upper_rad[3] + 0.015, 0.3, 0.0])
+    run_plan(station, RunRequest(plan, "none"))
+    path = np.array(fake.path)
+    inside = int(np.argmax(path[:, 3] <= workspace.upper_rad[3] - 0.0199))
+    speed = np.diff(path[: inside + 1], axis=0) / SETTINGS.period_s
+    counts = 1e-4
+    assert np.abs(speed[:, [0, 1, 2, 4, 5]]).max() < counts
+    assert speed[:, 3].max() < counts
+    assert 0.02 < -speed[:, 3].min() < 0.05 + counts
+    assert len(store.visits) == 4

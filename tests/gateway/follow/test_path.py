@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from gateway.arm_model import arm_robot
 from gateway.config import load_cell
 from gateway.errors import InputError, PlanRefused
 from gateway.follow.path import check_path, read_path
+from gateway.model.kinematics import flange_frames
 from gateway.motion.workspace import workspace_of
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -127,3 +129,18 @@ def test_a_path_out_of_the_workspace_is_refused_with_its_place(tmp_path, workspa
     text = "waypoints_rad = [[3.0,0,0,0,0,0], [0,0,0,0,0,0]]"
     with pytest.raises(PlanRefused, match="joint 1 outside"):
         check_path(read_path(write(tmp_path, "p.toml", text), workspace, PERIOD_S), workspace)
+
+
+def test_a_box_between_two_set_points_is_met(tmp_path, workspace):
+    """Thin links, a box of 20 mm: no set point of this coarse path is in it, the way is."""
+    text = TIMED + "".join(f"{2 * t},{-0.3 + 0.2 * t},1,0,0,0,0\n" for t in range(4))
+    path = read_path(write(tmp_path, "p.csv", text), replace(workspace, jerk_rad_s3=workspace.jerk_rad_s3 * 50), 0.5)
+    q_rad = path.motions[0].q_rad
+    row = int(np.argmax(np.diff(q_rad[:, 0])))
+    centre = flange_frames(workspace.robot, q_rad[row : row + 2].mean(axis=0)[None])[0, :3, 3]
+    thin = replace(workspace.body, radius_m=np.zeros(len(workspace.body.link)))
+    boxed = replace(workspace, body=thin, boxes_m=np.array([[centre - 0.01, centre + 0.01]]))
+    assert boxed.feasible(q_rad).all()
+    check_path(path, workspace)
+    with pytest.raises(PlanRefused, match=r"at \d\.\d\d s, .*keep_out box 1"):
+        check_path(path, boxed)

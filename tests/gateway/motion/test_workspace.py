@@ -8,8 +8,9 @@ import pytest
 
 from gateway.arm_model import arm_named, arm_robot, robot_text
 from gateway.config import AxisConfig, KeepOut
-from gateway.errors import ConfigError
-from gateway.motion.workspace import TORQUE_SHARE, body_points, path_points, workspace_of
+from gateway.errors import ConfigError, PlanRefused
+from gateway.model.kinematics import flange_frames, link_frames
+from gateway.motion.workspace import INWARD_MARGIN_RAD, TORQUE_SHARE, path_points, workspace_of
 
 
 @pytest.fixture(scope="module")
@@ -33,30 +34,30 @@ def test_joint_limits_and_margin(workspace):
     assert "joint 4 outside" in workspace.why_not(q_rad[1])
 
 
-def test_points_of_the_arm_are_those_of_the_model(workspace, model, postures):
-    """Joint origins 3 to 6, points between them, and a point of the load."""
-    corner = np.array([[0.1, -0.2, 0.3]])
-    points = body_points(workspace.robot, postures, corner)
+def flange_m(workspace, q_rad: np.ndarray) -> np.ndarray:
+    return flange_frames(workspace.robot, q_rad)[:, :3, 3]
+
+
+def test_capsules_stand_where_the_model_has_its_links(workspace, model, postures):
+    segments = workspace.body.segments_m(link_frames(workspace.robot, postures))
     data = model.createData()
     for row, q_rad in enumerate(postures):
         pinocchio.forwardKinematics(model, data, q_rad)
-        origins = np.array([data.oMi[joint].translation for joint in range(2, 7)])
-        load = data.oMi[6].act(corner[0])
-        assert points[row, :4] == pytest.approx(origins[1:], abs=1e-9)
-        assert points[row, -1] == pytest.approx(load, abs=1e-9)
-        middle = (origins[1] + origins[0]) / 2
-        assert np.abs(points[row] - middle).max(axis=1).min() < 1e-9
+        joints = np.array([data.oMi[joint].translation for joint in range(1, 7)])
+        for part, link in (("link 3", 2), ("link 4", 3), ("link 5", 4)):
+            found = segments[row, workspace.body.part.index(part)]
+            assert found == pytest.approx(joints[link : link + 2], abs=1e-9)
+        flange = data.oMi[6].act(workspace.points_m[0])
+        assert segments[row, -1] == pytest.approx(np.array([flange, flange]), abs=1e-9)
 
 
-def test_boxes_keep_points_out(workspace, postures):
-    ends = body_points(workspace.robot, postures, workspace.points_m)[:, -1]
-    box = np.array([[ends[0] - 0.01, ends[0] + 0.01]])
-    boxed = replace(workspace, boxes_m=box)
-    words, inside = boxed.violations(postures[:1])[6]
-    assert inside.tolist() == [True]
-    assert words == "a point of the arm or load in keep_out box 1"
-    touching = np.array([[ends[0], ends[0] + 0.001]])
-    assert replace(workspace, boxes_m=touching).violations(postures[:1])[6][1].tolist() == [False]
+def test_boxes_keep_links_out(workspace, postures):
+    end = flange_m(workspace, postures[:1])[0]
+    boxed = replace(workspace, boxes_m=np.array([[end - 0.01, end + 0.01]]))
+    inside = {words for words, mask in boxed.violations(postures[:1]) if mask[0]}
+    assert any(words.startswith("link 6 in keep_out box 1 (0.066 m, assumed") for words in inside)
+    assert any(words.startswith("load in keep_out box 1") for words in inside)
+    assert not any(words.startswith("link 2") for words in inside)
 
 
 def test_holding_torque_is_gravity_over_efficiency(workspace, model, postures):
@@ -81,12 +82,12 @@ def test_unknown_links_leave_torque_unchecked(small_cell):
     unknown = workspace_of(arm, arm_robot(small_cell, arm))
     assert unknown.links is None
     assert unknown.holding_torque(np.zeros((1, 6))) is None
-    assert len(unknown.violations(np.zeros((1, 6)))) == 6 + len(arm.keep_out)
+    assert len(unknown.violations(np.zeros((1, 6)))) == 6 + 6 * len(arm.keep_out)
 
 
 def test_path_between_feasible_postures_may_be_blocked(workspace, postures):
     start, end = postures[0], postures[1]
-    middle = body_points(workspace.robot, (start + end)[None] / 2, workspace.points_m)[0, -1]
+    middle = flange_m(workspace, (start + end)[None] / 2)[0]
     free = replace(workspace, boxes_m=np.empty((0, 2, 3)), links=None)
     assert free.path_clear(start[None], end[None]).tolist() == [True]
     blocked = replace(free, boxes_m=np.array([[middle - 0.02, middle + 0.02]]))
@@ -98,7 +99,7 @@ def test_path_points_are_close_and_reach_both_ends():
     points = path_points(np.zeros(6), np.array([1.0, 0, 0, 0, 0, -0.2]))
     assert points[0].tolist() == [0.0] * 6
     assert points[-1].tolist() == [1.0, 0, 0, 0, 0, -0.2]
-    assert np.abs(np.diff(points, axis=0)).max() <= 0.05
+    assert np.abs(np.diff(points, axis=0)).max() <= 0.05 + 1e-12
 
 
 def test_limits_of_cell_and_robot_are_joined(small_cell):
@@ -135,3 +136,73 @@ def test_arm_by_name(small_cell):
     assert arm_named(small_cell).name == "main"
     with pytest.raises(ConfigError, match="there is no arm 'left'; it has main"):
         arm_named(small_cell, "left")
+
+
+def test_a_posture_that_is_no_number_is_not_feasible(workspace):
+    assert not workspace.feasible(np.array([[0.0, 0.0, np.nan, 0.0, 0.0, 0.0]]))[0]
+
+
+def test_an_arm_inside_its_range_has_no_way_in(workspace):
+    assert workspace.inward_way(np.zeros(6)) is None
+
+
+def test_only_joints_outside_move_inwards(workspace):
+    q_rad = np.array([0.3, 0.0, workspace.upper_rad[2] + 0.2, 0.0, workspace.lower_rad[4] - 0.1, 0.0])
+    way = workspace.inward_way(q_rad)
+    assert way == pytest.approx(
+        [0.3, 0, workspace.upper_rad[2] - INWARD_MARGIN_RAD, 0, workspace.lower_rad[4] + INWARD_MARGIN_RAD, 0]
+    )
+    assert workspace.why_not(way) is None
+    assert "joint 3 outside" in workspace.why_not(q_rad)
+
+
+@pytest.mark.parametrize("beyond", [0.36, 3.0, np.nan])
+def test_an_arm_far_outside_is_not_moved(workspace, beyond):
+    q_rad = np.zeros(6)
+    q_rad[3] = workspace.upper_rad[3] + beyond
+    with pytest.raises(PlanRefused, match="joint 4 is .* rad outside .* zero_offset_rad"):
+        workspace.inward_way(q_rad)
+
+
+def test_a_box_on_the_way_in_refuses(workspace):
+    """The box lies between both ends, where the flange passes."""
+    q_rad = np.array([workspace.upper_rad[0] + 0.3, 0.9, 0.0, 0.0, 0.0, 0.0])
+    assert workspace.inward_way(q_rad) is not None
+    between = q_rad - [0.16, 0, 0, 0, 0, 0]
+    centre = flange_m(workspace, between[None])[0]
+    thin = replace(workspace.body, radius_m=np.full(len(workspace.body.link), 0.002))
+    boxed = replace(workspace, body=thin, boxes_m=np.array([[centre - 0.005, centre + 0.005]]))
+    wide = replace(boxed, upper_rad=workspace.upper_rad + 1)
+    assert wide.feasible(np.array([q_rad, q_rad - [0.32, 0, 0, 0, 0, 0]])).all()
+    with pytest.raises(PlanRefused, match="way of joint 1 back into its range.*keep_out box 1"):
+        boxed.inward_way(q_rad)
+    inside_a_box = replace(workspace, boxes_m=np.array([[[-9.0] * 3, [9.0] * 3]]))
+    with pytest.raises(PlanRefused, match="keep_out box 1"):
+        inside_a_box.inward_way(q_rad)
+
+
+def test_slowed_limits_are_those_of_slower_time(workspace):
+    """A motion q(t) played as q(s t) has s, s^2 and s^3 times the rates."""
+    slow = workspace.slowed(0.1)
+    assert slow.speed_rad_s == pytest.approx(0.1 * workspace.speed_rad_s)
+    assert slow.acceleration_rad_s2 == pytest.approx(0.01 * workspace.acceleration_rad_s2)
+    assert slow.jerk_rad_s3 == pytest.approx(0.001 * workspace.jerk_rad_s3)
+    assert slow.lower_rad is workspace.lower_rad
+    assert slow.body is workspace.body
+    for share in (0.0, 1.01, -1.0, float("nan")):
+        with pytest.raises(ValueError, match="share of the speed"):
+            workspace.slowed(share)
+
+
+def test_the_first_bad_place_of_a_way_is_named(workspace):
+    way = np.zeros((4, 6))
+    way[2:, 0] = workspace.upper_rad[0] + 0.1
+    refusal = workspace.refused_on(way)
+    assert 1.0 < refusal.row <= 2.0
+    assert refusal.q_rad[0] == pytest.approx((refusal.row - 1) * (workspace.upper_rad[0] + 0.1))
+    assert "joint 1 outside" in refusal.reason
+    assert workspace.why_not_path(way).startswith("at [")
+    assert workspace.refused_on(way[:2]) is None
+    assert "no finite number" in workspace.why_not_path(np.array([way[0], np.full(6, np.nan)]))
+    assert workspace.why_not_path(way[:1]) is None
+    assert "joint 1 outside" in workspace.why_not_path(way[3:])

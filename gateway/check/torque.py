@@ -16,7 +16,7 @@ import numpy as np
 from drives.objects import OBJECTS, object_name
 from drives.scaling import MotorScale
 from drives.witness import TorqueWords
-from gateway.check_rules import Axis, CheckItem, Severity
+from gateway.check.rules import Axis, CheckItem, Severity
 from gateway.config import AxisConfig
 
 #: SYNCs and different values that are needed to say anything.

@@ -8,8 +8,8 @@ import pytest
 from drives.objects import OBJECTS
 from drives.profile import load_profile
 from drives.values import Identity
-from gateway.check_rules import Axis
-from gateway.check_swap import SeenDrive, judge_places
+from gateway.check.rules import Axis
+from gateway.check.swap import SeenDrive, judge_places
 from gateway.config import ArmConfig
 
 COUNTS = 65536

@@ -16,7 +16,8 @@ from typing import Final
 
 from drives.objects import OBJECTS
 from drives.values import Identity
-from gateway.check_rules import Axis, CheckItem, Readings, joint_torque_limit_nm, software_range_rad
+from gateway.check.limits import software_range_rad
+from gateway.check.rules import Axis, CheckItem, Readings, joint_torque_limit_nm
 from gateway.config import ArmConfig
 
 #: How far a drive's range may stand outside the cell's and still be that of the axis, as a share of the cell's span.

@@ -20,16 +20,16 @@ from gateway.acquire.planning import reference_load
 from gateway.acquire.poses import RestPose
 from gateway.acquire.run import Shelf, Station
 from gateway.acquire.runner import RunRequest, run_plan
-from gateway.check import LOAD_LIMIT_PERCENT
-from gateway.check_rules import Axis, CheckItem
-from gateway.check_torque import Scales, judge_torque
-from gateway.check_wiring import AxisView, Verdict, judge_wiring
+from gateway.check.preflight import LOAD_LIMIT_PERCENT
+from gateway.check.rules import Axis, CheckItem
+from gateway.check.torque import Scales, judge_torque
+from gateway.check.wiring import Arm, Moves, Wiring
+from gateway.check.wiring_judge import AxisView, Verdict, judge_wiring
 from gateway.errors import LimitExceeded, PlanRefused
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import Workspace
 from gateway.visit import Visit
-from gateway.wiring import Arm, Moves, Wiring
 
 #: Displacement of each axis [rad]: the wrist sees little gravity and reaches little.
 STEPS_RAD: Final = (0.15, 0.15, 0.15, 0.3, 0.3, 0.3)

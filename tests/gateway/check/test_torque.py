@@ -7,8 +7,8 @@ import pytest
 
 from drives.profile import load_profile
 from drives.witness import TorqueWords
-from gateway.check_rules import Axis
-from gateway.check_torque import Scales, judge_torque
+from gateway.check.rules import Axis
+from gateway.check.torque import Scales, judge_torque
 from gateway.config import AxisConfig
 
 KT = 0.31

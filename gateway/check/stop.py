@@ -13,7 +13,7 @@ from drives.errors import DriveError
 from drives.objects import OBJECTS
 from drives.proof import StopTrace
 from gateway.acquire.plan import approach_limits
-from gateway.check_rules import CheckItem
+from gateway.check.rules import CheckItem
 from gateway.errors import PlanRefused
 from gateway.motion.arms import Arms
 from gateway.motion.contact import TAKE_OVER_S

@@ -8,8 +8,9 @@ from drives.instrument import InstrumentSetup
 from drives.objects import OBJECTS
 from drives.profile import load_profile, parse_profile
 from drives.values import Identity
-from gateway.check import judge_bus_load
-from gateway.check_rules import Axis, judge_axis, judge_identity, judge_limits
+from gateway.check.limits import judge_limits
+from gateway.check.preflight import addresses, judge_bus_load, live_addresses
+from gateway.check.rules import Axis, judge_axis, judge_identity, judge_settings, judge_state
 from gateway.config import ArmConfig, BusConfig
 
 PROFILE = load_profile("generic-cia402")
@@ -83,8 +84,14 @@ def test_a_healthy_drive_passes_every_rule():
         ({"max_torque": 0}, "fail", "gives no torque"),
         ({"rated_torque": 1_270_000}, "fail", "another unit"),
         ({"max_torque": 500}, "warn", "saturate"),
-        ({"polarity": 0x80}, "warn", "turned round"),
+        ({"polarity": 0xC0}, "fail", "turned round"),
         ({"gear_motor_revolutions": 100}, "fail", "gear ratio of its own"),
+        ({"feed_constant_feed": 360_000, "feed_constant_revolutions": 1}, "fail", "feed of its own"),
+        ({"position_offset": -5}, "fail", "added to every target"),
+        ({"positive_torque_limit": 0}, "fail", "gives no torque"),
+        ({"negative_torque_limit": 500}, "warn", "64 Nm at the joint"),
+        ({"max_current": 0}, "fail", "gives no torque"),
+        ({"max_current": 500, "rated_current": 4000}, "warn", "62 Nm at the joint"),
         ({"encoder_increments": 0}, "fail", "encoder resolution"),
         ({"torque_offset": 30}, "warn", "added to the torque"),
         ({"consumer_heartbeat": None}, "fail", "master is gone"),
@@ -98,6 +105,29 @@ def test_each_rule_says_what_is_wrong_and_what_to_do(changes, severity, says):
     assert all(item.where.startswith("J1 node 1") for item in items)
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"feed_constant_feed": 1, "feed_constant_revolutions": 1},
+        {"feed_constant_feed": COUNTS, "feed_constant_revolutions": 1},
+        {"feed_constant_feed": None, "feed_constant_revolutions": None},
+        {"position_offset": 0},
+        {"positive_torque_limit": 3000, "negative_torque_limit": 3000},
+        # 0.31 Nm/A, 4 A, ratio 100: 1000 per mille are 124 Nm, the cell allows 200
+        {"max_current": 1700, "rated_current": 4000},
+        {"max_current": 1700},
+    ],
+)
+def test_settings_that_are_in_order_say_nothing(changes):
+    assert not [item for item in judge_axis(axis(), readings(**changes)) if item.severity in ("warn", "fail")]
+
+
+def test_the_state_is_apart_from_the_settings_since_enabling_refuses_it_in_words_of_its_own():
+    found = readings(statusword=0x0008, rated_torque=0, polarity=0xC0)
+    assert [item.where.split(" (")[1] for item in worst(judge_state(axis(), found))] == ["statusword)", "rated_torque)"]
+    assert [item.where.split(" (")[1] for item in worst(judge_settings(axis(), found))] == ["polarity)"]
+
+
 def test_modes_that_are_not_told_are_no_failure():
     assert not worst(judge_axis(axis(), readings(supported_modes=None)))
 
@@ -107,6 +137,41 @@ def test_a_torque_that_is_not_measured_is_refused(nature):
     text = PROFILE.text.replace('nature = "measured"', f'nature = "{nature}"', 1)
     found = worst(judge_axis(axis(profile=parse_profile(text, "p.toml")), readings()))
     assert any(nature in item.what and "cannot be estimated" in item.what for item in found)
+
+
+STO = """[[safety]]
+what = "safe torque off"
+object = { index = 0x60FD, type = "u32" }
+mask = 0x00030000
+good = 0x00010000
+
+[reference]
+object = { index = 0x2010, type = "u16" }
+mask = 1
+good = 1
+
+[[emcy]]
+"""
+
+
+@pytest.mark.parametrize(
+    ("inputs", "referenced", "says"),
+    [
+        (0xFF01_0000, 1, []),
+        (0xFF03_0000, 1, ["safe torque off"]),
+        (0, 0, ["safe torque off", "not referenced"]),
+        (None, 1, ["does not have the object"]),
+    ],
+)
+def test_safety_chain_and_reference_where_the_profile_names_them(inputs, referenced, says):
+    text = "".join(line for line in PROFILE.text.splitlines(keepends=True) if not line.startswith("eds ="))
+    profile = parse_profile(text.replace("[[emcy]]\n", STO, 1), "p.toml")
+    found = readings() | {(0x60FD, 0): inputs, (0x2010, 0): referenced}
+    failing = worst(judge_state(axis(profile=profile), found))
+    assert len(failing) == len(says)
+    assert all(text in item.what and item.advice for text, item in zip(says, failing, strict=True))
+    assert {(0x60FD, 0), (0x2010, 0)} <= addresses(profile).keys()
+    assert {(0x60FD, 0), (0x2010, 0)} <= live_addresses(profile)
 
 
 def test_limit_of_the_drive_in_joint_torque():
@@ -161,6 +226,25 @@ def test_software_limits_narrower_than_the_cell_fail():
     assert "drive -1.500 to 1.500 rad" in narrow[0].what
     wide = judge_limits(axis(), arm(), readings(position_limit_min=-2 * end, position_limit_max=2 * end))
     assert not worst(wide)
+
+
+def test_a_position_range_that_ends_inside_the_cells_limits_fails():
+    """0x607B: at its end the position jumps by the whole range."""
+    end = round(150 / (2 * math.pi) * COUNTS)
+    narrow = worst(judge_limits(axis(), arm(), readings(position_range_min=-end, position_range_max=end)))
+    assert "drive -1.500 to 1.500 rad" in narrow[0].what
+    assert "607B:01" in narrow[0].where
+    wide = readings(position_range_min=-(2**31), position_range_max=2**31 - 1)
+    assert not worst(judge_limits(axis(), arm(), wide))
+    assert not worst(judge_limits(axis(), arm(), readings(position_range_min=0, position_range_max=0)))
+
+
+@pytest.mark.parametrize(("joint_rad", "severity"), [(0.1, "ok"), (0.39, "ok"), (0.41, "warn"), (0.0, "warn")])
+def test_following_error_window_against_four_times_the_cells(joint_rad, severity):
+    window = round(100 * joint_rad / (2 * math.pi) * COUNTS)
+    items = judge_limits(axis(), arm(), readings(following_error_window=window))
+    (item,) = [item for item in items if "following_error_window" in item.where]
+    assert item.severity == severity
 
 
 @pytest.mark.parametrize(

@@ -10,12 +10,12 @@ import pytest
 
 from gateway.arm_model import arm_robot
 from gateway.cell.conversion import AxisConversion
-from gateway.check_move import wiring_items
-from gateway.check_wiring import judge_wiring
+from gateway.check.moves import wiring_items
+from gateway.check.wiring import Arm, Moves
+from gateway.check.wiring_judge import judge_wiring
 from gateway.config import load_cell
-from gateway.wiring import Arm, Moves
 
-LOADED = load_cell(Path(__file__).parents[2] / "examples" / "small" / "cell.toml")
+LOADED = load_cell(Path(__file__).parents[3] / "examples" / "small" / "cell.toml")
 CONFIG = LOADED.cell.arm[0]
 AXES = AxisConversion.from_arm(CONFIG)
 LIMIT = np.array([axis.torque_limit_nm for axis in CONFIG.axis])

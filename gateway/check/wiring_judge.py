@@ -17,9 +17,9 @@ from typing import Final
 import numpy as np
 from scipy.special import logsumexp
 
+from gateway.check.wiring import Arm, Floats, Moves, Reading, Wiring
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import AXES, link_lengths_m
-from gateway.wiring import Arm, Floats, Moves, Reading, Wiring
 
 #: A wiring is named when its evidence is better by this (natural logarithm), and seen when the others are worse by it.
 NAMED: Final = 12.0

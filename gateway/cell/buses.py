@@ -1,0 +1,48 @@
+"""Which bus each arm is on: the cell's own, or another that the command line names."""
+
+from __future__ import annotations
+
+from drives.bus import BusSpec
+from gateway.config import Cell
+from gateway.errors import ConfigError
+
+
+def bus_specs(cell: Cell, given: str | None) -> dict[str, BusSpec]:
+    """Bus of every name in the cell, as the command line has it.
+
+    Parameters
+    ----------
+    cell : Cell
+    given : str or None
+        A SPEC where the cell has one bus; NAME=SPEC;NAME=SPEC for any number, the rest stays the cell's.
+
+    Raises
+    ------
+    ConfigError
+        A single SPEC for several buses, or a bus that the cell does not have, or one twice.
+    BusError
+        A SPEC is not understood.
+    """
+    specs = {
+        name: BusSpec(config.interface, config.channel, config.bitrate_bit_s, dict(config.options))
+        for name, config in cell.bus.items()
+    }
+    return specs if given is None else specs | _given(given, tuple(cell.bus))
+
+
+def _given(given: str, names: tuple[str, ...]) -> dict[str, BusSpec]:
+    form = f"give NAME=SPEC;NAME=SPEC with {', '.join(names)}"
+    found: dict[str, BusSpec] = {}
+    for part in given.split(";"):
+        name, equals, text = part.partition("=")
+        # an option of a SPEC has its equals sign after INTERFACE:CHANNEL, a bus has a name without colon
+        if not equals or ":" in name:
+            if len(names) != 1 or ";" in given:
+                raise ConfigError(f"--bus '{part}': the cell has {len(names)} buses and this names none; {form}")
+            return {names[0]: BusSpec.parse(given)}
+        if name.strip() not in names:
+            raise ConfigError(f"--bus '{part}': the cell has no bus '{name.strip()}'; {form}")
+        if name.strip() in found:
+            raise ConfigError(f"--bus: bus '{name.strip()}' is given twice; {form}")
+        found[name.strip()] = BusSpec.parse(text.strip())
+    return found

@@ -1,0 +1,103 @@
+"""Capsules around the shapes of a link: all points within a radius of a segment."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from gateway.model.mesh import MeshError, find_mesh, read_vertices
+from gateway.model.robot import LinkShape
+from gateway.model.urdf_shapes import Box, Cylinder, Mesh, Sphere
+
+Floats = NDArray[np.float64]
+
+#: Steps by which the circle around projected vertices shrinks; it is at most 1 / steps larger than need be.
+CIRCLE_STEPS = 200
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Capsule:
+    """All points within `radius_m` of the segment from `start_m` to `end_m`, arrays of shape (3,)."""
+
+    start_m: Floats
+    end_m: Floats
+    radius_m: float
+
+
+def capsule_of(body: LinkShape, source: str) -> Capsule:
+    """Capsule, in the link's frame, that contains one shape of a link.
+
+    Parameters
+    ----------
+    body : LinkShape
+    source : str
+        File that names the shape; meshes are looked for from there.
+
+    Raises
+    ------
+    MeshError
+        The shape is a mesh that cannot be read, or of an unknown kind.
+    """
+    shape, pose = body.shape, body.pose
+    middle, along = pose[:3, 3], pose[:3, 2]
+    if isinstance(shape, Sphere):
+        return Capsule(middle, middle, shape.radius_m)
+    if isinstance(shape, Cylinder):
+        return Capsule(middle - shape.length_m / 2 * along, middle + shape.length_m / 2 * along, shape.radius_m)
+    if isinstance(shape, Box):
+        longest = int(np.argmax(shape.size_m))
+        across = np.delete(np.array(shape.size_m), longest)
+        half = shape.size_m[longest] / 2 * pose[:3, longest]
+        return Capsule(middle - half, middle + half, float(np.linalg.norm(across)) / 2)
+    if isinstance(shape, Mesh):
+        points = read_vertices(find_mesh(shape.file, source)) * shape.scale
+        return capsule_around(points @ pose[:3, :3].T + middle)
+    raise MeshError(f"{shape.what} is not known")
+
+
+def capsule_around(points_m: Floats) -> Capsule:
+    """Small capsule around points (n, 3): the least of those along their principal and along the coordinate axes."""
+    with suppress(QhullError, ValueError):  # flat or few: all points are kept
+        points_m = points_m[ConvexHull(points_m).vertices]
+    spread = points_m - points_m.mean(axis=0)
+    principal = np.linalg.eigh(spread.T @ spread)[1].T
+    return min((_along(points_m, axis) for axis in (*principal, *np.eye(3))), key=_volume)
+
+
+def _volume(capsule: Capsule) -> float:
+    return capsule.radius_m**2 * (float(np.linalg.norm(capsule.end_m - capsule.start_m)) + 4 / 3 * capsule.radius_m)
+
+
+def _along(points: Floats, axis: Floats) -> Capsule:
+    """Capsule around points with a segment along a unit axis, no longer than the ends of its half balls allow."""
+    across = np.linalg.svd(axis[None])[2][1:]
+    flat, height = points @ across.T, points @ axis
+    centre = _circle(flat)
+    distance = np.linalg.norm(flat - centre, axis=1)
+    radius = float(distance.max())
+    bulge = np.sqrt(np.maximum(radius**2 - distance**2, 0.0))
+    low, high = float((height + bulge).min()), float((height - bulge).max())
+    if low > high:
+        low = high = (low + high) / 2
+    foot = centre @ across
+    return Capsule(foot + low * axis, foot + high * axis, radius)
+
+
+def _circle(points: Floats) -> Floats:
+    """Centre (2,) of a small circle around points (n, 2).
+
+    Badoiu and Clarkson, Smaller core-sets for balls, 2003: steps to the farthest point, each shorter.
+    """
+    centre = best = (points.min(axis=0) + points.max(axis=0)) / 2
+    least = np.inf
+    for step in range(1, CIRCLE_STEPS + 1):
+        distance = np.linalg.norm(points - centre, axis=1)
+        farthest = int(np.argmax(distance))
+        if distance[farthest] < least:
+            least, best = distance[farthest], centre
+        centre = centre + (points[farthest] - centre) / (step + 1)
+    return best

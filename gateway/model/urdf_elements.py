@@ -1,0 +1,63 @@
+"""Values of URDF elements: numbers, triples and poses, refused by file and element where they are none."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+
+from gateway.errors import ConfigError
+
+Three = tuple[float, float, float]
+ZERO: Three = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """`<origin>`: translation [m], fixed-axis roll, pitch, yaw [rad]."""
+
+    xyz_m: Three = ZERO
+    rpy_rad: Three = ZERO
+
+
+def origin(element: ET.Element, label: str, where: str) -> Pose:
+    """`<origin>` of an element; identity where there is none."""
+    found, label = element.find("origin"), f"{label} <origin>"
+    if found is None:
+        return Pose()
+    return Pose(three(found, "xyz", label, where, ZERO), three(found, "rpy", label, where, ZERO))
+
+
+def three(element: ET.Element, key: str, label: str, where: str, default: Three | None) -> Three:
+    """Three numbers of an attribute; raises ConfigError naming file, element and attribute."""
+    text = element.get(key)
+    if text is None:
+        if default is None:
+            raise ConfigError(f"{where}: {label}: {key} is missing")
+        return default
+    words = text.split()
+    if len(words) != 3:
+        raise ConfigError(f'{where}: {label}: {key}="{text}" needs three numbers')
+    x, y, z = (finite(word, f"{label} {key}", where) for word in words)
+    return x, y, z
+
+
+def number(element: ET.Element, key: str, label: str, where: str, default: float | None) -> float:
+    """A number of an attribute; raises ConfigError naming file, element and attribute."""
+    text = element.get(key)
+    if text is None:
+        if default is None:
+            raise ConfigError(f"{where}: {label}: {key} is missing")
+        return default
+    return finite(text, f"{label} {key}", where)
+
+
+def finite(text: str, label: str, where: str) -> float:
+    """A finite number; raises ConfigError naming file, element and attribute."""
+    try:
+        value = float(text)
+    except ValueError as error:
+        raise ConfigError(f"{where}: {label}: '{text}' is not a number") from error
+    if not math.isfinite(value):
+        raise ConfigError(f"{where}: {label}: '{text}' is not finite")
+    return value

@@ -1,0 +1,69 @@
+"""Limits that the drives of an arm are given, motor side: those of the joints, through gears and coupling."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from drives.profile import DriveProfile
+from gateway.cell.conversion import AxisConversion
+from gateway.check.coasting import quick_stop_ramp
+from gateway.check.rules import Readings
+from gateway.config import ArmConfig
+
+#: A target at a joint's limit is rounded to counts: so far beyond it the drive still takes it [rad, joint].
+ROUNDING_RAD: Final = 1e-4
+
+Range = tuple[float, float]
+
+
+def motor_ranges_rad(arm: ArmConfig) -> tuple[Range | None, ...]:
+    """Motor angles [rad] between the limits of each joint; None for an axis whose motor turns with other joints too.
+
+    Parameters
+    ----------
+    arm : ArmConfig
+    """
+    axes = AxisConversion.from_arm(arm)
+    limits = np.array([axis.position_limit_rad for axis in arm.axis]).T + ROUNDING_RAD * np.array([[-1.0], [1.0]])
+    ends = np.sort(axes.motor_position(limits), axis=0)
+    coupled = np.count_nonzero(axes.coupling, axis=1) > 1
+    return tuple(None if mixed else (float(low), float(high)) for mixed, low, high in zip(coupled, *ends, strict=True))
+
+
+def motor_torques_nm(axes: AxisConversion, joint_nm: np.ndarray | None) -> tuple[float | None, ...]:
+    """Motor torque [Nm] of each drive that covers torques (6,) [Nm] of either sign at the joints; None = not known.
+
+    Parameters
+    ----------
+    axes : AxisConversion
+    joint_nm : array of shape (6,) or None
+        Largest torque of each joint, gear losses included.
+    """
+    if joint_nm is None:
+        return (None,) * len(axes.ratio)
+    return tuple((np.abs(np.linalg.inv(axes.coupling)).T @ joint_nm / np.abs(axes.ratio)).tolist())
+
+
+def quick_stop_rad_s2(
+    arm: ArmConfig, profiles: Sequence[DriveProfile], readings: Sequence[Readings]
+) -> np.ndarray | None:
+    """Deceleration (6,) [rad/s2] of the joints by the drives' quick stop ramps; None where one of them is not known.
+
+    Parameters
+    ----------
+    arm : ArmConfig
+    profiles : sequence of 6 DriveProfile
+    readings : sequence of 6 Readings
+        Objects of each drive.
+    """
+    motor: list[float] = []
+    for profile, objects in zip(profiles, readings, strict=True):
+        raw = quick_stop_ramp(objects)[1]
+        if not raw or profile.velocity is None:
+            return None
+        motor.append(raw * profile.velocity.unit_rad_s.value)
+    axes = AxisConversion.from_arm(arm)
+    return np.abs(np.linalg.inv(axes.coupling)) @ (np.array(motor) / np.abs(axes.ratio))

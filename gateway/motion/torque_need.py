@@ -1,0 +1,117 @@
+"""Torque that each axis has to have in the worst case: what a torque limit may never be lowered below."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.config import ArmConfig
+from gateway.errors import ConfigError
+from gateway.feedforward.load import FeedLoad, assumed_load, rated_load
+from gateway.feedforward.parameters import drawn_parameters
+from gateway.model.regressor import regressor
+from gateway.model.robot import AXES
+from gateway.motion.workspace import BAND_SHARE, Workspace
+
+Floats = NDArray[np.float64]
+
+#: What is kept above the sum: speed products, a model that is some percent off, a load that swings.
+RESERVE = 1.3
+#: The worst posture: the best of so many drawn at random, improved joint by joint over so many angles, so many times,
+#: each time that much closer about what was found.
+POSTURES, STARTS, ANGLES, SWEEPS, NARROWER = 1500, 3, 24, 4, 5
+SEED = 11
+
+
+def needed_torque_nm(workspace: Workspace, arm: ArmConfig, decel_rad_s2: Floats) -> Floats | None:
+    """Torque (6,) [Nm, joint side, gear losses included] that every axis needs at most, with a reserve.
+
+    1.3 x (largest gravity torque over the joint range, bare and with the rated and the heaviest load, over the gear's
+    efficiency + friction band + what the quick stop of all axes at once needs: the row of the inertia matrix and the
+    rotor times the decelerations). The three maxima are added, wherever each of them lies.
+
+    Parameters
+    ----------
+    workspace : Workspace
+    arm : ArmConfig
+        Loads, rotors and friction.
+    decel_rad_s2 : array of shape (6,)
+        Ramps of the quick stop at the joints.
+
+    Returns
+    -------
+    array of shape (6,) or None
+        None where the links, a rotor's inertia or the load that the arm may carry are not known.
+    """
+    bodies = _bodies(workspace, arm)
+    rotors = [axis.rotor_inertia_kg_m2 for axis in arm.axis]
+    if bodies is None or None in rotors:
+        return None
+    rotor = np.array([0.0 if inertia is None else inertia.value for inertia in rotors])
+    friction = np.array(
+        [BAND_SHARE * axis.torque_limit_nm if axis.coulomb_nm is None else axis.coulomb_nm.value for axis in arm.axis]
+    )
+
+    def gravity_nm(q_rad: Floats) -> Floats:
+        still = np.zeros_like(q_rad)
+        rows = regressor(workspace.robot, q_rad, still, still, workspace.gravity_m_s2)
+        return np.abs(rows @ bodies).max(axis=2) / workspace.efficiency
+
+    def stopping_nm(q_rad: Floats) -> Floats:
+        still, total = np.zeros_like(q_rad), np.zeros((len(q_rad), AXES, bodies.shape[1]))
+        for axis, deceleration in enumerate(decel_rad_s2):
+            turned = np.tile(np.eye(AXES)[axis] * deceleration, (len(q_rad), 1))
+            total += np.abs(regressor(workspace.robot, q_rad, still, turned, np.zeros(3)) @ bodies)
+        return total.max(axis=2)
+
+    middle = (workspace.lower_rad + workspace.upper_rad) / 2
+    half = np.minimum((workspace.upper_rad - workspace.lower_rad) / 2, np.pi)
+    largest = [_largest(torque, middle - half, middle + half) for torque in (gravity_nm, stopping_nm)]
+    return RESERVE * (sum(largest, friction) + rotor * decel_rad_s2)
+
+
+def _bodies(workspace: Workspace, arm: ArmConfig) -> Floats | None:
+    """Link parameters (60, loads) bare and with every load the cell names; None where links or load are not known."""
+    loads = list(_loads(workspace, arm))
+    if workspace.links is None or not loads:
+        return None
+    try:
+        links = drawn_parameters(workspace.robot, arm)
+    except ConfigError:
+        return None
+    carried = [links]
+    for load in loads:
+        carried.append(links.copy())
+        carried[-1][-10:] += load.parameters
+    return np.column_stack(carried)
+
+
+def _loads(workspace: Workspace, arm: ArmConfig) -> Iterator[FeedLoad]:
+    """The rated and the heaviest load, as far as given: solid bodies with their centre of gravity in link 6."""
+    if arm.rated_load_kg is not None:
+        yield rated_load(arm, workspace.robot)
+    if workspace.max_load is not None:
+        com_m = workspace.max_load[1:] / workspace.max_load[0]
+        yield assumed_load("heaviest", float(workspace.max_load[0]), com_m, "max_load_kg of the cell file")
+
+
+def _largest(torque_nm: Callable[[Floats], Floats], lower_rad: Floats, upper_rad: Floats) -> Floats:
+    """Largest torque (6,) over a range of postures, of a function of postures (n, 6) to torques (n, 6)."""
+    random = np.random.default_rng(SEED)
+    drawn = random.uniform(lower_rad, upper_rad, (POSTURES, AXES))
+    found = torque_nm(drawn)
+    best = np.argsort(-found, axis=0)[:STARTS]
+    axis = np.tile(np.arange(AXES), STARTS)
+    q_rad = drawn[best.ravel()]
+    rows = np.arange(len(q_rad))
+    for sweep, joint in product(range(SWEEPS), range(AXES)):
+        tried = np.repeat(q_rad[:, None], ANGLES + 1, axis=1)
+        half = (upper_rad[joint] - lower_rad[joint]) / NARROWER**sweep
+        around = q_rad[:, joint, None] + np.linspace(-half, half, ANGLES)
+        tried[:, :-1, joint] = np.clip(around, lower_rad[joint], upper_rad[joint])
+        value = torque_nm(tried.reshape(-1, AXES)).reshape(len(q_rad), ANGLES + 1, AXES)
+        q_rad = tried[rows, np.argmax(value[rows, :, axis], axis=1)]
+    return np.maximum(found.max(axis=0), torque_nm(q_rad).max(axis=0))

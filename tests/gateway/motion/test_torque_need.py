@@ -1,0 +1,100 @@
+"""What every axis needs in the worst case, against gravity and inertia matrix of pinocchio."""
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio
+import pytest
+
+from gateway.arm_model import arm_robot, robot_text
+from gateway.config import Constant
+from gateway.motion.torque_need import needed_torque_nm
+from gateway.motion.workspace import workspace_of
+
+DECEL = np.array([3.0, 2.0, 4.0, 6.0, 8.0, 10.0])
+
+
+@pytest.fixture(scope="module", params=["small", "large"])
+def cell(request, small_cell, large_cell):
+    return {"small": small_cell, "large": large_cell}[request.param]
+
+
+def loaded_model(cell, mass_kg: float, com_m) -> pinocchio.Model:
+    """The arm with a solid cube of 3000 kg/m3 on its last link."""
+    arm = cell.cell.arm[0]
+    model = pinocchio.buildModelFromXML(robot_text(cell, arm))
+    model.gravity.linear = np.array(arm.gravity_m_s2)
+    side = (mass_kg / 3000.0) ** (1 / 3)
+    cube = pinocchio.Inertia(mass_kg, np.array(com_m, dtype=float), mass_kg * side**2 / 6 * np.eye(3))
+    model.appendBodyToJoint(6, cube, pinocchio.SE3.Identity())
+    return model
+
+
+def worst(cell, workspace, mass_kg: float, com_m) -> tuple[np.ndarray, np.ndarray]:
+    """Largest gravity torque and largest share of the inertia matrix times the decelerations, of random postures."""
+    model = loaded_model(cell, mass_kg, com_m)
+    data = model.createData()
+    gravity, stopping = np.zeros(6), np.zeros(6)
+    for q in np.random.default_rng(8).uniform(workspace.lower_rad, workspace.upper_rad, (6000, 6)):
+        gravity = np.maximum(gravity, np.abs(pinocchio.rnea(model, data, q, np.zeros(6), np.zeros(6))))
+        upper = np.triu(pinocchio.crba(model, data, q))
+        stopping = np.maximum(stopping, np.abs(upper + np.triu(upper, 1).T) @ DECEL)
+    return gravity, stopping
+
+
+def test_need_is_gravity_friction_and_stop_with_the_reserve(cell):
+    arm = cell.cell.arm[0]
+    workspace = workspace_of(arm, arm_robot(cell, arm))
+    gravity, stopping = worst(cell, workspace, arm.rated_load_kg.value, arm.rated_load_com_m)
+    friction = 0.013 * workspace.torque_nm
+    rotor = np.array([axis.rotor_inertia_kg_m2.value for axis in arm.axis])
+    sampled = 1.3 * (gravity / workspace.efficiency + friction + stopping + rotor * DECEL)
+    needed = needed_torque_nm(workspace, arm, DECEL)
+    assert (needed >= sampled * 0.999).all()
+    assert (needed <= 1.05 * sampled).all()
+
+
+def test_given_friction_counts_as_it_is(small_cell):
+    arm = small_cell.cell.arm[0]
+    workspace = workspace_of(arm, arm_robot(small_cell, arm))
+    rough = tuple(axis.model_copy(update={"coulomb_nm": Constant(value=50.0, source="x")}) for axis in arm.axis)
+    plain = needed_torque_nm(workspace, arm, DECEL)
+    given = needed_torque_nm(workspace, arm.model_copy(update={"axis": rough}), DECEL)
+    assert given - plain == pytest.approx(1.3 * (50.0 - 0.013 * workspace.torque_nm))
+
+
+def test_the_heavier_of_both_loads_counts(small_cell):
+    arm = small_cell.cell.arm[0]
+    heavy = arm.model_copy(update={"max_load_kg": 20.0, "max_load_com_m": (0.0, 0.0, 0.12)})
+    robot = arm_robot(small_cell, arm)
+    rated, both = (needed_torque_nm(workspace_of(cell, robot), cell, DECEL) for cell in (arm, heavy))
+    assert both[1] > 1.2 * rated[1]
+    alone = heavy.model_copy(update={"rated_load_kg": None})
+    assert needed_torque_nm(workspace_of(alone, robot), alone, DECEL) == pytest.approx(both, rel=1e-9)
+
+
+def test_a_stop_costs_in_proportion(small_cell):
+    arm = small_cell.cell.arm[0]
+    workspace = workspace_of(arm, arm_robot(small_cell, arm))
+    none, once, twice = (needed_torque_nm(workspace, arm, factor * DECEL) for factor in (0, 1, 2))
+    assert twice - once == pytest.approx(once - none, rel=1e-9)
+    assert (once > none).all()
+
+
+@pytest.mark.parametrize("missing", ["rated_load_kg", "inertials", "rotor"])
+def test_what_is_not_known_gives_no_figure(small_cell, missing):
+    arm = small_cell.cell.arm[0]
+    axes = (arm.axis[0].model_copy(update={"rotor_inertia_kg_m2": None}), *arm.axis[1:])
+    changed = {"rated_load_kg": None, "inertials": "ignore", "rotor": axes}
+    arm = arm.model_copy(update={"axis" if missing == "rotor" else missing: changed[missing]})
+    workspace = workspace_of(arm, arm_robot(small_cell, arm))
+    assert needed_torque_nm(workspace, arm, DECEL) is None
+
+
+def test_a_link_without_inertia_gives_no_figure(small_cell):
+    arm = small_cell.cell.arm[0]
+    workspace = workspace_of(arm, arm_robot(small_cell, arm))
+    inertia = workspace.robot.inertia_kg_m2.copy()
+    inertia[4] = np.nan
+    unknown = replace(workspace, robot=replace(workspace.robot, inertia_kg_m2=inertia))
+    assert needed_torque_nm(unknown, arm, DECEL) is None
