@@ -14,8 +14,9 @@ import numpy as np
 from gateway.acquire.poses import RestPose
 from gateway.acquire.route import Leg, find_route
 from gateway.errors import PlanRefused
+from gateway.motion.places import angles
 from gateway.motion.trajectory import MotionLimits, straight
-from gateway.motion.workspace import Workspace, angles
+from gateway.motion.workspace import Workspace
 
 SIDES = (-1, 1)
 #: Share of the speed limit that moves between poses use.

@@ -27,8 +27,9 @@ from scipy.interpolate import make_interp_spline
 
 from drives.toml_text import parse_toml
 from gateway.errors import InputError, PlanRefused
+from gateway.motion.places import angles
 from gateway.motion.trajectory import Motion, MotionLimits, straight
-from gateway.motion.workspace import Workspace, angles
+from gateway.motion.workspace import Workspace
 
 COLUMNS = tuple(f"q{axis}_rad" for axis in range(1, 7))
 SAME_RAD = 1e-9

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,12 +12,11 @@ from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import Robot
 from gateway.motion.body import Body, body_of
 from gateway.motion.keep_out import PATH_RESOLUTION_M, blocked_at, clearance_m
+from gateway.motion.places import angles, fine_places, path_points, postures_at
 
 #: Share of each torque limit that holding the arm may take; bare at rest poses, the rest is left to an unknown load.
 TORQUE_SHARE = 0.9
 TORQUE_SHARE_BARE = 0.5
-#: Largest joint step between two points of a path at which the holding torque is checked.
-PATH_STEP_RAD = 0.05
 #: Postures that are checked at once.
 BLOCK = 20_000
 #: An arm that stands outside its joint range by no more than this may move back in, to this far inside.
@@ -207,10 +205,10 @@ class Workspace:
         if broken.any():
             row = int(np.argmax(broken))
             return Refusal(row, way_rad[row], "a joint angle is no finite number")
-        places = _fine(way_rad)
+        places = fine_places(way_rad)
         first = np.inf
         for begin in range(0, len(places), BLOCK):
-            bad = ~self.feasible(_at(way_rad, places[begin : begin + BLOCK]))
+            bad = ~self.feasible(postures_at(way_rad, places[begin : begin + BLOCK]))
             if bad.any():
                 first = float(places[begin + int(np.argmax(bad))])
                 break
@@ -221,7 +219,7 @@ class Workspace:
             first = min(first, row + float(meets[row]))
         if not np.isfinite(first):
             return None
-        q_rad = _at(way_rad, np.array([first]))[0]
+        q_rad = postures_at(way_rad, np.array([first]))[0]
         return Refusal(first, q_rad, self.why_not(q_rad) or TOO_CLOSE)
 
     def why_not_path(self, q_rad: np.ndarray) -> str | None:
@@ -292,33 +290,6 @@ class Workspace:
         step = np.abs(end_rad - start_rad)
         ramp = self.speed_rad_s / self.acceleration_rad_s2
         return (step / self.speed_rad_s).max(axis=-1) + ramp.max()
-
-
-def angles(q_rad: Sequence[float] | np.ndarray) -> str:
-    """A posture (6,) in words."""
-    return "[" + ", ".join(f"{value:.3f}" for value in q_rad) + "] rad"
-
-
-def path_points(start_rad: np.ndarray, end_rad: np.ndarray) -> np.ndarray:
-    """Points (k, 6) of a straight joint motion, at most `PATH_STEP_RAD` apart, both ends included."""
-    way = np.array([start_rad, end_rad])
-    return _at(way, _fine(way))
-
-
-def _fine(way_rad: np.ndarray) -> np.ndarray:
-    """Places (k,) in rows along a way (n, 6), at most `PATH_STEP_RAD` apart, all rows included."""
-    step = np.abs(np.diff(way_rad, axis=0)).max(axis=1)
-    count = np.maximum(np.ceil(step / PATH_STEP_RAD), 1).astype(int)
-    row = np.repeat(np.arange(len(count)), count)
-    within = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
-    return np.append(row + within / count[row], len(count))
-
-
-def _at(way_rad: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Postures (k, 6) at places in rows along a way (n, 6)."""
-    row = np.minimum(place.astype(int), max(len(way_rad) - 2, 0))
-    share = (place - row)[:, None]
-    return (1.0 - share) * way_rad[row] + share * way_rad[np.minimum(row + 1, len(way_rad) - 1)]
 
 
 def workspace_of(arm: ArmConfig, robot: Robot) -> Workspace:

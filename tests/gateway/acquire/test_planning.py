@@ -34,7 +34,7 @@ from gateway.arm_model import robot_text
 from gateway.errors import InputError, PlanRefused
 from gateway.model.information import payload_information
 from gateway.model.kinematics import flange_frames
-from gateway.motion.workspace import path_points
+from gateway.motion.places import path_points
 
 
 def load_information(workspace, q_rad: np.ndarray, noise_nm: np.ndarray) -> np.ndarray:

@@ -10,7 +10,8 @@ from gateway.arm_model import arm_named, arm_robot, robot_text
 from gateway.config import AxisConfig, KeepOut
 from gateway.errors import ConfigError, PlanRefused
 from gateway.model.kinematics import flange_frames, link_frames
-from gateway.motion.workspace import INWARD_MARGIN_RAD, TORQUE_SHARE, path_points, workspace_of
+from gateway.motion.places import path_points
+from gateway.motion.workspace import INWARD_MARGIN_RAD, TORQUE_SHARE, workspace_of
 
 
 @pytest.fixture(scope="module")
