@@ -30,6 +30,10 @@ class Wire:
         self.sent: list[tuple[int, bytes]] = []
         self.slaves: list[Slave] = []
         self.send_errors = 0
+        #: By how much the wall clock, which also stamps frames, is ahead of the monotonic one.
+        self.wall_ahead_s = 7.0e8
+        #: The process is held up for so long in its next wait for a frame.
+        self.held_up_s = 0.0
         self._queue: list[tuple[float, int, can.Message]] = []
         self._number = itertools.count()
 
@@ -37,13 +41,20 @@ class Wire:
         self.now_s += 1e-7
         return self.now_s
 
+    def wall(self) -> float:
+        return self.monotonic() + self.wall_ahead_s
+
     def sleep(self, seconds: float) -> None:
         self.now_s += max(0.0, seconds)
 
     def emit(self, can_id: int, data: bytes, delay_s: float = 0.0, **flags: bool) -> None:
         """Put a frame on the wire; frames due at the same time keep their order."""
         message = can.Message(
-            arbitration_id=can_id, data=data, is_extended_id=False, timestamp=self.now_s + delay_s, **flags
+            arbitration_id=can_id,
+            data=data,
+            is_extended_id=False,
+            timestamp=self.now_s + self.wall_ahead_s + delay_s,
+            **flags,
         )
         heapq.heappush(self._queue, (self.now_s + delay_s, next(self._number), message))
 
@@ -59,6 +70,9 @@ class Wire:
             slave.on_frame(can_id, data)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
+        if timeout and self.held_up_s:
+            self.now_s, self.held_up_s = self.now_s + self.held_up_s, 0.0
+            return None
         until = self.now_s + (timeout or 0.0)
         if not self._queue or self._queue[0][0] > until:
             self.now_s = until + 1e-6
@@ -326,6 +340,7 @@ def wire(monkeypatch: pytest.MonkeyPatch) -> Wire:
     """A wire whose clock is the clock of the test."""
     wire = Wire()
     monkeypatch.setattr(time, "monotonic", wire.monotonic)
+    monkeypatch.setattr(time, "time", wire.wall)
     monkeypatch.setattr(time, "sleep", wire.sleep)
     return wire
 
