@@ -26,8 +26,9 @@ Pacing = Literal["lockstep", "real"]
 
 #: Longest wait for a silent drive while the others have to be stopped.
 _HURRY_S: Final = 0.1
-#: An axis stands when it moves less than this between two SYNCs, in motor revolutions.
+#: An axis stands when it moves less than this between two SYNCs, in motor revolutions, several times in a row.
 _STILL_REVOLUTIONS: Final = 0.001
+_STILL_SYNCS: Final = 3
 #: SYNCs in a row whose answers may come without being assigned, until the axis counts as silent.
 _UNSURE_ROWS: Final = 10
 
@@ -169,12 +170,26 @@ class SyncExchange:
         self.collector.alignment.forget()
         axes = len(self.drives)
         self.silent, self.still, self._unsure, self._moved = [0] * axes, [0] * axes, [0] * axes, False
+        self.position_count = [None] * axes
         self._allowed_count = [
             max(1.0, _STILL_REVOLUTIONS * 2.0 * math.pi / abs(drive.scale.count_rad)) for drive in self.drives
         ]
         self._answer_timeout_s = self.timing.answer_timeout_s
         if self.timing.pacing == "real":
             spare_collections()
+
+    def stands(self, axis: int) -> bool:
+        """Whether an axis (from 0) was seen to stand at the last SYNCs."""
+        return self.still[axis] >= _STILL_SYNCS
+
+    @property
+    def heartbeat(self) -> bool:
+        """Whether the master's heartbeat goes on."""
+        return self._producer.running
+
+    def end_heartbeat(self) -> None:
+        """The drives shall stop by themselves: what they were told is not confirmed."""
+        self._producer.stop()
 
     def hurry(self) -> None:
         """From now on wait less for a drive that may only be slow: something has to be stopped."""

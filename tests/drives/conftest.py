@@ -28,6 +28,7 @@ class Wire:
         self.now_s = 1000.0
         self.echo = False
         self.sent: list[tuple[int, bytes]] = []
+        self.sent_at_s: list[float] = []
         self.slaves: list[Slave] = []
         self.send_errors = 0
         #: By how much the wall clock, which also stamps frames, is ahead of the monotonic one.
@@ -64,6 +65,7 @@ class Wire:
             raise can.CanOperationError("Transmit buffer full")
         can_id, data = message.arbitration_id, bytes(message.data)
         self.sent.append((can_id, data))
+        self.sent_at_s.append(self.now_s)
         if self.echo:
             self.emit(can_id, data)
         for slave in self.slaves:
@@ -120,6 +122,8 @@ class Slave:
         self.sync_seen = 0
         self.position = 1000 * node_id
         self.torque = 10 * node_id
+        #: By state: counts that the axis goes at each SYNC while it is in that state, until the list is empty.
+        self.ways: dict[str, list[int]] = {}
         self.position_at_sync: list[int] = []
         self.controlwords: list[int] = []
         self.written: list[tuple[int, int, int]] = []
@@ -243,6 +247,9 @@ class Slave:
             self._control(self.values[0x6040, 0])
             if self.state == "operation enabled":
                 self.position = self.values[0x607A, 0]
+        way = self.ways.get(self.state)
+        if way:
+            self.position += way.pop(0)
         self.position_at_sync.append(self.position)
 
     def _mapped(self, mapping: int) -> list[tuple[tuple[int, int], int]]:
