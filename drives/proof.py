@@ -212,6 +212,9 @@ def watch_quick_stop(exchange: SyncExchange) -> tuple[StopTrace, ...]:
         A frame could not be sent.
     """
     axes = [_Axis(drive, 2.0 * exchange.timing.period_s) for drive in exchange.drives]
+    for axis, count in zip(axes, exchange.position_count, strict=True):
+        if count is not None:
+            axis.see(0.0, State.OPERATION_ENABLED, count)
     begin_s: float | None = None
     passed_s = 0.0
     while passed_s < _RAMP_S + PATIENCE_S and not all(axis.done for axis in axes):
