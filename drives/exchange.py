@@ -13,7 +13,7 @@ from drives.bus import SYNC_ID, Bus, Frame
 from drives.busload import cycle_bits_worst
 from drives.cia402 import ENABLE_OPERATION, State, decode_state
 from drives.clock import SyncClock, spare_collections
-from drives.decode import Decoder
+from drives.decode import Decoder, Frames
 from drives.drive import Cia402Drive
 from drives.epoch import Epoch, EpochCollector
 from drives.heartbeat import HeartbeatProducer
@@ -227,7 +227,7 @@ class SyncExchange:
         now_s = time.monotonic()
         self._send_sync(now_s)
         answers = collector.collect(self._answer_timeout_s, timing.gap_timeout_s)
-        return self._epoch(now_s, self.sync_time_s, answers, self._row(answers))
+        return self._epoch(now_s, self.sync_time_s, answers)
 
     def _by_the_clock(self, words: Sequence[int] | None) -> Epoch:
         timing, collector, clock = self.timing, self.collector, self.clock
@@ -242,9 +242,11 @@ class SyncExchange:
         wall_s = time.time()
         self._send_sync(now_s)
         self._moved = moves
-        answers = collector.collect_within(timing.window * timing.period_s, self.sent_s, wall_s)
+        answers: Frames = collector.collect_within(timing.window * timing.period_s, self.sent_s, wall_s)
+        if not sure:
+            answers = [None] * len(answers)
         time_s = now_s - (now_s if self.started_s is None else self.started_s)
-        return self._epoch(now_s, time_s, answers, self._row(answers if sure else [None] * len(answers)))
+        return self._epoch(now_s, time_s, answers)
 
     def _refuse_late(self, moving: bool) -> None:
         """A set point that comes so late is a jump for axes that move; where nothing moves it is none."""
@@ -278,23 +280,17 @@ class SyncExchange:
         self.sent_s = time.monotonic()
         self.clock.sent(now_s)
 
-    def _epoch(
-        self,
-        now_s: float,
-        time_s: float,
-        answers: list[bytes | bytearray | None],
-        row: tuple[DriveReading | None, ...],
-    ) -> Epoch:
+    def _epoch(self, now_s: float, time_s: float, answers: Frames) -> Epoch:
         if self.started_s is None:
             self.started_s = now_s
         self.cycles += 1
-        return Epoch(self.sync_index, time_s, row, self._beside(answers))
+        return Epoch(self.sync_index, time_s, self._row(answers), self._beside(answers))
 
-    def _beside(self, frames: list[bytes | bytearray | None]) -> tuple[InstrumentReading | None, ...]:
+    def _beside(self, frames: Frames) -> tuple[InstrumentReading | None, ...]:
         index = self.sync_index
         return tuple(instrument.decode(index, frames, slot) for instrument, slot in self._instruments)
 
-    def _row(self, frames: list[bytes | bytearray | None]) -> tuple[DriveReading | None, ...]:
+    def _row(self, frames: Frames) -> tuple[DriveReading | None, ...]:
         index, states, silent, still = self.sync_index, self.states, self.silent, self.still
         row: list[DriveReading | None] = []
         missing = False

@@ -13,7 +13,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from drives.cia402 import DISABLE_VOLTAGE, NoRoute, State, decode_state, next_controlword, stopping_controlword
+from drives.cia402 import (
+    DISABLE_VOLTAGE,
+    QUICK_STOP,
+    NoRoute,
+    State,
+    decode_state,
+    next_controlword,
+    stopping_controlword,
+)
 from drives.drive import Cia402Drive
 from drives.epoch import Epoch
 from drives.errors import BusError, DriveError, TransitionTimeout
@@ -30,6 +38,9 @@ _PATIENCE_S: Final = 0.2
 #: How long positions are watched after the brakes have closed; by SYNCs, and at most so long by the clock.
 _SAG_S: Final = 0.3
 _SAG_LONGEST_S: Final = 1.0
+#: Where only SDO is left: time between two readings, and by how much they differ at rest, in motor revolutions.
+_SDO_PAUSE_S: Final = 0.02
+_SDO_STILL_REVOLUTIONS: Final = 0.005
 _DOWN: Final = frozenset({State.SWITCH_ON_DISABLED, State.NOT_READY, State.FAULT})
 _STOPPED: Final = _DOWN | {State.QUICK_STOP_ACTIVE, State.READY_TO_SWITCH_ON, State.SWITCHED_ON}
 #: States in which the drive itself holds or brakes the axis.
@@ -197,13 +208,16 @@ def _run(exchange: SyncExchange, step: _Step, note: Callable[[Epoch], None]) -> 
 def _by_sdo(exchange: SyncExchange, axis: int, step: _Step) -> list[DriveError]:
     """The same by SDO, for an axis that does not answer SYNC."""
     drive = exchange.drives[axis]
-    control = OBJECTS["controlword"]
     try:
         for _ in range(4):
             state = _state(drive)
             if state in step.reached:
-                return _still_moving(exchange, axis, step)
-            drive.access.sdo.write(control.index, control.subindex, control.type, step.word(state))
+                return [] if _seen_at_rest(exchange, axis, step) else [_still_moving(drive)]
+            if state is State.OPERATION_ENABLED and step.word is disabling_controlword:
+                _tell(drive, QUICK_STOP)
+                _comes_to_rest(drive)
+                state = _state(drive)
+            _tell(drive, step.word(state))
         what = f"stays in {_state(drive)}"
         advice = "use the emergency stop; then check the drive"
         return [TransitionTimeout(what, node=drive.node_id, index=0x6041, advice=advice)]
@@ -211,14 +225,39 @@ def _by_sdo(exchange: SyncExchange, axis: int, step: _Step) -> list[DriveError]:
         return [error]
 
 
+def _tell(drive: Cia402Drive, word: int) -> None:
+    control = OBJECTS["controlword"]
+    drive.access.sdo.write(control.index, control.subindex, control.type, word)
+
+
 def _state(drive: Cia402Drive) -> State:
     return decode_state(drive.access.read(OBJECTS["statusword"], ONCE))
 
 
-def _still_moving(exchange: SyncExchange, axis: int, step: _Step) -> list[DriveError]:
-    """An axis in a state of rest that was seen to move until the end."""
-    if exchange.silent[axis] or step.done(axis) or exchange.states[axis] not in step.reached:
-        return []
-    what = f"still moves {step.limit_s:.1f} s after it was told to stop"
+def _seen_at_rest(exchange: SyncExchange, axis: int, step: _Step) -> bool:
+    """Whether an axis in a state of rest stands, by its answers to SYNC or, without any, by SDO."""
+    if step.word is disabling_controlword or step.done(axis):
+        return True
+    if not exchange.silent[axis]:
+        return exchange.states[axis] not in step.reached
+    return _comes_to_rest(exchange.drives[axis])
+
+
+def _comes_to_rest(drive: Cia402Drive) -> bool:
+    """Wait until two readings by SDO say that the axis stands; whether they do in time."""
+    allowed = max(1.0, _SDO_STILL_REVOLUTIONS * 2.0 * math.pi / abs(drive.scale.count_rad))
+    until_s = time.monotonic() + _RAMP_S
+    before: int | None = None
+    while time.monotonic() < until_s:
+        count = drive.access.read(drive.setup.profile.position.object, ONCE)
+        if before is not None and abs(count - before) <= allowed:
+            return True
+        before = count
+        time.sleep(_SDO_PAUSE_S)
+    return False
+
+
+def _still_moving(drive: Cia402Drive) -> DriveError:
     advice = "use the emergency stop; then check its quick stop ramp (0x605A, 0x6085) and its brake"
-    return [TransitionTimeout(what, node=exchange.drives[axis].node_id, index=0x6064, advice=advice)]
+    what = f"still moves {_RAMP_S + _PATIENCE_S:.1f} s after it was told to stop"
+    return TransitionTimeout(what, node=drive.node_id, index=0x6064, advice=advice)

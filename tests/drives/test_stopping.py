@@ -189,6 +189,29 @@ def test_one_axis_that_does_not_obey_leaves_the_others_led_down(group, slaves):
     assert {slave.state for slave in slaves} == {"switch on disabled", "operation enabled"}
 
 
+def test_an_axis_that_answers_sdo_alone_is_brought_to_rest_before_it_is_disabled(group, slaves):
+    """It has left NMT state OPERATIONAL and hears no SYNC; what it does is asked for, and told, by SDO."""
+    move(group, 3)
+    way = iter([4000, 3000, 1500, 500, 100, 10])
+    slave = slaves[1]
+    slave.nmt = 127
+    plain, read = slave.get, []
+
+    def get(address: tuple[int, int]) -> int:
+        if address == (0x6064, 0):
+            slave.position += next(way, 0)
+            read.append((slave.position, slave.state))
+        return plain(address)
+
+    slave.get = get  # type: ignore[method-assign]
+    slave.controlwords.clear()
+    group.disable()
+    assert slave.controlwords[0] == 0x02
+    assert {state for _, state in read} == {"quick stop"}
+    assert abs(read[-1][0] - read[-2][0]) <= 0.005 * 65536
+    assert slave.state == "switch on disabled"
+
+
 def test_an_axis_that_never_comes_to_rest_is_named(group, slaves):
     move(group, 3)
     slaves[3].ways = {"quick stop": [500] * 1000}
