@@ -271,7 +271,7 @@ class DriveGroup(DriveSetup):
             if stop is stopping.disable:
                 failures += self._stand_down(failures)
         if isinstance(error, DriveError):
-            error.while_stopping = tuple(failures)
+            error.while_stopping += tuple(failures)
 
     def _disable_after(self, error: BaseException) -> None:
         """Disable because of an error, which is about to be raised; what goes wrong is added to it."""

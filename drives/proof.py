@@ -226,7 +226,9 @@ def watch_quick_stop(exchange: SyncExchange) -> tuple[StopTrace, ...]:
         for axis, reading in zip(axes, epoch.readings, strict=True):
             if reading is not None:
                 axis.see(passed_s, decode_state(reading.statusword), reading.position_count)
-        if max(exchange.silent) > _SILENT:
+        unmoved = passed_s >= PATIENCE_S and any(axis.left_s is None for axis in axes)
+        if unmoved or max(exchange.silent) > _SILENT:
+            exchange.end_heartbeat()
             break
     return tuple(axis.trace() for axis in axes)
 

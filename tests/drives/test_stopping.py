@@ -338,9 +338,12 @@ def test_the_quick_stop_is_traced_axis_by_axis(group, slaves):
     assert {slave.values[0x607A, 0] - slave.node_id * 1000 for slave in slaves} == {250}
 
 
-def test_a_drive_that_ignores_the_quick_stop_is_shown_and_raised(group, slaves):
+def test_a_drive_that_ignores_the_quick_stop_is_named_and_the_heartbeat_ends(group, slaves, wire):
     slaves[4].stuck_in = "operation enabled"
     rows = [[DriveCommand((slave.position + 50 * row) * COUNT_RAD) for slave in slaves] for row in range(1, 6)]
     with pytest.raises(DriveError, match="node 5.*OPERATION ENABLED"):
         group.prove_quick_stop(rows)
+    words = [(data[0], at) for (can_id, data), at in zip(wire.sent, wire.sent_at_s, strict=True) if can_id == 0x205]
+    told_s = next(at for word, at in words if word == 0x02)
+    assert max(beats_s(wire)) - told_s <= 0.2 + PERIOD_S
     assert {slave.state for slave in slaves if slave.node_id != 5} == {"switch on disabled"}
