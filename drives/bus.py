@@ -42,7 +42,14 @@ SEND_TIMEOUT_S: Final = DRIVE_RULES["queue_full"].limit
 #: Receptions that may fail in a row (stray datagrams) before the adapter counts as broken.
 _RECEIVE_FAILURES: Final = 1000
 _CAN_ERROR_BUS_OFF: Final = 0x40
-_ECHO_MEMORY: Final = 8
+#: Own frames of one id that may be on their way back at the same time: NMT commands to every node of a bus.
+_ECHO_MEMORY: Final = 128
+#: Odd frames that are taken in at once when there is no time left to wait.
+_ODD_AT_ONCE: Final = 64
+#: Longest time to take in what has already arrived, if more and more comes [s].
+_DRAIN_S: Final = 0.05
+#: Interfaces whose frames carry this computer's wall clock, taken when a frame came in (on virtual: was sent).
+_STAMPING: Final = frozenset({"socketcan", "udp_multicast", "virtual"})
 
 Handler = Callable[[int, bytes | bytearray, float], None]
 
@@ -84,10 +91,14 @@ class Bus:
     def __init__(self, adapter: Any, spec: BusSpec, trace: Path | None = None) -> None:
         self.spec = spec
         self.echoes = spec.interface in _ECHOING or bool(spec.options.get("receive_own_messages", False))
+        #: Time stamps of frames are this computer's wall clock, and may be compared with it.
+        self.stamped = spec.interface in _STAMPING
         #: Frames by what was wrong with them, or whose they were.
         self.counts: Counter[str] = Counter()
         #: Frames of another master by CAN id.
         self.foreign: Counter[int] = Counter()
+        #: All of them.
+        self.foreign_count = 0
         self.bus_off = False
         self.receive_lock = threading.RLock()
         self._adapter = adapter
@@ -108,27 +119,35 @@ class Bus:
     def receive(self, timeout_s: float) -> Frame | None:
         """One data frame with an 11 bit id, or None when none came in time; everything else is counted.
 
+        The time is a deadline: neither odd frames nor failures of the adapter extend it.
+
         Raises
         ------
         BusError
             The adapter fails again and again.
         """
+        deadline_s = time.monotonic() + timeout_s
+        odd = 0
         while True:
             try:
                 frame = self._receive(timeout_s)
             except (can.CanError, OSError) as error:
                 self._on_receive_failure(error)
-                continue
-            if frame is None:
-                return None
-            self._failures = 0
-            if self._logger is not None:
-                self._logger.on_message_received(frame)
-            if frame.is_error_frame or frame.is_remote_frame or frame.is_extended_id:
+            else:
+                if frame is None:
+                    return None
+                self._failures = 0
+                if self._logger is not None:
+                    self._logger.on_message_received(frame)
+                if not (frame.is_error_frame or frame.is_remote_frame or frame.is_extended_id):
+                    return frame
                 self._on_odd_frame(frame)
-                timeout_s = min(timeout_s, 0.001)
-                continue
-            return frame
+            odd += 1
+            timeout_s = deadline_s - time.monotonic()
+            if timeout_s <= 0.0:
+                if odd >= _ODD_AT_ONCE:
+                    return None
+                timeout_s = 0.0
 
     def _on_receive_failure(self, error: Exception) -> None:
         self.counts["malformed"] += 1
@@ -176,10 +195,13 @@ class Bus:
     def drain(self) -> int:
         """Dispatch what has already arrived; number of frames."""
         number = 0
+        until_s = time.monotonic() + _DRAIN_S
         with self.receive_lock:
             while (frame := self.receive(0.0)) is not None:
                 self.dispatch(frame)
                 number += 1
+                if time.monotonic() > until_s:
+                    break
         return number
 
     def wait(self, arrived: threading.Event, deadline_s: float) -> bool:
@@ -242,6 +264,7 @@ class Bus:
             self._sent[can_id] -= 1
         else:
             self.foreign[can_id] += 1
+            self.foreign_count += 1
 
     # -- sending -----------------------------------------------------------------------------------------------------
 

@@ -42,15 +42,26 @@ class SyncClock:
         self._bus = bus
         self._period_s = period_s
         self._due_s: float | None = None
+        self._last_s: float | None = None
+
+    @property
+    def paused_s(self) -> float:
+        """By how much the time since the last SYNC exceeds a period, s; 0 before the first one."""
+        return 0.0 if self._last_s is None else max(0.0, time.monotonic() - self._last_s - self._period_s)
+
+    def sent(self, now_s: float) -> None:
+        """A SYNC goes out at this monotonic time [s]."""
+        self._last_s = now_s
 
     def restart(self, at_s: float | None = None) -> None:
         """Forget the rhythm: the next SYNC is due at once, or at a monotonic time [s] that several clocks share."""
-        self._due_s = at_s
+        self._due_s, self._last_s = at_s, None
 
     def wait(self) -> float:
         """Wait until the next SYNC is due; returns the monotonic time, s.
 
-        A deadline that passed more than a period ago is skipped and counted, not made up for.
+        A deadline that passed more than a period ago, before or while it was waited for, is skipped and counted, not
+        made up for.
         """
         now = time.monotonic()
         due = self._due_s
@@ -69,5 +80,8 @@ class SyncClock:
         while (now := time.monotonic()) < due:
             pass
         self.lateness_s.append(now - due)
+        if now > due + self._period_s:
+            self.overruns += int((now - due) / self._period_s)
+            due = now
         self._due_s = due + self._period_s
         return now

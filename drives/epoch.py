@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
 
+from drives.alignment import Alignment
 from drives.bus import Bus, Frame
 from drives.values import DriveReading, InstrumentReading
 
@@ -16,6 +18,8 @@ _ASTRAY_S: Final = 0.5
 _SECOND_S: Final = 0.002
 _SLOW: Final = 4.0
 _ASK_AGAIN_S: Final = 0.1
+#: A time stamp that lies further away than this says that a clock was set, and nothing of the frame's age [s].
+_CLOCK_SET_S: Final = 10.0
 #: By the clock: a process that wakes so late was held up itself, and what was answered meanwhile waits to be read [s].
 _OVERSLEPT_S: Final = 0.001
 #: Share of the time-out that a drive is waited for once others have answered.
@@ -74,15 +78,20 @@ class EpochCounts:
     duplicate: int = 0
     ambiguous: int = 0
     wrong_length: int = 0
+    unsure: int = 0
 
 
 class EpochCollector:
     """Gathers the TPDOs that answer one SYNC.
 
-    TPDOs carry no number, so what arrives outside `collect` belongs to an earlier SYNC: it is counted and dropped, and
-    the next SYNC waits in `settle` until nothing of the last one should be under way any more. A frame that stays away
-    even longer could pass for the answer to a later SYNC: for half a second that slot is watched for a second frame,
-    and two different frames of one TPDO within one SYNC contradict each other: the slot stays empty.
+    TPDOs carry no number, so what arrives outside `collect` belongs to an earlier SYNC: it is counted and dropped.
+
+    In lockstep the next SYNC waits in `settle` until nothing of the last one should be under way any more. A frame that
+    stays away even longer could pass for the answer to a later SYNC: for half a second that slot is watched for a
+    second frame, and two different frames of one TPDO within one SYNC contradict each other: the slot stays empty.
+
+    By the clock nobody waits. A frame whose time stamp lies before its SYNC is an answer to an earlier one, and what
+    else may be one is not assigned (`drives.alignment`): its slot stays empty, `frames` holds what came.
 
     Parameters
     ----------
@@ -96,7 +105,9 @@ class EpochCollector:
     def __init__(self, bus: Bus, slots: Sequence[tuple[int, int]], inquiry: Inquiry | None = None) -> None:
         self._inquiry = inquiry
         self.counts = EpochCounts()
+        #: What came since the last SYNC, assigned or not.
         self.frames: list[bytes | bytearray | None] = [None] * len(slots)
+        self.alignment = Alignment()
         self._bus = bus
         self._slot_of = {can_id: slot for slot, (can_id, _) in enumerate(slots)}
         self._sizes = tuple(size for _, size in slots)
@@ -105,6 +116,9 @@ class EpochCollector:
         #: Slots whose answer to an earlier SYNC may still come, and until when.
         self._astray: dict[int, float] = {}
         self._usual_s = 0.0
+        #: When the last SYNC was sent by the wall clock: what is stamped before that is older; -inf = nobody can say.
+        self._sent_s = -math.inf
+        self._sent_wall_s = -math.inf
         for can_id in self._slot_of:
             bus.subscribe(can_id, self._on_stray)
 
@@ -113,8 +127,8 @@ class EpochCollector:
         for can_id in self._slot_of:
             self._bus.unsubscribe(can_id, self._on_stray)
 
-    def collect(self, timeout_s: float, gap_s: float | None) -> list[bytes | bytearray | None]:
-        """Answers to the SYNC that was just sent; the caller holds the bus's receive lock.
+    def collect(self, timeout_s: float, gap_s: float) -> list[bytes | bytearray | None]:
+        """In lockstep: answers to the SYNC that was just sent; the caller holds the bus's receive lock.
 
         A drive that leaves a gap is asked: one that answers the question has lost its TPDO, one that does not is waited
         for, since it may only be slow.
@@ -123,8 +137,8 @@ class EpochCollector:
         ----------
         timeout_s : float
             Longest wait after the SYNC.
-        gap_s : float or None
-            Longest wait for the next answer until those who are missing are asked; None = nobody is asked.
+        gap_s : float
+            Longest wait for the next answer until those who are missing are asked.
 
         Returns
         -------
@@ -133,23 +147,50 @@ class EpochCollector:
         """
         start = time.monotonic()
         left = self._begin()
-        if gap_s is None:
-            second_s = start + timeout_s
-            left = self._gather(left, second_s, None)
-            slept_s = time.monotonic() - second_s
-            if left and slept_s > _OVERSLEPT_S:
-                left = self._gather(left, time.monotonic() + min(slept_s, timeout_s), None)
+        gap_s = max(gap_s, _SLOW * self._usual_s)
+        left = self._gather(left, start + gap_s, gap_s)
+        if left:
+            left = self._pursue(left, start + (timeout_s if left == len(self._sizes) else _OTHERS * timeout_s))
         else:
-            gap_s = max(gap_s, _SLOW * self._usual_s)
-            left = self._gather(left, start + gap_s, gap_s)
-            if left:
-                left = self._pursue(left, start + (timeout_s if left == len(self._sizes) else _OTHERS * timeout_s))
-            else:
-                self._usual_s += 0.1 * (time.monotonic() - start - self._usual_s)
-            second_s = time.monotonic() + max(_SECOND_S, _SLOW * self._usual_s)
+            self._usual_s += 0.1 * (time.monotonic() - start - self._usual_s)
         if self._astray:
-            self._listen_for_strays(second_s)
+            self._listen_for_strays(time.monotonic() + max(_SECOND_S, _SLOW * self._usual_s))
         return self._end(left)
+
+    def collect_within(self, window_s: float, sent_s: float, sent_wall_s: float) -> list[bytes | bytearray | None]:
+        """By the clock: answers to the SYNC that was just sent; the caller holds the bus's receive lock.
+
+        Parameters
+        ----------
+        window_s : float
+            How long an answer counts after the SYNC.
+        sent_s, sent_wall_s : float
+            When that was sent, by the monotonic clock, and read before it was sent by the wall clock.
+
+        Returns
+        -------
+        list of bytes or None
+            One per slot, in the order of `slots`; None = none, or one that cannot be assigned to this SYNC.
+        """
+        self._sent_s = sent_s
+        self._sent_wall_s = sent_wall_s if self._bus.stamped else -math.inf
+        left = self._begin()
+        self.alignment.begin()
+        until_s = time.monotonic() + window_s
+        left = self._gather(left, until_s, None)
+        slept_s = time.monotonic() - until_s
+        if left and slept_s > _OVERSLEPT_S:
+            left = self._gather(left, time.monotonic() + min(slept_s, window_s), None)
+        astray = self.alignment.astray
+        if not left and not astray and slept_s < 0.0:
+            self.alignment.learn(time.monotonic() - sent_s)
+        row = self._end(left)
+        return [None if slot in astray else data for slot, data in enumerate(row)] if astray else row
+
+    def sweep(self) -> None:
+        """By the clock, before the next SYNC: take in what has arrived."""
+        self._bus.drain()
+        self.alignment.end(self.frames)
 
     def _begin(self) -> int:
         self.frames = [None] * len(self._sizes)
@@ -167,7 +208,7 @@ class EpochCollector:
     def _gather(self, left: int, deadline_s: float, gap_s: float | None) -> int:
         """Fill slots until none is left or the deadline, which moves on with each answer if a gap is allowed."""
         slot_of, sizes, receive, clock = self._slot_of.get, self._sizes, self._bus.receive, time.monotonic
-        frames = self.frames
+        frames, astray, sent_wall_s = self.frames, self.alignment.astray, self._sent_wall_s
         timeout_s = max(deadline_s - clock(), 0.0)  # the process may have slept past it
         while left:
             frame = receive(timeout_s)
@@ -177,19 +218,42 @@ class EpochCollector:
                     self._bus.dispatch(frame)
                 elif len(frame.data) != sizes[slot]:
                     self.counts.wrong_length += 1
+                elif frame.timestamp < sent_wall_s and self._is_older(slot, frame.timestamp):
+                    self.counts.late += 1
                 elif frames[slot] is None:
                     frames[slot] = frame.data
                     left -= 1
+                    if astray:
+                        self._unsure(slot, frame.timestamp)
                     if gap_s is not None:
                         deadline_s = clock() + gap_s
                         timeout_s = gap_s
                         continue
-                else:
+                elif slot not in astray:
                     self._again(slot, frame.data)
+                else:
+                    self._unsure(slot, frame.timestamp)
             timeout_s = deadline_s - clock()
             if timeout_s <= 0:
                 break
         return left
+
+    def _is_older(self, slot: int, stamp_s: float) -> bool:
+        """Whether a frame that is stamped before the SYNC answers an earlier one, and no clock was set meanwhile."""
+        if stamp_s < self._sent_wall_s - _CLOCK_SET_S:
+            return False
+        if slot in self.alignment.astray:
+            self.alignment.came(slot, stamp_s - self._sent_wall_s)
+        return True
+
+    def _unsure(self, slot: int, stamp_s: float) -> None:
+        """A frame that may answer an earlier SYNC, if its slot is astray."""
+        if slot in self.alignment.astray:
+            self.counts.unsure += 1
+            after_s = stamp_s - self._sent_wall_s
+            if not 0.0 <= after_s < _CLOCK_SET_S:
+                after_s = time.monotonic() - self._sent_s
+            self.alignment.came(slot, after_s)
 
     def _pursue(self, left: int, limit_s: float) -> int:
         """Ask who has not answered, and wait until each has answered either way."""
@@ -245,6 +309,10 @@ class EpochCollector:
         slot = self._slot_of[can_id]
         if len(data) != self._sizes[slot]:
             self.counts.wrong_length += 1
+        elif slot in self.alignment.astray:
+            self.counts.late += 1
+            self.alignment.came(slot, math.inf)
+            self.frames[slot] = self.frames[slot] or data
         elif self.frames[slot] is None:
             self.frames[slot] = data
             self.counts.late += 1
@@ -256,12 +324,12 @@ class EpochCollector:
                 self._astray.pop(slot, None)
 
     def settle(self, quiet_s: float) -> None:
-        """Before the next SYNC: take in what has arrived; after a gap also wait until what is missing is here or gone.
+        """In lockstep, before the next SYNC: after a gap wait until what is missing is here or gone.
 
         Parameters
         ----------
         quiet_s : float
-            Longest wait for a missing frame; 0 = only what has arrived.
+            Longest wait for a missing frame.
         """
         self._bus.drain()
         if not self._unsettled:

@@ -21,6 +21,7 @@ DriveError (4)
 +-- StopAsked (130)         a person asked to stop while the drives were being enabled
 +-- TransitionTimeout       a CiA 402 transition did not happen in time (also TimeoutError)
 +-- IncompleteEpochs        an axis did not answer several SYNCs in a row
++-- MasterStalled           this computer was held up while the axes moved
 +-- ProfileError (3)        a drive profile that cannot be used (also ValueError)
 +-- SeveralFailures         every drive's failure at once
 """
@@ -28,6 +29,7 @@ DriveError (4)
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 from drives.objects import object_name
 
@@ -79,12 +81,7 @@ class DriveError(Exception):
 
     def __str__(self) -> str:
         text = f"{self.where}: {self.what}" if self.where else self.what
-        return (f"{text}; {self.advice}" if self.advice else text) + self._aftermath()
-
-    def _aftermath(self) -> str:
-        if not self.while_stopping:
-            return ""
-        return f"; while stopping: {', '.join(str(error) for error in self.while_stopping)}"
+        return (f"{text}; {self.advice}" if self.advice else text) + _aftermath((self,))
 
 
 class BusError(DriveError):
@@ -169,6 +166,10 @@ class IncompleteEpochs(DriveError):  # noqa: N818 - reads as what happened
     """An axis did not answer several SYNCs in a row."""
 
 
+class MasterStalled(DriveError):  # noqa: N818 - reads as what happened
+    """This computer was held up while the axes moved: what it had to say came too late and was not sent."""
+
+
 class ProfileError(DriveError, ValueError):
     """A drive profile that cannot be used."""
 
@@ -189,8 +190,13 @@ class SeveralFailures(DriveError):  # noqa: N818 - reads as what happened
         super().__init__("; ".join(str(failure) for failure in self.failures))
 
     def __str__(self) -> str:
-        lines = "; ".join(f"({number}) {failure}" for number, failure in enumerate(self.failures, start=1))
-        return f"{len(self.failures)} failures: {lines}{self._aftermath()}"
+        first, *others = listed = _listed(self.failures)
+        if not others:
+            text = first
+        else:
+            lines = "; ".join(f"({number}) {each}" for number, each in enumerate(_short(listed), start=1))
+            text = f"{len(self.failures)} failures: {lines}"
+        return text + _aftermath((self, *self.failures))
 
 
 def raise_failures(failures: Sequence[DriveError]) -> None:
@@ -199,3 +205,72 @@ def raise_failures(failures: Sequence[DriveError]) -> None:
         raise failures[0]
     if failures:
         raise SeveralFailures(failures)
+
+
+# -- in words that fit a screen ----------------------------------------------------------------------------------------
+
+#: Different failures that are told in one text; the first is the cause.
+_TOLD: Final = 6
+#: Longest text of one list of failures: the advice of all but the first is left out of a longer one.
+_LONGEST: Final = 500
+
+
+def _flat(errors: Sequence[DriveError]) -> list[DriveError]:
+    """Single failures, in order."""
+    return [
+        each for error in errors for each in (_flat(error.failures) if isinstance(error, SeveralFailures) else [error])
+    ]
+
+
+def _same(error: DriveError) -> tuple[object, ...]:
+    """What failures that differ by node alone have in common."""
+    return (error.what, error.index, error.subindex, error.advice)
+
+
+def _nodes(numbers: Sequence[int]) -> str:
+    """`node 3`, `nodes 1 to 6`, `nodes 1, 2, 5`."""
+    ordered = sorted(set(numbers))
+    if len(ordered) == 1:
+        return f"node {ordered[0]}"
+    if len(ordered) > 2 and ordered[-1] - ordered[0] == len(ordered) - 1:
+        return f"nodes {ordered[0]} to {ordered[-1]}"
+    return f"nodes {', '.join(map(str, ordered))}"
+
+
+def _listed(errors: Sequence[DriveError]) -> list[str]:
+    """One text per different failure, in order of appearance, with all nodes that it is about; advice once."""
+    groups: dict[tuple[object, ...], list[DriveError]] = {}
+    for error in _flat(errors):
+        groups.setdefault(_same(error), []).append(error)
+    whole: list[str] = []
+    bare: list[str] = []
+    given: set[str] = set()
+    for first, *others in groups.values():
+        place = first.where
+        if first.node is not None and others:
+            named = [error.node for error in (first, *others) if error.node is not None]
+            place = _nodes(named) + place.removeprefix(f"node {first.node}")
+        text = f"{place}: {first.what}" if place else first.what
+        advice = "" if first.advice in given else first.advice
+        given.add(first.advice)
+        whole.append(f"{text}; {advice}" if advice else text)
+        bare.append(text)
+    if sum(map(len, whole)) <= _LONGEST:
+        return whole
+    return [*whole[:1], *bare[1:]]
+
+
+def _short(listed: list[str]) -> list[str]:
+    """The first few of a list, and how many more there are."""
+    if len(listed) <= _TOLD:
+        return listed
+    return [*listed[: _TOLD - 1], f"and {len(listed) - _TOLD + 1} more"]
+
+
+def _aftermath(errors: Sequence[DriveError]) -> str:
+    """What went wrong while stopping, without what was said already."""
+    said = {(error.node, *_same(error)) for error in _flat(errors)}
+    later = _flat([each for error in errors for each in error.while_stopping])
+    later += _flat([each for error in later for each in error.while_stopping])
+    new = [error for error in later if (error.node, *_same(error)) not in said]
+    return f"; while stopping: {', '.join(_short(_listed(new)))}" if new else ""

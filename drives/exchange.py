@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import gc
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from drives.bus import SYNC_ID, Bus
+from drives.bus import SYNC_ID, Bus, Frame
 from drives.busload import cycle_bits_worst
-from drives.cia402 import State, decode_state
+from drives.cia402 import ENABLE_OPERATION, State, decode_state
 from drives.clock import SyncClock, spare_collections
-from drives.decode import Decoder
+from drives.decode import Decoder, Frames
 from drives.drive import Cia402Drive
 from drives.epoch import Epoch, EpochCollector
 from drives.heartbeat import HeartbeatProducer
 from drives.instrument import Instrument
+from drives.reactions import DRIVE_RULES
 from drives.sdo import SdoClient
 from drives.values import DriveReading, InstrumentReading
 
@@ -24,6 +26,11 @@ Pacing = Literal["lockstep", "real"]
 
 #: Longest wait for a silent drive while the others have to be stopped.
 _HURRY_S: Final = 0.1
+#: An axis stands when it moves less than this between two SYNCs, in motor revolutions, several times in a row.
+_STILL_REVOLUTIONS: Final = 0.001
+_STILL_SYNCS: Final = 3
+#: SYNCs in a row whose answers may come without being assigned, until the axis counts as silent.
+_UNSURE_ROWS: Final = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +107,16 @@ class SyncExchange:
         self.states: list[State | None] = [None] * len(self.drives)
         #: SYNCs in a row that each axis left unanswered.
         self.silent = [0] * len(self.drives)
+        #: Statusword of each axis whose last answer came, but cannot be assigned to its SYNC; else None.
+        self.unassigned: list[int | None] = [None] * len(self.drives)
+        #: Readings in a row in which each axis stood still.
+        self.still = [0] * len(self.drives)
+        #: Last known position of each axis, counts; None before the first.
+        self.position_count: list[int | None] = [None] * len(self.drives)
+        #: An axis was told to be enabled since this was last set back.
+        self.powered = False
+        #: How far each axis moved after it was last disabled, motor rad.
+        self.sag_rad = (0.0,) * len(self.drives)
         self.cycles = 0
         self.incomplete = 0
         self.started_s: float | None = None
@@ -125,6 +142,11 @@ class SyncExchange:
         self.cycle_bits = cycle_bits_worst([0, *(size for _, size in slots), *commands])
         self._feeding = tuple(drive for drive in self.drives if drive.setup.feedforward)
         self._decoders: tuple[Decoder, ...] = ()
+        self._allowed_count = [0.0] * len(self.drives)
+        self._unsure = [0] * len(self.drives)
+        self._moved = False
+        #: Targets of the last SYNC, while those of the next one are on their way.
+        self._recall: list[int] | None = None
         self._answer_timeout_s = timing.answer_timeout_s
         self._bus = bus
         self._producer = producer
@@ -145,10 +167,29 @@ class SyncExchange:
         """Begin a new run with configured drives: rhythm, silence and patience start afresh."""
         self._decoders = tuple(drive.decoder(slot) for drive, slot in zip(self.drives, self._first_slots, strict=True))
         self.clock.restart()
-        self.silent = [0] * len(self.drives)
+        self.collector.alignment.forget()
+        axes = len(self.drives)
+        self.silent, self.still, self._unsure, self._moved = [0] * axes, [0] * axes, [0] * axes, False
+        self.position_count = [None] * axes
+        self._allowed_count = [
+            max(1.0, _STILL_REVOLUTIONS * 2.0 * math.pi / abs(drive.scale.count_rad)) for drive in self.drives
+        ]
         self._answer_timeout_s = self.timing.answer_timeout_s
         if self.timing.pacing == "real":
             spare_collections()
+
+    def stands(self, axis: int) -> bool:
+        """Whether an axis (from 0) was seen to stand at the last SYNCs."""
+        return self.still[axis] >= _STILL_SYNCS
+
+    @property
+    def heartbeat(self) -> bool:
+        """Whether the master's heartbeat goes on."""
+        return self._producer.running
+
+    def end_heartbeat(self) -> None:
+        """The drives shall stop by themselves: what they were told is not confirmed."""
+        self._producer.stop()
 
     def hurry(self) -> None:
         """From now on wait less for a drive that may only be slow: something has to be stopped."""
@@ -161,60 +202,123 @@ class SyncExchange:
         ------
         BusError
             A frame could not be sent.
+        MasterStalled
+            By the clock: the axes move, and the SYNC would go out more than two periods late. It was not sent; the last
+            targets are those of the SYNC before, and the next SYNC is due at once.
         """
-        timing, collector = self.timing, self.collector
         with self._bus.receive_lock:
             self._producer.tick(self.sync_time_s)
-            if timing.pacing == "lockstep":
-                collector.settle(timing.gap_timeout_s)
-                self._send_commands(words)
-                now = self._send_sync(time.monotonic())
-                time_s = self.sync_time_s
-                frames = collector.collect(self._answer_timeout_s, timing.gap_timeout_s)
-            else:
-                self._send_commands(words)
-                now = self.clock.wait()
-                collector.settle(0.0)
-                self._send_sync(now)
-                time_s = now - (now if self.started_s is None else self.started_s)
-                frames = collector.collect(timing.window * timing.period_s, None)
-        if self.started_s is None:
-            self.started_s = now
-        self.cycles += 1
-        return Epoch(self.sync_index, time_s, self._row(frames), self._beside(frames))
+            try:
+                if self.timing.pacing == "lockstep":
+                    return self._in_lockstep(words)
+                return self._by_the_clock(words)
+            except BaseException:
+                if self._recall is not None:
+                    for drive, count in zip(self.drives, self._recall, strict=True):
+                        drive.target_count = count
+                    self._recall = None
+                raise
 
-    def _send_commands(self, words: Sequence[int] | None) -> None:
-        if words is not None:
-            send = self._bus.send_frame
-            for drive, word in zip(self.drives, words, strict=True):
-                send(drive.frame(word))
-            for drive in self._feeding:
-                frame = drive.offset_frame()
-                if frame is not None:
-                    send(frame)
+    def _in_lockstep(self, words: Sequence[int] | None) -> Epoch:
+        timing, collector = self.timing, self.collector
+        collector.settle(timing.gap_timeout_s)
+        frames, self._moved = self._pack(words)
+        self._send(frames)
+        now_s = time.monotonic()
+        self._send_sync(now_s)
+        answers = collector.collect(self._answer_timeout_s, timing.gap_timeout_s)
+        return self._epoch(now_s, self.sync_time_s, answers)
 
-    def _send_sync(self, now_s: float) -> float:
+    def _by_the_clock(self, words: Sequence[int] | None) -> Epoch:
+        timing, collector, clock = self.timing, self.collector, self.clock
+        frames, moves = self._pack(words)
+        moving = words is not None and ENABLE_OPERATION in words and (moves or self._moved)
+        self._refuse_late(moving)
+        self._send(frames)
+        now_s = clock.wait()
+        collector.sweep()
+        self._refuse_late(moving)
+        sure = clock.paused_s <= timing.period_s
+        wall_s = time.time()
+        self._send_sync(now_s)
+        self._moved = moves
+        answers: Frames = collector.collect_within(timing.window * timing.period_s, self.sent_s, wall_s)
+        if not sure:
+            answers = [None] * len(answers)
+        time_s = now_s - (now_s if self.started_s is None else self.started_s)
+        return self._epoch(now_s, time_s, answers)
+
+    def _refuse_late(self, moving: bool) -> None:
+        """A set point that comes so late is a jump for axes that move; where nothing moves it is none."""
+        rule, paused_s = DRIVE_RULES["stalled"], self.clock.paused_s
+        if moving and paused_s > rule.limit * self.timing.period_s:
+            self.clock.restart()
+            raise rule.raised(f"this computer was held up for {paused_s:.3f} s while the arm moved")
+
+    def _pack(self, words: Sequence[int] | None) -> tuple[list[Frame], bool]:
+        """Frames of what is staged, and whether one of them tells an enabled axis to move."""
+        if words is None:
+            return [], False
+        self._recall = [drive.target_count for drive in self.drives]
+        frames, moves = [], False
+        for drive, word, before, state in zip(self.drives, words, self._recall, self.states, strict=True):
+            frames.append(drive.frame(word))
+            if word == ENABLE_OPERATION:
+                self.powered = True
+                moves |= drive.target_count != before and state is State.OPERATION_ENABLED
+        offsets = (drive.offset_frame() for drive in self._feeding)
+        return [*frames, *(frame for frame in offsets if frame is not None)], moves
+
+    def _send(self, frames: Sequence[Frame]) -> None:
+        for frame in frames:
+            self._bus.send_frame(frame)
+
+    def _send_sync(self, now_s: float) -> None:
         self.sync_index += 1
         self._bus.send_frame(self._sync_frame)
+        self._recall = None
         self.sent_s = time.monotonic()
-        return now_s
+        self.clock.sent(now_s)
 
-    def _beside(self, frames: list[bytes | bytearray | None]) -> tuple[InstrumentReading | None, ...]:
+    def _epoch(self, now_s: float, time_s: float, answers: Frames) -> Epoch:
+        if self.started_s is None:
+            self.started_s = now_s
+        self.cycles += 1
+        return Epoch(self.sync_index, time_s, self._row(answers), self._beside(answers))
+
+    def _beside(self, frames: Frames) -> tuple[InstrumentReading | None, ...]:
         index = self.sync_index
         return tuple(instrument.decode(index, frames, slot) for instrument, slot in self._instruments)
 
-    def _row(self, frames: list[bytes | bytearray | None]) -> tuple[DriveReading | None, ...]:
-        index, states, silent = self.sync_index, self.states, self.silent
+    def _row(self, frames: Frames) -> tuple[DriveReading | None, ...]:
+        index, states, silent, still = self.sync_index, self.states, self.silent, self.still
         row: list[DriveReading | None] = []
         missing = False
         for axis, decode in enumerate(self._decoders):
             reading = decode(index, frames)
             row.append(reading)
             if reading is None:
-                silent[axis] += 1
                 missing = True
-            else:
-                silent[axis] = 0
-                states[axis] = decode_state(reading.statusword)
+                self._without(axis, decode)
+                continue
+            silent[axis] = self._unsure[axis] = 0
+            self.unassigned[axis] = None
+            states[axis] = decode_state(reading.statusword)
+            count, before = reading.position_count, self.position_count[axis]
+            stands = before is not None and abs(count - before) <= self._allowed_count[axis]
+            still[axis] = still[axis] + 1 if stands else 0
+            self.position_count[axis] = count
         self.incomplete += missing
         return tuple(row)
+
+    def _without(self, axis: int, decode: Decoder) -> None:
+        """No answer that can be assigned: is there none, or does it only not say which SYNC it belongs to?"""
+        came = None if self.timing.pacing == "lockstep" else decode(self.sync_index, self.collector.frames)
+        if came is None:
+            self.unassigned[axis] = None
+            self.silent[axis] += 1
+            return
+        self.unassigned[axis] = came.statusword
+        self.states[axis] = decode_state(came.statusword)
+        self._unsure[axis] += 1
+        self.silent[axis] = self.silent[axis] + 1 if self._unsure[axis] > _UNSURE_ROWS else 0

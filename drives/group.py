@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Final
 
 from drives import bringup, operational, starting, stopping
 from drives.cia402 import Mode
@@ -21,14 +22,26 @@ from drives.exchange import SyncExchange
 from drives.group_setup import DriveSetup, GroupOptions
 from drives.guard import Guard
 from drives.heartbeat import NmtCommand, send_nmt
-from drives.proof import StopTrace, fall_silent
+from drives.proof import StopTrace, fall_silent, watch_quick_stop, watch_released
 from drives.way_up import WayUp
 
 __all__ = ["DriveGroup", "GroupOptions"]
 
+#: Longest wait for axes that are told to hold to stand.
+_REST_S: Final = 1.0
+
 
 class DriveGroup(DriveSetup):
-    """Drives that follow one SYNC; parameters as `DriveSetup`."""
+    """Drives that follow one SYNC; parameters as `DriveSetup`.
+
+    An error that `exchange`, `hold` or a proof raises has stopped all axes by their quick stop ramps, as far as that
+    was possible; they are under power as the drives decide, and `disable` or `close` is still to be called. Where a
+    stop is not confirmed, the master's heartbeat has ended, and the drives have to be found and configured again before
+    they can be enabled.
+    """
+
+    #: Motor angle of each axis from where it was last held to the farthest place after it was disabled; 0.0 = unknown.
+    sag_rad: tuple[float, ...] = ()
 
     # -- moving ------------------------------------------------------------------------------------------------------
 
@@ -118,6 +131,9 @@ class DriveGroup(DriveSetup):
             A target outside the limits; nothing was sent, and the axes stand where they were told to before.
         DriveFault, DriveRebooted, HeartbeatLost, IncompleteEpochs, ForeignMaster, BusError, SeveralFailures
             All axes have been stopped.
+        MasterStalled
+            By the clock: the axes move and this computer was held up. These targets were not sent; all axes have been
+            stopped. Where nothing moved, the row of a late SYNC is incomplete and nothing else happens.
         """
         if not self.enabled:
             self._require(False, "enable() first")
@@ -165,15 +181,97 @@ class DriveGroup(DriveSetup):
             self.disable()
         return traces
 
+    def prove_quick_stop(self, commands: Sequence[Sequence[DriveCommand]]) -> tuple[StopTrace, ...]:
+        """Move, then tell every axis to stop by its quick stop ramp, watch each come to rest, disable all.
+
+        Parameters
+        ----------
+        commands : sequence of sequences of DriveCommand
+            Set points before the stop, one row per SYNC; slow ones.
+
+        Returns
+        -------
+        tuple of StopTrace
+            One per axis; times and angles count from the SYNC that carried the quick stop.
+
+        Raises
+        ------
+        SeveralFailures or DriveError
+            As `exchange`; or axes of which it is not known that they are disabled.
+        """
+        for row in commands:
+            self.exchange(row)
+        self._require(self.enabled, "enable() first")
+        exchange, _ = self._parts()
+        self.enabled = False
+        try:
+            traces = watch_quick_stop(exchange)
+        except BaseException as error:
+            self._after(error, stopping.quick_stop)
+            raise
+        try:
+            if not all(trace.stood for trace in traces):
+                self.quick_stop()
+        finally:
+            self.disable()
+        return traces
+
+    def release(self, axis: int, seconds: float) -> float:
+        """Disable one axis, so that its brake holds it, while all others hold; watch it; then disable all.
+
+        Parameters
+        ----------
+        axis : int
+            From 0.
+        seconds : float
+            How long it is watched once it has left OPERATION ENABLED.
+
+        Returns
+        -------
+        float
+            Largest motor angle from where the drive last held it, rad.
+
+        Raises
+        ------
+        ConfigurationRefused
+            The axes are not enabled, or do not come to rest; nothing has changed.
+        TransitionTimeout
+            The axis stays in OPERATION ENABLED. All axes are disabled.
+        DriveError
+            As `exchange`. All axes are disabled, as far as that was possible.
+        """
+        self._require(self.enabled and 0 <= axis < len(self.drives), "enable() first, and name an axis that there is")
+        exchange, guard = self._parts()
+        self._come_to_rest(exchange)
+        guard.excused = frozenset({axis})
+        try:
+            sag_rad = watch_released(exchange, axis, seconds, self._cycle)
+        except BaseException as error:
+            if self.enabled:
+                self._after(error, stopping.quick_stop)
+            self._disable_after(error)
+            raise
+        self.disable()
+        return sag_rad
+
+    def _come_to_rest(self, exchange: SyncExchange) -> None:
+        """Hold until every axis was seen to stand."""
+        axes = range(len(self.drives))
+        for _ in range(math.ceil(_REST_S / self.timing.period_s)):
+            self.hold()
+            if all(exchange.stands(axis) for axis in axes):
+                return
+        self._require(False, "bring the axes to rest first")
+
     def _last_beat(self) -> None:
         """One more heartbeat, from which the drives count, and no other."""
         self._producer.start(self.sync_index * self.timing.period_s)
         self._producer.stop()
 
-    def _cycle(self) -> Epoch:
+    def _cycle(self, words: Sequence[int] | None = None) -> Epoch:
         exchange, guard = self._parts()
         try:
-            epoch = self.last_epoch = exchange.cycle(self._enable_words)
+            epoch = self.last_epoch = exchange.cycle(self._enable_words if words is None else words)
             self._emcy.sync_index = epoch.sync_index
             guard.check(epoch)
         except DriveError as error:
@@ -191,11 +289,29 @@ class DriveGroup(DriveSetup):
         failures: list[DriveError] = []
         self.on_stop()
         if self._running and self._exchange is not None:
-            failures = stop(self._exchange)
+            failures = self._stopped(stop)
             if stop is stopping.disable:
                 failures += self._stand_down(failures)
         if isinstance(error, DriveError):
-            error.while_stopping = tuple(failures)
+            error.while_stopping += tuple(failures)
+
+    def _disable_after(self, error: BaseException) -> None:
+        """Disable because of an error, which is about to be raised; what goes wrong is added to it."""
+        try:
+            self.disable()
+        except DriveError as failure:
+            if isinstance(error, DriveError):
+                error.while_stopping += (failure,)
+
+    def _stopped(self, stop: Callable[[SyncExchange], list[DriveError]]) -> list[DriveError]:
+        """What could not be confirmed: then no heartbeat is sent any more, and the drives are set up anew first."""
+        exchange, _ = self._parts()
+        failures = stop(exchange)
+        self.sag_rad = exchange.sag_rad
+        if failures:
+            self._producer.stop()
+            self._configured = False
+        return failures
 
     # -- stopping ----------------------------------------------------------------------------------------------------
 
@@ -209,19 +325,22 @@ class DriveGroup(DriveSetup):
         """
         self.enabled = False
         if self._running and self._exchange is not None:
-            raise_failures(stopping.quick_stop(self._exchange))
+            raise_failures(self._stopped(stopping.quick_stop))
 
     def disable(self) -> None:
         """Disable every axis and let the drives stop watching the master; does nothing when nothing runs.
 
+        Axes that move are brought to rest by their quick stop ramps first. Afterwards positions are watched for 0.3 s:
+        `sag_rad`.
+
         Raises
         ------
         SeveralFailures or DriveError
-            Axes of which it is not known that they are disabled.
+            Axes of which it is not known that they are disabled, or that did not come to rest before.
         """
         self.enabled = False
         if self._running and self._exchange is not None:
-            failures = stopping.disable(self._exchange)
+            failures = self._stopped(stopping.disable)
             failures += self._stand_down(failures)
             raise_failures(failures)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from drives.bus import NMT_ID, SYNC_ID, Bus
@@ -23,6 +23,7 @@ from drives.symptoms import Symptoms
 
 _EVERY: Final = 16
 _MASTER_ONLY: Final = ((SYNC_ID, "SYNC"), (NMT_ID, "NMT commands"))
+_SECOND: Final = frozenset({SYNC_ID, NMT_ID})
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +35,7 @@ class Limits:
     silent_syncs : int
         SYNCs in a row that an axis may leave unanswered.
     foreign_frames : int
-        Frames of another master with one id.
+        SDO requests or set points of another master with one id; of SYNC and NMT commands one frame is enough.
     """
 
     silent_syncs: int = DRIVE_RULES["silent"].count
@@ -60,7 +61,10 @@ class Guard:
         self._watch = watch
         self._emcy = emcy
         self._symptoms = Symptoms(exchange, emcy)
+        #: Axes (from 0) that may leave OPERATION ENABLED: they were told to.
+        self.excused: frozenset[int] = frozenset()
         self._foreign_before: dict[int, int] = {}
+        self._foreign_seen = 0
         self._late_before = 0
         self.forgive()
 
@@ -68,7 +72,8 @@ class Guard:
         """Begin a new run: boot-ups, heartbeat timers and other masters so far are forgotten."""
         self._watch.forgive()
         self._symptoms.forgive()
-        self._foreign_before = dict(self._bus.foreign)
+        self.excused = frozenset()
+        self._foreign_before, self._foreign_seen = dict(self._bus.foreign), self._bus.foreign_count
         self._late_before = self._exchange.collector.counts.late
 
     def check(self, epoch: Epoch) -> None:
@@ -78,25 +83,33 @@ class Guard:
         ------
         DriveFault, DriveRebooted, HeartbeatLost, IncompleteEpochs, ForeignMaster, BusOff, SeveralFailures
         """
-        if self._watch.booted or self._bus.bus_off:
+        if self._watch.booted or self._bus.bus_off or self._bus.foreign_count != self._foreign_seen:
             self.check_bus()
-        for reading in epoch.readings:
+        if self.excused:
+            kept = (None if axis in self.excused else each for axis, each in enumerate(epoch.readings))
+            epoch = replace(epoch, readings=tuple(kept))
+        for axis, reading in enumerate(epoch.readings):
             if reading is None:
                 self.check_silence()
+                self._check_unassigned(axis)
             elif reading.statusword & STATE_MASK != ENABLED_PATTERN:
                 raise_failures(self._not_enabled(epoch))
         self._symptoms.check(epoch)
         if epoch.sync_index % _EVERY == 0:
             self.check_bus()
 
+    def _check_unassigned(self, axis: int) -> None:
+        """The state of an axis whose answer came, but cannot be assigned to its SYNC, is news all the same."""
+        statusword = self._exchange.unassigned[axis]
+        if statusword is not None and axis not in self.excused and statusword & STATE_MASK != ENABLED_PATTERN:
+            raise _left_enabled(self._exchange.drives[axis].node_id, statusword)
+
     def _not_enabled(self, epoch: Epoch) -> list[DriveError]:
-        failures: list[DriveError] = []
-        for reading in epoch.readings:
-            if reading is not None and decode_state(reading.statusword) is not State.OPERATION_ENABLED:
-                what, where = f"left OPERATION ENABLED: {describe(reading.statusword)}", reading.node_id
-                rule = DRIVE_RULES["left_enabled"]
-                failures.append(rule.raised(what, node=where, index=0x6041, code=reading.statusword))
-        return failures
+        return [
+            _left_enabled(reading.node_id, reading.statusword)
+            for reading in epoch.readings
+            if reading is not None and decode_state(reading.statusword) is not State.OPERATION_ENABLED
+        ]
 
     def last_words(self, node_id: int) -> str:
         """Last emergency message of a node, as the end of a sentence."""
@@ -129,11 +142,23 @@ class Guard:
         booted, lost = DRIVE_RULES["booted"], DRIVE_RULES["heartbeat_lost"]
         raise_failures([booted.raised("booted during the run", node=node) for node in sorted(self._watch.booted)])
         raise_failures([lost.raised("its heartbeat stopped", node=node) for node in sorted(self._watch.lost())])
+        if self._bus.foreign_count != self._foreign_seen:
+            self._check_foreign()
+
+    def _check_foreign(self) -> None:
+        second, foreign = DRIVE_RULES["second_master"], DRIVE_RULES["foreign_master"]
+        self._foreign_seen = self._bus.foreign_count
         for can_id, number in self._bus.foreign.items():
             new = number - self._foreign_before.get(can_id, 0)
-            if new >= self.limits.foreign_frames:
-                what = f"{new} frames with id {can_id:03X} on {self._bus.spec} came from another master"
-                raise DRIVE_RULES["foreign_master"].raised(what)
+            rule, limit = (second, second.count) if can_id in _SECOND else (foreign, self.limits.foreign_frames)
+            if new >= limit:
+                frames = "a frame" if new == 1 else f"{new} frames"
+                raise rule.raised(f"{frames} with id {can_id:03X} on {self._bus.spec} came from another master")
+
+
+def _left_enabled(node_id: int, statusword: int) -> DriveError:
+    what = f"left OPERATION ENABLED: {describe(statusword)}"
+    return DRIVE_RULES["left_enabled"].raised(what, node=node_id, index=0x6041, code=statusword)
 
 
 def refuse_foreign(bus: Bus, listen_s: float) -> None:

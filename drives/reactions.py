@@ -21,6 +21,7 @@ from drives.errors import (
     ForeignMaster,
     HeartbeatLost,
     IncompleteEpochs,
+    MasterStalled,
 )
 
 Reaction = Literal["stop", "retry", "count"]
@@ -141,13 +142,30 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "it lost power or was reset, and its configuration is gone: connect() and configure() again",
             DriveRebooted,
         ),
+        "second_master": Rule(
+            "SYNC or NMT commands of another master",
+            "stop",
+            1,
+            "frame",
+            "all axes were stopped; stop the other master before enabling again",
+            ForeignMaster,
+        ),
         "foreign_master": Rule(
-            "SYNC, NMT, SDO requests or commands of another master",
+            "SDO requests or set points of another master",
             "stop",
             3,
             "frames",
             "all axes were stopped; stop the other master before enabling again",
             ForeignMaster,
+        ),
+        "stalled": Rule(
+            "by the clock: this computer is held up while the axes move; the set point that comes too late is not sent",
+            "stop",
+            2,
+            "SYNC periods late",
+            "all axes were stopped; end other work on this computer, give it a real-time scheduler, "
+            "or raise sync_period_s",
+            MasterStalled,
         ),
         "bus_off": Rule(
             "the CAN controller is bus-off",
@@ -168,6 +186,7 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
         "unanswered": Rule("a drive leaves one SYNC unanswered", "retry", 1, _ONE),
         "ambiguous": Rule("two different answers of a drive to one SYNC", "retry", 1, _ONE),
         "wrong_length": Rule("an answer shorter or longer than mapped", "retry", 1, _ONE),
+        "unsure": Rule("an answer that may belong to an earlier SYNC that was left unanswered", "retry", 1, _ONE),
         "late": Rule("an answer after its SYNC was closed", "retry", 1, _ONE),
         "duplicate": Rule("the same answer twice", "count", 1, "frame"),
         "overrun": Rule("a SYNC that the clock could not send in time", "count", 1, _ONE),

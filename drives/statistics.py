@@ -25,6 +25,8 @@ class GroupStatistics:
         SYNCs sent, and those that not every axis answered.
     late, duplicate, ambiguous, wrong_length : int
         TPDOs that came after their SYNC was closed, twice, twice with different content, with a wrong length.
+    unsure : int
+        TPDOs by the clock that may belong to an earlier SYNC that was left unanswered, and were not assigned.
     overruns : int
         SYNC periods that were missed by the clock.
     foreign : dict
@@ -51,6 +53,7 @@ class GroupStatistics:
     duplicate: int
     ambiguous: int
     wrong_length: int
+    unsure: int
     overruns: int
     foreign: dict[int, int]
     frames: dict[str, int]
@@ -83,6 +86,7 @@ def group_statistics(
         duplicate=counts.duplicate,
         ambiguous=counts.ambiguous,
         wrong_length=counts.wrong_length,
+        unsure=counts.unsure,
         overruns=overruns,
         foreign=dict(bus.foreign),
         frames=dict(bus.counts),

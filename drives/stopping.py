@@ -1,12 +1,27 @@
-"""The way down: quick stop and disable. No word of this module energises an axis or resets a fault."""
+"""The way down: quick stop and disable. No word of this module energises an axis or resets a fault.
+
+A drive is disabled when it stands, not before: its brake is no service brake. What was told and is not confirmed,
+because an axis does not answer, does not leave OPERATION ENABLED or does not come to rest, ends the master's heartbeat
+at once, before anything else is tried: the drives then stop by themselves.
+"""
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final
 
-from drives.cia402 import DISABLE_VOLTAGE, NoRoute, State, decode_state, next_controlword, stopping_controlword
+from drives.cia402 import (
+    DISABLE_VOLTAGE,
+    QUICK_STOP,
+    NoRoute,
+    State,
+    decode_state,
+    next_controlword,
+    stopping_controlword,
+)
 from drives.drive import Cia402Drive
 from drives.epoch import Epoch
 from drives.errors import BusError, DriveError, TransitionTimeout
@@ -16,14 +31,75 @@ from drives.sdo import ONCE
 
 #: SYNCs without an answer after which an axis is asked by SDO instead.
 _SILENT: Final = 3
-#: An axis stands when it moves less than this between two SYNCs, in motor revolutions.
-_STILL_REVOLUTIONS: Final = 0.001
 #: Longest quick stop ramp that is waited for.
 _RAMP_S: Final = 2.0
+#: What an axis is given beyond the time that a step should take, until the step counts as not confirmed.
+_PATIENCE_S: Final = 0.2
+#: How long positions are watched after the brakes have closed; by SYNCs, and at most so long by the clock.
+_SAG_S: Final = 0.3
+_SAG_LONGEST_S: Final = 1.0
+#: Where only SDO is left: time between two readings, and by how much they differ at rest, in motor revolutions.
+_SDO_PAUSE_S: Final = 0.02
+_SDO_STILL_REVOLUTIONS: Final = 0.005
 _DOWN: Final = frozenset({State.SWITCH_ON_DISABLED, State.NOT_READY, State.FAULT})
 _STOPPED: Final = _DOWN | {State.QUICK_STOP_ACTIVE, State.READY_TO_SWITCH_ON, State.SWITCHED_ON}
+#: States in which the drive itself holds or brakes the axis.
+_HELD: Final = frozenset({State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE})
 
-Word = Callable[[State], int]
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """One step of the way down.
+
+    Attributes
+    ----------
+    word : callable
+        Controlword by state.
+    done : callable
+        Whether an axis has done it.
+    leave_s : float
+        How long an axis may stay in OPERATION ENABLED.
+    limit_s : float
+        How long all of it may take.
+    reached : frozenset of State
+        States that confirm it to one who asks by SDO.
+    """
+
+    word: Callable[[State], int]
+    done: Callable[[int], bool]
+    leave_s: float
+    limit_s: float
+    reached: frozenset[State]
+
+
+class _Sag:
+    """How far each axis goes from where it was last held.
+
+    Parameters
+    ----------
+    exchange : SyncExchange
+    """
+
+    def __init__(self, exchange: SyncExchange) -> None:
+        self._exchange = exchange
+        self._held_count = list(exchange.position_count)
+        self._most_count = [0] * len(exchange.drives)
+
+    def note(self, epoch: Epoch) -> None:
+        """One SYNC."""
+        for axis, reading in enumerate(epoch.readings):
+            if reading is None:
+                continue
+            held = self._held_count[axis]
+            if held is None or decode_state(reading.statusword) in _HELD:
+                self._held_count[axis] = reading.position_count
+            else:
+                self._most_count[axis] = max(self._most_count[axis], abs(reading.position_count - held))
+
+    def rad(self) -> tuple[float, ...]:
+        """Largest way of each axis, at the motor."""
+        drives = self._exchange.drives
+        return tuple(count * abs(drive.scale.count_rad) for drive, count in zip(drives, self._most_count, strict=True))
 
 
 def disabling_controlword(state: State) -> int:
@@ -40,73 +116,148 @@ def quick_stop(exchange: SyncExchange) -> list[DriveError]:
     Returns
     -------
     list of DriveError
-        Axes of which it is not known that they stand.
+        Axes of which it is not known that they stand; if there are any, the master's heartbeat has ended.
     """
-    still = [0] * len(exchange.drives)
-    last: list[int | None] = [None] * len(exchange.drives)
-
-    def note(epoch: Epoch) -> None:
-        for axis, (drive, reading) in enumerate(zip(exchange.drives, epoch.readings, strict=True)):
-            if reading is None:
-                continue
-            before, last[axis] = last[axis], reading.position_count
-            allowed = max(1.0, _STILL_REVOLUTIONS * 2.0 * math.pi / drive.scale.count_rad)
-            moved = before is None or abs(reading.position_count - before) > allowed
-            still[axis] = 0 if moved else still[axis] + 1
 
     def done(axis: int) -> bool:
-        state = exchange.states[axis]
-        return state in _DOWN or (state in _STOPPED and still[axis] >= 1)
+        return exchange.states[axis] in _STOPPED and exchange.stands(axis)
 
-    return _run(exchange, stopping_controlword, done, note)
+    step = _Step(stopping_controlword, done, _PATIENCE_S, _RAMP_S + _PATIENCE_S, _STOPPED)
+    return _run(exchange, step, lambda epoch: None)
 
 
 def disable(exchange: SyncExchange) -> list[DriveError]:
-    """Lead every axis to SWITCH ON DISABLED; a drive in fault stays there.
+    """Lead every axis to SWITCH ON DISABLED, those that move by their quick stop ramp; a drive in fault stays there.
+
+    Afterwards the positions are watched for a while: `SyncExchange.sag_rad`.
 
     Returns
     -------
     list of DriveError
-        Axes of which it is not known that they are disabled.
+        Axes of which it is not known that they are disabled, or that did not stop before; if there are any, the
+        master's heartbeat has ended.
     """
-    return _run(exchange, disabling_controlword, lambda axis: exchange.states[axis] in _DOWN, lambda epoch: None)
-
-
-def _run(
-    exchange: SyncExchange, word: Word, done: Callable[[int], bool], note: Callable[[Epoch], None]
-) -> list[DriveError]:
-    """Cycle with `word` until every axis is done, silent or out of time; then ask the rest by SDO."""
-    exchange.hurry()
-    limit_s = _RAMP_S + max(drive.setup.profile.state_machine.transition_timeout_s for drive in exchange.drives)
-    axes = range(len(exchange.drives))
-    failures: list[DriveError] = []
-    try:
-        for _ in range(math.ceil(limit_s / exchange.timing.period_s) + 1):
-            for drive in exchange.drives:
-                drive.hold(drive.target_count)
-            words = [DISABLE_VOLTAGE if state is None else word(state) for state in exchange.states]
-            note(exchange.cycle(words))
-            if all((done(axis) and not exchange.silent[axis]) or exchange.silent[axis] >= _SILENT for axis in axes):
-                break
-    except BusError as error:
-        failures.append(error)
-    for axis in axes:
-        if exchange.silent[axis] or not done(axis) or failures:
-            failures += _by_sdo(exchange.drives[axis], word)
+    failures = quick_stop(exchange) if _moves(exchange) else []
+    sag = _Sag(exchange)
+    limit_s = _PATIENCE_S + max(drive.setup.profile.state_machine.transition_timeout_s for drive in exchange.drives)
+    step = _Step(disabling_controlword, lambda axis: exchange.states[axis] in _DOWN, limit_s, limit_s, _DOWN)
+    later = _run(exchange, step, sag.note)
+    told = {(type(error), error.node) for error in failures}
+    failures += [error for error in later if (type(error), error.node) not in told]
+    if exchange.powered:
+        exchange.powered = False
+        failures += _watch(exchange, sag)
+        exchange.sag_rad = sag.rad()
     return failures
 
 
-def _by_sdo(drive: Cia402Drive, word: Word) -> list[DriveError]:
+def _moves(exchange: SyncExchange) -> bool:
+    """Whether an axis that answers is held by its drive and was not seen to stand; a ramp is waited for only once."""
+    held = _HELD if exchange.heartbeat else {State.OPERATION_ENABLED}
+    return any(
+        state in held and not exchange.stands(axis) and exchange.silent[axis] < _SILENT
+        for axis, state in enumerate(exchange.states)
+    )
+
+
+def _watch(exchange: SyncExchange, sag: _Sag) -> list[DriveError]:
+    """Positions after the brakes have closed."""
+    until_s = time.monotonic() + _SAG_LONGEST_S
+    try:
+        for _ in range(math.ceil(_SAG_S / exchange.timing.period_s)):
+            sag.note(_cycle(exchange, disabling_controlword))
+            if min(exchange.silent) >= _SILENT or time.monotonic() > until_s:
+                break
+    except BusError as error:
+        exchange.end_heartbeat()
+        return [error]
+    return []
+
+
+def _cycle(exchange: SyncExchange, word: Callable[[State], int]) -> Epoch:
+    """One SYNC on the way down: every axis is told to stay where it was told to be."""
+    for drive in exchange.drives:
+        drive.hold(drive.target_count)
+    return exchange.cycle([DISABLE_VOLTAGE if state is None else word(state) for state in exchange.states])
+
+
+def _run(exchange: SyncExchange, step: _Step, note: Callable[[Epoch], None]) -> list[DriveError]:
+    """Cycle with the words of a step until every axis is done, silent or out of time; then ask the rest by SDO."""
+    exchange.hurry()
+    axes, period_s = range(len(exchange.drives)), exchange.timing.period_s
+    failures: list[DriveError] = []
+    try:
+        for number in range(1, math.ceil(step.limit_s / period_s) + 2):
+            note(_cycle(exchange, step.word))
+            gone = [exchange.silent[axis] >= _SILENT for axis in axes]
+            late = number * period_s > step.leave_s and State.OPERATION_ENABLED in exchange.states
+            if late or any(gone):
+                exchange.end_heartbeat()
+            if all(gone[axis] or (step.done(axis) and not exchange.silent[axis]) for axis in axes):
+                break
+    except BusError as error:
+        failures.append(error)
+    rest = [axis for axis in axes if exchange.silent[axis] or not step.done(axis) or failures]
+    if rest:
+        exchange.end_heartbeat()
+    for axis in rest:
+        failures += _by_sdo(exchange, axis, step)
+    return failures
+
+
+def _by_sdo(exchange: SyncExchange, axis: int, step: _Step) -> list[DriveError]:
     """The same by SDO, for an axis that does not answer SYNC."""
-    status, control = OBJECTS["statusword"], OBJECTS["controlword"]
+    drive = exchange.drives[axis]
     try:
         for _ in range(4):
-            state = decode_state(drive.access.read(status, ONCE))
-            if state in _STOPPED and (state in _DOWN or word(state) == stopping_controlword(state)):
-                return []
-            drive.access.sdo.write(control.index, control.subindex, control.type, word(state))
-        what = f"stays in {decode_state(drive.access.read(status, ONCE))}"
+            state = _state(drive)
+            if state in step.reached:
+                return [] if _seen_at_rest(exchange, axis, step) else [_still_moving(drive)]
+            if state is State.OPERATION_ENABLED and step.word is disabling_controlword:
+                _tell(drive, QUICK_STOP)
+                _comes_to_rest(drive)
+                state = _state(drive)
+            _tell(drive, step.word(state))
+        what = f"stays in {_state(drive)}"
         advice = "use the emergency stop; then check the drive"
         return [TransitionTimeout(what, node=drive.node_id, index=0x6041, advice=advice)]
     except DriveError as error:
         return [error]
+
+
+def _tell(drive: Cia402Drive, word: int) -> None:
+    control = OBJECTS["controlword"]
+    drive.access.sdo.write(control.index, control.subindex, control.type, word)
+
+
+def _state(drive: Cia402Drive) -> State:
+    return decode_state(drive.access.read(OBJECTS["statusword"], ONCE))
+
+
+def _seen_at_rest(exchange: SyncExchange, axis: int, step: _Step) -> bool:
+    """Whether an axis in a state of rest stands, by its answers to SYNC or, without any, by SDO."""
+    if step.word is disabling_controlword or step.done(axis):
+        return True
+    if not exchange.silent[axis]:
+        return exchange.states[axis] not in step.reached
+    return _comes_to_rest(exchange.drives[axis])
+
+
+def _comes_to_rest(drive: Cia402Drive) -> bool:
+    """Wait until two readings by SDO say that the axis stands; whether they do in time."""
+    allowed = max(1.0, _SDO_STILL_REVOLUTIONS * 2.0 * math.pi / abs(drive.scale.count_rad))
+    until_s = time.monotonic() + _RAMP_S
+    before: int | None = None
+    while time.monotonic() < until_s:
+        count = drive.access.read(drive.setup.profile.position.object, ONCE)
+        if before is not None and abs(count - before) <= allowed:
+            return True
+        before = count
+        time.sleep(_SDO_PAUSE_S)
+    return False
+
+
+def _still_moving(drive: Cia402Drive) -> DriveError:
+    advice = "use the emergency stop; then check its quick stop ramp (0x605A, 0x6085) and its brake"
+    what = f"still moves {_RAMP_S + _PATIENCE_S:.1f} s after it was told to stop"
+    return TransitionTimeout(what, node=drive.node_id, index=0x6064, advice=advice)

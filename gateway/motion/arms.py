@@ -20,6 +20,7 @@ from typing import Final, TypeVar
 import numpy as np
 
 from drives.drive import DriveCommand
+from drives.errors import StopAsked
 from drives.exchange import Pacing
 from gateway.motion.arm import Arm, ArmSample
 
@@ -29,6 +30,16 @@ Result = TypeVar("Result")
 _START_S: Final = 0.02
 #: Skews that are kept for the quantiles.
 _KEPT: Final = 100_000
+
+
+def _first_cause(failures: Sequence[BaseException]) -> BaseException:
+    """What failed first hand, with the others in its notes; an arm that gave up because another one failed is none."""
+    first_hand = [error for error in failures if not isinstance(error, StopAsked)]
+    cause = (first_hand or failures)[0]
+    for error in first_hand:
+        if error is not cause:
+            cause.add_note(f"another arm: {error}")
+    return cause
 
 
 class Arms:
@@ -168,17 +179,14 @@ class Arms:
             return (action(0),)
         others = [self._pool.submit(action, index) for index in range(1, len(self.members))]
         results: list[Result] = []
-        failure: BaseException | None = None
+        failures: list[BaseException] = []
         for job in (lambda: action(0), *(other.result for other in others)):
             try:
                 results.append(job())
             except BaseException as error:
-                if failure is None:
-                    failure = error
-                else:
-                    failure.add_note(f"another arm: {error}")
-        if failure is not None:
-            raise failure
+                failures.append(error)
+        if failures:
+            raise _first_cause(failures)
         return tuple(results)
 
     def _stop_others(self, index: int) -> None:

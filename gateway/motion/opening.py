@@ -92,7 +92,7 @@ class _GroupDrives:
     """A drive group as an arm sees it."""
 
     def __init__(self, group: DriveGroup) -> None:
-        self.enable: Callable[[Callable[[], bool]], Epoch] = lambda _stop_asked: group.enable()
+        self.enable: Callable[[Callable[[], bool]], Epoch] = group.enable
         self.exchange: Callable[[Sequence[DriveCommand]], Epoch] = group.exchange
         self.hold: Callable[[], Epoch] = group.hold
         self.disable: Callable[[], None] = group.disable
@@ -106,7 +106,7 @@ class _GroupDrives:
 
     def sag_rad(self) -> tuple[float, ...]:
         """How far each motor has turned since it was disabled."""
-        return getattr(self._group, "sag_rad", (0.0,) * len(self._group.drives))
+        return self._group.sag_rad or (0.0,) * len(self._group.drives)
 
     def when_stopping(self, tell: Callable[[], None]) -> None:
         """Have `tell` called before the drives are stopped because of an error of theirs."""

@@ -164,6 +164,8 @@ class Stream:
         share = self.station.options.override
         if first_done is not None:
             share = min(FIRST_SHARE, share)
+        if self._arms.real:  # what was computed meanwhile must not pass for a stall of the motion
+            self.hold(what, 0, 1)
         clock = PathClock(way.count, self._period_s, self._acceleration, self._jerk, share)
         self.moving = way.count > 0
         row = 0

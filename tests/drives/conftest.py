@@ -28,8 +28,13 @@ class Wire:
         self.now_s = 1000.0
         self.echo = False
         self.sent: list[tuple[int, bytes]] = []
+        self.sent_at_s: list[float] = []
         self.slaves: list[Slave] = []
         self.send_errors = 0
+        #: By how much the wall clock, which also stamps frames, is ahead of the monotonic one.
+        self.wall_ahead_s = 7.0e8
+        #: The process is held up for so long in its next wait for a frame.
+        self.held_up_s = 0.0
         self._queue: list[tuple[float, int, can.Message]] = []
         self._number = itertools.count()
 
@@ -37,13 +42,20 @@ class Wire:
         self.now_s += 1e-7
         return self.now_s
 
+    def wall(self) -> float:
+        return self.monotonic() + self.wall_ahead_s
+
     def sleep(self, seconds: float) -> None:
         self.now_s += max(0.0, seconds)
 
     def emit(self, can_id: int, data: bytes, delay_s: float = 0.0, **flags: bool) -> None:
         """Put a frame on the wire; frames due at the same time keep their order."""
         message = can.Message(
-            arbitration_id=can_id, data=data, is_extended_id=False, timestamp=self.now_s + delay_s, **flags
+            arbitration_id=can_id,
+            data=data,
+            is_extended_id=False,
+            timestamp=self.now_s + self.wall_ahead_s + delay_s,
+            **flags,
         )
         heapq.heappush(self._queue, (self.now_s + delay_s, next(self._number), message))
 
@@ -53,12 +65,16 @@ class Wire:
             raise can.CanOperationError("Transmit buffer full")
         can_id, data = message.arbitration_id, bytes(message.data)
         self.sent.append((can_id, data))
+        self.sent_at_s.append(self.now_s)
         if self.echo:
             self.emit(can_id, data)
         for slave in self.slaves:
             slave.on_frame(can_id, data)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
+        if timeout and self.held_up_s:
+            self.now_s, self.held_up_s = self.now_s + self.held_up_s, 0.0
+            return None
         until = self.now_s + (timeout or 0.0)
         for slave in self.slaves:
             slave.pass_time(min(until, self._queue[0][0]) if self._queue else until)
@@ -108,6 +124,8 @@ class Slave:
         self.sync_seen = 0
         self.position = 1000 * node_id
         self.torque = 10 * node_id
+        #: By state: counts that the axis goes at each SYNC while it is in that state, until the list is empty.
+        self.ways: dict[str, list[int]] = {}
         self.position_at_sync: list[int] = []
         self.controlwords: list[int] = []
         self.written: list[tuple[int, int, int]] = []
@@ -275,6 +293,9 @@ class Slave:
             self._control(self.values[0x6040, 0])
             if self.state == "operation enabled":
                 self.position = self.values[0x607A, 0]
+        way = self.ways.get(self.state)
+        if way:
+            self.position += way.pop(0)
         self.position_at_sync.append(self.position)
 
     def _mapped(self, mapping: int) -> list[tuple[tuple[int, int], int]]:
@@ -376,6 +397,7 @@ def wire(monkeypatch: pytest.MonkeyPatch) -> Wire:
     """A wire whose clock is the clock of the test."""
     wire = Wire()
     monkeypatch.setattr(time, "monotonic", wire.monotonic)
+    monkeypatch.setattr(time, "time", wire.wall)
     monkeypatch.setattr(time, "sleep", wire.sleep)
     return wire
 

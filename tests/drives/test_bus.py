@@ -55,6 +55,15 @@ def test_a_closed_bus_says_so():
         bus.receive(0.0)
 
 
+def test_many_own_frames_may_be_on_their_way_back_at_once(bus, wire):
+    """NMT commands to every node of a large bus, before the first of them is received."""
+    wire.echo = bus.echoes = True
+    for node_id in range(1, 100):
+        bus.send(0x000, bytes([1, node_id]))
+    bus.drain()
+    assert bus.foreign == {}
+
+
 @pytest.mark.parametrize("echo", [False, True])
 def test_own_frames_are_told_from_another_masters(bus, wire, echo):
     wire.echo = bus.echoes = echo
@@ -111,7 +120,54 @@ def test_stray_datagrams_are_counted_and_a_dead_adapter_is_an_error():
     assert bus.receive(0.0) is None
     assert bus.counts["malformed"] == 5
     with pytest.raises(BusError, match="receiving failed"):
-        Bus(Broken(1 << 30), BusSpec("test", "broken")).receive(0.0)
+        Bus(Broken(1 << 30), BusSpec("test", "broken")).receive(10.0)
+
+
+@pytest.mark.parametrize("flag", ["is_error_frame", "is_remote_frame", "is_extended_id"])
+@pytest.mark.parametrize("timeout_s", [0.0, 0.01, 0.1])
+def test_a_deadline_is_a_deadline_whatever_else_comes(bus, wire, flag, timeout_s):
+    """An odd frame every 0.3 ms, for ever: fewer than the 3 s and 9194 frames that 10 ms took once."""
+
+    def storm(timeout=None):
+        wire.now_s += 0.0003
+        return can.Message(arbitration_id=0x20, data=bytes(8), **{"is_extended_id": False, flag: True})
+
+    bus._receive = storm
+    start = wire.now_s
+    assert bus.receive(timeout_s) is None
+    assert wire.now_s - start <= timeout_s + 64 * 0.00031
+    assert 0 < sum(bus.counts.values()) <= timeout_s / 0.0003 + 65
+
+
+def test_an_adapter_that_fails_does_not_extend_the_deadline(bus, wire):
+    def failing(timeout=None):
+        wire.now_s += 0.001
+        raise can.CanOperationError("broken")
+
+    bus._receive = failing
+    start = wire.now_s
+    assert bus.receive(0.1) is None
+    assert wire.now_s - start <= 0.102
+
+
+def test_a_good_frame_among_odd_ones_is_received(bus, wire):
+    for _ in range(20):
+        wire.emit(0x020, bytes(8), is_error_frame=True)
+    wire.emit(0x181, b"\x01")
+    frame = bus.receive(0.0)
+    assert frame is not None
+    assert frame.arbitration_id == 0x181
+
+
+def test_frames_without_end_do_not_hold_up_whoever_takes_in_what_has_arrived(bus, wire):
+    def flood(timeout=None):
+        wire.now_s += 0.0001
+        return can.Message(arbitration_id=0x7FF, data=bytes(8), is_extended_id=False)
+
+    bus._receive = flood
+    start = wire.now_s
+    assert bus.drain() > 100
+    assert wire.now_s - start < 0.06
 
 
 def test_the_network_of_canopen_sends_and_hears_through_the_bus(bus, make_slave):

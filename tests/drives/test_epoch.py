@@ -181,6 +181,7 @@ class HeldUp:
 
     def __init__(self, asleep_s: float, arrived: list[Message]) -> None:
         self.now_s, self._asleep_s, self._arrived = 0.0, asleep_s, arrived
+        self.stamped = False
 
     def subscribe(self, _can_id: int, _handler: object) -> None:
         pass
@@ -202,7 +203,7 @@ def test_by_the_clock_a_master_that_slept_past_the_window_reads_what_waits_for_i
     bus = HeldUp(asleep_s, [Message(arbitration_id=0x181, data=bytes(8)), Message(arbitration_id=0x182, data=bytes(8))])
     monkeypatch.setattr("drives.epoch.time", SimpleNamespace(monotonic=lambda: bus.now_s))
     collector = EpochCollector(bus, [(0x181, 8), (0x182, 8)])  # type: ignore[arg-type]
-    frames = collector.collect(0.009, None)
+    frames = collector.collect_within(0.009, 0.0, 0.0)
     assert (None not in frames) == whole
     assert bus.now_s <= asleep_s + 0.009
 

@@ -298,6 +298,26 @@ def test_another_master_in_a_run_stops_all_axes(group, slaves, wire, can_id):
     assert {slave.state for slave in slaves} == {"quick stop"}
 
 
+@pytest.mark.parametrize(("can_id", "frames"), [(0x000, 1), (0x080, 1), (0x203, 3), (0x604, 3)])
+@pytest.mark.parametrize("echo", [False, True])
+def test_the_first_sync_or_nmt_frame_of_another_master_stops(bus, slaves, setups, wire, can_id, frames, echo):
+    """Whatever the SYNC index: it is told at the very SYNC after which it is there."""
+    wire.echo = bus.echoes = echo
+    for offset in range(5):
+        with DriveGroup(bus, setups(6), PERIOD_S) as group:
+            group.connect()
+            group.configure()
+            group.enable()
+            for _ in range(offset):
+                group.hold()
+            for _ in range(frames - 1):
+                wire.emit(can_id, b"\x80\x55"[: 2 if can_id == 0 else 0])
+                group.hold()
+            wire.emit(can_id, b"\x80\x55"[: 2 if can_id == 0 else 0])
+            with pytest.raises(ForeignMaster, match=f"{can_id:03X}"):
+                group.hold()
+
+
 def test_own_frames_that_come_back_are_no_other_master(bus, slaves, setups, wire):
     wire.echo = bus.echoes = True
     with DriveGroup(bus, setups(6), PERIOD_S) as group:

@@ -1,0 +1,88 @@
+"""By the clock: which SYNC a TPDO answers, when an earlier answer of the same TPDO has stayed away.
+
+TPDOs carry no number, but each node answers in order. A TPDO that left a SYNC unanswered may still be under way, and
+would then be taken for the answer to the next one. Its frames are not assigned until as many have come as SYNCs were
+sent, or until three SYNCs in a row have brought exactly one frame each, as soon as usual: then the missing one is lost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+#: SYNCs in a row with exactly one frame, in the usual time, after which a missing frame counts as lost.
+_AS_USUAL: Final = 3
+#: What the usual time of an answer is multiplied with, and what is added, for an answer to be as soon as usual.
+_SLOW: Final = 4.0
+_SLACK_S: Final = 0.001
+#: Share of a new row in the usual time.
+_NEW: Final = 0.1
+
+
+@dataclass(slots=True)
+class _Astray:
+    """One TPDO whose answers cannot be assigned.
+
+    Attributes
+    ----------
+    owed : int
+        SYNCs since the first unanswered one, less the frames that have come.
+    came : int
+        Frames since the last SYNC.
+    usual : bool
+        Whether all of these came as soon as usual.
+    in_a_row : int
+        SYNCs in a row with exactly one frame as soon as usual.
+    """
+
+    owed: int
+    came: int = 0
+    usual: bool = True
+    in_a_row: int = 0
+
+
+class Alignment:
+    """Keeps for each TPDO whether its next frame answers the last SYNC."""
+
+    def __init__(self) -> None:
+        #: By slot, those of which it is not known.
+        self.astray: dict[int, _Astray] = {}
+        self._usual_s: float | None = None
+        self._open = False
+
+    def forget(self) -> None:
+        """Begin a new run: nothing is under way any more."""
+        self.astray.clear()
+        self._open = False
+
+    def begin(self) -> None:
+        """A SYNC was sent."""
+        self._open = True
+
+    def learn(self, row_s: float) -> None:
+        """A row was whole so many seconds after its SYNC."""
+        self._usual_s = row_s if self._usual_s is None else self._usual_s + _NEW * (row_s - self._usual_s)
+
+    def came(self, slot: int, after_s: float) -> None:
+        """A frame of a TPDO that is astray came so long after the last SYNC; negative = it was sent before that."""
+        astray = self.astray[slot]
+        astray.came += 1
+        astray.usual &= 0.0 <= after_s <= _SLOW * (self._usual_s or 0.0) + _SLACK_S
+
+    def end(self, frames: Sequence[object | None]) -> None:
+        """Before the next SYNC: look back at what the last one has brought, late or not."""
+        if not self._open:
+            return
+        self._open = False
+        for slot, astray in tuple(self.astray.items()):
+            astray.owed += 1 - astray.came
+            astray.in_a_row = astray.in_a_row + 1 if astray.came == 1 and astray.usual else 0
+            if astray.owed <= 0 or astray.in_a_row >= _AS_USUAL:
+                del self.astray[slot]
+            else:
+                astray.came, astray.usual = 0, True
+        if None in frames:
+            for slot, data in enumerate(frames):
+                if data is None and slot not in self.astray:
+                    self.astray[slot] = _Astray(owed=1)

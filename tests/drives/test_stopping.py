@@ -1,0 +1,349 @@
+"""The way down: a master that was held up, standstill before the brakes, sag, the end of the heartbeat, two proofs."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from drives.drive import DriveCommand
+from drives.errors import (
+    BusError,
+    ConfigurationRefused,
+    DriveError,
+    DriveFault,
+    MasterStalled,
+    SeveralFailures,
+    TransitionTimeout,
+)
+from drives.group import DriveGroup
+from drives.reactions import DRIVE_RULES
+from drives.values import AxisSetup
+from tests.drives.conftest import Slave, Wire
+
+PERIOD_S = 0.01
+COUNT_RAD = 2 * math.pi / 65536
+HEARTBEAT = 0x77F
+
+
+@pytest.fixture
+def slaves(add_slaves: Callable[[int], list[Slave]]) -> list[Slave]:
+    return add_slaves(6)
+
+
+def made(bus: object, setups: Callable[[int], list[AxisSetup]], pacing: str) -> Iterator[DriveGroup]:
+    with DriveGroup(bus, setups(6), PERIOD_S, pacing) as group:  # type: ignore[arg-type]
+        group.connect()
+        group.configure()
+        group.enable()
+        yield group
+
+
+@pytest.fixture
+def real(bus, slaves, setups) -> Iterator[DriveGroup]:
+    yield from made(bus, setups, "real")
+
+
+@pytest.fixture
+def group(bus, slaves, setups) -> Iterator[DriveGroup]:
+    yield from made(bus, setups, "lockstep")
+
+
+def move(group: DriveGroup, rows: int = 1, step: int = 100) -> None:
+    """Every axis goes on by so many counts a SYNC."""
+    for _ in range(rows):
+        group.exchange([DriveCommand((drive.target_count + step) * COUNT_RAD) for drive in group.drives])
+
+
+def beats_s(wire: Wire) -> list[float]:
+    """When heartbeats of the master went out."""
+    return [at for (can_id, _), at in zip(wire.sent, wire.sent_at_s, strict=True) if can_id == HEARTBEAT]
+
+
+# -- a master that was held up -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("where", ["before the commands", "while waiting for the SYNC"])
+def test_a_master_that_was_held_up_while_moving_stops_and_sends_no_further_set_point(real, slaves, wire, where):
+    move(real, 5)
+    last = [slave.values[0x607A, 0] for slave in slaves]
+    syncs, start = slaves[0].sync_seen, len(wire.sent)
+    if where == "before the commands":
+        wire.now_s += 0.345
+        woken_s = wire.now_s
+    else:
+        wire.held_up_s = 0.345
+        woken_s = wire.now_s + 0.345
+    with pytest.raises(MasterStalled, match=r"held up for 0\.3[345]. s while the arm moved") as caught:
+        move(real)
+    sync_s = [at for (can_id, _), at in zip(wire.sent, wire.sent_at_s, strict=True) if can_id == 0x080]
+    assert sync_s[syncs - slaves[0].sync_seen] - woken_s < 2 * PERIOD_S
+    applied = [slave.values[0x607A, 0] for slave in slaves]
+    assert applied == last
+    assert {slave.controlwords[-1] for slave in slaves} == {0x02}
+    assert {slave.state for slave in slaves} == {"quick stop"}
+    assert [slave.position for slave in slaves] == last
+    assert caught.value.while_stopping == ()
+    assert (len(wire.sent) > start, real.enabled) == (True, False)
+    real.disable()
+    assert {slave.state for slave in slaves} == {"switch on disabled"}
+
+
+@pytest.mark.parametrize(("late_s", "stops"), [(0.019, False), (0.0225, True)])
+def test_two_periods_late_are_the_limit(real, slaves, wire, late_s, stops):
+    assert DRIVE_RULES["stalled"].limit == 2
+    move(real, 3)
+    wire.now_s += PERIOD_S + late_s - 1e-3
+    if stops:
+        with pytest.raises(MasterStalled):
+            move(real)
+    else:
+        move(real)
+        assert real.enabled
+
+
+def test_the_sync_after_the_last_set_point_counts_as_motion(real, wire):
+    move(real, 3)
+    wire.now_s += 0.1
+    with pytest.raises(MasterStalled):
+        real.hold()
+
+
+def test_a_master_that_was_held_up_at_rest_goes_on_without_that_row(real, slaves, wire):
+    for _ in range(3):
+        real.hold()
+    overruns = real.statistics.overruns
+    wire.now_s += 0.345
+    epoch = real.hold()
+    assert epoch.missing == (0, 1, 2, 3, 4, 5)
+    assert real.statistics.overruns > overruns + 30
+    assert [real.hold().complete for _ in range(3)] == [True] * 3
+    move(real, 2)
+    assert real.enabled
+
+
+def test_in_lockstep_time_stands_still_while_the_master_does(group, wire):
+    move(group, 3)
+    wire.now_s += 5.0
+    move(group, 3)
+    assert group.enabled
+
+
+def test_a_set_point_that_never_went_out_with_a_sync_is_not_the_place_to_stop_at(group, slaves, wire):
+    """The bus fails while a row is being sent: the words to stop carry the targets of the row before."""
+    move(group, 3)
+    last = slaves[0].values[0x607A, 0]
+    wire.send_errors = 1 << 30
+    with pytest.raises(BusError):
+        move(group)
+    wire.send_errors = 0
+    group.disable()
+    assert slaves[0].values[0x607A, 0] == last
+
+
+# -- standstill before the brakes, and sag -----------------------------------------------------------------------------
+
+
+def test_an_axis_that_moves_is_brought_to_rest_before_it_is_disabled(group, slaves):
+    move(group, 5, step=900)
+    for slave in slaves:
+        slave.ways = {"quick stop": [700, 500, 300, 100, 10]}
+        slave.controlwords.clear()
+    group.disable()
+    for slave in slaves:
+        words = slave.controlwords
+        assert words[0] == 0x02
+        first = next(number for number, word in enumerate(words) if word != 0x02)
+        assert first >= 5 + 3
+        assert slave.ways["quick stop"] == []
+        assert slave.state == "switch on disabled"
+
+
+def test_an_axis_that_stands_is_disabled_without_a_ramp(group, slaves):
+    for _ in range(5):
+        group.hold()
+    for slave in slaves:
+        slave.controlwords.clear()
+    group.disable()
+    assert all(0x02 not in slave.controlwords for slave in slaves)
+
+
+def test_sag_is_measured_from_where_the_drive_last_held_the_axis(group, slaves):
+    for _ in range(5):
+        group.hold()
+    slaves[1].ways = {"switched on": [-20], "switch on disabled": [-30, -40, 10, 0, 0, -5]}
+    slaves[4].ways = {"switch on disabled": [7]}
+    syncs = slaves[0].sync_seen
+    group.disable()
+    assert group.sag_rad == pytest.approx([0, 90 * COUNT_RAD, 0, 0, 7 * COUNT_RAD, 0])
+    assert slaves[0].sync_seen - syncs >= 0.3 / PERIOD_S
+
+
+def test_one_axis_that_does_not_obey_leaves_the_others_led_down(group, slaves):
+    move(group, 3)
+    slaves[2].stuck_in = "operation enabled"
+    with pytest.raises(TransitionTimeout, match="node 3.*stays in OPERATION ENABLED.*emergency stop"):
+        group.disable()
+    assert {slave.state for slave in slaves} == {"switch on disabled", "operation enabled"}
+
+
+def test_an_axis_that_answers_sdo_alone_is_brought_to_rest_before_it_is_disabled(group, slaves):
+    """It has left NMT state OPERATIONAL and hears no SYNC; what it does is asked for, and told, by SDO."""
+    move(group, 3)
+    way = iter([4000, 3000, 1500, 500, 100, 10])
+    slave = slaves[1]
+    slave.nmt = 127
+    plain, read = slave.get, []
+
+    def get(address: tuple[int, int]) -> int:
+        if address == (0x6064, 0):
+            slave.position += next(way, 0)
+            read.append((slave.position, slave.state))
+        return plain(address)
+
+    slave.get = get  # type: ignore[method-assign]
+    slave.controlwords.clear()
+    group.disable()
+    assert slave.controlwords[0] == 0x02
+    assert {state for _, state in read} == {"quick stop"}
+    assert abs(read[-1][0] - read[-2][0]) <= 0.005 * 65536
+    assert slave.state == "switch on disabled"
+
+
+def test_an_axis_that_never_comes_to_rest_is_named(group, slaves):
+    move(group, 3)
+    slaves[3].ways = {"quick stop": [500] * 1000}
+    with pytest.raises(TransitionTimeout, match=r"node 4.*still moves 2\.2 s"):
+        group.quick_stop()
+
+
+# -- the end of the heartbeat ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("pacing", ["real", "lockstep"])
+@pytest.mark.parametrize("what", ["dead", "deaf", "send"])
+def test_no_heartbeat_after_a_stop_that_is_not_confirmed(bus, slaves, setups, wire, pacing, what):
+    with DriveGroup(bus, setups(6), PERIOD_S, pacing) as group:
+        group.connect()
+        group.configure()
+        group.enable()
+        move(group, 5)
+        if what == "dead":
+            slaves[5].alive = False
+        elif what == "deaf":
+            slaves[5].stuck_in = "operation enabled"
+            slaves[5].reply = lambda request, answer: []
+        else:
+            wire.send_errors = 1 << 30
+        told_s = wire.now_s
+        with pytest.raises(DriveError):
+            group.quick_stop()
+        wire.send_errors = 0
+        with pytest.raises(DriveError) if what != "send" else contextlib.nullcontext():
+            group.disable()
+        assert max(beats_s(wire)) - told_s <= 0.2 + PERIOD_S
+        with pytest.raises(ConfigurationRefused):
+            group.enable()
+
+
+def test_heartbeats_go_on_while_the_drives_slow_down(group, slaves, wire):
+    move(group, 5)
+    for slave in slaves:
+        slave.ways = {"quick stop": [50000 - 250 * number for number in range(150)]}
+    start = len(beats_s(wire))
+    group.quick_stop()
+    assert len(beats_s(wire)) - start >= 10
+    assert {slave.state for slave in slaves} == {"quick stop"}
+
+
+def test_waiting_for_an_answer_does_not_revive_the_heartbeat(group, slaves, wire):
+    move(group, 3)
+    for slave in slaves:
+        slave.alive = False
+    with pytest.raises(SeveralFailures, match="nodes 1 to 6.*no SDO answer"):
+        group.quick_stop()
+    last = len(beats_s(wire))
+    group.bus.listen(5.0)
+    assert len(beats_s(wire)) == last
+    for slave in slaves:
+        slave.alive = True
+
+
+# -- one axis on its brake ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("pacing", ["real", "lockstep"])
+def test_one_axis_hangs_on_its_brake_while_the_others_hold(bus, slaves, setups, pacing):
+    with DriveGroup(bus, setups(6), PERIOD_S, pacing) as group:
+        group.connect()
+        group.configure()
+        group.enable()
+        slaves[1].ways = {"switched on": [-20], "switch on disabled": [-30, -40, 10]}
+        for slave in slaves:
+            slave.controlwords.clear()
+        sag_rad = group.release(1, 0.5)
+        assert sag_rad == pytest.approx(90 * COUNT_RAD)
+        assert slaves[1].controlwords.count(0x0F) <= 5
+        assert slaves[0].controlwords.count(0x0F) >= 0.5 / PERIOD_S
+        assert {slave.state for slave in slaves} == {"switch on disabled"}
+        assert not group.enabled
+        assert group.enable().complete
+
+
+def test_another_axis_that_gives_way_meanwhile_stops_all(group, slaves):
+    plain = slaves[1]._sync
+
+    def sync() -> None:
+        plain()
+        if slaves[1].state == "switch on disabled":
+            slaves[3].state = "fault"
+
+    slaves[1]._sync = sync  # type: ignore[method-assign]
+    with pytest.raises(DriveFault, match="node 4"):
+        group.release(1, 0.5)
+    assert {slave.state for slave in slaves} == {"switch on disabled", "fault"}
+
+
+def test_an_axis_that_stays_enabled_is_named_and_all_are_disabled(group, slaves):
+    slaves[1].stuck_in = "operation enabled"
+    with pytest.raises(TransitionTimeout, match="node 2.*stays in OPERATION ENABLED"):
+        group.release(1, 0.5)
+    assert {slave.state for slave in slaves if slave.node_id != 2} == {"switch on disabled"}
+
+
+def test_only_enabled_axes_are_released(group):
+    with pytest.raises(ConfigurationRefused):
+        group.release(6, 0.1)
+    group.disable()
+    with pytest.raises(ConfigurationRefused):
+        group.release(1, 0.1)
+
+
+# -- the quick stop, tried out -----------------------------------------------------------------------------------------
+
+
+def test_the_quick_stop_is_traced_axis_by_axis(group, slaves):
+    """Axis 1 goes on by 700, 500, 300 counts while it brakes, for three SYNCs; axis 2 stands at once."""
+    slaves[0].ways = {"quick stop": [700, 500, 300]}
+    rows = [[DriveCommand((slave.position + 50 * row) * COUNT_RAD) for slave in slaves] for row in range(1, 6)]
+    first, second, *_ = group.prove_quick_stop(rows)
+    assert (first.node_id, first.in_time, first.stood) == (1, True, True)
+    assert first.coast_rad == pytest.approx((700 + 500 + 300) * COUNT_RAD, abs=60 * COUNT_RAD)
+    assert first.rest_s == pytest.approx(3 * PERIOD_S, abs=PERIOD_S)
+    assert second.rest_s <= PERIOD_S
+    assert second.coast_rad <= 60 * COUNT_RAD
+    assert {slave.state for slave in slaves} == {"switch on disabled"}
+    assert {slave.values[0x607A, 0] - slave.node_id * 1000 for slave in slaves} == {250}
+
+
+def test_a_drive_that_ignores_the_quick_stop_is_named_and_the_heartbeat_ends(group, slaves, wire):
+    slaves[4].stuck_in = "operation enabled"
+    rows = [[DriveCommand((slave.position + 50 * row) * COUNT_RAD) for slave in slaves] for row in range(1, 6)]
+    with pytest.raises(DriveError, match="node 5.*OPERATION ENABLED"):
+        group.prove_quick_stop(rows)
+    words = [(data[0], at) for (can_id, data), at in zip(wire.sent, wire.sent_at_s, strict=True) if can_id == 0x205]
+    told_s = next(at for word, at in words if word == 0x02)
+    assert max(beats_s(wire)) - told_s <= 0.2 + PERIOD_S
+    assert {slave.state for slave in slaves if slave.node_id != 5} == {"switch on disabled"}
