@@ -130,11 +130,12 @@ def command(cell_path: Path, options: ServeOptions) -> list[str]:
         "--seed": options.seed,
         "--fault": options.fault,
         "--truth": options.truth,
+        "--pacing": options.pacing,
     }
     for key, value in pairs.items():
         if value is not None:
             words += [key, str(value)]
-    return words
+    return [*words, "--unbuffered"] if options.unbuffered else words
 
 
 @contextmanager

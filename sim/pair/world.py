@@ -262,6 +262,15 @@ class PairWorld:
         noise = 0.003 * self._rated[six] * self._random.standard_normal(6)
         return ((motors.shown_nm[six] + noise) * motors.live[six]).tolist()
 
+    @property
+    def fastest_rad_s(self) -> Array:
+        """Largest speed of each motor at its gear output since `forget_fastest`, shape (12,) [rad/s]."""
+        return self.motors.fastest.copy()
+
+    def forget_fastest(self) -> None:
+        """Begin anew to look for the largest speed."""
+        self.motors.fastest[:] = 0.0
+
     def close(self) -> None:
         """Give the physics engine back; may be called again."""
         if self._client >= 0:

@@ -124,13 +124,9 @@ class Rig:
 
     def _renew(self) -> None:
         for drive, (values, entries) in zip(self.server.drives, self._fresh, strict=True):
-            drive.node.silent = False
-            drive.node.on_heartbeat_lost = drive._heartbeat_lost
-            drive.motion.brake_stuck = False
-            drive.motion.wobble = None
             drive.store.entries.update(entries)
             drive.store.values.update(values)
-            drive.reset()
+            drive.repair()
             drive.node.boot()
 
     @contextmanager

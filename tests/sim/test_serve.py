@@ -16,11 +16,12 @@ from click.testing import CliRunner
 
 from drives.profile import list_profiles
 from sim.build_errors import with_build_errors
+from sim.cellfile import CellFileError
 from sim.demo import comparison
 from sim.demo import main as demo_command
 from sim.multicast import QuietMulticastBus
 from sim.nominal import plant_of
-from sim.serve import free_bus, running
+from sim.serve import command, free_bus, running
 from sim.simulation import ServeOptions, Simulation
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -206,11 +207,8 @@ def test_a_node_killed_in_the_run_falls_silent(tmp_path, channel, master_on):
         assert not simulation.simulation.servers[0].drive(3).axis.free
 
 
-def test_real_pacing_follows_the_clock_without_sync(tmp_path, channel):
-    text = SMALL.read_text(encoding="utf-8").replace('"lockstep"', '"real"')
-    (tmp_path / "cell.toml").write_text(text, encoding="utf-8")
-    (tmp_path / "robot.urdf").write_bytes((EXAMPLES / "small" / "robot.urdf").read_bytes())
-    simulation = Simulation(tmp_path / "cell.toml", ServeOptions(bus=f"virtual:{channel}"))
+def test_real_pacing_follows_the_clock_without_sync(channel):
+    simulation = Simulation(SMALL, ServeOptions(bus=f"virtual:{channel}", pacing="real"))
     world, advanced = simulation.arms[0].world, threading.Event()
     forward = world.advance
 
@@ -228,6 +226,48 @@ def test_real_pacing_follows_the_clock_without_sync(tmp_path, channel):
         simulation.stop()
         thread.join()
         simulation.close()
+
+
+@pytest.mark.parametrize(("unbuffered", "count", "too_fast"), [(True, 50, True), (True, 0, False), (False, 9, False)])
+def test_a_master_that_sends_too_fast_moves_drives_without_a_buffer_too_fast(unbuffered, count, too_fast, channel):
+    """Set points for 10 ms every 2 ms: what takes them when they come is driven beyond its speed."""
+    options = ServeOptions(bus=f"virtual:{channel}", pacing="real", unbuffered=unbuffered)
+    simulation = Simulation(SMALL, options)
+    unit = simulation.arms[0]
+    drive, limit = unit.drives[2], simulation.cell.arms[0].axes[2].speed_limit_rad_s
+    drive.take_mode(8)
+    for word in (0x06, 0x07, 0x0F):
+        drive.take_controlword(word)
+    unit.advance(0.1)
+    unit.world.forget_fastest()
+    start, step = drive.position_counts(), round(0.9 * limit * 0.01 * drive.counts_per_joint_rad)
+    for number in range(1, count + 1):
+        drive.take_target(start + step * number)
+        unit.advance(0.002)
+    unit.advance(0.1)
+    fastest = unit.world.fastest_rad_s
+    simulation.servers[0].bus.shutdown()
+    simulation.close()
+    assert fastest.shape == (6,)
+    assert (fastest[2] > 1.2 * limit) == too_fast
+
+
+def test_pacing_of_the_command_line_is_that_of_every_bus(channel):
+    simulation = Simulation(SMALL, ServeOptions(bus=f"virtual:{channel}", pacing="real"))
+    simulation.servers[0].bus.shutdown()
+    simulation.close()
+    assert {bus.pacing for bus in simulation.cell.buses.values()} == {"real"}
+    assert {bus.pacing for bus in simulation.specs.values()} == {"real"}
+    assert all(drive.motion.buffered for drive in simulation.servers[0].drives)
+    with pytest.raises(CellFileError, match="lockstep or real"):
+        Simulation(SMALL, ServeOptions(bus=f"virtual:{channel}", pacing="hasty"))
+    assert serve(str(SMALL), "--pacing", "hasty").returncode == 2
+
+
+def test_the_command_line_says_the_same_options():
+    options = ServeOptions(bus="virtual:x", pacing="lockstep", unbuffered=True)
+    assert command(SMALL, options)[-5:] == ["--bus", "virtual:x", "--pacing", "lockstep", "--unbuffered"]
+    assert "--pacing" not in command(SMALL, ServeOptions(bus="virtual:x"))
 
 
 def test_truth_beside_the_estimate():
