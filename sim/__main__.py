@@ -38,7 +38,7 @@ def serve(
     pacing: str | None,
     unbuffered: bool,
 ) -> None:
-    """Serve the drives of CELL until Ctrl-C. `payload LABEL` on stdin hangs a load, `payload none` takes it off."""
+    """Serve the drives of CELL until Ctrl-C. On stdin: payload LABEL | none, grip open | closed, quit."""
     from sim.serve import BusError, ServeOptions
     from sim.serve import serve as run
 

@@ -36,6 +36,10 @@ class BusError(OSError):
     """The bus cannot be opened."""
 
 
+class GripError(ValueError):
+    """Grippers that are not there."""
+
+
 @dataclass(frozen=True, slots=True)
 class ServeOptions:
     """What `servo-sim serve` may be told beside the cell.
@@ -137,12 +141,29 @@ class Simulation:
         Raises
         ------
         KeyError : no such load
+        ValueError : the arms are a pair, which holds its workpiece and nothing else
         """
         payload = Payload() if label == "none" else self.loads[label]
         for server in self.servers:
             for unit in server.arms:
-                if arm in (None, unit.name):
+                if arm in (None, unit.name) and isinstance(unit, PairUnit):
+                    unit.hang(payload)
+                elif arm in (None, unit.name):
                     server.hang(unit, payload)
+
+    def grip(self, open: bool) -> None:  # noqa: A002 - as on standard input
+        """Open or close both grippers of a pair; closing grips the part afresh, free of force, where the hands are.
+
+        Raises
+        ------
+        GripError : there is no pair, or nothing is held between its hands
+        """
+        worlds = [unit.world for unit in list[Any](self.arms) if isinstance(unit, PairUnit)]
+        if not worlds:
+            raise GripError(f"cell {self.cell.name} has no pair; there are no grippers")
+        if not worlds[0].touching:
+            raise GripError(f"the hands of cell {self.cell.name} keep a distance; there is no part to grip")
+        worlds[0].open_grippers() if open else worlds[0].close_grippers()
 
     def stop(self) -> None:
         """End all servers."""

@@ -165,14 +165,15 @@ class Motors:
 
     def place(self, q_rad: Array, load_nm: Array) -> None:
         """Stand still with gears wound up so that they carry `load_nm` (n,) at the link angles `q_rad` (n,)."""
-        self.play = q_rad + load_nm / self._stiffness - self._cyclic(q_rad)
+        self.play = q_rad + load_nm / self._stiffness - self.cyclic(q_rad)
         self.theta, self.omega = self.play.copy(), np.zeros_like(q_rad)
         self.gear_nm = load_nm.copy()
         self.show()
         for axis in self.axes:
             axis.servo.reference_rad = axis.position_rad
 
-    def _cyclic(self, q_rad: Array) -> Array:
+    def cyclic(self, q_rad: Array) -> Array:
+        """Angle (n,) [rad] that the gears add at rotor angles (n,)."""
         train = self.train
         return train.cyclic_rad * np.sin(train.cyclic_per_rad * q_rad + train.cyclic_phase_rad)
 
@@ -195,7 +196,7 @@ class Motors:
             else:
                 torque[i] = 0.0
         self.shown_nm += (torque - self.shown_nm) * filter_share
-        self._cycle = self._cyclic(self.theta)
+        self._cycle = self.cyclic(self.theta)
         self._sink = -self.slip * np.sign(self.gear_nm) * (1.0 - self.live)
         np.maximum(self.fastest, np.abs(self.omega), out=self.fastest)
 

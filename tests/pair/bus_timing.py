@@ -18,6 +18,7 @@ from drives.errors import DriveError
 from gateway.pair.cell import PairCell, load_pair
 from gateway.pair.function import function_of_knots
 from gateway.pair.link import PairLink, open_link
+from sim.pair.cell import PairOptions
 from sim.pair.world import PairWorld
 from sim.serve import free_bus
 from sim.simulation import ServeOptions, Simulation
@@ -35,7 +36,7 @@ def _no_physics(world: PairWorld) -> None:
 def _serve(cell_file: Path, bus: str, ready: Any, stop: Any) -> None:
     """Simulated drives in a process of their own, without physics, until `stop`."""
     PairWorld._tick = _no_physics  # type: ignore[method-assign]
-    simulation = Simulation(cell_file, ServeOptions(bus=bus))
+    simulation = Simulation(cell_file, ServeOptions(bus=bus), PairOptions(plant="bullet"))
     thread = threading.Thread(target=simulation.run)
     thread.start()
     ready.set()
