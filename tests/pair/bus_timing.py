@@ -22,6 +22,7 @@ from sim.pair.cell import PairOptions
 from sim.pair.world import PairWorld
 from sim.serve import free_bus
 from sim.simulation import ServeOptions, Simulation
+from tests.pacing import by_the_clock as by_the_clock_text
 from tests.pair.bus_rig import CELL, pair_rig
 
 CYCLES = 100_000
@@ -87,7 +88,7 @@ def by_the_clock(seconds: float = REAL_S) -> dict[str, Any]:
         for name in ("robot.urdf", "path.csv", "drive.toml"):
             (Path(folder) / name).write_text((CELL.parent / name).read_text())
         cell_file = Path(folder) / "cell.toml"
-        cell_file.write_text(CELL.read_text().replace('pacing = "lockstep"', 'pacing = "real"'))
+        cell_file.write_text(by_the_clock_text(CELL.read_text()))
         bus = f"left={free_bus()};right={free_bus()}"
         with _served(cell_file, bus):
             cell = load_pair(cell_file, bus)

@@ -143,7 +143,7 @@ def channel() -> str:
 @pytest.fixture
 def drives(channel: str) -> Iterator[tuple[Master, RunningSimulation]]:
     """The small arm's six drives on a virtual bus, and a master."""
-    with running(EXAMPLES / "small" / "cell.toml", f"virtual:{channel}") as simulation:
+    with running(EXAMPLES / "small" / "cell.toml", f"virtual:{channel}", pacing="lockstep") as simulation:
         master = Master(channel)
         try:
             yield master, simulation

@@ -127,7 +127,7 @@ def test_every_profile_makes_drives_that_answer(profile, tmp_path, channel, mast
     text = SMALL.read_text(encoding="utf-8").replace("generic-cia402", profile)
     (tmp_path / "cell.toml").write_text(text, encoding="utf-8")
     (tmp_path / "robot.urdf").write_bytes((EXAMPLES / "small" / "robot.urdf").read_bytes())
-    with running(tmp_path / "cell.toml", f"virtual:{channel}") as simulation:
+    with running(tmp_path / "cell.toml", f"virtual:{channel}", pacing="lockstep") as simulation:
         master = master_on(channel)
         assert profile.encode() in master.read(3, 0x1008)
         drive = simulation.simulation.servers[0].drive(3)
@@ -158,7 +158,7 @@ def test_every_profile_makes_drives_that_answer(profile, tmp_path, channel, mast
 def test_faults_of_the_drive_are_there_from_the_start(fault, index, sub, expected, tmp_path, channel, master_on):
     scenario = tmp_path / "fault.toml"
     scenario.write_text(f'[[fault]]\nkind = "{fault}"\nnode = 2\n', encoding="utf-8")
-    with running(SMALL, f"virtual:{channel}", fault=scenario):
+    with running(SMALL, f"virtual:{channel}", fault=scenario, pacing="lockstep"):
         master = master_on(channel)
         value, other = master.number(2, index, sub), master.number(1, index, sub)
         assert value != other
@@ -172,7 +172,7 @@ def test_a_missing_node_is_silent_and_an_aborted_object_refused(tmp_path, channe
         '[[fault]]\nkind = "sdo_aborted"\nnode = 3\nindex = 0x6076\nsyncs = 0\n',
         encoding="utf-8",
     )
-    with running(SMALL, f"virtual:{channel}", fault=scenario):
+    with running(SMALL, f"virtual:{channel}", fault=scenario, pacing="lockstep"):
         master = master_on(channel)
         master.send(0x602, b"\x40\x00\x10\x00\x00\x00\x00\x00")
         with pytest.raises(AssertionError, match="no frame 0x582"):
@@ -185,7 +185,7 @@ def test_a_missing_node_is_silent_and_an_aborted_object_refused(tmp_path, channe
 def test_an_axis_that_never_settles_keeps_moving(tmp_path, channel, master_on):
     scenario = tmp_path / "fault.toml"
     scenario.write_text('[[fault]]\nkind = "never_settles"\nnode = 3\nsyncs = 0\n', encoding="utf-8")
-    with running(SMALL, f"virtual:{channel}", fault=scenario):
+    with running(SMALL, f"virtual:{channel}", fault=scenario, pacing="lockstep"):
         master = master_on(channel)
         master.configure(3, 8)
         position = master.enable(3, 100)
@@ -196,7 +196,7 @@ def test_an_axis_that_never_settles_keeps_moving(tmp_path, channel, master_on):
 def test_a_node_killed_in_the_run_falls_silent(tmp_path, channel, master_on):
     scenario = tmp_path / "fault.toml"
     scenario.write_text('[[fault]]\nkind = "node_killed"\nnode = 3\nat_sync = 40\nsyncs = 0\n', encoding="utf-8")
-    with running(SMALL, f"virtual:{channel}", fault=scenario) as simulation:
+    with running(SMALL, f"virtual:{channel}", fault=scenario, pacing="lockstep") as simulation:
         master = master_on(channel)
         master.configure(3, 8)
         position = master.enable(3, 20)
