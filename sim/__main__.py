@@ -7,6 +7,8 @@ from pathlib import Path
 
 import click
 
+from sim.pacing import PACINGS
+
 FILE_ERROR, BUS_ERROR = 3, 4
 
 
@@ -23,6 +25,8 @@ def main() -> None:
 @click.option("--seed", type=click.IntRange(min=0), help="Draw what the gateway is not told from this seed.")
 @click.option("--fault", type=click.Path(path_type=Path), help="What goes wrong: [[fault]] kind, node, at_sync.")
 @click.option("--truth", type=click.Path(path_type=Path), help="Write the truth here at start.")
+@click.option("--pacing", type=click.Choice(PACINGS), help="In place of the cell's: by SYNC, or by the clock.")
+@click.option("--unbuffered", is_flag=True, help="By the clock, take over each target when it comes.")
 def serve(
     cell: Path,
     bus: str | None,
@@ -31,14 +35,16 @@ def serve(
     seed: int | None,
     fault: Path | None,
     truth: Path | None,
+    pacing: str | None,
+    unbuffered: bool,
 ) -> None:
-    """Serve the drives of CELL until Ctrl-C. `payload LABEL` on stdin hangs a load, `payload none` takes it off."""
+    """Serve the drives of CELL until Ctrl-C. On stdin: payload LABEL | none, grip open | closed, quit."""
     from sim.serve import BusError, ServeOptions
     from sim.serve import serve as run
 
     if undeclared is not None and seed is not None:
         raise click.UsageError("--undeclared and --seed exclude each other.")
-    options = ServeOptions(bus, payload, undeclared, seed, fault, truth)
+    options = ServeOptions(bus, payload, undeclared, seed, fault, truth, pacing, unbuffered)
     try:
         run(cell, options, lambda line: print(line, flush=True))
     except BusError as error:

@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
 from sim.fake_drive import FakeDrive
 from sim.faults import Fault
-from sim.node import STOPPED
+from sim.node import EMCY_OFF, STOPPED
+from sim.objects import VALUE_RANGE, Address
 from sim.server import BusServer
+from sim.states import PdsState
 
 ENCODER_FAULT = 0x7305
 STO_CODE = 0x5442
 WOBBLE_RAD, WOBBLE_HZ = 0.004, 1.5
+#: What strict, talkative and broken drives do where the scenario does not say.
+STRICT_INHIBIT_100US = 100
+REFUSED_S = 0.5
+CYCLE_US = 1_000
+OPTIONAL = frozenset({0x6502, 0x1029})
+FLOOD_HZ = 5_000.0
+FOREIGN = 0x20
+DROPS_AFTER = 3
+SLIP_RAD_S = 0.02
 
 
 def act(server: BusServer, fault: Fault) -> None:
@@ -89,13 +101,89 @@ def _deaf(drive: FakeDrive, _fault: Fault) -> None:
 def _scaled_rating(factor: int) -> Callable[[FakeDrive, Fault], None]:
     def change(drive: FakeDrive, _fault: Fault) -> None:
         for address in ((0x6075, 0), (0x6076, 0)):
-            drive.store.values[address] = min(drive.store.number(address) * factor, 0xFFFFFFFF)
+            drive.quirks.values[address] = min(drive.store.number(address) * factor, 0xFFFFFFFF)
+        drive.take_quirks()
 
     return change
 
 
 def _other_make(drive: FakeDrive, fault: Fault) -> None:
-    drive.store.values[0x1018, 1] = fault.code or drive.store.number((0x1018, 1)) ^ 0x00FF0001
+    _shows(drive, (0x1018, 1), fault.code or drive.store.number((0x1018, 1)) ^ 0x00FF0001)
+
+
+def _shows(drive: FakeDrive, address: Address, value: int) -> None:
+    drive.quirks.values[address] = value
+    drive.take_quirks()
+
+
+def _strict_inhibit(drive: FakeDrive, _fault: Fault) -> None:
+    drive.quirks.inhibit_abort, drive.quirks.inhibit_100us = VALUE_RANGE, STRICT_INHIBIT_100US
+    drive.take_quirks()
+    drive.preset_pdos()
+
+
+def _start_refused(drive: FakeDrive, fault: Fault) -> None:
+    drive.quirks.start_refused_s = fault.delay_s or REFUSED_S
+
+
+def _start_never(drive: FakeDrive, _fault: Fault) -> None:
+    drive.quirks.start_refused_s = math.inf
+
+
+def _cycle_period(drive: FakeDrive, fault: Fault) -> None:
+    drive.quirks.watches_cycle = True
+    _shows(drive, (0x1006, 0), fault.code or CYCLE_US)
+
+
+def _without_data(drive: FakeDrive, fault: Fault) -> None:
+    drive.quirks.without_data |= {fault.index} if fault.index else OPTIONAL
+
+
+def _tpdo3_on(drive: FakeDrive, fault: Fault) -> None:
+    drive.quirks.flood_hz = fault.rate_hz or FLOOD_HZ
+    drive.preset_pdos()
+
+
+def _foreign_emcy(drive: FakeDrive, fault: Fault) -> None:
+    _shows(drive, (0x1014, 0), fault.code or 0x80 + (drive.node_id + FOREIGN) % 128)
+
+
+def _emcy_off(drive: FakeDrive, _fault: Fault) -> None:
+    _shows(drive, (0x1014, 0), EMCY_OFF | 0x80 + drive.node_id)
+
+
+def _coasting(drive: FakeDrive, fault: Fault) -> None:
+    for index in (fault.index,) if fault.index else (0x605A, 0x605E):
+        _shows(drive, (index, 0), 0)
+
+
+def _estop(drive: FakeDrive, fault: Fault) -> None:
+    drive.quirks.sto_open = True
+    if drive.automaton.energised:
+        _torque_off(drive, fault)
+    elif drive.automaton.state is not PdsState.FAULT:
+        drive.automaton.state = PdsState.SWITCH_ON_DISABLED
+
+
+def _unreferenced(drive: FakeDrive, _fault: Fault) -> None:
+    drive.quirks.unreferenced = True
+
+
+def _mute(drive: FakeDrive, _fault: Fault) -> None:
+    drive.quirks.mute_heartbeat = True
+    drive.take_quirks()
+
+
+def _drops(drive: FakeDrive, fault: Fault) -> None:
+    drive.quirks.drops_after = fault.count or DROPS_AFTER
+
+
+def _never_enables(drive: FakeDrive, _fault: Fault) -> None:
+    drive.quirks.never_enables = True
+
+
+def _slips(drive: FakeDrive, fault: Fault) -> None:
+    drive.axis.slip_rad_s = fault.speed_rad_s or SLIP_RAD_S
 
 
 ACTIONS: dict[str, Callable[[FakeDrive, Fault], None]] = {
@@ -115,4 +203,19 @@ ACTIONS: dict[str, Callable[[FakeDrive, Fault], None]] = {
     "wrong_rated": _scaled_rating(1000),
     "rated_zero": _scaled_rating(0),
     "wrong_vendor": _other_make,
+    "strict_inhibit": _strict_inhibit,
+    "start_refused": _start_refused,
+    "start_never": _start_never,
+    "cycle_period_set": _cycle_period,
+    "no_data_abort": _without_data,
+    "tpdo3_on": _tpdo3_on,
+    "foreign_emcy_id": _foreign_emcy,
+    "emcy_disabled": _emcy_off,
+    "estop_pressed": _estop,
+    "unreferenced": _unreferenced,
+    "coasting_stop": _coasting,
+    "no_heartbeat": _mute,
+    "enables_and_drops": _drops,
+    "never_enables": _never_enables,
+    "brake_slips": _slips,
 }

@@ -52,7 +52,6 @@ def _device(drive: FakeDrive) -> None:
     for index, signature in ((0x1010, 0x65766173), (0x1011, 0x64616F6C)):
         store.constant((index, 0), "u8", 1)
         store.parameter((index, 1), "u32", 1, _one_of(signature))
-    store.constant((0x1014, 0), "u32", 0x80 + drive.node_id)
     store.parameter((0x1015, 0), "u16", 0)
     values = (int(identity.get("vendor_id", VENDOR_ID)), int(identity.get("product_code", 1)), revision, drive.serial)
     store.constant((0x1018, 0), "u8", 4)
@@ -72,8 +71,8 @@ def _state_objects(drive: FakeDrive) -> None:
     store.live((0x6040, 0), "u16", lambda: drive.automaton.controlword, drive.take_controlword)
     store.live((0x6041, 0), "u16", drive.statusword)
     store.parameter((0x605A, 0), "i16", 2, drive.take_quick_stop_option)
-    store.parameter((0x605B, 0), "i16", 0, _one_of(0))
-    store.parameter((0x605C, 0), "i16", 0, _one_of(0))
+    store.parameter((0x605B, 0), "i16", 0, _one_of(0, 1))
+    store.parameter((0x605C, 0), "i16", 0, _one_of(0, 1))
     store.parameter((0x605D, 0), "i16", 1, _one_of(1, 2))
     store.parameter((0x605E, 0), "i16", 2, _one_of(0, 1, 2))
     store.live((0x6060, 0), "i8", lambda: drive.mode, drive.take_mode)

@@ -19,6 +19,7 @@ from sim.motor import MotorAxis
 from sim.node import OPERATIONAL, SlaveNode
 from sim.objects import VALUE_RANGE, ObjectStore
 from sim.pdo import DISABLED, EVENT_TYPES, Pdo, due
+from sim.quirks import FLOODING, Conduct, Quirks
 from sim.states import Automaton, PdsState
 from sim.units import MAX_TORQUE_PER_MILLE, DriveUnits, Word, drive_units
 
@@ -57,6 +58,7 @@ class FakeDrive:
     axis : the motor it feeds
     reading_nm : torque it measured last, gear output side [Nm]
     error_code : 0x603F
+    quirks : in what it differs from a patient and healthy drive
     """
 
     def __init__(self, site: DriveSite, axis: MotorAxis, send: Callable[[can.Message], None]) -> None:
@@ -69,6 +71,9 @@ class FakeDrive:
         self.counts_per_joint_rad = site.spec.position_sign * site.spec.gear_ratio * self.units.counts_per_rad
         self.reading_nm = 0.0
         self.automaton = Automaton()
+        self.quirks = Quirks()
+        self._conduct = Conduct(self)
+        self._time_s = 0.0
         self.motion = Motion(self)
         self.store = ObjectStore()
         self.reset_setpoints()
@@ -77,10 +82,10 @@ class FakeDrive:
         self._register_pdos()
         self._reset_values = dict(self.store.values)
         self.node = SlaveNode(site.node_id, self.store)
-        self._reset_values |= {key: self.store.values[key] for key in ((0x1016, 1), (0x1017, 0))}
+        self._reset_values |= {key: self.store.values[key] for key in ((0x1014, 0), (0x1016, 1), (0x1017, 0))}
         self.node.on_nmt = self._nmt_changed
         self.node.on_reset = self.reset
-        self.node.on_heartbeat_lost = self._heartbeat_lost
+        self._mend()
         self.take_max_torque(MAX_TORQUE_PER_MILLE)
         self.automaton.power_up()
 
@@ -95,10 +100,34 @@ class FakeDrive:
         self.axis.lock()
         self.reset_setpoints()
         self.store.values.update(self._reset_values)
+        self.automaton.quick_stop_holds = False
+        self.take_quirks()
         self.target_counts = self.position_counts()
-        self._preset_pdos()
+        self.preset_pdos()
         self.take_max_torque(MAX_TORQUE_PER_MILLE)
         self.automaton.power_up()
+
+    def take_quirks(self) -> None:
+        """Act on quirks that have changed."""
+        self.store.values.update(self.quirks.values)
+        self.node.mute = self.quirks.mute_heartbeat
+        for tpdo in self.tpdos:
+            tpdo.inhibit_abort = self.quirks.inhibit_abort
+
+    def repair(self) -> None:
+        """Take everything away that is wrong with the drive, then start it anew; its boot-up is the caller's."""
+        self.quirks = Quirks()
+        self._mend()
+        self.reset()
+
+    def _mend(self) -> None:
+        self._conduct = Conduct(self)
+        self.node.silent = False
+        self.node.on_heartbeat_lost = self._heartbeat_lost
+        self.node.may_start = self._conduct.may_start
+        self.node.sdo.refuse = self._conduct.refuse
+        self.motion.brake_stuck, self.motion.wobble = False, None
+        self.axis.slip_rad_s = 0.0
 
     # ----------------------------------------------------------------------------------------------------- PDOs
 
@@ -109,14 +138,15 @@ class FakeDrive:
         self.rpdos = [
             Pdo(self.store, 0x1400 + n, 0x1600 + n, 0x200 + 0x100 * n + self.node_id) for n in range(PDO_COUNT)
         ]
-        self._preset_pdos()
+        self.preset_pdos()
 
-    def _preset_pdos(self) -> None:
+    def preset_pdos(self) -> None:
         """Power-on maps of CiA 402-2: statusword and controlword by event, the rest switched off."""
+        flooding = FLOODING if self.quirks.flood_hz else 0
         for n, (tpdo, rpdo) in enumerate(zip(self.tpdos, self.rpdos, strict=True)):
-            tpdo.cob_id = (0x180 + 0x100 * n + self.node_id) | (0 if n == 0 else DISABLED)
+            tpdo.cob_id = (0x180 + 0x100 * n + self.node_id) | (0 if n in (0, flooding) else DISABLED)
             rpdo.cob_id = (0x200 + 0x100 * n + self.node_id) | (0 if n == 0 else DISABLED)
-            tpdo.inhibit_100us = tpdo.event_ms = 0
+            tpdo.inhibit_100us, tpdo.event_ms = self.quirks.inhibit_100us, 0
             tpdo.preset([(0x6041, 0)] if n == 0 else [(0x6041, 0), (0x6064, 0)][: n + 1], 255)
             rpdo.preset([(0x6040, 0)] if n == 0 else [(0x6040, 0), (0x607A, 0)][: n + 1], 255)
         self._buffers: list[bytes | None] = [None] * PDO_COUNT
@@ -145,6 +175,9 @@ class FakeDrive:
             if data is not None:
                 self._buffers[number] = None
                 self.rpdos[number].unpack(data)
+        self._conduct.sync_came(self._time_s)
+        if self.node.state != OPERATIONAL:
+            return
         for tpdo in self.tpdos:
             if due(tpdo, self._sync_count):
                 self.transmit(tpdo)
@@ -155,6 +188,9 @@ class FakeDrive:
             return
         for number, tpdo in enumerate(self.tpdos):
             if not tpdo.enabled or tpdo.transmission not in (0, *EVENT_TYPES):
+                continue
+            if number == FLOODING and self.quirks.flood_hz:
+                self._conduct.flood(tpdo, time_s)
                 continue
             data, before = tpdo.pack(), self._last_event[number]
             waited = time_s - self._event_due_s[number]
@@ -176,7 +212,26 @@ class FakeDrive:
         if before is PdsState.FAULT and self.automaton.state is PdsState.SWITCH_ON_DISABLED:
             self.error_code = 0
             self.node.emergency(0x0000, 0)
+        self._hold_back()
         self.motion.state_changed(before)
+
+    def _hold_back(self) -> None:
+        """Undo a transition that the drive does not make: safety circuit open, or a drive that never enables."""
+        automaton = self.automaton
+        if self.quirks.sto_open and automaton.state not in (PdsState.FAULT, PdsState.FAULT_REACTION_ACTIVE):
+            automaton.state = PdsState.SWITCH_ON_DISABLED
+        if self.quirks.never_enables and automaton.state is PdsState.OPERATION_ENABLED:
+            automaton.state = PdsState.SWITCHED_ON
+
+    @property
+    def enabled(self) -> bool:
+        """Whether it is in OPERATION ENABLED."""
+        return self.automaton.state is PdsState.OPERATION_ENABLED
+
+    def drop_out(self) -> None:
+        """Fall back from OPERATION ENABLED to SWITCHED ON without being told."""
+        self.automaton.state = PdsState.SWITCHED_ON
+        self.motion.state_changed(PdsState.SWITCHED_ON)
 
     def statusword(self) -> int:
         """0x6041."""
@@ -191,8 +246,8 @@ class FakeDrive:
         self.motion.mode_changed()
 
     def take_quick_stop_option(self, value: int) -> None:
-        """0x605A: 1 to 3 end in SWITCH ON DISABLED, 5 to 7 stay in QUICK STOP ACTIVE."""
-        if value not in (1, 2, 3, 5, 6, 7):
+        """0x605A: 0 coasts, 1 to 3 end in SWITCH ON DISABLED, 5 to 7 stay in QUICK STOP ACTIVE."""
+        if value not in (0, 1, 2, 3, 5, 6, 7):
             raise SdoAbortedError(VALUE_RANGE)
         self.automaton.quick_stop_holds = value >= 5
 
@@ -216,6 +271,7 @@ class FakeDrive:
     def _nmt_changed(self, old: int, new: int) -> None:
         if new == OPERATIONAL:
             self._sync_count = 0
+            self._conduct.entered_operational()
             self._last_event = [None] * PDO_COUNT
         elif old == OPERATIONAL:
             self._connection_lost(0)
@@ -331,12 +387,17 @@ class FakeDrive:
         self.axis.servo.max_nm = word * 1e-3 * self.units.rated_torque_nm * abs(self.spec.gear_ratio)
 
     def digital_inputs(self) -> int:
-        """0x60FD: bit 0 negative limit, bit 1 positive limit, bit 16 holding brake closed."""
+        """0x60FD: bit 0 negative limit, bit 1 positive limit; of this make: bit 16 holding brake closed, bit 24 safety
+        circuit closed (no emergency stop, torque allowed), bit 25 encoder referenced.
+        """
         counts, low, high = self.position_counts(), self.store.number((0x607D, 1)), self.store.number((0x607D, 2))
         on = bool(low or high)
-        return (on and counts < low) | (on and counts > high) << 1 | (not self.axis.free) << 16
+        limits = (on and counts < low) | (on and counts > high) << 1
+        healthy = (not self.quirks.sto_open) << 24 | (not self.quirks.unreferenced) << 25
+        return limits | (not self.axis.free) << 16 | healthy
 
     def advanced(self, time_s: float) -> None:
         """After a stretch of simulated time: monitoring."""
+        self._time_s = time_s
         self.node.watch(time_s)
         self.motion.supervise(time_s)

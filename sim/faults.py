@@ -6,8 +6,10 @@
     at_sync = 200      # SYNC on the bus at which it starts, counted from the first one
     syncs = 5          # how many SYNCs it lasts; 0 = from then on
 
-Where a fault acts decides who carries it out: the wire (`sim.faulty_wire`), the drive, or the drive's objects, before
-anything moves. What happens at the master is not the simulator's business and is listed for completeness.
+Where a fault acts decides who carries it out: the wire (`sim.faulty_wire`), the drive, or the drive's objects and
+habits, which are there before a master comes (`sim.quirks`). What happens at the master is not the simulator's business
+and is listed for completeness. Every kind acts in lockstep and by the clock; how long it lasts is counted in SYNCs in
+both, and what is late is late by time: nobody waits for it but the frame itself.
 """
 
 from __future__ import annotations
@@ -42,16 +44,24 @@ class Kind:
 
     Attributes
     ----------
-    where : where it acts
+    where : where it acts; "object": from power-up on, so it has to be armed before a master comes
     reaction : what has to happen
     bound : SYNCs from its start to the master's reaction; None = not by SYNCs (before motion, or by the clock)
     meaning : one line
+    real : what has to happen by the clock, where that differs; None = the same
+    bound_s : by the clock, seconds from its start to the master's reaction; None = `bound` SYNCs there too
     """
 
     where: Where
     reaction: Reaction
     bound: int | None
     meaning: str
+    real: Reaction | None = None
+    bound_s: float | None = None
+
+    def reaction_in(self, pacing: str) -> Reaction:
+        """What has to happen in lockstep, or by the clock ("real")."""
+        return self.real if pacing == "real" and self.real is not None else self.reaction
 
 
 KINDS: dict[str, Kind] = {
@@ -67,6 +77,7 @@ KINDS: dict[str, Kind] = {
     "tpdo_torn": Kind("wire", "retried", 1, "two different answers to one SYNC"),
     "tpdo_stuck": Kind("wire", "stops", 52, "the answers of a drive show old values for ever"),
     "tpdo_random_loss": Kind("wire", "retried", 1, "a share of all answers is lost"),
+    "burst": Kind("wire", "goes on", 1, "answers of 25 ms come at once; by the clock they miss their SYNC", "retried"),
     "rpdo_lost": Kind("wire", "goes on", 1, "commands to one drive are lost for a few SYNCs"),
     "rpdo_gone": Kind("wire", "stops", 100, "no command reaches one drive any more"),
     "sync_lost": Kind("wire", "retried", 1, "a SYNC reaches no drive"),
@@ -80,8 +91,8 @@ KINDS: dict[str, Kind] = {
     "sdo_wrong_toggle": Kind("wire", "refuses", None, "wrong toggle bit in a segment of a text"),
     "sdo_short": Kind("wire", "refuses", None, "answers of less than eight bytes"),
     # life signs
-    "heartbeat_lost": Kind("wire", "stops", None, "the drive's heartbeat is missing"),
-    "heartbeat_back": Kind("wire", "stops", None, "the drive's heartbeat is missing and comes back"),
+    "heartbeat_lost": Kind("wire", "stops", None, "the drive's heartbeat is missing", bound_s=0.5),
+    "heartbeat_back": Kind("wire", "stops", None, "the drive's heartbeat is missing and comes back", bound_s=0.5),
     "node_killed": Kind("drive", "stops", 6, "the drive is without power"),
     "power_cycle": Kind("drive", "stops", 2, "the drive starts anew in the middle of a run"),
     "boot_up_frame": Kind("wire", "stops", 2, "a boot-up frame in the middle of a run"),
@@ -112,6 +123,23 @@ KINDS: dict[str, Kind] = {
     "node_missing": Kind("wire", "refuses", None, "nobody at a node id"),
     "duplicate_node": Kind("wire", "refuses", None, "two devices with one node id"),
     "fault_at_start": Kind("drive", "refuses", None, "the drive is in FAULT before anything begins"),
+    # strict slaves: nothing is wrong with them
+    "strict_inhibit": Kind("object", "goes on", None, "aborts an inhibit time written while the PDO exists; has 10 ms"),
+    "start_refused": Kind("object", "goes on", None, "refuses START while a communication error stands; it clears"),
+    "cycle_period_set": Kind("object", "goes on", None, "0x1006 is set; another SYNC period ends OPERATIONAL"),
+    "no_data_abort": Kind("object", "goes on", None, "answers 'no data available' for optional objects"),
+    "tpdo3_on": Kind("object", "goes on", None, "TPDO3 is on at power-up and sends 5000 frames a second"),
+    "foreign_emcy_id": Kind("object", "goes on", None, "0x1014 names another identifier; EMCYs come there"),
+    # drives that may not be moved
+    "start_never": Kind("object", "refuses", None, "refuses START for ever"),
+    "emcy_disabled": Kind("object", "refuses", None, "0x1014 bit 31: sends no EMCY"),
+    "estop_pressed": Kind("object", "refuses", None, "the safety circuit is open: 0x60FD bit 24 low, no torque"),
+    "unreferenced": Kind("object", "refuses", None, "the encoder has no reference: 0x60FD bit 25 low"),
+    "coasting_stop": Kind("object", "refuses", None, "option codes that let the axis coast: 0x605A and 0x605E are 0"),
+    "no_heartbeat": Kind("object", "refuses", None, "never sends a heartbeat, whatever 0x1017 says"),
+    "never_enables": Kind("object", "stops", None, "stays in SWITCHED ON: bring-up ends, all axes are disabled"),
+    "enables_and_drops": Kind("object", "stops", None, "falls back to SWITCHED ON a few SYNCs after each enabling"),
+    "brake_slips": Kind("object", "finding", None, "the closed brake lets the axis sink"),
     # the bus
     "second_master_sync": Kind("wire", "stops", 20, "another master sends SYNC"),
     "second_master_nmt": Kind("wire", "stops", 20, "another master sends NMT commands"),
@@ -143,10 +171,12 @@ class Fault:
     at_sync : SYNC at which it starts
     syncs : how many SYNCs it lasts; 0 = from then on
     count : how many frames it touches at most; 0 = all
-    delay_s : of late answers
+    delay_s : of late answers; of a burst; until a refused START is obeyed; 0 = the kind's own
     index, subindex : object that an SDO fault is about; index 0 = any
-    code : EMCY or SDO abort code
+    code : EMCY or SDO abort code; value of the object that a strict slave has set (0x1006, 0x1014)
     share : of the frames, for random loss
+    rate_hz : of a TPDO that sends by itself; 0 = the kind's own
+    speed_rad_s : at which a closed brake lets the axis sink; 0 = the kind's own
     seed : of the random choice
     """
 
@@ -160,6 +190,8 @@ class Fault:
     subindex: int = 0
     code: int = 0
     share: float = 1.0
+    rate_hz: float = 0.0
+    speed_rad_s: float = 0.0
     seed: int = 1
 
     def active(self, sync: int) -> bool:
@@ -182,6 +214,8 @@ _BOUNDS: dict[str, tuple[type, float, float]] = {
     "subindex": (int, 0, 0xFF),
     "code": (int, 0, 0xFFFFFFFF),
     "share": (float, 0.0, 1.0),
+    "rate_hz": (float, 0.0, 20_000.0),
+    "speed_rad_s": (float, 0.0, 1.0),
     "seed": (int, 0, 2**32 - 1),
 }
 

@@ -41,6 +41,8 @@ class FaultyWire:
 
     def __init__(self, bus: Any, faults: Iterable[Fault] = (), act: DriveAction | None = None) -> None:
         self.sync = 0
+        #: SYNC period [s].
+        self.period_s = 0.01
         #: Frames by what was done to them.
         self.touched: dict[str, int] = {}
         self.act = act
@@ -114,8 +116,9 @@ class FaultyWire:
         while True:
             self._flush()
             wait = None if end is None else max(end - time.monotonic(), 0.0)
-            if self._due:
-                wait = min(self._due[0][0] - time.monotonic(), 0.05 if wait is None else wait)
+            first = next(iter(self._due), None)
+            if first is not None:
+                wait = min(first[0] - time.monotonic(), 0.05 if wait is None else wait)
             frame = self._bus.recv(None if wait is None else max(wait, 0.0))
             if frame is not None and self._reaches_drives(frame):
                 return frame
@@ -151,7 +154,11 @@ class FaultyWire:
 
     def later(self, frame: can.Message, delay_s: float) -> None:
         """Send the frame after a time by the clock."""
-        self._due.append((time.monotonic() + delay_s, frame))
+        self.at(frame, time.monotonic() + delay_s)
+
+    def at(self, frame: can.Message, due_s: float) -> None:
+        """Send the frame at a time of the monotonic clock, after those that are due by then."""
+        self._due.append((due_s, frame))
         self._due.sort(key=lambda entry: entry[0])
 
     def after_next_sync(self, frame: can.Message) -> None:

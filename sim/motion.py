@@ -23,6 +23,11 @@ TARGET_REACHED, INTERNAL_LIMIT, MODE_SPECIFIC, FOLLOWING_ERROR = 1 << 10, 1 << 1
 EMCY_FOLLOWING = 0x8611
 #: A stopping axis counts as standing below this speed [rad/s], or this long after its ramp whatever it does [s].
 STANDSTILL_RAD_S = 0.02
+#: Option codes: what happens on the way out of OPERATION ENABLED, and while a quick stop or a fault is answered.
+QUICK_STOP_OPTION, HALT_OPTION = (0x605A, 0), (0x605D, 0)
+LEAVING = {PdsState.READY_TO_SWITCH_ON: (0x605B, 0), PdsState.SWITCHED_ON: (0x605C, 0)}
+STOPPING = {PdsState.QUICK_STOP_ACTIVE: QUICK_STOP_OPTION, PdsState.FAULT_REACTION_ACTIVE: (0x605E, 0)}
+SLOW_DOWN_RAMP, QUICK_STOP_RAMP = 0x6084, 0x6085
 STOP_TIMEOUT_S = 0.3
 #: How much the drive's own clock is drawn when its buffer of set points is empty or holds more than one.
 CLOCK_DRAW = 0.03
@@ -53,6 +58,8 @@ class Motion:
         self._left_s = 0.0
         self._stopping_s = 0.0
         self._release_s: float | None = None
+        self._lock_s: float | None = None
+        self._then: PdsState | None = None
         self._pp_goal: float | None = None
         self._acknowledged = False
         self._reached_since: float | None = None
@@ -64,18 +71,41 @@ class Motion:
     def state_changed(self, before: PdsState) -> None:
         """React to a transition, or to a controlword within OPERATION ENABLED."""
         drive, state = self._drive, self._drive.automaton.state
+        leaves = before is PdsState.OPERATION_ENABLED and drive.axis.fed and state in LEAVING
+        if leaves and drive.store.number(LEAVING[state]) == 1:  # first the ramp, then the transition
+            self._then, drive.automaton.state = state, before
+            return
+        self._then = None
+        if state in STOPPING and state is not before and drive.store.number(STOPPING[state]) == 0:
+            drive.automaton.stopped()
+        self._entered(before)
+
+    def _entered(self, before: PdsState) -> None:
+        drive, state = self._drive, self._drive.automaton.state
         if state is PdsState.OPERATION_ENABLED:
             if before is not PdsState.OPERATION_ENABLED:
-                delay = float(drive.spec.profile.get("state_machine", {}).get("brake_delay_s", 0.0))
-                self._release_s = self._time_s + delay
+                self._release_s = self._time_s + self._brake_delay_s()
+                self._lock_s = None
                 self._buffer.clear()
                 self._left_s = 0.0
                 self._pp_goal, self._acknowledged = None, False
             self._handshake()
         elif not drive.automaton.energised:
-            self._release_s = None
-            self._speed = self._stopping_s = 0.0
-            drive.axis.lock()
+            self._disable()
+
+    def _brake_delay_s(self) -> float:
+        return float(self._drive.spec.profile.get("state_machine", {}).get("brake_delay_s", 0.0))
+
+    def _disable(self) -> None:
+        """Disable the drive function: a standing axis is handed to its brake, a moving one coasts until it falls in."""
+        axis = self._drive.axis
+        self._release_s = None
+        self._speed = self._stopping_s = 0.0
+        if axis.fed and abs(axis.omega_rad_s) > STANDSTILL_RAD_S:
+            axis.coast()
+            self._lock_s = self._time_s + self._brake_delay_s()
+        elif self._lock_s is None:
+            axis.lock()
 
     def mode_changed(self) -> None:
         """A mode written while enabled starts from the present reference."""
@@ -105,11 +135,13 @@ class Motion:
 
     def plan(self, ticks: int) -> None:
         """Set the increments of the reference for the milliseconds to come."""
-        drive, servo = self._drive, self._drive.axis.servo
-        state = drive.automaton.state
+        drive, state = self._drive, self._drive.automaton.state
         if not drive.automaton.energised:
+            if self._lock_s is not None and self._time_s >= self._lock_s:
+                self._lock_s = None
+                drive.axis.lock()
             return
-        if not drive.axis.free:
+        if not drive.axis.fed:
             open_ = self._release_s is not None and self._time_s >= self._release_s and not self.brake_stuck
             if open_ and drive.mode:
                 drive.axis.release()
@@ -120,18 +152,35 @@ class Motion:
             return
         seconds = ticks * TICK_S
         if state is not PdsState.OPERATION_ENABLED:
-            travel = self._ramp_down(seconds)
-        elif drive.mode == CSP:
-            travel = self._track(seconds)
-        elif drive.mode == PP:
-            travel = self._profile(seconds)
-        else:
-            travel = 0.0
-            servo.reference_rad = drive.axis.position_rad
+            gentle = drive.store.number(STOPPING[state]) in (1, 5)
+            self._move(self._ramp_down(seconds, SLOW_DOWN_RAMP if gentle else QUICK_STOP_RAMP), ticks)
+            return
+        if self._then is not None:
+            self._move(self._ramp_down(seconds, SLOW_DOWN_RAMP), ticks)
+            return
+        if drive.mode == PP and (self._pp_goal is None or drive.automaton.controlword & HALT):
+            quick = drive.store.number(HALT_OPTION) == 2
+            self._move(self._ramp_down(seconds, QUICK_STOP_RAMP if quick else SLOW_DOWN_RAMP), ticks)
+            return
+        self._speed = self._move(self._commanded(seconds), ticks)
+
+    def _commanded(self, seconds: float) -> float:
+        """Way [rad] that the master asks for in its mode."""
+        drive, servo = self._drive, self._drive.axis.servo
+        if drive.mode == CSP:
+            return self._track(seconds)
+        if drive.mode == PP:
+            return self._profile(seconds)
+        servo.reference_rad = drive.axis.position_rad
+        return 0.0
+
+    def _move(self, travel_rad: float, ticks: int) -> float:
+        """Spread the way over the milliseconds; returns its speed [rad/s]."""
+        seconds = ticks * TICK_S
         self.feed_torque()
-        travel += self._hunting(seconds)
-        self._speed = travel / seconds
-        servo.reference_step_rad = travel / ticks
+        travel = travel_rad + self._hunting(seconds)
+        self._drive.axis.servo.reference_step_rad = travel / ticks
+        return travel / seconds
 
     def target_set(self) -> None:
         """A target position came: it is to be reached within the interpolation period (0x60C2)."""
@@ -190,16 +239,15 @@ class Motion:
     def _profile(self, seconds: float) -> float:
         """Profile position: trapezoid of 0x6081, 0x6083, 0x6084."""
         drive = self._drive
-        if self._pp_goal is None or drive.automaton.controlword & HALT:
-            return self._ramp_down(seconds, 0x6084)
-        way = self._pp_goal - drive.axis.servo.reference_rad
+        goal = drive.axis.servo.reference_rad if self._pp_goal is None else self._pp_goal
+        way = goal - drive.axis.servo.reference_rad
         top, up, down = (drive.joint_speed(drive.store.number((index, 0))) for index in (0x6081, 0x6083, 0x6084))
         speed = min(top, abs(self._speed) + up * seconds, math.sqrt(2.0 * down * abs(way)))
         travel = math.copysign(min(speed * seconds, abs(way)), way)
         return way if abs(way - travel) < 1e-9 else travel
 
-    def _ramp_down(self, seconds: float, index: int = 0x6085) -> float:
-        """Stop on a deceleration ramp; when the reference stands, the automaton is told."""
+    def _ramp_down(self, seconds: float, index: int) -> float:
+        """Stop on the deceleration of an object; when the reference stands, the automaton is told."""
         drive = self._drive
         rate = drive.joint_speed(drive.store.number((index, 0)))
         slower = max(abs(self._speed) - rate * seconds, 0.0)
@@ -207,11 +255,20 @@ class Motion:
         self._speed = math.copysign(slower, self._speed)
         self._stopping_s = self._stopping_s + seconds if slower == 0.0 else 0.0
         still = slower == 0.0 and abs(drive.axis.omega_rad_s) < STANDSTILL_RAD_S
-        if (still or self._stopping_s > STOP_TIMEOUT_S) and drive.automaton.state is not PdsState.OPERATION_ENABLED:
-            before = drive.automaton.state
-            drive.automaton.stopped()
-            self.state_changed(before)
+        stops = self._then is not None or drive.automaton.state is not PdsState.OPERATION_ENABLED
+        if stops and (still or self._stopping_s > STOP_TIMEOUT_S):
+            self._stopped()
         return travel
+
+    def _stopped(self) -> None:
+        """The axis stands: end the transition that waited for it."""
+        automaton = self._drive.automaton
+        before = automaton.state
+        if self._then is not None:
+            automaton.state, self._then = self._then, None
+        else:
+            automaton.stopped()
+        self._entered(before)
 
     # --------------------------------------------------------------------------------------------------- monitoring
 
@@ -219,7 +276,7 @@ class Motion:
         """Following error, target reached."""
         self._time_s = time_s
         drive = self._drive
-        if not drive.axis.free or drive.mode == CST:
+        if not drive.axis.fed or drive.mode == CST:
             self._lag_since = None
             return
         error = abs(drive.following_error_counts())
@@ -247,7 +304,7 @@ class Motion:
                 wait = drive.store.number((0x6068, 0)) * 1e-3
                 if self._reached_since is not None and self._time_s - self._reached_since >= wait:
                     bits |= TARGET_REACHED
-            elif drive.axis.free:
+            elif drive.axis.fed:
                 bits |= MODE_SPECIFIC
             if self._lag_since is not None:
                 bits |= FOLLOWING_ERROR

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from sim.friction import JointFriction
 from sim.servo import TICK_S, ServoLoop
 
@@ -11,7 +13,10 @@ class MotorAxis:
 
     Attributes
     ----------
-    free : the holding brake is open and the motor is fed
+    free : the holding brake is open
+    fed : and the motor gives torque; a free axis that is not fed coasts
+    slip_rad_s : speed at which the closed brake lets the axis sink under its load; 0 = it holds
+    fastest_rad_s : largest speed of the rotor since `fastest_rad_s` was set to 0
     theta_rad, omega_rad_s : rotor
     torque_nm : transmitted to the link
     position_rad : what the encoder gives, cell's zero offset taken off
@@ -21,6 +26,8 @@ class MotorAxis:
     __slots__ = (
         "compliance_rad_nm",
         "damping",
+        "fastest_rad_s",
+        "fed",
         "free",
         "friction",
         "omega_rad_s",
@@ -29,6 +36,7 @@ class MotorAxis:
         "shift_rad",
         "shown_lag",
         "shown_nm",
+        "slip_rad_s",
         "step",
         "stiffness",
         "theta_rad",
@@ -37,7 +45,8 @@ class MotorAxis:
 
     def __init__(self, servo: ServoLoop, friction: JointFriction, filter_s: float) -> None:
         self.servo, self.friction = servo, friction
-        self.free = False
+        self.free = self.fed = False
+        self.slip_rad_s = self.fastest_rad_s = 0.0
         self.shown_lag = TICK_S / (TICK_S + filter_s)
         self.theta_rad = self.omega_rad_s = self.torque_nm = self.position_rad = self.shown_nm = 0.0
         self.compliance_rad_nm = self.shift_rad = self.stiffness = self.damping = self.step = 0.0
@@ -49,24 +58,33 @@ class MotorAxis:
         self.torque_nm = torque
         self.position_rad = position = q_rad + self.compliance_rad_nm * torque - self.shift_rad
         if self.free:
-            u = self.servo.torque(position, omega)
+            u = self.servo.torque(position, omega) if self.fed else 0.0
             omega = self.omega_rad_s = self.friction.speed(omega, u, torque, self.step)
             self.theta_rad += omega * TICK_S
             self.shown_nm += (u - self.shown_nm) * self.shown_lag
         else:
-            self.omega_rad_s = 0.0
+            omega = self.omega_rad_s = -math.copysign(self.slip_rad_s, torque) if self.slip_rad_s else 0.0
+            self.theta_rad += omega * TICK_S
             self.shown_nm -= self.shown_nm * self.shown_lag
+        if omega > self.fastest_rad_s or -omega > self.fastest_rad_s:
+            self.fastest_rad_s = abs(omega)
         return torque
 
     def release(self) -> None:
         """Feed the motor and open the brake; the reference is where the axis stands."""
-        if not self.free:
+        if not self.fed:
             self.servo.reset(self.position_rad)
             self.friction.stuck_s = 0.0
-            self.free = True
+            self.free = self.fed = True
+
+    def coast(self) -> None:
+        """Cut the motor and leave the brake open."""
+        if self.fed:
+            self.fed = False
+            self.servo.reset(self.position_rad)
 
     def lock(self) -> None:
         """Close the brake and cut the motor."""
         if self.free:
-            self.free = False
+            self.free = self.fed = False
             self.servo.reset(self.position_rad)

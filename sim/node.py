@@ -14,12 +14,15 @@ from canopen.nmt import NmtSlave
 from canopen.sdo.exceptions import SdoAbortedError
 from canopen.sdo.server import SdoServer
 
-from sim.objects import TOGGLE, UNKNOWN_COMMAND, ObjectStore
+from sim.objects import DEVICE_STATE, TOGGLE, UNKNOWN_COMMAND, VALUE_RANGE, ObjectStore
 
 INITIALISING, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0, 4, 5, 127
 _COMMANDS = {1: OPERATIONAL, 2: STOPPED, 128: PRE_OPERATIONAL}
 RESET_NODE, RESET_COMMUNICATION = 129, 130
+START = 1
 MAX_HISTORY = 8
+#: Bit 31 of 0x1014: the device sends no EMCY.
+EMCY_OFF = 1 << 31
 #: Object by which every simulated node says what it is; it stands in the range that is free to manufacturers.
 SIMULATOR_OBJECT, SIMULATOR_NAME = (0x5FFE, 0), "servo-sim"
 
@@ -99,13 +102,15 @@ class SlaveNode(canopen.LocalNode):
     on_nmt : called with (old state, new state)
     on_reset : called when the application is reset
     on_heartbeat_lost : called with the node that fell silent
+    may_start : asked before START is obeyed
+    mute : never sends a heartbeat
     """
 
     def __init__(self, node_id: int, store: ObjectStore) -> None:
         self.store = store
+        self.number = node_id
         self._register()
         super().__init__(node_id, store.dictionary())
-        self.number = node_id
         self.sdo = SlaveSdoServer(0x600 + node_id, 0x580 + node_id, self)
         self.nmt = SlaveNmt(node_id, self)
         self.state = INITIALISING
@@ -117,6 +122,8 @@ class SlaveNode(canopen.LocalNode):
         self.on_nmt: Callable[[int, int], None] = lambda _old, _new: None
         self.on_reset: Callable[[], None] = lambda: None
         self.on_heartbeat_lost: Callable[[int], None] = lambda _node: None
+        self.may_start: Callable[[], bool] = lambda: True
+        self.mute = False
 
     # --------------------------------------------------------------------------------------------- object dictionary
 
@@ -130,13 +137,22 @@ class SlaveNode(canopen.LocalNode):
         store.constant((0x1016, 0), "u8", 1)
         store.parameter((0x1016, 1), "u32", 0, lambda _value: self._watched_s.clear())
         store.parameter((0x1017, 0), "u16", 1000)
+        store.parameter((0x1014, 0), "u32", 0x80 + self.number, self._check_emcy_id)
+
+    def _check_emcy_id(self, value: int) -> None:
+        """The identifier is changed only while the EMCY object does not exist (CiA 301, 7.5.2.17)."""
+        now = self.store.number((0x1014, 0))
+        if not 0x81 <= value & 0x7FF <= 0x7FF:
+            raise SdoAbortedError(VALUE_RANGE)
+        if not (now | value) & EMCY_OFF and now != value:
+            raise SdoAbortedError(DEVICE_STATE)
 
     def _history_getter(self, sub: int) -> Callable[[], int]:
         return lambda: self._history[sub - 1] if sub <= len(self._history) else 0
 
     def _clear_history(self, value: int) -> None:
         if value:
-            raise SdoAbortedError(0x06090030)
+            raise SdoAbortedError(VALUE_RANGE)
         self._history.clear()
 
     def get_data(self, index: int, subindex: int, check_readable: bool = False) -> bytes:  # noqa: ARG002
@@ -165,7 +181,7 @@ class SlaveNode(canopen.LocalNode):
             self.enter(INITIALISING)
             self.on_reset()
             self.boot()
-        elif command in _COMMANDS:
+        elif command in _COMMANDS and (command != START or self.may_start()):
             self.enter(_COMMANDS[command])
 
     def enter(self, state: int) -> None:
@@ -179,7 +195,7 @@ class SlaveNode(canopen.LocalNode):
     def keep_time(self, simulated_s: float, wall_s: float) -> None:
         """Send the heartbeat when it is due by the simulated clock or by the wall clock, whichever comes first."""
         period = self.store.number((0x1017, 0)) * 1e-3
-        if not period or self.state == INITIALISING:
+        if not period or self.mute or self.state == INITIALISING:
             return
         now = {"simulated": simulated_s, "wall": wall_s}
         if not self._beat_s or any(now[clock] - at >= period for clock, at in self._beat_s.items()):
@@ -208,8 +224,9 @@ class SlaveNode(canopen.LocalNode):
         if code:
             self._history.insert(0, code)
             del self._history[MAX_HISTORY:]
-        if self.state in (PRE_OPERATIONAL, OPERATIONAL):
-            self.send(0x80 + self.number, struct.pack("<HB5s", code, register, b""))
+        cob_id = self.store.number((0x1014, 0))
+        if self.state in (PRE_OPERATIONAL, OPERATIONAL) and not cob_id & EMCY_OFF:
+            self.send(cob_id & 0x7FF, struct.pack("<HB5s", code, register, b""))
 
     def send(self, cob_id: int, data: bytes) -> None:
         """Put a frame on the bus, if the device has power."""

@@ -38,12 +38,14 @@ class Pdo:
     cob_id : with bit 31 set while the PDO is off
     transmission : 0 acyclic synchronous, 1 to 240 every n-th SYNC, 254 and 255 by event
     inhibit_100us, event_ms : times of event-driven transmission
+    inhibit_abort : how an inhibit time is refused while the PDO exists
     """
 
     def __init__(self, store: ObjectStore, communication: int, mapping: int, cob_id: int) -> None:
         self._store = store
         self.cob_id = cob_id
         self.transmission, self.inhibit_100us, self.event_ms, self.sync_start = 255, 0, 0, 0
+        self.inhibit_abort = DEVICE_STATE
         self._map: list[int] = []
         self._count = 0
         self.on_change: Callable[[], None] = lambda: None
@@ -131,7 +133,7 @@ class Pdo:
 
     def _set_inhibit(self, value: int) -> None:
         if self.enabled:
-            raise SdoAbortedError(DEVICE_STATE)
+            raise SdoAbortedError(self.inhibit_abort)
         self.inhibit_100us = value
 
     def _set_event(self, value: int) -> None:

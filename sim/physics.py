@@ -258,12 +258,22 @@ class ArmWorld:
         """True joint speeds, shape (6,) [rad/s]."""
         return np.array(self._qd)
 
+    @property
+    def fastest_rad_s(self) -> Array:
+        """Largest speed of each motor at its gear output since `forget_fastest`, shape (6,) [rad/s]."""
+        return np.array([axis.fastest_rad_s for axis in self.axes])
+
+    def forget_fastest(self) -> None:
+        """Begin anew to look for the largest speed."""
+        for axis in self.axes:
+            axis.fastest_rad_s = 0.0
+
     def reading_nm(self) -> Array:
         """One reading of the six motor torques, shape (6,), gear output side [Nm]: `r` of `sim.plant`."""
         now = self._now
         u = np.array([axis.shown_nm for axis in self.axes])
         shown = now.current_factor * u / now.torque_constant_scale
-        live = np.array([axis.free for axis in self.axes])
+        live = np.array([axis.fed for axis in self.axes])
         error = now.reading_offset_nm
         if now.reading_ripple is not None:
             error = error + now.reading_ripple(np.array([axis.position_rad for axis in self.axes]), u)

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-from sim.simulation import BusError, ServeOptions, Simulation, open_bus
+from sim.simulation import BusError, GripError, ServeOptions, Simulation, open_bus
 
 MULTICAST_GROUP = "239.74.163.2"
 READY = "ready"
@@ -48,7 +48,7 @@ def serve(cell_path: Path, options: ServeOptions, say: Callable[[str], None]) ->
 
 
 def _obey(simulation: Simulation, lines: IO[str], say: Callable[[str], None]) -> None:
-    """Lines of stdin: `payload LABEL`, `payload none`, `quit`."""
+    """Lines of stdin: `payload LABEL`, `payload none`, `grip open`, `grip closed`, `quit`."""
     for line in lines:
         words = line.split()
         if words == ["quit"]:
@@ -60,8 +60,16 @@ def _obey(simulation: Simulation, lines: IO[str], say: Callable[[str], None]) ->
             except KeyError:
                 known = ", ".join(["none", *simulation.loads])
                 say(f"payload {words[1]} is not known; known are {known}")
+            except ValueError as error:
+                say(str(error))
+        elif words in (["grip", "open"], ["grip", "closed"]):
+            try:
+                simulation.grip(open=words[1] == "open")
+                say(f"grippers {words[1]}")
+            except GripError as error:
+                say(str(error))
         elif words:
-            say("not understood; say: payload LABEL, payload none, quit")
+            say("not understood; say: payload LABEL, payload none, grip open, grip closed, quit")
 
 
 # -------------------------------------------------------------------------------------------------------- for tests
@@ -79,16 +87,30 @@ class RunningSimulation:
     def __init__(self, bus: str, simulation: Simulation | None, process: subprocess.Popen[str] | None) -> None:
         self.bus, self.simulation, self._process = bus, simulation, process
 
+    def grip(self, open: bool) -> None:  # noqa: A002 - as on standard input
+        """Open or close the grippers of a pair; returns when they are."""
+        if self.simulation is not None:
+            self.simulation.grip(open)
+            return
+        answer = self._ask(f"grip {'open' if open else 'closed'}")
+        if not answer.startswith("grippers"):
+            raise GripError(answer)
+
+    def _ask(self, line: str) -> str:
+        if self._process is None or self._process.stdin is None or self._process.stdout is None:
+            raise RuntimeError("the simulator cannot be spoken to")
+        self._process.stdin.write(line + "\n")
+        self._process.stdin.flush()
+        return self._process.stdout.readline().strip()
+
     def hang(self, label: str) -> None:
         """Hang a load on the flange; returns when it hangs."""
         if self.simulation is not None:
             self.simulation.hang(label)
-        elif self._process is not None and self._process.stdin is not None and self._process.stdout is not None:
-            self._process.stdin.write(f"payload {label}\n")
-            self._process.stdin.flush()
-            answer = self._process.stdout.readline()
-            if "on the flange" not in answer:
-                raise KeyError(answer.strip())
+            return
+        answer = self._ask(f"payload {label}")
+        if "on the flange" not in answer:
+            raise KeyError(answer)
 
 
 @contextmanager
@@ -130,11 +152,12 @@ def command(cell_path: Path, options: ServeOptions) -> list[str]:
         "--seed": options.seed,
         "--fault": options.fault,
         "--truth": options.truth,
+        "--pacing": options.pacing,
     }
     for key, value in pairs.items():
         if value is not None:
             words += [key, str(value)]
-    return words
+    return [*words, "--unbuffered"] if options.unbuffered else words
 
 
 @contextmanager

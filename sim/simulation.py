@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,6 +20,7 @@ from sim.faulty_wire import FaultyWire
 from sim.multicast import QuietMulticastBus
 from sim.nominal import plant_of
 from sim.offline import point_jacobian
+from sim.pacing import PACINGS
 from sim.pair.cell import PairOptions, pair_units
 from sim.pair.unit import PairUnit
 from sim.plant import Payload
@@ -35,6 +36,10 @@ class BusError(OSError):
     """The bus cannot be opened."""
 
 
+class GripError(ValueError):
+    """Grippers that are not there."""
+
+
 @dataclass(frozen=True, slots=True)
 class ServeOptions:
     """What `servo-sim serve` may be told beside the cell.
@@ -47,6 +52,8 @@ class ServeOptions:
     seed : draw build errors, and an effect, none or two instead
     fault : scenario of what goes wrong
     truth : where the truth is written at start
+    pacing : "lockstep" or "real" in place of every bus's own
+    unbuffered : by the clock, each target is taken over when it comes instead of passing through a buffer
     """
 
     bus: str | None = None
@@ -55,6 +62,8 @@ class ServeOptions:
     seed: int | None = None
     fault: Path | None = None
     truth: Path | None = None
+    pacing: str | None = None
+    unbuffered: bool = False
 
 
 class Simulation:
@@ -70,7 +79,7 @@ class Simulation:
     """
 
     def __init__(self, cell_path: Path, options: ServeOptions, pair: PairOptions | None = None) -> None:
-        self.cell = read_cell(cell_path)
+        self.cell = _paced(read_cell(cell_path), options.pacing)
         self.loads: dict[str, Payload] = read_payloads(options.payload) if options.payload else {}
         self.effects, self._build_seed = _undeclared(options)
         self._options = options
@@ -88,6 +97,9 @@ class Simulation:
                 if arms:
                     self.servers.append(_server(spec, arms, faults, opened))
             opened.pop_all()
+        for server in self.servers if options.unbuffered else ():
+            for drive in server.drives:
+                drive.motion.buffered = False
 
     def _units(self, pair: PairOptions) -> dict[str, ArmUnit]:
         if self.cell.pair is not None:
@@ -129,12 +141,29 @@ class Simulation:
         Raises
         ------
         KeyError : no such load
+        ValueError : the arms are a pair, which holds its workpiece and nothing else
         """
         payload = Payload() if label == "none" else self.loads[label]
         for server in self.servers:
             for unit in server.arms:
-                if arm in (None, unit.name):
+                if arm in (None, unit.name) and isinstance(unit, PairUnit):
+                    unit.hang(payload)
+                elif arm in (None, unit.name):
                     server.hang(unit, payload)
+
+    def grip(self, open: bool) -> None:  # noqa: A002 - as on standard input
+        """Open or close both grippers of a pair; closing grips the part afresh, free of force, where the hands are.
+
+        Raises
+        ------
+        GripError : there is no pair, or nothing is held between its hands
+        """
+        worlds = [unit.world for unit in list[Any](self.arms) if isinstance(unit, PairUnit)]
+        if not worlds:
+            raise GripError(f"cell {self.cell.name} has no pair; there are no grippers")
+        if not worlds[0].touching:
+            raise GripError(f"the hands of cell {self.cell.name} keep a distance; there is no part to grip")
+        worlds[0].open_grippers() if open else worlds[0].close_grippers()
 
     def stop(self) -> None:
         """End all servers."""
@@ -158,6 +187,15 @@ class Simulation:
         for server in self.servers:
             for unit in server.arms:
                 unit.world.close()
+
+
+def _paced(cell: CellSpec, pacing: str | None) -> CellSpec:
+    """The cell with another pacing on every bus; None = as the file has it."""
+    if pacing is None:
+        return cell
+    if pacing not in PACINGS:
+        raise CellFileError(f"pacing '{pacing}' is not known; it is {' or '.join(PACINGS)}.")
+    return replace(cell, buses={name: replace(bus, pacing=pacing) for name, bus in cell.buses.items()})
 
 
 def _undeclared(options: ServeOptions) -> tuple[list[dict[str, Any]], int | None]:
@@ -212,6 +250,7 @@ def _server(spec: BusSpec, arms: list[ArmUnit], faults: tuple[Fault, ...], opene
     if not faults:
         return BusServer(bus, arms, spec.sync_period_s, spec.pacing)
     wire = FaultyWire(bus)
+    wire.period_s = spec.sync_period_s
     server = BusServer(wire, arms, spec.sync_period_s, spec.pacing)
     wire.act = lambda fault: act(server, fault)
     for fault in faults:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import struct
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final, Protocol
@@ -14,6 +15,8 @@ from sim.faults import Fault
 
 SYNC, NMT, ERROR_FRAME_BUS_OFF, ERROR_FRAME_CONTROLLER = 0x080, 0x000, 0x040, 0x004
 TPDO1, TPDO2, RPDO1, SDO_ANSWER, SDO_REQUEST, HEARTBEAT, EMCY = 0x180, 0x280, 0x200, 0x580, 0x600, 0x700, 0x080
+#: How long the answers of a burst are held back [s].
+BURST_S = 0.025
 #: Statusword bits.
 BITS: Final = {"internal_limit": 1 << 11, "following_error": 1 << 13, "warning": 1 << 7, "not_remote": 1 << 9}
 
@@ -25,8 +28,17 @@ class Wire(Protocol):
         """Send the frame after a time by the clock."""
         ...
 
+    def at(self, frame: can.Message, due_s: float) -> None:
+        """Send the frame at a time of the monotonic clock."""
+        ...
+
     def after_next_sync(self, frame: can.Message) -> None:
         """Send the frame when the next SYNC has come."""
+        ...
+
+    @property
+    def period_s(self) -> float:
+        """SYNC period."""
         ...
 
     @property
@@ -45,6 +57,7 @@ class Armed:
     started: bool = False
     memory: dict[int, bytes] = field(default_factory=dict)
     held: list[can.Message] = field(default_factory=list)
+    due_s: float = 0.0
 
     def take(self) -> bool:
         """Whether one more frame may be touched."""
@@ -106,7 +119,7 @@ def _twice(wire: Wire, armed: Armed, frame: can.Message) -> list[can.Message] | 
 def _delay(wire: Wire, armed: Armed, frame: can.Message) -> list[can.Message] | None:
     if not armed.take():
         return None
-    default_s = {"tpdo_delayed": 0.004, "sdo_late": 0.1}.get(armed.fault.kind, 1.0)
+    default_s = {"tpdo_delayed": 0.4 * wire.period_s, "sdo_late": 0.1}.get(armed.fault.kind, 1.0)
     wire.later(frame, armed.fault.delay_s or default_s)
     return []
 
@@ -114,7 +127,21 @@ def _delay(wire: Wire, armed: Armed, frame: can.Message) -> list[can.Message] | 
 def _after_next_sync(wire: Wire, armed: Armed, frame: can.Message) -> list[can.Message] | None:
     if not armed.take():
         return None
-    wire.after_next_sync(frame)
+    if armed.fault.delay_s:
+        wire.later(frame, armed.fault.delay_s)
+    else:
+        wire.after_next_sync(frame)
+    return []
+
+
+def _gather(wire: Wire, armed: Armed, frame: can.Message) -> list[can.Message] | None:
+    """Hold the frames of a while back and let them come at once."""
+    now = time.monotonic()
+    if now >= armed.due_s:
+        if not armed.take():
+            return None
+        armed.due_s = now + (armed.fault.delay_s or BURST_S)
+    wire.at(frame, armed.due_s)
     return []
 
 
@@ -224,6 +251,7 @@ RULES: Final[dict[str, tuple[tuple[int, ...], Rule]]] = {
     "tpdo_torn": ((TPDO1,), _tear),
     "tpdo_stuck": (_ANSWERS, _freeze),
     "tpdo_random_loss": (_ANSWERS, _lose_some),
+    "burst": (_ANSWERS, _gather),
     "sdo_late": ((SDO_ANSWER,), _matching(_delay)),
     "sdo_too_late": ((SDO_ANSWER,), _matching(_delay)),
     "sdo_lost": ((SDO_ANSWER,), _matching(_lose)),

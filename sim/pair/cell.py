@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,9 @@ from sim.pair.body import ArmTruth
 from sim.pair.errors import GEAR_STIFFNESS_NM_RAD, ArmErrors, PairErrors, draw
 from sim.pair.gap import GapSensors, add_sensors
 from sim.pair.geometry import TOOL_M, bases, frames, nominal_arm, nominal_arms
+from sim.pair.light import LightWorld
 from sim.pair.motors import DriveTrain
+from sim.pair.two_arms import TwoArms
 from sim.pair.unit import PairUnit
 from sim.pair.workpiece import Stiffness
 from sim.pair.world import PairWorld, WorldSettings
@@ -27,6 +29,8 @@ NOMINAL_LAG_S = 0.016
 #: Half the bar about its end, as a rod of 0.2 m.
 HALF_PART_M = 0.2
 FIT_M = 1e-6
+#: What may stand for the arms: PyBullet in small steps, or a balance of forces that keeps up with the clock.
+PLANTS: Mapping[str, type[TwoArms]] = {"bullet": PairWorld, "light": LightWorld}
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,11 +42,13 @@ class PairOptions:
     seed : of the undeclared errors; None = the arms of the data sheet
     errors : drawn errors in place of the seed's
     settings : fields of `WorldSettings` to change
+    plant : "bullet", or "light" for the clock; None = as the buses' pacing asks
     """
 
     seed: int | None = None
     errors: PairErrors | None = None
     settings: Mapping[str, Any] | None = None
+    plant: Literal["bullet", "light"] | None = None
 
 
 def pair_units(cell: CellSpec, options: PairOptions) -> dict[str, PairUnit]:
@@ -72,7 +78,9 @@ def pair_units(cell: CellSpec, options: PairOptions) -> dict[str, PairUnit]:
     )
     if apart:
         settings = replace(settings, stiffness=Stiffness(0.0, 0.0))
-    world = PairWorld(truths, replace(settings, **(options.settings or {})))
+    real = any(cell.buses[arm.bus].pacing == "real" for arm in arms)
+    plant = PLANTS[options.plant or ("light" if real else "bullet")]
+    world = plant(truths, replace(settings, **(options.settings or {})))
     world.told_nobody = _plain(asdict(errors))
     units = {arm.name: PairUnit(arm, world, index, cell.buses[arm.bus]) for index, arm in enumerate(arms)}
     if apart:

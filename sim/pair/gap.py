@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from sim.measuring import FakeMeasuringDevice, MeasuringSite
 from sim.pair.geometry import turn
 from sim.pair.ranges import NOISE_M, Rig, ranges
+from sim.pair.two_arms import TwoArms
 from sim.pair.unit import PairUnit
-from sim.pair.world import PairWorld
 
 Array = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ class GapSensors:
     seed : of the noise
     """
 
-    def __init__(self, pair: Mapping[str, Any], world: PairWorld, seed: int) -> None:
+    def __init__(self, pair: Mapping[str, Any], world: TwoArms, seed: int) -> None:
         self._world, self._random = world, np.random.default_rng([NOISE_SEED, seed])
         grasps = [_pose(pair[f"{role}_grasp_xyz_m"], pair[f"{role}_grasp_rpy_rad"]) for role in ("master", "slave")]
         #: Each hand in the other one: what a sensor on the master, on the slave looks at.

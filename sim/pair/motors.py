@@ -73,29 +73,56 @@ class PairAxis:
 
     Attributes
     ----------
-    free : brake open and motor fed
+    free : brake open
+    fed : and motor fed
+    slip_rad_s : speed at which the closed brake lets the axis sink; 0 = it holds
+    fastest_rad_s : largest speed of the rotor since `fastest_rad_s` was set to 0
     position_rad, omega_rad_s : encoder, cell's zero offset taken off
     servo : loops
     """
 
-    __slots__ = ("free", "index", "motors", "omega_rad_s", "position_rad", "servo", "shift_rad")
+    __slots__ = ("fed", "free", "index", "motors", "omega_rad_s", "position_rad", "servo", "shift_rad")
 
     def __init__(self, motors: Motors, index: int, servo: ServoLoop, shift_rad: float) -> None:
         self.motors, self.index, self.servo, self.shift_rad = motors, index, servo, shift_rad
-        self.free = False
+        self.free = self.fed = False
         self.position_rad = self.omega_rad_s = 0.0
+
+    @property
+    def slip_rad_s(self) -> float:
+        """See the class."""
+        return float(self.motors.slip[self.index])
+
+    @slip_rad_s.setter
+    def slip_rad_s(self, value: float) -> None:
+        self.motors.slip[self.index] = value
+
+    @property
+    def fastest_rad_s(self) -> float:
+        """See the class."""
+        return float(self.motors.fastest[self.index])
+
+    @fastest_rad_s.setter
+    def fastest_rad_s(self, value: float) -> None:
+        self.motors.fastest[self.index] = value
 
     def release(self) -> None:
         """Feed the motor and open the brake; the reference is where the axis stands, the gear's load is taken over."""
-        if not self.free:
+        if not self.fed:
             self.servo.reset(self.position_rad)
-            self.free = True
+            self.free = self.fed = True
             self.motors.live[self.index] = 1.0
+
+    def coast(self) -> None:
+        """Cut the motor and leave the brake open."""
+        if self.fed:
+            self.fed = False
+            self.servo.reset(self.position_rad)
 
     def lock(self) -> None:
         """Close the brake and cut the motor."""
         if self.free:
-            self.free = False
+            self.free = self.fed = False
             self.motors.live[self.index] = 0.0
             self.motors.omega[self.index] = self.omega_rad_s = 0.0
             self.servo.reset(self.position_rad)
@@ -119,6 +146,7 @@ class Motors:
     shown_nm : (n,) motor torque behind the drive's filter
     gear_nm : (n,) torque of the gear spring on the link
     live : (n,) 1 = brake open
+    slip, fastest : (n,) as of `PairAxis`
     """
 
     def __init__(self, train: DriveTrain, shift_rad: Array, max_rad_s: Array, step_s: float) -> None:
@@ -126,6 +154,7 @@ class Motors:
         n = len(train.rotor_kg_m2)
         self.theta, self.omega, self.play = np.zeros(n), np.zeros(n), np.zeros(n)
         self.u_nm, self.shown_nm, self.gear_nm, self.live = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+        self.slip, self.fastest = np.zeros(n), np.zeros(n)
         self._step_s = step_s
         self._rate = step_s / train.rotor_kg_m2
         self._lost = train.coulomb_nm * self._rate
@@ -136,14 +165,15 @@ class Motors:
 
     def place(self, q_rad: Array, load_nm: Array) -> None:
         """Stand still with gears wound up so that they carry `load_nm` (n,) at the link angles `q_rad` (n,)."""
-        self.play = q_rad + load_nm / self._stiffness - self._cyclic(q_rad)
+        self.play = q_rad + load_nm / self._stiffness - self.cyclic(q_rad)
         self.theta, self.omega = self.play.copy(), np.zeros_like(q_rad)
         self.gear_nm = load_nm.copy()
         self.show()
         for axis in self.axes:
             axis.servo.reference_rad = axis.position_rad
 
-    def _cyclic(self, q_rad: Array) -> Array:
+    def cyclic(self, q_rad: Array) -> Array:
+        """Angle (n,) [rad] that the gears add at rotor angles (n,)."""
         train = self.train
         return train.cyclic_rad * np.sin(train.cyclic_per_rad * q_rad + train.cyclic_phase_rad)
 
@@ -159,14 +189,16 @@ class Motors:
         positions, speeds = self.theta.tolist(), self.omega.tolist()
         torque = self.u_nm
         for i, axis in enumerate(self.axes):
-            if axis.free:
+            if axis.fed:
                 servo = axis.servo
                 late = early_s[i] * servo.reference_step_rad / tick_s
                 torque[i] = servo.torque(positions[i] - axis.shift_rad + late, speeds[i])
             else:
                 torque[i] = 0.0
         self.shown_nm += (torque - self.shown_nm) * filter_share
-        self._cycle = self._cyclic(self.theta)
+        self._cycle = self.cyclic(self.theta)
+        self._sink = -self.slip * np.sign(self.gear_nm) * (1.0 - self.live)
+        np.maximum(self.fastest, np.abs(self.omega), out=self.fastest)
 
     def step(self, q_rad: Array, qd_rad_s: Array) -> Array:
         """One physics step of the rotors; returns the torque (n,) of the gear springs on the links [Nm]."""
@@ -175,7 +207,7 @@ class Motors:
         )
         free = self.omega * self._keep + (self.u_nm - gear) * self._rate
         lost = self._lost
-        self.omega = (free - np.minimum(np.maximum(free, -lost), lost)) * self.live
+        self.omega = (free - np.minimum(np.maximum(free, -lost), lost)) * self.live + self._sink
         self.theta = self.theta + self.omega * self._step_s
         self.play = np.minimum(np.maximum(self.play, self.theta - self._half), self.theta + self._half)
         return gear

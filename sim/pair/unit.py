@@ -9,7 +9,7 @@ import can
 from sim.cellfile import ArmSpec, BusSpec
 from sim.fake_drive import DriveSite, FakeDrive
 from sim.measuring import FakeMeasuringDevice
-from sim.pair.world import PairWorld
+from sim.pair.two_arms import TwoArms
 from sim.plant import Payload
 
 
@@ -29,7 +29,7 @@ class PairUnit:
     instruments : measuring devices on the same bus
     """
 
-    def __init__(self, arm: ArmSpec, world: PairWorld, index: int, bus: BusSpec) -> None:
+    def __init__(self, arm: ArmSpec, world: TwoArms, index: int, bus: BusSpec) -> None:
         self.name, self.world, self._index = arm.name, world, index
         self._lockstep = bus.pacing != "real"
         self.send: Callable[[can.Message], None] = lambda _message: None
@@ -55,13 +55,18 @@ class PairUnit:
         if self._lockstep:
             self.world.catch_up(self._index)
             self.world.arrive(self._index)
+        else:
+            self.world.settle()
         self._measure()
         for device in (*self.drives, *self.instruments):
             device.sync()
 
     def advance(self, seconds: float) -> None:
         """Let simulated time pass, as soon as the other arm's bus lets it pass too."""
-        self.world.ask(self._index, seconds)
+        if self._lockstep:
+            self.world.ask(self._index, seconds)
+        else:
+            self.world.follow_the_clock(self._index, seconds)
 
     def hang(self, payload: Payload) -> None:
         """A pair holds its workpiece and nothing else.

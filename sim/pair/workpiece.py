@@ -70,6 +70,7 @@ class Workpiece:
         self.grasp = np.eye(4)
         self.stiffness = np.repeat([stiffness.straight_n_m, stiffness.turned_nm_rad], 3)
         self.damping = np.zeros(6)
+        self._kept: tuple[Array, Array] | None = None
 
     def grip(self, q_rad: Array) -> None:
         """Close both grippers free of force at joint angles (12,)."""
@@ -79,6 +80,18 @@ class Workpiece:
     def let_go(self) -> None:
         """Open both grippers for good: no force from here on."""
         self.stiffness, self.damping = np.zeros(6), np.zeros(6)
+
+    def open(self) -> None:
+        """Open both grippers: no force until they close."""
+        if self._kept is None:
+            self._kept = self.stiffness, self.damping
+            self.stiffness, self.damping = np.zeros(6), np.zeros(6)
+
+    def close(self, q_rad: Array) -> None:
+        """Close the grippers, if they are open, and grip afresh free of force at joint angles (12,)."""
+        if self._kept is not None:
+            (self.stiffness, self.damping), self._kept = self._kept, None
+        self.grip(q_rad)
 
     def at(self, q_rad: Array) -> Closure:
         """Deviation and its Jacobian at joint angles (12,)."""

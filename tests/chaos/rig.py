@@ -22,6 +22,7 @@ from gateway.motion.opening import BusOverride, OpenArm, open_arm
 from sim.faulty_wire import FaultyWire
 from sim.serve import ServeOptions, Simulation
 from sim.states import PdsState
+from tests.pacing import by_the_clock, in_lockstep
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "small"
 #: The generic profile, made to expect one make.
@@ -44,7 +45,7 @@ class Seen:
 
 
 class Rig:
-    """Simulated drives of the small arm in a thread of this process.
+    """Simulated drives of the small arm in a thread of this process; `options` are further ones of `ServeOptions`.
 
     Attributes
     ----------
@@ -60,13 +61,14 @@ class Rig:
         edit: Callable[[str], str] = lambda text: text,
         bus: str | None = None,
         payload: Path | None = None,
+        **options: Any,
     ) -> None:
         self.bus = bus or f"virtual:rig-{uuid.uuid4().hex}"
         self.loaded = small_cell(folder, edit)
         scenario = folder / "idle.toml"
         scenario.write_text(IDLE)
-        options = ServeOptions(bus=self.bus, fault=scenario, payload=payload)
-        self.simulation = Simulation(folder / "cell.toml", options)
+        given = ServeOptions(bus=self.bus, fault=scenario, payload=payload, **options)
+        self.simulation = Simulation(folder / "cell.toml", given)
         self.server = self.simulation.servers[0]
         self.wire: FaultyWire = self.server.bus
         self.wire.clear()
@@ -124,13 +126,9 @@ class Rig:
 
     def _renew(self) -> None:
         for drive, (values, entries) in zip(self.server.drives, self._fresh, strict=True):
-            drive.node.silent = False
-            drive.node.on_heartbeat_lost = drive._heartbeat_lost
-            drive.motion.brake_stuck = False
-            drive.motion.wobble = None
             drive.store.entries.update(entries)
             drive.store.values.update(values)
-            drive.reset()
+            drive.repair()
             drive.node.boot()
 
     @contextmanager
@@ -141,13 +139,13 @@ class Rig:
 
 
 def small_cell(folder: Path, edit: Callable[[str], str] = lambda text: text) -> LoadedCell:
-    """The small example in a folder of its own, its text passed through `edit`."""
+    """The small example in a folder of its own, its text in lockstep and passed through `edit`."""
     (folder / "robot.urdf").write_text((EXAMPLE / "robot.urdf").read_text())
     profile = (PROFILE_FOLDER / "generic-cia402.toml").read_text().replace("generic-cia402", "named-make", 1)
     profile = re.sub(r"(?m)^eds = .*\n", "", profile)
     (folder / "drive.toml").write_text(profile.replace("[torque]\n", IDENTITY + "[torque]\n", 1))
     text = (EXAMPLE / "cell.toml").read_text().replace('profile = "generic-cia402"', 'profile = "drive.toml"')
-    text = edit(text)
+    text = edit(in_lockstep(text))
     (folder / "cell.toml").write_text(text)
     return load_cell(folder / "cell.toml")
 
@@ -156,8 +154,7 @@ def with_real_pacing(period_s: float) -> Callable[[str], str]:
     """Edit of a cell's text: SYNC by the clock."""
 
     def edit(text: str) -> str:
-        text = text.replace('pacing = "lockstep"', 'pacing = "real"')
-        return re.sub(r"sync_period_s = [\d.]+", f"sync_period_s = {period_s}", text)
+        return re.sub(r"sync_period_s = [\d.]+", f"sync_period_s = {period_s}", by_the_clock(text))
 
     return edit
 

@@ -34,7 +34,10 @@ def cell(tmp_path, request):
 def test_a_drive_of_every_profile_is_enabled_moved_and_read(cell):
     name, path = cell
     profile = load_profile(name)
-    with running(path, f"virtual:conformance-{name}") as handle, open_bus(BusSpec.parse(handle.bus)) as bus:
+    with (
+        running(path, f"virtual:conformance-{name}", pacing="lockstep") as handle,
+        open_bus(BusSpec.parse(handle.bus)) as bus,
+    ):
         unit = handle.simulation.arms[0]
         setups = [
             AxisSetup(drive.node_id, profile, drive.spec.torque_constant_nm_per_a, 400.0) for drive in unit.drives

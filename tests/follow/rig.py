@@ -29,6 +29,7 @@ from gateway.follow.job import FollowRequest, Prepared, drive, prepare
 from gateway.follow.settings import Setting
 from gateway.motion.opening import open_arm
 from sim.serve import RunningSimulation, running
+from tests.pacing import in_lockstep
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 LABEL = "load"
@@ -72,6 +73,8 @@ def set_up(folder: Path, example: str) -> Place:
     for file in (EXAMPLES / example).iterdir():
         if file.suffix in (".toml", ".urdf", ".csv"):
             shutil.copy(file, folder / file.name)
+    cell = folder / "cell.toml"
+    cell.write_text(in_lockstep(cell.read_text(encoding="utf-8")), encoding="utf-8")
     os.environ["XDG_STATE_HOME"] = str(folder / "state")
     path = next(folder / name for name in ("path.toml", "path.csv") if (folder / name).exists())
     return Place(folder, path)

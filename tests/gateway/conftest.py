@@ -13,9 +13,10 @@ from drives.profile import load_profile
 from drives.scaling import Constants, motor_scale
 from gateway.arm_model import arm_robot
 from gateway.cell.conversion import AxisConversion
-from gateway.config import LoadedCell, load_cell
+from gateway.config import LoadedCell, parse_cell
 from gateway.motion.arm import Arm
 from gateway.motion.workspace import Workspace, workspace_of
+from tests.pacing import in_lockstep
 
 ENABLED = 0x1237
 CONSTANTS = Constants(torque_rated=2.0, current_rated_a=4.0, offset_rated=None, counts_per_revolution=131072.0)
@@ -148,12 +149,19 @@ class FakeDrives:
 
 @pytest.fixture(scope="session")
 def small_cell() -> LoadedCell:
-    return load_cell(Path(__file__).parents[2] / "examples" / "small" / "cell.toml")
+    return _example("small")
 
 
 @pytest.fixture(scope="session")
 def large_cell() -> LoadedCell:
-    return load_cell(Path(__file__).parents[2] / "examples" / "large" / "cell.toml")
+    return _example("large")
+
+
+def _example(name: str) -> LoadedCell:
+    """Cell of an example, in lockstep."""
+    path = Path(__file__).parents[2] / "examples" / name / "cell.toml"
+    text = in_lockstep(path.read_text(encoding="utf-8"))
+    return LoadedCell(cell=parse_cell(text, str(path)), text=text, folder=path.parent)
 
 
 @pytest.fixture(scope="session")

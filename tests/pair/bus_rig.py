@@ -30,6 +30,7 @@ from gateway.pair.teach import Teacher
 from sim.pair.cell import PairOptions
 from sim.pair.world import PairWorld
 from sim.simulation import ServeOptions, Simulation
+from tests.pacing import in_lockstep
 from tests.pair.inline import inline
 from tests.pair.model_rows import oscillation
 
@@ -166,7 +167,7 @@ def patient_cell(folder: Path) -> Path:
     """The example cell with a master's heartbeat that a busy machine keeps: lockstep has no rhythm to lose."""
     for source in CELL.parent.iterdir():
         text = source.read_text(encoding="utf-8").replace("consumer_ms = 500", "consumer_ms = 10000")
-        (folder / source.name).write_text(text, encoding="utf-8")
+        (folder / source.name).write_text(in_lockstep(text), encoding="utf-8")
     return folder / CELL.name
 
 

@@ -19,9 +19,11 @@ from gateway.motion.stream import MoveOptions, Stream
 from gateway.pair.cell import PairCell, load_pair
 from gateway.pair.function import function_of_knots
 from gateway.pair.link import PairLink, open_link
+from sim.pair.cell import PairOptions
 from sim.pair.world import PairWorld
 from sim.serve import free_bus
 from sim.simulation import ServeOptions, Simulation
+from tests.pacing import by_the_clock as by_the_clock_text
 from tests.pair.bus_rig import CELL, pair_rig
 
 CYCLES = 100_000
@@ -36,7 +38,7 @@ def _no_physics(world: PairWorld) -> None:
 def _serve(cell_file: Path, bus: str, ready: Any, stop: Any) -> None:
     """Simulated drives in a process of their own, without physics, until `stop`."""
     PairWorld._tick = _no_physics  # type: ignore[method-assign]
-    simulation = Simulation(cell_file, ServeOptions(bus=bus))
+    simulation = Simulation(cell_file, ServeOptions(bus=bus), PairOptions(plant="bullet"))
     thread = threading.Thread(target=simulation.run)
     thread.start()
     ready.set()
@@ -84,7 +86,7 @@ def by_the_clock(seconds: float = REAL_S) -> dict[str, Any]:
         for name in ("robot.urdf", "path.csv", "drive.toml"):
             (Path(folder) / name).write_text((CELL.parent / name).read_text())
         cell_file = Path(folder) / "cell.toml"
-        cell_file.write_text(CELL.read_text().replace('pacing = "lockstep"', 'pacing = "real"'))
+        cell_file.write_text(by_the_clock_text(CELL.read_text()))
         bus = f"left={free_bus()};right={free_bus()}"
         with _served(cell_file, bus):
             cell = load_pair(cell_file, bus)

@@ -21,6 +21,7 @@ from sim.serve import RunningSimulation, running
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 CODES = {1: "B", 2: "H", 4: "I"}
+SMALL = EXAMPLES / "small" / "cell.toml"
 STANDARD_TPDO1 = (0x60410010, 0x60640020, 0x60770010)
 STANDARD_RPDO1 = (0x60400010, 0x607A0020, 0x60B20010)
 
@@ -142,7 +143,7 @@ def channel() -> str:
 @pytest.fixture
 def drives(channel: str) -> Iterator[tuple[Master, RunningSimulation]]:
     """The small arm's six drives on a virtual bus, and a master."""
-    with running(EXAMPLES / "small" / "cell.toml", f"virtual:{channel}") as simulation:
+    with running(EXAMPLES / "small" / "cell.toml", f"virtual:{channel}", pacing="lockstep") as simulation:
         master = Master(channel)
         try:
             yield master, simulation

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+import threading
 
 import pytest
 
@@ -259,6 +260,101 @@ def test_quick_stop_ramps_down_and_switches_off(drives):
     assert 0.1 < speeds[1] < speed
     assert states[-1] & 0x4F == 0x40
     assert not axis.free
+
+
+def moving(master, simulation):
+    """Axis 3 at half its speed limit; returns its motor and the position to be told on."""
+    master.configure(NODE, 8)
+    start = master.enable(NODE)
+    step = round(0.5 * 0.01 * 100 * 131072 / (2 * math.pi))
+    for k in range(60):
+        master.cycle(NODE, 0x0F, start + k * step)
+    axis = simulation.simulation.arms[0].world.axes[2]
+    assert axis.omega_rad_s == pytest.approx(0.5, rel=0.05)
+    return axis, start + 60 * step
+
+
+def stop(master, axis, word, target, cycles=100):
+    """Speed and state after each SYNC."""
+    seen = [(master.cycle(NODE, word, target)[0] & 0x6F, abs(axis.omega_rad_s)) for _ in range(cycles)]
+    return [state for state, _ in seen], [speed for _, speed in seen]
+
+
+def test_a_quick_stop_that_coasts_is_braked_by_the_brake_alone(drives):
+    master, simulation = drives
+    axis, target = moving(master, simulation)
+    master.write(NODE, 0x605A, 0, 0, 2)
+    states, speeds = stop(master, axis, 0x02, target, 30)
+    assert states[0] & 0x4F == 0x40
+    assert not axis.fed
+    assert speeds[3] > 0.3  # the brake falls in after 0.05 s
+    assert axis.servo.u_nm == 0.0
+    assert speeds[10:] == [0.0] * 20
+    assert not axis.free
+
+
+def test_ramps_of_a_quick_stop_are_those_of_its_option(drives):
+    master, simulation = drives
+    durations = []
+    for option, ramp in ((2, 0x6085), (1, 0x6084)):
+        master.write(NODE, 0x605A, 0, option, 2)
+        axis, target = moving(master, simulation)
+        stated = master.number(NODE, ramp)
+        for scale in (1, 2):
+            master.write(NODE, ramp, 0, stated // scale, 4)
+            states, _ = stop(master, axis, 0x02, target, 200)
+            durations.append(states.count(0x07))
+            assert states[-1] & 0x4F == 0x40
+            if scale == 1:
+                axis, target = moving(master, simulation)
+    # from 0.5 rad/s on 8 rad/s2, on 0.8 rad/s2, and on half of each; then the axis still has to catch up
+    quick, half_as_quick, gentle, half_as_gentle = durations
+    assert 6 <= quick < half_as_quick
+    assert gentle == pytest.approx(62, abs=12)
+    assert half_as_gentle - gentle == pytest.approx(62, abs=8)
+
+
+@pytest.mark.parametrize(("option", "word", "end"), [(0x605C, 0x07, 0x23), (0x605B, 0x06, 0x21)])
+def test_disabling_slows_down_first_where_the_option_says_so(drives, option, word, end):
+    master, simulation = drives
+    axis, target = moving(master, simulation)
+    master.write(NODE, option, 0, 1, 2)
+    states, speeds = stop(master, axis, word, target)
+    still = states.index(end)
+    assert still > 5
+    assert set(states[:still]) == {0x27}
+    assert max(speeds[still:]) < 0.02
+    assert all(later < earlier + 0.02 for earlier, later in zip(speeds, speeds[1:], strict=False))
+    master.write(NODE, option, 0, 0, 2)
+    axis, target = moving(master, simulation)
+    states, speeds = stop(master, axis, word, target, 10)
+    assert states[0] == end
+    assert speeds[2] > 0.3
+
+
+@pytest.mark.parametrize(("option", "ramps"), [(0, False), (1, True), (2, True)])
+def test_a_fault_is_answered_as_0x605e_says(drives, option, ramps):
+    master, simulation = drives
+    axis, target = moving(master, simulation)
+    master.write(NODE, 0x605E, 0, option, 2)
+    drive = simulation.simulation.servers[0].drive(NODE)
+    done = threading.Event()
+    simulation.simulation.servers[0].later(lambda: (drive.raise_fault(0x7305), done.set()))
+    assert done.wait(5.0)
+    states, _ = stop(master, axis, 0x0F, target)
+    assert (0x0F in states) == ramps
+    assert states[-1] & 0x4F == 0x08
+    assert not axis.free
+
+
+@pytest.mark.parametrize(("index", "good", "bad"), [(0x605A, 0, 4), (0x605B, 1, 2), (0x605C, 1, 2), (0x605D, 2, 3)])
+def test_option_codes_are_parameters(drives, index, good, bad):
+    master, _ = drives
+    master.write(NODE, index, 0, good, 2)
+    assert master.number(NODE, index) == good
+    with pytest.raises(master.Aborted) as caught:
+        master.write(NODE, index, 0, bad, 2)
+    assert caught.value.code == 0x06090030
 
 
 def test_profile_position_handshake(drives):

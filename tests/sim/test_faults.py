@@ -156,6 +156,36 @@ def test_late_sdo_answer_is_sent_by_whoever_receives(rig: Rig) -> None:
     assert time.monotonic() - sent_s >= 0.02
 
 
+def test_a_burst_holds_answers_back_and_lets_them_come_at_once(rig: Rig) -> None:
+    rig.wire.arm(Fault("burst", node=2, syncs=0, delay_s=0.2))
+    begin_s = time.monotonic()
+    seen = [frame for number in range(1, 4) for frame in rig.cycle(number)]
+    assert time.monotonic() - begin_s < 0.2  # nobody waited
+    assert ids(seen) == [0x181, 0x183] * 3
+    while 0x182 not in ids(burst := rig.seen()):
+        rig.wire.recv(0.01)
+        assert time.monotonic() - begin_s < 5.0
+    assert time.monotonic() - begin_s >= 0.2
+    assert [struct.unpack("<Hih", data)[1] for _, data in burst] == [1002, 2002, 3002]
+
+
+def test_a_late_answer_is_late_by_time_where_a_time_is_given(rig: Rig) -> None:
+    rig.wire.arm(Fault("tpdo_late", node=1, at_sync=1, delay_s=0.1))
+    begin_s = time.monotonic()
+    assert ids(rig.cycle(1)) == [0x182, 0x183]
+    assert ids(rig.cycle(2)) == ALL
+    while not (late := rig.seen()):
+        rig.wire.recv(0.01)
+        assert time.monotonic() - begin_s < 5.0
+    assert ids(late) == [0x181]
+
+
+def test_the_reaction_by_the_clock_may_be_another_one() -> None:
+    assert KINDS["burst"].reaction_in("lockstep") == "goes on"
+    assert KINDS["burst"].reaction_in("real") == "retried"
+    assert KINDS["tpdo_lost"].reaction_in("real") == "retried"
+
+
 def test_commands_that_reach_nobody(rig: Rig) -> None:
     rig.wire.arm(Fault("rpdo_lost", node=2, at_sync=0, syncs=0))
     for node in NODES:
@@ -168,7 +198,9 @@ def test_commands_that_reach_nobody(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("kind", [kind for kind, about in KINDS.items() if about.where == "wire"])
-def test_every_kind_of_the_wire_is_carried_out(rig: Rig, kind: str) -> None:
+def test_every_kind_of_the_wire_is_carried_out(rig: Rig, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And by nobody's waiting: what is late is sent by whoever receives next, so that it is late by the clock too."""
+    monkeypatch.setattr("sim.faulty_wire.time.sleep", lambda _seconds: pytest.fail("the serving thread waits"))
     assert KINDS[kind].reaction in REACTIONS
     in_recv = {"rpdo_lost", "rpdo_gone", "sync_lost"}
     assert kind in RULES or invented(Fault(kind)) or kind in in_recv

@@ -16,11 +16,12 @@ from click.testing import CliRunner
 
 from drives.profile import list_profiles
 from sim.build_errors import with_build_errors
+from sim.cellfile import CellFileError
 from sim.demo import comparison
 from sim.demo import main as demo_command
 from sim.multicast import QuietMulticastBus
 from sim.nominal import plant_of
-from sim.serve import free_bus, running
+from sim.serve import command, free_bus, running
 from sim.simulation import ServeOptions, Simulation
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -126,7 +127,7 @@ def test_every_profile_makes_drives_that_answer(profile, tmp_path, channel, mast
     text = SMALL.read_text(encoding="utf-8").replace("generic-cia402", profile)
     (tmp_path / "cell.toml").write_text(text, encoding="utf-8")
     (tmp_path / "robot.urdf").write_bytes((EXAMPLES / "small" / "robot.urdf").read_bytes())
-    with running(tmp_path / "cell.toml", f"virtual:{channel}") as simulation:
+    with running(tmp_path / "cell.toml", f"virtual:{channel}", pacing="lockstep") as simulation:
         master = master_on(channel)
         assert profile.encode() in master.read(3, 0x1008)
         drive = simulation.simulation.servers[0].drive(3)
@@ -157,7 +158,7 @@ def test_every_profile_makes_drives_that_answer(profile, tmp_path, channel, mast
 def test_faults_of_the_drive_are_there_from_the_start(fault, index, sub, expected, tmp_path, channel, master_on):
     scenario = tmp_path / "fault.toml"
     scenario.write_text(f'[[fault]]\nkind = "{fault}"\nnode = 2\n', encoding="utf-8")
-    with running(SMALL, f"virtual:{channel}", fault=scenario):
+    with running(SMALL, f"virtual:{channel}", fault=scenario, pacing="lockstep"):
         master = master_on(channel)
         value, other = master.number(2, index, sub), master.number(1, index, sub)
         assert value != other
@@ -171,7 +172,7 @@ def test_a_missing_node_is_silent_and_an_aborted_object_refused(tmp_path, channe
         '[[fault]]\nkind = "sdo_aborted"\nnode = 3\nindex = 0x6076\nsyncs = 0\n',
         encoding="utf-8",
     )
-    with running(SMALL, f"virtual:{channel}", fault=scenario):
+    with running(SMALL, f"virtual:{channel}", fault=scenario, pacing="lockstep"):
         master = master_on(channel)
         master.send(0x602, b"\x40\x00\x10\x00\x00\x00\x00\x00")
         with pytest.raises(AssertionError, match="no frame 0x582"):
@@ -184,7 +185,7 @@ def test_a_missing_node_is_silent_and_an_aborted_object_refused(tmp_path, channe
 def test_an_axis_that_never_settles_keeps_moving(tmp_path, channel, master_on):
     scenario = tmp_path / "fault.toml"
     scenario.write_text('[[fault]]\nkind = "never_settles"\nnode = 3\nsyncs = 0\n', encoding="utf-8")
-    with running(SMALL, f"virtual:{channel}", fault=scenario):
+    with running(SMALL, f"virtual:{channel}", fault=scenario, pacing="lockstep"):
         master = master_on(channel)
         master.configure(3, 8)
         position = master.enable(3, 100)
@@ -195,7 +196,7 @@ def test_an_axis_that_never_settles_keeps_moving(tmp_path, channel, master_on):
 def test_a_node_killed_in_the_run_falls_silent(tmp_path, channel, master_on):
     scenario = tmp_path / "fault.toml"
     scenario.write_text('[[fault]]\nkind = "node_killed"\nnode = 3\nat_sync = 40\nsyncs = 0\n', encoding="utf-8")
-    with running(SMALL, f"virtual:{channel}", fault=scenario) as simulation:
+    with running(SMALL, f"virtual:{channel}", fault=scenario, pacing="lockstep") as simulation:
         master = master_on(channel)
         master.configure(3, 8)
         position = master.enable(3, 20)
@@ -206,11 +207,8 @@ def test_a_node_killed_in_the_run_falls_silent(tmp_path, channel, master_on):
         assert not simulation.simulation.servers[0].drive(3).axis.free
 
 
-def test_real_pacing_follows_the_clock_without_sync(tmp_path, channel):
-    text = SMALL.read_text(encoding="utf-8").replace('"lockstep"', '"real"')
-    (tmp_path / "cell.toml").write_text(text, encoding="utf-8")
-    (tmp_path / "robot.urdf").write_bytes((EXAMPLES / "small" / "robot.urdf").read_bytes())
-    simulation = Simulation(tmp_path / "cell.toml", ServeOptions(bus=f"virtual:{channel}"))
+def test_real_pacing_follows_the_clock_without_sync(channel):
+    simulation = Simulation(SMALL, ServeOptions(bus=f"virtual:{channel}", pacing="real"))
     world, advanced = simulation.arms[0].world, threading.Event()
     forward = world.advance
 
@@ -228,6 +226,48 @@ def test_real_pacing_follows_the_clock_without_sync(tmp_path, channel):
         simulation.stop()
         thread.join()
         simulation.close()
+
+
+@pytest.mark.parametrize(("unbuffered", "count", "too_fast"), [(True, 50, True), (True, 0, False), (False, 9, False)])
+def test_a_master_that_sends_too_fast_moves_drives_without_a_buffer_too_fast(unbuffered, count, too_fast, channel):
+    """Set points for 10 ms every 2 ms: what takes them when they come is driven beyond its speed."""
+    options = ServeOptions(bus=f"virtual:{channel}", pacing="real", unbuffered=unbuffered)
+    simulation = Simulation(SMALL, options)
+    unit = simulation.arms[0]
+    drive, limit = unit.drives[2], simulation.cell.arms[0].axes[2].speed_limit_rad_s
+    drive.take_mode(8)
+    for word in (0x06, 0x07, 0x0F):
+        drive.take_controlword(word)
+    unit.advance(0.1)
+    unit.world.forget_fastest()
+    start, step = drive.position_counts(), round(0.9 * limit * 0.01 * drive.counts_per_joint_rad)
+    for number in range(1, count + 1):
+        drive.take_target(start + step * number)
+        unit.advance(0.002)
+    unit.advance(0.1)
+    fastest = unit.world.fastest_rad_s
+    simulation.servers[0].bus.shutdown()
+    simulation.close()
+    assert fastest.shape == (6,)
+    assert (fastest[2] > 1.2 * limit) == too_fast
+
+
+def test_pacing_of_the_command_line_is_that_of_every_bus(channel):
+    simulation = Simulation(SMALL, ServeOptions(bus=f"virtual:{channel}", pacing="real"))
+    simulation.servers[0].bus.shutdown()
+    simulation.close()
+    assert {bus.pacing for bus in simulation.cell.buses.values()} == {"real"}
+    assert {bus.pacing for bus in simulation.specs.values()} == {"real"}
+    assert all(drive.motion.buffered for drive in simulation.servers[0].drives)
+    with pytest.raises(CellFileError, match="lockstep or real"):
+        Simulation(SMALL, ServeOptions(bus=f"virtual:{channel}", pacing="hasty"))
+    assert serve(str(SMALL), "--pacing", "hasty").returncode == 2
+
+
+def test_the_command_line_says_the_same_options():
+    options = ServeOptions(bus="virtual:x", pacing="lockstep", unbuffered=True)
+    assert command(SMALL, options)[-5:] == ["--bus", "virtual:x", "--pacing", "lockstep", "--unbuffered"]
+    assert "--pacing" not in command(SMALL, ServeOptions(bus="virtual:x"))
 
 
 def test_truth_beside_the_estimate():
@@ -266,6 +306,44 @@ def test_truth_beside_an_effect_that_was_found():
     named, residual = comparison(result)[1:]
     assert named == "undeclared effects: balancer_spring; found: balancer_spring; verdict: explained"
     assert "1 > 1, 800 > 8, 2 > 2" in residual
+
+
+def test_the_demo_tells_both_programs_not_to_wait_for_the_clock(monkeypatch, tmp_path):
+    started = []
+
+    class Program:
+        stdin = stdout = None
+
+        def __init__(self, words, **_options):
+            started.append(list(words))
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_exception):
+            return None
+
+        def terminate(self):
+            return None
+
+        def communicate(self, timeout=None):
+            return "", ""
+
+    monkeypatch.setattr("sim.demo.subprocess.Popen", Program)
+    monkeypatch.setattr("sim.demo.wait_until_ready", lambda _process: "ready")
+    done = CliRunner().invoke(demo_command, ["--out", str(tmp_path)])
+    assert done.exit_code == 1
+    simulator, gateway = started
+    assert "sim" in simulator
+    assert "commission" in gateway
+    for words in (simulator, gateway):
+        assert words[words.index("--pacing") + 1] == "lockstep"
+
+
+@pytest.mark.parametrize("cell", sorted(EXAMPLES.glob("*/*.toml")), ids=lambda path: f"{path.parent.name}/{path.stem}")
+def test_the_examples_run_by_the_clock(cell):
+    buses = tomllib.loads(cell.read_text(encoding="utf-8")).get("bus", {})
+    assert {bus["pacing"] for bus in buses.values()} <= {"real"}
 
 
 def test_the_demo_hides_what_its_own_file_says(monkeypatch):

@@ -18,6 +18,7 @@ from gateway.cli import main
 from gateway.recorded import Recording
 from gateway.recording import read
 from sim.serve import RunningSimulation, running
+from tests.pacing import in_lockstep
 
 SMALL = Path(__file__).parents[2] / "examples" / "small"
 POSES = """[poses]
@@ -97,7 +98,7 @@ def place(tmp_path) -> Place:
     for name in ("robot.urdf", "payload.toml"):
         shutil.copy(SMALL / name, tmp_path / name)
     text = (SMALL / "cell.toml").read_text(encoding="utf-8")
-    (tmp_path / "cell.toml").write_text(text[: text.index("[poses]")] + POSES, encoding="utf-8")
+    (tmp_path / "cell.toml").write_text(in_lockstep(text[: text.index("[poses]")]) + POSES, encoding="utf-8")
     return Place(tmp_path)
 
 

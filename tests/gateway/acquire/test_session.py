@@ -31,7 +31,7 @@ CELL = Path(__file__).parents[3] / "examples" / "small" / "cell.toml"
 @pytest.fixture(scope="module")
 def simulation():
     pytest.importorskip("pybullet")
-    with running(CELL, bus=f"virtual:{uuid.uuid4()}") as running_simulation:
+    with running(CELL, bus=f"virtual:{uuid.uuid4()}", pacing="lockstep") as running_simulation:
         yield running_simulation
 
 

@@ -19,7 +19,7 @@ CELL = Path(__file__).resolve().parents[3] / "examples" / "pair" / "cell.toml"
 
 
 def world_of(seed: int | None = 0, **settings: object) -> PairWorld:
-    units = pair_units(read_cell(CELL), PairOptions(seed, settings=settings))
+    units = pair_units(read_cell(CELL), PairOptions(seed, settings=settings, plant="bullet"))
     return units["left"].world
 
 

@@ -1,0 +1,239 @@
+"""What every plant of a pair has: two arms, a part between them, drives, and one time that two buses share.
+
+A plant knows no clock. It moves on when both arms have asked for it.
+"""
+
+from __future__ import annotations
+
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.pair.body import ArmTruth, load_pair
+from sim.pair.motors import Motors, joined
+from sim.pair.workpiece import Closure, Stiffness, Workpiece
+from sim.physics import bullet
+from sim.servo import TICK_S
+
+Array = NDArray[np.float64]
+
+STEP_S = 0.00025
+#: How long the physics waits for the SYNC of the other bus, wall clock [s]: in many short pieces, so that a process
+#: that was put aside for long does not take its own sleep for a silent bus.
+WAIT_S, WAITS = 0.01, 25
+#: A SYNC that comes later than this begins afresh; an earlier one finds the time it stands for gone already [s].
+SILENT_S = 0.1
+#: Rounding of times that are sums of many periods [s].
+HAIR_S = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WorldSettings:
+    """What is not an arm.
+
+    Attributes
+    ----------
+    start_rad : two (6,) encoder angles at which the part is gripped free of force
+    stiffness : of the part
+    skew_s, skew_jitter_s : how much later than the master's the slave's SYNC acts, constant and evenly spread part
+    step_s : physics step
+    seed : of the noise
+    filter_s : time constant of the drives' torque filters
+    """
+
+    start_rad: tuple[Array, Array]
+    stiffness: Stiffness = field(default_factory=Stiffness)
+    skew_s: float = 0.0
+    skew_jitter_s: float = 0.0
+    step_s: float = STEP_S
+    seed: int = 1
+    filter_s: float = 0.001
+
+
+class TwoArms(ABC):
+    """Two arms that hold one part; how they move is up to the plant.
+
+    Parameters
+    ----------
+    arms : master and slave
+    settings : WorldSettings
+
+    Attributes
+    ----------
+    time_s : simulated time
+    motors, part : drives' side of the gears, and what is between the grippers
+    q, qd : (12,) joint angles [rad] and speeds [rad/s] of the links
+    wrench : (6,) of the part on gripper 2, world axes, about its fingertip [N, Nm]
+    record : one row a step of the plant while `recording`: time [s], force on gripper 2 (3) [N], moment about the
+        part's centre (3) [Nm], the part's centre (3), fingertip 1 (3) [m]
+    push : (12,) torque on the joints from outside [Nm], or None
+    told_nobody : drawn errors, for the truth file
+    before, after : called around every stretch of time with its milliseconds, and with the time [s]
+    """
+
+    #: By the clock, milliseconds that are waited for before the plant goes on between two SYNCs.
+    usual_ticks = 1
+
+    def __init__(self, arms: tuple[ArmTruth, ArmTruth], settings: WorldSettings) -> None:
+        self.arms, self.settings = arms, settings
+        self.time_s = 0.0
+        self.record: list[tuple[float, ...]] = []
+        self.recording = False
+        self.push: Array | None = None
+        self.told_nobody: dict[str, Any] = {}
+        self.before: list[Callable[[int], None]] = []
+        self.after: list[Callable[[float], None]] = []
+        self.part = Workpiece((arms[0].geometry, arms[1].geometry), settings.stiffness)
+        self._lock = threading.Condition()
+        self._asked, self._owed, self._live = [0.0, 0.0], [0.0, 0.0], [False, False]
+        self._random = np.random.default_rng(settings.seed)
+        self._client, self._body = load_pair(arms, settings.step_s)
+        shift = np.concatenate([arm.shift_rad for arm in arms])
+        limits = np.concatenate([arm.max_rad_s for arm in arms])
+        self.motors = Motors(joined((arms[0].train, arms[1].train)), shift, limits, settings.step_s)
+        self._rated = self.motors.train.rated_nm
+        self.q, self.qd, self.wrench = np.zeros(12), np.zeros(12), np.zeros(6)
+        self._stand(np.concatenate(settings.start_rad))
+
+    def _stand(self, theta_rad: Array) -> None:
+        """Hang still, gears wound up by gravity, the part gripped free of force."""
+        q, gravity = theta_rad.copy(), np.zeros(12)
+        stiffness = self.motors.train.stiffness_nm_rad
+        for _ in range(20):
+            gravity = self._gravity(q)
+            q = theta_rad - gravity / stiffness
+        self.q, self.qd = q, np.zeros(12)
+        self.motors.place(q, gravity)
+        self.part.grip(q)
+
+    def _gravity(self, q: Array) -> Array:
+        still = [0.0] * 12
+        return np.array(
+            bullet.calculateInverseDynamics(self._body, q.tolist(), still, still, physicsClientId=self._client)
+        )
+
+    def _mass(self, q: Array) -> Array:
+        return np.array(bullet.calculateMassMatrix(self._body, q.tolist(), physicsClientId=self._client))
+
+    @abstractmethod
+    def _stretch(self, ticks: int) -> None:
+        """Let milliseconds pass; the lock is held."""
+
+    # -- time --------------------------------------------------------------------------------------------------------
+
+    def catch_up(self, arm: int) -> None:
+        """Wait until the physics has done what this arm has asked for; not for an arm whose bus is silent."""
+        with self._lock:
+            if self._asked[arm] <= self.time_s + HAIR_S:
+                return
+            for _ in range(WAITS):
+                if self._lock.wait_for(lambda: self._asked[arm] <= self.time_s + HAIR_S, WAIT_S):
+                    return
+            if self._asked[arm] > self.time_s + HAIR_S:
+                self._live[1 - arm] = False
+                before_s = self.time_s
+                self._run()
+                self._owed[1 - arm] += self.time_s - before_s
+
+    def ask(self, arm: int, seconds: float) -> None:
+        """An arm's SYNC came: go on once the other's has come too."""
+        with self._lock:
+            self._live[arm] = True
+            owed = self._owed[arm] if self._owed[arm] < SILENT_S else 0.0
+            late = min(owed, seconds)
+            self._owed[arm] = owed - late
+            self._asked[arm] = round(max(self._asked[arm], self.time_s) + seconds - late, 9)
+            self._run()
+
+    def arrive(self, arm: int) -> None:
+        """A SYNC of an arm came, nothing has been answered yet.
+
+        The slave's SYNC follows the master's and stands for the same instant. One that was there before the master's is
+        of an instant that the master's bus has skipped: it passes now, and both are in step from here on.
+        """
+        with self._lock:
+            if arm == 0 and self._asked[0] <= self.time_s + HAIR_S < self._asked[1]:
+                self._pass(self._asked[1])
+
+    def _run(self) -> None:
+        """Go on to what has been asked for by all arms that are powered and whose SYNC has not stayed away."""
+        powered = [bool(self.motors.live[6 * arm : 6 * arm + 6].any()) for arm in (0, 1)]
+        waited = [live and power for live, power in zip(self._live, powered, strict=True)]
+        goal = min(self._asked[arm] for arm in (0, 1) if waited[arm]) if any(waited) else max(self._asked)
+        self._pass(goal)
+
+    def follow_the_clock(self, arm: int, seconds: float) -> None:
+        """An arm's bus has seen so much time pass by the clock; the plant goes on to what both have seen."""
+        with self._lock:
+            self._asked[arm] += seconds
+            if self._asked[arm] < self._asked[1 - arm] - SILENT_S:  # it was held up for longer than is caught up with
+                self._asked[arm] = self._asked[1 - arm]
+            self._pass(min(self._asked), self.usual_ticks)
+
+    def settle(self) -> None:
+        """By the clock: go on to now, also where that is less than the plant's usual stretch."""
+        with self._lock:
+            self._pass(min(self._asked))
+
+    def _pass(self, until_s: float, least_ticks: int = 1) -> None:
+        ticks = int((until_s - self.time_s) / TICK_S + 1e-6)
+        if ticks >= least_ticks:
+            self._stretch(ticks)
+            self._lock.notify_all()
+
+    # -- grippers ----------------------------------------------------------------------------------------------------
+
+    @property
+    def touching(self) -> bool:
+        """Whether there is a part that both hands can hold."""
+        return self.settings.stiffness.straight_n_m > 0.0
+
+    def open_grippers(self) -> None:
+        """No force acts between the arms from here on."""
+        with self._lock:
+            self.part.open()
+
+    def close_grippers(self) -> None:
+        """Grip the part afresh, free of force, where the hands are."""
+        with self._lock:
+            self.part.close(self.q)
+
+    def _note(self, closure: Closure) -> None:
+        centre = _centre(closure)
+        force = self.wrench[:3]
+        moment = self.wrench[3:] + np.cross(closure.tips[1][:3, 3] - centre, force)
+        hand = closure.tips[0][:3, 3]
+        self.record.append((self.time_s, *force.tolist(), *moment.tolist(), *centre.tolist(), *hand.tolist()))
+
+    # -- what is seen ------------------------------------------------------------------------------------------------
+
+    def reading_nm(self, arm: int) -> list[float]:
+        """What six drives report as motor torque, gear output side [Nm]."""
+        six = slice(6 * arm, 6 * arm + 6)
+        motors = self.motors
+        noise = 0.003 * self._rated[six] * self._random.standard_normal(6)
+        return ((motors.shown_nm[six] + noise) * motors.live[six]).tolist()
+
+    @property
+    def fastest_rad_s(self) -> Array:
+        """Largest speed of each motor at its gear output since `forget_fastest`, shape (12,) [rad/s]."""
+        return self.motors.fastest.copy()
+
+    def forget_fastest(self) -> None:
+        """Begin anew to look for the largest speed."""
+        self.motors.fastest[:] = 0.0
+
+    def close(self) -> None:
+        """Give the physics engine back; may be called again."""
+        if self._client >= 0:
+            bullet.disconnect(physicsClientId=self._client)
+            self._client = -1
+
+
+def _centre(closure: Closure) -> Array:
+    return 0.5 * (closure.tips[0][:3, 3] + closure.tips[1][:3, 3])

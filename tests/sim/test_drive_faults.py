@@ -1,0 +1,132 @@
+"""Every fault inside a drive, in lockstep and by the clock: what it does to an axis that is enabled and moves."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from sim.drive_faults import ACTIONS, act
+from sim.fake_drive import FakeDrive
+from sim.faults import KINDS, Fault
+from sim.node import OPERATIONAL, PRE_OPERATIONAL, STOPPED
+from sim.simulation import ServeOptions, Simulation
+from sim.states import PdsState
+from tests.sim.conftest import SMALL
+
+NODE, PERIOD_S = 2, 0.01
+
+
+class Bench:
+    """Six enabled drives of which one moves, and what was seen of it since the fault."""
+
+    def __init__(self, pacing: str, kind: str) -> None:
+        self.simulation = Simulation(SMALL, ServeOptions(bus=f"virtual:{uuid.uuid4().hex}", pacing=pacing))
+        self.server = self.simulation.servers[0]
+        self.unit = self.simulation.arms[0]
+        self.drive: FakeDrive = self.server.drive(NODE)
+        self.words: list[int] = []
+        self.speeds: list[float] = []
+        self._target = self.drive.position_counts()
+        if KINDS[kind].where == "object":
+            act(self.server, Fault(kind, node=NODE))
+        self.enable()
+        self.move(20, 0.002)
+
+    def enable(self) -> None:
+        for drive in self.server.drives:
+            drive.node.boot()
+            drive.node.nmt_command(1)
+            drive.take_mode(8)
+            for word in (0x06, 0x07, 0x0F):
+                drive.take_controlword(word)
+
+    def move(self, syncs: int, step_rad: float) -> None:
+        """Some SYNCs on, the axis told to go on by so much with each."""
+        for _ in range(syncs):
+            self._target += round(step_rad * self.drive.counts_per_joint_rad)
+            self.drive.take_target(self._target)
+            self.unit.sync()
+            self.unit.advance(PERIOD_S)
+            self.words.append(self.drive.statusword())
+            self.speeds.append(self.drive.axis.omega_rad_s)
+
+    @property
+    def state(self) -> PdsState:
+        return self.drive.automaton.state
+
+    def close(self) -> None:
+        self.server.bus.shutdown()
+        self.simulation.close()
+
+
+def at_rest_in_its_brake(bench: Bench) -> bool:
+    return not bench.drive.axis.free and bench.speeds[-1] == 0.0
+
+
+def moves_on(bench: Bench) -> bool:
+    return bench.state is PdsState.OPERATION_ENABLED and abs(bench.speeds[-1]) > 0.15
+
+
+Effect = Callable[[Bench], bool]
+EFFECTS: dict[str, Effect] = {
+    "node_killed": lambda bench: bench.drive.node.silent and at_rest_in_its_brake(bench),
+    "power_cycle": lambda bench: bench.drive.node.state == PRE_OPERATIONAL and at_rest_in_its_brake(bench),
+    "nmt_stopped": lambda bench: bench.drive.node.state == STOPPED and at_rest_in_its_brake(bench),
+    "drive_fault": lambda bench: bench.state is PdsState.FAULT and at_rest_in_its_brake(bench),
+    "fault_at_start": lambda bench: bench.state is PdsState.FAULT and at_rest_in_its_brake(bench),
+    "quick_stop": lambda bench: bench.state is PdsState.SWITCH_ON_DISABLED and at_rest_in_its_brake(bench),
+    "safe_torque_off": lambda bench: bench.state is PdsState.SWITCH_ON_DISABLED and at_rest_in_its_brake(bench),
+    "brake_engaged": lambda bench: not bench.drive.axis.free,
+    "never_settles": lambda bench: float(np.ptp(bench.speeds[-60:])) > 0.02,
+    "demand_torque": lambda bench: (
+        bench.drive.store.entries[bench.drive.units.torque.address].get() == bench.drive.demand_word()
+    ),
+    "unsigned_torque": lambda bench: int(bench.drive.store.entries[bench.drive.units.torque.address].get()) > 0,
+    "heartbeat_ignored": moves_on,
+    "wrong_rated": lambda bench: bench.drive.store.number((0x6076, 0)) > 1_000_000,
+    "rated_zero": lambda bench: bench.drive.store.number((0x6076, 0)) == 0,
+    "wrong_vendor": lambda bench: (
+        bench.drive.store.number((0x1018, 1)) != bench.server.drive(1).store.number((0x1018, 1))
+    ),
+    "strict_inhibit": moves_on,
+    "start_refused": lambda bench: bench.drive.node.state == PRE_OPERATIONAL,
+    "start_never": lambda bench: bench.drive.node.state == PRE_OPERATIONAL,
+    "cycle_period_set": lambda bench: bench.drive.node.state == PRE_OPERATIONAL,
+    "no_data_abort": moves_on,
+    "tpdo3_on": moves_on,
+    "foreign_emcy_id": moves_on,
+    "emcy_disabled": moves_on,
+    "estop_pressed": lambda bench: bench.state is PdsState.SWITCH_ON_DISABLED and at_rest_in_its_brake(bench),
+    "unreferenced": moves_on,
+    "coasting_stop": moves_on,
+    "no_heartbeat": moves_on,
+    "never_enables": lambda bench: bench.state is PdsState.SWITCHED_ON and not bench.drive.axis.free,
+    "enables_and_drops": lambda bench: bench.state is PdsState.SWITCHED_ON and not bench.drive.axis.free,
+    "brake_slips": moves_on,
+}
+
+
+def test_every_kind_inside_a_drive_has_its_effect_stated() -> None:
+    inside = {kind for kind, about in KINDS.items() if about.where in ("drive", "object")}
+    assert inside == set(EFFECTS)
+    assert inside <= set(ACTIONS)
+
+
+@pytest.mark.parametrize("pacing", ["lockstep", "real"])
+@pytest.mark.parametrize("kind", EFFECTS)
+def test_a_fault_inside_a_drive_does_what_it_says_in_both_pacings(kind: str, pacing: str) -> None:
+    bench = Bench(pacing, kind)
+    others = [drive for drive in bench.server.drives if drive.node_id != NODE]
+    if KINDS[kind].where == "drive":
+        assert moves_on(bench)
+        act(bench.server, Fault(kind, node=NODE))
+    if kind == "heartbeat_ignored":
+        bench.drive.node.on_heartbeat_lost(127)
+    bench.move(40, 0.002)
+    done = EFFECTS[kind](bench)
+    bench.close()
+    assert done
+    assert all(drive.enabled and drive.node.state == OPERATIONAL for drive in others)
