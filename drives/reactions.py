@@ -1,7 +1,9 @@
 """What is seen on the bus and in a drive while axes are enabled, and what follows from it: one table, used by the code.
 
-`stop`: every axis is stopped by its quick stop ramp, then disabled, and nothing resumes by itself. `retry`: the SYNC is
-marked incomplete and whoever sampled it samples again. `count`: it is counted in the statistics and nothing else.
+`stop`: every axis is stopped by its quick stop ramp, then disabled, and nothing resumes by itself. `along the path`
+(asked for by whoever plans the motion): time along the path is slowed down to a stop, then the axes are disabled.
+`retry`: the SYNC is marked incomplete and whoever sampled it samples again. `count`: it is counted in the statistics
+and nothing else.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from drives.errors import (
     MasterStalled,
 )
 
-Reaction = Literal["stop", "retry", "count"]
+Reaction = Literal["stop", "along the path", "retry", "count"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +37,7 @@ class Rule:
     ----------
     what : str
         What is seen.
-    reaction : "stop", "retry" or "count"
+    reaction : "stop", "along the path", "retry" or "count"
     limit : float
         How much of it is needed.
     unit : str

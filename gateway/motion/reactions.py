@@ -82,7 +82,31 @@ ARM_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "of the samples, at least 10",
             "the visit was given up; check cabling, termination and bus load, then record --resume",
         ),
-        "asked": Rule("Ctrl-C, or a request to terminate", "stop", 1, "signal", "go on with --resume"),
+        "urgent": Rule("a second signal", "stop", 1, "signal", "go on with --resume"),
+        "asked": Rule(
+            "Ctrl-C, a request to terminate, a terminal that was closed, a key that was released",
+            "along the path",
+            1,
+            "signal",
+            "go on with --resume",
+        ),
+        "disk": Rule(
+            "a recording that falls behind", "along the path", 8, "visits that wait for the disk", "free the disk"
+        ),
+        "force": Rule(
+            "two arms: the force inside the part above twice its limit; quick stop if it still rises after 3 SYNCs",
+            "along the path",
+            0.02,
+            "s",
+            "release the part before moving on",
+        ),
+        "gap": Rule(
+            "two arms: no distance for missing_cycles; quick stop where one is outside its range",
+            "along the path",
+            5,
+            _ROW,
+            "check the measuring device",
+        ),
     }
 )
 
@@ -92,7 +116,8 @@ REACTIONS: Final[Mapping[str, Rule]] = MappingProxyType({**DRIVE_RULES, **ARM_RU
 #: What a reaction means.
 MEANING: Final[Mapping[str, str]] = MappingProxyType(
     {
-        "stop": "stops all axes, then brakes; nothing resumes by itself",
+        "stop": "quick stop of all axes with the next SYNC, standstill, then brakes; nothing resumes by itself",
+        "along the path": "time along the path is slowed down to a stop, then brakes; nothing resumes by itself",
         "retry": "the sample is incomplete, is reported and taken again",
         "count": "is counted and reported",
     }
