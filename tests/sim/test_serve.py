@@ -308,6 +308,44 @@ def test_truth_beside_an_effect_that_was_found():
     assert "1 > 1, 800 > 8, 2 > 2" in residual
 
 
+def test_the_demo_tells_both_programs_not_to_wait_for_the_clock(monkeypatch, tmp_path):
+    started = []
+
+    class Program:
+        stdin = stdout = None
+
+        def __init__(self, words, **_options):
+            started.append(list(words))
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_exception):
+            return None
+
+        def terminate(self):
+            return None
+
+        def communicate(self, timeout=None):
+            return "", ""
+
+    monkeypatch.setattr("sim.demo.subprocess.Popen", Program)
+    monkeypatch.setattr("sim.demo.wait_until_ready", lambda _process: "ready")
+    done = CliRunner().invoke(demo_command, ["--out", str(tmp_path)])
+    assert done.exit_code == 1
+    simulator, gateway = started
+    assert "sim" in simulator
+    assert "commission" in gateway
+    for words in (simulator, gateway):
+        assert words[words.index("--pacing") + 1] == "lockstep"
+
+
+@pytest.mark.parametrize("cell", sorted(EXAMPLES.glob("*/*.toml")), ids=lambda path: f"{path.parent.name}/{path.stem}")
+def test_the_examples_run_by_the_clock(cell):
+    buses = tomllib.loads(cell.read_text(encoding="utf-8")).get("bus", {})
+    assert {bus["pacing"] for bus in buses.values()} <= {"real"}
+
+
 def test_the_demo_hides_what_its_own_file_says(monkeypatch):
     ran = []
     monkeypatch.setattr("sim.demo.run", lambda demo: ran.append(demo) or 0)
