@@ -74,6 +74,13 @@ class LadderGroup(click.Group):
         with formatter.section("Commands"):
             formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
 
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; click would answer an interrupt and a closed terminal in its own way."""
+        try:
+            return super().invoke(ctx)
+        except (KeyboardInterrupt, BrokenPipeError) as error:
+            raise click.exceptions.Exit(_interrupted(error)) from error
+
     def main(
         self,
         args: Sequence[str] | None = None,
@@ -94,12 +101,30 @@ class LadderGroup(click.Group):
                 windows_expand_args=windows_expand_args,
                 **extra,
             )
-        except BrokenPipeError:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            code = 0
         except BaseException as error:  # noqa: BLE001 - the one place where an error becomes an exit code
             code = report_error(error)
         sys.exit(code if isinstance(code, int) else 0)
+
+
+def _interrupted(error: BaseException) -> int:
+    """Exit code of a command that a person, a signal or a closed terminal has ended."""
+    if isinstance(error, BrokenPipeError):
+        _let_go_of_terminal()
+    chain = [error]
+    while (earlier := chain[-1].__cause__ or chain[-1].__context__) is not None:
+        chain.append(earlier)
+    stopped = next((each for each in chain if isinstance(each, KeyboardInterrupt)), None)
+    return 0 if stopped is None else report_error(stopped)
+
+
+def _let_go_of_terminal() -> None:
+    """Nobody reads any more: what is still written goes nowhere, instead of failing when the program ends."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            stream.flush()
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            os.dup2(nowhere, stream.fileno())
 
 
 def report_error(error: BaseException) -> int:
@@ -107,7 +132,7 @@ def report_error(error: BaseException) -> int:
     if isinstance(error, SystemExit):
         return error.code if isinstance(error.code, int) else 1
     if isinstance(error, click.Abort | KeyboardInterrupt):
-        why = paragraph(error) if isinstance(error, StoppedByPerson) else "stopped"
+        why = str(error) if isinstance(error, StoppedByPerson) else "stopped"
         _say(f"{why}: the arm stands in its brakes, what was measured is kept")
         return CTRL_C
     if isinstance(error, click.ClickException):
@@ -126,8 +151,10 @@ def report_error(error: BaseException) -> int:
 
 def _say(text: str) -> None:
     """To stderr, if anybody is there to read it."""
-    with contextlib.suppress(OSError, AttributeError):
+    try:
         click.echo(text, err=True)
+    except (OSError, AttributeError):
+        _let_go_of_terminal()
 
 
 def paragraph(error: BaseException) -> str:

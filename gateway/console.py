@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 import time
@@ -20,6 +21,14 @@ from rich.text import Text
 AXES = ("J1", "J2", "J3", "J4", "J5", "J6")
 SEVERITY_STYLE = {"fail": "bold red", "warn": "yellow", "warning": "yellow", "ok": "green", "pass": "green"}
 PLAIN_WIDTH = 140
+
+
+class _Terminal(Console):
+    """A console whose closed pipe is an error like any other; rich would end the program at once, arms or not."""
+
+    def on_broken_pipe(self) -> None:
+        """Nobody reads any more."""
+        raise BrokenPipeError(errno.EPIPE, "the terminal was closed")
 
 
 @dataclass(slots=True)
@@ -43,7 +52,7 @@ class Session:
         if err not in self._consoles:
             stream = sys.stderr if err else sys.stdout
             width = None if stream.isatty() or "COLUMNS" in os.environ else PLAIN_WIDTH
-            self._consoles[err] = Console(file=stream, width=width, highlight=False, soft_wrap=False)
+            self._consoles[err] = _Terminal(file=stream, width=width, highlight=False, soft_wrap=False)
         return self._consoles[err]
 
     def show(self, item: Any) -> None:

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import click
 import pytest
@@ -11,6 +12,7 @@ from click.testing import CliRunner
 from gateway import cli
 from gateway.errors import ConfigError, DataUnusable, FindingFailed, GatewayError, InputError, PlanRefused
 
+EXAMPLE = Path(__file__).parents[2] / "examples" / "small" / "cell.toml"
 RESULT = {
     "schema": 1,
     "robot": "small",
@@ -172,3 +174,11 @@ def test_profiles_list_show_and_schema():
     missing = run("profiles", "show", "no-such-drive")
     assert missing.exit_code == 3
     assert "generic-cia402" in missing.stderr
+
+
+def test_a_reader_that_leaves_is_no_error():
+    words = [sys.executable, "-m", "gateway.cli", "plan", str(EXAMPLE)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as plan:
+        plan.stdout.close()
+        errors = plan.stderr.read()
+    assert (plan.returncode, errors) == (0, "")
