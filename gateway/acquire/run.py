@@ -38,7 +38,7 @@ from gateway.motion.contact import TAKE_OVER_S
 from gateway.motion.reactions import ARM_RULES
 from gateway.motion.state import Phase, StateKeeper
 from gateway.motion.stops import StopKind, StopRequest, guarded
-from gateway.motion.stream import MoveOptions, Stream
+from gateway.motion.stream import FIRST_SHARE, MoveOptions, Stream
 from gateway.motion.trajectory import straight
 from gateway.motion.workspace import Workspace
 from gateway.visit import Visit, VisitLabel, visit_from_samples
@@ -159,7 +159,10 @@ class Run:
         self._store = station.store
         self._tell = station.tell
         self._period_s = plan.settings.period_s
-        self._ends = [0.0, *accumulate(step_durations(plan, self._workspace))]
+        durations = step_durations(plan, self._workspace)
+        if station.options.first_done is not None:
+            durations[:1] = [duration / FIRST_SHARE for duration in durations[:1]]
+        self._ends = [0.0, *accumulate(durations)]
         self._slower = 1.0 / station.options.override
         self._step = -1
         self._settle_s: dict[int, float] = {}

@@ -47,7 +47,7 @@ def _try_brake(opened: OpenArm, options: MoveOptions, axis: int) -> CheckItem:
     if holding is not None and holding[0, axis] > GRAVITY_SHARE * limit_nm:
         what = f"its brake was not tried: gravity takes {holding[0, axis] / limit_nm:.0%} of its torque limit here"
         return CheckItem("warn", where, what, f"bring it to a posture with at most {GRAVITY_SHARE:.0%} and ask again")
-    with powered(Stream(motion_station(opened, options.desk))) as stream:
+    with powered(Stream(motion_station(opened, options))) as stream:
         take_over(stream)
         sag_motor_rad = opened.group.release(axis, WATCH_S)
     joint_per_motor = np.abs(np.linalg.inv(opened.arm.axes.coupling)[:, axis]).max()

@@ -21,6 +21,7 @@ from gateway.check.rules import Readings
 from gateway.check.stop import StopProof, prove_stop
 from gateway.config import AxisConfig
 from gateway.errors import FindingFailed
+from gateway.motion.holdtorun import with_held_input
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
 
@@ -153,6 +154,7 @@ def ensure_proven(opened: OpenArm, path: Path, say: Callable[[str], None], optio
     PlanRefused, DriveError, KeyboardInterrupt
         As `prove_stop`.
     """
+    options = with_held_input(opened, options)
     date = proven_on(path, opened)
     if date is not None:
         say(f"drives stop on loss of the master: proven {date}")

@@ -22,7 +22,6 @@ from gateway.motion.contact import TAKE_OVER_S
 from gateway.motion.opening import OpenArm
 from gateway.motion.power import powered
 from gateway.motion.state import StateKeeper
-from gateway.motion.stops import StopDesk
 from gateway.motion.stream import MoveOptions, Station, Stream
 from gateway.motion.trajectory import Motion, straight
 from gateway.motion.workspace import Workspace
@@ -146,18 +145,18 @@ def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof
     LimitExceeded, DriveError, KeyboardInterrupt
         The arm was stopped.
     """
-    desk = StopDesk() if options is None else options.desk
+    options = options or MoveOptions()
     start_rad = opened.arm.where()
     motion = _slowly_from(opened, start_rad)
-    with _moving_slowly(opened, desk, motion) as rest:
+    with _moving_slowly(opened, options, motion) as rest:
         traces = opened.group.fall_silent(rest)
     proof = _judge(opened, traces, float(np.abs(motion.qd_rad_s).max()), _reset_provoked(opened))
     if not proof.passed:
         return proof
-    with _moving_slowly(opened, desk, _slowly_from(opened, opened.arm.where())) as rest:
+    with _moving_slowly(opened, options, _slowly_from(opened, opened.arm.where())) as rest:
         stopped = opened.group.prove_quick_stop(rest)
     proof = replace(proof, items=(*proof.items, *_quick_stop_items(opened, stopped)), quick_stop=stopped)
-    go_slowly(opened, desk, start_rad)
+    go_slowly(opened, options, start_rad)
     return proof
 
 
@@ -167,17 +166,17 @@ def _slowly_from(opened: OpenArm, start_rad: np.ndarray) -> Motion:
 
 
 @contextmanager
-def _moving_slowly(opened: OpenArm, desk: StopDesk, motion: Motion) -> Iterator[list[Sequence[DriveCommand]]]:
+def _moving_slowly(opened: OpenArm, options: MoveOptions, motion: Motion) -> Iterator[list[Sequence[DriveCommand]]]:
     """The arm under power on a slow motion that has reached its speed; yields the commands that go on with it."""
     speed = np.abs(motion.qd_rad_s).max(axis=1)
     steady = int(np.argmax(speed >= 0.99 * speed.max())) + 1
-    with powered(Stream(motion_station(opened, desk))) as stream:
+    with powered(Stream(motion_station(opened, options))) as stream:
         take_over(stream)
         stream.move([_rows(motion, slice(0, steady))], "move slowly")
         yield [opened.arm.command(q) for q in motion.q_rad[steady:]]
 
 
-def go_slowly(opened: OpenArm, desk: StopDesk, target_rad: np.ndarray) -> None:
+def go_slowly(opened: OpenArm, options: MoveOptions, target_rad: np.ndarray) -> None:
     """Bring the arm to joint positions (6,) [rad] at the speed of the proof, on the straight way if that is clear.
 
     Raises
@@ -188,7 +187,7 @@ def go_slowly(opened: OpenArm, desk: StopDesk, target_rad: np.ndarray) -> None:
     begin, workspace = opened.arm.where(), opened.workspace
     if not workspace.path_clear(begin[None], target_rad[None])[0]:
         raise PlanRefused(f"arm '{opened.arm.name}' stays where it is: no straight way back keeps the limits")
-    with powered(Stream(motion_station(opened, desk))) as stream:
+    with powered(Stream(motion_station(opened, options))) as stream:
         take_over(stream)
         limits = approach_limits(workspace, SPEED_RAD_S)
         stream.move([straight(stream.q_rad[0], target_rad, limits, opened.group.timing.period_s)], "go back")
@@ -224,7 +223,7 @@ def _rows(motion: Motion, rows: slice) -> Motion:
     return Motion(motion.q_rad[rows], motion.qd_rad_s[rows], motion.qdd_rad_s2[rows], motion.period_s)
 
 
-def motion_station(opened: OpenArm, desk: StopDesk) -> Station:
+def motion_station(opened: OpenArm, options: MoveOptions) -> Station:
     """What the motion loop works with for a motion that is slow by itself: no override slows it further."""
     arm, timing = opened.arm, opened.group.timing
     return Station(
@@ -232,7 +231,7 @@ def motion_station(opened: OpenArm, desk: StopDesk) -> Station:
         workspaces=(opened.workspace,),
         period_s=timing.period_s,
         state=StateKeeper(arm.name, lambda _state: None),
-        options=MoveOptions(desk),
+        options=replace(options, override=1.0, first_done=None),
     )
 
 

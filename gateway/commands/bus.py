@@ -163,12 +163,14 @@ def _in_motion(
     from gateway.check.brakes import try_brakes
     from gateway.check.proofs import keep_proof, proven_on, slow_at_first
     from gateway.check.stop import prove_stop as prove
+    from gateway.motion.holdtorun import with_held_input
     from gateway.motion.opening import open_arm
 
     items: list[CheckItem] = []
     seen: list[dict[str, Any]] = []
     path = context.stop_proof(arm)
     with stoppable(moving) as options, open_arm(context.loaded, context.override(arm), arm.name) as opened:
+        options = with_held_input(opened, options)
         if wanted.prove_stop or proven_on(path, opened) is None:
             proof = prove(opened, options)
             keep_proof(path, opened, proof)

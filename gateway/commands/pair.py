@@ -63,10 +63,12 @@ def _ledgers(context: CellContext, pair: PairCell) -> tuple[Path, Path]:
 def _proven(context: CellContext, link: PairLink, options: MoveOptions) -> MoveOptions:
     """The stop of both arms was proven before, with the grippers open; the first motion of all goes slowly."""
     from gateway.check.proofs import first_motion_pending, note_motion, require_proven
+    from gateway.motion.holdtorun import with_held_input
 
     proofs = [(context.stop_proof(opened.config), opened) for opened in link.opened]
     for path, opened in proofs:
         require_proven(opened, path)
+        options = with_held_input(opened, options)
     if not any(first_motion_pending(path, opened) for path, opened in proofs):
         return options
 

@@ -1,4 +1,4 @@
-"""Hold to run: the arms move only while a key of the terminal is held.
+"""Hold to run: the arms move only while a key of the terminal, or a digital input of the cell, is held.
 
 A terminal sends a held key again and again; no repeat for `RELEASED_S` is a release, which stops the arms along their
 path. This is no enabling device in the sense of a standard (IEC 60204-1, ISO 10218-1): it is read by software, and a
@@ -7,6 +7,7 @@ terminal that hangs, or a key that sticks, is not told from a key that is held.
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import sys
@@ -15,14 +16,23 @@ import time
 import tty
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Final
 
-from gateway.errors import ConfigError
+from drives.bus import Bus
+from drives.sdo import Posted, SdoClient
+from gateway.config import HoldToRun
+from gateway.errors import ConfigError, PlanRefused
+from gateway.motion.opening import OpenArm
 from gateway.motion.stops import StopKind, StoppedByPerson, StopRequest
+from gateway.motion.stream import MoveOptions
 
 #: No repeat for so long is a release; the first repeat of a key may take longer [s].
 RELEASED_S: Final = 0.6
 FIRST_REPEAT_S: Final = 1.0
+#: Between two questions to a digital input, and how long it is waited for [s].
+POLL_S: Final = 0.1
+PATIENCE_S: Final = 60.0
 
 
 class HeldKey:
@@ -59,6 +69,77 @@ class HeldKey:
             self._repeated = self._last_s > 0.0
             self._last_s = time.monotonic()
             timeout_s = 0.0
+
+
+class HeldInput:
+    """A digital input that has to be held; a source of wishes to stop.
+
+    It is asked by SDO again and again, without waiting; no answer that says it is held for `RELEASED_S` is a release.
+
+    Parameters
+    ----------
+    bus : Bus
+    sdo : SdoClient
+        Of the node that has the input.
+    config : HoldToRun
+    """
+
+    def __init__(self, bus: Bus, sdo: SdoClient, config: HoldToRun) -> None:
+        self._bus, self._sdo, self._config = bus, sdo, config
+        self._posted: Posted | None = None
+        self._asked_s = self._held_s = -math.inf
+
+    def wait(self) -> None:
+        """Wait until the input is held.
+
+        Raises
+        ------
+        PlanRefused
+            It was not held within `PATIENCE_S`.
+        """
+        until_s = time.monotonic() + PATIENCE_S
+        while not self._held():
+            if time.monotonic() > until_s:
+                at = self._config.object
+                raise PlanRefused(
+                    f"the hold-to-run input, node {self._config.node_id}:{at.index:04X}:{at.subindex:02X}, was not "
+                    f"held within {PATIENCE_S:g} s; hold it and start again"
+                )
+            self._bus.listen(POLL_S / 2.0)
+
+    def __call__(self) -> StopRequest | None:
+        """A wish to stop once the input was released."""
+        if self._held():
+            return None
+        return StopRequest(StopKind.ALONG_PATH, StoppedByPerson("stopped: the hold-to-run input was released"))
+
+    def _held(self) -> bool:
+        now, posted, config = time.monotonic(), self._posted, self._config
+        if posted is not None and posted.answered:
+            self._posted = None
+            if posted.value is not None and posted.value & config.mask == config.good:
+                self._held_s = now
+        if now - self._asked_s >= POLL_S:
+            self._asked_s = now
+            self._posted = self._sdo.post(config.object.index, config.object.subindex, "u32")
+        return now - self._held_s <= RELEASED_S
+
+
+def with_held_input(opened: OpenArm, options: MoveOptions) -> MoveOptions:
+    """The same options, for an arm whose cell names an input that has to be held; else as they are."""
+    config = opened.config.hold_to_run
+    if config is None:
+        return options
+    own = {access.node_id: access.sdo for access in opened.group.access}
+    sdo = own.get(config.node_id) or SdoClient(opened.group.bus, config.node_id)
+    held, desk, ready = HeldInput(opened.group.bus, sdo, config), options.desk, options.ready
+    desk.watch(lambda: held() if desk.under_power else None)
+
+    def both_ready() -> None:
+        ready()
+        held.wait()
+
+    return replace(options, ready=both_ready)
 
 
 @contextmanager

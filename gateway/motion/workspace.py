@@ -205,6 +205,10 @@ class Workspace:
         if broken.any():
             row = int(np.argmax(broken))
             return Refusal(row, way_rad[row], "a joint angle is no finite number")
+        outside = self._out_of_range(way_rad)
+        if outside.any():  # joint ranges hold between two rows where they hold at both
+            row = int(np.argmax(outside))
+            return Refusal(row, way_rad[row], self.why_not(way_rad[row]) or TOO_CLOSE)
         places = fine_places(way_rad)
         first = np.inf
         for begin in range(0, len(places), BLOCK):

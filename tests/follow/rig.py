@@ -136,7 +136,7 @@ def followed(handle: RunningSimulation, cell: Path, request: FollowRequest, *nam
     prepared = _prepared(context, request, names)
     override = replace(context.override(prepared.arm), feedforward=True)
     with open_arm(context.loaded, override, prepared.arm.name) as opened:
-        return body_of(drive(opened, prepared, lambda: False, lambda what, done: None))
+        return body_of(drive(opened, prepared, lambda what, done: None))
 
 
 def _prepared(context: Any, request: FollowRequest, names: tuple[str, ...]) -> Prepared:

@@ -51,7 +51,7 @@ def test_the_check_stops_the_job_before_anything_moves(place, serve, commission)
 
 
 def test_a_job_that_broke_is_gone_on_with(place, serve, commission):
-    broken = serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 2\nat_sync = 3000\n')
+    broken = serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 2\nat_sync = 7000\n')
     code, result, _, output = commission(broken)
     assert code == 4
     assert "commission --resume" in output.err

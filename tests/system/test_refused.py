@@ -111,7 +111,7 @@ def test_a_drive_that_must_not_be_used(place, gateway, serve, kind, says):
 
 def test_an_incomplete_epoch_is_sampled_again(place, gateway, serve):
     lost = '[[fault]]\nkind = "tpdo_lost"\nnode = 4\nsyncs = 1\nat_sync = {}\n'
-    drives = serve(fault="".join(lost.format(sync) for sync in range(300, 2700, 120)))
+    drives = serve(fault="".join(lost.format(sync) for sync in range(300, 6600, 120)))
     cell = place.variant("long", ("samples = 20", "samples = 60"))
     done = gateway("record", cell, "--bus", drives.bus, "--load", "none", "-o", place.run, "--yes")
     assert done.exit_code == 0, done.output
@@ -122,7 +122,7 @@ def test_an_incomplete_epoch_is_sampled_again(place, gateway, serve):
 
 
 def test_a_pose_that_never_settles(place, gateway, serve):
-    drives = serve(fault='[[fault]]\nkind = "never_settles"\nnode = 2\nat_sync = 700\n')
+    drives = serve(fault='[[fault]]\nkind = "never_settles"\nnode = 2\nat_sync = 4000\n')
     cell = place.variant("short", ("[poses]", "[poses]\nsettle_timeout_s = 2.0"))
     done = gateway("record", cell, "--bus", drives.bus, "--load", "none", "-o", place.run, "--yes")
     complains(done, 5, "does not settle", "settle_timeout_s")
@@ -133,7 +133,7 @@ def test_a_pose_that_never_settles(place, gateway, serve):
 
 
 def test_a_drive_that_faults_in_motion_and_the_run_is_resumed(place, gateway, serve):
-    drives = serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 5\nat_sync = 900\n')
+    drives = serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 5\nat_sync = 4000\n')
     done = gateway("record", place.cell, "--bus", drives.bus, "--load", "none", "-o", place.run, "--yes")
     complains(done, 4, "node 5")
     assert drives.stand_still()
