@@ -11,7 +11,7 @@ import os
 import resource
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -36,6 +36,7 @@ from sim.faults import Fault
 from sim.serve import free_bus
 from sim.states import PdsState
 from tests.chaos.rig import Rig
+from tests.chaos.witness import Witness
 
 FORK = multiprocessing.get_context("fork")
 POSES = 6
@@ -52,12 +53,17 @@ class Drives:
     """
 
     def __init__(
-        self, folder: Path, edit: Callable[[str], str], bus: str | None = None, patience_s: float = 30.0
+        self,
+        folder: Path,
+        edit: Callable[[str], str],
+        bus: str | None = None,
+        patience_s: float = 30.0,
+        **options: Any,
     ) -> None:
         self.bus = bus or free_bus()
         self._patience_s = patience_s
         self._pipe, theirs = FORK.Pipe()
-        self._process = FORK.Process(target=_serve, args=(folder, edit, self.bus, theirs))
+        self._process = FORK.Process(target=_serve, args=(folder, edit, self.bus, theirs, options))
         self._process.start()
         self.ask("hello")
         self.loaded: LoadedCell = load_cell(folder / "cell.toml")
@@ -83,32 +89,37 @@ class Drives:
         self._pipe.close()
 
 
-def _serve(folder: Path, edit: Callable[[str], str], bus: str, pipe: Connection) -> None:
-    with Rig(folder, edit, bus) as rig:
+def _serve(folder: Path, edit: Callable[[str], str], bus: str, pipe: Connection, options: Mapping[str, Any]) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    rig = Rig(folder, edit, bus, **options)
+    witness = Witness(rig.server)
+    server = rig.server
+    answers: dict[str, Callable[..., Any]] = {
+        "hello": lambda: None,
+        "states": lambda: [drive.automaton.state for drive in server.drives],
+        "renew": rig.renew,
+        "power off": lambda: rig.call(lambda: [drive.automaton.disable_voltage() for drive in server.drives]),
+        "values": lambda: [dict(drive.store.values) for drive in server.drives],
+        "arm": rig.wire.arm_in,
+        "sync": lambda: rig.wire.sync,
+        "speed": lambda: witness.speed_rad_s,
+        "powered": lambda: witness.powered,
+        "log": witness.cut,
+        "answers": lambda: dict(rig.seen.answers),
+        "hang": rig.simulation.hang,
+    }
+    with rig:
         while True:
             name, *arguments = pipe.recv()
-            answer: Any = None
             if name == "quit":
                 return
-            if name == "states":
-                answer = [drive.automaton.state for drive in rig.server.drives]
-            elif name == "renew":
-                rig.renew()
-            elif name == "power off":
-                rig.call(lambda: [drive.automaton.disable_voltage() for drive in rig.server.drives])
-            elif name == "values":
-                answer = [dict(drive.store.values) for drive in rig.server.drives]
-            elif name == "arm":
-                answer = rig.wire.arm_in(*arguments)
-            elif name == "sync":
-                answer = rig.wire.sync
-            pipe.send(answer)
+            pipe.send(answers[name](*arguments))
 
 
 @contextmanager
-def drives(folder: Path, edit: Callable[[str], str], bus: str | None = None) -> Iterator[Drives]:
-    """A drives' process for the time of a `with` block."""
-    process = Drives(folder, edit, bus)
+def drives(folder: Path, edit: Callable[[str], str], bus: str | None = None, **options: Any) -> Iterator[Drives]:
+    """A drives' process for the time of a `with` block; `options` are further ones of `ServeOptions`."""
+    process = Drives(folder, edit, bus, **options)
     try:
         yield process
     finally:
