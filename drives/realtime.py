@@ -6,6 +6,7 @@ back afterwards: a loop that spins under a real-time scheduler can starve everyt
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 import resource
@@ -86,6 +87,12 @@ class RealTime:
                 self.status = RealTimeStatus(True, False, f"the scheduler cannot be set back: {error}")
         if self.status.locked:
             _libc_call("munlockall")
+
+
+def leave_real_time() -> None:
+    """Ordinary scheduling for the calling thread: a thread inherits what the one that started it was given."""
+    with contextlib.suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def available() -> RealTimeStatus:

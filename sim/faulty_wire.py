@@ -17,7 +17,7 @@ from typing import Any
 import can
 
 from sim.faults import KINDS, Fault
-from sim.wire_rules import RPDO1, RULES, SYNC, TPDO1, TPDO2, Armed, invented
+from sim.wire_rules import HAIR_S, RPDO1, RULES, SYNC, TPDO1, TPDO2, Armed, invented
 
 #: What an adapter carries out inside a drive.
 DriveAction = Callable[[Fault], None]
@@ -41,8 +41,8 @@ class FaultyWire:
 
     def __init__(self, bus: Any, faults: Iterable[Fault] = (), act: DriveAction | None = None) -> None:
         self.sync = 0
-        #: SYNC period [s].
-        self.period_s = 0.01
+        #: SYNC period [s], and whether time is the clock's or what SYNCs stand for.
+        self.period_s, self.real = 0.01, False
         #: Frames by what was done to them.
         self.touched: dict[str, int] = {}
         self.act = act
@@ -54,6 +54,7 @@ class FaultyWire:
         self._armed: list[Armed] = []
         self._due: list[tuple[float, can.Message]] = []
         self._next_sync: list[can.Message] = []
+        self._held: list[tuple[float, can.Message]] = []
         self._answers = [0, 0]
         self._lock = threading.RLock()
         for fault in faults:
@@ -86,6 +87,7 @@ class FaultyWire:
             self._armed.clear()
             self._due.clear()
             self._next_sync.clear()
+            self._held.clear()
 
     def _start(self, armed: Armed) -> None:
         if armed.started or not armed.fault.active(self.sync):
@@ -154,12 +156,23 @@ class FaultyWire:
 
     def later(self, frame: can.Message, delay_s: float) -> None:
         """Send the frame after a time by the clock."""
-        self.at(frame, time.monotonic() + delay_s)
+        self._at(frame, time.monotonic() + delay_s)
 
-    def at(self, frame: can.Message, due_s: float) -> None:
-        """Send the frame at a time of the monotonic clock, after those that are due by then."""
+    def _at(self, frame: can.Message, due_s: float) -> None:
         self._due.append((due_s, frame))
         self._due.sort(key=lambda entry: entry[0])
+
+    @property
+    def now_s(self) -> float:
+        """Time that the drives know: by the clock, or by SYNCs."""
+        return time.monotonic() if self.real else self.sync * self.period_s
+
+    def hold(self, frame: can.Message, due_s: float) -> None:
+        """Send the frame at a time that the drives know, after those that are due by then."""
+        if self.real:
+            self._at(frame, due_s)
+        else:
+            self._held.append((due_s, frame))
 
     def after_next_sync(self, frame: can.Message) -> None:
         """Send the frame when the next SYNC has come."""
@@ -194,6 +207,8 @@ class FaultyWire:
             self.on_sync(self.sync)
             self._answers = [0, self._answers[0]]
             late, self._next_sync = self._next_sync, []
+            late += [frame for due_s, frame in self._held if due_s <= self.now_s + HAIR_S]
+            self._held = [(due_s, frame) for due_s, frame in self._held if due_s > self.now_s + HAIR_S]
             for frame in late:
                 self._put(frame)
             reaches = True

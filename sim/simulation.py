@@ -250,7 +250,7 @@ def _server(spec: BusSpec, arms: list[ArmUnit], faults: tuple[Fault, ...], opene
     if not faults:
         return BusServer(bus, arms, spec.sync_period_s, spec.pacing)
     wire = FaultyWire(bus)
-    wire.period_s = spec.sync_period_s
+    wire.period_s, wire.real = spec.sync_period_s, spec.pacing == "real"
     server = BusServer(wire, arms, spec.sync_period_s, spec.pacing)
     wire.act = lambda fault: act(server, fault)
     for fault in faults:

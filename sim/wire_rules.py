@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 import struct
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final, Protocol
@@ -17,6 +16,8 @@ SYNC, NMT, ERROR_FRAME_BUS_OFF, ERROR_FRAME_CONTROLLER = 0x080, 0x000, 0x040, 0x
 TPDO1, TPDO2, RPDO1, SDO_ANSWER, SDO_REQUEST, HEARTBEAT, EMCY = 0x180, 0x280, 0x200, 0x580, 0x600, 0x700, 0x080
 #: How long the answers of a burst are held back [s].
 BURST_S = 0.025
+#: Rounding of times that are sums of many periods [s].
+HAIR_S = 1e-6
 #: Statusword bits.
 BITS: Final = {"internal_limit": 1 << 11, "following_error": 1 << 13, "warning": 1 << 7, "not_remote": 1 << 9}
 
@@ -28,8 +29,13 @@ class Wire(Protocol):
         """Send the frame after a time by the clock."""
         ...
 
-    def at(self, frame: can.Message, due_s: float) -> None:
-        """Send the frame at a time of the monotonic clock."""
+    @property
+    def now_s(self) -> float:
+        """Time that the drives know: by the clock, or by SYNCs."""
+        ...
+
+    def hold(self, frame: can.Message, due_s: float) -> None:
+        """Send the frame at a time that the drives know."""
         ...
 
     def after_next_sync(self, frame: can.Message) -> None:
@@ -136,12 +142,12 @@ def _after_next_sync(wire: Wire, armed: Armed, frame: can.Message) -> list[can.M
 
 def _gather(wire: Wire, armed: Armed, frame: can.Message) -> list[can.Message] | None:
     """Hold the frames of a while back and let them come at once."""
-    now = time.monotonic()
-    if now >= armed.due_s:
+    now = wire.now_s
+    if now >= armed.due_s - HAIR_S:
         if not armed.take():
             return None
         armed.due_s = now + (armed.fault.delay_s or BURST_S)
-    wire.at(frame, armed.due_s)
+    wire.hold(frame, armed.due_s)
     return []
 
 

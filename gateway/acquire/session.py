@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from drives.exchange import Pacing
 from gateway.acquire.events import Event, Listener, PoseDone, VisitDone
 from gateway.acquire.plan import Plan
 from gateway.acquire.planning import make_plan, plan_of_poses
@@ -39,6 +41,10 @@ __all__ = [
     "plan_of_recording",
     "record",
 ]
+
+
+#: Between two looks at the disk, where nothing else has to go on [s].
+PAUSE_S = 0.001
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +143,12 @@ def record(
             heard = (tally, *listeners)
             pacing = opened.group.timing.pacing
             station = Station(
-                opened.arm, opened.workspace, _Queued(writer, plan.arm), heard, options or MoveOptions(), pacing
+                opened.arm,
+                opened.workspace,
+                _Queued(writer, plan.arm, opened.group.timing.pacing),
+                heard,
+                options or MoveOptions(),
+                pacing,
             )
             run_plan(station, RunRequest(plan, request.load, done))
         statistics = _plain(asdict(opened.group.statistics))
@@ -216,18 +227,24 @@ def _arm_header(opened: OpenArm, poses: tuple[RestPose, ...]) -> ArmHeader:
 
 
 class _Queued:
-    """A recording's queue as the store of a run."""
+    """A recording's queue as the store of a run; in lockstep, where no arm waits for it, the disk sets the pace."""
 
-    def __init__(self, queue: VisitQueue, arm: str) -> None:
-        self._queue, self._arm = queue, arm
+    def __init__(self, queue: VisitQueue, arm: str, pacing: Pacing) -> None:
+        self._queue, self._arm, self._patient = queue, arm, pacing == "lockstep"
+        self._seen: list[Visit] = []
 
     def add(self, arm: str, visit: Visit) -> Visit:
         """Take a visit."""
-        return self._queue.add(arm, visit)
+        stored = self._queue.add(arm, visit)
+        while self._patient and self._queue.full and self._queue.failed is None:
+            time.sleep(PAUSE_S)
+            self._seen += self._queue.written()
+        return stored
 
     def written(self) -> Sequence[Visit]:
         """Visits that are on disk by now."""
-        return self._queue.written()
+        seen, self._seen = self._seen, []
+        return (*seen, *self._queue.written())
 
     def trouble(self) -> GatewayError | None:
         """A disk that cannot be written, or not as fast as visits come."""
@@ -240,7 +257,8 @@ class _Queued:
 
     def flush(self) -> None:
         """Wait for the disk."""
-        self._queue.finish(self._arm, "abort", UNFINISHED, {})
+        if self._queue.visits:
+            self._queue.finish(self._arm, "abort", UNFINISHED, {})
 
 
 class _Tally:

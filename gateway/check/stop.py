@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
 from drives.cia402 import State, decode_state
+from drives.drive import DriveCommand
 from drives.errors import DriveError
 from drives.objects import OBJECTS
 from drives.proof import StopTrace
@@ -32,6 +34,8 @@ TRAVEL_RAD: Final = 0.1
 BEYOND_S: Final = 0.5
 #: A drive may travel this far [rad, joint] once it has left OPERATION ENABLED.
 COAST_RAD: Final = 0.05
+#: A drive that is told to stop by its ramp stands within this time at the speed of the proof [s].
+QUICK_STOP_S: Final = 0.5
 #: Left before this share of its heartbeat time: for another reason.
 EARLY: Final = 0.4
 #: Error codes that the loss of the heartbeat explains (CiA 301, table 26: 0x81xx communication).
@@ -49,6 +53,8 @@ class StopProof:
     moved_rad, coast_rad : tuples of 6 floats
         Joint angle from the last heartbeat to rest, and from the last SYNC in OPERATION ENABLED to rest.
     items : tuple of CheckItem
+    quick_stop : tuple of StopTrace
+        What the drives did when they were told to stop; empty where that was not tried.
     """
 
     arm: str
@@ -56,6 +62,7 @@ class StopProof:
     moved_rad: tuple[float, ...]
     coast_rad: tuple[float, ...]
     items: tuple[CheckItem, ...]
+    quick_stop: tuple[StopTrace, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -120,15 +127,17 @@ def _directions(workspace: Workspace, start_rad: np.ndarray) -> Iterator[np.ndar
 
 
 def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof:
-    """Move slowly, withhold the heartbeat, watch every drive stop, and bring the drives back to where they were.
+    """Move slowly, withhold the heartbeat, watch every drive stop; then the same with a quick stop; then go back.
 
     A drive that answers the lost heartbeat with a fault of the communication class is reset afterwards, since the
-    person who asked for the proof asked for that fault; any other fault stays.
+    person who asked for the proof asked for that fault; any other fault stays. Where the loss of the master has not
+    stopped every drive as stated, nothing moves any more.
 
     Parameters
     ----------
     opened : OpenArm
         Connected and configured, in its brakes.
+    options : MoveOptions, optional
 
     Raises
     ------
@@ -137,33 +146,93 @@ def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof
     LimitExceeded, DriveError, KeyboardInterrupt
         The arm was stopped.
     """
-    arm, workspace = opened.arm, opened.workspace
-    period_s = opened.group.timing.period_s
+    desk = StopDesk() if options is None else options.desk
+    start_rad = opened.arm.where()
+    motion = _slowly_from(opened, start_rad)
+    with _moving_slowly(opened, desk, motion) as rest:
+        traces = opened.group.fall_silent(rest)
+    proof = _judge(opened, traces, float(np.abs(motion.qd_rad_s).max()), _reset_provoked(opened))
+    if not proof.passed:
+        return proof
+    with _moving_slowly(opened, desk, _slowly_from(opened, opened.arm.where())) as rest:
+        stopped = opened.group.prove_quick_stop(rest)
+    proof = replace(proof, items=(*proof.items, *_quick_stop_items(opened, stopped)), quick_stop=stopped)
+    go_slowly(opened, desk, start_rad)
+    return proof
+
+
+def _slowly_from(opened: OpenArm, start_rad: np.ndarray) -> Motion:
     consumer_s = max(profile.heartbeat.consumer_ms for profile in opened.profiles) / 1000.0
-    motion = slow_motion(arm.name, workspace, arm.where(), consumer_s, period_s)
+    return slow_motion(opened.arm.name, opened.workspace, start_rad, consumer_s, opened.group.timing.period_s)
+
+
+@contextmanager
+def _moving_slowly(opened: OpenArm, desk: StopDesk, motion: Motion) -> Iterator[list[Sequence[DriveCommand]]]:
+    """The arm under power on a slow motion that has reached its speed; yields the commands that go on with it."""
     speed = np.abs(motion.qd_rad_s).max(axis=1)
     steady = int(np.argmax(speed >= 0.99 * speed.max())) + 1
-    with powered(Stream(_station(opened, StopDesk() if options is None else options.desk))) as stream:
-        rows = int(np.ceil(TAKE_OVER_S / period_s))
-        for row in range(rows):
-            stream.hold("open the brakes", row, rows)
+    with powered(Stream(motion_station(opened, desk))) as stream:
+        take_over(stream)
         stream.move([_rows(motion, slice(0, steady))], "move slowly")
-        traces = opened.group.fall_silent([arm.command(q) for q in motion.q_rad[steady:]])
-    return _judge(opened, traces, float(speed.max()), _reset_provoked(opened))
+        yield [opened.arm.command(q) for q in motion.q_rad[steady:]]
+
+
+def go_slowly(opened: OpenArm, desk: StopDesk, target_rad: np.ndarray) -> None:
+    """Bring the arm to joint positions (6,) [rad] at the speed of the proof, on the straight way if that is clear.
+
+    Raises
+    ------
+    PlanRefused
+        The straight way is not clear.
+    """
+    begin, workspace = opened.arm.where(), opened.workspace
+    if not workspace.path_clear(begin[None], target_rad[None])[0]:
+        raise PlanRefused(f"arm '{opened.arm.name}' stays where it is: no straight way back keeps the limits")
+    with powered(Stream(motion_station(opened, desk))) as stream:
+        take_over(stream)
+        limits = approach_limits(workspace, SPEED_RAD_S)
+        stream.move([straight(stream.q_rad[0], target_rad, limits, opened.group.timing.period_s)], "go back")
+
+
+def take_over(stream: Stream) -> None:
+    """Stand until the drives carry what the brakes have carried."""
+    rows = int(np.ceil(TAKE_OVER_S / stream.station.period_s))
+    for row in range(rows):
+        stream.hold("open the brakes", row, rows)
+
+
+def _quick_stop_items(opened: OpenArm, traces: tuple[StopTrace, ...]) -> list[CheckItem]:
+    """How each drive has stopped when it was told to, one line per axis."""
+    items = []
+    coast = _to_joint(opened) @ np.array([trace.coast_rad for trace in traces])
+    for joint, (trace, way_rad) in enumerate(zip(traces, coast.tolist(), strict=True), start=1):
+        where = f"J{joint} node {trace.node_id}:{OBJECTS['quick_stop_deceleration']}"
+        rest_ms = 1000.0 * (trace.rest_s or 0.0)
+        seen = f"quick stop: at rest after {rest_ms:.0f} ms and {way_rad:.4f} rad"
+        if not trace.stood or trace.rest_s is None:
+            advice = "check quick stop option 0x605A, ramp 0x6085 and the brake"
+            items.append(CheckItem("fail", where, "quick stop: it did not come to rest", advice))
+        elif trace.rest_s > QUICK_STOP_S or way_rad > COAST_RAD:
+            advice = f"{1000 * QUICK_STOP_S:.0f} ms and {COAST_RAD} rad are allowed: make ramp 0x6085 steeper"
+            items.append(CheckItem("fail", where, seen, advice))
+        else:
+            items.append(CheckItem("ok", where, seen))
+    return items
 
 
 def _rows(motion: Motion, rows: slice) -> Motion:
     return Motion(motion.q_rad[rows], motion.qd_rad_s[rows], motion.qdd_rad_s2[rows], motion.period_s)
 
 
-def _station(opened: OpenArm, desk: StopDesk) -> Station:
+def motion_station(opened: OpenArm, desk: StopDesk) -> Station:
+    """What the motion loop works with for a motion that is slow by itself: no override slows it further."""
     arm, timing = opened.arm, opened.group.timing
     return Station(
         arms=Arms((arm,), timing.pacing),
         workspaces=(opened.workspace,),
         period_s=timing.period_s,
         state=StateKeeper(arm.name, lambda _state: None),
-        options=MoveOptions(desk),  # slow by itself: no override slows it further
+        options=MoveOptions(desk),
     )
 
 
@@ -184,9 +253,14 @@ def _reset_provoked(opened: OpenArm) -> dict[int, str]:
     return left
 
 
-def _judge(opened: OpenArm, traces: tuple[StopTrace, ...], speed_rad_s: float, left: dict[int, str]) -> StopProof:
+def _to_joint(opened: OpenArm) -> np.ndarray:
+    """How much (6, 6) each joint turns at most per turn of each motor."""
     axes = opened.arm.axes
-    to_joint = np.abs(np.linalg.inv(axes.coupling)) / np.abs(axes.ratio)
+    return np.abs(np.linalg.inv(axes.coupling)) / np.abs(axes.ratio)
+
+
+def _judge(opened: OpenArm, traces: tuple[StopTrace, ...], speed_rad_s: float, left: dict[int, str]) -> StopProof:
+    to_joint = _to_joint(opened)
     moved = to_joint @ np.array([trace.moved_rad for trace in traces])
     coast = to_joint @ np.array([trace.coast_rad for trace in traces])
     items = []

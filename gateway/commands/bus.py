@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -84,16 +84,23 @@ def _hex(value: int | None) -> str:
 @click.option(
     "--prove-stop", is_flag=True, help="Withhold the heartbeat while the arm moves slowly: do the drives stop?"
 )
+@click.option("--brakes", is_flag=True, help="Let each brake in turn hold its axis, the others under power.")
 @bus_option
 @json_option
 @move_options
 @common
 def check(
-    cell: Path, move: bool, prove_stop: bool, bus_spec: str | None, json_out: str | None, moving: MoveChoice
+    cell: Path,
+    move: bool,
+    prove_stop: bool,
+    brakes: bool,
+    bus_spec: str | None,
+    json_out: str | None,
+    moving: MoveChoice,
 ) -> None:
     """Pre-flight check of every drive against profile and cell file.
 
-    Nothing is written and nothing moves unless --move or --prove-stop is given; then it asks.
+    Nothing is written and nothing moves unless --move, --prove-stop or --brakes is given; then it asks.
     """
     from gateway.cell_context import open_cell
     from gateway.check.preflight import require_passed
@@ -105,13 +112,14 @@ def check(
     for arm in context.arms:
         items[arm.name] = _checked(context, arm)
     failed = any(line.severity == "fail" for lines in items.values() for line in lines)
-    if (move or prove_stop) and not failed:
+    wanted = _Wanted(move, prove_stop, brakes)
+    if wanted.any and not failed:
         for arm in context.arms:
-            moving.ask(_question(context, arm, prove_stop))
-            found, seen = _in_motion(context, arm, (move, prove_stop), moving)
+            moving.ask(_question(context, arm, wanted))
+            found, seen = _in_motion(context, arm, wanted, moving)
             items[arm.name] += found
             proofs += seen
-    elif move or prove_stop:
+    elif wanted.any:
         session.note("nothing has moved: correct what has failed first")
     for name, lines in items.items():
         shown = [line for line in lines if session.verbosity > 0 or line.severity in ("warn", "fail")]
@@ -124,35 +132,54 @@ def check(
     require_passed([line for lines in items.values() for line in lines], "check failed")
 
 
-def _question(context: CellContext, arm: ArmConfig, prove_stop: bool) -> str:
+@dataclass(frozen=True, slots=True)
+class _Wanted:
+    """Which checks that move an arm were asked for."""
+
+    move: bool
+    prove_stop: bool
+    brakes: bool
+
+    @property
+    def any(self) -> bool:
+        """At least one of them."""
+        return self.move or self.prove_stop or self.brakes
+
+
+def _question(context: CellContext, arm: ArmConfig, wanted: _Wanted) -> str:
     text = f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move a little on every joint"
-    if prove_stop or not context.stop_proof(arm).exists():
+    if wanted.prove_stop or not context.stop_proof(arm).exists():
         text += ", and its drives lose the master's heartbeat on purpose (a fault they answer with is reset)"
-    return f"{text}. Is nobody near it, and the emergency stop at hand?"
+    if wanted.brakes:
+        text += ", and each axis in turn is left to its brake"
+    held = " Are both grippers open?" if context.loaded.cell.pair is not None else ""
+    return f"{text}.{held} Is nobody near it, and the emergency stop at hand?"
 
 
 def _in_motion(
-    context: CellContext, arm: ArmConfig, wanted: tuple[bool, bool], moving: MoveChoice
+    context: CellContext, arm: ArmConfig, wanted: _Wanted, moving: MoveChoice
 ) -> tuple[list[CheckItem], list[dict[str, Any]]]:
     """Checks that move the arm; the stop is proven before anything else moves."""
-    from gateway.check.proofs import keep_proof, proven_on
+    from gateway.check.brakes import try_brakes
+    from gateway.check.proofs import keep_proof, proven_on, slow_at_first
     from gateway.check.stop import prove_stop as prove
     from gateway.motion.opening import open_arm
 
-    move, prove_stop = wanted
     items: list[CheckItem] = []
     seen: list[dict[str, Any]] = []
     path = context.stop_proof(arm)
     with stoppable(moving) as options, open_arm(context.loaded, context.override(arm), arm.name) as opened:
-        if prove_stop or proven_on(path, opened) is None:
+        if wanted.prove_stop or proven_on(path, opened) is None:
             proof = prove(opened, options)
             keep_proof(path, opened, proof)
             items += proof.items
             seen.append(proof.as_json())
             if not proof.passed:
                 return items, seen
-        if move:
-            items += _small_moves(opened, options)
+        if wanted.brakes:
+            items += try_brakes(opened, options)
+        if wanted.move:
+            items += _small_moves(opened, slow_at_first(opened, path, options))
     return items, seen
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +24,10 @@ from gateway.commands.options import (
 from gateway.console import grid, number
 
 if TYPE_CHECKING:
+    from gateway.cell_context import CellContext
+    from gateway.motion.stream import MoveOptions
     from gateway.pair.cell import PairCell
+    from gateway.pair.link import PairLink
     from gateway.pair.storage import PairStore
 
 store_option = click.option(
@@ -44,12 +48,33 @@ def _open(
     return pair, PairStore(pair, folder or cell.with_suffix(".pair"))
 
 
-def _ledgers(cell: Path, pair: PairCell) -> tuple[Path, Path]:
+def _context(cell: Path, pair: PairCell) -> CellContext:
     from gateway.cell_context import CellContext
 
     specs = {arm.config.bus: spec for arm, spec in zip(pair.arms, pair.specs, strict=True)}
-    first, second = (CellContext(pair.loaded, cell, specs).ledger(arm.config) for arm in pair.arms)
+    return CellContext(pair.loaded, cell, specs)
+
+
+def _ledgers(context: CellContext, pair: PairCell) -> tuple[Path, Path]:
+    first, second = (context.ledger(arm.config) for arm in pair.arms)
     return first, second
+
+
+def _proven(context: CellContext, link: PairLink, options: MoveOptions) -> MoveOptions:
+    """The stop of both arms was proven before, with the grippers open; the first motion of all goes slowly."""
+    from gateway.check.proofs import first_motion_pending, note_motion, require_proven
+
+    proofs = [(context.stop_proof(opened.config), opened) for opened in link.opened]
+    for path, opened in proofs:
+        require_proven(opened, path)
+    if not any(first_motion_pending(path, opened) for path, opened in proofs):
+        return options
+
+    def noted() -> None:
+        for path, opened in proofs:
+            note_motion(path, opened)
+
+    return replace(options, first_done=noted)
 
 
 def _ask(pair: PairCell, what: str, moving: MoveChoice) -> None:
@@ -81,7 +106,9 @@ def teach(
     lesson = open_lesson(pair, kept, resume)
     session = session_of()
     _ask(pair, f"move slowly along the path, to {pair.config.knots - len(lesson.points)} points", moving)
-    with stoppable(moving) as options, open_link(pair, _ledgers(cell, pair)) as link:
+    context = _context(cell, pair)
+    with stoppable(moving) as options, open_link(pair, _ledgers(context, pair)) as link:
+        options = _proven(context, link, options)
         function = teach_pair(
             link,
             pair,
@@ -138,7 +165,9 @@ def run_pair(
     session = session_of()
     session.note(f"{row.name}, {row.text}; function: {origin}; learning {'off' if kept.frozen else 'on'}", level=1)
     _ask(pair, f"run {cycles} cycles at speed {at:g}", moving)
-    with stoppable(moving) as options, open_link(pair, _ledgers(cell, pair)) as link:
+    context = _context(cell, pair)
+    with stoppable(moving) as options, open_link(pair, _ledgers(context, pair)) as link:
+        options = _proven(context, link, options)
         body = run(
             link,
             pair,

@@ -7,12 +7,24 @@ from contextlib import contextmanager
 from typing import Final
 
 from drives.errors import DriveError
+from drives.realtime import RealTime
 from gateway.errors import LimitExceeded
+from gateway.motion.arms import Arms
 from gateway.motion.state import Phase
 from gateway.motion.stream import Stream
 
 #: A joint that moves farther once its brake has closed is reported [rad].
 SAG_RAD: Final = 0.005
+
+
+@contextmanager
+def _on_time(arms: Arms) -> Iterator[None]:
+    """By the clock: what the operating system gives to a loop that must not be held up."""
+    if not arms.real:
+        yield
+        return
+    with RealTime():
+        yield
 
 
 @contextmanager
@@ -32,22 +44,23 @@ def powered(stream: Stream) -> Iterator[Stream]:
     desk = station.options.desk
     failure: BaseException | None = None
     station.options.ready()
-    try:
-        desk.under_power = True
-        stream.start()
-        station.state.enter(Phase.HOLDING, stream.sync_index)
-        yield stream
-    except BaseException as error:
-        failure = error
-        raise
-    finally:
+    with _on_time(station.arms):
         try:
-            _make_safe(stream, failure)
+            desk.under_power = True
+            stream.start()
+            station.state.enter(Phase.HOLDING, stream.sync_index)
+            yield stream
+        except BaseException as error:
+            failure = error
+            raise
         finally:
-            desk.under_power = False
-        _tell_the_end(stream, failure)
-        if stream.first_moved and station.options.first_done is not None:
-            station.options.first_done()
+            try:
+                _make_safe(stream, failure)
+            finally:
+                desk.under_power = False
+            _tell_the_end(stream, failure)
+            if stream.first_moved and station.options.first_done is not None:
+                station.options.first_done()
     wish = desk.look()
     if wish is not None:
         raise wish.cause

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -9,6 +10,7 @@ from typing import Final, TypeVar
 
 import numpy as np
 
+from drives.realtime import leave_real_time
 from gateway.motion.arm import ArmSample
 from gateway.motion.arms import Arms
 from gateway.motion.pathclock import PathClock
@@ -26,6 +28,8 @@ Result = TypeVar("Result")
 
 #: Between two reports [s].
 REPORT_S: Final = 0.25
+#: How soon the loop takes the interpreter back from what is computed beside it [s].
+SWITCH_S: Final = 0.0005
 #: Speed override of the first motion with a set of drives.
 FIRST_SHARE: Final = 0.1
 
@@ -219,13 +223,18 @@ class Stream:
         """
         if not (self._arms.real and self._arms.enabled):
             return job()
-        with ThreadPoolExecutor(1, thread_name_prefix="beside") as beside:
-            done = beside.submit(job)
-            row = 0
-            while not done.done():
-                self.hold(what, row, row + 1)
-                row += 1
-            return done.result()
+        switch_s = sys.getswitchinterval()
+        sys.setswitchinterval(SWITCH_S)
+        try:
+            with ThreadPoolExecutor(1, thread_name_prefix="beside", initializer=leave_real_time) as beside:
+                done = beside.submit(job)
+                row = 0
+                while not done.done():
+                    self.hold(what, row, row + 1)
+                    row += 1
+                return done.result()
+        finally:
+            sys.setswitchinterval(switch_s)
 
     def _heed(self) -> None:
         """The arms stand: whoever wants them to stop is answered at once."""

@@ -46,6 +46,7 @@ DETAILS: dict[str, dict[str, Any]] = {
     "tpdo_delayed": {"syncs": 20},
     "tpdo_reordered": {"node": 0, "syncs": 0},
     "tpdo_stuck": {"syncs": 0},
+    "burst": {"syncs": 2},
     "tpdo_random_loss": {"node": 0, "syncs": 0, "share": 0.002},
     "rpdo_lost": {"syncs": 2},
     "rpdo_gone": {"syncs": 0},
@@ -159,7 +160,8 @@ def play(rig: Rig, kind: str, seed: int) -> Outcome:
     fault = None
     if KINDS[kind].where != "master":
         fault = Fault(kind, **({"node": rng.randint(1, 6), "seed": seed} | DETAILS.get(kind, {})))
-    before = KINDS[kind].reaction in BEFORE or kind.startswith("sdo_")
+    about = KINDS[kind]
+    before = about.where == "object" or about.reaction in BEFORE or kind.startswith("sdo_")
     shelf = Shelf()
     base = start = 0
     error: Exception | None = None

@@ -6,7 +6,7 @@ import struct
 
 import pytest
 
-from drives.errors import DriveFault, StopAsked, TransitionTimeout
+from drives.errors import DriveFault, IncompleteEpochs, StopAsked, TransitionTimeout
 from drives.group import DriveGroup
 from drives.way_up import SAG_REVOLUTIONS
 
@@ -143,9 +143,13 @@ def test_rows_that_never_become_complete_end_the_way_up(group, slaves, wire):
 
     for phase, slave in enumerate(slaves):
         slave.tpdo_delay_s = Absent(phase, 6)
-    with pytest.raises(TransitionTimeout, match=r"after 3\.\d s not all axes are enabled and answer"):
-        group.enable()
-    assert 2.9 < slaves[0].controlwords.count(0x0F) * PERIOD_S < 3.2
+    if group.timing.pacing == "real":  # answers that cannot be assigned for so long count as silence
+        with pytest.raises(IncompleteEpochs, match="SYNCs in a row unanswered"):
+            group.enable()
+    else:
+        with pytest.raises(TransitionTimeout, match=r"after 3\.\d s not all axes are enabled and answer"):
+            group.enable()
+        assert 2.9 < slaves[0].controlwords.count(0x0F) * PERIOD_S < 3.2
     assert {slave.state for slave in slaves} == {OFF}
 
 

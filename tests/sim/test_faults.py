@@ -12,7 +12,7 @@ from pathlib import Path
 import can
 import pytest
 
-from sim.faults import KINDS, REACTIONS, Fault, FaultError, fault_from_dict, parse_faults, read_faults
+from sim.faults import KINDS, REACTIONS, Fault, FaultError, Kind, fault_from_dict, parse_faults, read_faults
 from sim.faulty_wire import FaultyWire
 from sim.wire_rules import RULES, invented
 
@@ -157,6 +157,7 @@ def test_late_sdo_answer_is_sent_by_whoever_receives(rig: Rig) -> None:
 
 
 def test_a_burst_holds_answers_back_and_lets_them_come_at_once(rig: Rig) -> None:
+    rig.wire.real = True
     rig.wire.arm(Fault("burst", node=2, syncs=0, delay_s=0.2))
     begin_s = time.monotonic()
     seen = [frame for number in range(1, 4) for frame in rig.cycle(number)]
@@ -167,6 +168,13 @@ def test_a_burst_holds_answers_back_and_lets_them_come_at_once(rig: Rig) -> None
         assert time.monotonic() - begin_s < 5.0
     assert time.monotonic() - begin_s >= 0.2
     assert [struct.unpack("<Hih", data)[1] for _, data in burst] == [1002, 2002, 3002]
+
+
+def test_a_burst_in_lockstep_is_as_long_as_its_syncs_stand_for(rig: Rig) -> None:
+    rig.wire.arm(Fault("burst", node=2, at_sync=2, syncs=2))
+    seen = [[data for can_id, data in rig.cycle(number) if can_id == 0x182] for number in range(1, 7)]
+    counts = [[struct.unpack("<Hih", data)[1] for data in frames] for frames in seen]
+    assert counts == [[1002], [], [], [4002], [2002, 3002, 5002], [6002]]
 
 
 def test_a_late_answer_is_late_by_time_where_a_time_is_given(rig: Rig) -> None:
@@ -181,8 +189,8 @@ def test_a_late_answer_is_late_by_time_where_a_time_is_given(rig: Rig) -> None:
 
 
 def test_the_reaction_by_the_clock_may_be_another_one() -> None:
-    assert KINDS["burst"].reaction_in("lockstep") == "goes on"
-    assert KINDS["burst"].reaction_in("real") == "retried"
+    kind = Kind("wire", "goes on", 1, "late", real="retried")
+    assert (kind.reaction_in("lockstep"), kind.reaction_in("real")) == ("goes on", "retried")
     assert KINDS["tpdo_lost"].reaction_in("real") == "retried"
 
 

@@ -1,0 +1,59 @@
+"""Do the holding brakes hold? One axis at a time loses its power while the others hold theirs, and is watched."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from gateway.check.rules import CheckItem
+from gateway.check.stop import motion_station, take_over
+from gateway.motion.opening import OpenArm
+from gateway.motion.power import SAG_RAD, powered
+from gateway.motion.stream import MoveOptions, Stream
+
+#: How long each axis is watched [s].
+WATCH_S: Final = 1.0
+#: Share of an axis' torque limit that gravity may take where its brake is tried.
+GRAVITY_SHARE: Final = 0.25
+
+
+def try_brakes(opened: OpenArm, options: MoveOptions) -> list[CheckItem]:
+    """Let each brake in turn hold its axis.
+
+    Parameters
+    ----------
+    opened : OpenArm
+        Connected and configured, in its brakes, in a posture with little gravity on the axes.
+    options : MoveOptions
+
+    Returns
+    -------
+    list of CheckItem
+        One per axis; an axis on which gravity acts too much here is not tried, and that is said.
+
+    Raises
+    ------
+    DriveError, KeyboardInterrupt
+        The arm was stopped.
+    """
+    return [_try_brake(opened, options, axis) for axis in range(len(opened.config.axis))]
+
+
+def _try_brake(opened: OpenArm, options: MoveOptions, axis: int) -> CheckItem:
+    where = f"J{axis + 1} node {opened.config.axis[axis].node_id}"
+    holding = opened.workspace.holding_torque(opened.arm.where()[None])
+    limit_nm = float(opened.workspace.torque_nm[axis])
+    if holding is not None and holding[0, axis] > GRAVITY_SHARE * limit_nm:
+        what = f"its brake was not tried: gravity takes {holding[0, axis] / limit_nm:.0%} of its torque limit here"
+        return CheckItem("warn", where, what, f"bring it to a posture with at most {GRAVITY_SHARE:.0%} and ask again")
+    with powered(Stream(motion_station(opened, options.desk))) as stream:
+        take_over(stream)
+        sag_motor_rad = opened.group.release(axis, WATCH_S)
+    joint_per_motor = np.abs(np.linalg.inv(opened.arm.axes.coupling)[:, axis]).max()
+    sag_rad = sag_motor_rad * joint_per_motor / abs(float(opened.arm.axes.ratio[axis]))
+    what = f"its brake held it for {WATCH_S:g} s: it moved by {sag_rad:.4f} rad"
+    if sag_rad > SAG_RAD:
+        advice = "this brake does not hold: do not power this arm before it is repaired"
+        return CheckItem("fail", where, f"sank by {sag_rad:.4f} rad in its brake, {SAG_RAD} rad are allowed", advice)
+    return CheckItem("ok", where, what)
