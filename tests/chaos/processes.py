@@ -9,7 +9,9 @@ import errno
 import multiprocessing
 import os
 import resource
+import shutil
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -34,10 +36,12 @@ from gateway.errors import GatewayError
 from gateway.motion.opening import BusOverride, OpenArm, axis_setups, open_arm
 from sim.faults import Fault
 from sim.serve import free_bus
+from sim.simulation import ServeOptions, Simulation
 from sim.states import PdsState
 from tests.chaos.rig import Rig
 from tests.chaos.witness import Witness
 
+PAIR_EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "pair"
 FORK = multiprocessing.get_context("fork")
 POSES = 6
 ENABLED = PdsState.OPERATION_ENABLED
@@ -58,12 +62,13 @@ class Drives:
         edit: Callable[[str], str],
         bus: str | None = None,
         patience_s: float = 30.0,
+        serve: Callable[..., None] | None = None,
         **options: Any,
     ) -> None:
         self.bus = bus or free_bus()
         self._patience_s = patience_s
         self._pipe, theirs = FORK.Pipe()
-        self._process = FORK.Process(target=_serve, args=(folder, edit, self.bus, theirs, options))
+        self._process = FORK.Process(target=serve or _serve, args=(folder, edit, self.bus, theirs, options))
         self._process.start()
         self.ask("hello")
         self.loaded: LoadedCell = load_cell(folder / "cell.toml")
@@ -105,20 +110,59 @@ def _serve(folder: Path, edit: Callable[[str], str], bus: str, pipe: Connection,
         "speed": lambda: witness.speed_rad_s,
         "powered": lambda: witness.powered,
         "log": witness.cut,
+        "logs": lambda: [witness.cut()],
         "answers": lambda: dict(rig.seen.answers),
         "hang": rig.simulation.hang,
     }
     with rig:
-        while True:
-            name, *arguments = pipe.recv()
-            if name == "quit":
-                return
-            pipe.send(answers[name](*arguments))
+        _answer(pipe, answers)
+
+
+def _answer(pipe: Connection, answers: Mapping[str, Callable[..., Any]]) -> None:
+    while True:
+        name, *arguments = pipe.recv()
+        if name == "quit":
+            return
+        pipe.send(answers[name](*arguments))
+
+
+def pair_cell(folder: Path, edit: Callable[[str], str]) -> None:
+    """The example of two arms in a folder of its own, its text passed through `edit`."""
+    for name in ("robot.urdf", "drive.toml", "path.csv"):
+        shutil.copy(PAIR_EXAMPLE / name, folder / name)
+    (folder / "cell.toml").write_text(edit((PAIR_EXAMPLE / "cell.toml").read_text()))
+
+
+def serve_pair(
+    folder: Path, edit: Callable[[str], str], bus: str, pipe: Connection, options: Mapping[str, Any]
+) -> None:
+    """Serve two arms with a part between them, as `_serve` serves one."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    pair_cell(folder, edit)
+    simulation = Simulation(folder / "cell.toml", ServeOptions(bus=bus, **options))
+    witnesses = [Witness(server) for server in simulation.servers]
+    thread = threading.Thread(target=simulation.run, name="pair-rig")
+    thread.start()
+    try:
+        _answer(
+            pipe,
+            {
+                "hello": lambda: None,
+                "powered": lambda: any(witness.powered for witness in witnesses),
+                "speed": lambda: max(witness.speed_rad_s for witness in witnesses),
+                "logs": lambda: [witness.cut() for witness in witnesses],
+                "grip": simulation.grip,
+            },
+        )
+    finally:
+        simulation.stop()
+        thread.join()
+        simulation.close()
 
 
 @contextmanager
 def drives(folder: Path, edit: Callable[[str], str], bus: str | None = None, **options: Any) -> Iterator[Drives]:
-    """A drives' process for the time of a `with` block; `options` are further ones of `ServeOptions`."""
+    """A drives' process for the time of a `with` block; `options` as of `Drives`."""
     process = Drives(folder, edit, bus, **options)
     try:
         yield process

@@ -15,8 +15,8 @@ from sim.states import PdsState
 
 #: Between two lines of the log at least [s].
 STEP_S = 0.0008
-#: A joint that turns slower than this stands [rad/s]; three times what the gateway calls standing at 20 ms.
-REST_RAD_S = 0.01
+#: A joint that turns slower than this stands [rad/s]; one that is disabled faster coasts until its brake has closed.
+REST_RAD_S = 0.02
 #: States in which the drive gives torque.
 ENERGISED = (PdsState.OPERATION_ENABLED, PdsState.QUICK_STOP_ACTIVE, PdsState.FAULT_REACTION_ACTIVE)
 
@@ -68,7 +68,7 @@ class Track:
             rest_s=self.last_s(moves, since_s) - since_s,
             disabled_s=self.last_s(self.energised, since_s) - since_s,
             locked_s=self.last_s(self.free, since_s) - since_s,
-            dropped_moving=int((dropped & moves[:-1]).any(axis=0).sum()),
+            dropped_moving=int((dropped & moves[1:]).any(axis=0).sum()),
             over=not (self.energised[-1].any() or self.free[-1].any()) if len(self.time_s) else True,
         )
 
@@ -84,7 +84,7 @@ class Ending:
     Attributes
     ----------
     rest_s, disabled_s, locked_s : until the last one stood, gave no torque, was in its brake
-    dropped_moving : axes that were disabled before they stood
+    dropped_moving : axes that coasted: they were disabled before they stood
     over : all of that has happened
     """
 
