@@ -8,9 +8,13 @@ quick stop       contact, a limit that was passed, a second signal
 
 from __future__ import annotations
 
+import contextlib
+import os
+import select
 import signal
+import stat
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import IntEnum
@@ -119,6 +123,34 @@ def signals_ask(desk: StopDesk) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def outputs_watched(descriptors: Sequence[int] = (1, 2)) -> StopSource:
+    """A source that asks for a stop along the path once nobody can read standard output or error any more.
+
+    A terminal or a pipe that was closed is noticed at the next SYNC, not with the next word for the person. What was
+    closed before, and what is no pipe or terminal, is not looked at.
+
+    Parameters
+    ----------
+    descriptors : sequence of int
+        File descriptors of the outputs.
+    """
+    poll = select.poll()
+    for number in descriptors:
+        with contextlib.suppress(OSError):
+            mode = os.fstat(number).st_mode
+            if stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode) or os.isatty(number):
+                poll.register(number, 0)
+    for number, _ in poll.poll(0):
+        poll.unregister(number)
+
+    def closed() -> StopRequest | None:
+        if not poll.poll(0):
+            return None
+        return StopRequest(StopKind.ALONG_PATH, StoppedByPerson("stopped: the terminal was closed"))
+
+    return closed
 
 
 def guarded(tell: Callable[..., None], desk: StopDesk) -> Callable[..., None]:

@@ -19,9 +19,11 @@ from tests.chaos.killing import visits_on_disk
 from tests.chaos.programs import (
     COMMANDS,
     POWER_S,
+    TRIES,
     Command,
     Program,
     Stage,
+    disturbed,
     pair_bus,
     pair_stage,
     prove,
@@ -32,7 +34,7 @@ from tests.chaos.witness import Ending, Track
 
 #: Beyond the ramp, until brakes are on [s].
 GRACE_S = 1.0
-STOPPED, INPUT, DONE = 130, 3, 0
+STOPPED, BUS, INPUT, DONE = 130, 4, 3, 0
 #: Between a signal and its repetition [s].
 AGAIN_S = (0.02, 0.4)
 #: One run in so many is interrupted before its axes are under power.
@@ -66,7 +68,7 @@ class Interruptions:
     Attributes
     ----------
     runs, powered : how many; of them, with axes under power at that instant
-    early : ended by themselves before it happened, and were run again
+    early, disturbed : ended by themselves before it happened, or because this computer was busy, and were run again
     commands : runs by command
     late, dropped, unsafe, lost, codes : runs that were not at rest, disabled and in their brakes in time; in which an
         axis was disabled before it stood; that did not end there at all; that lost something finished; with another
@@ -77,6 +79,7 @@ class Interruptions:
     runs: int = 0
     powered: int = 0
     early: int = 0
+    disturbed: int = 0
     commands: dict[str, int] = field(default_factory=dict)
     late: int = 0
     dropped: int = 0
@@ -118,13 +121,12 @@ class Interrupter:
 
     def run(self, how: str, command: Command, result: Interruptions) -> None:
         """One command, interrupted; a run that ends by itself before is repeated."""
-        for _ in range(3):
+        for _ in range(TRIES):
             self._number += 1
             with self._stage(command) as stage:
                 if self._interrupted(how, command, stage, result):
                     return
-            result.early += 1
-        result.complaints.append(f"{command.name}, {how}: ends by itself each time, before it is interrupted")
+        result.complaints.append(f"{command.name}, {how}: ends by itself each time, before what is tried")
 
     @contextmanager
     def _stage(self, command: Command) -> Iterator[Stage]:
@@ -152,7 +154,8 @@ class Interrupter:
         at_s = self._at(program, stage, command, limit)
         if at_s is None and not limit:
             program.end(1.0)
-            if program.code not in (0, None):
+            result.early += 1
+            if program.code not in (DONE, None) and not disturbed(program.said):
                 result.complaints.append(f"{command.name}: ended by itself with {program.code}: {program.said[-300:]}")
             return False
         powered = stage.served.ask("powered")
@@ -161,6 +164,9 @@ class Interrupter:
         code = program.end()
         said = program.said
         tracks: list[Track] = stage.served.ask("logs")
+        if code == BUS and disturbed(said):
+            result.disturbed += 1
+            return False
         result.runs += 1
         result.powered += powered
         result.commands[command.name] = result.commands.get(command.name, 0) + 1

@@ -1,4 +1,4 @@
-"""Signals, a terminal that goes away, a full disk: every command that moves comes to rest, then lets go, and keeps all."""
+"""Signals, a closed terminal, a full disk: every command that moves comes to rest, then lets go, and keeps all."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def figures(scope: Any) -> dict[str, dict]:
         spread = ", ".join(f"{name} {number}" for name, number in sorted(seen.commands.items()))
         late = seen.late + seen.dropped + seen.unsafe
         out[f"{how}: commands interrupted"] = figure(
-            seen.runs, f">= {count}", f"{seen.powered} of them under power: {spread}"
+            seen.runs, f">= {count}", f"{seen.powered} under power: {spread}; {seen.disturbed} run again, computer busy"
         )
         out[f"{how}: not at rest, then disabled, then in the brakes, in time"] = figure(
             late,

@@ -38,6 +38,9 @@ waypoints_rad = [
 speed_share = 1.0
 dwell_s = 0.2
 """
+#: What a program says that was held up by other work on this computer; it is then run again.
+DISTURBED = re.compile(r"held up for|SYNCs in a row unanswered|a bare timer|SYNCs went out late|is this computer busy")
+TRIES = 5
 VISIT = re.compile(r"visit \d+/\d+: pose (\d+) from (below|above)")
 
 
@@ -124,6 +127,11 @@ class Program:
         return code
 
 
+def disturbed(said: str) -> bool:
+    """Whether a program says that this computer was too busy with something else."""
+    return DISTURBED.search(" ".join(said.split())) is not None
+
+
 @dataclass(frozen=True, slots=True)
 class Stage:
     """Simulated drives, and where the programs that move them keep their files.
@@ -200,9 +208,16 @@ def prove(stage: Stage) -> Stage:
     """
     if stage.pair:
         stage.served.ask("grip", True)
-    program = stage.run("check", stage.cell, "--prove-stop", "--yes")
-    if program.end(120.0) != 0:
-        raise RuntimeError(f"the stop is not proven: {program.said}")
+    for _ in range(TRIES):
+        program = stage.run("check", stage.cell, "--prove-stop", "--yes")
+        if program.end(120.0) == 0:
+            break
+        if not stage.pair:
+            stage.served.ask("renew")
+        if not disturbed(program.said):
+            raise RuntimeError(f"the stop is not proven: {program.said}")
+    else:
+        raise RuntimeError(f"this computer is too busy to prove the stop: {program.said}")
     for path in (stage.state / "servo-gateway").glob("*-stop.json"):
         path.write_text(path.read_text().replace('"moved": false', '"moved": true'))
     if stage.pair:
@@ -252,14 +267,14 @@ COMMANDS = (
         lambda stage, out: ["record", stage.cell, "--load", "none", "-o", out / "run.h5", "--yes", "-v"],
         8.0,
         records=True,
-        full=(20_000, 120_000),
+        full=(60_000, 140_000),
     ),
     Command(
         "commission",
         lambda stage, out: ["commission", stage.cell, "--load", "tool", "--out", out, "--yes", "-v"],
         8.0,
         records=True,
-        full=(20_000, 120_000),
+        full=(60_000, 140_000),
     ),
     Command("check --move", lambda stage, out: ["check", stage.cell, "--move", "--yes", "-v"], 5.0),
     Command("check --prove-stop", lambda stage, out: ["check", stage.cell, "--prove-stop", "--yes", "-v"], 4.0),
