@@ -185,7 +185,7 @@ def stall_masters(
     real = with_real_pacing(period_s)
     with tempfile.TemporaryDirectory(prefix="stalls-") as name:
         folder = Path(name)
-        with drives(folder, lambda text: real(few_samples_only(text))) as served:
+        with drives(folder, lambda text: real(short_visits(text))) as served:
             recorder = Recorder(folder, served.bus)
             try:
                 for number in range(stalls):
@@ -204,7 +204,7 @@ def stall_masters(
     return result
 
 
-def few_samples_only(text: str) -> str:
+def short_visits(text: str) -> str:
     """Edit of a cell's text: short visits; the period stays."""
     return re.sub(r"samples = \d+", "samples = 60", text)
 
