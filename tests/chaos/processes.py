@@ -14,7 +14,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -44,7 +44,24 @@ from tests.chaos.witness import Witness
 PAIR_EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "pair"
 FORK = multiprocessing.get_context("fork")
 POSES = 6
+#: Below the motion loop's, so that whoever shares a core with it does not hold it up.
+DRIVES_PRIORITY = 30
 ENABLED = PdsState.OPERATION_ENABLED
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """Processes that are started here run under a real-time scheduler, where that is permitted.
+
+    Drives are devices of their own: other work on this computer does not hold them up.
+    """
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    with suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(DRIVES_PRIORITY))
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, *before)
 
 
 class Drives:
@@ -69,7 +86,8 @@ class Drives:
         self._patience_s = patience_s
         self._pipe, theirs = FORK.Pipe()
         self._process = FORK.Process(target=serve or _serve, args=(folder, edit, self.bus, theirs, options))
-        self._process.start()
+        with undisturbed():
+            self._process.start()
         self.ask("hello")
         self.loaded: LoadedCell = load_cell(folder / "cell.toml")
 
