@@ -26,7 +26,7 @@ from typing import Any
 
 import click
 
-from gateway.motion.stops import StoppedByPerson
+from gateway.motion.stops import StoppedByPerson, output_closed
 
 PROGRAM = "servo-gateway"
 CTRL_C = 130
@@ -94,12 +94,24 @@ class LadderGroup(click.Group):
                 windows_expand_args=windows_expand_args,
                 **extra,
             )
-        except BrokenPipeError:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            code = 0
         except BaseException as error:  # noqa: BLE001 - the one place where an error becomes an exit code
-            code = report_error(error)
+            code = _unheard(error) if output_closed(error) else report_error(error)
         sys.exit(code if isinstance(code, int) else 0)
+
+
+def _unheard(error: BaseException) -> int:
+    """Exit code where nobody reads the output any more: of what had happened before that was noticed, else 0."""
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    before: BaseException | None = error
+    while (before := before.__context__) is not None:
+        if isinstance(before, click.Abort | KeyboardInterrupt):
+            return CTRL_C
+        code = getattr(before, "exit_code", None)
+        if isinstance(code, int):
+            return code
+    return 0
 
 
 def report_error(error: BaseException) -> int:
@@ -107,6 +119,7 @@ def report_error(error: BaseException) -> int:
     if isinstance(error, SystemExit):
         return error.code if isinstance(error.code, int) else 1
     if isinstance(error, click.Abort | KeyboardInterrupt):
+        error = error.__cause__ if isinstance(error.__cause__, StoppedByPerson) else error
         why = paragraph(error) if isinstance(error, StoppedByPerson) else "stopped"
         _say(f"{why}: the arm stands in its brakes, what was measured is kept")
         return CTRL_C

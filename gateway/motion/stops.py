@@ -22,6 +22,8 @@ from typing import Any, Final
 
 #: Signals by which a person or a system ends a program.
 SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+#: Why, where nobody can read any more what is said.
+CLOSED: Final = "stopped: the terminal was closed"
 
 
 class StopKind(IntEnum):
@@ -148,9 +150,19 @@ def outputs_watched(descriptors: Sequence[int] = (1, 2)) -> StopSource:
     def closed() -> StopRequest | None:
         if not poll.poll(0):
             return None
-        return StopRequest(StopKind.ALONG_PATH, StoppedByPerson("stopped: the terminal was closed"))
+        return StopRequest(StopKind.ALONG_PATH, StoppedByPerson(CLOSED))
 
     return closed
+
+
+def output_closed(error: BaseException) -> bool:
+    """Whether an error says that nobody reads the output any more.
+
+    What prints for us (rich) ends the program by SystemExit in that case.
+    """
+    if isinstance(error, SystemExit):
+        return isinstance(error.__context__, BrokenPipeError)
+    return isinstance(error, BrokenPipeError)
 
 
 def guarded(tell: Callable[..., None], desk: StopDesk) -> Callable[..., None]:
@@ -159,9 +171,7 @@ def guarded(tell: Callable[..., None], desk: StopDesk) -> Callable[..., None]:
     def safely(*told: Any) -> None:
         try:
             tell(*told)
-        except BrokenPipeError:
-            desk.ask(StoppedByPerson("stopped: the terminal was closed"))
         except BaseException as error:
-            desk.ask(error)
+            desk.ask(StoppedByPerson(CLOSED) if output_closed(error) else error)
 
     return safely

@@ -12,6 +12,7 @@ from gateway.motion.stops import (
     StoppedByPerson,
     StopRequest,
     guarded,
+    output_closed,
     outputs_watched,
     signals_ask,
 )
@@ -98,3 +99,27 @@ def test_an_output_that_was_closed_before_or_is_a_file_is_not_looked_at(tmp_path
     with (tmp_path / "log").open("w") as log:
         assert outputs_watched([write, log.fileno(), 9999])() is None
     os.close(write)
+
+
+def ended_by_rich() -> SystemExit:
+    """What rich raises when it prints and nobody reads."""
+    try:
+        try:
+            raise BrokenPipeError
+        except BrokenPipeError:
+            raise SystemExit(1)  # noqa: B904 - as rich does it
+    except SystemExit as error:
+        return error
+
+
+def test_a_listener_that_prints_to_nobody_is_a_closed_terminal():
+    desk = StopDesk()
+
+    def printed(*_told):
+        raise ended_by_rich()
+
+    guarded(printed, desk)()
+    wish = desk.look()
+    assert wish is not None
+    assert isinstance(wish.cause, StoppedByPerson)
+    assert not output_closed(SystemExit(1))
