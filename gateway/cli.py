@@ -26,7 +26,7 @@ from typing import Any
 
 import click
 
-from gateway.motion.stops import StoppedByPerson
+from gateway.motion.stops import StoppedByPerson, output_closed
 
 PROGRAM = "servo-gateway"
 CTRL_C = 130
@@ -78,8 +78,10 @@ class LadderGroup(click.Group):
         """Run the command; click would answer an interrupt and a closed terminal in its own way."""
         try:
             return super().invoke(ctx)
-        except (KeyboardInterrupt, BrokenPipeError) as error:
-            raise click.exceptions.Exit(_interrupted(error)) from error
+        except KeyboardInterrupt as error:
+            raise click.exceptions.Exit(report_error(error)) from error
+        except BrokenPipeError as error:
+            raise click.exceptions.Exit(_unheard(error)) from error
 
     def main(
         self,
@@ -102,27 +104,27 @@ class LadderGroup(click.Group):
                 **extra,
             )
         except BaseException as error:  # noqa: BLE001 - the one place where an error becomes an exit code
-            code = report_error(error)
+            code = _unheard(error) if output_closed(error) else report_error(error)
         sys.exit(code if isinstance(code, int) else 0)
 
 
-def _interrupted(error: BaseException) -> int:
-    """Exit code of a command that a person, a signal or a closed terminal has ended."""
-    if isinstance(error, BrokenPipeError):
-        _let_go_of_terminal()
-    chain = [error]
-    while (earlier := chain[-1].__cause__ or chain[-1].__context__) is not None:
-        chain.append(earlier)
-    stopped = next((each for each in chain if isinstance(each, KeyboardInterrupt)), None)
-    return 0 if stopped is None else report_error(stopped)
+def _unheard(error: BaseException) -> int:
+    """Exit code where nobody reads the output any more: of what had happened before that was noticed, else 0."""
+    _let_go_of_terminal()
+    before: BaseException | None = error
+    while (before := before.__context__) is not None:
+        if isinstance(before, click.Abort | KeyboardInterrupt):
+            return CTRL_C
+        code = getattr(before, "exit_code", None)
+        if isinstance(code, int):
+            return code
+    return 0
 
 
 def _let_go_of_terminal() -> None:
-    """Nobody reads any more: what is still written goes nowhere, instead of failing when the program ends."""
+    """What is still written goes nowhere, instead of failing when the program ends."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError, AttributeError):
-            stream.flush()
         with contextlib.suppress(OSError, ValueError, AttributeError):
             os.dup2(nowhere, stream.fileno())
 

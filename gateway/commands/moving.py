@@ -75,10 +75,10 @@ def move_options(function: Function) -> Function:
 def stoppable(move: MoveChoice) -> Iterator[MoveOptions]:
     """While this is open, signals and the held key stop what moves; interrupted at once while nothing does."""
     from gateway.motion.holdtorun import held_key
-    from gateway.motion.stops import StopDesk, signals_ask
+    from gateway.motion.stops import StopDesk, outputs_watched, signals_ask
     from gateway.motion.stream import MoveOptions
 
-    desk = StopDesk()
+    desk = StopDesk(outputs_watched())
     with ExitStack() as stack:
         stack.enter_context(signals_ask(desk))
         if not move.hold_to_run:

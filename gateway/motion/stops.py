@@ -8,9 +8,13 @@ quick stop       contact, a limit that was passed, a second signal
 
 from __future__ import annotations
 
+import contextlib
+import os
+import select
 import signal
+import stat
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import IntEnum
@@ -18,6 +22,8 @@ from typing import Any, Final
 
 #: Signals by which a person or a system ends a program.
 SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+#: Why, where nobody can read any more what is said.
+CLOSED: Final = "stopped: the terminal was closed"
 
 
 class StopKind(IntEnum):
@@ -121,15 +127,51 @@ def signals_ask(desk: StopDesk) -> Iterator[None]:
             signal.signal(number, handler)
 
 
+def outputs_watched(descriptors: Sequence[int] = (1, 2)) -> StopSource:
+    """A source that asks for a stop along the path once nobody can read standard output or error any more.
+
+    A terminal or a pipe that was closed is noticed at the next SYNC, not with the next word for the person. What was
+    closed before, and what is no pipe or terminal, is not looked at.
+
+    Parameters
+    ----------
+    descriptors : sequence of int
+        File descriptors of the outputs.
+    """
+    poll = select.poll()
+    for number in descriptors:
+        with contextlib.suppress(OSError):
+            mode = os.fstat(number).st_mode
+            if stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode) or os.isatty(number):
+                poll.register(number, 0)
+    for number, _ in poll.poll(0):
+        poll.unregister(number)
+
+    def closed() -> StopRequest | None:
+        if not poll.poll(0):
+            return None
+        return StopRequest(StopKind.ALONG_PATH, StoppedByPerson(CLOSED))
+
+    return closed
+
+
+def output_closed(error: BaseException) -> bool:
+    """Whether an error says that nobody reads the output any more.
+
+    What prints for us (rich) ends the program by SystemExit in that case.
+    """
+    if isinstance(error, SystemExit):
+        return isinstance(error.__context__, BrokenPipeError)
+    return isinstance(error, BrokenPipeError)
+
+
 def guarded(tell: Callable[..., None], desk: StopDesk) -> Callable[..., None]:
     """A listener that cannot break the loop: what it raises becomes a wish to stop along the path."""
 
     def safely(*told: Any) -> None:
         try:
             tell(*told)
-        except BrokenPipeError:
-            desk.ask(StoppedByPerson("stopped: the terminal was closed"))
         except BaseException as error:
-            desk.ask(error)
+            desk.ask(StoppedByPerson(CLOSED) if output_closed(error) else error)
 
     return safely

@@ -9,10 +9,12 @@ import errno
 import multiprocessing
 import os
 import resource
+import shutil
 import signal
+import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -34,12 +36,32 @@ from gateway.errors import GatewayError
 from gateway.motion.opening import BusOverride, OpenArm, axis_setups, open_arm
 from sim.faults import Fault
 from sim.serve import free_bus
+from sim.simulation import ServeOptions, Simulation
 from sim.states import PdsState
 from tests.chaos.rig import Rig
+from tests.chaos.witness import Witness
 
+PAIR_EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "pair"
 FORK = multiprocessing.get_context("fork")
 POSES = 6
+#: Below the motion loop's, so that whoever shares a core with it does not hold it up.
+DRIVES_PRIORITY = 30
 ENABLED = PdsState.OPERATION_ENABLED
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """Processes that are started here run under a real-time scheduler, where that is permitted.
+
+    Drives are devices of their own: other work on this computer does not hold them up.
+    """
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    with suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(DRIVES_PRIORITY))
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, *before)
 
 
 class Drives:
@@ -52,13 +74,20 @@ class Drives:
     """
 
     def __init__(
-        self, folder: Path, edit: Callable[[str], str], bus: str | None = None, patience_s: float = 30.0
+        self,
+        folder: Path,
+        edit: Callable[[str], str],
+        bus: str | None = None,
+        patience_s: float = 30.0,
+        serve: Callable[..., None] | None = None,
+        **options: Any,
     ) -> None:
         self.bus = bus or free_bus()
         self._patience_s = patience_s
         self._pipe, theirs = FORK.Pipe()
-        self._process = FORK.Process(target=_serve, args=(folder, edit, self.bus, theirs))
-        self._process.start()
+        self._process = FORK.Process(target=serve or _serve, args=(folder, edit, self.bus, theirs, options))
+        with undisturbed():
+            self._process.start()
         self.ask("hello")
         self.loaded: LoadedCell = load_cell(folder / "cell.toml")
 
@@ -83,32 +112,76 @@ class Drives:
         self._pipe.close()
 
 
-def _serve(folder: Path, edit: Callable[[str], str], bus: str, pipe: Connection) -> None:
-    with Rig(folder, edit, bus) as rig:
-        while True:
-            name, *arguments = pipe.recv()
-            answer: Any = None
-            if name == "quit":
-                return
-            if name == "states":
-                answer = [drive.automaton.state for drive in rig.server.drives]
-            elif name == "renew":
-                rig.renew()
-            elif name == "power off":
-                rig.call(lambda: [drive.automaton.disable_voltage() for drive in rig.server.drives])
-            elif name == "values":
-                answer = [dict(drive.store.values) for drive in rig.server.drives]
-            elif name == "arm":
-                answer = rig.wire.arm_in(*arguments)
-            elif name == "sync":
-                answer = rig.wire.sync
-            pipe.send(answer)
+def _serve(folder: Path, edit: Callable[[str], str], bus: str, pipe: Connection, options: Mapping[str, Any]) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    rig = Rig(folder, edit, bus, **options)
+    witness = Witness(rig.server)
+    server = rig.server
+    answers: dict[str, Callable[..., Any]] = {
+        "hello": lambda: None,
+        "states": lambda: [drive.automaton.state for drive in server.drives],
+        "renew": rig.renew,
+        "power off": lambda: rig.call(lambda: [drive.automaton.disable_voltage() for drive in server.drives]),
+        "values": lambda: [dict(drive.store.values) for drive in server.drives],
+        "arm": rig.wire.arm_in,
+        "sync": lambda: rig.wire.sync,
+        "speed": lambda: witness.speed_rad_s,
+        "powered": lambda: witness.powered,
+        "log": witness.cut,
+        "logs": lambda: [witness.cut()],
+        "answers": lambda: dict(rig.seen.answers),
+        "hang": rig.simulation.hang,
+    }
+    with rig:
+        _answer(pipe, answers)
+
+
+def _answer(pipe: Connection, answers: Mapping[str, Callable[..., Any]]) -> None:
+    while True:
+        name, *arguments = pipe.recv()
+        if name == "quit":
+            return
+        pipe.send(answers[name](*arguments))
+
+
+def pair_cell(folder: Path, edit: Callable[[str], str]) -> None:
+    """The example of two arms in a folder of its own, its text passed through `edit`."""
+    for name in ("robot.urdf", "drive.toml", "path.csv"):
+        shutil.copy(PAIR_EXAMPLE / name, folder / name)
+    (folder / "cell.toml").write_text(edit((PAIR_EXAMPLE / "cell.toml").read_text()))
+
+
+def serve_pair(
+    folder: Path, edit: Callable[[str], str], bus: str, pipe: Connection, options: Mapping[str, Any]
+) -> None:
+    """Serve two arms with a part between them, as `_serve` serves one."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    pair_cell(folder, edit)
+    simulation = Simulation(folder / "cell.toml", ServeOptions(bus=bus, **options))
+    witnesses = [Witness(server) for server in simulation.servers]
+    thread = threading.Thread(target=simulation.run, name="pair-rig")
+    thread.start()
+    try:
+        _answer(
+            pipe,
+            {
+                "hello": lambda: None,
+                "powered": lambda: any(witness.powered for witness in witnesses),
+                "speed": lambda: max(witness.speed_rad_s for witness in witnesses),
+                "logs": lambda: [witness.cut() for witness in witnesses],
+                "grip": simulation.grip,
+            },
+        )
+    finally:
+        simulation.stop()
+        thread.join()
+        simulation.close()
 
 
 @contextmanager
-def drives(folder: Path, edit: Callable[[str], str], bus: str | None = None) -> Iterator[Drives]:
-    """A drives' process for the time of a `with` block."""
-    process = Drives(folder, edit, bus)
+def drives(folder: Path, edit: Callable[[str], str], bus: str | None = None, **options: Any) -> Iterator[Drives]:
+    """A drives' process for the time of a `with` block; `options` as of `Drives`."""
+    process = Drives(folder, edit, bus, **options)
     try:
         yield process
     finally:

@@ -11,6 +11,7 @@ from click.testing import CliRunner
 
 from gateway import cli
 from gateway.errors import ConfigError, DataUnusable, FindingFailed, GatewayError, InputError, PlanRefused
+from gateway.motion.stops import StoppedByPerson
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "small" / "cell.toml"
 RESULT = {
@@ -182,3 +183,29 @@ def test_a_reader_that_leaves_is_no_error():
         plan.stdout.close()
         errors = plan.stderr.read()
     assert (plan.returncode, errors) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("before", "code"),
+    [(None, 0), (StoppedByPerson("stopped by SIGTERM"), 130), (InputError("the disk is full"), 3)],
+)
+def test_an_output_that_nobody_reads_does_not_hide_how_the_command_ended(monkeypatch, before, code):
+    closed = []
+    monkeypatch.setattr(cli.os, "dup2", lambda _null, number: closed.append(number))
+
+    def fail(*_arguments, **_options):
+        try:
+            if before is not None:
+                raise before
+        finally:
+            raise BrokenPipeError
+
+    monkeypatch.setattr(click.Group, "main", fail)
+    with pytest.raises(SystemExit) as left:
+        cli.main([])
+    assert left.value.code == code
+
+
+def test_the_signal_that_stopped_a_command_is_named(capsys):
+    assert cli.report_error(StoppedByPerson("stopped by SIGTERM")) == 130
+    assert "stopped by SIGTERM" in capsys.readouterr().err

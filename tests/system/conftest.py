@@ -27,6 +27,7 @@ approach_offset_rad = 0.03
 approach_speed_rad_s = 0.1
 samples = 20
 validation = 2
+seed = 2
 """
 
 

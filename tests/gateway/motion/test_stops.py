@@ -1,5 +1,6 @@
 """Wishes to stop: the first cause is kept, the most urgent kind wins, signals and listeners ask like everybody else."""
 
+import os
 import signal
 
 import pytest
@@ -11,6 +12,8 @@ from gateway.motion.stops import (
     StoppedByPerson,
     StopRequest,
     guarded,
+    output_closed,
+    outputs_watched,
     signals_ask,
 )
 
@@ -75,3 +78,48 @@ def test_a_listener_that_fails_asks_for_a_stop_and_breaks_nothing():
     other = StopDesk()
     guarded(lambda: 1 / 0, other)()
     assert isinstance(other.look().cause, ZeroDivisionError)
+
+
+def test_an_output_that_nobody_reads_any_more_is_a_wish_to_stop():
+    ends = [os.pipe() for _ in range(2)]
+    source = outputs_watched([write for _, write in ends])
+    assert source() is None
+    os.close(ends[1][0])
+    wish = source()
+    assert wish is not None
+    assert wish.kind is StopKind.ALONG_PATH
+    assert "terminal was closed" in str(wish.cause)
+    for descriptor in (ends[0][0], *(write for _, write in ends)):
+        os.close(descriptor)
+
+
+def test_an_output_that_was_closed_before_or_is_a_file_is_not_looked_at(tmp_path):
+    read, write = os.pipe()
+    os.close(read)
+    with (tmp_path / "log").open("w") as log:
+        assert outputs_watched([write, log.fileno(), 9999])() is None
+    os.close(write)
+
+
+def ended_by_rich() -> SystemExit:
+    """What rich raises when it prints and nobody reads."""
+    try:
+        try:
+            raise BrokenPipeError
+        except BrokenPipeError:
+            raise SystemExit(1)  # noqa: B904 - as rich does it
+    except SystemExit as error:
+        return error
+
+
+def test_a_listener_that_prints_to_nobody_is_a_closed_terminal():
+    desk = StopDesk()
+
+    def printed(*_told):
+        raise ended_by_rich()
+
+    guarded(printed, desk)()
+    wish = desk.look()
+    assert wish is not None
+    assert isinstance(wish.cause, StoppedByPerson)
+    assert not output_closed(SystemExit(1))

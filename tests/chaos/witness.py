@@ -1,0 +1,169 @@
+"""What the drives of a simulation went through, written down beside them: true speeds, states, brakes, frames heard."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import can
+import numpy as np
+
+from sim.server import BusServer
+from sim.states import PdsState
+
+#: Between two lines of the log at least [s].
+STEP_S = 0.0008
+#: A joint that turns slower than this stands [rad/s]; one that is disabled faster coasts until its brake has closed.
+REST_RAD_S = 0.02
+#: States in which the drive gives torque.
+ENERGISED = (PdsState.OPERATION_ENABLED, PdsState.QUICK_STOP_ACTIVE, PdsState.FAULT_REACTION_ACTIVE)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """Of one bus, since the last time it was asked for.
+
+    Attributes
+    ----------
+    limits_rad_s : speed limit of each axis
+    time_s : monotonic time of each line, shape (n,)
+    fastest_rad_s : largest true speed of each rotor since the line before, shape (n, axes)
+    speed_rad_s : true speed at that time, shape (n, axes)
+    energised, free : the drive gives torque, the brake is open; shape (n, axes)
+    frames : (monotonic time of arrival, identifier, data) of everything heard
+    sync : SYNCs heard since power-up
+    """
+
+    limits_rad_s: np.ndarray
+    time_s: np.ndarray
+    fastest_rad_s: np.ndarray
+    speed_rad_s: np.ndarray
+    energised: np.ndarray
+    free: np.ndarray
+    frames: list[tuple[float, int, bytes]]
+    sync: int
+
+    def share(self, since_s: float) -> float:
+        """Largest true speed since a time, as a share of that axis's limit."""
+        rows = self.fastest_rad_s[self.time_s > since_s]
+        return float((rows / self.limits_rad_s).max()) if len(rows) else 0.0
+
+    def speed_at(self, at_s: float) -> float:
+        """Largest true speed of any axis at a time [rad/s]."""
+        before = np.flatnonzero(self.time_s <= at_s)
+        return float(np.abs(self.speed_rad_s[before[-1]]).max()) if len(before) else 0.0
+
+    def last_s(self, rows: np.ndarray, since_s: float) -> float:
+        """Time of the last line in which something held for an axis, `since_s` if it never did afterwards."""
+        held = np.flatnonzero(rows.any(axis=1) & (self.time_s > since_s))
+        return float(self.time_s[held[-1]]) if len(held) else since_s
+
+    def ending(self, since_s: float) -> Ending:
+        """How the axes came to their end after a time."""
+        moves = (np.abs(self.speed_rad_s) > REST_RAD_S) & self.free
+        dropped = self.energised[:-1] & ~self.energised[1:] & (self.time_s[1:] > since_s)[:, None]
+        return Ending(
+            rest_s=self.last_s(moves, since_s) - since_s,
+            disabled_s=self.last_s(self.energised, since_s) - since_s,
+            locked_s=self.last_s(self.free, since_s) - since_s,
+            dropped_moving=int((dropped & moves[1:]).any(axis=0).sum()),
+            over=not (self.energised[-1].any() or self.free[-1].any()) if len(self.time_s) else True,
+        )
+
+    def sent(self, identifier: int, since_s: float) -> list[tuple[float, bytes]]:
+        """Frames of an identifier after a time."""
+        return [(at, data) for at, number, data in self.frames if number == identifier and at > since_s]
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """How axes came to rest, from a certain instant on.
+
+    Attributes
+    ----------
+    rest_s, disabled_s, locked_s : until the last one stood, gave no torque, was in its brake
+    dropped_moving : axes that coasted: they were disabled before they stood
+    over : all of that has happened
+    """
+
+    rest_s: float
+    disabled_s: float
+    locked_s: float
+    dropped_moving: int
+    over: bool
+
+    def joined(self, other: Ending) -> Ending:
+        """Of two arms: the later of each."""
+        return Ending(
+            max(self.rest_s, other.rest_s),
+            max(self.disabled_s, other.disabled_s),
+            max(self.locked_s, other.locked_s),
+            self.dropped_moving + other.dropped_moving,
+            self.over and other.over,
+        )
+
+
+class Witness:
+    """Writes down what happens on one simulated bus; to be made before it runs.
+
+    Parameters
+    ----------
+    server : the bus
+    """
+
+    def __init__(self, server: BusServer) -> None:
+        self._server = server
+        self._limits = np.array([drive.spec.speed_limit_rad_s for drive in server.drives])
+        self._lines: list[tuple[float, list[float], list[float], list[bool], list[bool]]] = []
+        self._frames: list[tuple[float, int, bytes]] = []
+        self._last_s = 0.0
+        self._follow: Callable[[can.Message | None], None] = server._follow_the_clock
+        self._take: Callable[[can.Message], None] = server._take
+        changed: Any = server
+        changed._follow_the_clock, changed._take = self._followed, self._taken
+
+    def _followed(self, message: can.Message | None) -> None:
+        self._follow(message)
+        now_s = self._server._real_at_s
+        if now_s - self._last_s >= STEP_S:
+            self._last_s = now_s
+            self._note(now_s)
+
+    def _note(self, now_s: float) -> None:
+        axes = [drive.axis for drive in self._server.drives]
+        states = [drive.automaton.state in ENERGISED for drive in self._server.drives]
+        fastest = [axis.fastest_rad_s for axis in axes]
+        self._lines.append((now_s, fastest, [axis.omega_rad_s for axis in axes], states, [axis.free for axis in axes]))
+        for axis in axes:
+            axis.fastest_rad_s = 0.0
+
+    def _taken(self, message: can.Message) -> None:
+        age_s = time.time() - message.timestamp if message.timestamp else 0.0
+        self._frames.append((time.monotonic() - age_s, message.arbitration_id, bytes(message.data)))
+        self._take(message)
+
+    @property
+    def speed_rad_s(self) -> float:
+        """Largest true speed of a joint now."""
+        return max(abs(drive.axis.omega_rad_s) for drive in self._server.drives)
+
+    @property
+    def powered(self) -> bool:
+        """Whether a drive gives torque now."""
+        return any(drive.automaton.state in ENERGISED for drive in self._server.drives)
+
+    def cut(self) -> Track:
+        """The log so far; it begins afresh."""
+        (lines, self._lines), (frames, self._frames) = (self._lines, []), (self._frames, [])
+        columns = list(zip(*lines, strict=True)) if lines else [(), (), (), (), ()]
+        axes = len(self._limits)
+        return Track(
+            self._limits,
+            np.array(columns[0], dtype=float),
+            *(np.array(column, dtype=float).reshape(-1, axes) for column in columns[1:3]),
+            *(np.array(column, dtype=bool).reshape(-1, axes) for column in columns[3:]),
+            frames=frames,
+            sync=self._server.sync_count,
+        )
