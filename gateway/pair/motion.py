@@ -52,6 +52,11 @@ HAIR = 1e-9
 #: SYNCs after the decision to stop along the path in which the force may still rise, and by how much.
 RISING_SYNCS, RISING = 3, 1.05
 
+#: On the way to a stop a force below this share of the limit may be friction: hands do not yield to it.
+DOUBTFUL = 0.5
+#: Servos whose lag was not seen well enough, and the slowest that is believed [s].
+MOST_CONDITION, LONGEST_CATCHING_UP_S = 1e6, 0.3
+
 Result = TypeVar("Result")
 Pair = tuple[Floats, Floats]
 Samples = tuple[ArmSample, ...]
@@ -287,8 +292,9 @@ class PairMotion:
         """What tells on this way how far the hands are off, from standing still on."""
         if self._gap is not None:
             return FeltByDistance(self._gap, self.cell.nominal_slave(way.path))
-        limit_n = self.options.force_limit_n or self.cell.config.force.limit_n
-        return FeltByForce(way.wrenches, way.maps, ForceGuard(limit_n, self.dt_s, self.options.force_stop_s))
+        usual_n = self.cell.config.force.limit_n
+        guard = ForceGuard(self.options.force_limit_n or usual_n, self.dt_s, self.options.force_stop_s)
+        return FeltByForce(way.wrenches, way.maps, guard, DOUBTFUL * usual_n)
 
     def offsets(self, q: PerArm) -> PerArm | None:
         """Friction of free hands; with a common part the torque is what tells the force, and nothing is added to it."""
@@ -334,9 +340,9 @@ class _Approach(MotionWay):
 class _Along:
     """A prepared way under a commander.
 
-    Each row is computed once, when its SYNC is due: the commander answers what was measured last. Between two rows,
-    when time along the path is slowed down, set points lie on the straight line from row to row: both arms keep their
-    relation, and the hands yield once a row.
+    The commander answers what was measured last, at every SYNC. Between two rows, when time along the path is slowed
+    down, set points lie on the straight line from row to row, so that both arms keep their relation, and what the hands
+    yield meanwhile is added to both ends of it.
     """
 
     def __init__(self, motion: PairMotion, way: Passage, commander: Commander, felt: Felt, fading: int) -> None:
@@ -345,8 +351,9 @@ class _Along:
         self._motion, self._way, self._commander, self._felt = motion, way, commander, felt
         self._fading = fading
         self._offset: Pair | None = None
-        self._row = -1
-        self._before = self._after = motion.q_rad
+        self._row, self._felt_at = -1, 0
+        self._before = self._after = self._q_rad = motion.q_rad
+        self._lag = ServoLag(motion.dt_s, motion.cell.config.servo_lag_s)
         #: SYNCs since a stop was asked for because of the force, and the largest force until then.
         self._since, self._most_n = 0, 0.0
 
@@ -357,7 +364,10 @@ class _Along:
 
     def targets(self, at: float, rate: float) -> PerArm:
         """As `Way.targets`."""
-        row = math.ceil(at - HAIR)
+        row = max(math.ceil(at - HAIR), 0)
+        self._lag.slow_down(rate)
+        if row == self._row:
+            self._yield(row)
         while self._row < row:
             self._row += 1
             self._before, self._after = self._after, self._compute(self._row)
@@ -366,11 +376,24 @@ class _Along:
             before + share * (after - before) for before, after in zip(self._before, self._after, strict=True)
         )
         self._q_rad = self._after if share == 1.0 else (first, second)
+        if self._lag.slower:
+            speed = self._way.speed_rad_s
+            back = self._lag.given_back(speed[max(row - 1, 0)] + share * (speed[row] - speed[max(row - 1, 0)]))
+            self._q_rad = (first - back[:6], second - back[6:])
         return self._q_rad
+
+    def _yield(self, m: int) -> None:
+        """One SYNC more on the way to the same row."""
+        now = self._compute(m)
+        first, second = (to - before for to, before in zip(now, self._after, strict=True))
+        self._before = (self._before[0] + first, self._before[1] + second)
+        self._after = now
 
     def _compute(self, m: int) -> Pair:
         began = time.perf_counter()
-        q = self._motion.targets(self._way, m, self._commander(m, *self._felt.inputs(m)))
+        doubtful = self._lag.slower and self._felt.doubtful(self._felt_at)
+        felt = (None, None) if doubtful else self._felt.inputs(m)
+        q = self._motion.targets(self._way, m, self._commander(m, *felt))
         self.spent_s += time.perf_counter() - began
         if m < self._fading:
             at = self._motion.q_rad
@@ -394,6 +417,8 @@ class _Along:
     def take(self, at: float, rate: float, samples: tuple[ArmSample, ...]) -> None:
         """As `Way.take`."""
         self._motion.see(samples)
+        self._lag.take(self._q_rad, samples, self._way.speed_rad_s[self._row])
+        self._felt_at = self._row
         trouble = self._felt.take(self._row, samples, rate)
         if not trouble:
             return
@@ -404,6 +429,69 @@ class _Along:
             self._motion.ask(trouble, StopKind.QUICK_STOP)
         self._since += 1
         self._most_n = max(self._most_n, size_n)
+
+
+class ServoLag:
+    """What the joints lag behind their set points is given back as time along the path slows down.
+
+    On the way the lags are part of the relation: hands have yielded to them, functions were learned with them. An arm
+    that slows down makes up for its lag, each joint its own, and would leave the relation by it. So set points stay
+    behind the path by what the joints lag at full rate, as fast as the servos catch up. A servo with position gain
+    1/tau and part of the speed fed forward lags by `e + tau e' = T u'`; T and tau are fitted to all that was seen of
+    the way, and nothing is measured and answered in one SYNC.
+
+    Parameters
+    ----------
+    dt_s : float
+        SYNC period.
+    lag_s : float
+        Servo lag, for what changes between the beginning of the stop and its end.
+    """
+
+    def __init__(self, dt_s: float, lag_s: float) -> None:
+        self._dt_s, self._lag_s = dt_s, lag_s
+        self._rate = self._full = 1.0
+        self._sent: list[Floats] = []
+        self._lag_rad = self._speed_rad_s = self._back_rad = np.zeros(12)
+        self._squares, self._products = np.zeros((2, 2)), np.zeros(2)
+
+    @property
+    def slower(self) -> bool:
+        """Time along the path slows down."""
+        return self._rate < self._full
+
+    def slow_down(self, rate: float) -> None:
+        """The rate of the set points that are due."""
+        if not self.slower and rate >= self._rate:
+            self._full = rate
+        self._rate = rate
+
+    def given_back(self, speed_rad_s: Floats) -> Floats:
+        """By how much (12,) [rad] the set points stay behind, where the path has speeds (12,) at full rate."""
+        full = self._lag_rad + self._lag_s * self._full * (speed_rad_s - self._speed_rad_s)
+        goal = (1.0 - self._rate / self._full) * full
+        self._back_rad = self._back_rad + self._dt_s / (self._dt_s + self.catching_up_s) * (goal - self._back_rad)
+        return self._back_rad
+
+    @property
+    def catching_up_s(self) -> float:
+        """tau - T of the servos [s]; 0 where the way has not shown it."""
+        if np.linalg.cond(self._squares) > MOST_CONDITION:
+            return 0.0
+        lag_s, tau_s = np.linalg.solve(self._squares, self._products)
+        return min(max(float(tau_s - lag_s), 0.0), LONGEST_CATCHING_UP_S)
+
+    def take(self, sent: Pair, samples: Samples, speed_rad_s: Floats) -> None:
+        """What was sent at this SYNC and measured at it: drives are on their way to what was sent before."""
+        q_rad = np.concatenate([sample.q_rad for sample in samples])
+        if not self.slower and len(self._sent) > 1 and not np.isnan(q_rad).any():
+            before, last = self._sent
+            lag = last - q_rad
+            faster = np.stack([last - before, self._lag_rad - lag]) / self._dt_s
+            self._squares += faster @ faster.T
+            self._products += faster @ (0.5 * (lag + self._lag_rad))
+            self._lag_rad, self._speed_rad_s = lag, speed_rad_s
+        self._sent = [*self._sent[-1:], np.concatenate(sent)]
 
 
 class _Settling:
