@@ -18,6 +18,7 @@ import numpy as np
 from gateway.errors import LimitExceeded, PlanRefused
 from gateway.motion.arm import ArmSample
 from gateway.motion.contact import TAKE_OVER_S
+from gateway.motion.places import angles
 from gateway.motion.stops import StopKind
 from gateway.motion.stream import MoveOptions, Stream
 from gateway.motion.trajectory import Motion
@@ -32,6 +33,7 @@ from gateway.pair.gap import GapWatch
 from gateway.pair.guard import ForceGuard
 from gateway.pair.inverse import path_joint_angles
 from gateway.pair.path import PairPath
+from gateway.pair.servolag import ServoLag
 from gateway.pair.transform import Floats, inverse
 
 #: How far an arm may stand from where the part is gripped when a run begins [rad].
@@ -49,13 +51,11 @@ FADE_S = 0.4
 LISTEN_CYCLES = 12
 #: What a place along a way may miss a row by, through rounding.
 HAIR = 1e-9
-#: SYNCs after the decision to stop along the path in which the force may still rise, and by how much.
+#: SYNCs after the decision to stop along the path in which the force may still rise, and how much it may do later.
 RISING_SYNCS, RISING = 3, 1.05
 
 #: On the way to a stop a force below this share of the limit may be friction: hands do not yield to it.
 DOUBTFUL = 0.5
-#: Servos whose lag was not seen well enough, and the slowest that is believed [s].
-MOST_CONDITION, LONGEST_CATCHING_UP_S = 1e6, 0.3
 
 Result = TypeVar("Result")
 Pair = tuple[Floats, Floats]
@@ -354,7 +354,7 @@ class _Along:
         self._row, self._felt_at = -1, 0
         self._before = self._after = self._q_rad = motion.q_rad
         self._lag = ServoLag(motion.dt_s, motion.cell.config.servo_lag_s)
-        #: SYNCs since a stop was asked for because of the force, and the largest force until then.
+        #: SYNCs since a stop was asked for because of the force, and the largest force of the first of them.
         self._since, self._most_n = 0, 0.0
 
     def rates(self, at: float) -> tuple[Floats, Floats]:
@@ -427,71 +427,9 @@ class _Along:
             self._motion.ask(trouble)
         elif self._since > RISING_SYNCS and size_n > RISING * self._most_n:
             self._motion.ask(trouble, StopKind.QUICK_STOP)
+        if self._since <= RISING_SYNCS:
+            self._most_n = max(self._most_n, size_n)
         self._since += 1
-        self._most_n = max(self._most_n, size_n)
-
-
-class ServoLag:
-    """What the joints lag behind their set points is given back as time along the path slows down.
-
-    On the way the lags are part of the relation: hands have yielded to them, functions were learned with them. An arm
-    that slows down makes up for its lag, each joint its own, and would leave the relation by it. So set points stay
-    behind the path by what the joints lag at full rate, as fast as the servos catch up. A servo with position gain
-    1/tau and part of the speed fed forward lags by `e + tau e' = T u'`; T and tau are fitted to all that was seen of
-    the way, and nothing is measured and answered in one SYNC.
-
-    Parameters
-    ----------
-    dt_s : float
-        SYNC period.
-    lag_s : float
-        Servo lag, for what changes between the beginning of the stop and its end.
-    """
-
-    def __init__(self, dt_s: float, lag_s: float) -> None:
-        self._dt_s, self._lag_s = dt_s, lag_s
-        self._rate = self._full = 1.0
-        self._sent: list[Floats] = []
-        self._lag_rad = self._speed_rad_s = self._back_rad = np.zeros(12)
-        self._squares, self._products = np.zeros((2, 2)), np.zeros(2)
-
-    @property
-    def slower(self) -> bool:
-        """Time along the path slows down."""
-        return self._rate < self._full
-
-    def slow_down(self, rate: float) -> None:
-        """The rate of the set points that are due."""
-        if not self.slower and rate >= self._rate:
-            self._full = rate
-        self._rate = rate
-
-    def given_back(self, speed_rad_s: Floats) -> Floats:
-        """By how much (12,) [rad] the set points stay behind, where the path has speeds (12,) at full rate."""
-        full = self._lag_rad + self._lag_s * self._full * (speed_rad_s - self._speed_rad_s)
-        goal = (1.0 - self._rate / self._full) * full
-        self._back_rad = self._back_rad + self._dt_s / (self._dt_s + self.catching_up_s) * (goal - self._back_rad)
-        return self._back_rad
-
-    @property
-    def catching_up_s(self) -> float:
-        """tau - T of the servos [s]; 0 where the way has not shown it."""
-        if np.linalg.cond(self._squares) > MOST_CONDITION:
-            return 0.0
-        lag_s, tau_s = np.linalg.solve(self._squares, self._products)
-        return min(max(float(tau_s - lag_s), 0.0), LONGEST_CATCHING_UP_S)
-
-    def take(self, sent: Pair, samples: Samples, speed_rad_s: Floats) -> None:
-        """What was sent at this SYNC and measured at it: drives are on their way to what was sent before."""
-        q_rad = np.concatenate([sample.q_rad for sample in samples])
-        if not self.slower and len(self._sent) > 1 and not np.isnan(q_rad).any():
-            before, last = self._sent
-            lag = last - q_rad
-            faster = np.stack([last - before, self._lag_rad - lag]) / self._dt_s
-            self._squares += faster @ faster.T
-            self._products += faster @ (0.5 * (lag + self._lag_rad))
-            self._lag_rad, self._speed_rad_s = lag, speed_rad_s
-        self._sent = [*self._sent[-1:], np.concatenate(sent)]
 
 
 class _Settling:
@@ -552,16 +490,21 @@ def refuse_elsewhere(cell: PairCell, where: Sequence[Floats]) -> None:
 
 
 def refuse_unreachable(name: str, workspace: Workspace, q_rad: Floats, dt_s: float) -> None:
-    """Make sure that a way (M, 6) [rad], one row per SYNC, keeps the limits of the cell.
+    """Make sure that a way (M, 6) [rad], one row per SYNC, keeps the limits of the cell, between its rows too.
+
+    The other arm and the part are no obstacles here.
 
     Raises
     ------
     PlanRefused, LimitExceeded
         A posture that is not allowed, or a joint that would turn faster than its limit.
     """
-    for words, wrong in workspace.violations(q_rad):
-        if wrong.any():
-            raise PlanRefused(f"arm '{name}', command {int(np.argmax(wrong)) + 1}: {words}; move the path or the base")
+    refusal = workspace.refused_on(q_rad)
+    if refusal is not None:
+        raise PlanRefused(
+            f"arm '{name}', command {int(refusal.row) + 1} at {angles(refusal.q_rad)}: {refusal.reason}; move the path"
+            " or the base"
+        )
     speed = np.abs(np.diff(q_rad, axis=0)).max(axis=0) / dt_s
     fast = speed > workspace.speed_rad_s
     if fast.any():
