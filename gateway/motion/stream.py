@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -32,6 +33,9 @@ REPORT_S: Final = 0.25
 SWITCH_S: Final = 0.0005
 #: Speed override of the first motion with a set of drives.
 FIRST_SHARE: Final = 0.1
+#: A stop along the path ends when no joint has moved by more than this [rad] for so long [s], or after the second time.
+REST_RAD: Final = 5e-5
+REST_S, REST_LONGEST_S = 0.02, 0.4
 
 
 def _nothing(_what: str, _row: int, _rows: int) -> None:
@@ -174,11 +178,7 @@ class Stream:
         self.moving = way.count > 0
         row = 0
         while not clock.done:
-            wish = self._desk.look()
-            if wish is not None:
-                self.urgent = wish.kind is StopKind.QUICK_STOP
-                if self.urgent:
-                    raise wish.cause
+            if self._asked_to_stop():
                 clock.stop()
             at = clock.advance(*way.rates(clock.at))
             if clock.done and not clock.arrived:
@@ -187,12 +187,35 @@ class Stream:
                 self._report(what, int(at), way.count)
             row += 1
             self._send(way, at, clock.rate)
+        if not clock.arrived:
+            self._come_to_rest(way, clock.at)
         self.moving = False
         self._model()
         self.first_moved |= first_done is not None and clock.arrived
         wish = self._desk.look()
         if wish is not None:
             raise wish.cause
+
+    def _asked_to_stop(self) -> bool:
+        """Whether anybody wants a stop along the path; raises the cause of a quick stop."""
+        wish = self._desk.look()
+        if wish is None:
+            return False
+        self.urgent = wish.kind is StopKind.QUICK_STOP
+        if self.urgent:
+            raise wish.cause
+        return True
+
+    def _come_to_rest(self, way: Way, at: float) -> None:
+        """Set points stand still: the servos make up for what the joints lag behind before anything is disabled."""
+        span = max(1, round(REST_S / self._period_s))
+        seen: deque[np.ndarray] = deque(maxlen=span + 1)
+        for _ in range(round(REST_LONGEST_S / self._period_s)):
+            self._asked_to_stop()
+            self._send(way, at, 0.0)
+            seen.append(np.concatenate([sample.q_rad for sample in self.samples]))
+            if len(seen) > span and np.ptp(np.array(seen), axis=0).max() <= REST_RAD:
+                return
 
     def _send(self, way: Way, at: float, rate: float) -> None:
         targets = way.targets(at, rate)

@@ -42,6 +42,10 @@ class Felt(Protocol):
         """Force inside the part at command m [N]; 0 where nothing feels it."""
         ...
 
+    def doubtful(self, m: int) -> bool:
+        """Whether what was felt at command m may be friction, where joints come to rest."""
+        ...
+
 
 class FeltByForce:
     """Wrenches of both arms from their torques, and a limit for the force inside the part.
@@ -51,15 +55,21 @@ class FeltByForce:
     wrenches : of both arms along the way
     maps : of the way
     guard : ForceGuard
+    doubt_n : a force that friction may feign [N]
     """
 
     def __init__(
-        self, wrenches: tuple[WrenchFromTorque, WrenchFromTorque], maps: PathWrenches, guard: ForceGuard
+        self,
+        wrenches: tuple[WrenchFromTorque, WrenchFromTorque],
+        maps: PathWrenches,
+        guard: ForceGuard,
+        doubt_n: float = 0.0,
     ) -> None:
         count = wrenches[0].count
         self.force, self.external_nm = np.zeros((count, 6)), np.full((count, 2, 6), np.nan)
         self.gaps_m = np.zeros((count, 0))
         self._wrenches, self._maps, self._guard, self._count = wrenches, maps, guard, count
+        self._doubt_n = doubt_n
         for each in wrenches:
             each.reset()
 
@@ -75,6 +85,10 @@ class FeltByForce:
     def size_n(self, m: int) -> float:
         """As `Felt.size_n`."""
         return float(np.linalg.norm(self.force[m, :3]))
+
+    def doubtful(self, m: int) -> bool:
+        """As `Felt.doubtful`."""
+        return self.size_n(m) < self._doubt_n
 
     def take(self, m: int, samples: Samples, rate: float = 1.0) -> str:
         """As `Felt.take`."""
@@ -126,6 +140,10 @@ class FeltByDistance:
     def size_n(self, m: int) -> float:
         """0: nothing is held in common."""
         return 0.0
+
+    def doubtful(self, m: int) -> bool:
+        """Never: a distance is what it is, at rest too."""
+        return False
 
     def take(self, m: int, samples: Samples, rate: float = 1.0) -> str:
         """As `Felt.take`."""

@@ -90,7 +90,7 @@ class WrenchFromTorque:
         self._known = free + arm.coulomb_nm * turned + arm.viscous_nm_s_rad * qd
         self._still = arm.model_torque(q, np.zeros_like(q), np.zeros_like(q))
         self._product = free - self._still
-        self._qd, self._coulomb, self._viscous = qd, arm.coulomb_nm, arm.viscous_nm_s_rad
+        self._dt_s, self._coulomb, self._viscous = dt_s, arm.coulomb_nm, arm.viscous_nm_s_rad
         self._mass = arm.mass_matrix(q) / dt_s**2
         self._band = arm.coulomb_nm * (1.0 - np.abs(turned))
         jacobian = arm.chain.poses(q)[1]
@@ -115,13 +115,15 @@ class WrenchFromTorque:
         """Wrench (6,) of an external joint torque (6,) [Nm] at command m, friction already out of it."""
         return self._map[m] @ external_nm
 
-    def _expected(self, at: int, rate: float) -> tuple[Floats, Floats]:
-        """Torque (6,) of a free motion without its acceleration, and what is left of the friction band (6,)."""
+    def _expected(self, at: int, rate: float, speed_rad_s: Floats) -> tuple[Floats, Floats]:
+        """Torque (6,) of a free motion without its acceleration, and what is left of the friction band (6,).
+
+        While time along the path is slowed down the arm lags behind it: friction is that of the speed (6,) it has.
+        """
         if rate == 1.0:
             return self._known[at], self._band[at]
-        speed = rate * self._qd[at]
-        turned = np.tanh(speed / FRICTION_SPEED_RAD_S)
-        known = self._still[at] + rate**2 * self._product[at] + self._coulomb * turned + self._viscous * speed
+        turned = np.tanh(speed_rad_s / FRICTION_SPEED_RAD_S)
+        known = self._still[at] + rate**2 * self._product[at] + self._coulomb * turned + self._viscous * speed_rad_s
         return known, self._coulomb * (1.0 - np.abs(turned))
 
     def update(self, m: int, sample: ArmSample, rate: float = 1.0) -> None:
@@ -139,7 +141,7 @@ class WrenchFromTorque:
             return
         at = max(m - 1, 0)
         inertia = self._mass[at] @ (sample.q_rad - 2.0 * last.q_rad + before.q_rad)
-        known, band = self._expected(at, rate)
+        known, band = self._expected(at, rate, (sample.q_rad - before.q_rad) / (2.0 * self._dt_s))
         rest = self.external_nm = last.joint_torque_nm - known - inertia
         external = dead_band(rest, band)
         fresh = self._map[at] @ external

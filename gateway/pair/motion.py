@@ -18,6 +18,7 @@ import numpy as np
 from gateway.errors import LimitExceeded, PlanRefused
 from gateway.motion.arm import ArmSample
 from gateway.motion.contact import TAKE_OVER_S
+from gateway.motion.places import angles
 from gateway.motion.stops import StopKind
 from gateway.motion.stream import MoveOptions, Stream
 from gateway.motion.trajectory import Motion
@@ -32,6 +33,7 @@ from gateway.pair.gap import GapWatch
 from gateway.pair.guard import ForceGuard
 from gateway.pair.inverse import path_joint_angles
 from gateway.pair.path import PairPath
+from gateway.pair.servolag import ServoLag
 from gateway.pair.transform import Floats, inverse
 
 #: How far an arm may stand from where the part is gripped when a run begins [rad].
@@ -49,8 +51,11 @@ FADE_S = 0.4
 LISTEN_CYCLES = 12
 #: What a place along a way may miss a row by, through rounding.
 HAIR = 1e-9
-#: SYNCs after the decision to stop along the path in which the force may still rise, and by how much.
+#: SYNCs after the decision to stop along the path in which the force may still rise, and how much it may do later.
 RISING_SYNCS, RISING = 3, 1.05
+
+#: On the way to a stop a force below this share of the limit may be friction: hands do not yield to it.
+DOUBTFUL = 0.5
 
 Result = TypeVar("Result")
 Pair = tuple[Floats, Floats]
@@ -287,8 +292,9 @@ class PairMotion:
         """What tells on this way how far the hands are off, from standing still on."""
         if self._gap is not None:
             return FeltByDistance(self._gap, self.cell.nominal_slave(way.path))
-        limit_n = self.options.force_limit_n or self.cell.config.force.limit_n
-        return FeltByForce(way.wrenches, way.maps, ForceGuard(limit_n, self.dt_s, self.options.force_stop_s))
+        usual_n = self.cell.config.force.limit_n
+        guard = ForceGuard(self.options.force_limit_n or usual_n, self.dt_s, self.options.force_stop_s)
+        return FeltByForce(way.wrenches, way.maps, guard, DOUBTFUL * usual_n)
 
     def offsets(self, q: PerArm) -> PerArm | None:
         """Friction of free hands; with a common part the torque is what tells the force, and nothing is added to it."""
@@ -334,9 +340,9 @@ class _Approach(MotionWay):
 class _Along:
     """A prepared way under a commander.
 
-    Each row is computed once, when its SYNC is due: the commander answers what was measured last. Between two rows,
-    when time along the path is slowed down, set points lie on the straight line from row to row: both arms keep their
-    relation, and the hands yield once a row.
+    The commander answers what was measured last, at every SYNC. Between two rows, when time along the path is slowed
+    down, set points lie on the straight line from row to row, so that both arms keep their relation, and what the hands
+    yield meanwhile is added to both ends of it.
     """
 
     def __init__(self, motion: PairMotion, way: Passage, commander: Commander, felt: Felt, fading: int) -> None:
@@ -345,9 +351,10 @@ class _Along:
         self._motion, self._way, self._commander, self._felt = motion, way, commander, felt
         self._fading = fading
         self._offset: Pair | None = None
-        self._row = -1
-        self._before = self._after = motion.q_rad
-        #: SYNCs since a stop was asked for because of the force, and the largest force until then.
+        self._row, self._felt_at = -1, 0
+        self._before = self._after = self._q_rad = motion.q_rad
+        self._lag = ServoLag(motion.dt_s, motion.cell.config.servo_lag_s)
+        #: SYNCs since a stop was asked for because of the force, and the largest force of the first of them.
         self._since, self._most_n = 0, 0.0
 
     def rates(self, at: float) -> tuple[Floats, Floats]:
@@ -357,7 +364,10 @@ class _Along:
 
     def targets(self, at: float, rate: float) -> PerArm:
         """As `Way.targets`."""
-        row = math.ceil(at - HAIR)
+        row = max(math.ceil(at - HAIR), 0)
+        self._lag.slow_down(rate)
+        if row == self._row:
+            self._yield(row)
         while self._row < row:
             self._row += 1
             self._before, self._after = self._after, self._compute(self._row)
@@ -366,11 +376,24 @@ class _Along:
             before + share * (after - before) for before, after in zip(self._before, self._after, strict=True)
         )
         self._q_rad = self._after if share == 1.0 else (first, second)
+        if self._lag.slower:
+            speed = self._way.speed_rad_s
+            back = self._lag.given_back(speed[max(row - 1, 0)] + share * (speed[row] - speed[max(row - 1, 0)]))
+            self._q_rad = (first - back[:6], second - back[6:])
         return self._q_rad
+
+    def _yield(self, m: int) -> None:
+        """One SYNC more on the way to the same row."""
+        now = self._compute(m)
+        first, second = (to - before for to, before in zip(now, self._after, strict=True))
+        self._before = (self._before[0] + first, self._before[1] + second)
+        self._after = now
 
     def _compute(self, m: int) -> Pair:
         began = time.perf_counter()
-        q = self._motion.targets(self._way, m, self._commander(m, *self._felt.inputs(m)))
+        doubtful = self._lag.slower and self._felt.doubtful(self._felt_at)
+        felt = (None, None) if doubtful else self._felt.inputs(m)
+        q = self._motion.targets(self._way, m, self._commander(m, *felt))
         self.spent_s += time.perf_counter() - began
         if m < self._fading:
             at = self._motion.q_rad
@@ -394,6 +417,8 @@ class _Along:
     def take(self, at: float, rate: float, samples: tuple[ArmSample, ...]) -> None:
         """As `Way.take`."""
         self._motion.see(samples)
+        self._lag.take(self._q_rad, samples, self._way.speed_rad_s[self._row])
+        self._felt_at = self._row
         trouble = self._felt.take(self._row, samples, rate)
         if not trouble:
             return
@@ -402,8 +427,9 @@ class _Along:
             self._motion.ask(trouble)
         elif self._since > RISING_SYNCS and size_n > RISING * self._most_n:
             self._motion.ask(trouble, StopKind.QUICK_STOP)
+        if self._since <= RISING_SYNCS:
+            self._most_n = max(self._most_n, size_n)
         self._since += 1
-        self._most_n = max(self._most_n, size_n)
 
 
 class _Settling:
@@ -464,16 +490,21 @@ def refuse_elsewhere(cell: PairCell, where: Sequence[Floats]) -> None:
 
 
 def refuse_unreachable(name: str, workspace: Workspace, q_rad: Floats, dt_s: float) -> None:
-    """Make sure that a way (M, 6) [rad], one row per SYNC, keeps the limits of the cell.
+    """Make sure that a way (M, 6) [rad], one row per SYNC, keeps the limits of the cell, between its rows too.
+
+    The other arm and the part are no obstacles here.
 
     Raises
     ------
     PlanRefused, LimitExceeded
         A posture that is not allowed, or a joint that would turn faster than its limit.
     """
-    for words, wrong in workspace.violations(q_rad):
-        if wrong.any():
-            raise PlanRefused(f"arm '{name}', command {int(np.argmax(wrong)) + 1}: {words}; move the path or the base")
+    refusal = workspace.refused_on(q_rad)
+    if refusal is not None:
+        raise PlanRefused(
+            f"arm '{name}', command {int(refusal.row) + 1} at {angles(refusal.q_rad)}: {refusal.reason}; move the path"
+            " or the base"
+        )
     speed = np.abs(np.diff(q_rad, axis=0)).max(axis=0) / dt_s
     fast = speed > workspace.speed_rad_s
     if fast.any():
