@@ -77,8 +77,8 @@ KINDS: dict[str, Kind] = {
     "tpdo_torn": Kind("wire", "retried", 1, "two different answers to one SYNC"),
     "tpdo_stuck": Kind("wire", "stops", 52, "the answers of a drive show old values for ever"),
     "tpdo_random_loss": Kind("wire", "retried", 1, "a share of all answers is lost"),
-    "burst": Kind("wire", "goes on", 1, "answers of 25 ms come at once; by the clock they miss their SYNC", "retried"),
-    "rpdo_lost": Kind("wire", "goes on", 1, "commands to one drive are lost for a few SYNCs"),
+    "burst": Kind("wire", "retried", 1, "answers of 25 ms come at once"),
+    "rpdo_lost": Kind("wire", "goes on", 1, "a command to one drive is lost while it moves slowly"),
     "rpdo_gone": Kind("wire", "stops", 100, "no command reaches one drive any more"),
     "sync_lost": Kind("wire", "retried", 1, "a SYNC reaches no drive"),
     # SDO on the wire
