@@ -91,8 +91,8 @@ KINDS: dict[str, Kind] = {
     "sdo_wrong_toggle": Kind("wire", "refuses", None, "wrong toggle bit in a segment of a text"),
     "sdo_short": Kind("wire", "refuses", None, "answers of less than eight bytes"),
     # life signs
-    "heartbeat_lost": Kind("wire", "stops", None, "the drive's heartbeat is missing", bound_s=0.5),
-    "heartbeat_back": Kind("wire", "stops", None, "the drive's heartbeat is missing and comes back", bound_s=0.5),
+    "heartbeat_lost": Kind("wire", "stops", None, "the drive's heartbeat is missing", bound_s=0.85),
+    "heartbeat_back": Kind("wire", "stops", None, "the drive's heartbeat is missing and comes back", bound_s=0.85),
     "node_killed": Kind("drive", "stops", 6, "the drive is without power"),
     "power_cycle": Kind("drive", "stops", 2, "the drive starts anew in the middle of a run"),
     "boot_up_frame": Kind("wire", "stops", 2, "a boot-up frame in the middle of a run"),

@@ -10,6 +10,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from drives.realtime import RealTime
 from gateway.config import LoadedCell, load_cell
 from sim.faults import Fault
 from sim.serve import free_bus
@@ -64,7 +65,7 @@ class Remote:
 
 
 def _serve(folder: Path, period_s: float, bus: str, pipe: Connection) -> None:
-    with Rig(folder, with_real_pacing(period_s), bus) as rig:
+    with RealTime(), Rig(folder, with_real_pacing(period_s), bus) as rig:
         pipe.send("ready")
         while (question := pipe.recv()) is not None:
             name, arguments = question
