@@ -11,7 +11,7 @@ from typing import Final, Literal
 
 from drives.bus import SYNC_ID, Bus, Frame
 from drives.busload import cycle_bits_worst
-from drives.cia402 import ENABLE_OPERATION, State, decode_state
+from drives.cia402 import ENABLE_OPERATION, WARNING, State, decode_state
 from drives.clock import SyncClock, spare_collections
 from drives.decode import Decoder, Frames
 from drives.drive import Cia402Drive
@@ -119,6 +119,8 @@ class SyncExchange:
         self.sag_rad = (0.0,) * len(self.drives)
         self.cycles = 0
         self.incomplete = 0
+        #: Answers in which a drive warns.
+        self.warnings = 0
         self.started_s: float | None = None
         #: Monotonic time of the last SYNC.
         self.sent_s = 0.0
@@ -304,6 +306,8 @@ class SyncExchange:
             silent[axis] = self._unsure[axis] = 0
             self.unassigned[axis] = None
             states[axis] = decode_state(reading.statusword)
+            if reading.statusword & WARNING:
+                self.warnings += 1
             count, before = reading.position_count, self.position_count[axis]
             stands = before is not None and abs(count - before) <= self._allowed_count[axis]
             still[axis] = still[axis] + 1 if stands else 0

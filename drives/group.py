@@ -85,6 +85,7 @@ class DriveGroup(DriveSetup):
         self._producer.start(exchange.sync_time_s)
         self._running = True
         epoch = self._start_nodes(exchange, guard, way)
+        guard.forgive_cleared()  # a node may say why it refuses START, and that it does no more
         readings = {reading.node_id: reading for reading in epoch.readings if reading is not None}
         self._for_each(lambda drive: starting.compare_with_sdo(drive, readings[drive.node_id]))
         exchange.clock.restart()

@@ -76,6 +76,10 @@ class Guard:
         self._foreign_before, self._foreign_seen = dict(self._bus.foreign), self._bus.foreign_count
         self._late_before = self._exchange.collector.counts.late
 
+    def forgive_cleared(self) -> None:
+        """Forget emergencies since `forgive` whose senders have said since that all is well."""
+        self._symptoms.forgive_cleared()
+
     def check(self, epoch: Epoch) -> None:
         """All checks of an exchange in which every axis shall be enabled.
 

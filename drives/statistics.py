@@ -29,6 +29,8 @@ class GroupStatistics:
         TPDOs by the clock that may belong to an earlier SYNC that was left unanswered, and were not assigned.
     overruns : int
         SYNC periods that were missed by the clock.
+    warnings : int
+        Answers in which a drive warns (statusword bit 7).
     foreign : dict
         Frames of another master by CAN id.
     frames : dict
@@ -55,6 +57,7 @@ class GroupStatistics:
     wrong_length: int
     unsure: int
     overruns: int
+    warnings: int
     foreign: dict[int, int]
     frames: dict[str, int]
     sdo: tuple[SdoStatistics, ...]
@@ -88,6 +91,7 @@ def group_statistics(
         wrong_length=counts.wrong_length,
         unsure=counts.unsure,
         overruns=overruns,
+        warnings=0 if exchange is None else exchange.warnings,
         foreign=dict(bus.foreign),
         frames=dict(bus.counts),
         sdo=tuple(drive.access.sdo.statistics for drive in drives),

@@ -69,6 +69,12 @@ class Symptoms:
         self._odd, self._same, self._last = [0] * axes, [0] * axes, [None] * axes
         self._open.clear()
 
+    def forgive_cleared(self) -> None:
+        """Emergencies since the beginning are no reason to stop if every node that sent one says that all is well."""
+        new = self._emcy.count - self._heard
+        if new and all(each.is_reset for each in {each.node_id: each for each in self._emcy.messages[-new:]}.values()):
+            self._heard = self._emcy.count
+
     def check(self, epoch: Epoch) -> None:
         """One SYNC.
 

@@ -78,7 +78,7 @@ KINDS: dict[str, Kind] = {
     "tpdo_stuck": Kind("wire", "stops", 52, "the answers of a drive show old values for ever"),
     "tpdo_random_loss": Kind("wire", "retried", 1, "a share of all answers is lost"),
     "burst": Kind("wire", "retried", 1, "a drive's answers of 25 ms come at once"),
-    "rpdo_lost": Kind("wire", "goes on", 1, "commands to one drive are lost for a few SYNCs"),
+    "rpdo_lost": Kind("wire", "goes on", 1, "a command to one drive is lost while it moves slowly"),
     "rpdo_gone": Kind("wire", "stops", 100, "no command reaches one drive any more"),
     "sync_lost": Kind("wire", "retried", 1, "a SYNC reaches no drive"),
     # SDO on the wire
@@ -91,8 +91,8 @@ KINDS: dict[str, Kind] = {
     "sdo_wrong_toggle": Kind("wire", "refuses", None, "wrong toggle bit in a segment of a text"),
     "sdo_short": Kind("wire", "refuses", None, "answers of less than eight bytes"),
     # life signs
-    "heartbeat_lost": Kind("wire", "stops", None, "the drive's heartbeat is missing", bound_s=0.5),
-    "heartbeat_back": Kind("wire", "stops", None, "the drive's heartbeat is missing and comes back", bound_s=0.5),
+    "heartbeat_lost": Kind("wire", "stops", None, "the drive's heartbeat is missing", bound_s=0.85),
+    "heartbeat_back": Kind("wire", "stops", None, "the drive's heartbeat is missing and comes back", bound_s=0.85),
     "node_killed": Kind("drive", "stops", 6, "the drive is without power"),
     "power_cycle": Kind("drive", "stops", 2, "the drive starts anew in the middle of a run"),
     "boot_up_frame": Kind("wire", "stops", 2, "a boot-up frame in the middle of a run"),

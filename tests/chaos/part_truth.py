@@ -18,4 +18,5 @@ def figures(scope: Any) -> dict[str, dict]:
     return {
         "answers taken under faults": figure(verdict.taken, f">= {answers}"),
         "wrong answers taken as good": figure(verdict.wrong, "== 0", f"of {verdict.taken}"),
+        "answers to the SYNC before taken as good": figure(verdict.stale, ">= 0", f"of {verdict.taken}"),
     }

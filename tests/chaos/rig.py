@@ -6,12 +6,13 @@ import re
 import struct
 import tempfile
 import threading
+import time
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import can
 
@@ -19,6 +20,7 @@ from drives.bus import BusSpec
 from drives.profile import PROFILE_FOLDER
 from gateway.config import LoadedCell, load_cell
 from gateway.motion.opening import BusOverride, OpenArm, open_arm
+from sim.faults import Fault
 from sim.faulty_wire import FaultyWire
 from sim.serve import ServeOptions, Simulation
 from sim.states import PdsState
@@ -27,21 +29,63 @@ from tests.pacing import by_the_clock, in_lockstep
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "small"
 #: The generic profile, made to expect one make.
 IDENTITY = "[identity]\nvendor_id = 0x0000009A\nproduct_code = 0x00030924\n\n"
+#: What the simulated make shows in 0x60FD.
+SAFETY = """
+[[safety]]
+what = "emergency stop"
+object = { index = 0x60FD, subindex = 0, type = "u32" }
+mask = 0x01000000
+good = 0x01000000
+
+[reference]
+object = { index = 0x60FD, subindex = 0, type = "u32" }
+mask = 0x02000000
+good = 0x02000000
+"""
+#: TPDO3 of a drive, and the bit of its identifier that says that it is off.
+TPDO3, OFF = 2, 1 << 31
 #: A scenario that never begins, so that the wire is there and faults can be armed while it runs.
 IDLE = '[[fault]]\nkind = "warning"\nat_sync = 1000000000\n'
 
 
 @dataclass(slots=True)
 class Seen:
-    """The drives at each SYNC, before it acts: (SYNC, states, targets, controlwords) and their true answers."""
+    """The drives at each SYNC, before it acts: (SYNC, states, targets, controlwords) and their true answers.
+
+    Beside it, when each SYNC came by the monotonic clock, and the longest time from there to an answer [s].
+    """
 
     states: list[tuple[int, tuple[PdsState, ...], tuple[int, ...], tuple[int, ...]]] = field(default_factory=list)
     answers: dict[tuple[int, int], tuple[int, int]] = field(default_factory=dict)
+    came_s: list[float] = field(default_factory=list)
+    slowest_s: float = 0.0
 
     def clear(self) -> None:
         """Forget everything."""
         self.states.clear()
         self.answers.clear()
+        self.came_s.clear()
+        self.slowest_s = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Watched:
+    """What a scenario has left in the drives.
+
+    Attributes
+    ----------
+    seen : Seen
+    states : of each drive, now
+    silent : whether each is without power
+    touched : frames that faults have touched, by kind
+    tpdo3_on : drives that send their third TPDO
+    """
+
+    seen: Seen
+    states: tuple[PdsState, ...]
+    silent: tuple[bool, ...]
+    touched: dict[str, int]
+    tpdo3_on: int
 
 
 class Rig:
@@ -89,6 +133,7 @@ class Rig:
 
     def _on_sync(self, sync: int) -> None:
         drives = self.server.drives
+        self.seen.came_s.append(time.monotonic())
         self.seen.states.append(
             (
                 sync,
@@ -101,7 +146,39 @@ class Rig:
     def _on_frame(self, sync: int, frame: can.Message) -> None:
         if frame.arbitration_id & 0x780 == 0x180 and len(frame.data) == 8:
             _, position, torque = struct.unpack("<Hih", frame.data)
+            if self.seen.came_s:
+                self.seen.slowest_s = max(self.seen.slowest_s, time.monotonic() - self.seen.came_s[-1])
             self.seen.answers[sync, frame.arbitration_id & 0x7F] = (position, torque)
+
+    # -- what a scenario asks for; the same by way of a pipe: `tests.chaos.remote` ------------------------------------
+
+    def sync(self) -> int:
+        """Number of the last SYNC on the wire."""
+        return self.wire.sync
+
+    def arm(self, fault: Fault) -> None:
+        """Let a fault begin now, in the drives' thread."""
+        self.call(lambda: self.wire.arm(fault))
+
+    def arm_in(self, fault: Fault, syncs: int) -> None:
+        """Let a fault begin after so many more SYNCs."""
+        self.wire.arm_in(fault, syncs)
+
+    def all_well(self) -> None:
+        """Let every drive say by an emergency message that it has no error."""
+        self.server.later(lambda: [drive.node.emergency(0, 0) for drive in self.server.drives])
+
+    def watched(self) -> Watched:
+        """What was seen since `renew`, once the drives have done what they were told."""
+        self.call(lambda: None)
+        drives = self.server.drives
+        return Watched(
+            Seen(list(self.seen.states), dict(self.seen.answers), list(self.seen.came_s), self.seen.slowest_s),
+            tuple(drive.automaton.state for drive in drives),
+            tuple(drive.node.silent for drive in drives),
+            dict(self.wire.touched),
+            sum(not drive.tpdos[TPDO3].cob_id & OFF for drive in drives),
+        )
 
     def call(self, job: Callable[[], None]) -> None:
         """Have something done in the drives' thread, and wait for it."""
@@ -138,12 +215,51 @@ class Rig:
             yield opened
 
 
+class Drives(Protocol):
+    """What a scenario needs of simulated drives, in this process or in another; as in `Rig`."""
+
+    @property
+    def loaded(self) -> LoadedCell:
+        """The cell."""
+        ...
+
+    @property
+    def bus(self) -> str:
+        """INTERFACE:CHANNEL."""
+        ...
+
+    def renew(self) -> None:
+        """No fault, nothing seen."""
+        ...
+
+    def sync(self) -> int:
+        """Number of the last SYNC."""
+        ...
+
+    def arm(self, fault: Fault) -> None:
+        """A fault from now on."""
+        ...
+
+    def arm_in(self, fault: Fault, syncs: int) -> None:
+        """A fault after so many more SYNCs."""
+        ...
+
+    def all_well(self) -> None:
+        """An emergency message of every drive that it has no error."""
+        ...
+
+    def watched(self) -> Watched:
+        """What was seen."""
+        ...
+
+
 def small_cell(folder: Path, edit: Callable[[str], str] = lambda text: text) -> LoadedCell:
     """The small example in a folder of its own, its text in lockstep and passed through `edit`."""
     (folder / "robot.urdf").write_text((EXAMPLE / "robot.urdf").read_text())
     profile = (PROFILE_FOLDER / "generic-cia402.toml").read_text().replace("generic-cia402", "named-make", 1)
     profile = re.sub(r"(?m)^eds = .*\n", "", profile)
-    (folder / "drive.toml").write_text(profile.replace("[torque]\n", IDENTITY + "[torque]\n", 1))
+    profile = profile.replace("[torque]\n", IDENTITY + "[torque]\n", 1) + SAFETY
+    (folder / "drive.toml").write_text(profile)
     text = (EXAMPLE / "cell.toml").read_text().replace('profile = "generic-cia402"', 'profile = "drive.toml"')
     text = edit(in_lockstep(text))
     (folder / "cell.toml").write_text(text)

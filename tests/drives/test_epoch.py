@@ -92,6 +92,19 @@ def test_an_answer_of_the_wrong_length_is_none(group, slaves):
     assert group.statistics.wrong_length == 1
 
 
+def test_a_warning_is_counted_and_stops_nothing(group, slaves, wire):
+    real = wire.emit
+
+    def warned(can_id, data, *rest, **flags):
+        real(can_id, bytes([data[0] | 0x80, *data[1:]]) if can_id == 0x182 else data, *rest, **flags)
+
+    assert group.statistics.warnings == 0
+    wire.emit = warned
+    for _ in range(7):
+        assert step(group, slaves).complete
+    assert group.statistics.warnings == 7
+
+
 def test_half_an_answer_is_none(group, slaves, wire):
     """TPDO1 came and TPDO2 did not: the row of that axis stays empty."""
     real = wire.emit

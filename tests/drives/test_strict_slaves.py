@@ -58,6 +58,38 @@ def test_a_slave_that_refuses_start_until_its_communication_error_is_gone(bus, s
     assert 2 <= len(started) <= 8
 
 
+def says_why(slave, wire, clears):
+    """Let a slave say by an emergency why it refuses START, and when it no longer does if `clears`."""
+    take = slave._command
+    said = []
+
+    def command(number):
+        refused = number == 1 and wire.now_s < slave.communication_error_until_s
+        if refused or (said and clears and number == 1):
+            slave.emergency(bytes.fromhex("008111" if refused else "000000"))
+        said[:] = [True] if refused else []
+        take(number)
+
+    slave._command = command
+
+
+@BOTH
+def test_a_refused_start_that_was_said_to_be_over_is_no_reason_to_stop(bus, slaves, setups, wire, pacing):
+    slaves[1].communication_error_until_s = wire.now_s + 0.5
+    says_why(slaves[1], wire, clears=True)
+    group = enabled(bus, setups(2), pacing)
+    assert [each.code for each in group.statistics.emcy][-2:] == [0x8100, 0]
+    group.close()
+
+
+def test_a_refused_start_that_was_not_said_to_be_over_is(bus, slaves, setups, wire):
+    slaves[1].communication_error_until_s = wire.now_s + 0.5
+    says_why(slaves[1], wire, clears=False)
+    with pytest.raises(DriveFault, match="0x8100") as caught:
+        enabled(bus, setups(2))
+    assert caught.value.node == 2
+
+
 @pytest.mark.parametrize("profile", ["generic-cia402", "kollmorgen-akd-x00606"])
 def test_a_slave_that_never_starts_is_named_with_its_state(bus, slaves, wire, profile):
     """With a heartbeat that the profile asks for, and without one: by its silence at SYNC."""
