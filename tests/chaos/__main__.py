@@ -1,6 +1,6 @@
 """Inject every fault, kill masters, feed strangers' bytes; print every figure with its goal and write `summary.json`.
 
-python -m tests.chaos [--out out/chaos] [scenarios] [truth] [kills] [stops] [load] [fuzz]
+python -m tests.chaos [--out out/chaos] [scenarios] [truth] [kills] [stops] [pair_stops] [load] [fuzz]
 python -m tests.chaos soak [--minutes 30]
 """
 
@@ -17,7 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from tests.bench.__main__ import show
 
-PARTS = ("scenarios", "truth", "kills", "stops", "load", "fuzz")
+PARTS = ("scenarios", "truth", "kills", "stops", "pair_stops", "load", "fuzz")
 
 
 def main(argv: list[str]) -> int:
