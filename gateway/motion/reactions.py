@@ -94,7 +94,7 @@ ARM_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "a recording that falls behind", "along the path", 8, "visits that wait for the disk", "free the disk"
         ),
         "force": Rule(
-            "two arms: the force inside the part above twice its limit; quick stop if it still rises after 3 SYNCs",
+            "two arms: the force inside the part above twice its limit; quick stop if it then rises 2.5 times",
             "along the path",
             0.02,
             "s",

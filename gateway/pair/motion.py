@@ -51,8 +51,9 @@ FADE_S = 0.4
 LISTEN_CYCLES = 12
 #: What a place along a way may miss a row by, through rounding.
 HAIR = 1e-9
-#: SYNCs after the decision to stop along the path in which the force may still rise, and how much it may do later.
-RISING_SYNCS, RISING = 3, 1.05
+#: SYNCs after the decision to stop along the path in which the force may still rise, and how many times larger it may
+#: become later: ramps that end one by one squeeze the part by hundreds of newtons, the slowing down itself by less.
+RISING_SYNCS, RISING = 3, 2.5
 
 #: On the way to a stop a force below this share of the limit may be friction: hands do not yield to it.
 DOUBTFUL = 0.5

@@ -1,7 +1,7 @@
 """Inject every fault, kill masters, feed strangers' bytes; print every figure with its goal and write `summary.json`.
 
 python -m tests.chaos [--out out/chaos] [scenarios] [truth] [kills] [stops] [stalls] [signals] [disk]
-                     [unbuffered] [load] [fuzz]
+                     [unbuffered] [pair_stops] [load] [fuzz]
 python -m tests.chaos soak [--minutes 30]
 """
 
@@ -27,6 +27,7 @@ PARTS = (
     "signals",
     "disk",
     "unbuffered",
+    "pair_stops",
     "load",
     "fuzz",
 )

@@ -177,8 +177,11 @@ def _judged(table: Table) -> dict[str, Figure]:
             out[f"P9: {label} inside the limit"] = _share(hits, total, goal, 1.0 if goal == "all" else None)
     stops = [row for row in table.rows if row["row"] == "stop"]
     if stops:
-        out["P10: SYNCs until all twelve stop"] = _value(
-            [row["syncs"] for row in stops], "median, least and most", "all <= 3", _most(3.0)
+        out["P10: SYNCs until the stop along the path begins"] = _value(
+            [row["begun_syncs"] for row in stops], "median, least and most", "all <= 3", _most(3.0)
+        )
+        out["P10: SYNCs until all twelve are disabled"] = _value(
+            [row["syncs"] for row in stops], "median, least and most", "reported", None
         )
         after = [row["force_after_n"] for row in stops]
         out["P10: force after the stop"] = _value(after, "N, median, least and most", "reported", None)

@@ -14,6 +14,7 @@ from drives.errors import DriveError
 from gateway.pair.embodiments import EMBODIMENTS, Embodiment, with_gains
 from gateway.pair.function import TransformFunction, constant_function
 from gateway.pair.motion import MotionOptions, PairStopped
+from gateway.pair.run import PairRun
 from gateway.pair.session import cell_gains
 from gateway.pair.speed import ExtrapolationWarning, SpeedTable
 from sim.states import PdsState
@@ -191,6 +192,21 @@ def snag(bench: Bench) -> None:
     bench.rows.append({"tier": "bus", "row": "snag", "seed": bench.rig.seed, "speed": USUAL, **summary})
 
 
+def first_slower(run: PairRun, decided: list[float], now_s: Callable[[], float]) -> list[float]:
+    """Time at which the first set points slower than planned are sent once a stop is decided, as the only entry."""
+    begun: list[float] = []
+    stream = run.motion.stream
+    plain = stream._send
+
+    def send(way: Any, at: float, rate: float) -> None:
+        if decided and not begun and rate < 1.0:
+            begun.append(now_s())
+        plain(way, at, rate)
+
+    stream._send = send  # type: ignore[method-assign]
+    return begun
+
+
 def stop(bench: Bench) -> None:
     """The comparison example with its limit in force: both arms have to stop, and the force stays bounded."""
     rig, states = bench.rig, []
@@ -205,6 +221,7 @@ def stop(bench: Bench) -> None:
     desk = run.motion.stream.station.options.desk
     plain = desk.ask
     desk.ask = lambda *wish: (decided.append(rig.world.time_s), plain(*wish))[1]  # type: ignore[method-assign]
+    begun = first_slower(run, decided, lambda: rig.world.time_s)
     rig.world.after.append(note)
     why = ""
     try:
@@ -224,6 +241,7 @@ def stop(bench: Bench) -> None:
             "seed": rig.seed,
             "speed": USUAL,
             "stopped": bool(decided) and "above" in why,
+            "begun_syncs": (begun[0] - decided[0]) / period + 1.0 if begun else float("nan"),
             "syncs": (left - decided[0]) / period if decided else float("nan"),
             "apart_syncs": (left - first) / period,
             "force_at_stop_n": after[0] if after else float("nan"),
