@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +27,8 @@ from tests.fuzz.check_files import RESULT_SEED
 #: Longest wait for power, and for an end.
 POWER_S, END_S = 60.0, 60.0
 LOOK_S = 0.01
+#: Longest SYNC period at which two arms keep the force inside a part small.
+PAIR_PERIOD_S = 0.008
 #: Wide and quick: axes are near their limits most of the time.
 PATH = """name = "swing"
 waypoints_rad = [
@@ -51,14 +53,9 @@ class Program:
     ----------
     words : of the command line, behind `servo-gateway`
     state : folder of ledgers and proofs
-    file_limit : largest file it may write, bytes; 0 = any
     """
 
-    def __init__(self, words: Sequence[object], state: Path, file_limit: int = 0) -> None:
-        def limited() -> None:
-            if file_limit:
-                resource.setrlimit(resource.RLIMIT_FSIZE, (file_limit, file_limit))
-
+    def __init__(self, words: Sequence[object], state: Path) -> None:
         self._process = subprocess.Popen(
             [sys.executable, "-m", "gateway.cli", *map(str, words)],
             stdin=subprocess.DEVNULL,
@@ -66,7 +63,6 @@ class Program:
             stderr=subprocess.PIPE,
             env=os.environ | {"XDG_STATE_HOME": str(state), "XDG_RUNTIME_DIR": str(state)},
             cwd=Path(__file__).resolve().parents[2],
-            preexec_fn=limited,
         )
         assert self._process.stdout is not None
         assert self._process.stderr is not None
@@ -97,6 +93,12 @@ class Program:
         """A signal."""
         self._process.send_signal(number)
 
+    def fill_disk(self) -> None:
+        """From now on no file can be written, by it or by the processes that it has started."""
+        for number in (self._process.pid, *_children(self._process.pid)):
+            with suppress(ProcessLookupError):
+                resource.prlimit(number, resource.RLIMIT_FSIZE, (1, 1))
+
     def leave(self) -> None:
         """Close the reading ends of its output, as a terminal that goes away."""
         _ = self.said
@@ -125,6 +127,15 @@ class Program:
         _ = self.said
         self.leave()
         return code
+
+
+def _children(process: int) -> list[int]:
+    found: list[int] = []
+    for path in Path(f"/proc/{process}/task").glob("*/children"):
+        with suppress(OSError):
+            for child in path.read_text().split():
+                found += [int(child), *_children(int(child))]
+    return found
 
 
 def disturbed(said: str) -> bool:
@@ -159,9 +170,9 @@ class Stage:
         """Ledgers and proofs."""
         return self.folder / "state"
 
-    def run(self, *words: object, file_limit: int = 0) -> Program:
+    def run(self, *words: object) -> Program:
         """Start a command."""
-        return Program([*words, "--bus", self.bus], self.state, file_limit)
+        return Program([*words, "--bus", self.bus], self.state)
 
 
 def _edit(period_s: float) -> Callable[[str], str]:
@@ -245,7 +256,7 @@ class Command:
     window_s : how long after power something may happen to it
     pair : it needs two arms
     records : it announces visits, which are in `run.h5`
-    full : largest files that make it fail while it moves, bytes: from, to; None = it writes nothing then
+    writes : it writes files while it is under power
     """
 
     name: str
@@ -253,7 +264,7 @@ class Command:
     window_s: float
     pair: bool = False
     records: bool = False
-    full: tuple[int, int] | None = None
+    writes: bool = False
 
 
 def _follow(stage: Stage, _out: Path) -> list[object]:
@@ -267,18 +278,18 @@ COMMANDS = (
         lambda stage, out: ["record", stage.cell, "--load", "none", "-o", out / "run.h5", "--yes", "-v"],
         8.0,
         records=True,
-        full=(60_000, 140_000),
+        writes=True,
     ),
     Command(
         "commission",
         lambda stage, out: ["commission", stage.cell, "--load", "tool", "--out", out, "--yes", "-v"],
         8.0,
         records=True,
-        full=(60_000, 140_000),
+        writes=True,
     ),
     Command("check --move", lambda stage, out: ["check", stage.cell, "--move", "--yes", "-v"], 5.0),
     Command("check --prove-stop", lambda stage, out: ["check", stage.cell, "--prove-stop", "--yes", "-v"], 4.0),
     Command("follow", _follow, 8.0),
-    Command("teach", lambda stage, out: ["teach", stage.cell, "--yes", "--store", out], 5.0, True, full=(900, 2_500)),
+    Command("teach", lambda stage, out: ["teach", stage.cell, "--yes", "--store", out], 12.0, True, writes=True),
     Command("run-pair", lambda stage, out: ["run-pair", stage.cell, "--yes", "--cycles", "2", "-v"], 5.0, True),
 )
