@@ -77,6 +77,7 @@ def fastest_unbuffered(
 
 
 def _run(command: Command, stage: Stage, out: Path, fastest: Fastest) -> None:
+    code, said = None, ""
     for _ in range(TRIES):
         shutil.rmtree(out, ignore_errors=True)
         out.mkdir()
