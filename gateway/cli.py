@@ -16,6 +16,7 @@ Each command lives in `gateway/commands` and is imported when it is called, so t
 from __future__ import annotations
 
 import contextlib
+import errno
 import importlib
 import os
 import sys
@@ -30,6 +31,8 @@ from gateway.motion.stops import StoppedByPerson, output_closed
 
 PROGRAM = "servo-gateway"
 CTRL_C = 130
+#: What the system says of a file that it has no room for.
+NO_SPACE = frozenset({errno.ENOSPC, errno.EFBIG, errno.EDQUOT})
 
 # command -> (module of gateway.commands, one line of help)
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -144,6 +147,9 @@ def report_error(error: BaseException) -> int:
     if isinstance(code, int):
         _say(f"error: {paragraph(error)}")
         return code
+    if isinstance(error, OSError) and error.errno in NO_SPACE:
+        _say(f"error: {error.filename or 'a file'}: {paragraph(error)}; free some space or choose another folder")
+        return 3
     if isinstance(error, OSError) and error.filename is not None:
         _say(f"error: {error.filename}: {error.strerror}; check the path and its permissions")
         return 3
@@ -167,9 +173,12 @@ def paragraph(error: BaseException) -> str:
 
 
 def _defect(error: BaseException) -> str:
-    handle, path = tempfile.mkstemp(prefix=f"{PROGRAM}-", suffix=".log")
-    with os.fdopen(handle, "w", encoding="utf-8") as log:
-        log.write("".join(traceback.format_exception(error)))
+    try:
+        handle, path = tempfile.mkstemp(prefix=f"{PROGRAM}-", suffix=".log")
+        with os.fdopen(handle, "w", encoding="utf-8") as log:
+            log.write("".join(traceback.format_exception(error)))
+    except OSError as failed:
+        path = f"no file, which cannot be written ({failed})"
     return (
         f"this is a defect of {PROGRAM}: {type(error).__name__}: {paragraph(error)}; "
         f"no motion is under way. The details are in {path}; please report them"

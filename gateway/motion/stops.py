@@ -146,10 +146,16 @@ def outputs_watched(descriptors: Sequence[int] = (1, 2)) -> StopSource:
                 poll.register(number, 0)
     for number, _ in poll.poll(0):
         poll.unregister(number)
+    asking = threading.Lock()
 
     def closed() -> StopRequest | None:
-        if not poll.poll(0):
+        if not asking.acquire(blocking=False):  # the thread of another arm asks at this moment
             return None
+        try:
+            if not poll.poll(0):
+                return None
+        finally:
+            asking.release()
         return StopRequest(StopKind.ALONG_PATH, StoppedByPerson(CLOSED))
 
     return closed

@@ -18,6 +18,7 @@ from gateway.errors import InputError
 from tests.chaos.killing import visits_on_disk
 from tests.chaos.programs import (
     COMMANDS,
+    PAIR_PERIOD_S,
     POWER_S,
     TRIES,
     Command,
@@ -57,7 +58,7 @@ ACTIONS: dict[str, Action] = {
     "SIGTERM": lambda program, _: program.send(signal.SIGTERM),
     "SIGHUP": lambda program, _: program.send(signal.SIGHUP),
     "closed stdout and stderr": lambda program, _: program.leave(),
-    "full disk": lambda program, _: None,
+    "full disk": lambda program, _: program.fill_disk(),
 }
 
 
@@ -112,7 +113,7 @@ class Interrupter:
     """
 
     def __init__(self, folder: Path, period_s: float, seed: int = 1) -> None:
-        self._folder, self._period_s = folder, period_s
+        self._folder, self._pair_period_s = folder, min(period_s, PAIR_PERIOD_S)
         self._rng = random.Random(f"interruptions {seed}")
         self._pair_bus = pair_bus()
         self._pair_proven = False
@@ -137,10 +138,10 @@ class Interrupter:
             return
         folder = self._folder / "pair"
         if not self._pair_proven:
-            with pair_stage(folder, self._period_s, self._pair_bus) as stage:
+            with pair_stage(folder, self._pair_period_s, self._pair_bus) as stage:
                 prove(stage)
                 self._pair_proven = True
-        with pair_stage(folder, self._period_s, self._pair_bus) as stage:
+        with pair_stage(folder, self._pair_period_s, self._pair_bus) as stage:
             shutil.rmtree(stage.cell.with_suffix(".pair"), ignore_errors=True)
             teach(stage)
             yield stage
@@ -148,18 +149,16 @@ class Interrupter:
     def _interrupted(self, how: str, command: Command, stage: Stage, result: Interruptions) -> bool:
         out = self._folder / f"out-{self._number}"
         out.mkdir()
-        limit = self._rng.randint(*command.full) if how == "full disk" and command.full else 0
-        program = stage.run(*command.words(stage, out), file_limit=limit)
+        program = stage.run(*command.words(stage, out))
         stage.served.ask("logs")
-        at_s = self._at(program, stage, command, limit)
-        if at_s is None and not limit:
+        at_s = self._at(program, stage, command, how)
+        if at_s is None:
             program.end(1.0)
             result.early += 1
             if program.code not in (DONE, None) and not disturbed(program.said):
                 result.complaints.append(f"{command.name}: ended by itself with {program.code}: {program.said[-300:]}")
             return False
         powered = stage.served.ask("powered")
-        at_s = at_s or time.monotonic()
         ACTIONS[how](program, self._rng)
         code = program.end()
         said = program.said
@@ -167,25 +166,25 @@ class Interrupter:
         if code == BUS and disturbed(said):
             result.disturbed += 1
             return False
+        if code == DONE and how == "full disk":
+            result.early += 1
+            return False
         result.runs += 1
         result.powered += powered
         result.commands[command.name] = result.commands.get(command.name, 0) + 1
         what = f"{command.name}, {how} (run {self._number})"
         ending = reduce(Ending.joined, [track.ending(at_s) for track in tracks])
-        self._judge(ending, what, result, 0.0 if limit else ramp_s(stage.cell) + GRACE_S)
+        self._judge(ending, what, result, 0.0 if how == "full disk" else ramp_s(stage.cell) + GRACE_S)
         self._judge_code(code, how, what, said, result)
         if command.records:
             self._judge_file(program, out / "run.h5", what, result)
         shutil.rmtree(out, ignore_errors=True)
         return True
 
-    def _at(self, program: Program, stage: Stage, command: Command, limit: int) -> float | None:
-        """Time of the random instant; None if the program has ended before. A full disk chooses its own."""
+    def _at(self, program: Program, stage: Stage, command: Command, how: str) -> float | None:
+        """Time of the random instant; None if the program has ended before."""
         rng = self._rng
-        if limit:
-            program.wait_for(lambda: stage.served.ask("powered"), POWER_S)
-            return time.monotonic()
-        if rng.random() < EARLY_SHARE:
+        if how != "full disk" and rng.random() < EARLY_SHARE:
             program.wait_for(lambda: False, rng.uniform(0.3, 1.5))
         elif program.wait_for(lambda: stage.served.ask("powered"), POWER_S):
             program.wait_for(lambda: False, rng.uniform(0.0, command.window_s))
@@ -227,7 +226,7 @@ class Interrupter:
 
 def commands_for(how: str, count: int, seed: int = 1) -> Sequence[Command]:
     """So many commands, each that can be met in this way as often as the others, in random order."""
-    able = [command for command in COMMANDS if how != "full disk" or command.full]
+    able = [command for command in COMMANDS if how != "full disk" or command.writes]
     chosen = [able[number % len(able)] for number in range(count)]
     random.Random(f"{how} {seed}").shuffle(chosen)
     return chosen

@@ -117,11 +117,16 @@ def _serve(folder: Path, edit: Callable[[str], str], bus: str, pipe: Connection,
     rig = Rig(folder, edit, bus, **options)
     witness = Witness(rig.server)
     server = rig.server
+
+    def power_off() -> None:
+        for drive in server.drives:
+            drive.automaton.disable_voltage()
+
     answers: dict[str, Callable[..., Any]] = {
         "hello": lambda: None,
         "states": lambda: [drive.automaton.state for drive in server.drives],
         "renew": rig.renew,
-        "power off": lambda: rig.call(lambda: [drive.automaton.disable_voltage() for drive in server.drives]),
+        "power off": lambda: rig.call(power_off),
         "values": lambda: [dict(drive.store.values) for drive in server.drives],
         "arm": rig.wire.arm_in,
         "sync": lambda: rig.wire.sync,

@@ -11,9 +11,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from gateway.arm_model import arm_robot
 from gateway.pair.cell import load_pair
@@ -27,6 +28,8 @@ from tests.fuzz.check_files import RESULT_SEED
 #: Longest wait for power, and for an end.
 POWER_S, END_S = 60.0, 60.0
 LOOK_S = 0.01
+#: SYNC period of two arms: the example's own, the force inside the part is controlled at it.
+PAIR_PERIOD_S = 0.004
 #: Wide and quick: axes are near their limits most of the time.
 PATH = """name = "swing"
 waypoints_rad = [
@@ -51,14 +54,9 @@ class Program:
     ----------
     words : of the command line, behind `servo-gateway`
     state : folder of ledgers and proofs
-    file_limit : largest file it may write, bytes; 0 = any
     """
 
-    def __init__(self, words: Sequence[object], state: Path, file_limit: int = 0) -> None:
-        def limited() -> None:
-            if file_limit:
-                resource.setrlimit(resource.RLIMIT_FSIZE, (file_limit, file_limit))
-
+    def __init__(self, words: Sequence[object], state: Path) -> None:
         self._process = subprocess.Popen(
             [sys.executable, "-m", "gateway.cli", *map(str, words)],
             stdin=subprocess.DEVNULL,
@@ -66,7 +64,6 @@ class Program:
             stderr=subprocess.PIPE,
             env=os.environ | {"XDG_STATE_HOME": str(state), "XDG_RUNTIME_DIR": str(state)},
             cwd=Path(__file__).resolve().parents[2],
-            preexec_fn=limited,
         )
         assert self._process.stdout is not None
         assert self._process.stderr is not None
@@ -97,6 +94,12 @@ class Program:
         """A signal."""
         self._process.send_signal(number)
 
+    def fill_disk(self) -> None:
+        """From now on no file can be written, by it or by the processes that it has started."""
+        for number in (self._process.pid, *_children(self._process.pid)):
+            with suppress(ProcessLookupError):
+                resource.prlimit(number, resource.RLIMIT_FSIZE, (1, 1))
+
     def leave(self) -> None:
         """Close the reading ends of its output, as a terminal that goes away."""
         _ = self.said
@@ -125,6 +128,15 @@ class Program:
         _ = self.said
         self.leave()
         return code
+
+
+def _children(process: int) -> list[int]:
+    found: list[int] = []
+    for path in Path(f"/proc/{process}/task").glob("*/children"):
+        with suppress(OSError):
+            for child in path.read_text().split():
+                found += [int(child), *_children(int(child))]
+    return found
 
 
 def disturbed(said: str) -> bool:
@@ -159,9 +171,9 @@ class Stage:
         """Ledgers and proofs."""
         return self.folder / "state"
 
-    def run(self, *words: object, file_limit: int = 0) -> Program:
+    def run(self, *words: object) -> Program:
         """Start a command."""
-        return Program([*words, "--bus", self.bus], self.state, file_limit)
+        return Program([*words, "--bus", self.bus], self.state)
 
 
 def _edit(period_s: float) -> Callable[[str], str]:
@@ -176,7 +188,7 @@ def _edit(period_s: float) -> Callable[[str], str]:
 
 
 @contextmanager
-def small_stage(folder: Path, period_s: float, **options: object) -> Iterator[Stage]:
+def small_stage(folder: Path, period_s: float, **options: Any) -> Iterator[Stage]:
     """One arm, proven to stop."""
     folder.mkdir(parents=True, exist_ok=True)
     with drives(folder, _edit(period_s), **options) as served:
@@ -189,7 +201,7 @@ def small_stage(folder: Path, period_s: float, **options: object) -> Iterator[St
 
 
 @contextmanager
-def pair_stage(folder: Path, period_s: float, bus: str, **options: object) -> Iterator[Stage]:
+def pair_stage(folder: Path, period_s: float, bus: str, **options: Any) -> Iterator[Stage]:
     """Two arms that grip a part between them, at the start of their path."""
     folder.mkdir(parents=True, exist_ok=True)
     with drives(folder, with_real_pacing(period_s), bus, serve=serve_pair, **options) as served:
@@ -208,16 +220,18 @@ def prove(stage: Stage) -> Stage:
     """
     if stage.pair:
         stage.served.ask("grip", True)
+    said = ""
     for _ in range(TRIES):
         program = stage.run("check", stage.cell, "--prove-stop", "--yes")
         if program.end(120.0) == 0:
             break
+        said = program.said
         if not stage.pair:
             stage.served.ask("renew")
-        if not disturbed(program.said):
-            raise RuntimeError(f"the stop is not proven: {program.said}")
+        if not disturbed(said):
+            raise RuntimeError(f"the stop is not proven: {said}")
     else:
-        raise RuntimeError(f"this computer is too busy to prove the stop: {program.said}")
+        raise RuntimeError(f"this computer is too busy to prove the stop: {said}")
     for path in (stage.state / "servo-gateway").glob("*-stop.json"):
         path.write_text(path.read_text().replace('"moved": false', '"moved": true'))
     if stage.pair:
@@ -245,7 +259,7 @@ class Command:
     window_s : how long after power something may happen to it
     pair : it needs two arms
     records : it announces visits, which are in `run.h5`
-    full : largest files that make it fail while it moves, bytes: from, to; None = it writes nothing then
+    writes : it writes files while it is under power
     """
 
     name: str
@@ -253,7 +267,7 @@ class Command:
     window_s: float
     pair: bool = False
     records: bool = False
-    full: tuple[int, int] | None = None
+    writes: bool = False
 
 
 def _follow(stage: Stage, _out: Path) -> list[object]:
@@ -267,18 +281,18 @@ COMMANDS = (
         lambda stage, out: ["record", stage.cell, "--load", "none", "-o", out / "run.h5", "--yes", "-v"],
         8.0,
         records=True,
-        full=(60_000, 140_000),
+        writes=True,
     ),
     Command(
         "commission",
         lambda stage, out: ["commission", stage.cell, "--load", "tool", "--out", out, "--yes", "-v"],
         8.0,
         records=True,
-        full=(60_000, 140_000),
+        writes=True,
     ),
     Command("check --move", lambda stage, out: ["check", stage.cell, "--move", "--yes", "-v"], 5.0),
     Command("check --prove-stop", lambda stage, out: ["check", stage.cell, "--prove-stop", "--yes", "-v"], 4.0),
     Command("follow", _follow, 8.0),
-    Command("teach", lambda stage, out: ["teach", stage.cell, "--yes", "--store", out], 5.0, True, full=(900, 2_500)),
+    Command("teach", lambda stage, out: ["teach", stage.cell, "--yes", "--store", out], 12.0, True, writes=True),
     Command("run-pair", lambda stage, out: ["run-pair", stage.cell, "--yes", "--cycles", "2", "-v"], 5.0, True),
 )

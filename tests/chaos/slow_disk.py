@@ -83,10 +83,11 @@ def record_on_slow_disk(write_s: float, period_s: float = 0.01, capacity: int = 
     visits : int
         How many are asked for.
     """
-    for _ in range(TRIES):
-        result = _tried(write_s, period_s, capacity, visits)
+    result = _tried(write_s, period_s, capacity, visits)
+    for _ in range(TRIES - 1):
         if not disturbed(result.said):
             break
+        result = _tried(write_s, period_s, capacity, visits)
     return result
 
 

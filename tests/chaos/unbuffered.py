@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tests.chaos.programs import (
+    PAIR_PERIOD_S,
     TRIES,
     Command,
     Stage,
@@ -64,10 +65,10 @@ def fastest_unbuffered(
                     progress()
         double, bus = [command for command in commands if command.pair], pair_bus()
         if double:
-            with pair_stage(folder / "pair", period_s, bus, unbuffered=True) as stage:
+            with pair_stage(folder / "pair", min(period_s, PAIR_PERIOD_S), bus, unbuffered=True) as stage:
                 prove(stage)
         for command in double:
-            with pair_stage(folder / "pair", period_s, bus, unbuffered=True) as stage:
+            with pair_stage(folder / "pair", min(period_s, PAIR_PERIOD_S), bus, unbuffered=True) as stage:
                 shutil.rmtree(stage.cell.with_suffix(".pair"), ignore_errors=True)
                 teach(stage)
                 _run(command, stage, folder / "out", fastest)
@@ -76,6 +77,7 @@ def fastest_unbuffered(
 
 
 def _run(command: Command, stage: Stage, out: Path, fastest: Fastest) -> None:
+    code, said = None, ""
     for _ in range(TRIES):
         shutil.rmtree(out, ignore_errors=True)
         out.mkdir()

@@ -209,3 +209,17 @@ def test_an_output_that_nobody_reads_does_not_hide_how_the_command_ended(monkeyp
 def test_the_signal_that_stopped_a_command_is_named(capsys):
     assert cli.report_error(StoppedByPerson("stopped by SIGTERM")) == 130
     assert "stopped by SIGTERM" in capsys.readouterr().err
+
+
+def test_a_full_disk_is_no_defect(capsys):
+    assert cli.report_error(OSError(27, "File too large")) == 3
+    assert "free some space" in capsys.readouterr().err
+
+
+def test_a_defect_is_told_even_where_no_log_can_be_written(monkeypatch, capsys):
+    def full(**_options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(cli.tempfile, "mkstemp", full)
+    assert cli.report_error(ZeroDivisionError("by zero")) == 1
+    assert "by zero" in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import threading
 
 import pytest
 
@@ -123,3 +124,25 @@ def test_a_listener_that_prints_to_nobody_is_a_closed_terminal():
     assert wish is not None
     assert isinstance(wish.cause, StoppedByPerson)
     assert not output_closed(SystemExit(1))
+
+
+def test_two_threads_may_ask_about_the_outputs_at_the_same_time():
+    read, write = os.pipe()
+    source = outputs_watched([write])
+    failed = []
+
+    def ask():
+        try:
+            for _ in range(20_000):
+                source()
+        except RuntimeError as error:
+            failed.append(error)
+
+    threads = [threading.Thread(target=ask) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert failed == []
+    os.close(read)
+    os.close(write)
