@@ -86,8 +86,8 @@ SLOWLY = frozenset({"tpdo_stuck", "rpdo_lost"})
 TAKEN_OVER = frozenset({"torque_spike"})
 #: Beginning of a fault after the start of the run, or of the phase that it is meant for [s].
 EARLY_S, TAKEN_OVER_S, ANY_S, SAMPLES_S = (0.05, 0.2), (0.35, 1.5), (0.05, 1.5), (0.0, 0.08)
-#: Of a visit: samples, and the longest wait for rest [s].
-SAMPLES, SETTLE_S = 25, 4.0
+#: Of a visit: its approach, samples, and the longest wait for rest [s].
+APPROACH_RAD, SAMPLES, SETTLE_S = 0.02, 25, 4.0
 #: Nothing is wrong with drives of these kinds: they are configured and moved.
 STRICT = (
     "strict_inhibit",
@@ -114,7 +114,12 @@ def short_plan(opened: OpenArm, seed: int) -> Plan:
     poses = [RestPose(1, first, "fit")]
     if opened.group.timing.pacing == "lockstep":
         poses.append(RestPose(2, tuple(0.5 * angle for angle in first), "fit"))
-    settings = replace(visit_settings(opened.loaded, config), samples=SAMPLES, settle_timeout_s=SETTLE_S)
+    settings = replace(
+        visit_settings(opened.loaded, config),
+        approach_offset_rad=APPROACH_RAD,
+        samples=SAMPLES,
+        settle_timeout_s=SETTLE_S,
+    )
     return plan_poses(config.name, workspace, poses, settings)[0]
 
 
