@@ -60,6 +60,7 @@ DETAILS: dict[str, dict[str, Any]] = {
     "not_remote": {"syncs": 0},
     "warning": {"syncs": 20},
     "torque_spike": {"syncs": 0, "code": 1500},
+    "brake_slips": {"syncs": 0, "speed_rad_s": 0.05},
     "second_master_sync": {"syncs": 0},
     "second_master_nmt": {"syncs": 0},
     "second_master_sdo": {"syncs": 0},
