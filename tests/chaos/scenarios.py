@@ -78,6 +78,8 @@ DETAILS: dict[str, dict[str, Any]] = {
     "node_missing": {"syncs": 0},
     "duplicate_node": {"syncs": 0},
 }
+#: Whom a fault may concern; only an axis that carries weight sinks.
+NODES, CARRYING = (1, 2, 3, 4, 5, 6), (2, 3)
 #: Faults that show late, or only while the axis moves, begin in the first motion.
 IN_MOTION = frozenset({"rpdo_gone", "brake_engaged", "heartbeat_lost", "heartbeat_back"})
 #: What looks like a joint that does not follow, or a drive at its torque limit, where it happens at full speed: these
@@ -185,7 +187,7 @@ def play(rig: Drives, kind: str, seed: int) -> Outcome:
     outcome, evidence = Outcome(kind, seed, bus.pacing, bus.sync_period_s), Evidence()
     fault = None
     if KINDS[kind].where != "master":
-        node = random.Random(f"node {kind} {seed}").randint(1, 6)
+        node = random.Random(f"node {kind} {seed}").choice(CARRYING if kind == "brake_slips" else NODES)
         fault = Fault(kind, **({"node": node, "seed": seed} | DETAILS.get(kind, {})))
     begin = Beginning(rig, kind, seed, fault)
     outcome.in_samples = begin.in_samples
