@@ -79,7 +79,7 @@ DETAILS: dict[str, dict[str, Any]] = {
     "duplicate_node": {"syncs": 0},
 }
 #: Whom a fault may concern; only an axis that carries weight sinks.
-NODES, CARRYING = (1, 2, 3, 4, 5, 6), (2, 3)
+NODES, CARRYING = (1, 2, 3, 4, 5, 6), (3, 5)
 #: Faults that show late, or only while the axis moves, begin in the first motion.
 IN_MOTION = frozenset({"rpdo_gone", "brake_engaged", "heartbeat_lost", "heartbeat_back"})
 #: What looks like a joint that does not follow, or a drive at its torque limit, where it happens at full speed: these
