@@ -60,6 +60,7 @@ DETAILS: dict[str, dict[str, Any]] = {
     "not_remote": {"syncs": 0},
     "warning": {"syncs": 20},
     "torque_spike": {"syncs": 0, "code": 1500},
+    "brake_slips": {"syncs": 0, "speed_rad_s": 0.05},
     "second_master_sync": {"syncs": 0},
     "second_master_nmt": {"syncs": 0},
     "second_master_sdo": {"syncs": 0},
@@ -77,6 +78,8 @@ DETAILS: dict[str, dict[str, Any]] = {
     "node_missing": {"syncs": 0},
     "duplicate_node": {"syncs": 0},
 }
+#: Whom a fault may concern; only an axis that carries weight sinks.
+NODES, CARRYING = (1, 2, 3, 4, 5, 6), (3, 5)
 #: Faults that show late, or only while the axis moves, begin in the first motion.
 IN_MOTION = frozenset({"rpdo_gone", "brake_engaged", "heartbeat_lost", "heartbeat_back"})
 #: What looks like a joint that does not follow, or a drive at its torque limit, where it happens at full speed: these
@@ -86,8 +89,8 @@ SLOWLY = frozenset({"tpdo_stuck", "rpdo_lost"})
 TAKEN_OVER = frozenset({"torque_spike"})
 #: Beginning of a fault after the start of the run, or of the phase that it is meant for [s].
 EARLY_S, TAKEN_OVER_S, ANY_S, SAMPLES_S = (0.05, 0.2), (0.35, 1.5), (0.05, 1.5), (0.0, 0.08)
-#: Of a visit: samples, and the longest wait for rest [s].
-SAMPLES, SETTLE_S = 25, 4.0
+#: Of a visit: its approach, samples, and the longest wait for rest [s].
+APPROACH_RAD, SAMPLES, SETTLE_S = 0.02, 25, 4.0
 #: Nothing is wrong with drives of these kinds: they are configured and moved.
 STRICT = (
     "strict_inhibit",
@@ -114,7 +117,12 @@ def short_plan(opened: OpenArm, seed: int) -> Plan:
     poses = [RestPose(1, first, "fit")]
     if opened.group.timing.pacing == "lockstep":
         poses.append(RestPose(2, tuple(0.5 * angle for angle in first), "fit"))
-    settings = replace(visit_settings(opened.loaded, config), samples=SAMPLES, settle_timeout_s=SETTLE_S)
+    settings = replace(
+        visit_settings(opened.loaded, config),
+        approach_offset_rad=APPROACH_RAD,
+        samples=SAMPLES,
+        settle_timeout_s=SETTLE_S,
+    )
     return plan_poses(config.name, workspace, poses, settings)[0]
 
 
@@ -179,7 +187,7 @@ def play(rig: Drives, kind: str, seed: int) -> Outcome:
     outcome, evidence = Outcome(kind, seed, bus.pacing, bus.sync_period_s), Evidence()
     fault = None
     if KINDS[kind].where != "master":
-        node = random.Random(f"node {kind} {seed}").randint(1, 6)
+        node = random.Random(f"node {kind} {seed}").choice(CARRYING if kind == "brake_slips" else NODES)
         fault = Fault(kind, **({"node": node, "seed": seed} | DETAILS.get(kind, {})))
     begin = Beginning(rig, kind, seed, fault)
     outcome.in_samples = begin.in_samples
