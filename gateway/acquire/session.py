@@ -236,7 +236,7 @@ class _Queued:
     def add(self, arm: str, visit: Visit) -> Visit:
         """Take a visit."""
         stored = self._queue.add(arm, visit)
-        while self._patient and self._queue.full and self._queue.failed is None:
+        while self._patient and self._queue.waiting and self._queue.failed is None:
             time.sleep(PAUSE_S)
             self._seen += self._queue.written()
         return stored

@@ -31,6 +31,8 @@ Result = TypeVar("Result")
 REPORT_S: Final = 0.25
 #: How soon the loop takes the interpreter back from what is computed beside it [s].
 SWITCH_S: Final = 0.0005
+#: By the clock drives buffer set points, to be independent of when in a period they come.
+BUFFERED_SYNCS: Final = 2.0
 #: Speed override of the first motion with a set of drives.
 FIRST_SHARE: Final = 0.1
 #: A stop along the path ends when no joint has moved by more than this [rad] for so long [s], or after the second time.
@@ -120,7 +122,8 @@ class Stream:
         self.sync_index = 0
         self._arms, self._desk, self._period_s = station.arms, station.options.desk, station.period_s
         pairs = zip(station.arms.members, station.workspaces, strict=True)
-        self._watches = [Watch(arm.name, workspace, station.period_s) for arm, workspace in pairs]
+        late = BUFFERED_SYNCS if station.arms.real else 0.0
+        self._watches = [Watch(arm.name, workspace, station.period_s, late) for arm, workspace in pairs]
         self._acceleration = np.concatenate([each.acceleration_rad_s2 for each in station.workspaces])
         self._jerk = np.concatenate([each.jerk_rad_s3 for each in station.workspaces])
         self._report = guarded(station.report, station.options.desk)

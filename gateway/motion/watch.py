@@ -40,9 +40,11 @@ class Watch:
     workspace : Workspace
     period_s : float
         SYNC period.
+    late_syncs : float
+        SYNCs by which a drive may take its set points over late, beside what its servo lags.
     """
 
-    def __init__(self, arm: str, workspace: Workspace, period_s: float) -> None:
+    def __init__(self, arm: str, workspace: Workspace, period_s: float, late_syncs: float = 0.0) -> None:
         self._arm = arm
         self._period_s = period_s
         self._workspace = workspace
@@ -54,6 +56,7 @@ class Watch:
         self._count = np.zeros((4, 6), dtype=int)
         self._counting = False
         self._target: np.ndarray | None = None
+        self._late_syncs = late_syncs
         self._contact = Contact(arm, workspace, period_s)
         self._sent: tuple[int, float] | None = None
         self._late: deque[bool] = deque(maxlen=max(20, round(RHYTHM_S / period_s)))
@@ -99,7 +102,11 @@ class Watch:
         first_s, first_q = self._history[0]
         span_s = max(sample.time_s - first_s, 0.5 * self._period_s)
         torque_nm = sample.joint_torque_nm
-        values = np.array([q_rad - expected, (q_rad - first_q) / span_s, torque_nm, q_rad - self._middle])
+        off_rad = q_rad - expected
+        if self._late_syncs:
+            late_rad = self._late_syncs * np.abs(target_rad - expected)
+            off_rad = np.sign(off_rad) * np.maximum(np.abs(off_rad) - late_rad, 0.0)
+        values = np.array([off_rad, (q_rad - first_q) / span_s, torque_nm, q_rad - self._middle])
         over = np.abs(values) > self._limits
         if over.any():
             self._count = (self._count + 1) * over

@@ -198,3 +198,16 @@ def test_a_rhythm_that_is_not_kept_stops_the_arm(watch):
         watch.check(late(k, 0.02 * k), ZERO, ZERO)
     with pytest.raises(IncompleteEpochs, match="SYNCs went out late"):
         watch.check(late(share + 1, 0.02 * (share + 1)), ZERO, ZERO)
+
+
+@pytest.mark.parametrize(("late", "allowed", "fine"), [(6, 2.0, True), (8, 2.0, False), (6, 0.0, False)])
+def test_by_the_clock_a_drive_may_take_its_set_points_over_late(workspace, late, allowed, fine):
+    """What a drive that buffers set points is behind is no following error."""
+    period_s = 0.05
+    step = workspace.following_error_rad[5] / 3.0
+    targets = [joint(6, step * (row - late)) for row in range(40)]
+    sent = [*targets[late:], *[targets[-1]] * late]
+    watch = Watch("main", workspace, period_s, allowed)
+    samples = [ArmSample(row, row * period_s, q, ZERO, (ANSWER,) * 6) for row, q in enumerate(targets)]
+    # a target that goes out with a SYNC is reached one SYNC later at the soonest
+    assert (stream(watch, samples[1:20], sent[:19]) == -1) == fine
