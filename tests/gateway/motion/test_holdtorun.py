@@ -1,0 +1,119 @@
+"""Hold to run: a release of the key or of the input asks for a stop along the path."""
+
+import io
+import os
+from dataclasses import dataclass, field
+
+import pytest
+
+from drives.sdo import Posted
+from gateway.config import HoldToRun
+from gateway.errors import ConfigError, PlanRefused
+from gateway.motion import holdtorun
+from gateway.motion.holdtorun import FIRST_REPEAT_S, PATIENCE_S, RELEASED_S, HeldInput, HeldKey, held_key
+from gateway.motion.stops import StopKind
+
+
+class Clock:
+    """A monotonic clock that only moves when it is told to."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr(holdtorun, "time", clock)
+    return clock
+
+
+@pytest.fixture
+def keyboard():
+    reading, writing = os.pipe()
+    yield reading, writing
+    os.close(reading)
+    os.close(writing)
+
+
+def test_a_key_that_repeats_is_held_and_one_that_does_not_is_released(clock, keyboard):
+    reading, writing = keyboard
+    key = HeldKey(reading)
+    os.write(writing, b" ")
+    key.wait()
+    clock.now_s += 0.9 * FIRST_REPEAT_S
+    assert key() is None
+    for _ in range(20):
+        os.write(writing, b" ")
+        assert key() is None
+        clock.now_s += 0.9 * RELEASED_S
+        assert key() is None
+    clock.now_s += 0.2 * RELEASED_S
+    assert key().kind is StopKind.ALONG_PATH
+    assert "released" in str(key().cause)
+
+
+def test_without_a_terminal_no_key_can_be_held(monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    with pytest.raises(ConfigError, match="needs a terminal"), held_key():
+        pass
+
+
+@dataclass
+class Input:
+    """An SDO client and a bus whose node answers at the next look."""
+
+    clock: Clock
+    value: int | None = 0
+    asked: list = field(default_factory=list)
+
+    def post(self, index, subindex, data_type):
+        self.asked.append((index, subindex))
+        return Posted(data_type, self.clock.now_s + 0.3, self.value, answered=self.value is not None)
+
+    def listen(self, seconds):
+        self.clock.now_s += seconds
+
+
+CONFIG = HoldToRun.model_validate({"node_id": 3, "object": {"index": 0x60FD}, "mask": 0x10000, "good": 0x10000})
+
+
+def look(held, clock, seconds):
+    """Wishes over a time, looked at every 10 ms."""
+    wishes = []
+    for _ in range(round(seconds / 0.01)):
+        wishes.append(held())
+        clock.now_s += 0.01
+    return [wish for wish in wishes if wish is not None]
+
+
+def test_an_input_is_asked_again_and_again_and_its_release_stops_along_the_path(clock):
+    node = Input(clock, value=0x10001)
+    held = HeldInput(node, node, CONFIG)
+    held.wait()
+    assert look(held, clock, 5.0) == []
+    assert set(node.asked) == {(0x60FD, 0)}
+    assert 40 <= len(node.asked) <= 60
+    node.value = 0x00001
+    assert look(held, clock, RELEASED_S - 0.1) == []
+    (first, *_) = look(held, clock, 0.3)
+    assert first.kind is StopKind.ALONG_PATH
+    assert "input was released" in str(first.cause)
+
+
+def test_an_input_that_does_not_answer_is_not_held(clock):
+    node = Input(clock, value=0x10000)
+    held = HeldInput(node, node, CONFIG)
+    held.wait()
+    node.value = None
+    assert look(held, clock, RELEASED_S + 0.2)
+
+
+def test_nothing_is_powered_before_the_input_is_held(clock):
+    node = Input(clock, value=0)
+    with pytest.raises(PlanRefused, match=r"node 3:60FD:00, was not held within 60 s"):
+        HeldInput(node, node, CONFIG).wait()
+    assert clock.now_s > 100.0 + PATIENCE_S
