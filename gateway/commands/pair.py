@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime as dt
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -61,22 +60,14 @@ def _ledgers(context: CellContext, pair: PairCell) -> tuple[Path, Path]:
 
 
 def _proven(context: CellContext, link: PairLink, options: MoveOptions) -> MoveOptions:
-    """The stop of both arms was proven before, with the grippers open; the first motion of all goes slowly."""
-    from gateway.check.proofs import first_motion_pending, note_motion, require_proven
+    """The stop of both arms was proven before, with the grippers open: that was their first motion, a slow one."""
+    from gateway.check.proofs import require_proven
     from gateway.motion.holdtorun import with_held_input
 
-    proofs = [(context.stop_proof(opened.config), opened) for opened in link.opened]
-    for path, opened in proofs:
-        require_proven(opened, path)
+    for opened in link.opened:
+        require_proven(opened, context.stop_proof(opened.config))
         options = with_held_input(opened, options)
-    if not any(first_motion_pending(path, opened) for path, opened in proofs):
-        return options
-
-    def noted() -> None:
-        for path, opened in proofs:
-            note_motion(path, opened)
-
-    return replace(options, first_done=noted)
+    return options
 
 
 def _ask(pair: PairCell, what: str, moving: MoveChoice) -> None:

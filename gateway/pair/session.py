@@ -24,7 +24,7 @@ from gateway.pair.run import PairCycle, PairRun
 from gateway.pair.speed import SpeedTable
 from gateway.pair.storage import PairStore, run_as_json
 from gateway.pair.stored import read_stored, refuse_foreign
-from gateway.pair.teach import Teacher
+from gateway.pair.teach import Teacher, TeachRule
 
 #: What can be run without the simulator's truth.
 RUNNABLE = tuple(name for name, row in EMBODIMENTS.items() if row.first != "exact")
@@ -116,9 +116,12 @@ def teach_pair(
     """
     options = options or MotionOptions()
     refuse_elsewhere(cell, link.together.where())
-    stream = Stream(link.station(cell, options.moves))
+    # slower ways and sweeps are planned, so that forces are felt as they are driven
+    stream = Stream(link.station(cell, replace(options.moves, override=1.0)))
     motion = PairMotion(cell, stream, options)
-    teacher = Teacher(motion, cell_gains(cell))
+    plain, share = TeachRule(), options.moves.override
+    rule = replace(plain, way_m_s=share * plain.way_m_s, sweep_s=plain.sweep_s / share)
+    teacher = Teacher(motion, cell_gains(cell), rule)
     indices = cell.path(1.0).uniform(cell.config.knots)
 
     def save(present: Lesson, point: TaughtPoint) -> None:

@@ -21,8 +21,6 @@ from sim.server import SYNC_ID, BusServer
 INTERFACE = "virtual"
 #: Between two looks at a bus on which nothing goes on [s].
 PAUSE_S = 0.0005
-#: Of the time between two looks at the clock the drives see this much: what the machine does meanwhile is not the bus.
-MOST_S = 0.01
 
 _served: dict[str, BusServer] = {}
 
@@ -36,7 +34,6 @@ class InlineBus(can.BusABC):
         self._server = _served[channel]
         self._come: deque[can.Message] = deque()
         self._gone: deque[can.Message] = deque()
-        self._seen_s = self._wall_s = time.monotonic()
         send = self._answer
         self._server.bus.send = send  # type: ignore[method-assign]
         for arm in self._server.arms:
@@ -70,10 +67,7 @@ class InlineBus(can.BusABC):
         if message is not None:
             server._take(message)
         if message is None or message.arbitration_id == SYNC_ID:
-            now = time.monotonic()
-            self._wall_s += min(now - self._seen_s, MOST_S)
-            self._seen_s = now
-            server._keep_time(self._wall_s)
+            server._keep_time(time.monotonic())
         return message is not None
 
 
