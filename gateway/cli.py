@@ -19,6 +19,7 @@ import contextlib
 import errno
 import importlib
 import os
+import signal
 import sys
 import tempfile
 import traceback
@@ -27,7 +28,7 @@ from typing import Any
 
 import click
 
-from gateway.motion.stops import StoppedByPerson, output_closed
+from gateway.motion.stops import SIGNALS, StoppedByPerson, output_closed
 
 PROGRAM = "servo-gateway"
 CTRL_C = 130
@@ -108,6 +109,8 @@ class LadderGroup(click.Group):
             )
         except BaseException as error:  # noqa: BLE001 - the one place where an error becomes an exit code
             code = _unheard(error) if output_closed(error) else report_error(error)
+        if args is None and code == CTRL_C:
+            _hear_no_signal()
         sys.exit(code if isinstance(code, int) else 0)
 
 
@@ -122,6 +125,12 @@ def _unheard(error: BaseException) -> int:
         if isinstance(code, int):
             return code
     return 0
+
+
+def _hear_no_signal() -> None:
+    """A second Ctrl-C while the interpreter ends would replace the exit code."""
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _let_go_of_terminal() -> None:

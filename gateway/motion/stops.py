@@ -103,8 +103,9 @@ class StopDesk:
 def signals_ask(desk: StopDesk) -> Iterator[None]:
     """Let SIGINT, SIGTERM and SIGHUP ask for a stop along the path, and for a quick stop the second time.
 
-    While nothing is under power they interrupt at once (`StoppedByPerson`). A signal that was inherited as ignored is
-    heard as well. Outside the main thread, where Python takes no signals, nothing is changed.
+    While nothing is under power they interrupt at once (`StoppedByPerson`), except a second one that comes after the
+    stop: the command is ending, what was measured is being kept. A signal that was inherited as ignored is heard as
+    well. Outside the main thread, where Python takes no signals, nothing is changed.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -114,7 +115,8 @@ def signals_ask(desk: StopDesk) -> Iterator[None]:
     def on_signal(number: int, _frame: Any) -> None:
         nonlocal heard
         cause = StoppedByPerson(f"stopped by {signal.Signals(number).name}")
-        if not desk.under_power:
+        late_wish = heard == 1
+        if not desk.under_power and not late_wish:
             raise cause
         heard += 1
         desk.ask(cause, StopKind.ALONG_PATH if heard == 1 else StopKind.QUICK_STOP)

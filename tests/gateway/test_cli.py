@@ -211,6 +211,19 @@ def test_the_signal_that_stopped_a_command_is_named(capsys):
     assert "stopped by SIGTERM" in capsys.readouterr().err
 
 
+def test_a_second_ctrl_c_while_the_program_ends_leaves_the_exit_code():
+    code = (
+        "import atexit, click, os, signal, sys, time\nfrom gateway import cli\n"
+        "atexit.register(lambda: (os.kill(os.getpid(), signal.SIGINT), time.sleep(0.05)))\n"
+        "@click.command()\ndef stopped():\n    raise KeyboardInterrupt\n"
+        "cli.LadderGroup.get_command = lambda *_: stopped\n"
+        "sys.argv = ['servo-gateway', 'stopped']\ncli.main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == cli.CTRL_C, done.stderr
+    assert "Traceback" not in done.stderr
+
+
 def test_a_full_disk_is_no_defect(capsys):
     assert cli.report_error(OSError(27, "File too large")) == 3
     assert "free some space" in capsys.readouterr().err

@@ -56,6 +56,17 @@ def test_under_power_a_signal_asks_and_the_second_one_is_urgent(number):
     assert signal.getsignal(number) is before
 
 
+def test_a_second_signal_after_the_stop_does_not_interrupt_what_is_being_kept():
+    desk = StopDesk()
+    with signals_ask(desk):
+        desk.under_power = True
+        signal.raise_signal(signal.SIGINT)
+        desk.under_power = False
+        signal.raise_signal(signal.SIGINT)
+        with pytest.raises(StoppedByPerson):
+            signal.raise_signal(signal.SIGINT)
+
+
 @pytest.mark.parametrize("number", SIGNALS)
 def test_a_signal_that_was_inherited_as_ignored_is_heard(number):
     before = signal.signal(number, signal.SIG_IGN)
