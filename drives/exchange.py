@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -173,9 +172,7 @@ class SyncExchange:
         axes = len(self.drives)
         self.silent, self.still, self._unsure, self._moved = [0] * axes, [0] * axes, [0] * axes, False
         self.position_count = [None] * axes
-        self._allowed_count = [
-            max(1.0, _STILL_REVOLUTIONS * 2.0 * math.pi / abs(drive.scale.count_rad)) for drive in self.drives
-        ]
+        self._allowed_count = [max(1.0, drive.scale.revolutions(_STILL_REVOLUTIONS)) for drive in self.drives]
         self._answer_timeout_s = self.timing.answer_timeout_s
         if self.timing.pacing == "real":
             spare_collections()

@@ -92,7 +92,7 @@ class _Axis:
         self._stood = False
         self._counts: list[int] = []
         self._at_leaving = 0
-        self._allowed = max(1.0, _STILL_REVOLUTIONS * 2.0 * math.pi / drive.scale.count_rad)
+        self._allowed = max(1.0, drive.scale.revolutions(_STILL_REVOLUTIONS))
 
     @property
     def done(self) -> bool:

@@ -90,7 +90,7 @@ class RealTime:
 
 
 def leave_real_time() -> None:
-    """Ordinary scheduling for the calling thread: a thread inherits what the one that started it was given."""
+    """Ordinary scheduling for the calling thread: threads and processes inherit what started them was given."""
     with contextlib.suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 

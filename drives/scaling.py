@@ -62,6 +62,10 @@ class MotorScale:
         """Nearest position count of a motor angle."""
         return round(position_rad / self.count_rad)
 
+    def revolutions(self, number: float) -> float:
+        """Counts of so many motor revolutions, not rounded."""
+        return number * 2.0 * math.pi / self.count_rad
+
 
 def motor_scale(profile: DriveProfile, constants: Constants, torque_constant_nm_per_a: float) -> MotorScale:
     """Work out the factors of one axis.

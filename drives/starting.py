@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Final
 
@@ -127,7 +126,7 @@ def compare_with_sdo(drive: Cia402Drive, reading: DriveReading) -> None:
     """
     position = drive.access.read(drive.setup.profile.position.object)
     status = drive.access.read(OBJECTS["statusword"])
-    allowed = _AGREEMENT_REVOLUTIONS * 2.0 * math.pi / drive.scale.count_rad + 1.0
+    allowed = drive.scale.revolutions(_AGREEMENT_REVOLUTIONS) + 1.0
     same_state = decode_state(status) is decode_state(reading.statusword)
     if abs(position - reading.position_count) > allowed or not same_state:
         raise ConfigurationRefused(

@@ -245,7 +245,7 @@ def _seen_at_rest(exchange: SyncExchange, axis: int, step: _Step) -> bool:
 
 def _comes_to_rest(drive: Cia402Drive) -> bool:
     """Wait until two readings by SDO say that the axis stands; whether they do in time."""
-    allowed = max(1.0, _SDO_STILL_REVOLUTIONS * 2.0 * math.pi / abs(drive.scale.count_rad))
+    allowed = max(1.0, drive.scale.revolutions(_SDO_STILL_REVOLUTIONS))
     until_s = time.monotonic() + _RAMP_S
     before: int | None = None
     while time.monotonic() < until_s:

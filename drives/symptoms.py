@@ -6,7 +6,6 @@ repeats an old answer gives numbers that must not be believed.
 
 from __future__ import annotations
 
-import math
 import time
 from typing import Final
 
@@ -162,7 +161,7 @@ class Symptoms:
 
     def _compare(self, axis: int, reading: DriveReading, position: int, torque: int) -> None:
         drive = self._exchange.drives[axis]
-        allowed = SAME_REVOLUTIONS * 2.0 * math.pi / drive.scale.count_rad + 1.0
+        allowed = drive.scale.revolutions(SAME_REVOLUTIONS) + 1.0
         if abs(position - reading.position_count) <= allowed and torque == reading.torque_raw:
             return
         if abs(position - reading.position_count) <= allowed and self._same[axis] < 2 * SAME_IN_A_ROW:

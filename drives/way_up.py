@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from typing import Final
@@ -137,7 +136,7 @@ class WayUp:
         for drive, reading, held in zip(self._exchange.drives, epoch.readings, self._held, strict=True):
             if reading is None:
                 continue
-            turns = abs(reading.position_count - held) * drive.scale.count_rad / (2.0 * math.pi)
+            turns = abs(reading.position_count - held) / drive.scale.revolutions(1.0)
             if turns > SAG_REVOLUTIONS:
                 what = f"moves while its brake opens: {turns:.2f} motor revolutions from where it stood"
                 advice = "check the brake, the load and the torque limit 0x6072; the axis may sag when it is enabled"

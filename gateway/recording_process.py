@@ -12,6 +12,7 @@ import select
 from contextlib import suppress
 from typing import Any
 
+from drives.realtime import leave_real_time
 from gateway.errors import InputError
 from gateway.recording_lock import sole_writer
 from gateway.recording_pipe import (
@@ -63,7 +64,7 @@ class _Feed:
 
 def main() -> None:
     """Write until the input ends."""
-    _leave_real_time()
+    leave_real_time()
     feed = _Feed(0, 1)
     start = feed.receive()
     if not isinstance(start, Start):
@@ -102,12 +103,6 @@ def _serve(feed: _Feed, writer: RecordingWriter) -> None:
         feed.say(Failed(reason) if reason else Written(number))
         if isinstance(message, Finish):
             feed.say(Finished(message.question, reason))
-
-
-def _leave_real_time() -> None:
-    """The motion loop's priority is not this one's."""
-    if hasattr(os, "sched_getscheduler") and os.sched_getscheduler(0) in (os.SCHED_FIFO, os.SCHED_RR):
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 if __name__ == "__main__":

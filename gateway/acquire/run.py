@@ -34,7 +34,6 @@ from gateway.acquire.plan import (
 from gateway.acquire.settle import SettleTest
 from gateway.errors import GatewayError, PlanRefused, PoseNeverSettles
 from gateway.motion.arm import Arm, ArmSample
-from gateway.motion.contact import TAKE_OVER_S
 from gateway.motion.reactions import ARM_RULES
 from gateway.motion.state import Phase, StateKeeper
 from gateway.motion.stops import StopKind, StopRequest, guarded
@@ -191,9 +190,7 @@ class Run:
         self.check_start(stream)
         self._stream = stream
         self._tell(Started(self.plan.arm, self._load, len(self.plan.visits), self._slower * self._ends[-1]))
-        rows = int(np.ceil(TAKE_OVER_S / self._period_s))
-        for row in range(rows):
-            stream.hold("open the brakes", row, rows)
+        stream.take_over()
         for number, step in enumerate(self.plan.steps):
             self._step = number
             self.state.enter(PHASES[type(step)], stream.sync_index)

@@ -68,6 +68,13 @@ class AxisConversion:
         """Joint velocities (..., 6) [rad/s] of motor velocities (..., 6) [rad/s]."""
         return (motor_rad_s * (self.position_sign / self.ratio)) @ np.linalg.inv(self.coupling).T
 
+    def joint_bound(self, motor: np.ndarray) -> np.ndarray:
+        """Most (..., 6) that each joint moves where each motor moves by so much (..., 6), to either side.
+
+        Ways, speeds or accelerations: rad, rad/s, rad/s2.
+        """
+        return (np.abs(motor) / np.abs(self.ratio)) @ np.abs(np.linalg.inv(self.coupling)).T
+
     def motor_position(self, joint_rad: np.ndarray) -> np.ndarray:
         """Motor positions (..., 6) [rad] of joint positions (..., 6) [rad]."""
         return self.motor_velocity(joint_rad - self.zero_offset_rad)

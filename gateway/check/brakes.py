@@ -8,7 +8,7 @@ import numpy as np
 
 from drives.errors import DriveError
 from gateway.check.rules import CheckItem
-from gateway.check.stop import motion_station, take_over
+from gateway.check.stop import motion_station
 from gateway.motion.opening import OpenArm
 from gateway.motion.power import SAG_RAD, powered
 from gateway.motion.stream import MoveOptions, Stream
@@ -56,7 +56,7 @@ def _try_brake(opened: OpenArm, options: MoveOptions, axis: int) -> CheckItem:
         return CheckItem("warn", where, what, f"bring it to a posture with at most {GRAVITY_SHARE:.0%} and ask again")
     try:
         with powered(Stream(motion_station(opened, options))) as stream:
-            take_over(stream)
+            stream.take_over()
             sag_rad = _at_joint(opened, axis, opened.group.release(axis, WATCH_S))
     except DriveError:
         # an axis that goes on sinking once all are disabled is no standstill
@@ -73,5 +73,6 @@ def _try_brake(opened: OpenArm, options: MoveOptions, axis: int) -> CheckItem:
 
 def _at_joint(opened: OpenArm, axis: int, motor_rad: float) -> float:
     """How far a joint turns at most with so much of one motor [rad]."""
-    per_motor = float(np.abs(np.linalg.inv(opened.arm.axes.coupling)[:, axis]).max())
-    return motor_rad * per_motor / abs(float(opened.arm.axes.ratio[axis]))
+    alone = np.zeros(len(opened.config.axis))
+    alone[axis] = motor_rad
+    return float(opened.arm.axes.joint_bound(alone).max())

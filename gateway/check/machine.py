@@ -9,13 +9,12 @@ from typing import Final
 
 import numpy as np
 
+from drives.admission import NETWORKS
 from drives.bus import BusSpec
 from drives.realtime import RealTimeStatus
 from gateway.check.rules import CheckItem
 from gateway.config import BusConfig
 
-#: Interfaces of python-can that are no wire of their own: whoever is on the network can write frames.
-NETWORKS: Final = ("udp_multicast", "virtual", "socketcand")
 #: How long a bare timer loop is measured [s], and what share of a period its 99 % may be late.
 MEASURE_S: Final = 0.3
 LATE_SHARE: Final = 0.5

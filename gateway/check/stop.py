@@ -18,7 +18,6 @@ from gateway.acquire.plan import approach_limits
 from gateway.check.rules import CheckItem
 from gateway.errors import PlanRefused
 from gateway.motion.arms import Arms
-from gateway.motion.contact import TAKE_OVER_S
 from gateway.motion.opening import OpenArm
 from gateway.motion.power import powered
 from gateway.motion.state import StateKeeper
@@ -171,7 +170,7 @@ def _moving_slowly(opened: OpenArm, options: MoveOptions, motion: Motion) -> Ite
     speed = np.abs(motion.qd_rad_s).max(axis=1)
     steady = int(np.argmax(speed >= 0.99 * speed.max())) + 1
     with powered(Stream(motion_station(opened, options))) as stream:
-        take_over(stream)
+        stream.take_over()
         stream.move([_rows(motion, slice(0, steady))], "move slowly")
         yield [opened.arm.command(q) for q in motion.q_rad[steady:]]
 
@@ -188,27 +187,20 @@ def go_slowly(opened: OpenArm, options: MoveOptions, target_rad: np.ndarray) -> 
     if not workspace.path_clear(begin[None], target_rad[None])[0]:
         raise PlanRefused(f"arm '{opened.arm.name}' stays where it is: no straight way back keeps the limits")
     with powered(Stream(motion_station(opened, options))) as stream:
-        take_over(stream)
+        stream.take_over()
         limits = approach_limits(workspace, SPEED_RAD_S)
         stream.move([straight(stream.q_rad[0], target_rad, limits, opened.group.timing.period_s)], "go back")
-
-
-def take_over(stream: Stream) -> None:
-    """Stand until the drives carry what the brakes have carried."""
-    rows = int(np.ceil(TAKE_OVER_S / stream.station.period_s))
-    for row in range(rows):
-        stream.hold("open the brakes", row, rows)
 
 
 def _quick_stop_items(opened: OpenArm, traces: tuple[StopTrace, ...]) -> list[CheckItem]:
     """How each drive has stopped when it was told to, one line per axis."""
     items = []
-    coast = _to_joint(opened) @ np.array([trace.coast_rad for trace in traces])
+    coast = opened.arm.axes.joint_bound(np.array([trace.coast_rad for trace in traces]))
     for joint, (trace, way_rad) in enumerate(zip(traces, coast.tolist(), strict=True), start=1):
         where = f"J{joint} node {trace.node_id}:{OBJECTS['quick_stop_deceleration']}"
-        rest_ms = 1000.0 * (trace.rest_s or 0.0)
+        rest_ms = 1000.0 * trace.rest_s
         seen = f"quick stop: at rest after {rest_ms:.0f} ms and {way_rad:.4f} rad"
-        if not trace.stood or trace.rest_s is None:
+        if not trace.stood:
             advice = "check quick stop option 0x605A, ramp 0x6085 and the brake"
             items.append(CheckItem("fail", where, "quick stop: it did not come to rest", advice))
         elif trace.rest_s > QUICK_STOP_S or way_rad > COAST_RAD:
@@ -252,16 +244,10 @@ def _reset_provoked(opened: OpenArm) -> dict[int, str]:
     return left
 
 
-def _to_joint(opened: OpenArm) -> np.ndarray:
-    """How much (6, 6) each joint turns at most per turn of each motor."""
-    axes = opened.arm.axes
-    return np.abs(np.linalg.inv(axes.coupling)) / np.abs(axes.ratio)
-
-
 def _judge(opened: OpenArm, traces: tuple[StopTrace, ...], speed_rad_s: float, left: dict[int, str]) -> StopProof:
-    to_joint = _to_joint(opened)
-    moved = to_joint @ np.array([trace.moved_rad for trace in traces])
-    coast = to_joint @ np.array([trace.coast_rad for trace in traces])
+    axes = opened.arm.axes
+    moved = axes.joint_bound(np.array([trace.moved_rad for trace in traces]))
+    coast = axes.joint_bound(np.array([trace.coast_rad for trace in traces]))
     items = []
     for joint, trace in enumerate(traces, start=1):
         where = f"J{joint} node {trace.node_id}:{OBJECTS['consumer_heartbeat']}"

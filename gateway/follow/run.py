@@ -20,7 +20,7 @@ from gateway.follow.settings import Setting
 from gateway.follow.track import Recorder, Track
 from gateway.motion.arm import Arm
 from gateway.motion.arms import Arms
-from gateway.motion.contact import TAKE_OVER_S
+from gateway.motion.places import angles
 from gateway.motion.power import powered
 from gateway.motion.state import StateKeeper
 from gateway.motion.stream import MoveOptions, Station, Stream
@@ -94,12 +94,12 @@ def way(workspace: Workspace, start_rad: np.ndarray, end_rad: np.ndarray) -> lis
     """
     reason = workspace.why_not(start_rad)
     if reason is not None:
-        raise PlanRefused(f"the arm stands at {_angles(start_rad)}: {reason}; move it clear with the drives' own tool")
+        raise PlanRefused(f"the arm stands at {angles(start_rad)}: {reason}; move it clear with the drives' own tool")
     route = find_route(workspace, [RestPose(1, tuple(end_rad.tolist()), "fit")], start_rad, 0.0)
     if not route.legs:
         raise PlanRefused(
-            f"no way that keeps the limits leads from {_angles(start_rad)} to the start of the path at "
-            f"{_angles(end_rad)}; move the arm elsewhere or open the keep_out boxes"
+            f"no way that keeps the limits leads from {angles(start_rad)} to the start of the path at "
+            f"{angles(end_rad)}; move the arm elsewhere or open the keep_out boxes"
         )
     return [*(np.array(point) for point in route.legs[0].via_rad), end_rad]
 
@@ -108,10 +108,6 @@ def _lead(workspace: Workspace, start_rad: np.ndarray) -> np.ndarray:
     """Where the last short way to the start begins: above it on every joint where that is allowed, else the start."""
     above = start_rad + LEAD_RAD
     return above if workspace.path_clear(above[None], start_rad[None])[0] else start_rad
-
-
-def _angles(q_rad: np.ndarray) -> str:
-    return "[" + ", ".join(f"{value:.3f}" for value in q_rad) + "] rad"
 
 
 class _Run:
@@ -141,7 +137,7 @@ class _Run:
         """Enable, stand until the drives carry what the brakes carried; offsets are zero when this is left."""
         try:
             with powered(Stream(self._station)) as self._stream:
-                self._hold(TAKE_OVER_S, "open the brakes")
+                self._stream.take_over()
                 try:
                     yield
                 except BaseException as failure:
@@ -174,18 +170,18 @@ class _Run:
         self._arm.use(setting.law)
         for point in points:
             self._move(point)
-        self._hold(REST_S, "rest")
+        self._stream.stand(REST_S, "rest")
         self._ease(self._arm.ramp.rise)
-        self._hold(SETTLE_S, "settle")
+        self._stream.stand(SETTLE_S, "settle")
         self._move(self._path.start_rad)
-        self._hold(SETTLE_S, "settle")
+        self._stream.stand(SETTLE_S, "settle")
         self._arm.recorder = recorder = Recorder(setting.name, self._path.period_s)
         for motion in self._path.motions:
             self._stream.move([motion], "follow the path")
-            self._hold(self._path.dwell_s, "rest")
+            self._stream.stand(self._path.dwell_s, "rest")
             begun_s += motion.duration_s + self._path.dwell_s
             self._pass = (setting.name, begun_s)
-        self._hold(REST_S, "rest")
+        self._stream.stand(REST_S, "rest")
         self._arm.recorder = None
         self._ease(self._arm.ramp.fall)
         return recorder.track()
@@ -193,11 +189,6 @@ class _Run:
     def _move(self, point: np.ndarray) -> None:
         motion = straight(self._stream.q_rad[0], point, self._limits, self._path.period_s)
         self._stream.move([motion], "to the start of the path")
-
-    def _hold(self, seconds: float, what: str) -> None:
-        rows = int(np.ceil(seconds / self._path.period_s - 1e-9))
-        for row in range(rows):
-            self._stream.hold(what, row, rows)
 
     def _ease(self, change: Callable[[], None]) -> None:
         change()

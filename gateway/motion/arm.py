@@ -133,7 +133,7 @@ class Arm:
 
     def sag_rad(self) -> np.ndarray:
         """How far each joint (6,) [rad] has moved since the drives were disabled."""
-        return np.abs(np.array(self.drives.sag_rad())) @ np.abs(self._to_joint)
+        return self.axes.joint_bound(np.array(self.drives.sag_rad()))
 
     def command(
         self, q_rad: np.ndarray, ahead_rad: np.ndarray | None = None, offset_nm: np.ndarray | None = None

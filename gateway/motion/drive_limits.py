@@ -65,5 +65,4 @@ def quick_stop_rad_s2(
         if not raw or profile.velocity is None:
             return None
         motor.append(raw * profile.velocity.unit_rad_s.value)
-    axes = AxisConversion.from_arm(arm)
-    return np.abs(np.linalg.inv(axes.coupling)) @ (np.array(motor) / np.abs(axes.ratio))
+    return AxisConversion.from_arm(arm).joint_bound(np.array(motor))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -14,6 +15,7 @@ import numpy as np
 from drives.realtime import leave_real_time
 from gateway.motion.arm import ArmSample
 from gateway.motion.arms import Arms
+from gateway.motion.contact import TAKE_OVER_S
 from gateway.motion.pathclock import PathClock
 from gateway.motion.state import StateKeeper
 from gateway.motion.stops import StopDesk, StopKind, guarded
@@ -38,6 +40,8 @@ FIRST_SHARE: Final = 0.1
 #: A stop along the path ends when no joint has moved by more than this [rad] for so long [s], or after the second time.
 REST_RAD: Final = 5e-5
 REST_S, REST_LONGEST_S = 0.02, 0.4
+#: Rounding of a number of periods.
+HAIR: Final = 1e-9
 
 
 def _nothing(_what: str, _row: int, _rows: int) -> None:
@@ -241,6 +245,18 @@ class Stream:
         samples = self.samples = self._arms.hold()
         self._look(samples, self._gravity_nm)
         return samples
+
+    def stand(self, seconds: float, what: str, listen: Callable[[tuple[ArmSample, ...]], None] | None = None) -> None:
+        """Stand for a time, and hand every SYNC to a listener; raises as `drive`."""
+        rows = math.ceil(seconds / self._period_s - HAIR)
+        for row in range(rows):
+            samples = self.hold(what, row, rows)
+            if listen is not None:
+                listen(samples)
+
+    def take_over(self, listen: Callable[[tuple[ArmSample, ...]], None] | None = None) -> None:
+        """Stand until the drives carry what the brakes have carried; parameters as `stand`."""
+        self.stand(TAKE_OVER_S, "open the brakes", listen)
 
     def hold_while(self, job: Callable[[], Result], what: str) -> Result:
         """Do something that takes longer than a SYNC period, and keep the standing arms under SYNC meanwhile.

@@ -17,7 +17,6 @@ import numpy as np
 
 from gateway.errors import LimitExceeded, PlanRefused
 from gateway.motion.arm import ArmSample
-from gateway.motion.contact import TAKE_OVER_S
 from gateway.motion.places import angles
 from gateway.motion.stops import StopKind
 from gateway.motion.stream import MoveOptions, Stream
@@ -232,7 +231,7 @@ class PairMotion:
     def start(self) -> None:
         """Both arms are powered: stand until the drives carry what the brakes carried."""
         self.see(self.stream.samples)
-        self.stand(round(TAKE_OVER_S / self.dt_s), "open the brakes")
+        self.stream.take_over(self.see)
 
     def stand(self, rows: int, what: str = "stand", listen: Callable[[Samples], None] | None = None) -> None:
         """Stand for some SYNCs at the last targets."""

@@ -50,11 +50,6 @@ class Track:
         rows = self.fastest_rad_s[self.time_s > since_s]
         return float((rows / self.limits_rad_s).max()) if len(rows) else 0.0
 
-    def speed_at(self, at_s: float) -> float:
-        """Largest true speed of any axis at a time [rad/s]."""
-        before = np.flatnonzero(self.time_s <= at_s)
-        return float(np.abs(self.speed_rad_s[before[-1]]).max()) if len(before) else 0.0
-
     def last_s(self, rows: np.ndarray, since_s: float) -> float:
         """Time of the last line in which something held for an axis, `since_s` if it never did afterwards."""
         held = np.flatnonzero(rows.any(axis=1) & (self.time_s > since_s))

@@ -12,6 +12,7 @@ from drives.epoch import Epoch
 from drives.errors import DriveFault
 from drives.exchange import Timing
 from drives.profile import load_profile
+from drives.scaling import MotorScale
 from drives.sdo import Posted
 from drives.symptoms import BITS_IN_A_ROW, SAME_IN_A_ROW, SETTLED_SYNCS, Symptoms
 from drives.values import DriveReading
@@ -49,7 +50,7 @@ class Rig:
             node_id=axis + 1,
             setup=SimpleNamespace(profile=profile),
             access=SimpleNamespace(read=read, sdo=SimpleNamespace(post=post)),
-            scale=SimpleNamespace(count_rad=COUNT_RAD),
+            scale=MotorScale(0.01, None, None, COUNT_RAD, None),
             plans=(None, SimpleNamespace(mapping=0x1A00)),
         )
 
