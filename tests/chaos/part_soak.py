@@ -50,7 +50,7 @@ def figures(scope: Any) -> dict[str, dict]:
         os.sched_setaffinity(0, {other})
         sleepers = [Sleeper(core, STALL_PERIODS * PERIOD_S) for core in (own, other)]
         try:
-            with drives(Path(folder), with_real_pacing(PERIOD_S)) as served:
+            with drives(Path(folder), with_real_pacing(PERIOD_S), watch=False) as served:
                 os.sched_setaffinity(0, {own})
                 swung = _swing(served, seconds, bar.step)
         finally:

@@ -91,6 +91,8 @@ class Watched:
 class Rig:
     """Simulated drives of the small arm in a thread of this process; `options` are further ones of `ServeOptions`.
 
+    What is seen of them grows with every SYNC until `renew`; for a long run, do not `watch`.
+
     Attributes
     ----------
     bus : a bus of its own, as INTERFACE:CHANNEL
@@ -105,6 +107,7 @@ class Rig:
         edit: Callable[[str], str] = lambda text: text,
         bus: str | None = None,
         payload: Path | None = None,
+        watch: bool = True,
         **options: Any,
     ) -> None:
         self.bus = bus or f"virtual:rig-{uuid.uuid4().hex}"
@@ -117,8 +120,9 @@ class Rig:
         self.wire: FaultyWire = self.server.bus
         self.wire.clear()
         self.seen = Seen()
-        self.wire.on_sync = self._on_sync
-        self.wire.on_frame = self._on_frame
+        if watch:
+            self.wire.on_sync = self._on_sync
+            self.wire.on_frame = self._on_frame
         self._fresh = [(dict(drive.store.values), dict(drive.store.entries)) for drive in self.server.drives]
         self._thread = threading.Thread(target=self.simulation.run, name="rig")
 

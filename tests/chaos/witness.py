@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import struct
 import time
+from array import array
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +19,8 @@ from sim.states import PdsState
 STEP_S = 0.0008
 #: A joint that turns slower than this stands [rad/s]; one that is disabled faster coasts until its brake has closed.
 REST_RAD_S = 0.02
+#: A frame heard: monotonic time, identifier, length, data.
+FRAME = struct.Struct("<dIB8s")
 #: States in which the drive gives torque.
 ENERGISED = (PdsState.OPERATION_ENABLED, PdsState.QUICK_STOP_ACTIVE, PdsState.FAULT_REACTION_ACTIVE)
 
@@ -111,8 +115,9 @@ class Witness:
     def __init__(self, server: BusServer) -> None:
         self._server = server
         self._limits = np.array([drive.spec.speed_limit_rad_s for drive in server.drives])
-        self._lines: list[tuple[float, list[float], list[float], list[bool], list[bool]]] = []
-        self._frames: list[tuple[float, int, bytes]] = []
+        # flat: a list of objects that grows is walked by the garbage collector, and the drives stand still meanwhile
+        self._lines = array("d")
+        self._frames = bytearray()
         self._last_s = 0.0
         self._follow: Callable[[can.Message | None], None] = server._follow_the_clock
         self._take: Callable[[can.Message], None] = server._take
@@ -128,15 +133,19 @@ class Witness:
 
     def _note(self, now_s: float) -> None:
         axes = [drive.axis for drive in self._server.drives]
-        states = [drive.automaton.state in ENERGISED for drive in self._server.drives]
-        fastest = [axis.fastest_rad_s for axis in axes]
-        self._lines.append((now_s, fastest, [axis.omega_rad_s for axis in axes], states, [axis.free for axis in axes]))
+        lines = self._lines
+        lines.append(now_s)
+        lines.extend([axis.fastest_rad_s for axis in axes])
+        lines.extend([axis.omega_rad_s for axis in axes])
+        lines.extend([drive.automaton.state in ENERGISED for drive in self._server.drives])
+        lines.extend([axis.free for axis in axes])
         for axis in axes:
             axis.fastest_rad_s = 0.0
 
     def _taken(self, message: can.Message) -> None:
         age_s = time.time() - message.timestamp if message.timestamp else 0.0
-        self._frames.append((time.monotonic() - age_s, message.arbitration_id, bytes(message.data)))
+        data = bytes(message.data)
+        self._frames += FRAME.pack(time.monotonic() - age_s, message.arbitration_id, len(data), data)
         self._take(message)
 
     @property
@@ -151,14 +160,17 @@ class Witness:
 
     def cut(self) -> Track:
         """The log so far; it begins afresh."""
-        (lines, self._lines), (frames, self._frames) = (self._lines, []), (self._frames, [])
-        columns = list(zip(*lines, strict=True)) if lines else [(), (), (), (), ()]
+        (lines, self._lines), (frames, self._frames) = (self._lines, array("d")), (self._frames, bytearray())
         axes = len(self._limits)
+        rows = np.array(lines).reshape(-1, 1 + 4 * axes)
+        fastest, speed, energised, free = np.split(rows[:, 1:], 4, axis=1)
         return Track(
             self._limits,
-            np.array(columns[0], dtype=float),
-            *(np.array(column, dtype=float).reshape(-1, axes) for column in columns[1:3]),
-            *(np.array(column, dtype=bool).reshape(-1, axes) for column in columns[3:]),
-            frames=frames,
+            rows[:, 0],
+            fastest,
+            speed,
+            energised.astype(bool),
+            free.astype(bool),
+            frames=[(at, number, data[:length]) for at, number, length, data in FRAME.iter_unpack(frames)],
             sync=self._server.sync_count,
         )
