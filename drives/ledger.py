@@ -6,12 +6,12 @@ An entry is on disk before its object is written. The first old value of an obje
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from drives.errors import ConfigurationRefused
+from drives.files import replace_file
 from drives.objects import STRUCT_CODE, object_name
 
 SCHEMA = 1
@@ -96,13 +96,8 @@ class WriteLedger:
         if self.path is None:
             return
         document = {"schema": SCHEMA, "entries": [asdict(entry) for entry in self._entries.values()]}
-        temporary = self.path.with_name(self.path.name + ".tmp")
         try:
-            with temporary.open("w", encoding="utf-8") as file:
-                json.dump(document, file, indent=1)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(temporary, self.path)
+            replace_file(self.path, json.dumps(document, indent=1))
         except OSError as error:
             raise ConfigurationRefused(
                 f"write ledger {self.path} cannot be written: {error}",

@@ -12,7 +12,7 @@ from gateway.errors import InputError
 from gateway.recorded import Recording
 from gateway.recording import read
 from gateway.recording_pipe import Failed, Finish, Finished, Keep, Ready, Start, WriterProcess, Written, framed
-from gateway.recording_writer import ArmHeader, Numbering, RecordingHeader, Write, replace_file
+from gateway.recording_writer import ArmHeader, Numbering, RecordingHeader, Write, write_recording
 from gateway.visit import Visit
 
 #: Visits that may wait for the disk before the loop is to stop.
@@ -68,7 +68,7 @@ class VisitQueue:
         arm: ArmHeader,
         earlier: Recording | None,
         capacity: int = CAPACITY,
-        write: Write = replace_file,
+        write: Write = write_recording,
     ) -> None:
         self.path = path
         self.visits = 0

@@ -6,7 +6,6 @@ The file is built in memory; what is on disk is always a whole file, the last on
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -15,10 +14,11 @@ from typing import Any
 import h5py
 import numpy as np
 
+from drives.files import replace_file
 from drives.scaling import Constants
 from gateway.acquire.poses import RestPose
 from gateway.errors import InputError
-from gateway.recording import SCHEMA, Recording, read
+from gateway.recording import SCHEMA, Recording
 from gateway.seal import sealed
 from gateway.visit import NO_WORD, Visit
 
@@ -109,7 +109,7 @@ class RecordingWriter:
     earlier : Recording or None
         The file's content so far, to go on with; None = the file must not exist.
     write : callable, optional
-        Puts the content in the place of the file, whole or not at all; `replace_file` unless given.
+        Puts the content in the place of the file, whole or not at all; `write_recording` unless given.
 
     Raises
     ------
@@ -121,7 +121,7 @@ class RecordingWriter:
         self, path: Path, header: RecordingHeader, earlier: Recording | None, write: Write | None = None
     ) -> None:
         self.path = path
-        self._write = write or replace_file
+        self._write = write or write_recording
         if earlier is None and path.exists():
             raise InputError(f"{path} exists; go on with it by --resume, or choose another name")
         self._file = h5py.File("in-memory", "w", driver="core", backing_store=False)
@@ -211,7 +211,7 @@ class RecordingWriter:
         self._write(self.path, sealed(self._file.id.get_file_image()))
 
 
-def replace_file(path: Path, content: bytes) -> None:
+def write_recording(path: Path, content: bytes) -> None:
     """Write a file so that a crash at any time leaves the old one or the new one, whole.
 
     Raises
@@ -219,20 +219,9 @@ def replace_file(path: Path, content: bytes) -> None:
     InputError
         It cannot be written (disk full, folder missing); the old one is untouched.
     """
-    temporary = path.with_name(path.name + ".tmp")
     try:
-        with temporary.open("wb") as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(temporary, path)
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        replace_file(path, content)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise InputError(
             f"{path}: cannot be written: {error.strerror or error}; what was recorded before is still in it"
         ) from error
@@ -275,14 +264,3 @@ def _write_visit(group: h5py.Group, visit: Visit) -> None:
 
 def _dataset(group: h5py.Group, name: str, values: np.ndarray, unit: str) -> None:
     group.create_dataset(name, data=values).attrs["unit"] = unit
-
-
-def load_for_resume(path: Path) -> Recording | None:
-    """What is in the file so far; None if there is no such file.
-
-    Raises
-    ------
-    InputError
-        The file is no recording.
-    """
-    return read(path) if path.exists() else None

@@ -13,7 +13,7 @@ from gateway.acquire.poses import RestPose
 from gateway.arm_model import robot_text
 from gateway.cell.conversion import AxisConversion
 from gateway.config import LoadedCell, load_cell
-from gateway.recording_writer import ArmHeader, RecordingHeader, replace_file
+from gateway.recording_writer import ArmHeader, RecordingHeader, write_recording
 from gateway.visit import NO_WORD, Visit
 
 CELL = Path(__file__).parents[1] / "examples" / "small" / "cell.toml"
@@ -73,7 +73,7 @@ def visit(
 def write_slowly(pause_s: float, path: Path, content: bytes) -> None:
     """A disk that takes its time."""
     time.sleep(pause_s)
-    replace_file(path, content)
+    write_recording(path, content)
 
 
 def write_behind(gate: Path, path: Path, content: bytes) -> None:
@@ -81,4 +81,4 @@ def write_behind(gate: Path, path: Path, content: bytes) -> None:
     end_s = time.monotonic() + 20.0
     while not gate.exists() and time.monotonic() < end_s:
         time.sleep(0.002)
-    replace_file(path, content)
+    write_recording(path, content)

@@ -7,13 +7,13 @@ What changes any of it makes the proof void, and with it the knowledge that thes
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
+from drives.files import replace_file
 from drives.profile import DriveProfile
 from drives.values import Identity
 from gateway.check.preflight import live_addresses, require_passed
@@ -123,10 +123,7 @@ def _stored(path: Path, opened: OpenArm) -> dict[str, Any] | None:
 
 
 def _write(path: Path, body: Mapping[str, Any]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.write_text(json.dumps(body, indent=1) + "\n", encoding="utf-8")
-    os.replace(temporary, path)
+    replace_file(path, json.dumps(body, indent=1) + "\n")
 
 
 def ensure_proven(opened: OpenArm, path: Path, say: Callable[[str], None], options: MoveOptions) -> MoveOptions:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from drives.files import replace_file
 from gateway.commands.measure import arm_option
 from gateway.commands.moving import MoveChoice, move_options, stoppable
 from gateway.commands.options import (
@@ -16,7 +17,6 @@ from gateway.commands.options import (
     json_option,
     session_of,
     write_json,
-    write_text,
 )
 from gateway.commands.outcome import fail_on_findings
 from gateway.console import AXES, Session, findings_table, grid, number
@@ -95,7 +95,7 @@ def follow(
     if json_out:
         write_json(json_out, body)
     if report_file:
-        write_text(report_file, page(body))
+        replace_file(report_file, page(body))
     _show(body, session)
     if report_file:
         session.show(f"report: {report_file}")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from drives.files import replace_file
 from gateway.commands.measure import arm_option, show_plan
 from gateway.commands.moving import MoveChoice, move_options, stoppable
 from gateway.commands.options import (
@@ -18,7 +19,6 @@ from gateway.commands.options import (
     common,
     session_of,
     write_json,
-    write_text,
 )
 from gateway.commands.outcome import fail_on_findings, show_result
 from gateway.console import Session, findings_table
@@ -77,7 +77,7 @@ def commission(
         raise
     body = as_json(result)
     write_json(str(out / "result.json"), body)
-    write_text(out / "report.html", render(body))
+    replace_file(out / "report.html", render(body))
     show_result(body, session_of())
     session_of().show(f"report: {out / 'report.html'}")
     fail_on_findings(body)

@@ -7,7 +7,8 @@ from typing import Any
 
 import click
 
-from gateway.commands.options import common, one_of, session_of, write_json, write_text
+from drives.files import replace_file
+from gateway.commands.options import common, one_of, session_of, write_json
 from gateway.errors import InputError
 from gateway.export import FORMATS
 
@@ -22,7 +23,7 @@ def report(result: Path, output: Path) -> None:
     """One HTML page from a result: it opens offline and prints on paper."""
     from gateway.report.render import render
 
-    write_text(output, render(read_result(result)))
+    replace_file(output, render(read_result(result)))
     session_of().show(f"report: {output}")
 
 
@@ -40,7 +41,7 @@ def export(result: Path, fmt: str, label: str | None, output: Path | None) -> No
     if output is None:
         click.echo(text, nl=False)
     else:
-        write_text(output, text)
+        replace_file(output, text)
         session_of().show(f"{fmt}: {output}")
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
+from drives.files import replace_file
 from gateway.console import Session
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -59,17 +58,6 @@ bus_option = click.option(
 cell_argument = click.argument("cell", type=click.Path(path_type=Path, dir_okay=False))
 
 
-@dataclass(frozen=True, slots=True)
-class ModelChoice:
-    """The options that say which robot, and what is known of it."""
-
-    robot: Path | None
-    cell: Path | None
-    inertials: str | None
-    known: tuple[str, ...]
-    bare: Path | None
-
-
 def model_options(function: Function) -> Function:
     """Add the options of MODEL."""
     for option in (
@@ -96,15 +84,7 @@ def write_json(target: str, payload: Mapping[str, Any]) -> None:
     if target == "-":
         click.echo(text, nl=False)
     else:
-        write_text(Path(target), text)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file under a temporary name, then rename it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, path)
+        replace_file(Path(target), text)
 
 
 def confirm(question: str, *, yes: bool) -> None:

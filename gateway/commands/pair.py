@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from drives.files import replace_file
 from gateway.commands.moving import MoveChoice, move_options, stoppable
 from gateway.commands.options import (
     bus_option,
@@ -18,7 +19,6 @@ from gateway.commands.options import (
     one_of,
     session_of,
     write_json,
-    write_text,
 )
 from gateway.console import grid, number
 
@@ -261,5 +261,5 @@ def pair_report(cell: Path, output: Path, store: Path | None) -> None:
         ),
         "rows": rows,
     }
-    write_text(output, render_pair(data))
+    replace_file(output, render_pair(data))
     session_of().show(f"{output}: {len(rows)} embodiments")

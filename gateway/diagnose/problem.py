@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,8 +167,3 @@ def _repeated_scatter(rows: RestRows, axis: int) -> float:
             total += sum((value - mean) ** 2 for value in values)
             freedom += len(values) - 1
     return float(np.sqrt(total / freedom)) if freedom >= 4 else float("nan")
-
-
-def with_start(noise: Noise, start: Floats) -> Noise:
-    """The same noise beginning elsewhere."""
-    return replace(noise, start=start, std=start.copy())

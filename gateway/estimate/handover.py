@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -170,8 +169,3 @@ def _rows(rows: FittedRows) -> Rows:
 
 def _numbers(values: Floats) -> tuple[float, ...]:
     return tuple(float(value) for value in values)
-
-
-def with_provenance(result: Result, provenance: Mapping[str, Any]) -> Result:
-    """The same result with further provenance."""
-    return replace(result, provenance={**result.provenance, **provenance})

@@ -14,13 +14,13 @@ import datetime as dt
 import hashlib
 import json
 import math
-import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from drives.files import replace_file
 from gateway.errors import InputError
 from gateway.pair.cell import PairCell
 from gateway.pair.function import TransformFunction
@@ -87,12 +87,9 @@ class PairStore:
         return stored
 
     def write(self, name: str, text: str) -> Path:
-        """Write a file whole: under a temporary name first."""
-        self.folder.mkdir(parents=True, exist_ok=True)
+        """Write a file whole."""
         path = self.folder / name
-        temporary = path.with_name(f".{name}.{os.getpid()}.tmp")
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, path)
+        replace_file(path, text)
         return path
 
     @property

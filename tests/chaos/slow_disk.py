@@ -19,7 +19,7 @@ from gateway.config import load_cell
 from gateway.errors import GatewayError
 from gateway.motion.opening import BusOverride, open_arm
 from gateway.recording_queue import CAPACITY, VisitQueue
-from gateway.recording_writer import replace_file
+from gateway.recording_writer import write_recording
 from tests.chaos.killing import few_samples, visits_on_disk
 from tests.chaos.processes import FORK, drives, poses
 from tests.chaos.programs import disturbed
@@ -41,7 +41,7 @@ class SlowWrite:
     def __call__(self, path: Path, content: bytes) -> None:
         """Write."""
         time.sleep(self.write_s)
-        replace_file(path, content)
+        write_recording(path, content)
 
 
 @dataclass(slots=True)

@@ -240,7 +240,8 @@ def test_nothing_is_written_when_the_ledger_cannot_be(bus, add_slaves, setups, t
     slaves = add_slaves(1)
     with DriveGroup(bus, setups(1), 0.004) as group:
         group.connect()
-        group.ledger.path = tmp_path / "missing" / "ledger.json"
+        (tmp_path / "file").touch()
+        group.ledger.path = tmp_path / "file" / "ledger.json"
         with pytest.raises(ConfigurationRefused, match="cannot be written"):
             group.configure()
         assert slaves[0].written == []

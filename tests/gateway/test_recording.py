@@ -17,7 +17,7 @@ from gateway.cell.conversion import AxisConversion
 from gateway.config import LoadedCell, load_cell
 from gateway.errors import InputError
 from gateway.recording import read
-from gateway.recording_writer import RecordingHeader, RecordingWriter, replace_file
+from gateway.recording_writer import RecordingHeader, RecordingWriter, write_recording
 from gateway.visit import Visit
 from tests.visits import ARM_HEADER, CONSTANTS, POSES, SAMPLES, header_of, visit
 
@@ -161,7 +161,7 @@ def test_a_failed_write_leaves_the_file_before(path, monkeypatch):
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(InputError, match="No space left on device"):
-        replace_file(path, b"x" * 100)
+        write_recording(path, b"x" * 100)
     assert path.read_bytes() == content
     assert [each.name for each in path.parent.iterdir()] == [path.name]
 
