@@ -239,12 +239,12 @@ class SyncExchange:
         self._refuse_late(moving)
         sure = clock.paused_s <= timing.period_s
         wall_s = time.time()
-        self._send_sync(now_s)
+        began_s = self._send_sync(now_s)
         self._moved = moves
         answers: Frames = collector.collect_within(timing.window * timing.period_s, self.sent_s, wall_s)
         if not sure:
             answers = [None] * len(answers)
-        time_s = now_s - (now_s if self.started_s is None else self.started_s)
+        time_s = began_s - (now_s if self.started_s is None else self.started_s)
         return self._epoch(now_s, time_s, answers)
 
     def _refuse_late(self, moving: bool) -> None:
@@ -272,12 +272,15 @@ class SyncExchange:
         for frame in frames:
             self._bus.send_frame(frame)
 
-    def _send_sync(self, now_s: float) -> None:
+    def _send_sync(self, now_s: float) -> float:
+        """Monotonic time at which it was handed to the bus."""
         self.sync_index += 1
+        began_s = time.monotonic()
         self._bus.send_frame(self._sync_frame)
         self._recall = None
         self.sent_s = time.monotonic()
         self.clock.sent(now_s)
+        return began_s
 
     def _epoch(self, now_s: float, time_s: float, answers: Frames) -> Epoch:
         if self.started_s is None:

@@ -133,7 +133,7 @@ class Motion:
 
     # ---------------------------------------------------------------------------------------------------- reference
 
-    def plan(self, ticks: int) -> None:
+    def plan(self, ticks: float) -> None:
         """Set the increments of the reference for the milliseconds to come."""
         drive, state = self._drive, self._drive.automaton.state
         if not drive.automaton.energised:
@@ -174,7 +174,7 @@ class Motion:
         servo.reference_rad = drive.axis.position_rad
         return 0.0
 
-    def _move(self, travel_rad: float, ticks: int) -> float:
+    def _move(self, travel_rad: float, ticks: float) -> float:
         """Spread the way over the milliseconds; returns its speed [rad/s]."""
         seconds = ticks * TICK_S
         self.feed_torque()

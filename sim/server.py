@@ -31,7 +31,7 @@ from sim.servo import TICK_S
 SYNC_ID = 0x080
 HEARTBEAT_ID = 0x700
 IDLE_S = 0.05
-REAL_STEP_S = 0.002
+REAL_STEP_S = 0.001
 #: Real pacing: what the physics may have to catch up at once after a stall of the machine [s].
 MOST_CATCH_UP_S = 0.5
 #: A frame that is said to have come longer ago than this has a clock of its own [s].
@@ -48,6 +48,8 @@ class ArmUnit:
     drives : six, in the order of the cell's axes
     instruments : measuring devices on the same bus
     """
+
+    real_step_s = REAL_STEP_S
 
     def __init__(self, arm: ArmSpec, plant: Plant, sync_period_s: float, seed: int) -> None:
         self.name = arm.name
@@ -175,12 +177,13 @@ class BusServer:
             if self._real:  # a collection that looks at everything takes longer than a SYNC period
                 gc.collect()
                 gc.freeze()
-            wait = REAL_STEP_S if self._real else IDLE_S
+            wait = min(arm.real_step_s for arm in self.arms) if self._real else IDLE_S
             recv, beat_at = self.bus.recv, 0.0
             while not self._stop.is_set():
+                silent_s = time.monotonic() + wait
                 message = recv(wait)
                 if self._real:
-                    self._follow_the_clock(message)
+                    self._follow_the_clock(message, silent_s)
                 if message is not None and not message.is_error_frame and not message.is_extended_id:
                     self._take(message)
                 while self._jobs:
@@ -221,12 +224,16 @@ class BusServer:
             for arm in self.arms:
                 arm.advance(self._period_s)
 
-    def _follow_the_clock(self, message: can.Message | None) -> None:
-        """Let the time pass until a frame was received, or until now."""
-        now = time.monotonic()
-        age = 0.0 if message is None else time.time() - message.timestamp
-        if 0.0 < age < OLDEST_FRAME_S:
-            now -= age
+    def _follow_the_clock(self, message: can.Message | None, silent_s: float) -> None:
+        """Let the time pass until a frame was received, or until nothing had come yet.
+
+        Not until now: a frame may have come since, and what it asks for belongs to when it came.
+        """
+        now = silent_s
+        if message is not None:
+            now, age = time.monotonic(), time.time() - message.timestamp
+            if 0.0 < age < OLDEST_FRAME_S:
+                now -= age
         passed = min(now - self._real_at_s, MOST_CATCH_UP_S)
         if passed <= 0.0:
             return

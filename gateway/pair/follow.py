@@ -15,6 +15,8 @@ from gateway.pair.transform import Floats, correction_between
 
 #: Joint speed at which dry friction has nearly reached its full size [rad/s].
 FRICTION_SPEED_RAD_S = 0.01
+#: SYNCs that follow each other sooner than this share of a period do not tell an acceleration.
+SHORT_PERIODS = 0.5
 #: How far a command may lie from the prepared path; further away the prepared Jacobians no longer hold.
 LARGEST_OFFSET = 0.03
 
@@ -91,7 +93,7 @@ class WrenchFromTorque:
         self._still = arm.model_torque(q, np.zeros_like(q), np.zeros_like(q))
         self._product = free - self._still
         self._dt_s, self._coulomb, self._viscous = dt_s, arm.coulomb_nm, arm.viscous_nm_s_rad
-        self._mass = arm.mass_matrix(q) / dt_s**2
+        self._mass = arm.mass_matrix(q)
         self._band = arm.coulomb_nm * (1.0 - np.abs(turned))
         jacobian = arm.chain.poses(q)[1]
         least = np.linalg.svd(jacobian, compute_uv=False)[:, -1]
@@ -127,7 +129,8 @@ class WrenchFromTorque:
         return known, self._coulomb * (1.0 - np.abs(turned))
 
     def update(self, m: int, sample: ArmSample, rate: float = 1.0) -> None:
-        """Take in what was measured at the SYNC of command m; an incomplete sample leaves the last wrench.
+        """Take in what was measured at the SYNC of command m; an incomplete sample leaves the last wrench, and so do
+        SYNCs that were held up and then followed each other too soon.
 
         `rate` is how fast time passes along the path.
 
@@ -140,8 +143,13 @@ class WrenchFromTorque:
         if not sample.complete or last is None or before is None:
             return
         at = max(m - 1, 0)
-        inertia = self._mass[at] @ (sample.q_rad - 2.0 * last.q_rad + before.q_rad)
-        known, band = self._expected(at, rate, (sample.q_rad - before.q_rad) / (2.0 * self._dt_s))
+        # by the instants of the SYNCs: at 4 ms, one that is 0.1 ms off feigns an acceleration of six times the speed
+        first_s, second_s = last.time_s - before.time_s, sample.time_s - last.time_s
+        if min(first_s, second_s) < SHORT_PERIODS * self._dt_s:
+            return
+        first, second = (last.q_rad - before.q_rad) / first_s, (sample.q_rad - last.q_rad) / second_s
+        inertia = self._mass[at] @ (2.0 * (second - first) / (first_s + second_s))
+        known, band = self._expected(at, rate, (sample.q_rad - before.q_rad) / (first_s + second_s))
         rest = self.external_nm = last.joint_torque_nm - known - inertia
         external = dead_band(rest, band)
         fresh = self._map[at] @ external

@@ -34,7 +34,8 @@ class LightWorld(TwoArms):
     settings : WorldSettings
     """
 
-    usual_ticks = 4
+    usual_ticks = 4.0
+    whole_ticks = False
 
     def __init__(self, arms: tuple[ArmTruth, ArmTruth], settings: WorldSettings) -> None:
         super().__init__(arms, settings)
@@ -45,14 +46,13 @@ class LightWorld(TwoArms):
         self._acceleration = np.zeros(12)
         self._need = self.motors.gear_nm.copy()
         self._inertia = np.diag(self._mass(self.q)) + self._rotor
-        self._decay: dict[int, list[float]] = {}
 
-    def _stretch(self, ticks: int) -> None:
+    def _stretch(self, ticks: float) -> None:
         for act in self.before:
             act(ticks)
         self._turn(ticks)
         self._balance(ticks)
-        self.time_s = round(self.time_s / TICK_S + ticks) * TICK_S
+        self.time_s = round(self.time_s + ticks * TICK_S, 9)
         self.motors.show()
         if self.recording:
             self._note(self.part.at(self.q))
@@ -61,10 +61,10 @@ class LightWorld(TwoArms):
 
     # -- motors ------------------------------------------------------------------------------------------------------
 
-    def _turn(self, ticks: int) -> None:
+    def _turn(self, ticks: float) -> None:
         """Rotors follow their references, fall, or stand in their brakes."""
         motors, seconds = self.motors, ticks * TICK_S
-        decay = self._decay.setdefault(ticks, [math.exp(-seconds / lag_s) for lag_s in self._lag_s])
+        decay = [math.exp(-seconds / lag_s) for lag_s in self._lag_s]
         jitter = self.settings.skew_jitter_s
         late_s = self.settings.skew_s + (self._random.uniform(0.0, jitter) if jitter else 0.0)
         theta, omega = motors.theta.tolist(), motors.omega.tolist()
@@ -88,7 +88,7 @@ class LightWorld(TwoArms):
         motors.theta, motors.omega = np.array(theta), np.array(omega)
         np.maximum(motors.fastest, np.abs(motors.omega), out=motors.fastest)
 
-    def _follow(self, axis: PairAxis, theta: float, ticks: int, how: tuple[float, float]) -> tuple[float, float]:
+    def _follow(self, axis: PairAxis, theta: float, ticks: float, how: tuple[float, float]) -> tuple[float, float]:
         """Angle and speed of a rotor behind a reference that moves evenly; the exact solution of its lag."""
         servo, lag_s, (decay, late_s) = axis.servo, self._lag_s[axis.index], how
         seconds, speed = ticks * TICK_S, axis.servo.reference_step_rad / TICK_S
@@ -111,7 +111,7 @@ class LightWorld(TwoArms):
 
     # -- torques -----------------------------------------------------------------------------------------------------
 
-    def _balance(self, ticks: int) -> None:
+    def _balance(self, ticks: float) -> None:
         """Wind-up of the gears, force inside the part, torque of each motor."""
         motors = self.motors
         motors.play = np.minimum(np.maximum(motors.play, motors.theta - self._half), motors.theta + self._half)
@@ -141,7 +141,7 @@ class LightWorld(TwoArms):
             )
         )
 
-    def _report(self, ticks: int) -> None:
+    def _report(self, ticks: float) -> None:
         """Torque that each motor gives, and whether it is all it has."""
         motors, omega = self.motors, self.motors.omega
         rubbing = self._coulomb * np.tanh(omega / RUBBING_RAD_S) + self._viscous * omega

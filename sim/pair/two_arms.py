@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -28,6 +29,10 @@ STEP_S = 0.00025
 WAIT_S, WAITS = 0.01, 25
 #: A SYNC that comes later than this begins afresh; an earlier one finds the time it stands for gone already [s].
 SILENT_S = 0.1
+#: By the clock, how far the plant may be ahead of what a bus has seen of the time, and how long that is waited for [s].
+TOGETHER_S, PATIENCE_S = 0.0005, 0.0015
+#: Shorter stretches are left to the next one [ms].
+LEAST_TICKS = 0.001
 #: Rounding of times that are sums of many periods [s].
 HAIR_S = 1e-6
 
@@ -77,7 +82,9 @@ class TwoArms(ABC):
     """
 
     #: By the clock, milliseconds that are waited for before the plant goes on between two SYNCs.
-    usual_ticks = 1
+    usual_ticks = 1.0
+    #: The plant goes on by whole milliseconds only.
+    whole_ticks = True
 
     def __init__(self, arms: tuple[ArmTruth, ArmTruth], settings: WorldSettings) -> None:
         self.arms, self.settings = arms, settings
@@ -86,7 +93,7 @@ class TwoArms(ABC):
         self.recording = False
         self.push: Array | None = None
         self.told_nobody: dict[str, Any] = {}
-        self.before: list[Callable[[int], None]] = []
+        self.before: list[Callable[[float], None]] = []
         self.after: list[Callable[[float], None]] = []
         self.part = Workpiece((arms[0].geometry, arms[1].geometry), settings.stiffness)
         self._lock = threading.Condition()
@@ -121,7 +128,7 @@ class TwoArms(ABC):
         return np.array(bullet.calculateMassMatrix(self._body, q.tolist(), physicsClientId=self._client))
 
     @abstractmethod
-    def _stretch(self, ticks: int) -> None:
+    def _stretch(self, ticks: float) -> None:
         """Let milliseconds pass; the lock is held."""
 
     # -- time --------------------------------------------------------------------------------------------------------
@@ -173,15 +180,26 @@ class TwoArms(ABC):
             self._asked[arm] += seconds
             if self._asked[arm] < self._asked[1 - arm] - SILENT_S:  # it was held up for longer than is caught up with
                 self._asked[arm] = self._asked[1 - arm]
+            self._lock.notify_all()
             self._pass(min(self._asked), self.usual_ticks)
 
-    def settle(self) -> None:
-        """By the clock: go on to now, also where that is less than the plant's usual stretch."""
-        with self._lock:
-            self._pass(min(self._asked))
+    @contextmanager
+    def settled(self, arm: int) -> Iterator[None]:
+        """By the clock: the instant of an arm's SYNC, at which its encoders are latched; time stands still meanwhile.
 
-    def _pass(self, until_s: float, least_ticks: int = 1) -> None:
-        ticks = int((until_s - self.time_s) / TICK_S + 1e-6)
+        What the other bus still looks at is waited for, unless that bus is held up.
+        """
+        with self._lock:
+            self._lock.wait_for(lambda: self._asked[1 - arm] >= self._asked[arm] - TOGETHER_S, PATIENCE_S)
+            together = self._asked[1 - arm] >= self._asked[arm] - TOGETHER_S
+            self._pass(self._asked[arm] if together else min(self._asked))
+            for axis in self.motors.axes[6 * arm : 6 * arm + 6]:
+                axis.position_rad -= axis.omega_rad_s * (self.time_s - self._asked[arm])
+            yield
+
+    def _pass(self, until_s: float, least_ticks: float = LEAST_TICKS) -> None:
+        ticks = (until_s - self.time_s) / TICK_S
+        ticks = int(ticks + 1e-6) if self.whole_ticks else round(ticks, 6)
         if ticks >= least_ticks:
             self._stretch(ticks)
             self._lock.notify_all()

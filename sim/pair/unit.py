@@ -29,10 +29,15 @@ class PairUnit:
     instruments : measuring devices on the same bus
     """
 
+    #: Short: each bus waits at its SYNC until the other one has seen the time pass.
+    real_step_s = 0.001
+
     def __init__(self, arm: ArmSpec, world: TwoArms, index: int, bus: BusSpec) -> None:
         self.name, self.world, self._index = arm.name, world, index
         self._lockstep = bus.pacing != "real"
         self.send: Callable[[can.Message], None] = lambda _message: None
+        #: What is to be sent once the instant of a SYNC is over.
+        self._answers: list[can.Message] | None = None
         axes = world.motors.axes[6 * index : 6 * index + 6]
         self.drives = [
             FakeDrive(DriveSite(spec.node_id, spec, bus.sync_period_s), axis, self._send)  # type: ignore[arg-type]
@@ -44,7 +49,10 @@ class PairUnit:
         self._measure()
 
     def _send(self, message: can.Message) -> None:
-        self.send(message)
+        if self._answers is None:
+            self.send(message)
+        else:
+            self._answers.append(message)
 
     def _measure(self) -> None:
         for drive, reading in zip(self.drives, self.world.reading_nm(self._index), strict=True):
@@ -55,8 +63,16 @@ class PairUnit:
         if self._lockstep:
             self.world.catch_up(self._index)
             self.world.arrive(self._index)
-        else:
-            self.world.settle()
+            self._answer()
+            return
+        with self.world.settled(self._index):
+            self._answers = []
+            self._answer()
+            answers, self._answers = self._answers, None
+        for message in answers:
+            self.send(message)
+
+    def _answer(self) -> None:
         self._measure()
         for device in (*self.drives, *self.instruments):
             device.sync()
@@ -77,7 +93,7 @@ class PairUnit:
         """
         raise ValueError(f"arm {self.name} holds the workpiece; load {payload.label} cannot be hung on it")
 
-    def _plan(self, ticks: int) -> None:
+    def _plan(self, ticks: float) -> None:
         for drive in self.drives:
             drive.motion.plan(ticks)
 

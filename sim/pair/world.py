@@ -79,12 +79,12 @@ class PairWorld(TwoArms):
         shaft = np.hstack([zero, zero, one, zero]) + h * turn_
         return float(np.abs(np.linalg.eigvals(np.vstack([angle, speed, shaft, turn_]))).max())
 
-    def _stretch(self, ticks: int) -> None:
+    def _stretch(self, ticks: float) -> None:
         for act in self.before:
             act(ticks)
         jitter = self.settings.skew_jitter_s
         self._early[6:] = -self.settings.skew_s - (self._random.uniform(0.0, jitter) if jitter else 0.0)
-        for _ in range(ticks):
+        for _ in range(round(ticks)):
             self._tick()
         self.motors.show()
         for act in self.after:

@@ -119,13 +119,13 @@ class Witness:
         self._lines = array("d")
         self._frames = bytearray()
         self._last_s = 0.0
-        self._follow: Callable[[can.Message | None], None] = server._follow_the_clock
+        self._follow: Callable[[can.Message | None, float], None] = server._follow_the_clock
         self._take: Callable[[can.Message], None] = server._take
         changed: Any = server
         changed._follow_the_clock, changed._take = self._followed, self._taken
 
-    def _followed(self, message: can.Message | None) -> None:
-        self._follow(message)
+    def _followed(self, message: can.Message | None, silent_s: float) -> None:
+        self._follow(message, silent_s)
         now_s = self._server._real_at_s
         if now_s - self._last_s >= STEP_S:
             self._last_s = now_s

@@ -324,3 +324,33 @@ def test_a_load_cannot_be_hung_on_a_pair(simulation_of: Callable[..., Simulation
     simulation, said = simulation_of(CELL), []
     _obey(simulation, iter(["payload none"]), said.append)  # type: ignore[arg-type]
     assert "holds the workpiece" in said[0]
+
+
+def test_by_the_clock_encoders_are_latched_at_the_instant_of_the_sync(world_of: Worlds) -> None:
+    """Not at the last whole millisecond, nor where the other arm's SYNC has brought the plant to."""
+    world = world_of()
+    world.follow_the_clock(1, 0.0100)
+    world.follow_the_clock(0, 0.0104)
+    with world.settled(0):
+        assert world.time_s == pytest.approx(0.0104, abs=1e-6)
+    axis = world.motors.axes[6]
+    at_rad, axis.omega_rad_s = axis.position_rad, 0.5
+    with world.settled(1):
+        assert world.time_s == pytest.approx(0.0104, abs=1e-6)
+        assert axis.position_rad == pytest.approx(at_rad - 0.5 * 0.0004, abs=1e-9)
+
+
+def test_a_bus_that_is_held_up_holds_the_plant(world_of: Worlds) -> None:
+    world = world_of()
+    world.follow_the_clock(1, 0.0040)
+    world.follow_the_clock(0, 0.0100)
+    with world.settled(0):
+        assert world.time_s == pytest.approx(0.0040, abs=1e-6)
+
+
+def test_silence_does_not_let_more_time_pass_than_was_silent(simulation_of: Callable[..., Simulation]) -> None:
+    """A frame that comes while a thread waits for its turn is still answered at the instant at which it came."""
+    server = simulation_of(CELL, pacing="real").servers[0]
+    began_s = server._real_at_s
+    server._follow_the_clock(None, began_s + 0.001)
+    assert server._real_at_s == pytest.approx(began_s + 0.001, abs=1e-9)
