@@ -24,22 +24,23 @@ class Ramp:
         Why the offsets were cut off; they stay zero then.
     """
 
-    __slots__ = ("_share", "_step", "_wanted", "gain", "reason")
+    __slots__ = ("_quicker", "_share", "_step", "_wanted", "gain", "reason")
 
     def __init__(self, period_s: float, duration_s: float) -> None:
         self._step = min(period_s / duration_s, 1.0)
         self._share = 0.0
         self._wanted = 0.0
+        self._quicker = 1.0
         self.gain = 0.0
         self.reason: str | None = None
 
     def rise(self) -> None:
         """From now on towards 1."""
-        self._wanted = 1.0
+        self._wanted, self._quicker = 1.0, 1.0
 
-    def fall(self) -> None:
-        """From now on towards 0."""
-        self._wanted = 0.0
+    def fall(self, quicker: float = 1.0) -> None:
+        """From now on towards 0, in so much less time than the duration."""
+        self._wanted, self._quicker = 0.0, quicker
 
     @property
     def resting(self) -> bool:
@@ -63,7 +64,7 @@ class Ramp:
             self.cut("a drive is not in OPERATION ENABLED")
         if self.reason is None and self._share != self._wanted:
             left = self._wanted - self._share
-            step = self._step * (1.0 + _ROUNDING)
+            step = self._quicker * self._step * (1.0 + _ROUNDING)
             self._share = self._wanted if abs(left) <= step else self._share + (step if left > 0 else -step)
             self.gain = self._share * self._share * (3.0 - 2.0 * self._share)
         return self.gain

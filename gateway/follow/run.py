@@ -29,6 +29,8 @@ from gateway.motion.workspace import Workspace
 
 #: Time in which the offsets are eased in and out, at rest.
 RAMP_S = 0.8
+#: How many times quicker they are eased out once a person has stopped the arm: its brakes wait for that.
+STOPPED_QUICKER = 2.0
 #: Rest with the offsets on: the drives' integral parts give back what the offsets now carry.
 SETTLE_S = 1.0
 #: Rest after the path, still recorded.
@@ -157,7 +159,7 @@ class _Run:
         if isinstance(failure, Exception) or self._stream.moving or self._stream.urgent:
             return
         try:
-            ramp.fall()
+            ramp.fall(STOPPED_QUICKER)
             while not ramp.resting:
                 self._arm.hold()
         except DriveError as error:

@@ -10,6 +10,7 @@ import math
 import os
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -61,6 +62,8 @@ def figures(scope: Any) -> dict[str, dict]:
     here = [at_s for at_s in swung.incomplete_s if not beside.near(at_s, PERIOD_S)]
     for stop in swung.stops:
         scope.print(f"soak, stopped: {stop}", markup=False)
+    for minute, count in sorted(Counter(int((at_s - swung.began_s) / 60.0) for at_s in unseen).items()):
+        scope.print(f"soak, minute {minute + 1}: {count} incomplete epochs without a stall", markup=False)
     kind = "SCHED_FIFO" if both.real_time else "ordinary scheduler: not permitted"
     return {
         "soak SYNC cycles": figure(
@@ -94,6 +97,7 @@ class Swung:
     overruns : periods missed
     stops : why the arm had to be enabled again, each time
     warm_bytes : memory after the warm-up
+    began_s : monotonic time
     """
 
     cycles: int = 0
@@ -102,14 +106,14 @@ class Swung:
     overruns: int = 0
     stops: list[str] = field(default_factory=list)
     warm_bytes: int = 0
+    began_s: float = field(default_factory=time.monotonic)
 
 
 def _swing(served: Drives, seconds: float, told: Callable[[float], None]) -> Swung:
     swung = Swung()
-    began_s = time.monotonic()
     with RealTime():
-        while time.monotonic() - began_s < seconds:
-            _swing_once(served, began_s + seconds, swung, told)
+        while time.monotonic() - swung.began_s < seconds:
+            _swing_once(served, swung.began_s + seconds, swung, told)
     swung.grown_bytes = resident_bytes() - (swung.warm_bytes or resident_bytes())
     return swung
 
