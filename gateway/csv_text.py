@@ -1,4 +1,4 @@
-"""CSV text of a measured table: columns by name, cells as numbers, every refusal with file and line.
+"""CSV text of measured tables and of paths: columns by name, cells as numbers, every refusal with file and line.
 
 The file is converted in blocks of rows, so that memory stays near that of the numbers alone.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -37,6 +37,9 @@ PATTERNS = (
 )
 KNOWN = frozenset({"run", "load", "pose", "time_s", "n", *(p.format(i) for p in PATTERNS for i in AXES)})
 
+#: Lines of a file by their numbers, as cells; empty ones are left out.
+Lines = Iterator[tuple[int, list[str]]]
+
 
 @dataclass(frozen=True, slots=True)
 class Columns:
@@ -60,18 +63,40 @@ class Columns:
 
 
 def read_columns(path: Path) -> Columns:
-    """Read a CSV file (UTF-8 with or without byte order mark, comma, quoting, any line end).
+    """Read a measured table (UTF-8 with or without byte order mark, comma, quoting, any line end).
 
     Raises
     ------
     InputError
         File unreadable, header or row malformed, column unknown or given twice, cell that is not a finite number.
     """
+    return _opened(path, KNOWN)
+
+
+def read_path_columns(path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> Columns:
+    """Read the columns of a path, all of them numbers; lines that begin with # are remarks.
+
+    Raises
+    ------
+    InputError
+        As `read_columns`, or a column that is needed is missing.
+    """
+    columns = _opened(path, frozenset((*needed, *optional)), remarks=True)
+    missing = [name for name in needed if name not in columns.values]
+    if missing:
+        raise InputError(f"{path}:1: column {missing[0]} is missing; a path has the columns {', '.join(needed)}")
+    return columns
+
+
+def _opened(path: Path, known: frozenset[str], *, remarks: bool = False) -> Columns:
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
             reader = csv.reader(stream, strict=True)
             try:
-                return _read(reader, str(path))
+                rows = ((reader.line_num, cells) for cells in reader if cells)
+                if remarks:
+                    rows = ((line, cells) for line, cells in rows if not cells[0].lstrip().startswith("#"))
+                return _read(rows, str(path), known)
             except csv.Error as error:
                 raise InputError(f"{path}:{reader.line_num}: not valid CSV: {error}") from error
     except UnicodeDecodeError as error:
@@ -82,30 +107,30 @@ def read_columns(path: Path) -> Columns:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
-def _read(reader: Iterator[list[str]], file: str) -> Columns:
-    header = _header(next((row for row in reader if row), None), file)
-    rows = _rows(reader, header, file)
+def _read(lines: Lines, file: str, known: frozenset[str]) -> Columns:
+    header = _header(next((cells for _, cells in lines), None), file, known)
+    rows = _rows(lines, header, file)
     kinds: dict[str, str] = {}
     parts: dict[str, list[np.ndarray]] = {name: [] for name in header}
-    lines: list[np.ndarray] = []
+    numbers: list[np.ndarray] = []
     while block := list(islice(rows, BLOCK_ROWS)):
         line = np.array([number for number, _ in block])
-        lines.append(line)
+        numbers.append(line)
         for name, cells in zip(header, zip(*(cells for _, cells in block), strict=True), strict=True):
             kind = kinds.setdefault(name, _kind(name, cells[0]))
             parts[name].append(_text(cells) if kind == "text" else _numbers(name, cells, line, file))
-    if not lines:
+    if not numbers:
         raise InputError(f"{file}:1: the table has a header but no row")
-    return Columns(file, {name: np.concatenate(part) for name, part in parts.items()}, np.concatenate(lines))
+    return Columns(file, {name: np.concatenate(part) for name, part in parts.items()}, np.concatenate(numbers))
 
 
-def _header(cells: list[str] | None, file: str) -> list[str]:
+def _header(cells: list[str] | None, file: str, known: frozenset[str]) -> list[str]:
     if cells is None:
         raise InputError(f"{file}:1: the file is empty; a header line with column names is needed")
     names: list[str] = []
     seen: set[str] = set()
     for name in (cell.strip() for cell in cells):
-        if name not in KNOWN and not (name.startswith("x_") and name.isprintable()):
+        if name not in known and not (name.startswith("x_") and name.isprintable()):
             hint = "the separator must be a comma" if ";" in name or "\t" in name else "own columns start with x_"
             raise InputError(f"{file}:1: unknown column '{_short(name)}'; {hint}, units are part of the name")
         if name in seen:
@@ -115,11 +140,8 @@ def _header(cells: list[str] | None, file: str) -> list[str]:
     return names
 
 
-def _rows(reader: Iterator[list[str]], header: list[str], file: str) -> Iterator[tuple[int, list[str]]]:
-    for cells in reader:
-        if not cells:
-            continue
-        line = reader.line_num  # type: ignore[attr-defined]
+def _rows(lines: Lines, header: list[str], file: str) -> Lines:
+    for line, cells in lines:
         if len(cells) != len(header):
             raise InputError(f"{file}:{line}: {len(cells)} cells where the header names {len(header)} columns")
         yield line, cells

@@ -14,7 +14,6 @@ as a spline of fifth order that starts and ends at rest; the points must lie clo
 
 from __future__ import annotations
 
-import csv
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.interpolate import make_interp_spline
 
 from drives.toml_text import parse_toml
+from gateway.csv_text import read_path_columns
 from gateway.errors import InputError, PlanRefused
 from gateway.motion.places import angles
 from gateway.motion.trajectory import Motion, MotionLimits, straight
@@ -104,11 +104,11 @@ def read_path(file: Path, workspace: Workspace, period_s: float) -> FollowPath:
     try:
         if file.stat().st_size > MOST_BYTES:
             raise InputError(f"{file}: is larger than any path")
-        text = file.read_text(encoding="utf-8")
+        text = "" if file.suffix.lower() == ".csv" else file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{file}: cannot be read: {error}") from error
     if file.suffix.lower() == ".csv":
-        times, points = _read_csv(text, file)
+        times, points = _read_csv(file)
         _refuse_far(points, str(file))
         if times is not None:
             return _timed(file.stem, times, points, workspace, period_s)
@@ -137,23 +137,14 @@ def _read_toml(text: str, file: Path) -> _Waypoints:
         raise InputError(f"{file}: {key}: {first['msg']}; a path has waypoints_rad, six angles each") from error
 
 
-def _read_csv(text: str, file: Path) -> tuple[np.ndarray | None, np.ndarray]:
-    rows = [row for row in csv.reader(text.splitlines()) if row and not row[0].lstrip().startswith("#")]
-    header = [cell.strip() for cell in rows[0]] if rows else []
-    unknown = [name for name in header if name not in (*COLUMNS, "time_s")]
-    missing = [name for name in COLUMNS if name not in header]
-    if missing or unknown or len(set(header)) != len(header):
-        raise InputError(f"{file}:1: a path has the columns time_s (optional) and {', '.join(COLUMNS)}, each once")
-    try:
-        table = np.array([[float(cell) for cell in row] for row in rows[1:]])
-    except ValueError as error:
-        raise InputError(f"{file}: a cell is no number: {error}") from error
-    if table.ndim != 2 or len(table) < 2 or table.shape[1] != len(header) or not np.isfinite(table).all():
-        raise InputError(f"{file}: at least two full rows of finite numbers are needed")
-    points = table[:, [header.index(name) for name in COLUMNS]]
-    if "time_s" not in header:
+def _read_csv(file: Path) -> tuple[np.ndarray | None, np.ndarray]:
+    columns = read_path_columns(file, COLUMNS, ("time_s",))
+    points = np.column_stack([columns.values[name] for name in COLUMNS])
+    if len(points) < 2:
+        raise InputError(f"{file}: at least two rows are needed")
+    times = columns.values.get("time_s")
+    if times is None:
         return None, points
-    times = table[:, header.index("time_s")]
     steps_s = np.diff(times)
     if len(times) < LEAST_TIMED or times[0] != 0 or not (steps_s >= LEAST_STEP_S).all() or times[-1] > LONGEST_S:
         raise InputError(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,6 +12,7 @@ from drives.exchange import Pacing
 from gateway.arm_model import arm_robot
 from gateway.cell.buses import bus_specs
 from gateway.config import ArmConfig, LoadedCell, PairConfig, load_cell, with_pacing
+from gateway.csv_text import read_path_columns
 from gateway.errors import ConfigError, InputError
 from gateway.model.regressor import regressor
 from gateway.model.robot import Robot, rotation_rpy, transform
@@ -227,34 +226,21 @@ def read_path(path: Path) -> tuple[Floats, float]:
     Raises
     ------
     InputError
-        The file cannot be read, a column is missing, a number is none, or the times are not evenly spaced.
+        The file cannot be read, a column is missing or unknown, a number is none, or the times are not evenly spaced.
     """
-    try:
-        with path.open(encoding="utf-8", newline="") as lines:
-            reader = csv.DictReader(lines)
-            missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
-            if missing:
-                raise InputError(f"{path}: column {missing[0]} is missing; a path has {', '.join(COLUMNS)}")
-            table = [_row(row, path, number) for number, row in enumerate(reader, start=2)]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}; correct the key path of [pair]") from error
-    if len(table) < 3:
-        raise InputError(f"{path}: a path needs at least three poses, got {len(table)}")
-    rows = np.array(table)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; correct the key path of [pair]")
+    columns = read_path_columns(path, COLUMNS)
+    rows = np.column_stack([columns.values[name] for name in COLUMNS])
+    if len(rows) < 3:
+        raise InputError(f"{path}: a path needs at least three poses, got {len(rows)}")
+    far = np.abs(rows).max(axis=1) > FARTHEST
+    if far.any():
+        raise InputError(
+            f"{columns.where(int(np.argmax(far)))}: a value beyond {FARTHEST:g}; a path is given in m, rad and s"
+        )
     steps = np.diff(rows[:, 0])
     if steps.min() <= 0 or np.ptp(steps) > 1e-6 * steps.mean() + 1e-6:
         raise InputError(f"{path}: the times of a path must rise in even steps")
     poses = np.array([_pose(tuple(row[1:4]), tuple(row[4:7])) for row in rows])
     return poses, float((rows[-1, 0] - rows[0, 0]) / len(steps))
-
-
-def _row(row: Mapping[str, str], path: Path, number: int) -> list[float]:
-    try:
-        values = [float(row[name]) for name in COLUMNS]
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{path}:{number}: {error}") from error
-    if not np.isfinite(values).all():
-        raise InputError(f"{path}:{number}: a value is not finite")
-    if max(map(abs, values)) > FARTHEST:
-        raise InputError(f"{path}:{number}: a value beyond {FARTHEST:g}; a path is given in m, rad and s")
-    return values
