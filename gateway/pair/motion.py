@@ -7,8 +7,6 @@ gap outside its range by quick stop, one without a value along the path. All els
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
@@ -21,7 +19,7 @@ from gateway.motion.places import angles
 from gateway.motion.stops import StopKind
 from gateway.motion.stream import MoveOptions, Stream
 from gateway.motion.trajectory import Motion
-from gateway.motion.way import MotionWay, PerArm
+from gateway.motion.way import PerArm
 from gateway.motion.workspace import Workspace
 from gateway.pair.calibration import PairCalibration, PathWrenches
 from gateway.pair.cell import PairCell
@@ -31,9 +29,10 @@ from gateway.pair.friction import FrictionOffset
 from gateway.pair.gap import GapWatch
 from gateway.pair.guard import ForceGuard
 from gateway.pair.inverse import path_joint_angles
+from gateway.pair.passage import Commander, Pair, Passage, Streamed
 from gateway.pair.path import PairPath
-from gateway.pair.servolag import ServoLag
 from gateway.pair.transform import Floats, inverse
+from gateway.pair.ways import Along, Approach, Settling
 
 #: How far an arm may stand from where the part is gripped when a run begins [rad].
 START_TOLERANCE_RAD = 0.02
@@ -42,26 +41,15 @@ APPROACH_RAD_S = 0.1
 APPROACH_S = 0.2
 #: Standing still before a way begins, so that the servos have settled [s].
 DWELL_S = 0.1
-#: For closing a gap at standstill: many times what one correction takes [s].
-SETTLE_S = 0.4
 #: Over which the end of one motion fades into the next [s].
 FADE_S = 0.4
 #: Standing still before a way, until torques have become wrenches.
 LISTEN_CYCLES = 12
-#: What a place along a way may miss a row by, through rounding.
-HAIR = 1e-9
-#: SYNCs after the decision to stop along the path in which the force may still rise, and how many times larger it may
-#: become later: ramps that end one by one squeeze the part by hundreds of newtons, the slowing down itself by less.
-RISING_SYNCS, RISING = 3, 2.5
-
 #: On the way to a stop a force below this share of the limit may be friction: hands do not yield to it.
 DOUBTFUL = 0.5
 
 Result = TypeVar("Result")
-Pair = tuple[Floats, Floats]
 Samples = tuple[ArmSample, ...]
-#: From the index of a command and both filtered wrenches (None before the first) to both gripper commands.
-Commander = Callable[[int, Floats | None, Floats | None], Pair]
 
 
 class PairStopped(PlanRefused):  # noqa: N818 - reads as what happened
@@ -86,54 +74,6 @@ class MotionOptions:
     force_limit_n: float | None = None
     force_stop_s: float = 0.02
     moves: MoveOptions = field(default_factory=MoveOptions)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Passage:
-    """A way with everything prepared for it.
-
-    Attributes
-    ----------
-    path : PairPath
-        Of the master.
-    joints, followers : joint angles (M, 6) of both arms by the nominal relation, and targets near them
-    wrenches, maps : forces from torques, forces inside the part
-    speed_rad_s, acceleration_rad_s2 : arrays of shape (M, 12)
-        Of all joints.
-    free_nm : torque (M, 6) of both arms in a free motion
-    """
-
-    path: PairPath
-    joints: Pair
-    followers: tuple[JointFollower, JointFollower]
-    wrenches: tuple[WrenchFromTorque, WrenchFromTorque]
-    maps: PathWrenches
-    speed_rad_s: Floats
-    acceleration_rad_s2: Floats
-    free_nm: Pair
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Streamed:
-    """What a way has shown.
-
-    Attributes
-    ----------
-    force : array of shape (M, 6)
-        Internal wrench about the part's centre, world axes, low-passed [N, Nm].
-    external_nm : array of shape (M, 2, 6)
-        External joint torque of both arms, not filtered; NaN where a sample was incomplete.
-    gaps_m : array of shape (M, n)
-        Distances less the demanded ones [m], NaN where a cycle had no value; n = 0 without sensors.
-    complete : every epoch was complete
-    evaluation_s : mean time that one command took to compute
-    """
-
-    force: Floats
-    external_nm: Floats
-    gaps_m: Floats
-    complete: bool
-    evaluation_s: float
 
 
 def calibration_of(cell: PairCell) -> PairCalibration:
@@ -257,7 +197,7 @@ class PairMotion:
             )
             for at, to in zip(began, goal, strict=True)
         ]
-        self.stream.drive(_Approach(self, began, motions), "approach")
+        self.stream.drive(Approach(self, began, motions), "approach")
         self.stand(round(dwell_s / self.dt_s))
 
     def prepare(self, job: Callable[[], Result]) -> Result:
@@ -266,7 +206,7 @@ class PairMotion:
 
     def settle(self, way: Passage, commander: Commander) -> None:
         """Stand at the beginning of a way until the commander has nothing left to correct."""
-        self.stream.drive(_Settling(self, way, commander, self._felt(way)), "settle")
+        self.stream.drive(Settling(self, way, commander, self._felt(way)), "settle")
 
     def targets(self, way: Passage, m: int, commands: Pair) -> Pair:
         """Joint targets of both arms for the gripper commands of index m."""
@@ -284,7 +224,7 @@ class PairMotion:
         felt = self._felt(way)
         self.stand(LISTEN_CYCLES, listen=felt.listen)
         self._complete = True
-        along = _Along(self, way, commander, felt, round(FADE_S / self.dt_s) if fade else 0)
+        along = Along(self, way, commander, felt, round(FADE_S / self.dt_s) if fade else 0)
         self.stream.drive(along, "along the path")
         return Streamed(felt.force, felt.external_nm, felt.gaps_m, self._complete, along.spent_s / len(way.path))
 
@@ -314,156 +254,6 @@ class PairMotion:
     def ask(self, why: str, kind: StopKind = StopKind.ALONG_PATH) -> None:
         """Have both arms stopped."""
         self._desk.ask(PairStopped(why), kind)
-
-
-class _Approach(MotionWay):
-    """Prepared motions of both arms on which the gap is watched."""
-
-    def __init__(self, motion: PairMotion, began: Pair, motions: Sequence[Motion]) -> None:
-        super().__init__(began, motions)
-        self._motion = motion
-
-    def targets(self, at: float, rate: float) -> PerArm:
-        """As `Way.targets`."""
-        self._q_rad = super().targets(at, rate)
-        return self._q_rad
-
-    def offsets(self) -> PerArm | None:
-        """As `Way.offsets`."""
-        return self._motion.offsets(self._q_rad)
-
-    def take(self, at: float, rate: float, samples: tuple[ArmSample, ...]) -> None:
-        """As `Way.take`."""
-        self._motion.see(samples)
-
-
-class _Along:
-    """A prepared way under a commander.
-
-    The commander answers what was measured last, at every SYNC. Between two rows, when time along the path is slowed
-    down, set points lie on the straight line from row to row, so that both arms keep their relation, and what the hands
-    yield meanwhile is added to both ends of it.
-    """
-
-    def __init__(self, motion: PairMotion, way: Passage, commander: Commander, felt: Felt, fading: int) -> None:
-        self.count = len(way.path)
-        self.spent_s = 0.0
-        self._motion, self._way, self._commander, self._felt = motion, way, commander, felt
-        self._fading = fading
-        self._offset: Pair | None = None
-        self._row, self._felt_at = -1, 0
-        self._before = self._after = self._q_rad = motion.q_rad
-        self._lag = ServoLag(motion.dt_s, motion.cell.config.servo_lag_s)
-        #: SYNCs since a stop was asked for because of the force, and the largest force of the first of them.
-        self._since, self._most_n = 0, 0.0
-
-    def rates(self, at: float) -> tuple[Floats, Floats]:
-        """As `Way.rates`."""
-        row = max(round(at), 0)
-        return self._way.speed_rad_s[row], self._way.acceleration_rad_s2[row]
-
-    def targets(self, at: float, rate: float) -> PerArm:
-        """As `Way.targets`."""
-        row = max(math.ceil(at - HAIR), 0)
-        self._lag.slow_down(rate)
-        if row == self._row:
-            self._yield(row)
-        while self._row < row:
-            self._row += 1
-            self._before, self._after = self._after, self._compute(self._row)
-        share = 1.0 - (row - at) if row > at else 1.0
-        first, second = (
-            before + share * (after - before) for before, after in zip(self._before, self._after, strict=True)
-        )
-        self._q_rad = self._after if share == 1.0 else (first, second)
-        if self._lag.slower:
-            speed = self._way.speed_rad_s
-            back = self._lag.given_back(speed[max(row - 1, 0)] + share * (speed[row] - speed[max(row - 1, 0)]))
-            self._q_rad = (first - back[:6], second - back[6:])
-        return self._q_rad
-
-    def _yield(self, m: int) -> None:
-        """One SYNC more on the way to the same row."""
-        now = self._compute(m)
-        first, second = (to - before for to, before in zip(now, self._after, strict=True))
-        self._before = (self._before[0] + first, self._before[1] + second)
-        self._after = now
-
-    def _compute(self, m: int) -> Pair:
-        began = time.perf_counter()
-        doubtful = self._lag.slower and self._felt.doubtful(self._felt_at)
-        felt = (None, None) if doubtful else self._felt.inputs(m)
-        q = self._motion.targets(self._way, m, self._commander(m, *felt))
-        self.spent_s += time.perf_counter() - began
-        if m < self._fading:
-            at = self._motion.q_rad
-            self._offset = self._offset or (at[0] - q[0], at[1] - q[1])
-            share = 1.0 - smooth((m + 1) / self._fading)
-            q = (q[0] + share * self._offset[0], q[1] + share * self._offset[1])
-        return q
-
-    def ahead(self, at: float, rate: float) -> None:
-        """None: the commander answers what has not been measured yet."""
-
-    def offsets(self) -> PerArm | None:
-        """As `Way.offsets`."""
-        return self._motion.offsets(self._q_rad)
-
-    def modelled(self, at: float) -> PerArm:
-        """As `Way.modelled`."""
-        row = max(round(at), 0)
-        return tuple(free[row] for free in self._way.free_nm)
-
-    def take(self, at: float, rate: float, samples: tuple[ArmSample, ...]) -> None:
-        """As `Way.take`."""
-        self._motion.see(samples)
-        self._lag.take(self._q_rad, samples, self._way.speed_rad_s[self._row])
-        self._felt_at = self._row
-        trouble = self._felt.take(self._row, samples, rate)
-        if not trouble:
-            return
-        size_n = self._felt.size_n(self._row)
-        if self._since == 0:
-            self._motion.ask(trouble)
-        elif self._since > RISING_SYNCS and size_n > RISING * self._most_n:
-            self._motion.ask(trouble, StopKind.QUICK_STOP)
-        if self._since <= RISING_SYNCS:
-            self._most_n = max(self._most_n, size_n)
-        self._since += 1
-
-
-class _Settling:
-    """Rows at the beginning of a way, where the commander closes what is open."""
-
-    def __init__(self, motion: PairMotion, way: Passage, commander: Commander, felt: Felt) -> None:
-        self.count = round(SETTLE_S / motion.dt_s)
-        self._motion, self._way, self._commander, self._felt = motion, way, commander, felt
-        self._still = np.zeros(way.speed_rad_s.shape[1])
-
-    def rates(self, at: float) -> tuple[Floats, Floats]:
-        """As `Way.rates`: nothing goes on along this way, so that it can be left at once."""
-        return self._still, self._still
-
-    def targets(self, at: float, rate: float) -> PerArm:
-        """As `Way.targets`."""
-        self._q_rad = self._motion.targets(self._way, 0, self._commander(0, *self._felt.inputs(0)))
-        return self._q_rad
-
-    def ahead(self, at: float, rate: float) -> None:
-        """None."""
-
-    def offsets(self) -> PerArm | None:
-        """As `Way.offsets`."""
-        return self._motion.offsets(self._q_rad)
-
-    def modelled(self, at: float) -> PerArm:
-        """As `Way.modelled`."""
-        return tuple(free[0] for free in self._way.free_nm)
-
-    def take(self, at: float, rate: float, samples: tuple[ArmSample, ...]) -> None:
-        """As `Way.take`."""
-        self._motion.see(samples)
-        self._felt.listen(samples)
 
 
 def refuse_elsewhere(cell: PairCell, where: Sequence[Floats]) -> None:
@@ -514,8 +304,3 @@ def refuse_unreachable(name: str, workspace: Workspace, q_rad: Floats, dt_s: flo
             f" {workspace.speed_rad_s[joint]:g} rad/s; lower the speed",
             joint + 1,
         )
-
-
-def smooth(share: float) -> float:
-    """From 0 to 1, at rest at both ends."""
-    return share * share * (3.0 - 2.0 * share)

@@ -16,7 +16,8 @@ from gateway.pair.cell import PairCell
 from gateway.pair.controller import CycleSummary, PairController
 from gateway.pair.embodiments import Embodiment
 from gateway.pair.function import TransformFunction, function_of_knots
-from gateway.pair.motion import Commander, MotionOptions, PairMotion, Passage, Streamed
+from gateway.pair.motion import MotionOptions, PairMotion
+from gateway.pair.passage import Commander, Passage, Streamed
 from gateway.pair.path import PairPath
 from gateway.pair.relation import slave_command
 from gateway.pair.transform import Floats

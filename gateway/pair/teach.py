@@ -16,11 +16,13 @@ import numpy as np
 from gateway.pair.function import TransformFunction, function_of_knots
 from gateway.pair.impedance import Admittance, Gains
 from gateway.pair.lesson import Lesson, TaughtPoint
-from gateway.pair.motion import Pair, PairMotion, PairStopped, Passage, smooth
+from gateway.pair.motion import PairMotion, PairStopped
+from gateway.pair.passage import Pair, Passage
 from gateway.pair.path import PairPath
 from gateway.pair.relation import relation, slave_command
 from gateway.pair.sweep import LEVER_M, liveliest_twist, swept
 from gateway.pair.transform import Floats, apply_correction
+from gateway.pair.ways import smooth
 
 #: Largest change of a correction in one step [m], [rad].
 LARGEST_STEP = (1.5e-3, 8e-3)

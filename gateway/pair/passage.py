@@ -1,0 +1,63 @@
+"""A way of both arms with all that is prepared for it, and what it has shown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from gateway.pair.calibration import PathWrenches
+from gateway.pair.follow import JointFollower, WrenchFromTorque
+from gateway.pair.path import PairPath
+from gateway.pair.transform import Floats
+
+Pair = tuple[Floats, Floats]
+#: From the index of a command and both filtered wrenches (None before the first) to both gripper commands.
+Commander = Callable[[int, Floats | None, Floats | None], Pair]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Passage:
+    """A way with everything prepared for it.
+
+    Attributes
+    ----------
+    path : PairPath
+        Of the master.
+    joints, followers : joint angles (M, 6) of both arms by the nominal relation, and targets near them
+    wrenches, maps : forces from torques, forces inside the part
+    speed_rad_s, acceleration_rad_s2 : arrays of shape (M, 12)
+        Of all joints.
+    free_nm : torque (M, 6) of both arms in a free motion
+    """
+
+    path: PairPath
+    joints: Pair
+    followers: tuple[JointFollower, JointFollower]
+    wrenches: tuple[WrenchFromTorque, WrenchFromTorque]
+    maps: PathWrenches
+    speed_rad_s: Floats
+    acceleration_rad_s2: Floats
+    free_nm: Pair
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Streamed:
+    """What a way has shown.
+
+    Attributes
+    ----------
+    force : array of shape (M, 6)
+        Internal wrench about the part's centre, world axes, low-passed [N, Nm].
+    external_nm : array of shape (M, 2, 6)
+        External joint torque of both arms, not filtered; NaN where a sample was incomplete.
+    gaps_m : array of shape (M, n)
+        Distances less the demanded ones [m], NaN where a cycle had no value; n = 0 without sensors.
+    complete : every epoch was complete
+    evaluation_s : mean time that one command took to compute
+    """
+
+    force: Floats
+    external_nm: Floats
+    gaps_m: Floats
+    complete: bool
+    evaluation_s: float
