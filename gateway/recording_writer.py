@@ -217,7 +217,7 @@ def write_recording(path: Path, content: bytes) -> None:
     Raises
     ------
     InputError
-        It cannot be written (disk full, folder missing); the old one is untouched.
+        It cannot be written (disk full, no permission); the old one is untouched.
     """
     try:
         replace_file(path, content)

@@ -175,11 +175,13 @@ class PairMotion:
 
     def stand(self, rows: int, what: str = "stand", listen: Callable[[Samples], None] | None = None) -> None:
         """Stand for some SYNCs at the last targets."""
-        for row in range(rows):
-            samples = self.stream.hold(what, row, rows)
+
+        def hear(samples: Samples) -> None:
             self.see(samples)
             if listen is not None:
                 listen(samples)
+
+        self.stream.stand(rows * self.dt_s, what, hear)
 
     def approach(self, goal: Pair, dwell_s: float = DWELL_S) -> None:
         """Bring both arms to joint targets (6,) slowly, at the same time, then stand still."""

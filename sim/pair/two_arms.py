@@ -190,8 +190,7 @@ class TwoArms(ABC):
         What the other bus still looks at is waited for, unless that bus is held up.
         """
         with self._lock:
-            self._lock.wait_for(lambda: self._asked[1 - arm] >= self._asked[arm] - TOGETHER_S, PATIENCE_S)
-            together = self._asked[1 - arm] >= self._asked[arm] - TOGETHER_S
+            together = self._lock.wait_for(lambda: self._asked[1 - arm] >= self._asked[arm] - TOGETHER_S, PATIENCE_S)
             self._pass(self._asked[arm] if together else min(self._asked))
             for axis in self.motors.axes[6 * arm : 6 * arm + 6]:
                 axis.position_rad -= axis.omega_rad_s * (self.time_s - self._asked[arm])
