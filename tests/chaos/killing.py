@@ -51,7 +51,7 @@ def visits_on_disk(path: Path) -> set[tuple[int, int]]:
     return {(visit.pose, visit.approach) for arm in read(path).arms for visit in arm.visits if visit.complete}
 
 
-def interrupt_recordings(kills: int, how: str, seed: int = 1, progress: Callable[[], None] = lambda: None) -> Losses:
+def interrupt_recordings(kills: int, how: str, seed: int = 1) -> Losses:
     """Interrupt recordings at random instants and go on with them, again and again.
 
     Parameters
@@ -62,8 +62,6 @@ def interrupt_recordings(kills: int, how: str, seed: int = 1, progress: Callable
         "sigkill", "disk full" or "power cycle".
     seed : int
         Of the instants.
-    progress : callable
-        Called after each interruption.
     """
     losses = Losses()
     rng = random.Random(f"{how} {seed}")
@@ -91,8 +89,6 @@ def interrupt_recordings(kills: int, how: str, seed: int = 1, progress: Callable
                     losses.finished += whole
                     promised = set()
                     number += 1
-                if not whole:
-                    progress()
     return losses
 
 
