@@ -87,6 +87,9 @@ IN_MOTION = frozenset({"rpdo_gone", "brake_engaged", "heartbeat_lost", "heartbea
 SLOWLY = frozenset({"tpdo_stuck", "rpdo_lost"})
 #: The torque is watched once the brakes have handed over the load.
 TAKEN_OVER = frozenset({"torque_spike"})
+#: Rest poses in lockstep; a lost heartbeat is told by the clock as well, which a fast computer outruns in two poses.
+LOCKSTEP_POSES, LOCKSTEP_POSES_LONG = 2, 8
+BY_THE_CLOCK_TOO = frozenset({"heartbeat_lost", "heartbeat_back"})
 #: Beginning of a fault after the start of the run, or of the phase that it is meant for [s].
 EARLY_S, TAKEN_OVER_S, ANY_S, SAMPLES_S = (0.05, 0.2), (0.35, 1.5), (0.05, 1.5), (0.0, 0.08)
 #: Of a visit: its approach, samples, and the longest wait for rest [s].
@@ -109,14 +112,15 @@ def kinds() -> Iterable[str]:
     return (kind for kind in KINDS if kind not in ELSEWHERE)
 
 
-def short_plan(opened: OpenArm, seed: int) -> Plan:
-    """One rest pose by the clock, two in lockstep, from both sides; every joint travels on the way to the first."""
+def short_plan(opened: OpenArm, seed: int, lockstep_poses: int = LOCKSTEP_POSES) -> Plan:
+    """One rest pose by the clock, more in lockstep, from both sides; every joint travels on the way to the first."""
     rng = random.Random(seed)
     config, workspace = opened.config, opened.workspace
     first = tuple(-float(np.sign(angle) or 1.0) * rng.uniform(0.25, 0.35) for angle in opened.arm.where())
     poses = [RestPose(1, first, "fit")]
     if opened.group.timing.pacing == "lockstep":
-        poses.append(RestPose(2, tuple(0.5 * angle for angle in first), "fit"))
+        half = tuple(0.5 * angle for angle in first)
+        poses += [RestPose(n, first if n % 2 else half, "fit") for n in range(2, lockstep_poses + 1)]
     settings = replace(
         visit_settings(opened.loaded, config),
         approach_offset_rad=APPROACH_RAD,
@@ -244,7 +248,7 @@ def _act(rig: Drives, opened: OpenArm, outcome: Outcome, evidence: Evidence, beg
         (evidence.hear, begin.hear, lambda event: _say(rig, kind, event)),
         pacing=opened.group.timing.pacing,
     )
-    plan = short_plan(opened, outcome.seed)
+    plan = short_plan(opened, outcome.seed, LOCKSTEP_POSES_LONG if kind in BY_THE_CLOCK_TOO else LOCKSTEP_POSES)
     evidence.planned = len(plan.visits)
     try:
         run_plan(station, RunRequest(plan, "none"))
