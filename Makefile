@@ -26,29 +26,29 @@ lint: venv
 	$(BIN)/lint-imports
 
 bench: venv
-	$(BIN)/python -m tests.bench --out out/bench
+	$(BIN)/python -m benchmarks.bench --out out/bench
 
 blind: venv
-	$(BIN)/python -m tests.blind --out out/blind
+	$(BIN)/python -m benchmarks.blind --out out/blind
 
 vcan: venv
 	$(BIN)/python tests/vcan/vm.py
 
 chaos: venv
-	$(BIN)/python -m tests.chaos --out out/chaos
+	$(BIN)/python -m benchmarks.chaos --out out/chaos
 
 soak: venv
-	$(BIN)/python -m tests.chaos soak --out out/soak
+	$(BIN)/python -m benchmarks.chaos soak --out out/soak
 
 follow: venv
-	$(BIN)/python -m tests.follow --out out/follow
+	$(BIN)/python -m benchmarks.follow --out out/follow
 
 # Two arms: the numpy tier and two seeds over PyBullet and twelve CAN drives; all rows on ten seeds, with verdicts.
 pair: venv
-	$(BIN)/python -m tests.pair --out out/pair
+	$(BIN)/python -m benchmarks.pair --out out/pair
 
 pair-full: venv
-	$(BIN)/python -m tests.pair --full --out out/pair-full
+	$(BIN)/python -m benchmarks.pair --full --out out/pair-full
 
 clean:
 	rm -rf $(VENV) out

@@ -12,7 +12,7 @@ from drives.bringup import read_identity
 from drives.bus import SDO_ANSWER_BASE, SDO_REQUEST_BASE, Bus
 from drives.errors import DriveError
 from drives.heartbeat import HeartbeatWatch, NmtState
-from drives.profile import list_profiles, load_profile
+from drives.profile_file import list_profiles, load_profile
 from drives.sdo import SdoClient
 from drives.values import Identity
 

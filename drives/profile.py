@@ -5,21 +5,19 @@ Every constant carries its source. A constant that is missing is an error: nothi
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-from pydantic import Field, PrivateAttr, ValidationError, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 
-from drives.errors import ProfileError
 from drives.objects import RPDO_COMMUNICATION, RPDO_MAPPING, TPDO_COMMUNICATION, TPDO_MAPPING
 from drives.profile_parts import (
     Constant,
     CountsFromObjects,
     EmcyEntry,
+    ExpectedIdentity,
     Feedforward,
     Heartbeat,
-    Identity,
     ObjectReference,
     Position,
     Rated,
@@ -29,30 +27,21 @@ from drives.profile_parts import (
     Signal,
     Source,
     StateMachine,
-    Strict,
-    TorqueOffset,
+    TorqueOffsetWord,
     Velocity,
     Write,
 )
-from drives.toml_text import parse_toml
-from drives.validation import problems_in_words
+from drives.validation import Strict
 
 __all__ = [
-    "PROFILE_FOLDER",
     "Constant",
     "CountsFromObjects",
     "DriveProfile",
     "ObjectReference",
     "Rated",
     "Signal",
-    "TorqueOffset",
-    "list_profiles",
-    "load_profile",
-    "parse_profile",
-    "profile_schema",
+    "TorqueOffsetWord",
 ]
-
-PROFILE_FOLDER = Path(__file__).parent / "profiles"
 
 #: And beside them in a run with feedforward.
 _FEEDFORWARD_WRITES = (RPDO_COMMUNICATION + 1, RPDO_MAPPING + 1, 0x60B1)
@@ -65,10 +54,10 @@ class DriveProfile(Strict):
     description: str
     source: Source
     eds: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*\.eds$")] | None = None
-    identity: Identity = Identity()
+    identity: ExpectedIdentity = ExpectedIdentity()
     torque: Signal
     current: Signal | None = None
-    torque_offset: TorqueOffset | None = None
+    torque_offset: TorqueOffsetWord | None = None
     velocity: Velocity | None = None
     feedforward: Feedforward | None = Field(
         default=None, description="absent: the drive has no 0x60B1, or it is not known how it takes it"
@@ -86,7 +75,7 @@ class DriveProfile(Strict):
         default=None, description="absent: the drive cannot tell whether its encoder is referenced"
     )
     _text: str = PrivateAttr(default="")
-    _folder: Path = PrivateAttr(default=PROFILE_FOLDER)
+    _folder: Path = PrivateAttr(default=Path())
 
     @property
     def text(self) -> str:
@@ -128,72 +117,3 @@ class DriveProfile(Strict):
         missing = [f"0x{index:04X}" for index in _FEEDFORWARD_WRITES if index not in self.write.allow]
         if missing:
             raise ValueError(f"feedforward needs a second RPDO: write.allow lacks {', '.join(missing)}")
-
-
-def list_profiles() -> list[str]:
-    """Names of the profiles that come with the package, sorted."""
-    return sorted(path.stem for path in PROFILE_FOLDER.glob("*.toml"))
-
-
-def load_profile(name_or_path: str | Path) -> DriveProfile:
-    """Read one profile.
-
-    Parameters
-    ----------
-    name_or_path : str or Path
-        A name of `list_profiles`, or the path of a TOML file.
-
-    Raises
-    ------
-    ProfileError
-        No such profile, not TOML, an unknown key, a missing constant; every problem of the file at once.
-    """
-    path = Path(name_or_path)
-    packaged = PROFILE_FOLDER / f"{name_or_path}.toml"
-    if path.suffix != ".toml" and packaged.is_file():
-        path = packaged
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        known = ", ".join(list_profiles())
-        advice = f"give the path of a TOML file or one of {known}"
-        raise ProfileError(f"drive profile '{name_or_path}' cannot be read: {error}", advice=advice) from error
-    return parse_profile(text, str(path), path.parent)
-
-
-def parse_profile(text: str, where: str, folder: Path = PROFILE_FOLDER) -> DriveProfile:
-    """Validate the text of a profile.
-
-    Parameters
-    ----------
-    text : str
-        TOML.
-    where : str
-        File name for messages.
-    folder : Path
-        Where the EDS that the profile names is looked for.
-
-    Raises
-    ------
-    ProfileError
-        Every problem of the file at once.
-    """
-    try:
-        profile = DriveProfile.model_validate(parse_toml(text))
-    except tomllib.TOMLDecodeError as error:
-        raise ProfileError(f"{where}: not valid TOML: {error}", advice="correct the file") from error
-    except ValidationError as error:
-        advice = "see drives/profiles/README.md, or `servo-gateway profiles schema`"
-        raise ProfileError(f"{where}: {problems_in_words(error)}", advice=advice) from error
-    object.__setattr__(profile, "_text", text)
-    object.__setattr__(profile, "_folder", folder)
-    if profile.eds_path is not None:
-        from drives.eds import check_eds  # imported here: it needs the classes of this file
-
-        check_eds(profile, profile.eds_path)
-    return profile
-
-
-def profile_schema() -> dict[str, Any]:
-    """JSON schema of the profile file."""
-    return DriveProfile.model_json_schema()

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from drives.objects import RPDO_COMMUNICATION, RPDO_MAPPING, SIZE_BYTES, TPDO_COMMUNICATION, TPDO_MAPPING, DataType
+from drives.validation import Strict
 
 Source = Annotated[str, Field(min_length=1, description="where the number comes from: datasheet page, read, assumed")]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -27,10 +28,6 @@ _NEEDED_WRITES = (
     0x607A,
     0x60B2,
 )
-
-
-class Strict(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class Constant(Strict):
@@ -58,7 +55,7 @@ class ObjectReference(Strict):
         return self.index << 16 | self.subindex << 8 | self.size_bits
 
 
-class Identity(Strict):
+class ExpectedIdentity(Strict):
     """What 0x1018 must say; a key that is not given matches anything."""
 
     vendor_id: int | None = Field(default=None, ge=0, le=0xFFFFFFFF)
@@ -126,7 +123,7 @@ class Signal(Strict):
         return self
 
 
-class TorqueOffset(Strict):
+class TorqueOffsetWord(Strict):
     """Arithmetic of 0x60B2 where it differs from that of the measured torque."""
 
     kind: Literal["permille_rated_torque", "permille_rated_current"]
@@ -136,7 +133,7 @@ class TorqueOffset(Strict):
     source: Source
 
     @model_validator(mode="after")
-    def _complete(self) -> TorqueOffset:
+    def _complete(self) -> TorqueOffsetWord:
         references = (self.current_reference, self.torque_constant_per)
         if self.kind == "permille_rated_current" and None in references:
             raise ValueError("a current needs current_reference and torque_constant_per (rms or peak)")

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 
 from drives.errors import ProfileError
-from drives.profile import DriveProfile, Signal, TorqueOffset
+from drives.profile import DriveProfile, Signal, TorqueOffsetWord
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +113,7 @@ def _ampere_per_bit(profile: DriveProfile, what: str, signal: Signal, rated: flo
 
 
 def _offset_nm(profile: DriveProfile, constants: Constants, torque_nm: float, kt: float) -> float | None:
-    own: TorqueOffset | None = profile.torque_offset
+    own: TorqueOffsetWord | None = profile.torque_offset
     if own is None:
         return torque_nm if profile.torque.kind.startswith("permille") else None
     per_mille = _positive(profile, "torque_offset: rated value", constants.offset_rated) / 1000.0

@@ -1,8 +1,14 @@
-"""Problems of a file that pydantic found, in the words of the person who wrote it."""
+"""Files that people write, read through pydantic: what their tables have in common, and problems in words."""
 
 from __future__ import annotations
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+
+class Strict(BaseModel):
+    """A table of a file: frozen, no unknown key, no number that is none."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 def problems_in_words(error: ValidationError) -> str:

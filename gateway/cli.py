@@ -205,7 +205,7 @@ def _defect(error: BaseException) -> str:
 @click.pass_context
 def main(ctx: click.Context, verbose: int, quiet: bool) -> None:
     """CANopen master for six-axis robots: what hangs on the flange, how sure that is, and why the residual is there."""
-    from gateway.console import Session
+    from gateway.commands.console import Session
 
     ctx.obj = Session(verbosity=verbose - (1 if quiet else 0))
 

@@ -39,7 +39,7 @@ def serve(
     unbuffered: bool,
 ) -> None:
     """Serve the drives of CELL until Ctrl-C. On stdin: payload LABEL | none, grip open | closed, quit."""
-    from sim.serve import BusError, ServeOptions
+    from sim.serve import ServeOptions, SimulationBusError
     from sim.serve import serve as run
 
     if undeclared is not None and seed is not None:
@@ -47,7 +47,7 @@ def serve(
     options = ServeOptions(bus, payload, undeclared, seed, fault, truth, pacing, unbuffered)
     try:
         run(cell, options, lambda line: print(line, flush=True))
-    except BusError as error:
+    except SimulationBusError as error:
         print(f"servo-sim: {error}", file=sys.stderr)
         sys.exit(BUS_ERROR)
     except (ValueError, OSError) as error:

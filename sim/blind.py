@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.draw import LOADED_S, POSES, VISIT_S, Arm, choose_poses, draw_arm
+from sim.draw import LOADED_S, POSES, VISIT_S, DrawnArm, choose_poses, draw_arm
 from sim.draw_effects import MAKERS, OFF_MAKERS, Effect, Maker
 from sim.effects import apply_effects
-from sim.offline import Protocol, Visit, gravity_columns, measure, point_jacobian
+from sim.offline import PlannedVisit, Protocol, gravity_columns, measure, point_jacobian
 from sim.plant import Plant
 
 Array = NDArray[np.float64]
@@ -40,21 +40,21 @@ class BlindCell:
     """One cell: the arm, its plant with the effects built in, the visits of the first recording, the truth."""
 
     seed: int
-    arm: Arm
+    arm: DrawnArm
     plant: Plant
     protocol: Protocol
-    visits: tuple[Visit, ...]
+    visits: tuple[PlannedVisit, ...]
     truth: Truth
 
-    def measure(self, visits: Sequence[Visit], stream: int = 0) -> dict[str, NDArray]:
+    def measure(self, visits: Sequence[PlannedVisit], stream: int = 0) -> dict[str, NDArray]:
         """Rows of a measured table of the given visits; `stream` makes the noise of later recordings differ."""
         rng = np.random.default_rng([self.seed, 7, stream])
         return measure(self.arm.chain, self.plant, visits, self.arm.loads, self.protocol, rng)
 
-    def later(self, poses_rad: Array, first_pose: int, start_s: float) -> tuple[Visit, ...]:
+    def later(self, poses_rad: Array, first_pose: int, start_s: float) -> tuple[PlannedVisit, ...]:
         """Further visits with the load on, one after the other."""
         return tuple(
-            Visit(first_pose + k, "tool", start_s + VISIT_S * k, np.asarray(q)) for k, q in enumerate(poses_rad)
+            PlannedVisit(first_pose + k, "tool", start_s + VISIT_S * k, np.asarray(q)) for k, q in enumerate(poses_rad)
         )
 
 
@@ -63,15 +63,15 @@ def draw_cell(seed: int) -> BlindCell:
     rng = np.random.default_rng([seed, 1])
     arm = draw_arm(rng)
     poses = choose_poses(arm, POSES, rng)
-    visits = [Visit(k, "none", VISIT_S * k, q) for k, q in enumerate(poses)]
-    visits += [Visit(k, "tool", LOADED_S + VISIT_S * k, q) for k, q in enumerate(poses)]
+    visits = [PlannedVisit(k, "none", VISIT_S * k, q) for k, q in enumerate(poses)]
+    visits += [PlannedVisit(k, "tool", LOADED_S + VISIT_S * k, q) for k, q in enumerate(poses)]
     truth, protocol = _draw_truth(arm, visits, rng)
     in_plant = [effect for effect in truth.effects if effect["name"] != "position_friction"]
     plant = apply_effects(arm.plant, in_plant, point_jacobian(arm.chain))
     return BlindCell(seed, arm, plant, protocol, tuple(visits), truth)
 
 
-def _draw_truth(arm: Arm, visits: list[Visit], rng: np.random.Generator) -> tuple[Truth, Protocol]:
+def _draw_truth(arm: DrawnArm, visits: list[PlannedVisit], rng: np.random.Generator) -> tuple[Truth, Protocol]:
     lot = rng.random()
     if lot < MIX["clean"]:
         return Truth("clean", (), ()), arm.protocol
@@ -97,14 +97,14 @@ def wanted_strength(rng: np.random.Generator) -> float:
     return float(np.exp(rng.uniform(np.log(LEAST_STRENGTH), np.log(MOST_STRENGTH))))
 
 
-def _applies(name: str, arm: Arm, two: bool) -> bool:
+def _applies(name: str, arm: DrawnArm, two: bool) -> bool:
     if name == "torque_constant_scale_common":
         return bool(arm.known)
     return not (two and name in ("sign_reversed", "axes_swapped", "current_rms_peak"))
 
 
 def scaled(
-    arm: Arm, visits: list[Visit], maker: Maker, wanted: float, rng: np.random.Generator
+    arm: DrawnArm, visits: list[PlannedVisit], maker: Maker, wanted: float, rng: np.random.Generator
 ) -> tuple[Effect, float]:
     """An effect whose strength is `wanted`, as far as its physical limit lets it; of several draws the closest."""
     best: tuple[Effect, float] | None = None
@@ -127,7 +127,7 @@ def scaled(
     return best
 
 
-def strength(arm: Arm, visits: Sequence[Visit], effect: Mapping[str, object]) -> float:
+def strength(arm: DrawnArm, visits: Sequence[PlannedVisit], effect: Mapping[str, object]) -> float:
     """Projected strength of one effect over the noise floor, as the module text defines it."""
     quiet = replace(arm.protocol, settle=np.zeros(6), resolution_nm=np.zeros(6), samples=1)
     still = replace(arm.plant, reading_noise_nm=np.zeros(6))
@@ -166,7 +166,7 @@ def _halves(columns: Mapping[str, NDArray], efficiency: Array) -> tuple[Array, A
     return (sides[0] + sides[1]) / 2.0, (sides[0] - sides[1]) / 2.0
 
 
-def _position_friction(arm: Arm, wanted: float, rng: np.random.Generator) -> tuple[Protocol, float]:
+def _position_friction(arm: DrawnArm, wanted: float, rng: np.random.Generator) -> tuple[Protocol, float]:
     """Friction of one axis that changes once per turn; its swing is what the half differences show."""
     axis = int(rng.integers(1, 6))
     swing = min(0.9, wanted * float(arm.floor_nm[axis]) / max(float(arm.plant.coulomb_nm[axis]), 1e-9) * np.sqrt(2.0))

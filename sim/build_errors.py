@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from sim.plant import Plant
-from sim.urdf import Chain
+from sim.urdf import SimChain
 
 #: Standard deviation of a link's mass, and of its first moment as a share of mass x link length.
 MASS_SHARE = 0.03
 MOMENT_SHARE = 0.03
 
 
-def with_build_errors(plant: Plant, chain: Chain, seed: int) -> Plant:
+def with_build_errors(plant: Plant, chain: SimChain, seed: int) -> Plant:
     """Plant whose link masses and centres of gravity differ from the drawing, drawn from a seed.
 
     A link's length is the distance to the next joint, at least 0.1 m.

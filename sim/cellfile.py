@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.plant import Payload
-from sim.urdf import Chain, UrdfError, read_chain
+from sim.urdf import SimChain, UrdfError, read_chain
 
 Array = NDArray[np.float64]
 Table = Mapping[str, Any]
@@ -33,7 +33,7 @@ class CellFileError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class BusSpec:
+class CellBus:
     """A CAN bus as python-can names it, and the SYNC that runs on it.
 
     `pacing` is "lockstep" (simulated time advances with each SYNC) or "real" (by the wall clock).
@@ -76,7 +76,7 @@ class ArmSpec:
 
     name: str
     bus: str
-    chain: Chain
+    chain: SimChain
     gravity_m_s2: Array
     coupling: Array
     axes: tuple[AxisSpec, ...]
@@ -88,7 +88,7 @@ class CellSpec:
     """The whole cell; `pair` is the table of two arms that hold one workpiece."""
 
     name: str
-    buses: Mapping[str, BusSpec]
+    buses: Mapping[str, CellBus]
     arms: tuple[ArmSpec, ...]
     pair: Table | None = None
 
@@ -133,8 +133,8 @@ def read_cell(path: Path) -> CellSpec:
         raise CellFileError(f"{path}: a value is of the wrong kind: {error}. Correct the file.") from error
 
 
-def _bus(entry: Table) -> BusSpec:
-    return BusSpec(
+def _bus(entry: Table) -> CellBus:
+    return CellBus(
         interface=str(entry["interface"]),
         channel=str(entry["channel"]),
         bitrate_bit_s=int(entry.get("bitrate_bit_s", 1_000_000)),
@@ -144,7 +144,7 @@ def _bus(entry: Table) -> BusSpec:
     )
 
 
-def parse_bus_spec(text: str, cell_bus: BusSpec) -> BusSpec:
+def parse_bus_spec(text: str, cell_bus: CellBus) -> CellBus:
     """`INTERFACE:CHANNEL[,key=value]...` in place of the interface of a cell's bus; timing stays the cell's.
 
     Raises
@@ -158,7 +158,7 @@ def parse_bus_spec(text: str, cell_bus: BusSpec) -> BusSpec:
             f"--bus '{text}' is not INTERFACE:CHANNEL[,key=value]..., for example udp_multicast:239.74.163.2,port=43113"
         )
     options = {key: _scalar(value) for key, _, value in (pair.partition("=") for pair in pairs)}
-    return BusSpec(
+    return CellBus(
         interface,
         channel,
         int(options.pop("bitrate", cell_bus.bitrate_bit_s)),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sim.effects import warm_up
 from sim.offline import Protocol, gravity_columns, half_floor, statics
 from sim.plant import Payload, Plant, nominal_plant
-from sim.urdf import Body, Chain, write_chain
+from sim.urdf import SimBody, SimChain, write_chain
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ LOADED_S = POSES * VISIT_S + CHANGE_S
 
 
 @dataclass(frozen=True, slots=True)
-class Arm:
+class DrawnArm:
     """One arm as it is, and as its owner believes it to be.
 
     Attributes
@@ -45,7 +45,7 @@ class Arm:
     shift_time_s : between which times a load may shift: well inside the visits with the load
     """
 
-    chain: Chain
+    chain: SimChain
     urdf: str
     prior_std: Array
     plant: Plant
@@ -58,7 +58,7 @@ class Arm:
     shift_time_s: tuple[float, float]
 
 
-def draw_arm(rng: np.random.Generator) -> Arm:
+def draw_arm(rng: np.random.Generator) -> DrawnArm:
     """Draw one arm; everything random comes from `rng`."""
     payload_kg = float(np.exp(rng.uniform(np.log(10.0), np.log(200.0))))
     chain = _chain(payload_kg, rng)
@@ -97,7 +97,7 @@ def draw_arm(rng: np.random.Generator) -> Arm:
     if rng.random() < 0.2:
         x, y, z = (float(v) for v in tool.com_m)
         known = {"tool": (tool.mass_kg, x, y, z)}
-    return Arm(
+    return DrawnArm(
         chain=chain,
         urdf=_believed(chain, std, rng),
         prior_std=std,
@@ -112,7 +112,7 @@ def draw_arm(rng: np.random.Generator) -> Arm:
     )
 
 
-def prior_std(chain: Chain) -> Array:
+def prior_std(chain: SimChain) -> Array:
     """Standard deviation (24,) of CAD inertials: 5 % of every mass, and of mass x link length for the first moment."""
     std = np.zeros(24)
     for link in range(6):
@@ -126,16 +126,16 @@ def prior_std(chain: Chain) -> Array:
     return std
 
 
-def _believed(chain: Chain, std: Array, rng: np.random.Generator) -> str:
+def _believed(chain: SimChain, std: Array, rng: np.random.Generator) -> str:
     bodies = []
     for link, body in enumerate(chain.bodies):
         if body is None:
             raise ValueError(f"link_{link + 1} has no inertial")
         error = std[4 * link : 4 * link + 4] * np.clip(rng.standard_normal(4), -2.5, 2.5)
         mass = body.mass_kg + error[0]
-        bodies.append(Body(mass, (body.mass_kg * body.com_m + error[1:]) / mass, body.inertia_kg_m2))
+        bodies.append(SimBody(mass, (body.mass_kg * body.com_m + error[1:]) / mass, body.inertia_kg_m2))
     return write_chain(
-        Chain(
+        SimChain(
             chain.name,
             chain.placement,
             chain.axis,
@@ -148,7 +148,7 @@ def _believed(chain: Chain, std: Array, rng: np.random.Generator) -> str:
     )
 
 
-def _chain(payload_kg: float, rng: np.random.Generator) -> Chain:
+def _chain(payload_kg: float, rng: np.random.Generator) -> SimChain:
     size = (payload_kg / 165.0) ** 0.3
     total = payload_kg * float(rng.uniform(4.0, 7.0))
     spherical = rng.random() < 0.6
@@ -174,10 +174,10 @@ def _chain(payload_kg: float, rng: np.random.Generator) -> Chain:
         com = lengths[link] * (rng.uniform(0.3, 0.5) * direction + rng.uniform(-0.08, 0.08, 3))
         radius = 0.15 * size + 0.15 * lengths[link]
         bodies.append(
-            Body(float(masses[link]), com, 0.4 * masses[link] * radius**2 * np.diag(rng.uniform(0.9, 1.1, 3)))
+            SimBody(float(masses[link]), com, 0.4 * masses[link] * radius**2 * np.diag(rng.uniform(0.9, 1.1, 3)))
         )
     limits = np.array([2.9, 1.6, 2.2, 3.1, 2.1, 3.1]) * rng.uniform(0.8, 1.0, 6)
-    return Chain(
+    return SimChain(
         name="drawn",
         placement=placement,
         axis=np.array(axes),
@@ -196,7 +196,7 @@ def _load(label: str, payload_kg: float, rng: np.random.Generator) -> Payload:
     return Payload(label, mass, com, 0.01 * mass * np.eye(3))
 
 
-def _capacity(chain: Chain, masses: Array, coms: Array, load: Payload, rng: np.random.Generator) -> Array:
+def _capacity(chain: SimChain, masses: Array, coms: Array, load: Payload, rng: np.random.Generator) -> Array:
     """Rated torque per axis: the largest static torque over the joint space with the load, and margin."""
     plant = nominal_plant(masses, coms, np.tile(np.eye(3), (6, 1, 1)), payload=load)
     q = rng.uniform(chain.lower_rad, chain.upper_rad, (60, 6))
@@ -205,7 +205,7 @@ def _capacity(chain: Chain, masses: Array, coms: Array, load: Payload, rng: np.r
     return 1.3 * np.maximum(largest, 0.02 * largest.max())
 
 
-def choose_poses(arm: Arm, count: int, rng: np.random.Generator) -> Array:
+def choose_poses(arm: DrawnArm, count: int, rng: np.random.Generator) -> Array:
     """Rest poses (count, 6) that say most about load and links: greedy D-optimal among random ones."""
     lower, upper = arm.chain.lower_rad, arm.chain.upper_rad
     q = rng.uniform(0.95 * lower, 0.95 * upper, (80, 6))

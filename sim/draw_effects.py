@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from sim.draw import Arm
+from sim.draw import DrawnArm
 
 Effect = dict[str, object]
 
 Build = Callable[[float], Effect]
-Maker = Callable[[Arm, np.random.Generator], tuple[Build, float | None]]
+Maker = Callable[[DrawnArm, np.random.Generator], tuple[Build, float | None]]
 
 
 def _entry(name: str, joints: Sequence[int], **parameters: object) -> Effect:
@@ -26,50 +26,50 @@ def _joint(rng: np.random.Generator, first: int = 1, last: int = 6) -> int:
     return int(rng.integers(first, last + 1))
 
 
-def _effort(arm: Arm, joint: int) -> float:
+def _effort(arm: DrawnArm, joint: int) -> float:
     """Rated torque of one axis, from the resolution of its reading [Nm]."""
     return float(arm.protocol.resolution_nm[joint - 1] * 1e3)
 
 
-def _load_friction(_arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
+def _load_friction(_arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, float]:
     joint = _joint(rng, 2)
     return lambda s: _entry("load_dependent_friction", [joint], coefficient=s), 0.4
 
 
-def _tilt(_arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
+def _tilt(_arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, float]:
     angle = rng.uniform(0, 2 * np.pi)
     x, y = float(np.cos(angle)), float(np.sin(angle))
     return lambda s: _entry("base_tilt", [], tilt_x_rad=s * x, tilt_y_rad=s * y), 0.15
 
 
-def _zero(_arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
+def _zero(_arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, float]:
     joint, sign = _joint(rng, 2), _sign(rng)
     return lambda s: _entry("joint_zero_offset", [joint], offset_rad=sign * s), 0.15
 
 
-def _scale(_arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
+def _scale(_arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, float]:
     joint, sign = _joint(rng, 2), _sign(rng)
     return lambda s: _entry("torque_constant_scale", [joint], scale=1.0 + sign * s), 0.3
 
 
-def _common_scale(_arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
+def _common_scale(_arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, float]:
     sign = _sign(rng)
     return lambda s: _entry("torque_constant_scale", [], scale=1.0 + sign * s), 0.3
 
 
-def _offset(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
+def _offset(arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, float]:
     joint, sign = _joint(rng), _sign(rng)
     return lambda s: _entry("torque_offset", [joint], offset_nm=sign * s), 0.3 * _effort(arm, joint)
 
 
-def _drift(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
+def _drift(arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, float]:
     joint, sign = _joint(rng, 2), _sign(rng)
     if arm.plant.temperature_c is not None:
         return lambda s: _entry("thermal_drift", [joint], per_k=sign * s), 0.03
     return lambda s: _entry("thermal_drift", [joint], per_s=sign * s), 5e-4
 
 
-def _balancer(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
+def _balancer(arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, float]:
     size = float(np.linalg.norm(arm.chain.placement[2, :3, 3]))
     lever, anchor = size * rng.uniform(0.12, 0.3), size * rng.uniform(0.35, 0.8)
     shape = {"lever_m": lever, "anchor_m": anchor, "phase_rad": rng.uniform(-0.6, 0.6)}
@@ -81,7 +81,7 @@ def _balancer(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
     return lambda s: _entry("balancer_spring", [2], stiffness_n_m=s * unit, **shape), 4.0
 
 
-def _cable(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
+def _cable(arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, float]:
     joint = _joint(rng, 4)
     shape: dict[str, object] = {"neutral_rad": rng.uniform(-0.5, 0.5)}
     if rng.random() < 0.3:
@@ -89,12 +89,12 @@ def _cable(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
     return lambda s: _entry("cable_torque", [joint], stiffness_nm_rad=s, **shape), 0.3 * _effort(arm, joint)
 
 
-def _elasticity(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
+def _elasticity(arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, float]:
     joint = _joint(rng, 2, 5)
     return lambda s: _entry("joint_elasticity", [joint], compliance_rad_nm=s), 0.12 / _effort(arm, joint)
 
 
-def _ripple(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
+def _ripple(arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, float]:
     joint = _joint(rng)
     periods = float(arm.gear_ratio[joint - 1] * rng.integers(1, 3))
     phase = rng.uniform(0, 2 * np.pi)
@@ -104,13 +104,13 @@ def _ripple(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
     )
 
 
-def _coupling(_arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
+def _coupling(_arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, float]:
     pairs = [(5, 6), (2, 3), (4, 5), (4, 6)]
     pair, sign = pairs[int(rng.choice(4, p=[0.4, 0.3, 0.15, 0.15]))], _sign(rng)
     return lambda s: _entry("axis_coupling", pair, coefficient=sign * s), 1.0
 
 
-def _link_mass(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
+def _link_mass(arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, float]:
     link = _joint(rng, 2, 4)
     body = arm.chain.bodies[link - 1]
     reach = float(np.linalg.norm(arm.chain.placement[min(link, 5), :3, 3])) + 0.2
@@ -121,7 +121,7 @@ def _link_mass(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
     ), 0.8
 
 
-def _shift(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
+def _shift(arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, float]:
     direction = rng.standard_normal(3)
     direction /= np.linalg.norm(direction)
     when = float(rng.uniform(*arm.shift_time_s))
@@ -129,17 +129,17 @@ def _shift(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
     return lambda s: _entry("payload_shift", [], shift_m=[float(v) for v in s * direction], time_s=when), reach
 
 
-def _reversed(_arm: Arm, rng: np.random.Generator) -> tuple[Build, None]:
+def _reversed(_arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, None]:
     joint = _joint(rng)
     return lambda _s: _entry("sign_reversed", [joint]), None
 
 
-def _swapped(_arm: Arm, rng: np.random.Generator) -> tuple[Build, None]:
+def _swapped(_arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, None]:
     first, second = sorted(int(v) + 1 for v in rng.choice(6, 2, replace=False))
     return lambda _s: _entry("axes_swapped", [first, second]), None
 
 
-def _rms_peak(_arm: Arm, rng: np.random.Generator) -> tuple[Build, None]:
+def _rms_peak(_arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, None]:
     joint, factor = _joint(rng, 2), float(np.sqrt(2.0) ** _sign(rng))
     return lambda _s: _entry("current_rms_peak", [joint], factor=factor), None
 
@@ -168,7 +168,7 @@ MAKERS: dict[str, Maker] = {
 # ------------------------------------------------------------------------------------------------- off the library
 
 
-def _hardening(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
+def _hardening(arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, float]:
     joint, phase = _joint(rng, 2, 5), rng.uniform(0, 2 * np.pi)
     return (
         lambda s: _entry("hardening_cable", [joint], amplitude_nm=s, phase_rad=phase),
@@ -176,7 +176,7 @@ def _hardening(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
     )
 
 
-def _buffer(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
+def _buffer(arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, float]:
     joint = _joint(rng, 2, 5)
     angle = arm.chain.upper_rad[joint - 1] * rng.uniform(0.0, 0.4)
     return (
@@ -185,30 +185,30 @@ def _buffer(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
     )
 
 
-def _linkage(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
+def _linkage(arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, float]:
     phase = rng.uniform(0, 2 * np.pi)
     return lambda s: _entry("linkage_spring", [3], stiffness_nm=s, phase_rad=phase), 0.4 * _effort(arm, 3)
 
 
-def _saturating(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
+def _saturating(arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, float]:
     joint = _joint(rng, 2, 3)
     reference = _effort(arm, joint)
     return lambda s: _entry("saturating_motor", [joint], coefficient=s, reference_nm=reference), 0.6
 
 
-def _eccentric(_arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
+def _eccentric(_arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, float]:
     joint, phase = _joint(rng, 2, 3), rng.uniform(0, 2 * np.pi)
     return lambda s: _entry("eccentric_gear", [joint], coefficient=s, phase_rad=phase), 0.4
 
 
-def _hose(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
+def _hose(arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, float]:
     force = rng.standard_normal(3) * [1.0, 1.0, 0.3]
     force /= np.linalg.norm(force)
     unit = _effort(arm, 3)
     return lambda s: _entry("world_hose", [4], force_n=[float(v) for v in s * unit * force]), 0.5
 
 
-def _bungee(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
+def _bungee(arm: DrawnArm, rng: np.random.Generator) -> tuple[Build, float]:
     reach = float(np.linalg.norm(arm.chain.placement[2, :3, 3]))
     hook = reach * np.array([rng.uniform(-1, 1), rng.uniform(-1, 1), rng.uniform(1.5, 2.5)])
     unit = _effort(arm, 3) / reach**2
@@ -220,7 +220,7 @@ def _bungee(arm: Arm, rng: np.random.Generator) -> tuple[Build, float]:
     )
 
 
-def _unused(_arm: Arm, _rng: np.random.Generator) -> tuple[Build, None]:
+def _unused(_arm: DrawnArm, _rng: np.random.Generator) -> tuple[Build, None]:
     return lambda _s: _entry("position_friction", []), None
 
 

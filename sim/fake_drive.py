@@ -14,7 +14,7 @@ from canopen.sdo.exceptions import SdoAbortedError
 
 from sim.cellfile import AxisSpec
 from sim.drive_objects import MODES, fill
-from sim.motion import Motion
+from sim.motion import DriveMotion
 from sim.motor import MotorAxis
 from sim.node import OPERATIONAL, SlaveNode
 from sim.objects import VALUE_RANGE, ObjectStore
@@ -74,7 +74,7 @@ class FakeDrive:
         self.quirks = Quirks()
         self._conduct = Conduct(self)
         self._time_s = 0.0
-        self.motion = Motion(self)
+        self.motion = DriveMotion(self)
         self.store = ObjectStore()
         self.reset_setpoints()
         fill(self)

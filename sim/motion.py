@@ -34,7 +34,7 @@ CLOCK_DRAW = 0.03
 MOST_BUFFERED = 8
 
 
-class Motion:
+class DriveMotion:
     """Reference generator and monitor of one drive.
 
     Attributes

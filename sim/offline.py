@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.plant import Payload, Plant
-from sim.urdf import Chain
+from sim.urdf import SimChain
 
 Array = NDArray[np.float64]
 _ELASTIC_STEPS = 12
 
 
 @dataclass(frozen=True, slots=True)
-class Visit:
+class PlannedVisit:
     """One rest pose to be visited from both sides.
 
     Attributes
@@ -62,7 +62,7 @@ class Protocol:
     secondary_encoder: bool = False
 
 
-def link_frames(chain: Chain, q_rad: Array) -> Array:
+def link_frames(chain: SimChain, q_rad: Array) -> Array:
     """Pose (n, 6, 4, 4) of every link frame in the base for joint angles (n, 6); Rodrigues' formula."""
     q_rad = np.atleast_2d(q_rad)
     frames = np.empty((len(q_rad), 6, 4, 4))
@@ -78,7 +78,7 @@ def link_frames(chain: Chain, q_rad: Array) -> Array:
     return frames
 
 
-def statics(chain: Chain, plant: Plant, q_rad: Array) -> Array:
+def statics(chain: SimChain, plant: Plant, q_rad: Array) -> Array:
     """Torque (n, 6) [Nm] that the actuators must give against gravity at true joint angles (n, 6).
 
     `tau_i = - z_i . sum_k (p_k - o_i) x m_k g` over the links and the payload that axis i carries.
@@ -99,7 +99,7 @@ def statics(chain: Chain, plant: Plant, q_rad: Array) -> Array:
     return torque
 
 
-def point_jacobian(chain: Chain) -> Callable[[Array, int, Array], tuple[Array, Array]]:
+def point_jacobian(chain: SimChain) -> Callable[[Array, int, Array], tuple[Array, Array]]:
     """Position (3,) and translational Jacobian (3, 6) of a point of a link (from 0), in the base frame."""
 
     def jacobian(q_rad: Array, link: int, point_m: Array) -> tuple[Array, Array]:
@@ -114,7 +114,7 @@ def point_jacobian(chain: Chain) -> Callable[[Array, int, Array], tuple[Array, A
     return jacobian
 
 
-def gravity_columns(chain: Chain, q_rad: Array, gravity_m_s2: Array) -> Array:
+def gravity_columns(chain: SimChain, q_rad: Array, gravity_m_s2: Array) -> Array:
     """Torque (n, 6, 24) per unit of [m, hx, hy, hz] of each link at true joint angles (n, 6)."""
     frames = link_frames(chain, q_rad)
     axes = np.einsum("njab,jb->nja", frames[:, :, :3, :3], chain.axis)
@@ -128,7 +128,7 @@ def gravity_columns(chain: Chain, q_rad: Array, gravity_m_s2: Array) -> Array:
     return columns
 
 
-def transmitted(chain: Chain, plant: Plant, q_enc_rad: Array, time_s: float) -> tuple[Array, Array]:
+def transmitted(chain: SimChain, plant: Plant, q_enc_rad: Array, time_s: float) -> tuple[Array, Array]:
     """Torque the gears transmit (6,) and true joint angles (6,) in equilibrium, gears wound up under that torque."""
     tau = np.zeros(6)
     q = np.asarray(q_enc_rad, dtype=float)
@@ -155,9 +155,9 @@ def motor_torque(plant: Plant, behind_gear_nm: Array, direction: float) -> Array
 
 
 def measure(
-    chain: Chain,
+    chain: SimChain,
     plant: Plant,
-    visits: Sequence[Visit],
+    visits: Sequence[PlannedVisit],
     loads: Mapping[str, Payload],
     protocol: Protocol,
     rng: np.random.Generator,

@@ -21,7 +21,7 @@ from sim.motor import MotorAxis
 from sim.plant import Payload, Plant
 from sim.servo import TICK_S
 from sim.tuning import coupling, servo_loops
-from sim.urdf import Body, Chain, UrdfError, combine, write_chain
+from sim.urdf import SimBody, SimChain, UrdfError, combine, write_chain
 
 Array = NDArray[np.float64]
 
@@ -287,11 +287,11 @@ class ArmWorld:
             self._client = -1
 
 
-def physical_chain(chain: Chain, plant: Plant) -> Chain:
+def physical_chain(chain: SimChain, plant: Plant) -> SimChain:
     """The chain with the plant's inertials, the payload joined to link 6 as one rigid body; joints without limits."""
-    bodies = [Body(float(plant.link_mass_kg[i]), plant.link_com_m[i], plant.link_inertia_kg_m2[i]) for i in range(6)]
+    bodies = [SimBody(float(plant.link_mass_kg[i]), plant.link_com_m[i], plant.link_inertia_kg_m2[i]) for i in range(6)]
     load = plant.payload
     if load.mass_kg > 0.0:
-        bodies[5] = combine(bodies[5], Body(load.mass_kg, load.com_m, load.inertia_kg_m2))
+        bodies[5] = combine(bodies[5], SimBody(load.mass_kg, load.com_m, load.inertia_kg_m2))
     free = np.full(6, np.inf)
     return replace(chain, bodies=tuple(bodies), lower_rad=-free, upper_rad=free, effort_nm=free, velocity_rad_s=free)

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-from sim.simulation import BusError, GripError, ServeOptions, Simulation, open_bus
+from sim.simulation import GripError, ServeOptions, Simulation, SimulationBusError, open_bus
 
 MULTICAST_GROUP = "239.74.163.2"
 READY = "ready"
@@ -207,7 +207,7 @@ def free_bus() -> str:
 
 
 __all__ = [
-    "BusError",
+    "SimulationBusError",
     "RunningSimulation",
     "ServeOptions",
     "Simulation",

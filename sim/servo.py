@@ -12,7 +12,7 @@ TICK_S = 0.001
 
 
 @dataclass(frozen=True, slots=True)
-class Gains:
+class ServoGains:
     """Tuning of one axis.
 
     Attributes
@@ -66,7 +66,7 @@ class ServoLoop:
         "u_nm",
     )
 
-    def __init__(self, gains: Gains, max_nm: float, max_rad_s: float) -> None:
+    def __init__(self, gains: ServoGains, max_nm: float, max_rad_s: float) -> None:
         self.gains = gains
         self.max_nm, self.max_rad_s = max_nm, max_rad_s
         self._ki = gains.speed_nm_s_rad * TICK_S / gains.reset_time_s

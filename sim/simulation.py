@@ -12,7 +12,7 @@ from typing import Any, cast
 import can
 
 from sim.build_errors import with_build_errors
-from sim.cellfile import BusSpec, CellFileError, CellSpec, parse_bus_spec, read_cell, read_payloads, read_toml
+from sim.cellfile import CellBus, CellFileError, CellSpec, parse_bus_spec, read_cell, read_payloads, read_toml
 from sim.drive_faults import act
 from sim.effects import apply_effects
 from sim.faults import Fault, read_faults
@@ -32,7 +32,7 @@ NOISE_SEED = 1
 ARM_SEED = 100_000
 
 
-class BusError(OSError):
+class SimulationBusError(OSError):
     """The bus cannot be opened."""
 
 
@@ -212,7 +212,7 @@ def _undeclared(options: ServeOptions) -> tuple[list[dict[str, Any]], int | None
     return effects, errors
 
 
-def _bus_specs(cell: CellSpec, given: str | None) -> dict[str, BusSpec]:
+def _bus_specs(cell: CellSpec, given: str | None) -> dict[str, CellBus]:
     """Bus of each name, the ones on the command line in place of the file's."""
     specs = dict(cell.buses)
     if given is None:
@@ -228,7 +228,7 @@ def _bus_specs(cell: CellSpec, given: str | None) -> dict[str, BusSpec]:
     return specs
 
 
-def open_bus(spec: BusSpec) -> can.BusABC | QuietMulticastBus:
+def open_bus(spec: CellBus) -> can.BusABC | QuietMulticastBus:
     """Open a python-can bus.
 
     Raises
@@ -241,10 +241,10 @@ def open_bus(spec: BusSpec) -> can.BusABC | QuietMulticastBus:
             return QuietMulticastBus(spec.channel, **options)
         return can.Bus(interface=spec.interface, channel=spec.channel, bitrate=spec.bitrate_bit_s, **options)
     except (can.CanError, OSError, TypeError, ValueError, ImportError) as error:
-        raise BusError(f"bus {spec.interface}:{spec.channel} cannot be opened: {error}") from error
+        raise SimulationBusError(f"bus {spec.interface}:{spec.channel} cannot be opened: {error}") from error
 
 
-def _server(spec: BusSpec, arms: list[ArmUnit], faults: tuple[Fault, ...], opened: ExitStack) -> BusServer:
+def _server(spec: CellBus, arms: list[ArmUnit], faults: tuple[Fault, ...], opened: ExitStack) -> BusServer:
     bus: Any = open_bus(spec)
     opened.callback(bus.shutdown)
     if not faults:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.cellfile import ArmSpec
-from sim.servo import TICK_S, Gains, ServoLoop
+from sim.servo import TICK_S, ServoGains, ServoLoop
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ def servo_loops(arm: ArmSpec, masses: Sequence[Array], rotor_kg_m2: Array) -> li
     for i, axis in enumerate(arm.axes):
         speed_gain = min(SPEED_BANDWIDTH_RAD_S * inertia[i], 0.3 * rotor[i] / TICK_S)
         bandwidth = speed_gain / inertia[i]
-        gains = Gains(position_1_s=min(POSITION_SHARE * bandwidth, POSITION_GAIN_1_S), speed_nm_s_rad=speed_gain)
+        gains = ServoGains(position_1_s=min(POSITION_SHARE * bandwidth, POSITION_GAIN_1_S), speed_nm_s_rad=speed_gain)
         max_nm = axis.torque_limit_nm / axis.gear_efficiency * 1.25
         servos.append(ServoLoop(gains, max_nm, 3.0 * axis.speed_limit_rad_s))
     return servos

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from sim.blind import LEAST_STRENGTH, scaled, wanted_strength
 from sim.cellfile import ArmSpec
-from sim.draw import Arm, choose_poses, prior_std
+from sim.draw import DrawnArm, choose_poses, prior_std
 from sim.draw_effects import MAKERS, Effect
-from sim.offline import Protocol, Visit, half_floor
+from sim.offline import PlannedVisit, Protocol, half_floor
 from sim.plant import Payload, Plant
 from sim.units import OVERLOAD
 
@@ -71,20 +71,20 @@ def draw_undeclared(arm: ArmSpec, plant: Plant, loads: Mapping[str, Payload], se
     return effects
 
 
-def _applies(name: str, drawn: Arm, count: int) -> bool:
+def _applies(name: str, drawn: DrawnArm, count: int) -> bool:
     if name in NEVER or (count > 1 and name in MISTAKES):
         return False
     return name != "payload_shift" or TOOL in drawn.loads
 
 
-def _as_drawn(arm: ArmSpec, plant: Plant, loads: Mapping[str, Payload]) -> Arm:
+def _as_drawn(arm: ArmSpec, plant: Plant, loads: Mapping[str, Payload]) -> DrawnArm:
     """The arm of a cell file in the form of a drawn one."""
     low, high = np.array([axis.position_limit_rad for axis in arm.axes]).T
     rated = np.array([axis.torque_limit_nm for axis in arm.axes]) / OVERLOAD
     # the friction of each motion scatters about its band: the spread of a uniform loss on [0, settle]
     protocol = Protocol(SAMPLES, settle=math.sqrt(12.0) * plant.friction_scatter, resolution_nm=1e-3 * rated)
     loaded = POSES * VISIT_S + CHANGE_S
-    return Arm(
+    return DrawnArm(
         chain=replace(arm.chain, lower_rad=low, upper_rad=high),
         urdf="",
         prior_std=prior_std(arm.chain),
@@ -99,10 +99,10 @@ def _as_drawn(arm: ArmSpec, plant: Plant, loads: Mapping[str, Payload]) -> Arm:
     )
 
 
-def _visits(drawn: Arm, rng: np.random.Generator) -> list[Visit]:
+def _visits(drawn: DrawnArm, rng: np.random.Generator) -> list[PlannedVisit]:
     poses = choose_poses(drawn, POSES, rng)
-    visits = [Visit(number, "none", VISIT_S * number, q) for number, q in enumerate(poses)]
+    visits = [PlannedVisit(number, "none", VISIT_S * number, q) for number, q in enumerate(poses)]
     start = POSES * VISIT_S + CHANGE_S
     if drawn.loads:
-        visits += [Visit(number, TOOL, start + VISIT_S * number, q) for number, q in enumerate(poses)]
+        visits += [PlannedVisit(number, TOOL, start + VISIT_S * number, q) for number, q in enumerate(poses)]
     return visits

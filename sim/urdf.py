@@ -23,7 +23,7 @@ class UrdfError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
+class SimBody:
     """Inertial of one rigid body in its own frame; inertia about the centre of gravity."""
 
     mass_kg: float
@@ -32,7 +32,7 @@ class Body:
 
 
 @dataclass(frozen=True, slots=True)
-class Chain:
+class SimChain:
     """Six revolute joints in a chain.
 
     Attributes
@@ -47,7 +47,7 @@ class Chain:
     name: str
     placement: Array
     axis: Array
-    bodies: tuple[Body | None, ...]
+    bodies: tuple[SimBody | None, ...]
     lower_rad: Array
     upper_rad: Array
     effort_nm: Array
@@ -78,20 +78,20 @@ def rpy_of(rotation: Array) -> tuple[float, float, float]:
     )
 
 
-def combine(first: Body, second: Body) -> Body:
+def combine(first: SimBody, second: SimBody) -> SimBody:
     """One rigid body of two, both in the same frame (parallel axis theorem, exact)."""
     mass = first.mass_kg + second.mass_kg
     if mass <= 0.0:
-        return Body(0.0, np.zeros(3), first.inertia_kg_m2 + second.inertia_kg_m2)
+        return SimBody(0.0, np.zeros(3), first.inertia_kg_m2 + second.inertia_kg_m2)
     com = (first.mass_kg * first.com_m + second.mass_kg * second.com_m) / mass
     inertia = np.zeros((3, 3))
     for body in (first, second):
         arm = body.com_m - com
         inertia += body.inertia_kg_m2 + body.mass_kg * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-    return Body(mass, com, inertia)
+    return SimBody(mass, com, inertia)
 
 
-def read_chain(text: str, where: str) -> Chain:
+def read_chain(text: str, where: str) -> SimChain:
     """Read a URDF of six revolute joints in a chain.
 
     Raises
@@ -110,7 +110,7 @@ def read_chain(text: str, where: str) -> Chain:
         raise UrdfError(f"{where}: {error}") from error
 
 
-def _chain(robot: ElementTree.Element, where: str) -> Chain:
+def _chain(robot: ElementTree.Element, where: str) -> SimChain:
     joints = robot.findall("joint")
     links = {link.attrib["name"]: link for link in robot.findall("link")}
     children = {_ref(joint, "child") for joint in joints}
@@ -122,7 +122,7 @@ def _chain(robot: ElementTree.Element, where: str) -> Chain:
         by_parent.setdefault(_ref(joint, "parent"), []).append(joint)
 
     found: list[tuple[ElementTree.Element, Array]] = []
-    bodies: list[Body | None] = []
+    bodies: list[SimBody | None] = []
     stack: list[tuple[str, Array, int]] = [(roots[0], np.eye(4), -1)]
     while stack:
         name, frame, carrier = stack.pop()
@@ -143,7 +143,7 @@ def _chain(robot: ElementTree.Element, where: str) -> Chain:
     if len(found) != 6:
         raise UrdfError(f"{where}: {len(found)} revolute joints, six are needed")
     limits = np.array([_limits(joint) for joint, _ in found])
-    return Chain(
+    return SimChain(
         name=robot.attrib.get("name", "robot"),
         placement=np.array([placed for _, placed in found]),
         axis=np.array([_axis(joint) for joint, _ in found]),
@@ -198,7 +198,7 @@ def _limits(joint: ElementTree.Element) -> tuple[float, float, float, float]:
     )
 
 
-def _inertial(link: ElementTree.Element) -> Body | None:
+def _inertial(link: ElementTree.Element) -> SimBody | None:
     inertial = link.find("inertial")
     if inertial is None:
         return None
@@ -206,26 +206,26 @@ def _inertial(link: ElementTree.Element) -> Body | None:
     if mass is None or tensor is None:
         raise UrdfError(f"link '{link.attrib['name']}': <inertial> needs <mass> and <inertia>")
     xx, xy, xz, yy, yz, zz = (float(tensor.attrib[key]) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
-    own = Body(
+    own = SimBody(
         float(mass.attrib["value"]), np.zeros(3), np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], dtype=float)
     )
     return _moved(own, _origin(inertial))
 
 
-def _moved(body: Body | None, frame: Array) -> Body | None:
+def _moved(body: SimBody | None, frame: Array) -> SimBody | None:
     if body is None:
         return None
     rotation = frame[:3, :3]
-    return Body(body.mass_kg, rotation @ body.com_m + frame[:3, 3], rotation @ body.inertia_kg_m2 @ rotation.T)
+    return SimBody(body.mass_kg, rotation @ body.com_m + frame[:3, 3], rotation @ body.inertia_kg_m2 @ rotation.T)
 
 
-def _merged(first: Body | None, second: Body | None) -> Body | None:
+def _merged(first: SimBody | None, second: SimBody | None) -> SimBody | None:
     if first is None or second is None:
         return first or second
     return combine(first, second)
 
 
-def write_chain(chain: Chain, comment: str = "") -> str:
+def write_chain(chain: SimChain, comment: str = "") -> str:
     """URDF text of a chain; every body must be known.
 
     Raises
@@ -233,13 +233,13 @@ def write_chain(chain: Chain, comment: str = "") -> str:
     UrdfError : a body is missing, its mass or its principal moments are not positive
     """
     lines = ['<?xml version="1.0"?>', *([f"<!-- {comment} -->"] if comment else [])]
-    lines += [f'<robot name="{chain.name}">', *_link_lines("base_link", Body(100.0, np.zeros(3), 10.0 * np.eye(3)))]
+    lines += [f'<robot name="{chain.name}">', *_link_lines("base_link", SimBody(100.0, np.zeros(3), 10.0 * np.eye(3)))]
     for i, body in enumerate(chain.bodies):
         lines += [*_link_lines(f"link_{i + 1}", body), *_joint_lines(chain, i)]
     return "\n".join([*lines, "</robot>", ""])
 
 
-def _joint_lines(chain: Chain, i: int) -> list[str]:
+def _joint_lines(chain: SimChain, i: int) -> list[str]:
     limits = (chain.lower_rad[i], chain.upper_rad[i], chain.effort_nm[i], chain.velocity_rad_s[i])
     keys = ("lower", "upper", "effort", "velocity")
     given = [f'{key}="{value:.6g}"' for key, value in zip(keys, limits, strict=True) if math.isfinite(value)]
@@ -254,7 +254,7 @@ def _joint_lines(chain: Chain, i: int) -> list[str]:
     ]
 
 
-def _link_lines(name: str, body: Body | None) -> list[str]:
+def _link_lines(name: str, body: SimBody | None) -> list[str]:
     if body is None:
         raise UrdfError(f"{name} has no inertial: mass, centre of gravity and inertia of every link are needed")
     moments, frame = principal_axes(body)
@@ -273,7 +273,7 @@ def _link_lines(name: str, body: Body | None) -> list[str]:
     ]
 
 
-def principal_axes(body: Body) -> tuple[Array, Array]:
+def principal_axes(body: SimBody) -> tuple[Array, Array]:
     """Principal moments (3,) [kg m2] and the frame (4, 4) of the principal axes at the centre of gravity."""
     frame = np.eye(4)
     frame[:3, 3] = body.com_m

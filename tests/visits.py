@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from drives.profile import load_profile
+from drives.profile_file import load_profile
 from drives.scaling import Constants, motor_scale
-from gateway.acquire.poses import RestPose
-from gateway.arm_model import robot_text
+from gateway.cell.config import LoadedCell, load_cell
 from gateway.cell.conversion import AxisConversion
-from gateway.config import LoadedCell, load_cell
-from gateway.recording_writer import ArmHeader, RecordingHeader, write_recording
-from gateway.visit import NO_WORD, Visit
+from gateway.data.recording.writer import ArmHeader, RecordingHeader, write_recording
+from gateway.data.rest_pose import RestPose
+from gateway.data.visit import NO_WORD, Visit
+from gateway.model.arm_model import robot_text
 
 CELL = Path(__file__).parents[1] / "examples" / "small" / "cell.toml"
 CONSTANTS = Constants(torque_rated=2.0, current_rated_a=4.0, offset_rated=None, counts_per_revolution=131072.0)

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gateway.acquire.poses import RestPose
 from gateway.acquire.route import Leg, find_route
+from gateway.data.rest_pose import RestPose
 from gateway.errors import PlanRefused
 from gateway.motion.places import angles
 from gateway.motion.trajectory import MotionLimits, straight

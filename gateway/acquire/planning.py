@@ -16,9 +16,9 @@ from gateway.acquire.poses import (
     choose_poses,
     read_poses,
 )
-from gateway.arm_model import arm_named, arm_robot
-from gateway.config import ArmConfig, LoadedCell
+from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.errors import PlanRefused
+from gateway.model.arm_model import arm_named, arm_robot
 from gateway.model.information import expected_std, payload_information
 from gateway.model.regressor import load_regressor
 from gateway.motion.workspace import BAND_SHARE, Workspace, workspace_of

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
-from gateway.csv_text import read_columns
+from gateway.data.csv_text import read_columns
+from gateway.data.rest_pose import RestPose
 from gateway.errors import InputError, PlanRefused
 from gateway.model.regressor import gravity_regressor
 from gateway.motion.workspace import BAND_SHARE, Workspace
@@ -29,17 +29,6 @@ LINK_WEIGHT = 0.1
 SWEEPS = 4
 #: Distance to the joint limits beyond the approach offset.
 LIMIT_MARGIN_RAD = 0.02
-
-Purpose = Literal["fit", "validation"]
-
-
-@dataclass(frozen=True, slots=True)
-class RestPose:
-    """One posture to measure; `number` is its name in every file."""
-
-    number: int
-    q_rad: tuple[float, ...]
-    purpose: Purpose
 
 
 @dataclass(frozen=True, slots=True)

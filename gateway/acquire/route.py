@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gateway.acquire.poses import RestPose
+from gateway.data.rest_pose import RestPose
 from gateway.motion.workspace import Workspace
 
 VIA_SEED = 7

@@ -32,15 +32,16 @@ from gateway.acquire.plan import (
     travel_limits,
 )
 from gateway.acquire.settle import SettleTest
+from gateway.data.sample import ArmSample
+from gateway.data.visit import Visit, VisitLabel, visit_from_samples
 from gateway.errors import GatewayError, PlanRefused, PoseNeverSettles
-from gateway.motion.arm import Arm, ArmSample
+from gateway.motion.arm import Arm
 from gateway.motion.reactions import ARM_RULES
 from gateway.motion.state import Phase, StateKeeper
 from gateway.motion.stops import StopKind, StopRequest, guarded
 from gateway.motion.stream import FIRST_SHARE, MoveOptions, Stream
 from gateway.motion.trajectory import straight
 from gateway.motion.workspace import Workspace
-from gateway.visit import Visit, VisitLabel, visit_from_samples
 
 #: Incomplete SYNCs while sampling, as a share of the samples asked for, before the visit is given up.
 REPEATED_SHARE = ARM_RULES["repeats"].limit
@@ -108,7 +109,7 @@ class Shelf:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Station:
+class VisitStation:
     """What a run works with.
 
     Attributes
@@ -141,14 +142,14 @@ class Run:
 
     Parameters
     ----------
-    station : Station
+    station : VisitStation
     plan : Plan
         From where the arm stands.
     load : str
     state : StateKeeper
     """
 
-    def __init__(self, station: Station, plan: Plan, load: str, state: StateKeeper) -> None:
+    def __init__(self, station: VisitStation, plan: Plan, load: str, state: StateKeeper) -> None:
         self.plan = plan
         self.broken: Visit | None = None
         self.state = state

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 
 from gateway.acquire.events import StateChanged, Stopped
 from gateway.acquire.plan import Plan, check_plan, plan_from
-from gateway.acquire.run import Run, Station
+from gateway.acquire.run import Run, VisitStation
 from gateway.errors import GatewayError
 from gateway.motion.arms import Arms
 from gateway.motion.power import powered
 from gateway.motion.state import StateKeeper
-from gateway.motion.stream import Station as MotionStation
-from gateway.motion.stream import Stream
+from gateway.motion.stream import Station, Stream
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +32,7 @@ class RunRequest:
     done: tuple[tuple[int, int], ...] = ()
 
 
-def run_plan(station: Station, request: RunRequest) -> None:
+def run_plan(station: VisitStation, request: RunRequest) -> None:
     """Run a plan from where the arm stands; on return, and after any error, the brakes are on and visits on disk.
 
     Raises
@@ -67,8 +66,8 @@ def run_plan(station: Station, request: RunRequest) -> None:
     run.disk()
 
 
-def _moved(station: Station, run: Run) -> MotionStation:
-    return MotionStation(
+def _moved(station: VisitStation, run: Run) -> Station:
+    return Station(
         arms=Arms((station.arm,), station.pacing),
         workspaces=(station.workspace,),
         period_s=run.plan.settings.period_s,
@@ -78,7 +77,7 @@ def _moved(station: Station, run: Run) -> MotionStation:
     )
 
 
-def _keep_the_rest(station: Station, run: Run, failure: BaseException) -> None:
+def _keep_the_rest(station: VisitStation, run: Run, failure: BaseException) -> None:
     """The arm stands: store what a broken visit has, tell why the run ended."""
     try:
         if run.broken is not None:

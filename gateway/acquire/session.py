@@ -16,20 +16,20 @@ from drives.exchange import Pacing
 from gateway.acquire.events import Event, Listener, PoseDone, VisitDone
 from gateway.acquire.plan import Plan
 from gateway.acquire.planning import make_plan, plan_of_poses
-from gateway.acquire.poses import RestPose
-from gateway.acquire.run import Station
+from gateway.acquire.run import VisitStation
 from gateway.acquire.runner import RunRequest, run_plan
-from gateway.arm_model import arm_named, arm_robot
-from gateway.config import LoadedCell
+from gateway.cell.config import LoadedCell
+from gateway.data.recording.queue import VisitQueue
+from gateway.data.recording.reader import read
+from gateway.data.recording.recorded import Recording
+from gateway.data.recording.writer import UNFINISHED, ArmHeader, RecordingHeader
+from gateway.data.rest_pose import RestPose
+from gateway.data.visit import Visit
 from gateway.errors import GatewayError, InputError
+from gateway.model.arm_model import arm_named, arm_robot
 from gateway.motion.opening import BusOverride, OpenArm, open_arm
 from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import workspace_of
-from gateway.recorded import Recording
-from gateway.recording import read
-from gateway.recording_queue import VisitQueue
-from gateway.recording_writer import UNFINISHED, ArmHeader, RecordingHeader
-from gateway.visit import Visit
 
 __all__ = [
     "BusOverride",
@@ -142,7 +142,7 @@ def record(
         if len(done) < len(wanted):
             heard = (tally, *listeners)
             pacing = opened.group.timing.pacing
-            station = Station(
+            station = VisitStation(
                 opened.arm,
                 opened.workspace,
                 _Queued(writer, plan.arm, opened.group.timing.pacing),

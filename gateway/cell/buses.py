@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from drives.bus import BusSpec
-from gateway.config import Cell
+from gateway.cell.config import Cell
 from gateway.errors import ConfigError
 
 

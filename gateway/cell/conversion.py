@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gateway.config import ArmConfig
+from gateway.cell.config import ArmConfig
 
 
 @dataclass(frozen=True, slots=True)

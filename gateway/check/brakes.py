@@ -7,11 +7,11 @@ from typing import Final
 import numpy as np
 
 from drives.errors import DriveError
-from gateway.check.rules import CheckItem
 from gateway.check.stop import motion_station
 from gateway.motion.opening import OpenArm
 from gateway.motion.power import SAG_RAD, powered
 from gateway.motion.stream import MoveOptions, Stream
+from gateway.preflight.rules import CheckItem
 
 #: How long each axis is watched [s].
 WATCH_S: Final = 1.0

@@ -17,19 +17,19 @@ from drives.witness import TorqueWitness, TorqueWords
 from gateway.acquire.events import Listener
 from gateway.acquire.plan import Plan, VisitSettings, plan_poses
 from gateway.acquire.planning import reference_load
-from gateway.acquire.poses import RestPose
-from gateway.acquire.run import Shelf, Station
+from gateway.acquire.run import Shelf, VisitStation
 from gateway.acquire.runner import RunRequest, run_plan
-from gateway.check.preflight import LOAD_LIMIT_PERCENT
-from gateway.check.rules import Axis, CheckItem
 from gateway.check.torque import Scales, judge_torque
-from gateway.check.wiring import Arm, Moves, Wiring
-from gateway.check.wiring_judge import AxisView, Verdict, judge_wiring
+from gateway.check.wiring import Moves, WiredArm, Wiring
+from gateway.check.wiring_judge import Verdict, WiringView, judge_wiring
+from gateway.data.rest_pose import RestPose
+from gateway.data.visit import Visit
 from gateway.errors import LimitExceeded, PlanRefused
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import Workspace
-from gateway.visit import Visit
+from gateway.preflight.look_over import LOAD_LIMIT_PERCENT
+from gateway.preflight.rules import Axis, CheckItem
 
 #: Displacement of each axis [rad]: the wrist sees little gravity and reaches little.
 STEPS_RAD: Final = (0.15, 0.15, 0.15, 0.3, 0.3, 0.3)
@@ -131,7 +131,9 @@ def check_moves(opened: OpenArm, listeners: Sequence[Listener] = (), options: Mo
     with TorqueWitness(group.bus, group.drives if _room_for_witness(opened) else ()) as witness:
         try:
             pacing = group.timing.pacing
-            station = Station(opened.arm, opened.workspace, shelf, tuple(listeners), options or MoveOptions(), pacing)
+            station = VisitStation(
+                opened.arm, opened.workspace, shelf, tuple(listeners), options or MoveOptions(), pacing
+            )
             run_plan(station, RunRequest(plan, LOAD))
         except LimitExceeded as error:
             advice = "check the order of the node ids, position_sign, torque_sign and gear_ratio of the axes by hand"
@@ -162,11 +164,11 @@ def _room_for_witness(opened: OpenArm) -> bool:
     return timing.pacing == "lockstep" or load <= LOAD_LIMIT_PERCENT
 
 
-def _arm(opened: OpenArm) -> Arm:
+def _arm(opened: OpenArm) -> WiredArm:
     config, workspace = opened.config, opened.workspace
     trust = float(config.inertials.removeprefix("prior:")) if config.inertials.startswith("prior:") else 0.0
     load_kg, _ = reference_load(workspace, opened.arm.where()[None])
-    return Arm(workspace.robot, workspace.gravity_m_s2, opened.arm.axes, workspace.torque_nm, trust, load_kg)
+    return WiredArm(workspace.robot, workspace.gravity_m_s2, opened.arm.axes, workspace.torque_nm, trust, load_kg)
 
 
 def moves_of(opened: OpenArm, visits: Sequence[Visit]) -> Moves:
@@ -248,7 +250,7 @@ def _or(rivals: Sequence[Wiring]) -> str:
     return f" (or {', '.join(words)}: not told apart here)"
 
 
-def _seen(joint: int, node_id: int, view: AxisView) -> CheckItem:
+def _seen(joint: int, node_id: int, view: WiringView) -> CheckItem:
     where = f"J{joint} node {node_id}"
     parts = [f"torque and position have the same sense (friction {view.band_nm:.2g} Nm)"]
     if abs(view.band_nm) < 3.0 * view.band_std_nm:

@@ -16,14 +16,14 @@ from typing import Any, Final
 from drives.files import replace_file
 from drives.profile import DriveProfile
 from drives.values import Identity
-from gateway.check.preflight import live_addresses, require_passed
-from gateway.check.rules import Readings
+from gateway.cell.config import AxisConfig
 from gateway.check.stop import StopProof, prove_stop
-from gateway.config import AxisConfig
 from gateway.errors import FindingFailed
 from gateway.motion.holdtorun import with_held_input
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
+from gateway.preflight.look_over import live_addresses, require_passed
+from gateway.preflight.rules import Readings
 
 SCHEMA: Final = 2
 

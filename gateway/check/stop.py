@@ -15,7 +15,6 @@ from drives.errors import DriveError
 from drives.objects import OBJECTS
 from drives.proof import StopTrace
 from gateway.acquire.plan import approach_limits
-from gateway.check.rules import CheckItem
 from gateway.errors import PlanRefused
 from gateway.motion.arms import Arms
 from gateway.motion.opening import OpenArm
@@ -24,6 +23,7 @@ from gateway.motion.state import StateKeeper
 from gateway.motion.stream import MoveOptions, Station, Stream
 from gateway.motion.trajectory import Motion, straight
 from gateway.motion.workspace import Workspace
+from gateway.preflight.rules import CheckItem
 
 #: Speed of every joint while the heartbeat is withheld, and how far it may travel on its way.
 SPEED_RAD_S: Final = 0.05

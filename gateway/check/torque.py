@@ -16,8 +16,8 @@ import numpy as np
 from drives.objects import OBJECTS, object_name
 from drives.scaling import MotorScale
 from drives.witness import TorqueWords
-from gateway.check.rules import Axis, CheckItem, Severity
-from gateway.config import AxisConfig
+from gateway.cell.config import AxisConfig
+from gateway.preflight.rules import Axis, CheckItem, Severity
 
 #: SYNCs and different values that are needed to say anything.
 LEAST: Final = 200

@@ -28,7 +28,7 @@ class Moves:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Arm:
+class WiredArm:
     """What is known of the arm.
 
     Attributes

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 from scipy.special import logsumexp
 
-from gateway.check.wiring import Arm, Floats, Moves, Reading, Wiring
+from gateway.check.wiring import Floats, Moves, Reading, WiredArm, Wiring
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import AXES, link_lengths_m
 
@@ -46,7 +46,7 @@ STEP_RAD: Final = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AxisView:
+class WiringView:
     """What the moves show of one axis.
 
     Attributes
@@ -82,7 +82,7 @@ class Verdict:
         What explains them nearly as well as the last one found.
     odds : float
         Natural logarithm of the evidence gained.
-    axes : tuple of 6 AxisView
+    axes : tuple of 6 WiringView
         Under what was found.
     misfit : float
         Root mean square of what is left over what is allowed for.
@@ -91,7 +91,7 @@ class Verdict:
     found: tuple[Wiring, ...]
     rivals: tuple[Wiring, ...]
     odds: float
-    axes: tuple[AxisView, ...]
+    axes: tuple[WiringView, ...]
     misfit: float
 
 
@@ -99,7 +99,7 @@ class Verdict:
 class _Evidence:
     """Evidence of readings of the same moves."""
 
-    arm: Arm
+    arm: WiredArm
     moves: Moves
     _noise_nm: Floats = field(init=False)
     _mean: Floats = field(init=False)
@@ -157,12 +157,12 @@ class _Evidence:
                 yield column.reshape(-1, 1)
 
 
-def judge_wiring(arm: Arm, moves: Moves) -> Verdict:
+def judge_wiring(arm: WiredArm, moves: Moves) -> Verdict:
     """Look for the wiring that explains the torques.
 
     Parameters
     ----------
-    arm : Arm
+    arm : WiredArm
     moves : Moves
 
     Returns
@@ -194,7 +194,7 @@ def judge_wiring(arm: Arm, moves: Moves) -> Verdict:
     return Verdict(tuple(found), rivals, gained, views, evidence.misfit(reading))
 
 
-def _parity(reading: Reading, arm: Arm, moves: Moves) -> list[int]:
+def _parity(reading: Reading, arm: WiredArm, moves: Moves) -> list[int]:
     """Sense of torque against position by friction, per axis: 1 same, -1 opposite, 0 not told."""
     mean, std = _bands(reading, arm, moves)
     return [
@@ -202,7 +202,7 @@ def _parity(reading: Reading, arm: Arm, moves: Moves) -> list[int]:
     ]
 
 
-def _bands(reading: Reading, arm: Arm, moves: Moves) -> tuple[Floats, Floats]:
+def _bands(reading: Reading, arm: WiredArm, moves: Moves) -> tuple[Floats, Floats]:
     _, _, band = reading.joints(moves, arm.axes)
     spread = band.std(axis=0, ddof=1) / np.sqrt(len(band))
     return band.mean(axis=0), np.hypot(spread, FLOOR_SHARE * arm.torque_limit_nm)
@@ -240,7 +240,7 @@ def _factor(evidence: _Evidence, reading: Reading, name: str, joint: int) -> tup
     return float(logsumexp(logs) - np.log(len(FACTORS))), float(np.exp(mean)), std
 
 
-def _view(evidence: _Evidence, reading: Reading, joint: int, value: float) -> AxisView:
+def _view(evidence: _Evidence, reading: Reading, joint: int, value: float) -> WiringView:
     mirrored = evidence.of(reading.with_wiring(Wiring("reversed", (joint,))))
     _, factor, spread = _factor(evidence, reading, "gear_ratio", joint)
     unseen = tuple(
@@ -249,7 +249,7 @@ def _view(evidence: _Evidence, reading: Reading, joint: int, value: float) -> Ax
         if other != joint and value - evidence.of(reading.with_wiring(Wiring("swapped", (joint, other)))) < SEEN
     )
     band, band_std = _bands(reading, evidence.arm, evidence.moves)
-    return AxisView(
+    return WiringView(
         sign_seen=value - mirrored > SEEN,
         ratio_seen=spread < 0.5 * np.log(AGREES[1]) and AGREES[0] < factor < AGREES[1],
         ratio=factor,

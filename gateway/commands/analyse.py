@@ -21,7 +21,7 @@ from gateway.commands.options import (
 from gateway.commands.outcome import fail_on_findings, show_result
 
 if TYPE_CHECKING:
-    from gateway.analysis import Given, ModelRequest
+    from gateway.analyse.given import Given, ModelRequest
     from gateway.estimate import Coefficient
 
 
@@ -34,7 +34,7 @@ def model_request(
     arm_name: str | None,
 ) -> ModelRequest:
     """The options of MODEL as one value."""
-    from gateway.analysis import ModelRequest
+    from gateway.analyse.given import ModelRequest
     from gateway.estimate.options import parse_known
 
     return ModelRequest(robot, cell_file, inertials, dict(parse_known(text) for text in known), bare, arm_name)
@@ -77,9 +77,9 @@ def estimate(
     """Mass and centre of gravity of every unknown load, with standard deviations and what cannot be told."""
     from dataclasses import replace
 
-    from gateway.analysis import estimate_options, given, read_rows
+    from gateway.analyse.complete import as_json, complete
+    from gateway.analyse.given import estimate_options, given, read_rows
     from gateway.estimate import run
-    from gateway.handover import as_json, complete
 
     about = given(model_request(robot, cell_file, inertials, known, bare, arm_name), data)
     table = read_rows(data, about)
@@ -154,10 +154,10 @@ def diagnose(
     json_out: str | None,
 ) -> None:
     """What the model lacks, judged on data that no fit has seen; or that nothing is missing, or undecided."""
-    from gateway.analysis import diagnose_arguments, given, read_rows, split_validation
+    from gateway.analyse.complete import as_json, complete
+    from gateway.analyse.given import diagnose_arguments, given, read_rows, split_validation
     from gateway.diagnose import DiagnoseOptions
     from gateway.diagnose import diagnose as run
-    from gateway.handover import as_json, complete
 
     request = model_request(robot, cell_file, inertials, known, bare, arm_name)
     about = given(request, [*data, *holdout])

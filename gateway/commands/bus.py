@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from gateway.commands.console import findings_table, grid
 from gateway.commands.moving import MoveChoice, move_options, stoppable
 from gateway.commands.options import (
     bus_option,
@@ -18,16 +19,15 @@ from gateway.commands.options import (
     session_of,
     write_json,
 )
-from gateway.console import findings_table, grid
 from gateway.errors import FindingFailed
 
 if TYPE_CHECKING:
     from drives.probe import ScanResult
-    from gateway.cell_context import CellContext
-    from gateway.check.rules import CheckItem
-    from gateway.config import ArmConfig
+    from gateway.cell.config import ArmConfig
+    from gateway.commands.cell_context import CellContext
     from gateway.motion.opening import OpenArm
     from gateway.motion.stream import MoveOptions
+    from gateway.preflight.rules import CheckItem
 
 DEFAULT_BUS = "socketcan:can0"
 
@@ -102,8 +102,8 @@ def check(
 
     Nothing is written and nothing moves unless --move, --prove-stop or --brakes is given; then it asks.
     """
-    from gateway.cell_context import open_cell
-    from gateway.check.preflight import require_passed
+    from gateway.commands.cell_context import open_cell
+    from gateway.preflight.look_over import require_passed
 
     context = open_cell(cell, bus_spec, moving.pacing)
     session = session_of()
@@ -187,7 +187,7 @@ def _in_motion(
 
 def _small_moves(opened: OpenArm, options: MoveOptions) -> tuple[CheckItem, ...]:
     from gateway.check.moves import check_moves
-    from gateway.progress import ProgressListener
+    from gateway.commands.progress import ProgressListener
 
     session = session_of()
     with session.progress(1.0, "small moves") as bar:
@@ -197,7 +197,7 @@ def _small_moves(opened: OpenArm, options: MoveOptions) -> tuple[CheckItem, ...]
 def _checked(context: CellContext, arm: ArmConfig) -> list[CheckItem]:
     """Computer, bus and drives of one arm; the computer is told of once."""
     from drives.realtime import available
-    from gateway.check.machine import judge_realtime
+    from gateway.preflight.machine import judge_realtime
 
     items = [judge_realtime(available())] if arm is context.arms[0] else []
     return items + context.check(arm)
@@ -214,7 +214,7 @@ def _count(lines: Sequence[CheckItem]) -> str:
 @common
 def restore(cell: Path, bus_spec: str | None) -> None:
     """Put back what the write ledger holds; the drives must stand still and be disabled."""
-    from gateway.cell_context import open_cell
+    from gateway.commands.cell_context import open_cell
 
     context = open_cell(cell, bus_spec)
     for arm in context.arms:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from drives.files import replace_file
+from gateway.commands.console import AXES, Session, findings_table, grid, number
 from gateway.commands.measure import arm_option
 from gateway.commands.moving import MoveChoice, move_options, stoppable
 from gateway.commands.options import (
@@ -19,7 +20,6 @@ from gateway.commands.options import (
     write_json,
 )
 from gateway.commands.outcome import fail_on_findings
-from gateway.console import AXES, Session, findings_table, grid, number
 
 if TYPE_CHECKING:
     from gateway.follow.job import Prepared
@@ -66,12 +66,12 @@ def follow(
     """
     from dataclasses import replace
 
-    from gateway.arm_model import arm_named
-    from gateway.cell_context import open_cell
     from gateway.check.proofs import ensure_proven
+    from gateway.commands.cell_context import open_cell
     from gateway.follow.body import body_of
     from gateway.follow.job import FollowRequest, drive, prepare
     from gateway.follow.page import page
+    from gateway.model.arm_model import arm_named
     from gateway.motion.opening import open_arm
 
     context = open_cell(cell, bus_spec, moving.pacing)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from drives.files import replace_file
+from gateway.commands.console import Session, findings_table
 from gateway.commands.measure import arm_option, show_plan
 from gateway.commands.moving import MoveChoice, move_options, stoppable
 from gateway.commands.options import (
@@ -21,15 +22,14 @@ from gateway.commands.options import (
     write_json,
 )
 from gateway.commands.outcome import fail_on_findings, show_result
-from gateway.console import Session, findings_table
 from gateway.errors import GatewayError
 
 if TYPE_CHECKING:
     from gateway.acquire.plan import Plan
     from gateway.acquire.session import RecordRequest
-    from gateway.check.rules import CheckItem
     from gateway.motion.opening import OpenArm
     from gateway.motion.stream import MoveOptions
+    from gateway.preflight.rules import CheckItem
 
 
 @click.command()
@@ -54,11 +54,11 @@ def commission(
 ) -> None:
     """All of it, guided: check, bare arm, each load, diagnosis, fresh poses, report. The arm moves."""
     from drives.errors import DriveError
-    from gateway.arm_model import arm_named
-    from gateway.cell_context import open_cell
-    from gateway.commission import Job
-    from gateway.commission import commission as run
-    from gateway.handover import as_json
+    from gateway.analyse.complete import as_json
+    from gateway.commands.cell_context import open_cell
+    from gateway.commands.commission import Job
+    from gateway.commands.commission import commission as run
+    from gateway.model.arm_model import arm_named
     from gateway.report.render import render
 
     context = open_cell(cell, bus_spec, moving.pacing)
@@ -122,7 +122,7 @@ class _Terminal:
 
     def measure(self, opened: OpenArm, plan: Plan, request: RecordRequest, options: MoveOptions) -> None:
         """Record with a progress bar."""
-        from gateway.progress import recording_with_progress
+        from gateway.commands.progress import recording_with_progress
 
         recording_with_progress(self.session, opened, plan, request, options)
 

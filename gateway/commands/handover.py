@@ -10,7 +10,7 @@ import click
 from drives.files import replace_file
 from gateway.commands.options import common, one_of, session_of, write_json
 from gateway.errors import InputError
-from gateway.export import FORMATS
+from gateway.result.export import FORMATS
 
 RESULT = click.Path(path_type=Path, dir_okay=False)
 
@@ -35,7 +35,7 @@ def report(result: Path, output: Path) -> None:
 @common
 def export(result: Path, fmt: str, label: str | None, output: Path | None) -> None:
     """The load as URDF, JSON, or in the load syntax of a robot controller."""
-    from gateway.export import export as export_text
+    from gateway.result.export import export as export_text
 
     text = export_text(read_result(result), fmt, label)
     if output is None:
@@ -54,8 +54,8 @@ def profiles() -> None:
 @common
 def profiles_list() -> None:
     """Name, description and measured torque of every profile."""
-    from drives.profile import list_profiles, load_profile
-    from gateway.console import grid
+    from drives.profile_file import list_profiles, load_profile
+    from gateway.commands.console import grid
 
     rows = []
     for name in list_profiles():
@@ -69,7 +69,7 @@ def profiles_list() -> None:
 @common
 def profiles_show(name: str) -> None:
     """The TOML text of one profile (a name of the list, or a file)."""
-    from drives.profile import load_profile
+    from drives.profile_file import load_profile
 
     click.echo(load_profile(name).text, nl=False)
 
@@ -78,7 +78,7 @@ def profiles_show(name: str) -> None:
 @common
 def profiles_schema() -> None:
     """JSON schema of a profile."""
-    from drives.profile import profile_schema
+    from drives.profile_file import profile_schema
 
     write_json("-", profile_schema())
 
@@ -91,7 +91,7 @@ def read_result(path: Path) -> dict[str, Any]:
     InputError
         Not readable, not JSON, or not a result of this version; named with file and key.
     """
-    from gateway.result import from_json, to_dict
+    from gateway.result.result import from_json, to_dict
 
     try:
         text = path.read_text(encoding="utf-8")

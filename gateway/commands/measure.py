@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from gateway.commands.console import AXES, axis_table, grid
 from gateway.commands.moving import MoveChoice, move_options, stoppable
 from gateway.commands.options import (
     bus_option,
@@ -17,7 +18,6 @@ from gateway.commands.options import (
     session_of,
     write_json,
 )
-from gateway.console import AXES, axis_table, grid
 
 if TYPE_CHECKING:
     from gateway.acquire.plan import Plan
@@ -35,7 +35,7 @@ arm_option = click.option("--arm", "arm_name", metavar="NAME", help="Arm, if the
 def plan(cell: Path, n_poses: int | None, seed: int | None, arm_name: str | None, json_out: str | None) -> None:
     """Choose rest poses: limits, duration, expected uncertainty. Needs no bus."""
     from gateway.acquire.planning import make_plan
-    from gateway.config import load_cell
+    from gateway.cell.config import load_cell
 
     chosen = make_plan(load_cell(cell), n_poses, seed, arm_name)
     show_plan(chosen)
@@ -109,10 +109,10 @@ def record(
     The first time with these drives, it is proven before anything else that they stop when the master is gone.
     """
     from gateway.acquire.session import RecordRequest, open_arm
-    from gateway.arm_model import arm_named
-    from gateway.cell_context import open_cell
     from gateway.check.proofs import ensure_proven
-    from gateway.progress import recording_with_progress
+    from gateway.commands.cell_context import open_cell
+    from gateway.commands.progress import recording_with_progress
+    from gateway.model.arm_model import arm_named
 
     context = open_cell(cell, bus_spec, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
@@ -133,7 +133,7 @@ def record(
 def _plan_for(loaded: Any, output: Path, resume: bool, arm: str) -> Plan:
     """Poses of the file that is gone on with, else those of the cell."""
     from gateway.acquire.session import make_plan, plan_of_recording
-    from gateway.recording import read
+    from gateway.data.recording.reader import read
 
     if output.exists() and resume:
         return plan_of_recording(loaded, read(output), arm)

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import click
 
 from drives.files import replace_file
-from gateway.console import Session
+from gateway.commands.console import Session
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from gateway.console import AXES, Session, axis_table, findings_table, grid, load_table
+from gateway.commands.console import AXES, Session, axis_table, findings_table, grid, load_table
 from gateway.errors import FindingFailed
 from gateway.report.sentences import verdict_sentence
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from drives.files import replace_file
+from gateway.commands.console import grid, number
 from gateway.commands.moving import MoveChoice, move_options, stoppable
 from gateway.commands.options import (
     bus_option,
@@ -20,10 +21,9 @@ from gateway.commands.options import (
     session_of,
     write_json,
 )
-from gateway.console import grid, number
 
 if TYPE_CHECKING:
-    from gateway.cell_context import CellContext
+    from gateway.commands.cell_context import CellContext
     from gateway.motion.stream import MoveOptions
     from gateway.pair.cell import PairCell
     from gateway.pair.link import PairLink
@@ -48,7 +48,7 @@ def _open(
 
 
 def _context(cell: Path, pair: PairCell) -> CellContext:
-    from gateway.cell_context import CellContext
+    from gateway.commands.cell_context import CellContext
 
     specs = {arm.config.bus: spec for arm, spec in zip(pair.arms, pair.specs, strict=True)}
     return CellContext(pair.loaded, cell, specs)
@@ -92,7 +92,7 @@ def teach(
 ) -> None:
     """Teach the first function of CELL: both arms go from point to point, the force is adjusted away at each."""
     from gateway.pair.link import open_link
-    from gateway.pair.motion import MotionOptions
+    from gateway.pair.motion import PairMotionOptions
     from gateway.pair.session import open_lesson, teach_pair
 
     pair, kept = _open(cell, bus_spec, store, moving.pacing)
@@ -112,7 +112,7 @@ def teach(
                 f" {point.forces_n[-1]:.1f} N after {len(point.forces_n)} sweeps;"
                 f" slave moved {1e3 * abs(point.correction[:3]).max():.2f} mm"
             ),
-            MotionOptions(moves=options),
+            PairMotionOptions(moves=options),
         )
     session.show(f"{kept.folder / 'first.json'}: first function with {len(function)} points")
     if json_out:
@@ -147,8 +147,8 @@ def run_pair(
 ) -> None:
     """Carry the part along the path of CELL and back; Ctrl-C stops both arms along it and keeps what was learned."""
     from gateway.pair.link import open_link
-    from gateway.pair.motion import MotionOptions
-    from gateway.pair.session import RunRequest, embodiment_of, first_function
+    from gateway.pair.motion import PairMotionOptions
+    from gateway.pair.session import PairRunRequest, embodiment_of, first_function
     from gateway.pair.session import run_pair as run
 
     pair, kept = _open(cell, bus_spec, store, moving.pacing)
@@ -165,9 +165,9 @@ def run_pair(
             link,
             pair,
             kept,
-            RunRequest(embodiment, cycles),
+            PairRunRequest(embodiment, cycles),
             lambda cycle: session.show(_cycle_line(cycle.summary)),
-            MotionOptions(speed=at, moves=options),
+            PairMotionOptions(speed=at, moves=options),
         )
     statistics = body["statistics"]
     session.show(f"SYNCs {statistics['cycles']}, incomplete epochs {statistics['incomplete']}")

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.decide import LEAST_POSES, Decision
-from gateway.diagnose.linear import Fit, Problem, modelled, with_terms
+from gateway.diagnose.linear import Fit, RestProblem, modelled, with_terms
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.problem import BARE_LABEL, Knowledge, build_problem
 from gateway.diagnose.rows import joined
 from gateway.model.robot import Robot
 from gateway.model.terms.reading import RestRows
-from gateway.result import NextMeasurement
+from gateway.result.result import NextMeasurement
 
 Floats = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ STEP_S = 30.0
 
 
 def questions(
-    problem: Problem, decision: Decision, robot: Robot, options: DiagnoseOptions, knowledge: Knowledge
+    problem: RestProblem, decision: Decision, robot: Robot, options: DiagnoseOptions, knowledge: Knowledge
 ) -> tuple[NextMeasurement, ...]:
     """What to measure next; empty where nothing is in doubt.
 
@@ -109,7 +109,9 @@ def imagined(rows: RestRows, poses_rad: Floats) -> RestRows:
     )
 
 
-def _disagreement(problem: Problem, robot: Robot, knowledge: Knowledge, fits: Sequence[Fit], choice: Floats) -> Floats:
+def _disagreement(
+    problem: RestProblem, robot: Robot, knowledge: Knowledge, fits: Sequence[Fit], choice: Floats
+) -> Floats:
     """Squared difference over noise (k,) between the best hypothesis and the rival that it is hardest to tell from."""
     both = build_problem(robot, joined([problem.rows, imagined(problem.rows, choice)]), knowledge)
     visit = np.broadcast_to(np.arange(len(both.rows))[:, None], both.use_sum.shape)

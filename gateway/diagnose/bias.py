@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import norm
 
-from gateway.diagnose.linear import Fit, Problem
-from gateway.result import EffectResult, Evidence
+from gateway.diagnose.linear import Fit, RestProblem
+from gateway.result.result import EffectResult, Evidence
 
 SURE = 5.0
 LEAST_STRENGTH = 0.5
 EACH_SIDE = 2
 
 
-def stuck(problem: Problem, after: Fit) -> list[EffectResult]:
+def stuck(problem: RestProblem, after: Fit) -> list[EffectResult]:
     """Axes whose mean friction against the approach shows in one-sided visits.
 
     In a two-sided visit the same friction is the band, which every model has; a one-sided visit alone cannot

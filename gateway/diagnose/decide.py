@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.linear import Fit, Problem, modelled, with_terms
+from gateway.diagnose.linear import Fit, RestProblem, modelled, with_terms
 from gateway.diagnose.screen import projector
 from gateway.diagnose.search import NEEDED, Label, Search, label, pruned
 from gateway.diagnose.structure import misfit
@@ -199,7 +199,7 @@ def _odds(search: Search, after: Fit) -> tuple[dict[Label, float], dict[Label, s
     return odds, runner_up
 
 
-def noise_floor(problem: Problem, decision: Decision) -> Floats:
+def noise_floor(problem: RestProblem, decision: Decision) -> Floats:
     """Noise floor (6,) per axis: of the fit where nothing but noise is left, of the sides of the visits otherwise."""
     clean = decision.verdict in ("none_needed", "explained", "undecided")
     std = decision.whole.noise.std if clean else decision.whole.noise.start

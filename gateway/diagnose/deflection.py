@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import t as student
 
-from gateway.diagnose.linear import Fit, Problem, modelled
-from gateway.result import EffectResult, Evidence
+from gateway.diagnose.linear import Fit, RestProblem, modelled
+from gateway.result.result import EffectResult, Evidence
 
 SURE = 6.0
 LEAST_STRENGTH = 0.6
 
 
-def wound_up(problem: Problem, after: Fit) -> list[EffectResult]:
+def wound_up(problem: RestProblem, after: Fit) -> list[EffectResult]:
     """Elastic joints among those with a secondary encoder.
 
     Wind-up is regressed on the modelled torque, with a constant for the zeros of the two encoders; a joint counts where
@@ -45,7 +45,7 @@ def wound_up(problem: Problem, after: Fit) -> list[EffectResult]:
     return out
 
 
-def _strength(problem: Problem, after: Fit, axis: int, compliance: float) -> float:
+def _strength(problem: RestProblem, after: Fit, axis: int, compliance: float) -> float:
     """What the torque would miss without the secondary encoder, over the noise, on the axis where that is largest."""
     soft = after.setting.compliance_rad_nm.copy()
     soft[axis] -= compliance

@@ -6,16 +6,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gateway.data.table import Table
 from gateway.diagnose.ask import questions
 from gateway.diagnose.bias import stuck
 from gateway.diagnose.decide import STRUCTURE_P, Decision, decide
 from gateway.diagnose.deflection import wound_up
 from gateway.diagnose.fit import fit
 from gateway.diagnose.holdout import Held, foretold_covariance, predicted
-from gateway.diagnose.linear import Fit, Problem, visit_loads
+from gateway.diagnose.linear import Fit, RestProblem, visit_loads
 from gateway.diagnose.loads import loads_of
 from gateway.diagnose.mistakes import Mistake, band_signs, find_mistakes, strained, suspicious, wrecked
-from gateway.diagnose.motion import MotionOptions, diagnose_motion
+from gateway.diagnose.motion import MovingDefaults, diagnose_motion
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.outcome import (
     Judge,
@@ -27,7 +28,7 @@ from gateway.diagnose.outcome import (
     rejected,
     summary,
 )
-from gateway.diagnose.pictures import Visits, pictures
+from gateway.diagnose.pictures import DrawnVisits, pictures
 from gateway.diagnose.problem import BARE_LABEL, Knowledge, build_problem, first_noise
 from gateway.diagnose.remarks import corrected_links, limits, refused_loads
 from gateway.diagnose.rows import joined, rest_rows
@@ -36,8 +37,7 @@ from gateway.diagnose.structure import fresh_misfit, spare_rows
 from gateway.errors import ConfigError, DataUnusable
 from gateway.model.robot import Robot
 from gateway.model.terms.library import Setup, named_terms, unnamed_terms
-from gateway.result import Finding, FitSummary, LoadResult, Result
-from gateway.table import Table
+from gateway.result.result import Finding, FitSummary, LoadResult, Result
 
 SURER = 5.0
 OBVIOUS = 150.0
@@ -65,7 +65,7 @@ def diagnose(table: Table, robot: Robot, options: DiagnoseOptions | None = None)
     """
     options = options or DiagnoseOptions()
     if table.moving.all():
-        motion = MotionOptions(
+        motion = MovingDefaults(
             inertials=options.inertials,
             known=options.known,
             holdout=options.holdout,
@@ -119,7 +119,7 @@ class RestDiagnosis:
             bare=options.bare,
         )
 
-    def problem(self, table: Table) -> Problem:
+    def problem(self, table: Table) -> RestProblem:
         """Rows of a table as a problem."""
         return build_problem(self.robot, rest_rows(table, self.options.efficiency), self.knowledge)
 
@@ -215,7 +215,7 @@ class RestDiagnosis:
         floor, band = floor_and_band(problem, decision)
         findings += corrected_links(decision)
         findings += mistake_findings(found.mistakes) + refused_loads(after.loads) + limits(problem)
-        rows, drawn = pictures(Visits.of(problem, held, "fresh" if kind == "fresh" else "held out"), decision)
+        rows, drawn = pictures(DrawnVisits.of(problem, held, "fresh" if kind == "fresh" else "held out"), decision)
         return Result(
             robot=self.robot.name,
             loads=after.loads,
@@ -240,7 +240,7 @@ class RestDiagnosis:
             extra={"data": drawn},
         )
 
-    def _confirmed(self, decision: Decision, held: Held | None, problem: Problem) -> tuple[Decision, list[Finding]]:
+    def _confirmed(self, decision: Decision, held: Held | None, problem: RestProblem) -> tuple[Decision, list[Finding]]:
         """The decision in the light of rows that no fit has seen."""
         if held is None:
             return decision, []

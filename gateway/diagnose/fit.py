@@ -14,8 +14,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.linear import Fit, Noise, Problem, common_columns, modelled, spread_of, term_columns, with_terms
-from gateway.model.terms.reading import Setting
+from gateway.diagnose.linear import (
+    Fit,
+    Noise,
+    RestProblem,
+    common_columns,
+    modelled,
+    spread_of,
+    term_columns,
+    with_terms,
+)
+from gateway.model.terms.reading import AlteredModel
 from gateway.model.terms.term import Term
 
 Floats = NDArray[np.float64]
@@ -33,12 +42,14 @@ class _State:
     theta: list[Floats]
 
 
-def fit(problem: Problem, terms: Sequence[Term], noise: Noise, start: Fit | None = None, steps: int = _STEPS) -> Fit:
+def fit(
+    problem: RestProblem, terms: Sequence[Term], noise: Noise, start: Fit | None = None, steps: int = _STEPS
+) -> Fit:
     """Fit one hypothesis.
 
     Parameters
     ----------
-    problem : Problem
+    problem : RestProblem
     terms : effects of the hypothesis
     noise : Noise
         Where the noise begins; it is re-estimated.
@@ -60,7 +71,7 @@ def fit(problem: Problem, terms: Sequence[Term], noise: Noise, start: Fit | None
     return current
 
 
-def _begin(problem: Problem, terms: Sequence[Term], start: Fit | None) -> _State:
+def _begin(problem: RestProblem, terms: Sequence[Term], start: Fit | None) -> _State:
     n_labels = len(problem.labels)
     if start is None:
         links, loads, band = problem.links.copy(), np.zeros((n_labels, 4)), np.zeros(6)
@@ -74,7 +85,7 @@ def _begin(problem: Problem, terms: Sequence[Term], start: Fit | None) -> _State
 
 
 def _linearised(
-    problem: Problem, terms: Sequence[Term], state: _State, noise: Noise, spreads: list[Floats], step: int
+    problem: RestProblem, terms: Sequence[Term], state: _State, noise: Noise, spreads: list[Floats], step: int
 ) -> Fit:
     """One Gauss-Newton step from `state` (which is moved), with noise and evidence at the new point."""
     setting = with_terms(terms, state.theta, problem.rows)
@@ -126,7 +137,7 @@ def _linearised(
     )
 
 
-def _shell(problem: Problem, terms: Sequence[Term], state: _State, setting: Setting, noise: Noise) -> Fit:
+def _shell(problem: RestProblem, terms: Sequence[Term], state: _State, setting: AlteredModel, noise: Noise) -> Fit:
     """The present point in the clothes of a fit; its residual holds the modelled rows."""
     empty = np.zeros((0, 0))
     now = modelled(problem, setting, state.links, state.loads, state.band)
@@ -136,7 +147,7 @@ def _shell(problem: Problem, terms: Sequence[Term], state: _State, setting: Sett
     )
 
 
-def _prior(problem: Problem, terms: Sequence[Term], state: _State, spreads: list[Floats]) -> tuple[Floats, Floats]:
+def _prior(problem: RestProblem, terms: Sequence[Term], state: _State, spreads: list[Floats]) -> tuple[Floats, Floats]:
     """Prior standard deviation (p,) and distance (p,) of the prior mean from the present point."""
     free = np.full(4 * len(problem.labels) + 6, np.inf)
     std = np.concatenate([problem.link_std, free, *spreads])
@@ -147,7 +158,7 @@ def _prior(problem: Problem, terms: Sequence[Term], state: _State, spreads: list
     return std, pull
 
 
-def _prior_rows(problem: Problem, state: _State, std: Floats, pull: Floats) -> tuple[Floats, Floats]:
+def _prior_rows(problem: RestProblem, state: _State, std: Floats, pull: Floats) -> tuple[Floats, Floats]:
     held = np.isfinite(std)
     rows = np.diag(np.where(held, 1.0 / np.where(held, std, 1.0), 0.0))[held]
     residual = (pull / np.where(held, std, 1.0))[held]
@@ -159,7 +170,7 @@ def _prior_rows(problem: Problem, state: _State, std: Floats, pull: Floats) -> t
     return rows, residual
 
 
-def _move(problem: Problem, terms: Sequence[Term], state: _State, delta: Floats) -> None:
+def _move(problem: RestProblem, terms: Sequence[Term], state: _State, delta: Floats) -> None:
     n_labels = len(problem.labels)
     state.links = state.links + delta[:24]
     state.loads = state.loads + delta[24 : 24 + 4 * n_labels].reshape(-1, 4)
@@ -173,7 +184,7 @@ def _move(problem: Problem, terms: Sequence[Term], state: _State, delta: Floats)
         at += k
 
 
-def _update_noise(problem: Problem, residual: Floats, orthogonal: Floats, noise: Noise) -> Noise:
+def _update_noise(problem: RestProblem, residual: Floats, orthogonal: Floats, noise: Noise) -> Noise:
     leverage = (orthogonal**2).sum(axis=1)
     count = np.bincount(problem.group, minlength=18).astype(float)
     taken = np.bincount(problem.group, weights=leverage, minlength=18)
@@ -184,7 +195,7 @@ def _update_noise(problem: Problem, residual: Floats, orthogonal: Floats, noise:
     return Noise(noise.start, std, noise.least)
 
 
-def _penalty(problem: Problem, terms: Sequence[Term], state: _State, spreads: list[Floats]) -> float:
+def _penalty(problem: RestProblem, terms: Sequence[Term], state: _State, spreads: list[Floats]) -> float:
     total = float(np.sum(((state.links - problem.links) / problem.link_std) ** 2))
     if len(problem.prior_target):
         total += float(np.sum((problem.prior_target - problem.prior_rows @ state.links) ** 2))
@@ -193,7 +204,7 @@ def _penalty(problem: Problem, terms: Sequence[Term], state: _State, spreads: li
     return total
 
 
-def _log_density(problem: Problem, residual: Floats, noise: Noise, penalty: float) -> float:
+def _log_density(problem: RestProblem, residual: Floats, noise: Noise, penalty: float) -> float:
     std = noise.std[problem.group]
     density = -float(np.sum(np.log(std))) - 0.5 * float(np.sum((residual / std) ** 2)) - 0.5 * penalty
     used = np.unique(problem.group)

@@ -7,30 +7,30 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.linear import Fit, Problem, common_columns, modelled, term_columns, with_terms
+from gateway.diagnose.linear import Fit, RestProblem, common_columns, modelled, term_columns, with_terms
 from gateway.diagnose.screen import Screen
 
 Floats = NDArray[np.float64]
 
 
-def axis_of_rows(problem: Problem) -> NDArray[np.int_]:
+def axis_of_rows(problem: RestProblem) -> NDArray[np.int_]:
     """Axis (rows,) of every row."""
     return problem.group % 6
 
 
-def pose_of_rows(problem: Problem) -> NDArray[np.int_]:
+def pose_of_rows(problem: RestProblem) -> NDArray[np.int_]:
     """Pose number (rows,) of every row: the same pose under all loads is held out together."""
     pose = np.broadcast_to(problem.rows.pose[:, None], problem.use_sum.shape)
     return np.concatenate([pose[problem.use_sum], pose[problem.use_difference]])
 
 
-def left_out(problem: Problem, fit: Fit) -> Floats:
+def left_out(problem: RestProblem, fit: Fit) -> Floats:
     """Residual (rows,) [Nm] of each row when its pose, under all loads, is not in the fit (linearised)."""
     std = fit.noise.std[problem.group]
     return std * _left_out(pose_of_rows(problem), fit.residual / std, fit.orthogonal)
 
 
-def left_out_with(problem: Problem, fit: Fit, view: Screen, index: int) -> Floats:
+def left_out_with(problem: RestProblem, fit: Fit, view: Screen, index: int) -> Floats:
     """The same for the fit with one screened candidate added (linearised)."""
     std = fit.noise.std[problem.group]
     columns = view.projected[:, view.pick(index)]
@@ -58,12 +58,12 @@ class Held:
 
     Attributes
     ----------
-    problem : Problem
+    problem : RestProblem
         Fitted visits and held-out visits together.
     mask : (rows,) the held-out ones
     """
 
-    problem: Problem
+    problem: RestProblem
     mask: NDArray[np.bool_]
 
 
@@ -88,7 +88,7 @@ def foretold_covariance(held: Held, fit: Fit) -> Floats:
     return np.asarray(design @ fit.covariance @ design.T + np.diag(noise), dtype=float)
 
 
-def _at(problem: Problem, fit: Fit) -> Floats:
+def _at(problem: RestProblem, fit: Fit) -> Floats:
     setting = with_terms(fit.terms, fit.theta, problem.rows)
     return problem.target - modelled(problem, setting, fit.links, fit.loads, fit.band)
 

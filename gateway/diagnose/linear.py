@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.terms.reading import Model, RestRows, Setting, neutral
+from gateway.model.terms.reading import AlteredModel, Model, RestRows, neutral
 from gateway.model.terms.term import Term
 
 Floats = NDArray[np.float64]
@@ -19,7 +19,7 @@ STRENGTH_SPREAD = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Problem:
+class RestProblem:
     """Rows, prior and noise groups that all hypotheses share.
 
     Attributes
@@ -79,7 +79,7 @@ class Fit:
     links : (24,), loads : (labels, 4), band : (6,)
     theta : parameters of each effect
     covariance : of [links, loads, band, theta]
-    setting : Setting at the solution
+    setting : AlteredModel at the solution
     residual : (rows,) measured - modelled
     design : (rows, p) derivative of the modelled reading
     noise : Noise
@@ -94,7 +94,7 @@ class Fit:
     band: Floats
     theta: tuple[Floats, ...]
     covariance: Floats
-    setting: Setting
+    setting: AlteredModel
     residual: Floats
     design: Floats
     noise: Noise
@@ -109,12 +109,12 @@ class Fit:
         return np.concatenate(self.theta) if self.theta else np.zeros(0)
 
 
-def visit_loads(problem: Problem, loads: Floats) -> Floats:
+def visit_loads(problem: RestProblem, loads: Floats) -> Floats:
     """Load parameters (n, 4) at each visit."""
     return problem.fixed_load + problem.member @ loads if len(problem.labels) else problem.fixed_load.copy()
 
 
-def with_terms(terms: Sequence[Term], theta: Sequence[Floats], rows: RestRows) -> Setting:
+def with_terms(terms: Sequence[Term], theta: Sequence[Floats], rows: RestRows) -> AlteredModel:
     """The setting with all effects of a hypothesis in it."""
     setting = neutral(len(rows))
     for term, values in zip(terms, theta, strict=True):
@@ -122,18 +122,18 @@ def with_terms(terms: Sequence[Term], theta: Sequence[Floats], rows: RestRows) -
     return setting
 
 
-def stacked(problem: Problem, half_sum: Floats, difference: Floats) -> Floats:
+def stacked(problem: RestProblem, half_sum: Floats, difference: Floats) -> Floats:
     """Modelled half sums and differences (n, 6[, k]) as one column (rows[, k])."""
     return np.concatenate([half_sum[problem.use_sum], difference[problem.use_difference]])
 
 
-def modelled(problem: Problem, setting: Setting, links: Floats, loads: Floats, band: Floats) -> Floats:
+def modelled(problem: RestProblem, setting: AlteredModel, links: Floats, loads: Floats, band: Floats) -> Floats:
     """Modelled rows (rows,)."""
     prediction = problem.model.predict(setting, links, visit_loads(problem, loads), band)
     return stacked(problem, prediction.sum_nm, prediction.difference_nm)
 
 
-def common_columns(problem: Problem, setting: Setting, links: Floats, loads: Floats, band: Floats) -> Floats:
+def common_columns(problem: RestProblem, setting: AlteredModel, links: Floats, loads: Floats, band: Floats) -> Floats:
     """Columns (rows, 24 + 4 labels + 6) of links, loads and bands."""
     model = problem.model
     bodies = model.bodies(setting, links, visit_loads(problem, loads))
@@ -160,7 +160,7 @@ def common_columns(problem: Problem, setting: Setting, links: Floats, loads: Flo
     return stacked(problem, half_sum, difference)
 
 
-def term_columns(problem: Problem, fit: Fit, term: Term, theta: Floats, position: int | None = None) -> Floats:
+def term_columns(problem: RestProblem, fit: Fit, term: Term, theta: Floats, position: int | None = None) -> Floats:
     """Derivative (rows, k) of the modelled reading by the parameters of one effect.
 
     `position` is the effect's place among those of the fit, None for an effect that is not in it (built in last).
@@ -186,7 +186,7 @@ def _steps(term: Term, theta: Floats, noise: Noise) -> Floats:
     return np.where(np.isnan(spread), np.where(linear, fallback, 1e-3), 1e-3 * spread) + 1e-6 * np.abs(theta)
 
 
-def spread_of(problem: Problem, noise: Noise, term: Term, columns: Floats) -> Floats:
+def spread_of(problem: RestProblem, noise: Noise, term: Term, columns: Floats) -> Floats:
     """Prior standard deviation (k,) of an effect's parameters: what is plausible, or ten noise floors."""
     weighted = columns / noise.std[problem.group][:, None]
     size = np.sqrt((weighted**2).sum(axis=0) / max(len(problem.rows), 1))

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.stats import norm, t
 
 from gateway.diagnose.fit import NOISE_WEIGHT
-from gateway.diagnose.linear import Fit, Problem
+from gateway.diagnose.linear import Fit, RestProblem
 from gateway.model.robot import Robot
-from gateway.result import LoadResult
+from gateway.result.result import LoadResult
 
 Floats = NDArray[np.float64]
 
@@ -21,12 +21,12 @@ AGAINST_MASS = 3.0
 NAMES = ("com_x", "com_y", "com_z")
 
 
-def loads_of(problem: Problem, fit: Fit, robot: Robot) -> tuple[LoadResult, ...]:
+def loads_of(problem: RestProblem, fit: Fit, robot: Robot) -> tuple[LoadResult, ...]:
     """Every load that was estimated, in the order of its label."""
     return tuple(_load(problem, fit, robot, k) for k in range(len(problem.labels)))
 
 
-def _load(problem: Problem, fit: Fit, robot: Robot, index: int) -> LoadResult:
+def _load(problem: RestProblem, fit: Fit, robot: Robot, index: int) -> LoadResult:
     label = problem.labels[index]
     phi = fit.loads[index]
     part = slice(24 + 4 * index, 28 + 4 * index)
@@ -61,7 +61,7 @@ def _load(problem: Problem, fit: Fit, robot: Robot, index: int) -> LoadResult:
     )
 
 
-def _widening(problem: Problem, fit: Fit, part: slice) -> float:
+def _widening(problem: RestProblem, fit: Fit, part: slice) -> float:
     """Factor on the standard deviations, so that 1.96 of them hold 95 % although the noise itself is estimated.
 
     Student's t over the normal quantile, its degrees of freedom those of the noise of each axis, weighted by what the
@@ -80,7 +80,7 @@ def _in_flange(com_m: Floats, flange: Floats) -> tuple[float, ...]:
     return tuple(float(v) for v in flange[:3, :3].T @ (com_m - flange[:3, 3]))
 
 
-def _per_pose(problem: Problem, fit: Fit, index: int) -> dict[str, float]:
+def _per_pose(problem: RestProblem, fit: Fit, index: int) -> dict[str, float]:
     """Mass from each pose alone, the centre of gravity and everything else as in the whole fit."""
     part = slice(24 + 4 * index, 28 + 4 * index)
     std = fit.noise.std[problem.group]

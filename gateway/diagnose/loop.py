@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.data.table import Table, concatenate
 from gateway.diagnose.entry import RestDiagnosis
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.model.robot import Robot
-from gateway.result import Result
-from gateway.table import Table, concatenate
+from gateway.result.result import Result
 
 Floats = NDArray[np.float64]
 Measure = Callable[[Floats], Table]

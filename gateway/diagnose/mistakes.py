@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from gateway.data.table import Table
 from gateway.diagnose.fit import fit
-from gateway.diagnose.linear import Fit, Problem
+from gateway.diagnose.linear import Fit, RestProblem
 from gateway.diagnose.problem import first_noise
-from gateway.table import Table
 
 Floats = NDArray[np.float64]
 
@@ -90,13 +90,13 @@ def candidates(measured: NDArray[np.bool_]) -> Iterator[Mistake]:
             yield Mistake("current_rms_peak", tuple(axes), float(factor))
 
 
-def plain_score(problem: Problem, rows_scale: float) -> tuple[float, Fit]:
+def plain_score(problem: RestProblem, rows_scale: float) -> tuple[float, Fit]:
     """Evidence of the model without effects, less what a friction band below zero costs."""
     result = fit(problem, (), first_noise(problem), steps=3)
     return result.evidence + band_signs(problem, result) + rows_scale, result
 
 
-def band_signs(problem: Problem, result: Fit) -> float:
+def band_signs(problem: RestProblem, result: Fit) -> float:
     """Log probability that every friction band of a fit is positive."""
     at = problem.n_common - 6
     band_std = np.sqrt(np.maximum(np.diag(result.covariance)[at : at + 6], 1e-30))
@@ -105,19 +105,19 @@ def band_signs(problem: Problem, result: Fit) -> float:
     return float(np.sum(norm.logcdf(result.band[seen] / band_std[seen])))
 
 
-def strained(problem: Problem, fitted: Fit) -> bool:
+def strained(problem: RestProblem, fitted: Fit) -> bool:
     """Whether a fit asks for links that are far from what the CAD says."""
     return float(np.sum(((fitted.links - problem.links) / problem.link_std) ** 2)) > STRAINED
 
 
-def wrecked(problem: Problem, plain: Fit) -> bool:
+def wrecked(problem: RestProblem, plain: Fit) -> bool:
     """Whether the model without effects fails so badly that a mistake is the first thing to look for."""
     sums = np.unique(problem.group[problem.group < 6])
     ratio = (plain.noise.std[sums] / plain.noise.start[sums]).max(initial=0.0)
     return ratio > WRECKED or band_signs(problem, plain) < -WRECKED
 
 
-def suspicious(problem: Problem, plain: Fit) -> bool:
+def suspicious(problem: RestProblem, plain: Fit) -> bool:
     """Whether the best hypothesis is so odd, or leaves so much, that a mistake is worth looking for."""
     sums = np.unique(problem.group[problem.group < 6])
     ratio = (plain.noise.std[sums] / plain.noise.start[sums]).max(initial=0.0)
@@ -132,14 +132,14 @@ def suspicious(problem: Problem, plain: Fit) -> bool:
 
 
 def find_mistakes(
-    table: Table, build: Callable[[Table], Problem], allowed: frozenset[str]
+    table: Table, build: Callable[[Table], RestProblem], allowed: frozenset[str]
 ) -> tuple[tuple[Mistake, ...], float]:
     """Mistakes whose undoing the model without effects likes better by `SURE` or more, most likely first.
 
     Parameters
     ----------
     table : Table
-    build : table -> Problem
+    build : table -> RestProblem
     allowed : names that may be given
 
     Returns
@@ -152,7 +152,7 @@ def find_mistakes(
     before, plain = plain_score(problem, 0.0)
     measured = np.asarray(problem.use_sum.any(axis=0))
     while len(found) < MOST and (not found or suspicious(problem, plain)):
-        best: tuple[float, Mistake, Problem, Fit] | None = None
+        best: tuple[float, Mistake, RestProblem, Fit] | None = None
         for mistake in candidates(measured):
             if mistake.name not in allowed or any(set(mistake.joints) & set(old.joints) for old in found):
                 continue

@@ -13,22 +13,22 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose import motion_report as report
+from gateway.data.table import Table
 from gateway.diagnose.motion_deflection import wound_up
 from gateway.diagnose.motion_effects import certain
-from gateway.diagnose.motion_fit import Noise, Problem, blocks
-from gateway.diagnose.motion_mistakes import Mistake, find_mistakes, undo
-from gateway.diagnose.motion_select import Chosen, select, weigh
-from gateway.diagnose.motion_state import State, state_of, with_noise_of
+from gateway.diagnose.motion_fit import MovingNoise, MovingProblem, blocks
+from gateway.diagnose.motion_mistakes import MovingMistake, find_mistakes, undo
+from gateway.diagnose.motion_report import MovingOutcome, result_of, too_little
+from gateway.diagnose.motion_select import select, weigh
+from gateway.diagnose.motion_state import MovingState, state_of, with_noise_of
 from gateway.diagnose.motion_structure import structured_axes
 from gateway.diagnose.motion_trial import Trial
 from gateway.diagnose.motion_trust import START, choose_trust
 from gateway.errors import ConfigError, DataUnusable, InputError
-from gateway.model.motion import Motion, prepare
+from gateway.model.motion import MovingRows, prepare
 from gateway.model.motion_baseline import BARE, EXACT, baseline, has_inertials
 from gateway.model.robot import Robot
-from gateway.result import EffectResult, Result
-from gateway.table import Table
+from gateway.result.result import Result
 
 Floats = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ EFFECTS = frozenset(
 )
 
 
-class Options(Protocol):
+class MovingOptions(Protocol):
     """What the caller knows and wants.
 
     `inertials`: "exact", "prior:S", "ignore", or None to weigh the CAD values by the data. `known`: label to
@@ -64,7 +64,7 @@ class Options(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class MotionOptions:
+class MovingDefaults:
     """Options with their defaults."""
 
     inertials: str | None = None
@@ -75,24 +75,7 @@ class MotionOptions:
     gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.80665)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Outcome:
-    """Everything the result file is written from."""
-
-    problem: Problem
-    before: State
-    after: State
-    effects: tuple[Chosen, ...]
-    doubtful: tuple[Chosen, ...]
-    rejected: tuple[Trial, ...]
-    mistakes: tuple[Mistake, ...]
-    as_read: State | None
-    structure: Mapping[int, float]
-    known: Mapping[str, tuple[float, Floats]]
-    wound: tuple[EffectResult, ...] = ()
-
-
-def diagnose_motion(table: Table, robot: Robot, options: Options) -> Result:
+def diagnose_motion(table: Table, robot: Robot, options: MovingOptions) -> Result:
     """Find what the model lacks on moving rows.
 
     Parameters
@@ -100,7 +83,7 @@ def diagnose_motion(table: Table, robot: Robot, options: Options) -> Result:
     table : Table
         Rows that do not move are ignored.
     robot : Robot
-    options : Options
+    options : MovingOptions
 
     Raises
     ------
@@ -120,7 +103,7 @@ def diagnose_motion(table: Table, robot: Robot, options: Options) -> Result:
         allowed |= {"torque_constant_scale"}
     problem = _problem(motion, trust, known)
     if (~motion.given).sum() < FEWEST_ROWS or motion.duration_s < SHORTEST_S:
-        return report.too_little(problem, state_of(problem, ()))
+        return too_little(problem, state_of(problem, ()))
     mistakes = find_mistakes(problem, allowed)
     as_read = None
     if mistakes:
@@ -140,24 +123,24 @@ def diagnose_motion(table: Table, robot: Robot, options: Options) -> Result:
         held = options.holdout and replace(options.holdout, q2nd_rad=np.full_like(options.holdout.q2nd_rad, np.nan))
         by_motor = prepare(stiff, held, robot, np.asarray(options.gravity_m_s2))
         as_read = state_of(_problem(_foretold(by_motor, known), problem.base.trust, known), ())
-    return report.result_of(replace(outcome, wound=wound, as_read=as_read))
+    return result_of(replace(outcome, wound=wound, as_read=as_read))
 
 
 def _outcome(  # noqa: PLR0913 - gathers what the stages left
-    problem: Problem,
-    state: State,
+    problem: MovingProblem,
+    state: MovingState,
     left: list[Trial],
     allowed: frozenset[str],
-    mistakes: list[Mistake],
-    as_read: State | None,
+    mistakes: list[MovingMistake],
+    as_read: MovingState | None,
     known: Mapping[str, tuple[float, Floats]],
-) -> Outcome:
+) -> MovingOutcome:
     chosen = weigh(problem, state, allowed)
     sure = tuple(item for item in chosen if not item.contested and certain(problem, state, item.terms))
     doubtful = tuple(item for item in chosen if item not in sure)
     if doubtful and sure:
         state = state_of(problem, [term for item in sure for term in item.terms])
-    return Outcome(
+    return MovingOutcome(
         problem=problem,
         before=state_of(problem, ()),
         after=state,
@@ -171,7 +154,7 @@ def _outcome(  # noqa: PLR0913 - gathers what the stages left
     )
 
 
-def _foretold(motion: Motion, known: Mapping[str, tuple[float, Floats]]) -> Motion:
+def _foretold(motion: MovingRows, known: Mapping[str, tuple[float, Floats]]) -> MovingRows:
     """Hold-out rows under a load that is neither fitted nor known cannot be foretold: they are not judged."""
     seen = [BARE, *known, *np.unique(motion.load[~motion.given])]
     strange = motion.given & ~np.isin(motion.load, seen)
@@ -186,12 +169,16 @@ def _foretold(motion: Motion, known: Mapping[str, tuple[float, Floats]]) -> Moti
     return replace(motion, judged=motion.judged & ~strange[:, None])
 
 
-def _problem(motion: Motion, trust: float | None, known: Mapping[str, tuple[float, Floats]]) -> Problem:
-    problem = Problem(motion, baseline(motion, trust, known), Noise(np.ones(6), np.ones(6)), blocks(motion, BLOCKS))
+def _problem(motion: MovingRows, trust: float | None, known: Mapping[str, tuple[float, Floats]]) -> MovingProblem:
+    problem = MovingProblem(
+        motion, baseline(motion, trust, known), MovingNoise(np.ones(6), np.ones(6)), blocks(motion, BLOCKS)
+    )
     return with_noise_of(problem, (), None)
 
 
-def _known(motion: Motion, known: Mapping[str, tuple[float, float, float, float]]) -> dict[str, tuple[float, Floats]]:
+def _known(
+    motion: MovingRows, known: Mapping[str, tuple[float, float, float, float]]
+) -> dict[str, tuple[float, Floats]]:
     present = [str(label) for label in np.unique(motion.load)]
     for label in known:
         if label not in present:

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.motion_fit import Fit, Problem
+from gateway.diagnose.motion_fit import MovingFit, MovingProblem
 from gateway.model import motion_readings as readings
 from gateway.model import motion_terms as terms
-from gateway.model.motion import Motion
-from gateway.model.motion_terms import Term
+from gateway.model.motion import MovingRows
+from gateway.model.motion_terms import MovingTerm
 
 Floats = NDArray[np.float64]
 
@@ -36,11 +36,11 @@ DRAWN = frozenset(
 )
 
 
-def candidates(problem: Problem, allowed: frozenset[str]) -> list[Term]:
+def candidates(problem: MovingProblem, allowed: frozenset[str]) -> list[MovingTerm]:
     """Every effect that these rows could show, of the names in `allowed`."""
     motion = problem.motion
     axes = [int(axis) for axis in np.flatnonzero(motion.measured)]
-    found: list[Term] = []
+    found: list[MovingTerm] = []
     for axis in axes:
         found.extend(_friction(axis, float(motion.speed_rad_s[axis])))
         found.append(readings.gain(axis))
@@ -59,13 +59,13 @@ def candidates(problem: Problem, allowed: frozenset[str]) -> list[Term]:
     return [term for term in found if term.name in allowed]
 
 
-def _friction(axis: int, top_rad_s: float) -> Iterator[Term]:
+def _friction(axis: int, top_rad_s: float) -> Iterator[MovingTerm]:
     yield terms.load_friction(axis)
     yield from (terms.stribeck(axis, fraction, top_rad_s) for fraction in STRIBECK_FRACTIONS)
     yield from (terms.power_friction(axis, exponent) for exponent in POWERS)
 
 
-def _drift(motion: Motion, axis: int) -> Iterator[Term]:
+def _drift(motion: MovingRows, axis: int) -> Iterator[MovingTerm]:
     heat = motion.temperature_c[:, axis]
     if np.isfinite(heat).all() and np.ptp(heat) >= WARMED_K:
         yield readings.drift(axis, per_kelvin=True)
@@ -73,7 +73,7 @@ def _drift(motion: Motion, axis: int) -> Iterator[Term]:
         yield readings.drift(axis, per_kelvin=False)
 
 
-def _geometry(problem: Problem) -> Iterator[Term]:
+def _geometry(problem: MovingProblem) -> Iterator[MovingTerm]:
     motion = problem.motion
     yield readings.base_tilt(motion)
     yield from (readings.zero_offset(axis, motion) for axis in range(6))
@@ -84,7 +84,7 @@ def _geometry(problem: Problem) -> Iterator[Term]:
     yield from (readings.payload_shift(label) for label in problem.base.loads)
 
 
-def ripples(problem: Problem, full: Fit) -> list[Term]:
+def ripples(problem: MovingProblem, full: MovingFit) -> list[MovingTerm]:
     """The strongest swings of each axis's residual over its own angle, as far as the sampling resolves them."""
     motion = problem.motion
     found = []
@@ -105,24 +105,24 @@ def ripples(problem: Problem, full: Fit) -> list[Term]:
     return found
 
 
-def possible(problem: Problem, full: Fit, term: Term, value: Floats, covariance: Floats) -> bool:
+def possible(problem: MovingProblem, full: MovingFit, term: MovingTerm, value: Floats, covariance: Floats) -> bool:
     """Whether the coefficients (k,) mean something physical: the right sign and a size an arm can have."""
     spread = np.sqrt(np.diag(covariance))
     rule = _RULES.get(term.name)
     return True if rule is None else rule(problem, full, term, value, spread)
 
 
-def _loss(_problem: Problem, _full: Fit, _term: Term, value: Floats, _spread: Floats) -> bool:
+def _loss(_problem: MovingProblem, _full: MovingFit, _term: MovingTerm, value: Floats, _spread: Floats) -> bool:
     return bool(0.0 < value[0] < 0.6)
 
 
-def _coupling(problem: Problem, full: Fit, term: Term, value: Floats, spread: Floats) -> bool:
+def _coupling(problem: MovingProblem, full: MovingFit, term: MovingTerm, value: Floats, spread: Floats) -> bool:
     if term.shape == "mixing":
         return bool(0.02 < abs(value[0]) < LARGEST_SCALE)
     return bool((value[:2] > -2.0 * spread[:2]).all() and (value[:2] > 0).any())
 
 
-def _dissipates(problem: Problem, full: Fit, term: Term, value: Floats, _spread: Floats) -> bool:
+def _dissipates(problem: MovingProblem, full: MovingFit, term: MovingTerm, value: Floats, _spread: Floats) -> bool:
     """Friction takes power at most speeds, with the refitted Coulomb and viscous part."""
     axis = term.axes[0]
     rows = problem.motion.judged[:, axis]
@@ -136,7 +136,7 @@ def _dissipates(problem: Problem, full: Fit, term: Term, value: Floats, _spread:
     return bool((power[rows] > 0).mean() > 0.9)
 
 
-def _opposes_gravity(problem: Problem, full: Fit, term: Term, value: Floats, _spread: Floats) -> bool:
+def _opposes_gravity(problem: MovingProblem, full: MovingFit, term: MovingTerm, value: Floats, _spread: Floats) -> bool:
     """A balancer takes a good part off the torque that gravity puts on axis 2: nobody builds one for less."""
     push = term.columns(problem.motion, full.modelled)[:, 0] @ value
     drawn = problem.motion.rigid[:, 1] @ (problem.base.body[:, : len(problem.base.mean)] @ problem.base.mean)
@@ -145,25 +145,25 @@ def _opposes_gravity(problem: Problem, full: Fit, term: Term, value: Floats, _sp
     return bool(large and (push @ still < 0.0 or abs(np.corrcoef(push, still)[0, 1]) < 0.5))
 
 
-def _small_angle(_problem: Problem, _full: Fit, _term: Term, value: Floats, _spread: Floats) -> bool:
+def _small_angle(_problem: MovingProblem, _full: MovingFit, _term: MovingTerm, value: Floats, _spread: Floats) -> bool:
     return bool((np.abs(value) < LARGEST_ANGLE_RAD).all())
 
 
-def _yields(problem: Problem, full: Fit, term: Term, value: Floats, _spread: Floats) -> bool:
+def _yields(problem: MovingProblem, full: MovingFit, term: MovingTerm, value: Floats, _spread: Floats) -> bool:
     torque = np.abs(full.modelled.rigid_nm[:, term.joints[0]]).max()
     return bool(0.0 < value[0] * torque < 0.05)
 
 
-def _scale(_problem: Problem, _full: Fit, _term: Term, value: Floats, _spread: Floats) -> bool:
+def _scale(_problem: MovingProblem, _full: MovingFit, _term: MovingTerm, value: Floats, _spread: Floats) -> bool:
     return bool(1.0 / LARGEST_SCALE < 1.0 + value[0] < LARGEST_SCALE)
 
 
-def _body(problem: Problem, _full: Fit, _term: Term, value: Floats, _spread: Floats) -> bool:
+def _body(problem: MovingProblem, _full: MovingFit, _term: MovingTerm, value: Floats, _spread: Floats) -> bool:
     arm = float(np.nansum(problem.motion.robot.mass_kg))
     return bool(0.0 < value[0] < arm and np.linalg.norm(value[1:]) < 2.0 * value[0])
 
 
-def _restoring(_problem: Problem, _full: Fit, term: Term, value: Floats, _spread: Floats) -> bool:
+def _restoring(_problem: MovingProblem, _full: MovingFit, term: MovingTerm, value: Floats, _spread: Floats) -> bool:
     return bool(value[0] > 0) if term.shape == "linear" else True
 
 

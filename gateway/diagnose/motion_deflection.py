@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from gateway.diagnose.motion_fit import Problem, counting_share
-from gateway.diagnose.motion_state import State
-from gateway.result import EffectResult, Evidence
+from gateway.diagnose.motion_fit import MovingProblem, counting_share
+from gateway.diagnose.motion_state import MovingState
+from gateway.result.result import EffectResult, Evidence
 
 Floats = NDArray[np.float64]
 
@@ -17,7 +17,7 @@ LARGEST_RATIO = 0.7
 LARGEST_RAD = 0.05
 
 
-def wound_up(problem: Problem, state: State) -> tuple[EffectResult, ...]:
+def wound_up(problem: MovingProblem, state: MovingState) -> tuple[EffectResult, ...]:
     """Elastic joints among those with a secondary encoder.
 
     Wind-up is regressed on the modelled torque of the links, with a constant for the zeros of the two encoders. A joint
@@ -47,7 +47,7 @@ def wound_up(problem: Problem, state: State) -> tuple[EffectResult, ...]:
     return tuple(found)
 
 
-def _foretold(problem: Problem, design: Floats, bend: Floats) -> float:
+def _foretold(problem: MovingProblem, design: Floats, bend: Floats) -> float:
     """RMS of the wind-up that is left on unseen rows, with the torque over without it."""
     squares = np.zeros(2)
     for train, test in problem.splits:

@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.motion_fit import Problem
+from gateway.diagnose.motion_fit import MovingProblem
 from gateway.diagnose.motion_load import over_blocks
 from gateway.diagnose.motion_refine import coupling_cost
-from gateway.diagnose.motion_state import State
-from gateway.model.motion_terms import ANCHOR_M, LEVER_M, POLYTROPIC, Term
+from gateway.diagnose.motion_state import MovingState
+from gateway.model.motion_terms import ANCHOR_M, LEVER_M, POLYTROPIC, MovingTerm
 
 Floats = NDArray[np.float64]
 Named = dict[str, float]
@@ -23,7 +23,7 @@ STEP = 1e-6
 SURE = 4.0
 
 
-def parameters_of(problem: Problem, state: State, terms: Sequence[Term]) -> tuple[str, Named, Named]:
+def parameters_of(problem: MovingProblem, state: MovingState, terms: Sequence[MovingTerm]) -> tuple[str, Named, Named]:
     """Name, parameters and standard deviations of an effect that consists of `terms`."""
     where = _positions(problem, state, terms)
     name = terms[0].name
@@ -45,7 +45,9 @@ def parameters_of(problem: Problem, state: State, terms: Sequence[Term]) -> tupl
     return name, parameters, std
 
 
-def converted(problem: Problem, terms: Sequence[Term], value: Floats, covariance: Floats) -> tuple[Named, Named]:
+def converted(
+    problem: MovingProblem, terms: Sequence[MovingTerm], value: Floats, covariance: Floats
+) -> tuple[Named, Named]:
     """Parameters and standard deviations of coefficients (k,) with their covariance (k, k)."""
     if terms[0].name == "velocity_friction":
         # the Coulomb and viscous part belong to the model that is in the fit
@@ -57,7 +59,7 @@ def converted(problem: Problem, terms: Sequence[Term], value: Floats, covariance
     return _with_spread(_conversion(problem, terms), np.asarray(value, dtype=float), covariance)
 
 
-def certain(problem: Problem, state: State, terms: Sequence[Term]) -> bool:
+def certain(problem: MovingProblem, state: MovingState, terms: Sequence[MovingTerm]) -> bool:
     """Whether a scale of a reading is so far from 1 that a failing finding may be made of it; other effects are."""
     if terms[0].name != "torque_constant_scale":
         return True
@@ -65,7 +67,7 @@ def certain(problem: Problem, state: State, terms: Sequence[Term]) -> bool:
     return all(abs(parameters[key] - 1.0) > SURE * std[key] for key in std)
 
 
-def _positions(problem: Problem, state: State, terms: Sequence[Term]) -> list[int]:
+def _positions(problem: MovingProblem, state: MovingState, terms: Sequence[MovingTerm]) -> list[int]:
     start, found = problem.base.columns.shape[2], []
     for term in state.terms:
         if term in terms:
@@ -89,7 +91,7 @@ def _with_spread(convert: Conversion, value: Floats, covariance: Floats) -> tupl
     return here, dict(zip(here, (float(x) for x in std), strict=True))
 
 
-def _conversion(problem: Problem, terms: Sequence[Term]) -> Conversion:
+def _conversion(problem: MovingProblem, terms: Sequence[MovingTerm]) -> Conversion:
     first = terms[0]
     symbols = [symbol for term in terms for symbol in term.symbols]
 
@@ -141,7 +143,7 @@ def _conversion(problem: Problem, terms: Sequence[Term]) -> Conversion:
     return friction if first.name == "velocity_friction" else special.get((first.name, first.shape), plain)
 
 
-def _heaviest(problem: Problem) -> float:
+def _heaviest(problem: MovingProblem) -> float:
     return float(np.nanmax(np.append(np.nan_to_num(problem.motion.robot.mass_kg), 1.0)))
 
 
@@ -150,7 +152,7 @@ def _is_rms_peak(scale: float, std: float) -> bool:
     return min(near) < min(RMS_PEAK_TOLERANCE, 3.0 * std / scale)
 
 
-def _coupling_spread(problem: Problem, state: State, term: Term) -> float:
+def _coupling_spread(problem: MovingProblem, state: MovingState, term: MovingTerm) -> float:
     """Standard deviation of the coefficient from the curvature of the cost."""
     centre, step = dict(term.fixed)["coefficient"], 0.1
     pair = (term.joints[0], term.joints[1])

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.motion import Mask, Motion, structural_base
+from gateway.model.motion import Mask, MovingRows, structural_base
 from gateway.model.motion_baseline import Baseline
-from gateway.model.motion_terms import Modelled, Term
+from gateway.model.motion_terms import Modelled, MovingTerm
 
 Floats = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ INDEPENDENT = 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Noise:
+class MovingNoise:
     """Scale of the residual (6,) [Nm] and the share (6,) of rows that count."""
 
     sigma_nm: Floats
@@ -39,7 +39,7 @@ class Noise:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fit:
+class MovingFit:
     """One fit.
 
     Attributes
@@ -69,16 +69,16 @@ class Fit:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Problem:
+class MovingProblem:
     """What stays the same while effects come and go."""
 
-    motion: Motion
+    motion: MovingRows
     base: Baseline
-    noise: Noise
+    noise: MovingNoise
     splits: tuple[tuple[Mask, Mask], ...]
 
 
-def blocks(motion: Motion, count: int) -> tuple[tuple[Mask, Mask], ...]:
+def blocks(motion: MovingRows, count: int) -> tuple[tuple[Mask, Mask], ...]:
     """Contiguous blocks of time to hold out, each with a gap to what is fitted: (train, test) masks of shape (n,).
 
     With given hold-out rows those are the only test.
@@ -101,7 +101,7 @@ def blocks(motion: Motion, count: int) -> tuple[tuple[Mask, Mask], ...]:
     return tuple(splits)
 
 
-def fit(problem: Problem, terms: Sequence[Term], train: Mask, test: Mask) -> Fit:
+def fit(problem: MovingProblem, terms: Sequence[MovingTerm], train: Mask, test: Mask) -> MovingFit:
     """Fit the baseline with `terms` to the rows of `train` (n,)."""
     motion, base = problem.motion, problem.base
     weight = problem.noise.weight * motion.judged * train[:, None]
@@ -123,10 +123,10 @@ def fit(problem: Problem, terms: Sequence[Term], train: Mask, test: Mask) -> Fit
     residual = motion.tau_nm - columns @ value
     for axis, position in gains.items():
         value[position] = factor[axis] - 1.0
-    return Fit(weight, test, columns, inverse, value, residual, modelled, cost)
+    return MovingFit(weight, test, columns, inverse, value, residual, modelled, cost)
 
 
-def _gain_positions(base: Baseline, terms: Sequence[Term]) -> dict[int, int]:
+def _gain_positions(base: Baseline, terms: Sequence[MovingTerm]) -> dict[int, int]:
     """Axis and parameter of every scale of a reading: it multiplies what the bodies give, so the columns of the
     bodies carry the scale found so far and the parameter is the step that is left."""
     found, start = {}, base.columns.shape[2]
@@ -137,7 +137,7 @@ def _gain_positions(base: Baseline, terms: Sequence[Term]) -> dict[int, int]:
     return found
 
 
-def _columns(motion: Motion, base: Baseline, terms: Sequence[Term], modelled: Modelled | None) -> Floats:
+def _columns(motion: MovingRows, base: Baseline, terms: Sequence[MovingTerm], modelled: Modelled | None) -> Floats:
     """Columns (n, 6, P); those that need the modelled torque are zero as long as there is none."""
     if not terms:
         return base.columns
@@ -168,7 +168,7 @@ def solve(
     return inverse, value, float(rest @ rest + precision @ (value - mean) ** 2)
 
 
-def model_torque(problem: Problem, terms: Sequence[Term], columns: Floats, value: Floats) -> Modelled:
+def model_torque(problem: MovingProblem, terms: Sequence[MovingTerm], columns: Floats, value: Floats) -> Modelled:
     """Torque of the model, and the link parameters each row sees (load included)."""
     base, motion = problem.base, problem.motion
     body = np.tile(base.body @ value[: base.body.shape[1]], (len(motion), 1))
@@ -183,7 +183,7 @@ def model_torque(problem: Problem, terms: Sequence[Term], columns: Floats, value
     return Modelled(rigid, columns @ value, body)
 
 
-def noise_of(motion: Motion, terms: Sequence[Term], modelled: Modelled | None) -> Noise:
+def noise_of(motion: MovingRows, terms: Sequence[MovingTerm], modelled: Modelled | None) -> MovingNoise:
     """Scale and share of each axis from a fit of that axis alone; unmeasured axes get 1 and 1."""
     chosen = structural_base(motion.robot, motion.gravity_m_s2)
     sigma, share = np.ones(6), np.ones(6)
@@ -204,7 +204,7 @@ def noise_of(motion: Motion, terms: Sequence[Term], modelled: Modelled | None) -
         floor = 1e-6 * max(float(np.abs(target).max()), 1e-6)
         sigma[axis] = max(float(np.sqrt(np.mean(rest**2))), floor)
         share[axis] = counting_share(rest)
-    return Noise(sigma, share)
+    return MovingNoise(sigma, share)
 
 
 def counting_share(series: Floats) -> float:
@@ -221,10 +221,10 @@ def counting_share(series: Floats) -> float:
     return float(1.0 / (1.0 + 2.0 * correlation[1:stop].sum()))
 
 
-def scaled_to(problem_noise: Noise, residual_nm: Floats, judged: Mask) -> Noise:
+def scaled_to(problem_noise: MovingNoise, residual_nm: Floats, judged: Mask) -> MovingNoise:
     """The same noise, its common scale raised to what the model as a whole leaves (median over the axes)."""
     count = judged.sum(axis=0)
     there = count > 0
     square = (residual_nm**2 * judged).sum(axis=0)[there] / count[there]
     factor = float(np.sqrt(np.median(square / problem_noise.sigma_nm[there] ** 2)))
-    return Noise(problem_noise.sigma_nm * max(1.0, factor), problem_noise.share)
+    return MovingNoise(problem_noise.sigma_nm * max(1.0, factor), problem_noise.share)

@@ -11,10 +11,10 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.motion_fit import Problem
-from gateway.diagnose.motion_state import State
+from gateway.diagnose.motion_fit import MovingProblem
+from gateway.diagnose.motion_state import MovingState
 from gateway.model.motion_baseline import BARE
-from gateway.result import LoadResult
+from gateway.result.result import LoadResult
 
 Floats = NDArray[np.float64]
 
@@ -23,7 +23,9 @@ LOOSE_COM_M = 0.3
 QUANTITIES = ("mass_kg", "com_x_m", "com_y_m", "com_z_m")
 
 
-def loads_of(problem: Problem, state: State, known: Mapping[str, tuple[float, Floats]]) -> tuple[LoadResult, ...]:
+def loads_of(
+    problem: MovingProblem, state: MovingState, known: Mapping[str, tuple[float, Floats]]
+) -> tuple[LoadResult, ...]:
     """Every load label of the fitted rows; what they cannot give is unknown and named."""
     motion = problem.motion
     fitted = motion.load[~motion.given]
@@ -31,7 +33,9 @@ def loads_of(problem: Problem, state: State, known: Mapping[str, tuple[float, Fl
     return tuple(_load(problem, state, label, known) for label in labels)
 
 
-def _load(problem: Problem, state: State, label: str, known: Mapping[str, tuple[float, Floats]]) -> LoadResult:
+def _load(
+    problem: MovingProblem, state: MovingState, label: str, known: Mapping[str, tuple[float, Floats]]
+) -> LoadResult:
     if label in known:
         mass, com = known[label]
         return LoadResult(label, mass, 0.0, tuple(float(x) for x in com), (0.0, 0.0, 0.0))
@@ -62,14 +66,14 @@ def _load(problem: Problem, state: State, label: str, known: Mapping[str, tuple[
     )
 
 
-def _in_flange(problem: Problem, com_m: Floats) -> tuple[float, ...] | None:
+def _in_flange(problem: MovingProblem, com_m: Floats) -> tuple[float, ...] | None:
     flange = problem.motion.robot.flange
     if flange is None:
         return None
     return tuple(float(x) for x in flange[:3, :3].T @ (com_m - flange[:3, 3]))
 
 
-def over_blocks(problem: Problem, state: State, where: NDArray[np.int_]) -> Floats:
+def over_blocks(problem: MovingProblem, state: MovingState, where: NDArray[np.int_]) -> Floats:
     """Covariance of parameters over fits that leave out one block of time each; zero with a given hold-out."""
     if problem.motion.given.any() or len(state.fits) < 3:
         return np.zeros((len(where), len(where)))
@@ -78,7 +82,7 @@ def over_blocks(problem: Problem, state: State, where: NDArray[np.int_]) -> Floa
     return (len(estimates) - 1) / len(estimates) * centred.T @ centred
 
 
-def friction_level(problem: Problem, state: State) -> Floats:
+def friction_level(problem: MovingProblem, state: MovingState) -> Floats:
     """Dry friction (6,) [Nm] towards standstill, NaN for an axis that was not judged."""
     level = state.full.value[problem.base.friction[:, 0]].copy()
     position = problem.base.columns.shape[2]

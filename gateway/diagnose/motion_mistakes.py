@@ -12,8 +12,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.motion_fit import Fit, Noise, Problem, fit
-from gateway.model.motion import Motion
+from gateway.diagnose.motion_fit import MovingFit, MovingNoise, MovingProblem, fit
+from gateway.model.motion import MovingRows
 
 Floats = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ MOST = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Mistake:
+class MovingMistake:
     """`sign_reversed` of one joint or `axes_swapped` of two, from 0; `ratio` = held-out RMS after over before."""
 
     name: str
@@ -32,9 +32,9 @@ class Mistake:
     ratio: float = np.nan
 
 
-def find_mistakes(problem: Problem, allowed: frozenset[str]) -> list[Mistake]:
+def find_mistakes(problem: MovingProblem, allowed: frozenset[str]) -> list[MovingMistake]:
     """Mistakes in the order in which they were found, each with those before it undone."""
-    found: list[Mistake] = []
+    found: list[MovingMistake] = []
     for _ in range(MOST):
         best = _worst(problem, allowed)
         if best is None:
@@ -44,7 +44,7 @@ def find_mistakes(problem: Problem, allowed: frozenset[str]) -> list[Mistake]:
     return found
 
 
-def undo(motion: Motion, mistakes: list[Mistake]) -> Motion:
+def undo(motion: MovingRows, mistakes: list[MovingMistake]) -> MovingRows:
     """The run as it would read without the mistakes."""
     tau = motion.tau_nm.copy()
     for mistake in mistakes:
@@ -55,7 +55,7 @@ def undo(motion: Motion, mistakes: list[Mistake]) -> Motion:
     return replace(motion, tau_nm=tau)
 
 
-def _worst(problem: Problem, allowed: frozenset[str]) -> Mistake | None:
+def _worst(problem: MovingProblem, allowed: frozenset[str]) -> MovingMistake | None:
     """The mistake whose undoing halves the held-out error most clearly."""
     neutral = _with_neutral_noise(problem)
     everything = ~problem.motion.given
@@ -65,9 +65,9 @@ def _worst(problem: Problem, allowed: frozenset[str]) -> Mistake | None:
     for axis in axes:
         power = _friction_power(neutral, now, axis) if "sign_reversed" in allowed else 0.0
         if power < 0:
-            suspects.append((Mistake("sign_reversed", (axis,)), NOT_WORSE if power < -SURE else HALVED))
+            suspects.append((MovingMistake("sign_reversed", (axis,)), NOT_WORSE if power < -SURE else HALVED))
     for pair in combinations(axes, 2):
-        mistake = Mistake("axes_swapped", pair)
+        mistake = MovingMistake("axes_swapped", pair)
         if "axes_swapped" in allowed and _ratio(neutral, now, mistake, everything, everything) < HALVED:
             suspects.append((mistake, HALVED))
     judged = []
@@ -78,19 +78,19 @@ def _worst(problem: Problem, allowed: frozenset[str]) -> Mistake | None:
     return min(judged, key=lambda mistake: mistake.ratio, default=None)
 
 
-def _with_neutral_noise(problem: Problem) -> Problem:
+def _with_neutral_noise(problem: MovingProblem) -> MovingProblem:
     """Weights from the size of the torque alone: a mistake must not choose its own."""
     motion = problem.motion
     power = (motion.tau_nm**2 * motion.judged).sum(axis=0) / np.maximum(motion.judged.sum(axis=0), 1)
     sigma = 0.1 * np.sqrt(np.where(power > 0, power, 1.0))
-    return replace(problem, noise=Noise(sigma, problem.noise.share))
+    return replace(problem, noise=MovingNoise(sigma, problem.noise.share))
 
 
-def _undone(problem: Problem, mistake: Mistake) -> Problem:
+def _undone(problem: MovingProblem, mistake: MovingMistake) -> MovingProblem:
     return _with_neutral_noise(replace(problem, motion=undo(problem.motion, [mistake])))
 
 
-def _friction_power(problem: Problem, solved: Fit, axis: int) -> float:
+def _friction_power(problem: MovingProblem, solved: MovingFit, axis: int) -> float:
     """Mean power of the fitted friction of one axis in its own standard deviations."""
     motion = problem.motion
     rows = solved.weight[:, axis] > 0
@@ -102,13 +102,15 @@ def _friction_power(problem: Problem, solved: Fit, axis: int) -> float:
     return float(direction @ solved.value[where] / np.sqrt(direction @ covariance @ direction * max(left, 1e-12)))
 
 
-def _takes_power(problem: Problem, mistake: Mistake) -> bool:
+def _takes_power(problem: MovingProblem, mistake: MovingMistake) -> bool:
     other = _undone(problem, mistake)
     solved = fit(other, (), ~other.motion.given, other.motion.given)
     return all(_friction_power(other, solved, axis) > 0 for axis in mistake.joints)
 
 
-def _ratio(problem: Problem, now: Fit, mistake: Mistake, train: NDArray[np.bool_], test: NDArray[np.bool_]) -> float:
+def _ratio(
+    problem: MovingProblem, now: MovingFit, mistake: MovingMistake, train: NDArray[np.bool_], test: NDArray[np.bool_]
+) -> float:
     """RMS with the mistake undone over RMS as it reads, geometric mean over all axes of the mistake, on `test`."""
     other = _undone(problem, mistake)
     solved = fit(other, (), train, test)
@@ -122,7 +124,7 @@ def _ratio(problem: Problem, now: Fit, mistake: Mistake, train: NDArray[np.bool_
     return float(np.exp(np.mean(logs)))
 
 
-def _held_ratio(problem: Problem, mistake: Mistake) -> float:
+def _held_ratio(problem: MovingProblem, mistake: MovingMistake) -> float:
     """Held-out RMS, each axis over its own torque, undone over as it reads: the pair's axes, or all for one sign."""
     other = _undone(problem, mistake)
     squares = np.zeros((2, 6))

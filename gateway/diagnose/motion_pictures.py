@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.motion_fit import Problem
+from gateway.diagnose.motion_fit import MovingProblem
 from gateway.diagnose.motion_load import over_blocks
-from gateway.diagnose.motion_state import State
-from gateway.model.motion_terms import Term
+from gateway.diagnose.motion_state import MovingState
+from gateway.model.motion_terms import MovingTerm
 
 Floats = NDArray[np.float64]
 
@@ -25,16 +25,20 @@ OF_ANGLE = frozenset({"balancer_spring", "cable_torque"})
 
 
 def pictures(
-    problem: Problem, before: State, after: State, effects: Sequence[tuple[Term, ...]], kept: NDArray[np.int_]
+    problem: MovingProblem,
+    before: MovingState,
+    after: MovingState,
+    effects: Sequence[tuple[MovingTerm, ...]],
+    kept: NDArray[np.int_],
 ) -> dict[str, Any]:
     """Keys of `data` that the report reads.
 
     Parameters
     ----------
-    problem : Problem
-    before, after : State
+    problem : MovingProblem
+    before, after : MovingState
         Without and with the effects.
-    effects : sequence of tuples of Term
+    effects : sequence of tuples of MovingTerm
         The terms of each effect.
     kept : int array of shape (k,)
         Rows that the result file keeps.
@@ -47,7 +51,7 @@ def pictures(
     return data
 
 
-def _curve(problem: Problem, state: State, terms: tuple[Term, ...]) -> dict[str, Any]:
+def _curve(problem: MovingProblem, state: MovingState, terms: tuple[MovingTerm, ...]) -> dict[str, Any]:
     """One effect on the axis where it is largest."""
     motion, full = problem.motion, state.full
     where = _positions(problem, state, terms)
@@ -79,7 +83,7 @@ def _curve(problem: Problem, state: State, terms: tuple[Term, ...]) -> dict[str,
     }
 
 
-def _positions(problem: Problem, state: State, terms: tuple[Term, ...]) -> list[int]:
+def _positions(problem: MovingProblem, state: MovingState, terms: tuple[MovingTerm, ...]) -> list[int]:
     start, found = problem.base.columns.shape[2], []
     for term in state.terms:
         if term in terms:
@@ -89,7 +93,7 @@ def _positions(problem: Problem, state: State, terms: tuple[Term, ...]) -> list[
 
 
 def _abscissa(
-    problem: Problem, state: State, term: Term, axis: int, effect: Floats, rows: NDArray[np.int_]
+    problem: MovingProblem, state: MovingState, term: MovingTerm, axis: int, effect: Floats, rows: NDArray[np.int_]
 ) -> tuple[Floats, str, str]:
     """What the effect is a function of; the effect itself where no single quantity describes it."""
     motion = problem.motion

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from gateway.diagnose.motion_fit import Problem, fit
-from gateway.diagnose.motion_state import State, refitted
+from gateway.diagnose.motion_fit import MovingProblem, fit
+from gateway.diagnose.motion_state import MovingState, refitted
 from gateway.diagnose.motion_trial import put_on_trial
 from gateway.model import motion_terms as library
 from gateway.model.motion_readings import gain
-from gateway.model.motion_terms import Term
+from gateway.model.motion_terms import MovingTerm
 
 COUPLING_STEPS = np.array([0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0])
 COUPLING_SLACK = 4.0
@@ -21,7 +21,7 @@ GAS_STROKES = (0.2, 0.4, 0.6, 0.8)
 GAS_LEAD = 5.0
 
 
-def refine(problem: Problem, state: State, term: Term) -> Term:
+def refine(problem: MovingProblem, state: MovingState, term: MovingTerm) -> MovingTerm:
     """The member of the effect's family that fits best, as far as the rows tell the members apart."""
     if (term.name, term.shape) == ("axis_coupling", "motor"):
         return _best_coupling(problem, state, term)
@@ -32,14 +32,14 @@ def refine(problem: Problem, state: State, term: Term) -> Term:
     return term
 
 
-def _best_scale(problem: Problem, state: State) -> Term:
+def _best_scale(problem: MovingProblem, state: MovingState) -> MovingTerm:
     """The axis whose scale explains most once it is fitted to the end: two neighbours look alike to first order."""
     members = [gain(int(axis)) for axis in np.flatnonzero(problem.motion.measured)]
     members = [term for term in members if term not in state.terms]
     return max(members, key=lambda term: refitted(problem, state, term).gain)
 
 
-def _best_balancer(problem: Problem, state: State, found: Term) -> Term:
+def _best_balancer(problem: MovingProblem, state: MovingState, found: MovingTerm) -> MovingTerm:
     """A coil of vanishing free length, or the gas law where the held-out rows clearly want its bend."""
     plain = put_on_trial(problem, state.fits, state.full, library.coil_balancer())
     if found.shape == "gas":
@@ -59,7 +59,7 @@ def _best_balancer(problem: Problem, state: State, found: Term) -> Term:
     return best
 
 
-def _best_coupling(problem: Problem, state: State, term: Term) -> Term:
+def _best_coupling(problem: MovingProblem, state: MovingState, term: MovingTerm) -> MovingTerm:
     """The coupling whose coefficient the fitted rows prefer; a one-to-one train if they do not contradict it."""
     pair = (term.joints[0], term.joints[1])
     centre = dict(term.fixed)["coefficient"]
@@ -71,7 +71,9 @@ def _best_coupling(problem: Problem, state: State, term: Term) -> Term:
     return library.axis_coupling(pair, float(grid[chosen]))
 
 
-def coupling_cost(problem: Problem, others: Sequence[Term], pair: tuple[int, int], coefficient: float) -> float:
+def coupling_cost(
+    problem: MovingProblem, others: Sequence[MovingTerm], pair: tuple[int, int], coefficient: float
+) -> float:
     """Cost of the fitted rows if all friction and rotor inertia of axis j sit on its motor: only then does the
     coefficient show, because what sits on the joint turns at the joint's own speed."""
     precision = problem.base.precision.copy()

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.motion_effects import converted, parameters_of
-from gateway.diagnose.motion_fit import Problem
+from gateway.diagnose.motion_fit import MovingProblem
 from gateway.diagnose.motion_load import friction_level, loads_of
+from gateway.diagnose.motion_mistakes import MovingMistake
 from gateway.diagnose.motion_pictures import pictures
 from gateway.diagnose.motion_select import Chosen
-from gateway.diagnose.motion_state import State
+from gateway.diagnose.motion_state import MovingState
 from gateway.diagnose.motion_trial import Trial
-from gateway.result import (
+from gateway.result.result import (
     EffectResult,
     Evidence,
     Finding,
@@ -25,9 +27,6 @@ from gateway.result import (
     Rows,
 )
 
-if TYPE_CHECKING:
-    from gateway.diagnose.motion import Outcome
-
 Floats = NDArray[np.float64]
 
 ROWS_KEPT = 600
@@ -35,7 +34,24 @@ OVERFITTED = 2.0
 FAULTS = ("sign_reversed", "axes_swapped", "current_rms_peak")
 
 
-def result_of(outcome: Outcome) -> Result:
+@dataclass(frozen=True, slots=True, eq=False)
+class MovingOutcome:
+    """Everything the result file is written from."""
+
+    problem: MovingProblem
+    before: MovingState
+    after: MovingState
+    effects: tuple[Chosen, ...]
+    doubtful: tuple[Chosen, ...]
+    rejected: tuple[Trial, ...]
+    mistakes: tuple[MovingMistake, ...]
+    as_read: MovingState | None
+    structure: Mapping[int, float]
+    known: Mapping[str, tuple[float, Floats]]
+    wound: tuple[EffectResult, ...] = ()
+
+
+def result_of(outcome: MovingOutcome) -> Result:
     """Write up a finished diagnosis."""
     problem, after = outcome.problem, outcome.after
     effects = (
@@ -68,7 +84,7 @@ def result_of(outcome: Outcome) -> Result:
     )
 
 
-def too_little(problem: Problem, state: State) -> Result:
+def too_little(problem: MovingProblem, state: MovingState) -> Result:
     """Too little motion to hold any of it out."""
     summary = FitSummary(rms_nm=_six(_rms(problem, state)))
     step = NextMeasurement("a moving run of at least 10 s in which every axis changes its direction several times")
@@ -88,14 +104,14 @@ def _six(values: Floats) -> tuple[float, ...]:
     return tuple(float(x) for x in values)
 
 
-def _rms(problem: Problem, state: State) -> Floats:
+def _rms(problem: MovingProblem, state: MovingState) -> Floats:
     judged = problem.motion.judged & ~problem.motion.given[:, None]
     count = judged.sum(axis=0)
     square = (state.full.residual_nm**2 * judged).sum(axis=0)
     return np.sqrt(np.where(count > 0, square, np.nan) / np.maximum(count, 1))
 
 
-def _summary(problem: Problem, state: State, outcome: Outcome, *, first: bool) -> FitSummary:
+def _summary(problem: MovingProblem, state: MovingState, outcome: MovingOutcome, *, first: bool) -> FitSummary:
     loads = loads_of(problem, outcome.before if first else state, outcome.known)
     return FitSummary(_six(_rms(problem, state)), _six(state.held.rms_nm), loads)
 
@@ -104,7 +120,7 @@ def _joints(joints: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(joint + 1 for joint in joints)
 
 
-def _effect(problem: Problem, state: State, item: Chosen, tried: int) -> EffectResult:
+def _effect(problem: MovingProblem, state: MovingState, item: Chosen, tried: int) -> EffectResult:
     """`p_value` counts every candidate that was tried (Bonferroni)."""
     name, parameters, std = parameters_of(problem, state, item.terms)
     runner = item.runner_up
@@ -117,11 +133,11 @@ def _effect(problem: Problem, state: State, item: Chosen, tried: int) -> EffectR
     return EffectResult(name, _joints(item.terms[0].joints), parameters, std, evidence)
 
 
-def _tried(outcome: Outcome) -> int:
+def _tried(outcome: MovingOutcome) -> int:
     return len(outcome.rejected) + len(outcome.effects) + len(outcome.doubtful)
 
 
-def _rivals(problem: Problem, state: State, item: Chosen, tried: int) -> list[EffectResult]:
+def _rivals(problem: MovingProblem, state: MovingState, item: Chosen, tried: int) -> list[EffectResult]:
     """Both effects that explain the same rows."""
     found = [_effect(problem, state, item, tried)]
     rival = item.runner_up
@@ -132,14 +148,14 @@ def _rivals(problem: Problem, state: State, item: Chosen, tried: int) -> list[Ef
     return found
 
 
-def _mistakes(outcome: Outcome) -> tuple[EffectResult, ...]:
+def _mistakes(outcome: MovingOutcome) -> tuple[EffectResult, ...]:
     return tuple(
         EffectResult(item.name, _joints(item.joints), evidence=Evidence(holdout_rms_ratio=item.ratio))
         for item in outcome.mistakes
     )
 
 
-def _verdict(outcome: Outcome, undecided: bool, any_effect: bool) -> str:
+def _verdict(outcome: MovingOutcome, undecided: bool, any_effect: bool) -> str:
     if undecided:
         return "undecided"
     if any_effect:
@@ -149,14 +165,14 @@ def _verdict(outcome: Outcome, undecided: bool, any_effect: bool) -> str:
     return "unexplained" if outcome.structure else "none_needed"
 
 
-def _does_not_carry(outcome: Outcome) -> bool:
+def _does_not_carry(outcome: MovingOutcome) -> bool:
     """The model fits the rows but not those held out: the motion is too poor for what is to be estimated."""
     fitted, held = _rms(outcome.problem, outcome.after), outcome.after.held.rms_nm
     there = fitted > 0
     return bool(there.any() and np.median(held[there] / fitted[there]) > OVERFITTED)
 
 
-def _rejected(outcome: Outcome) -> tuple[Rejected, ...]:
+def _rejected(outcome: MovingOutcome) -> tuple[Rejected, ...]:
     accepted = {item.terms[0].key for item in outcome.effects}
     best: dict[tuple[str, tuple[int, ...]], float] = {}
     trials: list[Trial] = list(outcome.rejected)
@@ -179,7 +195,7 @@ def _tell_apart(item: Chosen) -> NextMeasurement:
     return NextMeasurement(what, tells_apart=tuple(names))
 
 
-def _richer(outcome: Outcome, any_effect: bool) -> tuple[NextMeasurement, ...]:
+def _richer(outcome: MovingOutcome, any_effect: bool) -> tuple[NextMeasurement, ...]:
     if any_effect or not _does_not_carry(outcome):
         return ()
     what = "a longer moving run over the whole range of every axis; the rows held out are not foretold by the others"
@@ -199,7 +215,7 @@ def _faults(effects: tuple[EffectResult, ...]) -> tuple[Finding, ...]:
     )
 
 
-def _remarks(outcome: Outcome) -> tuple[Finding, ...]:
+def _remarks(outcome: MovingOutcome) -> tuple[Finding, ...]:
     motion = outcome.problem.motion
     found = [
         Finding("warn", f"J{axis + 1}", "the axis does not move or is not measured: nothing is said about it")
@@ -217,7 +233,7 @@ def _remarks(outcome: Outcome) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-def _provenance(problem: Problem, outcome: Outcome) -> dict[str, object]:
+def _provenance(problem: MovingProblem, outcome: MovingOutcome) -> dict[str, object]:
     motion, trust = problem.motion, problem.base.trust
     return {
         "kind": "moving",
@@ -230,12 +246,12 @@ def _provenance(problem: Problem, outcome: Outcome) -> dict[str, object]:
     }
 
 
-def _kept(problem: Problem) -> NDArray[np.int_]:
+def _kept(problem: MovingProblem) -> NDArray[np.int_]:
     """Rows that the result file keeps."""
     return np.arange(0, len(problem.motion), max(1, int(np.ceil(len(problem.motion) / ROWS_KEPT))))
 
 
-def _rows(problem: Problem, state: State) -> Rows:
+def _rows(problem: MovingProblem, state: MovingState) -> Rows:
     motion = problem.motion
     kept = _kept(problem)
 

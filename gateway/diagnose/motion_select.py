@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gateway.diagnose.motion_candidates import DRAWN, candidates, possible, ripples
-from gateway.diagnose.motion_fit import Problem
+from gateway.diagnose.motion_fit import MovingProblem
 from gateway.diagnose.motion_refine import refine
-from gateway.diagnose.motion_state import State, compare, refitted, state_of, with_noise_of
+from gateway.diagnose.motion_state import MovingState, compare, refitted, state_of, with_noise_of
 from gateway.diagnose.motion_trial import Trial, put_on_trial
 from gateway.model import motion_terms as library
-from gateway.model.motion_terms import Term
+from gateway.model.motion_terms import MovingTerm
 
 FRICTION = frozenset({"velocity_friction", "load_dependent_friction"})
 LARGEST_MODEL = 16
@@ -44,7 +44,7 @@ SPECIAL_ALL_AXES = replace(SPECIAL, ratio=0.85)
 ORDINARY_NAMES = frozenset({"velocity_friction", "load_dependent_friction", "axis_coupling", "balancer_spring"})
 
 
-def demands(term: Term) -> Demands:
+def demands(term: MovingTerm) -> Demands:
     """What this effect must show."""
     if term.name in ORDINARY_NAMES and term.shape != "mixing":
         return ORDINARY
@@ -58,14 +58,14 @@ class Chosen:
     `contested`: the runner-up meets its own demands, and the odds against it are below `SURE_ODDS`.
     """
 
-    terms: tuple[Term, ...]
+    terms: tuple[MovingTerm, ...]
     trial: Trial
     runner_up: Trial | None
     odds: float
     contested: bool
 
 
-def believed(problem: Problem, trial: Trial, tried: int) -> bool:
+def believed(problem: MovingProblem, trial: Trial, tried: int) -> bool:
     """Whether a trial meets its demands."""
     need = demands(trial.term)
     return (
@@ -77,21 +77,23 @@ def believed(problem: Problem, trial: Trial, tried: int) -> bool:
     )
 
 
-def select(problem: Problem, allowed: frozenset[str], start: Sequence[Term] = ()) -> tuple[Problem, State, list[Trial]]:
+def select(
+    problem: MovingProblem, allowed: frozenset[str], start: Sequence[MovingTerm] = ()
+) -> tuple[MovingProblem, MovingState, list[Trial]]:
     """Add effects while they are believed, then drop those that are not needed any more.
 
     Returns
     -------
-    Problem
+    MovingProblem
         With the noise figures of the final model.
-    State
+    MovingState
         The final model.
     list of Trial
         The best trial of every effect that was tried on the final model and did not earn its place.
     """
     state = state_of(problem, start)
     pool = candidates(problem, allowed)
-    stale: dict[Term, float] = {}
+    stale: dict[MovingTerm, float] = {}
     while len(state.terms) < LARGEST_MODEL:
         tried = len(pool)
         best = _best(problem, state, pool, stale, tried)
@@ -111,7 +113,7 @@ def select(problem: Problem, allowed: frozenset[str], start: Sequence[Term] = ()
     return problem, state, left
 
 
-def _open(state: State, pool: Sequence[Term]) -> list[Term]:
+def _open(state: MovingState, pool: Sequence[MovingTerm]) -> list[MovingTerm]:
     """Candidates that are not in the model: one member per family, two shapes of velocity friction per axis."""
     keys = [term.key for term in state.terms]
     return [
@@ -121,12 +123,14 @@ def _open(state: State, pool: Sequence[Term]) -> list[Term]:
     ]
 
 
-def _trials(problem: Problem, state: State, pool: Sequence[Term]) -> list[Trial]:
+def _trials(problem: MovingProblem, state: MovingState, pool: Sequence[MovingTerm]) -> list[Trial]:
     trials = (put_on_trial(problem, state.fits, state.full, term) for term in _open(state, pool))
     return [trial for trial in trials if trial is not None]
 
 
-def _best(problem: Problem, state: State, pool: Sequence[Term], stale: dict[Term, float], tried: int) -> Trial | None:
+def _best(
+    problem: MovingProblem, state: MovingState, pool: Sequence[MovingTerm], stale: dict[MovingTerm, float], tried: int
+) -> Trial | None:
     """The believed trial that gains most; gains of an earlier round bound those of this one loosely."""
     best: Trial | None = None
     for term in sorted(_open(state, pool), key=lambda term: -stale.get(term, np.inf)):
@@ -143,7 +147,9 @@ def _best(problem: Problem, state: State, pool: Sequence[Term], stale: dict[Term
     return best
 
 
-def _best_pair(problem: Problem, state: State, pool: Sequence[Term], tried: int) -> tuple[Term, ...]:
+def _best_pair(
+    problem: MovingProblem, state: MovingState, pool: Sequence[MovingTerm], tried: int
+) -> tuple[MovingTerm, ...]:
     """Two parts of one axis's friction that are believed together though neither is alone."""
     friction = [term for term in _open(state, pool) if term.name in FRICTION]
     hopeless = ORDINARY.p_demand / tried
@@ -160,7 +166,7 @@ def _best_pair(problem: Problem, state: State, pool: Sequence[Term], tried: int)
     return found
 
 
-def _possible_part(problem: Problem, state: State, trial: Trial, term: Term, part: int) -> bool:
+def _possible_part(problem: MovingProblem, state: MovingState, trial: Trial, term: MovingTerm, part: int) -> bool:
     """The load's share of a pair must be a loss; its shape over speed is free."""
     if term.name != "load_dependent_friction":
         return True
@@ -168,7 +174,7 @@ def _possible_part(problem: Problem, state: State, trial: Trial, term: Term, par
     return possible(problem, state.full, term, trial.value[here], trial.covariance[here, here])
 
 
-def _without_idle(problem: Problem, state: State, tried: int) -> State:
+def _without_idle(problem: MovingProblem, state: MovingState, tried: int) -> MovingState:
     """Drop, one at a time, the effect that the held-out rows miss least, while it is not believed any more."""
     while state.terms:
         rated = []
@@ -187,12 +193,12 @@ def _needed(trial: Trial) -> bool:
     return trial.ratio <= 0.5 * (1.0 + need.ratio) and trial.gain > 0 and trial.p_held <= 2.0 * need.p_held
 
 
-def penalty(term: Term) -> float:
+def penalty(term: MovingTerm) -> float:
     """Log of what an effect has to make good before it is weighed: its coefficients, and being rare in arms."""
     return len(term.symbols) + (0.0 if term.name in FRICTION else float(np.log(RARE)))
 
 
-def weigh(problem: Problem, state: State, allowed: frozenset[str]) -> list[Chosen]:
+def weigh(problem: MovingProblem, state: MovingState, allowed: frozenset[str]) -> list[Chosen]:
     """Each effect of the model against the model without it, and against the best other effect in its place."""
     pool = candidates(problem, allowed)
     out = []

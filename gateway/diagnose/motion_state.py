@@ -7,22 +7,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gateway.diagnose.motion_fit import Fit, Problem, fit, noise_of, scaled_to
-from gateway.diagnose.motion_trial import Held, Trial, held_out, judge
-from gateway.model.motion_terms import Term
+from gateway.diagnose.motion_fit import MovingFit, MovingProblem, fit, noise_of, scaled_to
+from gateway.diagnose.motion_trial import MovingHeld, Trial, held_out, judge
+from gateway.model.motion_terms import MovingTerm
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class State:
+class MovingState:
     """A model with its fits."""
 
-    terms: tuple[Term, ...]
-    fits: tuple[Fit, ...]
-    full: Fit
-    held: Held
+    terms: tuple[MovingTerm, ...]
+    fits: tuple[MovingFit, ...]
+    full: MovingFit
+    held: MovingHeld
 
 
-def state_of(problem: Problem, terms: Sequence[Term]) -> State:
+def state_of(problem: MovingProblem, terms: Sequence[MovingTerm]) -> MovingState:
     """Fit a model to every split and to all rows that may be fitted."""
     fits = tuple(fit(problem, terms, train, test) for train, test in problem.splits)
     if problem.motion.given.any():
@@ -30,10 +30,10 @@ def state_of(problem: Problem, terms: Sequence[Term]) -> State:
     else:
         everything = ~problem.motion.given
         full = fit(problem, terms, everything, problem.motion.given)
-    return State(tuple(terms), fits, full, held_out(problem, fits))
+    return MovingState(tuple(terms), fits, full, held_out(problem, fits))
 
 
-def with_noise_of(problem: Problem, terms: Sequence[Term], full: Fit | None) -> Problem:
+def with_noise_of(problem: MovingProblem, terms: Sequence[MovingTerm], full: MovingFit | None) -> MovingProblem:
     """The problem with noise figures that belong to the model with `terms`, as `full` fitted it."""
     motion = problem.motion
     noise = noise_of(motion, terms, full.modelled if full is not None else None)
@@ -43,7 +43,7 @@ def with_noise_of(problem: Problem, terms: Sequence[Term], full: Fit | None) -> 
     return replace(problem, noise=scaled_to(noise, full.residual_nm, motion.judged & everything[:, None]))
 
 
-def compare(problem: Problem, smaller: State, larger: State, term: Term) -> Trial:
+def compare(problem: MovingProblem, smaller: MovingState, larger: MovingState, term: MovingTerm) -> Trial:
     """Trial of `term` from two fitted models: `smaller` has all of `larger` but the term (or its whole family)."""
     drop = smaller.full.cost - larger.full.cost
     start = problem.base.columns.shape[2]
@@ -57,6 +57,6 @@ def compare(problem: Problem, smaller: State, larger: State, term: Term) -> Tria
     return judge(problem, larger.fits, term, smaller.held, larger.held, (value, covariance, drop, rest, smaller.full))
 
 
-def refitted(problem: Problem, smaller: State, term: Term) -> Trial:
+def refitted(problem: MovingProblem, smaller: MovingState, term: MovingTerm) -> Trial:
     """Trial of one more effect, fitted to the end."""
     return compare(problem, smaller, state_of(problem, (*smaller.terms, term)), term)

@@ -9,18 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from gateway.diagnose.motion_fit import INDEPENDENT, Fit, Problem, counting_share
-from gateway.model.motion_terms import Term
+from gateway.diagnose.motion_fit import INDEPENDENT, MovingFit, MovingProblem, counting_share
+from gateway.model.motion_terms import MovingTerm
 
 Floats = NDArray[np.float64]
 FEWEST_STRETCHES, MOST_STRETCHES = 6, 24
 QUIET = 0.1
 # Coefficients, their covariance, drop of the cost, residual (n, len(axes)) with the effect, fit without it.
-Solved = tuple[Floats, Floats, float, Floats, Fit]
+Solved = tuple[Floats, Floats, float, Floats, MovingFit]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Held:
+class MovingHeld:
     """Held-out squares of one model: residual (n, 6) [Nm], 0 where not judged or not held out; mask of what counts."""
 
     residual_nm: Floats
@@ -44,7 +44,7 @@ class Trial:
 
     Attributes
     ----------
-    term : Term
+    term : MovingTerm
     ratio : float
         Held-out RMS with over without it, pooled over the effect's axes.
     gain : float
@@ -58,10 +58,10 @@ class Trial:
     value : array of shape (k,)
         Coefficients in the fit to all rows; NaN where the columns are collinear with the model.
     covariance : array of shape (k, k)
-    held : Held
+    held : MovingHeld
     """
 
-    term: Term
+    term: MovingTerm
     ratio: float
     gain: float
     p_demand: float
@@ -69,21 +69,21 @@ class Trial:
     blocks_better: float
     value: Floats
     covariance: Floats
-    held: Held
+    held: MovingHeld
 
 
-def held_out(problem: Problem, fits: Sequence[Fit]) -> Held:
+def held_out(problem: MovingProblem, fits: Sequence[MovingFit]) -> MovingHeld:
     """Join the held-out residuals of the splits."""
     residual = np.zeros_like(problem.motion.tau_nm)
     counted = np.zeros_like(problem.motion.judged)
     for fit in fits:
         residual[fit.test] = fit.residual_nm[fit.test]
         counted[fit.test] = problem.motion.judged[fit.test]
-    return Held(residual * counted, counted)
+    return MovingHeld(residual * counted, counted)
 
 
 def put_on_trial(
-    problem: Problem, fits: Sequence[Fit], full: Fit, term: Term, hopeless: float = np.inf
+    problem: MovingProblem, fits: Sequence[MovingFit], full: MovingFit, term: MovingTerm, hopeless: float = np.inf
 ) -> Trial | None:
     """Add one effect to the fits of every split.
 
@@ -113,11 +113,11 @@ def put_on_trial(
             part[:, axes] -= columns[rows] @ step[0]
         residual[rows] = part
     before = held_out(problem, fits)
-    after = Held(residual * before.counted, before.counted)
+    after = MovingHeld(residual * before.counted, before.counted)
     return judge(problem, fits, term, before, after, (value, covariance, drop, rest, full))
 
 
-def _extend(fit: Fit, axes: list[int], columns: Floats) -> tuple[Floats, Floats, Floats, float] | None:
+def _extend(fit: MovingFit, axes: list[int], columns: Floats) -> tuple[Floats, Floats, Floats, float] | None:
     """Coefficients (k,), their covariance, the change of the other parameters (P,) with its sign turned, and the drop
     of the cost. What is collinear with the model stays zero; None if all of it is."""
     weight = fit.weight[:, axes] ** 2
@@ -143,11 +143,11 @@ def _extend(fit: Fit, axes: list[int], columns: Floats) -> tuple[Floats, Floats,
 
 
 def judge(
-    problem: Problem,
-    fits: Sequence[Fit],
-    term: Term,
-    before: Held,
-    after: Held,
+    problem: MovingProblem,
+    fits: Sequence[MovingFit],
+    term: MovingTerm,
+    before: MovingHeld,
+    after: MovingHeld,
     solved: Solved,
 ) -> Trial:
     """Figures of one trial from the held-out residuals without (`before`) and with the effect (`after`)."""
@@ -185,7 +185,9 @@ def _rank(covariance: Floats) -> int:
     return max(int(np.linalg.matrix_rank(covariance, hermitian=True)), 1)
 
 
-def _demand(problem: Problem, full: Fit, axes: list[int], after_nm: Floats, drop: float, count: int) -> float:
+def _demand(
+    problem: MovingProblem, full: MovingFit, axes: list[int], after_nm: Floats, drop: float, count: int
+) -> float:
     """p of the F test of a drop of the cost against what is left on the axes (n, len(axes)), rows counted by the
     correlation of the residual that is left."""
     used = full.weight[:, axes] > 0

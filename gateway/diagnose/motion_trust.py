@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.motion_candidates import DRAWN
-from gateway.diagnose.motion_fit import Noise, Problem, counting_share, fit
+from gateway.diagnose.motion_fit import MovingNoise, MovingProblem, counting_share, fit
 from gateway.model.motion_baseline import baseline
-from gateway.model.motion_terms import Term
+from gateway.model.motion_terms import MovingTerm
 
 Floats = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ WORTHLESS = 0.5
 CONTRADICTED = 3.0
 
 
-def log_evidence(problem: Problem, terms: Sequence[Term]) -> float:
+def log_evidence(problem: MovingProblem, terms: Sequence[MovingTerm]) -> float:
     """Log marginal likelihood of the rows to be fitted, up to a constant that trust and effects do not change."""
     everything = ~problem.motion.given
     solved = fit(problem, terms, everything, problem.motion.given)
@@ -45,7 +45,9 @@ def _scaled(covariance: Floats, precision: Floats) -> Floats:
     return covariance * root * root[:, None]
 
 
-def choose_trust(problem: Problem, terms: Sequence[Term], known: Mapping[str, tuple[float, Floats]]) -> float | None:
+def choose_trust(
+    problem: MovingProblem, terms: Sequence[MovingTerm], known: Mapping[str, tuple[float, Floats]]
+) -> float | None:
     """Trust of the CAD values: relative standard deviation, or None if they are worth nothing."""
     problem = _with_noise_left(problem, terms)
     stories = [list(terms)]
@@ -58,7 +60,7 @@ def choose_trust(problem: Problem, terms: Sequence[Term], known: Mapping[str, tu
     return None if level >= WORTHLESS else level
 
 
-def _with_noise_left(problem: Problem, terms: Sequence[Term]) -> Problem:
+def _with_noise_left(problem: MovingProblem, terms: Sequence[MovingTerm]) -> MovingProblem:
     """The problem with each axis's scale and correlation as the model with the effects leaves them."""
     motion = problem.motion
     everything = ~motion.given
@@ -69,9 +71,11 @@ def _with_noise_left(problem: Problem, terms: Sequence[Term]) -> Problem:
         if len(rest):
             sigma[axis] = max(sigma[axis], float(np.sqrt(np.mean(rest**2))))
             share[axis] = min(share[axis], counting_share(rest))
-    return replace(problem, noise=Noise(sigma, share))
+    return replace(problem, noise=MovingNoise(sigma, share))
 
 
-def _score(problem: Problem, terms: Sequence[Term], known: Mapping[str, tuple[float, Floats]], level: float) -> float:
+def _score(
+    problem: MovingProblem, terms: Sequence[MovingTerm], known: Mapping[str, tuple[float, Floats]], level: float
+) -> float:
     usual = -0.5 * (np.log(level / USUAL) / np.log(USUAL_FACTOR)) ** 2 if level > USUAL else 0.0
     return log_evidence(replace(problem, base=baseline(problem.motion, level, known)), terms) + float(usual)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.result import Bare
-from gateway.table import Table
+from gateway.data.table import Table
+from gateway.result.result import Bare
 
 Floats = NDArray[np.float64]
 

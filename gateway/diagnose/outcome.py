@@ -19,13 +19,13 @@ from gateway.diagnose.holdout import (
     predicted,
     weighted_rms,
 )
-from gateway.diagnose.linear import Fit, Problem
+from gateway.diagnose.linear import Fit, RestProblem
 from gateway.diagnose.loads import loads_of
 from gateway.diagnose.mistakes import Mistake
 from gateway.diagnose.search import Search, label
 from gateway.model.robot import Robot
 from gateway.model.terms.term import Term
-from gateway.result import EffectResult, Evidence, Finding, FitSummary, Rejected
+from gateway.result.result import EffectResult, Evidence, Finding, FitSummary, Rejected
 
 Floats = NDArray[np.float64]
 LARGEST_ODDS = 1e12
@@ -37,13 +37,13 @@ class Judge:
 
     Attributes
     ----------
-    problem : Problem
+    problem : RestProblem
     held : Held or None
     axis : axis of every unseen row
     group : noise group of every unseen row
     """
 
-    problem: Problem
+    problem: RestProblem
     held: Held | None
 
     @property
@@ -73,7 +73,7 @@ def six(values: Floats) -> tuple[float, ...]:
     return tuple(float(v) for v in values)
 
 
-def summary(problem: Problem, fit: Fit, judge: Judge, robot: Robot) -> FitSummary:
+def summary(problem: RestProblem, fit: Fit, judge: Judge, robot: Robot) -> FitSummary:
     """Residuals and loads of one fit."""
     return FitSummary(
         rms_nm=six(by_axis(axis_of_rows(problem), fit.residual)),
@@ -121,7 +121,7 @@ def _p_value(after: Fit, without: Fit, term: Term, candidates: int) -> float:
     return float(min(1.0, max(chi2.sf(gain, len(term.linear)) * candidates, 1e-300)))
 
 
-def _effect(problem: Problem, fit: Fit, position: int, evidence: Evidence) -> EffectResult:
+def _effect(problem: RestProblem, fit: Fit, position: int, evidence: Evidence) -> EffectResult:
     term = fit.terms[position]
     at = problem.n_common + sum(len(other.linear) for other in fit.terms[:position])
     part = slice(at, at + len(term.linear))
@@ -180,7 +180,7 @@ def rejected(search: Search, decision: Decision) -> list[Rejected]:
     return sorted(out, key=lambda entry: (entry.holdout_rms_ratio, entry.name, entry.joints))
 
 
-def floor_and_band(problem: Problem, decision: Decision) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def floor_and_band(problem: RestProblem, decision: Decision) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Noise floor and friction band (six each), NaN where an axis was not measured."""
     measured = problem.use_difference.any(axis=0)
     return six(noise_floor(problem, decision)), six(np.where(measured, decision.after.band, np.nan))

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.decide import Decision
 from gateway.diagnose.holdout import Held
-from gateway.diagnose.linear import Fit, Problem, visit_loads, with_terms
+from gateway.diagnose.linear import Fit, RestProblem, visit_loads, with_terms
 from gateway.model.terms.reading import Model, Prediction, RestRows
 from gateway.model.terms.term import Term
-from gateway.result import Rows
+from gateway.result.result import Rows
 
 Floats = NDArray[np.float64]
 
@@ -38,34 +38,34 @@ OF_TIME = frozenset({"thermal_drift", "payload_shift"})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Visits:
+class DrawnVisits:
     """Visits that are drawn, the ones no fit has seen included.
 
     Attributes
     ----------
-    problem : Problem
+    problem : RestProblem
     fresh : (n,) which no fit has seen
     kind : word for those
     """
 
-    problem: Problem
+    problem: RestProblem
     fresh: NDArray[np.bool_]
     kind: str
 
     @classmethod
-    def of(cls, problem: Problem, held: Held | None, kind: str) -> Visits:
+    def of(cls, problem: RestProblem, held: Held | None, kind: str) -> DrawnVisits:
         """Fitted visits, and held-out ones after them."""
         if held is None:
             return cls(problem, np.zeros(len(problem.rows), dtype=bool), kind)
         return cls(held.problem, np.arange(len(held.problem.rows)) >= len(problem.rows), kind)
 
 
-def pictures(visits: Visits, decision: Decision) -> tuple[Rows, dict[str, Any]]:
+def pictures(visits: DrawnVisits, decision: Decision) -> tuple[Rows, dict[str, Any]]:
     """Rows of the result and the keys that the report reads: role, curves, models before and after.
 
     Parameters
     ----------
-    visits : Visits
+    visits : DrawnVisits
     decision : Decision
     """
     problem, after = visits.problem, decision.after
@@ -96,22 +96,22 @@ def _matrix(values: Floats) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(float(value) for value in row) for row in values)
 
 
-def _known(values: Floats, problem: Problem) -> Floats:
+def _known(values: Floats, problem: RestProblem) -> Floats:
     return np.where(problem.use_sum, values, np.nan)
 
 
-def _known_band(values: Floats, problem: Problem) -> list[list[float]]:
+def _known_band(values: Floats, problem: RestProblem) -> list[list[float]]:
     return np.where(problem.use_difference, values, np.nan).tolist()
 
 
-def _predict(problem: Problem, fit: Fit, terms: Sequence[Term]) -> Prediction:
+def _predict(problem: RestProblem, fit: Fit, terms: Sequence[Term]) -> Prediction:
     """Reading of the fitted arm with these of its effects."""
     theta = [fit.theta[fit.terms.index(term)] for term in terms]
     setting = with_terms(terms, theta, problem.rows)
     return problem.model.predict(setting, fit.links, visit_loads(problem, fit.loads), fit.band)
 
 
-def _curve(problem: Problem, fit: Fit, position: int) -> dict[str, Any]:
+def _curve(problem: RestProblem, fit: Fit, position: int) -> dict[str, Any]:
     """One effect over what it depends on, on the axis and in the reading where it is largest."""
     term = fit.terms[position]
     others = [other for place, other in enumerate(fit.terms) if place != position]
@@ -171,7 +171,7 @@ def _abscissa(term: Term, axis: int, rows: RestRows, torque_nm: Floats) -> tuple
     return rows.q_rad[:, axis], f"q{axis + 1}", "rad"
 
 
-def _over_angle(problem: Problem, fit: Fit, position: int, axis: int) -> tuple[Floats, Floats, Floats]:
+def _over_angle(problem: RestProblem, fit: Fit, position: int, axis: int) -> tuple[Floats, Floats, Floats]:
     """Angle, effect and standard deviation over the range of a joint, the other joints as in the first visit."""
     q = problem.rows.q_rad[:, axis]
     margin = GRID_MARGIN * (np.ptp(q) or 1.0)
@@ -191,7 +191,7 @@ def _over_angle(problem: Problem, fit: Fit, position: int, axis: int) -> tuple[F
     return grid, effect[:, axis], _spread(drawn, fit, position)["half the sum"][:, axis]
 
 
-def _spread(problem: Problem, fit: Fit, position: int) -> dict[str, Floats]:
+def _spread(problem: RestProblem, fit: Fit, position: int) -> dict[str, Floats]:
     """Standard deviation (n, 6) of the reading by the covariance of one effect's parameters."""
     term, theta = fit.terms[position], fit.theta[position]
     start = problem.n_common + sum(len(other) for other in fit.theta[:position])
@@ -209,7 +209,7 @@ def _spread(problem: Problem, fit: Fit, position: int) -> dict[str, Floats]:
     return out
 
 
-def _moved(problem: Problem, fit: Fit, term: Term, index: int, step: float) -> Prediction:
+def _moved(problem: RestProblem, fit: Fit, term: Term, index: int, step: float) -> Prediction:
     position = fit.terms.index(term)
     theta = [values.copy() for values in fit.theta]
     theta[position][index] += step

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.linear import RELATIVE_FLOOR, Noise, Problem
+from gateway.diagnose.linear import RELATIVE_FLOOR, Noise, RestProblem
 from gateway.errors import DataUnusable, InputError
 from gateway.model.robot import Robot, link_lengths_m
 from gateway.model.terms.reading import Model, RestRows
-from gateway.result import Bare
+from gateway.result.result import Bare
 
 Floats = NDArray[np.float64]
 BARE_LABEL = "none"
@@ -39,7 +39,7 @@ class Knowledge:
     bare: Bare | None = None
 
 
-def build_problem(robot: Robot, rows: RestRows, knowledge: Knowledge) -> Problem:
+def build_problem(robot: Robot, rows: RestRows, knowledge: Knowledge) -> RestProblem:
     """Rows, priors and noise groups of the visits.
 
     Raises
@@ -63,7 +63,7 @@ def build_problem(robot: Robot, rows: RestRows, knowledge: Knowledge) -> Problem
     kind = np.broadcast_to(np.where(rows.two_sided, 0, 12)[:, None], use_sum.shape)
     links, std = link_prior(robot, knowledge.inertials)
     prior_rows, prior_target = _bare_rows(knowledge.bare)
-    return Problem(
+    return RestProblem(
         model=Model(robot, rows, np.asarray(knowledge.gravity_m_s2, dtype=float)),
         links=links,
         link_std=std,
@@ -113,7 +113,7 @@ def _bare_rows(bare: Bare | None) -> tuple[Floats, Floats]:
     return whiten @ combination, whiten @ value
 
 
-def first_noise(problem: Problem) -> Noise:
+def first_noise(problem: RestProblem) -> Noise:
     """Noise floor per group from the data alone: sides of a visit, repeated visits, averaged samples.
 
     Both halves of a two-sided visit carry the same asymmetry of friction, so the scatter of the half differences about
@@ -142,7 +142,7 @@ def first_noise(problem: Problem) -> Noise:
     return Noise(start, start.copy(), least)
 
 
-def _difference_scatter(problem: Problem, axis: int, torque_nm: Floats) -> float:
+def _difference_scatter(problem: RestProblem, axis: int, torque_nm: Floats) -> float:
     use = problem.use_difference[:, axis]
     half = problem.rows.difference_nm[use, axis]
     if len(half) < 4:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from gateway.diagnose.decide import Decision
-from gateway.diagnose.linear import Problem
+from gateway.diagnose.linear import RestProblem
 from gateway.diagnose.problem import BARE_LABEL
-from gateway.result import Finding, LoadResult
+from gateway.result.result import Finding, LoadResult
 
 
 def refused_loads(loads: tuple[LoadResult, ...]) -> list[Finding]:
@@ -26,7 +26,7 @@ def corrected_links(decision: Decision) -> list[Finding]:
     return [Finding("info", "links", text, "give the CAD less trust, or weigh the links")] if weak else []
 
 
-def limits(problem: Problem) -> list[Finding]:
+def limits(problem: RestProblem) -> list[Finding]:
     """What these visits cannot show, whatever the search says."""
     out = []
     rows = problem.rows

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.data.table import Table
 from gateway.model.terms.reading import RestRows, through_gear
-from gateway.table import Table
 
 Floats = NDArray[np.float64]
 _SAME_RAD = 2e-3

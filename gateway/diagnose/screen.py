@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.linear import Fit, Problem, spread_of, term_columns
+from gateway.diagnose.linear import Fit, RestProblem, spread_of, term_columns
 from gateway.model.terms.term import Term
 
 Floats = NDArray[np.float64]
@@ -46,13 +46,13 @@ class Screen:
 
 
 def screen(
-    problem: Problem, fit: Fit, terms: Sequence[Term], std: Floats, raw: Mapping[Term, Floats] | None = None
+    problem: RestProblem, fit: Fit, terms: Sequence[Term], std: Floats, raw: Mapping[Term, Floats] | None = None
 ) -> Screen:
     """Linearise candidates about a fit.
 
     Parameters
     ----------
-    problem : Problem
+    problem : RestProblem
     fit : Fit
         The hypothesis that candidates are added to.
     terms : candidates
@@ -85,12 +85,12 @@ def screen(
     return Screen(tuple(kept), stacked, score, start, width, log_bayes, stacked[: len(weight)])
 
 
-def columns_of(problem: Problem, fit: Fit, term: Term) -> Floats:
+def columns_of(problem: RestProblem, fit: Fit, term: Term) -> Floats:
     """Derivative (rows, k) by the parameters of an effect that is not in the fit, where they begin."""
     return term_columns(problem, fit, term, np.array(term.start, dtype=float))
 
 
-def projector(problem: Problem, fit: Fit, weight: Floats) -> tuple[Callable[[Floats], Floats], Floats]:
+def projector(problem: RestProblem, fit: Fit, weight: Floats) -> tuple[Callable[[Floats], Floats], Floats]:
     """What the design of a fit, with its prior rows, leaves of weighted columns; and of the weighted residual.
 
     Returns

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.fit import fit
-from gateway.diagnose.linear import Fit, Noise, Problem
+from gateway.diagnose.linear import Fit, Noise, RestProblem
 from gateway.diagnose.screen import Screen, columns_of, pair_log_bayes, screen
 from gateway.model.terms.term import Term
 
@@ -52,14 +52,14 @@ class Search:
 
     Attributes
     ----------
-    problem : Problem
+    problem : RestProblem
     named, unnamed : candidates
     prior : log prior probability of each candidate
     pool : fits by set of effects
     raw : derivatives of the modelled rows by the parameters of each candidate
     """
 
-    problem: Problem
+    problem: RestProblem
     named: tuple[Term, ...]
     unnamed: tuple[Term, ...]
     noise: Noise

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, f
 
-from gateway.diagnose.linear import Fit, Problem
+from gateway.diagnose.linear import Fit, RestProblem
 
 Floats = NDArray[np.float64]
 DRAWS = 400
 
 
-def misfit(problem: Problem, fit: Fit) -> float:
+def misfit(problem: RestProblem, fit: Fit) -> float:
     """Probability that noise alone leaves residuals as structured as these; small = structure remains.
 
     The smaller of two tests, doubled: likeness of residuals of one pose under different loads, and half sums against
@@ -27,7 +27,7 @@ def misfit(problem: Problem, fit: Fit) -> float:
     return float(min(1.0, len(tests) * min(tests)))
 
 
-def _likeness(problem: Problem, fit: Fit) -> float:
+def _likeness(problem: RestProblem, fit: Fit) -> float:
     pairs = _same_pose_pairs(problem)
     if len(pairs) < 4:
         return 1.0
@@ -57,7 +57,7 @@ def _product_tail(score: float, count: int) -> float:
     return float(np.mean(chi2.sf(2.0 * score * np.sqrt(count) + levels, count)))
 
 
-def _same_pose_pairs(problem: Problem) -> NDArray[np.int_]:
+def _same_pose_pairs(problem: RestProblem) -> NDArray[np.int_]:
     """Rows (pairs, 2) of half sums of one axis and pose in different visits."""
     visit = np.broadcast_to(np.arange(len(problem.rows))[:, None], problem.use_sum.shape)[problem.use_sum]
     sums = np.arange(len(visit))
@@ -70,7 +70,7 @@ def _same_pose_pairs(problem: Problem) -> NDArray[np.int_]:
     return np.array(pairs, dtype=int).reshape(-1, 2)
 
 
-def _scatter(problem: Problem, fit: Fit) -> float:
+def _scatter(problem: RestProblem, fit: Fit) -> float:
     """Half sums scatter as half differences do; a small ratio of probabilities says that they hold structure."""
     leverage = (fit.orthogonal**2).sum(axis=1)
     smallest, tests = 1.0, 0
@@ -89,7 +89,7 @@ def _scatter(problem: Problem, fit: Fit) -> float:
     return min(1.0, smallest * max(tests, 1))
 
 
-def spare_rows(problem: Problem, fit: Fit) -> Floats:
+def spare_rows(problem: RestProblem, fit: Fit) -> Floats:
     """Rows (6,) of each axis beyond what the fit has taken up: how well its noise is known."""
     leverage = (fit.orthogonal**2).sum(axis=1)
     return np.asarray(np.bincount(problem.group % 6, weights=1.0 - leverage, minlength=6), dtype=float)

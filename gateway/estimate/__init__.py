@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
+from gateway.data.rows import Table
 from gateway.errors import ConfigError, DataUnusable
 from gateway.estimate.advice import next_pose
 from gateway.estimate.coefficient import estimate_coefficient
@@ -17,18 +18,17 @@ from gateway.estimate.estimate import Estimate
 from gateway.estimate.handover import to_result
 from gateway.estimate.joint import estimate_joint
 from gateway.estimate.moving import estimate_moving
-from gateway.estimate.options import Coefficient, Options, default_inertials, parse_known
+from gateway.estimate.options import Coefficient, EstimateOptions, default_inertials, parse_known
 from gateway.estimate.posture import estimate_posture
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits, pair_visits
-from gateway.result import Finding, Result
-from gateway.rows import Table
+from gateway.result.result import Finding, Result
 
 __all__ = [
     "ESTIMATORS",
     "Coefficient",
     "Estimate",
-    "Options",
+    "EstimateOptions",
     "default_inertials",
     "estimate",
     "parse_known",
@@ -36,24 +36,24 @@ __all__ = [
     "to_result",
 ]
 
-Estimator = Callable[[Table, Robot, Options], Estimate]
+Estimator = Callable[[Table, Robot, EstimateOptions], Estimate]
 
 
-def _of_visits(function: Callable[[Visits, Robot, Options], Estimate]) -> Estimator:
-    def with_table(table: Table, robot: Robot, options: Options) -> Estimate:
+def _of_visits(function: Callable[[Visits, Robot, EstimateOptions], Estimate]) -> Estimator:
+    def with_table(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
         return function(_visits(table, options), robot, options)
 
     return with_table
 
 
-def _visits(table: Table, options: Options) -> Visits:
+def _visits(table: Table, options: EstimateOptions) -> Visits:
     visits = pair_visits(table, options.efficiency)
     if not len(visits):
         raise DataUnusable("the data hold no rest rows; this method needs poses at rest (column 'pose')")
     return visits
 
 
-def _joint(table: Table, robot: Robot, options: Options) -> Estimate:
+def _joint(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
     """Rest rows where there are any; a run that only moves is fitted as one."""
     if table.moving.all():
         return estimate_moving(table, robot, options)
@@ -72,7 +72,7 @@ ESTIMATORS: Mapping[str, Estimator] = {
 }
 
 
-def estimate(table: Table, robot: Robot | None, options: Options, method: str = "joint") -> Estimate:
+def estimate(table: Table, robot: Robot | None, options: EstimateOptions, method: str = "joint") -> Estimate:
     """Estimate the loads of a table.
 
     Parameters
@@ -80,7 +80,7 @@ def estimate(table: Table, robot: Robot | None, options: Options, method: str = 
     table : Table
     robot : Robot or None
         Only the coefficient method does without.
-    options : Options
+    options : EstimateOptions
     method : str
         A key of `ESTIMATORS`.
 
@@ -105,7 +105,7 @@ def estimate(table: Table, robot: Robot | None, options: Options, method: str = 
 def run(
     table: Table,
     robot: Robot | None,
-    options: Options,
+    options: EstimateOptions,
     method: str = "joint",
     provenance: Mapping[str, Any] | None = None,
 ) -> Result:

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.estimate.estimate import LoadEstimate
-from gateway.estimate.options import Options
+from gateway.estimate.options import EstimateOptions
 from gateway.model.information import payload_information
 from gateway.model.robot import AXES, Robot
-from gateway.result import NextMeasurement
+from gateway.result.result import NextMeasurement
 
 Floats = NDArray[np.float64]
 
@@ -18,7 +18,7 @@ _SEED = 7
 _UNKNOWN_KG = 1e3
 
 
-def next_pose(load: LoadEstimate, robot: Robot, sigma_nm: Floats, options: Options) -> NextMeasurement | None:
+def next_pose(load: LoadEstimate, robot: Robot, sigma_nm: Floats, options: EstimateOptions) -> NextMeasurement | None:
     """The rest pose that shrinks the uncertainty of a load most, bare and loaded (D-optimal over random postures).
 
     Parameters
@@ -28,7 +28,7 @@ def next_pose(load: LoadEstimate, robot: Robot, sigma_nm: Floats, options: Optio
         Its joint limits bound the postures; keep-out boxes and torque limits are the planner's.
     sigma_nm : array of shape (6,)
         Noise floor per axis, NaN = not measured.
-    options : Options
+    options : EstimateOptions
 
     Returns
     -------
@@ -68,7 +68,7 @@ def _with_unknown(load: LoadEstimate) -> Floats | None:
     return load.covariance + np.where(np.outer(open_, open_), wide, 0.0) + 1e-12 * np.eye(4)
 
 
-def cost_of_missing_axes(robot: Robot, q_rad: Floats, sigma_nm: Floats, options: Options) -> float:
+def cost_of_missing_axes(robot: Robot, q_rad: Floats, sigma_nm: Floats, options: EstimateOptions) -> float:
     """Standard deviation of the mass over what all six axes would give; infinite where it is open now.
 
     Axes that were not measured are taken to be as noisy as the median of the others.

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from gateway.data.rows import Table
 from gateway.errors import DataUnusable, InputError
 from gateway.estimate.consistency import describe_masses, disagree
 from gateway.estimate.estimate import LOAD_PARTS, Estimate, LoadEstimate, refused_load
-from gateway.estimate.options import BARE_LABEL, Coefficient, Options
+from gateway.estimate.options import BARE_LABEL, Coefficient, EstimateOptions
 from gateway.model.robot import Robot
-from gateway.result import Finding
-from gateway.rows import Table
+from gateway.result.result import Finding
 
 Floats = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class _Case:
     stated_kg: float | None
 
 
-def estimate_coefficient(table: Table, robot: Robot | None, options: Options) -> Estimate:
+def estimate_coefficient(table: Table, robot: Robot | None, options: EstimateOptions) -> Estimate:
     """Estimate the mass of every unknown load by the coefficient method.
 
     Parameters
@@ -56,7 +56,7 @@ def estimate_coefficient(table: Table, robot: Robot | None, options: Options) ->
         Rest rows with the lever in its extra column and motor torque (or joint torque) of the axis.
     robot : Robot or None
         Not used: the lever replaces the geometry.
-    options : Options
+    options : EstimateOptions
         With `coefficient`.
 
     Raises

@@ -8,7 +8,7 @@ import numpy as np
 
 from gateway.estimate.estimate import LoadEstimate
 from gateway.model.robot import Robot, reach_m
-from gateway.result import Finding
+from gateway.result.result import Finding
 
 #: Residual over the noise of other rows above which a load's data are refused.
 CONTRADICTS = 5.0

@@ -16,19 +16,19 @@ from gateway.estimate.estimate import (
 from gateway.estimate.friction import friction_bands
 from gateway.estimate.linear import Prior, determined
 from gateway.estimate.noise import NoiseFit
-from gateway.estimate.options import Options
+from gateway.estimate.options import EstimateOptions
 from gateway.estimate.problem import Problem
 from gateway.model.base import rest_base
 from gateway.model.regressor import load_regressor
 from gateway.model.robot import AXES, Robot, reach_m
-from gateway.result import Bare
+from gateway.result.result import Bare
 
 Floats = NDArray[np.float64]
 
 _INFORMATIVE = 0.05
 
 
-def describe(problem: Problem, fit: NoiseFit, prior: Prior, robot: Robot, options: Options) -> Estimate:
+def describe(problem: Problem, fit: NoiseFit, prior: Prior, robot: Robot, options: EstimateOptions) -> Estimate:
     """The estimate that a fitted problem stands for."""
     solution = fit.solution
     count = len(problem.names)
@@ -55,7 +55,7 @@ def describe(problem: Problem, fit: NoiseFit, prior: Prior, robot: Robot, option
     )
 
 
-def _load(problem: Problem, fit: NoiseFit, robot: Robot, options: Options, label: str) -> LoadEstimate:
+def _load(problem: Problem, fit: NoiseFit, robot: Robot, options: EstimateOptions, label: str) -> LoadEstimate:
     first = problem.loads[label]
     part = slice(first, first + 4)
     solution = fit.solution
@@ -73,7 +73,9 @@ def _load(problem: Problem, fit: NoiseFit, robot: Robot, options: Options, label
     return without_guesses(load, reach_m(robot))
 
 
-def per_pose_mass(problem: Problem, fit: NoiseFit, robot: Robot, options: Options, label: str) -> dict[str, float]:
+def per_pose_mass(
+    problem: Problem, fit: NoiseFit, robot: Robot, options: EstimateOptions, label: str
+) -> dict[str, float]:
     """Mass [kg] that each pose alone would give, its centre of mass taken as estimated; informative poses only."""
     first = problem.loads[label]
     moment = fit.solution.value[first : first + 4]
@@ -128,7 +130,7 @@ def axis_sigma(problem: Problem, fit: NoiseFit) -> Floats:
     )
 
 
-def bare_of(problem: Problem, fit: NoiseFit, robot: Robot, options: Options) -> Bare | None:
+def bare_of(problem: Problem, fit: NoiseFit, robot: Robot, options: EstimateOptions) -> Bare | None:
     """Base gravity parameters of the bare arm, if rows and priors determine all of them."""
     links, solution = problem.links, fit.solution
     base = rest_base(robot, options.gravity_m_s2)

@@ -26,13 +26,13 @@ from gateway.estimate.estimate import (
 from gateway.estimate.friction import band_scatter, friction_bands, noise_groups
 from gateway.estimate.linear import Prior, determined
 from gateway.estimate.noise import Groups, NoiseFit, fit_noise
-from gateway.estimate.options import BARE_LABEL, Options
+from gateway.estimate.options import BARE_LABEL, EstimateOptions
 from gateway.estimate.problem import load_vector, unknown_labels
 from gateway.model.kinematics import gravity_in_link_6, largest_angle_rad
 from gateway.model.regressor import load_regressor
 from gateway.model.robot import AXES, Robot, reach_m
 from gateway.model.visits import Visits
-from gateway.result import Finding
+from gateway.result.result import Finding
 
 Floats = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ class _Rows:
     one_sided: NDArray[np.bool_]
 
 
-def estimate_difference(visits: Visits, robot: Robot, options: Options) -> Estimate:
+def estimate_difference(visits: Visits, robot: Robot, options: EstimateOptions) -> Estimate:
     """Estimate every unknown load against the known ones at the same poses.
 
     Parameters
@@ -61,7 +61,7 @@ def estimate_difference(visits: Visits, robot: Robot, options: Options) -> Estim
     visits : Visits
     robot : Robot
         Only its geometry is used.
-    options : Options
+    options : EstimateOptions
 
     Raises
     ------
@@ -94,7 +94,7 @@ def estimate_difference(visits: Visits, robot: Robot, options: Options) -> Estim
     )
 
 
-def _less_known(visits: Visits, robot: Robot, options: Options) -> Visits:
+def _less_known(visits: Visits, robot: Robot, options: EstimateOptions) -> Visits:
     """The reference visits with the torque of their known load taken off."""
     torque = visits.tau_nm.copy()
     rows = load_regressor(robot, visits.q_rad, options.gravity_m_s2)
@@ -104,7 +104,7 @@ def _less_known(visits: Visits, robot: Robot, options: Options) -> Visits:
     return replace(visits, tau_nm=torque)
 
 
-def _one(visits: Visits, reference: Visits, robot: Robot, options: Options, label: str) -> Estimate:
+def _one(visits: Visits, reference: Visits, robot: Robot, options: EstimateOptions, label: str) -> Estimate:
     own = visits.take(visits.load == label)
     rows = _differences(own, reference, label)
     _require_postures(rows, robot, options, label)
@@ -181,7 +181,7 @@ def _mean_variance(visits: Visits) -> Floats:
     return own.sum(axis=0) / len(visits) ** 2
 
 
-def _require_postures(rows: _Rows, robot: Robot, options: Options, label: str) -> None:
+def _require_postures(rows: _Rows, robot: Robot, options: EstimateOptions, label: str) -> None:
     """Refuse poses that give rank 3."""
     if len(rows.pose) < 2:
         raise DataUnusable(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.result import Bare, Finding, NextMeasurement
+from gateway.result.result import Bare, Finding, NextMeasurement
 
 Floats = NDArray[np.float64]
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from gateway.estimate.advice import cost_of_missing_axes
 from gateway.estimate.consistency import hull_radius_m, physical_findings
 from gateway.estimate.estimate import Estimate, FittedRows, LoadEstimate
-from gateway.estimate.options import Options
+from gateway.estimate.options import EstimateOptions
 from gateway.model.robot import AXES, Robot
-from gateway.result import Finding, FitSummary, LoadResult, Parameter, Result, Rows
+from gateway.result.result import Finding, FitSummary, LoadResult, Parameter, Result, Rows
 
 Floats = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ _MOST_ROWS = 2000
 
 
 def to_result(
-    estimate: Estimate, robot: Robot | None, options: Options, provenance: Mapping[str, Any] | None = None
+    estimate: Estimate, robot: Robot | None, options: EstimateOptions, provenance: Mapping[str, Any] | None = None
 ) -> Result:
     """The result file of an estimate.
 
@@ -30,7 +30,7 @@ def to_result(
     estimate : Estimate
     robot : Robot or None
         Gives the flange, the name and the hull a centre of mass is expected in.
-    options : Options
+    options : EstimateOptions
     provenance : mapping, optional
         Where data and constants come from.
     """
@@ -87,7 +87,7 @@ def in_flange(point_m: Floats, flange: Floats) -> Floats:
     return flange[:3, :3].T @ (point_m - flange[:3, 3])
 
 
-def _findings(estimate: Estimate, robot: Robot | None, options: Options) -> list[Finding]:
+def _findings(estimate: Estimate, robot: Robot | None, options: EstimateOptions) -> list[Finding]:
     out: list[Finding] = []
     for load in estimate.loads:
         where = f"load {load.label}"
@@ -120,7 +120,7 @@ def _what_to_do(estimate: Estimate) -> str:
     return "measure the bare arm too, give --bare or trusted --inertials, and turn axes 4 to 6 between the poses"
 
 
-def _missing_axes(rows: FittedRows, robot: Robot | None, sigma: Floats, options: Options) -> list[Finding]:
+def _missing_axes(rows: FittedRows, robot: Robot | None, sigma: Floats, options: EstimateOptions) -> list[Finding]:
     measured = np.isfinite(rows.tau_nm).any(axis=0)
     if measured.all() or robot is None:
         return []

@@ -19,7 +19,7 @@ from gateway.estimate.estimate import Estimate, refused_load
 from gateway.estimate.friction import noise_groups
 from gateway.estimate.linear import Prior, solve
 from gateway.estimate.noise import NoiseFit, fit_noise, noise_levels
-from gateway.estimate.options import Options
+from gateway.estimate.options import EstimateOptions
 from gateway.estimate.problem import Problem, build_problem
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits
@@ -32,7 +32,7 @@ _CLEARLY = 1.0
 MOST_LINK_ROWS = 30
 
 
-def estimate_joint(visits: Visits, robot: Robot, options: Options) -> Estimate:
+def estimate_joint(visits: Visits, robot: Robot, options: EstimateOptions) -> Estimate:
     """Estimate all unknown loads together.
 
     A load whose data contradict each other is refused; the others are then estimated without its rows.
@@ -41,7 +41,7 @@ def estimate_joint(visits: Visits, robot: Robot, options: Options) -> Estimate:
     ----------
     visits : Visits
     robot : Robot
-    options : Options
+    options : EstimateOptions
 
     Raises
     ------
@@ -70,7 +70,7 @@ def estimate_joint(visits: Visits, robot: Robot, options: Options) -> Estimate:
     return replace(rest, loads=(*rest.loads, *others))
 
 
-def _contradiction(problem: Problem, fit: NoiseFit, robot: Robot, options: Options, label: str) -> str | None:
+def _contradiction(problem: Problem, fit: NoiseFit, robot: Robot, options: EstimateOptions, label: str) -> str | None:
     """Why the rows of a load cannot belong to one rigid body, judged by the noise that the other rows show."""
     masses = per_pose_mass(problem, fit, robot, options, label)
     if not disagree(list(masses.values())):

@@ -13,14 +13,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.data.rows import Table
 from gateway.errors import DataUnusable
 from gateway.estimate.estimate import Estimate, FittedRows, LoadEstimate, load_from_moment, without_guesses
 from gateway.estimate.linear import Solution, determined, solve
-from gateway.estimate.moving_columns import Columns, Motion, fast_rows, moving_columns
-from gateway.estimate.options import Options
+from gateway.estimate.moving_columns import Columns, MovingSetup, fast_rows, moving_columns
+from gateway.estimate.options import EstimateOptions
 from gateway.model.robot import AXES, Robot, reach_m
-from gateway.result import Finding
-from gateway.rows import Table
+from gateway.result.result import Finding
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
@@ -30,16 +30,18 @@ _SETTLED = 1e-3
 _LONGEST = 2000
 
 
-def estimate_moving(table: Table, robot: Robot, options: Options, motion: Motion | None = None) -> Estimate:
+def estimate_moving(
+    table: Table, robot: Robot, options: EstimateOptions, motion: MovingSetup | None = None
+) -> Estimate:
     """Fit the moving rows of a table.
 
     Parameters
     ----------
     table : Table
     robot : Robot
-    options : Options
+    options : EstimateOptions
         Inertials, known loads, gravity.
-    motion : Motion, optional
+    motion : MovingSetup, optional
 
     Raises
     ------
@@ -48,7 +50,7 @@ def estimate_moving(table: Table, robot: Robot, options: Options, motion: Motion
     DataUnusable
         No axis moves while its torque is measured, or fewer rows than unknowns.
     """
-    motion = Motion() if motion is None else motion
+    motion = MovingSetup() if motion is None else motion
     moving = table.take(table.moving)
     if not len(moving):
         raise DataUnusable("the data hold no moving rows")

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.data.rows import Table
 from gateway.errors import InputError
 from gateway.estimate.linear import Prior
-from gateway.estimate.options import BARE_LABEL, Options
+from gateway.estimate.options import BARE_LABEL, EstimateOptions
 from gateway.estimate.problem import LOAD_NAMES, LOAD_UNITS
 from gateway.model.base import BaseSet, base_parameters, moving_base
 from gateway.model.regressor import FULL_NAMES, regressor
 from gateway.model.robot import AXES, Robot, link_lengths_m
-from gateway.rows import Table
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
@@ -27,7 +27,7 @@ _PER_BODY = 10
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class MovingSetup:
     """How a moving run is fitted.
 
     Attributes
@@ -62,13 +62,13 @@ class Columns:
     loads: dict[str, int]
 
 
-def fast_rows(qd_rad_s: Floats, robot: Robot, motion: Motion) -> Mask:
+def fast_rows(qd_rad_s: Floats, robot: Robot, motion: MovingSetup) -> Mask:
     """Which axes (n, 6) move fast enough to be used."""
     limit = np.where(np.isfinite(robot.velocity_rad_s), robot.velocity_rad_s, 0.0)
     return np.abs(qd_rad_s) >= motion.slow_share * limit
 
 
-def moving_columns(moving: Table, robot: Robot, options: Options, motion: Motion) -> Columns:
+def moving_columns(moving: Table, robot: Robot, options: EstimateOptions, motion: MovingSetup) -> Columns:
     """Columns of the moving rows of a table.
 
     Raises
@@ -110,7 +110,7 @@ def moving_columns(moving: Table, robot: Robot, options: Options, motion: Motion
     return Columns(np.concatenate(parts, axis=2), known, prior, tuple(names), tuple(units), loads)
 
 
-def _free_base(robot: Robot, options: Options, free: Ints) -> BaseSet:
+def _free_base(robot: Robot, options: EstimateOptions, free: Ints) -> BaseSet:
     if len(free) == AXES * _PER_BODY:
         return moving_base(robot, options.gravity_m_s2)
     q, qd, qdd = np.random.default_rng(0).uniform(-2.0, 2.0, size=(3, 60, AXES))

@@ -11,7 +11,7 @@ import numpy as np
 from gateway.errors import ConfigError, InputError
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
 from gateway.model.robot import Robot
-from gateway.result import Bare
+from gateway.result.result import Bare
 
 BARE_LABEL = "none"
 
@@ -31,7 +31,7 @@ class Coefficient:
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
+class EstimateOptions:
     """How to estimate.
 
     Attributes

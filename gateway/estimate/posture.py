@@ -19,13 +19,13 @@ from gateway.estimate.describe import describe
 from gateway.estimate.estimate import Estimate
 from gateway.estimate.joint import fit_problem, require_postures
 from gateway.estimate.linear import determined
-from gateway.estimate.options import BARE_LABEL, Options
+from gateway.estimate.options import BARE_LABEL, EstimateOptions
 from gateway.estimate.problem import LOAD_NAMES, Problem, build_problem, link_knowledge, unknown_labels
 from gateway.model.base import BaseSet, rest_base
 from gateway.model.regressor import LOAD_COLUMNS
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits
-from gateway.result import Bare, Finding
+from gateway.result.result import Bare, Finding
 
 Floats = NDArray[np.float64]
 
@@ -33,14 +33,14 @@ _SUSPICIOUS = 0.0027
 _BLURRED = 1e-6
 
 
-def estimate_posture(visits: Visits, robot: Robot, options: Options) -> Estimate:
+def estimate_posture(visits: Visits, robot: Robot, options: EstimateOptions) -> Estimate:
     """Estimate each load from its own postures against the bare arm.
 
     Parameters
     ----------
     visits : Visits
     robot : Robot
-    options : Options
+    options : EstimateOptions
         `bare`, or trusted inertials, unless the data hold bare rows.
 
     Raises
@@ -77,7 +77,7 @@ def estimate_posture(visits: Visits, robot: Robot, options: Options) -> Estimate
     )
 
 
-def _bare(visits: Visits, robot: Robot, options: Options, base: BaseSet, labels: tuple[str, ...]) -> Bare:
+def _bare(visits: Visits, robot: Robot, options: EstimateOptions, base: BaseSet, labels: tuple[str, ...]) -> Bare:
     """What is known of the bare arm: stored, from bare rows of the data, or from trusted inertials."""
     if options.bare is not None:
         return _matching(options.bare, robot, options, base)
@@ -105,7 +105,7 @@ def _bare(visits: Visits, robot: Robot, options: Options, base: BaseSet, labels:
     )
 
 
-def _bare_from(robot: Robot, options: Options, base: BaseSet, value: Floats, covariance: Floats) -> Bare:
+def _bare_from(robot: Robot, options: EstimateOptions, base: BaseSet, value: Floats, covariance: Floats) -> Bare:
     return Bare(
         robot=robot.name,
         gravity_m_s2=tuple(float(g) for g in options.gravity_m_s2),
@@ -117,7 +117,7 @@ def _bare_from(robot: Robot, options: Options, base: BaseSet, value: Floats, cov
     )
 
 
-def _matching(bare: Bare, robot: Robot, options: Options, base: BaseSet) -> Bare:
+def _matching(bare: Bare, robot: Robot, options: EstimateOptions, base: BaseSet) -> Bare:
     combination = np.asarray(bare.combination, dtype=float)
     same = combination.shape == base.combination.shape and np.allclose(combination, base.combination, atol=1e-4)
     if not same or not np.allclose(bare.gravity_m_s2, options.gravity_m_s2, atol=1e-3):
@@ -129,7 +129,9 @@ def _matching(bare: Bare, robot: Robot, options: Options, base: BaseSet) -> Bare
     return bare
 
 
-def _check(own: Visits, robot: Robot, alone: Options, bare: Bare, base: BaseSet, label: str) -> tuple[Finding, ...]:
+def _check(
+    own: Visits, robot: Robot, alone: EstimateOptions, bare: Bare, base: BaseSet, label: str
+) -> tuple[Finding, ...]:
     """Whether what changed against the bare arm is a body on the flange and nothing else."""
     loaded = build_problem(replace(own, load=np.full(len(own), BARE_LABEL)), robot, replace(alone, known={}))
     fit, _ = fit_problem(loaded)

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from gateway.errors import DataUnusable, InputError
 from gateway.estimate.linear import Prior
-from gateway.estimate.options import BARE_LABEL, Options
+from gateway.estimate.options import BARE_LABEL, EstimateOptions
 from gateway.model.base import BaseSet, rest_base
 from gateway.model.regressor import GRAVITY_NAMES, LOAD_COLUMNS, gravity_regressor
 from gateway.model.robot import AXES, Robot, link_lengths_m
 from gateway.model.visits import Visits
-from gateway.result import Bare
+from gateway.result.result import Bare
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
@@ -90,7 +90,7 @@ class Problem:
     known_nm: Floats
 
 
-def link_knowledge(robot: Robot, options: Options) -> Links:
+def link_knowledge(robot: Robot, options: EstimateOptions) -> Links:
     """What the robot model's inertials say, at the trust of the options.
 
     The standard deviation of a first moment is that share of mass x link length.
@@ -112,7 +112,7 @@ def link_knowledge(robot: Robot, options: Options) -> Links:
     return Links(fixed, mean, std, held, free, base)
 
 
-def unknown_labels(visits: Visits, options: Options) -> tuple[str, ...]:
+def unknown_labels(visits: Visits, options: EstimateOptions) -> tuple[str, ...]:
     """Loads to estimate, in the order they appear.
 
     Raises
@@ -133,7 +133,7 @@ def load_vector(known: tuple[float, float, float, float]) -> Floats:
     return mass * np.array([1.0, *com])
 
 
-def build_problem(visits: Visits, robot: Robot, options: Options) -> Problem:
+def build_problem(visits: Visits, robot: Robot, options: EstimateOptions) -> Problem:
     """Assemble rows and columns.
 
     Raises

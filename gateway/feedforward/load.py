@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.config import ArmConfig, LoadedCell
+from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.errors import ConfigError, DataUnusable, InputError
 from gateway.model.robot import Robot
-from gateway.result import LoadResult, Result
+from gateway.result.result import LoadResult, Result
 
 Floats = NDArray[np.float64]
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.config import ArmConfig
+from gateway.cell.config import ArmConfig
 from gateway.errors import ConfigError
 from gateway.feedforward.load import body_parameters
 from gateway.model.robot import AXES, Robot, link_lengths_m
-from gateway.result import Bare
+from gateway.result.result import Bare
 
 Floats = NDArray[np.float64]
 #: A link lighter than this share of the drawing's is no correction but a contradiction.

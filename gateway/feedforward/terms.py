@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from drives.profile import DriveProfile
-from gateway.config import ArmConfig, AxisConfig
+from gateway.cell.config import ArmConfig, AxisConfig
 from gateway.errors import ConfigError
 from gateway.feedforward.law import AxisTerms
-from gateway.result import Result
+from gateway.result.result import Result
 
 #: Share of the axis' torque limit that a torque offset may take.
 LIMIT_SHARE = 1.0

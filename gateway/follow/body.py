@@ -25,7 +25,7 @@ from gateway.follow.path import FollowPath
 from gateway.follow.settings import IDENTIFIED, MAXIMUM, OFF, FeedModel, Setting
 from gateway.follow.track import Following, Track, following
 from gateway.follow.trend import Trend
-from gateway.result import plain_values
+from gateway.result.result import plain_values
 
 Floats = NDArray[np.float64]
 SCHEMA = 1

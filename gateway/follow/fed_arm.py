@@ -14,11 +14,12 @@ import numpy as np
 
 from drives.cia402 import State, decode_state
 from drives.drive import DriveCommand
+from gateway.data.sample import ArmSample
 from gateway.errors import LimitExceeded
 from gateway.feedforward.law import FeedforwardLaw
 from gateway.feedforward.ramp import Ramp
 from gateway.follow.track import Recorder
-from gateway.motion.arm import Arm, ArmSample
+from gateway.motion.arm import Arm
 
 Six = list[float]
 NOTHING = [0.0] * 6

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from gateway.arm_model import arm_robot
-from gateway.config import ArmConfig, LoadedCell
+from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.errors import DataUnusable, InputError
 from gateway.feedforward.load import check_origin, identified_load
 from gateway.follow.body import Comparison
@@ -14,10 +13,11 @@ from gateway.follow.path import FollowPath, check_path, read_path
 from gateway.follow.run import FollowStation, Tell, follow
 from gateway.follow.settings import IDENTIFIED, FeedModel, Setting, check_offsets, feed_model, three_settings
 from gateway.follow.trend import load_trend
+from gateway.model.arm_model import arm_robot
 from gateway.motion.opening import OpenArm, axis_setups
 from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import Workspace, workspace_of
-from gateway.result import Result, from_json
+from gateway.result.result import Result, from_json
 
 
 @dataclass(frozen=True, slots=True)

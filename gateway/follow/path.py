@@ -25,7 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.interpolate import make_interp_spline
 
 from drives.toml_text import parse_toml
-from gateway.csv_text import read_path_columns
+from gateway.data.csv_text import read_path_columns
 from gateway.errors import InputError, PlanRefused
 from gateway.motion.places import angles
 from gateway.motion.trajectory import Motion, MotionLimits, straight

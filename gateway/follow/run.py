@@ -11,8 +11,8 @@ import numpy as np
 from drives.errors import DriveError
 from drives.exchange import Pacing
 from gateway.acquire.plan import travel_limits
-from gateway.acquire.poses import RestPose
 from gateway.acquire.route import find_route
+from gateway.data.rest_pose import RestPose
 from gateway.errors import PlanRefused
 from gateway.follow.fed_arm import FedArm
 from gateway.follow.path import FollowPath, check_path

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drives.profile import DriveProfile
-from gateway.config import ArmConfig
+from gateway.cell.config import ArmConfig
 from gateway.errors import PlanRefused
 from gateway.feedforward.dynamics import ArmDynamics
 from gateway.feedforward.law import AxisTerms, FeedforwardLaw
@@ -18,7 +18,7 @@ from gateway.feedforward.parameters import corrected_parameters, drawn_parameter
 from gateway.feedforward.terms import AxisSources, axis_terms
 from gateway.follow.path import FollowPath
 from gateway.model.robot import Robot
-from gateway.result import Result
+from gateway.result.result import Result
 
 Floats = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.motion.arm import ArmSample
+from gateway.data.sample import ArmSample
 
 Floats = NDArray[np.float64]
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.data.table import Table
 from gateway.errors import DataUnusable
 from gateway.model.regressor import regressor
 from gateway.model.robot import AXES, Robot
-from gateway.table import Table
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -27,7 +27,7 @@ STEP_RAD = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Motion:
+class MovingRows:
     """Rows of one or more moving runs.
 
     Attributes
@@ -95,7 +95,7 @@ def smooth_sign(speed_rad_s: Floats, top_rad_s: float | Floats) -> Floats:
     return np.tanh(speed_rad_s / np.maximum(SLOW * np.asarray(top_rad_s), STANDSTILL_RAD_S))
 
 
-def prepare(table: Table, given: Table | None, robot: Robot, gravity_m_s2: Floats) -> Motion:
+def prepare(table: Table, given: Table | None, robot: Robot, gravity_m_s2: Floats) -> MovingRows:
     """Rows of the moving runs in `table` (to fit) and `given` (never fitted), thinned to at most `LARGEST`.
 
     Raises
@@ -131,7 +131,7 @@ def prepare(table: Table, given: Table | None, robot: Robot, gravity_m_s2: Float
     judged = np.isfinite(tau) & (np.abs(fields["qd_rad_s"]) > np.maximum(SLOW * speed, STANDSTILL_RAD_S))
     if not judged[~is_given].any():
         raise DataUnusable("no axis moves while its torque is measured; moving rows need speeds above 0.001 rad/s")
-    return Motion(
+    return MovingRows(
         robot=robot,
         gravity_m_s2=np.asarray(gravity_m_s2, dtype=float),
         time_s=time,
@@ -161,7 +161,7 @@ def _rigid(robot: Robot, q_rad: Floats, qd_rad_s: Floats, qdd_rad_s2: Floats, gr
     return np.asarray(regressor(robot, q_rad, qd_rad_s, qdd_rad_s2, tuple(np.asarray(gravity, dtype=float))))
 
 
-def angle_derivative(motion: Motion, axis: int) -> Floats:
+def angle_derivative(motion: MovingRows, axis: int) -> Floats:
     """Change of the rigid body regressor with the angle of one axis: (n, 6, 60) per rad, by central difference."""
     step = np.zeros(AXES)
     step[axis] = STEP_RAD
@@ -172,7 +172,7 @@ def angle_derivative(motion: Motion, axis: int) -> Floats:
     return (ends[0] - ends[1]) / (2.0 * STEP_RAD)
 
 
-def tilt_derivative(motion: Motion, direction: int) -> Floats:
+def tilt_derivative(motion: MovingRows, direction: int) -> Floats:
     """Change of the regressor when the base turns about its x (0) or y (1) axis: (n, 6, 60) per rad."""
     turn = np.zeros(3)
     turn[direction] = 1.0

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.motion import PER_BODY, Motion
+from gateway.model.motion import PER_BODY, MovingRows
 from gateway.model.regressor import regressor
 from gateway.model.robot import AXES, SHORTEST_M, Robot, link_lengths_m
 
@@ -70,12 +70,12 @@ def body_deviation(robot: Robot, trust: float) -> Floats:
     return out.reshape(-1)
 
 
-def baseline(motion: Motion, trust: float | None, known: Mapping[str, tuple[float, Floats]]) -> Baseline:
+def baseline(motion: MovingRows, trust: float | None, known: Mapping[str, tuple[float, Floats]]) -> Baseline:
     """Build the columns.
 
     Parameters
     ----------
-    motion : Motion
+    motion : MovingRows
     trust : float or None
         Relative standard deviation of the CAD values; None = link parameters unknown.
     known : mapping of label to (mass [kg], centre of mass (3,) [m] in link 6)
@@ -104,7 +104,7 @@ def baseline(motion: Motion, trust: float | None, known: Mapping[str, tuple[floa
     return Baseline(all_columns, np.concatenate(means), np.concatenate(precisions), padded, loads, where, trust)
 
 
-def free_labels(motion: Motion, trust: float | None, known: Mapping[str, tuple[float, Floats]]) -> list[str]:
+def free_labels(motion: MovingRows, trust: float | None, known: Mapping[str, tuple[float, Floats]]) -> list[str]:
     """Labels that get columns of their own: without CAD and bare rows the first load lumps with link 6."""
     fitted = motion.load[~motion.given]
     labels = [str(label) for label in np.unique(motion.load) if label != BARE and (label in fitted or label in known)]
@@ -113,7 +113,7 @@ def free_labels(motion: Motion, trust: float | None, known: Mapping[str, tuple[f
     return labels
 
 
-def _bodies(motion: Motion, trust: float | None) -> tuple[Floats, Floats, Floats]:
+def _bodies(motion: MovingRows, trust: float | None) -> tuple[Floats, Floats, Floats]:
     seen = np.flatnonzero(np.abs(motion.rigid).max(axis=(0, 1)) > 1e-12)
     body = np.eye(AXES * PER_BODY)[:, seen]
     if trust is None:
@@ -122,7 +122,7 @@ def _bodies(motion: Motion, trust: float | None) -> tuple[Floats, Floats, Floats
     return body, np.nan_to_num(body_parameters(motion.robot))[seen], deviation[seen] ** -2.0
 
 
-def _plausible_size(motion: Motion) -> Floats:
+def _plausible_size(motion: MovingRows) -> Floats:
     """Standard deviation (60,) of the parameters of links nothing is known of, from the torque the arm needs.
 
     A body of the mass that the strongest axis holds at half the reach, on every link, as large as the link.
@@ -136,19 +136,19 @@ def _plausible_size(motion: Motion) -> Floats:
     return (mass * length[:, None] ** powers).reshape(-1)
 
 
-def _torque_scale(motion: Motion) -> Floats:
+def _torque_scale(motion: MovingRows) -> Floats:
     fitted = ~motion.given
     scale = np.sqrt((motion.tau_nm[fitted] ** 2).mean(axis=0))
     return np.where(scale > 0, scale, 1.0)
 
 
-def _nearly_free(motion: Motion, columns: Floats) -> Floats:
+def _nearly_free(motion: MovingRows, columns: Floats) -> Floats:
     """Precision (P,) under which each column alone may give a thousand times the torque of its strongest axis."""
     relative = np.sqrt(((columns / _torque_scale(motion)[:, None]) ** 2).mean(axis=0)).max(axis=0)
     return np.maximum((FREE * 1e2 * relative) ** 2, 1e-18)
 
 
-def _load(motion: Motion, label: str, known: tuple[float, Floats] | None) -> tuple[Floats, Floats, Floats]:
+def _load(motion: MovingRows, label: str, known: tuple[float, Floats] | None) -> tuple[Floats, Floats, Floats]:
     here = (motion.load == label)[:, None, None]
     columns = motion.rigid[:, :, 5 * PER_BODY :] * here
     mean, precision = np.zeros(PER_BODY), _nearly_free(motion, columns)
@@ -161,7 +161,7 @@ def _load(motion: Motion, label: str, known: tuple[float, Floats] | None) -> tup
     return columns, mean, precision
 
 
-def _friction(motion: Motion, loaded: bool, first: int) -> tuple[Floats, Floats, NDArray[np.int_]]:
+def _friction(motion: MovingRows, loaded: bool, first: int) -> tuple[Floats, Floats, NDArray[np.int_]]:
     columns = np.zeros((len(motion), AXES, 4 * AXES))
     precision = np.zeros(4 * AXES)
     scale = _torque_scale(motion)
@@ -178,7 +178,7 @@ def _friction(motion: Motion, loaded: bool, first: int) -> tuple[Floats, Floats,
     return columns, precision, first + np.arange(4 * AXES).reshape(AXES, 4)
 
 
-def _carries_gravity(motion: Motion) -> NDArray[np.bool_]:
+def _carries_gravity(motion: MovingRows) -> NDArray[np.bool_]:
     """Axes (6,) whose torque gravity can enter."""
     rows = np.linspace(0, len(motion) - 1, min(len(motion), 50)).astype(int)
     rest = np.zeros((len(rows), AXES))

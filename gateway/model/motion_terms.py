@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.motion import Motion, smooth_sign
+from gateway.model.motion import MovingRows, smooth_sign
 
 Floats = NDArray[np.float64]
 
@@ -32,11 +32,11 @@ class Modelled:
     body: Floats
 
 
-Columns = Callable[[Motion, Modelled], Floats]
+Columns = Callable[[MovingRows, Modelled], Floats]
 
 
 @dataclass(frozen=True, slots=True)
-class Term:
+class MovingTerm:
     """An effect with fixed shape parameters.
 
     Attributes
@@ -47,7 +47,7 @@ class Term:
         Joints of the effect, from 0; empty for the base and the load.
     axes : tuple of int
         Axes whose torque the columns enter, from 0.
-    columns : function of (Motion, Modelled)
+    columns : function of (MovingRows, Modelled)
         Array of shape (n, len(axes), k) [Nm per unit of the coefficient].
     symbols : tuple of k str
         Names of the coefficients, with unit.
@@ -82,14 +82,14 @@ def on_axis(*columns: Floats) -> Floats:
 # ---------------------------------------------------------------------------------------------------------- friction
 
 
-def stribeck(axis: int, fraction: float, top_rad_s: float) -> Term:
+def stribeck(axis: int, fraction: float, top_rad_s: float) -> MovingTerm:
     """Friction that changes by `c exp(-|qd|/v)`: peak near standstill (c > 0) or a law that flattens (c < 0)."""
     decay = fraction * top_rad_s
 
-    def columns(motion: Motion, _: Modelled) -> Floats:
+    def columns(motion: MovingRows, _: Modelled) -> Floats:
         return on_axis(motion.sign[:, axis] * np.exp(-np.abs(motion.qd_rad_s[:, axis]) / decay))
 
-    return Term(
+    return MovingTerm(
         "velocity_friction",
         (axis,),
         (axis,),
@@ -100,32 +100,32 @@ def stribeck(axis: int, fraction: float, top_rad_s: float) -> Term:
     )
 
 
-def power_friction(axis: int, exponent: float) -> Term:
+def power_friction(axis: int, exponent: float) -> MovingTerm:
     """Friction that grows with `|qd|^p sign(qd)`: 1/2 flattens, 2 steepens."""
 
-    def columns(motion: Motion, _: Modelled) -> Floats:
+    def columns(motion: MovingRows, _: Modelled) -> Floats:
         return on_axis(motion.sign[:, axis] * np.abs(motion.qd_rad_s[:, axis]) ** exponent)
 
     name = {0.5: "root_nm_s05_rad05", 2.0: "square_nm_s2_rad2"}[exponent]
-    return Term("velocity_friction", (axis,), (axis,), columns, (name,), f"power {exponent:g}")
+    return MovingTerm("velocity_friction", (axis,), (axis,), columns, (name,), f"power {exponent:g}")
 
 
-def load_friction(axis: int) -> Term:
+def load_friction(axis: int) -> MovingTerm:
     """Gear losses in proportion to the torque passed on: `nu |tau| sign(qd)` (Hamon, Gautier, Garrec 2010)."""
 
-    def columns(motion: Motion, modelled: Modelled) -> Floats:
+    def columns(motion: MovingRows, modelled: Modelled) -> Floats:
         return on_axis(np.abs(modelled.rigid_nm[:, axis]) * motion.sign[:, axis])
 
-    return Term("load_dependent_friction", (axis,), (axis,), columns, ("coefficient",), modelled=True)
+    return MovingTerm("load_dependent_friction", (axis,), (axis,), columns, ("coefficient",), modelled=True)
 
 
-def together(first: Term, second: Term) -> Term:
+def together(first: MovingTerm, second: MovingTerm) -> MovingTerm:
     """Two effects of the same axes as one, to be tried at once where each alone hides behind the other."""
 
-    def columns(motion: Motion, modelled: Modelled) -> Floats:
+    def columns(motion: MovingRows, modelled: Modelled) -> Floats:
         return np.concatenate([first.columns(motion, modelled), second.columns(motion, modelled)], axis=2)
 
-    return Term(
+    return MovingTerm(
         first.name,
         first.joints,
         first.axes,
@@ -139,18 +139,18 @@ def together(first: Term, second: Term) -> Term:
 # ---------------------------------------------------------------------------------------------------------- coupling
 
 
-def axis_coupling(pair: tuple[int, int], coefficient: float) -> Term:
+def axis_coupling(pair: tuple[int, int], coefficient: float) -> MovingTerm:
     """Motor j turns at `qd_j + c qd_i`: its friction and rotor inertia act on j, and `c` times on i."""
     i, j = pair
 
-    def columns(motion: Motion, _: Modelled) -> Floats:
+    def columns(motion: MovingRows, _: Modelled) -> Floats:
         speed = motion.qd_rad_s[:, j] + coefficient * motion.qd_rad_s[:, i]
         acceleration = motion.qdd_rad_s2[:, j] + coefficient * motion.qdd_rad_s2[:, i]
         top = motion.speed_rad_s[j] + abs(coefficient) * motion.speed_rad_s[i]
         own = np.column_stack([smooth_sign(speed, top), speed, acceleration])
         return np.stack([coefficient * own, own], axis=1)
 
-    return Term(
+    return MovingTerm(
         "axis_coupling",
         pair,
         pair,
@@ -161,36 +161,36 @@ def axis_coupling(pair: tuple[int, int], coefficient: float) -> Term:
     )
 
 
-def torque_mixing(pair: tuple[int, int]) -> Term:
+def torque_mixing(pair: tuple[int, int]) -> MovingTerm:
     """Axis i is charged with a share of the whole torque of axis j: the motor's torque acts on both."""
     i, j = pair
 
-    def columns(_: Motion, modelled: Modelled) -> Floats:
+    def columns(_: MovingRows, modelled: Modelled) -> Floats:
         return on_axis(modelled.total_nm[:, j])
 
-    return Term("axis_coupling", pair, (i,), columns, ("coefficient",), "mixing", modelled=True)
+    return MovingTerm("axis_coupling", pair, (i,), columns, ("coefficient",), "mixing", modelled=True)
 
 
 # --------------------------------------------------------------------------------------------------- springs, cables
 
 
-def coil_balancer() -> Term:
+def coil_balancer() -> MovingTerm:
     """Spring between link 2 and the base whose force grows with its length: `A sin(q2 - phase)`."""
 
-    def columns(motion: Motion, _: Modelled) -> Floats:
+    def columns(motion: MovingRows, _: Modelled) -> Floats:
         return on_axis(np.cos(motion.q_rad[:, 1]), np.sin(motion.q_rad[:, 1]))
 
-    return Term("balancer_spring", (1,), (1,), columns, ("cosine_nm", "sine_nm"), "coil")
+    return MovingTerm("balancer_spring", (1,), (1,), columns, ("cosine_nm", "sine_nm"), "coil")
 
 
-def gas_balancer(phase_rad: float, stroke: float) -> Term:
+def gas_balancer(phase_rad: float, stroke: float) -> MovingTerm:
     """Gas spring, shortest at q2 = phase: a polytropic force that rises with the stroke.
 
     The column is the law of a cylinder with lever and anchor `LEVER_M`, `ANCHOR_M`; `stroke` is the stroke at a quarter
     turn over the length of the gas column.
     """
 
-    def columns(motion: Motion, _: Modelled) -> Floats:
+    def columns(motion: MovingRows, _: Modelled) -> Floats:
         angle = motion.q_rad[:, 1] - phase_rad
         length = np.sqrt(LEVER_M**2 + ANCHOR_M**2 - 2.0 * LEVER_M * ANCHOR_M * np.cos(angle))
         shortest, quarter = abs(ANCHOR_M - LEVER_M), np.hypot(LEVER_M, ANCHOR_M)
@@ -198,29 +198,29 @@ def gas_balancer(phase_rad: float, stroke: float) -> Term:
         return on_axis((1.0 - used) ** -POLYTROPIC * LEVER_M * ANCHOR_M * np.sin(angle) / length)
 
     fixed = (("phase_rad", phase_rad), ("stroke_ratio", stroke))
-    return Term("balancer_spring", (1,), (1,), columns, ("force_n",), "gas", fixed)
+    return MovingTerm("balancer_spring", (1,), (1,), columns, ("force_n",), "gas", fixed)
 
 
-def cable(axis: int, shape: str) -> Term:
+def cable(axis: int, shape: str) -> MovingTerm:
     """Dress pack wound up by one wrist axis: linear in its angle, or the first harmonic."""
 
-    def linear(motion: Motion, _: Modelled) -> Floats:
+    def linear(motion: MovingRows, _: Modelled) -> Floats:
         return on_axis(motion.q_rad[:, axis])
 
-    def harmonic(motion: Motion, _: Modelled) -> Floats:
+    def harmonic(motion: MovingRows, _: Modelled) -> Floats:
         return on_axis(np.sin(motion.q_rad[:, axis]), np.cos(motion.q_rad[:, axis]))
 
     if shape == "linear":
-        return Term("cable_torque", (axis,), (axis,), linear, ("stiffness_nm_rad",), shape)
-    return Term("cable_torque", (axis,), (axis,), harmonic, ("sine_nm", "cosine_nm"), shape)
+        return MovingTerm("cable_torque", (axis,), (axis,), linear, ("stiffness_nm_rad",), shape)
+    return MovingTerm("cable_torque", (axis,), (axis,), harmonic, ("sine_nm", "cosine_nm"), shape)
 
 
-def ripple(axis: int, per_revolution: float) -> Term:
+def ripple(axis: int, per_revolution: float) -> MovingTerm:
     """Torque that swings `per_revolution` times per turn of the joint."""
 
-    def columns(motion: Motion, _: Modelled) -> Floats:
+    def columns(motion: MovingRows, _: Modelled) -> Floats:
         angle = per_revolution * motion.q_rad[:, axis]
         return on_axis(np.sin(angle), np.cos(angle))
 
     fixed = (("per_revolution", per_revolution),)
-    return Term("torque_ripple", (axis,), (axis,), columns, ("sine_nm", "cosine_nm"), "", fixed)
+    return MovingTerm("torque_ripple", (axis,), (axis,), columns, ("sine_nm", "cosine_nm"), "", fixed)

@@ -53,7 +53,7 @@ _WRENCH_MAP = _wrench_map()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Constants:
+class MotionConstants:
     """What does not depend on the row.
 
     `step` (6, 3, 36): spatial step to each link by [1, sin q, cos q]; `turned` (6, 6, 6): spatial cross product with
@@ -68,7 +68,7 @@ class Constants:
     parts: tuple[tuple[tuple[int, float], ...], ...]
 
     @staticmethod
-    def of(robot: Robot) -> Constants:
+    def of(robot: Robot) -> MotionConstants:
         """Constants of an arm: Rodrigues' formula behind the fixed placement of each joint."""
         step, turned = np.zeros((AXES, 3, 6, 6)), np.zeros((AXES, 6, 6))
         for j in range(AXES):
@@ -80,11 +80,11 @@ class Constants:
             turned[j, :3, :3] = turned[j, 3:, 3:] = cross
         parts = tuple(tuple((k, float(axis[k])) for k in range(3) if axis[k] != 0.0) for axis in robot.axis)
         first = np.einsum("mkc,k->mc", _WRENCH_MAP.reshape(_MOTION, 6, 10)[:, 3:], robot.axis[0])
-        return Constants(step.reshape(AXES, 3, 36), turned, robot.axis, first, parts)
+        return MotionConstants(step.reshape(AXES, 3, 36), turned, robot.axis, first, parts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Workspace:
+class MotionBuffers:
     """Arrays for blocks of `n` rows, reused from block to block; what stays zero is never written."""
 
     phase: Floats
@@ -96,12 +96,12 @@ class Workspace:
     rows: Floats
 
     @staticmethod
-    def of(constants: Constants, n: int) -> Workspace:
+    def of(constants: MotionConstants, n: int) -> MotionBuffers:
         """Workspace for blocks of n rows of one arm."""
         state = np.zeros((AXES, n, _ROWS, 6))
         for j in range(AXES):
             state[j, :, 2 + j, 3:] = constants.axis[j]
-        return Workspace(
+        return MotionBuffers(
             phase=np.ones((3, AXES, n)),
             step=np.empty((n, 36)),
             state=state,
@@ -113,14 +113,14 @@ class Workspace:
 
 
 def block(
-    constants: Constants, work: Workspace, motion: tuple[Floats, Floats, Floats], gravity: Floats, out: Floats
+    constants: MotionConstants, work: MotionBuffers, motion: tuple[Floats, Floats, Floats], gravity: Floats, out: Floats
 ) -> None:
     """Write the rows of one block.
 
     Parameters
     ----------
-    constants : Constants
-    work : Workspace
+    constants : MotionConstants
+    work : MotionBuffers
         Of exactly the block's length.
     motion : three arrays of shape (n, 6)
         Positions [rad], velocities [rad/s], accelerations [rad/s2].
@@ -138,7 +138,9 @@ def block(
     out[...] = work.rows
 
 
-def _hand_on(constants: Constants, work: Workspace, motion: tuple[Floats, Floats, Floats], gravity: Floats) -> None:
+def _hand_on(
+    constants: MotionConstants, work: MotionBuffers, motion: tuple[Floats, Floats, Floats], gravity: Floats
+) -> None:
     """Velocity, acceleration less gravity, and screws of every link, in its frame, into `work.state`."""
     q, qd, qdd = (np.ascontiguousarray(value.T) for value in motion)
     sine_cosine(q, work.phase[1], work.phase[2])
@@ -158,7 +160,7 @@ def _hand_on(constants: Constants, work: Workspace, motion: tuple[Floats, Floats
             state[j, :, 1, 3 + k] += qdd[j] if part == 1.0 else part * qdd[j]
 
 
-def _motion_of_links(work: Workspace) -> None:
+def _motion_of_links(work: MotionBuffers) -> None:
     """The twelve numbers of every link's motion into `work.motion`: acceleration of its origin less gravity first.
 
     Vectors in five components x, y, z, x, y: (y, z, x) and (z, x, y) are then slices, a cross product three steps.

@@ -57,9 +57,9 @@ def regressor(
     q, qd, qdd = (np.asarray(value, dtype=float) for value in (q_rad, qd_rad_s, qdd_rad_s2))
     out = _checked(q, out, 10 * AXES)
     gravity = np.asarray(gravity_m_s2, dtype=float)
-    constants = newton_euler.Constants.of(robot)
+    constants = newton_euler.MotionConstants.of(robot)
     size, starts = _blocks(len(q), _MOVING_BLOCK)
-    work = newton_euler.Workspace.of(constants, size)
+    work = newton_euler.MotionBuffers.of(constants, size)
     for start in starts:
         rows = slice(start, start + size)
         newton_euler.block(constants, work, (q[rows], qd[rows], qdd[rows]), gravity, out[rows])
@@ -124,9 +124,9 @@ def _blocks(count: int, most: int) -> tuple[int, list[int]]:
 
 
 def _rest_rows(robot: Robot, q: Floats, gravity_m_s2: ArrayLike, out: Floats) -> Floats:
-    constants = statics.Constants.of(robot, np.asarray(gravity_m_s2, dtype=float))
+    constants = statics.RestConstants.of(robot, np.asarray(gravity_m_s2, dtype=float))
     size, starts = _blocks(len(q), _REST_BLOCK)
-    work = statics.Workspace.of(size)
+    work = statics.RestBuffers.of(size)
     for start in starts:
         rows = slice(start, start + size)
         statics.block(constants, work, q[rows], out[rows])

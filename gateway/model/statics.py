@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Constants:
+class RestConstants:
     """What does not depend on the row.
 
     `step` (6, 3, 16): by [1, sin q, cos q], what hands [origin, x, y, z] on; `first` (3, 12): what makes those of
@@ -32,7 +32,7 @@ class Constants:
     gravity_m_s2: float
 
     @staticmethod
-    def of(robot: Robot, gravity_m_s2: Floats) -> Constants:
+    def of(robot: Robot, gravity_m_s2: Floats) -> RestConstants:
         """Constants of an arm in a field of gravity (3,), base frame."""
         step = np.zeros((AXES, 3, 4, 4))
         for j in range(AXES):
@@ -44,11 +44,11 @@ class Constants:
         level = np.zeros((3, 4))
         level[:2, 1:], level[2, 0] = _level(gravity_m_s2), 1.0
         first = (level @ step[0]).reshape(3, 12)
-        return Constants(step.reshape(AXES, 3, 16), first, robot.axis, float(np.linalg.norm(gravity_m_s2)))
+        return RestConstants(step.reshape(AXES, 3, 16), first, robot.axis, float(np.linalg.norm(gravity_m_s2)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Workspace:
+class RestBuffers:
     """Arrays for blocks of `n` rows, reused from block to block."""
 
     phase: Floats
@@ -57,9 +57,9 @@ class Workspace:
     push: Floats
 
     @staticmethod
-    def of(n: int) -> Workspace:
+    def of(n: int) -> RestBuffers:
         """Workspace for blocks of n rows."""
-        return Workspace(
+        return RestBuffers(
             phase=np.ones((3, AXES, n)),
             step=np.empty((AXES - 1, n, 16)),
             places=np.empty((n, 3, 4 * AXES)),
@@ -67,7 +67,7 @@ class Workspace:
         )
 
 
-def block(constants: Constants, work: Workspace, q: Floats, out: Floats) -> None:
+def block(constants: RestConstants, work: RestBuffers, q: Floats, out: Floats) -> None:
     """Write the rows of the last links of one block: positions [rad] (n, 6), `out` (n, 6, 4 * links)."""
     n, first = len(q), AXES - out.shape[2] // 4
     angle = np.ascontiguousarray(q.T)
@@ -83,7 +83,7 @@ def block(constants: Constants, work: Workspace, q: Floats, out: Floats) -> None
         out[:, i, : 4 * (i - first)] = 0.0
 
 
-def _push(constants: Constants, work: Workspace) -> None:
+def _push(constants: RestConstants, work: RestBuffers) -> None:
     """For every axis the level vector k and -k . o, as rows that act on [origin, x, y, z], into `work.push`."""
     x, y = np.ascontiguousarray(work.places[:, :2].transpose(1, 2, 0)).reshape(2, AXES, 4, -1)
     axis_x = np.zeros((AXES, x.shape[2]))

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gateway.data.rows import Table
 from gateway.model.robot import AXES
-from gateway.rows import Table
 
 Floats = NDArray[np.float64]
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from drives.drive import DriveCommand, DriveReading
+from drives.drive import DriveCommand
 from drives.epoch import Epoch
-from drives.values import InstrumentReading
 from gateway.cell.conversion import AxisConversion
+from gateway.data.sample import ArmSample
 
 AXES = 6
 
@@ -58,42 +57,6 @@ class SixDrives(Protocol):
     def sync_sent_s(self) -> float:
         """Monotonic time of the last SYNC."""
         ...
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ArmSample:
-    """What six drives reported for one SYNC, on the joint side.
-
-    Attributes
-    ----------
-    sync_index : int
-    time_s : float
-    q_rad : array of shape (6,)
-        NaN where a drive did not answer.
-    joint_torque_nm : array of shape (6,)
-        Ratio, sign and coupling applied, efficiency not; NaN where a drive did not answer.
-    readings : tuple of DriveReading or None
-        Motor side, raw and SI.
-    instruments : tuple of InstrumentReading or None
-        Measuring devices on the same bus, at the same SYNC; None where one did not answer.
-    """
-
-    sync_index: int
-    time_s: float
-    q_rad: np.ndarray
-    joint_torque_nm: np.ndarray
-    readings: tuple[DriveReading | None, ...]
-    instruments: tuple[InstrumentReading | None, ...] = ()
-
-    @property
-    def complete(self) -> bool:
-        """Whether every drive answered this SYNC."""
-        return None not in self.readings
-
-    @property
-    def silent(self) -> tuple[int, ...]:
-        """Axes, from 1, whose drive did not answer."""
-        return tuple(axis for axis, reading in enumerate(self.readings, start=1) if reading is None)
 
 
 class Arm:

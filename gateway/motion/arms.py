@@ -22,7 +22,8 @@ import numpy as np
 from drives.drive import DriveCommand
 from drives.errors import StopAsked
 from drives.exchange import Pacing
-from gateway.motion.arm import Arm, ArmSample
+from gateway.data.sample import ArmSample
+from gateway.motion.arm import Arm
 
 Result = TypeVar("Result")
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.config import ArmConfig
+from gateway.cell.config import ArmConfig
 from gateway.model.capsule import Capsule, capsule_of
 from gateway.model.mesh import MeshError
 from gateway.model.robot import AXES, Robot, reach_m

@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 
 from drives.profile import DriveProfile
+from gateway.cell.config import ArmConfig
 from gateway.cell.conversion import AxisConversion
-from gateway.check.coasting import quick_stop_ramp
-from gateway.check.rules import Readings
-from gateway.config import ArmConfig
+from gateway.preflight.coasting import quick_stop_ramp
+from gateway.preflight.rules import Readings
 
 #: A target at a joint's limit is rounded to counts: so far beyond it the drive still takes it [rad, joint].
 ROUNDING_RAD: Final = 1e-4

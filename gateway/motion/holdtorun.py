@@ -21,7 +21,7 @@ from typing import Final
 
 from drives.bus import Bus
 from drives.sdo import Posted, SdoClient
-from gateway.config import HoldToRun
+from gateway.cell.config import HoldToRun
 from gateway.errors import ConfigError, PlanRefused
 from gateway.motion.opening import OpenArm
 from gateway.motion.stops import StopKind, StoppedByPerson, StopRequest

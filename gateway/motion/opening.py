@@ -15,17 +15,18 @@ from drives.drive import AxisSetup, DriveCommand, Identity
 from drives.epoch import Epoch
 from drives.group import DriveGroup, GroupOptions
 from drives.instrument import InstrumentSetup
-from drives.profile import DriveProfile, list_profiles, load_profile
+from drives.profile import DriveProfile
+from drives.profile_file import list_profiles, load_profile
 from drives.scaling import Constants
-from gateway.arm_model import arm_named, robot_from_text, robot_place, robot_text
+from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.cell.conversion import AxisConversion
-from gateway.check.preflight import Preflight, look_over, require_passed
-from gateway.check.rules import CheckItem, Readings
-from gateway.config import ArmConfig, LoadedCell
+from gateway.model.arm_model import arm_named, robot_from_text, robot_place, robot_text
 from gateway.motion.arm import Arm
 from gateway.motion.drive_limits import motor_ranges_rad, motor_torques_nm, quick_stop_rad_s2
 from gateway.motion.torque_need import needed_torque_nm
 from gateway.motion.workspace import Workspace, workspace_of
+from gateway.preflight.look_over import Preflight, look_over, require_passed
+from gateway.preflight.rules import CheckItem, Readings
 
 
 @dataclass(frozen=True, slots=True)

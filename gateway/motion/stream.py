@@ -13,7 +13,7 @@ from typing import Final, TypeVar
 import numpy as np
 
 from drives.realtime import leave_real_time
-from gateway.motion.arm import ArmSample
+from gateway.data.sample import ArmSample
 from gateway.motion.arms import Arms
 from gateway.motion.contact import TAKE_OVER_S
 from gateway.motion.pathclock import PathClock

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.config import ArmConfig
+from gateway.cell.config import ArmConfig
 from gateway.errors import ConfigError
 from gateway.feedforward.load import FeedLoad, assumed_load, rated_load
 from gateway.feedforward.parameters import drawn_parameters

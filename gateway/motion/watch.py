@@ -6,9 +6,9 @@ from collections import deque
 
 import numpy as np
 
+from gateway.data.sample import ArmSample
 from gateway.errors import LimitExceeded
 from gateway.model.regressor import gravity_regressor
-from gateway.motion.arm import ArmSample
 from gateway.motion.contact import Contact
 from gateway.motion.reactions import ARM_RULES
 from gateway.motion.workspace import Workspace

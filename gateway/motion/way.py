@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from gateway.motion.arm import ArmSample
+from gateway.data.sample import ArmSample
 from gateway.motion.trajectory import Motion
 
 #: One array of shape (6,) per arm.

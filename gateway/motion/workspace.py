@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gateway.config import ArmConfig
+from gateway.cell.config import ArmConfig
 from gateway.errors import ConfigError, PlanRefused
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import Robot

@@ -9,15 +9,15 @@ import numpy as np
 
 from drives.bus import BusSpec
 from drives.exchange import Pacing
-from gateway.arm_model import arm_robot
 from gateway.cell.buses import bus_specs
-from gateway.config import ArmConfig, LoadedCell, PairConfig, load_cell, with_pacing
-from gateway.csv_text import read_path_columns
+from gateway.cell.config import ArmConfig, LoadedCell, PairConfig, load_cell, with_pacing
+from gateway.data.csv_text import read_path_columns
 from gateway.errors import ConfigError, InputError
+from gateway.model.arm_model import arm_robot
 from gateway.model.regressor import regressor
 from gateway.model.robot import Robot, rotation_rpy, transform
 from gateway.pair.gap import GapLayout, gap_layout
-from gateway.pair.inverse import Chain, chain_of, path_joint_angles
+from gateway.pair.inverse import ForwardChain, chain_of, path_joint_angles
 from gateway.pair.path import PairPath, PathProgram, master_commands
 from gateway.pair.relation import relation, slave_command
 from gateway.pair.transform import Floats
@@ -36,7 +36,7 @@ class PairArm:
     config : ArmConfig
     robot : Robot
         With the fingertip as its flange.
-    chain : Chain
+    chain : ForwardChain
     world_from_base : array of shape (4, 4)
     part_from_tip : array of shape (4, 4)
         Fingertip in the part's frame.
@@ -47,7 +47,7 @@ class PairArm:
 
     config: ArmConfig
     robot: Robot
-    chain: Chain
+    chain: ForwardChain
     world_from_base: Floats
     part_from_tip: Floats
     rotor_kg_m2: Floats

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from gateway.motion.arm import ArmSample
+from gateway.data.sample import ArmSample
 from gateway.pair.calibration import PathWrenches
 from gateway.pair.follow import WrenchFromTorque
 from gateway.pair.gap import GapWatch

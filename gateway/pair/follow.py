@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from gateway.data.sample import ArmSample
 from gateway.errors import PlanRefused
-from gateway.motion.arm import ArmSample
 from gateway.pair.cell import PairArm
 from gateway.pair.force import dead_band
 from gateway.pair.inverse import SINGULAR

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gateway.errors import ConfigError
-from gateway.pair.inverse import SINGULAR, Chain
+from gateway.pair.inverse import SINGULAR, ForwardChain
 from gateway.pair.transform import Floats, cross_matrix
 
 DAMPING = 0.02
@@ -77,7 +77,7 @@ class ForceEstimator:
 
     Parameters
     ----------
-    chain : Chain
+    chain : ForwardChain
         Nominal geometry of the arm, fingertip included.
     cutoff_hz : float
         Of the first-order low-pass.
@@ -89,7 +89,7 @@ class ForceEstimator:
         Cut-off not between 0 and half the sampling rate.
     """
 
-    def __init__(self, chain: Chain, cutoff_hz: float, dt_s: float) -> None:
+    def __init__(self, chain: ForwardChain, cutoff_hz: float, dt_s: float) -> None:
         if not 0.0 < cutoff_hz < 0.5 / dt_s:
             raise ConfigError(f"force filter: cut-off must lie between 0 and {0.5 / dt_s:.4g} Hz, got {cutoff_hz} Hz")
         self._chain = chain

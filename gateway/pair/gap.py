@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from drives.instrument import InstrumentSetup
-from gateway.config_pair import DistanceConfig, PairConfig
-from gateway.motion.arm import ArmSample
+from gateway.cell.config_pair import DistanceConfig, PairConfig
+from gateway.data.sample import ArmSample
 from gateway.pair.distance import DistanceEstimator, DistanceSensors
 from gateway.pair.transform import Floats, inverse
 

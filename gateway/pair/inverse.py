@@ -27,7 +27,7 @@ SEED_EVERY = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Chain:
+class ForwardChain:
     """Constants of a robot's forward kinematics, prepared for one call per control cycle."""
 
     fixed: Floats
@@ -58,11 +58,11 @@ class Chain:
         return tip, jacobian
 
 
-def chain_of(robot: Robot) -> Chain:
+def chain_of(robot: Robot) -> ForwardChain:
     """Constants of a robot; its gripper frame is the robot's flange (link 6 where it has none)."""
     fixed = robot.placement[:, :3, :3]
     cross = cross_matrix(robot.axis)
-    return Chain(
+    return ForwardChain(
         fixed=fixed,
         sine=fixed @ cross,
         versine=fixed @ cross @ cross,
@@ -74,7 +74,7 @@ def chain_of(robot: Robot) -> Chain:
     )
 
 
-def solve(chain: Chain, targets: ArrayLike, seeds_rad: ArrayLike) -> Floats:
+def solve(chain: ForwardChain, targets: ArrayLike, seeds_rad: ArrayLike) -> Floats:
     """Joint positions (n, 6) [rad] for gripper poses (n, 4, 4), each from its own seed (n, 6); limits not looked at.
 
     Raises
@@ -105,12 +105,12 @@ def solve(chain: Chain, targets: ArrayLike, seeds_rad: ArrayLike) -> Floats:
     )
 
 
-def smallest_singular(chain: Chain, q_rad: ArrayLike) -> Floats:
+def smallest_singular(chain: ForwardChain, q_rad: ArrayLike) -> Floats:
     """Smallest singular value (n,) of the Jacobian at postures (n, 6) [rad]."""
     return np.asarray(np.linalg.svd(chain.poses(q_rad)[1], compute_uv=False)[:, -1], dtype=float)
 
 
-def joint_angles(robot: Robot | Chain, target: ArrayLike, seed_rad: ArrayLike) -> Floats:
+def joint_angles(robot: Robot | ForwardChain, target: ArrayLike, seed_rad: ArrayLike) -> Floats:
     """Joint positions (6,) [rad] for one gripper pose (4, 4) in the base, from a seed (6,).
 
     Raises
@@ -120,13 +120,13 @@ def joint_angles(robot: Robot | Chain, target: ArrayLike, seed_rad: ArrayLike) -
     LimitExceeded
         A joint would leave its range; names the joint.
     """
-    chain = robot if isinstance(robot, Chain) else chain_of(robot)
+    chain = robot if isinstance(robot, ForwardChain) else chain_of(robot)
     q = solve(chain, np.asarray(target, dtype=float)[None], np.asarray(seed_rad, dtype=float)[None])
     refuse_unusable(chain, q)
     return q[0]
 
 
-def path_joint_angles(robot: Robot | Chain, targets: ArrayLike, seed_rad: ArrayLike) -> tuple[Floats, Floats]:
+def path_joint_angles(robot: Robot | ForwardChain, targets: ArrayLike, seed_rad: ArrayLike) -> tuple[Floats, Floats]:
     """Joint positions (M, 6) [rad] along a path of gripper poses (M, 4, 4), and the smallest singular value (M,).
 
     Raises
@@ -134,7 +134,7 @@ def path_joint_angles(robot: Robot | Chain, targets: ArrayLike, seed_rad: ArrayL
     PlanRefused, LimitExceeded
         As `joint_angles`; names the number of the command.
     """
-    chain = robot if isinstance(robot, Chain) else chain_of(robot)
+    chain = robot if isinstance(robot, ForwardChain) else chain_of(robot)
     target = np.asarray(targets, dtype=float)
     at = np.unique(np.append(np.arange(0, len(target), SEED_EVERY), len(target) - 1))
     coarse = np.empty((len(at), AXES))
@@ -148,7 +148,7 @@ def path_joint_angles(robot: Robot | Chain, targets: ArrayLike, seed_rad: ArrayL
     return q, refuse_unusable(chain, q)
 
 
-def refuse_unusable(chain: Chain, q_rad: Floats) -> Floats:
+def refuse_unusable(chain: ForwardChain, q_rad: Floats) -> Floats:
     """Smallest singular value (n,) of postures (n, 6) that are all inside the limits and none singular.
 
     Raises

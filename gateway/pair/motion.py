@@ -13,8 +13,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from gateway.data.sample import ArmSample
 from gateway.errors import LimitExceeded, PlanRefused
-from gateway.motion.arm import ArmSample
 from gateway.motion.places import angles
 from gateway.motion.stops import StopKind
 from gateway.motion.stream import MoveOptions, Stream
@@ -32,7 +32,7 @@ from gateway.pair.inverse import path_joint_angles
 from gateway.pair.passage import Commander, Pair, Passage, Streamed
 from gateway.pair.path import PairPath
 from gateway.pair.transform import Floats, inverse
-from gateway.pair.ways import Along, Approach, Settling
+from gateway.pair.ways import Along, Settling, WatchedWay
 
 #: How far an arm may stand from where the part is gripped when a run begins [rad].
 START_TOLERANCE_RAD = 0.02
@@ -57,7 +57,7 @@ class PairStopped(PlanRefused):  # noqa: N818 - reads as what happened
 
 
 @dataclass(frozen=True, slots=True)
-class MotionOptions:
+class PairMotionOptions:
     """How a pair is moved.
 
     Attributes
@@ -103,16 +103,16 @@ class PairMotion:
     cell : PairCell
     stream : Stream
         Of both arms, not necessarily powered yet.
-    options : MotionOptions, optional
+    options : PairMotionOptions, optional
 
     Attributes
     ----------
     samples : what both arms reported last
     """
 
-    def __init__(self, cell: PairCell, stream: Stream, options: MotionOptions | None = None) -> None:
+    def __init__(self, cell: PairCell, stream: Stream, options: PairMotionOptions | None = None) -> None:
         self.cell, self.stream = cell, stream
-        self.options = options or MotionOptions()
+        self.options = options or PairMotionOptions()
         self.calibration = calibration_of(cell)
         self.dt_s = cell.sync_period_s
         self._desk = stream.station.options.desk
@@ -199,7 +199,7 @@ class PairMotion:
             )
             for at, to in zip(began, goal, strict=True)
         ]
-        self.stream.drive(Approach(self, began, motions), "approach")
+        self.stream.drive(WatchedWay(self, began, motions), "approach")
         self.stand(round(dwell_s / self.dt_s))
 
     def prepare(self, job: Callable[[], Result]) -> Result:
@@ -209,11 +209,6 @@ class PairMotion:
     def settle(self, way: Passage, commander: Commander) -> None:
         """Stand at the beginning of a way until the commander has nothing left to correct."""
         self.stream.drive(Settling(self, way, commander, self._felt(way)), "settle")
-
-    def targets(self, way: Passage, m: int, commands: Pair) -> Pair:
-        """Joint targets of both arms for the gripper commands of index m."""
-        first, second = way.followers
-        return first.joints(m, commands[0]), second.joints(m, commands[1])
 
     def run(self, way: Passage, commander: Commander, *, fade: bool = False) -> Streamed:
         """Every command of a way; with `fade` what the arms stand off its beginning is faded out.

@@ -39,6 +39,11 @@ class Passage:
     acceleration_rad_s2: Floats
     free_nm: Pair
 
+    def targets(self, m: int, commands: Pair) -> Pair:
+        """Joint targets of both arms for the gripper commands of index m."""
+        first, second = self.followers
+        return first.joints(m, commands[0]), second.joints(m, commands[1])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Streamed:

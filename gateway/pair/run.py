@@ -16,7 +16,7 @@ from gateway.pair.cell import PairCell
 from gateway.pair.controller import CycleSummary, PairController
 from gateway.pair.embodiments import Embodiment
 from gateway.pair.function import TransformFunction, function_of_knots
-from gateway.pair.motion import MotionOptions, PairMotion
+from gateway.pair.motion import PairMotion, PairMotionOptions
 from gateway.pair.passage import Commander, Passage, Streamed
 from gateway.pair.path import PairPath
 from gateway.pair.relation import slave_command
@@ -65,7 +65,7 @@ class PairRun:
         Of both arms, not necessarily powered yet.
     config : Embodiment
     first : TransformFunction
-    options : MotionOptions, optional
+    options : PairMotionOptions, optional
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class PairRun:
         stream: Stream,
         config: Embodiment,
         first: TransformFunction,
-        options: MotionOptions | None = None,
+        options: PairMotionOptions | None = None,
     ) -> None:
         self.config, self._cell = config, cell
         self.motion = PairMotion(cell, stream, options)
@@ -97,7 +97,7 @@ class PairRun:
 
     def stand(self) -> None:
         """Bring both arms to the start of the path, corrections at nothing: where the grippers close."""
-        self.motion.approach(self.motion.targets(self._way, 0, self._standing()))
+        self.motion.approach(self._way.targets(0, self._standing()))
 
     def cycle(self) -> PairCycle:
         """One way forward, from standing at the start; learns from it if it was complete.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gateway.motion.arm import ArmSample
+from gateway.data.sample import ArmSample
 from gateway.pair.transform import Floats
 
 #: Servos whose lag was not seen well enough, and the slowest that is believed [s].

@@ -19,7 +19,7 @@ from gateway.pair.function import TransformFunction, constant_function, sampled
 from gateway.pair.impedance import Gains
 from gateway.pair.lesson import Lesson, TaughtPoint, read_lesson
 from gateway.pair.link import PairLink
-from gateway.pair.motion import MotionOptions, PairMotion, refuse_elsewhere
+from gateway.pair.motion import PairMotion, PairMotionOptions, refuse_elsewhere
 from gateway.pair.run import PairCycle, PairRun
 from gateway.pair.speed import SpeedTable
 from gateway.pair.storage import PairStore, run_as_json
@@ -31,7 +31,7 @@ RUNNABLE = tuple(name for name, row in EMBODIMENTS.items() if row.first != "exac
 
 
 @dataclass(frozen=True, slots=True)
-class RunRequest:
+class PairRunRequest:
     """What to run: embodiment by name, and how many cycles."""
 
     embodiment: str
@@ -105,7 +105,7 @@ def teach_pair(
     store: PairStore,
     lesson: Lesson,
     told: Callable[[TaughtPoint, int, int], None],
-    options: MotionOptions | None = None,
+    options: PairMotionOptions | None = None,
 ) -> TransformFunction:
     """Teach what the lesson lacks and store the first function.
 
@@ -114,7 +114,7 @@ def teach_pair(
     told : callable
         Called with each new point, its number and how many there will be.
     """
-    options = options or MotionOptions()
+    options = options or PairMotionOptions()
     refuse_elsewhere(cell, link.together.where())
     # slower ways and sweeps are planned, so that forces are felt as they are driven
     stream = Stream(link.station(cell, replace(options.moves, override=1.0)))
@@ -191,9 +191,9 @@ def run_pair(
     link: PairLink,
     cell: PairCell,
     store: PairStore,
-    request: RunRequest,
+    request: PairRunRequest,
     told: Callable[[PairCycle], None],
-    options: MotionOptions | None = None,
+    options: PairMotionOptions | None = None,
 ) -> dict[str, Any]:
     """Run cycles of an embodiment, keep what was learned and what the report shows.
 
@@ -203,7 +203,7 @@ def run_pair(
         The run as it is stored for the report, with the statistics of both buses.
     """
     row = embodiment_of(cell, request.embodiment)
-    options = options or MotionOptions()
+    options = options or PairMotionOptions()
     moves = options.moves
     speed = options.speed or cell.config.speed
     first, _ = first_function(cell, store, row, speed)

@@ -146,7 +146,7 @@ class Teacher:
         yielding = _Yielding(self._compliance)
         for _ in range(rule.rounds):
             begin = self._commands(sweep, function)(0, None, None)
-            self._motion.approach(self._motion.targets(sweep, 0, begin), 0.0)
+            self._motion.approach(sweep.targets(0, begin), 0.0)
             felt = self._measure(sweep, function)
             forces.append(float(np.linalg.norm(felt[:3])))
             moments.append(float(np.linalg.norm(felt[3:])))

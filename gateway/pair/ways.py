@@ -5,21 +5,19 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
-from gateway.motion.arm import ArmSample
+from gateway.data.sample import ArmSample
 from gateway.motion.stops import StopKind
 from gateway.motion.trajectory import Motion
 from gateway.motion.way import MotionWay, PerArm
+from gateway.pair.cell import PairCell
 from gateway.pair.felt import Felt
 from gateway.pair.passage import Commander, Pair, Passage
 from gateway.pair.servolag import ServoLag
 from gateway.pair.transform import Floats
-
-if TYPE_CHECKING:
-    from gateway.pair.motion import PairMotion
 
 #: For closing a gap at standstill: many times what one correction takes [s].
 SETTLE_S = 0.4
@@ -30,10 +28,34 @@ HAIR = 1e-9
 RISING_SYNCS, RISING = 3, 2.5
 
 
-class Approach(MotionWay):
+class MovedPair(Protocol):
+    """What a way needs of the pair that goes along it."""
+
+    dt_s: float
+    cell: PairCell
+
+    @property
+    def q_rad(self) -> Pair:
+        """Last targets (6,) of both arms."""
+        ...
+
+    def offsets(self, q: PerArm) -> PerArm | None:
+        """Torque offsets of both arms, if any."""
+        ...
+
+    def see(self, samples: tuple[ArmSample, ...]) -> None:
+        """Take in a SYNC."""
+        ...
+
+    def ask(self, why: str, kind: StopKind = StopKind.ALONG_PATH) -> None:
+        """Have both arms stopped."""
+        ...
+
+
+class WatchedWay(MotionWay):
     """Prepared motions of both arms on which the gap is watched."""
 
-    def __init__(self, motion: PairMotion, began: Pair, motions: Sequence[Motion]) -> None:
+    def __init__(self, motion: MovedPair, began: Pair, motions: Sequence[Motion]) -> None:
         super().__init__(began, motions)
         self._motion = motion
 
@@ -59,7 +81,7 @@ class Along:
     yield meanwhile is added to both ends of it.
     """
 
-    def __init__(self, motion: PairMotion, way: Passage, commander: Commander, felt: Felt, fading: int) -> None:
+    def __init__(self, motion: MovedPair, way: Passage, commander: Commander, felt: Felt, fading: int) -> None:
         self.count = len(way.path)
         self.spent_s = 0.0
         self._motion, self._way, self._commander, self._felt = motion, way, commander, felt
@@ -107,7 +129,7 @@ class Along:
         began = time.perf_counter()
         doubtful = self._lag.slower and self._felt.doubtful(self._felt_at)
         felt = (None, None) if doubtful else self._felt.inputs(m)
-        q = self._motion.targets(self._way, m, self._commander(m, *felt))
+        q = self._way.targets(m, self._commander(m, *felt))
         self.spent_s += time.perf_counter() - began
         if m < self._fading:
             at = self._motion.q_rad
@@ -149,7 +171,7 @@ class Along:
 class Settling:
     """Rows at the beginning of a way, where the commander closes what is open."""
 
-    def __init__(self, motion: PairMotion, way: Passage, commander: Commander, felt: Felt) -> None:
+    def __init__(self, motion: MovedPair, way: Passage, commander: Commander, felt: Felt) -> None:
         self.count = round(SETTLE_S / motion.dt_s)
         self._motion, self._way, self._commander, self._felt = motion, way, commander, felt
         self._still = np.zeros(way.speed_rad_s.shape[1])
@@ -160,7 +182,7 @@ class Settling:
 
     def targets(self, at: float, rate: float) -> PerArm:
         """As `Way.targets`."""
-        self._q_rad = self._motion.targets(self._way, 0, self._commander(0, *self._felt.inputs(0)))
+        self._q_rad = self._way.targets(0, self._commander(0, *self._felt.inputs(0)))
         return self._q_rad
 
     def ahead(self, at: float, rate: float) -> None:

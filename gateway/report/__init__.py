@@ -1,6 +1,6 @@
 """One HTML page from one result: numbers and sentences (view), pictures (svg, figures, arm), template.
 
-The page is drawn from the result JSON alone. Beside the keys of `gateway.result` it reads the object `data`
+The page is drawn from the result JSON alone. Beside the keys of `gateway.result.result` it reads the object `data`
 (each key optional; what is absent is left out of the page):
 
     created, software, cell, arm     str

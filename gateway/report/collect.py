@@ -9,7 +9,7 @@ import numpy as np
 
 from gateway.model.kinematics import flange_frames, link_frames
 from gateway.model.robot import Robot
-from gateway.result import LoadResult, Rows
+from gateway.result.result import LoadResult, Rows
 
 MOST_POSES = 60
 

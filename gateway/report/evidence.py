@@ -9,16 +9,17 @@ from typing import Any
 from markupsafe import Markup
 
 from gateway.report import words
+from gateway.report.quality import AxisQuality
 from gateway.report.rows import cell, measured_axes
 from gateway.report.svg import Panel, limits, tick_text
-from gateway.report.view import AxisView, Candidate
+from gateway.report.view import Candidate
 
 Json = Mapping[str, Any]
 MOST_CANDIDATES = 14
 LEFT = 34.0
 
 
-def quality_figure(axes: Sequence[AxisView]) -> Markup | None:
+def quality_figure(axes: Sequence[AxisQuality]) -> Markup | None:
     """Residual per axis, before and after, logarithmic: over the noise floor where it is known, else in Nm."""
     rated = [axis for axis in axes if axis.ratio_after is not None]
     shown = rated or [axis for axis in axes if axis.after]
@@ -40,7 +41,7 @@ def quality_figure(axes: Sequence[AxisView]) -> Markup | None:
     return panel.svg("Residual of every axis, before and after")
 
 
-def _dumbbell(panel: Panel, row: int, pair: tuple[float | None, float | None], axis: AxisView) -> None:
+def _dumbbell(panel: Panel, row: int, pair: tuple[float | None, float | None], axis: AxisQuality) -> None:
     low = panel.x_range[0]
     before, after = (None if value is None else math.log10(max(value, 10**low)) for value in pair)
     if before is not None and after is not None and axis.before != axis.after:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gateway.report import words
-
-if TYPE_CHECKING:
-    from gateway.report.view import AxisView
+from gateway.report.quality import AxisQuality
 
 Json = Mapping[str, Any]
 HELD_OUT = {
@@ -72,7 +70,7 @@ def verdict_sentence(result: Json) -> str:
     return "The load was estimated with the model as it stands; no diagnosis of the residual was asked for."
 
 
-def quality_sentence(axes: Sequence[AxisView], result: Json) -> str:
+def quality_sentence(axes: Sequence[AxisQuality], result: Json) -> str:
     """How far the model is from the noise, on its worst axis."""
     rated = [(axis.ratio_after, axis) for axis in axes if axis.ratio_after is not None]
     if not rated:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gateway.report import sentences, words
+from gateway.report.quality import AxisQuality
 
 Json = Mapping[str, Any]
 
@@ -47,28 +48,6 @@ class LoadView:
 
 
 @dataclass(frozen=True, slots=True)
-class AxisView:
-    """Residual of one axis against its noise floor, Nm; None = not measured or not known."""
-
-    name: str
-    floor: float | None
-    before: float | None
-    after: float | None
-    band: float | None
-    fit: float | None
-
-    @property
-    def ratio_before(self) -> float | None:
-        """Residual before over the floor."""
-        return _ratio(self.before, self.floor)
-
-    @property
-    def ratio_after(self) -> float | None:
-        """Residual after over the floor."""
-        return _ratio(self.after, self.floor)
-
-
-@dataclass(frozen=True, slots=True)
 class EffectView:
     """An effect that was found, with its parameters as (name, value, std, unit)."""
 
@@ -97,7 +76,7 @@ class View:
     verdict: str
     quality: str
     loads: tuple[LoadView, ...]
-    axes: tuple[AxisView, ...]
+    axes: tuple[AxisQuality, ...]
     effects: tuple[EffectView, ...]
     candidates: tuple[Candidate, ...]
     held_out: str
@@ -131,21 +110,17 @@ def view(result: Json) -> View:
     )
 
 
-def _axes(result: Json) -> tuple[AxisView, ...]:
+def _axes(result: Json) -> tuple[AxisQuality, ...]:
     before, after = result.get("before") or {}, result.get("after") or {}
     key = "holdout_rms_nm" if sentences.held_out_known(result) else "rms_nm"
     floor, band = _six(result.get("noise_floor_nm")), _six(result.get("friction_band_nm"))
     columns = zip(floor, _six(before.get(key)), _six(after.get(key)), band, _six(after.get("rms_nm")), strict=True)
-    return tuple(AxisView(words.axis(index + 1), *column) for index, column in enumerate(columns))
+    return tuple(AxisQuality(words.axis(index + 1), *column) for index, column in enumerate(columns))
 
 
 def _six(values: Sequence[float | None] | None) -> tuple[float | None, ...]:
     given = list(values or [])[:6]
     return tuple(value if words.known(value) else None for value in given + [None] * (6 - len(given)))
-
-
-def _ratio(value: float | None, floor: float | None) -> float | None:
-    return value / floor if value is not None and floor is not None and floor > 0 else None
 
 
 def _before(result: Json, load: Json) -> Json | None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sim.pair.geometry import ArmGeometry, turn
 from sim.pair.motors import DriveTrain
 from sim.physics import bullet
-from sim.urdf import Body, Chain, write_chain
+from sim.urdf import SimBody, SimChain, write_chain
 
 Array = NDArray[np.float64]
 
@@ -34,13 +34,13 @@ class ArmTruth:
     """
 
     geometry: ArmGeometry
-    bodies: tuple[Body, ...]
+    bodies: tuple[SimBody, ...]
     train: DriveTrain
     shift_rad: Array
     max_rad_s: Array
 
 
-def chain_of(arm: ArmTruth) -> Chain:
+def chain_of(arm: ArmTruth) -> SimChain:
     """The arm in the world as joints about z: everything between two axes is in the placement of the second."""
     geometry = arm.geometry
     before, placement = geometry.base, []
@@ -51,7 +51,7 @@ def chain_of(arm: ArmTruth) -> Chain:
         before = before @ turn("x", geometry.alpha_rad[i])
     free = np.full(6, np.inf)
     axis = np.tile([0.0, 0.0, 1.0], (6, 1))
-    return Chain("arm", np.array(placement), axis, arm.bodies, -free, free, free, free)
+    return SimChain("arm", np.array(placement), axis, arm.bodies, -free, free, free, free)
 
 
 def load_pair(arms: tuple[ArmTruth, ArmTruth], step_s: float) -> tuple[int, int]:

@@ -20,7 +20,7 @@ from sim.pair.two_arms import TwoArms
 from sim.pair.unit import PairUnit
 from sim.pair.workpiece import Stiffness
 from sim.pair.world import PairWorld, WorldSettings
-from sim.urdf import Body, combine
+from sim.urdf import SimBody, combine
 
 Array = NDArray[np.float64]
 
@@ -121,14 +121,14 @@ def _without_errors() -> PairErrors:
     return PairErrors(-1, master, slave, 0.0)
 
 
-def _truth(arm: ArmSpec, errors: ArmErrors, carried: Body | None) -> ArmTruth:
+def _truth(arm: ArmSpec, errors: ArmErrors, carried: SimBody | None) -> ArmTruth:
     axes = arm.axes
-    bodies: list[Body] = []
+    bodies: list[SimBody] = []
     for number, body in enumerate(arm.chain.bodies):
         if body is None:
             raise CellFileError(f"robot of arm '{arm.name}': link {number + 1} has no <inertial>; all six are needed")
         share = 1.0 / float(errors.gravity_scale[number])
-        bodies.append(Body(body.mass_kg * share, body.com_m, body.inertia_kg_m2 * share))
+        bodies.append(SimBody(body.mass_kg * share, body.com_m, body.inertia_kg_m2 * share))
     if carried is not None:
         bodies[5] = combine(bodies[5], carried)
     rated = np.array([axis.torque_limit_nm / 3.0 for axis in axes])
@@ -151,14 +151,14 @@ def _truth(arm: ArmSpec, errors: ArmErrors, carried: Body | None) -> ArmTruth:
     return ArmTruth(errors.geometry, tuple(bodies), train, shift, speed)
 
 
-def _half_part(mass_kg: float) -> Body:
+def _half_part(mass_kg: float) -> SimBody:
     """Half the part at the fingertip of link 6."""
     place = np.array([0.0, 0.0, 0.10 + TOOL_M])
-    return Body(mass_kg, place, np.eye(3) * mass_kg * HALF_PART_M**2 / 3.0)
+    return SimBody(mass_kg, place, np.eye(3) * mass_kg * HALF_PART_M**2 / 3.0)
 
 
-def _whole_part(mass_kg: float) -> Body:
+def _whole_part(mass_kg: float) -> SimBody:
     """The part on the master alone: it holds one end of it."""
     place = np.array([-HALF_PART_M, 0.0, 0.10 + TOOL_M])
     inertia = mass_kg * HALF_PART_M**2 / 3.0
-    return Body(mass_kg, place, np.diag([1e-4 * mass_kg, inertia, inertia]))
+    return SimBody(mass_kg, place, np.diag([1e-4 * mass_kg, inertia, inertia]))

@@ -54,7 +54,7 @@ class PathConstants:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reading:
+class CellReading:
     """One control cycle of all runs.
 
     `wrench` (n, 2, 6): estimate per arm, base axes [N, Nm]; `encoder_rad` (n, 2, 6); `internal` (n, 6): true internal
@@ -158,7 +158,9 @@ class KinetostaticPair:
         both = tip(self._arms, self._link + self._cyclic * np.sin(self._per_rev * self._link + self._phase))
         return both[:, 0], both[:, 1]
 
-    def step(self, m: NDArray[np.int64] | int, q_command_rad: Array, noise: Array, friction: float = 1.0) -> Reading:
+    def step(
+        self, m: NDArray[np.int64] | int, q_command_rad: Array, noise: Array, friction: float = 1.0
+    ) -> CellReading:
         """One control cycle.
 
         Parameters
@@ -173,7 +175,7 @@ class KinetostaticPair:
 
         Returns
         -------
-        Reading
+        CellReading
             The wrench is that of the cycle before: it has to travel the bus.
         """
         target = self._command[1].copy()
@@ -186,7 +188,7 @@ class KinetostaticPair:
         self._filtered = sample if self._filtered is None else self._filtered + self._share * (sample - self._filtered)
         seen = self._filtered if self._seen is None else self._seen
         self._seen = self._filtered
-        return Reading(seen, self._motor.copy(), internal, mismatch)
+        return CellReading(seen, self._motor.copy(), internal, mismatch)
 
     def mismatch(self) -> Array:
         """Gripper 2 (n, 6) [m, rad] from where the part, held by gripper 1, wants it; world axes."""

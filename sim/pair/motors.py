@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.servo import Gains, ServoLoop
+from sim.servo import ServoGains, ServoLoop
 
 Array = NDArray[np.float64]
 
@@ -219,7 +219,7 @@ class Motors:
 
 
 def _servo(train: DriveTrain, i: int, max_rad_s: float) -> ServoLoop:
-    gains = Gains(
+    gains = ServoGains(
         position_1_s=(1.0 - FEEDFORWARD) / float(train.lag_s[i]),
         speed_nm_s_rad=SPEED_BANDWIDTH_RAD_S * float(train.rotor_kg_m2[i]),
         reset_time_s=RESET_S,

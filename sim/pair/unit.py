@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import can
 
-from sim.cellfile import ArmSpec, BusSpec
+from sim.cellfile import ArmSpec, CellBus
 from sim.fake_drive import DriveSite, FakeDrive
 from sim.measuring import FakeMeasuringDevice
 from sim.pair.two_arms import TwoArms
@@ -32,7 +32,7 @@ class PairUnit:
     #: Short: each bus waits at its SYNC until the other one has seen the time pass.
     real_step_s = 0.001
 
-    def __init__(self, arm: ArmSpec, world: TwoArms, index: int, bus: BusSpec) -> None:
+    def __init__(self, arm: ArmSpec, world: TwoArms, index: int, bus: CellBus) -> None:
         self.name, self.world, self._index = arm.name, world, index
         self._lockstep = bus.pacing != "real"
         self.send: Callable[[can.Message], None] = lambda _message: None

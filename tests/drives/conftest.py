@@ -15,7 +15,8 @@ import can
 import pytest
 
 from drives.bus import Bus, BusSpec
-from drives.profile import DriveProfile, load_profile
+from drives.profile import DriveProfile
+from drives.profile_file import load_profile
 from drives.values import AxisSetup
 
 CODES = {"u8": "B", "i8": "b", "u16": "H", "i16": "h", "u32": "I", "i32": "i"}

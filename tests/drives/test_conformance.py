@@ -10,7 +10,7 @@ import pytest
 from drives.bus import BusSpec, open_bus
 from drives.drive import AxisSetup, DriveCommand
 from drives.group import DriveGroup, GroupOptions
-from drives.profile import list_profiles, load_profile
+from drives.profile_file import list_profiles, load_profile
 
 pytest.importorskip("pybullet", reason="the simulated drives need the extra [sim]")
 from sim.serve import running  # noqa: E402

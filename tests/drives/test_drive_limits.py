@@ -9,7 +9,7 @@ import pytest
 from drives.drive import DriveCommand
 from drives.errors import CommandRefused, DriveFault, ProfileError
 from drives.group import DriveGroup, GroupOptions
-from drives.profile import load_profile
+from drives.profile_file import load_profile
 from drives.values import AxisSetup
 
 PERIOD_S = 0.004

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from drives.errors import ProfileError
-from drives.profile import PROFILE_FOLDER, load_profile, parse_profile
+from drives.profile_file import PROFILE_FOLDER, load_profile, parse_profile
 
 PROFILE = (PROFILE_FOLDER / "generic-cia402.toml").read_text()
 SHEET = (PROFILE_FOLDER / "generic-cia402.eds").read_text()

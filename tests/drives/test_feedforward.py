@@ -10,7 +10,7 @@ import pytest
 from drives.drive import DriveCommand
 from drives.errors import CommandRefused, DriveFault, ProfileError, SeveralFailures
 from drives.group import DriveGroup, GroupOptions
-from drives.profile import load_profile, parse_profile
+from drives.profile_file import load_profile, parse_profile
 from drives.values import AxisSetup
 
 PERIOD_S = 0.004

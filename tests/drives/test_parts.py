@@ -21,7 +21,7 @@ from drives.ledger import LedgerEntry, WriteLedger
 from drives.objects import OBJECTS, object_name
 from drives.pdo import restore_steps, tpdo_plans
 from drives.probe import matching_profiles, probe, scan
-from drives.profile import load_profile
+from drives.profile_file import load_profile
 from drives.statistics import quantile
 from drives.values import Identity
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drives.errors import ProfileError
-from drives.profile import PROFILE_FOLDER, list_profiles, load_profile, parse_profile, profile_schema
+from drives.profile_file import PROFILE_FOLDER, list_profiles, load_profile, parse_profile, profile_schema
 from drives.scaling import Constants, motor_scale
 from drives.values import AxisSetup, Identity
 

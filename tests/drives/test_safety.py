@@ -6,7 +6,7 @@ import pytest
 
 from drives.errors import DriveFault, ProfileError
 from drives.group import DriveGroup
-from drives.profile import parse_profile, profile_schema
+from drives.profile_file import parse_profile, profile_schema
 from drives.values import AxisSetup
 
 SAFETY = """

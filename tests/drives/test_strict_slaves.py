@@ -14,7 +14,7 @@ from drives.errors import (
 from drives.finding import nmt_states
 from drives.group import DriveGroup
 from drives.heartbeat import NmtState
-from drives.profile import load_profile
+from drives.profile_file import load_profile
 from drives.values import AxisSetup
 
 PERIOD_S = 0.004

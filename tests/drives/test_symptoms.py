@@ -11,7 +11,7 @@ from drives.emcy import EmcyLog
 from drives.epoch import Epoch
 from drives.errors import DriveFault
 from drives.exchange import Timing
-from drives.profile import load_profile
+from drives.profile_file import load_profile
 from drives.scaling import MotorScale
 from drives.sdo import Posted
 from drives.symptoms import BITS_IN_A_ROW, SAME_IN_A_ROW, SETTLED_SYNCS, Symptoms

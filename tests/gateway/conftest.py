@@ -6,17 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.rigs.pacing import in_lockstep
 from drives.drive import DriveCommand, DriveReading
 from drives.epoch import Epoch
 from drives.errors import DriveFault
-from drives.profile import load_profile
+from drives.profile_file import load_profile
 from drives.scaling import Constants, motor_scale
-from gateway.arm_model import arm_robot
+from gateway.cell.config import LoadedCell, parse_cell
 from gateway.cell.conversion import AxisConversion
-from gateway.config import LoadedCell, parse_cell
+from gateway.model.arm_model import arm_robot
 from gateway.motion.arm import Arm
 from gateway.motion.workspace import Workspace, workspace_of
-from tests.pacing import in_lockstep
 
 ENABLED = 0x1237
 CONSTANTS = Constants(torque_rated=2.0, current_rated_a=4.0, offset_rated=None, counts_per_revolution=131072.0)

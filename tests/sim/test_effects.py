@@ -11,7 +11,7 @@ import pytest
 from sim.effects import LIBRARY, OFF_LIBRARY, EffectError, apply_effects, effect_from_dict
 from sim.offline import point_jacobian, reading, statics, transmitted
 from sim.plant import Payload, nominal_plant
-from sim.urdf import Chain, read_chain
+from sim.urdf import SimChain, read_chain
 
 Q = np.array([0.4, -0.3, 0.5, 0.7, -0.9, 0.2])
 
@@ -41,12 +41,12 @@ URDF = Path(__file__).parents[2] / "examples" / "large" / "robot.urdf"
 
 
 @pytest.fixture(scope="module")
-def chain() -> Chain:
+def chain() -> SimChain:
     return read_chain(URDF.read_text(encoding="utf-8"), "large")
 
 
 @pytest.fixture(scope="module")
-def plant(chain: Chain):
+def plant(chain: SimChain):
     bodies = [body for body in chain.bodies if body is not None]
     return nominal_plant(
         np.array([b.mass_kg for b in bodies]),
@@ -56,13 +56,13 @@ def plant(chain: Chain):
     )
 
 
-def seen(chain: Chain, plant, q=Q, time_s: float = 0.0):
+def seen(chain: SimChain, plant, q=Q, time_s: float = 0.0):
     now = plant.at(time_s)
     tau, _ = transmitted(chain, now, q, time_s)
     return reading(now, q, tau)
 
 
-def build(plant, name: str, chain: Chain):
+def build(plant, name: str, chain: SimChain):
     joints, parameters = EXAMPLES[name]
     return effect_from_dict({"name": name, "joints": joints, "parameters": parameters}, point_jacobian(chain))(plant)
 

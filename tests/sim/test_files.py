@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.config import load_cell
-from sim.cellfile import BusSpec, CellFileError, compact_inertia, parse_bus_spec, read_cell, read_payloads, read_profile
+from gateway.cell.config import load_cell
+from sim.cellfile import CellBus, CellFileError, compact_inertia, parse_bus_spec, read_cell, read_payloads, read_profile
 from sim.units import drive_units
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 CELL = (EXAMPLES / "small" / "cell.toml").read_text(encoding="utf-8")
-BUS = BusSpec("udp_multicast", "239.74.163.2", 1_000_000, 0.01, "lockstep", {"port": 1})
+BUS = CellBus("udp_multicast", "239.74.163.2", 1_000_000, 0.01, "lockstep", {"port": 1})
 
 
 @pytest.mark.parametrize("name", ["large", "small"])

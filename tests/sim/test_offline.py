@@ -12,7 +12,7 @@ import pytest
 
 from sim.blind import draw_cell, strength
 from sim.draw import draw_arm
-from sim.offline import Protocol, Visit, gravity_columns, half_floor, measure, statics
+from sim.offline import PlannedVisit, Protocol, gravity_columns, half_floor, measure, statics
 from sim.plant import Payload, nominal_plant
 from sim.urdf import read_chain
 
@@ -63,7 +63,7 @@ def test_columns_are_linear_in_the_first_moments(chain, plant, poses):
 
 
 def rows(chain, plant, q, protocol=QUIET, load="none", loads=None, seed=0):
-    visits = [Visit(0, load, 0.0, q)]
+    visits = [PlannedVisit(0, load, 0.0, q)]
     return measure(chain, plant, visits, loads or {}, protocol, np.random.default_rng(seed))
 
 
@@ -104,7 +104,7 @@ def test_swapped_drives_report_each_others_position_and_torque(chain, plant, pos
 def test_asymmetry_that_is_left_has_the_stated_size(chain, plant, poses):
     protocol = Protocol(settle=np.full(6, 0.5), samples=100)
     rubbing = replace(plant, coulomb_nm=np.full(6, 10.0), reading_noise_nm=np.full(6, 5.0))
-    visits = [Visit(k, "none", 0.0, poses[0]) for k in range(600)]
+    visits = [PlannedVisit(k, "none", 0.0, poses[0]) for k in range(600)]
     out = measure(chain, rubbing, visits, {}, protocol, np.random.default_rng(3))
     half = (out["tau_nm"][::2] + out["tau_nm"][1::2]) / 2
     np.testing.assert_allclose(half.std(axis=0), half_floor(rubbing, protocol), rtol=0.1)
@@ -118,7 +118,7 @@ def test_secondary_encoder_shows_the_wind_up(chain, plant, poses):
 
 
 def test_forty_visits_take_no_time(chain, plant, poses):
-    visits = [Visit(k, "none", 0.0, poses[k % 20]) for k in range(40)]
+    visits = [PlannedVisit(k, "none", 0.0, poses[k % 20]) for k in range(40)]
     measure(chain, plant, visits, {}, QUIET, np.random.default_rng(0))
     begin = time.process_time()
     measure(chain, plant, visits, {}, QUIET, np.random.default_rng(0))

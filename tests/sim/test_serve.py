@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from drives.profile import list_profiles
+from drives.profile_file import list_profiles
 from sim.build_errors import with_build_errors
 from sim.cellfile import CellFileError
 from sim.demo import comparison

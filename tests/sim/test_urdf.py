@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio
 import pytest
 
-from sim.urdf import Body, UrdfError, combine, principal_axes, read_chain, rotation_rpy, rpy_of, write_chain
+from sim.urdf import SimBody, UrdfError, combine, principal_axes, read_chain, rotation_rpy, rpy_of, write_chain
 
 ROWS = {
     "large": [
@@ -55,8 +55,10 @@ def test_examples_load_in_pinocchio_with_the_same_bodies(name, arm_of):
 
 
 def test_two_bodies_become_one_as_in_pinocchio():
-    first = Body(12.0, np.array([0.1, -0.2, 0.05]), np.diag([0.3, 0.2, 0.4]))
-    second = Body(5.0, np.array([-0.1, 0.3, 0.2]), np.array([[0.2, 0.02, 0.0], [0.02, 0.25, 0.01], [0.0, 0.01, 0.3]]))
+    first = SimBody(12.0, np.array([0.1, -0.2, 0.05]), np.diag([0.3, 0.2, 0.4]))
+    second = SimBody(
+        5.0, np.array([-0.1, 0.3, 0.2]), np.array([[0.2, 0.02, 0.0], [0.02, 0.25, 0.01], [0.0, 0.01, 0.3]])
+    )
     both = combine(first, second)
     oracle = pinocchio.Inertia(12.0, first.com_m, first.inertia_kg_m2)
     oracle += pinocchio.Inertia(5.0, second.com_m, second.inertia_kg_m2)
@@ -66,7 +68,7 @@ def test_two_bodies_become_one_as_in_pinocchio():
 
 
 def test_principal_axes_give_the_tensor_back():
-    body = Body(1.0, np.zeros(3), np.array([[0.5, 0.1, -0.05], [0.1, 0.7, 0.02], [-0.05, 0.02, 0.9]]))
+    body = SimBody(1.0, np.zeros(3), np.array([[0.5, 0.1, -0.05], [0.1, 0.7, 0.02], [-0.05, 0.02, 0.9]]))
     moments, frame = principal_axes(body)
     axes = frame[:3, :3]
     assert np.linalg.det(axes) == pytest.approx(1.0)
@@ -116,7 +118,7 @@ def test_useless_descriptions_are_refused(text, words):
 
 def test_a_body_that_cannot_exist_is_refused(arm_of):
     chain = arm_of("small").chain
-    impossible = Body(1.0, np.zeros(3), np.diag([0.1, 0.1, 0.9]))
+    impossible = SimBody(1.0, np.zeros(3), np.diag([0.1, 0.1, 0.9]))
     broken = type(chain)(
         **{n: getattr(chain, n) for n in chain.__slots__} | {"bodies": (impossible, *chain.bodies[1:])}
     )

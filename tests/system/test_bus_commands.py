@@ -10,7 +10,7 @@ import sys
 
 import pytest
 
-from gateway.recording import read
+from gateway.data.recording.reader import read
 from sim.serve import running
 
 pytestmark = pytest.mark.system

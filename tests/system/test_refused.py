@@ -45,7 +45,7 @@ def test_a_robot_that_is_no_chain_of_six(place, gateway):
 
 
 def test_a_profile_with_a_missing_constant(place, gateway, serve):
-    from drives.profile import load_profile
+    from drives.profile_file import load_profile
 
     text = load_profile("generic-cia402").text
     (place.folder / "mine.toml").write_text(text.replace("unit = 0.001\n", "", 1))

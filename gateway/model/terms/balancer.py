@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.terms.reading import RestRows, Setting
+from gateway.model.terms.reading import AlteredModel, RestRows
 from gateway.model.terms.term import Plain, plus
 
 Floats = NDArray[np.float64]
@@ -39,7 +39,7 @@ class _Balancer(Plain):
         ratio = float(1.0 / (1.0 + np.exp(-np.clip(theta[1], -5.0, 5.0))))
         return angle, np.sqrt(1.0 - ratio * np.cos(angle)), ratio
 
-    def _with(self, setting: Setting, torque: Floats) -> Setting:
+    def _with(self, setting: AlteredModel, torque: Floats) -> AlteredModel:
         return replace(setting, passive_nm=plus(setting.passive_nm, (slice(None), 1), torque))
 
     @property
@@ -68,7 +68,7 @@ class CoilBalancer(_Balancer):
     def spread(self) -> tuple[float, ...]:
         return (0.5 * self.largest_nm, 0.5 * self.largest_nm, 0.4, 0.8)
 
-    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
         angle, length, _ = self.geometry(theta[2:], rows)
         return self._with(setting, -np.sin(angle) * (theta[0] + theta[1] / length))
 
@@ -104,7 +104,7 @@ class GasBalancer(_Balancer):
     def spread(self) -> tuple[float, ...]:
         return (0.5 * self.largest_nm, 0.4, 0.8, 0.8)
 
-    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
         angle, length, ratio = self.geometry(theta[1:], rows)
         shortest, longest = np.sqrt(1.0 - ratio), np.sqrt(1.0 + ratio)
         stroke = 1.0 / (1.0 + np.exp(-np.clip(theta[3], -5.0, 3.0)))

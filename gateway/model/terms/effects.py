@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.terms.reading import RestRows, Setting
+from gateway.model.terms.reading import AlteredModel, RestRows
 from gateway.model.terms.term import NAN, OnAxis, Plain, plus
 
 Floats = NDArray[np.float64]
@@ -26,7 +26,7 @@ class LoadDependentFriction(OnAxis):
     def plausible(self, theta: Floats, rows: RestRows) -> bool:
         return bool(theta[0] > 0)
 
-    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
         return replace(setting, load_friction=plus(setting.load_friction, self.axis, theta[0]))
 
 
@@ -40,7 +40,7 @@ class BaseTilt(Plain):
     linear: ClassVar[tuple[bool, ...]] = (True, True)
     SPREAD: ClassVar[tuple[float, ...]] = (0.1, 0.1)
 
-    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
         return replace(setting, tilt_rad=setting.tilt_rad + theta)
 
 
@@ -53,7 +53,7 @@ class JointZeroOffset(OnAxis):
     units: ClassVar[tuple[str, ...]] = ("rad",)
     SPREAD: ClassVar[tuple[float, ...]] = (0.1,)
 
-    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
         return replace(setting, zero_offset_rad=plus(setting.zero_offset_rad, self.axis, theta[0]))
 
 
@@ -71,7 +71,7 @@ class TorqueConstantScale(Plain):
     def joints(self) -> tuple[int, ...]:
         return () if self.axis is None else (self.axis + 1,)
 
-    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
         gain = setting.gain.copy()
         gain[:, slice(None) if self.axis is None else self.axis] *= 1.0 + theta[0]
         return replace(setting, gain=gain)
@@ -89,7 +89,7 @@ class TorqueOffset(OnAxis):
     parameters: ClassVar[tuple[str, ...]] = ("offset_nm",)
     units: ClassVar[tuple[str, ...]] = ("Nm",)
 
-    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
         return replace(setting, offset_nm=plus(setting.offset_nm, (slice(None), self.axis), theta[0]))
 
 
@@ -107,7 +107,7 @@ class ThermalDrift(OnAxis):
     def spread(self) -> tuple[float, ...]:
         return (0.02,) if self.by == "temperature" else (3e-4,)
 
-    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
         since = self.since(rows)
         field = "gain" if self.on == "torque" else "band_gain"
         values = getattr(setting, field).copy()
@@ -135,7 +135,7 @@ class CableTorque(OnAxis):
     linear: ClassVar[tuple[bool, ...]] = (True, True)
     SPREAD: ClassVar[tuple[float, ...]] = (NAN, NAN)
 
-    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
         q = rows.q_rad[:, self.axis]
         torque = theta[0] * q + theta[1] if self.shape == "linear" else theta[0] * np.sin(q) + theta[1] * np.cos(q)
         return replace(setting, passive_nm=plus(setting.passive_nm, (slice(None), self.axis), torque))
@@ -174,7 +174,7 @@ class JointElasticity(OnAxis):
     def plausible(self, theta: Floats, rows: RestRows) -> bool:
         return bool(theta[0] > 0)
 
-    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
         return replace(setting, compliance_rad_nm=plus(setting.compliance_rad_nm, self.axis, theta[0]))
 
 
@@ -189,7 +189,7 @@ class TorqueRipple(OnAxis):
     linear: ClassVar[tuple[bool, ...]] = (True, True)
     SPREAD: ClassVar[tuple[float, ...]] = (NAN, NAN)
 
-    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
         angle = self.per_revolution * rows.q_rad[:, self.axis]
         swing = theta[0] * np.sin(angle) + theta[1] * np.cos(angle)
         return replace(setting, offset_nm=plus(setting.offset_nm, (slice(None), self.axis), swing))
@@ -218,7 +218,7 @@ class AxisCoupling(Plain):
     def joints(self) -> tuple[int, ...]:
         return (self.row + 1, self.column + 1)
 
-    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
         mixing = np.eye(6)
         mixing[self.row, self.column] = theta[0]
         return replace(setting, coupling=mixing @ setting.coupling)
@@ -234,7 +234,7 @@ class LinkMass(OnAxis):
     linear: ClassVar[tuple[bool, ...]] = (True, True, True, True)
     SPREAD: ClassVar[tuple[float, ...]] = (NAN, NAN, NAN, NAN)
 
-    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
         part = slice(4 * self.axis, 4 * self.axis + 4)
         return replace(setting, link_extra=plus(setting.link_extra, part, theta))
 
@@ -251,7 +251,7 @@ class PayloadShift(Plain):
     linear: ClassVar[tuple[bool, ...]] = (True, True, True)
     SPREAD: ClassVar[tuple[float, ...]] = (0.2, 0.2, 0.2)
 
-    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
         after = np.where(rows.time_s >= self.time_s - 1e-9, 1.0, 0.0)
         if self.until_s is not None:
             after = after * (rows.time_s - self.time_s) / max(self.until_s - self.time_s, 1e-9)

@@ -1,9 +1,9 @@
 """What a model of the arm says the drives report at rest, with every effect that may be built into it.
 
-A `Setting` holds everything that effects change: the model without effects is `neutral(n)`. `Model.predict` goes the
-way the torque goes: gravity in the joints, springs and cables, friction by the side of approach, gear, torque constant,
-what the drive reports; and then back the way a measurement is converted. Every column of a fit is a derivative of this
-prediction, so it is built from modelled torque alone: a measured torque never enters.
+An `AlteredModel` holds everything that effects change: the model without effects is `neutral(n)`. `Model.predict` goes
+the way the torque goes: gravity in the joints, springs and cables, friction by the side of approach, gear, torque
+constant, what the drive reports; and then back the way a measurement is converted. Every column of a fit is a
+derivative of this prediction, so it is built from modelled torque alone: a measured torque never enters.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class RestRows:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Setting:
+class AlteredModel:
     """Everything that effects change, for n visits.
 
     Attributes
@@ -116,10 +116,10 @@ class Setting:
     pull_n: Floats
 
 
-def neutral(n: int) -> Setting:
+def neutral(n: int) -> AlteredModel:
     """The setting of `n` visits in which nothing is added to rigid links, a rigid load and a constant band."""
     six = np.zeros(6)
-    return Setting(
+    return AlteredModel(
         tilt_rad=np.zeros(2),
         zero_offset_rad=six,
         compliance_rad_nm=six,
@@ -164,7 +164,7 @@ class Model:
         self._levers: Floats | None = None
         self._bent: tuple[Floats, Floats, Floats] | None = None
 
-    def regressor(self, setting: Setting) -> Floats:
+    def regressor(self, setting: AlteredModel) -> Floats:
         """Gravity rows (n, 6, 24) at the true joint angles and the true gravity of a setting with stiff gears."""
         if not (setting.tilt_rad.any() or setting.zero_offset_rad.any()):
             return self.nominal
@@ -178,7 +178,7 @@ class Model:
             self._geometry = key, gravity_regressor(self.robot, q, gravity)
         return self._geometry[1]
 
-    def bodies(self, setting: Setting, links: Floats, load: Floats) -> Floats:
+    def bodies(self, setting: AlteredModel, links: Floats, load: Floats) -> Floats:
         """Parameters (n, 24) of the links with the load on link 6, visit by visit."""
         carried = load + setting.load_extra
         carried[:, 1:] += carried[:, :1] * setting.moment_factor
@@ -186,14 +186,14 @@ class Model:
         bodies[:, 20:] += carried
         return bodies
 
-    def joint_torque(self, setting: Setting, bodies: Floats) -> tuple[Floats, Floats]:
+    def joint_torque(self, setting: AlteredModel, bodies: Floats) -> tuple[Floats, Floats]:
         """Torque (n, 6) that the gears transmit, and its derivative (n, 6, 24) by the parameters of the bodies."""
         if not setting.compliance_rad_nm.any():
             rows = self.regressor(setting)
             return _dot(rows, bodies) - self.passive(setting), rows
         return self._wound_up(setting, bodies)
 
-    def passive(self, setting: Setting) -> Floats:
+    def passive(self, setting: AlteredModel) -> Floats:
         """Torque (n, 6) that springs, cables and pulls exert on the joints."""
         if not setting.pull_n.any():
             return setting.passive_nm
@@ -211,7 +211,7 @@ class Model:
             self._levers = levers
         return self._levers
 
-    def _wound_up(self, setting: Setting, bodies: Floats) -> tuple[Floats, Floats]:
+    def _wound_up(self, setting: AlteredModel, bodies: Floats) -> tuple[Floats, Floats]:
         """Equilibrium of elastic gears: `tau = tau(bent) + K (q - compliance tau - bent)`, bent until it fits."""
         straight = self.rows.q_rad + setting.zero_offset_rad
         steps = 0
@@ -244,12 +244,12 @@ class Model:
             slopes[:, :, joint] = (above - gravity_regressor(self.robot, q - step, self.gravity)) / 2e-5
         self._bent = q, gravity_regressor(self.robot, q, self.gravity), slopes
 
-    def predict(self, setting: Setting, links: Floats, load: Floats, band_nm: Floats) -> Prediction:
+    def predict(self, setting: AlteredModel, links: Floats, load: Floats, band_nm: Floats) -> Prediction:
         """Modelled readings.
 
         Parameters
         ----------
-        setting : Setting
+        setting : AlteredModel
         links : array of shape (24,), [m, hx, hy, hz] per link
         load : array of shape (n, 4), the load's [m, hx, hy, hz] at each visit
         band_nm : array of shape (6,), mean friction against the direction of approach
@@ -257,7 +257,7 @@ class Model:
         torque, _ = self.joint_torque(setting, self.bodies(setting, links, load))
         return self.readings(setting, torque, band_nm)
 
-    def readings(self, setting: Setting, torque: Floats, band_nm: Floats) -> Prediction:
+    def readings(self, setting: AlteredModel, torque: Floats, band_nm: Floats) -> Prediction:
         """Readings from the torque (n, 6) the gears transmit."""
         losses = setting.load_friction * np.abs(torque)
         two = self.rows.two_sided[:, None]
@@ -276,13 +276,13 @@ class Model:
             half_sum = np.where(two, half_sum, single)
         return Prediction(half_sum, np.where(two, (up - down) / 2.0, 0.0), torque)
 
-    def _straight(self, setting: Setting) -> bool:
+    def _straight(self, setting: AlteredModel) -> bool:
         """Whether nothing stands between the gear and the reading that the conversion does not undo."""
         if setting.gain_per_nm.any():
             return False
         return self.lossless or not (setting.offset_nm.any() or np.any(setting.coupling != np.eye(6)))
 
-    def _side(self, setting: Setting, torque: Floats, friction: Floats, direction: float) -> Floats:
+    def _side(self, setting: AlteredModel, torque: Floats, friction: Floats, direction: float) -> Floats:
         eta = self.rows.efficiency
         behind = torque + direction * friction
         motor = np.where(behind * direction > 0, behind / eta, behind * eta)
@@ -292,7 +292,7 @@ class Model:
         seen = (gain * motor + setting.offset_nm) @ setting.coupling.T
         return through_gear(seen, direction, eta)
 
-    def sum_by_torque(self, setting: Setting, torque: Floats, band_nm: Floats) -> Floats:
+    def sum_by_torque(self, setting: AlteredModel, torque: Floats, band_nm: Floats) -> Floats:
         """Derivative (n, 6, 6) of the half sums by the transmitted torque of each axis."""
         if self._straight(setting) and self.rows.two_sided.all():
             return setting.coupling[None] * setting.gain[:, None, :]
@@ -327,4 +327,4 @@ def _dot(rows: Floats, bodies: Floats) -> Floats:
     return np.matmul(rows, bodies[:, :, None])[:, :, 0]
 
 
-__all__ = ["Model", "Prediction", "RestRows", "Setting", "neutral", "replace", "rotation", "through_gear"]
+__all__ = ["Model", "Prediction", "RestRows", "AlteredModel", "neutral", "replace", "rotation", "through_gear"]

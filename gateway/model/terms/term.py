@@ -1,7 +1,7 @@
 """The effects that a model of an arm at rest may lack, one frozen dataclass each.
 
-An effect puts its parameters `theta` into a `Setting`; `parameters` and `units` name them, `linear` says which of them
-the torque is linear in, `start` is where the others begin (they are profiled out), `spread` is how large each may
+An effect puts its parameters `theta` into an `AlteredModel`; `parameters` and `units` name them, `linear` says which of
+them the torque is linear in, `start` is where the others begin (they are profiled out), `spread` is how large each may
 plausibly be (standard deviation of its prior; NaN = as far as ten noise floors reach). `report` turns the fitted values
 into the parameters an engineer reads.
 """
@@ -14,7 +14,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.terms.reading import RestRows, Setting
+from gateway.model.terms.reading import AlteredModel, RestRows
 
 Floats = NDArray[np.float64]
 NAN = float("nan")
@@ -43,7 +43,7 @@ class Term(Protocol):
         """Plausible size of each parameter, NaN = no opinion."""
         ...
 
-    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
         """The setting with the effect in it."""
         ...
 

@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.terms.reading import RestRows, Setting
+from gateway.model.terms.reading import AlteredModel, RestRows
 from gateway.model.terms.term import OnAxis
 
 Floats = NDArray[np.float64]
@@ -33,7 +33,7 @@ class PositionTorque(_Unnamed):
     parameters: ClassVar[tuple[str, ...]] = tuple(f"{part}{k}_nm" for k in (1, 2, 3) for part in ("cosine", "sine"))
     SPREAD: ClassVar[tuple[float, ...]] = (NAN,) * 6
 
-    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
         q = rows.q_rad[:, self.joint]
         torque = sum(theta[2 * k] * np.cos((k + 1) * q) + theta[2 * k + 1] * np.sin((k + 1) * q) for k in range(3))
         passive = setting.passive_nm.copy()
@@ -49,7 +49,7 @@ class SumTorque(_Unnamed):
     parameters: ClassVar[tuple[str, ...]] = ("constant_nm", "cosine1_nm", "sine1_nm", "cosine2_nm", "sine2_nm")
     SPREAD: ClassVar[tuple[float, ...]] = (NAN,) * 5
 
-    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
         q = rows.q_rad[:, 1] + rows.q_rad[:, 2]
         basis = np.stack([np.ones_like(q), np.cos(q), np.sin(q), np.cos(2 * q), np.sin(2 * q)], axis=1)
         passive = setting.passive_nm.copy()
@@ -65,7 +65,7 @@ class Pull(_Unnamed):
     parameters: ClassVar[tuple[str, ...]] = ("x_n", "y_n", "z_n")
     SPREAD: ClassVar[tuple[float, ...]] = (NAN,) * 3
 
-    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
         pull = setting.pull_n.copy()
         pull[self.axis] += theta
         return replace(setting, pull_n=pull)
@@ -79,7 +79,7 @@ class UnevenGain(_Unnamed):
     parameters: ClassVar[tuple[str, ...]] = ("cosine", "sine")
     SPREAD: ClassVar[tuple[float, ...]] = (0.3, 0.3)
 
-    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
         q = rows.q_rad[:, self.axis]
         gain = setting.gain.copy()
         gain[:, self.axis] *= 1.0 + theta[0] * np.cos(q) + theta[1] * np.sin(q)
@@ -95,7 +95,7 @@ class BentGain(_Unnamed):
     parameters: ClassVar[tuple[str, ...]] = ("at_largest",)
     SPREAD: ClassVar[tuple[float, ...]] = (0.3,)
 
-    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
         slope = setting.gain_per_nm.copy()
         slope[self.axis] += theta[0] / self.largest_nm
         return replace(setting, gain_per_nm=slope)
@@ -110,7 +110,7 @@ class UnevenBand(_Unnamed):
     parameters: ClassVar[tuple[str, ...]] = ("cosine1", "sine1", "cosine2", "sine2")
     SPREAD: ClassVar[tuple[float, ...]] = (0.5,) * 4
 
-    def apply(self, setting: Setting, theta: Floats, rows: RestRows) -> Setting:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
         q = rows.q_rad[:, self.joint]
         swing = theta[0] * np.cos(q) + theta[1] * np.sin(q) + theta[2] * np.cos(2 * q) + theta[3] * np.sin(2 * q)
         band = setting.band_gain.copy()

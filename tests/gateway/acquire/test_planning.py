@@ -30,8 +30,8 @@ from gateway.acquire.poses import (
     read_poses,
 )
 from gateway.acquire.route import find_route
-from gateway.arm_model import robot_text
 from gateway.errors import InputError, PlanRefused
+from gateway.model.arm_model import robot_text
 from gateway.model.information import payload_information
 from gateway.model.kinematics import flange_frames
 from gateway.motion.places import path_points
@@ -326,7 +326,7 @@ def test_a_visit_of_the_large_arm_takes_five_to_six_seconds(large_cell):
 
 
 def _workspace(cell):
-    from gateway.arm_model import arm_robot
+    from gateway.model.arm_model import arm_robot
     from gateway.motion.workspace import workspace_of
 
     return workspace_of(cell.cell.arm[0], arm_robot(cell, cell.cell.arm[0]))

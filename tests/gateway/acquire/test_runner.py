@@ -8,9 +8,9 @@ import pytest
 from drives.errors import DriveFault, IncompleteEpochs
 from gateway.acquire.events import PoseDone, Progress, SampleRepeated, Started, StateChanged, Stopped, VisitDone
 from gateway.acquire.plan import Plan, VisitSettings, plan_poses
-from gateway.acquire.poses import RestPose
-from gateway.acquire.run import Shelf, Station
+from gateway.acquire.run import Shelf, VisitStation
 from gateway.acquire.runner import RunRequest, run_plan
+from gateway.data.rest_pose import RestPose
 from gateway.errors import InputError, LimitExceeded, PlanRefused, PoseNeverSettles
 from gateway.motion.state import SAFE, Phase
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
@@ -57,12 +57,12 @@ def events() -> list:
 
 
 @pytest.fixture
-def station(arm, workspace, store, events) -> Station:
+def station(arm, workspace, store, events) -> VisitStation:
     def keep(event):
         if not isinstance(event, StateChanged):
             events.append(event)
 
-    return Station(arm, workspace, store, (keep,))
+    return VisitStation(arm, workspace, store, (keep,))
 
 
 def test_all_poses_are_measured_from_both_sides(station, plan, store, events, fake):

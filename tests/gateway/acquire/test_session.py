@@ -18,9 +18,9 @@ from gateway.acquire.session import (
     plan_of_recording,
     record,
 )
-from gateway.arm_model import robot_text
+from gateway.data.recording.reader import read
 from gateway.errors import InputError
-from gateway.recording import read
+from gateway.model.arm_model import robot_text
 from sim.serve import RunningSimulation, running
 
 pytestmark = pytest.mark.system

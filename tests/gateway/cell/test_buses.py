@@ -9,7 +9,7 @@ import pytest
 from drives.bus import BusSpec
 from drives.errors import BusError
 from gateway.cell.buses import bus_specs
-from gateway.config import load_cell
+from gateway.cell.config import load_cell
 from gateway.errors import ConfigError
 
 EXAMPLES = Path(__file__).parents[3] / "examples"

@@ -10,11 +10,11 @@ from types import SimpleNamespace
 import pytest
 
 from drives.objects import OBJECTS
-from drives.profile import load_profile, parse_profile
+from drives.profile_file import load_profile, parse_profile
 from drives.values import Identity
-from gateway.check.preflight import addresses
+from gateway.cell.config import load_cell
 from gateway.check.proofs import first_motion_pending, keep_proof, note_motion, proven_on
-from gateway.config import load_cell
+from gateway.preflight.look_over import addresses
 
 LOADED = load_cell(Path(__file__).parents[3] / "examples" / "small" / "cell.toml")
 PROFILE = load_profile("generic-cia402")

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from drives.profile import load_profile
+from drives.profile_file import load_profile
 from drives.witness import TorqueWords
-from gateway.check.rules import Axis
+from gateway.cell.config import AxisConfig
 from gateway.check.torque import Scales, judge_torque
-from gateway.config import AxisConfig
+from gateway.preflight.rules import Axis
 
 KT = 0.31
 RATED_NM, RATED_A = 1.27, 1.27 / KT

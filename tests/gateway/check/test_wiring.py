@@ -8,18 +8,18 @@ import numpy as np
 import pinocchio
 import pytest
 
-from gateway.arm_model import arm_robot
+from gateway.cell.config import load_cell
 from gateway.cell.conversion import AxisConversion
 from gateway.check.moves import wiring_items
-from gateway.check.wiring import Arm, Moves
+from gateway.check.wiring import Moves, WiredArm
 from gateway.check.wiring_judge import judge_wiring
-from gateway.config import load_cell
+from gateway.model.arm_model import arm_robot
 
 LOADED = load_cell(Path(__file__).parents[3] / "examples" / "small" / "cell.toml")
 CONFIG = LOADED.cell.arm[0]
 AXES = AxisConversion.from_arm(CONFIG)
 LIMIT = np.array([axis.torque_limit_nm for axis in CONFIG.axis])
-ARM = Arm(arm_robot(LOADED, CONFIG), np.array(CONFIG.gravity_m_s2), AXES, LIMIT, 0.05, 5.0)
+ARM = WiredArm(arm_robot(LOADED, CONFIG), np.array(CONFIG.gravity_m_s2), AXES, LIMIT, 0.05, 5.0)
 PIN = pinocchio.buildModelFromUrdf(str(LOADED.path(CONFIG.robot)))
 FRICTION_NM = 0.008 * LIMIT
 START = np.array([0.2, 0.5, 0.2, 0.6, 0.7, 0.3])

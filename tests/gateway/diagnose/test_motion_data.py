@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.diagnose.motion import MotionOptions, diagnose_motion
+from gateway.data.table import read_csv
+from gateway.diagnose.motion import MovingDefaults, diagnose_motion
 from gateway.model.robot import robot_from_urdf
-from gateway.result import from_json, to_json
-from gateway.table import read_csv
+from gateway.result.result import from_json, to_json
 
 FOLDER = os.environ.get("SERVO_GATEWAY_DATA")
 pytestmark = [
@@ -37,7 +37,7 @@ def held(result):
 
 def test_kr300_lacks_a_balancer_and_carries_a_believable_load():
     table, robot = load("kr300", "run_A")
-    result = diagnose_motion(table, robot, MotionOptions())
+    result = diagnose_motion(table, robot, MovingDefaults())
     before, after = held(result)
     assert ("balancer_spring", (2,)) in named(result)
     assert {name for name, _ in named(result)} <= {"balancer_spring"} | FRICTION
@@ -58,7 +58,7 @@ def test_kr300_lacks_a_balancer_and_carries_a_believable_load():
 def test_kr300_load_is_nearly_the_same_under_any_trust_in_the_cad():
     table, robot = load("kr300", "run_A")
     masses = [
-        diagnose_motion(table, robot, MotionOptions(inertials=trust)).loads[0].mass_kg
+        diagnose_motion(table, robot, MovingDefaults(inertials=trust)).loads[0].mass_kg
         for trust in ("exact", "prior:0.02", "prior:0.05")
     ]
     assert np.ptp(masses) < 10
@@ -66,7 +66,7 @@ def test_kr300_load_is_nearly_the_same_under_any_trust_in_the_cad():
 
 def test_tx40_motor_6_turns_with_joint_5():
     table, robot = load("tx40", "run_1_first")
-    result = diagnose_motion(table, robot, MotionOptions())
+    result = diagnose_motion(table, robot, MovingDefaults())
     before, after = held(result)
     assert ("axis_coupling", (5, 6)) in named(result)
     assert {name for name, _ in named(result)} <= {"axis_coupling"} | FRICTION
@@ -82,7 +82,7 @@ def test_tx40_motor_6_turns_with_joint_5():
 def test_tx40_parts_of_the_run_foretell_each_other():
     table, robot = load("tx40", "run_1_first")
     first, last = table.take(table.time_s < 3.6), table.take(table.time_s > 3.8)
-    result = diagnose_motion(first, robot, MotionOptions(holdout=last))
+    result = diagnose_motion(first, robot, MovingDefaults(holdout=last))
     before, after = held(result)
     assert result.holdout_kind == "given"
     assert ("axis_coupling", (5, 6)) in named(result)
@@ -92,7 +92,7 @@ def test_tx40_parts_of_the_run_foretell_each_other():
 
 def test_ur10_friction_follows_load_and_speed():
     table, robot = load("ur10", "run_1_first")
-    result = diagnose_motion(table, robot, MotionOptions())
+    result = diagnose_motion(table, robot, MovingDefaults())
     before, after = held(result)
     assert {("load_dependent_friction", (2,)), ("velocity_friction", (1,))} <= named(result)
     assert {name for name, _ in named(result)} <= FRICTION

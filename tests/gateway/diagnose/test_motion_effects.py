@@ -14,10 +14,10 @@ import pinocchio  # pyright: ignore[reportMissingImports]
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gateway.diagnose.motion import MotionOptions, diagnose_motion
+from benchmarks.rigs.tables import make_table
+from gateway.data.rows import MOVING
+from gateway.diagnose.motion import MovingDefaults, diagnose_motion
 from gateway.model.robot import robot_from_urdf
-from gateway.rows import MOVING
-from tests.tables import make_table
 
 URDF = (Path(__file__).parents[3] / "examples" / "small" / "robot.urdf").read_text()
 GRAVITY = np.array([0.0, 0.0, -9.80665])
@@ -134,13 +134,13 @@ def disturbance(world, q, qd, rigid, scale):
     return out
 
 
-IGNORE = MotionOptions(inertials="ignore")
+IGNORE = MovingDefaults(inertials="ignore")
 FOUND = [
     ("load_dependent_friction", (2,), World(load_friction={1: 0.08}), IGNORE, {"coefficient": (0.08, 0.01)}),
     ("velocity_friction", (3,), World(stribeck={2: (0.15, 0.15)}), IGNORE, {}),
     ("axis_coupling", (5, 6), World(coupling=(4, 5, 1.0)), IGNORE, {"coefficient": (1.0, 0.05)}),
     ("axis_coupling", (2, 3), World(coupling=(1, 2, 1.0)), IGNORE, {"coefficient": (1.0, 0.1)}),
-    ("balancer_spring", (2,), World(spring=(0.8, 0.1)), MotionOptions(), {"phase_rad": (0.1, 0.1)}),
+    ("balancer_spring", (2,), World(spring=(0.8, 0.1)), MovingDefaults(), {"phase_rad": (0.1, 0.1)}),
     ("cable_torque", (5,), World(cable={4: 0.15}), IGNORE, {}),
     ("base_tilt", (), World(tilt=(0.03, 0.02)), IGNORE, {"tilt_x_rad": (0.03, 0.005), "tilt_y_rad": (0.02, 0.005)}),
     ("torque_ripple", (2,), World(ripple={1: (0.08, 40.0)}), IGNORE, {"per_revolution": (40.0, 0.5)}),
@@ -174,7 +174,7 @@ def test_residual_falls_to_the_noise_that_was_put_in():
 @pytest.mark.parametrize("inertials", [None, "ignore", "prior:0.05"])
 def test_nothing_is_claimed_on_a_clean_run(seed, inertials):
     table, robot, _ = measured(seed, World(), duration_s=20.0)
-    result = diagnose_motion(table, robot, MotionOptions(inertials=inertials))
+    result = diagnose_motion(table, robot, MovingDefaults(inertials=inertials))
     assert result.effects == ()
     assert result.verdict == "none_needed"
     assert np.isnan(result.noise_floor_nm).all()
@@ -204,7 +204,7 @@ def test_commissioning_mistakes_fail_and_are_undone_before_the_rest_is_judged(wo
 def test_load_is_estimated_through_a_missing_balancer():
     payload = (6.0, 0.03, -0.02, 0.12)
     table, robot, _ = measured(5, World(spring=(0.8, 0.1), payload=payload), duration_s=30.0)
-    result = diagnose_motion(table, robot, MotionOptions())
+    result = diagnose_motion(table, robot, MovingDefaults())
     assert [effect.name for effect in result.effects] == ["balancer_spring"]
     load = result.loads[0]
     assert load.label == "a"
@@ -224,11 +224,11 @@ def test_without_bare_rows_and_cad_the_load_is_unknown_and_said_so():
 def test_given_holdout_is_judged_and_never_fitted():
     table, robot, _ = measured(7, World(load_friction={1: 0.08}), duration_s=36.0)
     first, last = table.take(table.time_s < 24.0), table.take(table.time_s >= 24.5)
-    result = diagnose_motion(first, robot, MotionOptions(inertials="ignore", holdout=last))
+    result = diagnose_motion(first, robot, MovingDefaults(inertials="ignore", holdout=last))
     assert result.holdout_kind == "given"
     assert [effect.name for effect in result.effects] == ["load_dependent_friction"]
     last.tau_nm[:, 1] += 1e3
-    spoilt = diagnose_motion(first, robot, MotionOptions(inertials="ignore", holdout=last))
+    spoilt = diagnose_motion(first, robot, MovingDefaults(inertials="ignore", holdout=last))
     assert spoilt.effects == ()
     assert spoilt.before.holdout_rms_nm[1] > 900
     assert spoilt.before.rms_nm == pytest.approx(result.before.rms_nm, rel=0.1)
@@ -237,10 +237,10 @@ def test_given_holdout_is_judged_and_never_fitted():
 def test_only_and_without_limit_what_is_tried():
     table, robot, _ = measured(1, World(load_friction={1: 0.08}))
     without = diagnose_motion(
-        table, robot, MotionOptions(inertials="ignore", without=frozenset({"load_dependent_friction"}))
+        table, robot, MovingDefaults(inertials="ignore", without=frozenset({"load_dependent_friction"}))
     )
     assert "load_dependent_friction" not in {effect.name for effect in without.effects}
-    only = diagnose_motion(table, robot, MotionOptions(inertials="ignore", only=frozenset({"cable_torque"})))
+    only = diagnose_motion(table, robot, MovingDefaults(inertials="ignore", only=frozenset({"cable_torque"})))
     assert only.effects == ()
     assert {item.name for item in only.rejected} == {"cable_torque"}
 

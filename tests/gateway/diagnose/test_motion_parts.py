@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from gateway.diagnose.motion import EFFECTS, MotionOptions, diagnose_motion
+from benchmarks.rigs.tables import make_table
+from gateway.data.rows import MOVING, concatenate
+from gateway.diagnose.motion import EFFECTS, MovingDefaults, diagnose_motion
 from gateway.diagnose.motion_candidates import candidates
-from gateway.diagnose.motion_fit import Noise, Problem, blocks, counting_share, fit, solve
+from gateway.diagnose.motion_fit import MovingNoise, MovingProblem, blocks, counting_share, fit, solve
 from gateway.diagnose.motion_select import state_of
 from gateway.diagnose.motion_trial import drop_by_chance, put_on_trial
 from gateway.errors import ConfigError, DataUnusable, InputError
@@ -19,8 +21,6 @@ from gateway.model import motion_readings, motion_terms
 from gateway.model.motion import prepare, smooth_sign, structural_base
 from gateway.model.motion_baseline import baseline, body_parameters
 from gateway.model.robot import robot_from_urdf
-from gateway.rows import MOVING, concatenate
-from tests.tables import make_table
 
 URDF = (Path(__file__).parents[3] / "examples" / "small" / "robot.urdf").read_text()
 GRAVITY = np.array([0.0, 0.0, -9.80665])
@@ -48,7 +48,9 @@ def table_of(seed=0, n=400, run="1", load="none", rate_hz=20.0):
 
 def problem_of(robot, table, trust=None, count=4):
     motion = prepare(table, None, robot, GRAVITY)
-    return Problem(motion, baseline(motion, trust, {}), Noise(np.ones(6), np.ones(6)), blocks(motion, count))
+    return MovingProblem(
+        motion, baseline(motion, trust, {}), MovingNoise(np.ones(6), np.ones(6)), blocks(motion, count)
+    )
 
 
 def test_counting_share_of_a_first_order_process_is_its_closed_form():
@@ -159,7 +161,9 @@ def test_scale_of_a_reading_is_found_although_the_links_are_unknown(robot):
     truth = body_parameters(robot)[chosen] * (1 + 0.1 * generator.normal(size=len(chosen)))
     tau = problem.motion.rigid[:, :, chosen] @ truth
     tau[:, 2] *= 0.8
-    problem = replace(problem, motion=replace(problem.motion, tau_nm=tau), noise=Noise(np.full(6, 1e-3), np.ones(6)))
+    problem = replace(
+        problem, motion=replace(problem.motion, tau_nm=tau), noise=MovingNoise(np.full(6, 1e-3), np.ones(6))
+    )
     everything = np.ones(len(tau), dtype=bool)
     found = fit(problem, (motion_readings.gain(2),), everything, ~everything)
     assert found.value[-1] == pytest.approx(-0.2, abs=0.01)
@@ -169,7 +173,7 @@ def test_an_axis_that_was_not_measured_or_does_not_move_is_unknown_in_every_list
     table = table_of(6)
     table.tau_nm[:, 0] = np.nan
     table.qd_rad_s[:, 3] = 0.0
-    result = diagnose_motion(table, robot, MotionOptions(inertials="ignore", only=frozenset({"velocity_friction"})))
+    result = diagnose_motion(table, robot, MovingDefaults(inertials="ignore", only=frozenset({"velocity_friction"})))
     for values in (result.before.rms_nm, result.after.holdout_rms_nm, result.friction_band_nm):
         assert np.isnan(values).tolist() == [True, False, False, True, False, False]
     assert {finding.where for finding in result.findings} >= {"J1", "J4"}
@@ -178,12 +182,12 @@ def test_an_axis_that_was_not_measured_or_does_not_move_is_unknown_in_every_list
 def test_bad_input_is_refused(robot):
     table = table_of(7, n=200)
     with pytest.raises(InputError, match="--known b"):
-        diagnose_motion(table, robot, MotionOptions(known={"b": (1.0, 0.0, 0.0, 0.0)}))
+        diagnose_motion(table, robot, MovingDefaults(known={"b": (1.0, 0.0, 0.0, 0.0)}))
     with pytest.raises(ConfigError, match="prior:S"):
-        diagnose_motion(table, robot, MotionOptions(inertials="prior:wide"))
+        diagnose_motion(table, robot, MovingDefaults(inertials="prior:wide"))
     with pytest.raises(DataUnusable, match="--holdout: load b"):
-        diagnose_motion(table, robot, MotionOptions(holdout=table_of(8, n=100, run="2", load="b")))
+        diagnose_motion(table, robot, MovingDefaults(holdout=table_of(8, n=100, run="2", load="b")))
     still = table_of(9, n=100)
     still.qd_rad_s[:] = 0.0
     with pytest.raises(DataUnusable, match="no axis moves"):
-        diagnose_motion(still, robot, MotionOptions())
+        diagnose_motion(still, robot, MovingDefaults())

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.rigs.tables import simulated_table
+from gateway.data.rows import concatenate
 from gateway.diagnose import DiagnoseOptions, diagnose
 from gateway.model.robot import robot_from_urdf
-from gateway.rows import concatenate
 from sim.draw import choose_poses, draw_arm
 from sim.effects import apply_effects
-from sim.offline import Visit, measure, point_jacobian
-from tests.tables import simulated_table
+from sim.offline import PlannedVisit, measure, point_jacobian
 
 FRESH = 3
 
@@ -24,7 +24,7 @@ def diagnosed(hidden):
     poses = choose_poses(arm, 10 + FRESH, rng)
 
     def table(rows, load, start_s):
-        visits = [Visit(k, load, start_s + 25.0 * k, poses[k]) for k in rows]
+        visits = [PlannedVisit(k, load, start_s + 25.0 * k, poses[k]) for k in rows]
         columns = measure(arm.chain, plant, visits, arm.loads, arm.protocol, np.random.default_rng([7, int(start_s)]))
         return simulated_table(columns)
 

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.rigs.tables import simulated_table
+from gateway.data.table import Table, concatenate
 from gateway.diagnose import DiagnoseOptions, close_loop, diagnose, next_poses
 from gateway.errors import ConfigError, InputError
 from gateway.model.robot import Robot, robot_from_urdf
-from gateway.result import Result, from_json, to_json
-from gateway.table import Table, concatenate
-from sim.draw import Arm, choose_poses, draw_arm
+from gateway.result.result import Result, from_json, to_json
+from sim.draw import DrawnArm, choose_poses, draw_arm
 from sim.effects import apply_effects
-from sim.offline import Protocol, Visit, measure, point_jacobian
-from tests.tables import simulated_table
+from sim.offline import PlannedVisit, Protocol, measure, point_jacobian
 
 STEP_S = 25.0
 
@@ -25,7 +25,7 @@ class Bench:
 
     def __init__(self, seed: int, effects: list[dict], poses: int = 10) -> None:
         rng = np.random.default_rng([seed, 99])
-        self.arm: Arm = draw_arm(rng)
+        self.arm: DrawnArm = draw_arm(rng)
         self.plant = apply_effects(self.arm.plant, effects, point_jacobian(self.arm.chain))
         self.poses = choose_poses(self.arm, poses, rng)
         self.robot: Robot = robot_from_urdf(self.arm.urdf, "drawn")
@@ -35,7 +35,7 @@ class Bench:
     def table(self, poses: np.ndarray, load: str, first: int = 0, protocol: Protocol | None = None) -> Table:
         visits = []
         for k, q in enumerate(poses):
-            visits.append(Visit(first + k, load, self.now_s, q))
+            visits.append(PlannedVisit(first + k, load, self.now_s, q))
             self.now_s += STEP_S
         self.now_s += 60.0
         rng = np.random.default_rng([self.seed, int(self.now_s)])

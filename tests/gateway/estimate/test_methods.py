@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gateway.data.table import read_csv
 from gateway.errors import DataUnusable, InputError
-from gateway.estimate import Coefficient, Options, estimate, run
+from gateway.estimate import Coefficient, EstimateOptions, estimate, run
 from gateway.model.robot import with_flange
-from gateway.result import from_json, to_json
-from gateway.table import read_csv
+from gateway.result.result import from_json, to_json
 
 TOOL = (8.0, 0.12, -0.03, 0.05)
 
@@ -24,7 +24,7 @@ def without_load(table, label):
 def test_difference_leaves_out_poses_without_a_reference_and_says_so(arm, poses, measured):
     table = measured(arm, poses, {"none": None, "tool": TOOL})
     table = table.take(~((table.load == "none") & (table.pose == 4)))
-    found = estimate(table, arm.robot, Options(), "difference")
+    found = estimate(table, arm.robot, EstimateOptions(), "difference")
     np.testing.assert_allclose(found.loads[0].mass_kg, TOOL[0], rtol=1e-6)
     assert any("poses 4 " in finding.what for finding in found.findings)
 
@@ -32,21 +32,21 @@ def test_difference_leaves_out_poses_without_a_reference_and_says_so(arm, poses,
 def test_difference_needs_common_poses_and_a_known_load(arm, poses, measured):
     loaded = measured(arm, poses[:6], {"tool": TOOL})
     with pytest.raises(DataUnusable, match="a load that is known"):
-        estimate(loaded, arm.robot, Options(), "difference")
+        estimate(loaded, arm.robot, EstimateOptions(), "difference")
     bare = measured(arm, poses[6:], {"none": None})
     apart = replace(bare, pose=bare.pose + 100)
-    from gateway.rows import concatenate
+    from gateway.data.rows import concatenate
 
     with pytest.raises(DataUnusable, match="shares no pose"):
-        estimate(concatenate([loaded, apart]), arm.robot, Options(), "difference")
+        estimate(concatenate([loaded, apart]), arm.robot, EstimateOptions(), "difference")
     with pytest.raises(DataUnusable, match="nothing to estimate"):
-        estimate(bare, arm.robot, Options(), "difference")
+        estimate(bare, arm.robot, EstimateOptions(), "difference")
 
 
 def test_difference_of_one_sided_visits_keeps_what_friction_scatters(arm, poses, measured):
     """From one side the band cancels; the scatter does not, and the intervals say so."""
     table = measured(arm, poses, {"none": None, "tool": TOOL}, np.random.default_rng(3), left=0.2, sides=(1,))
-    load = estimate(table, arm.robot, Options(), "difference").loads[0]
+    load = estimate(table, arm.robot, EstimateOptions(), "difference").loads[0]
     assert abs(load.mass_kg - TOOL[0]) < 3 * load.mass_std_kg
     assert 0.05 < load.mass_std_kg < 2.0
 
@@ -63,7 +63,7 @@ COEFFICIENT = Coefficient(2, "x_k2_m", 210, 0.8, 23.875)
 
 @pytest.mark.data
 def test_column_a_of_the_paper_comes_out_and_column_b_is_refused(measured_data):
-    result = run(qh165(measured_data), None, Options(coefficient=COEFFICIENT), "coefficient")
+    result = run(qh165(measured_data), None, EstimateOptions(coefficient=COEFFICIENT), "coefficient")
     load = {item.label: item for item in result.loads}
     masses = list(load["a"].per_pose_mass_kg.values())
     assert len(masses) == 10
@@ -83,7 +83,7 @@ def test_column_a_of_the_paper_comes_out_and_column_b_is_refused(measured_data):
 
 @pytest.mark.data
 def test_column_b_does_not_come_near_its_stated_mass(measured_data):
-    options = Options(coefficient=COEFFICIENT, known={"b": (70.0, 0.0, 0.0, 0.0)})
+    options = EstimateOptions(coefficient=COEFFICIENT, known={"b": (70.0, 0.0, 0.0, 0.0)})
     result = run(qh165(measured_data), None, options, "coefficient")
     load = {item.label: item for item in result.loads}
     assert "no pose comes near the stated 70 kg" in load["b"].refused
@@ -93,7 +93,7 @@ def test_column_b_does_not_come_near_its_stated_mass(measured_data):
 @pytest.mark.data
 def test_column_b_alone_is_refused_too(measured_data):
     table = without_load(qh165(measured_data), "a")
-    result = run(table, None, Options(coefficient=COEFFICIENT), "coefficient")
+    result = run(table, None, EstimateOptions(coefficient=COEFFICIENT), "coefficient")
     assert result.failed
     assert [load.label for load in result.loads] == ["b"]
 
@@ -113,14 +113,14 @@ def test_coefficient_by_hand(table_of):
     """m = N eta dtau / (g k): 100 * 0.5 * 1.961330 / (9.80665 * 1) = 10 kg."""
     how = Coefficient(2, "x_k", 100, 0.5)
     table = lever_table(table_of, {"none": [1.0, 2.0], "tool": [1.0 + 1.96133, 2.0 - 3.92266]}, [1.0, -2.0])
-    found = estimate(table, None, Options(coefficient=how), "coefficient")
+    found = estimate(table, None, EstimateOptions(coefficient=how), "coefficient")
     np.testing.assert_allclose(list(found.loads[0].per_pose_mass_kg.values()), 10.0, rtol=1e-9)
 
 
 def test_coefficient_with_a_known_first_load_and_a_repeated_visit(table_of):
     how = Coefficient(2, "x_k", 100, 0.5)
     table = lever_table(table_of, {"first": [1.0, 1.0], "tool": [2.96133, 2.96133]}, [1.0, 1.0])
-    options = Options(coefficient=how, known={"first": (5.0, 0.0, 0.0, 0.0)})
+    options = EstimateOptions(coefficient=how, known={"first": (5.0, 0.0, 0.0, 0.0)})
     assert estimate(table, None, options, "coefficient").loads[0].mass_kg == pytest.approx(15.0)
 
 
@@ -135,7 +135,7 @@ def test_coefficient_with_a_known_first_load_and_a_repeated_visit(table_of):
 )
 def test_coefficient_refusals(table_of, change, error, says):
     table = lever_table(table_of, {"none": [1.0, 2.0], "tool": [3.0, 4.0]}, [1.0, 1.0])
-    options = replace(Options(coefficient=Coefficient(2, "x_k", 100, 0.5)), **change)
+    options = replace(EstimateOptions(coefficient=Coefficient(2, "x_k", 100, 0.5)), **change)
     with pytest.raises(error, match=says):
         estimate(table, None, options, "coefficient")
 
@@ -143,7 +143,7 @@ def test_coefficient_refusals(table_of, change, error, says):
 def test_coefficient_without_reference(table_of):
     table = lever_table(table_of, {"tool": [3.0, 4.0]}, [1.0, 1.0])
     with pytest.raises(DataUnusable, match="none"):
-        estimate(table, None, Options(coefficient=Coefficient(2, "x_k", 100, 0.5)), "coefficient")
+        estimate(table, None, EstimateOptions(coefficient=Coefficient(2, "x_k", 100, 0.5)), "coefficient")
 
 
 # ---------------------------------------------------------------- posture
@@ -152,14 +152,14 @@ def test_coefficient_without_reference(table_of):
 def test_posture_against_a_stored_bare_identification(arm, poses, measured):
     """Other postures than the bare ones, through the result file."""
     rng = np.random.default_rng(4)
-    stored = run(measured(arm, poses, {"none": None}, rng, left=0.05), arm.robot, Options())
+    stored = run(measured(arm, poses, {"none": None}, rng, left=0.05), arm.robot, EstimateOptions())
     assert stored.bare is not None
     assert stored.loads == ()
     bare = from_json(to_json(stored)).bare
     other = np.random.default_rng(5).uniform(-1.5, 1.5, (10, 6))
     table = measured(arm, other, {"tool": TOOL}, rng, left=0.05)
     for method in ("posture", "joint"):
-        load = estimate(table, arm.robot, Options(bare=bare), method).loads[0]
+        load = estimate(table, arm.robot, EstimateOptions(bare=bare), method).loads[0]
         std = np.concatenate([[load.mass_std_kg], load.com_std_m])
         assert (np.abs(np.concatenate([[load.mass_kg], load.com_m]) - TOOL) < 3.5 * std).all()
         assert load.mass_std_kg < 0.5
@@ -168,35 +168,37 @@ def test_posture_against_a_stored_bare_identification(arm, poses, measured):
 def test_posture_without_anything_known_of_the_bare_arm_says_what_lumps(arm, poses, measured):
     table = measured(arm, poses, {"tool": TOOL})
     with pytest.raises(DataUnusable, match=r"_6.*--bare"):
-        estimate(table, arm.robot, Options(), "posture")
-    joint = run(table, arm.robot, Options())
+        estimate(table, arm.robot, EstimateOptions(), "posture")
+    joint = run(table, arm.robot, EstimateOptions())
     assert np.isnan(joint.loads[0].mass_kg)
     assert joint.loads[0].unidentifiable == ("mass_kg", "com_x_m", "com_y_m", "com_z_m")
     assert any("lumps with link 6" in finding.what for finding in joint.findings)
-    exact = estimate(table, arm.robot, Options(inertials="exact"), "posture").loads[0]
+    exact = estimate(table, arm.robot, EstimateOptions(inertials="exact"), "posture").loads[0]
     assert exact.mass_kg == pytest.approx(TOOL[0], rel=1e-4)
 
 
 def test_posture_notices_a_dress_pack_that_came_with_the_load(arm, poses, measured):
-    stored = run(measured(arm, poses, {"none": None}, np.random.default_rng(6), left=0.01), arm.robot, Options())
+    stored = run(
+        measured(arm, poses, {"none": None}, np.random.default_rng(6), left=0.01), arm.robot, EstimateOptions()
+    )
     dressed = type(arm)(text=arm.text.replace('<mass value="15"/>', '<mass value="25"/>'))
     table = measured(dressed, poses, {"tool": TOOL}, np.random.default_rng(7), left=0.01)
-    found = estimate(table, arm.robot, Options(bare=stored.bare), "posture")
+    found = estimate(table, arm.robot, EstimateOptions(bare=stored.bare), "posture")
     assert any("more than a load has changed" in finding.what for finding in found.findings)
     clean = estimate(measured(arm, poses, {"tool": TOOL}, np.random.default_rng(8), left=0.01),
-                     arm.robot, Options(bare=stored.bare), "posture")  # fmt: skip
+                     arm.robot, EstimateOptions(bare=stored.bare), "posture")  # fmt: skip
     assert not any("more than a load" in finding.what for finding in clean.findings)
 
 
 def test_a_bare_identification_of_another_mounting_is_refused(arm, poses, measured):
-    stored = run(measured(arm, poses, {"none": None}), arm.robot, Options())
+    stored = run(measured(arm, poses, {"none": None}), arm.robot, EstimateOptions())
     table = measured(arm, poses, {"tool": TOOL})
     with pytest.raises(InputError, match="--bare"):
-        estimate(table, arm.robot, Options(bare=stored.bare, gravity_m_s2=(9.80665, 0.0, 0.0)), "posture")
+        estimate(table, arm.robot, EstimateOptions(bare=stored.bare, gravity_m_s2=(9.80665, 0.0, 0.0)), "posture")
 
 
 def test_bare_base_parameters_are_those_of_the_arm(arm, poses, measured):
-    stored = run(measured(arm, poses, {"none": None}), arm.robot, Options())
+    stored = run(measured(arm, poses, {"none": None}), arm.robot, EstimateOptions())
     robot = arm.robot
     phi = np.concatenate([[m, *(m * c)] for m, c in zip(robot.mass_kg, robot.com_m, strict=True)])
     np.testing.assert_allclose(stored.bare.value, np.asarray(stored.bare.combination) @ phi, rtol=1e-5, atol=1e-5)
@@ -209,16 +211,17 @@ def test_bare_base_parameters_are_those_of_the_arm(arm, poses, measured):
 def test_a_prior_narrows_a_load_without_bare_run(arm, poses, measured):
     table = measured(arm, poses, {"tool": TOOL}, np.random.default_rng(1), left=0.02)
     wide, narrow = (
-        estimate(table, arm.robot, Options(inertials=text)).loads[0].mass_std_kg for text in ("prior:0.1", "prior:0.01")
+        estimate(table, arm.robot, EstimateOptions(inertials=text)).loads[0].mass_std_kg
+        for text in ("prior:0.1", "prior:0.01")
     )
     assert narrow < 0.3 * wide
-    assert abs(estimate(table, arm.robot, Options(inertials="prior:0.1")).loads[0].mass_kg - TOOL[0]) < 3 * wide
+    assert abs(estimate(table, arm.robot, EstimateOptions(inertials="prior:0.1")).loads[0].mass_kg - TOOL[0]) < 3 * wide
 
 
 def test_a_common_bias_of_friction_is_taken_off(arm, poses, measured):
     """Half the band as a constant torque: with links known it would otherwise go into the load."""
     table = measured(arm, poses, {"tool": TOOL}, np.random.default_rng(1), left=0.05, bias=0.5)
-    load = estimate(table, arm.robot, Options(inertials="exact")).loads[0]
+    load = estimate(table, arm.robot, EstimateOptions(inertials="exact")).loads[0]
     std = np.concatenate([[load.mass_std_kg], load.com_std_m])
     assert (np.abs(np.concatenate([[load.mass_kg], load.com_m]) - TOOL) < 3.5 * std).all()
 
@@ -226,12 +229,12 @@ def test_a_common_bias_of_friction_is_taken_off(arm, poses, measured):
 def test_one_sided_rows_from_mixed_sides_find_the_friction(arm, poses, measured, band_nm):
     table = measured(arm, poses, {"none": None, "tool": TOOL}, np.random.default_rng(1), left=0.05)
     keep = (table.direction[:, 0] > 0) == (table.pose % 2 == 0)
-    found = estimate(table.take(keep), arm.robot, Options())
+    found = estimate(table.take(keep), arm.robot, EstimateOptions())
     friction = {name: value for name, value in zip(found.names, found.value, strict=True) if "friction" in name}
     np.testing.assert_allclose(list(friction.values()), band_nm, rtol=0.15)
     load = found.loads[0]
     assert abs(load.mass_kg - TOOL[0]) < 3.5 * load.mass_std_kg
-    said = run(table.take(keep), arm.robot, Options()).findings
+    said = run(table.take(keep), arm.robot, EstimateOptions()).findings
     assert any("one side only" in finding.what for finding in said)
 
 
@@ -243,20 +246,20 @@ def test_contradicting_rows_are_refused_and_the_others_given(arm, poses, measure
     wrong = np.flatnonzero((table.load == "b") & (table.pose >= 6))
     clean = np.concatenate([bare[2 * k : 2 * k + 2] for k in range(12)])
     tau[wrong] = 2 * clean[wrong - np.flatnonzero(table.load == "b")[0]] - tau[wrong]  # the load's part upside down
-    result = run(replace(table, tau_nm=tau), arm.robot, Options())
+    result = run(replace(table, tau_nm=tau), arm.robot, EstimateOptions())
     load = {item.label: item for item in result.loads}
     assert load["b"].refused is not None
     assert "contradict" in load["b"].refused
     assert load["a"].refused is None
     assert abs(load["a"].mass_kg - TOOL[0]) < 4 * load["a"].mass_std_kg
     assert result.failed
-    difference = run(replace(table, tau_nm=tau), arm.robot, Options(), "difference")
+    difference = run(replace(table, tau_nm=tau), arm.robot, EstimateOptions(), "difference")
     assert next(item for item in difference.loads if item.label == "b").refused is not None
 
 
 def test_a_weak_load_under_strong_friction_is_not_refused(arm, poses, measured):
     table = measured(arm, poses, {"none": None, "tool": (0.5, 0.0, 0.0, 0.05)}, np.random.default_rng(3), left=0.3)
-    load = run(table, arm.robot, Options()).loads[0]
+    load = run(table, arm.robot, EstimateOptions()).loads[0]
     assert load.refused is None
     assert abs(load.mass_kg - 0.5) < 3.5 * load.mass_std_kg
 
@@ -264,17 +267,17 @@ def test_a_weak_load_under_strong_friction_is_not_refused(arm, poses, measured):
 def test_the_next_pose_does_help(arm, poses, measured):
     rng = np.random.default_rng(4)
     first = measured(arm, poses[:3], {"none": None, "tool": TOOL}, rng, left=0.1)
-    found = run(first, arm.robot, Options())
+    found = run(first, arm.robot, EstimateOptions())
     (advice,) = found.next
     assert 0 < advice.reduction < 1
     more = np.vstack([poses[:3], advice.poses_rad])
-    again = run(measured(arm, more, {"none": None, "tool": TOOL}, rng, left=0.1), arm.robot, Options())
+    again = run(measured(arm, more, {"none": None, "tool": TOOL}, rng, left=0.1), arm.robot, EstimateOptions())
     assert again.loads[0].mass_std_kg < found.loads[0].mass_std_kg
 
 
 def test_per_pose_masses_scatter_about_the_mass(arm, poses, measured):
     table = measured(arm, poses, {"none": None, "tool": TOOL}, np.random.default_rng(4), left=0.02)
-    load = estimate(table, arm.robot, Options()).loads[0]
+    load = estimate(table, arm.robot, EstimateOptions()).loads[0]
     assert len(load.per_pose_mass_kg) > 5
     assert np.median(list(load.per_pose_mass_kg.values())) == pytest.approx(TOOL[0], rel=0.05)
 
@@ -285,10 +288,10 @@ def test_per_pose_masses_scatter_about_the_mass(arm, poses, measured):
 def test_flange_frame(arm, poses, measured):
     table = measured(arm, poses, {"none": None, "tool": TOOL})
     robot = with_flange(arm.robot, (0.1, 0.0, 0.0), (0.0, np.pi / 2, 0.0))
-    load = run(table, robot, Options()).loads[0]
+    load = run(table, robot, EstimateOptions()).loads[0]
     # flange z along link_6 x: (x - 0.1) becomes z, z becomes -x
     np.testing.assert_allclose(load.com_flange_m, [-0.05, -0.03, 0.02], atol=1e-5)
-    assert run(table, arm.robot, Options()).loads[0].com_flange_m is None
+    assert run(table, arm.robot, EstimateOptions()).loads[0].com_flange_m is None
 
 
 def test_an_impossible_body_is_reported_and_not_clamped(arm, poses, measured):
@@ -296,7 +299,7 @@ def test_an_impossible_body_is_reported_and_not_clamped(arm, poses, measured):
     tau = table.tau_nm.copy()
     tau[table.load == "tool"] = 2 * tau[table.load == "none"] - tau[table.load == "tool"]  # pulls upwards
     table = replace(table, tau_nm=tau)
-    result = run(table, arm.robot, Options())
+    result = run(table, arm.robot, EstimateOptions())
     load = {item.label: item for item in result.loads}
     assert load["tool"].mass_kg == pytest.approx(-3.0, rel=1e-4)
     said = {finding.where: finding.what for finding in result.findings}

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from gateway.data.rows import concatenate
+from gateway.data.table import read_csv
 from gateway.errors import DataUnusable, InputError
-from gateway.estimate import Options, estimate, run
+from gateway.estimate import EstimateOptions, estimate, run
 from gateway.estimate.moving import estimate_moving
-from gateway.estimate.moving_columns import Motion
+from gateway.estimate.moving_columns import MovingSetup
 from gateway.model.robot import robot_from_urdf
-from gateway.rows import concatenate
-from gateway.table import read_csv
 
 COULOMB = np.array([20.0, 25.0, 15.0, 4.0, 3.0, 2.0])
 VISCOUS = np.array([10.0, 12.0, 8.0, 2.0, 1.5, 1.0])
@@ -48,7 +48,7 @@ def friction(found, name):
 
 @pytest.mark.parametrize("inertials", ["ignore", "exact", "prior:0.05"])
 def test_friction_and_residual_of_a_bare_run(arm, table_of, inertials):
-    found = estimate(moving_table(arm, table_of), arm.robot, Options(inertials=inertials))
+    found = estimate(moving_table(arm, table_of), arm.robot, EstimateOptions(inertials=inertials))
     np.testing.assert_allclose(friction(found, "coulomb"), COULOMB, rtol=1e-3)
     np.testing.assert_allclose(friction(found, "viscous"), VISCOUS, rtol=1e-3)
     if inertials == "exact":  # else the rotor inertia of axis 1 lumps with the links
@@ -62,7 +62,7 @@ def test_load_from_bare_and_loaded_run(arm, table_of):
     table = concatenate(
         [moving_table(arm, table_of, noise=0.5), moving_table(arm, table_of, "tool", TOOL, seed=1, noise=0.5)]
     )
-    load = estimate(table, arm.robot, Options(inertials="prior:0.05")).loads[0]
+    load = estimate(table, arm.robot, EstimateOptions(inertials="prior:0.05")).loads[0]
     assert load.mass_kg == pytest.approx(TOOL[0], rel=0.06)
     np.testing.assert_allclose(load.com_m, TOOL[1:], atol=0.03)
 
@@ -70,14 +70,14 @@ def test_load_from_bare_and_loaded_run(arm, table_of):
 def test_load_with_known_links_and_a_known_load(arm, table_of):
     point = (5.0, 0.1, 0.0, 0.0)
     table = moving_table(arm, table_of, "tool", point, noise=0.1)
-    options = Options(inertials="exact", known={"tool": point})
+    options = EstimateOptions(inertials="exact", known={"tool": point})
     assert (estimate(table, arm.robot, options).rows.rms_nm < 0.2).all()
     with pytest.raises(InputError, match="--known other"):
-        estimate(table, arm.robot, Options(known={"other": point}))
+        estimate(table, arm.robot, EstimateOptions(known={"other": point}))
 
 
 def test_a_loaded_run_alone_lumps_with_link_6(arm, table_of):
-    result = run(moving_table(arm, table_of, "tool", TOOL), arm.robot, Options())
+    result = run(moving_table(arm, table_of, "tool", TOOL), arm.robot, EstimateOptions())
     assert np.isnan(result.loads[0].mass_kg)
     assert len(result.loads[0].unidentifiable) == 4
     assert any("lumps with link 6" in finding.what for finding in result.findings)
@@ -86,7 +86,7 @@ def test_a_loaded_run_alone_lumps_with_link_6(arm, table_of):
 
 def test_slow_rows_are_left_out_by_the_speed_limit(arm, table_of):
     table = moving_table(arm, table_of)
-    found = estimate_moving(table, arm.robot, Options(), Motion(slow_share=0.1))
+    found = estimate_moving(table, arm.robot, EstimateOptions(), MovingSetup(slow_share=0.1))
     slow = np.abs(table.qd_rad_s) < 0.1 * arm.robot.velocity_rad_s
     assert slow.any()
     np.testing.assert_array_equal(np.isnan(found.rows.tau_nm), slow)
@@ -94,9 +94,9 @@ def test_slow_rows_are_left_out_by_the_speed_limit(arm, table_of):
 
 def test_too_short_a_run(arm, table_of):
     with pytest.raises(DataUnusable, match="fewer than"):
-        estimate(moving_table(arm, table_of).take(np.arange(5)), arm.robot, Options())
+        estimate(moving_table(arm, table_of).take(np.arange(5)), arm.robot, EstimateOptions())
     with pytest.raises(DataUnusable, match="no moving rows"):
-        estimate_moving(moving_table(arm, table_of).take(np.zeros(400, dtype=bool)), arm.robot, Options())
+        estimate_moving(moving_table(arm, table_of).take(np.zeros(400, dtype=bool)), arm.robot, EstimateOptions())
 
 
 def measured_run(folder, name, file):
@@ -108,7 +108,7 @@ def measured_run(folder, name, file):
 def test_measured_run_of_a_tx40(measured_data):
     """Published with the data: base parameters and friction, slow rows left out."""
     table, robot = measured_run(measured_data, "tx40", "run_1_first.csv")
-    found = estimate(table, robot, Options())
+    found = estimate(table, robot, EstimateOptions())
     np.testing.assert_allclose(found.rows.rms_nm, [1.49, 1.47, 0.96, 0.42, 4.12, 1.41], atol=0.006)
     assert found.rank == 36 + 24 - 2  # the rotors of axes 1 and 2 lump with the links they turn
 
@@ -116,21 +116,21 @@ def test_measured_run_of_a_tx40(measured_data):
 @pytest.mark.data
 def test_measured_run_of_a_ur10(measured_data):
     table, robot = measured_run(measured_data, "ur10", "run_1_first.csv")
-    found = estimate_moving(table, robot, Options(), Motion(slow_share=0.0))
+    found = estimate_moving(table, robot, EstimateOptions(), MovingSetup(slow_share=0.0))
     np.testing.assert_allclose(found.rows.rms_nm, [2.87, 1.88, 1.71, 0.37, 0.34, 1.36], atol=0.006)
-    assert (estimate(table, robot, Options()).rows.rms_nm <= found.rows.rms_nm).all()
+    assert (estimate(table, robot, EstimateOptions()).rows.rms_nm <= found.rows.rms_nm).all()
 
 
 @pytest.mark.data
 def test_measured_run_of_a_kr300(measured_data):
     """CAD links fixed, no offset, equal weights first and three times the residual's: the published figures."""
     table, robot = measured_run(measured_data, "kr300", "run_A.csv")
-    motion = Motion(smooth_rad_s=0.01, passes=4)
-    found = estimate_moving(table, robot, Options(inertials="exact"), motion)
+    motion = MovingSetup(smooth_rad_s=0.01, passes=4)
+    found = estimate_moving(table, robot, EstimateOptions(inertials="exact"), motion)
     np.testing.assert_allclose(found.rows.rms_nm, [236, 907, 1449, 58, 44, 41], rtol=0.01)
     load = found.loads[0]
     assert load.mass_kg == pytest.approx(27, abs=0.5)
     assert load.com_m[2] + 0.24 == pytest.approx(-1.55, abs=0.01)  # before the flange, which lies at z = -0.24 m
     assert load.mass_std_kg > 10  # and the interval says how little that means
-    said = run(table, robot, Options(inertials="exact")).findings
+    said = run(table, robot, EstimateOptions(inertials="exact")).findings
     assert any("diagnose" in finding.advice for finding in said)

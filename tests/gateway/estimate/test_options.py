@@ -5,14 +5,14 @@ import math
 import pytest
 
 from gateway.errors import ConfigError, InputError
-from gateway.estimate.options import Options, default_inertials, parse_inertials, parse_known
+from gateway.estimate.options import EstimateOptions, default_inertials, parse_inertials, parse_known
 
 
 def test_inertials():
     assert parse_inertials("exact") == 0.0
     assert parse_inertials("ignore") == math.inf
     assert parse_inertials("prior:0.05") == 0.05
-    assert Options(inertials="prior:0.2").trust == 0.2
+    assert EstimateOptions(inertials="prior:0.2").trust == 0.2
 
 
 @pytest.mark.parametrize("text", ["", "prior", "prior:", "prior:0", "prior:-1", "prior:nan", "0.05", "prior:x"])

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.config import load_cell
+from gateway.cell.config import load_cell
 from gateway.model.robot import robot_from_urdf
 from tests.arms import body_on_link_6, urdf_of
 

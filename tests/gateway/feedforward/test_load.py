@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drives.profile import load_profile
-from gateway.config import Constant
+from drives.profile_file import load_profile
+from gateway.cell.config import SourcedNumber
 from gateway.errors import ConfigError, DataUnusable, InputError
 from gateway.feedforward.load import check_origin, cube_inertia, identified_load, rated_load
 from gateway.feedforward.parameters import corrected_parameters, drawn_parameters
 from gateway.feedforward.terms import axis_terms
 from gateway.model.base import rest_base
 from gateway.model.regressor import gravity_regressor
-from gateway.result import Bare, LoadResult, Result
+from gateway.result.result import Bare, LoadResult, Result
 
 GRAVITY = np.array([0.0, 0.0, -9.80665])
 LOAD = LoadResult("a", 70.0, 0.2, (0.05, -0.02, 0.22), (0.001, 0.001, 0.002))
@@ -90,7 +90,7 @@ def test_what_is_not_given_is_left_out_and_said_so(large):
     axes, sources = axis_terms(arm, profiles, result(LOAD, friction_band_nm=(78.0, 104.0, 63.0, 21.0, 16.0, 11.0)))
     assert axes[1].coulomb_nm == 104.0
     assert sources[1].missing == ("viscous friction",)
-    given = {"viscous_nm_s_rad": Constant(value=90.0, source="identified"), "rotor_inertia_kg_m2": None}
+    given = {"viscous_nm_s_rad": SourcedNumber(value=90.0, source="identified"), "rotor_inertia_kg_m2": None}
     first = arm.model_copy(update={"axis": (arm.axis[0].model_copy(update=given), *arm.axis[1:])})
     axes, sources = axis_terms(first, profiles, None)
     assert (axes[0].viscous_nm_s_rad, axes[0].rotor_kg_m2) == (90.0, 0.0)

@@ -7,16 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from drives.profile import load_profile
+from drives.profile_file import load_profile
 from drives.values import DriveCommand, DriveReading
-from gateway.arm_model import arm_robot
+from gateway.cell.config import load_cell
 from gateway.cell.conversion import AxisConversion
-from gateway.config import load_cell
 from gateway.feedforward.load import assumed_load
 from gateway.follow.settings import feed_model
+from gateway.model.arm_model import arm_robot
 from gateway.motion.arm import Arm
 from gateway.motion.workspace import workspace_of
-from gateway.result import Result
+from gateway.result.result import Result
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 OPERATION_ENABLED, FAULT = 0x1637, 0x0608

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.arm_model import arm_robot
-from gateway.config import load_cell
+from gateway.cell.config import load_cell
 from gateway.errors import InputError, PlanRefused
 from gateway.follow.path import check_path, read_path
+from gateway.model.arm_model import arm_robot
 from gateway.model.kinematics import flange_frames
 from gateway.motion.workspace import workspace_of
 

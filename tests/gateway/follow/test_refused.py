@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from gateway.cli import main
-from gateway.result import LoadResult, Result, to_json
+from gateway.result.result import LoadResult, Result, to_json
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 LOAD = LoadResult("a", 70.0, 0.2, (0.05, -0.02, 0.22), (0.001, 0.001, 0.002))

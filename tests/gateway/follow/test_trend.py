@@ -8,14 +8,14 @@ import numpy as np
 import pinocchio
 import pytest
 
-from drives.profile import load_profile
-from gateway.arm_model import arm_robot
-from gateway.config import load_cell
+from drives.profile_file import load_profile
+from gateway.cell.config import load_cell
 from gateway.feedforward.load import assumed_load
 from gateway.follow.settings import feed_model
 from gateway.follow.track import Track
 from gateway.follow.trend import load_trend
-from gateway.result import Result
+from gateway.model.arm_model import arm_robot
+from gateway.result.result import Result
 
 LARGE = Path(__file__).parents[3] / "examples" / "large"
 PERIOD_S = 0.01

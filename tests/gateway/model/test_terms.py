@@ -13,33 +13,33 @@ from gateway.model.terms import effects as fx
 from gateway.model.terms.balancer import CoilBalancer, GasBalancer
 from gateway.model.terms.library import Setup, named_terms, unnamed_terms
 from gateway.model.terms.reading import Model, RestRows, neutral
-from sim.draw import Arm, choose_poses, draw_arm
+from sim.draw import DrawnArm, choose_poses, draw_arm
 from sim.effects import effect_from_dict
-from sim.offline import Protocol, Visit, measure, point_jacobian
+from sim.offline import PlannedVisit, Protocol, measure, point_jacobian
 from sim.urdf import write_chain
 
 STEP_S = 30.0
 
 
 @pytest.fixture(scope="module")
-def arm() -> Arm:
+def arm() -> DrawnArm:
     arm = draw_arm(np.random.default_rng(21))
     return replace(arm, plant=replace(arm.plant, gear_efficiency=np.full(6, 0.85), temperature_c=None))
 
 
 @pytest.fixture(scope="module")
-def robot(arm: Arm) -> Robot:
+def robot(arm: DrawnArm) -> Robot:
     return robot_from_urdf(write_chain(arm.chain), "true")
 
 
 @pytest.fixture(scope="module")
-def visits(arm: Arm) -> list[Visit]:
+def visits(arm: DrawnArm) -> list[PlannedVisit]:
     poses = choose_poses(arm, 6, np.random.default_rng(2))
-    bare = [Visit(k, "none", STEP_S * k, q) for k, q in enumerate(poses)]
-    return bare + [Visit(k, "tool", 500.0 + STEP_S * k, q) for k, q in enumerate(poses)]
+    bare = [PlannedVisit(k, "none", STEP_S * k, q) for k, q in enumerate(poses)]
+    return bare + [PlannedVisit(k, "tool", 500.0 + STEP_S * k, q) for k, q in enumerate(poses)]
 
 
-def halves(arm: Arm, plant, visits: list[Visit]) -> tuple[np.ndarray, np.ndarray]:
+def halves(arm: DrawnArm, plant, visits: list[PlannedVisit]) -> tuple[np.ndarray, np.ndarray]:
     """Half sums and differences of a quiet measurement, each side through the gear by its own direction."""
     protocol = Protocol(settle=np.zeros(6), side_time_s=0.0)
     still = replace(plant, reading_noise_nm=np.zeros(6))
@@ -53,7 +53,7 @@ def halves(arm: Arm, plant, visits: list[Visit]) -> tuple[np.ndarray, np.ndarray
 
 
 @pytest.fixture(scope="module")
-def rows(arm: Arm, visits: list[Visit]) -> RestRows:
+def rows(arm: DrawnArm, visits: list[PlannedVisit]) -> RestRows:
     half_sum, difference = halves(arm, arm.plant, visits)
     n = len(visits)
     return RestRows(
@@ -79,7 +79,7 @@ def model(robot: Robot, rows: RestRows) -> Model:
 
 
 @pytest.fixture(scope="module")
-def bodies(arm: Arm, rows: RestRows) -> tuple[np.ndarray, np.ndarray]:
+def bodies(arm: DrawnArm, rows: RestRows) -> tuple[np.ndarray, np.ndarray]:
     """True link parameters (24,) and loads (n, 4)."""
     links = np.concatenate(
         [np.append(m, m * c) for m, c in zip(arm.plant.link_mass_kg, arm.plant.link_com_m, strict=True)]

@@ -5,8 +5,8 @@ import struct
 import numpy as np
 import pytest
 
-from gateway.arm_model import arm_robot, robot_from_text, robot_text
 from gateway.errors import ConfigError
+from gateway.model.arm_model import arm_robot, robot_from_text, robot_text
 from gateway.model.capsule import capsule_around
 from gateway.model.mesh import MeshError, find_mesh, read_vertices
 from gateway.model.robot import reach_m, robot_from_urdf

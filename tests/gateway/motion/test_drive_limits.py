@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from drives.objects import OBJECTS
-from drives.profile import load_profile, parse_profile
+from drives.profile_file import load_profile, parse_profile
+from gateway.cell.config import ArmConfig
 from gateway.cell.conversion import AxisConversion
-from gateway.config import ArmConfig
 from gateway.motion.drive_limits import ROUNDING_RAD, motor_ranges_rad, motor_torques_nm, quick_stop_rad_s2
 
 PROFILE = load_profile("generic-cia402")

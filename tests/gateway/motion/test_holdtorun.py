@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import pytest
 
 from drives.sdo import Posted
-from gateway.config import HoldToRun
+from gateway.cell.config import HoldToRun
 from gateway.errors import ConfigError, PlanRefused
 from gateway.motion import holdtorun
 from gateway.motion.holdtorun import FIRST_REPEAT_S, PATIENCE_S, RELEASED_S, HeldInput, HeldKey, held_key

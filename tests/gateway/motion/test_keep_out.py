@@ -74,7 +74,7 @@ def test_a_cube_of_100_mm_on_a_link_is_seen(large_cell, link, share):
 
 
 def of(cell, **changed):
-    from gateway.arm_model import arm_robot
+    from gateway.model.arm_model import arm_robot
     from gateway.motion.workspace import workspace_of
 
     arm = cell.cell.arm[0].model_copy(update=changed)

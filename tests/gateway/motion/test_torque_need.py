@@ -6,8 +6,8 @@ import numpy as np
 import pinocchio
 import pytest
 
-from gateway.arm_model import arm_robot, robot_text
-from gateway.config import Constant
+from gateway.cell.config import SourcedNumber
+from gateway.model.arm_model import arm_robot, robot_text
 from gateway.motion.torque_need import needed_torque_nm
 from gateway.motion.workspace import workspace_of
 
@@ -57,7 +57,7 @@ def test_need_is_gravity_friction_and_stop_with_the_reserve(cell):
 def test_given_friction_counts_as_it_is(small_cell):
     arm = small_cell.cell.arm[0]
     workspace = workspace_of(arm, arm_robot(small_cell, arm))
-    rough = tuple(axis.model_copy(update={"coulomb_nm": Constant(value=50.0, source="x")}) for axis in arm.axis)
+    rough = tuple(axis.model_copy(update={"coulomb_nm": SourcedNumber(value=50.0, source="x")}) for axis in arm.axis)
     plain = needed_torque_nm(workspace, arm, DECEL)
     given = needed_torque_nm(workspace, arm.model_copy(update={"axis": rough}), DECEL)
     assert given - plain == pytest.approx(1.3 * (50.0 - 0.013 * workspace.torque_nm))

@@ -6,9 +6,9 @@ import numpy as np
 import pinocchio
 import pytest
 
-from gateway.arm_model import arm_named, arm_robot, robot_text
-from gateway.config import AxisConfig, KeepOut
+from gateway.cell.config import AxisConfig, KeepOut
 from gateway.errors import ConfigError, PlanRefused
+from gateway.model.arm_model import arm_named, arm_robot, robot_text
 from gateway.model.kinematics import flange_frames, link_frames
 from gateway.motion.places import path_points
 from gateway.motion.workspace import INWARD_MARGIN_RAD, TORQUE_SHARE, workspace_of

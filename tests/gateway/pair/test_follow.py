@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.motion.arm import ArmSample
+from gateway.data.sample import ArmSample
 from gateway.pair.cell import load_pair
 from gateway.pair.follow import JointFollower, WrenchFromTorque
 

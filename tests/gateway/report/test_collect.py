@@ -8,7 +8,7 @@ import pytest
 
 from gateway.model.robot import robot_from_urdf, with_flange
 from gateway.report.collect import drawn_poses, flange_spread
-from gateway.result import LoadResult, Rows
+from gateway.result.result import LoadResult, Rows
 
 URDF = Path(__file__).parents[3] / "examples" / "small" / "robot.urdf"
 

@@ -1,0 +1,52 @@
+"""Print every figure of speed and accuracy with its goal, and write them to `summary.json`.
+
+python -m benchmarks.bench [--out out/bench] [wire] [regressor] [estimation]
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table as RichTable
+
+PARTS = ("regressor", "estimation", "wire")
+
+
+def main(argv: list[str]) -> int:
+    """Run the named parts (all by default); exit 1 when a goal is missed."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.bench", description=__doc__)
+    parser.add_argument("parts", nargs="*", choices=[*PARTS, []], help="parts to run; all by default")
+    parser.add_argument("--out", type=Path, default=Path("out/bench"))
+    arguments = parser.parse_args(argv)
+    figures: dict[str, dict] = {}
+    for part in arguments.parts or PARTS:
+        figures |= importlib.import_module(f"benchmarks.bench.{part}").figures()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    (arguments.out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n")
+    show(figures)
+    return 0 if all(figure["met"] is not False for figure in figures.values()) else 1
+
+
+def show(figures: dict[str, dict]) -> None:
+    """Print the figures as a table: value, interval, goal, and whether it is met."""
+    table = RichTable("figure", "value", "interval", "unit", "goal", "met")
+    for name, figure in figures.items():
+        interval = figure.get("interval")
+        table.add_row(
+            name,
+            f"{figure['value']:.4g}",
+            "" if not interval else f"{interval[0]:.4g} .. {interval[1]:.4g}",
+            figure.get("unit", ""),
+            figure.get("goal", ""),
+            {True: "yes", False: "MISSED", None: ""}[figure.get("met")],
+        )
+    Console(width=140).print(table)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

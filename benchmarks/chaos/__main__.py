@@ -1,0 +1,90 @@
+"""Inject every fault, kill masters, feed strangers' bytes; print every figure with its goal and write `summary.json`.
+
+python -m benchmarks.chaos [--out out/chaos] [scenarios] [truth] [kills] [stops] [stalls] [signals] [disk]
+                     [unbuffered] [pair_stops] [load] [fuzz]
+python -m benchmarks.chaos soak [--minutes 30]
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from benchmarks.bench.__main__ import show
+
+PARTS = (
+    "scenarios",
+    "truth",
+    "kills",
+    "stops",
+    "stalls",
+    "signals",
+    "disk",
+    "unbuffered",
+    "pair_stops",
+    "load",
+    "fuzz",
+)
+
+
+def main(argv: list[str]) -> int:
+    """Run the named parts (all but the soak by default); exit 1 when a goal is missed."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.chaos", description=__doc__)
+    parser.add_argument("parts", nargs="*", choices=[*PARTS, "soak", []], help="parts to run")
+    parser.add_argument("--out", type=Path, default=Path("out/chaos"))
+    parser.add_argument("--minutes", type=float, default=30.0, help="length of the soak")
+    parser.add_argument("--share", type=float, default=1.0, help="share of the full numbers, for a first look")
+    arguments = parser.parse_args(argv)
+    figures: dict[str, dict] = {}
+    columns = (TextColumn("{task.description:32s}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        for part in arguments.parts or PARTS:
+            module = importlib.import_module(f"benchmarks.chaos.part_{part}")
+            figures |= module.figures(Scope(progress, arguments.share, arguments.minutes))
+            write(figures, arguments.out)
+    show(figures)
+    return 0 if all(figure["met"] is not False for figure in figures.values()) else 1
+
+
+def write(figures: dict[str, dict], out: Path) -> None:
+    """What is known so far."""
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n")
+
+
+class Scope:
+    """How much to run, and where to show progress."""
+
+    def __init__(self, progress: Progress, share: float, minutes: float) -> None:
+        self.minutes = minutes
+        self.print = progress.console.print
+        self._progress = progress
+        self._share = share
+
+    def count(self, full: int) -> int:
+        """The share of a full number that is run, at least one."""
+        return max(1, round(full * self._share))
+
+    def bar(self, what: str, total: float) -> _Bar:
+        """A progress bar with the remaining time."""
+        return _Bar(self._progress, what, total)
+
+
+class _Bar:
+    def __init__(self, progress: Progress, what: str, total: float) -> None:
+        self._progress = progress
+        self._task = progress.add_task(what, total=total)
+
+    def step(self, number: float = 1) -> None:
+        """So much more is done."""
+        self._progress.advance(self._task, number)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,77 @@
+"""The load found with 1 % of all answers lost, against the same without loss."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.chaos.figure import figure
+from benchmarks.chaos.rig import EXAMPLE, Rig
+from gateway.acquire.planning import make_plan
+from gateway.acquire.session import RecordRequest, record
+from gateway.analyse.given import ModelRequest, given, read_rows
+from gateway.estimate.joint import estimate_joint
+from gateway.estimate.options import EstimateOptions
+from gateway.model.visits import pair_visits
+from sim.faults import Fault
+
+LOST = 0.01
+POSES = 6
+
+
+def figures(scope: Any) -> dict[str, dict]:
+    """Record bare and loaded, without and with loss, and estimate both."""
+    bar = scope.bar("load with 1 % of frames lost", 2)
+    found = []
+    gaps = 0
+    for share in (0.0, LOST):
+        with tempfile.TemporaryDirectory(prefix="load-") as folder:
+            path, missing = recorded(Path(folder), share)
+            gaps += missing
+            found.append(estimated(path))
+        bar.step()
+    (clean, clean_std), (lossy, _) = found
+    apart = np.abs(lossy - clean) / clean_std
+    return {
+        "load with 1 % lost, apart from without": figure(float(apart.max()), "<= 1", "std"),
+        "gaps reported at 1 % lost": figure(gaps, ">= 1", "SYNC"),
+    }
+
+
+def few_poses(text: str) -> str:
+    """Edit of a cell's text."""
+    text = re.sub(r"(?m)^count = \d+", f"count = {POSES}", text)
+    return re.sub(r"(?m)^validation = \d+", "validation = 0", text)
+
+
+def recorded(folder: Path, share: float) -> tuple[Path, int]:
+    """Recording of the bare and of the loaded arm; number of incomplete SYNCs that the statistics report."""
+    path = folder / "run.h5"
+    missing = 0
+    with Rig(folder, few_poses, payload=EXAMPLE / "payload.toml") as rig:
+        for label in ("none", "load"):
+            rig.renew()
+            rig.simulation.hang(label)
+            with rig.open() as opened:
+                plan = make_plan(opened.loaded, POSES)
+                if share:
+                    rig.wire.arm_in(Fault("tpdo_random_loss", syncs=0, share=share, seed=3), 50)
+                summary = record(opened, plan, RecordRequest(label, path, resume=True))
+                missing += int(summary.statistics["incomplete"])
+    return path, missing
+
+
+def estimated(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Mass [kg] and centre of gravity [m] of the load with their standard deviations."""
+    about = given(ModelRequest(), [path])
+    efficiency = tuple(float(value) for value in about.efficiency)
+    visits = pair_visits(read_rows([path], about), efficiency)
+    gravity = tuple(float(value) for value in about.gravity_m_s2)
+    options = EstimateOptions(inertials=about.inertials or "ignore", gravity_m_s2=gravity, efficiency=efficiency)  # type: ignore[arg-type]
+    load = next(each for each in estimate_joint(visits, about.robot, options).loads if each.label == "load")
+    value = np.concatenate([[load.mass_kg], load.com_m])
+    return value, np.concatenate([[load.mass_std_kg], load.com_std_m])

@@ -1,0 +1,88 @@
+"""Every kind of fault, three seeds, in lockstep and by the clock."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from typing import Any, Final
+
+from benchmarks.chaos.evidence import Outcome
+from benchmarks.chaos.figure import figure
+from benchmarks.chaos.remote import remote
+from benchmarks.chaos.rig import rig
+from benchmarks.chaos.scenarios import ELSEWHERE, STRICT, kinds, play_again
+
+SEEDS = 3
+PERIOD_S = 0.02
+PACINGS: Final = ("lockstep", "real")
+#: In lockstep nothing depends on the clock: so many are played at a time, kinds dealt out in so many hands a seed.
+JOBS, HANDS = 2, 4
+
+
+def figures(scope: Any) -> dict[str, dict]:
+    """Play all; what did not end as stated is printed."""
+    seeds = range(1, scope.count(SEEDS) + 1)
+    played = list(kinds())
+    bar = scope.bar("fault scenarios", len(PACINGS) * len(played) * len(seeds))
+    outcomes: list[Outcome] = []
+    began_s = time.monotonic()
+    for play_all in (_in_lockstep, _by_the_clock):
+        for outcome in play_all(played, seeds):
+            outcomes.append(outcome)
+            bar.step()
+            complain(scope, outcome)
+    minutes = (time.monotonic() - began_s) / 60.0
+    return summary(outcomes, len(played)) | {"scenarios, time": figure(minutes, "<= 25", "min")}
+
+
+def hand(played: Sequence[str], seed: int) -> list[Outcome]:
+    """Some kinds in lockstep, on drives of their own."""
+    with rig() as made:
+        return [play_again(made, kind, seed) for kind in played]
+
+
+def _in_lockstep(played: Sequence[str], seeds: Sequence[int]) -> Iterator[Outcome]:
+    with ProcessPoolExecutor(JOBS, mp_context=get_context("spawn")) as pool:
+        hands = [pool.submit(hand, played[number::HANDS], seed) for seed in seeds for number in range(HANDS)]
+        for done in as_completed(hands):
+            yield from done.result()
+
+
+def _by_the_clock(played: Sequence[str], seeds: Sequence[int]) -> Iterator[Outcome]:
+    for seed in seeds:
+        with remote(PERIOD_S) as made:
+            for kind in played:
+                yield play_again(made, kind, seed)
+
+
+def complain(scope: Any, outcome: Outcome) -> None:
+    """Print what was not as stated."""
+    for complaint in outcome.complaints:
+        text = re.sub(r"rig-[0-9a-f]+", "rig", complaint)
+        about = f"{outcome.kind}, {outcome.pacing}, seed {outcome.seed}, try {outcome.tries}"
+        scope.print(f"{about}: {text}", markup=False, highlight=False)
+
+
+def summary(outcomes: list[Outcome], played: int) -> dict[str, dict]:
+    """The figures of all outcomes."""
+    safe = [each.safe for each in outcomes if each.safe is not None]
+    recorded = sum(each.recorded for each in outcomes)
+    found = {
+        "fault kinds played": figure(played + len(ELSEWHERE), ">= 40"),
+        "axes moved on after a stop": figure(sum(each.moved for each in outcomes), "== 0"),
+        "last axis safe after detection": figure(max(safe, default=0), "<= 5", "SYNC"),
+        "values of another SYNC in finished visits": figure(
+            sum(each.wrong for each in outcomes), "== 0", f"of {recorded}"
+        ),
+        "scenarios repeated, this computer kept no time": figure(sum(each.tries - 1 for each in outcomes), ">= 0"),
+    }
+    for pacing in PACINGS:
+        here = [each for each in outcomes if each.pacing == pacing]
+        bad = sum(not each.fine for each in here)
+        moved = [kind for kind in STRICT if all(each.fine for each in here if each.kind == kind)]
+        found[f"scenarios not as stated, {pacing}"] = figure(bad, "== 0", f"of {len(here)}")
+        found[f"strict slaves configured and moved, {pacing}"] = figure(len(moved), f"== {len(STRICT)}")
+    return found

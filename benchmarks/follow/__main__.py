@@ -1,0 +1,167 @@
+"""Identify a load, follow a path without and with feedforward; print every figure and write `summary.json`.
+
+python -m benchmarks.follow [--out out/follow] [--seeds 1 2 3]
+
+The simulated arms obey links that differ from the drawing (a seed each), friction that scatters from one motion to the
+next, and drives of which the gateway knows what their profile says. One report is left beside the summary.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.bench.__main__ import show
+from benchmarks.chaos.figure import figure
+from benchmarks.follow import rig
+from gateway.cell.config import load_cell
+from gateway.follow.job import FollowRequest, prepare
+
+SEEDS = (1, 2, 3)
+WRONG = (0.8, 1.2)
+WATCHED = (1, 2)
+ROUNDS = 20_000
+
+
+def main(argv: list[str]) -> int:
+    """Exit 1 when a goal is missed."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.follow", description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("out/follow"))
+    parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS, help="build errors of the large arm")
+    arguments = parser.parse_args(argv)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    figures: dict[str, dict] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        jobs = [("large", seed) for seed in arguments.seeds] + [("small", arguments.seeds[0])]
+        bodies: dict[str, list[dict[str, Any]]] = {"large": [], "small": []}
+        wrong: list[dict[str, Any]] = []
+        for number, (example, seed) in enumerate(jobs, start=1):
+            print(f"{number}/{len(jobs)}: {example} arm, build errors {seed}", file=sys.stderr, flush=True)
+            place = rig.set_up(Path(folder) / f"{example}-{seed}", example)
+            with rig.drives(place, seed) as handle:
+                rig.identify(place, handle)
+                report = arguments.out / f"{example}-{seed}.html"
+                told = rig.follow_command(place, handle, place.result, report)
+                assert told.exit_code == 0, told.output
+                bodies[example].append(json.loads(report.with_suffix(".json").read_text()))
+                wrong += _wrong(place, handle)
+                if number == 1:
+                    figures |= _told_otherwise(place, handle)
+                    figures |= _computing(place)
+        first = f"{jobs[0][0]}-{jobs[0][1]}"
+        shutil.copy(arguments.out / f"{first}.html", arguments.out / "report.html")
+    figures = _following(bodies) | _loads(bodies, wrong) | figures
+    (arguments.out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n")
+    show(figures)
+    return 0 if all(item["met"] is not False for item in figures.values()) else 1
+
+
+def peaks(body: dict[str, Any]) -> dict[str, np.ndarray]:
+    """Peak following error (6,) of each setting."""
+    return {setting["name"]: np.array(setting["peak_rad"]) for setting in body["settings"]}
+
+
+def _following(bodies: dict[str, list[dict[str, Any]]]) -> dict[str, dict]:
+    found: dict[str, dict] = {}
+    for example, several in bodies.items():
+        each = [peaks(body) for body in several]
+        for axis in WATCHED:
+            for other, goal in (("off", "<= 0.3333"), ("maximum", "<= 0.5")):
+                ratio = [item["identified"][axis] / item[other][axis] for item in each]
+                name = f"{example} arm, axis {axis + 1}: peak error, identified load over {_words(other)}"
+                found[name] = figure(max(ratio), goal, interval=(min(ratio), max(ratio)))
+        worst = [float((item["identified"] / item["off"]).max()) for item in each]
+        name = f"{example} arm: worst axis, identified load over without"
+        found[name] = figure(max(worst), "<= 1", interval=(min(worst), max(worst)))
+    return found
+
+
+def _words(setting: str) -> str:
+    return "without" if setting == "off" else "maximum load"
+
+
+def _wrong(place: rig.Place, handle: Any) -> list[dict[str, Any]]:
+    """The same pass with a load that is 20 % too light or too heavy in the file."""
+    return [
+        rig.followed(
+            handle, place.cell, FollowRequest(place.path, place.result_with(f"wrong-{factor}", factor)), "identified"
+        )
+        for factor in WRONG
+    ]
+
+
+def _failed(body: dict[str, Any]) -> bool:
+    return any(item["severity"] == "fail" and item["where"].startswith("load") for item in body["findings"])
+
+
+def _loads(bodies: dict[str, list[dict[str, Any]]], wrong: list[dict[str, Any]]) -> dict[str, dict]:
+    right = [body for several in bodies.values() for body in several]
+    slope = [abs(body["trend"]["scale"]) / body["trend"]["scale_std"] for body in wrong]
+    alarms = sum(any(item["severity"] != "info" for item in body["findings"]) for body in right)
+    share = [abs(body["trend"]["scale"]) for body in right]
+    return {
+        "load 20 % off: found by the residual's trend, share": figure(np.mean([_failed(b) for b in wrong]), ">= 1"),
+        "load 20 % off: trend in standard deviations, least": figure(
+            min(slope), ">= 3", interval=(min(slope), max(slope))
+        ),
+        "load as identified: findings that warn or fail": figure(float(alarms), "== 0"),
+        "load as identified: trend of the residual, largest": {
+            "value": max(share),
+            "interval": [min(share), max(share)],
+            "unit": "of the load",
+            "goal": "printed",
+            "met": None,
+        },
+    }
+
+
+def _told_otherwise(place: rig.Place, handle: Any) -> dict[str, dict]:
+    """The same with gear efficiencies in the cell file that are five points below what the gears do."""
+    pattern = r"gear_efficiency = \{ value = 0\.8(\d?)"
+    cell = place.told("told", pattern, r"gear_efficiency = { value = 0.75")
+    request = FollowRequest(place.path, place.result)
+    told = peaks(rig.followed(handle, cell, request, "maximum", "identified"))
+    right = peaks(rig.followed(handle, place.cell, request, "velocity alone", "identified"))
+    values = {
+        "large arm told 5 to 10 points less gear efficiency: axes 2 and 3, identified over maximum load": max(
+            float(told["identified"][axis] / told["maximum"][axis]) for axis in WATCHED
+        ),
+        "large arm: axes 2 and 3, identified load over the velocity offset alone": max(
+            float(right["identified"][axis] / right["velocity alone"][axis]) for axis in WATCHED
+        ),
+    }
+    return {name: {"value": value, "unit": "", "goal": "printed", "met": None} for name, value in values.items()}
+
+
+def _computing(place: rig.Place) -> dict[str, dict]:
+    """Processor time of both offsets of six axes, over the states of the path."""
+    loaded = load_cell(place.cell)
+    prepared = prepare(loaded, loaded.cell.arm[0], FollowRequest(place.path, place.result))
+    law = prepared.settings[-1].law
+    assert law is not None
+    motion = prepared.path.motions[0]
+    states = list(zip(*(a.tolist() for a in (motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2)), strict=True))
+    times = []
+    for _ in range(5):
+        sense = [0.0] * 6
+        begun = time.thread_time()
+        for index in range(ROUNDS // 5):
+            q, rate, gain = states[index % len(states)]
+            sense = law.sense(sense, rate)
+            _, torque = law.offsets(q, rate, gain, sense)
+            law.excess(torque)
+        times.append(1e6 * (time.thread_time() - begun) / (ROUNDS // 5))
+    name = "both offsets of six axes, processor time per SYNC"
+    return {name: figure(float(np.median(times)), "<= 100", "us", (min(times), max(times)))}
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,164 @@
+"""Two arms, one workpiece: every row of the comparison, printed with every seed, written to `summary.json`.
+
+python -m benchmarks.pair [--out out/pair] [--full] [--seeds 0,1] [--jobs 2] [--stages plain,stop] [--minutes 60]
+
+Without `--full`: the numpy tier, and two seeds of rows A, B, C1i, C2c, C7, C8 over PyBullet and twelve CAN drives,
+counts without a verdict. With it: ten seeds, all rows, verdicts. A stage that is done stays in `seed-N.json` and is not
+run again; a run that was interrupted, or whose `--minutes` are over, prints what is there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime as dt
+import json
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table as RichTable
+
+from benchmarks.bench.__main__ import show
+from benchmarks.pair.bus_figures import figures
+from benchmarks.pair.bus_rig import CELL
+from benchmarks.pair.bus_tier import BusTier
+from gateway.pair.report import render_pair
+
+SHORT = ("plain", "each", "mean", "points", "stop", "distance")
+FULL = (
+    *("plain", "fast", "each", "stop", "step", "points", "mean", "snag", "skew"),
+    *("distance", "speeds", "even", "others", "fast_points", "static"),
+)
+FROZEN_SHORT, FROZEN_FULL = 3, 20
+LIMIT_N = 40.0
+
+
+def main(argv: list[str]) -> int:
+    """Run, print, write; exit 1 when a goal is missed."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.pair", description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("out/pair"))
+    parser.add_argument("--full", action="store_true", help="ten seeds, all rows, verdicts")
+    parser.add_argument("--seeds", help="seeds, separated by commas")
+    parser.add_argument("--stages", help="stages, separated by commas")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="no stage begins after these")
+    parser.add_argument("--no-timing", action="store_true", help="leave out cycle times and 100000 cycles")
+    parser.add_argument("--no-model", action="store_true", help="leave out the numpy tier")
+    arguments = parser.parse_args(argv)
+    seeds = (
+        [int(text) for text in arguments.seeds.split(",")]
+        if arguments.seeds
+        else list(range(10 if arguments.full else 2))
+    )
+    stages = tuple(arguments.stages.split(",")) if arguments.stages else (FULL if arguments.full else SHORT)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    began = time.monotonic()
+    out: dict[str, dict] = {}
+    if not arguments.no_model:
+        from benchmarks.pair.model_figures import model_figures
+
+        out |= model_figures()
+    if not arguments.no_timing:
+        out |= timing()
+    frozen = FROZEN_FULL if arguments.full else FROZEN_SHORT
+    tier = BusTier(arguments.out, seeds, stages, frozen, began + 60.0 * arguments.minutes)
+    tier.run(arguments.jobs)
+    done = tier.done()
+    rows = [row for one in done for row in one["rows"]]
+    show_seeds(rows)
+    out |= figures(rows, LIMIT_N, judged=arguments.full) | costs(rows, done)
+    minutes = (time.monotonic() - began) / 60.0
+    out["duration"] = {
+        "value": minutes,
+        "interval": None,
+        "unit": f"min, {arguments.jobs} processes; {sum(one['minutes'] for one in done):.0f} min of runs",
+        "goal": "",
+        "met": None,
+    }
+    if any(one["curves"] for one in done):
+        report(arguments.out, done)
+    print(*tier.failed, sep="\n")
+    plain = {
+        name: figure | {"met": figure["met"] if figure["met"] in (True, False) else None}
+        for name, figure in out.items()
+    }
+    (arguments.out / "summary.json").write_text(json.dumps({"figures": plain}, indent=1) + "\n")
+    show(plain)
+    return 0 if all(figure["met"] is not False for figure in plain.values()) and not tier.failed else 1
+
+
+def timing() -> dict[str, dict]:
+    """Cycle times, jitter, function evaluation."""
+    from benchmarks.pair.bus_timing import by_the_clock, evaluation_s, lockstep
+
+    once = evaluation_s()
+    steady, clock = lockstep(), by_the_clock()
+    out: dict[str, dict] = {}
+
+    def add(name: str, value: float, unit: str, goal: str = "", met: bool | None = None) -> None:
+        if value == value:  # not NaN
+            out[name] = {"value": value, "interval": None, "unit": unit, "goal": goal, "met": met}
+
+    add("function evaluation", 1e6 * once, "us", "<= 50", once <= 50e-6)
+    unit = f"of {steady['cycles']} cycles in lockstep, 12 drives, physics left out"
+    add("incomplete epochs", steady["incomplete"], unit, "0", steady["incomplete"] == 0)
+    add("cycle in lockstep, 12 drives", 1e3 * steady["cycle_s"], "ms, physics left out")
+    ended = clock["ended"][:70] or "to the end"
+    add("by the clock: cycles until the end", clock["cycles"], f"of {clock['wanted']}; {ended}")
+    add("by the clock: cycles with a late answer", 1e2 * clock["late_share"], f"% of {clock['cycles']}")
+    add("by the clock: jitter p50", 1e6 * clock["jitter_p50_s"], "us")
+    add("by the clock: jitter p99", 1e6 * clock["jitter_p99_s"], "us")
+    add("by the clock: skew of the SYNCs p50", 1e6 * clock["skew_p50_s"], "us")
+    add("by the clock: skew of the SYNCs p99", 1e6 * clock["skew_p99_s"], "us")
+    add("planned bus load", clock["load_percent"], "%, worst case")
+    return out
+
+
+def costs(rows: Sequence[dict[str, Any]], done: Sequence[dict[str, Any]]) -> dict[str, dict]:
+    """Time of the learning step, incomplete epochs of the rows."""
+    usual = [row for row in rows if row.get("speed") == 1.5 and row.get("learned")]
+    share = max((row["learning_s"] for row in usual), default=float("nan")) / 4.0
+    incomplete = sum(one["statistics"]["incomplete"] for one in done)
+    cycles = sum(one["statistics"]["cycles"] for one in done)
+    return {
+        "learning step over the cycle's time": {
+            "value": 1e2 * share, "interval": None, "unit": "%, slowest", "goal": "<= 5",
+            "met": None if share != share else share <= 0.05,
+        },
+        "incomplete epochs of the rows": {
+            "value": incomplete, "interval": None, "unit": f"of {cycles} epochs", "goal": "", "met": None,
+        },
+    }  # fmt: skip
+
+
+def show_seeds(rows: Sequence[dict[str, Any]]) -> None:
+    """Largest true force per cycle of every run, every seed."""
+    table = RichTable("row", "speed", "seed", "largest force per cycle [N]", "learning points", "moment, last [Nm]")
+    runs: dict[tuple, list[dict[str, Any]]] = {}
+    for row in rows:
+        if "force_n" in row:
+            runs.setdefault((row["speed"], row["row"], row["seed"]), []).append(row)
+    for (speed, name, seed), cycles in sorted(runs.items()):
+        forces = " ".join(f"{cycle['force_n']:.0f}" for cycle in cycles)
+        last = cycles[-1]
+        table.add_row(name, f"{speed:g}", str(seed), forces, str(last["knots"]), f"{last['moment_nm']:.1f}")
+    Console(width=160).print(table)
+
+
+def report(out: Path, done: Sequence[dict[str, Any]]) -> None:
+    """The report's page of the first seed, with the true force."""
+    data = {
+        "cell": f"{CELL.parent.name}, seed {done[0]['seed']}",
+        "date": dt.datetime.now(dt.UTC).isoformat(timespec="seconds"),
+        "force_limit_n": LIMIT_N,
+        "source": "the simulator's true one",
+        "rows": done[0]["curves"],
+    }
+    (out / "report.html").write_text(render_pair(data))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,63 @@
+"""Measured tables for the tests: from columns that a test makes up, and from those of the simulator."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gateway.data.rows import MOVING, Table
+
+
+def make_table(load: Sequence[str] | np.ndarray, pose: ArrayLike, q: ArrayLike, tau: ArrayLike, **given: Any) -> Table:
+    """Rows as given; pose -1 is a moving row.
+
+    `run`, `time`, `qd`, `qdd`, `direction`, `std`, `count`, `q2nd`, `temperature`, `motor`, `extra` and `file` as they
+    stand, unknown (at rest) where they are not given; one value stands for all rows and axes.
+    """
+    n = len(load)
+
+    def six(value: ArrayLike, kind: type = float) -> np.ndarray:
+        values = np.asarray(value)
+        return np.broadcast_to(values[:, None] if values.shape == (n,) else values, (n, 6)).astype(kind)
+
+    return Table(
+        file=(given.get("file", "made.csv"),) * n,
+        line=np.arange(2, n + 2),
+        run=np.asarray(given.get("run", ["r"] * n)),
+        load=np.asarray(load),
+        pose=np.asarray(pose),
+        time_s=np.asarray(given.get("time", np.full(n, np.nan)), dtype=float),
+        q_rad=np.asarray(q, dtype=float),
+        qd_rad_s=six(given.get("qd", 0.0)),
+        qdd_rad_s2=six(given.get("qdd", 0.0)),
+        moving=np.asarray(pose) == MOVING,
+        direction=six(given.get("direction", 0), np.int8),
+        tau_nm=six(tau),
+        tau_std_nm=six(given.get("std", np.nan)),
+        count=np.broadcast_to(given.get("count", 1), n).astype(int),
+        q2nd_rad=six(given.get("q2nd", np.nan)),
+        temperature_c=six(given.get("temperature", np.nan)),
+        motor_torque_nm=six(given.get("motor", np.nan)),
+        extra=dict(given.get("extra", {})),
+    )
+
+
+def simulated_table(columns: Mapping[str, Any], run: str = "bench") -> Table:
+    """The columns of `sim.offline.measure`: rest visits of one run."""
+    return make_table(
+        columns["load"],
+        columns["pose"].astype(int),
+        columns["q_rad"],
+        columns["tau_nm"],
+        file=run,
+        run=[run] * len(columns["pose"]),
+        time=columns["time_s"],
+        direction=columns["dir"],
+        std=columns["tau_std_nm"],
+        count=columns["n"],
+        q2nd=columns["q2nd_rad"],
+        temperature=columns["temp_c"],
+    )

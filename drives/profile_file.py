@@ -1,0 +1,84 @@
+"""Drive profiles as files: those that come with the package, and an engineer's own."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from drives.eds import check_eds
+from drives.errors import ProfileError
+from drives.profile import DriveProfile
+from drives.toml_text import parse_toml
+from drives.validation import problems_in_words
+
+PROFILE_FOLDER = Path(__file__).parent / "profiles"
+
+
+def list_profiles() -> list[str]:
+    """Names of the profiles that come with the package, sorted."""
+    return sorted(path.stem for path in PROFILE_FOLDER.glob("*.toml"))
+
+
+def load_profile(name_or_path: str | Path) -> DriveProfile:
+    """Read one profile.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        A name of `list_profiles`, or the path of a TOML file.
+
+    Raises
+    ------
+    ProfileError
+        No such profile, not TOML, an unknown key, a missing constant; every problem of the file at once.
+    """
+    path = Path(name_or_path)
+    packaged = PROFILE_FOLDER / f"{name_or_path}.toml"
+    if path.suffix != ".toml" and packaged.is_file():
+        path = packaged
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        known = ", ".join(list_profiles())
+        advice = f"give the path of a TOML file or one of {known}"
+        raise ProfileError(f"drive profile '{name_or_path}' cannot be read: {error}", advice=advice) from error
+    return parse_profile(text, str(path), path.parent)
+
+
+def parse_profile(text: str, where: str, folder: Path = PROFILE_FOLDER) -> DriveProfile:
+    """Validate the text of a profile.
+
+    Parameters
+    ----------
+    text : str
+        TOML.
+    where : str
+        File name for messages.
+    folder : Path
+        Where the EDS that the profile names is looked for.
+
+    Raises
+    ------
+    ProfileError
+        Every problem of the file at once.
+    """
+    try:
+        profile = DriveProfile.model_validate(parse_toml(text))
+    except tomllib.TOMLDecodeError as error:
+        raise ProfileError(f"{where}: not valid TOML: {error}", advice="correct the file") from error
+    except ValidationError as error:
+        advice = "see drives/profiles/README.md, or `servo-gateway profiles schema`"
+        raise ProfileError(f"{where}: {problems_in_words(error)}", advice=advice) from error
+    object.__setattr__(profile, "_text", text)
+    object.__setattr__(profile, "_folder", folder)
+    if profile.eds_path is not None:
+        check_eds(profile, profile.eds_path)
+    return profile
+
+
+def profile_schema() -> dict[str, Any]:
+    """JSON schema of the profile file."""
+    return DriveProfile.model_json_schema()

@@ -1,0 +1,1 @@
+"""From files to an estimate or a diagnosis, and to the result that is handed over."""

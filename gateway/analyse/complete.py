@@ -1,0 +1,156 @@
+"""The result as it is handed over: what the report draws and where every constant comes from, added to the numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from drives.errors import ProfileError
+from drives.profile import DriveProfile
+from drives.profile_file import load_profile, parse_profile
+from gateway.analyse.given import RECORDING_SUFFIXES, Given
+from gateway.cell.provenance import provenance
+from gateway.data.recording.recorded import ArmRecording, Recording
+from gateway.data.table import Table
+from gateway.report.collect import drawn_poses, flange_spread
+from gateway.result.result import Result, to_dict
+
+FRESH = "fresh"
+
+
+def complete(result: Result, about: Given, table: Table, paths: Sequence[Path]) -> Result:
+    """Add what a reader of the result file needs beside the numbers.
+
+    Parameters
+    ----------
+    result : Result
+        Of an estimation or a diagnosis.
+    about : Given
+        What it was told.
+    table : Table
+        All rows that were read.
+    paths : sequence of Path
+        The data files.
+
+    Returns
+    -------
+    Result
+        With `extra["data"]` (see `gateway.report`) and the provenance of every constant.
+    """
+    earlier = dict(result.extra.get("data") or {})
+    roles = earlier.get("role") or _roles(result)
+    data: dict[str, Any] = {
+        "created": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "software": _software(),
+        "cell": about.loaded.cell.name if about.loaded is not None else _cell_of(about.recordings),
+        "arm": None if about.arm is None else about.arm.name,
+        "sources": [_source(path, about.recordings, table) for path in paths],
+        "role": roles,
+        "poses": _poses(result, about, roles),
+        "flange": {} if about.robot is None else flange_spread(about.robot, result.loads),
+        "bus": _bus(about.recordings, about.arm.name if about.arm is not None else None),
+    }
+    if about.arm is not None:
+        data["torque_limit_nm"] = [axis.torque_limit_nm for axis in about.arm.axis]
+    constants = _provenance(about)
+    return replace(
+        result,
+        provenance={**constants, **result.provenance},
+        extra={**result.extra, "data": {key: value for key, value in (data | earlier).items() if value is not None}},
+    )
+
+
+def as_json(result: Result) -> dict[str, Any]:
+    """Plain values of a completed result."""
+    return to_dict(result)
+
+
+def _poses(result: Result, about: Given, roles: Sequence[str]) -> list[dict[str, Any]]:
+    if result.rows is None or about.robot is None:
+        return []
+    return drawn_poses(about.robot, result.rows, result.loads, roles)
+
+
+def _roles(result: Result) -> list[str]:
+    return [] if result.rows is None else ["fit"] * len(result.rows.load)
+
+
+def _software() -> str:
+    try:
+        return f"servo-gateway {version('servo-gateway')}"
+    except PackageNotFoundError:
+        return "servo-gateway, not installed"
+
+
+def _cell_of(recordings: Sequence[Recording]) -> str | None:
+    return recordings[0].cell.name if recordings else None
+
+
+def _source(path: Path, recordings: Sequence[Recording], table: Table) -> dict[str, Any]:
+    count = sum(name == str(path) for name in table.file)
+    entry: dict[str, Any] = {"file": str(path), "kind": "measured table", "visits": count}
+    if path.suffix.lower() in RECORDING_SUFFIXES:
+        recording = next(item for item in recordings if item.path == path)
+        entry |= {"kind": "recording", "exit_status": recording.exit_status, "created": recording.created}
+    return entry
+
+
+def _recorded_arm(recordings: Sequence[Recording], name: str | None) -> list[tuple[Recording, ArmRecording]]:
+    return [(item, arm) for item in recordings for arm in item.arms if name in (None, arm.name)]
+
+
+def _bus(recordings: Sequence[Recording], name: str | None) -> list[dict[str, Any]]:
+    """A line per recorded arm: the counters of the bus during its last run."""
+    lines = []
+    for recording, arm in _recorded_arm(recordings, name):
+        statistics = arm.bus_statistics
+        if statistics:
+            lines.append({"run": f"{recording.path.name}, {arm.name}", **_bus_line(statistics)})
+    return lines
+
+
+def _bus_line(statistics: Mapping[str, Any]) -> dict[str, Any]:
+    sdo = [item for item in statistics.get("sdo") or [] if isinstance(item, Mapping)]
+    slowest = max((item.get("max_s") or 0.0 for item in sdo), default=None)
+    line = {
+        "SYNC cycles": statistics.get("cycles"),
+        "incomplete": statistics.get("incomplete"),
+        "late": statistics.get("late"),
+        "planned load [%]": _rounded(statistics.get("bus_load_planned_percent"), 1.0),
+        "measured load [%]": _rounded(statistics.get("bus_load_measured_percent"), 1.0),
+        "SDO slowest [ms]": _rounded(slowest, 1000.0),
+        "jitter p99 [ms]": _rounded(statistics.get("jitter_p99_s"), 1000.0),
+        "EMCY": statistics.get("emcy_count"),
+        "foreign frames": sum((statistics.get("foreign") or {}).values()),
+    }
+    return {key: value for key, value in line.items() if value is not None}
+
+
+def _rounded(value: float | None, scale: float) -> float | None:
+    return None if value is None else round(scale * value, 2)
+
+
+def _provenance(about: Given) -> dict[str, Any]:
+    """Constants of the cell; of the recording where the drives were asked."""
+    if about.arm is None:
+        return {}
+    recorded = _recorded_arm(about.recordings, about.arm.name)
+    texts = recorded[0][0].profiles if recorded else {}
+    constants = recorded[0][1].constants if recorded else ()
+    try:
+        profiles = [_profile(axis.profile, texts, about) for axis in about.arm.axis]
+    except ProfileError:
+        # a table needs no drive profile; its torque was worked out elsewhere
+        return {}
+    return dict(provenance(about.arm, profiles, constants))
+
+
+def _profile(name: str, texts: Mapping[str, str], about: Given) -> DriveProfile:
+    if name in texts:
+        return parse_profile(texts[name], name)
+    folder = about.loaded.folder if about.loaded is not None else Path()
+    return load_profile(folder / name if name.endswith(".toml") else name)

@@ -1,0 +1,206 @@
+"""What `estimate` and `diagnose` know besides the rows: robot, gravity, gears, known loads, a stored bare arm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gateway.cell.config import ArmConfig, LoadedCell, load_cell
+from gateway.data.reading import read_data
+from gateway.data.recording.reader import read
+from gateway.data.recording.recorded import Recording
+from gateway.data.table import Table
+from gateway.errors import ConfigError, InputError
+from gateway.estimate.options import EstimateOptions, default_inertials
+from gateway.model.arm_model import arm_named, arm_robot, robot_from_text
+from gateway.model.robot import Robot, robot_from_urdf
+from gateway.result.result import Bare, from_json
+
+RECORDING_SUFFIXES = (".h5", ".hdf5")
+STANDARD_GRAVITY_M_S2 = (0.0, 0.0, -9.80665)
+VALIDATION = "x_validation"
+Load = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class ModelRequest:
+    """MODEL of the command line.
+
+    Attributes
+    ----------
+    robot, cell, bare : Path or None
+    inertials : str or None
+    known : mapping of label to (mass [kg], x, y, z [m] in link 6)
+    arm : str or None
+        Name of the arm, if the cell has several.
+    """
+
+    robot: Path | None = None
+    cell: Path | None = None
+    inertials: str | None = None
+    known: Mapping[str, Load] = field(default_factory=dict)
+    bare: Path | None = None
+    arm: str | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Given:
+    """Everything an analysis is told besides the rows.
+
+    Attributes
+    ----------
+    robot : Robot or None
+        None where neither option nor recording names one.
+    gravity_m_s2 : tuple of 3 floats
+    efficiency, gear_ratio : arrays of shape (6,)
+        Efficiency 1 where no cell says otherwise (the table's torque is then taken as it stands), ratio NaN.
+    inertials : str or None
+    known : mapping
+    bare : Bare or None
+    arm : ArmConfig or None
+        Of the cell, where there is one.
+    loaded : LoadedCell or None
+    recordings : tuple of Recording
+    """
+
+    robot: Robot | None
+    gravity_m_s2: tuple[float, float, float]
+    efficiency: np.ndarray
+    gear_ratio: np.ndarray
+    inertials: str | None
+    known: Mapping[str, Load]
+    bare: Bare | None
+    arm: ArmConfig | None
+    loaded: LoadedCell | None
+    recordings: tuple[Recording, ...]
+
+    @property
+    def model(self) -> Robot:
+        """The robot.
+
+        Raises
+        ------
+        ConfigError
+            Nobody has named one.
+        """
+        if self.robot is None:
+            raise ConfigError(
+                "which robot? give --cell CELL or --robot R.urdf, or a recording (.h5), which carries its own"
+            )
+        return self.robot
+
+
+def given(request: ModelRequest, paths: Sequence[Path]) -> Given:
+    """Collect what the options and the recordings among the data say.
+
+    Raises
+    ------
+    ConfigError
+        A robot or cell file that cannot be used.
+    InputError
+        A recording or a stored bare identification that cannot be used.
+    """
+    recordings = tuple(read(path) for path in paths if path.suffix.lower() in RECORDING_SUFFIXES and path.exists())
+    loaded = None if request.cell is None else load_cell(request.cell)
+    arm, robot = _arm_and_robot(request, loaded, recordings)
+    return Given(
+        robot=robot,
+        gravity_m_s2=STANDARD_GRAVITY_M_S2 if arm is None else arm.gravity_m_s2,
+        efficiency=np.ones(6) if arm is None else np.array([axis.gear_efficiency.value for axis in arm.axis]),
+        gear_ratio=np.full(6, np.nan) if arm is None else np.array([axis.gear_ratio.value for axis in arm.axis]),
+        inertials=request.inertials or (None if arm is None else arm.inertials),
+        known=dict(request.known),
+        bare=None if request.bare is None else read_bare(request.bare),
+        arm=arm,
+        loaded=loaded,
+        recordings=recordings,
+    )
+
+
+def _arm_and_robot(
+    request: ModelRequest, loaded: LoadedCell | None, recordings: Sequence[Recording]
+) -> tuple[ArmConfig | None, Robot | None]:
+    if loaded is not None:
+        arm = arm_named(loaded, request.arm)
+        return arm, _urdf(request.robot) if request.robot is not None else arm_robot(loaded, arm)
+    if recordings:
+        first = recordings[0]
+        stored = LoadedCell(cell=first.cell, text=first.cell_text, folder=first.path.resolve().parent)
+        arm = arm_named(stored, request.arm)
+        if request.robot is not None:
+            return arm, _urdf(request.robot)
+        return arm, robot_from_text(arm, first.robot_text, f"{first.path}: robot")
+    return None, None if request.robot is None else _urdf(request.robot)
+
+
+def _urdf(path: Path) -> Robot:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}; name a URDF of six revolute joints in a chain") from error
+    return robot_from_urdf(text, str(path))
+
+
+def read_bare(path: Path) -> Bare:
+    """The bare identification that an earlier result holds.
+
+    Raises
+    ------
+    InputError
+        Unreadable, or the result holds none.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}; name a JSON that `estimate --json` wrote") from error
+    bare = from_json(text, str(path)).bare
+    if bare is None:
+        raise InputError(f"{path}: holds no bare identification; estimate bare rows with --json and name that file")
+    if not all(np.isfinite(part).all() for part in (bare.value, bare.gravity_m_s2, bare.covariance, bare.combination)):
+        raise InputError(f"{path}: the bare identification lacks numbers; estimate the bare rows again")
+    return bare
+
+
+def read_rows(paths: Sequence[Path], about: Given) -> Table:
+    """Rows of all data files."""
+    return read_data(paths, about.loaded)
+
+
+def estimate_options(about: Given) -> EstimateOptions:
+    """Options of an estimation."""
+    inertials = about.inertials or ("ignore" if about.robot is None else default_inertials(about.robot))
+    a, b, c, d, e, f = (float(value) for value in about.efficiency)
+    return EstimateOptions(
+        inertials=inertials,
+        known=about.known,
+        bare=about.bare,
+        gravity_m_s2=about.gravity_m_s2,
+        efficiency=(a, b, c, d, e, f),
+    )
+
+
+def diagnose_arguments(about: Given) -> dict[str, Any]:
+    """What a diagnosis is told, from what is known beside the rows."""
+    return {
+        "inertials": about.inertials,
+        "known": about.known,
+        "bare": about.bare,
+        "gravity_m_s2": about.gravity_m_s2,
+        "efficiency": about.efficiency,
+        "gear_ratio": about.gear_ratio,
+    }
+
+
+def split_validation(table: Table) -> tuple[Table, Table | None]:
+    """Rows to fit from, and the visits of validation poses, which no fit shall see; None where there are none."""
+    marks = table.extra.get(VALIDATION)
+    if marks is None:
+        return table, None
+    fresh = np.nan_to_num(np.asarray(marks, dtype=float)) > 0.5
+    if not fresh.any() or fresh.all():
+        return table, None
+    return table.take(~fresh), table.take(fresh)

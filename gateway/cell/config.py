@@ -1,0 +1,328 @@
+"""The cell file: buses, arms of six axes, and how the rest poses are measured.
+
+pydantic stands at this edge only; what is read here is frozen and complete. A key that is not known is refused, a
+constant without its source too: nothing is ever filled in with 1.0.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, ValidationError, model_validator
+
+from drives.toml_text import parse_toml
+from drives.validation import Strict, problems_in_words
+from gateway.cell.config_pair import DistanceConfig, PairConfig
+from gateway.cell.quantities import Finite, Positive, Vector3
+from gateway.errors import ConfigError
+
+
+class SourcedNumber(Strict):
+    """A number and where it comes from."""
+
+    value: Finite
+    source: Annotated[str, Field(min_length=1)]
+
+
+class BusConfig(Strict):
+    """One CAN bus; `options` go to the python-can interface as they stand."""
+
+    interface: str
+    channel: str
+    bitrate_bit_s: int = Field(default=1_000_000, gt=0)
+    sync_period_s: Positive = 0.01
+    pacing: Literal["lockstep", "real"] = "real"
+    allow_real_drive: bool = Field(
+        default=False,
+        description="real drives on an interface over the network: anybody on such a network can write frames, a "
+        "controlword too; never allows lockstep",
+    )
+    options: dict[str, str | int | float | bool] = Field(default_factory=dict)
+
+
+class KeepOut(Strict):
+    """Axis-aligned box in the base frame that no link beyond the first and no load may enter, as thick as they are."""
+
+    min_m: Vector3
+    max_m: Vector3
+
+    @model_validator(mode="after")
+    def _ordered(self) -> KeepOut:
+        if not all(low < high for low, high in zip(self.min_m, self.max_m, strict=True)):
+            raise ValueError(f"keep_out: every component of min_m {self.min_m} must lie below max_m {self.max_m}")
+        return self
+
+
+class DhTable(Strict):
+    """Denavit-Hartenberg rows of the six axes; theta = q + theta_offset."""
+
+    convention: Literal["modified", "standard"]
+    alpha_rad: tuple[float, float, float, float, float, float]
+    a_m: tuple[float, float, float, float, float, float]
+    d_m: tuple[float, float, float, float, float, float]
+    theta_offset_rad: tuple[float, float, float, float, float, float]
+
+
+# Full speed is reached in 0.6 s, full acceleration in 0.2 s, where the cell gives no such limit.
+RAMP_S = 0.6
+ONSET_S = 0.2
+
+
+class AxisConfig(Strict):
+    """One servo axis: the drive, and what stands between motor and joint.
+
+    A drive that reports the motor angle p and the motor torque t belongs to a joint at
+    `position_sign p / gear_ratio + zero_offset_rad` with `torque_sign gear_ratio t` (before any coupling).
+    """
+
+    node_id: int = Field(ge=1, le=127)
+    profile: str
+    torque_constant_nm_per_a: SourcedNumber
+    gear_ratio: SourcedNumber
+    gear_efficiency: SourcedNumber
+    position_sign: Literal[1, -1] = 1
+    torque_sign: Literal[1, -1] = 1
+    zero_offset_rad: Finite = 0.0
+    position_limit_rad: tuple[Finite, Finite]
+    speed_limit_rad_s: Positive
+    torque_limit_nm: Positive
+    acceleration_limit_rad_s2: Positive | None = None
+    jerk_limit_rad_s3: Positive | None = None
+    following_error_limit_rad: Positive = 0.1
+    rotor_inertia_kg_m2: SourcedNumber | None = Field(default=None, description="of motor and gear, at the joint")
+    coulomb_nm: SourcedNumber | None = Field(default=None, description="dry friction of motor and gear, at the joint")
+    viscous_nm_s_rad: SourcedNumber | None = Field(default=None, description="friction that grows with the joint speed")
+
+    @property
+    def acceleration_rad_s2(self) -> float:
+        """The given limit, else full speed in 0.6 s."""
+        return self.acceleration_limit_rad_s2 or self.speed_limit_rad_s / RAMP_S
+
+    @property
+    def jerk_rad_s3(self) -> float:
+        """The given limit, else full acceleration in 0.2 s."""
+        return self.jerk_limit_rad_s3 or self.acceleration_rad_s2 / ONSET_S
+
+    @model_validator(mode="after")
+    def _plausible(self) -> AxisConfig:
+        low, high = self.position_limit_rad
+        if not low < high:
+            raise ValueError(f"position_limit_rad: lower limit {low} is not below upper limit {high}")
+        if self.gear_ratio.value == 0 or self.torque_constant_nm_per_a.value <= 0:
+            raise ValueError("gear_ratio must not be 0 and torque_constant_nm_per_a must be positive")
+        if not 0 < self.gear_efficiency.value <= 1:
+            raise ValueError(f"gear_efficiency must lie in (0, 1], got {self.gear_efficiency.value}")
+        for name in ("rotor_inertia_kg_m2", "coulomb_nm", "viscous_nm_s_rad"):
+            constant = getattr(self, name)
+            if constant is not None and constant.value < 0:
+                raise ValueError(f"{name} must not be negative; leave it out if it is not known")
+        return self
+
+
+class ObjectKey(Strict):
+    """An object of a device's dictionary."""
+
+    index: int = Field(ge=0x1000, le=0xFFFF)
+    subindex: int = Field(default=0, ge=0, le=0xFF)
+
+
+class HoldToRun(Strict):
+    """A digital input that has to be held while anything moves: motion is allowed while `value & mask == good`.
+
+    No enabling device in the sense of a safety standard: it is read over the bus, by software.
+    """
+
+    node_id: int = Field(ge=1, le=127, description="node on the arm's bus that has the input")
+    object: ObjectKey = Field(description="object that holds the inputs, such as { index = 0x60FD }")
+    mask: int = Field(gt=0, le=0xFFFFFFFF, description="bits that count")
+    good: int = Field(ge=0, le=0xFFFFFFFF, description="their value while the input is held")
+
+    @model_validator(mode="after")
+    def _can_be_released(self) -> HoldToRun:
+        if self.good & ~self.mask:
+            raise ValueError(f"hold_to_run: good {self.good:#x} has bits outside mask {self.mask:#x}: it is never met")
+        if self.good == 0:
+            raise ValueError("hold_to_run: good is 0, which a broken wire looks like too; wire the input to be 1 held")
+        return self
+
+
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class ArmConfig(Strict):
+    """One arm of six axes on one bus."""
+
+    name: str
+    bus: str
+    robot: str | None = None
+    dh: DhTable | None = None
+    inertials: Annotated[str, Field(pattern=r"^(exact|ignore|prior:\d*\.?\d+)$")] = "ignore"
+    gravity_m_s2: Vector3 = (0.0, 0.0, -9.80665)
+    flange_xyz_m: Vector3 | None = None
+    flange_rpy_rad: Vector3 = (0.0, 0.0, 0.0)
+    keep_out: tuple[KeepOut, ...] = ()
+    max_load_kg: Positive | None = Field(
+        default=None,
+        description="heaviest load that will hang on the flange; absent: half of each torque limit is kept",
+    )
+    max_load_com_m: Vector3 | None = Field(
+        default=None, description="its centre of gravity in link_6; the flange if absent"
+    )
+    rated_load_kg: SourcedNumber | None = Field(
+        default=None, description="load the arm is rated for: what feedforward assumes as long as none is entered"
+    )
+    rated_load_com_m: Vector3 | None = Field(
+        default=None, description="its centre of gravity in link_6; the flange if absent"
+    )
+    load_points_m: tuple[Vector3, ...] = Field(
+        default=(), description="points of the load in link_6, such as its corners, that stay out of keep_out"
+    )
+    link_radius_m: Positive | tuple[Positive, Positive, Positive, Positive, Positive, Positive] | None = Field(
+        default=None,
+        description="radius of the links whose shape the URDF's collision geometry does not give, one for all or six; "
+        "0.05 x reach is assumed if absent",
+    )
+    load_radius_m: NotNegative | None = Field(
+        default=None,
+        description="thickness of the load about the lines from the flange to load_points_m, 0 where these are its "
+        "corners; as link 6 if absent",
+    )
+    hold_to_run: HoldToRun | None = Field(
+        default=None, description="digital input that has to be held for motion; no enabling device of a standard"
+    )
+    coupling: tuple[tuple[float, ...], ...] | None = Field(
+        default=None, description="6 x 6 matrix A of q_motor_side = A q_joint, ratios not included; identity if absent"
+    )
+    base_xyz_m: Vector3 = Field(default=(0.0, 0.0, 0.0), description="base of the arm in the world")
+    base_rpy_rad: Vector3 = (0.0, 0.0, 0.0)
+    tool_xyz_m: Vector3 = Field(default=(0.0, 0.0, 0.0), description="fingertip of the gripper in the flange")
+    tool_rpy_rad: Vector3 = (0.0, 0.0, 0.0)
+    start_rad: tuple[Finite, Finite, Finite, Finite, Finite, Finite] | None = Field(
+        default=None, description="joint angles at which an arm of a pair grips the part: start of the path"
+    )
+    axis: tuple[AxisConfig, ...]
+
+    @model_validator(mode="after")
+    def _six_axes(self) -> ArmConfig:
+        if len(self.axis) != 6:
+            raise ValueError(f"arm '{self.name}' has {len(self.axis)} [[arm.axis]] tables, six are needed")
+        ids = [axis.node_id for axis in self.axis]
+        twice = sorted({node for node in ids if ids.count(node) > 1})
+        if twice:
+            raise ValueError(f"arm '{self.name}': node id {twice[0]} is given to more than one axis")
+        if self.rated_load_kg is not None and self.rated_load_kg.value <= 0:
+            raise ValueError(f"arm '{self.name}': rated_load_kg must be positive")
+        if (self.robot is None) == (self.dh is None):
+            raise ValueError(f"arm '{self.name}' needs either robot = \"FILE.urdf\" or [arm.dh], not both")
+        if self.coupling is not None:
+            matrix = np.array(self.coupling, dtype=float)
+            if matrix.shape != (6, 6) or abs(np.linalg.det(matrix)) < 1e-6:
+                raise ValueError(f"arm '{self.name}': coupling must be an invertible 6 x 6 matrix")
+        return self
+
+
+class PosesConfig(Strict):
+    """How many rest poses, and how each is approached, settled and sampled."""
+
+    count: int = Field(default=10, ge=2)
+    approach_offset_rad: Positive = 0.03
+    approach_speed_rad_s: Positive = 0.05
+    samples: int = Field(default=100, ge=10)
+    validation: int = Field(default=4, ge=0)
+    settle_timeout_s: Positive = 10.0
+    seed: int = Field(default=1, ge=0)
+    file: str | None = Field(default=None, description="CSV with pose, q1_rad .. q6_rad instead of chosen poses")
+
+
+class Cell(Strict):
+    """The whole cell file."""
+
+    name: str
+    bus: dict[str, BusConfig]
+    arm: tuple[ArmConfig, ...] = Field(min_length=1)
+    poses: PosesConfig = PosesConfig()
+    pair: PairConfig | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Cell:
+        names = [arm.name for arm in self.arm]
+        if len(set(names)) != len(names):
+            raise ValueError("two arms have the same name")
+        taken: set[tuple[str, int]] = set()
+        for arm in self.arm:
+            if arm.bus not in self.bus:
+                raise ValueError(f"arm '{arm.name}' names bus '{arm.bus}', but there is no [bus.{arm.bus}]")
+            for axis in arm.axis:
+                if (arm.bus, axis.node_id) in taken:
+                    raise ValueError(f"bus '{arm.bus}': node id {axis.node_id} is used by two arms")
+                taken.add((arm.bus, axis.node_id))
+        if self.pair is not None:
+            _check_pair(self.pair, self)
+        return self
+
+
+def _check_pair(pair: PairConfig, cell: Cell) -> None:
+    arms = {arm.name: arm for arm in cell.arm}
+    for role in ("master", "slave"):
+        name = getattr(pair, role)
+        if name not in arms:
+            raise ValueError(f"pair: {role} = '{name}' is no arm of this cell; it has {', '.join(arms)}")
+        if arms[name].start_rad is None:
+            raise ValueError(f"arm '{name}' is the {role} of a pair and needs start_rad")
+    if pair.master == pair.slave or arms[pair.master].bus == arms[pair.slave].bus:
+        raise ValueError("pair: master and slave are two arms on two buses")
+    first, second = (cell.bus[arms[name].bus] for name in (pair.master, pair.slave))
+    if (first.sync_period_s, first.pacing) != (second.sync_period_s, second.pacing):
+        raise ValueError("pair: sync_period_s and pacing of both buses must be the same")
+    if pair.distance is not None:
+        _check_distance(pair.distance, cell, (arms[pair.master].bus, arms[pair.slave].bus))
+
+
+def _check_distance(distance: DistanceConfig, cell: Cell, buses: tuple[str, str]) -> None:
+    if distance.bus not in buses:
+        raise ValueError(f"distance: bus '{distance.bus}' is none of the pair's; use '{buses[0]}' or '{buses[1]}'")
+    if any(arm.bus == distance.bus and distance.node_id in [axis.node_id for axis in arm.axis] for arm in cell.arm):
+        raise ValueError(f"distance: node id {distance.node_id} on bus '{distance.bus}' is a drive's")
+
+
+class LoadedCell(Strict):
+    """A cell, the text it was read from and the folder its relative paths start at."""
+
+    cell: Cell
+    text: str
+    folder: Path
+
+    def path(self, name: str) -> Path:
+        """Path of a file that the cell names."""
+        return (self.folder / name).resolve()
+
+
+def parse_cell(text: str, where: str) -> Cell:
+    """Validate the text of a cell file; every problem is named at once."""
+    try:
+        return Cell.model_validate(parse_toml(text))
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{where}: not valid TOML: {error}") from error
+    except ValidationError as error:
+        raise ConfigError(f"{where}: {problems_in_words(error)}") from error
+
+
+def load_cell(path: Path) -> LoadedCell:
+    """Read a cell file from disk."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from error
+    return LoadedCell(cell=parse_cell(text, str(path)), text=text, folder=path.resolve().parent)
+
+
+def with_pacing(loaded: LoadedCell, pacing: str | None) -> LoadedCell:
+    """The same cell with another pacing on every bus; None = as it is."""
+    if pacing is None:
+        return loaded
+    cell = loaded.cell
+    buses = {name: bus.model_copy(update={"pacing": pacing}) for name, bus in cell.bus.items()}
+    return loaded.model_copy(update={"cell": cell.model_copy(update={"bus": buses})})

@@ -1,0 +1,140 @@
+"""A cell file and what the command line says differently: which bus, where the write ledger is kept."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from drives.bus import Bus, BusSpec, open_bus
+from drives.group import DriveGroup, GroupOptions
+from drives.instrument import InstrumentSetup
+from drives.ledger import WriteLedger
+from drives.profile import DriveProfile
+from gateway.cell.buses import bus_specs
+from gateway.cell.config import ArmConfig, LoadedCell, load_cell, with_pacing
+from gateway.motion.opening import BusOverride, axis_setups
+from gateway.pair.gap import instruments_on
+from gateway.preflight.look_over import check_arm, judge_bus_load
+from gateway.preflight.machine import judge_surroundings
+from gateway.preflight.rules import CheckItem
+
+
+@dataclass(frozen=True, slots=True)
+class CellContext:
+    """A cell as this command uses it.
+
+    Parameters
+    ----------
+    loaded : LoadedCell
+    path : Path
+        The cell file.
+    specs : mapping
+        Bus of every name in the cell, as the command line has it.
+    """
+
+    loaded: LoadedCell
+    path: Path
+    specs: Mapping[str, BusSpec]
+
+    @property
+    def arms(self) -> tuple[ArmConfig, ...]:
+        """Arms of the cell."""
+        return self.loaded.cell.arm
+
+    def bus_spec(self, arm: ArmConfig) -> BusSpec:
+        """The bus of an arm."""
+        return self.specs[arm.bus]
+
+    def open_bus(self, arm: ArmConfig) -> Bus:
+        """Open the bus of an arm."""
+        return open_bus(self.bus_spec(arm))
+
+    def profiles(self, arm: ArmConfig) -> tuple[DriveProfile, ...]:
+        """Drive profiles of the six axes."""
+        return tuple(setup.profile for setup in axis_setups(self.loaded, arm))
+
+    def bus_load(self, arm: ArmConfig) -> CheckItem:
+        """Judge the planned load of an arm's bus, all arms on it included."""
+        axes = [
+            (axis.node_id, profile)
+            for other in self.arms
+            if other.bus == arm.bus
+            for axis, profile in zip(other.axis, self.profiles(other), strict=True)
+        ]
+        return judge_bus_load(self.loaded.cell.bus[arm.bus], axes, self.instruments(arm))
+
+    def surroundings(self, arm: ArmConfig) -> list[CheckItem]:
+        """Judge what the drives of an arm are reached by: load of the bus, who can write to it, the SYNC's clock."""
+        bus = self.loaded.cell.bus[arm.bus]
+        return [self.bus_load(arm), *judge_surroundings(bus, self.bus_spec(arm))]
+
+    def instruments(self, arm: ArmConfig) -> tuple[InstrumentSetup, ...]:
+        """Measuring devices on the bus of an arm."""
+        return instruments_on(arm.bus, self.loaded.cell.pair)
+
+    def ledger(self, arm: ArmConfig) -> Path:
+        """Write ledger of an arm: one per cell file, arm and bus, so that parallel runs do not share one."""
+        return self._state(arm, "")
+
+    def check(self, arm: ArmConfig) -> list[CheckItem]:
+        """Pre-flight check of an arm: what its drives are reached by, and the drives themselves; nothing is written."""
+        items = self.surroundings(arm)
+        with self.open_bus(arm) as bus:
+            return items + check_arm(bus, arm, self.profiles(arm), WriteLedger(self.ledger(arm)))
+
+    def stop_proof(self, arm: ArmConfig) -> Path:
+        """Where the proof is kept that the drives of an arm stop on loss of the master."""
+        return self._state(arm, "-stop")
+
+    def _state(self, arm: ArmConfig, kind: str) -> Path:
+        key = f"{self.path.resolve()}|{arm.name}|{self.bus_spec(arm)}"
+        name = f"{self.loaded.cell.name}-{arm.name}-{hashlib.sha256(key.encode()).hexdigest()[:12]}{kind}.json"
+        folder = _state_folder()
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder / "".join(part if part.isalnum() or part in "-_." else "_" for part in name)
+
+    def override(self, arm: ArmConfig, trace: Path | None = None) -> BusOverride:
+        """What differs from the cell file on the bus of an arm."""
+        return BusOverride(spec=self.bus_spec(arm), trace=trace, ledger=self.ledger(arm))
+
+    @contextmanager
+    def connected(self, arm: ArmConfig) -> Iterator[DriveGroup]:
+        """The drives of an arm, and the measuring device on its bus, found and identified, nothing written."""
+        config = self.loaded.cell.bus[arm.bus]
+        options = GroupOptions(
+            ledger_path=self.ledger(arm),
+            instruments=self.instruments(arm),
+            allow_real_drive=config.allow_real_drive,
+        )
+        with (
+            self.open_bus(arm) as bus,
+            DriveGroup(
+                bus, axis_setups(self.loaded, arm), config.sync_period_s, config.pacing, options=options
+            ) as group,
+        ):
+            group.connect()
+            yield group
+
+
+def _state_folder() -> Path:
+    """Where ledgers live (XDG base directory specification)."""
+    base = os.environ.get("XDG_STATE_HOME")
+    return (Path(base) if base else Path.home() / ".local" / "state") / "servo-gateway"
+
+
+def open_cell(path: Path, bus_spec: str | None, pacing: str | None = None) -> CellContext:
+    """Read a cell file; `bus_spec` replaces buses as `bus_specs` says, `pacing` that of every bus.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be used, or it is not said which of its buses is meant.
+    BusError
+        The SPEC is not understood.
+    """
+    loaded = with_pacing(load_cell(path), pacing)
+    return CellContext(loaded, path, bus_specs(loaded.cell, bus_spec))

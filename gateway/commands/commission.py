@@ -1,0 +1,212 @@
+"""The whole job, guided: check, bare arm, each load, diagnosis, back to the robot, fresh poses, result and report.
+
+The drives are in their brakes whenever a person is asked for something. Everything measured is in one file, which is
+whole after each visit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from gateway.acquire.plan import SIDES, Plan, check_plan, plan_poses
+from gateway.acquire.poses import PoseRequest, feasible_postures
+from gateway.acquire.session import RecordRequest, make_plan, open_arm
+from gateway.analyse.complete import complete
+from gateway.analyse.given import Given, ModelRequest, diagnose_arguments, estimate_options, given, split_validation
+from gateway.cell.config import ArmConfig
+from gateway.check.proofs import ensure_proven
+from gateway.commands.cell_context import CellContext
+from gateway.data.reading import read_data
+from gateway.data.recording.reader import read
+from gateway.data.recording.recorded import ArmRecording
+from gateway.data.rest_pose import RestPose
+from gateway.data.table import Table
+from gateway.diagnose import DiagnoseOptions
+from gateway.diagnose.loop import close_loop
+from gateway.errors import PlanRefused
+from gateway.estimate import run as estimate_run
+from gateway.motion.opening import OpenArm
+from gateway.motion.stream import MoveOptions
+from gateway.preflight.look_over import require_passed
+from gateway.preflight.rules import CheckItem
+from gateway.result.result import Result
+
+BARE = "none"
+# Postures among which the diagnosis may ask for further poses.
+CHOICE = 160
+
+
+class Dialogue(Protocol):
+    """Whoever talks to the person."""
+
+    def checked(self, items: Sequence[CheckItem]) -> None:
+        """The pre-flight check is done."""
+        ...
+
+    def planned(self, plan: Plan) -> None:
+        """Poses are chosen; ask whether the arm may move."""
+        ...
+
+    def hang(self, label: str) -> None:
+        """Ask for a load to be hung; returns when it hangs."""
+        ...
+
+    def measure(self, opened: OpenArm, plan: Plan, request: RecordRequest, options: MoveOptions) -> None:
+        """Record and show how far it is."""
+        ...
+
+    def say(self, text: str) -> None:
+        """A remark."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What is to be done.
+
+    Attributes
+    ----------
+    context : CellContext
+    arm : ArmConfig
+    labels : tuple of str
+        Loads, in the order in which they are hung.
+    recording : Path
+        Where everything measured goes; a file that is there is gone on with.
+    options : MoveOptions
+    """
+
+    context: CellContext
+    arm: ArmConfig
+    labels: tuple[str, ...]
+    recording: Path
+    options: MoveOptions = field(default_factory=MoveOptions)
+
+
+def commission(job: Job, dialogue: Dialogue) -> Result:
+    """Run the whole job.
+
+    Parameters
+    ----------
+    job : Job
+    dialogue : Dialogue
+
+    Returns
+    -------
+    Result
+        Completed for the report.
+
+    Raises
+    ------
+    FindingFailed
+        The pre-flight check failed and nothing has moved, or a drive does not stop on loss of the master.
+    PlanRefused, DriveError, DataUnusable, InputError, KeyboardInterrupt
+        As the parts; the arm stands, what was measured is kept.
+    """
+    _check(job, dialogue)
+    plan = make_plan(job.context.loaded, arm=job.arm.name)
+    dialogue.planned(plan)
+    with open_arm(job.context.loaded, job.context.override(job.arm), job.arm.name) as opened:
+        options = ensure_proven(opened, job.context.stop_proof(job.arm), dialogue.say, job.options)
+        robot = _Robot(replace(job, options=options), dialogue, opened, plan)
+        for label in (BARE, *job.labels):
+            robot.measure_load(label)
+        about, table = robot.data()
+        seen, _ = split_validation(table)
+        dialogue.say(f"diagnosis of {len(np.unique(seen.pose))} poses under {len(np.unique(seen.load))} loads")
+        result, _ = close_loop(seen, about.model, _options(about, opened), robot.measure_poses, robot.validation_rad)
+        about, table = robot.data()
+    if not result.effects:
+        plain = estimate_run(split_validation(table)[0], about.model, estimate_options(about))
+        result = replace(result, method=plain.method, parameters=plain.parameters, bare=plain.bare)
+    return complete(result, about, table, [job.recording])
+
+
+def _check(job: Job, dialogue: Dialogue) -> None:
+    items = job.context.check(job.arm)
+    dialogue.checked(items)
+    require_passed(items, "check failed, nothing has moved")
+
+
+def _options(about: Given, opened: OpenArm) -> DiagnoseOptions:
+    poses = opened.loaded.cell.poses
+    request = PoseRequest(poses.count, 0, poses.approach_offset_rad, poses.seed)
+    choice = feasible_postures(opened.workspace, request, np.random.default_rng(poses.seed))
+    return DiagnoseOptions(pose_choice=choice[:CHOICE], **diagnose_arguments(about))
+
+
+class _Robot:
+    """The arm and its recording, as the job sees them."""
+
+    def __init__(self, job: Job, dialogue: Dialogue, opened: OpenArm, plan: Plan) -> None:
+        self._job, self._dialogue, self._opened = job, dialogue, opened
+        self._load = BARE
+        self._fit = [pose for pose in plan.poses if pose.purpose == "fit"]
+        self._validation = [pose for pose in plan.poses if pose.purpose == "validation"]
+        self._settings = plan.settings
+        stored = self._stored()
+        numbers = [pose.number for pose in (*plan.poses, *(stored.poses if stored is not None else ()))]
+        self._next = max(numbers) + 1
+
+    @property
+    def validation_rad(self) -> np.ndarray:
+        """Poses (k, 6) [rad] kept for the proof."""
+        return np.array([pose.q_rad for pose in self._validation]).reshape(-1, 6)
+
+    def measure_load(self, label: str) -> None:
+        """Hang a load and measure all poses to fit from; where they are all there, only the last load is asked for."""
+        self._load = label
+        missing = self._missing(self._fit)
+        if label != BARE and (missing or label == self._job.labels[-1]):
+            self._dialogue.hang(label)
+        if missing:
+            self._record(self._fit)
+
+    def measure_poses(self, q_rad: np.ndarray) -> Table:
+        """Measure poses (k, 6) [rad] under the load that hangs now: validation poses, or new ones to fit from."""
+        if np.array_equal(q_rad, self.validation_rad):
+            poses = self._validation
+            self._dialogue.say(f"proof on {len(poses)} fresh poses that no fit has seen")
+        else:
+            numbers = range(self._next, self._next + len(q_rad))
+            poses = [RestPose(number, tuple(q), "fit") for number, q in zip(numbers, q_rad.tolist(), strict=True)]
+            self._next += len(poses)
+            self._dialogue.say(f"back to the robot: {len(poses)} poses that tell the explanations apart")
+        if self._missing(poses):
+            self._record(poses)
+        table = self.data()[1]
+        chosen = np.isin(table.pose, [pose.number for pose in poses]) & (table.load == self._load)
+        return table.take(chosen)
+
+    def data(self) -> tuple[Given, Table]:
+        """Everything measured so far."""
+        job = self._job
+        about = replace(given(ModelRequest(arm=job.arm.name), [job.recording]), loaded=job.context.loaded)
+        return about, read_data([job.recording], job.context.loaded)
+
+    def _stored(self) -> ArmRecording | None:
+        path = self._job.recording
+        return read(path).arm(self._job.arm.name) if path.exists() else None
+
+    def _missing(self, poses: Sequence[RestPose]) -> bool:
+        """Whether a visit of these poses under the present load is not in the file yet."""
+        stored = self._stored()
+        done = set() if stored is None else set(stored.done(self._load))
+        return any((pose.number, side) not in done for pose in poses for side in SIDES)
+
+    def _record(self, poses: Sequence[RestPose]) -> None:
+        opened = self._opened
+        plan, unreachable = plan_poses(opened.config.name, opened.workspace, poses, self._settings)
+        if unreachable:
+            raise PlanRefused(
+                f"arm '{opened.config.name}': no path that keeps the limits leads to pose {unreachable[0].number}; "
+                "open the keep_out boxes or narrow the joint limits"
+            )
+        check_plan(plan, opened.workspace)
+        request = RecordRequest(self._load, self._job.recording, resume=True)
+        self._dialogue.measure(opened, plan, request, self._job.options)
+        self._job = replace(self._job, options=replace(self._job.options, first_done=None))

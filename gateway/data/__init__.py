@@ -1,0 +1,1 @@
+"""Measured data: tables, visits, recordings. Imports no hardware."""

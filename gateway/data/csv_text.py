@@ -1,0 +1,187 @@
+"""CSV text of measured tables and of paths: columns by name, cells as numbers, every refusal with file and line.
+
+The file is converted in blocks of rows, so that memory stays near that of the numbers alone.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from gateway.errors import InputError
+
+AXES = range(1, 7)
+BLOCK_ROWS = 2048
+
+TEXT = frozenset({"run", "load"})
+BLANK_ALLOWED = frozenset({"pose", "time_s", *(f"qd{i}_rad_s" for i in AXES), *(f"qdd{i}_rad_s2" for i in AXES)})
+PATTERNS = (
+    "q{}_rad",
+    "qd{}_rad_s",
+    "qdd{}_rad_s2",
+    "dir{}",
+    "tau{}_nm",
+    "taum{}_nm",
+    "i{}_a",
+    "tau{}_std_nm",
+    "taum{}_std_nm",
+    "i{}_std_a",
+    "q2nd{}_rad",
+    "temp{}_c",
+)
+KNOWN = frozenset({"run", "load", "pose", "time_s", "n", *(p.format(i) for p in PATTERNS for i in AXES)})
+
+#: Lines of a file by their numbers, as cells; empty ones are left out.
+Lines = Iterator[tuple[int, list[str]]]
+
+
+@dataclass(frozen=True, slots=True)
+class CsvColumns:
+    """The cells of one CSV file.
+
+    Attributes
+    ----------
+    values : dict of str to array of shape (n_rows,)
+        Floats (NaN only where a cell may be left empty) or text.
+    line : int array of shape (n_rows,)
+        Line of each row in the file, the header is on line 1.
+    """
+
+    file: str
+    values: dict[str, np.ndarray]
+    line: np.ndarray
+
+    def where(self, row: int) -> str:
+        """`file:line` of a row."""
+        return f"{self.file}:{self.line[row]}"
+
+
+def read_columns(path: Path) -> CsvColumns:
+    """Read a measured table (UTF-8 with or without byte order mark, comma, quoting, any line end).
+
+    Raises
+    ------
+    InputError
+        File unreadable, header or row malformed, column unknown or given twice, cell that is not a finite number.
+    """
+    return _opened(path, KNOWN)
+
+
+def read_path_columns(path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> CsvColumns:
+    """Read the columns of a path, all of them numbers; lines that begin with # are remarks.
+
+    Raises
+    ------
+    InputError
+        As `read_columns`, or a column that is needed is missing.
+    """
+    columns = _opened(path, frozenset((*needed, *optional)), remarks=True)
+    missing = [name for name in needed if name not in columns.values]
+    if missing:
+        raise InputError(f"{path}:1: column {missing[0]} is missing; a path has the columns {', '.join(needed)}")
+    return columns
+
+
+def _opened(path: Path, known: frozenset[str], *, remarks: bool = False) -> CsvColumns:
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            reader = csv.reader(stream, strict=True)
+            try:
+                rows = ((reader.line_num, cells) for cells in reader if cells)
+                if remarks:
+                    rows = ((line, cells) for line, cells in rows if not cells[0].lstrip().startswith("#"))
+                return _read(rows, str(path), known)
+            except csv.Error as error:
+                raise InputError(f"{path}:{reader.line_num}: not valid CSV: {error}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"{path}: not UTF-8 text: {error.reason} at byte {error.start}; save the table as UTF-8"
+        ) from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def _read(lines: Lines, file: str, known: frozenset[str]) -> CsvColumns:
+    header = _header(next((cells for _, cells in lines), None), file, known)
+    rows = _rows(lines, header, file)
+    kinds: dict[str, str] = {}
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in header}
+    numbers: list[np.ndarray] = []
+    while block := list(islice(rows, BLOCK_ROWS)):
+        line = np.array([number for number, _ in block])
+        numbers.append(line)
+        for name, cells in zip(header, zip(*(cells for _, cells in block), strict=True), strict=True):
+            kind = kinds.setdefault(name, _kind(name, cells[0]))
+            parts[name].append(_text(cells) if kind == "text" else _numbers(name, cells, line, file))
+    if not numbers:
+        raise InputError(f"{file}:1: the table has a header but no row")
+    return CsvColumns(file, {name: np.concatenate(part) for name, part in parts.items()}, np.concatenate(numbers))
+
+
+def _header(cells: list[str] | None, file: str, known: frozenset[str]) -> list[str]:
+    if cells is None:
+        raise InputError(f"{file}:1: the file is empty; a header line with column names is needed")
+    names: list[str] = []
+    seen: set[str] = set()
+    for name in (cell.strip() for cell in cells):
+        if name not in known and not (name.startswith("x_") and name.isprintable()):
+            hint = "the separator must be a comma" if ";" in name or "\t" in name else "own columns start with x_"
+            raise InputError(f"{file}:1: unknown column '{_short(name)}'; {hint}, units are part of the name")
+        if name in seen:
+            raise InputError(f"{file}:1: column '{_short(name)}' is given twice")
+        seen.add(name)
+        names.append(name)
+    return names
+
+
+def _rows(lines: Lines, header: list[str], file: str) -> Lines:
+    for line, cells in lines:
+        if len(cells) != len(header):
+            raise InputError(f"{file}:{line}: {len(cells)} cells where the header names {len(header)} columns")
+        yield line, cells
+
+
+def _kind(name: str, first: str) -> str:
+    if name in TEXT:
+        return "text"
+    return "text" if name.startswith("x_") and not _is_number(first) else "number"
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return "_" not in cell
+
+
+def _text(cells: tuple[str, ...]) -> np.ndarray:
+    return np.array(cells, dtype=object)
+
+
+def _numbers(name: str, cells: tuple[str, ...], line: np.ndarray, file: str) -> np.ndarray:
+    try:
+        values = np.array([*map(float, cells)])
+    except ValueError:
+        values = np.array([float(cell) if _is_number(cell) else math.nan for cell in cells])
+    bad = ~np.isfinite(values)
+    if any("_" in cell for cell in cells):
+        bad |= np.array(["_" in cell for cell in cells])
+    if name in BLANK_ALLOWED and bad.any():
+        bad &= np.array([bool(cell.strip()) for cell in cells])
+    if bad.any():
+        row = int(np.argmax(bad))
+        cell = cells[row].strip()
+        what = "is empty" if not cell else f"'{_short(cell)}' is not a finite number"
+        raise InputError(f"{file}:{line[row]}: {name}: {what}; nothing is filled in, correct or remove the row")
+    return values
+
+
+def _short(text: str) -> str:
+    return ascii(text[:40])[1:-1] + ("..." if len(text) > 40 else "")

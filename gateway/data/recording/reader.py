@@ -1,0 +1,200 @@
+"""Reader of a recording (HDF5): what was measured, on which cell.
+
+The torque is worked out anew from the raw words, with the constants that were read from the drives and the cell and
+profile texts that are stored in the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drives.errors import ProfileError
+from drives.profile_file import parse_profile
+from drives.scaling import Constants, motor_scale
+from gateway.cell.config import ArmConfig, parse_cell
+from gateway.data.recording.hdf5_text import Place, open_recording
+from gateway.data.recording.recorded import SIDES, ArmRecording, Recording, arm_config
+from gateway.data.recording.seal import refuse_damaged
+from gateway.data.rest_pose import RestPose
+from gateway.data.visit import NO_WORD, Visit
+from gateway.errors import ConfigError, InputError
+
+__all__ = ["SCHEMA", "ArmRecording", "Recording", "read"]
+
+SCHEMA = 1
+STATUSES = ("success", "abort", "fail")
+#: Relative difference between a stored torque and the one that follows from its raw word.
+SAME_TORQUE = 1e-6
+
+
+def read(path: Path) -> Recording:
+    """Read a recording; one that was killed is read up to its last finished visit.
+
+    Raises
+    ------
+    InputError
+        With file and object: not HDF5, truncated, damaged, of another schema, or a torque that does not follow from
+        its raw words.
+    """
+    path = Path(path)
+    try:
+        refuse_damaged(path)
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: there is no such file") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    return read_unsealed(path)
+
+
+def read_unsealed(path: Path) -> Recording:
+    """Read a recording without looking at its seal; as `read` otherwise."""
+    with open_recording(path) as root:
+        schema = root.integer("schema")
+        if schema != SCHEMA:
+            raise root.refuse("@schema", f"is {schema}; this software reads schema {SCHEMA}")
+        status = root.text("exit_status")
+        if status not in STATUSES:
+            raise root.refuse("@exit_status", f"is '{status}', one of {', '.join(STATUSES)} expected")
+        cell_text = root.text("cell")
+        try:
+            cell = parse_cell(cell_text, root.where("@cell"))
+        except ConfigError as error:
+            raise InputError(str(error)) from error
+        profiles = root.document("profiles", dict, {})
+        arms = root.inside("arms")
+        return Recording(
+            path=path,
+            created=root.text("created"),
+            software=root.text("software"),
+            exit_status=status,
+            reason=root.text("reason"),
+            cell=cell,
+            cell_text=cell_text,
+            robot_text=root.text("robot"),
+            profiles=profiles,
+            arms=tuple(_arm(arms.inside(name), arm_config(cell, name, str(path)), profiles) for name in arms.names()),
+        )
+
+
+def _arm(place: Place, config: ArmConfig, profiles: dict[str, str]) -> ArmRecording:
+    constants = tuple(_constants(place, item) for item in place.document("constants", list, []))
+    if constants and len(constants) != 6:
+        raise place.refuse("@constants", "constants of six drives expected")
+    units = _torque_units(place, config, profiles, constants) if constants else None
+    visits = place.inside("visits")
+    read_visits = [_visit(visits.inside(name), _number(visits, name), units) for name in visits.names()]
+    return ArmRecording(
+        name=config.name,
+        poses=_poses(place),
+        visits=tuple(sorted(read_visits, key=lambda visit: visit.number)),
+        constants=constants,
+        identities=place.document("identities", list, []),
+        ledger=place.document("ledger", list, []),
+        bus_statistics=place.document("bus_statistics", dict, {}),
+    )
+
+
+def _constants(place: Place, item: Any) -> Constants:
+    try:
+        values = {name: None if value is None else float(value) for name, value in item.items()}
+        return Constants(**values)  # type: ignore[arg-type]
+    except (AttributeError, TypeError, ValueError) as error:
+        raise place.refuse("@constants", f"is damaged: {error}") from error
+
+
+def _torque_units(
+    place: Place, config: ArmConfig, profiles: dict[str, str], constants: Sequence[Constants]
+) -> np.ndarray:
+    """Motor torque (6,) [Nm] per bit of each torque word."""
+    units = []
+    for axis, read_from_drive in zip(config.axis, constants, strict=True):
+        text = profiles.get(axis.profile)
+        if not isinstance(text, str):
+            raise place.refuse("", f"the file holds no text of profile '{axis.profile}'")
+        try:
+            profile = parse_profile(text, axis.profile)
+            scale = motor_scale(profile, read_from_drive, axis.torque_constant_nm_per_a.value)
+        except ProfileError as error:
+            raise InputError(f"{place.where()}: {error}") from error
+        units.append(scale.torque_nm)
+    return np.array(units)
+
+
+def _poses(place: Place) -> tuple[RestPose, ...]:
+    if not place.has("pose_q_rad"):
+        return ()
+    q_rad = place.array("pose_q_rad", 6, "f")
+    numbers, validation = place.array("pose_number", None, "iu"), place.array("pose_validation", None, "iu")
+    if not len(q_rad) == len(numbers) == len(validation):
+        raise place.refuse("pose_number", "number of poses differs from pose_q_rad")
+    return tuple(
+        RestPose(int(number), tuple(row), "validation" if judged else "fit")
+        for number, row, judged in zip(numbers, q_rad.tolist(), validation, strict=True)
+    )
+
+
+def _number(visits: Place, name: str) -> int:
+    if not (name.isascii() and name.isdigit() and len(name) < 10):
+        raise visits.refuse(name, "is no number of a visit")
+    return int(name)
+
+
+def _visit(place: Place, number: int, torque_unit_nm: np.ndarray | None) -> Visit:
+    def words(name: str) -> np.ndarray:
+        return place.array(name, 6, "iu").astype(np.int64)
+
+    torque_word, stored_nm = words("torque_permille"), _finite(place, "motor_torque_nm")
+    shape = torque_word.shape
+    motor_nm = stored_nm if torque_unit_nm is None else torque_word * torque_unit_nm
+    if motor_nm.shape != stored_nm.shape or not np.allclose(motor_nm, stored_nm, rtol=SAME_TORQUE, atol=1e-12):
+        raise place.refuse("motor_torque_nm", "does not follow from torque_permille and the constants of the file")
+    absent = np.full(shape, NO_WORD, dtype=np.int64)
+    visit = Visit(
+        number=number,
+        load=place.text("load"),
+        pose=place.integer("pose"),
+        purpose=place.text("purpose", "fit"),
+        approach=place.integer("approach"),
+        complete=bool(place.integer("complete")),
+        incomplete_epochs=place.integer("incomplete_epochs", 0),
+        direction=np.sign(place.numbers("direction", 6, np.zeros(6))).astype(np.int8),
+        target_rad=place.numbers("target_rad", 6, np.zeros(6)),
+        statusword=words("statusword"),
+        position_count=words("position_count"),
+        torque_word=torque_word,
+        current_word=words("current_permille") if place.has("current_permille") else absent,
+        velocity_word=words("velocity_word") if place.has("velocity_word") else absent,
+        q_rad=_finite(place, "q_rad"),
+        motor_torque_nm=motor_nm,
+        joint_torque_nm=_finite(place, "joint_torque_nm"),
+        motor_current_a=place.array("motor_current_a", 6, "f") if place.has("motor_current_a") else absent * np.nan,
+        sync_index=place.array("sync_index", None, "iu").astype(np.int64),
+        time_s=_finite(place, "time_s", None),
+        gravity_nm=place.numbers("gravity_nm", 6) if "gravity_nm" in place.group.attrs else None,
+        friction_band_nm=place.numbers("friction_band_nm", 6) if "friction_band_nm" in place.group.attrs else None,
+    )
+    return _consistent(place, visit, shape[0])
+
+
+def _finite(place: Place, name: str, columns: int | None = 6) -> np.ndarray:
+    values = place.array(name, columns, "f").astype(float)
+    if not np.isfinite(values).all():
+        raise place.refuse(name, "holds a value that is not finite")
+    return values
+
+
+def _consistent(place: Place, visit: Visit, n_samples: int) -> Visit:
+    for name in ("statusword", "position_count", "current_word", "q_rad", "joint_torque_nm", "sync_index", "time_s"):
+        if len(getattr(visit, name)) != n_samples:
+            raise place.refuse(name, f"has {len(getattr(visit, name))} samples, torque_permille has {n_samples}")
+    if n_samples == 0:
+        raise place.refuse("", "holds no sample")
+    if (np.diff(visit.sync_index) <= 0).any():
+        raise place.refuse("sync_index", "does not grow")
+    if visit.purpose not in ("fit", "validation") or visit.approach not in SIDES or not visit.load:
+        raise place.refuse("", "load, purpose or approach is not what a visit has")
+    return visit

@@ -1,0 +1,157 @@
+"""What a recording holds, and the measured table that follows from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drives.scaling import Constants
+from gateway.cell.config import ArmConfig, Cell
+from gateway.cell.conversion import AxisConversion
+from gateway.data.rest_pose import RestPose
+from gateway.data.rows import Table, concatenate
+from gateway.data.visit import Visit
+from gateway.errors import InputError
+
+SIDES = (-1, 1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmRecording:
+    """What one arm has measured.
+
+    Attributes
+    ----------
+    name : str
+    poses : tuple of RestPose
+        That the recording is to hold.
+    visits : tuple of Visit
+        In the order of measuring.
+    constants : tuple of Constants
+        What was read from the drives; empty if the file does not say.
+    identities, ledger : lists of dict
+    bus_statistics : dict
+        Empty until the run has ended.
+    """
+
+    name: str
+    poses: tuple[RestPose, ...]
+    visits: tuple[Visit, ...]
+    constants: tuple[Constants, ...]
+    identities: list[Any]
+    ledger: list[Any]
+    bus_statistics: dict[str, Any]
+
+    def done(self, load: str) -> tuple[tuple[int, int], ...]:
+        """(pose, approach) of the complete visits under a load."""
+        return tuple((visit.pose, visit.approach) for visit in self.visits if visit.complete and visit.load == load)
+
+    def missing(self, load: str) -> tuple[tuple[int, int], ...]:
+        """(pose, approach) that the poses ask for and that no complete visit under this load holds."""
+        done = set(self.done(load))
+        return tuple((pose.number, side) for pose in self.poses for side in SIDES if (pose.number, side) not in done)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """A recording in memory.
+
+    Attributes
+    ----------
+    path : Path
+    created, software, exit_status, reason : str
+    cell : Cell
+    cell_text, robot_text : str
+        As stored; the robot text is empty for an arm given by Denavit-Hartenberg rows.
+    profiles : dict of str to str
+        Profile name -> TOML text.
+    arms : tuple of ArmRecording
+    """
+
+    path: Path
+    created: str
+    software: str
+    exit_status: str
+    reason: str
+    cell: Cell
+    cell_text: str
+    robot_text: str
+    profiles: dict[str, str]
+    arms: tuple[ArmRecording, ...]
+
+    def arm(self, name: str) -> ArmRecording | None:
+        """The arm of that name, None if it has recorded nothing."""
+        return next((arm for arm in self.arms if arm.name == name), None)
+
+    @property
+    def loads(self) -> tuple[str, ...]:
+        """Labels of the loads, in the order of measuring."""
+        return tuple(dict.fromkeys(visit.load for arm in self.arms for visit in arm.visits))
+
+    def table(self, arm: str | None = None) -> Table:
+        """Means over the samples of every complete visit: two rows per pose, one per side of approach.
+
+        Parameters
+        ----------
+        arm : str, optional
+            All arms if not given.
+
+        Raises
+        ------
+        InputError
+            No complete visit.
+        """
+        parts = [self._arm_table(part) for part in self.arms if arm in (None, part.name)]
+        parts = [part for part in parts if len(part)]
+        if not parts:
+            raise InputError(f"{self.path}: holds no complete visit; measure again, or finish it by record --resume")
+        return concatenate(parts)
+
+    def _arm_table(self, arm: ArmRecording) -> Table:
+        visits = [visit for visit in arm.visits if visit.complete]
+        axes = AxisConversion.from_arm(arm_config(self.cell, arm.name, str(self.path)))
+        n_rows = len(visits)
+        blank = np.full((n_rows, 6), np.nan)
+        motor = np.array([visit.motor_torque_nm.mean(axis=0) for visit in visits]).reshape(-1, 6)
+        joint = [axes.joint_torque(visit.motor_torque_nm) for visit in visits]
+        return Table(
+            file=(str(self.path),) * n_rows,
+            line=np.array([visit.number for visit in visits], dtype=int),
+            run=np.array([self.path.stem] * n_rows, dtype=str),
+            load=np.array([visit.load for visit in visits], dtype=str),
+            pose=np.array([visit.pose for visit in visits], dtype=int),
+            time_s=np.array([visit.time_s[0] for visit in visits]),
+            q_rad=np.array([visit.q_rad.mean(axis=0) for visit in visits]).reshape(-1, 6),
+            qd_rad_s=np.zeros((n_rows, 6)),
+            qdd_rad_s2=np.zeros((n_rows, 6)),
+            moving=np.zeros(n_rows, dtype=bool),
+            direction=np.array([visit.direction for visit in visits], dtype=np.int8).reshape(-1, 6),
+            tau_nm=axes.joint_torque(motor),
+            tau_std_nm=np.array([_std(samples) for samples in joint]).reshape(-1, 6),
+            count=np.array([len(visit) for visit in visits], dtype=int),
+            q2nd_rad=blank,
+            temperature_c=blank,
+            motor_torque_nm=motor,
+            extra={"x_validation": np.array([float(visit.purpose == "validation") for visit in visits])},
+        )
+
+
+def _std(samples: np.ndarray) -> np.ndarray:
+    return samples.std(axis=0, ddof=1) if len(samples) > 1 else np.full(6, np.nan)
+
+
+def arm_config(cell: Cell, name: str, where: str) -> ArmConfig:
+    """The cell's arm of that name.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    for arm in cell.arm:
+        if arm.name == name:
+            return arm
+    raise InputError(f"{where}: holds visits of arm '{name}', which its cell file does not have")

@@ -1,0 +1,66 @@
+"""Seal of a recording: a checksum behind the end of the HDF5 data, looked at before libhdf5 sees the file.
+
+libhdf5 may crash or loop on damaged metadata, which no exception handler can catch. A sealed file that does not match
+is damaged and is refused at once. A file without a seal (made by others, or edited by software that cuts it off) is
+first read in a process of its own. Bytes behind the end of the HDF5 data are ignored by all HDF5 software.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+from pathlib import Path
+
+from gateway.errors import InputError
+
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+MARK = b"\nservo-gateway recording sha256 "
+SEAL_BYTES = len(MARK) + 64 + 1
+PROBE_TIMEOUT_S = 60.0
+
+
+def sealed(content: bytes) -> bytes:
+    """HDF5 file image with its seal."""
+    return content + MARK + hashlib.sha256(content).hexdigest().encode() + b"\n"
+
+
+def refuse_damaged(path: Path) -> None:
+    """Make sure that libhdf5 can be trusted with a file.
+
+    Raises
+    ------
+    InputError
+        Not HDF5, not what was written, or not readable by a process of its own.
+    FileNotFoundError, OSError
+        The file cannot be read.
+    """
+    content = path.read_bytes()
+    if not content.startswith(SIGNATURE):
+        raise InputError(f"{path}: is no HDF5 file, or its beginning is damaged")
+    body, seal = content[:-SEAL_BYTES], content[-SEAL_BYTES:]
+    if seal.startswith(MARK):
+        if sealed(body) != content:
+            raise InputError(f"{path}: is damaged: its content does not match its checksum; use a copy from elsewhere")
+        return
+    if MARK in content[-2 * SEAL_BYTES :] or _end_of_data(content) > len(content):
+        raise InputError(f"{path}: is truncated; use a copy from elsewhere")
+    _probe(path)
+
+
+def _end_of_data(content: bytes) -> int:
+    """End of file address of the superblock (HDF5 format specification, II.A); 0 = not known."""
+    version = content[8] if len(content) > 8 else 0
+    at = {0: 40, 1: 44, 2: 28, 3: 28}.get(version, 0)
+    return int.from_bytes(content[at : at + 8], "little") if at and len(content) >= at + 8 else len(content) + 1
+
+
+def _probe(path: Path) -> None:
+    """Read the file in a process of its own, which may crash or hang."""
+    command = [sys.executable, "-m", "gateway.data.recording.seal_probe", str(path.resolve())]
+    try:
+        done = subprocess.run(command, capture_output=True, timeout=PROBE_TIMEOUT_S, check=False)
+    except subprocess.TimeoutExpired as error:
+        raise InputError(f"{path}: is damaged: reading it does not end") from error
+    if done.returncode != 0:
+        raise InputError(f"{path}: is damaged: libhdf5 fails on it (exit {done.returncode})")

@@ -1,0 +1,266 @@
+"""Writer of a recording: after each visit the whole file is written under a temporary name, synced and renamed.
+
+The file is built in memory; what is on disk is always a whole file, the last one or the one before.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from drives.files import replace_file
+from drives.scaling import Constants
+from gateway.data.recording.reader import SCHEMA, Recording
+from gateway.data.recording.seal import sealed
+from gateway.data.rest_pose import RestPose
+from gateway.data.visit import NO_WORD, Visit
+from gateway.errors import InputError
+
+#: Puts a content in the place of a file, whole or not at all; raises InputError.
+Write = Callable[[Path, bytes], None]
+UNFINISHED = "not finished: still running, or killed"
+
+#: dataset -> (field of Visit, unit)
+WORDS = {
+    "statusword": ("statusword", "bits of 0x6041"),
+    "position_count": ("position_count", "encoder counts"),
+    "torque_permille": ("torque_word", "word of the profile's torque object, as received"),
+    "current_permille": ("current_word", "word of the profile's current object, as received"),
+    "velocity_word": ("velocity_word", "word of the profile's velocity object, as received"),
+}
+VALUES = {
+    "q_rad": ("q_rad", "rad"),
+    "motor_torque_nm": ("motor_torque_nm", "Nm, motor side"),
+    "joint_torque_nm": ("joint_torque_nm", "Nm, joint side, gear efficiency not applied"),
+    "motor_current_a": ("motor_current_a", "A, of the kind the torque constant refers to"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ArmHeader:
+    """What is stored once per arm.
+
+    Attributes
+    ----------
+    name : str
+    poses : tuple of RestPose
+    constants : tuple of 6 Constants
+        What was read from the drives.
+    identities, ledger : lists of dict
+        Who the drives are; every object that was written, with its old value.
+    """
+
+    name: str
+    poses: tuple[RestPose, ...]
+    constants: tuple[Constants, ...]
+    identities: list[dict[str, Any]] = field(default_factory=list)
+    ledger: list[dict[str, Any]] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingHeader:
+    """What is stored once per file; texts are those of the files themselves."""
+
+    created: str
+    cell: str
+    profiles: dict[str, str]
+    robot: str
+    software: str
+
+
+class Numbering:
+    """Numbers visits on from those of a file and lets their time run on.
+
+    Parameters
+    ----------
+    earlier : Recording or None
+        The file's content so far.
+    """
+
+    def __init__(self, earlier: Recording | None) -> None:
+        visits = [] if earlier is None else [visit for arm in earlier.arms for visit in arm.visits]
+        self._number = max((visit.number for visit in visits), default=0)
+        self._last_s = max((float(visit.time_s[-1]) for visit in visits), default=-np.inf)
+        self._shift_s: float | None = None
+
+    def next(self, visit: Visit) -> Visit:
+        """The visit as it is stored, with its number."""
+        if self._shift_s is None:
+            period_s = float(np.diff(visit.time_s).min()) if len(visit) > 1 else 1.0
+            late = self._last_s + period_s - float(visit.time_s[0])
+            self._shift_s = max(0.0, late)
+        self._number += 1
+        return replace(visit, number=self._number, time_s=visit.time_s + self._shift_s)
+
+
+class RecordingWriter:
+    """Adds visits to one file; `visits` counts them.
+
+    Parameters
+    ----------
+    path : Path
+    header : RecordingHeader
+    earlier : Recording or None
+        The file's content so far, to go on with; None = the file must not exist.
+    write : callable, optional
+        Puts the content in the place of the file, whole or not at all; `write_recording` unless given.
+
+    Raises
+    ------
+    InputError
+        The file exists, was made with another cell, or holds other visits than `earlier`.
+    """
+
+    def __init__(
+        self, path: Path, header: RecordingHeader, earlier: Recording | None, write: Write | None = None
+    ) -> None:
+        self.path = path
+        self._write = write or write_recording
+        if earlier is None and path.exists():
+            raise InputError(f"{path} exists; go on with it by --resume, or choose another name")
+        self._file = h5py.File("in-memory", "w", driver="core", backing_store=False)
+        if earlier is not None:
+            if earlier.cell_text != header.cell:
+                self._file.close()
+                raise InputError(f"{path} was recorded with another cell file; choose another name for this recording")
+            with h5py.File(path, "r") as source:
+                source.copy("arms", self._file)
+            if _stored(self._file.require_group("arms")) != {
+                (arm.name, visit.number) for arm in earlier.arms for visit in arm.visits
+            }:
+                self._file.close()
+                raise InputError(f"{path} was still being written by an earlier run; go on with it once more")
+        root = self._file.attrs
+        root["schema"] = SCHEMA
+        root["created"] = header.created if earlier is None else earlier.created
+        root["cell"], root["robot"], root["software"] = header.cell, header.robot, header.software
+        root["profiles"] = json.dumps(header.profiles)
+        self._arms = self._file.require_group("arms")
+        self.visits = 0
+        self._numbering = Numbering(earlier)
+
+    def begin(self, header: ArmHeader) -> None:
+        """Store what belongs to an arm; an arm that is there already keeps its visits."""
+        arm = self._arms.require_group(header.name)
+        arm.require_group("visits")
+        arm.attrs["constants"] = json.dumps([asdict(constants) for constants in header.constants])
+        arm.attrs["identities"] = json.dumps(header.identities)
+        arm.attrs["ledger"] = json.dumps(header.ledger)
+        if "pose_q_rad" in arm:
+            del arm["pose_q_rad"], arm["pose_number"], arm["pose_validation"]
+        dataset = arm.create_dataset("pose_q_rad", data=np.array([p.q_rad for p in header.poses]).reshape(-1, 6))
+        dataset.attrs["unit"] = "rad"
+        arm["pose_number"] = np.array([pose.number for pose in header.poses], dtype=np.int64)
+        arm["pose_validation"] = np.array([pose.purpose == "validation" for pose in header.poses], dtype=np.int8)
+
+    def add(self, arm: str, visit: Visit) -> Visit:
+        """Store a visit and write the file.
+
+        Returns
+        -------
+        Visit
+            With its number; its time runs on from the visits before.
+
+        Raises
+        ------
+        InputError
+            The file cannot be written; the one before is still there.
+        """
+        stored = self._numbering.next(visit)
+        self.store(arm, stored)
+        return stored
+
+    def store(self, arm: str, visit: Visit) -> None:
+        """Store a visit that has its number and write the file.
+
+        Raises
+        ------
+        InputError
+            The file cannot be written; the one before is still there, and the next write holds this visit too.
+        """
+        _write_visit(self._arms.require_group(f"{arm}/visits").create_group(f"{visit.number:04d}"), visit)
+        self._save("abort", UNFINISHED)
+        self.visits += 1
+
+    def finish(self, arm: str, status: str, reason: str, statistics: dict[str, Any]) -> None:
+        """Store how the run ended (`success`, `abort`, `fail`) and write the file.
+
+        Raises
+        ------
+        InputError
+            The file cannot be written.
+        """
+        if arm in self._arms:
+            self._arms[arm].attrs["bus_statistics"] = json.dumps(statistics)
+        self._save(status, reason)
+
+    def close(self) -> None:
+        """Give the memory back; what is on disk stays."""
+        self._file.close()
+
+    def _save(self, status: str, reason: str) -> None:
+        self._file.attrs["exit_status"] = status
+        self._file.attrs["reason"] = reason.replace("\0", "")
+        self._file.flush()
+        self._write(self.path, sealed(self._file.id.get_file_image()))
+
+
+def write_recording(path: Path, content: bytes) -> None:
+    """Write a file so that a crash at any time leaves the old one or the new one, whole.
+
+    Raises
+    ------
+    InputError
+        It cannot be written (disk full, no permission); the old one is untouched.
+    """
+    try:
+        replace_file(path, content)
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be written: {error.strerror or error}; what was recorded before is still in it"
+        ) from error
+
+
+def _stored(arms: h5py.Group) -> set[tuple[str, int]]:
+    """Arm and number of every visit."""
+    names = [str(arm) for arm in arms]
+    return {(arm, int(str(number))) for arm in names for number in arms.require_group(f"{arm}/visits")}
+
+
+def _write_visit(group: h5py.Group, visit: Visit) -> None:
+    attributes: dict[str, Any] = {
+        "load": visit.load,
+        "pose": visit.pose,
+        "purpose": visit.purpose,
+        "approach": visit.approach,
+        "complete": visit.complete,
+        "incomplete_epochs": visit.incomplete_epochs,
+        "direction": visit.direction,
+        "target_rad": visit.target_rad,
+    }
+    if visit.gravity_nm is not None and visit.friction_band_nm is not None:
+        attributes |= {"gravity_nm": visit.gravity_nm, "friction_band_nm": visit.friction_band_nm}
+    for name, value in attributes.items():
+        group.attrs[name] = value
+    for name, (source, unit) in WORDS.items():
+        words = getattr(visit, source)
+        if (words != NO_WORD).any():
+            _dataset(group, name, words.astype(np.uint16 if name == "statusword" else np.int32), unit)
+            if (words == NO_WORD).any():
+                group[name].attrs["missing"] = NO_WORD
+    for name, (source, unit) in VALUES.items():
+        values = getattr(visit, source)
+        if np.isfinite(values).any():
+            _dataset(group, name, values, unit)
+    _dataset(group, "sync_index", visit.sync_index, "SYNC number since the bus was opened")
+    _dataset(group, "time_s", visit.time_s, "s")
+
+
+def _dataset(group: h5py.Group, name: str, values: np.ndarray, unit: str) -> None:
+    group.create_dataset(name, data=values).attrs["unit"] = unit

@@ -1,0 +1,239 @@
+"""Import and export of the measured table (CSV)."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from gateway.cell.conversion import AxisConversion
+from gateway.data.csv_text import AXES, CsvColumns, read_columns
+from gateway.data.rows import MOVING, Table, concatenate, without_duplicates
+from gateway.errors import InputError
+
+__all__ = ["MOVING", "Table", "concatenate", "read_csv", "without_duplicates", "write_csv"]
+
+LARGEST_INTEGER = 2**31 - 1
+
+
+def read_csv(path: Path, axes: AxisConversion | None) -> Table:
+    """Read a measured table.
+
+    Parameters
+    ----------
+    path : Path
+    axes : AxisConversion or None
+        Needed where the table gives motor currents; without it, motor torques stay on the motor side.
+
+    Returns
+    -------
+    Table
+
+    Raises
+    ------
+    InputError
+        With file and line: unknown, missing or doubled column, cell that is not a finite number, duplicate rows that
+        differ, current without the torque constants of a cell.
+    """
+    path = Path(path)
+    columns = read_columns(path)
+    pose, moving = _rest_or_moving(columns)
+    tau, tau_std, motor = _torques(columns, axes)
+    n_rows = len(columns.line)
+    table = Table(
+        file=(str(path),) * n_rows,
+        line=columns.line,
+        run=_label(columns, "run", path.stem),
+        load=_label(columns, "load", "none"),
+        pose=pose,
+        time_s=columns.values.get("time_s", np.full(n_rows, np.nan)),
+        q_rad=_six(columns, "q{}_rad", needed=np.ones(n_rows, dtype=bool)),
+        qd_rad_s=np.nan_to_num(_six(columns, "qd{}_rad_s", needed=moving)),
+        qdd_rad_s2=np.nan_to_num(_six(columns, "qdd{}_rad_s2", needed=moving)),
+        moving=moving,
+        direction=_directions(columns),
+        tau_nm=tau,
+        tau_std_nm=tau_std,
+        count=_integers(columns, "n", 1) if "n" in columns.values else np.ones(n_rows, dtype=int),
+        q2nd_rad=_six(columns, "q2nd{}_rad"),
+        temperature_c=_six(columns, "temp{}_c"),
+        motor_torque_nm=motor,
+        extra={name: values for name, values in columns.values.items() if name.startswith("x_")},
+    )
+    return without_duplicates(table)
+
+
+def _label(columns: CsvColumns, name: str, default: str) -> np.ndarray:
+    n_rows = len(columns.line)
+    if name not in columns.values:
+        return np.full(n_rows, default)
+    cells = [cell.strip() for cell in columns.values[name]]
+    for row, cell in enumerate(cells):
+        if not cell or not cell.isprintable() or len(cell) > 200:
+            raise InputError(f"{columns.where(row)}: {name}: a label is needed, of printable characters")
+    return np.array(cells)
+
+
+def _integers(columns: CsvColumns, name: str, least: int) -> np.ndarray:
+    values = columns.values[name]
+    blank = np.isnan(values)
+    bad = ~blank & ((values != np.round(values)) | (values < least) | (values > LARGEST_INTEGER))
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise InputError(f"{columns.where(row)}: {name}: {values[row]:g} is not an integer of at least {least}")
+    return np.where(blank, MOVING, np.nan_to_num(values)).astype(int)
+
+
+def _rest_or_moving(columns: CsvColumns) -> tuple[np.ndarray, np.ndarray]:
+    """Pose (n,) and moving (n,): a row moves if it has a velocity or no pose."""
+    n_rows = len(columns.line)
+    speeds = _six(columns, "qd{}_rad_s")
+    pose = _integers(columns, "pose", MOVING) if "pose" in columns.values else np.full(n_rows, MOVING)
+    has_speed = np.isfinite(speeds).any(axis=1)
+    moving = (pose == MOVING) | (np.nan_to_num(speeds) != 0).any(axis=1)
+    lost = moving & ~has_speed
+    if lost.any():
+        row = int(np.argmax(lost))
+        raise InputError(
+            f"{columns.where(row)}: a rest row needs a pose number (column 'pose'), a moving row needs qd1_rad_s to "
+            "qd6_rad_s and qdd1_rad_s2 to qdd6_rad_s2"
+        )
+    if moving.any():
+        times = columns.values.get("time_s")
+        if times is None:
+            raise InputError(f"{columns.file}:1: column 'time_s' is missing; moving rows need it")
+        if np.isnan(times[moving]).any():
+            row = int(np.argmax(moving & np.isnan(times)))
+            raise InputError(f"{columns.where(row)}: time_s is empty; a moving row needs it")
+    return np.where(moving, MOVING, pose), moving
+
+
+def _six(columns: CsvColumns, pattern: str, needed: np.ndarray | None = None) -> np.ndarray:
+    """Six columns side by side, NaN where absent; `needed` marks the rows that must have all six."""
+    n_rows = len(columns.line)
+    out = np.full((n_rows, 6), np.nan)
+    for joint, axis in enumerate(AXES):
+        name = pattern.format(axis)
+        if name in columns.values:
+            out[:, joint] = columns.values[name]
+        elif needed is not None and needed.any():
+            raise InputError(f"{columns.file}:1: column '{name}' is missing (row at line {columns.line[needed][0]})")
+    if needed is not None:
+        empty = needed[:, None] & np.isnan(out)
+        if empty.any():
+            row, joint = np.argwhere(empty)[0]
+            raise InputError(f"{columns.where(int(row))}: {pattern.format(joint + 1)} is empty; a moving row needs it")
+    return out
+
+
+def _directions(columns: CsvColumns) -> np.ndarray:
+    values = np.nan_to_num(_six(columns, "dir{}"))
+    bad = ~np.isin(values, (-1, 0, 1))
+    if bad.any():
+        row, joint = np.argwhere(bad)[0]
+        raise InputError(
+            f"{columns.where(int(row))}: dir{joint + 1}: {values[row, joint]:g} is none of -1, 0 (unknown), 1"
+        )
+    return values.astype(np.int8)
+
+
+def _torques(columns: CsvColumns, axes: AxisConversion | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Joint torque, its standard deviation, motor torque: (n, 6) each, NaN where not measured."""
+    tau, taum, current = (_six(columns, pattern) for pattern in ("tau{}_nm", "taum{}_nm", "i{}_a"))
+    _one_source_per_axis(columns)
+    tau_std, taum_std, current_std = (_spread(columns, p) for p in ("tau{}_std_nm", "taum{}_std_nm", "i{}_std_a"))
+    if np.isfinite(current).any():
+        if axes is None:
+            raise InputError(f"{columns.file}:1: motor currents need the torque constants of a cell file; give --cell")
+        measured = np.isfinite(current)
+        taum = np.where(measured, axes.motor_torque_of_current(current), taum)
+        taum_std = np.where(measured, axes.motor_torque_of_current(current_std), taum_std)
+    if axes is not None:
+        measured = np.isfinite(tau)
+        tau = np.where(measured, tau, axes.joint_torque(taum))
+        tau_std = np.where(measured, tau_std, axes.joint_torque_std(taum_std))
+    return tau, tau_std, taum
+
+
+def _one_source_per_axis(columns: CsvColumns) -> None:
+    found = 0
+    for axis in AXES:
+        given = [name for name in (f"tau{axis}_nm", f"taum{axis}_nm", f"i{axis}_a") if name in columns.values]
+        if len(given) > 1:
+            raise InputError(f"{columns.file}:1: axis {axis} is given as {' and '.join(given)}; keep one of them")
+        found += len(given)
+        for name in (f"tau{axis}_std_nm", f"taum{axis}_std_nm", f"i{axis}_std_a"):
+            if name in columns.values and name.replace("_std", "") not in columns.values:
+                raise InputError(f"{columns.file}:1: column '{name}' has no column '{name.replace('_std', '')}'")
+    if not found:
+        raise InputError(f"{columns.file}:1: no torque or current column (tau1_nm .., taum1_nm .. or i1_a ..)")
+
+
+def _spread(columns: CsvColumns, pattern: str) -> np.ndarray:
+    values = _six(columns, pattern)
+    bad = values < 0
+    if bad.any():
+        row, joint = np.argwhere(bad)[0]
+        raise InputError(f"{columns.where(int(row))}: {pattern.format(joint + 1)} is negative")
+    return values
+
+
+def write_csv(table: Table, path: Path) -> None:
+    """Write a table so that `read_csv` gives it back: joint torques, only the columns that hold something.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+    """
+    columns = _columns_to_write(table)
+    try:
+        with path.open("w", encoding="utf-8", newline="") as stream:
+            writer = csv.writer(stream)
+            writer.writerow(columns)
+            writer.writerows(zip(*columns.values(), strict=True))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _columns_to_write(table: Table) -> dict[str, list[object]]:
+    columns: dict[str, list[object]] = {"run": table.run.tolist(), "load": table.load.tolist()}
+    if (~table.moving).any():
+        columns["pose"] = ["" if moves else int(pose) for pose, moves in zip(table.pose, table.moving, strict=True)]
+    if np.isfinite(table.time_s).any():
+        columns["time_s"] = _cells(table.time_s)
+    sixes = {"q{}_rad": table.q_rad}
+    if table.moving.any():
+        rest = ~table.moving[:, None]
+        sixes |= {"qd{}_rad_s": np.where(rest, np.nan, table.qd_rad_s)}
+        sixes |= {"qdd{}_rad_s2": np.where(rest, np.nan, table.qdd_rad_s2)}
+    if table.direction.any():
+        sixes |= {"dir{}": table.direction}
+    on_motor = np.isnan(table.tau_nm).all(axis=0)
+    _refuse_part_of_an_axis(np.where(on_motor, table.motor_torque_nm, table.tau_nm))
+    sixes |= {"tau{}_nm": table.tau_nm, "taum{}_nm": np.where(on_motor, table.motor_torque_nm, np.nan)}
+    sixes |= {"tau{}_std_nm": np.where(on_motor, np.nan, table.tau_std_nm)}
+    sixes |= {"q2nd{}_rad": table.q2nd_rad, "temp{}_c": table.temperature_c}
+    for pattern, values in sixes.items():
+        for joint, axis in enumerate(AXES):
+            if np.isfinite(values[:, joint]).any():
+                columns[pattern.format(axis)] = _cells(values[:, joint])
+    if (table.count != 1).any():
+        columns["n"] = table.count.tolist()
+    return columns | {name: _cells(values) for name, values in table.extra.items()}
+
+
+def _refuse_part_of_an_axis(torque_nm: np.ndarray) -> None:
+    missing = np.isnan(torque_nm).mean(axis=0)
+    partly = (missing > 0) & (missing < 1)
+    if partly.any():
+        raise InputError(
+            f"axis {int(np.argmax(partly)) + 1} was measured in some rows only; a table has every axis in all rows or "
+            "in none: export the recordings one by one"
+        )
+
+
+def _cells(values: np.ndarray) -> list[object]:
+    """Shortest decimals that read back to the same number; empty for NaN."""
+    return ["" if value != value else value for value in values.tolist()]

@@ -1,0 +1,128 @@
+"""One side of one rest pose, as it was sampled: raw words and SI values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gateway.data.sample import ArmSample
+from gateway.errors import InputError
+
+#: Stands for a word that the drive does not send.
+NO_WORD = -(2**31)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Visit:
+    """Samples of a standing arm.
+
+    Attributes
+    ----------
+    number : int
+        Group name in the file, from 1; 0 = not stored yet.
+    load : str
+    pose : int
+    purpose : str
+        `fit` or `validation`.
+    approach : int
+        Sign of the last motion of all joints.
+    complete : bool
+        Whether all samples that were asked for are here.
+    incomplete_epochs : int
+        SYNCs that some axis left unanswered while sampling.
+    direction : int8 array of shape (6,)
+        Sign of each joint's last commanded motion.
+    target_rad : array of shape (6,)
+    statusword, position_count, torque_word, current_word, velocity_word : int64 arrays of shape (n, 6)
+        As received; `NO_WORD` where the drive sends none.
+    q_rad, motor_torque_nm, joint_torque_nm, motor_current_a : arrays of shape (n, 6)
+        Current NaN where the drive sends none.
+    sync_index : int64 array of shape (n,)
+    time_s : array of shape (n,)
+    gravity_nm, friction_band_nm : arrays of shape (6,) or None
+        Half sum and half difference of both sides, with the efficiency of each side; with the second side only.
+    """
+
+    number: int
+    load: str
+    pose: int
+    purpose: str
+    approach: int
+    complete: bool
+    incomplete_epochs: int
+    direction: np.ndarray
+    target_rad: np.ndarray
+    statusword: np.ndarray
+    position_count: np.ndarray
+    torque_word: np.ndarray
+    current_word: np.ndarray
+    velocity_word: np.ndarray
+    q_rad: np.ndarray
+    motor_torque_nm: np.ndarray
+    joint_torque_nm: np.ndarray
+    motor_current_a: np.ndarray
+    sync_index: np.ndarray
+    time_s: np.ndarray
+    gravity_nm: np.ndarray | None = None
+    friction_band_nm: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        """Number of samples."""
+        return len(self.sync_index)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VisitLabel:
+    """What a visit is called, before it has samples; fields as in `Visit`."""
+
+    load: str
+    pose: int
+    purpose: str
+    approach: int
+    direction: np.ndarray
+    target_rad: np.ndarray
+
+
+def visit_from_samples(
+    label: VisitLabel, samples: Sequence[ArmSample], complete: bool, incomplete_epochs: int
+) -> Visit:
+    """Stack complete samples.
+
+    Raises
+    ------
+    InputError
+        No sample, or an incomplete one.
+    """
+    rows = [[reading for reading in sample.readings if reading is not None] for sample in samples]
+    if not rows or any(len(row) != 6 for row in rows):
+        raise InputError(f"pose {label.pose}: a visit is made of complete samples only")
+
+    def words(name: str) -> np.ndarray:
+        values = [[getattr(reading, name) for reading in row] for row in rows]
+        return np.array([[NO_WORD if word is None else word for word in row] for row in values], dtype=np.int64)
+
+    current = [[np.nan if reading.current_a is None else reading.current_a for reading in row] for row in rows]
+    return Visit(
+        number=0,
+        load=label.load,
+        pose=label.pose,
+        purpose=label.purpose,
+        approach=label.approach,
+        complete=complete,
+        incomplete_epochs=incomplete_epochs,
+        direction=np.asarray(label.direction, dtype=np.int8),
+        target_rad=label.target_rad,
+        statusword=words("statusword"),
+        position_count=words("position_count"),
+        torque_word=words("torque_raw"),
+        current_word=words("current_raw"),
+        velocity_word=words("velocity_raw"),
+        q_rad=np.array([sample.q_rad for sample in samples]),
+        motor_torque_nm=np.array([[reading.torque_nm for reading in row] for row in rows]),
+        joint_torque_nm=np.array([sample.joint_torque_nm for sample in samples]),
+        motor_current_a=np.array(current),
+        sync_index=np.array([sample.sync_index for sample in samples], dtype=np.int64),
+        time_s=np.array([sample.time_s for sample in samples]),
+    )

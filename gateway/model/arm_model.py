@@ -1,0 +1,67 @@
+"""The robot model that a cell file names for one of its arms."""
+
+from __future__ import annotations
+
+from gateway.cell.config import ArmConfig, LoadedCell
+from gateway.errors import ConfigError
+from gateway.model.robot import Robot, robot_from_dh, robot_from_urdf, with_flange
+
+
+def arm_named(loaded: LoadedCell, name: str | None = None) -> ArmConfig:
+    """The arm of that name, or the only arm of the cell.
+
+    Raises
+    ------
+    ConfigError
+        No such arm, or several arms and no name.
+    """
+    arms = loaded.cell.arm
+    if name is None and len(arms) == 1:
+        return arms[0]
+    for arm in arms:
+        if arm.name == name:
+            return arm
+    known = ", ".join(arm.name for arm in arms)
+    asked = "no arm was named" if name is None else f"there is no arm '{name}'"
+    raise ConfigError(f"cell '{loaded.cell.name}': {asked}; it has {known}")
+
+
+def robot_text(loaded: LoadedCell, arm: ArmConfig) -> str:
+    """Text of the URDF that the arm names; empty for an arm given by Denavit-Hartenberg rows.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be read.
+    """
+    if arm.robot is None:
+        return ""
+    path = loaded.path(arm.robot)
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}; correct the key robot of arm '{arm.name}'") from error
+
+
+def robot_place(loaded: LoadedCell, arm: ArmConfig) -> str:
+    """Path of the arm's URDF, for messages and for the meshes beside it; "cell" where it has none."""
+    return "cell" if arm.robot is None else str(loaded.path(arm.robot))
+
+
+def arm_robot(loaded: LoadedCell, arm: ArmConfig) -> Robot:
+    """Robot model of an arm, with the flange of the cell file where it is given.
+
+    Raises
+    ------
+    ConfigError
+        File unreadable, or not a chain of six revolute joints.
+    """
+    return robot_from_text(arm, robot_text(loaded, arm), robot_place(loaded, arm))
+
+
+def robot_from_text(arm: ArmConfig, text: str, where: str) -> Robot:
+    """Robot model of an arm from URDF text that was already read (or stored in a recording)."""
+    robot = robot_from_dh(arm.dh, arm.name) if arm.dh is not None else robot_from_urdf(text, where)
+    if arm.flange_xyz_m is None:
+        return robot
+    return with_flange(robot, arm.flange_xyz_m, arm.flange_rpy_rad)

@@ -1,0 +1,118 @@
+"""Where a joint stands, and the ranges that its drive keeps, against the limits of the cell: pure rules."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from drives.objects import OBJECTS
+from gateway.cell.config import ArmConfig
+from gateway.cell.conversion import AxisConversion
+from gateway.preflight.rules import Axis, CheckItem, Lines, Readings, counts_per_revolution, value_of
+
+#: A following error window wider than so many of the cell's limits protects nothing.
+WIDE: Final = 4.0
+
+
+def judge_limits(axis: Axis, arm: ArmConfig, readings: Readings) -> list[CheckItem]:
+    """Judge where the joint stands, and the drive's own ranges, against the limits of the cell.
+
+    Parameters
+    ----------
+    axis : Axis
+    arm : ArmConfig
+        For the conversion from motor to joint; a coupled joint needs all six motors and is left to the run.
+    readings : mapping
+        (index, subindex) -> value.
+    """
+    return [*judge_place(axis, arm, readings), *judge_ranges(axis, arm, readings)]
+
+
+def judge_place(axis: Axis, arm: ArmConfig, readings: Readings) -> list[CheckItem]:
+    """Where the joint stands, which any motion looks at again; parameters as `judge_limits`."""
+    lines = Lines(axis)
+    turn, position = counts_per_revolution(axis.profile, readings), value_of(readings, "position")
+    if turn is not None and position is not None and arm.coupling is None:
+        low, high = axis.config.position_limit_rad
+        q_rad = _joint_rad(arm, axis.joint, position / turn)
+        inside = low <= q_rad <= high
+        what = f"stands at {q_rad:.3f} rad, limits {low:g} to {high:g} rad"
+        advice = "" if inside else "bring the joint inside its limits, or correct zero_offset_rad and position_sign"
+        lines.add("ok" if inside else "fail", OBJECTS["position"].address, what, advice)
+    return lines.items
+
+
+def judge_ranges(axis: Axis, arm: ArmConfig, readings: Readings) -> list[CheckItem]:
+    """The drive's software limits, its range of positions and its following error; parameters as `judge_limits`."""
+    lines = Lines(axis)
+    if counts_per_revolution(axis.profile, readings) is None:
+        return lines.items
+    _following(lines, readings)
+    if arm.coupling is None:
+        _software_limits(lines, arm, readings)
+        _position_range(lines, arm, readings)
+    return lines.items
+
+
+def software_range_rad(axis: Axis, arm: ArmConfig, readings: Readings) -> tuple[float, float] | None:
+    """The drive's own range of the joint [rad], None where it has none or the joint is coupled."""
+    return _range_rad(axis, arm, readings, "position_limit")
+
+
+def _range_rad(axis: Axis, arm: ArmConfig, readings: Readings, name: str) -> tuple[float, float] | None:
+    turn = counts_per_revolution(axis.profile, readings)
+    first, second = (value_of(readings, f"{name}_{end}") for end in ("min", "max"))
+    if turn is None or arm.coupling is not None or first is None or second is None or first == second:
+        return None
+    ends = [_joint_rad(arm, axis.joint, end / turn) for end in (first, second)]
+    return min(ends), max(ends)
+
+
+def _software_limits(lines: Lines, arm: ArmConfig, readings: Readings) -> None:
+    drive = software_range_rad(lines.axis, arm, readings)
+    if drive is None:
+        what = "no software limits in the drive; the gateway keeps to those of the cell file"
+        lines.add("info", OBJECTS["position_limit_min"].address, what)
+        return
+    _covers(lines, "position_limit_min", drive, "the drive stops before the cell's limit: narrow position_limit_rad")
+
+
+def _position_range(lines: Lines, arm: ArmConfig, readings: Readings) -> None:
+    drive = _range_rad(lines.axis, arm, readings, "position_range")
+    if drive is not None:
+        advice = "the position jumps to the other end of this range there: widen it, or narrow position_limit_rad"
+        _covers(lines, "position_range_min", drive, advice)
+
+
+def _covers(lines: Lines, name: str, drive: tuple[float, float], advice: str) -> None:
+    low, high = lines.axis.config.position_limit_rad
+    what = f"drive {drive[0]:.3f} to {drive[1]:.3f} rad, cell {low:g} to {high:g} rad"
+    if drive[0] > low or drive[1] < high:
+        lines.add("fail", OBJECTS[name].address, what, advice)
+    else:
+        lines.add("ok", OBJECTS[name].address, what)
+
+
+def _following(lines: Lines, readings: Readings) -> None:
+    window, turn = value_of(readings, "following_error_window"), counts_per_revolution(lines.axis.profile, readings)
+    if window is None or turn is None:
+        return
+    config, address = lines.axis.config, OBJECTS["following_error_window"].address
+    error_rad = 2.0 * math.pi * window / turn / abs(config.gear_ratio.value)
+    limit = f"following_error_limit_rad of the cell is {config.following_error_limit_rad:g}"
+    if window == 0:
+        what = "0: the drive does not watch its following error, or faults at once"
+        lines.add("warn", address, what, f"set the window in the drive; {limit}")
+    elif error_rad > WIDE * config.following_error_limit_rad:
+        what = f"{error_rad:.3g} rad at the joint: a drive without its master would notice a collision late or never"
+        lines.add("warn", address, what, f"narrow the window in the drive; {limit}")
+    else:
+        lines.add("ok", address, f"{error_rad:.3g} rad at the joint; {limit}")
+
+
+def _joint_rad(arm: ArmConfig, joint: int, revolutions: float) -> float:
+    motor = np.zeros(6)
+    motor[joint - 1] = 2 * math.pi * revolutions
+    return float(AxisConversion.from_arm(arm).joint_position(motor)[joint - 1])

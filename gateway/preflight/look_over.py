@@ -1,0 +1,337 @@
+"""Pre-flight check: the six drives are asked what they are, and judged. Nothing is written, nothing moves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from drives.abort import ABSENT
+from drives.bringup import read_identity
+from drives.bus import Bus
+from drives.busload import cycle_bits_worst, load_percent
+from drives.errors import DriveError, SdoAbort, SdoError, raise_failures
+from drives.finding import LISTEN_S, nmt_states
+from drives.group import DriveGroup
+from drives.heartbeat import NmtState
+from drives.instrument import InstrumentSetup
+from drives.ledger import WriteLedger
+from drives.objects import OBJECTS, object_name
+from drives.pdo import rpdo_plan, tpdo_plans
+from drives.probe import probe
+from drives.profile import CountsFromObjects, DriveProfile, ObjectReference
+from drives.sdo import SdoClient
+from drives.values import Identity
+from gateway.cell.config import ArmConfig, BusConfig
+from gateway.errors import FindingFailed
+from gateway.preflight.coasting import judge_coasting
+from gateway.preflight.limits import judge_place, judge_ranges
+from gateway.preflight.rules import (
+    Address,
+    Axis,
+    CheckItem,
+    Readings,
+    conditions,
+    judge_identity,
+    judge_settings,
+    judge_state,
+)
+from gateway.preflight.swap import SeenDrive, judge_places
+
+# Largest planned worst-case load of a bus that the clock paces.
+LOAD_LIMIT_PERCENT = 70.0
+#: Read from every drive: what it is at this moment, and how it is set up.
+READ_LIVE: Final = ("statusword", "position", "digital_inputs", "torque_offset")
+READ_SETTINGS: Final = (
+    "abort_connection_option",
+    "consumer_heartbeat",
+    "quick_stop_option",
+    "shutdown_option",
+    "disable_operation_option",
+    "halt_option",
+    "fault_reaction_option",
+    "following_error_window",
+    "following_error_timeout",
+    "max_torque",
+    "max_current",
+    "positive_torque_limit",
+    "negative_torque_limit",
+    "rated_current",
+    "rated_torque",
+    "position_range_min",
+    "position_range_max",
+    "home_offset",
+    "position_limit_min",
+    "position_limit_max",
+    "polarity",
+    "max_profile_velocity",
+    "max_motor_speed",
+    "profile_deceleration",
+    "quick_stop_deceleration",
+    "encoder_increments",
+    "encoder_revolutions",
+    "gear_motor_revolutions",
+    "gear_shaft_revolutions",
+    "feed_constant_feed",
+    "feed_constant_revolutions",
+    "position_offset",
+    "supported_modes",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Preflight:
+    """What the six drives of an arm said, and what it is worth.
+
+    Attributes
+    ----------
+    items : tuple of CheckItem
+    refusing : tuple of CheckItem
+        Failing ones that nobody else would refuse; a drive in fault, or a joint outside its limits, is refused in words
+        of its own when the drives are enabled or moved.
+    readings : tuple of 6 Readings
+        (index, subindex) -> value, None where the drive has no such object; as the engineer left them.
+    """
+
+    items: tuple[CheckItem, ...]
+    refusing: tuple[CheckItem, ...]
+    readings: tuple[Readings, ...]
+
+
+def addresses(profile: DriveProfile) -> dict[Address, str]:
+    """Objects to read, with their types, for a drive of this profile."""
+    wanted = {OBJECTS[name].address: OBJECTS[name].type for name in (*READ_LIVE, *READ_SETTINGS)}
+    references: list[ObjectReference] = [profile.torque.object]
+    rated = [signal.rated for signal in (profile.torque, profile.current) if signal is not None]
+    references += [each.object for each in rated if each is not None and each.object is not None]
+    counts = profile.position.counts_per_revolution
+    if isinstance(counts, CountsFromObjects):
+        references += [counts.object, counts.per]
+    references += [condition.object for condition in conditions(profile)]
+    return wanted | {(reference.index, reference.subindex): reference.type for reference in references}
+
+
+def live_addresses(profile: DriveProfile) -> frozenset[Address]:
+    """Objects among `addresses` that change by themselves or with every set point: state, position, torque."""
+    shown = [profile.torque.object, *(condition.object for condition in conditions(profile))]
+    named = {OBJECTS[name].address for name in READ_LIVE}
+    return frozenset(named | {(reference.index, reference.subindex) for reference in shown})
+
+
+def read_axis(bus: Bus, axis: Axis) -> tuple[Identity, Readings]:
+    """Read identity and every object of interest; None where the drive does not have it.
+
+    Raises
+    ------
+    SdoError
+        The drive does not answer, or refuses an object that it has.
+    """
+    sdo = SdoClient(bus, axis.config.node_id, axis.profile.sdo.timeout_s, axis.profile.sdo.slow_timeout_s)
+    try:
+        return read_identity(sdo), read_objects(sdo, axis.profile)
+    finally:
+        sdo.close()
+
+
+def read_objects(sdo: SdoClient, profile: DriveProfile) -> Readings:
+    """Read every object of interest; None where the drive does not have it.
+
+    Raises
+    ------
+    SdoError
+        The drive does not answer, or refuses an object that it has.
+    """
+    return {address: _read(sdo, address, kind) for address, kind in addresses(profile).items()}
+
+
+def _read(sdo: SdoClient, address: Address, kind: str) -> int | None:
+    try:
+        return sdo.read(*address, kind)
+    except SdoAbort as abort:
+        if abort.code in ABSENT:
+            return None
+        raise
+
+
+def as_left(readings: Readings, identity: Identity, ledger: WriteLedger) -> Readings:
+    """Objects of one drive as the engineer left them: what the gateway wrote itself counts as before it was written.
+
+    Such values are written again from what they were, whenever the drives are configured.
+    """
+    kept = dict(readings)
+    for entry in ledger.of_node(identity.node_id):
+        address = (entry.index, entry.subindex)
+        if kept.get(address) == entry.new and entry.serial_number in (None, identity.serial_number):
+            kept[address] = entry.old
+    return kept
+
+
+def check_arm(
+    bus: Bus, arm: ArmConfig, profiles: Sequence[DriveProfile], ledger: WriteLedger | None = None
+) -> list[CheckItem]:
+    """Check the six drives of an arm; a drive that does not answer is a failing line, the others are still read.
+
+    Drives in each other's place come before what each of them says of its limits, which follows from it.
+
+    Parameters
+    ----------
+    bus : Bus
+    arm : ArmConfig
+    profiles : sequence of 6 DriveProfile
+        Of the axes, in order.
+    ledger : WriteLedger, optional
+        What the gateway wrote itself.
+    """
+    ledger = ledger or WriteLedger()
+    answers = probe(bus, [config.node_id for config in arm.axis])
+    silent = [node_id for node_id, number in answers.items() if number == 0]
+    states = nmt_states(bus, silent, LISTEN_S) if silent else {}
+    items: list[CheckItem] = []
+    seen: list[SeenDrive] = []
+    for axis in _axes(arm, profiles):
+        node_id = axis.config.node_id
+        if answers[node_id] > 1:
+            items.append(_twice(axis, answers[node_id]))
+            continue
+        if states.get(node_id) is NmtState.STOPPED:
+            items.append(_stopped(axis))
+            continue
+        try:
+            identity, readings = read_axis(bus, axis)
+            seen.append(SeenDrive(axis, identity, as_left(readings, identity, ledger)))
+        except SdoError as error:
+            items.append(_unreachable(axis, error))
+    return [*items, *judge_drives(arm, seen).items]
+
+
+def look_over(arm: ArmConfig, group: DriveGroup, identities: Sequence[Identity]) -> Preflight:
+    """Read and judge drives that are connected already.
+
+    Parameters
+    ----------
+    arm : ArmConfig
+    group : DriveGroup
+        Connected, not configured.
+    identities : sequence of 6 Identity
+
+    Raises
+    ------
+    SdoError, SeveralFailures
+        Drives that do not answer, or refuse an object that they have; all at once.
+    """
+    seen: list[SeenDrive] = []
+    failures: list[DriveError] = []
+    axes = _axes(arm, [access.profile for access in group.access])
+    for axis, identity, access in zip(axes, identities, group.access, strict=True):
+        try:
+            readings = read_objects(access.sdo, axis.profile)
+            seen.append(SeenDrive(axis, identity, as_left(readings, identity, group.ledger)))
+        except DriveError as error:
+            failures.append(error)
+    raise_failures(failures)
+    return judge_drives(arm, seen)
+
+
+def judge_drives(arm: ArmConfig, seen: Sequence[SeenDrive]) -> Preflight:
+    """Judge drives that were read, drives in each other's place first."""
+    items = judge_places(arm, seen)
+    refusing = [item for item in items if item.severity == "fail"]
+    for drive in seen:
+        axis, readings = drive.axis, drive.readings
+        items += [*judge_identity(axis, drive.identity), *judge_state(axis, readings)]
+        items += judge_place(axis, arm, readings)
+        settings = [
+            *judge_settings(axis, readings),
+            *judge_coasting(axis, readings),
+            *judge_ranges(axis, arm, readings),
+        ]
+        items += settings
+        refusing += [item for item in settings if item.severity == "fail"]
+    return Preflight(tuple(items), tuple(refusing), tuple(drive.readings for drive in seen))
+
+
+def require_passed(items: Sequence[CheckItem], otherwise: str) -> None:
+    """Make sure that no item fails.
+
+    Parameters
+    ----------
+    items : sequence of CheckItem
+    otherwise : str
+        What an item that fails comes to: `nothing is measured`.
+
+    Raises
+    ------
+    FindingFailed
+        The first failing item, and how many more there are.
+    """
+    failed = [item for item in items if item.severity == "fail"]
+    if failed:
+        first, more = failed[0], f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
+        raise FindingFailed(f"{otherwise}: {first.where}: {first.what}; {first.advice}{more}")
+
+
+def _axes(arm: ArmConfig, profiles: Sequence[DriveProfile]) -> list[Axis]:
+    pairs = zip(arm.axis, profiles, strict=True)
+    return [Axis(joint, config, profile) for joint, (config, profile) in enumerate(pairs, start=1)]
+
+
+def judge_bus_load(
+    config: BusConfig, axes: Sequence[tuple[int, DriveProfile]], instruments: Sequence[InstrumentSetup] = ()
+) -> CheckItem:
+    """Worst-case share of the wire that the planned exchange of everything on a bus takes.
+
+    Parameters
+    ----------
+    config : BusConfig
+        Bit rate, SYNC period and pacing.
+    axes : sequence of (node id, DriveProfile)
+        Every drive on this bus.
+    instruments : sequence of InstrumentSetup, optional
+        Measuring devices beside them.
+
+    Returns
+    -------
+    CheckItem
+        Failing above `LOAD_LIMIT_PERCENT` where the clock paces the bus; in lockstep the bus paces itself.
+    """
+    sizes = [0]
+    for node_id, profile in axes:
+        plans = (rpdo_plan(node_id), *tpdo_plans(profile, node_id)[0])
+        sizes += [plan.size_bytes for plan in plans]
+    sizes += [plan.size_bytes for setup in instruments for plan in setup.plans()]
+    bits = cycle_bits_worst(sizes)
+    percent = load_percent(bits, config.sync_period_s, config.bitrate_bit_s)
+    shortest_s = bits / (config.bitrate_bit_s * LOAD_LIMIT_PERCENT / 100.0)
+    what = f"planned {percent:.0f} % of {config.bitrate_bit_s} bit/s in the worst case, {len(axes)} drives"
+    what += f", {len(instruments)} measuring device" if instruments else ""
+    if percent <= LOAD_LIMIT_PERCENT:
+        return CheckItem("ok", "bus", what)
+    advice = f"set sync_period_s to at least {shortest_s:.4f}"
+    return CheckItem("fail" if config.pacing == "real" else "warn", "bus", what, advice)
+
+
+def _twice(axis: Axis, answers: int) -> CheckItem:
+    return CheckItem(
+        "fail",
+        f"J{axis.joint} node {axis.config.node_id}",
+        f"{answers} devices answer at this node id",
+        "give every drive a node id of its own before anything else",
+    )
+
+
+def _stopped(axis: Axis) -> CheckItem:
+    return CheckItem(
+        "fail",
+        f"J{axis.joint} node {axis.config.node_id}",
+        "is in NMT state STOPPED, where a drive answers no question",
+        "find out who stopped it; `servo-gateway restore CELL` wakes it (NMT 0x80), or switch it off and on",
+    )
+
+
+def _unreachable(axis: Axis, error: DriveError) -> CheckItem:
+    where = f"J{axis.joint} node {axis.config.node_id}"
+    if isinstance(error, SdoAbort) and error.index is not None:
+        place = f"{where}:{object_name(error.index, error.subindex or 0)}"
+        return CheckItem("fail", place, f"cannot be read: {error.what}", error.advice)
+    advice = "check power, wiring and node id; `servo-gateway scan` shows who is there"
+    return CheckItem("fail", where, f"does not answer: {error.what}", advice)

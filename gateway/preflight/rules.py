@@ -1,0 +1,355 @@
+"""What a drive said of itself, judged against profile and cell: pure rules, one function each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Final, Literal
+
+from drives.cia402 import FAULTED, Mode, State, decode_state, describe, mode_supported
+from drives.objects import OBJECTS, object_name
+from drives.profile import Constant, DriveProfile, Signal
+from drives.profile_parts import Condition, SafetyCondition
+from drives.values import Identity
+from gateway.cell.config import AxisConfig
+
+Severity = Literal["ok", "info", "warn", "fail"]
+#: Drive's and cell's torque limit farther apart than this are no choice but a mistake of units.
+IMPLAUSIBLE = 50.0
+#: Torque limits of one direction each, beside 0x6072.
+DIRECTED: Final = ("positive_torque_limit", "negative_torque_limit")
+SATURATES: Final = "readings saturate there; lower torque_limit_nm or raise the drive's limit"
+
+Address = tuple[int, int]
+Readings = Mapping[Address, int | None]
+
+
+@dataclass(frozen=True, slots=True)
+class CheckItem:
+    """One line of the check.
+
+    Parameters
+    ----------
+    severity : str
+        `ok`, `info`, `warn` or `fail`.
+    where : str
+        `J2 node 2:6077:00 (torque)`.
+    what : str
+        What was found.
+    advice : str
+        What to do; empty where nothing is.
+    """
+
+    severity: Severity
+    where: str
+    what: str
+    advice: str = ""
+
+    def as_json(self) -> dict[str, str]:
+        """Plain values, the shape of a finding."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """One axis of the cell with its profile; joints count from 1."""
+
+    joint: int
+    config: AxisConfig
+    profile: DriveProfile
+
+
+class Lines:
+    """Collects the lines of one axis.
+
+    Parameters
+    ----------
+    axis : Axis
+
+    Attributes
+    ----------
+    items : list of CheckItem
+    """
+
+    def __init__(self, axis: Axis) -> None:
+        self.axis = axis
+        self.items: list[CheckItem] = []
+
+    def add(self, severity: Severity, address: Address | None, what: str, advice: str = "") -> None:
+        """One more line, about an object or about the whole axis."""
+        place = f"J{self.axis.joint} node {self.axis.config.node_id}"
+        if address is not None:
+            place += f":{object_name(*address)}"
+        self.items.append(CheckItem(severity, place, what, advice))
+
+
+def judge_axis(axis: Axis, readings: Readings) -> list[CheckItem]:
+    """Judge what one drive said of its state and of itself.
+
+    Parameters
+    ----------
+    axis : Axis
+    readings : mapping
+        (index, subindex) -> value, None where the drive has no such object.
+
+    Returns
+    -------
+    list of CheckItem
+    """
+    return [*judge_state(axis, readings), *judge_settings(axis, readings)]
+
+
+def judge_state(axis: Axis, readings: Readings) -> list[CheckItem]:
+    """State and constants: what bringing the drive up refuses with an error of its own; parameters as `judge_axis`."""
+    return _judged(axis, readings, (_state, _rated, _resolution, _conditions))
+
+
+def judge_settings(axis: Axis, readings: Readings) -> list[CheckItem]:
+    """How the drive is set up: what nobody else would refuse; parameters as `judge_axis`."""
+    return _judged(axis, readings, (_mode, _torque_object, _torque_limits, _scaling, _offsets, _watchdog))
+
+
+def _judged(axis: Axis, readings: Readings, rules: Sequence[Callable[[Lines, Readings], None]]) -> list[CheckItem]:
+    lines = Lines(axis)
+    for rule in rules:
+        rule(lines, readings)
+    return lines.items
+
+
+def value_of(readings: Readings, name: str) -> int | None:
+    """What a named object holds; None where the drive does not have it."""
+    value = readings.get(OBJECTS[name].address)
+    return value if isinstance(value, int) else None
+
+
+def judge_identity(axis: Axis, identity: Identity) -> list[CheckItem]:
+    """Judge who the drive says it is.
+
+    Parameters
+    ----------
+    axis : Axis
+    identity : Identity
+    """
+    lines = Lines(axis)
+    address = OBJECTS["vendor_id"].address
+    if not identity.is_drive:
+        what = f"device type {_hex(identity.device_type)} is not a CiA 402 drive"
+        lines.add("fail", OBJECTS["device_type"].address, what, "check the node id")
+    for problem in identity.mismatches(axis.profile):
+        what = f"{problem} (profile '{axis.profile.name}')"
+        lines.add("fail", address, what, "check wiring and node ids, or choose the profile of this drive and firmware")
+    parts = {
+        "vendor": _hex(identity.vendor_id),
+        "product": _hex(identity.product_code),
+        "revision": _hex(identity.revision),
+        "serial": _hex(identity.serial_number),
+        "firmware": identity.software_version or "not told",
+    }
+    lines.add("info", None, ", ".join(f"{name} {value}" for name, value in parts.items()))
+    return lines.items
+
+
+def _hex(value: int | None) -> str:
+    return "not told" if value is None else f"0x{value:X}"
+
+
+def _state(lines: Lines, readings: Readings) -> None:
+    word = value_of(readings, "statusword")
+    address = OBJECTS["statusword"].address
+    if word is None:
+        lines.add("fail", address, "the drive has no statusword", "this is not a CiA 402 drive")
+        return
+    state = decode_state(word)
+    if state in FAULTED:
+        lines.add("fail", address, describe(word), "read the fault, remove its cause, reset it at the drive")
+    elif state is State.OPERATION_ENABLED:
+        lines.add("warn", address, describe(word), "somebody else has enabled this drive; find out who")
+    else:
+        lines.add("ok", address, describe(word))
+
+
+def conditions(profile: DriveProfile) -> tuple[Condition, ...]:
+    """What the drive itself says must hold for motion: safety chain, referenced encoder."""
+    return (*profile.safety, *(() if profile.reference is None else (profile.reference,)))
+
+
+def _conditions(lines: Lines, readings: Readings) -> None:
+    for condition in conditions(lines.axis.profile):
+        address = (condition.object.index, condition.object.subindex)
+        value = readings.get(address)
+        safety = isinstance(condition, SafetyCondition)
+        name = condition.what if safety else "encoder is not referenced"
+        if value is None:
+            what = f"{name}: the drive does not have the object that tells"
+            lines.add("fail", address, what, "correct [safety] or [reference] of the profile")
+        elif not condition.holds(value):
+            advice = "release it before the arm is to move" if safety else "have the encoder referenced at the drive"
+            lines.add("fail", address, f"{name}: {condition.words(value)}", advice)
+        else:
+            lines.add("ok", address, f"0x{value:X}: as it must be for motion")
+
+
+def _mode(lines: Lines, readings: Readings) -> None:
+    modes = value_of(readings, "supported_modes")
+    address = OBJECTS["supported_modes"].address
+    if modes is None:
+        lines.add("info", address, "the drive does not say which modes it has; the mode is read back when it is set")
+    elif not mode_supported(modes, Mode.CYCLIC_SYNC_POSITION):
+        lines.add("fail", address, f"0x{modes:X}: no cyclic synchronous position mode", "enable mode 8 in the drive")
+    else:
+        lines.add("ok", address, "cyclic synchronous position is supported")
+
+
+def _torque_object(lines: Lines, readings: Readings) -> None:
+    torque = lines.axis.profile.torque
+    address = (torque.object.index, torque.object.subindex)
+    if torque.nature != "measured":
+        what = f"the profile says this torque is {torque.nature}, not measured: a load cannot be estimated from it"
+        lines.add("fail", address, what, "name the drive's measured torque or current in the profile")
+    elif readings.get(address) is None:
+        lines.add("fail", address, "the drive does not have the torque object", "use another profile")
+    else:
+        lines.add("ok", address, f"measured, {torque.kind.replace('_', ' ')} ({torque.source})")
+
+
+def _rated(lines: Lines, readings: Readings) -> None:
+    rated = lines.axis.profile.torque.rated
+    if rated is None:
+        return
+    if rated.object is None:
+        lines.add("info", None, f"rated value {rated.value:g} from {rated.source}")
+        return
+    address = (rated.object.index, rated.object.subindex)
+    value = readings.get(address)
+    if not isinstance(value, int) or value <= 0:
+        what = "missing" if value is None else f"{value}: every torque would be zero"
+        lines.add("fail", address, what, "set the rated value of the motor in the drive")
+    else:
+        unit = "A" if lines.axis.profile.torque.is_current else "Nm"
+        lines.add("ok", address, f"{value * (rated.unit or math.nan):g} {unit} is 1000 per mille")
+
+
+def joint_torque_limit_nm(axis: Axis, readings: Readings, name: str = "max_torque") -> float | None:
+    """Torque that a limit of the drive allows at the joint [Nm]; None where the drive does not tell."""
+    limit, torque = value_of(readings, name), axis.profile.torque
+    full = None if torque.is_current else _rated_value(torque, readings)
+    return None if limit is None or not full else abs(axis.config.gear_ratio.value) * full * limit / 1000.0
+
+
+def joint_current_limit_nm(axis: Axis, readings: Readings) -> float | None:
+    """Torque at the joint [Nm] that the current limit 0x6073 allows; None where the drive does not tell."""
+    limit, profile = value_of(readings, "max_current"), axis.profile
+    signals = [signal for signal in (profile.current, profile.torque) if signal is not None]
+    signal = next((each for each in signals if each.kind == "permille_rated_current"), None)
+    rated_a = None if signal is None else _rated_value(signal, readings)
+    if limit is None or signal is None or not rated_a:
+        return None
+    kt = axis.config.torque_constant_nm_per_a.value
+    return abs(axis.config.gear_ratio.value) * kt * signal.current_factor * rated_a * limit / 1000.0
+
+
+def _rated_value(signal: Signal, readings: Readings) -> float | None:
+    """Nm or A of 1000 per mille."""
+    rated = signal.rated
+    if rated is None or rated.object is None:
+        return None if rated is None else rated.value
+    word = readings.get((rated.object.index, rated.object.subindex))
+    return word * (rated.unit or math.nan) if isinstance(word, int) else None
+
+
+def _torque_limits(lines: Lines, readings: Readings) -> None:
+    _max_torque(lines, readings)
+    beside = {name: joint_torque_limit_nm(lines.axis, readings, name) for name in DIRECTED}
+    beside["max_current"] = joint_current_limit_nm(lines.axis, readings)
+    for name, joint in beside.items():
+        limit, address = value_of(readings, name), OBJECTS[name].address
+        if limit == 0:
+            lines.add("fail", address, "0: the drive gives no torque", "set the limit in the drive")
+        elif joint is not None and joint < lines.axis.config.torque_limit_nm:
+            lines.add("warn", address, _narrow(lines.axis, limit, joint), SATURATES)
+
+
+def _max_torque(lines: Lines, readings: Readings) -> None:
+    config, limit = lines.axis.config, value_of(readings, "max_torque")
+    address = OBJECTS["max_torque"].address
+    joint = joint_torque_limit_nm(lines.axis, readings)
+    if joint is None:
+        return
+    if limit == 0:
+        lines.add("fail", address, "0: the drive gives no torque", "set the torque limit in the drive")
+    elif not 1.0 / IMPLAUSIBLE < joint / config.torque_limit_nm < IMPLAUSIBLE:
+        what = f"{limit} per mille is {joint:.3g} Nm at the joint, the cell allows {config.torque_limit_nm:g} Nm"
+        lines.add("fail", address, what, "rated torque in another unit (uNm, mNm) or a wrong gear_ratio: correct it")
+    elif joint < config.torque_limit_nm:
+        lines.add("warn", address, _narrow(lines.axis, limit, joint), SATURATES)
+    else:
+        lines.add("ok", address, f"{limit} per mille is {joint:.0f} Nm at the joint")
+
+
+def _narrow(axis: Axis, limit: int | None, joint_nm: float) -> str:
+    return f"{limit} per mille is {joint_nm:.0f} Nm at the joint, the cell allows {axis.config.torque_limit_nm:g} Nm"
+
+
+def _scaling(lines: Lines, readings: Readings) -> None:
+    polarity = value_of(readings, "polarity")
+    if polarity:
+        what = f"0x{polarity:02X}: position or velocity is turned round in the drive, torque perhaps not"
+        advice = "set it to 0 and use position_sign and torque_sign of the cell file"
+        lines.add("fail", OBJECTS["polarity"].address, what, advice)
+    motor, shaft = value_of(readings, "gear_motor_revolutions"), value_of(readings, "gear_shaft_revolutions")
+    if motor is not None and shaft is not None and motor != shaft:
+        what = f"{motor}:{shaft}: the drive applies a gear ratio of its own to the position"
+        advice = "set it to 1:1; the ratio belongs in the cell file"
+        lines.add("fail", OBJECTS["gear_motor_revolutions"].address, what, advice)
+    _feed(lines, readings)
+    offset = value_of(readings, "position_offset")
+    if offset:
+        what = f"{offset} counts are added to every target position"
+        lines.add("fail", OBJECTS["position_offset"].address, what, "set it to 0; use zero_offset_rad of the cell file")
+
+
+def _feed(lines: Lines, readings: Readings) -> None:
+    """Feed constant: 1:1, or as many units as the encoder has counts; anything else scales the position."""
+    feed, turns = value_of(readings, "feed_constant_feed"), value_of(readings, "feed_constant_revolutions")
+    if feed is None or turns is None or feed == turns:
+        return
+    counts = counts_per_revolution(lines.axis.profile, readings)
+    if counts is None or feed != counts * turns:
+        what = f"{feed}:{turns}: the drive scales the position by a feed of its own"
+        advice = "set it to 1:1, or to the counts of one motor revolution; lengths have no place at a joint"
+        lines.add("fail", OBJECTS["feed_constant_feed"].address, what, advice)
+
+
+def _resolution(lines: Lines, readings: Readings) -> None:
+    if counts_per_revolution(lines.axis.profile, readings) is None:
+        what = "encoder resolution is missing or zero"
+        lines.add("fail", OBJECTS["encoder_increments"].address, what, "set it in the drive or give it in the profile")
+
+
+def _offsets(lines: Lines, readings: Readings) -> None:
+    offset = value_of(readings, "torque_offset")
+    if offset:
+        what = f"{offset} per mille is added to the torque already"
+        lines.add("warn", OBJECTS["torque_offset"].address, what, "clear it: a feedforward left behind biases readings")
+
+
+def _watchdog(lines: Lines, readings: Readings) -> None:
+    missing = [name for name in ("abort_connection_option", "consumer_heartbeat") if value_of(readings, name) is None]
+    for name in missing:
+        what = "missing: the drive would not notice that the master is gone"
+        lines.add("fail", OBJECTS[name].address, what, "use a drive or firmware that watches the master's heartbeat")
+    if not missing:
+        lines.add("ok", OBJECTS["consumer_heartbeat"].address, "the drive can watch the master's heartbeat")
+
+
+def counts_per_revolution(profile: DriveProfile, readings: Readings) -> float | None:
+    """Position counts of one motor revolution, None where it cannot be known."""
+    counts = profile.position.counts_per_revolution
+    if isinstance(counts, Constant):
+        return counts.value
+    increments = readings.get((counts.object.index, counts.object.subindex))
+    turns = readings.get((counts.per.index, counts.per.subindex))
+    if not isinstance(increments, int) or not isinstance(turns, int) or increments <= 0 or turns <= 0:
+        return None
+    return increments / turns

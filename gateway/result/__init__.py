@@ -1,0 +1,1 @@
+"""What leaves the house: results and controller formats."""

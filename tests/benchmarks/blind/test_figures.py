@@ -1,0 +1,93 @@
+"""How blind cells are scored."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.blind.figures import (
+    bus_figures,
+    claims,
+    clopper_pearson,
+    confusion,
+    credit,
+    figures,
+    places,
+    weakest,
+)
+
+
+def cell(kind: str, truth: list, found: list, verdict: str, strength: float = 5.0) -> dict:
+    return {
+        "seed": 0,
+        "kind": kind,
+        "truth": truth,
+        "strengths": [strength] * len(truth),
+        "found": found,
+        "verdict": verdict,
+        "holdout_over_floor": 1.0,
+        "load_errors": [0.01, 0.002],
+        "told_errors": [0.01, 0.002],
+        "inside": [True] * 19 + [False],
+        "first_s": 1.0,
+    }
+
+
+TILT, SHIFTED = ["base_tilt", []], ["joint_zero_offset", [2]]
+
+
+def test_interval_of_no_hit_in_hundred():
+    # 1 - 0.025 ** (1 / 100)
+    assert clopper_pearson(0, 100) == pytest.approx([0.0, 1 - 0.025 ** (1 / 100)])
+    assert clopper_pearson(100, 100)[1] == 1.0
+
+
+def test_credit_for_a_name_a_pair_and_a_wrong_axis():
+    assert credit(cell("one", [TILT], [TILT], "explained")) == 1.0
+    assert credit(cell("one", [TILT], [TILT, SHIFTED], "undecided")) == 0.5
+    assert credit(cell("one", [TILT], [TILT, SHIFTED], "explained")) == 0.0
+    wrong_axis = cell("one", [SHIFTED], [["joint_zero_offset", [3]]], "explained")
+    assert credit(wrong_axis) == 1.0
+    assert credit(wrong_axis, places) == 0.0
+
+
+def test_any_verdict_but_none_needed_is_a_claim():
+    assert not claims(cell("clean", [], [], "none_needed"))
+    assert claims(cell("clean", [], [], "unexplained"))
+    assert claims(cell("clean", [], [TILT], "explained"))
+
+
+def test_figures_say_what_is_met():
+    cells = [cell("one", [TILT], [TILT], "explained"), cell("clean", [], [TILT], "explained")]
+    cells += [cell("off", [["bungee", [3]]], [], "unexplained"), cell("two", [TILT, SHIFTED], [TILT], "explained")]
+    out = figures(cells)
+    assert out["right effect, strength >= 3"]["met"]
+    assert out["right effect, strength 1.5 to 3"]["met"] is None
+    assert not out["false alarm on clean cells"]["met"]
+    assert out["off-library effect called by a library name"]["value"] == 0.0
+    assert out["both named, two effects of strength >= 3"]["value"] == 0.0
+    assert out["95 % intervals hold the truth"]["value"] == pytest.approx(0.95)
+    assert ("two effects", "one of them", 1) in confusion(cells)
+
+
+def test_the_weakest_cells_are_those_not_answered_exactly_the_strongest_first():
+    right, wrong = cell("one", [TILT], [TILT], "explained", 9.0), cell("one", [TILT], [SHIFTED], "explained", 8.0)
+    pair = cell("one", [SHIFTED], [SHIFTED, TILT], "undecided", 12.0)
+    alarm, quiet = cell("clean", [], [], "unexplained"), cell("clean", [], [], "none_needed")
+    rows = weakest([right, wrong, pair, alarm, quiet])
+    assert [row[1:3] for row in rows] == [
+        ("joint_zero_offset J2", "12.0"),
+        ("base_tilt", "8.0"),
+        ("nothing that counts", ""),
+    ]
+    assert rows[0][3] == "joint_zero_offset J2 + base_tilt (undecided)"
+
+
+def test_cells_over_the_bus_have_to_end_and_to_name_exactly_what_is_there():
+    done = cell("one", [TILT], [TILT], "explained") | {"finished": True, "time_s": 30.0}
+    broken = cell("clean", [], [], "none") | {"finished": False, "inside": [], "time_s": 2.0}
+    out = bus_figures([done, broken])
+    assert out["bus: from start to report"]["value"] == 0.5
+    assert out["bus: exactly what is there named"]["value"] == 0.5
+    assert out["bus: 95 % intervals hold the truth"]["met"]
+    assert out["bus: time of one cell"]["interval"] == [2.0, 30.0]
+    assert bus_figures([]) == {}

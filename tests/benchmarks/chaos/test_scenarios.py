@@ -1,0 +1,79 @@
+"""Two dozen kinds of faults, once each, in both pacings; `make chaos` plays all of them several times."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from benchmarks.chaos.remote import Remote, remote
+from benchmarks.chaos.rig import Rig, rig
+from benchmarks.chaos.scenarios import ELSEWHERE, kinds, play, play_again
+from benchmarks.chaos.stated import STATED
+from sim.faults import KINDS
+
+IN_LOCKSTEP = (
+    "tpdo_lost",
+    "tpdo_gone",
+    "tpdo_torn",
+    "tpdo_stuck",
+    "rpdo_gone",
+    "sdo_other_object",
+    "power_cycle",
+    "emcy_storm",
+    "drive_fault",
+    "internal_limit",
+    "warning",
+    "start_refused",
+    "cycle_period_set",
+    "enables_and_drops",
+    "second_master_sync",
+    "bus_off",
+    "node_missing",
+    "wrong_rated",
+)
+BY_THE_CLOCK = ("tpdo_gone", "burst", "drive_fault", "tpdo3_on", "second_master_nmt", "estop_pressed")
+
+
+@pytest.fixture(scope="module")
+def running() -> Iterator[Rig]:
+    with rig() as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def by_the_clock() -> Iterator[Remote]:
+    with remote(0.02) as made:
+        yield made
+
+
+@pytest.mark.parametrize("kind", IN_LOCKSTEP)
+def test_fault_ends_as_stated_in_lockstep(running: Rig, kind: str) -> None:
+    outcome = play(running, kind, seed=1)
+    assert outcome.fine, outcome.complaints
+
+
+@pytest.mark.xdist_group("by_the_clock")
+@pytest.mark.parametrize("kind", BY_THE_CLOCK)
+def test_fault_ends_as_stated_by_the_clock(by_the_clock: Remote, kind: str) -> None:
+    outcome = play_again(by_the_clock, kind, seed=1)
+    if not outcome.fine and outcome.held_up:
+        pytest.skip(f"this computer did not keep its time in {outcome.tries} tries")
+    assert outcome.fine, outcome.complaints
+
+
+def test_every_kind_is_played_here_or_in_a_process_of_its_own() -> None:
+    assert set(kinds()) | ELSEWHERE == set(KINDS)
+    assert set(STATED) == set(kinds())
+    assert len(KINDS) >= 40
+
+
+def test_what_goes_on_says_what_is_counted_and_what_ends_says_why() -> None:
+    for kind in kinds():
+        for pacing in ("lockstep", "real"):
+            stated = STATED[kind]
+            if KINDS[kind].reaction_in(pacing) in ("goes on", "retried"):
+                assert stated.error is None
+                assert stated.counts_in("lockstep"), kind
+            else:
+                assert stated.says, kind

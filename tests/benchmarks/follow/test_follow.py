@@ -1,0 +1,130 @@
+"""The short form of `python -m benchmarks.follow`: one arm, one pass per setting, a right and a wrong load."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pybullet", reason="the simulated drives need the extra [sim]")
+
+from benchmarks.follow import rig
+from gateway.result.result import LoadResult, Result, to_json
+
+# What an identification of this load with these build errors gave, rounded; the truth is 70 kg at (50, -20, 220) mm.
+LOAD = LoadResult("load", 69.9, 0.13, (0.0495, -0.0206, 0.2208), (0.0006, 0.0007, 0.0012))
+BAND_NM = (78.8, 104.7, 63.6, 21.9, 16.5, 11.9)
+BUILD_ERRORS = 3
+
+pytestmark = [pytest.mark.system, pytest.mark.xdist_group("follow")]
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", "set by the rig")
+        place = rig.set_up(tmp_path_factory.mktemp("follow"), "large")
+        data = {"cell": "large", "arm": "main"}
+        result = Result(robot="qh165", loads=(LOAD,), friction_band_nm=BAND_NM, extra={"data": data})
+        place.result.write_text(to_json(result))
+        path = place.path.read_text()
+        points = re.sub(r"  \[0\.3, .*\n", "", path)
+        place.path.write_text(points)
+        yield place
+
+
+@pytest.fixture(scope="module")
+def drives(place):
+    with rig.drives(place, BUILD_ERRORS) as handle:
+        handle.hang("load")
+        yield handle
+
+
+@pytest.fixture(scope="module")
+def right(place, drives):
+    report = place.folder / "right.html"
+    told = rig.follow_command(place, drives, place.result, report)
+    return told, json.loads(report.with_suffix(".json").read_text()), report.read_text()
+
+
+def peaks(body):
+    return {setting["name"]: np.array(setting["peak_rad"]) for setting in body["settings"]}
+
+
+def test_the_identified_load_is_followed_better_than_the_maximum_and_far_better_than_none(right):
+    told, body, _ = right
+    assert told.exit_code == 0, told.output
+    found = peaks(body)
+    for axis in (1, 2):
+        assert found["identified"][axis] <= found["off"][axis] / 3
+        assert found["identified"][axis] <= found["maximum"][axis] / 2
+    assert (found["identified"] <= found["off"]).all()
+
+
+def test_every_figure_is_given_per_axis_and_setting(right):
+    _, body, _ = right
+    assert [setting["name"] for setting in body["settings"]] == ["off", "maximum", "identified"]
+    for setting in body["settings"]:
+        for key in ("peak_rad", "rms_rad", "lag_s", "overshoot_rad"):
+            assert len(setting[key]) == 6
+            assert all(value is not None for value in setting[key])
+    off, fed = body["settings"][0], body["settings"][2]
+    # a fifth of the velocity is left to a position loop of 6 1/s: 0.2 / 6 s
+    assert off["lag_s"] == pytest.approx([0.2 / 6.0] * 6, rel=0.1)
+    assert np.abs(fed["lag_s"]).max() < 1e-3
+
+
+def test_the_right_load_raises_no_finding_and_what_is_left_out_is_said(right):
+    _, body, _ = right
+    assert {item["severity"] for item in body["findings"]} == {"info"}
+    assert abs(body["trend"]["scale"]) < 0.07
+    assert any("viscous friction" in item["what"] for item in body["findings"])
+
+
+def test_the_page_shows_the_three_settings_side_by_side_with_units(right):
+    page = right[2]
+    assert "http://" not in page
+    assert "https://" not in page
+    for words in ("off", "maximum load assumed", "identified load", "error [mrad]", "time [s]", "residual [Nm]"):
+        assert words in page
+    assert page.count('class="three"') == 6
+    assert page.count("<svg") == 1 + 18 + 6 + 2 + 2
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.2])
+def test_a_load_20_percent_off_shows_as_a_trend_and_fails(place, drives, right, factor):
+    if factor == 1.2:
+        told = rig.follow_command(place, drives, place.result_with("heavy", factor), place.folder / "heavy.html")
+        assert told.exit_code == 7, told.output
+        assert "identify it again" in told.output
+        body = json.loads((place.folder / "heavy.json").read_text())
+        assert "tag fail" in (place.folder / "heavy.html").read_text()
+    else:
+        request = rig.FollowRequest(place.path, place.result_with("light", factor))
+        body = rig.followed(drives, place.cell, request, "identified")
+    assert body["findings"][0]["severity"] == "fail"
+    assert body["trend"]["scale"] == pytest.approx(1 / factor - 1, abs=0.07)
+    assert abs(body["trend"]["scale"]) > 3 * body["trend"]["scale_std"]
+
+
+def test_afterwards_the_drives_hold_no_offset_and_the_brakes_hold_the_arm(drives, right):
+    (arm,) = drives.simulation.arms
+    assert [(drive.velocity_offset, drive.torque_offset) for drive in arm.drives] == [(0, 0)] * 6
+    assert not any(drive.automaton.energised for drive in arm.drives)
+
+
+def test_a_drive_that_faults_while_it_is_fed_takes_every_offset_to_zero(place):
+    fault = place.folder / "fault.toml"
+    fault.write_text('[[fault]]\nkind = "drive_fault"\nnode = 3\nat_sync = 2400\n')
+    with rig.drives(place, BUILD_ERRORS, fault=fault) as handle:
+        handle.hang("load")
+        told = rig.follow_command(place, handle, place.result, place.folder / "fault.html")
+        assert told.exit_code == 4, told.output
+        assert "brought to zero" in told.output
+        (arm,) = handle.simulation.arms
+        assert [(drive.velocity_offset, drive.torque_offset) for drive in arm.drives if drive.node_id != 3] == [
+            (0, 0)
+        ] * 5
+        assert not any(drive.automaton.energised for drive in arm.drives)

@@ -1,0 +1,286 @@
+"""Stops of two arms that hold one part: along the path, by quick stop, by a fault, and by Ctrl-C at the terminal."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.chaos.part_pair_stops import stopped
+from benchmarks.pair.bus_gap import gap_rig
+from benchmarks.pair.bus_rig import CELL, NO_LIMIT_N, PairRig, inline_rig
+from benchmarks.rigs.pacing import by_the_clock
+from drives.errors import CommandRefused
+from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson
+from gateway.pair.cell import load_pair
+from gateway.pair.embodiments import EMBODIMENTS, with_gains
+from gateway.pair.function import constant_function, function_of_knots
+from gateway.pair.motion import PairMotionOptions, PairStopped
+from gateway.pair.run import PairRun
+from gateway.pair.servolag import ServoLag
+from gateway.pair.session import cell_gains
+from gateway.pair.storage import PairStore
+from sim.pair.cell import PairOptions
+from sim.serve import free_bus
+from sim.simulation import ServeOptions, Simulation
+from sim.states import PdsState
+
+pytestmark = pytest.mark.system
+
+
+def standing(rig: PairRig, name: str = "B", limit_n: float | None = NO_LIMIT_N, speed: float = 1.5) -> PairRun:
+    """A row at the start of the path, gripped, powered."""
+    config = with_gains(EMBODIMENTS[name], cell_gains(rig.cell))
+    return rig.run(config, constant_function(rig.cell.nominal_relation), PairMotionOptions(speed, None, limit_n))
+
+
+def enabled(rig: PairRig) -> list[bool]:
+    """Which of the twelve follow set points."""
+    drives = [drive for unit in rig.simulation.arms for drive in unit.drives]
+    return [drive.automaton.state is PdsState.OPERATION_ENABLED for drive in drives]
+
+
+def at_time(rig: PairRig, after_s: float, act: Callable[[], Any]) -> None:
+    """Do something once, so many simulated seconds from now."""
+    due = [rig.world.time_s + after_s]
+
+    def look(time_s: float) -> None:
+        if due and time_s >= due[0]:
+            due.clear()
+            act()
+
+    rig.world.after.append(look)
+
+
+def heard(desk: StopDesk) -> list[StopKind]:
+    """Kinds of all wishes from now on."""
+    kinds: list[StopKind] = []
+    plain = desk.ask
+
+    def ask(cause: BaseException, kind: StopKind = StopKind.ALONG_PATH) -> None:
+        kinds.append(kind)
+        plain(cause, kind)
+
+    desk.ask = ask  # type: ignore[method-assign]
+    return kinds
+
+
+def test_a_stop_along_the_path_keeps_the_relation() -> None:
+    done = stopped("along the path", 0, 2.1)
+    assert done.after_n < 1.2 * done.before_n
+    assert done.off_after_m < 1.2 * done.off_before_m
+
+
+def test_drives_are_disabled_when_the_joints_no_longer_catch_up() -> None:
+    with inline_rig(0) as rig:
+        run = standing(rig)
+        at_time(rig, 1.5, lambda: run.motion.stream.station.options.desk.ask(StoppedByPerson("stopped")))
+        fastest: list[float] = []
+
+        def note(_time_s: float) -> None:
+            if not any(enabled(rig)):
+                fastest.append(float(np.abs(rig.world.motors.omega).max()))
+
+        rig.world.after.append(note)
+        begin_s = rig.world.time_s + 1.5
+        with pytest.raises(StoppedByPerson):
+            rig.power.attempt(run.cycle)
+        assert rig.world.time_s > begin_s
+    assert fastest[0] < 0.01
+
+
+def test_a_second_wish_is_a_quick_stop_of_all_twelve() -> None:
+    with inline_rig(0) as rig:
+        run, left = standing(rig), []
+        desk, period_s = run.motion.stream.station.options.desk, rig.cell.sync_period_s
+        asked: list[float] = []
+
+        def quickly() -> None:
+            asked.append(rig.world.time_s)
+            desk.ask(StoppedByPerson("again"), StopKind.QUICK_STOP)
+
+        at_time(rig, 1.5, lambda: desk.ask(StoppedByPerson("stopped")))
+        at_time(rig, 1.5 + 5 * period_s, quickly)
+        rig.world.after.append(lambda time_s: left.append((time_s, sum(enabled(rig)))))
+        with pytest.raises(StoppedByPerson, match="stopped"):
+            rig.power.attempt(run.cycle)
+        begun = next(time_s for time_s, count in left if time_s > asked[0] and count < 12)
+        assert begun - asked[0] <= 3 * period_s
+        assert not any(enabled(rig))
+
+
+def test_a_force_that_still_rises_becomes_a_quick_stop() -> None:
+    with inline_rig(0) as rig:
+        run = standing(rig, "A", 20.0)
+        kinds = heard(run.motion.stream.station.options.desk)
+        begin_s = rig.world.time_s + 0.9
+        pull = np.zeros(12)
+
+        def snag(_ticks: int) -> None:
+            pull[6:] = rig.world.part.at(rig.world.q).jacobian[1, 6:]
+            rig.world.push = pull * 1500.0 * max(0.0, rig.world.time_s - begin_s)
+
+        rig.world.before.append(snag)
+        with pytest.raises(PairStopped, match="above 40 N for more than 20 ms"):
+            rig.power.attempt(run.cycle)
+    assert kinds[0] is StopKind.ALONG_PATH
+    assert kinds.count(StopKind.ALONG_PATH) == 1
+    assert StopKind.QUICK_STOP in kinds
+
+
+def test_a_force_that_does_not_rise_any_more_is_no_quick_stop() -> None:
+    with inline_rig(0) as rig:
+        run = standing(rig, "B", 15.0)
+        kinds = heard(run.motion.stream.station.options.desk)
+        with pytest.raises(PairStopped, match="above 30 N"):
+            rig.power.attempt(run.cycle)
+    assert kinds == [StopKind.ALONG_PATH]
+
+
+def test_an_arm_that_is_told_the_impossible_stops_both() -> None:
+    with inline_rig(0) as rig:
+        run = standing(rig)
+        member = run.motion.stream.station.arms.members[1]
+        plain = member.command
+
+        def jump() -> None:
+            member.command = lambda q, *rest: plain(q + 1.0, *rest)  # type: ignore[method-assign]
+
+        at_time(rig, 1.5, jump)
+        states: list[set[PdsState]] = []
+        drives = [drive for unit in rig.simulation.arms for drive in unit.drives]
+        rig.world.after.append(lambda _time_s: states.append({drive.automaton.state for drive in drives}))
+        with pytest.raises(CommandRefused):
+            rig.power.attempt(run.cycle)
+    followed, stopping = PdsState.OPERATION_ENABLED, PdsState.QUICK_STOP_ACTIVE
+    assert any(stopping in seen and followed not in seen for seen in states)
+    assert PdsState.OPERATION_ENABLED not in states[-1]
+
+
+@pytest.mark.parametrize(
+    ("distances_m", "kind"),
+    [(None, StopKind.ALONG_PATH), ([0.02, 0.02, 0.02, 0.036, 0.02, 0.02], StopKind.QUICK_STOP)],
+)
+def test_a_gap_without_a_value_stops_along_the_path_one_outside_its_range_at_once(
+    distances_m: list[float] | None, kind: StopKind
+) -> None:
+    with gap_rig(0) as rig:
+        run = rig.run("E5", 3.0)
+        kinds = heard(run.motion.stream.station.options.desk)
+        if distances_m is None:
+            rig.device.node.silent = True
+        else:
+            rig.device.measure = lambda: distances_m
+        with pytest.raises(PairStopped):
+            rig.power.attempt(run.cycle)
+        rig.device.node.silent = False
+    assert kinds[0] is kind
+
+
+@pytest.mark.parametrize(("ahead", "gain_1_s"), [(0.8, 12.5), (0.0, 60.0), (0.5, 25.0)])
+def test_servos_that_slow_down_stay_as_far_behind_as_they_were(ahead: float, gain_1_s: float) -> None:
+    dt_s = 0.004
+    lag = ServoLag(dt_s, (1.0 - ahead) / gain_1_s)
+    speed = np.linspace(-1.0, 1.0, 12)
+    at, y, rate, before = np.zeros(12), np.zeros(12), 1.0, np.zeros(12)
+    behind = []
+    for cycle in range(700):
+        wanted = min(1.0, cycle / 100.0) if cycle < 400 else max(0.0, 1.0 - (cycle - 400) / 60.0)
+        rate = wanted if cycle >= 400 else 1.0
+        at = at + dt_s * wanted * speed
+        lag.slow_down(rate)
+        sent = at - lag.given_back(speed) if lag.slower else at
+        lag.take((sent[:6], sent[6:]), (_Seen(y[:6]), _Seen(y[6:])), speed)
+        step = sent - before
+        for _ in range(40):
+            y = y + dt_s / 40 * (gain_1_s * (before - y) + ahead * step / dt_s)
+            before = before + step / 40
+        before = sent
+        if cycle == 399 or cycle == 699:
+            behind.append(at - y)
+    assert np.abs(behind[1] - behind[0]).max() < 0.1 * np.abs(behind[0]).max()
+
+
+class _Seen:
+    """What six drives showed."""
+
+    def __init__(self, q_rad: np.ndarray) -> None:
+        self.q_rad = q_rad
+
+
+@pytest.fixture
+def clocked(tmp_path: Path) -> Path:
+    """The example by the clock, at 20 ms, taught."""
+    folder = tmp_path / "pair"
+    shutil.copytree(CELL.parent, folder, ignore=shutil.ignore_patterns("*.pair"))
+    cell = folder / "cell.toml"
+    text = by_the_clock(cell.read_text(encoding="utf-8"))
+    cell.write_text(text.replace("sync_period_s = 0.004", "sync_period_s = 0.02"), encoding="utf-8")
+    pair = load_pair(cell)
+    function = function_of_knots([0.0, pair.path().length_m], np.stack([pair.nominal_relation] * 2))
+    PairStore(pair, cell.with_suffix(".pair")).save("first", function, learn_source="taught", speed=0.0)
+    return cell
+
+
+def test_ctrl_c_by_the_clock_stops_both_along_the_path(clocked: Path) -> None:
+    buses = f"left={free_bus()};right={free_bus()}"
+    gateway = [sys.executable, "-m", "gateway.cli"]
+    settings = os.environ | {"XDG_STATE_HOME": str(clocked.parent / "state")}
+    with serving(clocked, buses) as simulation:
+        simulation.grip(open=True)
+        proof = [*gateway, "check", str(clocked), "--prove-stop", "--yes", "--bus", buses]
+        subprocess.run(proof, check=True, capture_output=True, env=settings, timeout=120.0)
+    # gripped afresh at the very start: where a proof leaves the hands the part would be under force
+    with serving(clocked, buses) as simulation:
+        interrupt(
+            simulation, [*gateway, "run-pair", str(clocked), "--embodiment", "A", "--yes", "--bus", buses], settings
+        )
+
+
+@contextmanager
+def serving(cell: Path, buses: str) -> Iterator[Simulation]:
+    """The pair by the clock, in a thread."""
+    simulation = Simulation(cell, ServeOptions(bus=buses), PairOptions(None))
+    thread = threading.Thread(target=simulation.run, name="pair-sim")
+    thread.start()
+    try:
+        yield simulation
+    finally:
+        simulation.stop()
+        thread.join()
+        simulation.close()
+
+
+def interrupt(simulation: Simulation, words: list[str], settings: dict[str, str]) -> None:
+    """Start a command, send SIGINT once the arms move, and see that they come to rest along the path."""
+    process = subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=settings)
+    drives = [drive for unit in simulation.arms for drive in unit.drives]
+    world: Any = simulation.arms[0].world
+    quick: list[bool] = []
+    try:
+        until_s = time.monotonic() + 30.0
+        while np.abs(world.motors.omega).max() < 0.2 and time.monotonic() < until_s and process.poll() is None:
+            time.sleep(0.02)
+        world.after.append(
+            lambda _time_s: quick.append(any(d.automaton.state is PdsState.QUICK_STOP_ACTIVE for d in drives))
+        )
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=20.0)
+        assert process.returncode == 130, said
+        assert said.strip().startswith("stopped by SIGINT: ")
+        assert "Traceback" not in said
+        assert not any(drive.axis.fed or drive.axis.free for drive in drives)
+        assert not any(quick)
+    finally:
+        process.kill()

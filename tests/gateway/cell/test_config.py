@@ -1,0 +1,166 @@
+"""The cell file: complete ones load, and everything else is refused by file and key."""
+
+import copy
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from gateway.cell.config import Cell, load_cell, parse_cell
+from gateway.errors import ConfigError
+from gateway.model.arm_model import arm_robot
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+CELLS = sorted(EXAMPLES.glob("*/cell.toml"))
+
+
+def written(value) -> str:
+    """A value as TOML."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {written(item)}" for key, item in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(written, value)) + "]"
+    return repr(value)
+
+
+def as_toml(cell: dict) -> str:
+    return "\n".join(f"{key} = {written(value)}" for key, value in cell.items())
+
+
+@pytest.fixture
+def cell() -> dict:
+    return copy.deepcopy(tomllib.loads((EXAMPLES / "small" / "cell.toml").read_text()))
+
+
+@pytest.mark.parametrize("path", CELLS, ids=lambda path: path.parent.name)
+def test_examples_load(path):
+    loaded = load_cell(path)
+    assert len(loaded.cell.arm[0].axis) == 6
+    arm_robot(loaded, loaded.cell.arm[0])
+
+
+def test_an_unchanged_cell_survives_the_way_through_toml(cell):
+    assert parse_cell(as_toml(cell), "cell.toml") == load_cell(EXAMPLES / "small" / "cell.toml").cell
+
+
+def at(cell: dict, *keys):
+    for key in keys:
+        cell = cell[key]
+    return cell
+
+
+HOLD = {"node_id": 7, "object": {"index": 0x60FD}, "mask": 4, "good": 4}
+AXIS = ("arm", 0, "axis", 2)
+
+
+@pytest.mark.parametrize(
+    ("place", "key", "value", "message"),
+    [
+        ((), "colour", "red", "colour: unknown key"),
+        (AXIS, "gear_ration", 100, "arm.0.axis.2.gear_ration: unknown key"),
+        (AXIS, "speed_limit_deg_s", 30, "speed_limit_deg_s: unknown key"),
+        (AXIS, "gear_ratio", None, "arm.0.axis.2.gear_ratio: is missing"),
+        (AXIS, "torque_constant_nm_per_a", None, "torque_constant_nm_per_a: is missing"),
+        (AXIS, "position_limit_rad", None, "position_limit_rad: is missing"),
+        (AXIS, "speed_limit_rad_s", None, "speed_limit_rad_s: is missing"),
+        (AXIS, "torque_limit_nm", None, "torque_limit_nm: is missing"),
+        (AXIS, "gear_ratio", {"value": 100}, "gear_ratio.source: is missing"),
+        (AXIS, "gear_ratio", {"value": 100, "source": ""}, "gear_ratio.source"),
+        (AXIS, "gear_ratio", {"value": 0, "source": "x"}, "gear_ratio must not be 0"),
+        (AXIS, "gear_efficiency", {"value": 1.2, "source": "x"}, "gear_efficiency must lie in"),
+        (AXIS, "position_limit_rad", [1.0, -1.0], "lower limit 1.0 is not below"),
+        (AXIS, "position_limit_rad", [float("-inf"), 1.0], "position_limit_rad"),
+        (AXIS, "speed_limit_rad_s", 0.0, "speed_limit_rad_s"),
+        (AXIS, "torque_limit_nm", "many", "torque_limit_nm"),
+        (AXIS, "position_sign", 2, "position_sign"),
+        (AXIS, "node_id", 1, "node id 1 is given to more than one axis"),
+        (AXIS, "node_id", 200, "node_id"),
+        (("arm", 0), "axis", [], "has 0 [[arm.axis]] tables"),
+        (("arm", 0), "bus", "b", "there is no [bus.b]"),
+        (("arm", 0), "robot", None, "needs either robot"),
+        (("arm", 0), "inertials", "prior", "inertials"),
+        (("arm", 0), "coupling", [[1.0, 0.0]], "coupling must be an invertible"),
+        (("arm", 0), "keep_out", [{"min_m": [0, 0, 1], "max_m": [1, 1, 0]}], "must lie below max_m"),
+        (("arm", 0), "link_radius_m", 0.0, "link_radius_m"),
+        (("arm", 0), "link_radius_m", [0.1, 0.1], "link_radius_m"),
+        (("arm", 0), "load_radius_m", -0.1, "load_radius_m"),
+        (("arm", 0), "hold_to_run", HOLD | {"good": 5}, "bits outside mask 0x4"),
+        (("arm", 0), "hold_to_run", HOLD | {"good": 0}, "a broken wire looks like"),
+        (("arm", 0), "hold_to_run", HOLD | {"node_id": 0}, "hold_to_run.node_id"),
+        (("arm", 0), "hold_to_run", HOLD | {"object": {"index": 0xFD}}, "hold_to_run.object.index"),
+        (("arm", 0), "hold_to_run", HOLD | {"key": "space"}, "hold_to_run.key: unknown key"),
+        (("bus", "a"), "allow_real_drive", "perhaps", "allow_real_drive"),
+        (("bus", "a"), "pacing", "fast", "pacing"),
+        (("bus", "a"), "sync_period_s", -0.01, "sync_period_s"),
+        (("poses",), "count", 1, "poses.count"),
+        (("poses",), "samples", 3, "poses.samples"),
+    ],
+)
+def test_mistakes_are_named(cell, place, key, value, message):
+    table = at(cell, *place)
+    if value is None:
+        del table[key]
+    else:
+        table[key] = value
+    with pytest.raises(ConfigError) as refused:
+        parse_cell(as_toml(cell), "cell.toml")
+    assert str(refused.value).startswith("cell.toml: ")
+    assert message in str(refused.value)
+    assert refused.value.exit_code == 3
+
+
+def test_every_mistake_is_named_at_once(cell):
+    del cell["arm"][0]["axis"][0]["gear_ratio"]
+    del cell["arm"][0]["axis"][5]["torque_limit_nm"]
+    with pytest.raises(ConfigError, match=r"axis\.0\.gear_ratio: is missing.*axis\.5\.torque_limit_nm: is missing"):
+        parse_cell(as_toml(cell), "cell.toml")
+
+
+def test_two_arms_on_one_bus_need_different_nodes(cell):
+    second = copy.deepcopy(cell["arm"][0]) | {"name": "left"}
+    cell["arm"].append(second)
+    with pytest.raises(ConfigError, match="node id 1 is used by two arms"):
+        parse_cell(as_toml(cell), "cell.toml")
+    for number, axis in enumerate(second["axis"]):
+        axis["node_id"] = 11 + number
+    assert isinstance(parse_cell(as_toml(cell), "cell.toml"), Cell)
+
+
+def test_unreadable_files(tmp_path):
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load_cell(tmp_path / "none.toml")
+    (tmp_path / "latin.toml").write_bytes(b"name = '\xff'")
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load_cell(tmp_path / "latin.toml")
+    (tmp_path / "bad.toml").write_text("name = ")
+    with pytest.raises(ConfigError, match="not valid TOML"):
+        load_cell(tmp_path / "bad.toml")
+
+
+def test_robot_that_cannot_be_read(cell, tmp_path):
+    (tmp_path / "cell.toml").write_text(as_toml(cell))
+    loaded = load_cell(tmp_path / "cell.toml")
+    with pytest.raises(ConfigError, match=r"robot.urdf: cannot be read"):
+        arm_robot(loaded, loaded.cell.arm[0])
+    (tmp_path / "robot.urdf").write_text("<robot")
+    with pytest.raises(ConfigError, match=r"robot.urdf"):
+        arm_robot(loaded, loaded.cell.arm[0])
+
+
+def test_safety_keys_are_read_and_off_by_default(cell):
+    plain = parse_cell(as_toml(cell), "cell.toml")
+    assert plain.bus["a"].allow_real_drive is False
+    assert plain.arm[0].hold_to_run is None
+    assert plain.arm[0].link_radius_m is None
+    cell["arm"][0] |= {"hold_to_run": HOLD, "link_radius_m": [0.1, 0.09, 0.08, 0.07, 0.06, 0.05], "load_radius_m": 0}
+    cell["bus"]["a"]["allow_real_drive"] = True
+    read = parse_cell(as_toml(cell), "cell.toml")
+    hold = read.arm[0].hold_to_run
+    assert (hold.node_id, hold.object.index, hold.object.subindex, hold.mask, hold.good) == (7, 0x60FD, 0, 4, 4)
+    assert read.arm[0].link_radius_m == (0.1, 0.09, 0.08, 0.07, 0.06, 0.05)
+    assert read.arm[0].load_radius_m == 0
+    assert read.bus["a"].allow_real_drive is True

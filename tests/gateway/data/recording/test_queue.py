@@ -1,0 +1,403 @@
+"""Visits in the loop, the disk elsewhere: nothing waits, nothing that was said to be on disk is lost."""
+
+import multiprocessing
+import os
+import resource
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gateway.cell.config import load_cell
+from gateway.data.recording.lock import sole_writer
+from gateway.data.recording.queue import VisitQueue
+from gateway.data.recording.reader import read
+from gateway.data.recording.writer import RecordingHeader, RecordingWriter
+from gateway.data.visit import Visit
+from gateway.errors import InputError
+from tests.visits import ARM_HEADER, CELL, header_of, visit, write_behind, write_slowly
+
+ROOT = Path(__file__).parents[4]
+
+
+@pytest.fixture(scope="module")
+def header() -> RecordingHeader:
+    return header_of(load_cell(CELL))
+
+
+def _children() -> set[str]:
+    return {pid for task in Path("/proc/self/task").iterdir() for pid in (task / "children").read_text().split()}
+
+
+@pytest.fixture(autouse=True)
+def leaves_no_process():
+    before = _children()
+    yield
+    assert _children() <= before
+
+
+@pytest.fixture
+def queue(tmp_path, header) -> Iterator[VisitQueue]:
+    queue = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None)
+    yield queue
+    queue.close()
+
+
+def visits(count: int) -> list[Visit]:
+    return [visit(1 + n % 3, -1 if n % 2 else 1, start_s=float(n)) for n in range(count)]
+
+
+def until(queue: VisitQueue, met: Callable[[], bool], limit_s: float = 5.0) -> list[Visit]:
+    """Poll as the loop does; what was written meanwhile."""
+    written = []
+    end_s = time.monotonic() + limit_s
+    while time.monotonic() < end_s:
+        written += queue.written()
+        if met():
+            return written
+        time.sleep(0.002)
+    raise TimeoutError
+
+
+def gone(pid: int, limit_s: float = 2.0) -> bool:
+    """Whether a process ends in time; one that nobody waits for is a zombie and has ended."""
+    end_s = time.monotonic() + limit_s
+    while time.monotonic() < end_s:
+        try:
+            if Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z":
+                return True
+        except (FileNotFoundError, ProcessLookupError):
+            return True
+        time.sleep(0.005)
+    return False
+
+
+def test_the_file_is_the_one_of_the_writer(queue, tmp_path, header):
+    writer = RecordingWriter(tmp_path / "other.h5", header, None)
+    writer.begin(ARM_HEADER)
+    for each in visits(5):
+        assert queue.add("main", each).number == writer.add("main", each).number
+    queue.finish("main", "success", "all poses measured", {"cycles": 7})
+    writer.finish("main", "success", "all poses measured", {"cycles": 7})
+    writer.close()
+    assert [each.number for each in queue.written()] == [1, 2, 3, 4, 5]
+    assert queue.visits == 5
+    assert (queue.waiting, queue.full, queue.failed) == (0, False, None)
+    assert queue.path.read_bytes() == writer.path.read_bytes()
+
+
+def test_what_is_told_is_on_disk_and_in_order(tmp_path, header):
+    queue = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None, write=partial(write_slowly, 0.02))
+    told = []
+    for each in visits(4):
+        queue.add("main", each)
+    while len(told) < 4:
+        new = until(queue, lambda: True)
+        told += [each.number for each in new]
+        if new:
+            assert {each.number for each in read(queue.path).arms[0].visits} >= set(told)
+    queue.close()
+    assert told == [1, 2, 3, 4]
+
+
+def test_a_recording_is_gone_on_with(tmp_path, header):
+    path = tmp_path / "run.h5"
+    for part in range(2):
+        queue = VisitQueue(path, header, ARM_HEADER, read(path) if part else None)
+        queue.add("main", visit(1 + part, -1))
+        queue.add("main", visit(1 + part, 1, start_s=0.7))
+        queue.finish("main", "success", "", {})
+        queue.close()
+    stored = read(path).arms[0].visits
+    assert [(each.number, each.pose, each.approach) for each in stored] == [
+        (1, 1, -1),
+        (2, 1, 1),
+        (3, 2, -1),
+        (4, 2, 1),
+    ]
+    assert (np.diff([each.time_s[0] for each in stored]) > 0).all()
+
+
+def test_a_disk_that_hangs_fills_the_queue_and_nothing_waits(tmp_path, header):
+    """More than a pipe holds is taken in while nothing at all is written."""
+    gate = tmp_path / "gate"
+    queue = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None, 4, partial(write_behind, gate))
+    many = [replace(each, pose=n) for n, each in enumerate([visit(samples=100)] * 8)]
+    took_s = []
+    for n, each in enumerate(many):
+        assert queue.full == (n >= 4)
+        begin_s = time.perf_counter()
+        assert queue.add("main", each).number == n + 1
+        assert queue.written() == ()
+        took_s.append(time.perf_counter() - begin_s)
+    assert np.median(took_s) < 0.002
+    with pytest.raises(InputError, match="8 visits wait for the disk"):
+        queue.add("main", many[0])
+    assert (queue.waiting, queue.failed) == (8, None)
+    gate.touch()
+    queue.finish("main", "abort", "the disk is too slow", {})
+    assert [each.pose for each in queue.written()] == list(range(8))
+    queue.close()
+    recording = read(queue.path)
+    assert [each.pose for each in recording.arms[0].visits] == list(range(8))
+    assert (recording.exit_status, recording.reason) == ("abort", "the disk is too slow")
+
+
+def test_a_slow_disk_empties_the_queue_again(tmp_path, header):
+    queue = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None, 2, partial(write_slowly, 0.05))
+    queue.add("main", visit(1, -1))
+    queue.add("main", visit(1, 1))
+    assert queue.full
+    assert [each.number for each in until(queue, lambda: not queue.waiting)] == [1, 2]
+    assert not queue.full
+    queue.close()
+
+
+def test_close_alone_writes_what_is_waiting(tmp_path, header):
+    queue = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None, write=partial(write_slowly, 0.02))
+    for each in [visit(samples=100)] * 5:
+        queue.add("main", each)
+    queue.close()
+    queue.close()
+    assert [each.number for each in queue.written()] == [1, 2, 3, 4, 5]
+    recording = read(queue.path)
+    assert len(recording.arms[0].visits) == 5
+    assert "not finished" in recording.reason
+
+
+def test_nothing_measured_leaves_no_file(queue):
+    queue.close()
+    assert not queue.path.exists()
+
+
+def test_a_full_disk_is_told_and_the_file_before_stays(queue):
+    queue.add("main", visit(1, -1))
+    until(queue, lambda: not queue.waiting)
+    before = queue.path.read_bytes()
+    endless = resource.prlimit(queue._process.pid, resource.RLIMIT_FSIZE)
+    resource.prlimit(queue._process.pid, resource.RLIMIT_FSIZE, (len(before) + 100, endless[1]))
+    queue.add("main", visit(1, 1))
+    assert until(queue, lambda: queue.failed is not None) == []
+    assert "cannot be written: File too large" in str(queue.failed)
+    assert queue.path.read_bytes() == before
+    with pytest.raises(InputError, match="File too large"):
+        queue.finish("main", "fail", "disk full", {})
+    assert queue.written() == ()
+    assert queue.path.read_bytes() == before
+    resource.prlimit(queue._process.pid, resource.RLIMIT_FSIZE, endless)
+    queue.finish("main", "fail", "disk full", {})
+    assert [each.number for each in queue.written()] == [2]
+    assert [each.number for each in read(queue.path).arms[0].visits] == [1, 2]
+
+
+def test_a_folder_that_is_not_there(tmp_path, header):
+    with pytest.raises(InputError, match="No such file or directory"):
+        VisitQueue(tmp_path / "none" / "run.h5", header, ARM_HEADER, None)
+
+
+def test_a_run_that_is_still_written_is_waited_for(tmp_path, header):
+    """The next run has read a file to which the writer of the one before still adds."""
+    gate = tmp_path / "gate"
+    gate.touch()
+    before = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None, write=partial(write_behind, gate))
+    before.add("main", visit(1, -1))
+    until(before, lambda: not before.waiting)
+    earlier = read(before.path)
+    gate.unlink()
+    before.add("main", visit(1, 1))
+    with pytest.raises(InputError, match="another run is writing it"), sole_writer(before.path, 0.0):
+        pass
+    end = threading.Timer(0.1, lambda: (gate.touch(), before.close()))
+    end.start()
+    with pytest.raises(InputError, match="was still being written by an earlier run"):
+        VisitQueue(before.path, header, ARM_HEADER, earlier)
+    end.join()
+    queue = VisitQueue(before.path, header, ARM_HEADER, read(before.path))
+    assert queue.add("main", visit(2, 1)).number == 3
+    queue.close()
+    assert len(read(before.path).arms[0].visits) == 3
+
+
+def test_two_runs_do_not_write_one_recording(tmp_path):
+    path = tmp_path / "run.h5"
+    with sole_writer(path, 0.0), pytest.raises(InputError, match="another run is writing it"), sole_writer(path, 0.03):
+        pass
+    (tmp_path / "run.h5.lock").touch()
+    with sole_writer(path, 0.0):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_process_leaves_real_time(tmp_path, header):
+    before = os.sched_getscheduler(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except PermissionError:
+        pytest.skip("no real-time priority here")
+    try:
+        queue = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None)
+    finally:
+        os.sched_setscheduler(0, before, os.sched_param(0))
+    assert os.sched_getscheduler(queue._process.pid) == os.SCHED_OTHER
+    queue.close()
+
+
+def test_files_that_are_not_gone_on_with(queue, header):
+    queue.add("main", visit())
+    queue.finish("main", "success", "", {})
+    queue.close()
+    content = queue.path.read_bytes()
+    with pytest.raises(InputError, match="--resume"):
+        VisitQueue(queue.path, header, ARM_HEADER, None)
+    with pytest.raises(InputError, match="another cell file"):
+        VisitQueue(queue.path, replace(header, cell=header.cell + "\n"), ARM_HEADER, read(queue.path))
+    assert queue.path.read_bytes() == content
+
+
+def test_signals_to_everybody_do_not_end_the_process(queue):
+    process = queue._process
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        os.kill(process.pid, number)
+    assert os.getsid(process.pid) != os.getsid(0)
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == set()
+    queue.add("main", visit())
+    queue.finish("main", "success", "", {})
+    assert len(read(queue.path).arms[0].visits) == 1
+    assert queue._process is process
+    assert queue.failed is None
+
+
+def test_a_process_that_is_killed_is_replaced_once_the_arm_stands(tmp_path, header):
+    gate = tmp_path / "gate"
+    gate.touch()
+    queue = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None, write=partial(write_behind, gate))
+    queue.add("main", visit(1, -1))
+    assert len(until(queue, lambda: not queue.waiting)) == 1
+    gate.unlink()
+    queue.add("main", visit(1, 1))
+    os.kill(queue._process.pid, signal.SIGKILL)
+    until(queue, lambda: queue.failed is not None)
+    assert "has ended before its time; 1 visits were not on disk" in str(queue.failed)
+    queue.add("main", visit(2, 1))
+    assert queue.written() == ()
+    gate.touch()
+    queue.finish("main", "fail", "stopped", {})
+    assert [each.number for each in queue.written()] == [2, 3]
+    queue.close()
+    recording = read(queue.path)
+    assert [each.number for each in recording.arms[0].visits] == [1, 2, 3]
+    assert recording.reason == "stopped"
+
+
+def test_a_wait_that_was_interrupted_is_asked_for_again(tmp_path, header):
+    gate = tmp_path / "gate"
+    queue = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None, write=partial(write_behind, gate))
+    queue.add("main", visit())
+
+    def interrupt(waiting: int) -> None:
+        assert waiting == 1
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        queue.finish("main", "success", "first", {}, interrupt)
+    gate.touch()
+    queue.finish("main", "abort", "second", {})
+    assert read(queue.path).reason == "second"
+    queue.close()
+
+
+def test_other_modules_in_the_folder_are_not_taken(tmp_path, header, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("gateway", "json"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit(9)")
+    queue = VisitQueue(Path("run.h5"), header, ARM_HEADER, None)
+    queue.add("main", visit())
+    queue.finish("main", "success", "", {})
+    queue.close()
+    assert len(read(tmp_path / "run.h5").arms[0].visits) == 1
+
+
+def _forked(path: Path, header: RecordingHeader) -> None:
+    queue = VisitQueue(path, header, ARM_HEADER, None)
+    queue.add("main", visit())
+    queue.finish("main", "success", "", {})
+    queue.close()
+    os._exit(0)
+
+
+def test_a_forked_master_records(tmp_path, header):
+    master = multiprocessing.get_context("fork").Process(target=_forked, args=(tmp_path / "run.h5", header))
+    master.start()
+    master.join(10.0)
+    assert master.exitcode == 0
+    assert len(read(tmp_path / "run.h5").arms[0].visits) == 1
+
+
+def _script(path: Path, body: str) -> list[str]:
+    head = f"""
+        from functools import partial
+        from pathlib import Path
+        from gateway.cell.config import load_cell
+        from gateway.data.recording.queue import VisitQueue
+        from tests import visits as t
+        write = partial(t.write_slowly, 0.02)
+        queue = VisitQueue(Path({str(path)!r}), t.header_of(load_cell(t.CELL)), t.ARM_HEADER, None, write=write)
+        """
+    return [sys.executable, "-c", textwrap.dedent(head) + textwrap.dedent(body)]
+
+
+def test_a_killed_master_loses_nothing_it_had_told(tmp_path):
+    path = tmp_path / "run.h5"
+    body = """
+        import time
+        print(queue._process.pid, flush=True)
+        for n in range(10_000):
+            while queue.full:
+                print(*[v.number for v in queue.written()], flush=True)
+                time.sleep(0.001)
+            queue.add("main", t.visit(1 + n % 3, -1, seed=n, samples=100))
+        """
+    master = subprocess.Popen(_script(path, body), stdout=subprocess.PIPE, text=True, cwd=ROOT)
+    assert master.stdout is not None
+    with master.stdout as told:
+        writer, reported = int(told.readline()), 0
+        while reported < 6:
+            with suppress(IndexError):
+                reported = int(told.readline().split()[-1])
+        master.kill()
+        reported = max([reported, *(int(number) for number in told.read().split())])
+    master.wait()
+    assert gone(writer)
+    numbers = [each.number for each in read(path).arms[0].visits]
+    assert len(numbers) >= reported
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert [each.name for each in tmp_path.iterdir()] == [path.name]
+
+
+def test_closed_standard_streams_do_not_matter(tmp_path):
+    path = tmp_path / "run.h5"
+    body = """
+        import os
+        queue.add("main", t.visit())
+        for stream in (0, 1, 2):
+            try:
+                os.write(stream, b"noise")
+            except OSError:
+                pass
+        queue.finish("main", "success", "", {})
+        queue.close()
+        """
+    words = _script(path, body)
+    done = subprocess.run(["/bin/sh", "-c", 'exec "$0" "$@" <&- >&- 2>&-', *words], cwd=ROOT, check=False, timeout=20)
+    assert done.returncode == 0
+    assert len(read(path).arms[0].visits) == 1

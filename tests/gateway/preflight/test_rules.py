@@ -1,0 +1,272 @@
+"""Rules of the pre-flight check, on readings written down by hand."""
+
+import math
+
+import pytest
+
+from drives.instrument import InstrumentSetup
+from drives.objects import OBJECTS
+from drives.profile_file import load_profile, parse_profile
+from drives.values import Identity
+from gateway.cell.config import ArmConfig, BusConfig
+from gateway.preflight.limits import judge_limits
+from gateway.preflight.look_over import addresses, judge_bus_load, live_addresses
+from gateway.preflight.rules import Axis, judge_axis, judge_identity, judge_settings, judge_state
+
+PROFILE = load_profile("generic-cia402")
+COUNTS = 65536
+GOOD = {
+    "statusword": 0x0640,
+    "max_torque": 3000,
+    "position": 0,
+    "position_limit_min": 0,
+    "position_limit_max": 0,
+    "polarity": 0,
+    "encoder_increments": COUNTS,
+    "encoder_revolutions": 1,
+    "gear_motor_revolutions": 1,
+    "gear_shaft_revolutions": 1,
+    "torque_offset": 0,
+    "abort_connection_option": 1,
+    "consumer_heartbeat": 0,
+    "supported_modes": 0x3ED,
+    "rated_torque": 1270,
+    "torque": 12,
+}
+
+
+def axis_table(**changes):
+    return {
+        "node_id": 1,
+        "profile": "generic-cia402",
+        "torque_constant_nm_per_a": {"value": 0.31, "source": "datasheet p. 2"},
+        "gear_ratio": {"value": 100, "source": "datasheet p. 7"},
+        "gear_efficiency": {"value": 0.8, "source": "assumed"},
+        "position_limit_rad": [-2.0, 2.0],
+        "speed_limit_rad_s": 0.5,
+        "torque_limit_nm": 200.0,
+    } | changes
+
+
+def arm(**changes):
+    axes = [axis_table(node_id=joint, **(changes if joint == 1 else {})) for joint in range(1, 7)]
+    return ArmConfig.model_validate({"name": "main", "bus": "a", "robot": "r.urdf", "axis": axes})
+
+
+def axis(config=None, profile=PROFILE):
+    return Axis(1, (config or arm()).axis[0], profile)
+
+
+def readings(**changes):
+    return {OBJECTS[name].address: value for name, value in (GOOD | changes).items()}
+
+
+def worst(items):
+    return [item for item in items if item.severity == "fail"]
+
+
+def test_a_healthy_drive_passes_every_rule():
+    items = judge_axis(axis(), readings())
+    assert not [item for item in items if item.severity in ("warn", "fail")]
+    assert not worst(judge_limits(axis(), arm(), readings()))
+
+
+@pytest.mark.parametrize(
+    ("changes", "severity", "says"),
+    [
+        ({"statusword": 0x0008}, "fail", "FAULT"),
+        ({"statusword": 0x0637}, "warn", "OPERATION ENABLED"),
+        ({"statusword": None}, "fail", "no statusword"),
+        ({"supported_modes": 0x2D}, "fail", "no cyclic synchronous position"),
+        ({"rated_torque": 0}, "fail", "every torque would be zero"),
+        ({"rated_torque": None}, "fail", "missing"),
+        ({"torque": None}, "fail", "does not have the torque object"),
+        ({"max_torque": 0}, "fail", "gives no torque"),
+        ({"rated_torque": 1_270_000}, "fail", "another unit"),
+        ({"max_torque": 500}, "warn", "saturate"),
+        ({"polarity": 0xC0}, "fail", "turned round"),
+        ({"gear_motor_revolutions": 100}, "fail", "gear ratio of its own"),
+        ({"feed_constant_feed": 360_000, "feed_constant_revolutions": 1}, "fail", "feed of its own"),
+        ({"position_offset": -5}, "fail", "added to every target"),
+        ({"positive_torque_limit": 0}, "fail", "gives no torque"),
+        ({"negative_torque_limit": 500}, "warn", "64 Nm at the joint"),
+        ({"max_current": 0}, "fail", "gives no torque"),
+        ({"max_current": 500, "rated_current": 4000}, "warn", "62 Nm at the joint"),
+        ({"encoder_increments": 0}, "fail", "encoder resolution"),
+        ({"torque_offset": 30}, "warn", "added to the torque"),
+        ({"consumer_heartbeat": None}, "fail", "master is gone"),
+        ({"abort_connection_option": None}, "fail", "master is gone"),
+    ],
+)
+def test_each_rule_says_what_is_wrong_and_what_to_do(changes, severity, says):
+    items = [item for item in judge_axis(axis(), readings(**changes)) if item.severity == severity]
+    assert any(says in f"{item.what} {item.advice}" for item in items)
+    assert all(item.advice for item in items)
+    assert all(item.where.startswith("J1 node 1") for item in items)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"feed_constant_feed": 1, "feed_constant_revolutions": 1},
+        {"feed_constant_feed": COUNTS, "feed_constant_revolutions": 1},
+        {"feed_constant_feed": None, "feed_constant_revolutions": None},
+        {"position_offset": 0},
+        {"positive_torque_limit": 3000, "negative_torque_limit": 3000},
+        # 0.31 Nm/A, 4 A, ratio 100: 1000 per mille are 124 Nm, the cell allows 200
+        {"max_current": 1700, "rated_current": 4000},
+        {"max_current": 1700},
+    ],
+)
+def test_settings_that_are_in_order_say_nothing(changes):
+    assert not [item for item in judge_axis(axis(), readings(**changes)) if item.severity in ("warn", "fail")]
+
+
+def test_the_state_is_apart_from_the_settings_since_enabling_refuses_it_in_words_of_its_own():
+    found = readings(statusword=0x0008, rated_torque=0, polarity=0xC0)
+    assert [item.where.split(" (")[1] for item in worst(judge_state(axis(), found))] == ["statusword)", "rated_torque)"]
+    assert [item.where.split(" (")[1] for item in worst(judge_settings(axis(), found))] == ["polarity)"]
+
+
+def test_modes_that_are_not_told_are_no_failure():
+    assert not worst(judge_axis(axis(), readings(supported_modes=None)))
+
+
+@pytest.mark.parametrize("nature", ["demand", "unknown"])
+def test_a_torque_that_is_not_measured_is_refused(nature):
+    text = PROFILE.text.replace('nature = "measured"', f'nature = "{nature}"', 1)
+    found = worst(judge_axis(axis(profile=parse_profile(text, "p.toml")), readings()))
+    assert any(nature in item.what and "cannot be estimated" in item.what for item in found)
+
+
+STO = """[[safety]]
+what = "safe torque off"
+object = { index = 0x60FD, type = "u32" }
+mask = 0x00030000
+good = 0x00010000
+
+[reference]
+object = { index = 0x2010, type = "u16" }
+mask = 1
+good = 1
+
+[[emcy]]
+"""
+
+
+@pytest.mark.parametrize(
+    ("inputs", "referenced", "says"),
+    [
+        (0xFF01_0000, 1, []),
+        (0xFF03_0000, 1, ["safe torque off"]),
+        (0, 0, ["safe torque off", "not referenced"]),
+        (None, 1, ["does not have the object"]),
+    ],
+)
+def test_safety_chain_and_reference_where_the_profile_names_them(inputs, referenced, says):
+    text = "".join(line for line in PROFILE.text.splitlines(keepends=True) if not line.startswith("eds ="))
+    profile = parse_profile(text.replace("[[emcy]]\n", STO, 1), "p.toml")
+    found = readings() | {(0x60FD, 0): inputs, (0x2010, 0): referenced}
+    failing = worst(judge_state(axis(profile=profile), found))
+    assert len(failing) == len(says)
+    assert all(text in item.what and item.advice for text, item in zip(says, failing, strict=True))
+    assert {(0x60FD, 0), (0x2010, 0)} <= addresses(profile).keys()
+    assert {(0x60FD, 0), (0x2010, 0)} <= live_addresses(profile)
+
+
+def test_limit_of_the_drive_in_joint_torque():
+    # 0.5 of 1.27 Nm over a ratio of 100 is 63.5 Nm
+    item = next(item for item in judge_axis(axis(), readings(max_torque=500)) if "max_torque" in item.where)
+    assert "64 Nm at the joint" in item.what
+
+
+def identity(**changes):
+    values = {
+        "node_id": 1,
+        "device_type": 0x00020192,
+        "vendor_id": 2,
+        "product_code": 7,
+        "revision": 0x10000,
+        "serial_number": 5,
+        "name": "drive",
+        "hardware_version": "1",
+        "software_version": "2.3",
+    }
+    return Identity(**(values | changes))
+
+
+def test_identity_against_the_profile():
+    beckhoff = load_profile("beckhoff-el72x1")
+    assert not worst(judge_identity(axis(profile=beckhoff), identity()))
+    wrong = worst(judge_identity(axis(profile=beckhoff), identity(vendor_id=9)))
+    assert len(wrong) == 1
+    assert "vendor id" in wrong[0].what
+    assert worst(judge_identity(axis(), identity(device_type=0x00030191)))
+    assert "firmware 2.3" in judge_identity(axis(), identity())[-1].what
+
+
+def test_where_the_joint_stands():
+    # q = p / N: 1.5 rad at the joint is 150 rad at the motor
+    counts = round(150 / (2 * math.pi) * COUNTS)
+    assert not worst(judge_limits(axis(), arm(), readings(position=counts)))
+    outside = worst(judge_limits(axis(), arm(), readings(position=2 * counts)))
+    assert "3.000 rad" in outside[0].what
+
+
+def test_where_the_joint_stands_with_sign_and_offset():
+    config = arm(position_sign=-1, zero_offset_rad=0.25)
+    counts = round(100 / (2 * math.pi) * COUNTS)
+    item = judge_limits(axis(config), config, readings(position=counts))[0]
+    assert "stands at -0.750 rad" in item.what
+
+
+def test_software_limits_narrower_than_the_cell_fail():
+    end = round(150 / (2 * math.pi) * COUNTS)
+    narrow = worst(judge_limits(axis(), arm(), readings(position_limit_min=-end, position_limit_max=end)))
+    assert "drive -1.500 to 1.500 rad" in narrow[0].what
+    wide = judge_limits(axis(), arm(), readings(position_limit_min=-2 * end, position_limit_max=2 * end))
+    assert not worst(wide)
+
+
+def test_a_position_range_that_ends_inside_the_cells_limits_fails():
+    """0x607B: at its end the position jumps by the whole range."""
+    end = round(150 / (2 * math.pi) * COUNTS)
+    narrow = worst(judge_limits(axis(), arm(), readings(position_range_min=-end, position_range_max=end)))
+    assert "drive -1.500 to 1.500 rad" in narrow[0].what
+    assert "607B:01" in narrow[0].where
+    wide = readings(position_range_min=-(2**31), position_range_max=2**31 - 1)
+    assert not worst(judge_limits(axis(), arm(), wide))
+    assert not worst(judge_limits(axis(), arm(), readings(position_range_min=0, position_range_max=0)))
+
+
+@pytest.mark.parametrize(("joint_rad", "severity"), [(0.1, "ok"), (0.39, "ok"), (0.41, "warn"), (0.0, "warn")])
+def test_following_error_window_against_four_times_the_cells(joint_rad, severity):
+    window = round(100 * joint_rad / (2 * math.pi) * COUNTS)
+    items = judge_limits(axis(), arm(), readings(following_error_window=window))
+    (item,) = [item for item in items if "following_error_window" in item.where]
+    assert item.severity == severity
+
+
+@pytest.mark.parametrize(
+    ("period_s", "pacing", "severity", "percent"),
+    [(0.004, "real", "ok", 62), (0.002, "real", "fail", 124), (0.002, "lockstep", "warn", 124)],
+)
+def test_bus_load_of_six_drives_with_two_tpdos_each(period_s, pacing, severity, percent):
+    # SYNC 55 bits, 18 frames of 8 bytes or 6: 6 x (RPDO 8 B 135 + TPDO1 8 B 135 + TPDO2 6 B 115) + 55 = 2365 bits
+    config = BusConfig(interface="virtual", channel="c", sync_period_s=period_s, pacing=pacing)
+    item = judge_bus_load(config, [(node, PROFILE) for node in range(1, 7)])
+    assert item.severity == severity
+    bits = 6 * (135 + 135 + 115) + 55
+    assert f"planned {100 * bits / (period_s * 1e6):.0f} %" in item.what
+    assert abs(100 * bits / (period_s * 1e6) - percent) < 6
+    assert bool(item.advice) == (severity != "ok")
+
+
+def test_bus_load_counts_a_measuring_device():
+    """Six values of 32 bits in three frames of 8 bytes, six status bytes in one of 6: 3 x 135 + 115 bits."""
+    config = BusConfig(interface="virtual", channel="c", sync_period_s=0.004, pacing="real")
+    device = InstrumentSetup(20, 0x9130, "i32", (1, 2, 3, 4, 5, 6), 1e-6, status_index=0x6150)
+    item = judge_bus_load(config, [(node, PROFILE) for node in range(1, 7)], [device])
+    bits = 6 * (135 + 135 + 115) + 55 + 3 * 135 + 115
+    assert f"planned {100 * bits / 4000:.0f} %" in item.what
+    assert item.severity == "fail"

@@ -1,0 +1,137 @@
+"""Units and frames of every export format, against numbers worked out by hand."""
+
+import json
+import re
+import xml.etree.ElementTree as ElementTree
+
+import pytest
+
+from gateway.errors import ConfigError, DataUnusable
+from gateway.result.export import FORMATS, export
+
+LOAD = {
+    "label": "gripper 2",
+    "mass_kg": 12.5,
+    "mass_std_kg": 0.05,
+    "com_m": [0.01, -0.02, 0.18],
+    "com_std_m": [0.001, 0.001, 0.002],
+    "frame": "link_6",
+    "com_flange_m": [0.01, -0.02, 0.08],
+    "unidentifiable": [],
+}
+
+
+def result(**changes):
+    return {"schema": 1, "robot": "small", "loads": [LOAD | changes]}
+
+
+def test_abb_is_kilogram_and_millimetre_in_the_wrist_frame():
+    line = [line for line in export(result(), "abb").splitlines() if line.startswith("PERS")]
+    assert line == ["PERS loaddata gripper_2:=[12.500,[10.00,-20.00,80.00],[1,0,0,0],0,0,0];"]
+
+
+def test_kuka_is_kilogram_millimetre_and_degrees_in_the_flange_frame():
+    text = export(result(), "kuka")
+    aggregate = "{M 12.500,CM {X 10.00,Y -20.00,Z 80.00,A 0.0,B 0.0,C 0.0},J {X 0.0,Y 0.0,Z 0.0}}"
+    assert f"LOAD_DATA[1]={aggregate}" in text.splitlines()
+    assert f"$LOAD={aggregate}" in text
+
+
+def test_ur_is_kilogram_and_metre_in_the_tool_flange_frame():
+    assert "  set_target_payload(12.500, [0.01000, -0.02000, 0.08000])" in export(result(), "ur").splitlines()
+
+
+def test_urdf_inertial_reads_back():
+    root = ElementTree.fromstring(export(result(), "urdf"))  # noqa: S314 - own text
+    inertial = root.find("link/inertial")
+    assert [float(x) for x in inertial.find("origin").get("xyz").split()] == [0.01, -0.02, 0.08]
+    assert float(inertial.find("mass").get("value")) == 12.5
+    assert {float(value) for value in inertial.find("inertia").attrib.values()} == {0.0}
+    assert root.find("joint/parent").get("link") == "flange"
+
+
+def test_urdf_and_json_fall_back_to_link_6_and_say_so():
+    load = {key: value for key, value in LOAD.items() if key != "com_flange_m"}
+    body = {"schema": 1, "robot": "small", "loads": [load]}
+    root = ElementTree.fromstring(export(body, "urdf"))  # noqa: S314 - own text
+    assert root.find("joint/parent").get("link") == "link_6"
+    assert root.find("link/inertial/origin").get("xyz") == "0.010000 -0.020000 0.180000"
+    only = json.loads(export(body, "json"))["loads"][0]
+    assert (only["frame"], only["com_m"], only["inertia_kg_m2"]) == ("link_6", LOAD["com_m"], None)
+
+
+def test_fanuc_is_kilogram_and_centimetre_in_the_faceplate_frame():
+    lines = [
+        line.split(":", 1)[1].strip() for line in export(result(), "fanuc").splitlines() if re.match(r" +\d+:", line)
+    ]
+    assert all(line.endswith(" ;") for line in lines)
+    told = [line.removesuffix(" ;") for line in lines if line.startswith("$")]
+    assert told == [
+        "$PLST_GRP1[1].$PAYLOAD=12.500",
+        "$PLST_GRP1[1].$PAYLOAD_X=1.000",
+        "$PLST_GRP1[1].$PAYLOAD_Y=(-2.000)",
+        "$PLST_GRP1[1].$PAYLOAD_Z=8.000",
+        "$PLST_GRP1[1].$PAYLOAD_IX=0",
+        "$PLST_GRP1[1].$PAYLOAD_IY=0",
+        "$PLST_GRP1[1].$PAYLOAD_IZ=0",
+    ]
+    assert all(len(line.removesuffix(" ;")) <= 33 for line in lines if line.startswith("!"))
+
+
+def test_fanuc_fills_a_schedule_per_load_without_motion():
+    body = {"schema": 1, "robot": "r", "loads": [LOAD, LOAD | {"label": "b;\nL P[1] 100% FINE", "mass_kg": 3.0}]}
+    text = export(body, "fanuc")
+    assert "$PLST_GRP1[2].$PAYLOAD=3.000" in text
+    assert "DEFAULT_GROUP = *,*,*,*,*;" in text
+    numbers = [int(line.split(":")[0]) for line in text.splitlines() if re.match(r" +\d+:", line)]
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert not re.search(r"^ +\d+: +[JL] ", text, flags=re.MULTILINE)
+
+
+def test_yaskawa_is_kilogram_and_millimetre_from_the_mounting_plate():
+    text = export(result(), "yaskawa")
+    # the format is JSON with comments and bare keys: give it quotes, then read it back
+    plain = "\n".join(line for line in text.splitlines() if not line.strip().startswith("//"))
+    body = json.loads(re.sub(r"(\w+):", r'"\1":', plain))
+    (preset,) = body["presets"]
+    assert (body["filetype"], preset["preset"]) == ("presets", "tool")
+    assert (preset["weight"], preset["com"], preset["moi"]) == (12.5, [10.0, -20.0, 80.0], [0.0, 0.0, 0.0])
+    assert preset["displayNames"] == {"en": "gripper_2"}
+
+
+@pytest.mark.parametrize("fmt", ["abb", "kuka", "ur", "fanuc", "yaskawa"])
+def test_a_controller_needs_the_flange(fmt):
+    load = {key: value for key, value in LOAD.items() if key != "com_flange_m"}
+    with pytest.raises(ConfigError, match="flange_xyz_m"):
+        export({"schema": 1, "robot": "small", "loads": [load]}, fmt)
+
+
+@pytest.mark.parametrize("fmt", sorted(FORMATS))
+def test_what_was_not_identified_is_refused(fmt):
+    gap = [0.01, None, 0.1]
+    with pytest.raises(DataUnusable, match="com along gravity"):
+        export(result(com_m=gap, com_flange_m=gap, unidentifiable=["com along gravity"]), fmt)
+    with pytest.raises(DataUnusable, match="rows 9 and 10"):
+        export(result(mass_kg=None, refused="rows 9 and 10 have the wrong sign"), fmt)
+
+
+@pytest.mark.parametrize("fmt", sorted(FORMATS))
+def test_inertia_is_said_to_be_unknown(fmt):
+    assert "inertia not measured" in export(result(), fmt)
+
+
+@pytest.mark.parametrize("fmt", sorted(FORMATS))
+def test_a_label_cannot_leave_its_comment(fmt):
+    text = export(result(label="a\nMoveJ p10 -- <b>"), fmt)
+    assert not re.search(r"^MoveJ", text, flags=re.MULTILINE)
+
+
+def test_refused_loads_are_left_out_unless_named():
+    body = {"schema": 1, "robot": "r", "loads": [LOAD, LOAD | {"label": "b", "mass_kg": None, "refused": "why"}]}
+    assert export(body, "kuka").count("LOAD_DATA[") == 1
+    with pytest.raises(DataUnusable, match="why"):
+        export(body, "kuka", "b")
+    with pytest.raises(ConfigError, match="gripper 2, b"):
+        export(body, "kuka", "c")
+    with pytest.raises(ConfigError, match="choose one of"):
+        export(body, "staubli")
