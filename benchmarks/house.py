@@ -17,27 +17,25 @@ from typing import Final
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 PACKAGES: Final = ("drives", "gateway", "sim")
-#: Rooms from the ground up. A file of the root of `gateway` is a room of its own; what is not named here stands on top.
+#: Rooms of the gateway from the ground up.
 FLOORS: Final = (
-    ("drives",),
-    ("gateway.errors",),
-    ("gateway.cell",),
-    ("gateway.data",),
-    ("gateway.model",),
-    ("gateway.identify",),
-    ("gateway.result",),
-    ("gateway.estimate",),
-    ("gateway.diagnose",),
-    ("gateway.feedforward",),
-    ("gateway.report",),
-    ("gateway.analyse",),
-    ("gateway.preflight",),
-    ("gateway.motion",),
-    ("gateway.acquire",),
-    ("gateway.check",),
-    ("gateway.follow", "gateway.pair"),
-    ("gateway.commands",),
-    ("gateway.cli",),
+    ("errors",),
+    ("cell",),
+    ("data",),
+    ("model",),
+    ("result",),
+    ("estimate",),
+    ("diagnose",),
+    ("feedforward",),
+    ("report",),
+    ("analyse",),
+    ("preflight",),
+    ("motion",),
+    ("acquire",),
+    ("check",),
+    ("follow", "pair"),
+    ("commands",),
+    ("cli",),
 )
 
 
@@ -127,7 +125,7 @@ def circles(edges: Iterable[tuple[str, str]]) -> list[list[str]]:
 
 def upward(house: House) -> list[tuple[str, str]]:
     """Imports of a module of a higher floor by one of a lower floor; rooms that `FLOORS` does not name are left out."""
-    floor = {name: number for number, names in enumerate(FLOORS) for name in names}
+    floor = {f"gateway.{name}": number for number, names in enumerate(FLOORS) for name in names}
     return sorted(
         (start, end)
         for start, end in house.imports
@@ -138,7 +136,7 @@ def upward(house: House) -> list[tuple[str, str]]:
 def figures(house: House) -> dict[str, dict]:
     """Numbers, each with what it counts."""
     rooms = {(room(start), room(end)) for start, end in house.imports if room(start) != room(end)}
-    named = {name for names in FLOORS for name in names} | {"sim", "gateway"}
+    named = {f"gateway.{name}" for names in FLOORS for name in names} | {"drives", "gateway", "sim"}
     bare = sorted({room(module) for module in house.lines} - named)
     at_root = [name for name in house.lines if room(name) == name and name.startswith("gateway.") and _is_file(name)]
     found: dict[str, dict] = {}

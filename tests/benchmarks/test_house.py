@@ -1,0 +1,60 @@
+"""The house stands as it is drawn: no circle, nothing imports upwards, no name twice."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from benchmarks.house import FLOORS, ROOT, House, circles, figures, read_house, upward
+
+
+@pytest.fixture(scope="module")
+def found() -> dict[str, dict]:
+    return figures(read_house())
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "files at the root of gateway",
+        "circles of imports between rooms",
+        "imports from a lower room to a higher one",
+        "rooms that have no floor",
+        "public class names used twice",
+    ],
+)
+def test_house_stands_as_drawn(found: dict[str, dict], name: str) -> None:
+    allowed = 2 if name == "files at the root of gateway" else 0
+    assert found[name]["value"] == allowed, found[name]["list"]
+
+
+def test_groups_that_reach_each_other_are_circles() -> None:
+    edges = [("a", "b"), ("b", "c"), ("c", "a"), ("c", "d"), ("d", "e"), ("e", "d"), ("f", "a")]
+    assert circles(edges) == [["a", "b", "c"], ["d", "e"]]
+
+
+def test_import_of_a_higher_room_is_found() -> None:
+    edges = frozenset({("gateway.model.robot", "gateway.report.view"), ("gateway.report.view", "gateway.model.robot")})
+    assert upward(House({}, edges, {})) == [("gateway.model.robot", "gateway.report.view")]
+
+
+def test_modules_of_a_folder_are_read_with_their_imports(tmp_path: Path) -> None:
+    for name, text in {
+        "drives/a.py": "class Thing:\n    pass\n",
+        "gateway/b.py": "def late():\n    from drives import a\n",
+        "sim/c/__init__.py": "from drives.a import Thing\nclass Thing:\n    pass\nclass _Own:\n    pass\n",
+    }.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    house = read_house(tmp_path)
+    assert house.imports == {("gateway.b", "drives.a"), ("sim.c", "drives.a")}
+    assert house.classes == {"Thing": ("drives.a", "sim.c")}
+    assert house.lines == {"drives.a": 2, "gateway.b": 2, "sim.c": 5}
+
+
+def test_floors_are_those_that_the_linter_holds() -> None:
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    layers = next(each["layers"] for each in contracts if each["type"] == "layers")
+    assert [tuple(layer.split(" : ")) for layer in reversed(layers)] == list(FLOORS)
