@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.pair.adjust import Adjustment, AdjustmentRule
 from gateway.model.robot import Robot, robot_from_dh, with_flange
-from gateway.pair.adjust import Adjustment, AdjustmentRule
 from gateway.pair.calibration import PairCalibration, PathWrenches
 from gateway.pair.controller import CycleSummary, PairController
 from gateway.pair.embodiments import Embodiment

@@ -12,12 +12,13 @@ from typing import Any
 from drives.errors import ProfileError
 from drives.profile import DriveProfile
 from drives.profile_file import load_profile, parse_profile
-from gateway.analyse.given import RECORDING_SUFFIXES, Given
+from gateway.analyse.given import Given
 from gateway.cell.provenance import provenance
+from gateway.data.reading import is_recording
 from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.data.table import Table
 from gateway.report.collect import drawn_poses, flange_spread
-from gateway.result.result import Result, to_dict
+from gateway.result.result import Finding, Result, to_dict
 
 FRESH = "fresh"
 
@@ -59,9 +60,17 @@ def complete(result: Result, about: Given, table: Table, paths: Sequence[Path]) 
     constants = _provenance(about)
     return replace(
         result,
+        findings=(*result.findings, *_corrected(about)),
         provenance={**constants, **result.provenance},
         extra={**result.extra, "data": {key: value for key, value in (data | earlier).items() if value is not None}},
     )
+
+
+def _corrected(about: Given) -> list[Finding]:
+    """Constants that were corrected since the recording."""
+    return [
+        Finding("info", f"J{each.joint}", f"{each}: worked out anew with the cell's", "") for each in about.corrections
+    ]
 
 
 def as_json(result: Result) -> dict[str, Any]:
@@ -93,7 +102,7 @@ def _cell_of(recordings: Sequence[Recording]) -> str | None:
 def _source(path: Path, recordings: Sequence[Recording], table: Table) -> dict[str, Any]:
     count = sum(name == str(path) for name in table.file)
     entry: dict[str, Any] = {"file": str(path), "kind": "measured table", "visits": count}
-    if path.suffix.lower() in RECORDING_SUFFIXES:
+    if is_recording(path):
         recording = next(item for item in recordings if item.path == path)
         entry |= {"kind": "recording", "exit_status": recording.exit_status, "created": recording.created}
     return entry

@@ -10,18 +10,20 @@ from typing import Any
 import numpy as np
 
 from gateway.cell.config import ArmConfig, LoadedCell, load_cell
-from gateway.data.reading import read_data
+from gateway.cell.conversion import AxisConversion
+from gateway.data.reading import is_recording, read_data
+from gateway.data.recording.binding import Bound, Correction, bind, refuse_other_drives
 from gateway.data.recording.reader import read
-from gateway.data.recording.recorded import Recording
+from gateway.data.recording.recorded import Recording, arm_config
 from gateway.data.table import Table
 from gateway.errors import ConfigError, InputError
 from gateway.estimate.options import EstimateOptions, default_inertials
+from gateway.estimate.posture import refuse_other_bare
 from gateway.model.arm_model import arm_named, arm_robot, robot_from_text
+from gateway.model.kinematics import STANDARD_GRAVITY_M_S2, kinematic_difference
 from gateway.model.robot import Robot, robot_from_urdf
 from gateway.result.result import Bare, from_json
 
-RECORDING_SUFFIXES = (".h5", ".hdf5")
-STANDARD_GRAVITY_M_S2 = (0.0, 0.0, -9.80665)
 VALIDATION = "x_validation"
 Load = tuple[float, float, float, float]
 
@@ -65,6 +67,9 @@ class Given:
         Of the cell, where there is one.
     loaded : LoadedCell or None
     recordings : tuple of Recording
+        Of that arm, converted with the constants that hold.
+    corrections : tuple of Correction
+        Constants that were corrected since a recording was made.
     """
 
     robot: Robot | None
@@ -77,6 +82,7 @@ class Given:
     arm: ArmConfig | None
     loaded: LoadedCell | None
     recordings: tuple[Recording, ...]
+    corrections: tuple[Correction, ...] = ()
 
     @property
     def model(self) -> Robot:
@@ -95,30 +101,66 @@ class Given:
 
 
 def given(request: ModelRequest, paths: Sequence[Path]) -> Given:
-    """Collect what the options and the recordings among the data say.
+    """Collect what the options and the recordings among the data say, and bind the recordings to their arm.
 
     Raises
     ------
     ConfigError
-        A robot or cell file that cannot be used.
+        A robot or cell file that cannot be used, or several arms and none was named.
     InputError
-        A recording or a stored bare identification that cannot be used.
+        A recording or a stored bare identification that cannot be used, or that was made with another arm.
     """
-    recordings = tuple(read(path) for path in paths if path.suffix.lower() in RECORDING_SUFFIXES and path.exists())
+    read_ones = tuple(read(path) for path in paths if is_recording(path))
     loaded = None if request.cell is None else load_cell(request.cell)
-    arm, robot = _arm_and_robot(request, loaded, recordings)
+    arm, robot = _arm_and_robot(request, loaded, read_ones)
+    bound = () if arm is None else _bound(read_ones, arm, robot, loaded)
+    gravity_m_s2 = STANDARD_GRAVITY_M_S2 if arm is None else arm.gravity_m_s2
+    bare = None if request.bare is None else read_bare(request.bare)
+    if bare is not None and robot is not None:
+        refuse_other_bare(bare, robot, gravity_m_s2)
     return Given(
         robot=robot,
-        gravity_m_s2=STANDARD_GRAVITY_M_S2 if arm is None else arm.gravity_m_s2,
+        gravity_m_s2=gravity_m_s2,
         efficiency=np.ones(6) if arm is None else np.array([axis.gear_efficiency.value for axis in arm.axis]),
         gear_ratio=np.full(6, np.nan) if arm is None else np.array([axis.gear_ratio.value for axis in arm.axis]),
         inertials=request.inertials or (None if arm is None else arm.inertials),
         known=dict(request.known),
-        bare=None if request.bare is None else read_bare(request.bare),
+        bare=bare,
         arm=arm,
         loaded=loaded,
-        recordings=recordings,
+        recordings=tuple(each.recording for each in bound),
+        corrections=tuple(dict.fromkeys(correction for each in bound for correction in each.corrections)),
     )
+
+
+def _bound(
+    recordings: Sequence[Recording], arm: ArmConfig, robot: Robot | None, loaded: LoadedCell | None
+) -> list[Bound]:
+    """Recordings under the given cell, else under that of the first; what another arm has measured is refused."""
+    bound: list[Bound] = []
+    for recording in recordings:
+        bound.append(bind(recording, recordings[0].cell if loaded is None else loaded.cell, arm))
+        if loaded is None and bound[-1].corrections:
+            raise InputError(
+                f"{recording.path}: {bound[-1].corrections[0]}: {recordings[0].path.name} was recorded with another"
+                " constant; say by --cell which of them hold"
+            )
+        _refuse_other_kinematics(recording, arm, robot)
+    refuse_other_drives(recordings, arm.name)
+    return bound
+
+
+def _refuse_other_kinematics(recording: Recording, arm: ArmConfig, robot: Robot | None) -> None:
+    config = arm_config(recording.cell, arm.name, str(recording.path))
+    if robot is None or not (recording.robot_text or config.dh is not None):
+        return
+    recorded = robot_from_text(config, recording.robot_text, f"{recording.path}: robot")
+    difference = kinematic_difference(recorded, robot)
+    if difference:
+        raise InputError(
+            f"{recording.path}: was recorded with robot '{recorded.name}'; in robot '{robot.name}', {difference}; name"
+            " the cell or the robot that it was made with"
+        )
 
 
 def _arm_and_robot(
@@ -166,8 +208,9 @@ def read_bare(path: Path) -> Bare:
 
 
 def read_rows(paths: Sequence[Path], about: Given) -> Table:
-    """Rows of all data files."""
-    return read_data(paths, about.loaded)
+    """Rows of all data files, which `given` has been told of."""
+    axes = None if about.loaded is None or about.arm is None else AxisConversion.from_arm(about.arm)
+    return read_data(paths, about.recordings, axes)
 
 
 def estimate_options(about: Given) -> EstimateOptions:

@@ -17,11 +17,18 @@ from gateway.acquire.plan import SIDES, Plan, check_plan, plan_poses
 from gateway.acquire.poses import PoseRequest, feasible_postures
 from gateway.acquire.session import RecordRequest, make_plan, open_arm
 from gateway.analyse.complete import complete
-from gateway.analyse.given import Given, ModelRequest, diagnose_arguments, estimate_options, given, split_validation
+from gateway.analyse.given import (
+    Given,
+    ModelRequest,
+    diagnose_arguments,
+    estimate_options,
+    given,
+    read_rows,
+    split_validation,
+)
 from gateway.cell.config import ArmConfig
 from gateway.check.proofs import ensure_proven
 from gateway.commands.cell_context import CellContext
-from gateway.data.reading import read_data
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import ArmRecording
 from gateway.data.rest_pose import RestPose
@@ -186,7 +193,7 @@ class _Robot:
         """Everything measured so far."""
         job = self._job
         about = replace(given(ModelRequest(arm=job.arm.name), [job.recording]), loaded=job.context.loaded)
-        return about, read_data([job.recording], job.context.loaded)
+        return about, read_rows([job.recording], about)
 
     def _stored(self) -> ArmRecording | None:
         path = self._job.recording

@@ -5,36 +5,43 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from gateway.cell.config import LoadedCell
 from gateway.cell.conversion import AxisConversion
-from gateway.data.recording.reader import read
+from gateway.data.recording.recorded import Recording
 from gateway.data.table import Table, concatenate, read_csv, without_duplicates
 from gateway.errors import InputError
 
+RECORDING_SUFFIXES = (".h5", ".hdf5")
 
-def read_data(paths: Sequence[Path | str], cell: LoadedCell | None) -> Table:
+
+def read_data(paths: Sequence[Path | str], recordings: Sequence[Recording], axes: AxisConversion | None) -> Table:
     """Rows of all files; the same row in two files counts once.
 
     Parameters
     ----------
     paths : sequence of Path or str
         `.h5` recordings and `.csv` tables.
-    cell : LoadedCell or None
-        Its first arm converts motor torques and currents of tables; recordings carry their own cell.
+    recordings : sequence of Recording
+        Those among the paths, read and bound to their arm.
+    axes : AxisConversion or None
+        Converts motor torques and currents of tables.
 
     Raises
     ------
     InputError
         A file that cannot be used, an unknown kind of file, rows that contradict each other.
     """
-    axes = None if cell is None else AxisConversion.from_arm(cell.cell.arm[0])
-    return without_duplicates(concatenate([_read_one(Path(path), axes) for path in paths]))
+    by_path = {recording.path: recording for recording in recordings}
+    return without_duplicates(concatenate([_rows(Path(path), by_path, axes) for path in paths]))
 
 
-def _read_one(path: Path, axes: AxisConversion | None) -> Table:
-    suffix = path.suffix.lower()
-    if suffix == ".csv":
+def is_recording(path: Path) -> bool:
+    """Whether the name is that of a recording."""
+    return path.suffix.lower() in RECORDING_SUFFIXES
+
+
+def _rows(path: Path, recordings: dict[Path, Recording], axes: AxisConversion | None) -> Table:
+    if path.suffix.lower() == ".csv":
         return read_csv(path, axes)
-    if suffix in (".h5", ".hdf5"):
-        return read(path).table()
+    if is_recording(path):
+        return recordings[path].table()
     raise InputError(f"{path}: neither a recording (.h5) nor a measured table (.csv)")

@@ -8,6 +8,7 @@ postures need not be the same), or trusted inertials.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -80,7 +81,8 @@ def estimate_posture(visits: Visits, robot: Robot, options: EstimateOptions) -> 
 def _bare(visits: Visits, robot: Robot, options: EstimateOptions, base: BaseSet, labels: tuple[str, ...]) -> Bare:
     """What is known of the bare arm: stored, from bare rows of the data, or from trusted inertials."""
     if options.bare is not None:
-        return _matching(options.bare, robot, options, base)
+        refuse_other_bare(options.bare, robot, options.gravity_m_s2)
+        return options.bare
     if (visits.load == BARE_LABEL).any():
         problem = build_problem(visits.take(visits.load == BARE_LABEL), robot, replace(options, known={}))
         fit, prior = fit_problem(problem)
@@ -117,16 +119,22 @@ def _bare_from(robot: Robot, options: EstimateOptions, base: BaseSet, value: Flo
     )
 
 
-def _matching(bare: Bare, robot: Robot, options: EstimateOptions, base: BaseSet) -> Bare:
+def refuse_other_bare(bare: Bare, robot: Robot, gravity_m_s2: Sequence[float]) -> None:
+    """Refuse a stored bare identification of an arm of other kinematics or another gravity.
+
+    Raises
+    ------
+    InputError
+    """
+    base = rest_base(robot, tuple(gravity_m_s2))
     combination = np.asarray(bare.combination, dtype=float)
     same = combination.shape == base.combination.shape and np.allclose(combination, base.combination, atol=1e-4)
-    if not same or not np.allclose(bare.gravity_m_s2, options.gravity_m_s2, atol=1e-3):
+    if not same or not np.allclose(bare.gravity_m_s2, gravity_m_s2, atol=1e-3):
         raise InputError(
             f"--bare: it identified robot '{bare.robot}' with gravity {list(bare.gravity_m_s2)}, and its base"
-            f" parameters are not those of '{robot.name}' with {list(options.gravity_m_s2)}; use the bare run of the"
+            f" parameters are not those of '{robot.name}' with {list(gravity_m_s2)}; use the bare run of the"
             " same arm as it stands"
         )
-    return bare
 
 
 def _check(

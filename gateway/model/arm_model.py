@@ -23,7 +23,7 @@ def arm_named(loaded: LoadedCell, name: str | None = None) -> ArmConfig:
             return arm
     known = ", ".join(arm.name for arm in arms)
     asked = "no arm was named" if name is None else f"there is no arm '{name}'"
-    raise ConfigError(f"cell '{loaded.cell.name}': {asked}; it has {known}")
+    raise ConfigError(f"cell '{loaded.cell.name}': {asked}; it has {known}: name one by --arm")
 
 
 def robot_text(loaded: LoadedCell, arm: ArmConfig) -> str:

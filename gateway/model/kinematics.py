@@ -9,6 +9,8 @@ from gateway.model.robot import AXES, Robot
 
 Floats = NDArray[np.float64]
 STANDARD_GRAVITY_M_S2 = (0.0, 0.0, -9.80665)
+#: Kinematic calibration moves the axes of one arm by less; another arm, or another convention, is off by more.
+SAME_AXIS_M, SAME_AXIS_RAD = 3e-3, 5e-3
 
 
 def cross_matrix(vector: Floats) -> Floats:
@@ -68,6 +70,30 @@ def joint_axes_origins(robot: Robot, q_rad: Floats) -> tuple[Floats, Floats]:
     """Unit direction (n, 6, 3) of every joint axis and a point (n, 6, 3) on it [m], in the base frame."""
     frames = link_frames(robot, q_rad)
     return np.einsum("nijk,ik->nij", frames[:, :, :3, :3], robot.axis), frames[:, :, :3, 3]
+
+
+def kinematic_difference(first: Robot, second: Robot) -> str:
+    """What is different in the joint axes of two robots at q = 0, in words; empty where they are the same arm.
+
+    Lines are compared, not frames, wherever the base stands: a URDF and a table of Denavit-Hartenberg rows may describe
+    one arm.
+    """
+    zero = np.zeros((1, AXES))
+    (axes, points), (other_axes, other_points) = (joint_axes_origins(robot, zero) for robot in (first, second))
+    turned = np.linalg.norm(np.cross(axes[0], other_axes[0]), axis=1)
+    turned = np.where(
+        np.einsum("ij,ij->i", axes[0], other_axes[0]) < 0, np.pi - np.arcsin(np.minimum(turned, 1)), turned
+    )
+    across = np.eye(3) - axes[0][:, :, None] * axes[0][:, None, :]
+    apart = np.einsum("ijk,ik->ij", across, other_points[0] - points[0])
+    shift = np.linalg.lstsq(across.reshape(-1, 3), apart.ravel(), rcond=None)[0]
+    apart_m = np.linalg.norm(apart - across @ shift, axis=1)
+    for joint in range(AXES):
+        if turned[joint] > SAME_AXIS_RAD:
+            return f"axis {joint + 1} points {np.degrees(turned[joint]):.1f} degrees elsewhere"
+        if apart_m[joint] > SAME_AXIS_M:
+            return f"axis {joint + 1} lies {1e3 * apart_m[joint]:.0f} mm elsewhere"
+    return ""
 
 
 def gravity_in_link_6(

@@ -10,14 +10,12 @@ would let go of its share of the weight.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gateway.errors import ConfigError
-from gateway.pair.inverse import SINGULAR, ForwardChain
+from gateway.pair.inverse import SINGULAR
 from gateway.pair.transform import Floats, cross_matrix
 
 DAMPING = 0.02
@@ -30,17 +28,6 @@ class WrenchEstimate:
 
     wrench: Floats
     observable: np.ndarray
-
-
-def external_torque(measured_nm: ArrayLike, model_nm: ArrayLike, friction_nm: ArrayLike) -> Floats:
-    """What is left of the measured joint torque (..., 6) [Nm] after rigid body (gripper included) and friction."""
-    return np.asarray(measured_nm, dtype=float) - np.asarray(model_nm) - np.asarray(friction_nm)
-
-
-def still_band(external_nm: ArrayLike, band_nm: ArrayLike) -> Floats:
-    """External torque (..., 6) [Nm] at standstill: inside the friction band (6,) it is taken as zero."""
-    given = np.asarray(external_nm, dtype=float)
-    return np.where(np.abs(given) < np.asarray(band_nm), 0.0, given)
 
 
 def dead_band(value: ArrayLike, band: ArrayLike) -> Floats:
@@ -70,48 +57,6 @@ def wrench_from_torque(jacobian: ArrayLike, external_nm: ArrayLike) -> WrenchEst
     normal = matrix @ np.swapaxes(matrix, 1, 2) + damping
     wrench = np.asarray(-np.linalg.solve(normal, matrix @ torque[..., None])[..., 0], dtype=float)
     return WrenchEstimate(wrench, observable)
-
-
-class ForceEstimator:
-    """Wrench of one arm per control cycle, low-passed; None where it cannot be told.
-
-    Parameters
-    ----------
-    chain : ForwardChain
-        Nominal geometry of the arm, fingertip included.
-    cutoff_hz : float
-        Of the first-order low-pass.
-    dt_s : float
-
-    Raises
-    ------
-    ConfigError
-        Cut-off not between 0 and half the sampling rate.
-    """
-
-    def __init__(self, chain: ForwardChain, cutoff_hz: float, dt_s: float) -> None:
-        if not 0.0 < cutoff_hz < 0.5 / dt_s:
-            raise ConfigError(f"force filter: cut-off must lie between 0 and {0.5 / dt_s:.4g} Hz, got {cutoff_hz} Hz")
-        self._chain = chain
-        self._share = 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * dt_s)
-        self._state: Floats | None = None
-
-    def reset(self) -> None:
-        """Forget the filter's state."""
-        self._state = None
-
-    def update(self, q_rad: ArrayLike, external_nm: ArrayLike) -> Floats | None:
-        """Filtered wrench (6,) from joint positions (6,) [rad] and external torque (6,) [Nm]."""
-        jacobian = self._chain.poses(np.asarray(q_rad, dtype=float)[None])[1]
-        estimate = wrench_from_torque(jacobian, np.asarray(external_nm, dtype=float)[None])
-        if not estimate.observable[0] or not np.isfinite(estimate.wrench).all():
-            self._state = None
-            return None
-        sample = estimate.wrench[0]
-        before = sample if self._state is None else self._state
-        state = before + self._share * (sample - before)
-        self._state = state
-        return state.copy()
 
 
 def to_centre(w_r_b: ArrayLike, lever_m: ArrayLike) -> Floats:

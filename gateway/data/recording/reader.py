@@ -6,16 +6,14 @@ profile texts that are stored in the file.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from drives.errors import ProfileError
-from drives.profile_file import parse_profile
-from drives.scaling import Constants, motor_scale
+from drives.scaling import Constants
 from gateway.cell.config import ArmConfig, parse_cell
+from gateway.data.recording.binding import torque_units
 from gateway.data.recording.hdf5_text import Place, open_recording
 from gateway.data.recording.recorded import SIDES, ArmRecording, Recording, arm_config
 from gateway.data.recording.seal import refuse_damaged
@@ -84,7 +82,7 @@ def _arm(place: Place, config: ArmConfig, profiles: dict[str, str]) -> ArmRecord
     constants = tuple(_constants(place, item) for item in place.document("constants", list, []))
     if constants and len(constants) != 6:
         raise place.refuse("@constants", "constants of six drives expected")
-    units = _torque_units(place, config, profiles, constants) if constants else None
+    units = torque_units(config, profiles, constants, place.where()) if constants else None
     visits = place.inside("visits")
     read_visits = [_visit(visits.inside(name), _number(visits, name), units) for name in visits.names()]
     return ArmRecording(
@@ -104,24 +102,6 @@ def _constants(place: Place, item: Any) -> Constants:
         return Constants(**values)  # type: ignore[arg-type]
     except (AttributeError, TypeError, ValueError) as error:
         raise place.refuse("@constants", f"is damaged: {error}") from error
-
-
-def _torque_units(
-    place: Place, config: ArmConfig, profiles: dict[str, str], constants: Sequence[Constants]
-) -> np.ndarray:
-    """Motor torque (6,) [Nm] per bit of each torque word."""
-    units = []
-    for axis, read_from_drive in zip(config.axis, constants, strict=True):
-        text = profiles.get(axis.profile)
-        if not isinstance(text, str):
-            raise place.refuse("", f"the file holds no text of profile '{axis.profile}'")
-        try:
-            profile = parse_profile(text, axis.profile)
-            scale = motor_scale(profile, read_from_drive, axis.torque_constant_nm_per_a.value)
-        except ProfileError as error:
-            raise InputError(f"{place.where()}: {error}") from error
-        units.append(scale.torque_nm)
-    return np.array(units)
 
 
 def _poses(place: Place) -> tuple[RestPose, ...]:

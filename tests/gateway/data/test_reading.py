@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gateway.cell.config import load_cell
+from gateway.cell.conversion import AxisConversion
 from gateway.data.reading import read_data
 from gateway.data.recording.reader import read
 from gateway.data.table import write_csv
@@ -41,9 +42,9 @@ def path(tmp_path) -> Path:
 def test_mixed_data(path, tmp_path):
     table = read(path).table()
     write_csv(table, tmp_path / "export.csv")
-    back = read_data([tmp_path / "export.csv"], None)
+    back = read_data([tmp_path / "export.csv"], (), None)
     assert back.tau_nm == pytest.approx(table.tau_nm)
-    both = read_data([path, tmp_path / "export.csv"], None)
+    both = read_data([path, tmp_path / "export.csv"], [read(path)], None)
     assert len(both) == 6  # the same visits, once
 
 
@@ -51,14 +52,14 @@ def test_contradicting_files_are_refused(path, tmp_path):
     table = read(path).table()
     write_csv(replace(table, tau_nm=table.tau_nm + 1), tmp_path / "export.csv")
     with pytest.raises(InputError, match=r"export.csv:2: repeats .*run.h5:1 .* another tau_nm"):
-        read_data([path, tmp_path / "export.csv"], None)
+        read_data([path, tmp_path / "export.csv"], [read(path)], None)
 
 
 def test_unknown_kinds_and_no_data(tmp_path):
     with pytest.raises(InputError, match="neither a recording"):
-        read_data([tmp_path / "a.txt"], None)
+        read_data([tmp_path / "a.txt"], (), None)
     with pytest.raises(InputError, match="no measured data"):
-        read_data([], None)
+        read_data([], (), None)
 
 
 def test_tables_take_their_conversion_from_the_cell(tmp_path):
@@ -66,6 +67,6 @@ def test_tables_take_their_conversion_from_the_cell(tmp_path):
     (tmp_path / "t.csv").write_text(",".join(names) + "\n1,0,0,0,0,0,0,0.5\n")
     cell = load_cell(EXAMPLE)
     axis = cell.cell.arm[0].axis[1]
-    table = read_data([tmp_path / "t.csv"], cell)
+    table = read_data([tmp_path / "t.csv"], (), AxisConversion.from_arm(cell.cell.arm[0]))
     assert table.tau_nm[0, 1] == pytest.approx(0.5 * axis.gear_ratio.value * axis.torque_sign)
-    assert np.isnan(read_data([tmp_path / "t.csv"], None).tau_nm).all()
+    assert np.isnan(read_data([tmp_path / "t.csv"], (), None).tau_nm).all()

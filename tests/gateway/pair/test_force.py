@@ -7,16 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gateway.errors import ConfigError
 from gateway.model.robot import Robot
 from gateway.pair.calibration import PairCalibration, PathWrenches
 from gateway.pair.force import (
-    ForceEstimator,
     dead_band,
-    external_torque,
     share_of_part,
     split,
-    still_band,
     wrench_from_torque,
 )
 from gateway.pair.function import constant_function
@@ -41,7 +37,7 @@ def test_a_push_of_10_n_comes_back_with_its_sign(arm: Robot) -> None:
         power[i] = push[:3] @ moved / (2.0 * step)
     model, friction = np.linspace(-30.0, 40.0, 6), np.full(6, 2.0)
     measured = model + friction - power
-    external = external_torque(measured, model, friction)
+    external = measured - model - friction
     estimate = wrench_from_torque(chain.poses(Q[None])[1], external[None])
     assert estimate.observable[0]
     assert np.allclose(estimate.wrench[0], push, atol=1e-6)
@@ -57,26 +53,7 @@ def test_next_to_a_singular_posture_the_sample_is_flagged_and_bounded(arm: Robot
     assert np.allclose(estimate.wrench[0], damped)
 
 
-def test_filter_is_first_order_and_unobservable_samples_leave_nothing(arm: Robot) -> None:
-    chain, dt_s, cutoff = chain_of(arm), 0.004, 15.0
-    estimator = ForceEstimator(chain, cutoff, dt_s)
-    torque = -chain.poses(Q[None])[1][0].T @ np.array([5.0, 0, 0, 0, 0, 0])
-    assert np.allclose(estimator.update(Q, np.zeros(6)), 0.0)
-    for cycle in range(1, 20):
-        value = estimator.update(Q, torque)
-        assert value is not None
-        expected = 5.0 * (1.0 - np.exp(-2.0 * np.pi * cutoff * dt_s * cycle))
-        assert value[0] == pytest.approx(expected, rel=1e-9)
-    assert estimator.update(np.array([0.0, 1.4, -3.0, 0.2, -0.001, 0.1]), torque) is None
-    again = estimator.update(Q, torque)
-    assert again is not None
-    assert again[0] == pytest.approx(5.0)
-    with pytest.raises(ConfigError, match="cut-off"):
-        ForceEstimator(chain, 200.0, dt_s)
-
-
 def test_bands() -> None:
-    assert np.array_equal(still_band([0.5, -3.0], [1.0, 1.0]), [0.0, -3.0])
     assert np.array_equal(dead_band([0.5, -3.0, 3.0], [1.0, 1.0, 1.0]), [0.0, -2.0, 2.0])
 
 

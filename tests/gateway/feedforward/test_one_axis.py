@@ -7,7 +7,6 @@ import pytest
 
 from gateway.feedforward.dynamics import ArmDynamics
 from gateway.feedforward.load import body_parameters
-from gateway.feedforward.single_axis import arm_inertia, lever_squared, single_axis_torque
 from gateway.model.robot import robot_from_urdf
 
 # One vertical axis at the origin, arm of 0.6 m with its centre of mass at 0.3 m; the five joints beyond are at its tip.
@@ -34,36 +33,33 @@ def planar():
     return robot_from_urdf("".join([*text, "</robot>"]), "planar.urdf")
 
 
+def arm_inertia(rotor_kg_m2, mass_kg, distance_m, own_kg_m2):
+    """J of equation (8): rotor (times gear ratio squared), arm as a point at its centre of mass, arm about it."""
+    return rotor_kg_m2 + mass_kg * distance_m**2 + own_kg_m2
+
+
+def equation_8(inertia_kg_m2, mass_kg, lever_m, acceleration_rad_s2):
+    """tau = (J + m6 L) q'' with L = r6^2, r6 from the joint's axis to the load's centre of gravity.
+
+    The print gives L = (s1 + l1 + s6)^2, which counts s1 twice when s1 is measured from the joint, as J needs it, and
+    l1 is the arm's length: (l1 + s6)^2 is right.
+    """
+    return (inertia_kg_m2 + mass_kg * lever_m**2) * acceleration_rad_s2
+
+
 def parameters_of(robot, load):
     bodies = [body_parameters(robot.mass_kg[i], robot.com_m[i], robot.inertia_kg_m2[i]) for i in range(6)]
     bodies[5] = bodies[5] + load
     return np.concatenate(bodies)
 
 
-def test_the_lever_is_the_arm_and_what_the_load_stands_out_and_no_length_twice(planar):
-    lever = lever_squared(planar, np.zeros(6), 0, np.array([BEYOND, 0.0, 0.4]))
-    assert lever == pytest.approx((TIP + BEYOND) ** 2)
-    assert lever == pytest.approx(0.49)
-    # the print's (s1 + l1 + s6)^2 is twice that
-    assert (ARM + TIP + BEYOND) ** 2 / lever == pytest.approx(2.04, abs=0.005)
-
-
-def test_the_lever_does_not_depend_on_the_axis_own_angle_but_on_those_beyond(planar):
-    point = np.array([BEYOND, 0.0, 0.0])
-    turned = np.array([1.1, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert lever_squared(planar, turned, 0, point) == pytest.approx((TIP + BEYOND) ** 2)
-    folded = np.array([0.0, np.pi, 0.0, 0.0, 0.0, 0.0])
-    assert lever_squared(planar, folded, 0, point) == pytest.approx((TIP - BEYOND) ** 2)
-
-
 def test_equation_8_is_the_whole_model_of_one_vertical_axis_with_a_point_load(planar):
     com = np.array([BEYOND, 0.0, 0.4])
     load = body_parameters(LOAD, com, np.zeros((3, 3)))
     rotor_free = arm_inertia(0.0, MASS, ARM, OWN)
-    lever = lever_squared(planar, np.zeros(6), 0, com)
     dynamics = ArmDynamics(planar, parameters_of(planar, load))
     torque = dynamics.torque([0.3, 0, 0, 0, 0, 0], [0.0] * 6, [GAIN, 0, 0, 0, 0, 0])[0]
-    assert torque == pytest.approx(single_axis_torque(rotor_free, LOAD, lever, GAIN), rel=1e-7)
+    assert torque == pytest.approx(equation_8(rotor_free, LOAD, TIP + BEYOND, GAIN), rel=1e-7)
     # worked out by hand: (20 x 0.3^2 + 0.5 + 12 x 0.7^2) x 2.5
     assert torque == pytest.approx(20.45, rel=1e-7)
 
@@ -73,6 +69,5 @@ def test_the_rotor_and_the_loads_own_inertia_are_what_the_equation_leaves_to_be_
     load = body_parameters(LOAD, com, own * np.eye(3))
     dynamics = ArmDynamics(planar, parameters_of(planar, load))
     torque = dynamics.torque([0.0] * 6, [0.0] * 6, [GAIN, 0, 0, 0, 0, 0])[0] + ROTOR * GAIN
-    lever = lever_squared(planar, np.zeros(6), 0, com)
-    by_equation = single_axis_torque(arm_inertia(ROTOR, MASS, ARM, OWN), LOAD, lever, GAIN)
+    by_equation = equation_8(arm_inertia(ROTOR, MASS, ARM, OWN), LOAD, TIP + BEYOND, GAIN)
     assert torque - by_equation == pytest.approx(own * GAIN, rel=1e-6)

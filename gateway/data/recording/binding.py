@@ -1,0 +1,212 @@
+"""Recordings bound to the arm that they are analysed for: the same drives on the same axes, the constants that hold.
+
+The raw words stay; what follows from them is worked out anew where a constant was corrected since the recording. What
+cannot be mended afterwards, because the arm stood elsewhere than the recording says, is refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from drives.errors import ProfileError
+from drives.profile_file import parse_profile
+from drives.scaling import Constants, motor_scale
+from gateway.cell.config import ArmConfig, AxisConfig, Cell
+from gateway.cell.conversion import AxisConversion
+from gateway.data.recording.recorded import ArmRecording, Recording, arm_config
+from gateway.data.visit import Visit
+from gateway.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """A constant that another value holds for than the recording was made with.
+
+    Attributes
+    ----------
+    joint : counts from 1
+    name : key of the cell file
+    recorded, used : values
+    """
+
+    joint: int
+    name: str
+    recorded: float
+    used: float
+
+    def __str__(self) -> str:
+        return f"J{self.joint} {self.name} {self.used:g}, recorded with {self.recorded:g}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bound:
+    """A recording of one arm, converted with the constants of one cell.
+
+    Attributes
+    ----------
+    recording : with that arm alone, under that cell
+    corrections : constants that differ from those of the recording
+    """
+
+    recording: Recording
+    corrections: tuple[Correction, ...]
+
+
+def bind(recording: Recording, cell: Cell, arm: ArmConfig) -> Bound:
+    """The recording of an arm under a cell.
+
+    Parameters
+    ----------
+    recording : Recording
+    cell : Cell
+        Whose constants hold.
+    arm : ArmConfig
+        Of that cell.
+
+    Raises
+    ------
+    InputError
+        The recording holds no such arm, or its drives were wired otherwise, or the torque cannot be worked out with
+        another torque constant because the file does not hold what was read from the drives.
+    """
+    part = recording.arm(arm.name)
+    if part is None:
+        held = ", ".join(f"'{each.name}'" for each in recording.arms) or "none"
+        raise InputError(
+            f"{recording.path}: holds no arm '{arm.name}' but {held}; name the cell and arm that it was made with"
+        )
+    before = arm_config(recording.cell, arm.name, str(recording.path))
+    _refuse_wired_otherwise(recording, before, arm)
+    corrections = tuple(_corrections(before, arm))
+    if not corrections:
+        return Bound(replace(recording, arms=(part,), cell=cell), ())
+    scale = _torque_scale(recording, part, before, arm)
+    old, new = AxisConversion.from_arm(before), AxisConversion.from_arm(arm)
+    visits = tuple(_converted(visit, scale, old, new) for visit in part.visits)
+    return Bound(replace(recording, arms=(replace(part, visits=visits),), cell=cell), corrections)
+
+
+def _refuse_wired_otherwise(recording: Recording, before: ArmConfig, after: ArmConfig) -> None:
+    for joint, (old, new) in enumerate(zip(before.axis, after.axis, strict=True), start=1):
+        for name, was, now in (
+            ("node_id", old.node_id, new.node_id),
+            ("profile", old.profile, new.profile),
+            ("position_sign", old.position_sign, new.position_sign),
+            ("a gear_ratio of sign", np.sign(old.gear_ratio.value), np.sign(new.gear_ratio.value)),
+        ):
+            if was != now:
+                raise InputError(
+                    f"{recording.path}: J{joint} was recorded with {name} {was}, the cell says {now}; name the cell"
+                    " that it was made with, or measure again"
+                )
+    if not np.array_equal(AxisConversion.from_arm(before).coupling, AxisConversion.from_arm(after).coupling):
+        raise InputError(
+            f"{recording.path}: was recorded with another coupling of the axes: the arm stood elsewhere than the cell"
+            " would have it; name the cell that it was made with, or measure again"
+        )
+
+
+def _corrections(before: ArmConfig, after: ArmConfig) -> Iterator[Correction]:
+    for joint, (old, new) in enumerate(zip(before.axis, after.axis, strict=True), start=1):
+        for name, was, now in zip(_NAMES, _constants(old), _constants(new), strict=True):
+            if was != now:
+                yield Correction(joint, name, was, now)
+
+
+_NAMES = ("torque_constant_nm_per_a", "gear_ratio", "gear_efficiency", "torque_sign", "zero_offset_rad")
+
+
+def _constants(axis: AxisConfig) -> tuple[float, ...]:
+    return (
+        axis.torque_constant_nm_per_a.value,
+        axis.gear_ratio.value,
+        axis.gear_efficiency.value,
+        float(axis.torque_sign),
+        axis.zero_offset_rad,
+    )
+
+
+def _torque_scale(recording: Recording, part: ArmRecording, before: ArmConfig, after: ArmConfig) -> np.ndarray:
+    """Motor torque (6,) by the corrected torque constants over that by the recorded ones."""
+    if not part.constants:
+        changed = [f"J{each.joint}" for each in _corrections(before, after) if each.name == _NAMES[0]]
+        if changed:
+            raise InputError(
+                f"{recording.path}: does not hold what was read from the drives, so that the torque of"
+                f" {', '.join(changed)} cannot be worked out with another torque constant; measure again"
+            )
+        return np.ones(len(after.axis))
+    where = str(recording.path)
+    new, old = (torque_units(arm, recording.profiles, part.constants, where) for arm in (after, before))
+    return new / old
+
+
+def torque_units(
+    config: ArmConfig, profiles: Mapping[str, Any], constants: Sequence[Constants], where: str
+) -> np.ndarray:
+    """Motor torque (6,) [Nm] per bit of each torque word.
+
+    Parameters
+    ----------
+    config : ArmConfig
+    profiles : mapping of str to str
+        Texts by name.
+    constants : sequence of 6 Constants
+        Read from the drives.
+    where : str
+        File, for messages.
+
+    Raises
+    ------
+    InputError
+        A profile is missing or cannot be used.
+    """
+    units = []
+    for axis, read_from_drive in zip(config.axis, constants, strict=True):
+        text = profiles.get(axis.profile)
+        if not isinstance(text, str):
+            raise InputError(f"{where}: the file holds no text of profile '{axis.profile}'")
+        try:
+            profile = parse_profile(text, axis.profile)
+            scale = motor_scale(profile, read_from_drive, axis.torque_constant_nm_per_a.value)
+        except ProfileError as error:
+            raise InputError(f"{where}: {error}") from error
+        units.append(scale.torque_nm)
+    return np.array(units)
+
+
+def _converted(visit: Visit, scale: np.ndarray, old: AxisConversion, new: AxisConversion) -> Visit:
+    motor_nm = visit.motor_torque_nm * scale
+    return replace(
+        visit,
+        motor_torque_nm=motor_nm,
+        joint_torque_nm=new.joint_torque(motor_nm),
+        q_rad=new.joint_position(old.motor_position(visit.q_rad)),
+        target_rad=new.joint_position(old.motor_position(visit.target_rad)),
+    )
+
+
+def refuse_other_drives(recordings: Sequence[Recording], arm: str) -> None:
+    """Refuse recordings of one arm whose drives are not the same pieces; a drive without serial number says nothing.
+
+    Raises
+    ------
+    InputError
+    """
+    first: dict[int, tuple[int, Recording]] = {}
+    for recording in recordings:
+        part = recording.arm(arm)
+        for joint, identity in enumerate(() if part is None else part.identities, start=1):
+            serial = identity.get("serial_number") if isinstance(identity, Mapping) else None
+            if not isinstance(serial, int) or not serial:
+                continue
+            known, other = first.setdefault(joint, (serial, recording))
+            if known != serial:
+                raise InputError(
+                    f"{recording.path}: J{joint} has the drive with serial number {serial}, in {other.path.name} it was"
+                    f" {known}; its constants may differ: analyse what was measured with one set of drives"
+                )
