@@ -24,6 +24,7 @@ FLOORS: Final = (
     ("data",),
     ("model",),
     ("result",),
+    ("identify",),
     ("estimate",),
     ("diagnose",),
     ("feedforward",),

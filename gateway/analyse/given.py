@@ -17,8 +17,9 @@ from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import Recording, arm_config
 from gateway.data.table import Table
 from gateway.errors import ConfigError, InputError
-from gateway.estimate.options import EstimateOptions, default_inertials
+from gateway.estimate.options import EstimateOptions
 from gateway.estimate.posture import refuse_other_bare
+from gateway.identify.links import default_inertials
 from gateway.model.arm_model import arm_named, arm_robot, robot_from_text
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2, kinematic_difference
 from gateway.model.robot import Robot, robot_from_urdf

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from gateway.diagnose.decide import LEAST_POSES, Decision
 from gateway.diagnose.linear import Fit, RestProblem, modelled, with_terms
 from gateway.diagnose.options import DiagnoseOptions
-from gateway.diagnose.problem import BARE_LABEL, Knowledge, build_problem
+from gateway.diagnose.problem import Knowledge, build_problem
 from gateway.diagnose.rows import joined
+from gateway.identify.loads import BARE_LABEL
 from gateway.model.robot import Robot
 from gateway.model.terms.reading import RestRows
 from gateway.result.result import NextMeasurement

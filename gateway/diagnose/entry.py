@@ -29,12 +29,14 @@ from gateway.diagnose.outcome import (
     summary,
 )
 from gateway.diagnose.pictures import DrawnVisits, pictures
-from gateway.diagnose.problem import BARE_LABEL, Knowledge, build_problem, first_noise
+from gateway.diagnose.problem import Knowledge, build_problem, first_noise
 from gateway.diagnose.remarks import corrected_links, limits, refused_loads
 from gateway.diagnose.rows import joined, rest_rows
 from gateway.diagnose.search import Search, run
 from gateway.diagnose.structure import fresh_misfit, spare_rows
-from gateway.errors import ConfigError, DataUnusable
+from gateway.errors import DataUnusable
+from gateway.identify.links import default_inertials, parse_inertials
+from gateway.identify.loads import BARE_LABEL
 from gateway.model.robot import Robot
 from gateway.model.terms.library import Setup, named_terms, unnamed_terms
 from gateway.result.result import Finding, FitSummary, LoadResult, Result
@@ -268,13 +270,6 @@ def _undone(table: Table, mistakes: tuple[Mistake, ...]) -> Table:
 
 def _inertials(robot: Robot, given: str | None) -> str:
     if given is None:
-        return "prior:0.05" if np.isfinite(robot.mass_kg).any() else "ignore"
-    if given in ("exact", "ignore"):
-        return given
-    kind, _, value = given.partition(":")
-    try:
-        if kind == "prior" and float(value) > 0:
-            return given
-    except ValueError:
-        pass
-    raise ConfigError(f"inertials: '{given}' is none of exact, prior:S with S > 0, ignore")
+        return default_inertials(robot)
+    parse_inertials(given)
+    return given

@@ -24,9 +24,11 @@ from gateway.diagnose.motion_state import MovingState, state_of, with_noise_of
 from gateway.diagnose.motion_structure import structured_axes
 from gateway.diagnose.motion_trial import Trial
 from gateway.diagnose.motion_trust import START, choose_trust
-from gateway.errors import ConfigError, DataUnusable, InputError
+from gateway.errors import DataUnusable
+from gateway.identify.links import has_inertials, parse_inertials
+from gateway.identify.loads import BARE_LABEL, unknown_labels
+from gateway.identify.moving_baseline import EXACT, baseline
 from gateway.model.motion import MovingRows, prepare
-from gateway.model.motion_baseline import BARE, EXACT, baseline, has_inertials
 from gateway.model.robot import Robot
 from gateway.result.result import Result
 
@@ -156,7 +158,7 @@ def _outcome(  # noqa: PLR0913 - gathers what the stages left
 
 def _foretold(motion: MovingRows, known: Mapping[str, tuple[float, Floats]]) -> MovingRows:
     """Hold-out rows under a load that is neither fitted nor known cannot be foretold: they are not judged."""
-    seen = [BARE, *known, *np.unique(motion.load[~motion.given])]
+    seen = [BARE_LABEL, *known, *np.unique(motion.load[~motion.given])]
     strange = motion.given & ~np.isin(motion.load, seen)
     if not strange.any():
         return motion
@@ -179,10 +181,7 @@ def _problem(motion: MovingRows, trust: float | None, known: Mapping[str, tuple[
 def _known(
     motion: MovingRows, known: Mapping[str, tuple[float, float, float, float]]
 ) -> dict[str, tuple[float, Floats]]:
-    present = [str(label) for label in np.unique(motion.load)]
-    for label in known:
-        if label not in present:
-            raise InputError(f"--known {label}: no row carries this load; the data hold {', '.join(present)}")
+    unknown_labels(np.unique(motion.load), known)
     return {label: (float(values[0]), np.asarray(values[1:], dtype=float)) for label, values in known.items()}
 
 
@@ -192,13 +191,4 @@ def _trust(robot: Robot, inertials: str | None) -> tuple[float | None, bool]:
         return None, False
     if inertials is None:
         return START, True
-    if inertials == "exact":
-        return EXACT, False
-    word, _, number = inertials.partition(":")
-    try:
-        trust = float(number)
-    except ValueError:
-        trust = np.nan
-    if word != "prior" or not trust > 0:
-        raise ConfigError(f"inertials '{inertials}': use exact, ignore or prior:S with a relative deviation S > 0")
-    return trust, False
+    return max(parse_inertials(inertials), EXACT), False

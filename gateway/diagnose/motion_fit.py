@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.identify.moving_baseline import Baseline
 from gateway.model.motion import Mask, MovingRows, structural_base
-from gateway.model.motion_baseline import Baseline
 from gateway.model.motion_terms import Modelled, MovingTerm
 
 Floats = NDArray[np.float64]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.motion_fit import MovingProblem
 from gateway.diagnose.motion_state import MovingState
-from gateway.model.motion_baseline import BARE
+from gateway.identify.loads import BARE_LABEL
 from gateway.result.result import LoadResult
 
 Floats = NDArray[np.float64]
@@ -29,7 +29,9 @@ def loads_of(
     """Every load label of the fitted rows; what they cannot give is unknown and named."""
     motion = problem.motion
     fitted = motion.load[~motion.given]
-    labels = [str(label) for label in np.unique(motion.load) if label != BARE and (label in fitted or label in known)]
+    labels = [
+        str(label) for label in np.unique(motion.load) if label != BARE_LABEL and (label in fitted or label in known)
+    ]
     return tuple(_load(problem, state, label, known) for label in labels)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.motion_candidates import DRAWN
 from gateway.diagnose.motion_fit import MovingNoise, MovingProblem, counting_share, fit
-from gateway.model.motion_baseline import baseline
+from gateway.identify.moving_baseline import baseline
 from gateway.model.motion_terms import MovingTerm
 
 Floats = NDArray[np.float64]

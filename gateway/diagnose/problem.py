@@ -9,16 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.linear import RELATIVE_FLOOR, Noise, RestProblem
-from gateway.errors import DataUnusable, InputError
-from gateway.model.robot import Robot, link_lengths_m
+from gateway.errors import DataUnusable
+from gateway.identify.links import PER_LINK_AT_REST, link_prior, parse_inertials
+from gateway.identify.loads import bare_rows, load_vector, unknown_labels
+from gateway.model.robot import AXES, Robot
 from gateway.model.terms.reading import Model, RestRows
 from gateway.result.result import Bare
 
 Floats = NDArray[np.float64]
-BARE_LABEL = "none"
 OPEN_MASS_KG = 1e3
 OPEN_MOMENT_KG_M = 1e3
 EXACT = 1e-4
+#: Of a link that weighs nothing [kg, kg m]: nothing is known exactly.
+LEAST_STD = 1e-10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,22 +50,18 @@ def build_problem(robot: Robot, rows: RestRows, knowledge: Knowledge) -> RestPro
     InputError : a known load that is not in the data
     DataUnusable : no torque was measured
     """
-    present = sorted(set(rows.load.tolist()))
-    missing = sorted(set(knowledge.known) - set(present))
-    if missing:
-        raise InputError(f"--known {missing[0]}: no row carries this load; the data hold {', '.join(present)}")
-    labels = tuple(name for name in present if name != BARE_LABEL and name not in knowledge.known)
+    labels = tuple(sorted(unknown_labels(rows.load, knowledge.known)))
     fixed = np.zeros((len(rows), 4))
-    for name, (mass, x, y, z) in knowledge.known.items():
-        fixed[rows.load == name] = mass * np.array([1.0, x, y, z])
+    for name, known in knowledge.known.items():
+        fixed[rows.load == name] = load_vector(known)
     use_sum = np.isfinite(rows.sum_nm)
     if not use_sum.any():
         raise DataUnusable("no axis torque was measured at rest: nothing to diagnose")
     use_difference = rows.two_sided[:, None] & np.isfinite(rows.difference_nm)
     axis = np.broadcast_to(np.arange(6), use_sum.shape)
     kind = np.broadcast_to(np.where(rows.two_sided, 0, 12)[:, None], use_sum.shape)
-    links, std = link_prior(robot, knowledge.inertials)
-    prior_rows, prior_target = _bare_rows(knowledge.bare)
+    links, std = _link_prior(robot, knowledge.inertials)
+    prior_rows, prior_target = (np.zeros((0, 24)), np.zeros(0)) if knowledge.bare is None else bare_rows(knowledge.bare)
     return RestProblem(
         model=Model(robot, rows, np.asarray(knowledge.gravity_m_s2, dtype=float)),
         links=links,
@@ -79,38 +78,11 @@ def build_problem(robot: Robot, rows: RestRows, knowledge: Knowledge) -> RestPro
     )
 
 
-def link_prior(robot: Robot, inertials: str) -> tuple[Floats, Floats]:
-    """CAD value and standard deviation (24,) of [m, hx, hy, hz] per link.
-
-    The mass is trusted to the given share of itself, the first moment to that share of mass x link length. Unknown
-    links are open.
-    """
-    relative = {"exact": EXACT, "ignore": np.inf}.get(inertials)
-    if relative is None:
-        relative = float(inertials.removeprefix("prior:"))
-    links, std = np.zeros(24), np.zeros(24)
-    lengths = link_lengths_m(robot)
-    for link in range(6):
-        mass, com = robot.mass_kg[link], robot.com_m[link]
-        known = bool(np.isfinite(mass) and np.isfinite(com).all()) and np.isfinite(relative)
-        part = slice(4 * link, 4 * link + 4)
-        if not known:
-            std[part] = [OPEN_MASS_KG, *[OPEN_MOMENT_KG_M] * 3]
-            continue
-        links[part] = mass * np.array([1.0, *com])
-        std[part] = max(relative, EXACT) * max(mass, 1e-6) * np.append(1.0, np.full(3, lengths[link]))
-    return links, std
-
-
-def _bare_rows(bare: Bare | None) -> tuple[Floats, Floats]:
-    """A stored bare identification as rows with unit standard deviation."""
-    if bare is None:
-        return np.zeros((0, 24)), np.zeros(0)
-    combination, value = np.asarray(bare.combination, dtype=float), np.asarray(bare.value, dtype=float)
-    values, vectors = np.linalg.eigh(np.asarray(bare.covariance, dtype=float))
-    keep = values > 1e-12 * max(float(values.max()), 1e-300)
-    whiten = (vectors[:, keep] / np.sqrt(values[keep])).T
-    return whiten @ combination, whiten @ value
+def _link_prior(robot: Robot, inertials: str) -> tuple[Floats, Floats]:
+    """CAD value and standard deviation (24,) of [m, hx, hy, hz] per link; unknown links are nearly open."""
+    mean, std = link_prior(robot, max(parse_inertials(inertials), EXACT), PER_LINK_AT_REST)
+    nearly_open = np.tile([OPEN_MASS_KG, *[OPEN_MOMENT_KG_M] * 3], AXES)
+    return mean, np.where(np.isinf(std), nearly_open, np.maximum(std, LEAST_STD))
 
 
 def first_noise(problem: RestProblem) -> Noise:

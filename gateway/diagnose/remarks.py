@@ -6,7 +6,7 @@ import numpy as np
 
 from gateway.diagnose.decide import Decision
 from gateway.diagnose.linear import RestProblem
-from gateway.diagnose.problem import BARE_LABEL
+from gateway.identify.loads import BARE_LABEL
 from gateway.result.result import Finding, LoadResult
 
 

@@ -18,8 +18,9 @@ from gateway.estimate.estimate import Estimate
 from gateway.estimate.handover import to_result
 from gateway.estimate.joint import estimate_joint
 from gateway.estimate.moving import estimate_moving
-from gateway.estimate.options import Coefficient, EstimateOptions, default_inertials, parse_known
+from gateway.estimate.options import Coefficient, EstimateOptions, parse_known
 from gateway.estimate.posture import estimate_posture
+from gateway.identify.links import default_inertials
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits, pair_visits
 from gateway.result.result import Finding, Result

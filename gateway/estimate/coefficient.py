@@ -17,7 +17,8 @@ from gateway.data.rows import Table
 from gateway.errors import DataUnusable, InputError
 from gateway.estimate.consistency import describe_masses, disagree
 from gateway.estimate.estimate import LOAD_PARTS, Estimate, LoadEstimate, refused_load
-from gateway.estimate.options import BARE_LABEL, Coefficient, EstimateOptions
+from gateway.estimate.options import Coefficient, EstimateOptions
+from gateway.identify.loads import BARE_LABEL
 from gateway.model.robot import Robot
 from gateway.result.result import Finding
 

@@ -26,8 +26,8 @@ from gateway.estimate.estimate import (
 from gateway.estimate.friction import band_scatter, friction_bands, noise_groups
 from gateway.estimate.linear import Prior, determined
 from gateway.estimate.noise import Groups, NoiseFit, fit_noise
-from gateway.estimate.options import BARE_LABEL, EstimateOptions
-from gateway.estimate.problem import load_vector, unknown_labels
+from gateway.estimate.options import EstimateOptions
+from gateway.identify.loads import BARE_LABEL, load_vector, unknown_labels
 from gateway.model.kinematics import gravity_in_link_6, largest_angle_rad
 from gateway.model.regressor import load_regressor
 from gateway.model.robot import AXES, Robot, reach_m
@@ -70,7 +70,7 @@ def estimate_difference(visits: Visits, robot: Robot, options: EstimateOptions) 
     DataUnusable
         No known load, no common pose, one posture (rank 3), gravity from nearly one side of the flange.
     """
-    labels = unknown_labels(visits, options)
+    labels = unknown_labels(visits.load, options.known)
     known = [BARE_LABEL, *options.known]
     if not np.isin(visits.load, known).any():
         raise DataUnusable(

@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.rows import Table
-from gateway.errors import InputError
 from gateway.estimate.linear import Prior
-from gateway.estimate.options import BARE_LABEL, EstimateOptions
+from gateway.estimate.options import EstimateOptions
 from gateway.estimate.problem import LOAD_NAMES, LOAD_UNITS
+from gateway.identify.links import PER_LINK_MOVING, body_parameters, link_prior
+from gateway.identify.loads import unknown_labels
 from gateway.model.base import BaseSet, base_parameters, moving_base
 from gateway.model.regressor import FULL_NAMES, regressor
-from gateway.model.robot import AXES, Robot, link_lengths_m
+from gateway.model.robot import AXES, Robot
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
@@ -23,7 +24,6 @@ Mask = NDArray[np.bool_]
 FRICTION = ("coulomb", "viscous", "rotor_inertia", "offset")
 FRICTION_UNITS = ("Nm", "Nm s/rad", "kg m2", "Nm")
 _LOAD = slice(50, 54)
-_PER_BODY = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,12 +76,9 @@ def moving_columns(moving: Table, robot: Robot, options: EstimateOptions, motion
     InputError
         A known load that is not in the data.
     """
-    present = list(dict.fromkeys(str(label) for label in moving.load))
-    for label in options.known:
-        if label not in present:
-            raise InputError(f"--known {label}: no row carries this load; the data hold {', '.join(present)}")
+    unknown = unknown_labels(moving.load, options.known)
     rows = regressor(robot, moving.q_rad, moving.qd_rad_s, moving.qdd_rad_s2, options.gravity_m_s2)
-    mean, std = link_prior(robot, options.trust)
+    mean, std = link_prior(robot, options.trust, PER_LINK_MOVING)
     fixed = np.where(std == 0.0, mean, 0.0)
     held = np.flatnonzero((std > 0.0) & np.isfinite(std))
     free = np.flatnonzero(np.isinf(std))
@@ -92,11 +89,9 @@ def moving_columns(moving: Table, robot: Robot, options: EstimateOptions, motion
         here = np.asarray(moving.load) == label
         known[here] += rows[here][:, :, 50:] @ body_parameters(values[0], np.array(values[1:]), np.zeros((3, 3)))
     parts, names, units = [rows[:, :, chosen]], [*(FULL_NAMES[k] for k in held), *base.names], []
-    units += [("kg", *["kg m"] * 3, *["kg m2"] * 6)[k % _PER_BODY] for k in chosen]
+    units += [("kg", *["kg m"] * 3, *["kg m2"] * 6)[k % PER_LINK_MOVING] for k in chosen]
     loads: dict[str, int] = {}
-    for label in present:
-        if label == BARE_LABEL or label in options.known:
-            continue
+    for label in unknown:
         loads[label] = len(names)
         parts.append(rows[:, :, _LOAD] * (np.asarray(moving.load) == label)[:, None, None])
         names += [f"{name}[{label}]" for name in LOAD_NAMES]
@@ -111,32 +106,11 @@ def moving_columns(moving: Table, robot: Robot, options: EstimateOptions, motion
 
 
 def _free_base(robot: Robot, options: EstimateOptions, free: Ints) -> BaseSet:
-    if len(free) == AXES * _PER_BODY:
+    if len(free) == AXES * PER_LINK_MOVING:
         return moving_base(robot, options.gravity_m_s2)
     q, qd, qdd = np.random.default_rng(0).uniform(-2.0, 2.0, size=(3, 60, AXES))
     rows = regressor(robot, q, qd, qdd, options.gravity_m_s2)[:, :, free]
     return base_parameters(rows, [FULL_NAMES[k] for k in free])
-
-
-def body_parameters(mass_kg: float, com_m: Floats, inertia_kg_m2: Floats) -> Floats:
-    """[m, h, I about the frame's origin] (10,) of a body with inertia (3, 3) about its centre of mass."""
-    about = inertia_kg_m2 + mass_kg * (com_m @ com_m * np.eye(3) - np.outer(com_m, com_m))
-    return np.concatenate([[mass_kg], mass_kg * com_m, about[np.triu_indices(3)]])
-
-
-def link_prior(robot: Robot, trust: float) -> tuple[Floats, Floats]:
-    """Mean and standard deviation (60,) of the link parameters at a relative trust; unknown links are open."""
-    mean, std = np.zeros(AXES * _PER_BODY), np.full(AXES * _PER_BODY, np.inf)
-    lengths = link_lengths_m(robot)
-    for link in range(AXES):
-        mass, com, tensor = robot.mass_kg[link], robot.com_m[link], robot.inertia_kg_m2[link]
-        if not (np.isfinite(mass) and np.isfinite(com).all()) or np.isinf(trust):
-            continue
-        part = slice(_PER_BODY * link, _PER_BODY * (link + 1))
-        mean[part] = body_parameters(mass, com, np.nan_to_num(tensor))
-        length = lengths[link]
-        std[part] = trust * mass * np.concatenate([[1.0], np.full(3, length), np.full(6, length**2)])
-    return mean, std
 
 
 def _friction_columns(moving: Table, shapes: tuple[str, ...], smooth_rad_s: float) -> Floats:

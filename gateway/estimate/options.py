@@ -6,14 +6,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-
-from gateway.errors import ConfigError, InputError
+from gateway.errors import InputError
+from gateway.identify.links import parse_inertials
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
-from gateway.model.robot import Robot
 from gateway.result.result import Bare
-
-BARE_LABEL = "none"
 
 Four = tuple[float, float, float, float]
 Six = tuple[float, float, float, float, float, float]
@@ -64,32 +60,6 @@ class EstimateOptions:
     def trust(self) -> float:
         """Relative standard deviation of the inertials: 0 exact, infinite ignored."""
         return parse_inertials(self.inertials)
-
-
-def parse_inertials(text: str) -> float:
-    """Relative standard deviation behind `exact` (0), `ignore` (infinite) and `prior:S`.
-
-    Raises
-    ------
-    ConfigError
-        Anything else.
-    """
-    if text == "exact":
-        return 0.0
-    if text == "ignore":
-        return math.inf
-    try:
-        share = float(text.removeprefix("prior:")) if text.startswith("prior:") else math.nan
-    except ValueError:
-        share = math.nan
-    if not (math.isfinite(share) and share > 0):
-        raise ConfigError(f"inertials '{text}': use exact, ignore, or prior:S with S > 0, such as prior:0.05")
-    return share
-
-
-def default_inertials(robot: Robot) -> str:
-    """`prior:0.05` where the robot model knows its links, else `ignore`."""
-    return "prior:0.05" if np.isfinite(robot.mass_kg).any() else "ignore"
 
 
 def parse_known(text: str) -> tuple[str, Four]:

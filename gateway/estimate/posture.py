@@ -20,8 +20,9 @@ from gateway.estimate.describe import describe
 from gateway.estimate.estimate import Estimate
 from gateway.estimate.joint import fit_problem, require_postures
 from gateway.estimate.linear import determined
-from gateway.estimate.options import BARE_LABEL, EstimateOptions
-from gateway.estimate.problem import LOAD_NAMES, Problem, build_problem, link_knowledge, unknown_labels
+from gateway.estimate.options import EstimateOptions
+from gateway.estimate.problem import LOAD_NAMES, Problem, build_problem, link_knowledge
+from gateway.identify.loads import BARE_LABEL, unknown_labels
 from gateway.model.base import BaseSet, rest_base
 from gateway.model.regressor import LOAD_COLUMNS
 from gateway.model.robot import Robot
@@ -51,7 +52,7 @@ def estimate_posture(visits: Visits, robot: Robot, options: EstimateOptions) -> 
     DataUnusable
         Nothing is known of the bare arm, no load in the data, or one posture only.
     """
-    labels = unknown_labels(visits, options)
+    labels = unknown_labels(visits.load, options.known)
     if not labels:
         raise DataUnusable("every load in the data is known: there is nothing to estimate")
     for label in labels:

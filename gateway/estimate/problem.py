@@ -7,12 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.errors import DataUnusable, InputError
+from gateway.errors import DataUnusable
 from gateway.estimate.linear import Prior
-from gateway.estimate.options import BARE_LABEL, EstimateOptions
+from gateway.estimate.options import EstimateOptions
+from gateway.identify.links import PER_LINK_AT_REST, link_prior
+from gateway.identify.loads import bare_rows, load_vector, unknown_labels
 from gateway.model.base import BaseSet, rest_base
 from gateway.model.regressor import GRAVITY_NAMES, LOAD_COLUMNS, gravity_regressor
-from gateway.model.robot import AXES, Robot, link_lengths_m
+from gateway.model.robot import Robot
 from gateway.model.visits import Visits
 from gateway.result.result import Bare
 
@@ -91,46 +93,14 @@ class Problem:
 
 
 def link_knowledge(robot: Robot, options: EstimateOptions) -> Links:
-    """What the robot model's inertials say, at the trust of the options.
-
-    The standard deviation of a first moment is that share of mass x link length.
-    """
-    trust, lengths = options.trust, link_lengths_m(robot)
-    mean, std = np.zeros(24), np.full(24, np.inf)
-    for link in range(AXES):
-        mass, com = robot.mass_kg[link], robot.com_m[link]
-        if not (np.isfinite(mass) and np.isfinite(com).all()) or np.isinf(trust):
-            continue
-        part = slice(4 * link, 4 * link + 4)
-        mean[part] = mass * np.array([1.0, *com])
-        std[part] = trust * mass * np.append(1.0, np.full(3, lengths[link]))
+    """What the robot model's inertials say, at the trust of the options."""
+    mean, std = link_prior(robot, options.trust, PER_LINK_AT_REST)
     open_ = np.isinf(std)
     fixed = np.where(std == 0.0, mean, 0.0)
     held = np.flatnonzero((std > 0.0) & ~open_)
     free = np.flatnonzero(open_)
     base = rest_base(robot, options.gravity_m_s2, free.tolist())
     return Links(fixed, mean, std, held, free, base)
-
-
-def unknown_labels(visits: Visits, options: EstimateOptions) -> tuple[str, ...]:
-    """Loads to estimate, in the order they appear.
-
-    Raises
-    ------
-    InputError
-        A known load that no row carries.
-    """
-    present = list(dict.fromkeys(visits.load.tolist()))
-    for label in options.known:
-        if label not in present:
-            raise InputError(f"--known {label}: no row carries this load; the data hold {', '.join(present)}")
-    return tuple(label for label in present if label != BARE_LABEL and label not in options.known)
-
-
-def load_vector(known: tuple[float, float, float, float]) -> Floats:
-    """[m, h] (4,) of mass and centre of mass."""
-    mass, *com = known
-    return mass * np.array([1.0, *com])
 
 
 def build_problem(visits: Visits, robot: Robot, options: EstimateOptions) -> Problem:
@@ -151,7 +121,7 @@ def build_problem(visits: Visits, robot: Robot, options: EstimateOptions) -> Pro
     visit, axis = np.nonzero(measured)
     rows = gravity_regressor(robot, visits.q_rad, options.gravity_m_s2)[visit, axis]
     links = link_knowledge(robot, options)
-    labels = unknown_labels(visits, options)
+    labels = unknown_labels(visits.load, options.known)
     known = rows @ links.fixed
     for label, values in options.known.items():
         here = visits.load[visit] == label
@@ -218,12 +188,3 @@ def _prior(links: Links, bare: Bare | None, count: int) -> Prior:
     further = np.zeros((len(rows), count))
     further[:, : len(links.columns)] = rows[:, links.columns]
     return Prior(mean, std, further, right - rows @ links.fixed)
-
-
-def bare_rows(bare: Bare) -> tuple[Floats, Floats]:
-    """A stored bare identification as rows (k, 24) and right side (k,) with unit standard deviation."""
-    combination, value = np.asarray(bare.combination, dtype=float), np.asarray(bare.value, dtype=float)
-    size, vectors = np.linalg.eigh(np.asarray(bare.covariance, dtype=float))
-    size = np.maximum(size, 1e-14 * max(float(size.max(initial=0.0)), 1e-14))
-    whiten = (vectors / np.sqrt(size)).T
-    return whiten @ combination, whiten @ value

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.errors import ConfigError, DataUnusable, InputError
+from gateway.identify.links import body_parameters
 from gateway.model.robot import Robot
 from gateway.result.result import LoadResult, Result
 
@@ -58,12 +59,6 @@ class FeedLoad:
         """The same body, `factor` times as heavy."""
         inertia = factor * self.inertia_kg_m2
         return replace(self, mass_kg=factor * self.mass_kg, inertia_kg_m2=inertia, source=f"{factor:g} x {self.source}")
-
-
-def body_parameters(mass_kg: float, com_m: Floats, inertia_kg_m2: Floats) -> Floats:
-    """[m, m c, I about the frame's origin] (10,) of a body with inertia (3, 3) about its centre of gravity."""
-    about = inertia_kg_m2 + mass_kg * (com_m @ com_m * np.eye(3) - np.outer(com_m, com_m))
-    return np.concatenate([[mass_kg], mass_kg * com_m, about[np.triu_indices(3)]])
 
 
 def cube_inertia(mass_kg: float, density_kg_m3: float = CUBE_DENSITY_KG_M3) -> Floats:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from gateway.cell.config import ArmConfig
 from gateway.errors import ConfigError
-from gateway.feedforward.load import body_parameters
+from gateway.identify.links import body_parameters
 from gateway.model.robot import AXES, Robot, link_lengths_m
 from gateway.result.result import Bare
 

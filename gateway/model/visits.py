@@ -42,6 +42,8 @@ class Visits:
     direction : int array of shape (n, 6)
         Side of a one-sided visit; 0 = both, or unknown.
     temperature_c : array of shape (n, 6)
+    q_link_rad : array of shape (n, 6)
+        By the secondary encoders; NaN where there is none.
     where : tuple of str
         `file:line` of the first row, for messages.
     """
@@ -58,6 +60,7 @@ class Visits:
     two_sided: NDArray[np.bool_]
     direction: NDArray[np.int_]
     temperature_c: Floats
+    q_link_rad: Floats
     where: tuple[str, ...]
 
     def __len__(self) -> int:
@@ -71,7 +74,7 @@ class Visits:
         return Visits(**values, where=tuple(self.where[i] for i in index))
 
 
-def through_gear(reported_nm: Floats, direction: Floats, efficiency: Floats) -> Floats:
+def through_gear(reported_nm: Floats, direction: Floats | float, efficiency: Floats) -> Floats:
     """Torque behind the gear [Nm] of reported torque (n, 6) after motion in `direction` (n, 6), 0 = unknown.
 
     Unknown: the reported torque as it stands, the geometric middle of what it may be.
@@ -116,6 +119,7 @@ def pair_visits(table: Table, efficiency: ArrayLike = 1.0) -> Visits:
         two_sided=two,
         direction=np.where(two[:, None], 0, rest.direction[one]).astype(int),
         temperature_c=(rest.temperature_c[one] + rest.temperature_c[other]) / 2.0,
+        q_link_rad=(rest.q2nd_rad[one] + rest.q2nd_rad[other]) / 2.0,
         where=tuple(rest.where(int(row)) for row in one),
     )
 

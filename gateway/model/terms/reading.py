@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from gateway.model.kinematics import joint_axes_origins
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import Robot
+from gateway.model.visits import through_gear
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -307,12 +308,6 @@ class Model:
         return out
 
 
-def through_gear(reported_nm: Floats, direction: Floats | float, efficiency: Floats) -> Floats:
-    """Torque behind the gear: driving `T = eta u`, driven back `T = u / eta`; unknown direction (0): `u` as it is."""
-    work = reported_nm * direction
-    return np.where(work > 0, reported_nm * efficiency, np.where(work < 0, reported_nm / efficiency, reported_nm))
-
-
 def rotation(vector_rad: Floats) -> Floats:
     """Rotation matrix (3, 3) of a rotation vector (3,) (Rodrigues)."""
     angle = float(np.linalg.norm(vector_rad))
@@ -327,4 +322,4 @@ def _dot(rows: Floats, bodies: Floats) -> Floats:
     return np.matmul(rows, bodies[:, :, None])[:, :, 0]
 
 
-__all__ = ["Model", "Prediction", "RestRows", "AlteredModel", "neutral", "replace", "rotation", "through_gear"]
+__all__ = ["Model", "Prediction", "RestRows", "AlteredModel", "neutral", "replace", "rotation"]

@@ -17,9 +17,10 @@ from gateway.diagnose.motion_fit import MovingNoise, MovingProblem, blocks, coun
 from gateway.diagnose.motion_select import state_of
 from gateway.diagnose.motion_trial import drop_by_chance, put_on_trial
 from gateway.errors import ConfigError, DataUnusable, InputError
+from gateway.identify.links import link_values
+from gateway.identify.moving_baseline import baseline
 from gateway.model import motion_readings, motion_terms
 from gateway.model.motion import prepare, smooth_sign, structural_base
-from gateway.model.motion_baseline import baseline, body_parameters
 from gateway.model.robot import robot_from_urdf
 
 URDF = (Path(__file__).parents[3] / "examples" / "small" / "robot.urdf").read_text()
@@ -133,7 +134,7 @@ def test_body_columns_with_the_drawn_values_give_the_torque_of_the_drawing(robot
     data = model.createData()
     rows = zip(motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2, strict=True)
     expected = np.array([pinocchio.rnea(model, data, *row) for row in rows])
-    assert motion.rigid @ body_parameters(robot) == pytest.approx(expected, abs=1e-8)
+    assert motion.rigid @ link_values(robot).ravel() == pytest.approx(expected, abs=1e-8)
 
 
 def test_structural_base_of_a_vertical_axis_arm_has_36_columns(robot):
@@ -158,7 +159,7 @@ def test_scale_of_a_reading_is_found_although_the_links_are_unknown(robot):
     problem = problem_of(robot, table_of(5, n=600))
     generator = np.random.default_rng(5)
     chosen = structural_base(robot, GRAVITY)
-    truth = body_parameters(robot)[chosen] * (1 + 0.1 * generator.normal(size=len(chosen)))
+    truth = link_values(robot).ravel()[chosen] * (1 + 0.1 * generator.normal(size=len(chosen)))
     tau = problem.motion.rigid[:, :, chosen] @ truth
     tau[:, 2] *= 0.8
     problem = replace(

@@ -5,7 +5,8 @@ import math
 import pytest
 
 from gateway.errors import ConfigError, InputError
-from gateway.estimate.options import EstimateOptions, default_inertials, parse_inertials, parse_known
+from gateway.estimate.options import EstimateOptions, parse_known
+from gateway.identify.links import default_inertials, parse_inertials
 
 
 def test_inertials():

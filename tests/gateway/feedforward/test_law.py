@@ -7,8 +7,8 @@ import pytest
 
 from gateway.feedforward.dynamics import ArmDynamics
 from gateway.feedforward.law import TURN_ROUND_RAD, AxisTerms, FeedforwardLaw
-from gateway.feedforward.load import body_parameters
 from gateway.feedforward.ramp import Ramp
+from gateway.identify.links import body_parameters
 from gateway.model.regressor import regressor
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gateway.feedforward.dynamics import ArmDynamics
-from gateway.feedforward.load import body_parameters
+from gateway.identify.links import body_parameters
 from gateway.model.robot import robot_from_urdf
 
 # One vertical axis at the origin, arm of 0.6 m with its centre of mass at 0.3 m; the five joints beyond are at its tip.

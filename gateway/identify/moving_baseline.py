@@ -14,13 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.identify.links import PER_LINK_MOVING, link_prior
+from gateway.identify.loads import BARE_LABEL
 from gateway.model.motion import PER_BODY, MovingRows
 from gateway.model.regressor import regressor
-from gateway.model.robot import AXES, SHORTEST_M, Robot, link_lengths_m
+from gateway.model.robot import AXES, SHORTEST_M
 
 Floats = NDArray[np.float64]
 
-BARE = "none"
 EXACT = 1e-4
 TIGHT_OFFSET = 0.003
 FREE = 1e-5
@@ -43,31 +44,6 @@ class Baseline:
     loads: Mapping[str, slice]
     friction: NDArray[np.int_]
     trust: float | None
-
-
-def body_parameters(robot: Robot) -> Floats:
-    """CAD values of the 60 link parameters [m, h, I about the link's origin]; NaN where the robot model has none."""
-    out = np.full((AXES, PER_BODY), np.nan)
-    for i in range(AXES):
-        mass, com = robot.mass_kg[i], robot.com_m[i]
-        about = robot.inertia_kg_m2[i] + mass * (com @ com * np.eye(3) - np.outer(com, com))
-        upper = about[np.triu_indices(3)]
-        out[i] = np.concatenate([[mass], mass * com, upper])
-    return out.reshape(-1)
-
-
-def has_inertials(robot: Robot) -> bool:
-    """Whether every link's mass and centre of mass are known."""
-    return bool(np.isfinite(robot.mass_kg).all() and np.isfinite(robot.com_m).all() and (robot.mass_kg > 0).all())
-
-
-def body_deviation(robot: Robot, trust: float) -> Floats:
-    """Prior standard deviation (60,) of the link parameters for a relative trust."""
-    out = np.empty((AXES, PER_BODY))
-    for i, length in enumerate(link_lengths_m(robot).tolist()):
-        mass = robot.mass_kg[i]
-        out[i] = trust * mass * np.concatenate([[1.0], np.full(3, length), np.full(6, length**2)])
-    return out.reshape(-1)
 
 
 def baseline(motion: MovingRows, trust: float | None, known: Mapping[str, tuple[float, Floats]]) -> Baseline:
@@ -93,7 +69,7 @@ def baseline(motion: MovingRows, trust: float | None, known: Mapping[str, tuple[
         precisions.append(load_precision)
         loads[label] = slice(count, count + PER_BODY)
         count += PER_BODY
-    bare = (motion.load[~motion.given] == BARE).any()
+    bare = (motion.load[~motion.given] == BARE_LABEL).any()
     friction_columns, friction_precision, where = _friction(motion, bool(labels) and not bare, count)
     columns.append(friction_columns)
     means.append(np.zeros(friction_columns.shape[2]))
@@ -107,8 +83,10 @@ def baseline(motion: MovingRows, trust: float | None, known: Mapping[str, tuple[
 def free_labels(motion: MovingRows, trust: float | None, known: Mapping[str, tuple[float, Floats]]) -> list[str]:
     """Labels that get columns of their own: without CAD and bare rows the first load lumps with link 6."""
     fitted = motion.load[~motion.given]
-    labels = [str(label) for label in np.unique(motion.load) if label != BARE and (label in fitted or label in known)]
-    if trust is None and not (fitted == BARE).any() and not any(label in known for label in labels):
+    labels = [
+        str(label) for label in np.unique(motion.load) if label != BARE_LABEL and (label in fitted or label in known)
+    ]
+    if trust is None and not (fitted == BARE_LABEL).any() and not any(label in known for label in labels):
         return labels[1:]
     return labels
 
@@ -118,8 +96,8 @@ def _bodies(motion: MovingRows, trust: float | None) -> tuple[Floats, Floats, Fl
     body = np.eye(AXES * PER_BODY)[:, seen]
     if trust is None:
         return body, np.zeros(len(seen)), _plausible_size(motion)[seen] ** -2.0
-    deviation = body_deviation(motion.robot, max(trust, EXACT))
-    return body, np.nan_to_num(body_parameters(motion.robot))[seen], deviation[seen] ** -2.0
+    mean, deviation = link_prior(motion.robot, max(trust, EXACT), PER_LINK_MOVING)
+    return body, mean[seen], deviation[seen] ** -2.0
 
 
 def _plausible_size(motion: MovingRows) -> Floats:

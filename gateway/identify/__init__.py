@@ -1,0 +1,1 @@
+"""What every identification needs, once: priors of the links, loads and bare arms, columns of moving runs."""

@@ -1,0 +1,101 @@
+"""What a robot model's inertials say of the link parameters, and how far they are trusted (`methods.md`, link priors).
+
+A trust S is the relative standard deviation of every link's mass; its first moment is trusted to S x mass x length of
+the link, its inertia to S x mass x length^2. A link without inertial is unknown: open, not massless.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.errors import ConfigError
+from gateway.model.robot import Robot, link_lengths_m
+
+Floats = NDArray[np.float64]
+
+#: Parameters of one link: [m, h] at rest, [m, h, I about the link's origin] in motion.
+PER_LINK_AT_REST: Final = 4
+PER_LINK_MOVING: Final = 10
+#: Power of the link's length by which each of them grows.
+_POWERS: Final = np.array([0.0, 1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0])
+
+
+def parse_inertials(text: str) -> float:
+    """Relative standard deviation behind `exact` (0), `ignore` (infinite) and `prior:S`.
+
+    Raises
+    ------
+    ConfigError
+        Anything else.
+    """
+    if text == "exact":
+        return 0.0
+    if text == "ignore":
+        return math.inf
+    try:
+        share = float(text.removeprefix("prior:")) if text.startswith("prior:") else math.nan
+    except ValueError:
+        share = math.nan
+    if not (math.isfinite(share) and share > 0):
+        raise ConfigError(f"inertials '{text}': use exact, ignore, or prior:S with S > 0, such as prior:0.05")
+    return share
+
+
+def default_inertials(robot: Robot) -> str:
+    """`prior:0.05` where the robot model knows its links, else `ignore`."""
+    return "prior:0.05" if np.isfinite(robot.mass_kg).any() else "ignore"
+
+
+def has_inertials(robot: Robot) -> bool:
+    """Whether every link's mass and centre of mass are known."""
+    return bool(np.isfinite(robot.mass_kg).all() and np.isfinite(robot.com_m).all() and (robot.mass_kg > 0).all())
+
+
+def body_parameters(mass_kg: float, com_m: Floats, inertia_kg_m2: Floats) -> Floats:
+    """[m, h, Ixx, Ixy, Ixz, Iyy, Iyz, Izz] (10,) of a body, inertia about the link's origin.
+
+    Parameters
+    ----------
+    mass_kg : float
+    com_m : array of shape (3,)
+    inertia_kg_m2 : array of shape (3, 3)
+        About the centre of mass, link axes.
+    """
+    com = np.asarray(com_m, dtype=float)
+    about = np.asarray(inertia_kg_m2, dtype=float) + mass_kg * (com @ com * np.eye(3) - np.outer(com, com))
+    return np.concatenate([[mass_kg], mass_kg * com, about[np.triu_indices(3)]])
+
+
+def link_values(robot: Robot) -> Floats:
+    """Parameters (N, 10) of the links as the robot model has them; NaN where it says nothing."""
+    bodies = zip(robot.mass_kg, robot.com_m, robot.inertia_kg_m2, strict=True)
+    return np.array([body_parameters(*body) for body in bodies])
+
+
+def link_prior(robot: Robot, trust: float, per_link: int) -> tuple[Floats, Floats]:
+    """Mean and standard deviation of the link parameters.
+
+    Parameters
+    ----------
+    robot : Robot
+    trust : float
+        Relative standard deviation; 0 = exact, infinite = nothing is known.
+    per_link : int
+        How many parameters of each link: `PER_LINK_AT_REST` or `PER_LINK_MOVING`.
+
+    Returns
+    -------
+    mean, std : arrays of shape (N per_link,)
+        Mean 0 and infinite standard deviation where nothing is known.
+    """
+    values = link_values(robot)[:, :per_link]
+    known = np.isfinite(values[:, :PER_LINK_AT_REST]).all(axis=1) & np.isfinite(trust)
+    size = robot.mass_kg[:, None] * link_lengths_m(robot)[:, None] ** _POWERS[:per_link]
+    mean = np.where(known[:, None], np.nan_to_num(values), 0.0)
+    std = np.full(mean.shape, np.inf)
+    std[known] = trust * size[known]
+    return mean.ravel(), std.ravel()
