@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.stamp
 
-.PHONY: venv demo test lint bench blind vcan chaos soak pair pair-full follow clean
+.PHONY: venv demo test lint docs bench blind vcan chaos soak pair pair-full follow clean
 
 venv: $(STAMP)
 
@@ -24,6 +24,12 @@ lint: venv
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
+
+# The documentation as pages, in out/docs; a link that leads nowhere fails.
+docs: venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[docs]"
+	$(BIN)/python -m benchmarks.reference
+	$(BIN)/python -m mkdocs build --quiet
 
 bench: venv
 	$(BIN)/python -m benchmarks.bench --out out/bench

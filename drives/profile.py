@@ -50,24 +50,30 @@ _FEEDFORWARD_WRITES = (RPDO_COMMUNICATION + 1, RPDO_MAPPING + 1, 0x60B1)
 class DriveProfile(Strict):
     """Everything the master has to know of one drive model."""
 
-    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9.-]*$")]
-    description: str
+    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9.-]*$")] = Field(
+        description="as cells name it; the file's name"
+    )
+    description: str = Field(description="make, series, firmware")
     source: Source
-    eds: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*\.eds$")] | None = None
-    identity: ExpectedIdentity = ExpectedIdentity()
-    torque: Signal
-    current: Signal | None = None
-    torque_offset: TorqueOffsetWord | None = None
-    velocity: Velocity | None = None
+    eds: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*\.eds$")] | None = Field(
+        default=None, description="data sheet in the same folder; every object that is used is looked up in it"
+    )
+    identity: ExpectedIdentity = Field(default=ExpectedIdentity(), description="what 0x1018 must say")
+    torque: Signal = Field(description="the measured torque, or the current that it follows from")
+    current: Signal | None = Field(default=None, description="actual current beside it, in a second TPDO")
+    torque_offset: TorqueOffsetWord | None = Field(
+        default=None, description="absent: 0x60B2 is scaled as the torque is"
+    )
+    velocity: Velocity | None = Field(default=None, description="actual speed, in a second TPDO")
     feedforward: Feedforward | None = Field(
         default=None, description="absent: the drive has no 0x60B1, or it is not known how it takes it"
     )
-    position: Position
-    state_machine: StateMachine
-    sdo: SdoTimes
-    heartbeat: Heartbeat
-    write: Write
-    emcy: tuple[EmcyEntry, ...] = ()
+    position: Position = Field(description="actual position and its counts")
+    state_machine: StateMachine = Field(description="times and habits of the CiA 402 state machine")
+    sdo: SdoTimes = Field(description="how long an answer may take")
+    heartbeat: Heartbeat = Field(description="who watches whom, and for how long")
+    write: Write = Field(description="every object that the master may write")
+    emcy: tuple[EmcyEntry, ...] = Field(default=(), description="meaning of emergency codes")
     safety: tuple[SafetyCondition, ...] = Field(
         default=(), description="conditions of the safety chain that must hold before the drive is enabled"
     )

@@ -70,7 +70,7 @@ def parse_profile(text: str, where: str, folder: Path = PROFILE_FOLDER) -> Drive
     except tomllib.TOMLDecodeError as error:
         raise ProfileError(f"{where}: not valid TOML: {error}", advice="correct the file") from error
     except ValidationError as error:
-        advice = "see drives/profiles/README.md, or `servo-gateway profiles schema`"
+        advice = "see docs/how-to/drive-profiles.md, or `servo-gateway profiles schema`"
         raise ProfileError(f"{where}: {problems_in_words(error)}", advice=advice) from error
     object.__setattr__(profile, "_text", text)
     object.__setattr__(profile, "_folder", folder)

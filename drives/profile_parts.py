@@ -33,16 +33,16 @@ _NEEDED_WRITES = (
 class Constant(Strict):
     """A number and where it comes from."""
 
-    value: Positive
+    value: Positive = Field(description="in the unit of the key")
     source: Source
 
 
 class ObjectReference(Strict):
     """An object that is read, written or mapped."""
 
-    index: int = Field(ge=0x1000, le=0xFFFF)
-    subindex: int = Field(default=0, ge=0, le=0xFF)
-    type: DataType
+    index: int = Field(ge=0x1000, le=0xFFFF, description="of the object dictionary, such as 0x6077")
+    subindex: int = Field(default=0, ge=0, le=0xFF, description="of that object")
+    type: DataType = Field(description="of its value; a PDO entry is as long")
 
     @property
     def size_bits(self) -> int:
@@ -58,16 +58,16 @@ class ObjectReference(Strict):
 class ExpectedIdentity(Strict):
     """What 0x1018 must say; a key that is not given matches anything."""
 
-    vendor_id: int | None = Field(default=None, ge=0, le=0xFFFFFFFF)
-    product_code: int | None = Field(default=None, ge=0, le=0xFFFFFFFF)
-    revision_min: int | None = Field(default=None, ge=0, le=0xFFFFFFFF)
-    revision_max: int | None = Field(default=None, ge=0, le=0xFFFFFFFF)
+    vendor_id: int | None = Field(default=None, ge=0, le=0xFFFFFFFF, description="0x1018:01")
+    product_code: int | None = Field(default=None, ge=0, le=0xFFFFFFFF, description="0x1018:02")
+    revision_min: int | None = Field(default=None, ge=0, le=0xFFFFFFFF, description="lowest 0x1018:03 that is known")
+    revision_max: int | None = Field(default=None, ge=0, le=0xFFFFFFFF, description="highest 0x1018:03 that is known")
 
 
 class Rated(Strict):
     """Rated torque (Nm) or rated current (A): read from the drive, or given."""
 
-    object: ObjectReference | None = None
+    object: ObjectReference | None = Field(default=None, description="read from here; either this or `value`")
     unit: Positive | None = Field(default=None, description="Nm or A per least significant bit of `object`")
     value: Positive | None = Field(default=None, description="Nm or A")
     source: Source
@@ -84,13 +84,15 @@ class Rated(Strict):
 class Signal(Strict):
     """A torque or current object and its arithmetic."""
 
-    kind: Literal["permille_rated_torque", "permille_rated_current", "milliampere", "internal_unit"]
-    object: ObjectReference
-    nature: Literal["measured", "demand", "unknown"]
-    signed: bool
+    kind: Literal["permille_rated_torque", "permille_rated_current", "milliampere", "internal_unit"] = Field(
+        description="what one bit is"
+    )
+    object: ObjectReference = Field(description="where the value is")
+    nature: Literal["measured", "demand", "unknown"] = Field(description="only `measured` is used for estimation")
+    signed: bool = Field(description="must fit the object's type")
     filter_s: float = Field(ge=0, description="time constant of the drive's own filter on this value")
     source: Source
-    rated: Rated | None = None
+    rated: Rated | None = Field(default=None, description="what 1000 per mille stand for")
     internal_unit_a: Constant | None = Field(default=None, description="ampere per unit, kind internal_unit")
     current_reference: Literal["rms", "peak"] | None = Field(default=None, description="what the drive's ampere is")
     torque_constant_per: Literal["rms", "peak"] | None = Field(
@@ -126,10 +128,12 @@ class Signal(Strict):
 class TorqueOffsetWord(Strict):
     """Arithmetic of 0x60B2 where it differs from that of the measured torque."""
 
-    kind: Literal["permille_rated_torque", "permille_rated_current"]
-    rated: Rated
-    current_reference: Literal["rms", "peak"] | None = None
-    torque_constant_per: Literal["rms", "peak"] | None = None
+    kind: Literal["permille_rated_torque", "permille_rated_current"] = Field(description="what one bit of 0x60B2 is")
+    rated: Rated = Field(description="what 1000 per mille stand for")
+    current_reference: Literal["rms", "peak"] | None = Field(default=None, description="what the drive's ampere is")
+    torque_constant_per: Literal["rms", "peak"] | None = Field(
+        default=None, description="which ampere the torque constant of the cell file refers to"
+    )
     source: Source
 
     @model_validator(mode="after")
@@ -143,7 +147,7 @@ class TorqueOffsetWord(Strict):
 class Share(Strict):
     """A part of a whole and where the number comes from."""
 
-    value: float = Field(ge=0, le=1, allow_inf_nan=False)
+    value: float = Field(ge=0, le=1, allow_inf_nan=False, description="0 to 1")
     source: Source
 
 
@@ -154,29 +158,33 @@ class Feedforward(Strict):
     the rest.
     """
 
-    velocity_share: Share
+    velocity_share: Share = Field(description="part of the commanded velocity that the drive feeds forward itself")
     source: Source
 
 
 class Velocity(Strict):
     """The velocity object, motor side."""
 
-    object: ObjectReference
-    unit_rad_s: Constant
+    object: ObjectReference = Field(description="where the value is")
+    unit_rad_s: Constant = Field(description="speed of the motor that one bit means")
 
 
 class CountsFromObjects(Strict):
     """Encoder resolution read from the drive: object / per."""
 
-    object: ObjectReference
-    per: ObjectReference
+    object: ObjectReference = Field(description="counts, such as 0x608F:01")
+    per: ObjectReference = Field(description="in so many motor revolutions, such as 0x608F:02")
 
 
 class Position(Strict):
     """The position object and the counts of one motor revolution."""
 
-    object: ObjectReference = ObjectReference(index=0x6064, type="i32")
-    counts_per_revolution: CountsFromObjects | Constant
+    object: ObjectReference = Field(
+        default=ObjectReference(index=0x6064, type="i32"), description="actual position; 0x6064 if absent"
+    )
+    counts_per_revolution: CountsFromObjects | Constant = Field(
+        description="of the motor: read from the drive, or given"
+    )
 
     @model_validator(mode="after")
     def _standard_object(self) -> Position:
@@ -188,16 +196,20 @@ class Position(Strict):
 class StateMachine(Strict):
     """Times and habits of the CiA 402 state machine."""
 
-    transition_timeout_s: Positive
-    mode_before_enable: bool = True
-    brake_delay_s: float = Field(default=0.0, ge=0)
+    transition_timeout_s: Positive = Field(description="longest wait for a change of state")
+    mode_before_enable: bool = Field(
+        default=True, description="the mode of operation is set before the drive is enabled"
+    )
+    brake_delay_s: float = Field(
+        default=0.0, ge=0, description="time from operation enabled until the brake has opened"
+    )
 
 
 class SdoTimes(Strict):
     """How long an answer may take."""
 
-    timeout_s: Positive
-    slow_timeout_s: Positive
+    timeout_s: Positive = Field(description="of an answer")
+    slow_timeout_s: Positive = Field(description="of the answer to a value that is put back")
 
     @model_validator(mode="after")
     def _ordered(self) -> SdoTimes:
@@ -209,7 +221,7 @@ class SdoTimes(Strict):
 class Heartbeat(Strict):
     """How the drive watches the master (0x1016, 0x6007), and how the master watches the drive (0x1017)."""
 
-    consumer_ms: int = Field(ge=10, le=65535)
+    consumer_ms: int = Field(ge=10, le=65535, description="0x1016: after this silence the drive gives the master up")
     abort_connection: Literal[2, 3] = Field(description="0x6007: 2 disable voltage, 3 quick stop")
     producer_ms: int | None = Field(default=None, ge=10, le=65535, description="0x1017, left alone if absent")
 
@@ -217,7 +229,7 @@ class Heartbeat(Strict):
 class Write(Strict):
     """Every object that the master may write."""
 
-    allow: tuple[Annotated[int, Field(ge=0x1000, le=0xFFFF)], ...]
+    allow: tuple[Annotated[int, Field(ge=0x1000, le=0xFFFF)], ...] = Field(description="indices; no other is written")
 
     @model_validator(mode="after")
     def _safe(self) -> Write:
@@ -233,10 +245,10 @@ class Write(Strict):
 class Condition(Strict):
     """A state of the drive that must hold for motion: the bits of `mask` in the object's value are those of `good`."""
 
-    object: ObjectReference
+    object: ObjectReference = Field(description="where the state is shown")
     mask: int = Field(gt=0, le=0xFFFFFFFF, description="which bits of the value are looked at")
     good: int = Field(ge=0, le=0xFFFFFFFF, description="what these bits are when all is well")
-    source: Source | None = None
+    source: Source | None = Field(default=None, description="where it comes from: manual and page")
 
     def holds(self, value: int) -> bool:
         """Whether a value of the object says that all is well."""
@@ -269,6 +281,6 @@ class Reference(Condition):
 class EmcyEntry(Strict):
     """What an emergency code means on this drive."""
 
-    code: int = Field(ge=0, le=0xFFFF)
-    text: str
-    advice: str
+    code: int = Field(ge=0, le=0xFFFF, description="as the emergency message carries it")
+    text: str = Field(description="what it means")
+    advice: str = Field(description="what to do")

@@ -23,31 +23,39 @@ from gateway.errors import ConfigError
 class SourcedNumber(Strict):
     """A number and where it comes from."""
 
-    value: Finite
-    source: Annotated[str, Field(min_length=1)]
+    value: Finite = Field(description="in the unit of the key")
+    source: Annotated[str, Field(min_length=1)] = Field(
+        description="datasheet and page, `read from drive`, `measured` or `assumed`"
+    )
 
 
 class BusConfig(Strict):
     """One CAN bus; `options` go to the python-can interface as they stand."""
 
-    interface: str
-    channel: str
-    bitrate_bit_s: int = Field(default=1_000_000, gt=0)
-    sync_period_s: Positive = 0.01
-    pacing: Literal["lockstep", "real"] = "real"
+    interface: str = Field(description="python-can interface: socketcan, pcan, kvaser, udp_multicast ...")
+    channel: str = Field(description="its channel: can0, PCAN_USBBUS1, a multicast address ...")
+    bitrate_bit_s: int = Field(
+        default=1_000_000, gt=0, description="of the bus; the load of a cycle is reckoned with it"
+    )
+    sync_period_s: Positive = Field(default=0.01, description="time from SYNC to SYNC, one set point each")
+    pacing: Literal["lockstep", "real"] = Field(
+        default="real", description="by the clock, or (simulator alone) as fast as everybody has answered"
+    )
     allow_real_drive: bool = Field(
         default=False,
         description="real drives on an interface over the network: anybody on such a network can write frames, a "
         "controlword too; never allows lockstep",
     )
-    options: dict[str, str | int | float | bool] = Field(default_factory=dict)
+    options: dict[str, str | int | float | bool] = Field(
+        default_factory=dict, description="further options of the interface, as they stand"
+    )
 
 
 class KeepOut(Strict):
     """Axis-aligned box in the base frame that no link beyond the first and no load may enter, as thick as they are."""
 
-    min_m: Vector3
-    max_m: Vector3
+    min_m: Vector3 = Field(description="smallest corner")
+    max_m: Vector3 = Field(description="largest corner")
 
     @model_validator(mode="after")
     def _ordered(self) -> KeepOut:
@@ -59,11 +67,13 @@ class KeepOut(Strict):
 class DhTable(Strict):
     """Denavit-Hartenberg rows of the six axes; theta = q + theta_offset."""
 
-    convention: Literal["modified", "standard"]
-    alpha_rad: tuple[float, float, float, float, float, float]
-    a_m: tuple[float, float, float, float, float, float]
-    d_m: tuple[float, float, float, float, float, float]
-    theta_offset_rad: tuple[float, float, float, float, float, float]
+    convention: Literal["modified", "standard"] = Field(description="modified = Craig's")
+    alpha_rad: tuple[float, float, float, float, float, float] = Field(description="twists of the links")
+    a_m: tuple[float, float, float, float, float, float] = Field(description="lengths of the links")
+    d_m: tuple[float, float, float, float, float, float] = Field(description="offsets along the axes")
+    theta_offset_rad: tuple[float, float, float, float, float, float] = Field(
+        description="angle of each joint at q = 0"
+    )
 
 
 # Full speed is reached in 0.6 s, full acceleration in 0.2 s, where the cell gives no such limit.
@@ -78,20 +88,28 @@ class AxisConfig(Strict):
     `position_sign p / gear_ratio + zero_offset_rad` with `torque_sign gear_ratio t` (before any coupling).
     """
 
-    node_id: int = Field(ge=1, le=127)
-    profile: str
-    torque_constant_nm_per_a: SourcedNumber
-    gear_ratio: SourcedNumber
-    gear_efficiency: SourcedNumber
-    position_sign: Literal[1, -1] = 1
-    torque_sign: Literal[1, -1] = 1
-    zero_offset_rad: Finite = 0.0
-    position_limit_rad: tuple[Finite, Finite]
-    speed_limit_rad_s: Positive
-    torque_limit_nm: Positive
-    acceleration_limit_rad_s2: Positive | None = None
-    jerk_limit_rad_s3: Positive | None = None
-    following_error_limit_rad: Positive = 0.1
+    node_id: int = Field(ge=1, le=127, description="CANopen node id of the drive")
+    profile: str = Field(description="a profile of the package, or a TOML file beside the cell")
+    torque_constant_nm_per_a: SourcedNumber = Field(
+        description="of the motor, per ampere of the kind that the profile states (rms or peak)"
+    )
+    gear_ratio: SourcedNumber = Field(description="motor turns per joint turn; negative where the gear turns the sense")
+    gear_efficiency: SourcedNumber = Field(description="share of the motor's work that reaches the joint, in (0, 1]")
+    position_sign: Literal[1, -1] = Field(default=1, description="-1 where the drive counts against the joint")
+    torque_sign: Literal[1, -1] = Field(default=1, description="-1 where the drive's torque counts against the joint")
+    zero_offset_rad: Finite = Field(default=0.0, description="joint angle at which the drive's position is zero")
+    position_limit_rad: tuple[Finite, Finite] = Field(description="lowest and highest joint angle")
+    speed_limit_rad_s: Positive = Field(description="of the joint; nothing moves faster")
+    torque_limit_nm: Positive = Field(description="of the joint; the contact watch stops beyond")
+    acceleration_limit_rad_s2: Positive | None = Field(
+        default=None, description=f"of the joint; absent: full speed in {RAMP_S:g} s"
+    )
+    jerk_limit_rad_s3: Positive | None = Field(
+        default=None, description=f"of the joint; absent: full acceleration in {ONSET_S:g} s"
+    )
+    following_error_limit_rad: Positive = Field(
+        default=0.1, description="a joint further behind its set point stops all"
+    )
     rotor_inertia_kg_m2: SourcedNumber | None = Field(default=None, description="of motor and gear, at the joint")
     coulomb_nm: SourcedNumber | None = Field(default=None, description="dry friction of motor and gear, at the joint")
     viscous_nm_s_rad: SourcedNumber | None = Field(default=None, description="friction that grows with the joint speed")
@@ -125,8 +143,8 @@ class AxisConfig(Strict):
 class ObjectKey(Strict):
     """An object of a device's dictionary."""
 
-    index: int = Field(ge=0x1000, le=0xFFFF)
-    subindex: int = Field(default=0, ge=0, le=0xFF)
+    index: int = Field(ge=0x1000, le=0xFFFF, description="such as 0x60FD")
+    subindex: int = Field(default=0, ge=0, le=0xFF, description="of that object")
 
 
 class HoldToRun(Strict):
@@ -155,15 +173,21 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 class ArmConfig(Strict):
     """One arm of six axes on one bus."""
 
-    name: str
-    bus: str
-    robot: str | None = None
-    dh: DhTable | None = None
-    inertials: Annotated[str, Field(pattern=r"^(exact|ignore|prior:\d*\.?\d+)$")] = "ignore"
-    gravity_m_s2: Vector3 = (0.0, 0.0, -9.80665)
-    flange_xyz_m: Vector3 | None = None
-    flange_rpy_rad: Vector3 = (0.0, 0.0, 0.0)
-    keep_out: tuple[KeepOut, ...] = ()
+    name: str = Field(description="of the arm, in every file; `--arm` asks for it where there are several")
+    bus: str = Field(description="name of its [bus.NAME]")
+    robot: str | None = Field(default=None, description="URDF beside the cell; either this or [arm.dh]")
+    dh: DhTable | None = Field(default=None, description="Denavit-Hartenberg rows instead of a URDF")
+    inertials: Annotated[str, Field(pattern=r"^(exact|ignore|prior:\d*\.?\d+)$")] = Field(
+        default="ignore", description="trust of the URDF's inertials: exact, ignore, prior:S, S the relative deviation"
+    )
+    gravity_m_s2: Vector3 = Field(
+        default=(0.0, 0.0, -9.80665), description="in the base frame: a wall mount is said here"
+    )
+    flange_xyz_m: Vector3 | None = Field(default=None, description="flange in link_6; absent: results in link_6 alone")
+    flange_rpy_rad: Vector3 = Field(default=(0.0, 0.0, 0.0), description="its turn, roll, pitch, yaw")
+    keep_out: tuple[KeepOut, ...] = Field(
+        default=(), description="boxes that the arm stays out of, floor and column too"
+    )
     max_load_kg: Positive | None = Field(
         default=None,
         description="heaviest load that will hang on the flange; absent: half of each torque limit is kept",
@@ -197,13 +221,13 @@ class ArmConfig(Strict):
         default=None, description="6 x 6 matrix A of q_motor_side = A q_joint, ratios not included; identity if absent"
     )
     base_xyz_m: Vector3 = Field(default=(0.0, 0.0, 0.0), description="base of the arm in the world")
-    base_rpy_rad: Vector3 = (0.0, 0.0, 0.0)
+    base_rpy_rad: Vector3 = Field(default=(0.0, 0.0, 0.0), description="its turn, roll, pitch, yaw")
     tool_xyz_m: Vector3 = Field(default=(0.0, 0.0, 0.0), description="fingertip of the gripper in the flange")
-    tool_rpy_rad: Vector3 = (0.0, 0.0, 0.0)
+    tool_rpy_rad: Vector3 = Field(default=(0.0, 0.0, 0.0), description="its turn, roll, pitch, yaw")
     start_rad: tuple[Finite, Finite, Finite, Finite, Finite, Finite] | None = Field(
         default=None, description="joint angles at which an arm of a pair grips the part: start of the path"
     )
-    axis: tuple[AxisConfig, ...]
+    axis: tuple[AxisConfig, ...] = Field(description="six of them, from the base on")
 
     @model_validator(mode="after")
     def _six_axes(self) -> ArmConfig:
@@ -227,24 +251,24 @@ class ArmConfig(Strict):
 class PosesConfig(Strict):
     """How many rest poses, and how each is approached, settled and sampled."""
 
-    count: int = Field(default=10, ge=2)
-    approach_offset_rad: Positive = 0.03
-    approach_speed_rad_s: Positive = 0.05
-    samples: int = Field(default=100, ge=10)
-    validation: int = Field(default=4, ge=0)
-    settle_timeout_s: Positive = 10.0
-    seed: int = Field(default=1, ge=0)
+    count: int = Field(default=10, ge=2, description="poses to fit from")
+    approach_offset_rad: Positive = Field(default=0.03, description="each pose is come to from so far, from both sides")
+    approach_speed_rad_s: Positive = Field(default=0.05, description="of that last part of the way")
+    samples: int = Field(default=100, ge=10, description="SYNCs that are averaged on each side")
+    validation: int = Field(default=4, ge=0, description="further poses to judge on, that no fit sees")
+    settle_timeout_s: Positive = Field(default=10.0, description="longest wait for rest")
+    seed: int = Field(default=1, ge=0, description="of the choice of poses")
     file: str | None = Field(default=None, description="CSV with pose, q1_rad .. q6_rad instead of chosen poses")
 
 
 class Cell(Strict):
     """The whole cell file."""
 
-    name: str
-    bus: dict[str, BusConfig]
-    arm: tuple[ArmConfig, ...] = Field(min_length=1)
-    poses: PosesConfig = PosesConfig()
-    pair: PairConfig | None = None
+    name: str = Field(description="of the cell")
+    bus: dict[str, BusConfig] = Field(description="one table a bus: [bus.a]")
+    arm: tuple[ArmConfig, ...] = Field(min_length=1, description="one table an arm: [[arm]]")
+    poses: PosesConfig = Field(default=PosesConfig(), description="rest poses")
+    pair: PairConfig | None = Field(default=None, description="two arms with one workpiece")
 
     @model_validator(mode="after")
     def _consistent(self) -> Cell:

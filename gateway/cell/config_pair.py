@@ -21,8 +21,8 @@ Component = Literal["x", "y", "z", "rx", "ry", "rz"]
 class SixFold(Strict):
     """A number for the three straight directions [N/m, Ns/m, N, m] and one for the three turns [per rad]."""
 
-    straight: Positive
-    turned: Positive
+    straight: Positive = Field(description="along x, y and z")
+    turned: Positive = Field(description="about x, y and z")
 
 
 class ChannelConfig(Strict):
@@ -44,10 +44,10 @@ class ChannelConfig(Strict):
 class DistanceConfig(Strict):
     """Distance sensors on a CANopen measuring device (CiA 404), read with the drives of its bus."""
 
-    bus: str
-    node_id: int = Field(ge=1, le=127)
+    bus: str = Field(description="of the master or of the slave")
+    node_id: int = Field(ge=1, le=127, description="of the measuring device")
     object: int = Field(ge=0x2000, le=0xFFFF, description="process values: 0x9130 (i32), 0x7130 (i16)")
-    type: Literal["i16", "i32"]
+    type: Literal["i16", "i32"] = Field(description="of a process value")
     lsb_m: Positive = Field(description="distance that one bit means")
     status_object: int | None = Field(default=None, ge=0x2000, le=0xFFFF, description="0x6150; absent: it has none")
     components: tuple[Component, ...] = Field(
@@ -56,7 +56,7 @@ class DistanceConfig(Strict):
     range_m: tuple[Finite, Finite] = Field(description="a distance outside stops both arms")
     missing_cycles: int = Field(default=5, ge=1, description="as many cycles in a row without a value stop both arms")
     damping_s: SixFold | None = Field(default=None, description="time in which a gap error is corrected; absent: 0.045")
-    channel: tuple[ChannelConfig, ...] = Field(min_length=1)
+    channel: tuple[ChannelConfig, ...] = Field(min_length=1, description="one table a sensor")
 
     @model_validator(mode="after")
     def _consistent(self) -> DistanceConfig:
@@ -88,28 +88,28 @@ class PairConfig(Strict):
     With `distance` the master carries the part alone and the slave keeps a gap to it, without touching.
     """
 
-    master: str
-    slave: str
+    master: str = Field(description="arm that leads")
+    slave: str = Field(description="arm that follows")
     path: str = Field(description="CSV: time_s and the part's pose in the world x_m .. yaw_rad")
     speed: Positive = Field(default=1.0, description="speed setting; 1 = as the path says")
-    part_mass_kg: Positive
+    part_mass_kg: Positive = Field(description="of the workpiece")
     master_grasp_xyz_m: Vector3 = Field(description="fingertip of the master in the part's frame")
-    master_grasp_rpy_rad: Vector3
-    slave_grasp_xyz_m: Vector3
-    slave_grasp_rpy_rad: Vector3
+    master_grasp_rpy_rad: Vector3 = Field(description="its turn, roll, pitch, yaw")
+    slave_grasp_xyz_m: Vector3 = Field(description="fingertip of the slave in the part's frame")
+    slave_grasp_rpy_rad: Vector3 = Field(description="its turn, roll, pitch, yaw")
     force_limit_n: Positive | None = Field(
         default=None, description="largest force inside the part; twice of it for 20 ms stops both arms"
     )
     contact_stiffness: SixFold | None = Field(
         default=None, description="of part and gears together, what the correction works against"
     )
-    impedance_damping: SixFold | None = None
+    impedance_damping: SixFold | None = Field(default=None, description="of a hand that yields")
     impedance_stiffness: SixFold | None = Field(default=None, description="absent: corrects until no force is left")
     knots: int = Field(default=9, ge=2, description="points that are taught, evenly spread over the way")
     servo_lag_s: Positive = Field(default=0.016, description="by which the axes follow their set points")
     loop_delay_s: Positive = Field(default=0.035, description="from a force or gap to the correction that answers it")
-    force_filter_hz: Positive = 15.0
-    distance: DistanceConfig | None = None
+    force_filter_hz: Positive = Field(default=15.0, description="low-pass of the force that is felt")
+    distance: DistanceConfig | None = Field(default=None, description="a gap instead of a common part")
 
     @model_validator(mode="after")
     def _force_or_distance(self) -> PairConfig:

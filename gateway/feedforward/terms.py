@@ -64,7 +64,7 @@ def axis_terms(
     if without:
         raise ConfigError(
             f"arm '{arm.name}': the profile of {', '.join(without)} has no [feedforward]: it is not known that "
-            "the drive takes 0x60B1 and 0x60B2, and how; see drives/profiles/README.md"
+            "the drive takes 0x60B1 and 0x60B2, and how; see docs/how-to/drive-profiles.md"
         )
     pairs = [
         _axis(axis, profile, _band(result, number))

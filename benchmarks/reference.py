@@ -1,0 +1,210 @@
+"""Pages of the reference that the code itself can write: keys of the cell file and of a drive profile, commands.
+
+python -m benchmarks.reference [--write]: say which pages are not current, or bring them up to date.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import types
+import typing
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import click
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
+
+from drives.profile import DriveProfile
+from gateway.cell.config import Cell
+from gateway.cli import main as program
+
+DOCS: Final = Path(__file__).resolve().parents[1] / "docs"
+
+
+# ------------------------------------------------------------------------------------------------- keys of a TOML file
+
+
+def keys_page(title: str, intro: str, model: type[BaseModel]) -> str:
+    """Every table of a file with its keys.
+
+    Parameters
+    ----------
+    title, intro : str
+    model : type
+        The whole file.
+    """
+    lines = [f"# {title}", "", intro]
+    for names, table in tables_of(model):
+        heading = "Top of the file" if table is model else f"`{names[0]}`" if len(names) == 1 else table.__name__
+        several = f" In: {', '.join(f'`{name}`' for name in names)}." if len(names) > 1 else ""
+        lines += ["", f"## {heading}", "", _first_line(table) + several, ""]
+        lines += ["| key | what it is | value | if absent |", "|---|---|---|---|"]
+        for key, info in table.model_fields.items():
+            lines.append(f"| `{key}` | {info.description or ''} | {kind_in_words(info.annotation)} | {_absent(info)} |")
+    return "\n".join(lines) + "\n"
+
+
+def tables_of(model: type[BaseModel]) -> list[tuple[tuple[str, ...], type[BaseModel]]]:
+    """The model and every table inside it, with the headers that TOML gives it."""
+    found: dict[type[BaseModel], list[str]] = {}
+
+    def walk(table: type[BaseModel], where: str) -> None:
+        known = table in found
+        found.setdefault(table, []).append(_header(where))
+        if known:
+            return
+        for key, info in table.model_fields.items():
+            for inner, many in _models_in(info.annotation):
+                walk(inner, f"{where}.{key}{many}" if where else f"{key}{many}")
+
+    walk(model, "")
+    return [(tuple(dict.fromkeys(names)), table) for table, names in found.items()]
+
+
+def _header(where: str) -> str:
+    many = where.endswith("[]")
+    plain = where.replace("[]", "")
+    return f"[[{plain}]]" if many else f"[{plain}]"
+
+
+def _models_in(kind: Any) -> Iterator[tuple[type[BaseModel], str]]:
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        yield kind, ""
+        return
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    suffix = "[]" if origin is tuple else ".NAME" if origin is dict else ""
+    for argument in arguments:
+        for model, inner in _models_in(argument):
+            yield model, suffix + inner
+
+
+def kind_in_words(kind: Any) -> str:
+    """What a value has to be."""
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin is typing.Annotated:
+        return kind_in_words(arguments[0])
+    if origin is Literal:
+        return " or ".join(f"`{each!r}`".replace("'", '"') for each in arguments)
+    if origin in (types.UnionType, typing.Union):
+        return " or ".join(kind_in_words(each) for each in arguments if each is not type(None))
+    if origin is tuple:
+        if len(arguments) == 2 and arguments[1] is Ellipsis:
+            return f"list: {kind_in_words(arguments[0])}"
+        return f"{len(arguments)} x {kind_in_words(arguments[0])}"
+    if origin is dict:
+        return f"by name: {kind_in_words(arguments[1])}"
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        fields = [key for key, info in kind.model_fields.items() if info.is_required()]
+        return f"table ({', '.join(fields)})" if len(kind.model_fields) <= 3 else "table"
+    return {int: "integer", float: "number", str: "text", bool: "true or false"}[kind]
+
+
+def _absent(info: FieldInfo) -> str:
+    if info.is_required():
+        return "**refused**"
+    default = info.get_default(call_default_factory=True) if info.default is PydanticUndefined else info.default
+    if default is None or default == () or default == {} or isinstance(default, BaseModel):
+        return ""
+    if isinstance(default, bool):
+        return f"`{str(default).lower()}`"
+    return f"`{list(default) if isinstance(default, tuple) else default}`"
+
+
+def _first_line(table: type[BaseModel]) -> str:
+    return " ".join((table.__doc__ or "").strip().split("\n\n")[0].split())
+
+
+# ------------------------------------------------------------------------------------------------------------ commands
+
+
+def commands_page() -> str:
+    """Every command with its arguments and options."""
+    lines = ["# Commands", "", "`servo-gateway COMMAND -h` prints the same. `-v` and `-q` go with every command."]
+    for name, command in _commands(typing.cast(click.Group, program), ()):
+        usage = " ".join(part for part in (f"servo-gateway {name}", *_metavars(command)) if part)
+        lines += ["", f"## {name}", "", _help_of(command), "", "```", usage, "```"]
+        options = [each for each in command.params if isinstance(each, click.Option) and each.name not in COMMON]
+        if options:
+            lines += ["", "| option | what it does |", "|---|---|"]
+            lines += [f"| `{_cell(_option(each))}` | {_cell(each.help or '')} |" for each in options]
+    return "\n".join(lines) + "\n"
+
+
+#: Options that go with every command.
+COMMON: Final = frozenset({"verbose", "quiet", "help"})
+
+
+def _commands(group: click.Group, above: tuple[str, ...]) -> Iterator[tuple[str, click.Command]]:
+    context = click.Context(group, info_name="servo-gateway")
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        if isinstance(command, click.Group):
+            yield from _commands(command, (*above, name))
+        elif command is not None and not command.hidden:
+            yield " ".join((*above, name)), command
+
+
+def _help_of(command: click.Command) -> str:
+    return " ".join((command.help or "").replace("\b", "").split())
+
+
+def _metavars(command: click.Command) -> list[str]:
+    context = click.Context(command)
+    return [each.make_metavar(context) for each in command.params if isinstance(each, click.Argument)] + ["[OPTIONS]"]
+
+
+def _option(option: click.Option) -> str:
+    names = " / ".join([*option.opts, *option.secondary_opts])
+    if option.is_flag:
+        return names
+    return f"{names} {option.make_metavar(click.Context(click.Command('x')))}"
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")
+
+
+PAGES: Final[Mapping[str, Callable[[], str]]] = {
+    "reference/cell-file.md": lambda: keys_page(
+        "Cell file",
+        "TOML. A key that is not in this list is refused, and so is a constant without its source. `examples/` holds"
+        " three complete files; how motor and joint belong together: `gateway/cell/conversion.py`.",
+        Cell,
+    ),
+    "reference/drive-profile.md": lambda: keys_page(
+        "Drive profile",
+        "TOML, one file a drive model. How to write one: [drive models](../how-to/drive-profiles.md).",
+        DriveProfile,
+    ),
+    "reference/commands.md": commands_page,
+}
+
+
+def stale(docs: Path = DOCS) -> list[str]:
+    """Pages that are not what the code says."""
+    return [name for name, page in PAGES.items() if _text(docs / name) != page()]
+
+
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8") if path.exists() else ""
+
+
+def main(argv: list[str]) -> int:
+    """Exit 1 when a page is not current and was not written."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.reference", description=__doc__)
+    parser.add_argument("--write", action="store_true", help="bring the pages up to date")
+    arguments = parser.parse_args(argv)
+    old = stale()
+    for name in old:
+        if arguments.write:
+            (DOCS / name).write_text(PAGES[name](), encoding="utf-8")
+        print(f"{'written' if arguments.write else 'not current'}: docs/{name}")
+    return 1 if old and not arguments.write else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

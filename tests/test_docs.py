@@ -1,0 +1,78 @@
+"""Documentation: what the code can write is current, and every link leads somewhere."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from benchmarks.reference import PAGES, kind_in_words, stale
+from gateway.cell.config import AxisConfig, Cell
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES_OF_MARKDOWN = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+
+
+def anchors(page: Path) -> set[str]:
+    """Anchors that the headings of a page get."""
+    headings = re.findall(r"(?m)^#+ (.+)$", re.sub(r"(?s)```.*?```", "", page.read_text(encoding="utf-8")))
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES_OF_MARKDOWN, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page: Path) -> None:
+    text = re.sub(r"(?s)```.*?```", "", page.read_text(encoding="utf-8"))
+    for link in re.findall(r"\]\(([^)\s]+)\)", text):
+        if link.startswith(("http://", "https://", "mailto:")):
+            continue
+        name, _, anchor = link.partition("#")
+        target = (page.parent / name).resolve() if name else page
+        assert target.exists(), link
+        assert not anchor or anchor in anchors(target), link
+
+
+def test_every_page_is_reached_from_the_readme() -> None:
+    reached, waiting = set(), [ROOT / "README.md"]
+    while waiting:
+        page = waiting.pop()
+        if page in reached or page.suffix != ".md":
+            continue
+        reached.add(page)
+        for link in re.findall(r"\]\(([^)#\s]+)", page.read_text(encoding="utf-8")):
+            if "://" not in link:
+                waiting.append((page.parent / link).resolve())
+    assert set(PAGES_OF_MARKDOWN) <= reached, sorted(map(str, set(PAGES_OF_MARKDOWN) - reached))
+
+
+def test_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
+
+
+def test_pages_that_the_code_writes_are_current() -> None:
+    assert stale() == [], "python -m benchmarks.reference --write"
+
+
+def test_a_page_that_was_edited_is_not_current(tmp_path: Path) -> None:
+    for name, page in PAGES.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(page())
+    assert stale(tmp_path) == []
+    name = next(iter(PAGES))
+    (tmp_path / name).write_text("edited")
+    assert stale(tmp_path) == [name]
+
+
+def test_every_key_says_what_it_is() -> None:
+    for name in ("reference/cell-file.md", "reference/drive-profile.md"):
+        page = PAGES[name]()
+        silent = [line for line in page.splitlines() if re.match(r"\| `\w+` \|  \|", line)]
+        assert not silent
+
+
+def test_kinds_are_said_in_words() -> None:
+    fields = AxisConfig.model_fields
+    assert kind_in_words(fields["position_limit_rad"].annotation) == "2 x number"
+    assert kind_in_words(fields["gear_ratio"].annotation) == "table (value, source)"
+    assert kind_in_words(fields["jerk_limit_rad_s3"].annotation) == "number"
+    assert kind_in_words(Cell.model_fields["bus"].annotation) == "by name: table"
