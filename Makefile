@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.stamp
 
-.PHONY: venv demo test lint docs bench blind vcan chaos soak pair pair-full follow clean
+.PHONY: venv demo test lint docs bench blind vcan chaos soak mutants pair pair-full follow clean
 
 venv: $(STAMP)
 
@@ -45,6 +45,10 @@ chaos: venv
 
 soak: venv
 	$(BIN)/python -m benchmarks.chaos soak --out out/soak
+
+# About an hour: 200 small mistakes, each put in and looked for by the tests.
+mutants: venv
+	$(BIN)/python -m benchmarks.mutants --out out/mutants
 
 follow: venv
 	$(BIN)/python -m benchmarks.follow --out out/follow

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from benchmarks.chaos.figure import figure
 from benchmarks.chaos.heartbeats import KINDS, SILENT_AFTER_S, heartbeats_after_refused_stop
 from benchmarks.chaos.slow_disk import record_on_slow_disk
+from benchmarks.figure import figure
 from gateway.data.recording.queue import CAPACITY
 
 #: What a write takes: as slow as disks are seen to be, and slower than visits come [s].

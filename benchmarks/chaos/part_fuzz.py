@@ -6,7 +6,7 @@ import multiprocessing
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Any
 
-from benchmarks.chaos.figure import figure
+from benchmarks.figure import figure
 from benchmarks.fuzz.runner import run
 from benchmarks.fuzz.targets import TARGETS
 

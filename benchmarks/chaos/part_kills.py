@@ -6,8 +6,8 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from typing import Any
 
-from benchmarks.chaos.figure import figure
 from benchmarks.chaos.killing import Losses, interrupt_recordings
+from benchmarks.figure import figure
 
 KILLS = {"sigkill": 160, "disk full": 20, "power cycle": 20}
 #: Most in a row on the same drives; so many at a time: all in lockstep.

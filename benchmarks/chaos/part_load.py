@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.chaos.figure import figure
 from benchmarks.chaos.rig import EXAMPLE, Rig
+from benchmarks.figure import figure
 from gateway.acquire.planning import make_plan
 from gateway.acquire.session import RecordRequest, record
 from gateway.analyse.given import ModelRequest, given, read_rows

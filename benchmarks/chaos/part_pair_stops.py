@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.chaos.figure import figure
+from benchmarks.figure import figure
 from benchmarks.pair.bus_rig import NO_LIMIT_N, PairRig, inline_rig
 from drives.errors import DriveError
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson

@@ -10,10 +10,10 @@ from multiprocessing import get_context
 from typing import Any, Final
 
 from benchmarks.chaos.evidence import Outcome
-from benchmarks.chaos.figure import figure
 from benchmarks.chaos.remote import remote
 from benchmarks.chaos.rig import rig
 from benchmarks.chaos.scenarios import ELSEWHERE, STRICT, kinds, play_again
+from benchmarks.figure import figure
 
 SEEDS = 3
 PERIOD_S = 0.02

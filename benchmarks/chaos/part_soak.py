@@ -16,10 +16,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from benchmarks.chaos.figure import figure
 from benchmarks.chaos.processes import Drives, drives
 from benchmarks.chaos.rig import with_real_pacing
 from benchmarks.chaos.sleeper import Sleeper, joined
+from benchmarks.figure import figure
 from drives.bus import BusSpec, open_bus
 from drives.drive import DriveCommand
 from drives.errors import DriveError, MasterStalled

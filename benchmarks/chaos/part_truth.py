@@ -6,8 +6,8 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from typing import Any
 
-from benchmarks.chaos.figure import figure
 from benchmarks.chaos.truth import Verdict, many
+from benchmarks.figure import figure
 
 ANSWERS = 1_000_000
 #: Pieces with seeds of their own, so many at a time: all in lockstep.

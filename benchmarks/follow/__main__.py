@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.bench.__main__ import show
-from benchmarks.chaos.figure import figure
+from benchmarks.figure import figure
 from benchmarks.follow import rig
 from gateway.cell.config import load_cell
 from gateway.follow.job import FollowRequest, prepare
