@@ -1,4 +1,4 @@
-"""Pages of the reference that the code itself can write: keys of the cell file and of a drive profile, commands.
+"""Pages of the reference that the code itself can write: keys of cell file and drive profile, commands, result.
 
 python -m benchmarks.reference [--write]: say which pages are not current, or bring them up to date.
 """
@@ -6,6 +6,7 @@ python -m benchmarks.reference [--write]: say which pages are not current, or br
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import types
 import typing
@@ -21,6 +22,7 @@ from pydantic_core import PydanticUndefined
 from drives.profile import DriveProfile
 from gateway.cell.config import Cell
 from gateway.cli import main as program
+from gateway.result.result import json_schema
 
 DOCS: Final = Path(__file__).resolve().parents[1] / "docs"
 
@@ -181,6 +183,7 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
         DriveProfile,
     ),
     "reference/commands.md": commands_page,
+    "reference/result.schema.json": lambda: json.dumps(json_schema(), indent=1) + "\n",
 }
 
 

@@ -14,6 +14,7 @@ from gateway.diagnose.screen import projector
 from gateway.diagnose.search import NEEDED, Label, Search, label, pruned
 from gateway.diagnose.structure import misfit
 from gateway.model.terms.term import Term
+from gateway.result.result import Verdict
 
 Floats = NDArray[np.float64]
 
@@ -56,7 +57,7 @@ class Decision:
     runner_up : per effect, name of what that hypothesis has instead
     """
 
-    verdict: str
+    verdict: Verdict
     before: Fit
     after: Fit
     whole: Fit
@@ -94,7 +95,7 @@ def decide(search: Search, chosen: Fit) -> Decision:
 
 def _verdict(
     search: Search, whole: Fit, proven: tuple[Term, ...], rivals: tuple[Rival, ...], structure_p: float
-) -> str:
+) -> Verdict:
     shapes = [term for term in whole.terms if term.name == "unnamed"]
     unnamed = any(strength(search, whole, term) >= LEAST_STRENGTH for term in shapes)
     left = unnamed or structure_p < STRUCTURE_P

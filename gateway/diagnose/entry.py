@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -39,10 +41,13 @@ from gateway.identify.links import default_inertials, parse_inertials
 from gateway.identify.loads import BARE_LABEL
 from gateway.model.robot import Robot
 from gateway.model.terms.library import Setup, named_terms, unnamed_terms
-from gateway.result.result import Finding, FitSummary, LoadResult, Result
+from gateway.result.result import Finding, FitSummary, HoldoutKind, LoadResult, Result, Verdict
 
 SURER = 5.0
 OBVIOUS = 150.0
+#: A verdict once something was found beside the search, and once rows that no fit has seen contradict it.
+MORE: Final[Mapping[Verdict, Verdict]] = {"none_needed": "explained", "unexplained": "improved"}
+LESS: Final[Mapping[Verdict, Verdict]] = {"explained": "improved", "none_needed": "unexplained"}
 
 
 def diagnose(table: Table, robot: Robot, options: DiagnoseOptions | None = None) -> Result:
@@ -191,7 +196,7 @@ class RestDiagnosis:
         """Loads of the same hypothesis on fitted and fresh visits together."""
         return loads_of(held.problem, fit(held.problem, seen.terms, seen.noise, seen), self.robot)
 
-    def report(self, found: Found, holdout: Table | None = None, kind: str = "given") -> Result:
+    def report(self, found: Found, holdout: Table | None = None, kind: HoldoutKind = "given") -> Result:
         """Verdict and figures of a search; `holdout` are rows that no fit has seen, `kind` where they come from."""
         search, problem = found.search, found.search.problem
         decision = decide(search, found.chosen)
@@ -204,9 +209,9 @@ class RestDiagnosis:
         by_direction = stuck(problem, decision.after) if "static_friction" in self.options.allowed else []
         effects += seen_by_encoder + by_direction
         effects += possible(search, decision, judge) if decision.verdict == "undecided" else []
-        verdict = decision.verdict
+        verdict: Verdict = decision.verdict
         if found.mistakes or seen_by_encoder or by_direction:
-            verdict = {"none_needed": "explained", "unexplained": "improved"}.get(verdict, verdict)
+            verdict = MORE.get(verdict, verdict)
         before = self._before(decision, judge, found, bool(by_direction))
         after = summary(problem, decision.after, judge, self.robot)
         if held is not None and kind == "fresh" and not findings:
@@ -252,7 +257,7 @@ class RestDiagnosis:
         chance = fresh_misfit(residual, foretold_covariance(held, decision.after), group % 6, spare)
         if chance >= STRUCTURE_P:
             return decision, []
-        verdict = {"explained": "improved", "none_needed": "unexplained"}.get(decision.verdict, decision.verdict)
+        verdict = LESS.get(decision.verdict, decision.verdict)
         finding = Finding(
             "warn",
             "hold-out",

@@ -25,6 +25,7 @@ from gateway.result.result import (
     Rejected,
     Result,
     Rows,
+    Verdict,
 )
 
 Floats = NDArray[np.float64]
@@ -155,7 +156,7 @@ def _mistakes(outcome: MovingOutcome) -> tuple[EffectResult, ...]:
     )
 
 
-def _verdict(outcome: MovingOutcome, undecided: bool, any_effect: bool) -> str:
+def _verdict(outcome: MovingOutcome, undecided: bool, any_effect: bool) -> Verdict:
     if undecided:
         return "undecided"
     if any_effect:

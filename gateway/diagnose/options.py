@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.table import Table
-from gateway.result.result import Bare
+from gateway.result.result import Bare, HoldoutKind
 
 Floats = NDArray[np.float64]
 
@@ -52,7 +52,7 @@ class DiagnoseOptions:
     known: Mapping[str, tuple[float, float, float, float]] = field(default_factory=dict)
     bare: Bare | None = None
     holdout: Table | None = None
-    holdout_kind: str = "given"
+    holdout_kind: HoldoutKind = "given"
     only: frozenset[str] = frozenset()
     without: frozenset[str] = frozenset()
     gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.80665)

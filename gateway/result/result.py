@@ -10,29 +10,48 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import AfterValidator, BeforeValidator, TypeAdapter, ValidationError, WithJsonSchema
+from pydantic_core import ErrorDetails
 
 from gateway.errors import InputError
-from gateway.result.json_values import decode, kind_of
 
 SCHEMA = 1
 NAN = math.nan
 UNKNOWN_SIX = (NAN,) * 6
 UNKNOWN_THREE = (NAN,) * 3
-VERDICTS = ("none_needed", "explained", "improved", "unexplained", "undecided")
-HOLDOUT_KINDS = ("fresh", "given", "blocks")
-SEVERITIES = ("info", "warn", "fail")
+Verdict = Literal["none_needed", "explained", "improved", "unexplained", "undecided"]
+HoldoutKind = Literal["fresh", "given", "blocks"]
+Severity = Literal["info", "warn", "fail"]
 #: Columns [m, hx, hy, hz] of links 1 to 6.
 COLUMNS = 24
 #: Larger than any mass, place or variance of an arm; beyond it the arithmetic overflows.
 LARGEST = 1e12
 
-Numbers = tuple[float, ...]
-Matrix = tuple[tuple[float, ...], ...]
+
+def _nan_if_null(value: Any) -> Any:
+    if isinstance(value, int) and abs(value) > sys.float_info.max:
+        return math.inf
+    return NAN if value is None else value
+
+
+def _not_infinite(value: float) -> float:
+    if math.isinf(value):
+        raise ValueError("a number that is too large to hold")
+    return value
+
+
+#: A number, or NaN = unknown, which is null in the file.
+Number = Annotated[
+    float, BeforeValidator(_nan_if_null), AfterValidator(_not_infinite), WithJsonSchema({"type": ["number", "null"]})
+]
+Numbers = tuple[Number, ...]
+Matrix = tuple[Numbers, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,15 +63,15 @@ class LoadResult:
     """
 
     label: str
-    mass_kg: float = NAN
-    mass_std_kg: float = NAN
+    mass_kg: Number = NAN
+    mass_std_kg: Number = NAN
     com_m: Numbers | None = None
     com_std_m: Numbers | None = None
     frame: str = "link_6"
     com_flange_m: Numbers | None = None
     correlation: Matrix | None = None
     unidentifiable: tuple[str, ...] = ()
-    per_pose_mass_kg: Mapping[str, float] = field(default_factory=dict)
+    per_pose_mass_kg: Mapping[str, Number] = field(default_factory=dict)
     refused: str | None = None
 
 
@@ -60,10 +79,10 @@ class LoadResult:
 class Evidence:
     """Why an effect is believed; `holdout_rms_ratio` = after / before on data that no fit has seen."""
 
-    holdout_rms_ratio: float = NAN
-    p_value: float = NAN
+    holdout_rms_ratio: Number = NAN
+    p_value: Number = NAN
     runner_up: str | None = None
-    odds: float = NAN
+    odds: Number = NAN
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +91,8 @@ class EffectResult:
 
     name: str
     joints: tuple[int, ...] = ()
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    std: Mapping[str, float] = field(default_factory=dict)
+    parameters: Mapping[str, Number] = field(default_factory=dict)
+    std: Mapping[str, Number] = field(default_factory=dict)
     evidence: Evidence = Evidence()
 
 
@@ -92,7 +111,7 @@ class Rejected:
 
     name: str
     joints: tuple[int, ...] = ()
-    holdout_rms_ratio: float = NAN
+    holdout_rms_ratio: Number = NAN
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,14 +121,14 @@ class NextMeasurement:
     what: str
     poses_rad: Matrix = ()
     tells_apart: tuple[str, ...] = ()
-    reduction: float = NAN
+    reduction: Number = NAN
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
     """Something the reader has to know: severity `info`, `warn` or `fail`."""
 
-    severity: str
+    severity: Severity
     where: str
     what: str
     advice: str = ""
@@ -120,8 +139,8 @@ class Parameter:
     """An estimated quantity beside the loads: link parameters, friction, offsets."""
 
     name: str
-    value: float
-    std: float = NAN
+    value: Number
+    std: Number = NAN
     unit: str = ""
 
 
@@ -169,11 +188,11 @@ class Result:
 
     robot: str
     loads: tuple[LoadResult, ...] = ()
-    verdict: str | None = None
+    verdict: Verdict | None = None
     effects: tuple[EffectResult, ...] = ()
     before: FitSummary = FitSummary()
     after: FitSummary = FitSummary()
-    holdout_kind: str | None = None
+    holdout_kind: HoldoutKind | None = None
     noise_floor_nm: Numbers = UNKNOWN_SIX
     friction_band_nm: Numbers = UNKNOWN_SIX
     rejected: tuple[Rejected, ...] = ()
@@ -237,29 +256,63 @@ def from_json(text: str, where: str = "result") -> Result:
     except (ValueError, RecursionError) as error:
         raise InputError(f"{where}: holds a number or a nesting that no result file has: {error}") from error
     if not isinstance(data, dict):
-        raise InputError(f"{where}: a result file is one JSON object, this is {kind_of(data)}")
+        raise InputError(f"{where}: a result file is one JSON object, this is {_kind_of(data)}")
     if data.get("schema") != SCHEMA:
         raise InputError(f"{where}: schema: this version reads schema {SCHEMA}, the file says {data.get('schema')!r}")
     known = {item.name for item in dataclasses.fields(Result)} - {"extra"}
     extra = {key: value for key, value in data.items() if key not in known}
-    result = decode(Result, {key: value for key, value in data.items() if key in known}, where)
-    _check_words(result, where)
+    result = _decoded({key: value for key, value in data.items() if key in known}, where)
     _check_loads(result, where)
     if result.bare is not None:
         _check_bare(result.bare, where)
     return dataclasses.replace(result, extra=extra)
 
 
-def _check_words(result: Result, where: str) -> None:
-    if result.verdict is not None and result.verdict not in VERDICTS:
-        raise InputError(f"{where}: verdict: {result.verdict!r} is not one of {', '.join(VERDICTS)}")
-    if result.holdout_kind is not None and result.holdout_kind not in HOLDOUT_KINDS:
-        raise InputError(f"{where}: holdout_kind: {result.holdout_kind!r} is not one of {', '.join(HOLDOUT_KINDS)}")
-    for index, finding in enumerate(result.findings):
-        if finding.severity not in SEVERITIES:
-            raise InputError(
-                f"{where}: findings[{index}].severity: {finding.severity!r} is not one of {', '.join(SEVERITIES)}"
-            )
+def json_schema() -> dict[str, Any]:
+    """JSON schema of the result file."""
+    schema = plain_values(TypeAdapter(Result).json_schema())
+    schema["properties"].pop("extra")
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+def _decoded(data: Mapping[str, Any], where: str) -> Result:
+    try:
+        return TypeAdapter(Result).validate_json(json.dumps(data), strict=True)
+    except ValidationError as error:
+        problem = error.errors(include_url=False)[0]
+        raise InputError(f"{where}: {_path(problem['loc'])}{_in_words(problem)}") from error
+
+
+def _path(place: tuple[int | str, ...]) -> str:
+    """`loads[0].mass_kg: ` of a place in the file."""
+    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")
+    return f"{text}: " if text else ""
+
+
+_EXPECTED = {
+    "float_type": "a number or null",
+    "string_type": "text",
+    "int_type": "an integer",
+    "tuple_type": "a list",
+    "dict_type": "an object",
+    "dataclass_type": "an object",
+}
+
+
+def _in_words(problem: ErrorDetails) -> str:
+    kind, given = problem["type"], problem["input"]
+    if kind == "missing":
+        return "the key is missing"
+    if kind == "literal_error":
+        return f"{given!r} is not {problem['ctx']['expected'] if 'ctx' in problem else 'one of the words'}"
+    if kind in _EXPECTED:
+        return f"expected {_EXPECTED[kind]}, got {_kind_of(given)}"
+    return problem["msg"].removeprefix("Value error, ")
+
+
+def _kind_of(value: Any) -> str:
+    """A value in words, for messages."""
+    return "null" if value is None else f"{type(value).__name__} {value!r}"[:80]
 
 
 def _check_loads(result: Result, where: str) -> None:

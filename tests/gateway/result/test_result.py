@@ -5,6 +5,7 @@ import dataclasses
 import json
 import math
 
+import jsonschema
 import numpy as np
 import pytest
 from hypothesis import given
@@ -24,6 +25,7 @@ from gateway.result.result import (
     Result,
     Rows,
     from_json,
+    json_schema,
     to_dict,
     to_json,
 )
@@ -99,6 +101,14 @@ def test_keys_that_say_nothing_are_absent():
     assert "rows" not in to_dict(Result(robot="r"))
 
 
+def test_the_schema_takes_what_is_written_and_refuses_what_is_not_read():
+    schema = json_schema()
+    jsonschema.validate(to_dict(example()), schema)
+    for change in ({"robot": 3}, {"loads": {}}, {"verdict": "perhaps"}, {"loads": [{"mass_kg": 1.0}]}):
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate(to_dict(example()) | change, schema)
+
+
 def test_keys_of_a_newer_writer_survive():
     data = json.loads(to_json(example())) | {"truth": {"loads": [1]}}
     assert json.loads(to_json(from_json(json.dumps(data))))["truth"] == {"loads": [1]}
@@ -113,14 +123,14 @@ def test_numpy_values_are_written_as_numbers():
     ("change", "says"),
     [
         ({"schema": 2}, "schema"),
-        ({"robot": 3}, "robot: expected str"),
+        ({"robot": 3}, "robot: expected text"),
         ({"loads": {}}, "loads: expected a list"),
-        ({"loads": [{"mass_kg": 1.0}]}, "'label' is missing"),
+        ({"loads": [{"mass_kg": 1.0}]}, "loads[0].label: the key is missing"),
         ({"loads": [{"label": "a", "mass_kg": "heavy"}]}, "loads[0].mass_kg: expected a number"),
         ({"loads": [{"label": "a", "mass_kg": True}]}, "loads[0].mass_kg: expected a number"),
         ({"verdict": "perhaps"}, "verdict: 'perhaps'"),
-        ({"holdout_kind": "none"}, "holdout_kind"),
-        ({"findings": [{"severity": "bad", "where": "J1", "what": "x"}]}, "findings[0].severity"),
+        ({"holdout_kind": "none"}, "holdout_kind: 'none' is not"),
+        ({"findings": [{"severity": "bad", "where": "J1", "what": "x"}]}, "findings[0].severity: 'bad' is not"),
         ({"loads": [{"label": "a", "com_m": [0.0, 0.1]}]}, "loads[0].com_m: three numbers"),
         ({"loads": [{"label": "a", "mass_kg": 10**400}]}, "too large to hold"),
         ({"loads": [{"label": "a", "mass_kg": 1e300}]}, "loads[0]: a mass or a place"),
@@ -129,7 +139,7 @@ def test_numpy_values_are_written_as_numbers():
         ({"bare": bare(covariance=[[1.0, 0.0], []])}, "bare.covariance: 2 x 2"),
         ({"bare": bare(gravity_m_s2=[0.0, 0.0])}, "bare.gravity_m_s2"),
         ({"bare": bare(value=[1e300, 0.0])}, "bare.value: a number beyond"),
-        ({"effects": [{"name": "x", "joints": [1.5]}]}, "effects[0].joints[0]: expected int"),
+        ({"effects": [{"name": "x", "joints": [1.5]}]}, "effects[0].joints[0]: expected an integer"),
     ],
 )
 def test_a_wrong_file_is_refused_with_its_path(change, says):
