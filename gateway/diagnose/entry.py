@@ -46,8 +46,20 @@ from gateway.result.result import Finding, FitSummary, HoldoutKind, LoadResult, 
 SURER = 5.0
 OBVIOUS = 150.0
 #: A verdict once something was found beside the search, and once rows that no fit has seen contradict it.
-MORE: Final[Mapping[Verdict, Verdict]] = {"none_needed": "explained", "unexplained": "improved"}
-LESS: Final[Mapping[Verdict, Verdict]] = {"explained": "improved", "none_needed": "unexplained"}
+MORE: Final[Mapping[Verdict, Verdict]] = {
+    "none_needed": "explained",
+    "explained": "explained",
+    "improved": "improved",
+    "unexplained": "improved",
+    "undecided": "undecided",
+}
+LESS: Final[Mapping[Verdict, Verdict]] = {
+    "none_needed": "unexplained",
+    "explained": "improved",
+    "improved": "improved",
+    "unexplained": "unexplained",
+    "undecided": "undecided",
+}
 
 
 def diagnose(table: Table, robot: Robot, options: DiagnoseOptions | None = None) -> Result:
@@ -211,7 +223,7 @@ class RestDiagnosis:
         effects += possible(search, decision, judge) if decision.verdict == "undecided" else []
         verdict: Verdict = decision.verdict
         if found.mistakes or seen_by_encoder or by_direction:
-            verdict = MORE.get(verdict, verdict)
+            verdict = MORE[verdict]
         before = self._before(decision, judge, found, bool(by_direction))
         after = summary(problem, decision.after, judge, self.robot)
         if held is not None and kind == "fresh" and not findings:
@@ -257,7 +269,7 @@ class RestDiagnosis:
         chance = fresh_misfit(residual, foretold_covariance(held, decision.after), group % 6, spare)
         if chance >= STRUCTURE_P:
             return decision, []
-        verdict = LESS.get(decision.verdict, decision.verdict)
+        verdict = LESS[decision.verdict]
         finding = Finding(
             "warn",
             "hold-out",
