@@ -98,6 +98,8 @@ class LadderGroup(click.Group):
     ) -> Any:
         """Run the command line and leave with its exit code."""
         del standalone_mode
+        if args is None:
+            _end_by_signal()
         try:
             code = super().main(
                 args,
@@ -125,6 +127,17 @@ def _unheard(error: BaseException) -> int:
         if isinstance(code, int):
             return code
     return 0
+
+
+def _end_by_signal() -> None:
+    """Signals that end a program end it as Ctrl-C does, from the start on; what `nohup` has silenced stays so."""
+
+    def stopped(number: int, _frame: Any) -> None:
+        raise StoppedByPerson(f"stopped by {signal.Signals(number).name}")
+
+    for number in SIGNALS:
+        if signal.getsignal(number) == signal.SIG_DFL:
+            signal.signal(number, stopped)
 
 
 def _hear_no_signal() -> None:

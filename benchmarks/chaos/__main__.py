@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import signal
 import sys
 from pathlib import Path
 
@@ -42,6 +43,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--share", type=float, default=1.0, help="share of the full numbers, for a first look")
     arguments = parser.parse_args(argv)
     figures: dict[str, dict] = {}
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # what `nohup` silences here would be silenced in the programs too
     columns = (TextColumn("{task.description:32s}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as progress:
         for part in arguments.parts or PARTS:

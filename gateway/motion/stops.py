@@ -132,8 +132,8 @@ def signals_ask(desk: StopDesk) -> Iterator[None]:
 def outputs_watched(descriptors: Sequence[int] = (1, 2)) -> StopSource:
     """A source that asks for a stop along the path once nobody can read standard output or error any more.
 
-    A terminal or a pipe that was closed is noticed at the next SYNC, not with the next word for the person. What was
-    closed before, and what is no pipe or terminal, is not looked at.
+    A terminal or a pipe that was closed is noticed at the next SYNC, not with the next word for the person; one that
+    was closed before lets nothing begin. What is no pipe or terminal is not looked at.
 
     Parameters
     ----------
@@ -146,8 +146,6 @@ def outputs_watched(descriptors: Sequence[int] = (1, 2)) -> StopSource:
             mode = os.fstat(number).st_mode
             if stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode) or os.isatty(number):
                 poll.register(number, 0)
-    for number, _ in poll.poll(0):
-        poll.unregister(number)
     asking = threading.Lock()
 
     def closed() -> StopRequest | None:

@@ -236,3 +236,34 @@ def test_a_defect_is_told_even_where_no_log_can_be_written(monkeypatch, capsys):
     monkeypatch.setattr(cli.tempfile, "mkstemp", full)
     assert cli.report_error(ZeroDivisionError("by zero")) == 1
     assert "by zero" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP", "SIGINT"])
+def test_a_signal_before_anything_moves_ends_the_program_with_its_code(name):
+    program = (
+        "import os, signal, sys, time\nfrom gateway import cli\nimport gateway.commands.console as console\n"
+        f"console.Session = lambda **_: os.kill(os.getpid(), signal.{name}) or time.sleep(20)\n"
+        "sys.argv = ['servo-gateway', 'plan', 'none.toml']\ncli.main()\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False, restore_signals=True
+    )
+    assert ended.returncode == 130, ended.stderr
+    assert "stopped" in ended.stderr
+
+
+def test_what_nohup_has_silenced_stays_silent():
+    program = (
+        "import os, signal, sys\nfrom gateway import cli\nimport gateway.commands.console as console\n"
+        "class Session(console.Session):\n"
+        "    def __init__(self, **kept):\n"
+        "        os.kill(os.getpid(), signal.SIGHUP)\n"
+        "        super().__init__(**kept)\n"
+        "console.Session = Session\n"
+        "sys.argv = ['servo-gateway', 'plan', 'none.toml']\ncli.main()\n"
+    )
+    silenced = "import signal, subprocess, sys\nsignal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+    silenced += f"sys.exit(subprocess.run([sys.executable, '-c', {program!r}]).returncode)"
+    ended = subprocess.run([sys.executable, "-c", silenced], capture_output=True, text=True, timeout=60, check=False)
+    assert ended.returncode == 3, ended.stderr
+    assert "none.toml" in ended.stderr

@@ -105,12 +105,18 @@ def test_an_output_that_nobody_reads_any_more_is_a_wish_to_stop():
         os.close(descriptor)
 
 
-def test_an_output_that_was_closed_before_or_is_a_file_is_not_looked_at(tmp_path):
+def test_an_output_that_was_closed_before_lets_nothing_begin():
     read, write = os.pipe()
     os.close(read)
-    with (tmp_path / "log").open("w") as log:
-        assert outputs_watched([write, log.fileno(), 9999])() is None
+    wish = outputs_watched([write])()
+    assert wish is not None
+    assert "terminal was closed" in str(wish.cause)
     os.close(write)
+
+
+def test_an_output_that_is_a_file_or_nothing_is_not_looked_at(tmp_path):
+    with (tmp_path / "log").open("w") as log:
+        assert outputs_watched([log.fileno(), 9999])() is None
 
 
 def ended_by_rich() -> SystemExit:
