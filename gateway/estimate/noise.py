@@ -185,14 +185,17 @@ def _pooled(design: Floats, target: Floats, prior: Prior, groups: Groups) -> flo
 
 
 def _with_pooled(groups: Groups, pooled: float) -> Groups:
-    """Groups whose noise nothing else tells take the pooled level as an observation of modest weight."""
-    blank = ~np.isfinite(groups.seen)
+    """Groups whose noise nothing else tells take the pooled level as an observation of modest weight.
+
+    Of the extra and the stated noise together, as residuals are: a pooled level of zero must not pin a group to it.
+    """
+    blank, stated = ~np.isfinite(groups.seen), _typical(groups)
     return Groups(
         index=groups.index,
         stated=groups.stated,
         scale_nm=groups.scale_nm,
-        seen=np.where(blank, pooled * groups.scale_nm**2, groups.seen),
-        seen_stated=np.where(blank, 0.0, groups.seen_stated),
+        seen=np.where(blank, pooled * groups.scale_nm**2 + stated, groups.seen),
+        seen_stated=np.where(blank, stated, groups.seen_stated),
         seen_weight=np.where(blank, _POOLED_WEIGHT, groups.seen_weight),
     )
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gateway.data.rows import concatenate
 from gateway.data.table import read_csv
 from gateway.errors import DataUnusable, InputError
 from gateway.estimate import Coefficient, EstimateOptions, estimate, run
@@ -115,6 +116,31 @@ def test_coefficient_by_hand(table_of):
     table = lever_table(table_of, {"none": [1.0, 2.0], "tool": [1.0 + 1.96133, 2.0 - 3.92266]}, [1.0, -2.0])
     found = estimate(table, None, EstimateOptions(coefficient=how), "coefficient")
     np.testing.assert_allclose(list(found.loads[0].per_pose_mass_kg.values()), 10.0, rtol=1e-9)
+
+
+def test_coefficient_takes_each_side_through_the_gear(table_of):
+    """Behind eta = 0.5, driving 1.2 Nm and driven back 0.5 Nm are (0.6 + 1.0) / 2; bare, 0.8 and 0.4: 0.6."""
+    how = Coefficient(2, "x_k", 100, 0.5)
+    labels, poses = ["none", "none", "tool", "tool"], [0, 0, 0, 0]
+    motor, direction = np.full((4, 6), np.nan), np.zeros((4, 6))
+    motor[:, 1], direction[:, 1] = [0.8, 0.4, 1.2, 0.5], [1, -1, 1, -1]
+    blank = np.full((4, 6), np.nan)
+    table = table_of(
+        labels, poses, np.zeros((4, 6)), blank, motor=motor, direction=direction, extra={"x_k": np.ones(4)}
+    )
+    found = estimate(table, None, EstimateOptions(coefficient=how), "coefficient")
+    assert found.loads[0].mass_kg == pytest.approx(100.0 * (0.8 - 0.6) / 9.80665)
+
+
+def test_moving_rows_beside_rest_rows_are_left_out_and_said(arm, poses, measured):
+    table = measured(arm, poses, {"none": None, "tool": TOOL})
+    alone = estimate(table, arm.robot, EstimateOptions(), "joint")
+    assert not [finding for finding in alone.findings if finding.where == "moving rows"]
+    moving = replace(table.take(np.arange(3)), moving=np.ones(3, dtype=bool), run=np.array(["m"] * 3))
+    mixed = estimate(concatenate([table, moving]), arm.robot, EstimateOptions(), "joint")
+    assert mixed.loads[0].mass_kg == pytest.approx(alone.loads[0].mass_kg)
+    said = [finding.what for finding in mixed.findings if finding.where == "moving rows"]
+    assert said == ["3 moving rows were left out beside the rest rows"]
 
 
 def test_coefficient_with_a_known_first_load_and_a_repeated_visit(table_of):

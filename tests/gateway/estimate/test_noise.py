@@ -46,6 +46,18 @@ def test_noise_that_the_stated_one_explains_is_left_alone():
     np.testing.assert_allclose(fit.covariance, std**2 * np.linalg.inv(design.T @ design), rtol=1e-9)
 
 
+def test_one_axis_beyond_its_stated_noise_is_enough_for_extra_noise_on_it():
+    """In all the residual is as stated: one group is three times as noisy, the others are quiet."""
+    rng = np.random.default_rng(7)
+    index = np.repeat(np.arange(10), 30)
+    design, std = design_of(300, 3), 0.3
+    size = np.where(index == 4, 3.0 * std, 0.2 * std)
+    target = design @ np.ones(3) + size * rng.normal(size=300)
+    levels = noise_levels(design, target, Prior.free(3), groups(index, stated=std**2))
+    assert np.sqrt(levels.extra[4]) == pytest.approx(np.sqrt(8.0) * std, rel=0.3)
+    assert (np.sqrt(np.delete(levels.extra, 4)) < 0.2 * std).all()
+
+
 def test_noise_beyond_the_stated_one_is_found():
     rng = np.random.default_rng(3)
     index = np.arange(600) % 3

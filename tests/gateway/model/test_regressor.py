@@ -138,3 +138,20 @@ def test_memory_beyond_the_result_does_not_grow_with_the_rows(random_urdf):
     large, size = beyond(40_000)
     assert large < 1.5 * small
     assert large < 0.1 * size
+
+
+@pytest.mark.parametrize(
+    ("q", "out", "says"),
+    [
+        (np.zeros(6), None, "need the shape"),
+        (np.zeros((3, 5)), None, "need the shape"),
+        (np.zeros((3, 6)), np.zeros((3, 6, 23)), "out needs the shape"),
+        (np.zeros((3, 6)), np.zeros((2, 6, 24)), "out needs the shape"),
+    ],
+)
+def test_arrays_of_another_shape_are_refused(random_urdf, q, out, says):
+    robot = robot_from_urdf(random_urdf(0), "a.urdf")
+    with pytest.raises(ValueError, match=says):
+        rows_of.gravity_regressor(robot, q, out=out)
+    with pytest.raises(ValueError, match=says):
+        rows_of.load_regressor(robot, q, out=None if out is None else np.zeros((9, 6, 4)))

@@ -171,6 +171,25 @@ def test_stiffness_refers_to_the_stated_reach():
     assert product == pytest.approx(KAB)
 
 
+def test_gas_stiffness_is_the_slope_of_the_force_at_the_shortest_length(rows):
+    """With levers of the stated reach, a torque of `F(l) a b sin / l` at the length l of the rod."""
+    theta = np.array([300.0, 0.1, np.log(0.6 / 0.4), np.log(1.5)])
+    term = GasBalancer()
+    values, _ = term.report(theta, np.eye(4))
+    ratio, reach = values["lever_ratio"], values["reach_m"]
+
+    def force(angle: float) -> tuple[float, float]:
+        q = rows.q_rad.copy()
+        q[:, 1] = angle + values["phase_rad"]
+        torque = term.apply(neutral(len(rows)), theta, replace(rows, q_rad=q)).passive_nm[0, 1]
+        length = reach * np.sqrt(1.0 - ratio * np.cos(angle))
+        return length, -torque * length / (ratio / 2.0 * reach**2 * np.sin(angle))
+
+    (near, first), (far, second) = force(1e-3), force(2e-2)
+    assert values["stiffness_n_m"] == pytest.approx((second - first) / (far - near), rel=1e-3)
+    assert values["gas_stroke"] == pytest.approx(0.6)
+
+
 def test_payload_shift_reports_its_length():
     values, errors = fx.PayloadShift(5.0).report(np.array([0.03, 0.0, 0.04]), 1e-6 * np.eye(3))
     assert values["shift_m"] == pytest.approx(0.05)

@@ -1,0 +1,35 @@
+"""What missing axes cost: the standard deviation of the mass without them over that with them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gateway.estimate import EstimateOptions
+from gateway.estimate.advice import cost_of_missing_axes
+from gateway.model.regressor import load_regressor
+
+SIGMA = np.array([2.0, 3.0, 2.0, 1.0, 0.5, 0.4])
+
+
+def mass_std(robot, poses, sigma):
+    """Of mass and first moment alone, by the normal equations written here."""
+    rows = load_regressor(robot, poses)
+    use = np.isfinite(sigma)
+    weighted = (rows[:, use] / sigma[use][None, :, None]).reshape(-1, 4)
+    return np.sqrt(np.linalg.inv(weighted.T @ weighted)[0, 0])
+
+
+@pytest.mark.parametrize("missing", [[1], [3, 4], [5]])
+def test_cost_is_the_ratio_of_the_standard_deviations(arm, poses, missing):
+    sigma = SIGMA.copy()
+    sigma[missing] = np.nan
+    full = np.where(np.isnan(sigma), np.nanmedian(sigma), sigma)
+    cost = cost_of_missing_axes(arm.robot, poses, sigma, EstimateOptions())
+    assert cost == pytest.approx(mass_std(arm.robot, poses, sigma) / mass_std(arm.robot, poses, full), rel=1e-6)
+    assert cost >= 1.0
+
+
+def test_cost_is_infinite_where_the_mass_is_open(arm, poses):
+    only_vertical = np.array([2.0, *[np.nan] * 5])
+    assert np.isinf(cost_of_missing_axes(arm.robot, poses, only_vertical, EstimateOptions()))

@@ -1,0 +1,40 @@
+"""A load from mass and first moment: propagation of the covariance against draws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gateway.estimate.estimate import load_from_moment
+
+MOMENT = np.array([10.0, 1.0, -0.5, 2.0])
+MIX = np.random.default_rng(3).normal(size=(4, 4))
+COVARIANCE = 1e-4 * (MIX @ MIX.T)
+
+
+def test_covariance_of_mass_and_centre_is_that_of_draws():
+    load = load_from_moment("a", MOMENT, COVARIANCE, np.ones(4), np.ones(4, dtype=bool))
+    draws = np.random.default_rng(0).multivariate_normal(MOMENT, COVARIANCE, size=400_000)
+    bodies = np.column_stack([draws[:, 0], draws[:, 1:] / draws[:, :1]])
+    assert [load.mass_kg, *load.com_m] == pytest.approx([10.0, 0.1, -0.05, 0.2])
+    assert [load.mass_std_kg, *load.com_std_m] == pytest.approx(bodies.std(axis=0).tolist(), rel=0.01)
+    assert np.asarray(load.correlation) == pytest.approx(np.corrcoef(bodies.T), abs=0.01)
+
+
+def test_widening_widens_the_deviations_and_not_the_correlation():
+    plain = load_from_moment("a", MOMENT, COVARIANCE, np.ones(4), np.ones(4, dtype=bool))
+    wide = load_from_moment("a", MOMENT, COVARIANCE, np.array([2.0, 3.0, 4.0, 5.0]), np.ones(4, dtype=bool))
+    assert wide.mass_std_kg == pytest.approx(2.0 * plain.mass_std_kg)
+    assert wide.com_std_m == pytest.approx(np.array([3.0, 4.0, 5.0]) * plain.com_std_m)
+    assert np.asarray(wide.correlation) == pytest.approx(np.asarray(plain.correlation))
+
+
+def test_what_the_data_do_not_determine_is_unknown_and_named():
+    found = np.array([True, True, False, True])
+    load = load_from_moment("a", MOMENT, COVARIANCE, np.ones(4), found)
+    assert load.unidentifiable == ("com_y_m",)
+    assert np.isnan(load.com_m[1])
+    correlation = np.asarray(load.correlation)
+    assert np.isnan(correlation[2]).all()
+    assert np.isnan(correlation[:, 2]).all()
+    assert correlation[3, 3] == 1.0

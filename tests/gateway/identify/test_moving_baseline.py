@@ -1,0 +1,110 @@
+"""The model to beat in motion: its columns and priors against formulas that are written here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.rigs.tables import make_table
+from gateway.data.rows import MOVING, concatenate
+from gateway.identify.links import PER_LINK_MOVING, link_prior
+from gateway.identify.moving_baseline import FREE, INERTIA_RADIUS_M, TIGHT_OFFSET, baseline
+from gateway.model.motion import prepare
+from gateway.model.robot import robot_from_urdf
+
+URDF = (Path(__file__).parents[3] / "examples" / "small" / "robot.urdf").read_text()
+GRAVITY = np.array([0.0, 0.0, -9.80665])
+TRUST = 0.07
+
+
+def rows(load: str, seed: int, n: int = 300):
+    """Sums of sines with random torques, of another size on every axis."""
+    generator = np.random.default_rng(seed)
+    time = np.arange(n) / 20.0
+    omega, phase = generator.uniform(0.5, 2.0, (2, 6)), generator.uniform(0, 6, (2, 6))
+    angle = omega[:, None] * time[:, None] + phase[:, None]
+    q, qd, qdd = (
+        np.sin(angle).sum(0),
+        (omega[:, None] * np.cos(angle)).sum(0),
+        -(omega[:, None] ** 2 * np.sin(angle)).sum(0),
+    )
+    tau = generator.normal(size=(n, 6)) * [40.0, 90.0, 60.0, 9.0, 6.0, 3.0]
+    return make_table([load] * n, np.full(n, MOVING), q, tau, run=[load] * n, time=time, qd=qd, qdd=qdd)
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return robot_from_urdf(URDF, "robot.urdf")
+
+
+def built(robot, labels, trust=TRUST, known=None):
+    table = concatenate([rows(label, seed) for seed, label in enumerate(labels)])
+    motion = prepare(table, None, robot, GRAVITY)
+    return motion, baseline(motion, trust, known or {})
+
+
+def torque_scale(motion) -> np.ndarray:
+    return np.sqrt((motion.tau_nm**2).mean(axis=0))
+
+
+def test_links_carry_the_prior_of_the_robot_model(robot):
+    motion, base = built(robot, ["none"])
+    mean, std = link_prior(robot, TRUST, PER_LINK_MOVING)
+    links = np.arange(base.friction.min())
+    seen = np.flatnonzero(base.body[:, links].any(axis=1))
+    assert base.mean[links] == pytest.approx(mean[seen])
+    assert base.precision[links] == pytest.approx(std[seen] ** -2.0)
+    assert base.columns[:, :, links] == pytest.approx(motion.rigid[:, :, seen])
+
+
+def test_friction_columns_are_sign_speed_acceleration_and_one_nearly_free(robot):
+    motion, base = built(robot, ["none"])
+    scale = torque_scale(motion)
+    for axis in range(6):
+        where = base.friction[axis]
+        own = [motion.sign[:, axis], motion.qd_rad_s[:, axis], motion.qdd_rad_s2[:, axis], np.ones(len(motion))]
+        assert base.columns[:, axis, where] == pytest.approx(np.column_stack(own))
+        others = np.delete(base.columns[:, :, where], axis, axis=1)
+        assert not others.any()
+        # under its prior alone each may give 1 / (FREE x 100) times the torque of its axis
+        usual = np.sqrt(np.mean(np.square(own), axis=1)) / np.sqrt(base.precision[where])
+        assert usual == pytest.approx(scale[axis] / (FREE * 1e2))
+
+
+def test_offset_is_tight_only_where_no_bare_rows_tell_it_from_gravity(robot):
+    motion, loaded = built(robot, ["tool"])
+    scale = torque_scale(motion)
+    offsets = 1.0 / np.sqrt(loaded.precision[loaded.friction[:, 3]])
+    assert offsets[1:5] == pytest.approx(TIGHT_OFFSET * scale[1:5])
+    assert offsets[0] > 100.0 * scale[0]  # gravity does not turn the first, vertical axis
+    _, with_bare = built(robot, ["none", "tool"])
+    assert (1.0 / np.sqrt(with_bare.precision[with_bare.friction[:, 3]]) > 100.0 * scale).all()
+
+
+def test_load_is_free_in_mass_and_as_wide_as_its_torque_allows_in_inertia(robot):
+    motion, base = built(robot, ["none", "tool"])
+    part = base.loads["tool"]
+    here = motion.load == "tool"
+    assert base.columns[here][:, :, part] == pytest.approx(motion.rigid[here][:, :, 50:])
+    assert not base.columns[~here][:, :, part].any()
+    heaviest_kg = torque_scale(motion).max() / 9.80665
+    assert base.precision[part][4:] == pytest.approx((heaviest_kg * INERTIA_RADIUS_M**2) ** -2.0)
+    assert not base.mean[part].any()
+    columns = base.columns[:, :, part][:, :, :4] / torque_scale(motion)[:, None]
+    relative = np.sqrt((columns**2).mean(axis=0)).max(axis=0)
+    assert base.precision[part][:4] == pytest.approx((FREE * 1e2 * relative) ** 2)
+
+
+def test_known_load_is_held_where_it_was_weighed(robot):
+    _, base = built(robot, ["none", "tool"], known={"tool": (8.0, np.array([0.1, 0.0, 0.2]))})
+    part = base.loads["tool"]
+    assert base.mean[part][:4] == pytest.approx([8.0, 0.8, 0.0, 1.6])
+    assert 1.0 / np.sqrt(base.precision[part][:4]) == pytest.approx(8e-4)
+
+
+def test_without_cad_and_bare_rows_the_first_load_lumps_with_link_6(robot):
+    assert list(built(robot, ["a", "b"], trust=None)[1].loads) == ["b"]
+    assert list(built(robot, ["none", "a"], trust=None)[1].loads) == ["a"]
+    assert list(built(robot, ["a", "b"])[1].loads) == ["a", "b"]
