@@ -1,9 +1,8 @@
-"""One drive: what the group asks of it (`Drive`), and the CiA 402 drive on CANopen."""
+"""A CiA 402 drive on CANopen: what the group asks of it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Final, Protocol
+from typing import Final
 
 from drives import bringup, drive_limits, other_pdos
 from drives.access import ObjectAccess
@@ -20,63 +19,9 @@ from drives.scaling import Constants, MotorScale, motor_scale
 from drives.sdo import ONCE
 from drives.values import AxisSetup, DriveCommand, DriveReading, Identity
 
-__all__ = ["AxisSetup", "Cia402Drive", "Drive", "DriveCommand", "DriveReading", "Identity"]
+__all__ = ["AxisSetup", "Cia402Drive", "DriveCommand", "DriveReading", "Identity"]
 
 _I16_MAX: Final = 0x7FFF
-
-
-class Drive(Protocol):
-    """What a drive group asks of a drive, on whatever fieldbus."""
-
-    node_id: int
-    setup: AxisSetup
-    target_count: int
-
-    @property
-    def scale(self) -> MotorScale:
-        """Factors between raw words and SI."""
-        ...
-
-    @property
-    def answers(self) -> Sequence[tuple[int, int]]:
-        """CAN id and length of every frame that answers a SYNC."""
-        ...
-
-    def identify(self) -> Identity:
-        """Read who answers, and compare it with the profile."""
-        ...
-
-    def configure(self, sync_period_s: float) -> None:
-        """Everything that has to be set before the exchange, read back."""
-        ...
-
-    def arm(self, master_node_id: int) -> None:
-        """Let the drive watch the master from now on."""
-        ...
-
-    def disarm(self) -> None:
-        """Let the drive stop watching."""
-        ...
-
-    def stage(self, command: DriveCommand) -> None:
-        """Check a target and keep it for the next frame."""
-        ...
-
-    def hold(self, position_count: int) -> None:
-        """Keep a position for the next frame."""
-        ...
-
-    def frame(self, controlword: int) -> Frame:
-        """The frame of the staged target."""
-        ...
-
-    def offset_frame(self) -> Frame | None:
-        """The frame of the staged velocity offset, after `frame`; None where the drive takes none."""
-        ...
-
-    def decoder(self, first_slot: int) -> Decoder:
-        """Function that turns the frames of one SYNC into this drive's reading."""
-        ...
 
 
 class Cia402Drive:

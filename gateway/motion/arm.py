@@ -15,8 +15,8 @@ from gateway.data.sample import ArmSample
 AXES = 6
 
 
-class SixDrives(Protocol):
-    """What an arm needs of its drive group."""
+class ArmDrives(Protocol):
+    """What an arm needs of its drives, on whatever fieldbus: CANopen satisfies it by `drives.group.DriveGroup`."""
 
     def positions_rad(self) -> Sequence[float]:
         """Where the six motors stand, read while they are not enabled."""
@@ -65,12 +65,12 @@ class Arm:
     Parameters
     ----------
     name : str
-    drives : SixDrives
+    drives : ArmDrives
         Connected and configured.
     axes : AxisConversion
     """
 
-    def __init__(self, name: str, drives: SixDrives, axes: AxisConversion) -> None:
+    def __init__(self, name: str, drives: ArmDrives, axes: AxisConversion) -> None:
         self.name = name
         self.axes = axes
         self.drives = drives
