@@ -109,7 +109,7 @@ class LadderGroup(click.Group):
                 windows_expand_args=windows_expand_args,
                 **extra,
             )
-        except BaseException as error:  # noqa: BLE001 - the one place where an error becomes an exit code
+        except BaseException as error:
             code = _unheard(error) if output_closed(error) else report_error(error)
         if args is None and code == CTRL_C:
             _hear_no_signal()

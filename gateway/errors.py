@@ -37,7 +37,7 @@ class PlanRefused(GatewayError):  # noqa: N818 - reads as what happened
     exit_code = 5
 
 
-class LimitExceeded(PlanRefused):  # noqa: N818 - reads as what happened
+class LimitExceeded(PlanRefused):
     """A limit was left while the arm moved; `joint` counts from 1."""
 
     def __init__(self, message: str, joint: int) -> None:

@@ -80,7 +80,7 @@ def run(demo: Demo) -> int:
 
 
 @contextmanager
-def _simulator(words: Sequence[str]):  # noqa: ANN202
+def _simulator(words: Sequence[str]):
     process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         click.echo(wait_until_ready(process).rstrip())

@@ -21,7 +21,7 @@ LIMIT_MARGIN_RAD = 0.05
 FOLLOWING_WINDOW_RAD = 0.15
 
 
-def _one_of(*allowed: int):  # noqa: ANN202
+def _one_of(*allowed: int):
     def check(value: int) -> None:
         if value not in allowed:
             raise SdoAbortedError(VALUE_RANGE)

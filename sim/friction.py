@@ -48,7 +48,7 @@ class JointFriction:
     )
 
     def __init__(self, seed: int) -> None:
-        self._random = random.Random(seed)  # noqa: S311 - simulation noise
+        self._random = random.Random(seed)
         self.coulomb_nm = self.stiction_nm = self.viscous_nm_s_rad = 0.0
         self.load_friction = self.bias_nm = self.creep_rad_s = self.stuck_s = 0.0
         self.scatter = 0.0

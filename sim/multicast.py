@@ -110,5 +110,5 @@ def _decoded(data: bytes) -> can.Message | None:
     """A frame, or None if the datagram is none (anybody may send to a multicast group)."""
     try:
         return unpack_message(data)
-    except Exception:  # noqa: BLE001 - whatever msgpack and python-can raise on bytes of strangers
+    except Exception:
         return None

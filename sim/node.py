@@ -155,11 +155,11 @@ class SlaveNode(canopen.LocalNode):
             raise SdoAbortedError(VALUE_RANGE)
         self._history.clear()
 
-    def get_data(self, index: int, subindex: int, check_readable: bool = False) -> bytes:  # noqa: ARG002
+    def get_data(self, index: int, subindex: int, check_readable: bool = False) -> bytes:
         """Upload: from the object store."""
         return self.store.read(index, subindex)
 
-    def set_data(self, index: int, subindex: int, data: bytes, check_writable: bool = False) -> None:  # noqa: ARG002
+    def set_data(self, index: int, subindex: int, data: bytes, check_writable: bool = False) -> None:
         """Download: into the object store."""
         self.store.write(index, subindex, bytes(data))
 

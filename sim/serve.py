@@ -87,7 +87,7 @@ class RunningSimulation:
     def __init__(self, bus: str, simulation: Simulation | None, process: subprocess.Popen[str] | None) -> None:
         self.bus, self.simulation, self._process = bus, simulation, process
 
-    def grip(self, open: bool) -> None:  # noqa: A002 - as on standard input
+    def grip(self, open: bool) -> None:
         """Open or close the grippers of a pair; returns when they are."""
         if self.simulation is not None:
             self.simulation.grip(open)

@@ -151,7 +151,7 @@ class Simulation:
                 elif arm in (None, unit.name):
                     server.hang(unit, payload)
 
-    def grip(self, open: bool) -> None:  # noqa: A002 - as on standard input
+    def grip(self, open: bool) -> None:
         """Open or close both grippers of a pair; closing grips the part afresh, free of force, where the hands are.
 
         Raises

@@ -107,7 +107,7 @@ def _rate(own: np.ndarray) -> dict:
     return {"value": float(ROWS / np.median(own)), "unit": "1/s", "goal": "printed", "met": None}
 
 
-def _memory(robot, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> dict[str, dict]:  # noqa: ANN001
+def _memory(robot, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> dict[str, dict]:
     """Peak memory beyond the stored result, for all rows and for a fifth of them."""
     peaks = []
     for count in (ROWS // 5, ROWS):

@@ -33,7 +33,7 @@ class StopKind(IntEnum):
     QUICK_STOP = 2
 
 
-class StoppedByPerson(KeyboardInterrupt):  # noqa: N818 - reads as what happened
+class StoppedByPerson(KeyboardInterrupt):
     """A person, a signal or a closed terminal asked for it; the text says which."""
 
 

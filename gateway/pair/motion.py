@@ -52,7 +52,7 @@ Result = TypeVar("Result")
 Samples = tuple[ArmSample, ...]
 
 
-class PairStopped(PlanRefused):  # noqa: N818 - reads as what happened
+class PairStopped(PlanRefused):
     """Both arms were stopped, or are about to be; the message says why."""
 
 

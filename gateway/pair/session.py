@@ -75,7 +75,7 @@ def embodiment_of(cell: PairCell, name: str) -> Embodiment:
     return with_gains(row, cell_gains(cell))
 
 
-def open_lesson(cell: PairCell, store: PairStore, resume: bool) -> Lesson:  # noqa: FBT001 - as on the command line
+def open_lesson(cell: PairCell, store: PairStore, resume: bool) -> Lesson:
     """Taught points to go on with, or an empty lesson.
 
     Raises

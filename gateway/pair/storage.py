@@ -97,7 +97,7 @@ class PairStore:
         """Learning is switched off."""
         return bool(self._json("state.json").get("frozen", False))
 
-    def freeze(self, frozen: bool) -> None:  # noqa: FBT001 - the state itself
+    def freeze(self, frozen: bool) -> None:
         """Switch learning off or on."""
         self.write("state.json", json.dumps({"frozen": frozen}) + "\n")
 

@@ -41,7 +41,7 @@ def render(result: Json) -> str:
         view=shown,
         about=_about(result),
         residual_known=any(axis.fit is not None or axis.after is not None for axis in shown.axes),
-        css=Markup(style),  # noqa: S704 - the package's own file
+        css=Markup(style),
         sig=words.significant,
         degrees=lambda q: words.plain(None if q is None else math.degrees(q), 1),
         cellular=_cellular,

@@ -13,7 +13,7 @@ from drives.group import DriveGroup, GroupOptions
 from drives.profile_file import list_profiles, load_profile
 
 pytest.importorskip("pybullet", reason="the simulated drives need the extra [sim]")
-from sim.serve import running  # noqa: E402
+from sim.serve import running
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "small"
 PERIOD_S = 0.01

@@ -42,7 +42,7 @@ def test_ur_is_kilogram_and_metre_in_the_tool_flange_frame():
 
 
 def test_urdf_inertial_reads_back():
-    root = ElementTree.fromstring(export(result(), "urdf"))  # noqa: S314 - own text
+    root = ElementTree.fromstring(export(result(), "urdf"))
     inertial = root.find("link/inertial")
     assert [float(x) for x in inertial.find("origin").get("xyz").split()] == [0.01, -0.02, 0.08]
     assert float(inertial.find("mass").get("value")) == 12.5
@@ -53,7 +53,7 @@ def test_urdf_inertial_reads_back():
 def test_urdf_and_json_fall_back_to_link_6_and_say_so():
     load = {key: value for key, value in LOAD.items() if key != "com_flange_m"}
     body = {"schema": 1, "robot": "small", "loads": [load]}
-    root = ElementTree.fromstring(export(body, "urdf"))  # noqa: S314 - own text
+    root = ElementTree.fromstring(export(body, "urdf"))
     assert root.find("joint/parent").get("link") == "link_6"
     assert root.find("link/inertial/origin").get("xyz") == "0.010000 -0.020000 0.180000"
     only = json.loads(export(body, "json"))["loads"][0]
