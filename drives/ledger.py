@@ -118,7 +118,7 @@ def _load(path: Path) -> list[LedgerEntry]:
 
 def _entry(item: Any) -> LedgerEntry:
     entry = LedgerEntry(**item)
-    numbers = (entry.node_id, entry.index, entry.subindex, entry.old, entry.new)
+    numbers: tuple[Any, ...] = (entry.node_id, entry.index, entry.subindex, entry.old, entry.new)
     if not all(isinstance(number, int) for number in numbers) or entry.data_type not in STRUCT_CODE:
         raise ValueError(f"entry {item} is damaged")
     return entry

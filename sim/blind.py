@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +47,7 @@ class BlindCell:
     visits: tuple[PlannedVisit, ...]
     truth: Truth
 
-    def measure(self, visits: Sequence[PlannedVisit], stream: int = 0) -> dict[str, NDArray]:
+    def measure(self, visits: Sequence[PlannedVisit], stream: int = 0) -> dict[str, NDArray[Any]]:
         """Rows of a measured table of the given visits; `stream` makes the noise of later recordings differ."""
         rng = np.random.default_rng([self.seed, 7, stream])
         return measure(self.arm.chain, self.plant, visits, self.arm.loads, self.protocol, rng)
@@ -157,7 +158,7 @@ def strength(arm: DrawnArm, visits: Sequence[PlannedVisit], effect: Mapping[str,
     return float(max(rms[0].max(), rms[1].max()))
 
 
-def _halves(columns: Mapping[str, NDArray], efficiency: Array) -> tuple[Array, Array]:
+def _halves(columns: Mapping[str, NDArray[Any]], efficiency: Array) -> tuple[Array, Array]:
     """Half sum and half difference (visits, 6) of rows up, down; each side through the gear by its own direction."""
     sides = []
     for side, direction in ((slice(0, None, 2), 1.0), (slice(1, None, 2), -1.0)):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Any
 
@@ -28,7 +28,7 @@ bullet = _quietly()
 
 
 @contextmanager
-def unsaid_if_raised() -> Iterator[None]:
+def unsaid_if_raised() -> Generator[None]:
     """Keep back what the engine prints in the block, and drop it where the block raises."""
     kept = os.dup(1)
     with tempfile.TemporaryFile() as said:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -161,7 +162,7 @@ def measure(
     loads: Mapping[str, Payload],
     protocol: Protocol,
     rng: np.random.Generator,
-) -> dict[str, NDArray]:
+) -> dict[str, NDArray[Any]]:
     """Rows of a measured table: each visit from above and from below.
 
     Parameters
@@ -178,8 +179,8 @@ def measure(
     columns by name, as in the measured table: `load` (str), `pose`, `time_s` and `n` of shape (2 * visits,); `q_rad`,
     `dir`, `tau_nm`, `tau_std_nm`, `temp_c` (NaN if not reported) and `q2nd_rad` (likewise) of shape (2 * visits, 6)
     """
-    rows: dict[str, list] = {name: [] for name in ("load", "pose", "time_s", "n")}
-    sixes: dict[str, list] = {name: [] for name in ("q_rad", "dir", "tau_nm", "tau_std_nm", "temp_c", "q2nd_rad")}
+    rows: dict[str, list[Any]] = {name: [] for name in ("load", "pose", "time_s", "n")}
+    sixes: dict[str, list[Any]] = {name: [] for name in ("q_rad", "dir", "tau_nm", "tau_std_nm", "temp_c", "q2nd_rad")}
     unknown = np.full(6, np.nan)
     swap = plant.drive_joint
     for visit in visits:
@@ -208,7 +209,7 @@ def measure(
             temperature = state.temperature_c
             sixes["temp_c"].append(unknown if temperature is None else np.asarray(temperature(now_s)))
             sixes["q2nd_rad"].append(q_true - state.zero_offset_rad if protocol.secondary_encoder else unknown)
-    columns: dict[str, NDArray] = {name: np.array(values) for name, values in rows.items()}
+    columns: dict[str, NDArray[Any]] = {name: np.array(values) for name, values in rows.items()}
     return columns | {name: np.array(values, dtype=float).reshape(-1, 6) for name, values in sixes.items()}
 
 

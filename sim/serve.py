@@ -7,7 +7,7 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
@@ -114,7 +114,7 @@ class RunningSimulation:
 
 
 @contextmanager
-def running(cell_path: Path, bus: str | None = None, **options: Any) -> Iterator[RunningSimulation]:
+def running(cell_path: Path, bus: str | None = None, **options: Any) -> Generator[RunningSimulation]:
     """Simulated drives for the time of a `with` block: in a thread on `virtual`, else in a process of their own.
 
     Parameters
@@ -130,7 +130,7 @@ def running(cell_path: Path, bus: str | None = None, **options: Any) -> Iterator
 
 
 @contextmanager
-def _in_thread(cell_path: Path, options: ServeOptions) -> Iterator[RunningSimulation]:
+def _in_thread(cell_path: Path, options: ServeOptions) -> Generator[RunningSimulation]:
     simulation = Simulation(cell_path, options)
     thread = threading.Thread(target=simulation.run, name="sim-drives")
     thread.start()
@@ -161,7 +161,7 @@ def command(cell_path: Path, options: ServeOptions) -> list[str]:
 
 
 @contextmanager
-def _in_process(cell_path: Path, options: ServeOptions) -> Iterator[RunningSimulation]:
+def _in_process(cell_path: Path, options: ServeOptions) -> Generator[RunningSimulation]:
     process = subprocess.Popen(
         command(cell_path, options), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )

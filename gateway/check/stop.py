@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
@@ -165,7 +165,7 @@ def _slowly_from(opened: OpenArm, start_rad: np.ndarray) -> Motion:
 
 
 @contextmanager
-def _moving_slowly(opened: OpenArm, options: MoveOptions, motion: Motion) -> Iterator[list[Sequence[DriveCommand]]]:
+def _moving_slowly(opened: OpenArm, options: MoveOptions, motion: Motion) -> Generator[list[Sequence[DriveCommand]]]:
     """The arm under power on a slow motion that has reached its speed; yields the commands that go on with it."""
     speed = np.abs(motion.qd_rad_s).max(axis=1)
     steady = int(np.argmax(speed >= 0.99 * speed.max())) + 1

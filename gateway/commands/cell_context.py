@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -102,7 +102,7 @@ class CellContext:
         return BusOverride(spec=self.bus_spec(arm), trace=trace, ledger=self.ledger(arm))
 
     @contextmanager
-    def connected(self, arm: ArmConfig) -> Iterator[DriveGroup]:
+    def connected(self, arm: ArmConfig) -> Generator[DriveGroup]:
         """The drives of an arm, and the measuring device on its bus, found and identified, nothing written."""
         config = self.loaded.cell.bus[arm.bus]
         options = GroupOptions(

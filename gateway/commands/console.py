@@ -6,7 +6,7 @@ import errno
 import os
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -66,7 +66,7 @@ class Session:
             self.console(err=True).print(text, markup=False)
 
     @contextmanager
-    def progress(self, total: float, text: str) -> Iterator[Bar]:
+    def progress(self, total: float, text: str) -> Generator[Bar]:
         """Progress with remaining time on stderr: a bar on a terminal, a line per tenth elsewhere."""
         console = self.console(err=True)
         if self.verbosity < 0:
@@ -79,7 +79,7 @@ class Session:
                 yield RichBar(progress, progress.add_task(text, total=total), text)
 
     @contextmanager
-    def working(self, text: str) -> Iterator[None]:
+    def working(self, text: str) -> Generator[None]:
         """A sign of life on stderr while something is computed; nothing where there is no terminal."""
         console = self.console(err=True)
         if self.verbosity < 0 or not console.is_terminal:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -72,7 +72,7 @@ def move_options(function: Function) -> Function:
 
 
 @contextmanager
-def stoppable(move: MoveChoice) -> Iterator[MoveOptions]:
+def stoppable(move: MoveChoice) -> Generator[MoveOptions]:
     """While this is open, signals and the held key stop what moves; interrupted at once while nothing does."""
     from gateway.motion.holdtorun import held_key
     from gateway.motion.stops import StopDesk, outputs_watched, signals_ask

@@ -93,6 +93,6 @@ def confirm(question: str, *, yes: bool) -> None:
         click.confirm(question, abort=True, err=True)
 
 
-def one_of(names: Sequence[str]) -> click.Choice:
+def one_of(names: Sequence[str]) -> click.Choice[str]:
     """A choice among names, spelled exactly."""
     return click.Choice(list(names))

@@ -208,7 +208,7 @@ def learn(action: str, cell: Path, store: Path | None, json_out: str | None) -> 
     elif action != "status":
         kept.freeze(action == "freeze")
     stored = {stage: kept.load(stage) for stage in ("first", "second")}
-    body = {
+    body: dict[str, Any] = {
         "schema": 1,
         "learning": "off" if kept.frozen else "on",
         "functions": {

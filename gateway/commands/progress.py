@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gateway.acquire.events import Event, PoseDone, Progress, SampleRepeated, Started, StateChanged, Stopped, VisitDone
+from gateway.acquire.events import Event, PoseDone, Progress, SampleRepeated, Started, StateChanged, VisitDone
 from gateway.acquire.plan import Plan
 from gateway.acquire.session import RecordingSummary, RecordRequest, record
 from gateway.commands.console import Bar, Session
@@ -42,7 +42,7 @@ class ProgressListener:
             self._session.note(f"SYNC {event.sync_index} was not answered by {axes}; sampled again")
         elif isinstance(event, StateChanged):
             self._session.note(str(event.state), level=2)
-        elif isinstance(event, Stopped):
+        else:
             self._session.note(f"stopped: {event.reason}")
 
 

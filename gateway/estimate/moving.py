@@ -9,6 +9,7 @@ it: with no repeated motion the noise floor of a moving run is unknown.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,7 +101,9 @@ def _rms(residual: Floats, axis: Ints) -> Floats:
     return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), 1.0)
 
 
-def _covariance(design: Floats, solution: Solution, where: tuple[Ints, Ints], sigma: Floats, run: NDArray) -> Floats:
+def _covariance(
+    design: Floats, solution: Solution, where: tuple[Ints, Ints], sigma: Floats, run: NDArray[Any]
+) -> Floats:
     """Covariance (p, p) under the residuals as they are: their own size, and hanging together in time."""
     row, axis = where
     weight = 1.0 / sigma[axis]
@@ -115,7 +118,7 @@ def _covariance(design: Floats, solution: Solution, where: tuple[Ints, Ints], si
     return real.T @ real + by_prior
 
 
-def _correlation_time(residual: Floats, run: NDArray) -> float:
+def _correlation_time(residual: Floats, run: NDArray[Any]) -> float:
     """How many rows make one independent one: 1 + 2 sum of the autocorrelation up to its first zero."""
     total = 1.0
     left = residual - residual.mean()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -135,7 +135,7 @@ class _Run:
         self._tell(f"{name}: {what}" if name else what, done_s + max(row, 0) * self._path.period_s)
 
     @contextmanager
-    def under_power(self) -> Iterator[None]:
+    def under_power(self) -> Generator[None]:
         """Enable, stand until the drives carry what the brakes carried; offsets are zero when this is left."""
         try:
             with powered(Stream(self._station)) as self._stream:

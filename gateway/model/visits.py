@@ -7,6 +7,7 @@ Each side goes through the gear by its own direction first: the motor driving, `
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -67,7 +68,7 @@ class Visits:
         """Number of visits."""
         return len(self.pose)
 
-    def take(self, rows: NDArray) -> Visits:
+    def take(self, rows: NDArray[Any]) -> Visits:
         """The chosen visits (mask or indices)."""
         index = np.flatnonzero(rows) if np.asarray(rows).dtype == bool else np.asarray(rows, dtype=int)
         values = {name: getattr(self, name)[index] for name in self.__dataclass_fields__ if name != "where"}

@@ -14,7 +14,7 @@ import sys
 import termios
 import time
 import tty
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Final
@@ -143,7 +143,7 @@ def with_held_input(opened: OpenArm, options: MoveOptions) -> MoveOptions:
 
 
 @contextmanager
-def held_key() -> Iterator[HeldKey]:
+def held_key() -> Generator[HeldKey]:
     """The keyboard of the terminal, key by key, and without showing them.
 
     Raises

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -163,7 +163,7 @@ def _profile(loaded: LoadedCell, name: str) -> DriveProfile:
 
 
 @contextmanager
-def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str | None = None) -> Iterator[OpenArm]:
+def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str | None = None) -> Generator[OpenArm]:
     """Connect, check and configure the drives of an arm; on leaving they are disabled and the bus is closed.
 
     Whatever opens an arm passes the pre-flight check here: nothing is written to a drive that fails it.

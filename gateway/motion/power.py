@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import Final
 
@@ -18,7 +18,7 @@ SAG_RAD: Final = 0.005
 
 
 @contextmanager
-def _on_time(arms: Arms) -> Iterator[None]:
+def _on_time(arms: Arms) -> Generator[None]:
     """By the clock: what the operating system gives to a loop that must not be held up."""
     if not arms.real:
         yield
@@ -28,7 +28,7 @@ def _on_time(arms: Arms) -> Iterator[None]:
 
 
 @contextmanager
-def powered(stream: Stream) -> Iterator[Stream]:
+def powered(stream: Stream) -> Generator[Stream]:
     """Power the arms where they stand; on leaving, however that comes about, they stand and their brakes are on.
 
     The stop fits the cause. Along the path the stream has come to rest by itself. While set points are going out, and

@@ -14,7 +14,7 @@ import select
 import signal
 import stat
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import IntEnum
@@ -100,7 +100,7 @@ class StopDesk:
 
 
 @contextmanager
-def signals_ask(desk: StopDesk) -> Iterator[None]:
+def signals_ask(desk: StopDesk) -> Generator[None]:
     """Let SIGINT, SIGTERM and SIGHUP ask for a stop along the path, and for a quick stop the second time.
 
     While nothing is under power they interrupt at once (`StoppedByPerson`), except a second one that comes after the

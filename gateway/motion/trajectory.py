@@ -8,6 +8,7 @@ limits differ.)
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import ruckig
@@ -87,7 +88,7 @@ def _standing(period_s: float) -> Motion:
     return Motion(np.empty((0, AXES)), np.empty((0, AXES)), np.empty((0, AXES)), period_s)
 
 
-def _along(line: np.ndarray, limits: MotionLimits) -> ruckig.InputParameter:
+def _along(line: np.ndarray, limits: MotionLimits) -> Any:
     """Request for the way along a line (6,): every joint's limits hold for its share of it."""
     request = ruckig.InputParameter(1)
     request.current_position = [0.0]
@@ -103,7 +104,7 @@ def _along(line: np.ndarray, limits: MotionLimits) -> ruckig.InputParameter:
     return request
 
 
-def _sample(request: ruckig.InputParameter, start_rad: np.ndarray, line: np.ndarray, period_s: float) -> Motion:
+def _sample(request: Any, start_rad: np.ndarray, line: np.ndarray, period_s: float) -> Motion:
     trajectory = ruckig.Trajectory(1)
     try:
         result = ruckig.Ruckig(1).calculate(request, trajectory)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -59,7 +59,7 @@ class PairLink:
 
 
 @contextmanager
-def open_link(cell: PairCell, ledgers: tuple[Path | None, Path | None] = (None, None)) -> Iterator[PairLink]:
+def open_link(cell: PairCell, ledgers: tuple[Path | None, Path | None] = (None, None)) -> Generator[PairLink]:
     """Connect and configure both arms; on leaving all drives are disabled and both buses closed.
 
     Raises

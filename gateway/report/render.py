@@ -69,7 +69,7 @@ def _about(result: Json) -> list[Markup]:
     return parts + ([Markup("{}").format(data["created"])] if data.get("created") else [])
 
 
-class _Lenient(dict):
+class _Lenient(dict[str, Any]):
     """A dictionary whose absent keys read as None in the template."""
 
     def __getattr__(self, name: str) -> Any:

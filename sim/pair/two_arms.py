@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -184,7 +184,7 @@ class TwoArms(ABC):
             self._pass(min(self._asked), self.usual_ticks)
 
     @contextmanager
-    def settled(self, arm: int) -> Iterator[None]:
+    def settled(self, arm: int) -> Generator[None]:
         """By the clock: the instant of an arm's SYNC, at which its encoders are latched; time stands still meanwhile.
 
         What the other bus still looks at is waited for, unless that bus is held up.

@@ -7,7 +7,7 @@ file before anything is read, links that lead out of the file are refused.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -136,7 +136,7 @@ class Place:
 
 
 @contextmanager
-def open_recording(path: Path) -> Iterator[Place]:
+def open_recording(path: Path) -> Generator[Place]:
     """Open an HDF5 file for reading; whatever is wrong with it becomes `InputError`.
 
     Raises

@@ -5,7 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -15,7 +15,7 @@ _LOOK_S = 0.02
 
 
 @contextmanager
-def sole_writer(path: Path, patience_s: float) -> Iterator[None]:
+def sole_writer(path: Path, patience_s: float) -> Generator[None]:
     """Nobody else writes this recording meanwhile; the mark beside the file is no mark any more once its owner is gone.
 
     Parameters

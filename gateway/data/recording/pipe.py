@@ -13,7 +13,7 @@ import signal
 import struct
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -119,7 +119,7 @@ class Inbox:
 
 
 @contextmanager
-def _held_back() -> Iterator[None]:
+def _held_back() -> Generator[None]:
     """A process that is started meanwhile never gets these signals; this one gets them afterwards."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, NOT_FOR_THE_WRITER)
     try:

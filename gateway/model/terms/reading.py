@@ -9,6 +9,7 @@ derivative of this prediction, so it is built from modelled torque alone: a meas
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +73,7 @@ class RestRows:
     def __len__(self) -> int:
         return len(self.pose)
 
-    def take(self, index: NDArray) -> RestRows:
+    def take(self, index: NDArray[Any]) -> RestRows:
         """The rows that `index` (mask or numbers) selects."""
         picked = {
             name: getattr(self, name)[index] for name in self.__slots__ if name not in ("efficiency", "__weakref__")
