@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -42,10 +42,20 @@ class MoveChoice:
 
 
 def move_options(function: Function) -> Function:
-    """Add MOVE: --override, --hold-to-run, --yes, --pacing; the command takes them as one argument `moving`."""
+    """Add MOVE: --override, --hold-to-run, --yes, --pacing; the command takes them as one argument `moving`.
+
+    A terminal that goes away ends it as a person does, also before anything has moved.
+    """
 
     def gathered(*arguments: Any, override: int, hold_to_run: bool, yes: bool, pacing: str | None, **named: Any) -> Any:
-        return function(*arguments, moving=MoveChoice(override, hold_to_run, yes, pacing), **named)
+        from gateway.motion.stops import CLOSED, StoppedByPerson, output_closed
+
+        try:
+            return function(*arguments, moving=MoveChoice(override, hold_to_run, yes, pacing), **named)
+        except (OSError, SystemExit) as error:
+            if output_closed(error) and _moves(named):
+                raise StoppedByPerson(CLOSED) from error
+            raise
 
     gathered.__name__, gathered.__doc__ = function.__name__, function.__doc__
     gathered.__click_params__ = getattr(function, "__click_params__", [])  # type: ignore[attr-defined]
@@ -69,6 +79,12 @@ def move_options(function: Function) -> Function:
     ):
         wrapped = option(wrapped)
     return wrapped  # type: ignore[return-value]
+
+
+def _moves(named: Mapping[str, Any]) -> bool:
+    """Whether anything was to move: of `check`, only what was asked for does."""
+    asked = [named[flag] for flag in ("move", "prove_stop", "brakes") if flag in named]
+    return not asked or any(asked)
 
 
 @contextmanager
