@@ -13,7 +13,7 @@ LEAST_STRENGTH = 0.5
 EACH_SIDE = 2
 
 
-def stuck(problem: RestProblem, after: Fit) -> list[EffectResult]:
+def friction_by_direction(problem: RestProblem, after: Fit) -> list[EffectResult]:
     """Axes whose mean friction against the approach shows in one-sided visits.
 
     In a two-sided visit the same friction is the band, which every model has; a one-sided visit alone cannot

@@ -14,7 +14,7 @@ SURE = 6.0
 LEAST_STRENGTH = 0.6
 
 
-def wound_up(problem: RestProblem, after: Fit) -> list[EffectResult]:
+def elastic_joints(problem: RestProblem, after: Fit) -> list[EffectResult]:
     """Elastic joints among those with a secondary encoder.
 
     Wind-up is regressed on the modelled torque, with a constant for the zeros of the two encoders; a joint counts where

@@ -10,14 +10,21 @@ import numpy as np
 
 from gateway.data.table import Table
 from gateway.diagnose.ask import questions
-from gateway.diagnose.bias import stuck
+from gateway.diagnose.bias import friction_by_direction
 from gateway.diagnose.decide import STRUCTURE_P, Decision, decide
-from gateway.diagnose.deflection import wound_up
+from gateway.diagnose.deflection import elastic_joints
 from gateway.diagnose.fit import fit
 from gateway.diagnose.holdout import Held, foretold_covariance, predicted
 from gateway.diagnose.linear import Fit, RestProblem, visit_loads
 from gateway.diagnose.loads import loads_of
-from gateway.diagnose.mistakes import Mistake, band_signs, find_mistakes, strained, suspicious, wrecked
+from gateway.diagnose.mistakes import (
+    Mistake,
+    band_signs,
+    beyond_any_effect,
+    find_mistakes,
+    links_far_from_cad,
+    suspicious,
+)
 from gateway.diagnose.motion import MovingDefaults, diagnose_motion
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.outcome import (
@@ -148,13 +155,13 @@ class RestDiagnosis:
         plain = fit(problem, (), first_noise(problem))
         mistakes: tuple[Mistake, ...] = ()
         gained = 0.0
-        looked = wrecked(problem, plain)
+        looked = beyond_any_effect(problem, plain)
         if looked:
             mistakes, gained = find_mistakes(table, self.problem, self.options.allowed)
             if gained > OBVIOUS and self._settled(_undone(table, mistakes)):
                 return self._searched(table, mistakes, gained)
         found = self._searched(table, (), 0.0)
-        if not looked and (suspicious(found.search.problem, found.chosen) or strained(problem, plain)):
+        if not looked and (suspicious(found.search.problem, found.chosen) or links_far_from_cad(problem, plain)):
             mistakes, gained = find_mistakes(table, self.problem, self.options.allowed)
         if mistakes:
             other = self._searched(table, mistakes, gained)
@@ -217,8 +224,10 @@ class RestDiagnosis:
         judge = Judge(problem, held)
         effects = [entry for mistake in found.mistakes for entry in mistake_effect(mistake, found.gained)]
         effects += proven(search, decision, judge)
-        seen_by_encoder = wound_up(problem, decision.after) if "joint_elasticity" in self.options.allowed else []
-        by_direction = stuck(problem, decision.after) if "static_friction" in self.options.allowed else []
+        seen_by_encoder = elastic_joints(problem, decision.after) if "joint_elasticity" in self.options.allowed else []
+        by_direction = (
+            friction_by_direction(problem, decision.after) if "static_friction" in self.options.allowed else []
+        )
         effects += seen_by_encoder + by_direction
         effects += possible(search, decision, judge) if decision.verdict == "undecided" else []
         verdict: Verdict = decision.verdict

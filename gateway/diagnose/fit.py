@@ -89,15 +89,15 @@ def _linearised(
 ) -> Fit:
     """One Gauss-Newton step from `state` (which is moved), with noise and evidence at the new point."""
     setting = with_terms(terms, state.theta, problem.rows)
-    shell = _shell(problem, terms, state, setting, noise)
+    at_start = _as_fit(problem, terms, state, setting, noise)
     columns = [common_columns(problem, setting, state.links, state.loads, state.band)]
     for position, term in enumerate(terms):
-        own = term_columns(problem, shell, term, state.theta[position], position)
+        own = term_columns(problem, at_start, term, state.theta[position], position)
         columns.append(own)
         if step == 0:
             spreads.append(spread_of(problem, noise, term, own))
     design = np.hstack(columns)
-    residual = problem.target - shell.residual
+    residual = problem.target - at_start.residual
     prior_std, pull = _prior(problem, terms, state, spreads)
     prior_rows, prior_residual = _prior_rows(problem, state, prior_std, pull)
     weight = 1.0 / noise.std[problem.group]
@@ -137,8 +137,8 @@ def _linearised(
     )
 
 
-def _shell(problem: RestProblem, terms: Sequence[Term], state: _State, setting: AlteredModel, noise: Noise) -> Fit:
-    """The present point in the clothes of a fit; its residual holds the modelled rows."""
+def _as_fit(problem: RestProblem, terms: Sequence[Term], state: _State, setting: AlteredModel, noise: Noise) -> Fit:
+    """The present point as a fit of which nothing but the place is known; its residual holds the modelled rows."""
     empty = np.zeros((0, 0))
     now = modelled(problem, setting, state.links, state.loads, state.band)
     theta = tuple(state.theta)

@@ -25,8 +25,8 @@ Floats = NDArray[np.float64]
 SURE = 20.0
 COMMON = 30.0
 SUSPICIOUS = 1.7
-STRAINED = 60.0
-WRECKED = 8.0
+FAR_FROM_CAD = 60.0
+BEYOND_ANY_EFFECT = 8.0
 NEGATIVE_BAND = -3.0
 ODD_GAIN = 0.24
 _SCALE = "torque_constant_scale"
@@ -105,16 +105,16 @@ def band_signs(problem: RestProblem, result: Fit) -> float:
     return float(np.sum(norm.logcdf(result.band[seen] / band_std[seen])))
 
 
-def strained(problem: RestProblem, fitted: Fit) -> bool:
+def links_far_from_cad(problem: RestProblem, fitted: Fit) -> bool:
     """Whether a fit asks for links that are far from what the CAD says."""
-    return float(np.sum(((fitted.links - problem.links) / problem.link_std) ** 2)) > STRAINED
+    return float(np.sum(((fitted.links - problem.links) / problem.link_std) ** 2)) > FAR_FROM_CAD
 
 
-def wrecked(problem: RestProblem, plain: Fit) -> bool:
+def beyond_any_effect(problem: RestProblem, plain: Fit) -> bool:
     """Whether the model without effects fails so badly that a mistake is the first thing to look for."""
     sums = np.unique(problem.group[problem.group < 6])
     ratio = (plain.noise.std[sums] / plain.noise.start[sums]).max(initial=0.0)
-    return ratio > WRECKED or band_signs(problem, plain) < -WRECKED
+    return ratio > BEYOND_ANY_EFFECT or band_signs(problem, plain) < -BEYOND_ANY_EFFECT
 
 
 def suspicious(problem: RestProblem, plain: Fit) -> bool:
@@ -128,7 +128,7 @@ def suspicious(problem: RestProblem, plain: Fit) -> bool:
     gains = [abs(float(v[0])) for t, v in zip(plain.terms, plain.theta, strict=True) if t.name == _SCALE]
     unnamed = any(term.name == "unnamed" for term in plain.terms)
     odd = unnamed or one_sided or backward or max(gains, default=0.0) > ODD_GAIN
-    return odd or ratio > SUSPICIOUS or strained(problem, plain)
+    return odd or ratio > SUSPICIOUS or links_far_from_cad(problem, plain)
 
 
 def find_mistakes(
@@ -160,7 +160,7 @@ def find_mistakes(
             scale = -float(np.sum(np.isin(changed.group % 6 + 1, mistake.joints))) * np.log(mistake.factor)
             scale -= mistake.handicap
             value, result = plain_score(changed, scale)
-            if mistake.handicap and strained(changed, result):
+            if mistake.handicap and links_far_from_cad(changed, result):
                 continue  # a factor on all axes leaves links as the CAD has them, one heavy link does not
             if best is None or value > best[0]:
                 best = value, mistake, changed, result

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.table import Table
-from gateway.diagnose.motion_deflection import wound_up
+from gateway.diagnose.motion_deflection import elastic_joints
 from gateway.diagnose.motion_effects import certain
 from gateway.diagnose.motion_fit import MovingNoise, MovingProblem, blocks
 from gateway.diagnose.motion_mistakes import MovingMistake, find_mistakes, undo
@@ -119,7 +119,7 @@ def diagnose_motion(table: Table, robot: Robot, options: MovingOptions) -> Resul
             start = () if chosen is None else state.terms
             problem, state, left = select(with_noise_of(again, start, None), allowed, start)
     outcome = _outcome(problem, state, left, allowed, mistakes, as_read, known)
-    wound = wound_up(problem, outcome.after) if "joint_elasticity" in allowed else ()
+    wound = elastic_joints(problem, outcome.after) if "joint_elasticity" in allowed else ()
     if wound and as_read is None:
         stiff = replace(table, q2nd_rad=np.full_like(table.q2nd_rad, np.nan))
         held = options.holdout and replace(options.holdout, q2nd_rad=np.full_like(options.holdout.q2nd_rad, np.nan))

@@ -17,7 +17,7 @@ LARGEST_RATIO = 0.7
 LARGEST_RAD = 0.05
 
 
-def wound_up(problem: MovingProblem, state: MovingState) -> tuple[EffectResult, ...]:
+def elastic_joints(problem: MovingProblem, state: MovingState) -> tuple[EffectResult, ...]:
     """Elastic joints among those with a secondary encoder.
 
     Wind-up is regressed on the modelled torque of the links, with a constant for the zeros of the two encoders. A joint

@@ -63,7 +63,7 @@ class Track:
         return np.gradient(self.target_rad, self.period_s, axis=0)
 
     @property
-    def gain_rad_s2(self) -> Floats:
+    def acceleration_rad_s2(self) -> Floats:
         """Acceleration (n, 6) of the target, by central differences; 0 at both ends."""
         gain = np.zeros_like(self.target_rad)
         gain[1:-1] = np.diff(self.target_rad, 2, axis=0) / self.period_s**2

@@ -81,19 +81,19 @@ def load_trend(track: Track, model: FeedModel, load: FeedLoad) -> Trend | None:
     Trend or None
         None where too little moves to tell.
     """
-    q, rate, gain = track.target_rad, track.rate_rad_s, track.gain_rad_s2
-    columns = regressor(model.robot, q, rate, gain, model.gravity_m_s2)
+    q, rate, acceleration = track.target_rad, track.rate_rad_s, track.acceleration_rad_s2
+    columns = regressor(model.robot, q, rate, acceleration, model.gravity_m_s2)
     to_gear = np.linalg.inv(model.coupling)
     arm, own = (rows @ to_gear for rows in (columns @ model.links, columns[:, :, 50:] @ load.parameters))
-    rates, gains = rate @ model.coupling.T, gain @ model.coupling.T
+    rates, accelerations = rate @ model.coupling.T, acceleration @ model.coupling.T
     used = (np.abs(rates) > SLOW_RAD_S) & np.isfinite(track.torque_nm)
     used &= np.abs(np.gradient(np.sign(rates), axis=0)) == 0
     if used.sum() < LEAST_ROWS:
         return None
-    behind, friction = _behind_gears(track, model, rates, gains)
+    behind, friction = _behind_gears(track, model, rates, accelerations)
     residual = np.where(used, behind - friction - arm - own, 0.0)
     sense = np.sign(rates)
-    kinds = [np.ones_like(rates), sense, rates, sense * np.abs(arm + own), gains]
+    kinds = [np.ones_like(rates), sense, rates, sense * np.abs(arm + own), accelerations]
     nuisance = np.stack(kinds, axis=2) * used[:, :, None]
     moment = np.einsum("nij,ik->nkj", columns[:, :, 50:54], to_gear) * used[:, :, None]
     problem = _Problem(residual, nuisance, used)
@@ -113,14 +113,14 @@ def load_trend(track: Track, model: FeedModel, load: FeedLoad) -> Trend | None:
     )
 
 
-def _behind_gears(track: Track, model: FeedModel, rates: Floats, gains: Floats) -> tuple[Floats, Floats]:
+def _behind_gears(track: Track, model: FeedModel, rates: Floats, accelerations: Floats) -> tuple[Floats, Floats]:
     """Measured torque behind the gears and friction as fed (n, 6) [Nm]."""
     ratio = np.array([axis.torque_sign * axis.ratio for axis in model.axes])
     rotor = np.array([axis.rotor_kg_m2 for axis in model.axes])
     efficiency = np.array([axis.efficiency for axis in model.axes])
     coulomb = np.array([axis.coulomb_nm for axis in model.axes])
     viscous = np.array([axis.viscous_nm_s_rad for axis in model.axes])
-    fed = np.nan_to_num(track.torque_nm) * ratio - rotor * gains
+    fed = np.nan_to_num(track.torque_nm) * ratio - rotor * accelerations
     behind = fed * efficiency ** np.sign(fed * rates)
     return behind, coulomb * np.sign(rates) + viscous * rates
 
