@@ -117,7 +117,7 @@ def _read(lines: Lines, file: str, known: frozenset[str]) -> CsvColumns:
         line = np.array([number for number, _ in block])
         numbers.append(line)
         for name, cells in zip(header, zip(*(cells for _, cells in block), strict=True), strict=True):
-            kind = kinds.setdefault(name, _kind(name, cells[0]))
+            kind = kinds.setdefault(name, _kind(name, cells[0], known))
             parts[name].append(_text(cells) if kind == "text" else _numbers(name, cells, line, file))
     if not numbers:
         raise InputError(f"{file}:1: the table has a header but no row")
@@ -147,10 +147,11 @@ def _rows(lines: Lines, header: list[str], file: str) -> Lines:
         yield line, cells
 
 
-def _kind(name: str, first: str) -> str:
+def _kind(name: str, first: str, known: frozenset[str]) -> str:
+    """A column of one's own is text or numbers by its first cell; of the others it is known."""
     if name in TEXT:
         return "text"
-    return "text" if name.startswith("x_") and not _is_number(first) else "number"
+    return "text" if name not in known and not _is_number(first) else "number"
 
 
 def _is_number(cell: str) -> bool:
