@@ -69,7 +69,8 @@ def complete(result: Result, about: Given, table: Table, paths: Sequence[Path]) 
 def _corrected(about: Given) -> list[Finding]:
     """Constants that were corrected since the recording."""
     return [
-        Finding("info", f"J{each.joint}", f"{each}: worked out anew with the cell's", "") for each in about.corrections
+        Finding("info", f"J{each.joint}", f"{each.what}: worked out anew with the cell's", "")
+        for each in about.corrections
     ]
 
 

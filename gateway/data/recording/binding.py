@@ -38,8 +38,13 @@ class Correction:
     recorded: float
     used: float
 
+    @property
+    def what(self) -> str:
+        """In words, without the joint."""
+        return f"{self.name} {self.used:g}, recorded with {self.recorded:g}"
+
     def __str__(self) -> str:
-        return f"J{self.joint} {self.name} {self.used:g}, recorded with {self.recorded:g}"
+        return f"J{self.joint} {self.what}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -121,8 +121,11 @@ def test_corrected_constants_are_used_and_named(cell_at, record):
         "J1 gear_ratio 121, recorded with 120",
         "J1 zero_offset_rad 0.1, recorded with 0",
     ]
-    said = [finding.what for finding in complete(Result("small"), about, after, [path]).findings]
-    assert said == [f"{each}: worked out anew with the cell's" for each in about.corrections]
+    said = [(finding.where, finding.what) for finding in complete(Result("small"), about, after, [path]).findings]
+    assert said == [
+        ("J1", "gear_ratio 121, recorded with 120: worked out anew with the cell's"),
+        ("J1", "zero_offset_rad 0.1, recorded with 0: worked out anew with the cell's"),
+    ]
 
 
 def test_corrected_torque_constant_scales_what_was_measured_as_current(cell_at, record, monkeypatch):
