@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import multiprocessing
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Any
 
+from benchmarks.chaos.pool import side_by_side
 from benchmarks.figure import figure
 from benchmarks.fuzz.runner import run
 from benchmarks.fuzz.targets import TARGETS
@@ -24,17 +23,13 @@ def figures(scope: Any) -> dict[str, dict]:
     bar = scope.bar("fuzz [inputs]", sum(count for _, _, count in pieces))
     escapes = 0
     fed = {"decoder": 0, "reader": 0}
-    with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
-        futures = {pool.submit(feed, *piece): piece for piece in pieces}
-        for future in as_completed(futures):
-            number, _, count = futures[future]
-            escape = future.result()
-            if escape:
-                escapes += 1
-                scope.print(escape, markup=False)
-            else:
-                fed[TARGETS[number].kind] += count
-            bar.step(count)
+    for (number, _, count), escape in side_by_side(feed, pieces):
+        if escape:
+            escapes += 1
+            scope.print(escape, markup=False)
+        else:
+            fed[TARGETS[number].kind] += count
+        bar.step(count)
     return {
         "fuzzed inputs, decoders": figure(fed["decoder"], ">= 0"),
         "fuzzed inputs, file readers": figure(fed["reader"], ">= 0"),

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from typing import Any
 
 from benchmarks.chaos.killing import Losses, interrupt_recordings
+from benchmarks.chaos.pool import side_by_side
 from benchmarks.figure import figure
 
 KILLS = {"sigkill": 160, "disk full": 20, "power cycle": 20}
@@ -25,14 +24,11 @@ def figures(scope: Any) -> dict[str, dict]:
             left, seed = left - pieces[-1][0], seed + 1
     bar = scope.bar("interrupted", sum(kills for kills, _, _ in pieces))
     found: list[Losses] = []
-    with ProcessPoolExecutor(JOBS, mp_context=get_context("spawn")) as pool:
-        jobs = {pool.submit(interrupt_recordings, *piece): piece for piece in pieces}
-        for job in as_completed(jobs):
-            kills, how, _ = jobs[job]
-            found.append(job.result())
-            bar.step(kills)
-            for complaint in found[-1].complaints:
-                scope.print(f"{how}: {complaint}", markup=False)
+    for (kills, how, _), losses in side_by_side(interrupt_recordings, pieces, JOBS):
+        found.append(losses)
+        bar.step(kills)
+        for complaint in losses.complaints:
+            scope.print(f"{how}: {complaint}", markup=False)
     interrupted = sum(losses.interrupted for losses in found)
     announced = sum(losses.announced for losses in found)
     lost = sum(losses.lost for losses in found)

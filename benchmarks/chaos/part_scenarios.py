@@ -5,11 +5,10 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from typing import Any, Final
 
 from benchmarks.chaos.evidence import Outcome
+from benchmarks.chaos.pool import side_by_side
 from benchmarks.chaos.remote import remote
 from benchmarks.chaos.rig import rig
 from benchmarks.chaos.scenarios import ELSEWHERE, STRICT, kinds, play_again
@@ -45,10 +44,9 @@ def hand(played: Sequence[str], seed: int) -> list[Outcome]:
 
 
 def _in_lockstep(played: Sequence[str], seeds: Sequence[int]) -> Iterator[Outcome]:
-    with ProcessPoolExecutor(JOBS, mp_context=get_context("spawn")) as pool:
-        hands = [pool.submit(hand, played[number::HANDS], seed) for seed in seeds for number in range(HANDS)]
-        for done in as_completed(hands):
-            yield from done.result()
+    hands = [(played[number::HANDS], seed) for seed in seeds for number in range(HANDS)]
+    for _, outcomes in side_by_side(hand, hands, JOBS):
+        yield from outcomes
 
 
 def _by_the_clock(played: Sequence[str], seeds: Sequence[int]) -> Iterator[Outcome]:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from typing import Any
 
+from benchmarks.chaos.pool import side_by_side
 from benchmarks.chaos.truth import Verdict, many
 from benchmarks.figure import figure
 
@@ -20,10 +19,9 @@ def figures(scope: Any) -> dict[str, dict]:
     piece = -(-answers // PIECES)
     bar = scope.bar("answers under faults", answers)
     verdicts: list[Verdict] = []
-    with ProcessPoolExecutor(JOBS, mp_context=get_context("spawn")) as pool:
-        for done in as_completed([pool.submit(many, piece, seed) for seed in range(1, PIECES + 1)]):
-            verdicts.append(done.result())
-            bar.step(piece)
+    for _, verdict in side_by_side(many, [(piece, seed) for seed in range(1, PIECES + 1)], JOBS):
+        verdicts.append(verdict)
+        bar.step(piece)
     taken = sum(verdict.taken for verdict in verdicts)
     return {
         "answers taken under faults": figure(taken, f">= {answers}"),

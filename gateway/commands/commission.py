@@ -37,13 +37,13 @@ from gateway.diagnose import DiagnoseOptions
 from gateway.diagnose.loop import close_loop
 from gateway.errors import PlanRefused
 from gateway.estimate import run as estimate_run
+from gateway.identify.loads import BARE_LABEL
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
 from gateway.preflight.look_over import require_passed
 from gateway.preflight.rules import CheckItem
 from gateway.result.result import Result
 
-BARE = "none"
 # Postures among which the diagnosis may ask for further poses.
 CHOICE = 160
 
@@ -120,7 +120,7 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
     with open_arm(job.context.loaded, job.context.override(job.arm), job.arm.name) as opened:
         options = ensure_proven(opened, job.context.stop_proof(job.arm), dialogue.say, job.options)
         robot = _Robot(replace(job, options=options), dialogue, opened, plan)
-        for label in (BARE, *job.labels):
+        for label in (BARE_LABEL, *job.labels):
             robot.measure_load(label)
         about, table = robot.data()
         seen, _ = split_validation(table)
@@ -151,7 +151,7 @@ class _Robot:
 
     def __init__(self, job: Job, dialogue: Dialogue, opened: OpenArm, plan: Plan) -> None:
         self._job, self._dialogue, self._opened = job, dialogue, opened
-        self._load = BARE
+        self._load = BARE_LABEL
         self._fit = [pose for pose in plan.poses if pose.purpose == "fit"]
         self._validation = [pose for pose in plan.poses if pose.purpose == "validation"]
         self._settings = plan.settings
@@ -168,7 +168,7 @@ class _Robot:
         """Hang a load and measure all poses to fit from; where they are all there, only the last load is asked for."""
         self._load = label
         missing = self._missing(self._fit)
-        if label != BARE and (missing or label == self._job.labels[-1]):
+        if label != BARE_LABEL and (missing or label == self._job.labels[-1]):
             self._dialogue.hang(label)
         if missing:
             self._record(self._fit)

@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.errors import ConfigError
+from gateway.model.motion import PER_BODY
 from gateway.model.robot import Robot, link_lengths_m
 
 Floats = NDArray[np.float64]
 
 #: Parameters of one link: [m, h] at rest, [m, h, I about the link's origin] in motion.
 PER_LINK_AT_REST: Final = 4
-PER_LINK_MOVING: Final = 10
+PER_LINK_MOVING: Final = PER_BODY
 #: Power of the link's length by which each of them grows.
 _POWERS: Final = np.array([0.0, 1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0])
 

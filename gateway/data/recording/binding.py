@@ -89,7 +89,7 @@ def bind(recording: Recording, cell: Cell, arm: ArmConfig) -> Bound:
     corrections = tuple(_corrections(before, arm))
     if not corrections:
         return Bound(replace(recording, arms=(part,), cell=cell), ())
-    scale = _torque_scale(recording, part, before, arm)
+    scale = _torque_scale(recording, part, (before, arm), corrections)
     old, new = AxisConversion.from_arm(before), AxisConversion.from_arm(arm)
     visits = tuple(_converted(visit, scale, old, new) for visit in part.visits)
     return Bound(replace(recording, arms=(replace(part, visits=visits),), cell=cell), corrections)
@@ -117,36 +117,37 @@ def _refuse_wired_otherwise(recording: Recording, before: ArmConfig, after: ArmC
 
 def _corrections(before: ArmConfig, after: ArmConfig) -> Iterator[Correction]:
     for joint, (old, new) in enumerate(zip(before.axis, after.axis, strict=True), start=1):
-        for name, was, now in zip(_NAMES, _constants(old), _constants(new), strict=True):
-            if was != now:
-                yield Correction(joint, name, was, now)
+        used = _constants(new)
+        for name, was in _constants(old).items():
+            if was != used[name]:
+                yield Correction(joint, name, was, used[name])
 
 
-_NAMES = ("torque_constant_nm_per_a", "gear_ratio", "gear_efficiency", "torque_sign", "zero_offset_rad")
+def _constants(axis: AxisConfig) -> dict[str, float]:
+    """What may be corrected, by its key in the cell file."""
+    return {
+        "torque_constant_nm_per_a": axis.torque_constant_nm_per_a.value,
+        "gear_ratio": axis.gear_ratio.value,
+        "gear_efficiency": axis.gear_efficiency.value,
+        "torque_sign": float(axis.torque_sign),
+        "zero_offset_rad": axis.zero_offset_rad,
+    }
 
 
-def _constants(axis: AxisConfig) -> tuple[float, ...]:
-    return (
-        axis.torque_constant_nm_per_a.value,
-        axis.gear_ratio.value,
-        axis.gear_efficiency.value,
-        float(axis.torque_sign),
-        axis.zero_offset_rad,
-    )
-
-
-def _torque_scale(recording: Recording, part: ArmRecording, before: ArmConfig, after: ArmConfig) -> np.ndarray:
-    """Motor torque (6,) by the corrected torque constants over that by the recorded ones."""
+def _torque_scale(
+    recording: Recording, part: ArmRecording, arms: tuple[ArmConfig, ArmConfig], corrections: Sequence[Correction]
+) -> np.ndarray:
+    """Motor torque (6,) by the torque constants of the second arm over that by those of the first."""
     if not part.constants:
-        changed = [f"J{each.joint}" for each in _corrections(before, after) if each.name == _NAMES[0]]
+        changed = [f"J{each.joint}" for each in corrections if each.name == "torque_constant_nm_per_a"]
         if changed:
             raise InputError(
                 f"{recording.path}: does not hold what was read from the drives, so that the torque of"
                 f" {', '.join(changed)} cannot be worked out with another torque constant; measure again"
             )
-        return np.ones(len(after.axis))
+        return np.ones(len(arms[1].axis))
     where = str(recording.path)
-    new, old = (torque_units(arm, recording.profiles, part.constants, where) for arm in (after, before))
+    old, new = (torque_units(arm, recording.profiles, part.constants, where) for arm in arms)
     return new / old
 
 
