@@ -175,10 +175,16 @@ def test_recordings_of_other_drives_are_refused(cell_at, record):
 
 def test_table_of_a_cell_with_two_arms_needs_the_arm(tmp_path):
     (tmp_path / "t.csv").write_text(TABLE)
-    pair = EXAMPLES / "pair" / "cell.toml"
+    shutil.copytree(EXAMPLES / "pair", tmp_path / "pair")
+    pair = tmp_path / "pair" / "cell.toml"
+    second = pair.read_text().split("\n[[arm]]\n", 2)[2]
+    pair.write_text(
+        pair.read_text().replace(second, second.replace("gear_ratio = { value = ", "gear_ratio = { value = 1"))
+    )
     with pytest.raises(ConfigError, match="no arm was named; it has left, right: name one by --arm"):
         given(ModelRequest(cell=pair), [tmp_path / "t.csv"])
     arms = {arm.name: arm for arm in load_cell(pair).cell.arm}
+    assert len({arm.axis[1].gear_ratio.value for arm in arms.values()}) == 2
     for name, arm in arms.items():
         about = given(ModelRequest(cell=pair, arm=name), [tmp_path / "t.csv"])
         axis = arm.axis[1]
