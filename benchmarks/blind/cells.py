@@ -10,14 +10,15 @@ import numpy as np
 from benchmarks.rigs.tables import simulated_table
 from gateway.data.table import Table
 from gateway.diagnose import DiagnoseOptions, close_loop, diagnose
-from gateway.diagnose.linear import Fit
-from gateway.diagnose.loads import loads_of
-from gateway.diagnose.mistakes import Mistake
-from gateway.diagnose.problem import Knowledge, build_problem, first_noise
-from gateway.diagnose.rows import rest_rows
-from gateway.diagnose.search import Search, label
+from gateway.diagnose.rest.linear import Fit
+from gateway.diagnose.rest.loads import loads_of
+from gateway.diagnose.rest.mistakes import Mistake
+from gateway.diagnose.rest.problem import Knowledge, build_problem, first_noise
+from gateway.diagnose.rest.rows import rest_rows
+from gateway.diagnose.rest.search import Search
+from gateway.model.effect import RestSetup
+from gateway.model.effects import terms_at_rest
 from gateway.model.robot import Robot, robot_from_urdf
-from gateway.model.terms.library import Setup, named_terms
 from gateway.result.result import LoadResult, Result
 from sim.blind import LEAST_STRENGTH, VISIT_S, BlindCell, draw_cell
 from sim.draw import choose_poses
@@ -183,13 +184,13 @@ def told_loads(
     problem = build_problem(robot, rows, Knowledge(inertials="prior:0.05", known=options.known))
     noise = first_noise(problem)
     torque = np.abs(np.nan_to_num(rows.sum_nm))
-    terms = named_terms(rows, Setup(tuple(options.gear_ratio), bool(options.known), torque))
+    terms = terms_at_rest(rows, RestSetup(options.gear_ratios(rows.axes), bool(options.known), torque))
     search = Search(problem, tuple(terms), (), noise)
     best: list[Fit] = [search.fitted(())]
     for name, joints in truth:
         if name in MISTAKES:
             continue
-        shapes = [term for term in terms if label(term) == (name, tuple(joints))]
+        shapes = [term for term in terms if term.label == (name, tuple(joints))]
         start = best[-1]
         best.append(search.best([search.fitted((*start.terms, shape), start) for shape in shapes]))
     return loads_of(problem, best[-1], robot)

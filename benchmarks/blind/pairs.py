@@ -16,15 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.rigs.tables import simulated_table
-from gateway.diagnose.fit import fit
-from gateway.diagnose.linear import RestProblem, common_columns
-from gateway.diagnose.problem import Knowledge, build_problem, first_noise
-from gateway.diagnose.rows import rest_rows
-from gateway.diagnose.screen import columns_of
-from gateway.diagnose.search import Label, label
+from gateway.diagnose.rest.fit import fit
+from gateway.diagnose.rest.linear import RestProblem, common_columns
+from gateway.diagnose.rest.problem import Knowledge, build_problem, first_noise
+from gateway.diagnose.rest.rows import rest_rows
+from gateway.diagnose.rest.screen import columns_of
+from gateway.model.effect import RestSetup
+from gateway.model.effects import terms_at_rest
 from gateway.model.robot import robot_from_urdf
-from gateway.model.terms.library import Setup, named_terms
-from gateway.model.terms.term import Term
+from gateway.model.term import Label, Term
 from sim.draw import VISIT_S, DrawnArm, draw_arm
 from sim.offline import PlannedVisit, measure
 
@@ -63,9 +63,9 @@ def alike(seed: int, poses: int = POSES) -> Alike:
         columns = columns[:, norm > NOTHING]
         rest = columns - basis @ (basis.T @ columns)
         if not columns.size or np.linalg.norm(rest) < UNSEEN * np.linalg.norm(columns):
-            unseen.append(label(term))
+            unseen.append(term.label)
         else:
-            left[label(term)] = rest / np.linalg.norm(rest, axis=0)
+            left[term.label] = rest / np.linalg.norm(rest, axis=0)
     same, near = [], []
     for (first, a), (second, b) in itertools.combinations(left.items(), 2):
         one, other = _basis(a, RANK), _basis(b, RANK)
@@ -102,9 +102,9 @@ def _one_shape_each(arm: DrawnArm, problem: RestProblem) -> Iterator[Term]:
     """Every effect at every place, in its first shape."""
     torque = np.abs(np.nan_to_num(problem.rows.sum_nm))
     seen: set[Label] = set()
-    for term in named_terms(problem.rows, Setup(tuple(arm.gear_ratio), False, torque)):
-        if label(term) not in seen:
-            seen.add(label(term))
+    for term in terms_at_rest(problem.rows, RestSetup(tuple(arm.gear_ratio), False, torque)):
+        if term.label not in seen:
+            seen.add(term.label)
             yield term
 
 

@@ -122,12 +122,12 @@ class _Coefficient:
 
 def _names(_ctx: click.Context, _param: click.Parameter, value: str | None) -> frozenset[str]:
     """Effect names, comma separated; an unknown one is a usage error."""
-    from gateway.diagnose.options import EFFECTS
+    from gateway.model.effects import LIBRARY
 
     names = frozenset(part.strip() for part in (value or "").split(",") if part.strip())
-    unknown = sorted(names - EFFECTS)
+    unknown = sorted(names - set(LIBRARY))
     if unknown:
-        raise click.BadParameter(f"'{unknown[0]}' is no effect; known are {', '.join(sorted(EFFECTS))}")
+        raise click.BadParameter(f"'{unknown[0]}' is no effect; known are {', '.join(sorted(LIBRARY))}")
     return names
 
 

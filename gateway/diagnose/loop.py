@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.table import Table, concatenate
-from gateway.diagnose.entry import RestDiagnosis
 from gateway.diagnose.options import DiagnoseOptions
+from gateway.diagnose.rest.diagnosis import RestDiagnosis
 from gateway.model.robot import Robot
 from gateway.result.result import Result
 

@@ -9,24 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.table import Table
+from gateway.model.effects import LIBRARY
 from gateway.result.result import Bare, HoldoutKind
 
 Floats = NDArray[np.float64]
-
-EFFECTS = frozenset(
-    {"static_friction", "load_dependent_friction", "velocity_friction", "base_tilt", "joint_zero_offset"}
-    | {"torque_constant_scale", "torque_offset", "thermal_drift", "balancer_spring", "cable_torque"}
-    | {"joint_elasticity", "torque_ripple", "axis_coupling", "link_mass", "payload_shift"}
-    | {"sign_reversed", "axes_swapped", "current_rms_peak"}
-)
-
-
-def _ones() -> Floats:
-    return np.ones(6)
-
-
-def _unknown() -> Floats:
-    return np.full(6, np.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,9 +29,9 @@ class DiagnoseOptions:
     holdout_kind : "given" (by the user) or "fresh" (measured afterwards)
     only, without : names of effects that alone are tried, that are not tried
     gravity_m_s2 : gravity in the frame of the base
-    efficiency : (6,) gear efficiencies that the table's torque still has to go through
-    gear_ratio : (6,), NaN where unknown
-    pose_choice : (k, 6) poses that may be asked for; None = between the joint angles that were visited
+    efficiency : (N,) gear efficiencies that the table's torque still has to go through; None = lossless
+    gear_ratio : (N,), NaN where unknown; None = all unknown
+    pose_choice : (k, N) poses that may be asked for; None = between the joint angles that were visited
     """
 
     inertials: str | None = None
@@ -56,11 +42,15 @@ class DiagnoseOptions:
     only: frozenset[str] = frozenset()
     without: frozenset[str] = frozenset()
     gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.80665)
-    efficiency: Floats = field(default_factory=_ones)
-    gear_ratio: Floats = field(default_factory=_unknown)
+    efficiency: Floats | None = None
+    gear_ratio: Floats | None = None
     pose_choice: Floats | None = None
 
     @property
     def allowed(self) -> frozenset[str]:
         """Names of the effects that may be tried."""
-        return (self.only or EFFECTS) - self.without
+        return (self.only or frozenset(LIBRARY)) - self.without
+
+    def gear_ratios(self, axes: int) -> tuple[float, ...]:
+        """Gear ratios, one an axis; NaN where unknown."""
+        return (np.nan,) * axes if self.gear_ratio is None else tuple(float(ratio) for ratio in self.gear_ratio)

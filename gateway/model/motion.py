@@ -6,7 +6,7 @@ torque of that row tells nothing about the model, so the row is not judged on th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,10 +74,28 @@ class MovingRows:
     rigid: Floats
     wind_up_rad: Floats
     temperature_c: Floats
+    _derivatives: dict[tuple[str, int], Floats] = field(init=False, repr=False, default_factory=dict)
 
     def __len__(self) -> int:
         """Number of rows."""
         return len(self.time_s)
+
+    @property
+    def axes(self) -> int:
+        """Number of axes of the arm."""
+        return self.q_rad.shape[1]
+
+    def by_angle(self, axis: int) -> Floats:
+        """Change of the rigid body regressor with the angle of one axis [1/rad], computed once."""
+        if ("angle", axis) not in self._derivatives:
+            self._derivatives["angle", axis] = angle_derivative(self, axis)
+        return self._derivatives["angle", axis]
+
+    def by_tilt(self, direction: int) -> Floats:
+        """Change of the rigid body regressor when the base turns about x (0) or y (1) [1/rad], computed once."""
+        if ("tilt", direction) not in self._derivatives:
+            self._derivatives["tilt", direction] = tilt_derivative(self, direction)
+        return self._derivatives["tilt", direction]
 
     @property
     def measured(self) -> Mask:
@@ -88,6 +106,31 @@ class MovingRows:
     def duration_s(self) -> float:
         """Length of the longest run [s]."""
         return max(float(np.ptp(self.time_s[self.run == number])) for number in np.unique(self.run))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Modelled:
+    """What a model says of moving rows.
+
+    Attributes
+    ----------
+    rigid_nm, total_nm : arrays of shape (n, N)
+        Torque of the rigid bodies and all torque.
+    body : array of shape (n, 10 N)
+        Link parameters that each row sees, with the load on the last link.
+    load_kg : array of shape (n,)
+        Mass of the load alone.
+    """
+
+    rigid_nm: Floats
+    total_nm: Floats
+    body: Floats
+    load_kg: Floats
+
+
+def changed_torque(change: Floats, modelled: Modelled) -> Floats:
+    """Torque (n, N) that a changed regressor (n, N, 10 N) gives with the link parameters of each row."""
+    return np.einsum("nap,np->na", change, modelled.body)
 
 
 def smooth_sign(speed_rad_s: Floats, top_rad_s: float | Floats) -> Floats:

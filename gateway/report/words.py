@@ -5,30 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from gateway.model.effects import LIBRARY
+
 MINUS = "\N{MINUS SIGN}"
 # two-sided 95 % quantile of the normal distribution
 TWO_SIDED_95 = 1.96
-
-EFFECTS: dict[str, str] = {
-    "static_friction": "friction that differs by direction",
-    "load_dependent_friction": "friction that grows with the transmitted torque",
-    "velocity_friction": "friction that changes with speed",
-    "base_tilt": "a tilted base",
-    "joint_zero_offset": "a shifted joint zero",
-    "torque_constant_scale": "a wrong torque constant",
-    "torque_offset": "a constant torque offset",
-    "thermal_drift": "drift with temperature or time",
-    "balancer_spring": "a balancer spring",
-    "cable_torque": "torque from a cable or dress pack",
-    "joint_elasticity": "an elastic joint",
-    "torque_ripple": "torque ripple of motor or gear",
-    "axis_coupling": "coupling between two axes",
-    "link_mass": "extra mass on a link",
-    "payload_shift": "a load that shifted during the run",
-    "sign_reversed": "a reversed torque sign",
-    "axes_swapped": "two axes swapped",
-    "current_rms_peak": "rms and peak current confused",
-}
 
 UNITS: tuple[tuple[str, str], ...] = (
     ("_nm_s05_rad05", "Nm (s/rad)^0.5"),
@@ -105,8 +86,8 @@ def load(label: str) -> str:
 
 
 def effect(name: str) -> str:
-    """Effect in words; a name that is not in the table is spelled out."""
-    return EFFECTS.get(name, name.replace("_", " "))
+    """Effect in words; a name that is in no library (of an older result) is spelled out."""
+    return LIBRARY[name].words if name in LIBRARY else name.replace("_", " ")
 
 
 def effect_on(name: str, joints: Sequence[int]) -> str:

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gateway.model.terms import unnamed
-from gateway.model.terms.reading import neutral
+from gateway.model import unnamed
+from gateway.model.rest import neutral
 
 Q = np.random.default_rng(5).uniform(-2.0, 2.0, (7, 6))
 ROWS = SimpleNamespace(q_rad=Q)
@@ -17,7 +17,7 @@ ANGLE = Q[:, 2]
 
 def changed(term, theta):
     """What a term puts in place of the neutral model."""
-    before, after = neutral(len(Q)), term.apply(neutral(len(Q)), np.array(theta), ROWS)
+    before, after = neutral(len(Q), 6), term.apply(neutral(len(Q), 6), np.array(theta), ROWS)
     names = [name for name in before.__slots__ if not np.array_equal(getattr(before, name), getattr(after, name))]
     assert len(names) == 1
     return names[0], getattr(after, names[0])

@@ -1,0 +1,42 @@
+"""Which effects are tried on a moving run, and what makes one of them physically possible."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.moving.fit import MovingFit, MovingProblem
+from gateway.model.effect import MotionSetup
+from gateway.model.effects import terms_by_residual, terms_in_motion
+from gateway.model.term import Seen, Term
+
+Floats = NDArray[np.float64]
+
+
+def candidates(problem: MovingProblem, full: MovingFit, allowed: frozenset[str]) -> list[Term]:
+    """Every effect that these rows could show, of the names in `allowed`."""
+    return terms_in_motion(problem.motion, _setup(problem, full), allowed)
+
+
+def suggested(problem: MovingProblem, full: MovingFit, allowed: frozenset[str]) -> list[Term]:
+    """Effects whose shape the residual of a fit suggests."""
+    return terms_by_residual(problem.motion, _setup(problem, full), allowed)
+
+
+def _setup(problem: MovingProblem, full: MovingFit) -> MotionSetup:
+    return MotionSetup(problem.base.trust is not None, tuple(problem.base.loads), full.residual_nm)
+
+
+def possible(problem: MovingProblem, full: MovingFit, term: Term, value: Floats, covariance: Floats) -> bool:
+    """Whether coefficients (k,) mean something physical: the right sign and a size an arm can have."""
+    base, motion = problem.base, problem.motion
+
+    def friction_nm(axis: int, columns: Floats, own: Floats) -> Floats:
+        first = base.friction[axis]
+        weight = full.weight[:, axis] ** 2
+        change = full.inverse @ (full.columns[:, axis].T @ (columns * weight[:, None])) @ own
+        parameters = (full.value[: len(change)] - change)[first[:2]]
+        return base.columns[:, axis, first[:2]] @ parameters + columns @ own
+
+    drawn = motion.rigid @ (base.body[:, : len(base.mean)] @ base.mean)
+    return term.possible(value, np.sqrt(np.diag(covariance)), Seen(motion, full.modelled, drawn, friction_nm))

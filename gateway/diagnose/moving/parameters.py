@@ -1,0 +1,107 @@
+"""From fitted coefficients to the parameters of the result file, with their standard deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.moving.fit import MovingFit, MovingProblem
+from gateway.diagnose.moving.loads import over_blocks
+from gateway.diagnose.moving.refine import coupling_cost
+from gateway.diagnose.moving.state import MovingState
+from gateway.diagnose.moving.trial import Trial
+from gateway.model.effects.axis_coupling import MotorCoupling
+from gateway.model.effects.current_rms_peak import EFFECT as RMS_PEAK
+from gateway.model.effects.current_rms_peak import is_rms_peak
+from gateway.model.term import Named, Term
+
+Floats = NDArray[np.float64]
+
+SURE = 4.0
+STEP = 1e-3
+
+
+def parameters_of(problem: MovingProblem, state: MovingState, terms: Sequence[Term]) -> tuple[str, Named, Named]:
+    """Name, parameters and standard deviations of an effect that consists of `terms`."""
+    first = terms[0]
+    values, std = _law(problem, state, first) if first.with_friction else ({}, {})
+    for term in terms:
+        more, spread = term.report(*_with_shape(problem, state, term))
+        values, std = values | more, std | spread
+    if isinstance(first, MotorCoupling):
+        std["coefficient"] = _coupling_spread(problem, state, first)
+    if first.scales_reading and is_rms_peak(values["scale"], std["scale"]):
+        scale = values["scale"]
+        return RMS_PEAK.name, {"factor": 1.0 / scale}, {"factor": std["scale"] / scale**2}
+    return first.name, values, std
+
+
+def figures_of(trial: Trial) -> tuple[Named, Named]:
+    """Parameters and standard deviations of an effect that was tried, its shape as it was tried."""
+    term = trial.term
+    covariance = np.zeros((len(term.linear),) * 2)
+    covariance[: term.count, : term.count] = trial.covariance
+    values, std = term.report(term.completed(trial.value), covariance)
+    return values, {key: spread for key, spread in std.items() if spread > 0}
+
+
+def certain(problem: MovingProblem, state: MovingState, terms: Sequence[Term]) -> bool:
+    """Whether a scale of a reading is so far from 1 that a failing finding may be made of it; other effects are."""
+    if not terms[0].scales_reading:
+        return True
+    _, parameters, std = parameters_of(problem, state, terms)
+    return all(abs(parameters[key] - 1.0) > SURE * std[key] for key in std)
+
+
+def _law(problem: MovingProblem, state: MovingState, term: Term) -> tuple[Named, Named]:
+    """Coulomb and viscous friction of the effect's axis."""
+    index = problem.base.friction[term.joints[0] - 1, :2]
+    covariance = _covariance(problem, state, index)
+    names = ("coulomb_nm", "viscous_nm_s_rad")
+    values = zip(names, state.full.value[index].tolist(), strict=True)
+    return dict(values), dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
+
+
+def _covariance(problem: MovingProblem, state: MovingState, index: NDArray[np.int_]) -> Floats:
+    return state.full.inverse[np.ix_(index, index)] + over_blocks(problem, state, index)
+
+
+def _with_shape(problem: MovingProblem, state: MovingState, term: Term) -> tuple[Floats, Floats]:
+    """All parameters of a term with their covariance: those of its shape have their prior, and widen the others."""
+    index = state.full.part([term])
+    value, covariance = state.full.value[index], _covariance(problem, state, index)
+    if all(term.linear):
+        return value, covariance
+    slopes = _slopes(problem, state.full, term, value)
+    axes = list(term.enters(problem.motion.axes))
+    weight = state.full.weight[:, axes, None] ** 2
+    cross = np.einsum("nap,nak->pk", state.full.columns[:, axes], weight * slopes)
+    taken = state.full.inverse @ cross
+    spread = np.array(term.spread[term.count :])
+    own = np.einsum("nak,nal->kl", slopes, weight * slopes) - cross.T @ taken + np.diag(spread**-2.0)
+    shape = np.linalg.inv(own)
+    lead = -taken[index] @ shape
+    whole = np.block([[covariance - lead @ taken[index].T, lead], [lead.T, shape]])
+    return term.completed(value), whole
+
+
+def _slopes(problem: MovingProblem, full: MovingFit, term: Term, value: Floats) -> Floats:
+    """Derivative (n, axes entered, shape parameters) of the effect's torque by the parameters of its shape."""
+    at = np.array(term.start[term.count :])
+    parts = []
+    for position, spread in enumerate(term.spread[term.count :]):
+        step = STEP * spread * (np.arange(len(at)) == position)
+        sides = [term.shaped(at + sign * step).columns(problem.motion, full.modelled) @ value for sign in (1.0, -1.0)]
+        parts.append((sides[0] - sides[1]) / (2.0 * STEP * spread))
+    return np.stack(parts, axis=2)
+
+
+def _coupling_spread(problem: MovingProblem, state: MovingState, term: MotorCoupling) -> float:
+    """Standard deviation of the coefficient from the curvature of the cost."""
+    centre, step = term.coefficient, 0.1
+    others = [other for other in state.terms if other != term]
+    low, middle, high = (coupling_cost(problem, others, term, centre * (1.0 + move)) for move in (-step, 0.0, step))
+    curvature = (low + high - 2.0 * middle) / (step * centre) ** 2
+    return float(np.sqrt(2.0 / curvature)) if curvature > 0 else abs(centre) * step

@@ -1,0 +1,100 @@
+"""What the report draws of a diagnosis of moving runs: every row before and after, and each effect as a curve.
+
+The points are what is measured on an axis beyond the model without the effect, its other parameters as fitted. The
+curve is the effect; its band follows from the covariance of its coefficients.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.moving.fit import MovingProblem
+from gateway.diagnose.moving.loads import over_blocks
+from gateway.diagnose.moving.state import MovingState
+from gateway.model.effect import Over
+from gateway.model.effects import LIBRARY
+from gateway.model.term import Term
+
+Floats = NDArray[np.float64]
+
+TWO_SIDED_95 = 1.96
+MOST_POINTS = 300
+
+
+def pictures(
+    problem: MovingProblem,
+    before: MovingState,
+    after: MovingState,
+    effects: Sequence[tuple[Term, ...]],
+    kept: NDArray[np.int_],
+) -> dict[str, Any]:
+    """Keys of `data` that the report reads.
+
+    Parameters
+    ----------
+    problem : MovingProblem
+    before, after : MovingState
+        Without and with the effects.
+    effects : sequence of tuples of Term
+        The terms of each effect.
+    kept : int array of shape (k,)
+        Rows that the result file keeps.
+    """
+    motion = problem.motion
+    data: dict[str, Any] = {"role": ["held out" if given else "fit" for given in motion.given[kept]]}
+    if effects:
+        data["model_before_nm"] = (motion.tau_nm - before.full.residual_nm)[kept].tolist()
+        data["curves"] = [_curve(problem, after, terms) for terms in effects]
+    return data
+
+
+def _curve(problem: MovingProblem, state: MovingState, terms: tuple[Term, ...]) -> dict[str, Any]:
+    """One effect on the axis where it is largest."""
+    motion, full = problem.motion, state.full
+    where = full.part(terms)
+    columns, value = full.columns[:, :, where], full.value[where]
+    effect = columns @ value
+    axes = sorted({axis for term in terms for axis in term.enters(motion.axes)})
+    axis = max(axes, key=lambda number: float(np.mean((effect * motion.judged)[:, number] ** 2)))
+    rows = np.flatnonzero(motion.judged[:, axis])
+    rows = rows[:: max(1, int(np.ceil(len(rows) / MOST_POINTS)))]
+    covariance = full.inverse[np.ix_(where, where)] + over_blocks(problem, state, where)
+    part = columns[rows, axis]
+    spread = TWO_SIDED_95 * np.sqrt(np.maximum(np.einsum("nk,kl,nl->n", part, covariance, part), 0.0))
+    y, points = effect[rows, axis], effect[rows, axis] + full.residual_nm[rows, axis]
+    x, label, unit = _abscissa(problem, state, terms[0], axis, y, rows)
+    order = np.argsort(x, kind="stable")
+    x, y, spread, points = x[order], y[order], spread[order], points[order]
+    return {
+        "name": terms[0].name,
+        "joint": axis + 1,
+        "x_label": label,
+        "x_unit": unit,
+        "y_label": f"J{axis + 1} torque [Nm]",
+        "x": x.tolist(),
+        "y": y.tolist(),
+        "low": (y - spread).tolist(),
+        "high": (y + spread).tolist(),
+        "points_x": x.tolist(),
+        "points_y": points.tolist(),
+    }
+
+
+def _abscissa(
+    problem: MovingProblem, state: MovingState, term: Term, axis: int, effect: Floats, rows: NDArray[np.int_]
+) -> tuple[Floats, str, str]:
+    """What the effect is a function of; the effect itself where no single quantity describes it."""
+    motion = problem.motion
+    over = LIBRARY[term.name].over
+    if over is Over.ANGLE:
+        return motion.q_rad[rows, axis], f"q{axis + 1}", "rad"
+    if over is Over.SPEED:
+        return motion.qd_rad_s[rows, axis], f"speed of J{axis + 1}", "rad/s"
+    if over is Over.TORQUE_BY_DIRECTION:
+        torque = np.abs(state.full.modelled.rigid_nm[:, axis]) * motion.sign[:, axis]
+        return torque[rows], f"size of the modelled torque of J{axis + 1}, by direction", "Nm"
+    return effect, "the effect at each instant, modelled", "Nm"

@@ -1,0 +1,96 @@
+"""Families of effects with a shape that is not linear: the member that the rows prefer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from gateway.diagnose.moving.fit import MovingProblem, fit, prior_precision
+from gateway.diagnose.moving.state import MovingState, refitted
+from gateway.diagnose.moving.trial import extend, put_on_trial
+from gateway.model.effects.axis_coupling import MotorCoupling
+from gateway.model.term import Term
+
+Floats = NDArray[np.float64]
+
+COUPLING_STEPS = np.array([0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0])
+COUPLING_SLACK = 4.0
+#: How much better than a plainer law another one of the same effect has to do on held-out rows.
+LEAD = 5.0
+EVALUATIONS = 150
+
+
+def refine(problem: MovingProblem, state: MovingState, term: Term, pool: Sequence[Term]) -> Term:
+    """The member of the effect's family that fits best, as far as the rows tell the members apart."""
+    if isinstance(term, MotorCoupling):
+        return _best_coupling(problem, state, term)
+    if term.scales_reading:
+        return _best_scale(problem, state, pool)
+    if not all(term.linear):
+        return _best_law(problem, state, term, pool)
+    return term
+
+
+def _best_scale(problem: MovingProblem, state: MovingState, pool: Sequence[Term]) -> Term:
+    """The axis whose scale explains most once it is fitted to the end: two neighbours look alike to first order."""
+    members = [term for term in pool if term.scales_reading and term not in state.terms]
+    return max(members, key=lambda term: refitted(problem, state, term).gain)
+
+
+def _best_law(problem: MovingProblem, state: MovingState, found: Term, pool: Sequence[Term]) -> Term:
+    """The plainest law of the effect in its best shape, or another where the held-out rows clearly want it."""
+    chosen, best = found, -np.inf
+    for law in dict.fromkeys(type(term) for term in pool if term.label == found.label):
+        members = [term for term in pool if type(term) is law and term.label == found.label]
+        member = min(members, key=lambda term: _cost(problem, state, term, np.array(term.start[term.count :])))
+        member = _best_shape(problem, state, member)
+        trial = put_on_trial(problem, state.fits, state.full, member)
+        if trial is not None and trial.gain > best:
+            chosen, best = member, trial.gain + LEAD
+    return chosen
+
+
+def _best_shape(problem: MovingProblem, state: MovingState, term: Term) -> Term:
+    """The shape that the fitted rows and its prior want."""
+    start, spread = (np.array(values[term.count :]) for values in (term.start, term.spread))
+
+    def cost(steps: Floats) -> float:
+        return _cost(problem, state, term, start + spread * steps) + float(steps @ steps)
+
+    answer = minimize(cost, np.zeros(len(start)), method="Nelder-Mead", options={"maxfev": EVALUATIONS, "xatol": 1e-3})
+    return term.shaped(start + spread * np.asarray(answer.x))
+
+
+def _cost(problem: MovingProblem, state: MovingState, term: Term, shape: Floats) -> float:
+    """Cost of the fitted rows with one more effect, over that without it."""
+    axes = list(term.enters(problem.motion.axes))
+    columns = term.shaped(shape).columns(problem.motion, state.full.modelled)
+    solved = extend(state.full, axes, columns, prior_precision(term))
+    return 0.0 if solved is None else -solved[3]
+
+
+def _best_coupling(problem: MovingProblem, state: MovingState, term: MotorCoupling) -> MotorCoupling:
+    """The coupling whose coefficient the fitted rows prefer; a one-to-one train if they do not contradict it."""
+    centre = term.coefficient
+    others = [other for other in state.terms if other.label != term.label]
+    grid = np.unique(np.concatenate([centre * COUPLING_STEPS, [np.sign(centre)]]))
+    costs = np.array([coupling_cost(problem, others, term, float(value)) for value in grid])
+    whole = int(np.argmin(np.abs(grid - np.sign(centre))))
+    chosen = whole if costs[whole] - costs.min() < COUPLING_SLACK else int(np.argmin(costs))
+    return replace(term, coefficient=float(grid[chosen]))
+
+
+def coupling_cost(problem: MovingProblem, others: Sequence[Term], term: MotorCoupling, coefficient: float) -> float:
+    """Cost of the fitted rows if all friction and rotor inertia of the outer axis sit on its motor: only then does the
+    coefficient show, because what sits on the joint turns at the joint's own speed."""
+    axis = term.outer
+    precision = problem.base.precision.copy()
+    columns = problem.base.columns[:, axis, problem.base.friction[axis, :3]]
+    precision[problem.base.friction[axis, :3]] = 1e8 * (columns**2).sum(axis=0) * problem.noise.weight[axis] ** 2
+    clamped = replace(problem, base=replace(problem.base, precision=precision))
+    member = replace(term, coefficient=coefficient)
+    return fit(clamped, (*others, member), ~problem.motion.given, problem.motion.given).cost

@@ -1,0 +1,97 @@
+"""Is what the model leaves noise, or does it still hang on the motion?
+
+Columns without a cause (harmonics of the angles, speeds, motion of the neighbours, another friction in the last run)
+are put on trial like an effect. If they help on rows no fit has seen, the residual has structure that no effect of the
+library explains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.moving.fit import MovingProblem
+from gateway.diagnose.moving.state import MovingState
+from gateway.diagnose.moving.trial import Trial, put_on_trial
+from gateway.model.motion import Modelled, MovingRows
+from gateway.model.term import OnAxis
+from gateway.model.unnamed import harmonics
+
+Floats = NDArray[np.float64]
+
+RATIO = 0.87
+CHANCE = 1e-3
+
+
+def structured_axes(problem: MovingProblem, state: MovingState) -> dict[int, float]:
+    """Axes (from 0) whose residual still hangs on their motion, with the held-out ratio that shows it."""
+    found = {}
+    for axis in np.flatnonzero(problem.motion.measured):
+        trials = (put_on_trial(problem, state.fits, state.full, Shapeless(int(axis), of)) for of in SHAPES)
+        ratios = [trial.ratio for trial in trials if trial is not None and _convinces(trial)]
+        if min(ratios, default=1.0) < 1.0:
+            found[int(axis)] = min(ratios)
+    return found
+
+
+def _convinces(trial: Trial) -> bool:
+    return trial.ratio <= RATIO and trial.p_held <= 10.0 * CHANCE and trial.p_demand <= CHANCE
+
+
+@dataclass(frozen=True, slots=True)
+class Shapeless(OnAxis):
+    """A torque on one axis that is a smooth function `of` something, without a cause."""
+
+    of: str
+    name: ClassVar[str] = "structure"
+    modelled: ClassVar[bool] = True
+
+    def columns(self, motion: MovingRows, modelled: Modelled) -> Floats:
+        return SHAPES[self.of](motion, modelled, self.axis)[:, None, :]
+
+
+def _angle(motion: MovingRows, _: Modelled, axis: int) -> Floats:
+    return harmonics(motion.q_rad[:, axis], 2)
+
+
+def _directed(motion: MovingRows, _: Modelled, axis: int) -> Floats:
+    return motion.sign[:, [axis]] * harmonics(motion.q_rad[:, axis], 1)
+
+
+def _speed(motion: MovingRows, _: Modelled, axis: int) -> Floats:
+    part, sign = np.abs(motion.qd_rad_s[:, axis]) / float(motion.speed_rad_s[axis]), motion.sign[:, axis]
+    return np.stack([sign * np.exp(-part / 0.1), sign * part**2, part], axis=1)
+
+
+def _postures(motion: MovingRows, _: Modelled, axis: int) -> Floats:
+    return np.concatenate([np.sin(motion.q_rad), np.cos(motion.q_rad)], axis=1)
+
+
+def _passed_on(motion: MovingRows, modelled: Modelled, axis: int) -> Floats:
+    torque = modelled.rigid_nm[:, axis]
+    return np.stack([torque, torque * motion.sign[:, axis]], axis=1)
+
+
+def _neighbours(motion: MovingRows, _: Modelled, axis: int) -> Floats:
+    others = [other for other in range(motion.axes) if other != axis]
+    return np.concatenate([motion.sign[:, others], motion.qd_rad_s[:, others]], axis=1)
+
+
+def _by_run(motion: MovingRows, _: Modelled, axis: int) -> Floats:
+    other = (motion.run == motion.run.max()).astype(float)
+    return np.stack([other, other * motion.sign[:, axis], other * motion.qd_rad_s[:, axis]], axis=1)
+
+
+SHAPES: Mapping[str, Callable[[MovingRows, Modelled, int], Floats]] = {
+    "angle": _angle,
+    "direction and angle": _directed,
+    "speed": _speed,
+    "posture": _postures,
+    "neighbours": _neighbours,
+    "torque": _passed_on,
+    "run": _by_run,
+}

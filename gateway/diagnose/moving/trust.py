@@ -1,0 +1,83 @@
+"""How far the CAD values of the links are trusted, where the user does not say.
+
+Two stories compete by their evidence (marginal likelihood): the links are as drawn and something is missing, or nothing
+is missing and the drawing is that wrong. Drawings are wrong by a few percent; the tightest trust that the data do not
+contradict is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.moving.fit import MovingNoise, MovingProblem, counting_share, fit, prior_precision
+from gateway.identify.moving_baseline import baseline
+from gateway.model.effects import DRAWN
+from gateway.model.term import Term
+
+Floats = NDArray[np.float64]
+
+USUAL = 0.05
+# Trust to search with: at the usual one the links stretch to swallow a balancer.
+START = 0.02
+USUAL_FACTOR = 2.0
+LEVELS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+WORTHLESS = 0.5
+CONTRADICTED = 3.0
+#: Precision that stands for no opinion on an effect's parameter.
+WIDE = 1e-8
+
+
+def log_evidence(problem: MovingProblem, terms: Sequence[Term]) -> float:
+    """Log marginal likelihood of the rows to be fitted, up to a constant that trust and effects do not change."""
+    everything = ~problem.motion.given
+    solved = fit(problem, terms, everything, problem.motion.given)
+    prior = problem.base.precision
+    wide = np.concatenate([np.maximum(prior_precision(term), WIDE) for term in terms]) if terms else np.zeros(0)
+    _, spread = np.linalg.slogdet(_scaled(solved.inverse, np.concatenate([prior, wide])))
+    return -0.5 * solved.cost + 0.5 * float(spread)
+
+
+def _scaled(covariance: Floats, precision: Floats) -> Floats:
+    """Covariance in units of the prior's standard deviations."""
+    root = np.sqrt(np.maximum(precision, 1e-300))
+    return covariance * root * root[:, None]
+
+
+def choose_trust(
+    problem: MovingProblem, terms: Sequence[Term], known: Mapping[str, tuple[float, Floats]]
+) -> float | None:
+    """Trust of the CAD values: relative standard deviation, or None if they are worth nothing."""
+    problem = _with_noise_left(problem, terms)
+    stories = [list(terms)]
+    without = [term for term in terms if term.name not in DRAWN]
+    if len(without) < len(terms):
+        stories.append(without)
+    scores = np.array([[_score(problem, story, known, level) for level in LEVELS] for story in stories])
+    best = scores[int(np.argmax(scores.max(axis=1)))]
+    level = LEVELS[int(np.argmax(best >= best.max() - CONTRADICTED))]
+    return None if level >= WORTHLESS else level
+
+
+def _with_noise_left(problem: MovingProblem, terms: Sequence[Term]) -> MovingProblem:
+    """The problem with each axis's scale and correlation as the model with the effects leaves them."""
+    motion = problem.motion
+    everything = ~motion.given
+    left = fit(problem, terms, everything, motion.given).residual_nm
+    sigma, share = problem.noise.sigma_nm.copy(), problem.noise.share.copy()
+    for axis in np.flatnonzero(motion.measured):
+        rest = left[motion.judged[:, axis] & everything, axis]
+        if len(rest):
+            sigma[axis] = max(sigma[axis], float(np.sqrt(np.mean(rest**2))))
+            share[axis] = min(share[axis], counting_share(rest))
+    return replace(problem, noise=MovingNoise(sigma, share))
+
+
+def _score(
+    problem: MovingProblem, terms: Sequence[Term], known: Mapping[str, tuple[float, Floats]], level: float
+) -> float:
+    usual = -0.5 * (np.log(level / USUAL) / np.log(USUAL_FACTOR)) ** 2 if level > USUAL else 0.0
+    return log_evidence(replace(problem, base=baseline(problem.motion, level, known)), terms) + float(usual)

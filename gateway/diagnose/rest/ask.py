@@ -1,0 +1,141 @@
+"""Where to go next: the rest poses at which rival hypotheses disagree most, in units of what a visit can tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.options import DiagnoseOptions
+from gateway.diagnose.rest.decide import LEAST_POSES, Decision
+from gateway.diagnose.rest.linear import Fit, RestProblem, modelled, with_terms
+from gateway.diagnose.rest.problem import Knowledge, build_problem
+from gateway.diagnose.rest.rows import joined
+from gateway.identify.loads import BARE_LABEL
+from gateway.model.rest import RestRows
+from gateway.model.robot import Robot
+from gateway.model.unnamed import UNNAMED
+from gateway.result.result import NextMeasurement
+
+Floats = NDArray[np.float64]
+
+COUNT = 8
+CHOICE = 400
+TELLING = 1.0
+APART_RAD = 0.3
+STEP_S = 30.0
+
+
+def questions(
+    problem: RestProblem, decision: Decision, robot: Robot, options: DiagnoseOptions, knowledge: Knowledge
+) -> tuple[NextMeasurement, ...]:
+    """What to measure next; empty where nothing is in doubt.
+
+    The expected logarithm of the odds between two hypotheses after new visits is half the squared difference of their
+    predictions over the noise (Box and Hill 1967).
+    """
+    fits = [decision.whole, *(rival.fit for rival in decision.near[:4])]
+    choice = pose_choice(problem.rows, options)
+    if len(np.unique(problem.rows.pose)) < LEAST_POSES:
+        return (_measure(choice, _far_apart(problem.rows, choice), ()),)
+    if len(fits) < 2:
+        return ()
+    names = _names(fits)
+    told = _disagreement(problem, robot, knowledge, fits, choice)
+    poses = _spread_out(choice, told)
+    expected = 0.5 * float(told[poses].sum())
+    if expected < TELLING:
+        what = (
+            "hang a load of known mass and measure it, or add a bare run" if not knowledge.known else "weigh the links"
+        )
+        return (NextMeasurement(what=what, tells_apart=names),)
+    return (_measure(choice, poses, names),)
+
+
+def _measure(choice: Floats, index: NDArray[np.int_], names: tuple[str, ...]) -> NextMeasurement:
+    poses = tuple(tuple(float(v) for v in choice[k]) for k in index)
+    return NextMeasurement(what="measure", poses_rad=poses, tells_apart=names)
+
+
+def _far_apart(rows: RestRows, choice: Floats) -> NDArray[np.int_]:
+    """Poses far from those visited and from each other."""
+    span = np.maximum(np.ptp(choice, axis=0), 1e-6)
+    near = np.min([np.linalg.norm((choice - q) / span, axis=1) for q in rows.q_rad], axis=0)
+    chosen: list[int] = []
+    for _ in range(min(COUNT, len(choice))):
+        best = int(np.argmax(near))
+        chosen.append(best)
+        near = np.minimum(near, np.linalg.norm((choice - choice[best]) / span, axis=1))
+    return np.array(chosen, dtype=int)
+
+
+def _names(fits: Sequence[Fit]) -> tuple[str, ...]:
+    found = [term.name for fit in fits for term in fit.terms if term.name != UNNAMED]
+    if any(not fit.terms for fit in fits):
+        found.append("none")
+    if any(term.name == UNNAMED for fit in fits for term in fit.terms):
+        found.append("unknown effect")
+    return tuple(dict.fromkeys(found))
+
+
+def pose_choice(rows: RestRows, options: DiagnoseOptions) -> Floats:
+    """Poses (k, N) that may be asked for: given ones, or between the joint angles that were visited."""
+    if options.pose_choice is not None:
+        return np.asarray(options.pose_choice, dtype=float)
+    rng = np.random.default_rng(4)
+    return rng.uniform(rows.q_rad.min(axis=0), rows.q_rad.max(axis=0), (CHOICE, rows.axes))
+
+
+def imagined(rows: RestRows, poses_rad: Floats) -> RestRows:
+    """Visits of new poses under the last load, one after the other, with nothing measured."""
+    n = len(poses_rad)
+    loaded = [label for label in rows.load.tolist() if label != BARE_LABEL]
+    label = loaded[-1] if loaded else BARE_LABEL
+    unknown = np.full((n, rows.axes), np.nan)
+    last = int(np.argmax(rows.time_s))
+    return RestRows(
+        load=np.full(n, label),
+        pose=np.arange(n) + int(rows.pose.max()) + 1,
+        run=np.full(n, "next"),
+        time_s=rows.time_s[last] + STEP_S * (1.0 + np.zeros(n)),
+        q_rad=poses_rad,
+        sum_nm=np.zeros((n, rows.axes)),
+        difference_nm=np.zeros((n, rows.axes)),
+        side=np.zeros((n, rows.axes)),
+        two_sided=np.ones(n, dtype=bool),
+        sample_std_nm=unknown,
+        temperature_c=np.repeat(rows.temperature_c[last : last + 1], n, axis=0),
+        wind_up_rad=unknown,
+        efficiency=rows.efficiency,
+    )
+
+
+def _disagreement(
+    problem: RestProblem, robot: Robot, knowledge: Knowledge, fits: Sequence[Fit], choice: Floats
+) -> Floats:
+    """Squared difference over noise (k,) between the best hypothesis and the rival that it is hardest to tell from."""
+    both = build_problem(robot, joined([problem.rows, imagined(problem.rows, choice)]), knowledge)
+    visit = both.visit - len(problem.rows)
+    std = fits[0].noise.std[both.group]
+    readings = []
+    for fit in fits:
+        setting = with_terms(fit.terms, fit.theta, both.rows)
+        readings.append(modelled(both, setting, fit.links, fit.loads, fit.band))
+    told = []
+    for other in readings[1:]:
+        # half: what the parameters of the loser can still take up once the new visits are in its fit
+        squares = 0.5 * ((other - readings[0]) / std) ** 2
+        told.append(np.bincount(visit[visit >= 0], weights=squares[visit >= 0], minlength=len(choice)))
+    return np.min(np.array(told), axis=0) + 0.1 * np.mean(np.array(told), axis=0)
+
+
+def _spread_out(choice: Floats, told: Floats) -> NDArray[np.int_]:
+    """The most telling poses that are not next to each other."""
+    chosen: list[int] = []
+    for k in np.argsort(-told):
+        if all(np.abs(choice[k] - choice[other]).max() > APART_RAD for other in chosen):
+            chosen.append(int(k))
+        if len(chosen) == COUNT:
+            break
+    return np.array(chosen, dtype=int)

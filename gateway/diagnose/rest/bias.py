@@ -1,0 +1,37 @@
+"""Static friction by direction: proven where one-sided visits came from both sides and differ."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import norm
+
+from gateway.diagnose.rest.linear import Fit, RestProblem
+from gateway.result.result import EffectResult, Evidence
+
+SURE = 5.0
+LEAST_STRENGTH = 0.5
+EACH_SIDE = 2
+
+
+def friction_by_direction(problem: RestProblem, after: Fit) -> list[EffectResult]:
+    """Axes whose mean friction against the approach shows in one-sided visits.
+
+    In a two-sided visit the same friction is the band, which every model has; a one-sided visit alone cannot
+    tell it from torque, but visits from both sides together can.
+    """
+    rows = problem.rows
+    single = ~rows.two_sided
+    at, axes = problem.band_part.start, problem.axes
+    out = []
+    for axis in range(axes):
+        side = rows.side[single & problem.use_sum[:, axis], axis]
+        if min(int((side > 0).sum()), int((side < 0).sum())) < EACH_SIDE:
+            continue
+        bias, std = float(after.band[axis]), float(np.sqrt(max(after.covariance[at + axis, at + axis], 0.0)))
+        noise = float(after.noise.std[2 * axes + axis])
+        if bias < SURE * std or bias < LEAST_STRENGTH * noise:
+            continue
+        ratio = noise / float(np.hypot(noise, bias))
+        evidence = Evidence(holdout_rms_ratio=ratio, p_value=float(max(axes * norm.sf(bias / std), 1e-300)))
+        out.append(EffectResult("static_friction", (axis + 1,), {"bias_nm": bias}, {"bias_nm": std}, evidence))
+    return out

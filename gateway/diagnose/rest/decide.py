@@ -1,0 +1,208 @@
+"""From fitted hypotheses to a verdict: what is proven, what rivals it, and whether structure is left."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.rest.linear import Fit, RestProblem, modelled, with_terms
+from gateway.diagnose.rest.screen import projector
+from gateway.diagnose.rest.search import NEEDED, Search, pruned
+from gateway.diagnose.rest.structure import misfit
+from gateway.model.term import Label, Term
+from gateway.model.unnamed import UNNAMED
+from gateway.result.result import Verdict
+
+Floats = NDArray[np.float64]
+
+LEAST_STRENGTH = 0.5
+LEAST_LINK_STRENGTH = 1.2
+LEAST_POSES = 4
+SURE_ODDS = 20.0
+ASK_ODDS = 400.0
+HINT_ODDS = 3.0
+STRUCTURE_P = 1e-3
+Key = tuple[frozenset[Label], bool]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rival:
+    """A set of effects that explains the data about as well as the chosen one.
+
+    `odds` of the chosen set against it; `fit` its best member; `holds` whether it holds the chosen set and more.
+    """
+
+    fit: Fit
+    odds: float
+    holds: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Decision:
+    """What the visits say.
+
+    Attributes
+    ----------
+    verdict : as in the result file
+    before, after : fits without effects and with the proven ones
+    whole : fit with the shapes without a name that are needed besides
+    proven : effects of `after` that the data show; the others only correct the CAD's links and are not named
+    rivals : other sets within `SURE_ODDS`, best first
+    near : other sets within `ASK_ODDS`, worth more measurements
+    structure_p : probability that noise leaves what is left
+    odds : per effect, against the best hypothesis without it
+    runner_up : per effect, name of what that hypothesis has instead
+    """
+
+    verdict: Verdict
+    before: Fit
+    after: Fit
+    whole: Fit
+    proven: tuple[Term, ...]
+    rivals: tuple[Rival, ...]
+    near: tuple[Rival, ...]
+    structure_p: float
+    odds: Mapping[Label, float]
+    runner_up: Mapping[Label, str | None]
+
+
+def decide(search: Search, chosen: Fit) -> Decision:
+    """Verdict on the visits of a search that has run.
+
+    Parameters
+    ----------
+    search : Search
+    chosen : Fit
+        Its best hypothesis, pruned.
+    """
+    problem = search.problem
+    before = search.fitted(())
+    whole = _without_weak(search, chosen)
+    after = search.fitted([term for term in whole.terms if term.name != UNNAMED], whole)
+    proven = tuple(term for term in after.terms if strong(search, whole, term))
+    near = _rivals(search, whole)
+    rivals = tuple(rival for rival in near if rival.odds < SURE_ODDS and not rival.holds)
+    structure_p = misfit(problem, whole)
+    odds, runner_up = _odds(search, after)
+    verdict = _verdict(search, whole, proven, rivals, structure_p)
+    if len(np.unique(problem.rows.pose)) < LEAST_POSES:
+        verdict, after, proven, rivals = "undecided", before, (), ()
+    return Decision(verdict, before, after, whole, proven, rivals, near, structure_p, odds, runner_up)
+
+
+def _verdict(
+    search: Search, whole: Fit, proven: tuple[Term, ...], rivals: tuple[Rival, ...], structure_p: float
+) -> Verdict:
+    shapes = [term for term in whole.terms if term.name == UNNAMED]
+    unnamed = any(strength(search, whole, term) >= LEAST_STRENGTH for term in shapes)
+    left = unnamed or structure_p < STRUCTURE_P
+    if not proven:
+        return "unexplained" if left else "none_needed"
+    if any(_key(search, rival.fit)[0] for rival in rivals):
+        return "undecided"
+    return "improved" if left else "explained"
+
+
+def strength(search: Search, whole: Fit, term: Term) -> float:
+    """Projected strength of one effect of a fit, in units of the noise.
+
+    What links, loads and bands leave of it, RMS over the visits on the axis where that is largest.
+    """
+    problem = search.problem
+    place = whole.terms.index(term)
+    rest = [k for k in range(len(whole.terms)) if k != place]
+    without = with_terms([whole.terms[k] for k in rest], [whole.theta[k] for k in rest], problem.rows)
+    share = modelled(problem, whole.setting, whole.links, whole.loads, whole.band)
+    share = share - modelled(problem, without, whole.links, whole.loads, whole.band)
+    weight = 1.0 / whole.noise.std[problem.group]
+    common = slice(0, problem.n_common)
+    plain = replace(whole, terms=(), theta=(), design=whole.design[:, common], prior_std=whole.prior_std[common])
+    project, _ = projector(problem, plain, weight)
+    left = project((share * weight)[:, None])[: len(weight), 0]
+    return float(np.sqrt((problem.by_group(left**2) / np.maximum(problem.by_group(), 1)).max()))
+
+
+def _without_weak(search: Search, chosen: Fit) -> Fit:
+    """A hypothesis as good as the chosen one whose effects are all strong, where there is one.
+
+    What a correction of the CAD's links explains as well, another effect has to show as clearly as a link would.
+    """
+    weak = [term for term in chosen.terms if not strong(search, chosen, term)]
+    if not weak:
+        return chosen
+    level = search.score(chosen) - NEEDED
+    least = LEAST_LINK_STRENGTH if all(term.name == "link_mass" for term in weak) else LEAST_STRENGTH
+    as_good = [fit for fit in search.pool.values() if search.score(fit) >= level and fit.terms]
+    better = [
+        fit
+        for fit in as_good
+        if all(strong(search, fit, term) and strength(search, fit, term) >= least for term in fit.terms)
+    ]
+    return pruned(search, search.best(better)) if better else chosen
+
+
+def strong(search: Search, hypothesis: Fit, term: Term) -> bool:
+    """Whether the data, and not the prior on the links alone, show an effect."""
+    if term.name == UNNAMED:
+        return True
+    least = LEAST_LINK_STRENGTH if term.name == "link_mass" else LEAST_STRENGTH
+    return strength(search, hypothesis, term) >= least
+
+
+def _key(search: Search, hypothesis: Fit) -> Key:
+    """Names of the strong effects of a hypothesis, and whether it holds a shape without a name."""
+    named = [term for term in hypothesis.terms if term.name != UNNAMED]
+    shown = frozenset(term.label for term in named if strong(search, hypothesis, term))
+    return shown, len(named) < len(hypothesis.terms)
+
+
+def _rivals(search: Search, whole: Fit) -> tuple[Rival, ...]:
+    """Sets of names by the sum of the evidence of their shapes; larger ones only where they gain something."""
+    level = search.score(whole) - math.log(ASK_ODDS) - NEEDED
+    groups: dict[Key, list[Fit]] = {}
+    for hypothesis in search.pool.values():
+        if search.score(hypothesis) >= level:
+            groups.setdefault(_key(search, hypothesis), []).append(hypothesis)
+    own, own_unnamed = _key(search, whole)
+    total = {key: _log_sum([search.score(member) for member in members]) for key, members in groups.items()}
+    reference = max(total[(own, own_unnamed)], search.score(whole))
+    out = []
+    for (names, unnamed), members in groups.items():
+        contains = names >= own and unnamed >= own_unnamed
+        odds = math.exp(min(reference - total[(names, unnamed)], 50.0))
+        if (names, unnamed) != (own, own_unnamed) and odds <= (HINT_ODDS if contains else ASK_ODDS):
+            out.append(Rival(search.best(members), odds, contains))
+    return tuple(sorted(out, key=lambda rival: rival.odds))
+
+
+def _log_sum(values: list[float]) -> float:
+    top = max(values)
+    return top + math.log(sum(math.exp(value - top) for value in values))
+
+
+def _odds(search: Search, after: Fit) -> tuple[dict[Label, float], dict[Label, str | None]]:
+    odds: dict[Label, float] = {}
+    runner_up: dict[Label, str | None] = {}
+    own = {term.label for term in after.terms}
+    for term in after.terms:
+        others = [fit for fit in search.pool.values() if term.label not in {t.label for t in fit.terms}]
+        if not others:
+            continue
+        best = search.best(others)
+        odds[term.label] = math.exp(min(max(search.score(after) - search.score(best), -50.0), 50.0))
+        instead = [t.name for t in best.terms if t.label not in own and t.name != UNNAMED]
+        runner_up[term.label] = instead[0] if instead else None
+    return odds, runner_up
+
+
+def noise_floor(problem: RestProblem, decision: Decision) -> Floats:
+    """Noise floor (N,) per axis: of the fit where nothing but noise is left, of the sides of the visits otherwise."""
+    clean = decision.verdict in ("none_needed", "explained", "undecided")
+    std = decision.whole.noise.std if clean else decision.whole.noise.start
+    count = problem.by_group().reshape(3, problem.axes)
+    total = np.sum(count * std.reshape(count.shape) ** 2, axis=0)
+    return np.sqrt(np.where(count.sum(axis=0) > 0, total / np.maximum(count.sum(axis=0), 1), np.nan))

@@ -1,0 +1,55 @@
+"""Joint elasticity seen by a secondary encoder: the link stands behind the motor in proportion to the torque."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import t as student
+
+from gateway.diagnose.rest.linear import Fit, RestProblem, modelled
+from gateway.result.result import EffectResult, Evidence
+
+SURE = 6.0
+LEAST_STRENGTH = 0.6
+
+
+def elastic_joints(problem: RestProblem, after: Fit) -> list[EffectResult]:
+    """Elastic joints among those with a secondary encoder.
+
+    Wind-up is regressed on the modelled torque, with a constant for the zeros of the two encoders; a joint counts where
+    the slope is certain and neglecting it would show in the torque.
+    """
+    rows = problem.rows
+    prediction = problem.model.predict(
+        after.setting, after.links, problem.fixed_load + problem.member @ after.loads, after.band
+    )
+    out = []
+    for axis in range(problem.axes):
+        bend = rows.wind_up_rad[:, axis]
+        if not np.isfinite(bend).all() or len(bend) < 4:
+            continue
+        design = np.stack([-prediction.joint_nm[:, axis], np.ones(len(bend))], axis=1)
+        value, *_ = np.linalg.lstsq(design, bend, rcond=None)
+        left = bend - design @ value
+        freedom = len(bend) - 2
+        least = 1e-7 + 1e-4 * float(np.ptp(bend))
+        spread = max(float(np.sqrt(left @ left / freedom)), least)
+        covariance = spread**2 * np.linalg.pinv(design.T @ design)
+        compliance, std = float(value[0]), float(np.sqrt(covariance[0, 0]))
+        if compliance < SURE * std or _strength(problem, after, axis, compliance) < LEAST_STRENGTH:
+            continue
+        p_value = float(max(student.sf(compliance / std, freedom) * problem.axes, 1e-300))
+        name, key = "joint_elasticity", "compliance_rad_nm"
+        out.append(EffectResult(name, (axis + 1,), {key: compliance}, {key: std}, Evidence(p_value=p_value)))
+    return out
+
+
+def _strength(problem: RestProblem, after: Fit, axis: int, compliance: float) -> float:
+    """What the torque would miss without the secondary encoder, over the noise, on the axis where that is largest."""
+    soft = after.setting.compliance_rad_nm.copy()
+    soft[axis] -= compliance
+    stiff = modelled(problem, after.setting, after.links, after.loads, after.band)
+    other = modelled(problem, replace(after.setting, compliance_rad_nm=soft), after.links, after.loads, after.band)
+    missed = (other - stiff) / after.noise.std[problem.group]
+    return float(np.sqrt((problem.by_group(missed**2) / np.maximum(problem.by_group(), 1)).max()))

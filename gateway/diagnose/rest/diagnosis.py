@@ -1,0 +1,267 @@
+"""Diagnosis of rest visits: the search, and the report with or without rows that no fit has seen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from gateway.data.table import Table
+from gateway.diagnose.options import DiagnoseOptions
+from gateway.diagnose.rest.ask import questions
+from gateway.diagnose.rest.bias import friction_by_direction
+from gateway.diagnose.rest.decide import STRUCTURE_P, Decision, decide
+from gateway.diagnose.rest.deflection import elastic_joints
+from gateway.diagnose.rest.fit import fit
+from gateway.diagnose.rest.holdout import Unseen, foretold_covariance, predicted
+from gateway.diagnose.rest.linear import Fit, RestProblem, visit_loads
+from gateway.diagnose.rest.loads import loads_of
+from gateway.diagnose.rest.mistakes import (
+    Mistake,
+    band_signs,
+    beyond_any_effect,
+    find_mistakes,
+    links_far_from_cad,
+    suspicious,
+)
+from gateway.diagnose.rest.outcome import (
+    Judge,
+    floor_and_band,
+    mistake_effect,
+    mistake_findings,
+    possible,
+    proven,
+    rejected,
+    summary,
+)
+from gateway.diagnose.rest.pictures import DrawnVisits, pictures
+from gateway.diagnose.rest.problem import Knowledge, build_problem, first_noise
+from gateway.diagnose.rest.remarks import corrected_links, limits, refused_loads
+from gateway.diagnose.rest.rows import joined, rest_rows
+from gateway.diagnose.rest.search import Search, run
+from gateway.diagnose.rest.structure import fresh_misfit, spare_rows
+from gateway.errors import DataUnusable
+from gateway.identify.links import default_inertials, parse_inertials
+from gateway.identify.loads import BARE_LABEL
+from gateway.model.effect import RestSetup
+from gateway.model.effects import terms_at_rest
+from gateway.model.robot import Robot
+from gateway.model.unnamed import unnamed_terms
+from gateway.result.result import Finding, FitSummary, HoldoutKind, LoadResult, Result, Verdict
+
+SURER = 5.0
+OBVIOUS = 150.0
+#: A verdict once something was found beside the search, and once rows that no fit has seen contradict it.
+MORE: Final[Mapping[Verdict, Verdict]] = {
+    "none_needed": "explained",
+    "explained": "explained",
+    "improved": "improved",
+    "unexplained": "improved",
+    "undecided": "undecided",
+}
+LESS: Final[Mapping[Verdict, Verdict]] = {
+    "none_needed": "unexplained",
+    "explained": "improved",
+    "improved": "improved",
+    "unexplained": "unexplained",
+    "undecided": "undecided",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A search that has run on the visits of `table`, after the mistakes in them were undone."""
+
+    table: Table
+    search: Search
+    chosen: Fit
+    mistakes: tuple[Mistake, ...]
+    gained: float
+
+    @property
+    def score(self) -> float:
+        """Score of the best hypothesis on the data as they were read."""
+        scale = 0.0
+        for mistake in self.mistakes:
+            axes = self.search.problem.axis + 1
+            scale -= float(np.sum(np.isin(axes, mistake.joints))) * float(np.log(mistake.factor))
+        signs = band_signs(self.search.problem, self.chosen)
+        against = sum(SURER + mistake.handicap for mistake in self.mistakes)
+        return self.search.score(self.chosen) + signs + scale - against
+
+    @property
+    def taken_back(self) -> bool:
+        """Whether a scale of the same axis takes a factor back that was undone as a mistake."""
+        factors = {joint for mistake in self.mistakes if mistake.factor != 1.0 for joint in mistake.joints}
+        scaled = {j for term in self.chosen.terms if term.scales_reading for j in term.joints}
+        return bool(factors & scaled)
+
+
+class RestDiagnosis:
+    """Diagnosis of rest visits in two steps: the search, and the report with or without unseen rows."""
+
+    def __init__(self, robot: Robot, options: DiagnoseOptions) -> None:
+        self.robot, self.options = robot, options
+        self.knowledge = Knowledge(
+            gravity_m_s2=options.gravity_m_s2,
+            inertials=_inertials(robot, options.inertials),
+            known=options.known,
+            bare=options.bare,
+        )
+
+    def problem(self, table: Table) -> RestProblem:
+        """Rows of a table as a problem."""
+        return build_problem(self.robot, rest_rows(table, self.options.efficiency), self.knowledge)
+
+    def search(self, table: Table) -> Found:
+        """Fit the hypotheses, with commissioning mistakes undone where that is what the data ask for."""
+        problem = self.problem(table)
+        plain = fit(problem, (), first_noise(problem))
+        mistakes: tuple[Mistake, ...] = ()
+        gained = 0.0
+        looked = beyond_any_effect(problem, plain)
+        if looked:
+            mistakes, gained = find_mistakes(table, self.problem, self.options.allowed)
+            if gained > OBVIOUS and self._settled(_undone(table, mistakes)):
+                return self._searched(table, mistakes, gained)
+        found = self._searched(table, (), 0.0)
+        if not looked and (suspicious(found.search.problem, found.chosen) or links_far_from_cad(problem, plain)):
+            mistakes, gained = find_mistakes(table, self.problem, self.options.allowed)
+        if mistakes:
+            other = self._searched(table, mistakes, gained)
+            if other.score > found.score and not other.taken_back:
+                found = other
+        return found
+
+    def _settled(self, table: Table) -> bool:
+        """Whether the model without effects meets the data, or nearly."""
+        problem = self.problem(table)
+        return not suspicious(problem, fit(problem, (), first_noise(problem)))
+
+    def _searched(self, table: Table, mistakes: tuple[Mistake, ...], gained: float) -> Found:
+        problem = self.problem(_undone(table, mistakes))
+        noise = first_noise(problem)
+        plain = fit(problem, (), noise)
+        bodies = problem.model.bodies(plain.setting, plain.links, visit_loads(problem, plain.loads))
+        torque, _ = problem.model.joint_torque(plain.setting, bodies)
+        weighed = bool(self.options.known) or self.knowledge.inertials == "exact"
+        setup = RestSetup(self.options.gear_ratios(problem.axes), weighed, torque)
+        named = terms_at_rest(problem.rows, setup, self.options.allowed)
+        search = Search(problem, tuple(named), tuple(unnamed_terms(problem.rows, setup)), noise)
+        return Found(table, search, run(search), mistakes, gained)
+
+    def _held(self, found: Found, holdout: Table | None) -> Unseen | None:
+        if holdout is None or holdout.moving.all():
+            return None
+        holdout = _undone(holdout.take(~holdout.moving), found.mistakes)
+        seen = found.search.problem.rows
+        unseen = rest_rows(holdout, self.options.efficiency)
+        unseen = unseen.take(np.isin(unseen.load, [*seen.load, BARE_LABEL]))
+        if not len(unseen):
+            raise DataUnusable("the hold-out carries no load that is in the data: nothing to judge on")
+        both = build_problem(self.robot, joined([seen, unseen]), self.knowledge)
+        return Unseen(both, both.visit >= len(seen))
+
+    def _before(self, decision: Decision, judge: Judge, found: Found, sided: bool) -> FitSummary:
+        """What the model without effects says of the data as they were read."""
+        second = np.isfinite(found.search.problem.rows.wind_up_rad).any()
+        if not (found.mistakes or second or sided):
+            return summary(judge.problem, decision.before, judge, self.robot)
+        table = replace(found.table, q2nd_rad=np.full_like(found.table.q2nd_rad, np.nan))
+        if sided:
+            table = replace(table, direction=np.zeros_like(table.direction))
+        problem = self.problem(table)
+        return summary(problem, fit(problem, (), first_noise(problem)), Judge(problem, None), self.robot)
+
+    def _from_all(self, held: Unseen, seen: Fit) -> tuple[LoadResult, ...]:
+        """Loads of the same hypothesis on fitted and fresh visits together."""
+        return loads_of(held.problem, fit(held.problem, seen.terms, seen.noise, seen), self.robot)
+
+    def report(self, found: Found, holdout: Table | None = None, kind: HoldoutKind = "given") -> Result:
+        """Verdict and figures of a search; `holdout` are rows that no fit has seen, `kind` where they come from."""
+        search, problem = found.search, found.search.problem
+        decision = decide(search, found.chosen)
+        held = self._held(found, holdout)
+        decision, findings = self._confirmed(decision, held, problem)
+        judge = Judge(problem, held)
+        effects = [entry for mistake in found.mistakes for entry in mistake_effect(mistake, found.gained)]
+        effects += proven(search, decision, judge)
+        seen_by_encoder = elastic_joints(problem, decision.after) if "joint_elasticity" in self.options.allowed else []
+        by_direction = (
+            friction_by_direction(problem, decision.after) if "static_friction" in self.options.allowed else []
+        )
+        effects += seen_by_encoder + by_direction
+        effects += possible(search, decision, judge) if decision.verdict == "undecided" else []
+        verdict: Verdict = decision.verdict
+        if found.mistakes or seen_by_encoder or by_direction:
+            verdict = MORE[verdict]
+        before = self._before(decision, judge, found, bool(by_direction))
+        after = summary(problem, decision.after, judge, self.robot)
+        if held is not None and kind == "fresh" and not findings:
+            # what the proof has confirmed is told by all visits, those of the proof included
+            after = replace(after, loads=self._from_all(held, decision.after))
+            if decision.after is decision.before and not found.mistakes:
+                before = replace(before, loads=after.loads)
+        floor, band = floor_and_band(problem, decision)
+        findings += corrected_links(decision)
+        findings += mistake_findings(found.mistakes) + refused_loads(after.loads) + limits(problem)
+        rows, drawn = pictures(DrawnVisits.of(problem, held, "fresh" if kind == "fresh" else "held out"), decision)
+        return Result(
+            robot=self.robot.name,
+            loads=after.loads,
+            verdict=verdict,
+            effects=tuple(effects),
+            before=before,
+            after=after,
+            holdout_kind="blocks" if held is None else kind,
+            noise_floor_nm=floor,
+            friction_band_nm=band,
+            rejected=tuple(rejected(search, decision)),
+            next=questions(problem, decision, self.robot, self.options, self.knowledge),
+            findings=tuple(findings),
+            provenance={
+                "visits": len(problem.rows),
+                "poses": len(np.unique(problem.rows.pose)),
+                "hypotheses": len(search.pool),
+                "structure_p": decision.structure_p,
+                "inertials": self.knowledge.inertials,
+            },
+            rows=rows,
+            extra={"data": drawn},
+        )
+
+    def _confirmed(
+        self, decision: Decision, held: Unseen | None, problem: RestProblem
+    ) -> tuple[Decision, list[Finding]]:
+        """The decision in the light of rows that no fit has seen."""
+        if held is None:
+            return decision, []
+        axis = held.problem.axis[held.mask]
+        residual = predicted(held, decision.after)
+        spare = spare_rows(problem, decision.after)
+        chance = fresh_misfit(residual, foretold_covariance(held, decision.after), axis, spare)
+        if chance >= STRUCTURE_P:
+            return decision, []
+        verdict = LESS[decision.verdict]
+        finding = Finding(
+            "warn",
+            "hold-out",
+            f"poses that no fit has seen are not met within the noise (probability {chance:.1g})",
+            "measure them into the data and diagnose again",
+        )
+        return replace(decision, verdict=verdict), [finding]
+
+
+def _undone(table: Table, mistakes: tuple[Mistake, ...]) -> Table:
+    for mistake in mistakes:
+        table = mistake.undo(table)
+    return table
+
+
+def _inertials(robot: Robot, given: str | None) -> str:
+    if given is None:
+        return default_inertials(robot)
+    parse_inertials(given)
+    return given

@@ -1,0 +1,209 @@
+"""One hypothesis fitted to rest visits: links, loads, friction band and the parameters of its effects.
+
+Half sums and half differences are rows; the CAD's inertials enter as rows with their standard deviation. Gauss-Newton
+on the modelled reading, the noise of each axis re-estimated on the way (restricted maximum likelihood: what the fit
+takes up is not counted as noise), with the scatter of the half differences as a weak prior. `evidence` is the logarithm
+of the Laplace approximation to the marginal likelihood (MacKay 1992), comparable between hypotheses on the same rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.rest.linear import (
+    Fit,
+    Noise,
+    RestProblem,
+    common_columns,
+    modelled,
+    spread_of,
+    term_columns,
+    with_terms,
+)
+from gateway.model.rest import AlteredModel
+from gateway.model.term import Term
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+NOISE_WEIGHT = 4.0
+_STEPS = 6
+
+
+@dataclass(slots=True, eq=False)
+class _State:
+    links: Floats
+    loads: Floats
+    band: Floats
+    theta: list[Floats]
+
+
+def fit(
+    problem: RestProblem, terms: Sequence[Term], noise: Noise, start: Fit | None = None, steps: int = _STEPS
+) -> Fit:
+    """Fit one hypothesis.
+
+    Parameters
+    ----------
+    problem : RestProblem
+    terms : effects of the hypothesis
+    noise : Noise
+        Where the noise begins; it is re-estimated.
+    start : Fit, optional
+        Links, loads, bands and equal effects begin there.
+    steps : int
+        Gauss-Newton steps at most.
+    """
+    state = _begin(problem, terms, start)
+    spreads: list[Floats] = []
+    current = _linearised(problem, terms, state, noise, spreads, 0)
+    if not all(linear for term in terms for linear in term.linear):
+        steps = 2 * steps
+    for step in range(1, steps):
+        before = current.mode
+        current = _linearised(problem, terms, state, current.noise, spreads, step)
+        if step >= 2 and abs(current.mode - before) < 0.02:
+            break
+    return current
+
+
+def _begin(problem: RestProblem, terms: Sequence[Term], start: Fit | None) -> _State:
+    n_labels = len(problem.labels)
+    if start is None:
+        links, loads, band = problem.links.copy(), np.zeros((n_labels, 4)), np.zeros(problem.axes)
+        loads[:, 0] = 1e-3
+        known: dict[Term, Floats] = {}
+    else:
+        links, loads, band = start.links.copy(), start.loads.copy(), start.band.copy()
+        known = dict(zip(start.terms, start.theta, strict=True))
+    theta = [known[term].copy() if term in known else np.array(term.start, dtype=float) for term in terms]
+    return _State(links, loads, band, theta)
+
+
+def _linearised(
+    problem: RestProblem, terms: Sequence[Term], state: _State, noise: Noise, spreads: list[Floats], step: int
+) -> Fit:
+    """One Gauss-Newton step from `state` (which is moved), with noise and evidence at the new point."""
+    setting = with_terms(terms, state.theta, problem.rows)
+    at_start = _as_fit(problem, terms, state, setting, noise)
+    columns = [common_columns(problem, setting, state.links, state.loads, state.band)]
+    for position, term in enumerate(terms):
+        own = term_columns(problem, at_start, term, state.theta[position], position)
+        columns.append(own)
+        if step == 0:
+            spreads.append(spread_of(problem, noise, term, own))
+    design = np.hstack(columns)
+    residual = problem.target - at_start.residual
+    prior_std, pull = _prior(problem, terms, state, spreads)
+    prior_rows, prior_residual = _prior_rows(problem, state, prior_std, pull)
+    weight = 1.0 / noise.std[problem.group]
+    big = np.vstack([design * weight[:, None], prior_rows])
+    scale = np.sqrt((big**2).sum(axis=0))
+    scale[scale == 0] = 1.0
+    q, r = np.linalg.qr(big / scale)
+    diagonal = np.abs(np.diag(r))
+    r = r + np.diag(np.where(diagonal < 1e-10 * diagonal.max(), 1e-10 * diagonal.max(), 0.0))
+    right = q.T @ np.concatenate([residual * weight, prior_residual])
+    inverse = np.linalg.inv(r) / scale[:, None]
+    delta = inverse @ right
+    _move(problem, terms, state, delta)
+    setting = with_terms(terms, state.theta, problem.rows)
+    left = problem.target - modelled(problem, setting, state.links, state.loads, state.band)
+    orthogonal = q[: len(weight)]
+    updated = _update_noise(problem, left, orthogonal, noise)
+    penalty = _penalty(problem, terms, state, spreads)
+    log_det = 2.0 * float(np.sum(np.log(np.abs(np.diag(r))) + np.log(scale)))
+    mode = _log_density(problem, left, updated, penalty)
+    log_spread = sum(float(np.sum(np.log(values))) for values in spreads)
+    return Fit(
+        terms=tuple(terms),
+        links=state.links.copy(),
+        loads=state.loads.copy(),
+        band=state.band.copy(),
+        theta=tuple(values.copy() for values in state.theta),
+        covariance=inverse @ inverse.T,
+        setting=setting,
+        residual=left,
+        design=design,
+        noise=updated,
+        evidence=mode - 0.5 * log_det - log_spread,
+        prior_std=prior_std,
+        orthogonal=orthogonal,
+        mode=mode,
+    )
+
+
+def _as_fit(problem: RestProblem, terms: Sequence[Term], state: _State, setting: AlteredModel, noise: Noise) -> Fit:
+    """The present point as a fit of which nothing but the place is known; its residual holds the modelled rows."""
+    empty = np.zeros((0, 0))
+    now = modelled(problem, setting, state.links, state.loads, state.band)
+    theta = tuple(state.theta)
+    return Fit(
+        tuple(terms), state.links, state.loads, state.band, theta, empty, setting, now, empty, noise, 0.0, empty, empty
+    )
+
+
+def _prior(problem: RestProblem, terms: Sequence[Term], state: _State, spreads: list[Floats]) -> tuple[Floats, Floats]:
+    """Prior standard deviation (p,) and distance (p,) of the prior mean from the present point."""
+    free = np.full(problem.n_common - 4 * problem.axes, np.inf)
+    std = np.concatenate([problem.link_std, free, *spreads])
+    centre = [np.array(term.start) for term in terms]
+    pull = np.concatenate(
+        [problem.links - state.links, np.zeros(len(free)), *(c - t for c, t in zip(centre, state.theta, strict=True))]
+    )
+    return std, pull
+
+
+def _prior_rows(problem: RestProblem, state: _State, std: Floats, pull: Floats) -> tuple[Floats, Floats]:
+    held = np.isfinite(std)
+    rows = np.diag(np.where(held, 1.0 / np.where(held, std, 1.0), 0.0))[held]
+    residual = (pull / np.where(held, std, 1.0))[held]
+    if len(problem.prior_target):
+        more = np.zeros((len(problem.prior_target), len(std)))
+        more[:, problem.link_part] = problem.prior_rows
+        rows = np.vstack([rows, more])
+        residual = np.concatenate([residual, problem.prior_target - problem.prior_rows @ state.links])
+    return rows, residual
+
+
+def _move(problem: RestProblem, terms: Sequence[Term], state: _State, delta: Floats) -> None:
+    state.links = state.links + delta[problem.link_part]
+    state.loads = state.loads + delta[problem.link_part.stop : problem.band_part.start].reshape(-1, 4)
+    state.band = state.band + delta[problem.band_part]
+    at = problem.n_common
+    for position, term in enumerate(terms):
+        k = len(term.linear)
+        step = delta[at : at + k]
+        limit = np.where(np.array(term.linear), np.inf, 0.3)
+        state.theta[position] = state.theta[position] + np.clip(step, -limit, limit)
+        at += k
+
+
+def _update_noise(problem: RestProblem, residual: Floats, orthogonal: Floats, noise: Noise) -> Noise:
+    leverage = (orthogonal**2).sum(axis=1)
+    count, taken, squares = problem.by_group(), problem.by_group(leverage), problem.by_group(residual**2)
+    freedom = np.maximum(count - taken, 0.0) + NOISE_WEIGHT
+    variance = (squares + NOISE_WEIGHT * noise.start**2) / freedom
+    std = np.where(count > 0, np.maximum(np.sqrt(variance), noise.least), noise.start)
+    return Noise(noise.start, std, noise.least)
+
+
+def _penalty(problem: RestProblem, terms: Sequence[Term], state: _State, spreads: list[Floats]) -> float:
+    total = float(np.sum(((state.links - problem.links) / problem.link_std) ** 2))
+    if len(problem.prior_target):
+        total += float(np.sum((problem.prior_target - problem.prior_rows @ state.links) ** 2))
+    for term, values, spread in zip(terms, state.theta, spreads, strict=True):
+        total += float(np.sum(((values - np.array(term.start)) / spread) ** 2))
+    return total
+
+
+def _log_density(problem: RestProblem, residual: Floats, noise: Noise, penalty: float) -> float:
+    std = noise.std[problem.group]
+    density = -float(np.sum(np.log(std))) - 0.5 * float(np.sum((residual / std) ** 2)) - 0.5 * penalty
+    used = np.unique(problem.group)
+    ratio = (noise.start[used] / noise.std[used]) ** 2
+    return density + float(np.sum((NOISE_WEIGHT / 2.0 + 1.0) * np.log(ratio) - NOISE_WEIGHT / 2.0 * ratio))

@@ -1,0 +1,87 @@
+"""Residuals on poses that a fit has not seen: left out pose by pose, or measured afterwards."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.rest.linear import Fit, RestProblem, common_columns, modelled, term_columns, with_terms
+from gateway.diagnose.rest.screen import Screen
+
+Floats = NDArray[np.float64]
+
+
+def pose_of_rows(problem: RestProblem) -> NDArray[np.int_]:
+    """Pose number (rows,) of every row: the same pose under all loads is held out together."""
+    return problem.rows.pose[problem.visit]
+
+
+def left_out(problem: RestProblem, fit: Fit) -> Floats:
+    """Residual (rows,) [Nm] of each row when its pose, under all loads, is not in the fit (linearised)."""
+    std = fit.noise.std[problem.group]
+    return std * _left_out(pose_of_rows(problem), fit.residual / std, fit.orthogonal)
+
+
+def left_out_with(problem: RestProblem, fit: Fit, view: Screen, index: int) -> Floats:
+    """The same for the fit with one screened candidate added (linearised)."""
+    std = fit.noise.std[problem.group]
+    columns = view.projected[:, view.pick(index)]
+    part = view.pick(index)
+    tall = view.tall[:, part]
+    matrix = tall.T @ tall + np.eye(columns.shape[1])
+    factor = np.linalg.cholesky(matrix)
+    added: Floats = np.asarray(np.linalg.solve(factor, columns.T).T, dtype=float)
+    residual: Floats = fit.residual / std - added @ np.linalg.solve(factor, view.score[part])
+    return std * _left_out(pose_of_rows(problem), residual, np.hstack([fit.orthogonal, added]))
+
+
+def _left_out(pose: NDArray[np.int_], residual: Floats, basis: Floats) -> Floats:
+    out = np.empty_like(residual)
+    for number in np.unique(pose):
+        rows = np.flatnonzero(pose == number)
+        part = basis[rows]
+        out[rows] = np.linalg.lstsq(np.eye(len(rows)) - part @ part.T, residual[rows], rcond=1e-9)[0]
+    return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Unseen:
+    """Rows that no fit has seen, with the visits of the fit before them (so that times and first visits agree).
+
+    Attributes
+    ----------
+    problem : RestProblem
+        Fitted visits and held-out visits together.
+    mask : (rows,) the held-out ones
+    """
+
+    problem: RestProblem
+    mask: NDArray[np.bool_]
+
+
+def predicted(held: Unseen, fit: Fit) -> Floats:
+    """Residual (held-out rows,) [Nm] of a fit on rows it has not seen."""
+    return _at(held.problem, fit)[held.mask]
+
+
+def foretold_covariance(held: Unseen, fit: Fit) -> Floats:
+    """Covariance (held-out rows, held-out rows) [Nm2] of the residuals of a fit on rows it has not seen.
+
+    The noise of the rows, and what the covariance of the fit's parameters leaves open about them.
+    """
+    problem = held.problem
+    setting = with_terms(fit.terms, fit.theta, problem.rows)
+    columns = [common_columns(problem, setting, fit.links, fit.loads, fit.band)]
+    columns += [
+        term_columns(problem, fit, term, fit.theta[position], position) for position, term in enumerate(fit.terms)
+    ]
+    design = np.hstack(columns)[held.mask]
+    noise = fit.noise.std[problem.group[held.mask]] ** 2
+    return np.asarray(design @ fit.covariance @ design.T + np.diag(noise), dtype=float)
+
+
+def _at(problem: RestProblem, fit: Fit) -> Floats:
+    setting = with_terms(fit.terms, fit.theta, problem.rows)
+    return problem.target - modelled(problem, setting, fit.links, fit.loads, fit.band)

@@ -1,0 +1,228 @@
+"""What a hypothesis is fitted to, what a fit is, and the derivatives of the modelled rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.model.rest import AlteredModel, Model, RestRows, neutral
+from gateway.model.term import Term
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+RELATIVE_FLOOR = 2e-4
+STRENGTH_SPREAD = 10.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestProblem:
+    """Rows, prior and noise groups that all hypotheses share.
+
+    Attributes
+    ----------
+    model : Model
+    links : (4 N,) CAD value of the link parameters
+    link_std : (4 N,) its standard deviation
+    labels : labels of the loads to estimate
+    member : (n, labels) 1 where the visit carries that load
+    fixed_load : (n, 4) what is known to hang on the flange
+    use_sum, use_difference : (n, N) rows that are fitted
+    target : (rows,) half sums, then half differences
+    group : (rows,) noise group: axis + N * (0 half sum, 1 half difference, 2 one-sided)
+    prior_rows, prior_target : further knowledge of the links: `prior_rows @ links = prior_target` with unit std
+    """
+
+    model: Model
+    links: Floats
+    link_std: Floats
+    labels: tuple[str, ...]
+    member: Floats
+    fixed_load: Floats
+    use_sum: Mask
+    use_difference: Mask
+    target: Floats
+    group: NDArray[np.int_]
+    prior_rows: Floats
+    prior_target: Floats
+
+    @property
+    def rows(self) -> RestRows:
+        """The visits."""
+        return self.model.rows
+
+    @property
+    def axes(self) -> int:
+        """Number of axes N of the arm."""
+        return self.model.rows.axes
+
+    @property
+    def axis(self) -> NDArray[np.int_]:
+        """Axis (rows,) of every row, from 0."""
+        return self.group % self.axes
+
+    @property
+    def visit(self) -> NDArray[np.int_]:
+        """Visit (rows,) of every row."""
+        visit = np.broadcast_to(np.arange(len(self.rows))[:, None], self.use_sum.shape)
+        return np.concatenate([visit[self.use_sum], visit[self.use_difference]])
+
+    @property
+    def link_part(self) -> slice:
+        """Where the links stand among the parameters."""
+        return slice(0, 4 * self.axes)
+
+    def load_part(self, index: int) -> slice:
+        """Where one load stands."""
+        return slice(4 * (self.axes + index), 4 * (self.axes + index + 1))
+
+    @property
+    def band_part(self) -> slice:
+        """Where the friction bands stand."""
+        return slice(self.n_common - self.axes, self.n_common)
+
+    @property
+    def n_common(self) -> int:
+        """Parameters that every hypothesis has: links, loads, bands."""
+        return 5 * self.axes + 4 * len(self.labels)
+
+    def by_group(self, values: Floats | None = None) -> Floats:
+        """Sum (3 N,) over the rows of each noise group; their number where no values (rows,) are given."""
+        return np.asarray(np.bincount(self.group, weights=values, minlength=3 * self.axes), dtype=float)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Noise:
+    """Standard deviation of the rows: prior `start` and estimate `std` per group (3 N,), NaN where no rows."""
+
+    start: Floats
+    std: Floats
+    least: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """A fitted hypothesis.
+
+    Attributes
+    ----------
+    terms : effects of the hypothesis
+    links : (4 N,), loads : (labels, 4), band : (N,)
+    theta : parameters of each effect
+    covariance : of [links, loads, band, theta]
+    setting : AlteredModel at the solution
+    residual : (rows,) measured - modelled
+    design : (rows, p) derivative of the modelled reading
+    noise : Noise
+    evidence : float
+    prior_std : (p,) standard deviation of the prior, inf where there is none
+    orthogonal : (rows, p) weighted design in an orthonormal basis: leverages are its squares
+    """
+
+    terms: tuple[Term, ...]
+    links: Floats
+    loads: Floats
+    band: Floats
+    theta: tuple[Floats, ...]
+    covariance: Floats
+    setting: AlteredModel
+    residual: Floats
+    design: Floats
+    noise: Noise
+    evidence: float
+    prior_std: Floats
+    orthogonal: Floats
+    mode: float = 0.0
+
+    @property
+    def flat_theta(self) -> Floats:
+        """All effect parameters in one vector."""
+        return np.concatenate(self.theta) if self.theta else np.zeros(0)
+
+
+def visit_loads(problem: RestProblem, loads: Floats) -> Floats:
+    """Load parameters (n, 4) at each visit."""
+    return problem.fixed_load + problem.member @ loads if len(problem.labels) else problem.fixed_load.copy()
+
+
+def with_terms(terms: Sequence[Term], theta: Sequence[Floats], rows: RestRows) -> AlteredModel:
+    """The setting with all effects of a hypothesis in it."""
+    setting = neutral(len(rows), rows.axes)
+    for term, values in zip(terms, theta, strict=True):
+        setting = term.apply(setting, values, rows)
+    return setting
+
+
+def stacked(problem: RestProblem, half_sum: Floats, difference: Floats) -> Floats:
+    """Modelled half sums and differences (n, N[, k]) as one column (rows[, k])."""
+    return np.concatenate([half_sum[problem.use_sum], difference[problem.use_difference]])
+
+
+def modelled(problem: RestProblem, setting: AlteredModel, links: Floats, loads: Floats, band: Floats) -> Floats:
+    """Modelled rows (rows,)."""
+    prediction = problem.model.predict(setting, links, visit_loads(problem, loads), band)
+    return stacked(problem, prediction.sum_nm, prediction.difference_nm)
+
+
+def common_columns(problem: RestProblem, setting: AlteredModel, links: Floats, loads: Floats, band: Floats) -> Floats:
+    """Columns (rows, 5 N + 4 labels) of links, loads and bands."""
+    model = problem.model
+    bodies = model.bodies(setting, links, visit_loads(problem, loads))
+    torque, regressor = model.joint_torque(setting, bodies)
+    chain = model.sum_by_torque(setting, torque, band)
+    body_columns = np.matmul(chain, regressor)
+    half_sum = np.zeros((len(problem.rows), problem.axes, problem.n_common))
+    half_sum[:, :, problem.link_part] = body_columns
+    load_columns = body_columns[:, :, -4:].copy()
+    load_columns[:, :, 0] += np.einsum("nak,nk->na", body_columns[:, :, -3:], setting.moment_factor)
+    for k in range(len(problem.labels)):
+        half_sum[:, :, problem.load_part(k)] = load_columns * problem.member[:, k, None, None]
+    difference = np.zeros_like(half_sum)
+    base = model.readings(setting, torque, band)
+    for axis in range(problem.axes):
+        step = 1e-3 * (1.0 + abs(band[axis]))
+        moved = band.copy()
+        moved[axis] += step
+        shifted = model.readings(setting, torque, moved)
+        column = problem.band_part.start + axis
+        half_sum[:, :, column] = (shifted.sum_nm - base.sum_nm) / step
+        difference[:, :, column] = (shifted.difference_nm - base.difference_nm) / step
+    return stacked(problem, half_sum, difference)
+
+
+def term_columns(problem: RestProblem, fit: Fit, term: Term, theta: Floats, position: int | None = None) -> Floats:
+    """Derivative (rows, k) of the modelled reading by the parameters of one effect.
+
+    `position` is the effect's place among those of the fit, None for an effect that is not in it (built in last).
+    """
+    columns = np.empty((len(problem.target), len(theta)))
+    rest = [k for k in range(len(fit.terms)) if k != position]
+    base = with_terms([fit.terms[k] for k in rest], [fit.theta[k] for k in rest], problem.rows)
+    for k, step in enumerate(_steps(term, theta, fit.noise)):
+        sides = []
+        for sign in (1.0, -1.0):
+            moved = theta.copy()
+            moved[k] += sign * step
+            setting = term.apply(base, moved, problem.rows)
+            sides.append(modelled(problem, setting, fit.links, fit.loads, fit.band))
+        columns[:, k] = (sides[0] - sides[1]) / (2.0 * step)
+    return columns
+
+
+def _steps(term: Term, theta: Floats, noise: Noise) -> Floats:
+    spread = np.array(term.spread)
+    fallback = 0.1 * float(np.median(noise.start))
+    linear = np.array(term.linear)
+    return np.where(np.isnan(spread), np.where(linear, fallback, 1e-3), 1e-3 * spread) + 1e-6 * np.abs(theta)
+
+
+def spread_of(problem: RestProblem, noise: Noise, term: Term, columns: Floats) -> Floats:
+    """Prior standard deviation (k,) of an effect's parameters: what is plausible, or ten noise floors."""
+    weighted = columns / noise.std[problem.group][:, None]
+    size = np.sqrt((weighted**2).sum(axis=0) / max(len(problem.rows), 1))
+    by_strength = STRENGTH_SPREAD / np.maximum(size, max(1e-3 * float(size.max(initial=0.0)), 1e-12))
+    plausible = np.array(term.spread)
+    return np.where(np.isnan(plausible), by_strength, plausible)

@@ -1,0 +1,171 @@
+"""A decision as the result file: effects with their evidence, before and after, every candidate with its figure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from gateway.diagnose.held import Held, listed
+from gateway.diagnose.rest.decide import Decision, noise_floor, strong
+from gateway.diagnose.rest.holdout import (
+    Unseen,
+    left_out,
+    left_out_with,
+    predicted,
+)
+from gateway.diagnose.rest.linear import Fit, RestProblem
+from gateway.diagnose.rest.loads import loads_of
+from gateway.diagnose.rest.mistakes import Mistake
+from gateway.diagnose.rest.search import Search
+from gateway.model.effects import MISTAKES
+from gateway.model.robot import Robot
+from gateway.model.term import Term
+from gateway.model.unnamed import UNNAMED
+from gateway.result.result import EffectResult, Evidence, Finding, FitSummary, Rejected
+
+Floats = NDArray[np.float64]
+LARGEST_ODDS = 1e12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judge:
+    """Residuals on unseen rows for any fit: of given rows where there are any, else pose by pose.
+
+    Attributes
+    ----------
+    problem : RestProblem
+    held : Unseen or None
+    axis : axis of every unseen row
+    group : noise group of every unseen row
+    """
+
+    problem: RestProblem
+    held: Unseen | None
+
+    @property
+    def group(self) -> NDArray[np.int_]:
+        """Noise group of every unseen row."""
+        return self.problem.group if self.held is None else self.held.problem.group[self.held.mask]
+
+    @property
+    def axis(self) -> NDArray[np.int_]:
+        """Axis of every unseen row, from 0."""
+        return self.group % self.problem.axes
+
+    def residual(self, fit: Fit) -> Floats:
+        """Residual of a fit on the unseen rows [Nm]."""
+        return left_out(self.problem, fit) if self.held is None else predicted(self.held, fit)
+
+    def leaves(self, fit: Fit) -> Held:
+        """What a fit leaves of the unseen rows."""
+        return Held.of_rows(self.residual(fit), self.axis, self.problem.axes)
+
+    def ratio(self, after: Fit, before: Fit, joints: tuple[int, ...]) -> float:
+        """RMS after over before on the unseen rows, pooled over axes in units of their noise."""
+        axes = [joint - 1 for joint in joints] or range(self.problem.axes)
+        return self.leaves(after).over(self.leaves(before), axes, after.noise.std[self.group][:, None])
+
+
+def summary(problem: RestProblem, fit: Fit, judge: Judge, robot: Robot) -> FitSummary:
+    """Residuals and loads of one fit."""
+    return FitSummary(
+        rms_nm=listed(Held.of_rows(fit.residual, problem.axis, problem.axes).rms_nm),
+        holdout_rms_nm=listed(judge.leaves(fit).rms_nm),
+        loads=loads_of(problem, fit, robot),
+    )
+
+
+def proven(search: Search, decision: Decision, judge: Judge) -> list[EffectResult]:
+    """The effects of the decision with parameters and evidence."""
+    after = decision.after
+    out = []
+    for position, term in enumerate(after.terms):
+        if term not in decision.proven:
+            continue
+        without = search.fitted([other for other in after.terms if other is not term], after)
+        evidence = Evidence(
+            holdout_rms_ratio=judge.ratio(after, without, term.joints),
+            p_value=_p_value(after, without, term, len(search.prior)),
+            runner_up=decision.runner_up.get(term.label),
+            odds=min(decision.odds.get(term.label, LARGEST_ODDS), LARGEST_ODDS),
+        )
+        out.append(_effect(search.problem, after, position, evidence))
+    return out
+
+
+def possible(search: Search, decision: Decision, judge: Judge) -> list[EffectResult]:
+    """The effects of the rivals that the decision does not hold, with their odds."""
+    known = {term.label for term in decision.proven}
+    out: list[EffectResult] = []
+    for rival in decision.rivals:
+        for position, term in enumerate(rival.fit.terms):
+            if term.name == UNNAMED or term.label in known or not strong(search, rival.fit, term):
+                continue
+            known.add(term.label)
+            ratio = judge.ratio(rival.fit, decision.before, term.joints)
+            evidence = Evidence(holdout_rms_ratio=ratio, odds=1.0 / max(rival.odds, 1e-12))
+            out.append(_effect(search.problem, rival.fit, position, evidence))
+    return out
+
+
+def _p_value(after: Fit, without: Fit, term: Term, candidates: int) -> float:
+    """Likelihood ratio with as many degrees of freedom as the effect has parameters, times the number tried."""
+    gain = 2.0 * max(after.mode - without.mode, 0.0)
+    return float(min(1.0, max(chi2.sf(gain, len(term.linear)) * candidates, 1e-300)))
+
+
+def _effect(problem: RestProblem, fit: Fit, position: int, evidence: Evidence) -> EffectResult:
+    term = fit.terms[position]
+    at = problem.n_common + sum(len(other.linear) for other in fit.terms[:position])
+    part = slice(at, at + len(term.linear))
+    values, errors = term.report(fit.theta[position], fit.covariance[part, part])
+    return EffectResult(term.name, term.joints, values, errors, evidence)
+
+
+def mistake_effect(mistake: Mistake, gained: float) -> list[EffectResult]:
+    """A commissioning mistake as effects: one per axis, or one per pair of axes."""
+    places = [mistake.joints] if mistake.name == "axes_swapped" else [(joint,) for joint in mistake.joints]
+    parameters = {"factor": mistake.factor} if mistake.name == "current_rms_peak" else {}
+    evidence = Evidence(p_value=float(np.exp(-min(gained, 690.0))), odds=float(np.exp(min(gained, 27.0))))
+    return [EffectResult(mistake.name, joints, parameters, {}, evidence) for joints in places]
+
+
+def mistake_findings(mistakes: Sequence[Mistake]) -> list[Finding]:
+    """A failing finding for each commissioning mistake."""
+    out = []
+    for mistake in mistakes:
+        what, advice = MISTAKES[mistake.name]
+        where = " and ".join(f"J{joint}" for joint in mistake.joints)
+        out.append(Finding("fail", where, what, advice))
+    return out
+
+
+def rejected(search: Search, decision: Decision) -> list[Rejected]:
+    """Every candidate that is not in the answer: held-out error with it over that without it, pose by pose."""
+    problem, after = search.problem, decision.after
+    taken = {term.label for term in decision.proven}
+    fitted = {term.label for term in after.terms}
+    view = search.view(after, [term for term in search.named if term.label not in fitted], after.noise.std)
+    base = Held.of_rows(left_out(problem, after), problem.axis, problem.axes)
+    std = after.noise.std[problem.group][:, None]
+    best: dict[tuple[str, tuple[int, ...]], int] = {}
+    for index in np.argsort(-view.log_bayes):
+        best.setdefault(view.terms[index].label, int(index))
+    out = []
+    for (name, joints), index in best.items():
+        axes = [joint - 1 for joint in joints] or range(problem.axes)
+        with_it = Held.of_rows(left_out_with(problem, after, view, index), problem.axis, problem.axes)
+        out.append(Rejected(name, joints, with_it.over(base, axes, std)))
+    tried = {(entry.name, entry.joints) for entry in out} | taken
+    out += [Rejected(*key, 1.0) for key in sorted({term.label for term in search.named} - tried)]
+    return sorted(out, key=lambda entry: (entry.holdout_rms_ratio, entry.name, entry.joints))
+
+
+def floor_and_band(problem: RestProblem, decision: Decision) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Noise floor and friction band (one of each an axis), NaN where an axis was not measured."""
+    measured = problem.use_difference.any(axis=0)
+    return listed(noise_floor(problem, decision)), listed(np.where(measured, decision.after.band, np.nan))

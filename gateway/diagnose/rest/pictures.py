@@ -1,0 +1,215 @@
+"""What the report draws of a diagnosis of rest poses: every visit before and after, and each effect as a curve.
+
+An effect as a curve is the modelled reading with it less the modelled reading without it, links, loads, bands and the
+other effects as fitted; its band follows from the covariance of its parameters. The points are measured readings less
+the modelled ones without the effect. An effect that no single quantity describes is drawn over itself: its points then
+lie along the diagonal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.rest.decide import Decision
+from gateway.diagnose.rest.holdout import Unseen
+from gateway.diagnose.rest.linear import Fit, RestProblem, visit_loads, with_terms
+from gateway.model.effect import Over
+from gateway.model.effects import LIBRARY
+from gateway.model.rest import Model, Prediction, RestRows
+from gateway.model.term import Term
+from gateway.result.result import Rows
+
+Floats = NDArray[np.float64]
+
+TWO_SIDED_95 = 1.96
+GRID = 60
+GRID_MARGIN = 0.05
+STEP = 1e-4
+#: What an effect at rest can be drawn over.
+SEEN: Final = frozenset({Over.ANGLE, Over.TORQUE, Over.TORQUE_BY_DIRECTION, Over.TIME})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnVisits:
+    """Visits that are drawn, the ones no fit has seen included.
+
+    Attributes
+    ----------
+    problem : RestProblem
+    fresh : (n,) which no fit has seen
+    kind : word for those
+    """
+
+    problem: RestProblem
+    fresh: NDArray[np.bool_]
+    kind: str
+
+    @classmethod
+    def of(cls, problem: RestProblem, held: Unseen | None, kind: str) -> DrawnVisits:
+        """Fitted visits, and held-out ones after them."""
+        if held is None:
+            return cls(problem, np.zeros(len(problem.rows), dtype=bool), kind)
+        return cls(held.problem, np.arange(len(held.problem.rows)) >= len(problem.rows), kind)
+
+
+def pictures(visits: DrawnVisits, decision: Decision) -> tuple[Rows, dict[str, Any]]:
+    """Rows of the result and the keys that the report reads: role, curves, models before and after.
+
+    Parameters
+    ----------
+    visits : DrawnVisits
+    decision : Decision
+    """
+    problem, after = visits.problem, decision.after
+    rows = problem.rows
+    shown = Rows(
+        run=tuple(rows.run.tolist()),
+        load=tuple(rows.load.tolist()),
+        pose=tuple(int(number) for number in rows.pose),
+        time_s=tuple(float(time) for time in rows.time_s),
+        q_rad=_matrix(rows.q_rad),
+        direction=tuple(tuple(int(side) for side in row) for row in rows.side),
+        tau_nm=_matrix(rows.sum_nm),
+        model_nm=_matrix(_known(_predict(problem, after, after.terms).sum_nm, problem)),
+        band_nm=_matrix(rows.difference_nm),
+        std_nm=_matrix(np.broadcast_to(after.noise.std[: problem.axes], rows.sum_nm.shape)),
+    )
+    data: dict[str, Any] = {"role": [visits.kind if fresh else "fit" for fresh in visits.fresh]}
+    data["band_model_nm"] = _known_band(_predict(problem, after, after.terms).difference_nm, problem)
+    if decision.proven:
+        before = _predict(problem, decision.before, decision.before.terms)
+        data["model_before_nm"] = _known(before.sum_nm, problem).tolist()
+        data["band_model_before_nm"] = _known_band(before.difference_nm, problem)
+        data["curves"] = [_curve(problem, after, after.terms.index(term)) for term in decision.proven]
+    return shown, data
+
+
+def _matrix(values: Floats) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(float(value) for value in row) for row in values)
+
+
+def _known(values: Floats, problem: RestProblem) -> Floats:
+    return np.where(problem.use_sum, values, np.nan)
+
+
+def _known_band(values: Floats, problem: RestProblem) -> list[list[float]]:
+    return np.where(problem.use_difference, values, np.nan).tolist()
+
+
+def _predict(problem: RestProblem, fit: Fit, terms: Sequence[Term]) -> Prediction:
+    """Reading of the fitted arm with these of its effects."""
+    theta = [fit.theta[fit.terms.index(term)] for term in terms]
+    setting = with_terms(terms, theta, problem.rows)
+    return problem.model.predict(setting, fit.links, visit_loads(problem, fit.loads), fit.band)
+
+
+def _curve(problem: RestProblem, fit: Fit, position: int) -> dict[str, Any]:
+    """One effect over what it depends on, on the axis and in the reading where it is largest."""
+    term = fit.terms[position]
+    others = [other for place, other in enumerate(fit.terms) if place != position]
+    whole, without = _predict(problem, fit, fit.terms), _predict(problem, fit, others)
+    effects = {
+        "half the sum": (whole.sum_nm - without.sum_nm, problem.rows.sum_nm - without.sum_nm),
+        "half the difference": (
+            whole.difference_nm - without.difference_nm,
+            problem.rows.difference_nm - without.difference_nm,
+        ),
+    }
+    reading, axis = _largest(effects, term)
+    effect, left = (values[:, axis] for values in effects[reading])
+    x, x_label, x_unit = _abscissa(term, axis, problem.rows, without.joint_nm)
+    spread = _spread(problem, fit, position)[reading][:, axis]
+    over = LIBRARY[term.name].over
+    if over not in SEEN:
+        x, x_label, x_unit = effect, "the effect at each visit, modelled", "Nm"
+    points_x, points_y = x, left
+    if over is Over.ANGLE:
+        x, effect, spread = _over_angle(problem, fit, position, axis)
+    order = np.argsort(x, kind="stable")
+    x, effect, spread = x[order], effect[order], TWO_SIDED_95 * spread[order]
+    seen = np.isfinite(points_x) & np.isfinite(points_y)
+    return {
+        "name": term.name,
+        "joint": axis + 1,
+        "x_label": x_label,
+        "x_unit": x_unit,
+        "y_label": f"J{axis + 1}, {reading} of both sides [Nm]",
+        "x": x.tolist(),
+        "y": effect.tolist(),
+        "low": (effect - spread).tolist(),
+        "high": (effect + spread).tolist(),
+        "points_x": points_x[seen].tolist(),
+        "points_y": points_y[seen].tolist(),
+    }
+
+
+def _largest(effects: dict[str, tuple[Floats, Floats]], term: Term) -> tuple[str, int]:
+    """Reading and axis in which an effect is largest; its own axis where it has one."""
+    size = {
+        name: np.sqrt(np.mean(np.where(np.isfinite(left), effect, 0.0) ** 2, axis=0))
+        for name, (effect, left) in effects.items()
+    }
+    reading = max(size, key=lambda name: float(size[name].max()))
+    return reading, max(term.enters(len(size[reading])), key=lambda axis: float(size[reading][axis]))
+
+
+def _abscissa(term: Term, axis: int, rows: RestRows, torque_nm: Floats) -> tuple[Floats, str, str]:
+    over = LIBRARY[term.name].over
+    if over is Over.TIME:
+        return rows.time_s, "time", "s"
+    if over in (Over.TORQUE, Over.TORQUE_BY_DIRECTION):
+        joints = [joint - 1 for joint in term.joints if joint - 1 != axis]
+        source = joints[0] if joints else axis
+        return torque_nm[:, source], f"modelled torque of J{source + 1}", "Nm"
+    return rows.q_rad[:, axis], f"q{axis + 1}", "rad"
+
+
+def _over_angle(problem: RestProblem, fit: Fit, position: int, axis: int) -> tuple[Floats, Floats, Floats]:
+    """Angle, effect and standard deviation over the range of a joint, the other joints as in the first visit."""
+    q = problem.rows.q_rad[:, axis]
+    margin = GRID_MARGIN * (np.ptp(q) or 1.0)
+    grid = np.linspace(q.min() - margin, q.max() + margin, GRID)
+    rows = problem.rows.take(np.zeros(GRID, dtype=int))
+    angles = rows.q_rad.copy()
+    angles[:, axis] = grid
+    rows = replace(rows, q_rad=angles)
+    drawn = replace(
+        problem,
+        model=Model(problem.model.robot, rows, problem.model.gravity),
+        member=np.repeat(problem.member[:1], GRID, axis=0),
+        fixed_load=np.repeat(problem.fixed_load[:1], GRID, axis=0),
+    )
+    others = [other for place, other in enumerate(fit.terms) if place != position]
+    effect = _predict(drawn, fit, fit.terms).sum_nm - _predict(drawn, fit, others).sum_nm
+    return grid, effect[:, axis], _spread(drawn, fit, position)["half the sum"][:, axis]
+
+
+def _spread(problem: RestProblem, fit: Fit, position: int) -> dict[str, Floats]:
+    """Standard deviation (n, N) of the reading by the covariance of one effect's parameters."""
+    term, theta = fit.terms[position], fit.theta[position]
+    start = problem.n_common + sum(len(other) for other in fit.theta[:position])
+    covariance = fit.covariance[start : start + len(theta), start : start + len(theta)]
+    columns: dict[str, list[Floats]] = {"half the sum": [], "half the difference": []}
+    for index in range(len(theta)):
+        step = STEP * max(abs(theta[index]), float(np.sqrt(covariance[index, index])), 1e-9)
+        sides = [_moved(problem, fit, term, index, sign * step) for sign in (1.0, -1.0)]
+        columns["half the sum"].append((sides[0].sum_nm - sides[1].sum_nm) / (2 * step))
+        columns["half the difference"].append((sides[0].difference_nm - sides[1].difference_nm) / (2 * step))
+    out = {}
+    for name, parts in columns.items():
+        slope = np.stack(parts, axis=-1)
+        out[name] = np.sqrt(np.maximum(np.einsum("nai,ij,naj->na", slope, covariance, slope), 0.0))
+    return out
+
+
+def _moved(problem: RestProblem, fit: Fit, term: Term, index: int, step: float) -> Prediction:
+    position = fit.terms.index(term)
+    theta = [values.copy() for values in fit.theta]
+    theta[position][index] += step
+    setting = with_terms(fit.terms, theta, problem.rows)
+    return problem.model.predict(setting, fit.links, visit_loads(problem, fit.loads), fit.band)

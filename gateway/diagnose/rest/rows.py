@@ -1,0 +1,51 @@
+"""Rest rows of a measured table as visits: both sides of a visit become half their sum and half their difference."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.data.table import Table
+from gateway.model.rest import RestRows
+from gateway.model.visits import pair_visits
+
+Floats = NDArray[np.float64]
+
+
+def rest_rows(table: Table, given: Floats | None) -> RestRows:
+    """Visits of the rest rows of a table, at the angles of the secondary encoders where there are some.
+
+    Parameters
+    ----------
+    table : Table
+    given : array of shape (N,) or None
+        Gear efficiencies; None where the table's torque already stands behind the gear.
+    """
+    efficiency = np.ones(table.tau_nm.shape[1]) if given is None else np.asarray(given, dtype=float)
+    visits = pair_visits(table, efficiency)
+    time_s = visits.time_s
+    if np.isnan(time_s).any():
+        time_s = np.arange(len(visits), dtype=float)
+    seen = np.isfinite(visits.q_link_rad).all(axis=0)
+    return RestRows(
+        load=visits.load,
+        pose=visits.pose,
+        run=visits.run,
+        time_s=time_s,
+        q_rad=np.where(seen, visits.q_link_rad, visits.q_rad),
+        sum_nm=visits.tau_nm,
+        difference_nm=visits.band_nm,
+        side=visits.direction.astype(float),
+        two_sided=visits.two_sided,
+        sample_std_nm=visits.tau_std_nm,
+        temperature_c=visits.temperature_c,
+        wind_up_rad=np.where(seen, visits.q_link_rad - visits.q_rad, np.nan),
+        efficiency=efficiency,
+    )
+
+
+def joined(parts: list[RestRows]) -> RestRows:
+    """Visits of several tables as one, in the order given."""
+    names = [name for name in RestRows.__slots__ if name not in ("efficiency", "__weakref__")]
+    merged = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return RestRows(efficiency=parts[0].efficiency, **merged)

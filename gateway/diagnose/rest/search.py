@@ -1,0 +1,185 @@
+"""Which effects, if any: singles, all pairs and further ones by evidence, then back again one by one.
+
+Candidates are ranked linearised (all singles, all pairs of places), the best are fitted in full, and hypotheses are
+compared by evidence plus the logarithm of their prior probability: every place of every effect is equally likely
+beforehand, its shapes share that probability. Shapes without a name compete on the same terms.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.rest.fit import fit
+from gateway.diagnose.rest.linear import Fit, Noise, RestProblem
+from gateway.diagnose.rest.screen import Screen, columns_of, pair_log_bayes, screen
+from gateway.model.term import Label, Term
+from gateway.model.unnamed import UNNAMED
+
+Floats = NDArray[np.float64]
+
+NEEDED = 3.0
+SINGLES = 8
+PAIRS = 10
+FORWARD = 5
+MOST_EFFECTS = 3
+UNNAMED_FITTED = 4
+IMPLAUSIBLE = 8.0
+RARE = 2.0
+SHAPES = 2
+SHAPES_FITTED = 6
+SHAPES_ADDED = 3
+
+
+def term_shapes(term: Term, among: Sequence[Term]) -> int:
+    """Number of shapes of an effect at one place; those that differ by what is fitted anyway count once."""
+    same = [other for other in among if other.label == term.label]
+    return len(same) if all(term.linear) else len({type(other) for other in same})
+
+
+@dataclass(slots=True, eq=False)
+class Search:
+    """Hypotheses fitted so far, by their set of effects.
+
+    Attributes
+    ----------
+    problem : RestProblem
+    named, unnamed : candidates
+    prior : log prior probability of each candidate
+    pool : fits by set of effects
+    raw : derivatives of the modelled rows by the parameters of each candidate
+    """
+
+    problem: RestProblem
+    named: tuple[Term, ...]
+    unnamed: tuple[Term, ...]
+    noise: Noise
+    prior: dict[Term, float] = field(default_factory=dict)
+    pool: dict[frozenset[Term], Fit] = field(default_factory=dict)
+    raw: dict[Term, Floats] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        places = len({term.label for term in self.named})
+        for term in self.named:
+            self.prior[term] = -np.log(places) - np.log(term_shapes(term, self.named))
+        for term in self.unnamed:
+            self.prior[term] = -np.log(len(self.unnamed)) - RARE
+
+    def score(self, hypothesis: Fit) -> float:
+        """Evidence plus log prior of a hypothesis; an effect that its mechanism cannot do costs `IMPLAUSIBLE` more."""
+        rows = self.problem.rows
+        odd = sum(not term.plausible(v, rows) for term, v in zip(hypothesis.terms, hypothesis.theta, strict=True))
+        return hypothesis.evidence + sum(self.prior[term] for term in hypothesis.terms) - IMPLAUSIBLE * odd
+
+    def fitted(self, terms: Iterable[Term], start: Fit | None = None) -> Fit:
+        """The fit of a set of effects, computed once."""
+        ordered = tuple(terms)
+        key = frozenset(ordered)
+        if key not in self.pool:
+            self.pool[key] = fit(self.problem, ordered, self.noise if start is None else start.noise, start)
+        return self.pool[key]
+
+    def view(self, about: Fit, terms: Sequence[Term], std: Floats) -> Screen:
+        """Candidates screened about a fit; their derivatives are those about the model without effects."""
+        nothing = self.fitted(())
+        for term in terms:
+            if term not in self.raw:
+                self.raw[term] = columns_of(self.problem, nothing, term)
+        return screen(self.problem, about, terms, std, self.raw)
+
+    def best(self, fits: Iterable[Fit] | None = None) -> Fit:
+        """The fit with the highest score."""
+        return max(self.pool.values() if fits is None else fits, key=self.score)
+
+
+def run(search: Search) -> Fit:
+    """Fill the pool and return the best hypothesis; its effects are all needed.
+
+    Returns
+    -------
+    the fit whose score is highest, after effects whose removal costs less than `NEEDED` were taken out again
+    """
+    nothing = search.fitted(())
+    views = [search.view(nothing, search.named, std) for std in (search.noise.start, nothing.noise.std)]
+    for terms in _promising_singles(views):
+        search.fitted(terms, nothing)
+    for terms in _promising_pairs(views[0]):
+        search.fitted(terms, nothing)
+    for _ in range(MOST_EFFECTS):
+        leaders = sorted(search.pool.values(), key=search.score, reverse=True)[:3]
+        for leader in leaders:
+            _extend(search, leader, search.named, FORWARD)
+    _rivals(search)
+    return pruned(search, search.best())
+
+
+def _promising_singles(views: Sequence[Screen]) -> list[tuple[Term, ...]]:
+    out: list[tuple[Term, ...]] = []
+    for view in views:
+        seen: dict[Label, int] = {}
+        for index in np.argsort(-view.log_bayes):
+            term = view.terms[index]
+            seen[term.label] = seen.get(term.label, 0) + 1
+            limit = SHAPES if all(term.linear) else SHAPES_FITTED
+            if seen[term.label] > limit or len(seen) > SINGLES:
+                continue
+            out.append((term,))
+    return list(dict.fromkeys(out))
+
+
+def _promising_pairs(view: Screen) -> list[tuple[Term, ...]]:
+    """Pairs of places with the highest joint log Bayes factor; of each place its best shape."""
+    best: dict[Label, int] = {}
+    for index in np.argsort(-view.log_bayes):
+        best.setdefault(view.terms[index].label, int(index))
+    chosen = list(best.values())
+    pairs = np.array(list(itertools.combinations(chosen, 2)))
+    if not len(pairs):
+        return []
+    values = pair_log_bayes(view, pairs[:, 0], pairs[:, 1])
+    top = np.argsort(-values)[:PAIRS]
+    return [(view.terms[a], view.terms[b]) for a, b in pairs[top]]
+
+
+def _extend(search: Search, leader: Fit, candidates: Sequence[Term], count: int) -> None:
+    """Fit the hypotheses that add one of the most promising candidates to a leader."""
+    if len(leader.terms) >= MOST_EFFECTS or any(term not in search.named for term in leader.terms):
+        return
+    taken = {term.label for term in leader.terms}
+    open_terms = [term for term in candidates if term.label not in taken]
+    for std in (leader.noise.std, search.noise.start):
+        view = search.view(leader, open_terms, std)
+        seen: dict[Label | Term, int] = {}
+        for index in np.argsort(-view.log_bayes):
+            term = view.terms[index]
+            key = term.label if term.name != UNNAMED else term
+            shapes = 1 if all(term.linear) else SHAPES_ADDED
+            if seen.get(key, 0) >= shapes:
+                continue
+            if (key not in seen and len(seen) >= count) or view.log_bayes[index] + search.prior[term] < -2.0:
+                break
+            seen[key] = seen.get(key, 0) + 1
+            search.fitted((*leader.terms, term), leader)
+
+
+def _rivals(search: Search) -> None:
+    """Shapes without a name beside the leaders, and in the place of each effect of the leader."""
+    best = search.best()
+    sets = [best.terms] + [tuple(t for t in best.terms if t is not term) for term in best.terms]
+    for terms in sets:
+        _extend(search, search.fitted(terms), search.unnamed, UNNAMED_FITTED)
+
+
+def pruned(search: Search, chosen: Fit) -> Fit:
+    """The hypothesis without the effects that it does not need."""
+    while chosen.terms:
+        smaller = [search.fitted([t for t in chosen.terms if t is not term], chosen) for term in chosen.terms]
+        best = max(smaller, key=search.score)
+        if search.score(chosen) - search.score(best) >= NEEDED:
+            return chosen
+        chosen = best
+    return chosen

@@ -1,0 +1,118 @@
+"""A motor turns with another joint: friction, inertia or torque of one axis shows on another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, moving_axes
+from gateway.model.motion import Modelled, MovingRows, smooth_sign
+from gateway.model.rest import AlteredModel, RestRows
+from gateway.model.term import NAN, Named, Seen, Term, on_axis, wrist
+
+Floats = NDArray[np.float64]
+
+#: Ratios that trains of an arm have, tried first.
+COEFFICIENTS: Final = (-1.0, -0.5, 0.5, 1.0)
+#: Smallest and largest share of one axis's torque that another is charged with.
+SMALLEST_SHARE: Final = 0.02
+LARGEST_SHARE: Final = 2.5
+
+
+@dataclass(frozen=True, slots=True)
+class _Coupling(Term):
+    """Joint `inner` turns the motor of joint `outer`, both from 0."""
+
+    inner: int
+    outer: int
+    name: ClassVar[str] = "axis_coupling"
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        return (self.inner + 1, self.outer + 1)
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueMixing(_Coupling):
+    """The inner axis shows `coefficient` times the whole torque of the outer one."""
+
+    parameters: ClassVar[tuple[str, ...]] = ("coefficient",)
+    SPREAD: ClassVar[tuple[float, ...]] = (0.7,)
+    modelled: ClassVar[bool] = True
+
+    def enters(self, axes: int) -> tuple[int, ...]:
+        return (self.inner,)
+
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+        mixing = np.eye(len(setting.coupling))
+        mixing[self.inner, self.outer] = theta[0]
+        return replace(setting, coupling=mixing @ setting.coupling)
+
+    def columns(self, motion: MovingRows, modelled: Modelled) -> Floats:
+        return on_axis(modelled.total_nm[:, self.outer])
+
+    def possible(self, value: Floats, std: Floats, seen: Seen) -> bool:
+        return bool(SMALLEST_SHARE < abs(value[0]) < LARGEST_SHARE)
+
+
+@dataclass(frozen=True, slots=True)
+class MotorCoupling(_Coupling):
+    """The outer motor turns at `qd_outer + c qd_inner`: its friction and rotor act on both joints, `c` times inside."""
+
+    coefficient: float
+    parameters: ClassVar[tuple[str, ...]] = ("motor_coulomb_nm", "motor_viscous_nm_s_rad", "motor_inertia_kg_m2")
+    linear: ClassVar[tuple[bool, ...]] = (True, True, True)
+    SPREAD: ClassVar[tuple[float, ...]] = (NAN, NAN, NAN)
+    ordinary: ClassVar[bool] = True
+    moves_friction: ClassVar[bool] = True
+
+    def columns(self, motion: MovingRows, modelled: Modelled) -> Floats:
+        i, j, c = self.inner, self.outer, self.coefficient
+        speed = motion.qd_rad_s[:, j] + c * motion.qd_rad_s[:, i]
+        acceleration = motion.qdd_rad_s2[:, j] + c * motion.qdd_rad_s2[:, i]
+        top = motion.speed_rad_s[j] + abs(c) * motion.speed_rad_s[i]
+        own = np.column_stack([smooth_sign(speed, top), speed, acceleration])
+        return np.stack([c * own, own], axis=1)
+
+    def possible(self, value: Floats, std: Floats, seen: Seen) -> bool:
+        """A motor rubs; what is left of it may be zero, but not both of it below."""
+        return bool((value[:2] > -2.0 * std[:2]).all() and (value[:2] > 0).any())
+
+    def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
+        values, std = Term.report(self, theta, covariance)
+        return values | {"coefficient": self.coefficient}, std
+
+
+def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
+    axes = rows.axes
+    # within the wrist, and a parallel link whose motor carries both
+    pairs = {*_within(wrist(axes)), *([(1, 2)] if axes > 2 else [])}
+    yield from (TorqueMixing(*pair) for pair in sorted(pairs))
+
+
+def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
+    """The motor of the outer axis turns with the inner joint; the reverse needs a train that reaches back."""
+    neighbours = {(axis, axis + 1) for axis in range(motion.axes - 1)}
+    moving = set(moving_axes(motion))
+    for pair in sorted(neighbours | _within(wrist(motion.axes))):
+        if set(pair) <= moving:
+            yield from (MotorCoupling(*pair, coefficient) for coefficient in COEFFICIENTS)
+            yield TorqueMixing(*pair)
+
+
+def _within(axes: tuple[int, ...]) -> set[tuple[int, int]]:
+    return {(inner, outer) for inner in axes for outer in axes if inner < outer}
+
+
+EFFECT: Final = Effect(
+    name="axis_coupling",
+    words="coupling between two axes",
+    meaning="friction or torque of one axis in the motion of another",
+    over=Over.TORQUE,
+    at_rest=_at_rest,
+    in_motion=_in_motion,
+)

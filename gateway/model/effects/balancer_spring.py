@@ -1,0 +1,237 @@
+"""A coil or gas balancer between base and link 2 that the model does not have.
+
+It hooks to link 2 at `lever` from axis 2 and to the base at `anchor` from it, and is shortest at q2 = phase. In units
+of its reach `R = sqrt(lever^2 + anchor^2)` the length is `l = sqrt(1 - ratio cos(q2 - phase))` with
+`ratio = 2 lever anchor / R^2`, and the torque on link 2 is `-F(l) lever anchor sin(q2 - phase) / (R l)`. Torque alone
+shows stiffness times lever times anchor: the stiffness is stated for a balancer of the reach `REACH_M`, and is that
+of a balancer of another reach times (REACH_M / reach)^2.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, largest_torque_nm
+from gateway.model.motion import MovingRows
+from gateway.model.rest import RestRows
+from gateway.model.term import NAN, Named, Passive, Seen, Term, propagated
+
+Floats = NDArray[np.float64]
+
+#: A lever of 0.2 m anchored 0.7 m from the axis, as on arms for some 150 kg.
+REACH_M: Final = 0.728
+#: Free length of a coil over its reach that its shape is told from: no coil is longer unloaded than between its hooks.
+USUAL_FREE: Final = 0.5
+#: Nobody builds a balancer that takes less off the torque of gravity on axis 2 (RMS over RMS).
+SMALLEST: Final = 0.15
+#: Most that a balancer may resemble gravity's own torque where it does not oppose it.
+MOST_ALIKE: Final = 0.5
+#: Exponent of the gas law: between isothermal (1) and adiabatic (1.4 of nitrogen).
+POLYTROPIC: Final = 1.3
+#: Shapes that are tried: ratio, phase [rad], stroke of the rod over the length of the gas column.
+RATIOS: Final = (0.35, 0.7, 0.9)
+PHASES_RAD: Final = tuple(float(value) for value in np.arange(-6, 6) * np.pi / 6)
+STROKES: Final = (0.35, 0.7)
+#: Ratio of a balancer of 0.2 m and 0.7 m, from which a moving run starts.
+USUAL_RATIO: Final = 0.53
+#: How far shapes are open: phase between two that are tried [rad], ratio and stroke as logit, free length over reach.
+PHASE_SPREAD_RAD: Final = 0.4
+RATIO_SPREAD: Final = 0.8
+STROKE_SPREAD: Final = 0.8
+FREE_SPREAD: Final = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class _Balancer(Passive):
+    """A spring shortest at q2 = phase."""
+
+    axis: int = 1
+    ratio: float = USUAL_RATIO
+    phase_rad: float = 0.0
+    largest_nm: float = 1.0
+    name: ClassVar[str] = "balancer_spring"
+    ordinary: ClassVar[bool] = True
+
+    def possible(self, value: Floats, std: Floats, seen: Seen) -> bool:
+        """A balancer takes a good part off the torque that gravity puts on its axis."""
+        push = self.columns(seen.motion, seen.modelled)[:, 0] @ value
+        still = seen.drawn_nm[:, self.axis]
+        if not still.any():
+            still = seen.modelled.rigid_nm[:, self.axis]
+        large = np.sqrt(np.mean(push**2)) > SMALLEST * np.sqrt(np.mean(still**2))
+        return bool(large and (push @ still < 0.0 or abs(np.corrcoef(push, still)[0, 1]) < MOST_ALIKE))
+
+    def lengths(self, q_rad: Floats, fixed: Floats) -> tuple[Floats, Floats, float]:
+        """Angle from the shortest place, length over reach (n,) and ratio."""
+        angle = q_rad[:, self.axis] - fixed[0]
+        ratio = _share(fixed[1])
+        return angle, np.sqrt(1.0 - ratio * np.cos(angle)), ratio
+
+
+@dataclass(frozen=True, slots=True)
+class HarmonicBalancer(_Balancer):
+    """What every balancer is to first order, `-a sin(q2 - phase)`: its lever and free length are as open as before."""
+
+    parameters: ClassVar[tuple[str, ...]] = ("cosine_nm", "sine_nm", "ratio_logit", "free_share")
+    linear: ClassVar[tuple[bool, ...]] = (True, True, False, False)
+    SPREAD: ClassVar[tuple[float, ...]] = (NAN, NAN, RATIO_SPREAD, FREE_SPREAD)
+
+    @property
+    def start(self) -> tuple[float, ...]:
+        return (0.0, 0.0, _logit(self.ratio), USUAL_FREE)
+
+    def shape(self, q_rad: Floats, fixed: Floats) -> Floats:
+        q = q_rad[:, self.axis]
+        return np.stack([np.cos(q), np.sin(q)], axis=1)
+
+    def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
+        def named(value: Floats) -> Named:
+            amplitude, ratio = float(np.hypot(value[0], value[1])), _share(value[2])
+            return {
+                "stiffness_n_m": amplitude * 2.0 / (ratio * REACH_M**2 * (1.0 - float(value[3]))),
+                "amplitude_nm": amplitude,
+                "phase_rad": float(np.arctan2(value[0], -value[1])),
+            }
+
+        values, std = propagated(named, theta, covariance)
+        return values | {"reach_m": REACH_M}, std
+
+
+@dataclass(frozen=True, slots=True)
+class CoilBalancer(_Balancer):
+    """Coil spring: force `k (l - free)`, as the part of a coil of the usual free length and what it has beyond."""
+
+    parameters: ClassVar[tuple[str, ...]] = ("usual_nm", "beyond_nm", "phase_rad", "ratio_logit")
+    linear: ClassVar[tuple[bool, ...]] = (True, True, False, False)
+
+    @property
+    def start(self) -> tuple[float, ...]:
+        return (0.0, 0.0, self.phase_rad, _logit(self.ratio))
+
+    @property
+    def spread(self) -> tuple[float, ...]:
+        # a coil as strong as gravity pulls 2.5 times its torque at full lever; half its free length is open
+        return (2.5 * self.largest_nm, self.largest_nm, PHASE_SPREAD_RAD, RATIO_SPREAD)
+
+    def shape(self, q_rad: Floats, fixed: Floats) -> Floats:
+        angle, length, _ = self.lengths(q_rad, fixed)
+        return -np.sin(angle)[:, None] * np.stack([1.0 - USUAL_FREE / length, 1.0 / length], axis=1)
+
+    def shaped(self, values: Floats) -> Self:
+        return replace(self, phase_rad=float(values[0]), ratio=_share(values[1]))
+
+    def plausible(self, theta: Floats, rows: RestRows) -> bool:
+        """The spring is under tension wherever the arm was, and pulls harder the longer it is."""
+        _, length, _ = self.lengths(rows.q_rad, theta[2:])
+        force = theta[0] * (length - USUAL_FREE) + theta[1]
+        return bool(theta[0] > 0 and (force > -0.1 * np.abs(force).max()).all())
+
+    def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
+        def named(value: Floats) -> Named:
+            strength, ratio = float(value[0]), _share(value[3])
+            free = USUAL_FREE - float(value[1]) / strength if strength else np.nan
+            return {
+                "stiffness_n_m": strength * 2.0 / (ratio * REACH_M**2),
+                "free_length_m": free * REACH_M,
+                "phase_rad": float(value[2]),
+                "lever_ratio": ratio,
+            }
+
+        values, std = propagated(named, theta, covariance)
+        return values | {"reach_m": REACH_M}, std
+
+
+@dataclass(frozen=True, slots=True)
+class GasBalancer(_Balancer):
+    """Gas spring: a column of gas that the pull shortens, `force = F0 (1 - x / column)^-1.3`."""
+
+    stroke: float = 0.5
+    parameters: ClassVar[tuple[str, ...]] = ("force_nm", "phase_rad", "ratio_logit", "stroke_logit")
+    linear: ClassVar[tuple[bool, ...]] = (True, False, False, False)
+
+    @property
+    def start(self) -> tuple[float, ...]:
+        return (0.0, self.phase_rad, _logit(self.ratio), _logit(self.stroke))
+
+    @property
+    def spread(self) -> tuple[float, ...]:
+        return (0.5 * self.largest_nm, PHASE_SPREAD_RAD, RATIO_SPREAD, STROKE_SPREAD)
+
+    def shape(self, q_rad: Floats, fixed: Floats) -> Floats:
+        angle, length, ratio = self.lengths(q_rad, fixed)
+        shortest, longest = np.sqrt(1.0 - ratio), np.sqrt(1.0 + ratio)
+        pressed = (1.0 - _stroke(fixed[2]) * (length - shortest) / (longest - shortest)) ** -POLYTROPIC
+        return (-np.sin(angle) * pressed / length)[:, None]
+
+    def shaped(self, values: Floats) -> Self:
+        return replace(self, phase_rad=float(values[0]), ratio=_share(values[1]), stroke=_stroke(values[2]))
+
+    def plausible(self, theta: Floats, rows: RestRows) -> bool:
+        return bool(theta[0] > 0)
+
+    def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
+        """Stiffness at the shortest length; `gas_stroke` = full stroke of the rod over the length of the gas column."""
+
+        def named(value: Floats) -> Named:
+            ratio, stroke = _share(value[2]), _stroke(value[3])
+            slope = POLYTROPIC * stroke / (np.sqrt(1.0 + ratio) - np.sqrt(1.0 - ratio))
+            return {
+                "stiffness_n_m": float(value[0] * slope) * 2.0 / (ratio * REACH_M**2),
+                "phase_rad": float(value[1]),
+                "lever_ratio": ratio,
+                "gas_stroke": stroke,
+            }
+
+        values, std = propagated(named, theta, covariance)
+        return values | {"reach_m": REACH_M}, std
+
+
+def _share(logit: float) -> float:
+    """A share from its logit, kept off 0 and 1."""
+    return float(1.0 / (1.0 + np.exp(-np.clip(logit, -5.0, 5.0))))
+
+
+def _stroke(logit: float) -> float:
+    """The rod stops before the column is gone."""
+    return _share(min(float(logit), 3.0))
+
+
+def _logit(share: float) -> float:
+    return float(np.log(share / (1.0 - share)))
+
+
+def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
+    if rows.axes < 2 or not np.isfinite(rows.sum_nm[:, 1]).any():
+        return
+    missed = np.nan_to_num(np.abs(rows.sum_nm - setup.torque_nm)).max(axis=0)
+    size = float(max(largest_torque_nm(setup)[1], 4.0 * missed[1]))
+    for ratio, phase in itertools.product(RATIOS, PHASES_RAD):
+        yield CoilBalancer(1, ratio, phase, size)
+        yield from (GasBalancer(1, ratio, phase, size, stroke) for stroke in STROKES)
+
+
+def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
+    if motion.axes < 2 or not motion.measured[1]:
+        return
+    size = float(np.abs(motion.tau_nm[motion.judged[:, 1], 1]).max())
+    yield HarmonicBalancer()
+    for phase in PHASES_RAD:
+        yield CoilBalancer(1, USUAL_RATIO, phase, size)
+        yield from (GasBalancer(1, USUAL_RATIO, phase, size, stroke) for stroke in STROKES)
+
+
+EFFECT: Final = Effect(
+    name="balancer_spring",
+    words="a balancer spring",
+    meaning="a coil or gas balancer on axis 2 that the model does not have",
+    over=Over.ANGLE,
+    at_rest=_at_rest,
+    in_motion=_in_motion,
+    drawn=True,
+)

@@ -1,0 +1,55 @@
+"""The base does not stand level: gravity is turned by two angles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.model.effect import Effect, MotionSetup, RestSetup
+from gateway.model.motion import Modelled, MovingRows, changed_torque
+from gateway.model.rest import AlteredModel, RestRows
+from gateway.model.term import Term
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class BaseTilt(Term):
+    """Rotation vector (x, y) of the base, to first order in motion."""
+
+    name: ClassVar[str] = "base_tilt"
+    parameters: ClassVar[tuple[str, ...]] = ("tilt_x_rad", "tilt_y_rad")
+    linear: ClassVar[tuple[bool, ...]] = (True, True)
+    SPREAD: ClassVar[tuple[float, ...]] = (0.1, 0.1)
+    #: Steeper than 11 degrees nobody bolts down an arm that is said to stand level.
+    bounds: ClassVar[Mapping[str, tuple[float, float]]] = {"tilt_x_rad": (-0.2, 0.2), "tilt_y_rad": (-0.2, 0.2)}
+    modelled: ClassVar[bool] = True
+
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+        return replace(setting, tilt_rad=setting.tilt_rad + theta)
+
+    def columns(self, motion: MovingRows, modelled: Modelled) -> Floats:
+        parts = [changed_torque(motion.by_tilt(direction), modelled) for direction in (0, 1)]
+        return np.stack(parts, axis=2)
+
+
+def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
+    yield BaseTilt()
+
+
+def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
+    yield BaseTilt()
+
+
+EFFECT: Final = Effect(
+    name="base_tilt",
+    words="a tilted base",
+    meaning="the base does not stand level",
+    at_rest=_at_rest,
+    in_motion=_in_motion,
+    drawn=True,
+)

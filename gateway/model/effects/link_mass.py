@@ -1,0 +1,86 @@
+"""A body on a link that the drawing does not have, such as a welder or a hose."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.model.effect import Effect, MotionSetup, RestSetup
+from gateway.model.motion import PER_BODY, Modelled, MovingRows
+from gateway.model.rest import AlteredModel, RestRows
+from gateway.model.term import NAN, Named, OnAxis, Seen, Term, plus, propagated
+
+Floats = NDArray[np.float64]
+
+#: A body further than this from the link's origin [m] is not on the link.
+FARTHEST_M: Final = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class LinkMass(OnAxis):
+    """[m, hx, hy, hz] bolted to one link; it is seen as far as the trust in the links says."""
+
+    name: ClassVar[str] = "link_mass"
+    parameters: ClassVar[tuple[str, ...]] = (
+        "mass_kg",
+        "first_moment_x_kg_m",
+        "first_moment_y_kg_m",
+        "first_moment_z_kg_m",
+    )
+    linear: ClassVar[tuple[bool, ...]] = (True, True, True, True)
+    SPREAD: ClassVar[tuple[float, ...]] = (NAN, NAN, NAN, NAN)
+
+    def enters(self, axes: int) -> tuple[int, ...]:
+        return tuple(range(axes))
+
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+        part = slice(4 * self.axis, 4 * self.axis + 4)
+        return replace(setting, link_extra=plus(setting.link_extra, part, theta))
+
+    def columns(self, motion: MovingRows, modelled: Modelled) -> Floats:
+        return motion.rigid[:, :, PER_BODY * self.axis : PER_BODY * self.axis + 4]
+
+    def bodies(self, value: Floats, count: int) -> Floats:
+        added = np.zeros(count)
+        added[PER_BODY * self.axis : PER_BODY * self.axis + 4] = value
+        return added
+
+    def possible(self, value: Floats, std: Floats, seen: Seen) -> bool:
+        """At rest the same columns take up what the drawing has too much: there the sign is free."""
+        arm = float(np.nansum(seen.motion.robot.mass_kg))
+        return bool(0.0 < value[0] < arm and np.linalg.norm(value[1:]) < FARTHEST_M * value[0])
+
+    def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
+        values, std = OnAxis.report(self, theta, covariance)
+        moment, spread = propagated(
+            lambda value: {"first_moment_kg_m": float(np.linalg.norm(value[1:]))}, theta, covariance
+        )
+        return values | moment, std | spread
+
+
+def _links(axes: int) -> range:
+    """Links, from 0, that carry the wrist: those that something is bolted to."""
+    return range(1, axes - 2)
+
+
+def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
+    yield from (LinkMass(link) for link in _links(rows.axes))
+
+
+def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
+    if setup.drawn:
+        yield from (LinkMass(link) for link in _links(motion.axes))
+
+
+EFFECT: Final = Effect(
+    name="link_mass",
+    words="extra mass on a link",
+    meaning="a welder or hose on the forearm",
+    at_rest=_at_rest,
+    in_motion=_in_motion,
+    drawn=True,
+)

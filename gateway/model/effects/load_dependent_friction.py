@@ -1,0 +1,54 @@
+"""Gear losses in proportion to the transmitted torque (Hamon, Gautier, Garrec 2010)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, measured_axes, moving_axes
+from gateway.model.motion import Modelled, MovingRows
+from gateway.model.rest import AlteredModel, RestRows
+from gateway.model.term import OnAxis, Term, on_axis, plus
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class LoadDependentFriction(OnAxis):
+    """`nu |tau| sign(dir)`."""
+
+    name: ClassVar[str] = "load_dependent_friction"
+    parameters: ClassVar[tuple[str, ...]] = ("coefficient",)
+    SPREAD: ClassVar[tuple[float, ...]] = (0.2,)
+    bounds: ClassVar[Mapping[str, tuple[float, float]]] = {"coefficient": (0.0, 0.6)}
+    modelled: ClassVar[bool] = True
+    ordinary: ClassVar[bool] = True
+
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+        return replace(setting, load_friction=plus(setting.load_friction, self.axis, theta[0]))
+
+    def columns(self, motion: MovingRows, modelled: Modelled) -> Floats:
+        return on_axis(np.abs(modelled.rigid_nm[:, self.axis]) * motion.sign[:, self.axis])
+
+
+def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
+    yield from (LoadDependentFriction(axis) for axis in measured_axes(rows))
+
+
+def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
+    yield from (LoadDependentFriction(axis) for axis in moving_axes(motion))
+
+
+EFFECT: Final = Effect(
+    name="load_dependent_friction",
+    words="friction that grows with the transmitted torque",
+    meaning="gear losses in proportion to the transmitted torque (at rest: what is left once a joint has settled)",
+    over=Over.TORQUE_BY_DIRECTION,
+    at_rest=_at_rest,
+    in_motion=_in_motion,
+    friction=True,
+)

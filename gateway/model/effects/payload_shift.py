@@ -1,0 +1,81 @@
+"""The load moves or leaks during the run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.model.effect import Effect, MotionSetup, Over, RestSetup
+from gateway.model.motion import PER_BODY, Modelled, MovingRows
+from gateway.model.rest import AlteredModel, RestRows
+from gateway.model.term import Named, Term, propagated
+
+Floats = NDArray[np.float64]
+
+#: Visits under a load before a jump and after it, that the jump may show.
+FEWEST_BEFORE: Final = 2
+#: What the spread of a shift reaches [m]: a sack that slides in its gripper.
+SPREAD_M: Final = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class PayloadShift(Term):
+    """The load's centre of gravity jumps at `time_s`, or drifts from then until `until_s`; of one `load`, or all."""
+
+    time_s: float
+    until_s: float | None = None
+    load: str = ""
+    name: ClassVar[str] = "payload_shift"
+    parameters: ClassVar[tuple[str, ...]] = ("shift_x_m", "shift_y_m", "shift_z_m")
+    linear: ClassVar[tuple[bool, ...]] = (True, True, True)
+    SPREAD: ClassVar[tuple[float, ...]] = (SPREAD_M,) * 3
+    modelled: ClassVar[bool] = True
+
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+        return replace(setting, moment_factor=setting.moment_factor + self._moved(rows.time_s)[:, None] * theta)
+
+    def columns(self, motion: MovingRows, modelled: Modelled) -> Floats:
+        here = modelled.load_kg * (motion.load == self.load) * self._moved(motion.time_s)
+        return motion.rigid[:, :, -PER_BODY + 1 : -PER_BODY + 4] * here[:, None, None]
+
+    def _moved(self, time_s: Floats) -> Floats:
+        """Share (n,) of the shift that has happened."""
+        after = np.where(time_s >= self.time_s - 1e-9, 1.0, 0.0)
+        if self.until_s is None:
+            return after
+        return after * (time_s - self.time_s) / max(self.until_s - self.time_s, 1e-9)
+
+    def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
+        values, std = Term.report(self, theta, covariance)
+        length, spread = propagated(lambda value: {"shift_m": float(np.linalg.norm(value))}, theta, covariance)
+        return length | values | {"time_s": self.time_s}, spread | std
+
+
+def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
+    """Jumps between the visits of the loads, and a drift over them."""
+    loaded = rows.load != "none"
+    times = np.unique(rows.time_s[loaded])
+    if len(times) < 2 * FEWEST_BEFORE or len(times) != loaded.sum():
+        return
+    yield from (PayloadShift(float(when)) for when in times[FEWEST_BEFORE:-1])
+    yield PayloadShift(float(times[0]), float(times[-1]))
+
+
+def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
+    """A drift over the run."""
+    yield from (PayloadShift(0.0, motion.duration_s, load) for load in setup.loads)
+
+
+EFFECT: Final = Effect(
+    name="payload_shift",
+    words="a load that shifted during the run",
+    meaning="the load moves or leaks during the run",
+    over=Over.TIME,
+    at_rest=_at_rest,
+    in_motion=_in_motion,
+    drawn=True,
+)

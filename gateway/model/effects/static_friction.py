@@ -1,0 +1,14 @@
+"""Friction at rest that differs between the two directions; its evidence is in the sides of one-sided visits."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from gateway.model.effect import Effect, Over
+
+EFFECT: Final = Effect(
+    name="static_friction",
+    words="friction that differs by direction",
+    meaning="friction at rest differs between the two directions",
+    over=Over.TORQUE,
+)

@@ -1,0 +1,67 @@
+"""A stored torque constant is off: all torque of an axis is read in another scale."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, measured_axes, moving_axes
+from gateway.model.motion import Modelled, MovingRows
+from gateway.model.rest import AlteredModel, RestRows
+from gateway.model.term import Named, Term, on_axis, propagated
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueConstantScale(Term):
+    """Torque per ampere, true over stored (`scale`), of one axis or (`axis` None) of all."""
+
+    axis: int | None = None
+    name: ClassVar[str] = "torque_constant_scale"
+    parameters: ClassVar[tuple[str, ...]] = ("scale",)
+    SPREAD: ClassVar[tuple[float, ...]] = (0.2,)
+    #: Beyond this a drive model is confused with another, or a gear ratio.
+    bounds: ClassVar[Mapping[str, tuple[float, float]]] = {"scale": (0.4, 2.5)}
+    modelled: ClassVar[bool] = True
+    scales_reading: ClassVar[bool] = True
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        return () if self.axis is None else (self.axis + 1,)
+
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+        gain = setting.gain.copy()
+        gain[:, slice(None) if self.axis is None else self.axis] *= 1.0 + theta[0]
+        return replace(setting, gain=gain)
+
+    def columns(self, motion: MovingRows, modelled: Modelled) -> Floats:
+        return on_axis(modelled.rigid_nm[:, self.axis])
+
+    def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
+        return propagated(lambda value: {"scale": 1.0 / (1.0 + float(value[0]))}, theta, covariance)
+
+
+def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
+    yield from (TorqueConstantScale(axis) for axis in measured_axes(rows))
+    if setup.common_scale:
+        yield TorqueConstantScale(None)
+
+
+def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
+    yield from (TorqueConstantScale(axis) for axis in moving_axes(motion))
+
+
+EFFECT: Final = Effect(
+    name="torque_constant_scale",
+    words="a wrong torque constant",
+    meaning="a stored torque constant is off (common to all axes: only against a known mass)",
+    over=Over.TORQUE,
+    at_rest=_at_rest,
+    in_motion=_in_motion,
+    drawn=True,
+)

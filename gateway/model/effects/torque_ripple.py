@@ -1,0 +1,80 @@
+"""Motor or wave-generator harmonics: the reading swings several times per turn of the joint."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.model.effect import Effect, MotionSetup, RestSetup, measured_axes, moving_axes
+from gateway.model.motion import MovingRows
+from gateway.model.rest import RestRows
+from gateway.model.term import NAN, Named, Reading, Term, propagated
+
+Floats = NDArray[np.float64]
+
+#: Swings that are tried on each axis of a moving run, the strongest first.
+SWINGS: Final = 2
+#: An axis that turns less than this [rad] shows no swing.
+LEAST_REACH_RAD: Final = 0.2
+#: No motor or gear swings oftener per turn of the joint.
+MOST_PER_REVOLUTION: Final = 600.0
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueRipple(Reading):
+    """`a sin(w q) + b cos(w q)`, `w` swings per turn."""
+
+    per_revolution: float = 100.0
+    name: ClassVar[str] = "torque_ripple"
+    parameters: ClassVar[tuple[str, ...]] = ("sine_nm", "cosine_nm")
+    linear: ClassVar[tuple[bool, ...]] = (True, True)
+    SPREAD: ClassVar[tuple[float, ...]] = (NAN, NAN)
+
+    def shape(self, q_rad: Floats, fixed: Floats) -> Floats:
+        angle = self.per_revolution * q_rad[:, self.axis]
+        return np.stack([np.sin(angle), np.cos(angle)], axis=1)
+
+    def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
+        def named(value: Floats) -> Named:
+            sine, cosine = float(value[0]), float(value[1])
+            return {"amplitude_nm": float(np.hypot(sine, cosine)), "phase_rad": float(np.arctan2(cosine, sine))}
+
+        values, std = propagated(named, theta, covariance)
+        return values | {"per_revolution": self.per_revolution}, std
+
+
+def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
+    for axis in measured_axes(rows):
+        ratio = abs(setup.gear_ratio[axis])
+        if np.isfinite(ratio) and ratio > 0:
+            yield TorqueRipple(axis, ratio)
+            yield TorqueRipple(axis, 2.0 * ratio)
+
+
+def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
+    """The strongest swings of each axis's residual over its own angle, as far as the sampling resolves them."""
+    for axis in moving_axes(motion):
+        rows = motion.judged[:, axis] & ~motion.given
+        q, rest = motion.q_rad[rows, axis], setup.residual_nm[rows, axis]
+        steps = np.abs(np.diff(motion.q_rad[:, axis]))[rows[:-1] & (np.diff(motion.run) == 0)]
+        reach = float(np.ptp(q))
+        if reach < LEAST_REACH_RAD or not len(steps):
+            continue
+        fastest = 0.5 * np.pi / max(float(np.quantile(steps, 0.9)), 1e-9)
+        waves = np.arange(6.0 * np.pi / reach, min(fastest, MOST_PER_REVOLUTION), 0.5 * np.pi / reach)
+        power = np.abs(np.exp(1j * np.outer(waves, q)) @ rest)
+        yield from (TorqueRipple(axis, float(waves[peak])) for peak in np.argsort(power)[::-1][:SWINGS])
+
+
+EFFECT: Final = Effect(
+    name="torque_ripple",
+    words="torque ripple of motor or gear",
+    meaning="motor or wave-generator harmonics",
+    at_rest=_at_rest,
+    in_motion=_in_motion,
+    by_residual=True,
+)

@@ -1,0 +1,331 @@
+"""What a model of the arm says the drives report at rest, with every effect that may be built into it.
+
+An `AlteredModel` holds everything that effects change: the model without effects is `neutral(n)`. `Model.predict` goes
+the way the torque goes: gravity in the joints, springs and cables, friction by the side of approach, gear, torque
+constant, what the drive reports; and then back the way a measurement is converted. Every column of a fit is a
+derivative of this prediction, so it is built from modelled torque alone: a measured torque never enters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.model.kinematics import joint_axes_origins
+from gateway.model.regressor import gravity_regressor
+from gateway.model.robot import Robot
+from gateway.model.visits import through_gear
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+_WIND_UP_STEPS = 6
+_NEAR_RAD = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestRows:
+    """Rest pose visits, one row each.
+
+    Attributes
+    ----------
+    load : str array of shape (n,)
+    pose : int array of shape (n,)
+    run : str array of shape (n,)
+    time_s : array of shape (n,)
+        Start of the visit; the order of the rows where no time was given.
+    q_rad : array of shape (n, N)
+    sum_nm : array of shape (n, N)
+        Half the sum of both sides, each through the gear by its own direction; of a one-sided visit its own torque. NaN
+        where the axis was not measured.
+    difference_nm : array of shape (n, N)
+        Half the difference of the sides (up minus down), NaN in one-sided visits.
+    side : array of shape (n, N)
+        Direction of approach of one-sided visits, 0 where unknown or two-sided.
+    two_sided : bool array of shape (n,)
+    sample_std_nm : array of shape (n, N)
+        Standard deviation of `sum_nm` by the averaged samples alone, NaN = unknown.
+    temperature_c : array of shape (n, N)
+        NaN where absent.
+    wind_up_rad : array of shape (n, N)
+        Angle of the secondary encoder over that of the motor encoder, NaN where there is none. Where there is one,
+        `q_rad` is the angle of the link.
+    efficiency : array of shape (N,)
+        Gear efficiency the conversion used.
+    """
+
+    load: NDArray[np.str_]
+    pose: NDArray[np.int_]
+    run: NDArray[np.str_]
+    time_s: Floats
+    q_rad: Floats
+    sum_nm: Floats
+    difference_nm: Floats
+    side: Floats
+    two_sided: Mask
+    sample_std_nm: Floats
+    temperature_c: Floats
+    wind_up_rad: Floats
+    efficiency: Floats
+
+    def __len__(self) -> int:
+        return len(self.pose)
+
+    @property
+    def axes(self) -> int:
+        """Number of axes of the arm."""
+        return self.q_rad.shape[1]
+
+    def take(self, index: NDArray[Any]) -> RestRows:
+        """The rows that `index` (mask or numbers) selects."""
+        picked = {
+            name: getattr(self, name)[index] for name in self.__slots__ if name not in ("efficiency", "__weakref__")
+        }
+        return RestRows(efficiency=self.efficiency, **picked)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AlteredModel:
+    """Everything that effects change, for n visits.
+
+    Attributes
+    ----------
+    tilt_rad : (2,) rotation vector (x, y) of the base
+    zero_offset_rad, compliance_rad_nm : (N,) true angle = q + offset - compliance * torque
+    link_extra : (4 N,) added to the link parameters
+    load_extra : (n, 4) added to the load's [m, hx, hy, hz] visit by visit
+    moment_factor : (n, 3) added to the load's first moment, in units of the load's mass [m]
+    passive_nm : (n, N) torque exerted on the joints
+    gain : (n, N) reported torque over true torque
+    offset_nm : (n, N) added to the reading
+    coupling : (N, N) reported axis i shows sum_j coupling[i, j] * axis j
+    load_friction : (N,) nu of nu |tau|
+    band_gain : (n, N) factor on the friction band
+    gain_per_nm : (N,) added to the gain per Nm of motor torque
+    pull_n : (N, 3) force in the base frame on the origin of each link
+    """
+
+    tilt_rad: Floats
+    zero_offset_rad: Floats
+    compliance_rad_nm: Floats
+    link_extra: Floats
+    load_extra: Floats
+    moment_factor: Floats
+    passive_nm: Floats
+    gain: Floats
+    offset_nm: Floats
+    coupling: Floats
+    load_friction: Floats
+    band_gain: Floats
+    gain_per_nm: Floats
+    pull_n: Floats
+
+
+def neutral(n: int, axes: int) -> AlteredModel:
+    """The setting of `n` visits in which nothing is added to rigid links, a rigid load and a constant band."""
+    none = np.zeros(axes)
+    return AlteredModel(
+        tilt_rad=np.zeros(2),
+        zero_offset_rad=none,
+        compliance_rad_nm=none,
+        link_extra=np.zeros(4 * axes),
+        load_extra=np.zeros((n, 4)),
+        moment_factor=np.zeros((n, 3)),
+        passive_nm=np.zeros((n, axes)),
+        gain=np.ones((n, axes)),
+        offset_nm=np.zeros((n, axes)),
+        coupling=np.eye(axes),
+        load_friction=none,
+        band_gain=np.ones((n, axes)),
+        gain_per_nm=none,
+        pull_n=np.zeros((axes, 3)),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """Modelled readings (n, N): half sums, half differences (0 for one-sided visits), and torque behind them."""
+
+    sum_nm: Floats
+    difference_nm: Floats
+    joint_nm: Floats
+
+
+class Model:
+    """Rows of one robot at given visits; regressors of the same geometry are computed once.
+
+    Parameters
+    ----------
+    robot : Robot
+    rows : RestRows
+    gravity_m_s2 : array of shape (3,)
+    """
+
+    def __init__(self, robot: Robot, rows: RestRows, gravity_m_s2: Floats) -> None:
+        self.robot, self.rows, self.gravity = robot, rows, np.asarray(gravity_m_s2, dtype=float)
+        self.nominal = gravity_regressor(robot, rows.q_rad, self.gravity)
+        self.lossless = bool((rows.efficiency == 1.0).all())
+        self._geometry: tuple[bytes, Floats] | None = None
+        self._levers: Floats | None = None
+        self._bent: tuple[Floats, Floats, Floats] | None = None
+
+    def regressor(self, setting: AlteredModel) -> Floats:
+        """Gravity rows (n, N, 4 N) at the true joint angles and the true gravity of a setting with stiff gears."""
+        if not (setting.tilt_rad.any() or setting.zero_offset_rad.any()):
+            return self.nominal
+        q = self.rows.q_rad + setting.zero_offset_rad
+        return self._rows_at(q, setting.tilt_rad)
+
+    def _rows_at(self, q: Floats, tilt_rad: Floats) -> Floats:
+        key = q.tobytes() + tilt_rad.tobytes()
+        if self._geometry is None or self._geometry[0] != key:
+            gravity = rotation(np.append(tilt_rad, 0.0)).T @ self.gravity
+            self._geometry = key, gravity_regressor(self.robot, q, gravity)
+        return self._geometry[1]
+
+    def bodies(self, setting: AlteredModel, links: Floats, load: Floats) -> Floats:
+        """Parameters (n, 4 N) of the links with the load on the last link, visit by visit."""
+        carried = load + setting.load_extra
+        carried[:, 1:] += carried[:, :1] * setting.moment_factor
+        bodies = np.repeat((links + setting.link_extra)[None], len(load), axis=0)
+        bodies[:, -4:] += carried
+        return bodies
+
+    def joint_torque(self, setting: AlteredModel, bodies: Floats) -> tuple[Floats, Floats]:
+        """Torque (n, N) that the gears transmit, and its derivative (n, N, 4 N) by the parameters of the bodies."""
+        if not setting.compliance_rad_nm.any():
+            rows = self.regressor(setting)
+            return _dot(rows, bodies) - self.passive(setting), rows
+        return self._wound_up(setting, bodies)
+
+    def passive(self, setting: AlteredModel) -> Floats:
+        """Torque (n, N) that springs, cables and pulls exert on the joints."""
+        if not setting.pull_n.any():
+            return setting.passive_nm
+        return setting.passive_nm + np.einsum("nijk,jk->ni", self.levers, setting.pull_n)
+
+    @property
+    def levers(self) -> Floats:
+        """Torque (n, N, N, 3) on axis i of a unit force on the origin of link j."""
+        if self._levers is None:
+            directions, origins = joint_axes_origins(self.robot, self.rows.q_rad)
+            count = self.rows.axes
+            levers = np.zeros((len(self.rows), count, count, 3))
+            for axis in range(count):
+                for link in range(axis, count):
+                    levers[:, axis, link] = np.cross(directions[:, axis], origins[:, link] - origins[:, axis])
+            self._levers = levers
+        return self._levers
+
+    def _wound_up(self, setting: AlteredModel, bodies: Floats) -> tuple[Floats, Floats]:
+        """Equilibrium of elastic gears: `tau = tau(bent) + K (q - compliance tau - bent)`, bent until it fits."""
+        straight = self.rows.q_rad + setting.zero_offset_rad
+        steps = 0
+        while True:
+            if self._bent is None:
+                self._bend(straight)
+            bent, at_bent, slopes = self._bent  # type: ignore[misc]
+            if setting.tilt_rad.any():
+                at_bent = self._rows_at(bent, setting.tilt_rad)
+            stiffness = np.einsum("nijk,nk->nij", slopes, bodies)
+            torque = _dot(at_bent, bodies) - self.passive(setting)
+            torque = torque + np.matmul(stiffness, (straight - bent)[:, :, None])[:, :, 0]
+            matrix = np.eye(self.rows.axes) + stiffness * setting.compliance_rad_nm
+            torque = np.linalg.solve(matrix, torque[:, :, None])[:, :, 0]
+            away = straight - setting.compliance_rad_nm * torque - bent
+            steps += 1
+            if np.abs(away).max() < _NEAR_RAD or steps == _WIND_UP_STEPS:
+                rows = at_bent + np.einsum("nijk,nj->nik", slopes, away)
+                return torque, np.linalg.solve(matrix, rows)
+            self._bend(bent + away)
+
+    def _bend(self, q: Floats) -> None:
+        """Remember rows (n, N, 4 N) and their slopes (n, N, N, 4 N) by the joint angles at the bent arm."""
+        q = np.clip(q, self.rows.q_rad - 1.0, self.rows.q_rad + 1.0)
+        count = self.rows.axes
+        slopes = np.empty((len(q), count, count, 4 * count))
+        for joint in range(count):
+            step = np.zeros(count)
+            step[joint] = 1e-5
+            above = gravity_regressor(self.robot, q + step, self.gravity)
+            slopes[:, :, joint] = (above - gravity_regressor(self.robot, q - step, self.gravity)) / 2e-5
+        self._bent = q, gravity_regressor(self.robot, q, self.gravity), slopes
+
+    def predict(self, setting: AlteredModel, links: Floats, load: Floats, band_nm: Floats) -> Prediction:
+        """Modelled readings.
+
+        Parameters
+        ----------
+        setting : AlteredModel
+        links : array of shape (4 N,), [m, hx, hy, hz] per link
+        load : array of shape (n, 4), the load's [m, hx, hy, hz] at each visit
+        band_nm : array of shape (N,), mean friction against the direction of approach
+        """
+        torque, _ = self.joint_torque(setting, self.bodies(setting, links, load))
+        return self.readings(setting, torque, band_nm)
+
+    def readings(self, setting: AlteredModel, torque: Floats, band_nm: Floats) -> Prediction:
+        """Readings from the torque (n, N) the gears transmit."""
+        losses = setting.load_friction * np.abs(torque)
+        two = self.rows.two_sided[:, None]
+        friction = band_nm * setting.band_gain + losses
+        if self._straight(setting):
+            # the way through the gear and back cancels: each side reads torque and friction as they are
+            middle = (setting.gain * torque + setting.offset_nm) @ setting.coupling.T
+            half = (setting.gain * friction) @ setting.coupling.T
+            up, down = middle + half, middle - half
+        else:
+            up = self._side(setting, torque, friction, 1.0)
+            down = self._side(setting, torque, friction, -1.0)
+        half_sum = (up + down) / 2.0
+        if not self.rows.two_sided.all():
+            single = np.where(self.rows.side > 0, up, np.where(self.rows.side < 0, down, half_sum))
+            half_sum = np.where(two, half_sum, single)
+        return Prediction(half_sum, np.where(two, (up - down) / 2.0, 0.0), torque)
+
+    def _straight(self, setting: AlteredModel) -> bool:
+        """Whether nothing stands between the gear and the reading that the conversion does not undo."""
+        if setting.gain_per_nm.any():
+            return False
+        return self.lossless or not (setting.offset_nm.any() or np.any(setting.coupling != np.eye(self.rows.axes)))
+
+    def _side(self, setting: AlteredModel, torque: Floats, friction: Floats, direction: float) -> Floats:
+        eta = self.rows.efficiency
+        behind = torque + direction * friction
+        motor = np.where(behind * direction > 0, behind / eta, behind * eta)
+        gain = setting.gain
+        if setting.gain_per_nm.any():
+            gain = gain + setting.gain_per_nm * np.abs(motor)
+        seen = (gain * motor + setting.offset_nm) @ setting.coupling.T
+        return through_gear(seen, direction, eta)
+
+    def sum_by_torque(self, setting: AlteredModel, torque: Floats, band_nm: Floats) -> Floats:
+        """Derivative (n, N, N) of the half sums by the transmitted torque of each axis."""
+        if self._straight(setting) and self.rows.two_sided.all():
+            return setting.coupling[None] * setting.gain[:, None, :]
+        step = 1e-4 * (1.0 + np.abs(torque).max(axis=0))
+        count = self.rows.axes
+        out = np.empty((len(torque), count, count))
+        for axis in range(count):
+            moved = np.zeros(count)
+            moved[axis] = step[axis]
+            above = self.readings(setting, torque + moved, band_nm).sum_nm
+            below = self.readings(setting, torque - moved, band_nm).sum_nm
+            out[:, :, axis] = (above - below) / (2.0 * step[axis])
+        return out
+
+
+def rotation(vector_rad: Floats) -> Floats:
+    """Rotation matrix (3, 3) of a rotation vector (3,) (Rodrigues)."""
+    angle = float(np.linalg.norm(vector_rad))
+    if angle < 1e-15:
+        return np.eye(3)
+    x, y, z = vector_rad / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+
+
+def _dot(rows: Floats, bodies: Floats) -> Floats:
+    return np.matmul(rows, bodies[:, :, None])[:, :, 0]

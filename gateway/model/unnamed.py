@@ -1,0 +1,121 @@
+"""Structure that no effect of the library explains: smooth shapes that a residual may have, without a cause.
+
+They are rivals of the named effects: where one of them beats every effect, something is there that has no name here,
+and that is what is said.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.model.effect import RestSetup, largest_torque_nm, measured_axes
+from gateway.model.rest import AlteredModel, RestRows
+from gateway.model.term import NAN, OnAxis, Passive, Term, plus
+
+Floats = NDArray[np.float64]
+
+
+#: Name of a shape that no effect explains.
+UNNAMED: Final = "unnamed"
+
+
+@dataclass(frozen=True, slots=True)
+class PositionTorque(Passive):
+    """A torque on one axis that depends on the angle of one joint: three harmonics."""
+
+    joint: int = 0
+    name: ClassVar[str] = UNNAMED
+    linear: ClassVar[tuple[bool, ...]] = (True,) * 6
+    SPREAD: ClassVar[tuple[float, ...]] = (NAN,) * 6
+
+    def shape(self, q_rad: Floats, fixed: Floats) -> Floats:
+        return harmonics(q_rad[:, self.joint], 3)
+
+
+@dataclass(frozen=True, slots=True)
+class SumTorque(Passive):
+    """A torque on one axis that depends on the sum of the angles of joints 2 and 3: two harmonics and a constant."""
+
+    name: ClassVar[str] = UNNAMED
+    linear: ClassVar[tuple[bool, ...]] = (True,) * 5
+    SPREAD: ClassVar[tuple[float, ...]] = (NAN,) * 5
+
+    def shape(self, q_rad: Floats, fixed: Floats) -> Floats:
+        q = q_rad[:, 1] + q_rad[:, 2]
+        return np.column_stack([np.ones_like(q), harmonics(q, 2)])
+
+
+@dataclass(frozen=True, slots=True)
+class Pull(OnAxis):
+    """A constant force in the base frame on the origin of link `axis`."""
+
+    name: ClassVar[str] = UNNAMED
+    linear: ClassVar[tuple[bool, ...]] = (True,) * 3
+    SPREAD: ClassVar[tuple[float, ...]] = (NAN,) * 3
+
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+        return replace(setting, pull_n=plus(setting.pull_n, self.axis, theta))
+
+
+@dataclass(frozen=True, slots=True)
+class UnevenGain(OnAxis):
+    """A gain of one axis that swings with its own angle."""
+
+    name: ClassVar[str] = UNNAMED
+    linear: ClassVar[tuple[bool, ...]] = (True,) * 2
+    SPREAD: ClassVar[tuple[float, ...]] = (0.3, 0.3)
+
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+        gain = setting.gain.copy()
+        gain[:, self.axis] *= 1.0 + harmonics(rows.q_rad[:, self.axis], 1) @ theta
+        return replace(setting, gain=gain)
+
+
+@dataclass(frozen=True, slots=True)
+class BentGain(OnAxis):
+    """A gain of one axis that depends on its modelled torque (a motor that saturates)."""
+
+    largest_nm: float = 1.0
+    name: ClassVar[str] = UNNAMED
+    SPREAD: ClassVar[tuple[float, ...]] = (0.3,)
+
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+        return replace(setting, gain_per_nm=plus(setting.gain_per_nm, self.axis, theta[0] / self.largest_nm))
+
+
+@dataclass(frozen=True, slots=True)
+class UnevenBand(OnAxis):
+    """Friction of one axis that depends on the angle of a joint: two harmonics."""
+
+    joint: int = 0
+    name: ClassVar[str] = UNNAMED
+    linear: ClassVar[tuple[bool, ...]] = (True,) * 4
+    SPREAD: ClassVar[tuple[float, ...]] = (0.5,) * 4
+
+    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+        band = setting.band_gain.copy()
+        band[:, self.axis] *= 1.0 + harmonics(rows.q_rad[:, self.joint], 2) @ theta
+        return replace(setting, band_gain=band)
+
+
+def harmonics(angle_rad: Floats, count: int) -> Floats:
+    """Cosine and sine (n, 2 count) of so many multiples of an angle (n,)."""
+    return np.column_stack([wave(k * angle_rad) for k in range(1, count + 1) for wave in (np.cos, np.sin)])
+
+
+def unnamed_terms(rows: RestRows, setup: RestSetup) -> list[Term]:
+    """Smooth shapes without a cause, the rivals of the named effects; gravity does not turn a vertical first axis."""
+    measured, count = measured_axes(rows), rows.axes
+    largest = largest_torque_nm(setup)
+    carrying = [axis for axis in measured if axis > 0]
+    terms: list[Term] = [PositionTorque(axis, joint) for axis in measured for joint in range(1, count)]
+    terms += [SumTorque(axis) for axis in (1, 2) if axis in measured and count > 2]
+    terms += [UnevenGain(axis) for axis in carrying]
+    terms += [BentGain(axis, float(largest[axis])) for axis in carrying]
+    terms += [UnevenBand(axis, axis) for axis in measured]
+    terms += [Pull(link) for link in range(2, count)]
+    return terms

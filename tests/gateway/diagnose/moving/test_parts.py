@@ -1,0 +1,198 @@
+"""Parts of the diagnosis of moving runs against closed forms and against fits done the long way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from benchmarks.rigs.tables import make_table
+from gateway.data.rows import MOVING, concatenate
+from gateway.diagnose.moving.candidates import candidates, suggested
+from gateway.diagnose.moving.diagnosis import diagnose_motion
+from gateway.diagnose.moving.fit import MovingNoise, MovingProblem, blocks, counting_share, fit, solve
+from gateway.diagnose.moving.select import state_of
+from gateway.diagnose.moving.trial import drop_by_chance, put_on_trial
+from gateway.diagnose.options import DiagnoseOptions
+from gateway.errors import ConfigError, DataUnusable, InputError
+from gateway.identify.links import link_values
+from gateway.identify.moving_baseline import baseline
+from gateway.model.effect import nowhere
+from gateway.model.effects import LIBRARY
+from gateway.model.effects.axis_coupling import MotorCoupling
+from gateway.model.effects.balancer_spring import CoilBalancer, HarmonicBalancer
+from gateway.model.effects.cable_torque import HarmonicCable
+from gateway.model.effects.torque_constant_scale import TorqueConstantScale
+from gateway.model.effects.velocity_friction import Stribeck
+from gateway.model.motion import prepare, smooth_sign, structural_base
+from gateway.model.robot import robot_from_urdf
+
+URDF = (Path(__file__).parents[4] / "examples" / "small" / "robot.urdf").read_text()
+GRAVITY = np.array([0.0, 0.0, -9.80665])
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return robot_from_urdf(URDF, "robot.urdf")
+
+
+def table_of(seed=0, n=400, run="1", load="none", rate_hz=20.0):
+    """Sums of sines with random torques: the numbers mean nothing, the algebra does."""
+    generator = np.random.default_rng(seed)
+    time = np.arange(n) / rate_hz
+    omega, phase = generator.uniform(0.5, 2.0, (2, 6)), generator.uniform(0, 6, (2, 6))
+    angle = omega[:, None] * time[:, None] + phase[:, None]
+    q, qd, qdd = (
+        np.sin(angle).sum(0),
+        (omega[:, None] * np.cos(angle)).sum(0),
+        -(omega[:, None] ** 2 * np.sin(angle)).sum(0),
+    )
+    moving, tau = np.full(n, MOVING), generator.normal(size=(n, 6))
+    return make_table([load] * n, moving, q, tau, run=[run] * n, time=time + 7.0, qd=qd, qdd=qdd)
+
+
+def problem_of(robot, table, trust=None, count=4):
+    motion = prepare(table, None, robot, GRAVITY)
+    return MovingProblem(
+        motion, baseline(motion, trust, {}), MovingNoise(np.ones(6), np.ones(6)), blocks(motion, count)
+    )
+
+
+def test_counting_share_of_a_first_order_process_is_its_closed_form():
+    generator, keep = np.random.default_rng(1), 0.8
+    series = np.zeros(200_000)
+    for row, white in enumerate(generator.normal(size=len(series) - 1), start=1):
+        series[row] = keep * series[row - 1] + white
+    assert counting_share(series) == pytest.approx((1 - keep) / (1 + keep), rel=0.15)
+    assert counting_share(generator.normal(size=20_000)) == pytest.approx(1.0, abs=0.05)
+
+
+def test_penalised_least_squares_is_least_squares_with_the_prior_as_rows():
+    generator = np.random.default_rng(2)
+    columns, tau = generator.normal(size=(50, 6, 4)), generator.normal(size=(50, 6))
+    weight, mean = generator.uniform(0.5, 2.0, size=(50, 6)), generator.normal(size=4)
+    precision = np.array([0.0, 1.0, 4.0, 100.0])
+    inverse, value, cost = solve(columns, tau, weight, mean, precision)
+    rows = np.vstack([(columns * weight[:, :, None]).reshape(-1, 4), np.diag(np.sqrt(precision))])
+    right = np.concatenate([(tau * weight).reshape(-1), np.sqrt(precision) * mean])
+    expected = np.linalg.lstsq(rows, right)[0]
+    assert value == pytest.approx(expected, abs=1e-8)
+    assert inverse == pytest.approx(linalg.inv(rows.T @ rows), rel=1e-6)
+    assert cost == pytest.approx(np.sum((rows @ expected - right) ** 2), rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    "term",
+    [
+        Stribeck(2, 0.6),
+        MotorCoupling(4, 5, 0.7),
+        HarmonicCable(4),
+        HarmonicBalancer(),
+        CoilBalancer(largest_nm=1.0),
+    ],
+    ids=lambda term: type(term).__name__,
+)
+def test_a_trial_gives_what_the_full_refit_gives(robot, term):
+    problem = problem_of(robot, table_of(), trust=0.05)
+    state = state_of(problem, ())
+    trial = put_on_trial(problem, state.fits, state.full, term)
+    assert trial is not None
+    refit = state_of(problem, (term,))
+    assert trial.value == pytest.approx(refit.full.value[-term.count :], rel=1e-4, abs=1e-8)
+    assert trial.held.residual_nm == pytest.approx(refit.held.residual_nm, abs=1e-5)
+
+
+def test_no_column_contains_the_measured_torque(robot):
+    problem = problem_of(robot, table_of(load="a"), trust=0.05)
+    state = state_of(problem, ())
+    other = replace(problem.motion, tau_nm=problem.motion.tau_nm + 17.0)
+    pool = candidates(problem, state.full, frozenset(LIBRARY)) + suggested(problem, state.full, frozenset(LIBRARY))
+    shown = {name for name, effect in LIBRARY.items() if effect.in_motion is not nowhere}
+    assert {term.name for term in pool} == shown - {"thermal_drift"}, "too short a run to drift"
+    for term in pool:
+        columns = term.columns(problem.motion, state.full.modelled)
+        assert columns.shape == (len(problem.motion), len(term.enters(6)), term.count)
+        assert np.array_equal(columns, term.columns(other, state.full.modelled))
+
+
+def test_blocks_hold_out_every_row_once_and_keep_a_gap(robot):
+    motion = prepare(concatenate([table_of(0, run="1"), table_of(1, run="2")]), None, robot, GRAVITY)
+    splits = blocks(motion, 6)
+    assert np.sum([test for _, test in splits], axis=0).tolist() == [1] * len(motion)
+    for train, test in splits:
+        assert not (train & test).any()
+        run = motion.run[test][0]
+        near = train & (motion.run == run)
+        assert np.abs(motion.time_s[near][:, None] - motion.time_s[test]).min() > 0.29
+        assert (train & (motion.run != run)).sum() == (motion.run != run).sum()
+
+
+def test_body_columns_with_the_drawn_values_give_the_torque_of_the_drawing(robot):
+    pinocchio = pytest.importorskip("pinocchio")
+    motion = prepare(table_of(3, n=40), None, robot, GRAVITY)
+    model = pinocchio.buildModelFromXML(URDF)
+    model.gravity.linear = GRAVITY
+    data = model.createData()
+    rows = zip(motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2, strict=True)
+    expected = np.array([pinocchio.rnea(model, data, *row) for row in rows])
+    assert motion.rigid @ link_values(robot).ravel() == pytest.approx(expected, abs=1e-8)
+
+
+def test_structural_base_of_a_vertical_axis_arm_has_36_columns(robot):
+    assert len(structural_base(robot, GRAVITY)) == 36
+
+
+def test_smooth_sign_is_odd_and_saturates_above_a_few_percent_of_top_speed():
+    assert smooth_sign(np.array([-0.1, 0.0, 0.1]), 2.0) == pytest.approx([-1.0, 0.0, 1.0], abs=1e-3)
+    assert 0.4 < smooth_sign(np.array([0.01]), 2.0)[0] < 0.6
+
+
+def test_a_drop_of_the_loss_by_chance_is_uniform_and_a_real_one_is_seen():
+    generator = np.random.default_rng(4)
+    p = [drop_by_chance(generator.exponential(size=300), generator.exponential(size=300)) for _ in range(300)]
+    assert 0.3 < np.mean(np.array(p) < 0.5) < 0.7
+    assert np.mean(np.array(p) < 0.01) < 0.03
+    loss = generator.exponential(size=300)
+    assert drop_by_chance(loss, 0.6 * loss * generator.uniform(0.8, 1.2, 300)) < 1e-4
+
+
+def test_scale_of_a_reading_is_found_although_the_links_are_unknown(robot):
+    problem = problem_of(robot, table_of(5, n=600))
+    generator = np.random.default_rng(5)
+    chosen = structural_base(robot, GRAVITY)
+    truth = link_values(robot).ravel()[chosen] * (1 + 0.1 * generator.normal(size=len(chosen)))
+    tau = problem.motion.rigid[:, :, chosen] @ truth
+    tau[:, 2] *= 0.8
+    problem = replace(
+        problem, motion=replace(problem.motion, tau_nm=tau), noise=MovingNoise(np.full(6, 1e-3), np.ones(6))
+    )
+    everything = np.ones(len(tau), dtype=bool)
+    found = fit(problem, (TorqueConstantScale(2),), everything, ~everything)
+    assert found.value[-1] == pytest.approx(-0.2, abs=0.01)
+
+
+def test_an_axis_that_was_not_measured_or_does_not_move_is_unknown_in_every_list(robot):
+    table = table_of(6)
+    table.tau_nm[:, 0] = np.nan
+    table.qd_rad_s[:, 3] = 0.0
+    result = diagnose_motion(table, robot, DiagnoseOptions(inertials="ignore", only=frozenset({"velocity_friction"})))
+    for values in (result.before.rms_nm, result.after.holdout_rms_nm, result.friction_band_nm):
+        assert np.isnan(values).tolist() == [True, False, False, True, False, False]
+    assert {finding.where for finding in result.findings} >= {"J1", "J4"}
+
+
+def test_bad_input_is_refused(robot):
+    table = table_of(7, n=200)
+    with pytest.raises(InputError, match="--known b"):
+        diagnose_motion(table, robot, DiagnoseOptions(known={"b": (1.0, 0.0, 0.0, 0.0)}))
+    with pytest.raises(ConfigError, match="prior:S"):
+        diagnose_motion(table, robot, DiagnoseOptions(inertials="prior:wide"))
+    with pytest.raises(DataUnusable, match="--holdout: load b"):
+        diagnose_motion(table, robot, DiagnoseOptions(holdout=table_of(8, n=100, run="2", load="b")))
+    still = table_of(9, n=100)
+    still.qd_rad_s[:] = 0.0
+    with pytest.raises(DataUnusable, match="no axis moves"):
+        diagnose_motion(still, robot, DiagnoseOptions())
