@@ -22,6 +22,8 @@ from pydantic_core import PydanticUndefined
 from drives.profile import DriveProfile
 from gateway.cell.config import Cell
 from gateway.cli import main as program
+from gateway.model.effect import Effect, nowhere
+from gateway.model.effects import LIBRARY
 from gateway.result.result import json_schema
 
 DOCS: Final = Path(__file__).resolve().parents[1] / "docs"
@@ -170,6 +172,34 @@ def _cell(text: str) -> str:
     return " ".join(text.split()).replace("|", "\\|")
 
 
+# ------------------------------------------------------------------------------------------------------------- effects
+
+
+def effects_page() -> str:
+    """Every effect that the diagnosis knows."""
+    lines = [
+        "# Effects",
+        "",
+        "One file each in `gateway/model/effects/`. A parameter carries its unit; its standard deviation stands",
+    ]
+    lines += [
+        "beside it in the result. What they mean together: [how effects are found](../explanation/effects.md).",
+        "",
+    ]
+    lines += ["| effect | what it is | found | parameters, by shape |", "|---|---|---|---|"]
+    for effect in LIBRARY.values():
+        keys = ", ".join(f"`{key}`" for key in effect.parameters)
+        lines.append(f"| `{effect.name}` | {effect.meaning} | {_found(effect)} | {keys} |")
+    return "\n".join(lines) + "\n"
+
+
+def _found(effect: Effect) -> str:
+    if effect.mistake is not None:
+        return "commissioning mistake: a failing finding"
+    faces = [("at rest", effect.at_rest), ("in motion", effect.in_motion)]
+    return ", ".join(words for words, face in faces if face is not nowhere) or "by sides of visits"
+
+
 PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "reference/cell-file.md": lambda: keys_page(
         "Cell file",
@@ -183,6 +213,7 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
         DriveProfile,
     ),
     "reference/commands.md": commands_page,
+    "reference/effects.md": effects_page,
     "reference/result.schema.json": lambda: json.dumps(json_schema(), indent=1) + "\n",
 }
 

@@ -74,6 +74,7 @@ class Effect:
     name : as the result file calls it
     words : what a report calls it, in the middle of a sentence
     meaning : one line for the table of effects
+    parameters : keys that its shapes report, with unit
     over : what it is drawn over
     at_rest, in_motion : candidates that the rows could show, every place and shape
     by_residual : whether the candidates in motion are read off the residual, anew at each step
@@ -85,6 +86,7 @@ class Effect:
     name: str
     words: str
     meaning: str
+    parameters: tuple[str, ...] = ()
     over: Over = Over.ITSELF
     at_rest: Callable[[RestRows, RestSetup], Iterable[Term]] = nowhere
     in_motion: Callable[[MovingRows, MotionSetup], Iterable[Term]] = nowhere

@@ -78,9 +78,13 @@ def _in_flange(problem: MovingProblem, com_m: Floats) -> tuple[float, ...] | Non
 
 def over_blocks(problem: MovingProblem, state: MovingState, where: NDArray[np.int_]) -> Floats:
     """Covariance of parameters over fits that leave out one block of time each; zero with a given hold-out."""
-    if problem.motion.given.any() or len(state.fits) < 3:
-        return np.zeros((len(where), len(where)))
-    estimates = np.array([fit.value[where] for fit in state.fits])
+    return jackknife(problem, np.array([fit.value[where] for fit in state.fits]))
+
+
+def jackknife(problem: MovingProblem, estimates: Floats) -> Floats:
+    """Covariance of estimates (splits, k) that leave out one block of time each; zero with a given hold-out."""
+    if problem.motion.given.any() or len(estimates) < 3:
+        return np.zeros((estimates.shape[1],) * 2)
     centred = estimates - estimates.mean(axis=0)
     return (len(estimates) - 1) / len(estimates) * centred.T @ centred
 

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.moving.fit import MovingFit, MovingProblem
-from gateway.diagnose.moving.loads import over_blocks
+from gateway.diagnose.moving.loads import jackknife, over_blocks
 from gateway.diagnose.moving.refine import coupling_cost
 from gateway.diagnose.moving.state import MovingState
-from gateway.diagnose.moving.trial import Trial
+from gateway.diagnose.moving.trial import Trial, extend
 from gateway.model.effects.axis_coupling import MotorCoupling
 from gateway.model.effects.current_rms_peak import EFFECT as RMS_PEAK
 from gateway.model.effects.current_rms_peak import is_rms_peak
@@ -71,20 +71,23 @@ def _covariance(problem: MovingProblem, state: MovingState, index: NDArray[np.in
 def _with_shape(problem: MovingProblem, state: MovingState, term: Term) -> tuple[Floats, Floats]:
     """All parameters of a term with their covariance: those of its shape have their prior, and widen the others."""
     index = state.full.part([term])
-    value, covariance = state.full.value[index], _covariance(problem, state, index)
     if all(term.linear):
-        return value, covariance
-    slopes = _slopes(problem, state.full, term, value)
+        return state.full.value[index], _covariance(problem, state, index)
+    at, precision = np.array(term.start[term.count :]), np.array(term.spread[term.count :]) ** -2.0
     axes = list(term.enters(problem.motion.axes))
+    slopes = _slopes(problem, state.full, term, state.full.value[index])
+    extended = [extend(fit, axes, slopes, precision) for fit in (state.full, *state.fits)]
+    thetas = [
+        np.concatenate([fit.value[index] - (step[2][index] if step else 0.0), at + (step[0] if step else 0.0)])
+        for fit, step in zip((state.full, *state.fits), extended, strict=True)
+    ]
     weight = state.full.weight[:, axes, None] ** 2
-    cross = np.einsum("nap,nak->pk", state.full.columns[:, axes], weight * slopes)
-    taken = state.full.inverse @ cross
-    spread = np.array(term.spread[term.count :])
-    own = np.einsum("nak,nal->kl", slopes, weight * slopes) - cross.T @ taken + np.diag(spread**-2.0)
-    shape = np.linalg.inv(own)
+    taken = state.full.inverse @ np.einsum("nap,nak->pk", state.full.columns[:, axes], weight * slopes)
+    shape = np.diag(1.0 / precision) if extended[0] is None else extended[0][1]
     lead = -taken[index] @ shape
-    whole = np.block([[covariance - lead @ taken[index].T, lead], [lead.T, shape]])
-    return term.completed(value), whole
+    own = state.full.inverse[np.ix_(index, index)] - lead @ taken[index].T
+    whole = np.block([[own, lead], [lead.T, shape]])
+    return thetas[0], whole + jackknife(problem, np.array(thetas[1:]))
 
 
 def _slopes(problem: MovingProblem, full: MovingFit, term: Term, value: Floats) -> Floats:

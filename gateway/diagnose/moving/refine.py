@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from gateway.diagnose.moving.fit import MovingProblem, fit, prior_precision
-from gateway.diagnose.moving.state import MovingState, refitted
+from gateway.diagnose.moving.state import MovingState, refitted, state_of
 from gateway.diagnose.moving.trial import extend, put_on_trial
 from gateway.model.effects.axis_coupling import MotorCoupling
 from gateway.model.term import Term
@@ -33,6 +33,16 @@ def refine(problem: MovingProblem, state: MovingState, term: Term, pool: Sequenc
     if not all(term.linear):
         return _best_law(problem, state, term, pool)
     return term
+
+
+def reshaped(problem: MovingProblem, state: MovingState, pool: Sequence[Term]) -> MovingState:
+    """The model with each law in the shape that the rows want beside all the others."""
+    for term in state.terms:
+        if all(term.linear):
+            continue
+        others = [other for other in state.terms if other != term]
+        state = state_of(problem, (*others, _best_law(problem, state_of(problem, others), term, pool)))
+    return state
 
 
 def _best_scale(problem: MovingProblem, state: MovingState, pool: Sequence[Term]) -> Term:

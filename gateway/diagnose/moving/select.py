@@ -14,7 +14,7 @@ import numpy as np
 
 from gateway.diagnose.moving.candidates import candidates, possible, suggested
 from gateway.diagnose.moving.fit import MovingProblem
-from gateway.diagnose.moving.refine import refine
+from gateway.diagnose.moving.refine import refine, reshaped
 from gateway.diagnose.moving.state import MovingState, compare, refitted, state_of, with_noise_of
 from gateway.diagnose.moving.trial import Trial, put_on_trial
 from gateway.model.effects import DRAWN, FRICTION
@@ -106,7 +106,7 @@ def select(
         problem = with_noise_of(problem, state.terms, state.full)
         state = state_of(problem, state.terms)
         stale = {}
-    state = _without_idle(problem, state, len(pool))
+    state = reshaped(problem, _without_idle(problem, state, len(pool)), pool)
     left = _trials(problem, state, pool)
     left += _trials(problem, state, suggested(problem, state.full, allowed))
     return problem, state, left

@@ -112,6 +112,12 @@ EFFECT: Final = Effect(
     name="axis_coupling",
     words="coupling between two axes",
     meaning="friction or torque of one axis in the motion of another",
+    parameters=(
+        "coefficient",
+        "motor_coulomb_nm",
+        "motor_viscous_nm_s_rad",
+        "motor_inertia_kg_m2",
+    ),
     over=Over.TORQUE,
     at_rest=_at_rest,
     in_motion=_in_motion,

@@ -49,6 +49,10 @@ EFFECT: Final = Effect(
     name="base_tilt",
     words="a tilted base",
     meaning="the base does not stand level",
+    parameters=(
+        "tilt_x_rad",
+        "tilt_y_rad",
+    ),
     at_rest=_at_rest,
     in_motion=_in_motion,
     drawn=True,

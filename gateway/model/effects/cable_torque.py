@@ -95,6 +95,11 @@ EFFECT: Final = Effect(
     name="cable_torque",
     words="torque from a cable or dress pack",
     meaning="the dress pack pulls on a wrist axis",
+    parameters=(
+        "stiffness_nm_rad",
+        "neutral_rad",
+        "harmonic",
+    ),
     over=Over.ANGLE,
     at_rest=_at_rest,
     in_motion=_in_motion,

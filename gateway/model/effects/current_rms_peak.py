@@ -24,6 +24,7 @@ EFFECT: Final = Effect(
     name="current_rms_peak",
     words="rms and peak current confused",
     meaning="an rms value was taken for a peak value or the reverse",
+    parameters=("factor",),
     mistake=(
         "current is off by a factor of sqrt 2: an rms value was taken for a peak value or the reverse",
         "check current_reference and torque_constant_per of the drive profile",

@@ -71,6 +71,7 @@ EFFECT: Final = Effect(
     name="joint_elasticity",
     words="an elastic joint",
     meaning="a joint gives way under load",
+    parameters=("compliance_rad_nm",),
     over=Over.TORQUE,
     at_rest=_at_rest,
     in_motion=_in_motion,

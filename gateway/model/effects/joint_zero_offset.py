@@ -50,6 +50,7 @@ EFFECT: Final = Effect(
     name="joint_zero_offset",
     words="a shifted joint zero",
     meaning="an encoder zero is off",
+    parameters=("offset_rad",),
     at_rest=_at_rest,
     in_motion=_in_motion,
     drawn=True,

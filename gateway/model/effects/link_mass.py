@@ -80,6 +80,13 @@ EFFECT: Final = Effect(
     name="link_mass",
     words="extra mass on a link",
     meaning="a welder or hose on the forearm",
+    parameters=(
+        "mass_kg",
+        "first_moment_kg_m",
+        "first_moment_x_kg_m",
+        "first_moment_y_kg_m",
+        "first_moment_z_kg_m",
+    ),
     at_rest=_at_rest,
     in_motion=_in_motion,
     drawn=True,

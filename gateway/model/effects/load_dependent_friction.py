@@ -47,6 +47,7 @@ EFFECT: Final = Effect(
     name="load_dependent_friction",
     words="friction that grows with the transmitted torque",
     meaning="gear losses in proportion to the transmitted torque (at rest: what is left once a joint has settled)",
+    parameters=("coefficient",),
     over=Over.TORQUE_BY_DIRECTION,
     at_rest=_at_rest,
     in_motion=_in_motion,

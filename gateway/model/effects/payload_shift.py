@@ -74,6 +74,13 @@ EFFECT: Final = Effect(
     name="payload_shift",
     words="a load that shifted during the run",
     meaning="the load moves or leaks during the run",
+    parameters=(
+        "shift_m",
+        "shift_x_m",
+        "shift_y_m",
+        "shift_z_m",
+        "time_s",
+    ),
     over=Over.TIME,
     at_rest=_at_rest,
     in_motion=_in_motion,

@@ -10,5 +10,6 @@ EFFECT: Final = Effect(
     name="static_friction",
     words="friction that differs by direction",
     meaning="friction at rest differs between the two directions",
+    parameters=("bias_nm",),
     over=Over.TORQUE,
 )

@@ -83,6 +83,10 @@ EFFECT: Final = Effect(
     name="thermal_drift",
     words="drift with temperature or time",
     meaning="torque constant or friction drifts with temperature or time",
+    parameters=(
+        "per_k",
+        "per_s",
+    ),
     over=Over.TIME,
     at_rest=_at_rest,
     in_motion=_in_motion,

@@ -60,6 +60,7 @@ EFFECT: Final = Effect(
     name="torque_constant_scale",
     words="a wrong torque constant",
     meaning="a stored torque constant is off (common to all axes: only against a known mass)",
+    parameters=("scale",),
     over=Over.TORQUE,
     at_rest=_at_rest,
     in_motion=_in_motion,

@@ -40,6 +40,7 @@ EFFECT: Final = Effect(
     name="torque_offset",
     words="a constant torque offset",
     meaning="a constant torque on one axis",
+    parameters=("offset_nm",),
     over=Over.ANGLE,
     at_rest=_at_rest,
     in_motion=_in_motion,

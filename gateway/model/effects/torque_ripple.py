@@ -74,6 +74,11 @@ EFFECT: Final = Effect(
     name="torque_ripple",
     words="torque ripple of motor or gear",
     meaning="motor or wave-generator harmonics",
+    parameters=(
+        "amplitude_nm",
+        "per_revolution",
+        "phase_rad",
+    ),
     at_rest=_at_rest,
     in_motion=_in_motion,
     by_residual=True,

@@ -1,0 +1,121 @@
+"""An effect is one file: put beside the others, it is looked for at rest and in motion, and named in the report."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.request import add_passive
+from tests.moving_arm import URDF, World, measured
+from tests.resting_arm import Bench
+
+ROOT = Path(__file__).parents[4]
+MADE_UP = '''
+"""A rope wound over a cam of axis 3."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from gateway.model.effect import Effect, Over
+from gateway.model.term import Passive
+
+
+@dataclass(frozen=True, slots=True)
+class CamRope(Passive):
+    name = "cam_rope"
+    parameters = ("pull_nm",)
+    bounds = {"pull_nm": (0.0, 1e4)}
+
+    def shape(self, q_rad, fixed):
+        return -np.abs(np.sin(3.0 * q_rad[:, [self.axis]]))
+
+
+def _on_axis_3(rows, setup):
+    yield CamRope(2)
+
+
+EFFECT = Effect(
+    name="cam_rope",
+    words="a rope over a cam",
+    meaning="a rope is wound over a cam",
+    over=Over.ANGLE,
+    at_rest=_on_axis_3,
+    in_motion=_on_axis_3,
+)
+'''
+
+
+@pytest.fixture(scope="module")
+def house(tmp_path_factory) -> Path:
+    """The product with one file more."""
+    root = tmp_path_factory.mktemp("house")
+    for package in ("gateway", "drives"):
+        shutil.copytree(ROOT / package, root / package, ignore=shutil.ignore_patterns("__pycache__"))
+    (root / "gateway" / "model" / "effects" / "cam_rope.py").write_text(MADE_UP)
+    return root
+
+
+def diagnosed(house: Path, csv: Path, *options: str) -> tuple[dict, str]:
+    """Result and page of the command, run from the house with the added file."""
+    out, page = csv.with_suffix(".json"), csv.with_suffix(".html")
+    program = "from gateway.cli import main; main()"
+    line = [sys.executable, "-c", program, "diagnose", csv.name, "--robot", "robot.urdf", "--json", out.name, *options]
+    environment = os.environ | {"PYTHONPATH": str(house)}
+    done = subprocess.run(line, cwd=csv.parent, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    line = [sys.executable, "-c", program, "report", out.name, "--output", page.name]
+    done = subprocess.run(line, cwd=csv.parent, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return json.loads(out.read_text()), page.read_text()
+
+
+def write(table, path: Path, urdf: str) -> Path:
+    """A table as the CSV that an engineer has, and the URDF beside it."""
+    (path.parent / "robot.urdf").write_text(urdf)
+    columns: dict[str, np.ndarray] = {"load": table.load, "pose": table.pose, "time_s": table.time_s}
+    moving = bool(table.moving.all())
+    given = {"q{}_rad": table.q_rad, "tau{}_nm": table.tau_nm}
+    given |= {"qd{}_rad_s": table.qd_rad_s, "qdd{}_rad_s2": table.qdd_rad_s2} if moving else {}
+    given |= {} if moving else {"dir{}": table.direction, "tau{}_std_nm": table.tau_std_nm}
+    for name, values in given.items():
+        columns |= {name.format(axis + 1): values[:, axis] for axis in range(6)}
+    if moving:
+        del columns["pose"]
+    lines = [",".join(columns), *(",".join(str(value) for value in row) for row in zip(*columns.values(), strict=True))]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_the_added_effect_is_found_at_rest(house, tmp_path):
+    bench = Bench(4, [])
+
+    def rope(q_rad, _time_s, _tau_nm):
+        return -np.array([0.0, 0.0, 6.0 * bench.arm.floor_nm[2] * abs(np.sin(3.0 * q_rad[2])), 0.0, 0.0, 0.0])
+
+    bench.plant = add_passive(replace(bench.plant, gear_efficiency=np.ones(6)), rope)
+    result, page = diagnosed(house, write(bench.both(), tmp_path / "rest.csv", bench.arm.urdf))
+    assert [(entry["name"], entry["joints"]) for entry in result["effects"]] == [("cam_rope", [3])]
+    (found,) = result["effects"]
+    assert abs(found["parameters"]["pull_nm"] - 6.0 * bench.arm.floor_nm[2]) < 4.0 * found["std"]["pull_nm"]
+    assert "a rope over a cam" in page
+
+
+def test_the_added_effect_is_found_in_motion(house, tmp_path):
+    table, _, scale = measured(1, World())
+    pull = 0.3 * scale[2]
+    table.tau_nm[:, 2] += pull * np.abs(np.sin(3.0 * table.q_rad[:, 2]))
+    csv = write(table, tmp_path / "moving.csv", URDF)
+    result, page = diagnosed(house, csv, "--inertials", "ignore")
+    assert [(entry["name"], entry["joints"]) for entry in result["effects"]] == [("cam_rope", [3])]
+    assert result["effects"][0]["parameters"]["pull_nm"] == pytest.approx(pull, rel=0.1)
+    assert "a rope over a cam" in page

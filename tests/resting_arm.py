@@ -1,0 +1,54 @@
+"""Rest visits of a simulated arm with effects built in, and what a diagnosis has found."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchmarks.rigs.tables import simulated_table
+from gateway.data.table import Table, concatenate
+from gateway.diagnose import DiagnoseOptions
+from gateway.model.robot import Robot, robot_from_urdf
+from gateway.result.result import Result
+from sim.draw import DrawnArm, choose_poses, draw_arm
+from sim.effects import apply_effects
+from sim.offline import PlannedVisit, Protocol, measure, point_jacobian
+
+STEP_S = 25.0
+
+
+class Bench:
+    """An arm with effects built in, and the poses it is measured at."""
+
+    def __init__(self, seed: int, effects: list[dict], poses: int = 10) -> None:
+        rng = np.random.default_rng([seed, 99])
+        self.arm: DrawnArm = draw_arm(rng)
+        self.plant = apply_effects(self.arm.plant, effects, point_jacobian(self.arm.chain))
+        self.poses = choose_poses(self.arm, poses, rng)
+        self.robot: Robot = robot_from_urdf(self.arm.urdf, "drawn")
+        self.seed, self.now_s, self.next_pose = seed, 0.0, 100
+        self.options = DiagnoseOptions(efficiency=self.arm.efficiency, gear_ratio=self.arm.gear_ratio)
+
+    def table(self, poses: np.ndarray, load: str, first: int = 0, protocol: Protocol | None = None) -> Table:
+        visits = []
+        for k, q in enumerate(poses):
+            visits.append(PlannedVisit(first + k, load, self.now_s, q))
+            self.now_s += STEP_S
+        self.now_s += 60.0
+        rng = np.random.default_rng([self.seed, int(self.now_s)])
+        columns = measure(self.arm.chain, self.plant, visits, self.arm.loads, protocol or self.arm.protocol, rng)
+        return simulated_table(columns)
+
+    def both(self) -> Table:
+        return concatenate([self.table(self.poses, "none"), self.table(self.poses, "tool")])
+
+    def more(self, poses: np.ndarray) -> Table:
+        self.next_pose += len(poses)
+        return self.table(poses, "tool", self.next_pose)
+
+
+def effect(name: str, joints: list[int], **parameters: object) -> dict:
+    return {"name": name, "joints": joints, "parameters": parameters}
+
+
+def found(result: Result) -> list[tuple[str, tuple[int, ...]]]:
+    return [(entry.name, entry.joints) for entry in result.effects]
