@@ -22,6 +22,9 @@ from pydantic_core import PydanticUndefined
 from drives.profile import DriveProfile
 from gateway.cell.config import Cell
 from gateway.cli import main as program
+from gateway.diagnose.moving.thresholds import MOVING
+from gateway.diagnose.rest.thresholds import REST
+from gateway.diagnose.thresholds import described
 from gateway.model.effect import Effect, nowhere
 from gateway.model.effects import LIBRARY
 from gateway.result.result import json_schema
@@ -200,6 +203,19 @@ def _found(effect: Effect) -> str:
     return ", ".join(words for words, face in faces if face is not nowhere) or "by sides of visits"
 
 
+# ---------------------------------------------------------------------------------------------------------- thresholds
+
+
+def thresholds_page() -> str:
+    """Every tuned number of the diagnosis."""
+    intro = "Every tuned number, its unit, what it decides and where its value comes from."
+    lines = ["# Thresholds of the diagnosis", "", intro]
+    for title, thresholds in (("At rest", REST), ("In motion", MOVING)):
+        lines += ["", f"## {title}", "", "| name | value | unit | what it is | origin |", "|---|---|---|---|---|"]
+        lines += [f"| `{row[0]}` | {' | '.join(str(each) for each in row[1:])} |" for row in described(thresholds)]
+    return "\n".join(lines) + "\n"
+
+
 PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "reference/cell-file.md": lambda: keys_page(
         "Cell file",
@@ -214,6 +230,7 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
     ),
     "reference/commands.md": commands_page,
     "reference/effects.md": effects_page,
+    "reference/thresholds.md": thresholds_page,
     "reference/result.schema.json": lambda: json.dumps(json_schema(), indent=1) + "\n",
 }
 

@@ -170,7 +170,7 @@ class OnAxis(Term):
 
 
 @dataclass(frozen=True, slots=True)
-class Reading(OnAxis):
+class ReadingTorque(OnAxis):
     """A torque that the reading of one axis has too much."""
 
     def shape(self, q_rad: Floats, fixed: Floats) -> Floats:
@@ -186,7 +186,7 @@ class Reading(OnAxis):
 
 
 @dataclass(frozen=True, slots=True)
-class Passive(OnAxis):
+class PassiveTorque(OnAxis):
     """A torque that a part beside the gear exerts on one joint: the motor gives as much less."""
 
     def shape(self, q_rad: Floats, fixed: Floats) -> Floats:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gateway.model.effect import RestSetup, largest_torque_nm, measured_axes
 from gateway.model.rest import AlteredModel, RestRows
-from gateway.model.term import NAN, OnAxis, Passive, Term, plus
+from gateway.model.term import NAN, OnAxis, PassiveTorque, Term, plus
 
 Floats = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ UNNAMED: Final = "unnamed"
 
 
 @dataclass(frozen=True, slots=True)
-class PositionTorque(Passive):
+class PositionTorque(PassiveTorque):
     """A torque on one axis that depends on the angle of one joint: three harmonics."""
 
     joint: int = 0
@@ -37,7 +37,7 @@ class PositionTorque(Passive):
 
 
 @dataclass(frozen=True, slots=True)
-class SumTorque(Passive):
+class SumTorque(PassiveTorque):
     """A torque on one axis that depends on the sum of the angles of joints 2 and 3: two harmonics and a constant."""
 
     name: ClassVar[str] = UNNAMED

@@ -8,13 +8,10 @@ from scipy.stats import t as student
 
 from gateway.diagnose.moving.fit import MovingProblem, counting_share
 from gateway.diagnose.moving.state import MovingState
+from gateway.diagnose.moving.thresholds import MOVING
 from gateway.result.result import EffectResult, Evidence
 
 Floats = NDArray[np.float64]
-
-SURE = 6.0
-LARGEST_RATIO = 0.7
-LARGEST_RAD = 0.05
 
 
 def elastic_joints(problem: MovingProblem, state: MovingState) -> tuple[EffectResult, ...]:
@@ -39,7 +36,7 @@ def elastic_joints(problem: MovingProblem, state: MovingState) -> tuple[EffectRe
         std = float(spread * np.sqrt(np.linalg.pinv(design[fitted].T @ design[fitted])[0, 0]))
         ratio, compliance = _foretold(problem, design, bend), float(value[0])
         bent = compliance * float(np.abs(torque).max())
-        if compliance < SURE * std or ratio > LARGEST_RATIO or bent > LARGEST_RAD:
+        if compliance < MOVING.wind_up * std or ratio > MOVING.wind_up_ratio or bent > MOVING.largest_wind_up_rad:
             continue
         p_value = float(max(student.sf(compliance / std, rows - 2.0) * motion.axes, 1e-300))
         key, evidence = "compliance_rad_nm", Evidence(holdout_rms_ratio=ratio, p_value=p_value)

@@ -21,8 +21,9 @@ from gateway.diagnose.moving.parameters import certain
 from gateway.diagnose.moving.select import select, weigh
 from gateway.diagnose.moving.state import MovingState, state_of, with_noise_of
 from gateway.diagnose.moving.structure import structured_axes
+from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.moving.trial import Trial
-from gateway.diagnose.moving.trust import START, choose_trust
+from gateway.diagnose.moving.trust import choose_trust
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.errors import DataUnusable
 from gateway.identify.links import has_inertials, parse_inertials
@@ -33,10 +34,6 @@ from gateway.model.robot import Robot
 from gateway.result.result import Result
 
 Floats = NDArray[np.float64]
-
-BLOCKS = 6
-FEWEST_ROWS = 60
-SHORTEST_S = 2.0
 
 
 def diagnose_motion(table: Table, robot: Robot, options: DiagnoseOptions) -> Result:
@@ -66,7 +63,7 @@ def diagnose_motion(table: Table, robot: Robot, options: DiagnoseOptions) -> Res
     if "current_rms_peak" in options.only and "current_rms_peak" not in options.without:
         allowed |= {"torque_constant_scale"}
     problem = _problem(motion, trust, known)
-    if (~motion.given).sum() < FEWEST_ROWS or motion.duration_s < SHORTEST_S:
+    if (~motion.given).sum() < MOVING.fewest_rows or motion.duration_s < MOVING.shortest_s:
         return too_little(problem, state_of(problem, ()))
     mistakes = find_mistakes(problem, allowed)
     as_read = None
@@ -135,7 +132,7 @@ def _foretold(motion: MovingRows, known: Mapping[str, tuple[float, Floats]]) -> 
 
 def _problem(motion: MovingRows, trust: float | None, known: Mapping[str, tuple[float, Floats]]) -> MovingProblem:
     problem = MovingProblem(
-        motion, baseline(motion, trust, known), MovingNoise(*np.ones((2, motion.axes))), blocks(motion, BLOCKS)
+        motion, baseline(motion, trust, known), MovingNoise(*np.ones((2, motion.axes))), blocks(motion, MOVING.blocks)
     )
     return with_noise_of(problem, (), None)
 
@@ -152,5 +149,5 @@ def _trust(robot: Robot, inertials: str | None) -> tuple[float | None, bool]:
     if inertials == "ignore" or not has_inertials(robot):
         return None, False
     if inertials is None:
-        return START, True
+        return MOVING.first_trust, True
     return max(parse_inertials(inertials), EXACT), False

@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.moving.fit import MovingProblem
 from gateway.diagnose.moving.state import MovingState
+from gateway.diagnose.moving.thresholds import MOVING
 from gateway.identify.loads import BARE_LABEL
 from gateway.model.effects.velocity_friction import Stribeck
 from gateway.result.result import LoadResult
 
 Floats = NDArray[np.float64]
 
-LOOSE_MASS = 0.5
-LOOSE_COM_M = 0.3
 QUANTITIES = ("mass_kg", "com_x_m", "com_y_m", "com_z_m")
 
 
@@ -48,14 +47,14 @@ def _load(
     parameters = state.full.value[where]
     covariance = state.full.inverse[np.ix_(where, where)] + over_blocks(problem, state, where)
     mass, mass_std = float(parameters[0]), float(np.sqrt(covariance[0, 0]))
-    if not mass > 0 or mass_std > LOOSE_MASS * mass:
+    if not mass > 0 or mass_std > MOVING.loose_mass * mass:
         return LoadResult(label, unidentifiable=QUANTITIES)
     com = parameters[1:] / mass
     turn = np.column_stack([-com / mass, np.eye(3) / mass])
     turn = np.vstack([[1.0, 0.0, 0.0, 0.0], turn])
     spread = turn @ covariance @ turn.T
     std = np.sqrt(np.diag(spread))
-    loose = std[1:] > LOOSE_COM_M
+    loose = std[1:] > MOVING.loose_com_m
     com_out = tuple(float("nan") if bad else float(x) for x, bad in zip(com, loose, strict=True))
     return LoadResult(
         label=label,

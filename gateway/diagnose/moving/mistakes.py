@@ -13,14 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.moving.fit import MovingFit, MovingNoise, MovingProblem, fit
+from gateway.diagnose.moving.thresholds import MOVING
 from gateway.model.motion import MovingRows
 
 Floats = NDArray[np.float64]
-
-SURE = 4.0
-HALVED = 0.5
-NOT_WORSE = 1.03
-MOST = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +36,7 @@ class MovingMistake:
 def find_mistakes(problem: MovingProblem, allowed: frozenset[str]) -> list[MovingMistake]:
     """Mistakes in the order in which they were found, each with those before it undone."""
     found: list[MovingMistake] = []
-    for _ in range(MOST):
+    for _ in range(MOVING.most_mistakes):
         best = _worst(problem, allowed)
         if best is None:
             break
@@ -70,11 +66,16 @@ def _worst(problem: MovingProblem, allowed: frozenset[str]) -> MovingMistake | N
     for axis in axes:
         power = _friction_power(neutral, now, axis) if "sign_reversed" in allowed else 0.0
         if power < 0:
-            suspects.append((MovingMistake("sign_reversed", (axis + 1,)), NOT_WORSE if power < -SURE else HALVED))
+            suspects.append(
+                (
+                    MovingMistake("sign_reversed", (axis + 1,)),
+                    MOVING.not_worse if power < -MOVING.mistake else MOVING.halved,
+                )
+            )
     for pair in combinations(axes, 2):
         mistake = MovingMistake("axes_swapped", (pair[0] + 1, pair[1] + 1))
-        if "axes_swapped" in allowed and _ratio(neutral, now, mistake, everything, everything) < HALVED:
-            suspects.append((mistake, HALVED))
+        if "axes_swapped" in allowed and _ratio(neutral, now, mistake, everything, everything) < MOVING.halved:
+            suspects.append((mistake, MOVING.halved))
     judged = []
     for mistake, limit in suspects:
         ratio = _held_ratio(neutral, mistake)

@@ -16,6 +16,7 @@ from gateway.diagnose.moving.parameters import figures_of, parameters_of
 from gateway.diagnose.moving.pictures import pictures
 from gateway.diagnose.moving.select import Chosen
 from gateway.diagnose.moving.state import MovingState
+from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.moving.trial import Trial
 from gateway.model.effects import MISTAKES
 from gateway.result.result import (
@@ -33,7 +34,6 @@ from gateway.result.result import (
 Floats = NDArray[np.float64]
 
 ROWS_KEPT = 600
-OVERFITTED = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,7 +163,7 @@ def _does_not_carry(outcome: MovingOutcome) -> bool:
     """The model fits the rows but not those held out: the motion is too poor for what is to be estimated."""
     fitted, held = _rms(outcome.problem, outcome.after), outcome.after.held.rms_nm
     there = fitted > 0
-    return bool(there.any() and np.median(held[there] / fitted[there]) > OVERFITTED)
+    return bool(there.any() and np.median(held[there] / fitted[there]) > MOVING.overfitted)
 
 
 def _rejected(outcome: MovingOutcome) -> tuple[Rejected, ...]:

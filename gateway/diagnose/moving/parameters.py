@@ -11,6 +11,7 @@ from gateway.diagnose.moving.fit import MovingFit, MovingProblem
 from gateway.diagnose.moving.loads import jackknife, over_blocks
 from gateway.diagnose.moving.refine import coupling_cost
 from gateway.diagnose.moving.state import MovingState
+from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.moving.trial import Trial, extend
 from gateway.model.effects.axis_coupling import MotorCoupling
 from gateway.model.effects.current_rms_peak import EFFECT as RMS_PEAK
@@ -19,7 +20,6 @@ from gateway.model.term import Named, Term
 
 Floats = NDArray[np.float64]
 
-SURE = 4.0
 STEP = 1e-3
 
 
@@ -52,7 +52,7 @@ def certain(problem: MovingProblem, state: MovingState, terms: Sequence[Term]) -
     if not terms[0].scales_reading:
         return True
     _, parameters, std = parameters_of(problem, state, terms)
-    return all(abs(parameters[key] - 1.0) > SURE * std[key] for key in std)
+    return all(abs(parameters[key] - 1.0) > MOVING.certain_scale * std[key] for key in std)
 
 
 def _law(problem: MovingProblem, state: MovingState, term: Term) -> tuple[Named, Named]:

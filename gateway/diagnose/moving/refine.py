@@ -11,6 +11,7 @@ from scipy.optimize import minimize
 
 from gateway.diagnose.moving.fit import MovingProblem, fit, prior_precision
 from gateway.diagnose.moving.state import MovingState, refitted, state_of
+from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.moving.trial import extend, put_on_trial
 from gateway.model.effects.axis_coupling import MotorCoupling
 from gateway.model.term import Term
@@ -18,9 +19,6 @@ from gateway.model.term import Term
 Floats = NDArray[np.float64]
 
 COUPLING_STEPS = np.array([0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0])
-COUPLING_SLACK = 4.0
-#: How much better than a plainer law another one of the same effect has to do on held-out rows.
-LEAD = 5.0
 EVALUATIONS = 150
 
 
@@ -60,7 +58,7 @@ def _best_law(problem: MovingProblem, state: MovingState, found: Term, pool: Seq
         member = _best_shape(problem, state, member)
         trial = put_on_trial(problem, state.fits, state.full, member)
         if trial is not None and trial.gain > best:
-            chosen, best = member, trial.gain + LEAD
+            chosen, best = member, trial.gain + MOVING.lead
     return chosen
 
 
@@ -90,7 +88,7 @@ def _best_coupling(problem: MovingProblem, state: MovingState, term: MotorCoupli
     grid = np.unique(np.concatenate([centre * COUPLING_STEPS, [np.sign(centre)]]))
     costs = np.array([coupling_cost(problem, others, term, float(value)) for value in grid])
     whole = int(np.argmin(np.abs(grid - np.sign(centre))))
-    chosen = whole if costs[whole] - costs.min() < COUPLING_SLACK else int(np.argmin(costs))
+    chosen = whole if costs[whole] - costs.min() < MOVING.coupling_slack else int(np.argmin(costs))
     return replace(term, coefficient=float(grid[chosen]))
 
 

@@ -8,7 +8,7 @@ are ordinary in any gear need less than those that mean a fault or an extra part
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,44 +16,24 @@ from gateway.diagnose.moving.candidates import candidates, possible, suggested
 from gateway.diagnose.moving.fit import MovingProblem
 from gateway.diagnose.moving.refine import refine, reshaped
 from gateway.diagnose.moving.state import MovingState, compare, refitted, state_of, with_noise_of
+from gateway.diagnose.moving.thresholds import MOVING, Demands
 from gateway.diagnose.moving.trial import Trial, put_on_trial
 from gateway.model.effects import DRAWN, FRICTION
 from gateway.model.term import Term
-
-LARGEST_MODEL = 16
-RUNNERS = 12
-SURE_ODDS = 10.0
-# How much more often friction has another shape than an arm has a fault or an extra part.
-RARE = 30.0
-
-
-@dataclass(frozen=True, slots=True)
-class Demands:
-    """What an effect must show: largest ratio, largest p of both kinds (the first times the number tried), blocks."""
-
-    ratio: float
-    p_demand: float
-    p_held: float
-    blocks_better: float
-
-
-ORDINARY = Demands(ratio=0.90, p_demand=5e-3, p_held=0.02, blocks_better=0.5)
-SPECIAL = Demands(ratio=0.70, p_demand=1e-3, p_held=0.02, blocks_better=0.75)
-SPECIAL_ALL_AXES = replace(SPECIAL, ratio=0.85)
 
 
 def demands(term: Term, axes: int) -> Demands:
     """What this effect must show on an arm of so many axes."""
     if term.ordinary:
-        return ORDINARY
-    return SPECIAL_ALL_AXES if len(term.enters(axes)) > 2 else SPECIAL
+        return MOVING.ordinary
+    return MOVING.special_all_axes if len(term.enters(axes)) > 2 else MOVING.special
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chosen:
     """An effect in the final model: all its terms, its trial against the model without it, and the runner-up's.
 
-    `contested`: the runner-up meets its own demands, and the odds against it are below `SURE_ODDS`.
+    `contested`: the runner-up meets its own demands, and the odds against it are below `sure_odds`.
     """
 
     terms: tuple[Term, ...]
@@ -92,7 +72,7 @@ def select(
     state = state_of(problem, start)
     pool = candidates(problem, state.full, allowed)
     stale: dict[Term, float] = {}
-    while len(state.terms) < LARGEST_MODEL:
+    while len(state.terms) < MOVING.largest_model:
         tried = len(pool)
         best = _best(problem, state, pool, stale, tried)
         if best is None:
@@ -148,7 +128,7 @@ def _best(
 def _best_pair(problem: MovingProblem, state: MovingState, pool: Sequence[Term], tried: int) -> tuple[Term, ...]:
     """Two parts of one axis's friction that are believed together though neither is alone."""
     friction = [term for term in _open(state, pool) if term.name in FRICTION]
-    hopeless = ORDINARY.p_demand / tried
+    hopeless = MOVING.ordinary.p_demand / tried
     best, found = 0.0, ()
     for position, first in enumerate(friction):
         for second in friction[position + 1 :]:
@@ -191,7 +171,7 @@ def _needed(trial: Trial, axes: int) -> bool:
 
 def penalty(term: Term) -> float:
     """Log of what an effect has to make good before it is weighed: its coefficients, and being rare in arms."""
-    return len(term.linear) + (0.0 if term.name in FRICTION else float(np.log(RARE)))
+    return len(term.linear) + (0.0 if term.name in FRICTION else float(np.log(MOVING.rare)))
 
 
 def weigh(problem: MovingProblem, state: MovingState, allowed: frozenset[str]) -> list[Chosen]:
@@ -211,7 +191,7 @@ def weigh(problem: MovingProblem, state: MovingState, allowed: frozenset[str]) -
         rivals = _trials(problem, smaller, others)
         rivals = [
             trial
-            for trial in sorted(rivals, key=lambda trial: penalty(trial.term) - trial.gain)[:RUNNERS]
+            for trial in sorted(rivals, key=lambda trial: penalty(trial.term) - trial.gain)[: MOVING.runners]
             if possible(problem, smaller.full, trial.term, trial.value, trial.covariance)
         ]
         runner = rivals[0] if rivals else None
@@ -221,6 +201,6 @@ def weigh(problem: MovingProblem, state: MovingState, allowed: frozenset[str]) -
             own.gain - penalty(mine[0]) - (max(runner.gain - penalty(runner.term), 0.0) if runner is not None else 0.0)
         )
         odds = float(np.exp(np.clip(lead, -27.0, 27.0)))
-        contested = runner is not None and odds < SURE_ODDS and believed(problem, runner, len(pool))
+        contested = runner is not None and odds < MOVING.sure_odds and believed(problem, runner, len(pool))
         out.append(Chosen(mine, own, runner, odds, contested))
     return out

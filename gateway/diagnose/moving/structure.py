@@ -16,15 +16,13 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.moving.fit import MovingProblem
 from gateway.diagnose.moving.state import MovingState
+from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.moving.trial import Trial, put_on_trial
 from gateway.model.motion import Modelled, MovingRows
 from gateway.model.term import OnAxis
 from gateway.model.unnamed import harmonics
 
 Floats = NDArray[np.float64]
-
-RATIO = 0.87
-CHANCE = 1e-3
 
 
 def structured_axes(problem: MovingProblem, state: MovingState) -> dict[int, float]:
@@ -39,7 +37,11 @@ def structured_axes(problem: MovingProblem, state: MovingState) -> dict[int, flo
 
 
 def _convinces(trial: Trial) -> bool:
-    return trial.ratio <= RATIO and trial.p_held <= 10.0 * CHANCE and trial.p_demand <= CHANCE
+    return (
+        trial.ratio <= MOVING.structure_ratio
+        and trial.p_held <= 10.0 * MOVING.structure_p
+        and trial.p_demand <= MOVING.structure_p
+    )
 
 
 @dataclass(frozen=True, slots=True)

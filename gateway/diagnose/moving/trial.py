@@ -11,11 +11,11 @@ from scipy import stats
 
 from gateway.diagnose.held import Held
 from gateway.diagnose.moving.fit import INDEPENDENT, MovingFit, MovingProblem, counting_share, prior_precision
+from gateway.diagnose.moving.thresholds import MOVING
 from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
 FEWEST_STRETCHES, MOST_STRETCHES = 6, 24
-QUIET = 0.1
 # Coefficients, their covariance, drop of the cost, residual (n, len(axes)) with the effect, fit without it.
 Solved = tuple[Floats, Floats, float, Floats, MovingFit]
 
@@ -203,7 +203,7 @@ def drop_by_chance(before: Floats, after: Floats) -> float:
     count = int(np.clip(len(before) * counting_share(before - after), FEWEST_STRETCHES, MOST_STRETCHES))
     if len(before) < 2 * count or not before.any():
         return 1.0
-    floor = QUIET * before.mean()
+    floor = MOVING.quiet * before.mean()
     logs = np.array(
         [
             np.log((new.mean() + floor) / (old.mean() + floor))

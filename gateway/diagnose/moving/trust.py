@@ -14,19 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.moving.fit import MovingNoise, MovingProblem, counting_share, fit, prior_precision
+from gateway.diagnose.moving.thresholds import MOVING
 from gateway.identify.moving_baseline import baseline
 from gateway.model.effects import DRAWN
 from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
 
-USUAL = 0.05
-# Trust to search with: at the usual one the links stretch to swallow a balancer.
-START = 0.02
-USUAL_FACTOR = 2.0
 LEVELS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-WORTHLESS = 0.5
-CONTRADICTED = 3.0
 #: Precision that stands for no opinion on an effect's parameter.
 WIDE = 1e-8
 
@@ -58,8 +53,8 @@ def choose_trust(
         stories.append(without)
     scores = np.array([[_score(problem, story, known, level) for level in LEVELS] for story in stories])
     best = scores[int(np.argmax(scores.max(axis=1)))]
-    level = LEVELS[int(np.argmax(best >= best.max() - CONTRADICTED))]
-    return None if level >= WORTHLESS else level
+    level = LEVELS[int(np.argmax(best >= best.max() - MOVING.contradicted))]
+    return None if level >= MOVING.worthless else level
 
 
 def _with_noise_left(problem: MovingProblem, terms: Sequence[Term]) -> MovingProblem:
@@ -79,5 +74,5 @@ def _with_noise_left(problem: MovingProblem, terms: Sequence[Term]) -> MovingPro
 def _score(
     problem: MovingProblem, terms: Sequence[Term], known: Mapping[str, tuple[float, Floats]], level: float
 ) -> float:
-    usual = -0.5 * (np.log(level / USUAL) / np.log(USUAL_FACTOR)) ** 2 if level > USUAL else 0.0
-    return log_evidence(replace(problem, base=baseline(problem.motion, level, known)), terms) + float(usual)
+    worse = np.log(max(level / MOVING.usual_trust, 1.0)) / np.log(MOVING.usual_factor)
+    return log_evidence(replace(problem, base=baseline(problem.motion, level, known)), terms) - 0.5 * float(worse) ** 2

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.options import DiagnoseOptions
-from gateway.diagnose.rest.decide import LEAST_POSES, Decision
+from gateway.diagnose.rest.decide import Decision
 from gateway.diagnose.rest.linear import Fit, RestProblem, modelled, with_terms
 from gateway.diagnose.rest.problem import Knowledge, build_problem
 from gateway.diagnose.rest.rows import joined
+from gateway.diagnose.rest.thresholds import REST
 from gateway.identify.loads import BARE_LABEL
 from gateway.model.rest import RestRows
 from gateway.model.robot import Robot
@@ -20,10 +21,7 @@ from gateway.result.result import NextMeasurement
 
 Floats = NDArray[np.float64]
 
-COUNT = 8
 CHOICE = 400
-TELLING = 1.0
-APART_RAD = 0.3
 STEP_S = 30.0
 
 
@@ -37,7 +35,7 @@ def questions(
     """
     fits = [decision.whole, *(rival.fit for rival in decision.near[:4])]
     choice = pose_choice(problem.rows, options)
-    if len(np.unique(problem.rows.pose)) < LEAST_POSES:
+    if len(np.unique(problem.rows.pose)) < REST.least_poses:
         return (_measure(choice, _far_apart(problem.rows, choice), ()),)
     if len(fits) < 2:
         return ()
@@ -45,7 +43,7 @@ def questions(
     told = _disagreement(problem, robot, knowledge, fits, choice)
     poses = _spread_out(choice, told)
     expected = 0.5 * float(told[poses].sum())
-    if expected < TELLING:
+    if expected < REST.telling:
         what = (
             "hang a load of known mass and measure it, or add a bare run" if not knowledge.known else "weigh the links"
         )
@@ -63,7 +61,7 @@ def _far_apart(rows: RestRows, choice: Floats) -> NDArray[np.int_]:
     span = np.maximum(np.ptp(choice, axis=0), 1e-6)
     near = np.min([np.linalg.norm((choice - q) / span, axis=1) for q in rows.q_rad], axis=0)
     chosen: list[int] = []
-    for _ in range(min(COUNT, len(choice))):
+    for _ in range(min(REST.asked, len(choice))):
         best = int(np.argmax(near))
         chosen.append(best)
         near = np.minimum(near, np.linalg.norm((choice - choice[best]) / span, axis=1))
@@ -134,8 +132,8 @@ def _spread_out(choice: Floats, told: Floats) -> NDArray[np.int_]:
     """The most telling poses that are not next to each other."""
     chosen: list[int] = []
     for k in np.argsort(-told):
-        if all(np.abs(choice[k] - choice[other]).max() > APART_RAD for other in chosen):
+        if all(np.abs(choice[k] - choice[other]).max() > REST.apart_rad for other in chosen):
             chosen.append(int(k))
-        if len(chosen) == COUNT:
+        if len(chosen) == REST.asked:
             break
     return np.array(chosen, dtype=int)

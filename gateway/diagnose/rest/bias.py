@@ -6,11 +6,8 @@ import numpy as np
 from scipy.stats import norm
 
 from gateway.diagnose.rest.linear import Fit, RestProblem
+from gateway.diagnose.rest.thresholds import REST
 from gateway.result.result import EffectResult, Evidence
-
-SURE = 5.0
-LEAST_STRENGTH = 0.5
-EACH_SIDE = 2
 
 
 def friction_by_direction(problem: RestProblem, after: Fit) -> list[EffectResult]:
@@ -25,11 +22,11 @@ def friction_by_direction(problem: RestProblem, after: Fit) -> list[EffectResult
     out = []
     for axis in range(axes):
         side = rows.side[single & problem.use_sum[:, axis], axis]
-        if min(int((side > 0).sum()), int((side < 0).sum())) < EACH_SIDE:
+        if min(int((side > 0).sum()), int((side < 0).sum())) < REST.each_side:
             continue
         bias, std = float(after.band[axis]), float(np.sqrt(max(after.covariance[at + axis, at + axis], 0.0)))
         noise = float(after.noise.std[2 * axes + axis])
-        if bias < SURE * std or bias < LEAST_STRENGTH * noise:
+        if bias < REST.bias * std or bias < REST.bias_strength * noise:
             continue
         ratio = noise / float(np.hypot(noise, bias))
         evidence = Evidence(holdout_rms_ratio=ratio, p_value=float(max(axes * norm.sf(bias / std), 1e-300)))

@@ -11,21 +11,15 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.rest.linear import Fit, RestProblem, modelled, with_terms
 from gateway.diagnose.rest.screen import projector
-from gateway.diagnose.rest.search import NEEDED, Search, pruned
+from gateway.diagnose.rest.search import Search, pruned
 from gateway.diagnose.rest.structure import misfit
+from gateway.diagnose.rest.thresholds import REST
 from gateway.model.term import Label, Term
 from gateway.model.unnamed import UNNAMED
 from gateway.result.result import Verdict
 
 Floats = NDArray[np.float64]
 
-LEAST_STRENGTH = 0.5
-LEAST_LINK_STRENGTH = 1.2
-LEAST_POSES = 4
-SURE_ODDS = 20.0
-ASK_ODDS = 400.0
-HINT_ODDS = 3.0
-STRUCTURE_P = 1e-3
 Key = tuple[frozenset[Label], bool]
 
 
@@ -51,8 +45,8 @@ class Decision:
     before, after : fits without effects and with the proven ones
     whole : fit with the shapes without a name that are needed besides
     proven : effects of `after` that the data show; the others only correct the CAD's links and are not named
-    rivals : other sets within `SURE_ODDS`, best first
-    near : other sets within `ASK_ODDS`, worth more measurements
+    rivals : other sets within `sure_odds`, best first
+    near : other sets within `ask_odds`, worth more measurements
     structure_p : probability that noise leaves what is left
     odds : per effect, against the best hypothesis without it
     runner_up : per effect, name of what that hypothesis has instead
@@ -85,11 +79,11 @@ def decide(search: Search, chosen: Fit) -> Decision:
     after = search.fitted([term for term in whole.terms if term.name != UNNAMED], whole)
     proven = tuple(term for term in after.terms if strong(search, whole, term))
     near = _rivals(search, whole)
-    rivals = tuple(rival for rival in near if rival.odds < SURE_ODDS and not rival.holds)
+    rivals = tuple(rival for rival in near if rival.odds < REST.sure_odds and not rival.holds)
     structure_p = misfit(problem, whole)
     odds, runner_up = _odds(search, after)
     verdict = _verdict(search, whole, proven, rivals, structure_p)
-    if len(np.unique(problem.rows.pose)) < LEAST_POSES:
+    if len(np.unique(problem.rows.pose)) < REST.least_poses:
         verdict, after, proven, rivals = "undecided", before, (), ()
     return Decision(verdict, before, after, whole, proven, rivals, near, structure_p, odds, runner_up)
 
@@ -98,8 +92,8 @@ def _verdict(
     search: Search, whole: Fit, proven: tuple[Term, ...], rivals: tuple[Rival, ...], structure_p: float
 ) -> Verdict:
     shapes = [term for term in whole.terms if term.name == UNNAMED]
-    unnamed = any(strength(search, whole, term) >= LEAST_STRENGTH for term in shapes)
-    left = unnamed or structure_p < STRUCTURE_P
+    unnamed = any(strength(search, whole, term) >= REST.least_strength for term in shapes)
+    left = unnamed or structure_p < REST.structure_p
     if not proven:
         return "unexplained" if left else "none_needed"
     if any(_key(search, rival.fit)[0] for rival in rivals):
@@ -134,8 +128,8 @@ def _without_weak(search: Search, chosen: Fit) -> Fit:
     weak = [term for term in chosen.terms if not strong(search, chosen, term)]
     if not weak:
         return chosen
-    level = search.score(chosen) - NEEDED
-    least = LEAST_LINK_STRENGTH if all(term.name == "link_mass" for term in weak) else LEAST_STRENGTH
+    level = search.score(chosen) - REST.needed
+    least = REST.least_link_strength if all(term.name == "link_mass" for term in weak) else REST.least_strength
     as_good = [fit for fit in search.pool.values() if search.score(fit) >= level and fit.terms]
     better = [
         fit
@@ -149,7 +143,7 @@ def strong(search: Search, hypothesis: Fit, term: Term) -> bool:
     """Whether the data, and not the prior on the links alone, show an effect."""
     if term.name == UNNAMED:
         return True
-    least = LEAST_LINK_STRENGTH if term.name == "link_mass" else LEAST_STRENGTH
+    least = REST.least_link_strength if term.name == "link_mass" else REST.least_strength
     return strength(search, hypothesis, term) >= least
 
 
@@ -162,7 +156,7 @@ def _key(search: Search, hypothesis: Fit) -> Key:
 
 def _rivals(search: Search, whole: Fit) -> tuple[Rival, ...]:
     """Sets of names by the sum of the evidence of their shapes; larger ones only where they gain something."""
-    level = search.score(whole) - math.log(ASK_ODDS) - NEEDED
+    level = search.score(whole) - math.log(REST.ask_odds) - REST.needed
     groups: dict[Key, list[Fit]] = {}
     for hypothesis in search.pool.values():
         if search.score(hypothesis) >= level:
@@ -174,7 +168,7 @@ def _rivals(search: Search, whole: Fit) -> tuple[Rival, ...]:
     for (names, unnamed), members in groups.items():
         contains = names >= own and unnamed >= own_unnamed
         odds = math.exp(min(reference - total[(names, unnamed)], 50.0))
-        if (names, unnamed) != (own, own_unnamed) and odds <= (HINT_ODDS if contains else ASK_ODDS):
+        if (names, unnamed) != (own, own_unnamed) and odds <= (REST.hint_odds if contains else REST.ask_odds):
             out.append(Rival(search.best(members), odds, contains))
     return tuple(sorted(out, key=lambda rival: rival.odds))
 

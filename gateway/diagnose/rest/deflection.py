@@ -8,10 +8,8 @@ import numpy as np
 from scipy.stats import t as student
 
 from gateway.diagnose.rest.linear import Fit, RestProblem, modelled
+from gateway.diagnose.rest.thresholds import REST
 from gateway.result.result import EffectResult, Evidence
-
-SURE = 6.0
-LEAST_STRENGTH = 0.6
 
 
 def elastic_joints(problem: RestProblem, after: Fit) -> list[EffectResult]:
@@ -37,7 +35,7 @@ def elastic_joints(problem: RestProblem, after: Fit) -> list[EffectResult]:
         spread = max(float(np.sqrt(left @ left / freedom)), least)
         covariance = spread**2 * np.linalg.pinv(design.T @ design)
         compliance, std = float(value[0]), float(np.sqrt(covariance[0, 0]))
-        if compliance < SURE * std or _strength(problem, after, axis, compliance) < LEAST_STRENGTH:
+        if compliance < REST.wind_up * std or _strength(problem, after, axis, compliance) < REST.wind_up_strength:
             continue
         p_value = float(max(student.sf(compliance / std, freedom) * problem.axes, 1e-300))
         name, key = "joint_elasticity", "compliance_rad_nm"

@@ -12,7 +12,7 @@ from gateway.data.table import Table
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.rest.ask import questions
 from gateway.diagnose.rest.bias import friction_by_direction
-from gateway.diagnose.rest.decide import STRUCTURE_P, Decision, decide
+from gateway.diagnose.rest.decide import Decision, decide
 from gateway.diagnose.rest.deflection import elastic_joints
 from gateway.diagnose.rest.fit import fit
 from gateway.diagnose.rest.holdout import Unseen, foretold_covariance, predicted
@@ -42,6 +42,7 @@ from gateway.diagnose.rest.remarks import corrected_links, limits, refused_loads
 from gateway.diagnose.rest.rows import joined, rest_rows
 from gateway.diagnose.rest.search import Search, run
 from gateway.diagnose.rest.structure import fresh_misfit, spare_rows
+from gateway.diagnose.rest.thresholds import REST
 from gateway.errors import DataUnusable
 from gateway.identify.links import default_inertials, parse_inertials
 from gateway.identify.loads import BARE_LABEL
@@ -51,8 +52,6 @@ from gateway.model.robot import Robot
 from gateway.model.unnamed import unnamed_terms
 from gateway.result.result import Finding, FitSummary, HoldoutKind, LoadResult, Result, Verdict
 
-SURER = 5.0
-OBVIOUS = 150.0
 #: A verdict once something was found beside the search, and once rows that no fit has seen contradict it.
 MORE: Final[Mapping[Verdict, Verdict]] = {
     "none_needed": "explained",
@@ -88,7 +87,7 @@ class Found:
             axes = self.search.problem.axis + 1
             scale -= float(np.sum(np.isin(axes, mistake.joints))) * float(np.log(mistake.factor))
         signs = band_signs(self.search.problem, self.chosen)
-        against = sum(SURER + mistake.handicap for mistake in self.mistakes)
+        against = sum(REST.surer + mistake.handicap for mistake in self.mistakes)
         return self.search.score(self.chosen) + signs + scale - against
 
     @property
@@ -124,7 +123,7 @@ class RestDiagnosis:
         looked = beyond_any_effect(problem, plain)
         if looked:
             mistakes, gained = find_mistakes(table, self.problem, self.options.allowed)
-            if gained > OBVIOUS and self._settled(_undone(table, mistakes)):
+            if gained > REST.obvious and self._settled(_undone(table, mistakes)):
                 return self._searched(table, mistakes, gained)
         found = self._searched(table, (), 0.0)
         if not looked and (suspicious(found.search.problem, found.chosen) or links_far_from_cad(problem, plain)):
@@ -242,7 +241,7 @@ class RestDiagnosis:
         residual = predicted(held, decision.after)
         spare = spare_rows(problem, decision.after)
         chance = fresh_misfit(residual, foretold_covariance(held, decision.after), axis, spare)
-        if chance >= STRUCTURE_P:
+        if chance >= REST.structure_p:
             return decision, []
         verdict = LESS[decision.verdict]
         finding = Finding(

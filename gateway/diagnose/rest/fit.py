@@ -24,13 +24,13 @@ from gateway.diagnose.rest.linear import (
     term_columns,
     with_terms,
 )
+from gateway.diagnose.rest.thresholds import REST
 from gateway.model.rest import AlteredModel
 from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-NOISE_WEIGHT = 4.0
 _STEPS = 6
 
 
@@ -186,8 +186,8 @@ def _move(problem: RestProblem, terms: Sequence[Term], state: _State, delta: Flo
 def _update_noise(problem: RestProblem, residual: Floats, orthogonal: Floats, noise: Noise) -> Noise:
     leverage = (orthogonal**2).sum(axis=1)
     count, taken, squares = problem.by_group(), problem.by_group(leverage), problem.by_group(residual**2)
-    freedom = np.maximum(count - taken, 0.0) + NOISE_WEIGHT
-    variance = (squares + NOISE_WEIGHT * noise.start**2) / freedom
+    freedom = np.maximum(count - taken, 0.0) + REST.noise_weight
+    variance = (squares + REST.noise_weight * noise.start**2) / freedom
     std = np.where(count > 0, np.maximum(np.sqrt(variance), noise.least), noise.start)
     return Noise(noise.start, std, noise.least)
 
@@ -206,4 +206,4 @@ def _log_density(problem: RestProblem, residual: Floats, noise: Noise, penalty: 
     density = -float(np.sum(np.log(std))) - 0.5 * float(np.sum((residual / std) ** 2)) - 0.5 * penalty
     used = np.unique(problem.group)
     ratio = (noise.start[used] / noise.std[used]) ** 2
-    return density + float(np.sum((NOISE_WEIGHT / 2.0 + 1.0) * np.log(ratio) - NOISE_WEIGHT / 2.0 * ratio))
+    return density + float(np.sum((REST.noise_weight / 2.0 + 1.0) * np.log(ratio) - REST.noise_weight / 2.0 * ratio))

@@ -8,14 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.diagnose.rest.thresholds import REST
 from gateway.model.rest import AlteredModel, Model, RestRows, neutral
 from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-RELATIVE_FLOOR = 2e-4
-STRENGTH_SPREAD = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,6 +221,6 @@ def spread_of(problem: RestProblem, noise: Noise, term: Term, columns: Floats) -
     """Prior standard deviation (k,) of an effect's parameters: what is plausible, or ten noise floors."""
     weighted = columns / noise.std[problem.group][:, None]
     size = np.sqrt((weighted**2).sum(axis=0) / max(len(problem.rows), 1))
-    by_strength = STRENGTH_SPREAD / np.maximum(size, max(1e-3 * float(size.max(initial=0.0)), 1e-12))
+    by_strength = REST.strength_spread / np.maximum(size, max(1e-3 * float(size.max(initial=0.0)), 1e-12))
     plausible = np.array(term.spread)
     return np.where(np.isnan(plausible), by_strength, plausible)

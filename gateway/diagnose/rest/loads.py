@@ -8,16 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm, t
 
-from gateway.diagnose.rest.fit import NOISE_WEIGHT
 from gateway.diagnose.rest.linear import Fit, RestProblem
+from gateway.diagnose.rest.thresholds import REST
 from gateway.model.robot import Robot
 from gateway.result.result import LoadResult
 
 Floats = NDArray[np.float64]
 
-BLIND_MASS = 0.5
-BLIND_M = 0.5
-AGAINST_MASS = 3.0
 NAMES = ("com_x", "com_y", "com_z")
 
 
@@ -32,10 +29,10 @@ def _load(problem: RestProblem, fit: Fit, robot: Robot, index: int) -> LoadResul
     part = problem.load_part(index)
     covariance = fit.covariance[part, part] * _widening(problem, fit, part) ** 2
     mass, mass_std = float(phi[0]), float(np.sqrt(covariance[0, 0]))
-    if mass + AGAINST_MASS * mass_std < 0:
+    if mass + REST.against_mass * mass_std < 0:
         reason = f"the data ask for a mass of {mass:.3g} kg (standard deviation {mass_std:.2g} kg)"
         return LoadResult(label, refused=reason)
-    if mass_std > BLIND_MASS * max(abs(mass), 1e-3) or mass <= 0:
+    if mass_std > REST.blind_mass * max(abs(mass), 1e-3) or mass <= 0:
         return LoadResult(label, unidentifiable=("mass", *NAMES))
     com = phi[1:] / mass
     slope = np.zeros((4, 4))
@@ -44,7 +41,7 @@ def _load(problem: RestProblem, fit: Fit, robot: Robot, index: int) -> LoadResul
     slope[1:, 1:] = np.eye(3) / mass
     spread = slope @ covariance @ slope.T
     std = np.sqrt(np.maximum(np.diag(spread), 0.0))
-    blind = std[1:] > BLIND_M
+    blind = std[1:] > REST.blind_m
     known = np.where(blind, math.nan, com)
     scale = np.where(std > 0, std, 1.0)
     flange = None if robot.flange is None else _in_flange(known, robot.flange)
@@ -68,7 +65,7 @@ def _widening(problem: RestProblem, fit: Fit, part: slice) -> float:
     axis says about the load.
     """
     taken = problem.by_group((fit.orthogonal**2).sum(axis=1))
-    freedom = np.maximum(problem.by_group() - taken, 0.0) + NOISE_WEIGHT
+    freedom = np.maximum(problem.by_group() - taken, 0.0) + REST.noise_weight
     told = ((fit.design[:, part] / fit.noise.std[problem.group][:, None]) ** 2).sum(axis=1)
     if not told.any():
         return 1.0

@@ -19,19 +19,11 @@ from gateway.data.table import Table
 from gateway.diagnose.rest.fit import fit
 from gateway.diagnose.rest.linear import Fit, RestProblem
 from gateway.diagnose.rest.problem import first_noise
+from gateway.diagnose.rest.thresholds import REST
 from gateway.model.effects.current_rms_peak import FACTOR
 from gateway.model.unnamed import UNNAMED
 
 Floats = NDArray[np.float64]
-
-SURE = 20.0
-COMMON = 30.0
-SUSPICIOUS = 1.7
-FAR_FROM_CAD = 60.0
-BEYOND_ANY_EFFECT = 8.0
-NEGATIVE_BAND = -3.0
-ODD_GAIN = 0.24
-MOST = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +46,7 @@ class Mistake:
     @property
     def handicap(self) -> float:
         """Log odds against the mistake beforehand: heavier links look like a factor on all axes at once."""
-        return COMMON if len(self.joints) > 2 else 0.0
+        return REST.common_mistake if len(self.joints) > 2 else 0.0
 
     def undo(self, table: Table) -> Table:
         """The table as it would read without the mistake."""
@@ -116,28 +108,28 @@ def _over_floor(problem: RestProblem, result: Fit) -> float:
 
 def links_far_from_cad(problem: RestProblem, fitted: Fit) -> bool:
     """Whether a fit asks for links that are far from what the CAD says."""
-    return float(np.sum(((fitted.links - problem.links) / problem.link_std) ** 2)) > FAR_FROM_CAD
+    return float(np.sum(((fitted.links - problem.links) / problem.link_std) ** 2)) > REST.far_from_cad
 
 
 def beyond_any_effect(problem: RestProblem, plain: Fit) -> bool:
     """Whether the model without effects fails so badly that a mistake is the first thing to look for."""
-    return _over_floor(problem, plain) > BEYOND_ANY_EFFECT or band_signs(problem, plain) < -BEYOND_ANY_EFFECT
+    return _over_floor(problem, plain) > REST.beyond_any_effect or band_signs(problem, plain) < -REST.beyond_any_effect
 
 
 def suspicious(problem: RestProblem, plain: Fit) -> bool:
     """Whether the best hypothesis is so odd, or leaves so much, that a mistake is worth looking for."""
-    backward = bool((_bands(problem, plain) < NEGATIVE_BAND).any())
+    backward = bool((_bands(problem, plain) < REST.negative_band).any())
     one_sided = not problem.rows.two_sided.all()
     gains = [abs(float(v[0])) for t, v in zip(plain.terms, plain.theta, strict=True) if t.scales_reading]
     unnamed = any(term.name == UNNAMED for term in plain.terms)
-    odd = unnamed or one_sided or backward or max(gains, default=0.0) > ODD_GAIN
-    return odd or _over_floor(problem, plain) > SUSPICIOUS or links_far_from_cad(problem, plain)
+    odd = unnamed or one_sided or backward or max(gains, default=0.0) > REST.odd_gain
+    return odd or _over_floor(problem, plain) > REST.suspicious or links_far_from_cad(problem, plain)
 
 
 def find_mistakes(
     table: Table, build: Callable[[Table], RestProblem], allowed: frozenset[str]
 ) -> tuple[tuple[Mistake, ...], float]:
-    """Mistakes whose undoing the model without effects likes better by `SURE` or more, most likely first.
+    """Mistakes whose undoing the model without effects likes better by `mistake` or more, most likely first.
 
     Parameters
     ----------
@@ -154,7 +146,7 @@ def find_mistakes(
     problem = build(table)
     before, plain = plain_score(problem, 0.0)
     measured = np.asarray(problem.use_sum.any(axis=0))
-    while len(found) < MOST and (not found or suspicious(problem, plain)):
+    while len(found) < REST.most_mistakes and (not found or suspicious(problem, plain)):
         best: tuple[float, Mistake, RestProblem, Fit] | None = None
         for mistake in candidates(measured):
             if mistake.name not in allowed or any(set(mistake.joints) & set(old.joints) for old in found):
@@ -167,7 +159,7 @@ def find_mistakes(
                 continue  # a factor on all axes leaves links as the CAD has them, one heavy link does not
             if best is None or value > best[0]:
                 best = value, mistake, changed, result
-        if best is None or best[0] - before < SURE:
+        if best is None or best[0] - before < REST.mistake:
             break
         gained += best[0] - before
         before, mistake, problem, plain = best

@@ -11,12 +11,7 @@ from scipy.stats import chi2
 
 from gateway.diagnose.held import Held, listed
 from gateway.diagnose.rest.decide import Decision, noise_floor, strong
-from gateway.diagnose.rest.holdout import (
-    Unseen,
-    left_out,
-    left_out_with,
-    predicted,
-)
+from gateway.diagnose.rest.holdout import Unseen, left_out, left_out_with, predicted
 from gateway.diagnose.rest.linear import Fit, RestProblem
 from gateway.diagnose.rest.loads import loads_of
 from gateway.diagnose.rest.mistakes import Mistake

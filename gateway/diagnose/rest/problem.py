@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.rest.linear import RELATIVE_FLOOR, Noise, RestProblem
+from gateway.diagnose.rest.linear import Noise, RestProblem
+from gateway.diagnose.rest.thresholds import REST
 from gateway.errors import DataUnusable
 from gateway.identify.links import PER_LINK_AT_REST, link_prior, parse_inertials
 from gateway.identify.loads import bare_rows, load_vector, unknown_labels
@@ -104,7 +105,7 @@ def first_noise(problem: RestProblem) -> Noise:
         size = float(np.sqrt(np.mean(rows.sum_nm[measured, axis] ** 2)))
         samples = rows.sample_std_nm[measured, axis]
         quiet = float(np.nanmedian(samples)) if np.isfinite(samples).any() else 0.0
-        floor = max(0.5 * quiet, RELATIVE_FLOOR * size, 1e-9)
+        floor = max(0.5 * quiet, REST.relative_floor * size, 1e-9)
         least[[axis, axis + axes, axis + 2 * axes]] = floor
         start[[axis, axis + axes]] = max(_difference_scatter(problem, axis, torque[:, axis]), floor)
         start[axis + 2 * axes] = max(quiet, 0.02 * size, floor)

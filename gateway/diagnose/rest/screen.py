@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.rest.linear import Fit, RestProblem, spread_of, term_columns
+from gateway.diagnose.rest.thresholds import REST
 from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
-
-
-INERT = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +65,7 @@ def screen(
         columns = raw[term] if raw is not None else columns_of(problem, fit, term)
         spread = spread_of(problem, fit.noise, term, columns)[np.array(term.linear)]
         columns = columns[:, np.array(term.linear)] * (weight[:, None] * spread)
-        if not np.isfinite(columns).all() or float(np.linalg.norm(columns)) < INERT:
+        if not np.isfinite(columns).all() or float(np.linalg.norm(columns)) < REST.inert:
             continue
         kept.append(term)
         weighted.append(columns)

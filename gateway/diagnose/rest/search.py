@@ -17,22 +17,11 @@ from numpy.typing import NDArray
 from gateway.diagnose.rest.fit import fit
 from gateway.diagnose.rest.linear import Fit, Noise, RestProblem
 from gateway.diagnose.rest.screen import Screen, columns_of, pair_log_bayes, screen
+from gateway.diagnose.rest.thresholds import REST
 from gateway.model.term import Label, Term
 from gateway.model.unnamed import UNNAMED
 
 Floats = NDArray[np.float64]
-
-NEEDED = 3.0
-SINGLES = 8
-PAIRS = 10
-FORWARD = 5
-MOST_EFFECTS = 3
-UNNAMED_FITTED = 4
-IMPLAUSIBLE = 8.0
-RARE = 2.0
-SHAPES = 2
-SHAPES_FITTED = 6
-SHAPES_ADDED = 3
 
 
 def term_shapes(term: Term, among: Sequence[Term]) -> int:
@@ -67,13 +56,13 @@ class Search:
         for term in self.named:
             self.prior[term] = -np.log(places) - np.log(term_shapes(term, self.named))
         for term in self.unnamed:
-            self.prior[term] = -np.log(len(self.unnamed)) - RARE
+            self.prior[term] = -np.log(len(self.unnamed)) - REST.rare
 
     def score(self, hypothesis: Fit) -> float:
-        """Evidence plus log prior of a hypothesis; an effect that its mechanism cannot do costs `IMPLAUSIBLE` more."""
+        """Evidence plus log prior of a hypothesis; an effect that its mechanism cannot do costs `implausible` more."""
         rows = self.problem.rows
         odd = sum(not term.plausible(v, rows) for term, v in zip(hypothesis.terms, hypothesis.theta, strict=True))
-        return hypothesis.evidence + sum(self.prior[term] for term in hypothesis.terms) - IMPLAUSIBLE * odd
+        return hypothesis.evidence + sum(self.prior[term] for term in hypothesis.terms) - REST.implausible * odd
 
     def fitted(self, terms: Iterable[Term], start: Fit | None = None) -> Fit:
         """The fit of a set of effects, computed once."""
@@ -101,7 +90,7 @@ def run(search: Search) -> Fit:
 
     Returns
     -------
-    the fit whose score is highest, after effects whose removal costs less than `NEEDED` were taken out again
+    the fit whose score is highest, after effects whose removal costs less than `needed` were taken out again
     """
     nothing = search.fitted(())
     views = [search.view(nothing, search.named, std) for std in (search.noise.start, nothing.noise.std)]
@@ -109,10 +98,10 @@ def run(search: Search) -> Fit:
         search.fitted(terms, nothing)
     for terms in _promising_pairs(views[0]):
         search.fitted(terms, nothing)
-    for _ in range(MOST_EFFECTS):
+    for _ in range(REST.most_effects):
         leaders = sorted(search.pool.values(), key=search.score, reverse=True)[:3]
         for leader in leaders:
-            _extend(search, leader, search.named, FORWARD)
+            _extend(search, leader, search.named, REST.forward)
     _rivals(search)
     return pruned(search, search.best())
 
@@ -124,8 +113,8 @@ def _promising_singles(views: Sequence[Screen]) -> list[tuple[Term, ...]]:
         for index in np.argsort(-view.log_bayes):
             term = view.terms[index]
             seen[term.label] = seen.get(term.label, 0) + 1
-            limit = SHAPES if all(term.linear) else SHAPES_FITTED
-            if seen[term.label] > limit or len(seen) > SINGLES:
+            limit = REST.shapes if all(term.linear) else REST.shapes_fitted
+            if seen[term.label] > limit or len(seen) > REST.singles:
                 continue
             out.append((term,))
     return list(dict.fromkeys(out))
@@ -141,13 +130,13 @@ def _promising_pairs(view: Screen) -> list[tuple[Term, ...]]:
     if not len(pairs):
         return []
     values = pair_log_bayes(view, pairs[:, 0], pairs[:, 1])
-    top = np.argsort(-values)[:PAIRS]
+    top = np.argsort(-values)[: REST.pairs]
     return [(view.terms[a], view.terms[b]) for a, b in pairs[top]]
 
 
 def _extend(search: Search, leader: Fit, candidates: Sequence[Term], count: int) -> None:
     """Fit the hypotheses that add one of the most promising candidates to a leader."""
-    if len(leader.terms) >= MOST_EFFECTS or any(term not in search.named for term in leader.terms):
+    if len(leader.terms) >= REST.most_effects or any(term not in search.named for term in leader.terms):
         return
     taken = {term.label for term in leader.terms}
     open_terms = [term for term in candidates if term.label not in taken]
@@ -157,7 +146,7 @@ def _extend(search: Search, leader: Fit, candidates: Sequence[Term], count: int)
         for index in np.argsort(-view.log_bayes):
             term = view.terms[index]
             key = term.label if term.name != UNNAMED else term
-            shapes = 1 if all(term.linear) else SHAPES_ADDED
+            shapes = 1 if all(term.linear) else REST.shapes_added
             if seen.get(key, 0) >= shapes:
                 continue
             if (key not in seen and len(seen) >= count) or view.log_bayes[index] + search.prior[term] < -2.0:
@@ -171,7 +160,7 @@ def _rivals(search: Search) -> None:
     best = search.best()
     sets = [best.terms] + [tuple(t for t in best.terms if t is not term) for term in best.terms]
     for terms in sets:
-        _extend(search, search.fitted(terms), search.unnamed, UNNAMED_FITTED)
+        _extend(search, search.fitted(terms), search.unnamed, REST.unnamed)
 
 
 def pruned(search: Search, chosen: Fit) -> Fit:
@@ -179,7 +168,7 @@ def pruned(search: Search, chosen: Fit) -> Fit:
     while chosen.terms:
         smaller = [search.fitted([t for t in chosen.terms if t is not term], chosen) for term in chosen.terms]
         best = max(smaller, key=search.score)
-        if search.score(chosen) - search.score(best) >= NEEDED:
+        if search.score(chosen) - search.score(best) >= REST.needed:
             return chosen
         chosen = best
     return chosen

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, largest_torque_nm
 from gateway.model.motion import MovingRows
 from gateway.model.rest import RestRows
-from gateway.model.term import NAN, Named, Passive, Seen, Term, propagated
+from gateway.model.term import NAN, Named, PassiveTorque, Seen, Term, propagated
 
 Floats = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ FREE_SPREAD: Final = 0.25
 
 
 @dataclass(frozen=True, slots=True)
-class _Balancer(Passive):
+class _Balancer(PassiveTorque):
     """A spring shortest at q2 = phase."""
 
     axis: int = 1

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, measured_axes, moving_axes
 from gateway.model.motion import MovingRows
 from gateway.model.rest import RestRows
-from gateway.model.term import NAN, Named, Passive, Seen, Term, propagated, wrist
+from gateway.model.term import NAN, Named, PassiveTorque, Seen, Term, propagated, wrist
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class _Cable(Passive):
+class _Cable(PassiveTorque):
     name: ClassVar[str] = "cable_torque"
 
 

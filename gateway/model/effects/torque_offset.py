@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, measured_axes, moving_axes
 from gateway.model.motion import MovingRows
 from gateway.model.rest import RestRows
-from gateway.model.term import Reading, Term
+from gateway.model.term import ReadingTorque, Term
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class TorqueOffset(Reading):
+class TorqueOffset(ReadingTorque):
     """`offset`, whatever the arm does."""
 
     name: ClassVar[str] = "torque_offset"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gateway.model.effect import Effect, MotionSetup, RestSetup, measured_axes, moving_axes
 from gateway.model.motion import MovingRows
 from gateway.model.rest import RestRows
-from gateway.model.term import NAN, Named, Reading, Term, propagated
+from gateway.model.term import NAN, Named, ReadingTorque, Term, propagated
 
 Floats = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ MOST_PER_REVOLUTION: Final = 600.0
 
 
 @dataclass(frozen=True, slots=True)
-class TorqueRipple(Reading):
+class TorqueRipple(ReadingTorque):
     """`a sin(w q) + b cos(w q)`, `w` swings per turn."""
 
     per_revolution: float = 100.0

@@ -27,11 +27,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from gateway.model.effect import Effect, Over
-from gateway.model.term import Passive
+from gateway.model.term import PassiveTorque
 
 
 @dataclass(frozen=True, slots=True)
-class CamRope(Passive):
+class CamRope(PassiveTorque):
     name = "cam_rope"
     parameters = ("pull_nm",)
     bounds = {"pull_nm": (0.0, 1e4)}

@@ -1,0 +1,139 @@
+"""Every tuned number of the diagnosis at rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from gateway.diagnose.thresholds import BLIND, threshold
+
+KASS: Final = "Kass and Raftery (1995): 3 positive, 20 strong"
+
+
+@dataclass(frozen=True, slots=True)
+class RestThresholds:
+    """Thresholds of the diagnosis at rest."""
+
+    # what is named
+    least_poses: int = threshold(
+        4,
+        "",
+        "poses below which nothing is held out and no effect is named",
+        "one to spare beyond the three of a centre of gravity",
+    )
+    least_strength: float = threshold(
+        0.5, "floors", "what links, loads and bands leave of an effect that is named", BLIND
+    )
+    least_link_strength: float = threshold(
+        1.2, "floors", "the same of extra mass on a link, which a drawing that is wrong looks like", BLIND
+    )
+    sure_odds: float = threshold(20.0, "", "odds below which another set of effects is a rival", KASS)
+    ask_odds: float = threshold(
+        400.0,
+        "",
+        "odds below which a rival is worth more measurements",
+        "the square of sure odds: one more measurement of the same weight could turn it",
+    )
+    hint_odds: float = threshold(3.0, "", "odds below which a larger set is kept in mind", KASS)
+    structure_p: float = threshold(
+        1e-3,
+        "",
+        "probability that noise leaves what is left, below which structure remains",
+        "one false alarm in a thousand clean cells",
+    )
+    most_effects: int = threshold(
+        3, "", "effects of one hypothesis", "pairs were the most that blind cells hide, one more to be able to fail"
+    )
+    needed: float = threshold(3.0, "log odds", "what an effect has to gain to stay", "log of 20, as sure odds")
+    implausible: float = threshold(8.0, "log odds", "against an effect that its mechanism cannot do", BLIND)
+    rare: float = threshold(2.0, "log odds", "against a shape without a name beside the effects with one", BLIND)
+    # prior and noise
+    strength_spread: float = threshold(
+        10.0,
+        "floors",
+        "how strong an effect of unknown size may be (standard deviation of its prior)",
+        "the strengths that blind cells draw, 1.5 to 20",
+    )
+    noise_weight: float = threshold(4.0, "rows", "weight of the noise that the sides of visits show beforehand", BLIND)
+    relative_floor: float = threshold(
+        2e-4,
+        "",
+        "share of an axis's torque below which no noise is believed",
+        "resolution of a torque word of 1000 steps, rounded off over some visits",
+    )
+    # where the search looks
+    singles: int = threshold(8, "", "places fitted alone", BLIND)
+    pairs: int = threshold(10, "", "pairs of places fitted together", BLIND)
+    forward: int = threshold(5, "", "places added to a leader", BLIND)
+    unnamed: int = threshold(4, "", "shapes without a name added to a leader", BLIND)
+    shapes: int = threshold(2, "", "shapes fitted at one place, of effects that are linear", BLIND)
+    shapes_fitted: int = threshold(6, "", "the same of effects that are not", BLIND)
+    shapes_added: int = threshold(3, "", "the same, added to a leader", BLIND)
+    inert: float = threshold(
+        0.5,
+        "floors",
+        "largest change of all rows below which a candidate does nothing",
+        "half a floor over all rows together is seen by no fit",
+    )
+    # commissioning mistakes
+    mistake: float = threshold(20.0, "log odds", "what undoing a mistake has to gain", BLIND)
+    common_mistake: float = threshold(
+        30.0, "log odds", "against one factor on all axes: heavier links look like it", BLIND
+    )
+    surer: float = threshold(5.0, "log odds", "against a mistake beside the best effects instead", BLIND)
+    obvious: float = threshold(150.0, "log odds", "gain at which effects need not be searched for first", BLIND)
+    most_mistakes: int = threshold(3, "", "mistakes of one arm", "two wrong drives and one cable")
+    suspicious: float = threshold(
+        1.7, "floors", "what is left of the half sums at which mistakes are looked for", BLIND
+    )
+    beyond_any_effect: float = threshold(8.0, "floors", "the same at which they are looked for first", BLIND)
+    negative_band: float = threshold(
+        -3.0,
+        "std",
+        "a friction band this far below zero is read with the wrong sign",
+        "one axis in a thousand by chance",
+    )
+    odd_gain: float = threshold(
+        0.24,
+        "",
+        "a scale this far from 1 may be a factor of sqrt 2",
+        "what 1 lacks to the root of one half, less 5 % of the drawing",
+    )
+    far_from_cad: float = threshold(
+        60.0,
+        "",
+        "squares of links over their trust beyond which a mistake is likelier",
+        "24 parameters, and 5 standard deviations of their chi-square",
+    )
+    # direct evidence
+    wind_up: float = threshold(6.0, "std", "compliance by a secondary encoder that is named", BLIND)
+    wind_up_strength: float = threshold(0.6, "floors", "what the torque would miss without that encoder", BLIND)
+    bias: float = threshold(
+        5.0,
+        "std",
+        "friction by direction in one-sided visits that is named",
+        "six axes, one false alarm in half a million",
+    )
+    bias_strength: float = threshold(0.5, "floors", "size of it that matters", "as least strength")
+    each_side: int = threshold(2, "", "one-sided visits from each side", "one to fit, one to contradict")
+    # loads
+    blind_mass: float = threshold(
+        0.5, "", "relative standard deviation at which a mass is unknown", "a load that may be half or double is none"
+    )
+    blind_m: float = threshold(
+        0.5, "m", "standard deviation at which a coordinate of the centre is unknown", "the size of a large load"
+    )
+    against_mass: float = threshold(
+        3.0, "std", "a mass this far below zero is refused", "one load in a thousand by chance"
+    )
+    # what to measure next
+    asked: int = threshold(8, "", "poses asked for at once", "some five minutes of measuring")
+    telling: float = threshold(
+        1.0, "log odds", "what new poses have to promise", "less does not change odds that matter"
+    )
+    apart_rad: float = threshold(
+        0.3, "rad", "distance of poses that are asked for", "17 degrees: the same pose twice tells friction, not shape"
+    )
+
+
+REST: Final = RestThresholds()
