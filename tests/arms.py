@@ -8,11 +8,11 @@ import numpy as np
 import pinocchio  # pyright: ignore[reportMissingImports]
 
 
-def urdf_of(rng: np.random.Generator, more: str = "") -> str:
-    """URDF text of a random arm of six axes with random inertials; `more` is put inside <robot>."""
+def urdf_of(rng: np.random.Generator, more: str = "", axes: int = 6) -> str:
+    """URDF text of a random arm with random inertials; `more` is put inside <robot>."""
     parts, parent = ['<robot name="random">', more, '<link name="base"/>'], "base"
     say = "{:.17g} {:.17g} {:.17g}".format
-    for i in range(1, 7):
+    for i in range(1, axes + 1):
         xyz, rpy, axis = rng.uniform(-0.5, 0.5, 3), rng.uniform(-3, 3, 3), rng.normal(size=3)
         com, turn, mass = rng.uniform(-0.2, 0.2, 3), rng.uniform(-3, 3, 3), rng.uniform(1, 20)
         size = rng.uniform(0.1, 0.5, 3)
@@ -43,16 +43,16 @@ def peer_of(text: str, gravity_m_s2: tuple[float, ...] = (0.0, 0.0, -9.80665)) -
     return model, model.createData()
 
 
-def states(seed: int, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Random angles, rates and accelerations (n, 6)."""
+def states(seed: int, n: int, axes: int = 6) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Random angles, rates and accelerations (n, axes)."""
     rng = np.random.default_rng(seed)
-    return rng.uniform(-np.pi, np.pi, (n, 6)), rng.normal(size=(n, 6)), 3 * rng.normal(size=(n, 6))
+    return rng.uniform(-np.pi, np.pi, (n, axes)), rng.normal(size=(n, axes)), 3 * rng.normal(size=(n, axes))
 
 
 def link_parameters(robot: Any) -> np.ndarray:
-    """[m, m c, I about the link's origin] (60,) of the six links as drawn."""
+    """[m, m c, I about the link's origin] (10 N,) of the links as drawn."""
     out = []
-    for i in range(6):
+    for i in range(len(robot.axis)):
         mass, com = robot.mass_kg[i], robot.com_m[i]
         about = robot.inertia_kg_m2[i] + mass * (com @ com * np.eye(3) - np.outer(com, com))
         out += [mass, *(mass * com), *about[np.triu_indices(3)]]

@@ -17,11 +17,11 @@ def make_table(load: Sequence[str] | np.ndarray, pose: ArrayLike, q: ArrayLike, 
     `run`, `time`, `qd`, `qdd`, `direction`, `std`, `count`, `q2nd`, `temperature`, `motor`, `extra` and `file` as they
     stand, unknown (at rest) where they are not given; one value stands for all rows and axes.
     """
-    n = len(load)
+    n, axes = len(load), np.shape(q)[1]
 
-    def six(value: ArrayLike, kind: type = float) -> np.ndarray:
+    def by_axis(value: ArrayLike, kind: type = float) -> np.ndarray:
         values = np.asarray(value)
-        return np.broadcast_to(values[:, None] if values.shape == (n,) else values, (n, 6)).astype(kind)
+        return np.broadcast_to(values[:, None] if values.shape == (n,) else values, (n, axes)).astype(kind)
 
     return Table(
         file=(given.get("file", "made.csv"),) * n,
@@ -31,16 +31,16 @@ def make_table(load: Sequence[str] | np.ndarray, pose: ArrayLike, q: ArrayLike, 
         pose=np.asarray(pose),
         time_s=np.asarray(given.get("time", np.full(n, np.nan)), dtype=float),
         q_rad=np.asarray(q, dtype=float),
-        qd_rad_s=six(given.get("qd", 0.0)),
-        qdd_rad_s2=six(given.get("qdd", 0.0)),
+        qd_rad_s=by_axis(given.get("qd", 0.0)),
+        qdd_rad_s2=by_axis(given.get("qdd", 0.0)),
         moving=np.asarray(pose) == MOVING,
-        direction=six(given.get("direction", 0), np.int8),
-        tau_nm=six(tau),
-        tau_std_nm=six(given.get("std", np.nan)),
+        direction=by_axis(given.get("direction", 0), np.int8),
+        tau_nm=by_axis(tau),
+        tau_std_nm=by_axis(given.get("std", np.nan)),
         count=np.broadcast_to(given.get("count", 1), n).astype(int),
-        q2nd_rad=six(given.get("q2nd", np.nan)),
-        temperature_c=six(given.get("temperature", np.nan)),
-        motor_torque_nm=six(given.get("motor", np.nan)),
+        q2nd_rad=by_axis(given.get("q2nd", np.nan)),
+        temperature_c=by_axis(given.get("temperature", np.nan)),
+        motor_torque_nm=by_axis(given.get("motor", np.nan)),
         extra=dict(given.get("extra", {})),
     )
 

@@ -37,7 +37,7 @@ class ModelRequest:
     ----------
     robot, cell, bare : Path or None
     inertials : str or None
-    known : mapping of label to (mass [kg], x, y, z [m] in link 6)
+    known : mapping of label to (mass [kg], x, y, z [m] in the last link)
     arm : str or None
         Name of the arm, if the cell has several.
     """
@@ -59,7 +59,7 @@ class Given:
     robot : Robot or None
         None where neither option nor recording names one.
     gravity_m_s2 : tuple of 3 floats
-    efficiency, gear_ratio : arrays of shape (6,)
+    efficiency, gear_ratio : arrays of shape (N,)
         Efficiency 1 where no cell says otherwise (the table's torque is then taken as it stands), ratio NaN.
     inertials : str or None
     known : mapping
@@ -116,14 +116,15 @@ def given(request: ModelRequest, paths: Sequence[Path]) -> Given:
     arm, robot = _arm_and_robot(request, loaded, read_ones)
     bound = () if arm is None else _bound(read_ones, arm, robot, loaded)
     gravity_m_s2 = STANDARD_GRAVITY_M_S2 if arm is None else arm.gravity_m_s2
+    axes = 1 if robot is None else robot.axes
     bare = None if request.bare is None else read_bare(request.bare)
     if bare is not None and robot is not None:
         refuse_other_bare(bare, robot, gravity_m_s2)
     return Given(
         robot=robot,
         gravity_m_s2=gravity_m_s2,
-        efficiency=np.ones(6) if arm is None else np.array([axis.gear_efficiency.value for axis in arm.axis]),
-        gear_ratio=np.full(6, np.nan) if arm is None else np.array([axis.gear_ratio.value for axis in arm.axis]),
+        efficiency=np.ones(axes) if arm is None else np.array([axis.gear_efficiency.value for axis in arm.axis]),
+        gear_ratio=np.full(axes, np.nan) if arm is None else np.array([axis.gear_ratio.value for axis in arm.axis]),
         inertials=request.inertials or (None if arm is None else arm.inertials),
         known=dict(request.known),
         bare=bare,
@@ -184,7 +185,7 @@ def _urdf(path: Path) -> Robot:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}; name a URDF of six revolute joints in a chain") from error
+        raise ConfigError(f"{path}: cannot be read: {error}; name a URDF of revolute joints in a chain") from error
     return robot_from_urdf(text, str(path))
 
 
@@ -209,21 +210,32 @@ def read_bare(path: Path) -> Bare:
 
 
 def read_rows(paths: Sequence[Path], about: Given) -> Table:
-    """Rows of all data files, which `given` has been told of."""
+    """Rows of all data files, which `given` has been told of.
+
+    Raises
+    ------
+    InputError
+        A file that cannot be used, or rows of another number of axes than the robot has.
+    """
     axes = None if about.loaded is None or about.arm is None else AxisConversion.from_arm(about.arm)
-    return read_data(paths, about.recordings, axes)
+    table = read_data(paths, about.recordings, axes)
+    if about.robot is not None and table.axes != about.robot.axes:
+        raise InputError(
+            f"{table.file[0]}: the data are of {table.axes} axes, robot '{about.robot.name}' has {about.robot.axes};"
+            " name the robot that was measured"
+        )
+    return table
 
 
 def estimate_options(about: Given) -> EstimateOptions:
     """Options of an estimation."""
     inertials = about.inertials or ("ignore" if about.robot is None else default_inertials(about.robot))
-    a, b, c, d, e, f = (float(value) for value in about.efficiency)
     return EstimateOptions(
         inertials=inertials,
         known=about.known,
         bare=about.bare,
         gravity_m_s2=about.gravity_m_s2,
-        efficiency=(a, b, c, d, e, f),
+        efficiency=tuple(about.efficiency.tolist()),
     )
 
 

@@ -1,4 +1,4 @@
-"""The cell file: buses, arms of six axes, and how the rest poses are measured.
+"""The cell file: buses, arms of two to eight axes, and how the rest poses are measured.
 
 pydantic stands at this edge only; what is read here is frozen and complete. A key that is not known is refused, a
 constant without its source too: nothing is ever filled in with 1.0.
@@ -7,6 +7,7 @@ constant without its source too: nothing is ever filled in with 1.0.
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -16,7 +17,7 @@ from pydantic import Field, ValidationError, model_validator
 from drives.toml_text import parse_toml
 from drives.validation import Strict, problems_in_words
 from gateway.cell.config_pair import DistanceConfig, PairConfig
-from gateway.cell.quantities import Finite, Positive, Vector3
+from gateway.cell.quantities import FEWEST_AXES, MOST_AXES, Finite, Positive, Vector3
 from gateway.errors import ConfigError
 
 
@@ -64,16 +65,17 @@ class KeepOut(Strict):
         return self
 
 
+PerAxis = Annotated[tuple[Finite, ...], Field(min_length=FEWEST_AXES, max_length=MOST_AXES)]
+
+
 class DhTable(Strict):
-    """Denavit-Hartenberg rows of the six axes; theta = q + theta_offset."""
+    """Denavit-Hartenberg rows, one an axis; theta = q + theta_offset."""
 
     convention: Literal["modified", "standard"] = Field(description="modified = Craig's")
-    alpha_rad: tuple[float, float, float, float, float, float] = Field(description="twists of the links")
-    a_m: tuple[float, float, float, float, float, float] = Field(description="lengths of the links")
-    d_m: tuple[float, float, float, float, float, float] = Field(description="offsets along the axes")
-    theta_offset_rad: tuple[float, float, float, float, float, float] = Field(
-        description="angle of each joint at q = 0"
-    )
+    alpha_rad: PerAxis = Field(description="twists of the links")
+    a_m: PerAxis = Field(description="lengths of the links")
+    d_m: PerAxis = Field(description="offsets along the axes")
+    theta_offset_rad: PerAxis = Field(description="angle of each joint at q = 0")
 
 
 # Full speed is reached in 0.6 s, full acceleration in 0.2 s, where the cell gives no such limit.
@@ -171,7 +173,7 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class ArmConfig(Strict):
-    """One arm of six axes on one bus."""
+    """One arm on one bus, of two to eight axes; six is the usual case: `link_6` stands for the last link."""
 
     name: str = Field(description="of the arm, in every file; `--arm` asks for it where there are several")
     bus: str = Field(description="name of its [bus.NAME]")
@@ -204,35 +206,44 @@ class ArmConfig(Strict):
     load_points_m: tuple[Vector3, ...] = Field(
         default=(), description="points of the load in link_6, such as its corners, that stay out of keep_out"
     )
-    link_radius_m: Positive | tuple[Positive, Positive, Positive, Positive, Positive, Positive] | None = Field(
+    link_radius_m: Positive | tuple[Positive, ...] | None = Field(
         default=None,
-        description="radius of the links whose shape the URDF's collision geometry does not give, one for all or six; "
-        "0.05 x reach is assumed if absent",
+        description="radius of the links whose shape the URDF's collision geometry does not give, one for all or one "
+        "per link; 0.05 x reach is assumed if absent",
     )
     load_radius_m: NotNegative | None = Field(
         default=None,
         description="thickness of the load about the lines from the flange to load_points_m, 0 where these are its "
-        "corners; as link 6 if absent",
+        "corners; as the last link if absent",
     )
     hold_to_run: HoldToRun | None = Field(
         default=None, description="digital input that has to be held for motion; no enabling device of a standard"
     )
     coupling: tuple[tuple[float, ...], ...] | None = Field(
-        default=None, description="6 x 6 matrix A of q_motor_side = A q_joint, ratios not included; identity if absent"
+        default=None, description="N x N matrix A of q_motor_side = A q_joint, ratios not included; identity if absent"
     )
     base_xyz_m: Vector3 = Field(default=(0.0, 0.0, 0.0), description="base of the arm in the world")
     base_rpy_rad: Vector3 = Field(default=(0.0, 0.0, 0.0), description="its turn, roll, pitch, yaw")
     tool_xyz_m: Vector3 = Field(default=(0.0, 0.0, 0.0), description="fingertip of the gripper in the flange")
     tool_rpy_rad: Vector3 = Field(default=(0.0, 0.0, 0.0), description="its turn, roll, pitch, yaw")
-    start_rad: tuple[Finite, Finite, Finite, Finite, Finite, Finite] | None = Field(
+    start_rad: tuple[Finite, ...] | None = Field(
         default=None, description="joint angles at which an arm of a pair grips the part: start of the path"
     )
-    axis: tuple[AxisConfig, ...] = Field(description="six of them, from the base on")
+    axis: tuple[AxisConfig, ...] = Field(description="two to eight of them, usually six, from the base on")
 
     @model_validator(mode="after")
-    def _six_axes(self) -> ArmConfig:
-        if len(self.axis) != 6:
-            raise ValueError(f"arm '{self.name}' has {len(self.axis)} [[arm.axis]] tables, six are needed")
+    def _consistent(self) -> ArmConfig:
+        axes = len(self.axis)
+        if not FEWEST_AXES <= axes <= MOST_AXES:
+            raise ValueError(
+                f"arm '{self.name}' has {axes} [[arm.axis]] tables, {FEWEST_AXES} to {MOST_AXES} are handled"
+            )
+        for name, length in self._lengths():
+            if length != axes:
+                raise ValueError(
+                    f"arm '{self.name}': {name} has {length} numbers and the arm {axes} [[arm.axis]] tables; one per"
+                    " axis is needed"
+                )
         ids = [axis.node_id for axis in self.axis]
         twice = sorted({node for node in ids if ids.count(node) > 1})
         if twice:
@@ -243,9 +254,18 @@ class ArmConfig(Strict):
             raise ValueError(f"arm '{self.name}' needs either robot = \"FILE.urdf\" or [arm.dh], not both")
         if self.coupling is not None:
             matrix = np.array(self.coupling, dtype=float)
-            if matrix.shape != (6, 6) or abs(np.linalg.det(matrix)) < 1e-6:
-                raise ValueError(f"arm '{self.name}': coupling must be an invertible 6 x 6 matrix")
+            if matrix.shape != (axes, axes) or abs(np.linalg.det(matrix)) < 1e-6:
+                raise ValueError(f"arm '{self.name}': coupling must be an invertible {axes} x {axes} matrix")
         return self
+
+    def _lengths(self) -> Iterator[tuple[str, int]]:
+        """Keys that hold a number per axis, and how many they hold."""
+        if self.dh is not None:
+            yield from ((name, len(getattr(self.dh, name))) for name in ("alpha_rad", "a_m", "d_m", "theta_offset_rad"))
+        if isinstance(self.link_radius_m, tuple):
+            yield "link_radius_m", len(self.link_radius_m)
+        if self.start_rad is not None:
+            yield "start_rad", len(self.start_rad)
 
 
 class PosesConfig(Strict):
@@ -288,6 +308,10 @@ class Cell(Strict):
         return self
 
 
+#: Two arms that carry one part are led by the inverse of a hand's six directions.
+PAIR_AXES = 6
+
+
 def _check_pair(pair: PairConfig, cell: Cell) -> None:
     arms = {arm.name: arm for arm in cell.arm}
     for role in ("master", "slave"):
@@ -296,6 +320,11 @@ def _check_pair(pair: PairConfig, cell: Cell) -> None:
             raise ValueError(f"pair: {role} = '{name}' is no arm of this cell; it has {', '.join(arms)}")
         if arms[name].start_rad is None:
             raise ValueError(f"arm '{name}' is the {role} of a pair and needs start_rad")
+        if len(arms[name].axis) != PAIR_AXES:
+            raise ValueError(
+                f"arm '{name}' is the {role} of a pair and has {len(arms[name].axis)} axes; only arms of {PAIR_AXES}"
+                " axes are led together"
+            )
     if pair.master == pair.slave or arms[pair.master].bus == arms[pair.slave].bus:
         raise ValueError("pair: master and slave are two arms on two buses")
     first, second = (cell.bus[arms[name].bus] for name in (pair.master, pair.slave))

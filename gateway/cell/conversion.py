@@ -22,20 +22,20 @@ from gateway.cell.config import ArmConfig
 
 @dataclass(frozen=True, slots=True)
 class AxisConversion:
-    """What stands between six motors and six joints.
+    """What stands between the motors and the joints of an arm of N axes.
 
     Attributes
     ----------
-    ratio : array of shape (6,)
+    ratio : array of shape (N,)
         Gear ratio N, negative where the gear turns the sense round.
-    efficiency : array of shape (6,)
+    efficiency : array of shape (N,)
         Gear efficiency eta in (0, 1].
-    position_sign, torque_sign : arrays of shape (6,)
+    position_sign, torque_sign : arrays of shape (N,)
         +1 or -1.
-    zero_offset_rad : array of shape (6,)
+    zero_offset_rad : array of shape (N,)
         Joint angle at which the drives' positions are zero.
-    torque_constant_nm_per_a : array of shape (6,)
-    coupling : array of shape (6, 6)
+    torque_constant_nm_per_a : array of shape (N,)
+    coupling : array of shape (N, N)
         A of theta = A (q - q0), ratios not included.
     """
 
@@ -57,38 +57,38 @@ class AxisConversion:
             torque_sign=np.array([axis.torque_sign for axis in arm.axis], dtype=float),
             zero_offset_rad=np.array([axis.zero_offset_rad for axis in arm.axis]),
             torque_constant_nm_per_a=np.array([axis.torque_constant_nm_per_a.value for axis in arm.axis]),
-            coupling=np.eye(6) if arm.coupling is None else np.array(arm.coupling, dtype=float),
+            coupling=np.eye(len(arm.axis)) if arm.coupling is None else np.array(arm.coupling, dtype=float),
         )
 
     def joint_position(self, motor_rad: np.ndarray) -> np.ndarray:
-        """Joint positions (..., 6) [rad] of motor positions (..., 6) [rad]."""
+        """Joint positions (..., N) [rad] of motor positions (..., N) [rad]."""
         return self.joint_velocity(motor_rad) + self.zero_offset_rad
 
     def joint_velocity(self, motor_rad_s: np.ndarray) -> np.ndarray:
-        """Joint velocities (..., 6) [rad/s] of motor velocities (..., 6) [rad/s]."""
+        """Joint velocities (..., N) [rad/s] of motor velocities (..., N) [rad/s]."""
         return (motor_rad_s * (self.position_sign / self.ratio)) @ np.linalg.inv(self.coupling).T
 
     def joint_bound(self, motor: np.ndarray) -> np.ndarray:
-        """Most (..., 6) that each joint moves where each motor moves by so much (..., 6), to either side.
+        """Most (..., N) that each joint moves where each motor moves by so much (..., N), to either side.
 
         Ways, speeds or accelerations: rad, rad/s, rad/s2.
         """
         return (np.abs(motor) / np.abs(self.ratio)) @ np.abs(np.linalg.inv(self.coupling)).T
 
     def motor_position(self, joint_rad: np.ndarray) -> np.ndarray:
-        """Motor positions (..., 6) [rad] of joint positions (..., 6) [rad]."""
+        """Motor positions (..., N) [rad] of joint positions (..., N) [rad]."""
         return self.motor_velocity(joint_rad - self.zero_offset_rad)
 
     def motor_velocity(self, joint_rad_s: np.ndarray) -> np.ndarray:
-        """Motor velocities (..., 6) [rad/s] of joint velocities (..., 6) [rad/s]."""
+        """Motor velocities (..., N) [rad/s] of joint velocities (..., N) [rad/s]."""
         return (joint_rad_s @ self.coupling.T) * (self.position_sign * self.ratio)
 
     def gear_velocity(self, joint_rad_s: np.ndarray) -> np.ndarray:
-        """Velocities at the gear outputs (..., 6) [rad/s] of joint velocities (..., 6) [rad/s]."""
+        """Velocities at the gear outputs (..., N) [rad/s] of joint velocities (..., N) [rad/s]."""
         return joint_rad_s @ self.coupling.T
 
     def motor_torque_of_current(self, current_a: np.ndarray) -> np.ndarray:
-        """Motor torque (..., 6) [Nm] of motor current (..., 6) [A]; JP3698770B2: torque = Kt i."""
+        """Motor torque (..., N) [Nm] of motor current (..., N) [A]; JP3698770B2: torque = Kt i."""
         return current_a * self.torque_constant_nm_per_a
 
     def joint_torque(self, motor_torque_nm: np.ndarray) -> np.ndarray:
@@ -96,12 +96,12 @@ class AxisConversion:
 
         Parameters
         ----------
-        motor_torque_nm : array of shape (..., 6)
+        motor_torque_nm : array of shape (..., N)
             NaN = not measured.
 
         Returns
         -------
-        array of shape (..., 6)
+        array of shape (..., N)
             NaN where a motor that acts on the joint was not measured.
         """
         return _mix(motor_torque_nm * (self.torque_sign * self.ratio), self.coupling)
@@ -111,13 +111,13 @@ class AxisConversion:
 
         Parameters
         ----------
-        motor_torque_nm : array of shape (..., 6)
-        direction : array of shape (..., 6)
+        motor_torque_nm : array of shape (..., N)
+        direction : array of shape (..., N)
             Sign of each joint's last motion; where it is 0 the side is unknown and no efficiency is applied.
 
         Returns
         -------
-        array of shape (..., 6)
+        array of shape (..., N)
             A^T f with f = N eta t where torque and motion agree (driving) and N t / eta where they oppose.
         """
         output_nm = motor_torque_nm * (self.torque_sign * self.ratio)
@@ -125,12 +125,12 @@ class AxisConversion:
         return _mix(output_nm * self.efficiency ** np.nan_to_num(side), self.coupling)
 
     def joint_torque_std(self, motor_torque_std_nm: np.ndarray) -> np.ndarray:
-        """Standard deviation of the joint torque (..., 6) from that of independent motors (..., 6) [Nm]."""
+        """Standard deviation of the joint torque (..., N) from that of independent motors (..., N) [Nm]."""
         variance = (motor_torque_std_nm * np.abs(self.ratio)) ** 2
         return np.sqrt(_mix(variance, self.coupling**2))
 
     def motor_torque(self, joint_torque_nm: np.ndarray) -> np.ndarray:
-        """Motor torque (..., 6) [Nm] that holds joint torques (..., 6) [Nm] over loss-free gears."""
+        """Motor torque (..., N) [Nm] that holds joint torques (..., N) [Nm] over loss-free gears."""
         return (joint_torque_nm @ np.linalg.inv(self.coupling)) * (self.torque_sign / self.ratio)
 
 

@@ -20,17 +20,17 @@ def provenance(
     Parameters
     ----------
     arm : ArmConfig
-    profiles : sequence of 6 DriveProfile
+    profiles : sequence of DriveProfile, one per axis
         In the order of the axes.
-    constants : sequence of 6 Constants
+    constants : sequence of Constants, one per axis
         What was read from the drives; empty if no drive was asked.
 
     Returns
     -------
     dict
-        "J1" to "J6" -> name -> {"value", "unit", "source"}.
+        "J1" to "JN" -> name -> {"value", "unit", "source"}.
     """
-    read = list(constants) or [None] * 6
+    read = list(constants) or [None] * len(arm.axis)
     return {f"J{joint}": _axis(*axis) for joint, axis in enumerate(zip(arm.axis, profiles, read, strict=True), start=1)}
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from gateway.cell.quantities import MOST_AXES
 from gateway.commands.measure import arm_option
 from gateway.commands.options import (
     common,
@@ -46,7 +47,7 @@ def model_request(
 @click.option(
     "--method", type=one_of(["joint", "difference", "posture", "coefficient"]), default="joint", show_default=True
 )
-@click.option("--axis", type=click.IntRange(1, 6), help="coefficient: the one axis.")
+@click.option("--axis", type=click.IntRange(1, MOST_AXES), help="coefficient: the one axis.")
 @click.option("--lever", metavar="COLUMN", help="coefficient: column x_... of the load's lever about that axis [m].")
 @click.option("--gear-ratio", type=float, help="coefficient: motor turns per joint turn; the cell's if omitted.")
 @click.option(

@@ -18,7 +18,6 @@ from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextC
 from rich.table import Table
 from rich.text import Text
 
-AXES = ("J1", "J2", "J3", "J4", "J5", "J6")
 SEVERITY_STYLE = {"fail": "bold red", "warn": "yellow", "warning": "yellow", "ok": "green", "pass": "green"}
 PLAIN_WIDTH = 140
 
@@ -140,6 +139,11 @@ def number(value: float | None, digits: int = 2) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
 
 
+def axis_names(axes: int) -> list[str]:
+    """J1 to JN."""
+    return [f"J{axis}" for axis in range(1, axes + 1)]
+
+
 def load_table(loads: Sequence[Mapping[str, Any]], title: str = "load") -> Table:
     """Mass and centre of gravity of each load, one standard deviation behind each number."""
     rows = []
@@ -155,7 +159,8 @@ def load_table(loads: Sequence[Mapping[str, Any]], title: str = "load") -> Table
                 _vector(load.get("com_flange_m"), load.get("com_flange_std_m")),
             ]
         )
-    columns = ["load", "mass [kg]", "centre of gravity in link_6 [mm]", "in the flange frame [mm]"]
+    frame = loads[0].get("frame", "link_6") if loads else "link_6"
+    columns = ["load", "mass [kg]", f"centre of gravity in {frame} [mm]", "in the flange frame [mm]"]
     return grid(f"{title}: value ± one standard deviation", columns, rows, left=4)
 
 
@@ -176,7 +181,7 @@ def _vector(values: Sequence[float | None] | None, stds: Sequence[float | None] 
 def axis_table(title: str, lines: Mapping[str, Sequence[float | None] | None], digits: int = 3) -> Table:
     """One row per quantity, one column per axis."""
     rows = [[name, *(number(value, digits) for value in values)] for name, values in lines.items() if values]
-    return grid(title, ["", *AXES], rows)
+    return grid(title, ["", *axis_names(max((len(row) - 1 for row in rows), default=0))], rows)
 
 
 def findings_table(findings: Sequence[Mapping[str, Any]], title: str = "findings") -> Table:

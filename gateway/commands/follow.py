@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from drives.files import replace_file
-from gateway.commands.console import AXES, Session, findings_table, grid, number
+from gateway.commands.console import Session, axis_names, findings_table, grid, number
 from gateway.commands.measure import arm_option
 from gateway.commands.moving import MoveChoice, move_options, stoppable
 from gateway.commands.options import (
@@ -118,7 +118,7 @@ def _show(body: dict[str, Any], session: Session) -> None:
             [setting["name"], *(number(None if value is None else scale * value, 3) for value in setting[key])]
             for setting in body["settings"]
         ]
-        session.show(grid(title, ["setting", *AXES], rows))
+        session.show(grid(title, ["setting", *axis_names(6)], rows))
     if body["computing_s"]:
         median, p99 = (1e6 * body["computing_s"][key] for key in ("median", "p99"))
         session.show(f"both offsets of six axes: {median:.0f} us per SYNC, 99 % within {p99:.0f} us")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from gateway.commands.console import AXES, axis_table, grid
+from gateway.commands.console import axis_names, axis_table, grid
 from gateway.commands.moving import MoveChoice, move_options, stoppable
 from gateway.commands.options import (
     bus_option,
@@ -50,7 +50,8 @@ def show_plan(chosen: Plan) -> None:
         [str(pose.number), "fit" if pose.purpose == "fit" else "fresh", *(f"{math.degrees(q):.1f}" for q in pose.q_rad)]
         for pose in chosen.poses
     ]
-    session.show(grid(f"arm {chosen.arm}: rest poses [deg]", ["pose", "for", *AXES], rows, left=2))
+    columns = ["pose", "for", *axis_names(len(chosen.poses[0].q_rad))]
+    session.show(grid(f"arm {chosen.arm}: rest poses [deg]", columns, rows, left=2))
     session.show(f"each pose from both sides, about {chosen.duration_s / 60:.1f} min per load")
     expected = chosen.expectation
     if expected is not None:

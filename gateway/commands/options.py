@@ -63,7 +63,10 @@ def model_options(function: Function) -> Function:
     for option in (
         click.option("--bare", type=click.Path(path_type=Path, dir_okay=False), help="Stored bare identification."),
         click.option(
-            "--known", multiple=True, metavar="LABEL=MASS,X,Y,Z", help="A load that is known: kg and m in link_6."
+            "--known",
+            multiple=True,
+            metavar="LABEL=MASS,X,Y,Z",
+            help="A load that is known: kg and m in link_6 (the last link).",
         ),
         click.option(
             "--inertials", metavar="exact|prior:S|ignore", help="How far the URDF's link inertials are trusted."

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from gateway.commands.console import AXES, Session, axis_table, findings_table, grid, load_table
+from gateway.commands.console import Session, axis_names, axis_table, findings_table, grid, load_table
 from gateway.errors import FindingFailed
 from gateway.report.sentences import verdict_sentence
 
@@ -70,7 +70,7 @@ def _show_next(item: Json, session: Session) -> None:
     poses = item.get("poses_rad") or []
     if poses and len(poses) <= LISTED_POSES:
         rows = [[str(number), *(f"{math.degrees(q):.1f}" for q in q_rad)] for number, q_rad in enumerate(poses, 1)]
-        session.show(grid("poses to measure [deg]", ["", *AXES], rows))
+        session.show(grid("poses to measure [deg]", ["", *axis_names(len(poses[0]))], rows))
 
 
 def fail_on_findings(body: dict[str, Any]) -> None:

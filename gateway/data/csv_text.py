@@ -14,9 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
+from gateway.cell.quantities import MOST_AXES
 from gateway.errors import InputError
 
-AXES = range(1, 7)
+AXES = range(1, MOST_AXES + 1)
 BLOCK_ROWS = 2048
 
 TEXT = frozenset({"run", "load"})
@@ -35,7 +36,8 @@ PATTERNS = (
     "q2nd{}_rad",
     "temp{}_c",
 )
-KNOWN = frozenset({"run", "load", "pose", "time_s", "n", *(p.format(i) for p in PATTERNS for i in AXES)})
+AXIS_OF = {pattern.format(axis): axis for pattern in PATTERNS for axis in AXES}
+KNOWN = frozenset({"run", "load", "pose", "time_s", "n", *AXIS_OF})
 
 #: Lines of a file by their numbers, as cells; empty ones are left out.
 Lines = Iterator[tuple[int, list[str]]]
@@ -56,6 +58,11 @@ class CsvColumns:
     file: str
     values: dict[str, np.ndarray]
     line: np.ndarray
+
+    @property
+    def axes(self) -> int:
+        """How many axes the columns are of: the highest that one of them names."""
+        return max((AXIS_OF.get(name, 0) for name in self.values), default=0)
 
     def where(self, row: int) -> str:
         """`file:line` of a row."""

@@ -40,20 +40,20 @@ class Table:
         Number of the rest pose; -1 in moving rows.
     time_s : array of shape (n,)
         NaN where not given.
-    q_rad, qd_rad_s, qdd_rad_s2 : arrays of shape (n, 6)
+    q_rad, qd_rad_s, qdd_rad_s2 : arrays of shape (n, N)
         Joint motion in the convention of the robot model; derivatives are zero at rest.
     moving : bool array of shape (n,)
-    direction : int8 array of shape (n, 6)
+    direction : int8 array of shape (n, N)
         Sign of each joint's last motion before it came to rest; 0 = unknown.
-    tau_nm : array of shape (n, 6)
+    tau_nm : array of shape (n, N)
         Joint-side actuator torque: ratio, sign and coupling applied, efficiency not; NaN = axis not measured.
-    tau_std_nm : array of shape (n, 6)
+    tau_std_nm : array of shape (n, N)
         Standard deviation of the averaged samples; NaN = unknown.
     count : int array of shape (n,)
         Samples averaged; 1 if unknown.
-    q2nd_rad, temperature_c : arrays of shape (n, 6)
+    q2nd_rad, temperature_c : arrays of shape (n, N)
         Secondary encoder and motor or drive temperature; NaN where absent.
-    motor_torque_nm : array of shape (n, 6)
+    motor_torque_nm : array of shape (n, N)
         Motor-side torque where the source gave torque or current of the motor; NaN otherwise.
     extra : dict of str to array of shape (n,)
         Columns whose name starts with `x_`.
@@ -82,6 +82,11 @@ class Table:
         """Number of rows."""
         return len(self.file)
 
+    @property
+    def axes(self) -> int:
+        """How many axes the rows have."""
+        return self.q_rad.shape[1]
+
     def take(self, rows: np.ndarray) -> Table:
         """The chosen rows as a new table.
 
@@ -108,10 +113,13 @@ def concatenate(tables: Sequence[Table]) -> Table:
     Raises
     ------
     InputError
-        No table is given.
+        No table is given, or tables of different arms by their number of axes.
     """
     if not tables:
         raise InputError("no measured data given")
+    if len({table.axes for table in tables}) > 1:
+        counts = ", ".join(f"{table.file[0] if table.file else 'a file without rows'} {table.axes}" for table in tables)
+        raise InputError(f"the data are of arms with different numbers of axes ({counts}); give those of one arm")
     joined: dict[str, Any] = {
         item.name: np.concatenate([getattr(table, item.name) for table in tables])
         for item in fields(Table)

@@ -12,15 +12,15 @@ from drives.values import InstrumentReading
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmSample:
-    """What six drives reported for one SYNC, on the joint side.
+    """What the drives of an arm of N axes reported for one SYNC, on the joint side.
 
     Attributes
     ----------
     sync_index : int
     time_s : float
-    q_rad : array of shape (6,)
+    q_rad : array of shape (N,)
         NaN where a drive did not answer.
-    joint_torque_nm : array of shape (6,)
+    joint_torque_nm : array of shape (N,)
         Ratio, sign and coupling applied, efficiency not; NaN where a drive did not answer.
     readings : tuple of DriveReading or None
         Motor side, raw and SI.

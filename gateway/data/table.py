@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from gateway.cell.conversion import AxisConversion
-from gateway.data.csv_text import AXES, CsvColumns, read_columns
+from gateway.cell.quantities import FEWEST_AXES, MOST_AXES
+from gateway.data.csv_text import CsvColumns, read_columns
 from gateway.data.rows import MOVING, Table, concatenate, without_duplicates
 from gateway.errors import InputError
 
@@ -38,6 +39,7 @@ def read_csv(path: Path, axes: AxisConversion | None) -> Table:
     """
     path = Path(path)
     columns = read_columns(path)
+    _refuse_other_count(columns, axes)
     pose, moving = _rest_or_moving(columns)
     tau, tau_std, motor = _torques(columns, axes)
     n_rows = len(columns.line)
@@ -48,20 +50,30 @@ def read_csv(path: Path, axes: AxisConversion | None) -> Table:
         load=_label(columns, "load", "none"),
         pose=pose,
         time_s=columns.values.get("time_s", np.full(n_rows, np.nan)),
-        q_rad=_six(columns, "q{}_rad", needed=np.ones(n_rows, dtype=bool)),
-        qd_rad_s=np.nan_to_num(_six(columns, "qd{}_rad_s", needed=moving)),
-        qdd_rad_s2=np.nan_to_num(_six(columns, "qdd{}_rad_s2", needed=moving)),
+        q_rad=_by_axis(columns, "q{}_rad", needed=np.ones(n_rows, dtype=bool)),
+        qd_rad_s=np.nan_to_num(_by_axis(columns, "qd{}_rad_s", needed=moving)),
+        qdd_rad_s2=np.nan_to_num(_by_axis(columns, "qdd{}_rad_s2", needed=moving)),
         moving=moving,
         direction=_directions(columns),
         tau_nm=tau,
         tau_std_nm=tau_std,
         count=_integers(columns, "n", 1) if "n" in columns.values else np.ones(n_rows, dtype=int),
-        q2nd_rad=_six(columns, "q2nd{}_rad"),
-        temperature_c=_six(columns, "temp{}_c"),
+        q2nd_rad=_by_axis(columns, "q2nd{}_rad"),
+        temperature_c=_by_axis(columns, "temp{}_c"),
         motor_torque_nm=motor,
         extra={name: values for name, values in columns.values.items() if name.startswith("x_")},
     )
     return without_duplicates(table)
+
+
+def _refuse_other_count(columns: CsvColumns, axes: AxisConversion | None) -> None:
+    if columns.axes < FEWEST_AXES:
+        raise InputError(f"{columns.file}:1: columns of {columns.axes} axes; {FEWEST_AXES} to {MOST_AXES} are handled")
+    if axes is not None and columns.axes != len(axes.ratio):
+        raise InputError(
+            f"{columns.file}:1: columns of {columns.axes} axes, and the arm of the cell has {len(axes.ratio)}; name the"
+            " cell of the arm that was measured"
+        )
 
 
 def _label(columns: CsvColumns, name: str, default: str) -> np.ndarray:
@@ -88,7 +100,7 @@ def _integers(columns: CsvColumns, name: str, least: int) -> np.ndarray:
 def _rest_or_moving(columns: CsvColumns) -> tuple[np.ndarray, np.ndarray]:
     """Pose (n,) and moving (n,): a row moves if it has a velocity or no pose."""
     n_rows = len(columns.line)
-    speeds = _six(columns, "qd{}_rad_s")
+    speeds = _by_axis(columns, "qd{}_rad_s")
     pose = _integers(columns, "pose", MOVING) if "pose" in columns.values else np.full(n_rows, MOVING)
     has_speed = np.isfinite(speeds).any(axis=1)
     moving = (pose == MOVING) | (np.nan_to_num(speeds) != 0).any(axis=1)
@@ -97,7 +109,7 @@ def _rest_or_moving(columns: CsvColumns) -> tuple[np.ndarray, np.ndarray]:
         row = int(np.argmax(lost))
         raise InputError(
             f"{columns.where(row)}: a rest row needs a pose number (column 'pose'), a moving row needs qd1_rad_s to "
-            "qd6_rad_s and qdd1_rad_s2 to qdd6_rad_s2"
+            f"qd{columns.axes}_rad_s and qdd1_rad_s2 to qdd{columns.axes}_rad_s2"
         )
     if moving.any():
         times = columns.values.get("time_s")
@@ -109,12 +121,12 @@ def _rest_or_moving(columns: CsvColumns) -> tuple[np.ndarray, np.ndarray]:
     return np.where(moving, MOVING, pose), moving
 
 
-def _six(columns: CsvColumns, pattern: str, needed: np.ndarray | None = None) -> np.ndarray:
-    """Six columns side by side, NaN where absent; `needed` marks the rows that must have all six."""
+def _by_axis(columns: CsvColumns, pattern: str, needed: np.ndarray | None = None) -> np.ndarray:
+    """A column per axis side by side, NaN where absent; `needed` marks the rows that must have them all."""
     n_rows = len(columns.line)
-    out = np.full((n_rows, 6), np.nan)
-    for joint, axis in enumerate(AXES):
-        name = pattern.format(axis)
+    out = np.full((n_rows, columns.axes), np.nan)
+    for joint in range(columns.axes):
+        name = pattern.format(joint + 1)
         if name in columns.values:
             out[:, joint] = columns.values[name]
         elif needed is not None and needed.any():
@@ -128,7 +140,7 @@ def _six(columns: CsvColumns, pattern: str, needed: np.ndarray | None = None) ->
 
 
 def _directions(columns: CsvColumns) -> np.ndarray:
-    values = np.nan_to_num(_six(columns, "dir{}"))
+    values = np.nan_to_num(_by_axis(columns, "dir{}"))
     bad = ~np.isin(values, (-1, 0, 1))
     if bad.any():
         row, joint = np.argwhere(bad)[0]
@@ -139,8 +151,8 @@ def _directions(columns: CsvColumns) -> np.ndarray:
 
 
 def _torques(columns: CsvColumns, axes: AxisConversion | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Joint torque, its standard deviation, motor torque: (n, 6) each, NaN where not measured."""
-    tau, taum, current = (_six(columns, pattern) for pattern in ("tau{}_nm", "taum{}_nm", "i{}_a"))
+    """Joint torque, its standard deviation, motor torque: (n, N) each, NaN where not measured."""
+    tau, taum, current = (_by_axis(columns, pattern) for pattern in ("tau{}_nm", "taum{}_nm", "i{}_a"))
     _one_source_per_axis(columns)
     tau_std, taum_std, current_std = (_spread(columns, p) for p in ("tau{}_std_nm", "taum{}_std_nm", "i{}_std_a"))
     if np.isfinite(current).any():
@@ -158,7 +170,7 @@ def _torques(columns: CsvColumns, axes: AxisConversion | None) -> tuple[np.ndarr
 
 def _one_source_per_axis(columns: CsvColumns) -> None:
     found = 0
-    for axis in AXES:
+    for axis in range(1, columns.axes + 1):
         given = [name for name in (f"tau{axis}_nm", f"taum{axis}_nm", f"i{axis}_a") if name in columns.values]
         if len(given) > 1:
             raise InputError(f"{columns.file}:1: axis {axis} is given as {' and '.join(given)}; keep one of them")
@@ -171,7 +183,7 @@ def _one_source_per_axis(columns: CsvColumns) -> None:
 
 
 def _spread(columns: CsvColumns, pattern: str) -> np.ndarray:
-    values = _six(columns, pattern)
+    values = _by_axis(columns, pattern)
     bad = values < 0
     if bad.any():
         row, joint = np.argwhere(bad)[0]
@@ -203,22 +215,22 @@ def _columns_to_write(table: Table) -> dict[str, list[object]]:
         columns["pose"] = ["" if moves else int(pose) for pose, moves in zip(table.pose, table.moving, strict=True)]
     if np.isfinite(table.time_s).any():
         columns["time_s"] = _cells(table.time_s)
-    sixes = {"q{}_rad": table.q_rad}
+    by_axis = {"q{}_rad": table.q_rad}
     if table.moving.any():
         rest = ~table.moving[:, None]
-        sixes |= {"qd{}_rad_s": np.where(rest, np.nan, table.qd_rad_s)}
-        sixes |= {"qdd{}_rad_s2": np.where(rest, np.nan, table.qdd_rad_s2)}
+        by_axis |= {"qd{}_rad_s": np.where(rest, np.nan, table.qd_rad_s)}
+        by_axis |= {"qdd{}_rad_s2": np.where(rest, np.nan, table.qdd_rad_s2)}
     if table.direction.any():
-        sixes |= {"dir{}": table.direction}
+        by_axis |= {"dir{}": table.direction}
     on_motor = np.isnan(table.tau_nm).all(axis=0)
     _refuse_part_of_an_axis(np.where(on_motor, table.motor_torque_nm, table.tau_nm))
-    sixes |= {"tau{}_nm": table.tau_nm, "taum{}_nm": np.where(on_motor, table.motor_torque_nm, np.nan)}
-    sixes |= {"tau{}_std_nm": np.where(on_motor, np.nan, table.tau_std_nm)}
-    sixes |= {"q2nd{}_rad": table.q2nd_rad, "temp{}_c": table.temperature_c}
-    for pattern, values in sixes.items():
-        for joint, axis in enumerate(AXES):
+    by_axis |= {"tau{}_nm": table.tau_nm, "taum{}_nm": np.where(on_motor, table.motor_torque_nm, np.nan)}
+    by_axis |= {"tau{}_std_nm": np.where(on_motor, np.nan, table.tau_std_nm)}
+    by_axis |= {"q2nd{}_rad": table.q2nd_rad, "temp{}_c": table.temperature_c}
+    for pattern, values in by_axis.items():
+        for joint in range(table.axes):
             if np.isfinite(values[:, joint]).any():
-                columns[pattern.format(axis)] = _cells(values[:, joint])
+                columns[pattern.format(joint + 1)] = _cells(values[:, joint])
     if (table.count != 1).any():
         columns["n"] = table.count.tolist()
     return columns | {name: _cells(values) for name, values in table.extra.items()}

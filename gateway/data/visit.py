@@ -32,16 +32,16 @@ class Visit:
         Whether all samples that were asked for are here.
     incomplete_epochs : int
         SYNCs that some axis left unanswered while sampling.
-    direction : int8 array of shape (6,)
+    direction : int8 array of shape (N,)
         Sign of each joint's last commanded motion.
-    target_rad : array of shape (6,)
-    statusword, position_count, torque_word, current_word, velocity_word : int64 arrays of shape (n, 6)
+    target_rad : array of shape (N,)
+    statusword, position_count, torque_word, current_word, velocity_word : int64 arrays of shape (n, N)
         As received; `NO_WORD` where the drive sends none.
-    q_rad, motor_torque_nm, joint_torque_nm, motor_current_a : arrays of shape (n, 6)
+    q_rad, motor_torque_nm, joint_torque_nm, motor_current_a : arrays of shape (n, N)
         Current NaN where the drive sends none.
     sync_index : int64 array of shape (n,)
     time_s : array of shape (n,)
-    gravity_nm, friction_band_nm : arrays of shape (6,) or None
+    gravity_nm, friction_band_nm : arrays of shape (N,) or None
         Half sum and half difference of both sides, with the efficiency of each side; with the second side only.
     """
 
@@ -96,7 +96,7 @@ def visit_from_samples(
         No sample, or an incomplete one.
     """
     rows = [[reading for reading in sample.readings if reading is not None] for sample in samples]
-    if not rows or any(len(row) != 6 for row in rows):
+    if not rows or any(len(row) != len(label.direction) for row in rows):
         raise InputError(f"pose {label.pose}: a visit is made of complete samples only")
 
     def words(name: str) -> np.ndarray:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from gateway.estimate.estimate import LoadEstimate
 from gateway.estimate.options import EstimateOptions
 from gateway.model.information import payload_information
-from gateway.model.robot import AXES, Robot
+from gateway.model.robot import Robot
 from gateway.result.result import NextMeasurement
 
 Floats = NDArray[np.float64]
@@ -26,7 +26,7 @@ def next_pose(load: LoadEstimate, robot: Robot, sigma_nm: Floats, options: Estim
     load : LoadEstimate
     robot : Robot
         Its joint limits bound the postures; keep-out boxes and torque limits are the planner's.
-    sigma_nm : array of shape (6,)
+    sigma_nm : array of shape (N,)
         Noise floor per axis, NaN = not measured.
     options : EstimateOptions
 
@@ -53,10 +53,10 @@ def next_pose(load: LoadEstimate, robot: Robot, sigma_nm: Floats, options: Estim
 
 
 def candidates(robot: Robot) -> Floats:
-    """Postures (n, 6) within the joint limits, the same every time; a joint without limits turns once."""
+    """Postures (n, N) within the joint limits, the same every time; a joint without limits turns once."""
     low = np.where(np.isfinite(robot.lower_rad), robot.lower_rad, -np.pi)
     high = np.where(np.isfinite(robot.upper_rad), robot.upper_rad, np.pi)
-    return np.random.default_rng(_SEED).uniform(low, high, size=(_CANDIDATES, AXES))
+    return np.random.default_rng(_SEED).uniform(low, high, size=(_CANDIDATES, robot.axes))
 
 
 def _with_unknown(load: LoadEstimate) -> Floats | None:
@@ -68,8 +68,14 @@ def _with_unknown(load: LoadEstimate) -> Floats | None:
     return load.covariance + np.where(np.outer(open_, open_), wide, 0.0) + 1e-12 * np.eye(4)
 
 
+def wrist_in_words(robot: Robot) -> str:
+    """The axes that turn the flange about the end of the arm, the last three where there are more."""
+    first = max(2, robot.axes - 2)
+    return f"axis {first}" if first == robot.axes else f"axes {first} to {robot.axes}"
+
+
 def cost_of_missing_axes(robot: Robot, q_rad: Floats, sigma_nm: Floats, options: EstimateOptions) -> float:
-    """Standard deviation of the mass over what all six axes would give; infinite where it is open now.
+    """Standard deviation of the mass over what all axes would give; infinite where it is open now.
 
     Axes that were not measured are taken to be as noisy as the median of the others.
     """

@@ -72,6 +72,8 @@ def estimate_coefficient(table: Table, robot: Robot | None, options: EstimateOpt
     if how is None:
         raise InputError("the coefficient method needs --axis, --lever, --gear-ratio and --gear-efficiency")
     rest = table.take(~table.moving)
+    if how.joint > table.axes:
+        raise InputError(f"--axis {how.joint}: the data are of an arm of {table.axes} axes")
     if how.lever not in rest.extra:
         have = ", ".join(rest.extra) or "none"
         raise InputError(f"--lever {how.lever}: no such column in the data; extra columns there: {have}")
@@ -100,7 +102,8 @@ def estimate_coefficient(table: Table, robot: Robot | None, options: EstimateOpt
             f"the mass is as right as the lever column {how.lever}: an error of the lever is not in the uncertainty",
         )
     )  # fmt: skip
-    return Estimate(method="coefficient", loads=tuple(loads), findings=tuple(findings))
+    unknown = np.full(table.axes, np.nan)
+    return Estimate("coefficient", tuple(loads), unknown, unknown, findings=tuple(findings))
 
 
 def _poses(rest: Table, how: Coefficient, label: str) -> list[_Pose]:

@@ -34,12 +34,12 @@ def describe_masses(masses_kg: Mapping[str, float]) -> str:
 
 
 def hull_radius_m(robot: Robot, given_m: float | None) -> float:
-    """Distance from link_6 within which a load's centre of mass is expected [m]."""
+    """Distance from the last link within which a load's centre of mass is expected [m]."""
     return max(_HULL_SHARE * reach_m(robot), 0.1) if given_m is None else given_m
 
 
-def physical_findings(load: LoadEstimate, radius_m: float) -> list[Finding]:
-    """What is physically doubtful about a load; nothing is clamped."""
+def physical_findings(load: LoadEstimate, frame: str, radius_m: float) -> list[Finding]:
+    """What is physically doubtful about a load given in the frame of that name; nothing is clamped."""
     where, out = f"load {load.label}", []
     if np.isfinite(load.mass_kg) and load.mass_kg <= 0:
         out.append(
@@ -56,7 +56,7 @@ def physical_findings(load: LoadEstimate, radius_m: float) -> list[Finding]:
         sure = "" if distance - slack > radius_m else ", though within its uncertainty it may lie inside"
         out.append(
             Finding("warn", where,
-                    f"centre of mass lies {distance:.2f} m from link_6, outside a sphere of {radius_m:.2f} m{sure}",
+                    f"centre of mass lies {distance:.2f} m from {frame}, outside a sphere of {radius_m:.2f} m{sure}",
                     "not believable for a tool: the model may lack an effect (diagnose)")
         )  # fmt: skip
     return out

@@ -20,7 +20,7 @@ from gateway.estimate.options import EstimateOptions
 from gateway.estimate.problem import Problem
 from gateway.model.base import rest_base
 from gateway.model.regressor import load_regressor
-from gateway.model.robot import AXES, Robot, reach_m
+from gateway.model.robot import Robot, reach_m
 from gateway.result.result import Bare
 
 Floats = NDArray[np.float64]
@@ -101,7 +101,7 @@ def fitted_rows(problem: Problem, fit: NoiseFit) -> FittedRows:
     visits = problem.visits
 
     def spread(values: Floats) -> Floats:
-        out = np.full((len(visits), AXES), np.nan)
+        out = np.full((len(visits), visits.axes), np.nan)
         out[problem.visit, problem.axis] = values
         return out
 
@@ -121,11 +121,11 @@ def fitted_rows(problem: Problem, fit: NoiseFit) -> FittedRows:
 
 
 def axis_sigma(problem: Problem, fit: NoiseFit) -> Floats:
-    """Typical standard deviation (6,) [Nm] of the rows of each axis; NaN where not measured."""
+    """Typical standard deviation (N,) [Nm] of the rows of each axis; NaN where not measured."""
     return np.array(
         [
             float(np.sqrt(np.median(fit.weight[problem.axis == k] ** -2.0))) if (problem.axis == k).any() else np.nan
-            for k in range(AXES)
+            for k in range(problem.visits.axes)
         ]
     )
 
@@ -140,7 +140,7 @@ def bare_of(problem: Problem, fit: NoiseFit, robot: Robot, options: EstimateOpti
         return None
     widening = fit.widening(directions)
     covariance = directions @ fit.covariance @ directions.T * np.outer(widening, widening)
-    offsets = np.full(AXES, np.nan)
+    offsets = np.full(robot.axes, np.nan)
     offsets[problem.offset_axis] = solution.value[problem.offsets]
     return Bare(
         robot=robot.name,

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.errors import DataUnusable
+from gateway.estimate.advice import wrist_in_words
 from gateway.estimate.consistency import CONTRADICTS, describe_masses, disagree
 from gateway.estimate.estimate import (
     Estimate,
@@ -28,9 +29,9 @@ from gateway.estimate.linear import Prior, determined
 from gateway.estimate.noise import Groups, NoiseFit, fit_noise
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.loads import BARE_LABEL, load_vector, unknown_labels
-from gateway.model.kinematics import gravity_in_link_6, largest_angle_rad
+from gateway.model.kinematics import gravity_in_last_link, largest_angle_rad
 from gateway.model.regressor import load_regressor
-from gateway.model.robot import AXES, Robot, reach_m
+from gateway.model.robot import Robot, reach_m
 from gateway.model.visits import Visits
 from gateway.result.result import Finding
 
@@ -90,7 +91,6 @@ def estimate_difference(visits: Visits, robot: Robot, options: EstimateOptions) 
         quality={label: part.quality for label, part in zip(labels, parts, strict=True)},
         condition=max(part.condition for part in parts),
         rank=min(part.rank for part in parts),
-        band_nm=friction_bands(visits),
     )
 
 
@@ -118,7 +118,7 @@ def _one(visits: Visits, reference: Visits, robot: Robot, options: EstimateOptio
     fit = fit_noise(design * scale[:, None], target * scale, Prior.free(4), groups)
     load = _load(fit, design * scale[:, None], target * scale, rows.pose[pose], label)
     load = without_guesses(load, reach_m(robot))
-    sigma = np.full(AXES, np.nan)
+    sigma = np.full(robot.axes, np.nan)
     for k in np.unique(axis):
         sigma[k] = float(np.sqrt(np.median(fit.weight[axis == k] ** -2.0)))
     reason = _contradiction(visits, fit, load, axis)
@@ -129,13 +129,14 @@ def _one(visits: Visits, reference: Visits, robot: Robot, options: EstimateOptio
     return Estimate(
         method="difference",
         loads=(load,),
+        sigma_nm=sigma,
+        band_nm=friction_bands(visits),
         names=("mass", "hx", "hy", "hz"),
         units=("kg", "kg m", "kg m", "kg m"),
         value=fit.solution.value,
         std=fit.std(np.eye(4)),
         covariance=fit.covariance,
         rows=_fitted(rows, label, model, sigma),
-        sigma_nm=sigma,
         rank=fit.solution.rank,
         condition=fit.solution.condition,
         findings=_left_out(own, rows, label),
@@ -157,14 +158,14 @@ def _differences(own: Visits, reference: Visits, label: str) -> _Rows:
         q.append((mine.q_rad.mean(axis=0) + theirs.q_rad.mean(axis=0)) / 2.0)
         torque.append(mine.tau_nm.mean(axis=0) - theirs.tau_nm.mean(axis=0))
         stated.append(_mean_variance(mine) + _mean_variance(theirs))
-        share.append(np.full(AXES, 1.0 / len(mine) + 1.0 / len(theirs)))
+        share.append(np.full(own.axes, 1.0 / len(mine) + 1.0 / len(theirs)))
         one_sided.append(not (mine.two_sided.all() and theirs.two_sided.all()))
     if not found:
         raise DataUnusable(
             f"load '{label}' shares no pose with a known load (same number, same angles within {SAME_POSE_RAD} rad);"
             " record both at the same poses, or use --method joint, which does not need that"
         )
-    shape = (len(found), AXES)
+    shape = (len(found), own.axes)
     return _Rows(
         pose=np.array(found),
         q_rad=np.array(q).reshape(shape),
@@ -176,7 +177,7 @@ def _differences(own: Visits, reference: Visits, label: str) -> _Rows:
 
 
 def _mean_variance(visits: Visits) -> Floats:
-    """Variance (6,) of the mean torque of some visits by samples and gear alone."""
+    """Variance (N,) of the mean torque of some visits by samples and gear alone."""
     own = np.nan_to_num(visits.tau_std_nm) ** 2 + visits.gear_nm**2 / 3.0
     return own.sum(axis=0) / len(visits) ** 2
 
@@ -189,25 +190,27 @@ def _require_postures(rows: _Rows, robot: Robot, options: EstimateOptions, label
             " gravity turns no axis, whatever the arm; measure two postures or more in which gravity comes from sides"
             " of the flange more than 30 degrees apart"
         )
-    angle = largest_angle_rad(gravity_in_link_6(robot, rows.q_rad, options.gravity_m_s2))
+    angle = largest_angle_rad(gravity_in_last_link(robot, rows.q_rad, options.gravity_m_s2))
     if angle < LEAST_ANGLE_RAD:
         raise DataUnusable(
             f"load '{label}': in all {len(rows.pose)} common postures gravity comes from nearly one side of the flange"
-            f" ({np.rad2deg(angle):.0f} degrees apart at most, 30 needed), which gives rank 3; turn axes 4 to 6"
+            f" ({np.rad2deg(angle):.0f} degrees apart at most, 30 needed), which gives rank 3; turn"
+            f" {wrist_in_words(robot)}"
         )
 
 
 def _groups(visits: Visits, rows: _Rows, pose: NDArray[np.int_], axis: NDArray[np.int_]) -> Groups:
     """Noise groups of the scaled differences: the extra variance is that of a single visit."""
+    axes = visits.axes
     visit, all_axis = np.nonzero(np.isfinite(visits.tau_nm))
     single = noise_groups(visits, visit, all_axis)
     return Groups(
-        index=axis + AXES * rows.one_sided[pose],
+        index=axis + axes * rows.one_sided[pose],
         stated=rows.stated[pose, axis] / rows.share[pose, axis],
         scale_nm=single.scale_nm,
-        seen=np.concatenate([single.seen[:AXES], np.full(AXES, np.nan)]),
+        seen=np.concatenate([single.seen[:axes], np.full(axes, np.nan)]),
         seen_stated=single.seen_stated,
-        seen_weight=np.concatenate([single.seen_weight[:AXES], np.zeros(AXES)]),
+        seen_weight=np.concatenate([single.seen_weight[:axes], np.zeros(axes)]),
     )
 
 
@@ -250,15 +253,15 @@ def _contradiction(visits: Visits, fit: NoiseFit, load: LoadEstimate, axis: NDAr
 
 
 def _fitted(rows: _Rows, label: str, model: Floats, sigma: Floats) -> FittedRows:
-    n = len(rows.pose)
-    blank = np.full((n, AXES), np.nan)
+    n, axes = rows.q_rad.shape
+    blank = np.full((n, axes), np.nan)
     return FittedRows(
         run=np.full(n, "difference"),
         load=np.full(n, label),
         pose=rows.pose,
         time_s=np.full(n, np.nan),
         q_rad=rows.q_rad,
-        direction=np.zeros((n, AXES), dtype=int),
+        direction=np.zeros((n, axes), dtype=int),
         tau_nm=rows.torque_nm,
         model_nm=model,
         band_nm=blank,

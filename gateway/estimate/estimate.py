@@ -27,7 +27,7 @@ class LoadEstimate:
     mass_kg, mass_std_kg : float
         NaN where the data cannot give them.
     com_m, com_std_m : arrays of shape (3,)
-        In link_6; 1.96 standard deviations hold the truth in 95 %.
+        In the last link; 1.96 standard deviations hold the truth in 95 %.
     correlation : array of shape (4, 4)
         Of [mass, x, y, z], NaN where unidentifiable.
     covariance : array of shape (4, 4)
@@ -57,7 +57,7 @@ class LoadEstimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedRows:
-    """Measured and modelled torque, n visits or instants by six axes [Nm]; NaN = not measured or not used.
+    """Measured and modelled torque, n visits or instants by N axes [Nm]; NaN = not measured or not used.
 
     `std_nm` is the standard deviation the fit gave each torque, `leverage` the share of its noise the fit took up.
     """
@@ -76,12 +76,12 @@ class FittedRows:
 
     @property
     def residual_nm(self) -> Floats:
-        """Measured less modelled torque (n, 6)."""
+        """Measured less modelled torque (n, N)."""
         return self.tau_nm - self.model_nm
 
     @property
     def rms_nm(self) -> Floats:
-        """Root mean square (6,) of the residual over the rows used; NaN where there is none."""
+        """Root mean square (N,) of the residual over the rows used; NaN where there is none."""
         left = self.residual_nm
         count = np.isfinite(left).sum(axis=0)
         total = np.nansum(left**2, axis=0)
@@ -96,15 +96,15 @@ class Estimate:
     ----------
     method : str
     loads : tuple of LoadEstimate
+    sigma_nm : array of shape (N,)
+        Noise floor of a half-sum; NaN where not known.
+    band_nm : array of shape (N,)
+        Friction band of each axis; NaN where not seen.
     names, units : tuples of p str
     value, std : arrays of shape (p,)
         `std` is NaN for what the data do not determine.
     covariance : array of shape (p, p)
     rows : FittedRows or None
-    sigma_nm : array of shape (6,)
-        Noise floor of a half-sum; NaN where not known.
-    band_nm : array of shape (6,)
-        Friction band of each axis; NaN where not seen.
     rank : int
     condition : float
         Of the scaled, weighted columns.
@@ -119,14 +119,14 @@ class Estimate:
 
     method: str
     loads: tuple[LoadEstimate, ...]
+    sigma_nm: Floats
+    band_nm: Floats
     names: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
     value: Floats = field(default_factory=lambda: np.zeros(0))
     std: Floats = field(default_factory=lambda: np.zeros(0))
     covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     rows: FittedRows | None = None
-    sigma_nm: Floats = field(default_factory=lambda: np.full(6, np.nan))
-    band_nm: Floats = field(default_factory=lambda: np.full(6, np.nan))
     rank: int = 0
     condition: float = np.nan
     lumped: tuple[str, ...] = ()

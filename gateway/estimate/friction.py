@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.estimate.noise import Groups
-from gateway.model.robot import AXES
 from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
@@ -18,17 +17,20 @@ _TORQUE_SHARE = 0.05
 
 
 def friction_bands(visits: Visits) -> Floats:
-    """Friction band (6,) [Nm]: median of the half differences; NaN where no axis was approached from both sides."""
+    """Friction band (N,) [Nm]: median of the half differences; NaN where no axis was approached from both sides."""
     seen = np.isfinite(visits.band_nm)
     return np.array(
-        [abs(float(np.median(visits.band_nm[seen[:, k], k]))) if seen[:, k].any() else np.nan for k in range(AXES)]
+        [
+            abs(float(np.median(visits.band_nm[seen[:, k], k]))) if seen[:, k].any() else np.nan
+            for k in range(visits.axes)
+        ]
     )
 
 
 def band_scatter(visits: Visits) -> tuple[Floats, Floats]:
-    """Mean square (6,) [Nm2] of the half differences about `band + nu |tau|`, and its degrees of freedom (6,)."""
-    square, freedom = np.full(AXES, np.nan), np.zeros(AXES)
-    for k in range(AXES):
+    """Mean square (N,) [Nm2] of the half differences about `band + nu |tau|`, and its degrees of freedom (N,)."""
+    square, freedom = np.full(visits.axes, np.nan), np.zeros(visits.axes)
+    for k in range(visits.axes):
         use = np.isfinite(visits.band_nm[:, k]) & np.isfinite(visits.tau_nm[:, k])
         half = visits.band_nm[use, k]
         columns = [np.ones(len(half))]
@@ -44,13 +46,13 @@ def band_scatter(visits: Visits) -> tuple[Floats, Floats]:
 
 
 def noise_groups(visits: Visits, visit: Ints, axis: Ints) -> Groups:
-    """Noise groups of rows (visit, axis): axis for two-sided visits, axis + 6 for one-sided ones."""
-    bands = friction_bands(visits)
+    """Noise groups of rows (visit, axis): axis for two-sided visits, axis + N for one-sided ones."""
+    axes, bands = visits.axes, friction_bands(visits)
     square, freedom = band_scatter(visits)
     one_sided = ~visits.two_sided[visit] | (
         (visits.direction[visit, axis] == 0) & np.isnan(visits.band_nm[visit, axis])
     )
-    index = axis + AXES * one_sided
+    index = axis + axes * one_sided
     sampled = visits.tau_std_nm[visit, axis]
     gear = visits.gear_nm[visit, axis] ** 2 / 3.0
     stated = np.where(np.isfinite(sampled), sampled**2, 0.0) + gear
@@ -58,7 +60,7 @@ def noise_groups(visits: Visits, visit: Ints, axis: Ints) -> Groups:
     mean_stated = np.array(
         [
             float(stated[(axis == k) & ~one_sided].mean()) if ((axis == k) & ~one_sided).any() else 0.0
-            for k in range(AXES)
+            for k in range(axes)
         ]
     )
     return Groups(
@@ -66,7 +68,7 @@ def noise_groups(visits: Visits, visit: Ints, axis: Ints) -> Groups:
         stated=stated,
         scale_nm=np.concatenate([scale, scale]),
         seen=np.concatenate([square, np.where(np.isfinite(bands), bands**2 / 3.0, np.nan)]),
-        seen_stated=np.concatenate([mean_stated, np.zeros(AXES)]),
+        seen_stated=np.concatenate([mean_stated, np.zeros(axes)]),
         seen_weight=np.concatenate(
             [np.minimum(freedom, _SEEN_WEIGHT), np.where(np.isfinite(bands), _ONE_SIDED_WEIGHT, 0.0)]
         ),
@@ -77,7 +79,10 @@ def _scales(visits: Visits, bands: Floats) -> Floats:
     """Relative size of friction on each axis: its band, or a share of its torque where no band was seen."""
     used = np.isfinite(visits.tau_nm)
     rms = np.array(
-        [float(np.sqrt(np.mean(visits.tau_nm[used[:, k], k] ** 2))) if used[:, k].any() else 1.0 for k in range(AXES)]
+        [
+            float(np.sqrt(np.mean(visits.tau_nm[used[:, k], k] ** 2))) if used[:, k].any() else 1.0
+            for k in range(visits.axes)
+        ]
     )
     ratio = bands / np.maximum(rms, 1e-12)
     share = float(np.nanmedian(ratio)) if np.isfinite(ratio).any() else _TORQUE_SHARE

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.estimate.advice import cost_of_missing_axes
+from gateway.estimate.advice import cost_of_missing_axes, wrist_in_words
 from gateway.estimate.consistency import hull_radius_m, physical_findings
 from gateway.estimate.estimate import Estimate, FittedRows, LoadEstimate
 from gateway.estimate.options import EstimateOptions
-from gateway.model.robot import AXES, Robot
+from gateway.model.robot import Robot
 from gateway.result.result import Finding, FitSummary, LoadResult, Parameter, Result, Rows
 
 Floats = NDArray[np.float64]
@@ -35,8 +35,9 @@ def to_result(
         Where data and constants come from.
     """
     loads = tuple(load_result(load, robot) for load in estimate.loads)
-    rms = np.full(AXES, np.nan) if estimate.rows is None else estimate.rows.rms_nm
-    summary = FitSummary(rms_nm=_numbers(rms), loads=loads)
+    unknown = np.full(len(estimate.sigma_nm), np.nan)
+    rms = unknown if estimate.rows is None else estimate.rows.rms_nm
+    summary = FitSummary(rms_nm=_numbers(rms), holdout_rms_nm=_numbers(unknown), loads=loads)
     quality = {
         "method": estimate.method,
         "rank": estimate.rank,
@@ -74,6 +75,7 @@ def load_result(load: LoadEstimate, robot: Robot | None) -> LoadResult:
         mass_std_kg=float(load.mass_std_kg),
         com_m=_numbers(load.com_m) if known.any() else None,
         com_std_m=_numbers(load.com_std_m) if known.any() else None,
+        frame="link_6" if robot is None else robot.last_link,
         com_flange_m=None if flange is None or not known.all() else _numbers(in_flange(load.com_m, flange)),
         correlation=None if load.refused else tuple(_numbers(row) for row in load.correlation),
         unidentifiable=load.unidentifiable,
@@ -83,7 +85,7 @@ def load_result(load: LoadEstimate, robot: Robot | None) -> LoadResult:
 
 
 def in_flange(point_m: Floats, flange: Floats) -> Floats:
-    """A point (3,) of link_6 in the frame of the flange, whose pose in link_6 is (4, 4)."""
+    """A point (3,) of the last link in the frame of the flange, whose pose there is (4, 4)."""
     return flange[:3, :3].T @ (point_m - flange[:3, 3])
 
 
@@ -95,9 +97,9 @@ def _findings(estimate: Estimate, robot: Robot | None, options: EstimateOptions)
             out.append(Finding("fail", where, f"refused: {load.refused}", "check units, signs and labels of its rows"))
             continue
         if load.unidentifiable and estimate.method != "coefficient":
-            out.append(Finding("warn", where, _why_open(estimate, load), _what_to_do(estimate)))
+            out.append(Finding("warn", where, _why_open(estimate, load), _what_to_do(estimate, robot)))
         if robot is not None:
-            out += physical_findings(load, hull_radius_m(robot, options.hull_radius_m))
+            out += physical_findings(load, robot.last_link, hull_radius_m(robot, options.hull_radius_m))
     if estimate.rows is not None and estimate.method in ("joint", "difference", "posture"):
         out += _missing_axes(estimate.rows, robot, estimate.sigma_nm, options)
         out += _one_sided(estimate)
@@ -105,19 +107,20 @@ def _findings(estimate: Estimate, robot: Robot | None, options: EstimateOptions)
 
 
 def _why_open(estimate: Estimate, load: LoadEstimate) -> str:
-    open_ = ", ".join(load.unidentifiable)
+    open_, axes = ", ".join(load.unidentifiable), len(estimate.sigma_nm)
     bare = (estimate.rows is not None and (estimate.rows.load == "none").any()) or estimate.bare is not None
     if "mass_kg" in load.unidentifiable and not bare:
-        return f"{open_} cannot be told: the load lumps with link 6, because nothing is known of the bare arm"
+        return f"{open_} cannot be told: the load lumps with link {axes}, because nothing is known of the bare arm"
     if "mass_kg" in load.unidentifiable:
         return f"{open_} cannot be told from the axes and poses measured"
     return f"{open_} cannot be told: in all poses gravity comes from the same side of the flange"
 
 
-def _what_to_do(estimate: Estimate) -> str:
+def _what_to_do(estimate: Estimate, robot: Robot | None) -> str:
     if estimate.next:
         return "measure the pose that is named under `next`"
-    return "measure the bare arm too, give --bare or trusted --inertials, and turn axes 4 to 6 between the poses"
+    turn = "" if robot is None else f", and turn {wrist_in_words(robot)} between the poses"
+    return f"measure the bare arm too, give --bare or trusted --inertials{turn}"
 
 
 def _missing_axes(rows: FittedRows, robot: Robot | None, sigma: Floats, options: EstimateOptions) -> list[Finding]:

@@ -64,7 +64,8 @@ def estimate_joint(visits: Visits, robot: Robot, options: EstimateOptions) -> Es
         for label, reason in refused.items()
     )
     if not len(kept):
-        return Estimate(method="joint", loads=others)
+        unknown = np.full(visits.axes, np.nan)
+        return Estimate(method="joint", loads=others, sigma_nm=unknown, band_nm=unknown)
     known = {label: value for label, value in options.known.items() if label in kept.load}
     rest = estimate_joint(kept, robot, replace(options, known=known))
     return replace(rest, loads=(*rest.loads, *others))

@@ -20,7 +20,7 @@ from gateway.estimate.estimate import Estimate, FittedRows, LoadEstimate, load_f
 from gateway.estimate.linear import Solution, determined, solve
 from gateway.estimate.moving_columns import Columns, MovingSetup, fast_rows, moving_columns
 from gateway.estimate.options import EstimateOptions
-from gateway.model.robot import AXES, Robot, reach_m
+from gateway.model.robot import Robot, reach_m
 from gateway.result.result import Finding
 
 Floats = NDArray[np.float64]
@@ -80,14 +80,14 @@ def _target(columns: Columns, tau_nm: Floats, row: Ints, axis: Ints) -> Floats:
 
 
 def _reweighted(columns: Columns, tau_nm: Floats, where: tuple[Ints, Ints], passes: int) -> tuple[Solution, Floats]:
-    """Solution with every axis weighted by its residual (6,) in the pass before; the first weights are one."""
+    """Solution with every axis weighted by its residual (N,) in the pass before; the first weights are one."""
     row, axis = where
     design, target = columns.design[row, axis], _target(columns, tau_nm, row, axis)
     least = 1e-6 * max(float(np.sqrt(np.mean(target**2))), 1e-12)
-    sigma = np.ones(AXES)
+    sigma = np.ones(tau_nm.shape[1])
     solution = solve(design, target, 1.0 / sigma[axis], columns.prior)
     for _ in range(passes - 1):
-        new = np.maximum(_rms(solution.residual, axis), least)
+        new = np.maximum(_rms(solution.residual, axis, len(sigma)), least)
         if np.allclose(new, sigma, rtol=_SETTLED):
             break
         sigma = new
@@ -95,9 +95,9 @@ def _reweighted(columns: Columns, tau_nm: Floats, where: tuple[Ints, Ints], pass
     return solution, sigma
 
 
-def _rms(residual: Floats, axis: Ints) -> Floats:
-    count = np.bincount(axis, minlength=AXES)
-    total = np.bincount(axis, weights=residual**2, minlength=AXES)
+def _rms(residual: Floats, axis: Ints, axes: int) -> Floats:
+    count = np.bincount(axis, minlength=axes)
+    total = np.bincount(axis, weights=residual**2, minlength=axes)
     return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), 1.0)
 
 
@@ -107,8 +107,8 @@ def _covariance(
     """Covariance (p, p) under the residuals as they are: their own size, and hanging together in time."""
     row, axis = where
     weight = 1.0 / sigma[axis]
-    actual = _rms(solution.residual, axis)
-    for k in range(AXES):
+    actual = _rms(solution.residual, axis, len(sigma))
+    for k in range(len(sigma)):
         here = axis == k
         if here.any():
             actual[k] *= np.sqrt(_correlation_time(solution.residual[here], run[row[here]]))
@@ -141,7 +141,7 @@ def _described(
     model = np.full(moving.tau_nm.shape, np.nan)
     model[row, axis] = moving.tau_nm[row, axis] - solution.residual
     loads = tuple(_load(solution, covariance, named, longest_m) for named in columns.loads.items())
-    n = len(moving)
+    blank = np.full(moving.tau_nm.shape, np.nan)
     rows = FittedRows(
         run=np.asarray(moving.run).astype(str),
         load=np.asarray(moving.load).astype(str),
@@ -151,20 +151,21 @@ def _described(
         direction=np.sign(moving.qd_rad_s).astype(int),
         tau_nm=np.where(np.isfinite(model), moving.tau_nm, np.nan),
         model_nm=model,
-        band_nm=np.full((n, AXES), np.nan),
-        std_nm=np.where(np.isfinite(model), _rms(solution.residual, axis), np.nan),
-        leverage=np.full((n, AXES), np.nan),
+        band_nm=blank,
+        std_nm=np.where(np.isfinite(model), _rms(solution.residual, axis, moving.axes), np.nan),
+        leverage=blank,
     )
     return Estimate(
         method="moving",
         loads=loads,
+        sigma_nm=np.full(moving.axes, np.nan),
         names=columns.names,
         units=columns.units,
         value=np.where(found, solution.value, np.nan),
         std=np.where(found, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.nan),
         covariance=covariance,
         rows=rows,
-        band_nm=_coulomb(columns, solution),
+        band_nm=_coulomb(columns, solution, moving.axes),
         rank=solution.rank,
         condition=solution.condition,
         lumped=tuple(name for name, good in zip(columns.names, found, strict=True) if not good),
@@ -184,8 +185,8 @@ def _load(solution: Solution, covariance: Floats, named: tuple[str, int], longes
     return without_guesses(load, longest_m)
 
 
-def _coulomb(columns: Columns, solution: Solution) -> Floats:
-    out = np.full(AXES, np.nan)
+def _coulomb(columns: Columns, solution: Solution, axes: int) -> Floats:
+    out = np.full(axes, np.nan)
     for k, name in enumerate(columns.names):
         if name.startswith("coulomb[J"):
             out[int(name[9]) - 1] = abs(solution.value[k])

@@ -14,8 +14,8 @@ from gateway.estimate.problem import LOAD_NAMES, LOAD_UNITS
 from gateway.identify.links import PER_LINK_MOVING, body_parameters, link_prior
 from gateway.identify.loads import unknown_labels
 from gateway.model.base import BaseSet, base_parameters, moving_base
-from gateway.model.regressor import FULL_NAMES, regressor
-from gateway.model.robot import AXES, Robot
+from gateway.model.regressor import full_names, regressor
+from gateway.model.robot import Robot
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
@@ -23,7 +23,8 @@ Mask = NDArray[np.bool_]
 
 FRICTION = ("coulomb", "viscous", "rotor_inertia", "offset")
 FRICTION_UNITS = ("Nm", "Nm s/rad", "kg m2", "Nm")
-_LOAD = slice(50, 54)
+#: Of the last link: mass and first moment; all ten.
+_LOAD, _BODY = slice(-PER_LINK_MOVING, 4 - PER_LINK_MOVING), slice(-PER_LINK_MOVING, None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +53,7 @@ class MovingSetup:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Columns:
-    """Design (n, 6, p), known torque (n, 6), prior, names, units, and the first column of each load."""
+    """Design (n, N, p), known torque (n, N), prior, names, units, and the first column of each load."""
 
     design: Floats
     known_nm: Floats
@@ -63,7 +64,7 @@ class Columns:
 
 
 def fast_rows(qd_rad_s: Floats, robot: Robot, motion: MovingSetup) -> Mask:
-    """Which axes (n, 6) move fast enough to be used."""
+    """Which axes (n, N) move fast enough to be used."""
     limit = np.where(np.isfinite(robot.velocity_rad_s), robot.velocity_rad_s, 0.0)
     return np.abs(qd_rad_s) >= motion.slow_share * limit
 
@@ -87,8 +88,9 @@ def moving_columns(moving: Table, robot: Robot, options: EstimateOptions, motion
     known = rows @ fixed
     for label, values in options.known.items():
         here = np.asarray(moving.load) == label
-        known[here] += rows[here][:, :, 50:] @ body_parameters(values[0], np.array(values[1:]), np.zeros((3, 3)))
-    parts, names, units = [rows[:, :, chosen]], [*(FULL_NAMES[k] for k in held), *base.names], []
+        known[here] += rows[here][:, :, _BODY] @ body_parameters(values[0], np.array(values[1:]), np.zeros((3, 3)))
+    full = full_names(robot.axes)
+    parts, names, units = [rows[:, :, chosen]], [*(full[k] for k in held), *base.names], []
     units += [("kg", *["kg m"] * 3, *["kg m2"] * 6)[k % PER_LINK_MOVING] for k in chosen]
     loads: dict[str, int] = {}
     for label in unknown:
@@ -98,31 +100,31 @@ def moving_columns(moving: Table, robot: Robot, options: EstimateOptions, motion
         units += LOAD_UNITS
     shapes = motion.friction or (FRICTION[:3] if loads else FRICTION)
     parts.append(_friction_columns(moving, shapes, motion.smooth_rad_s))
-    names += [f"{name}[J{axis + 1}]" for axis in range(AXES) for name in shapes]
-    units += [FRICTION_UNITS[FRICTION.index(name)] for _ in range(AXES) for name in shapes]
+    names += [f"{name}[J{axis + 1}]" for axis in range(robot.axes) for name in shapes]
+    units += [FRICTION_UNITS[FRICTION.index(name)] for _ in range(robot.axes) for name in shapes]
     prior = Prior.free(len(names))
     prior.mean[: len(held)], prior.std[: len(held)] = mean[held], std[held]
     return Columns(np.concatenate(parts, axis=2), known, prior, tuple(names), tuple(units), loads)
 
 
 def _free_base(robot: Robot, options: EstimateOptions, free: Ints) -> BaseSet:
-    if len(free) == AXES * PER_LINK_MOVING:
+    if len(free) == robot.axes * PER_LINK_MOVING:
         return moving_base(robot, options.gravity_m_s2)
-    q, qd, qdd = np.random.default_rng(0).uniform(-2.0, 2.0, size=(3, 60, AXES))
+    q, qd, qdd = np.random.default_rng(0).uniform(-2.0, 2.0, size=(3, 60, robot.axes))
     rows = regressor(robot, q, qd, qdd, options.gravity_m_s2)[:, :, free]
-    return base_parameters(rows, [FULL_NAMES[k] for k in free])
+    return base_parameters(rows, [full_names(robot.axes)[k] for k in free])
 
 
 def _friction_columns(moving: Table, shapes: tuple[str, ...], smooth_rad_s: float) -> Floats:
-    n, count = len(moving), len(shapes)
+    (n, axes), count = moving.q_rad.shape, len(shapes)
     values = {
         "coulomb": np.tanh(moving.qd_rad_s / smooth_rad_s),
         "viscous": moving.qd_rad_s,
         "rotor_inertia": moving.qdd_rad_s2,
-        "offset": np.ones((n, AXES)),
+        "offset": np.ones((n, axes)),
     }
-    out = np.zeros((n, AXES, AXES * count))
-    for axis in range(AXES):
+    out = np.zeros((n, axes, axes * count))
+    for axis in range(axes):
         for k, name in enumerate(shapes):
             out[:, axis, axis * count + k] = values[name][:, axis]
     return out

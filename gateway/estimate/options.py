@@ -12,7 +12,6 @@ from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
 from gateway.result.result import Bare
 
 Four = tuple[float, float, float, float]
-Six = tuple[float, float, float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,24 +34,24 @@ class EstimateOptions:
     inertials : "exact", "ignore" or "prior:S"
         How far the robot model's inertials are trusted: S is the relative standard deviation of every link's mass, and
         that of its first moment as a fraction of mass x link length.
-    known : label -> (mass [kg], x, y, z [m] in link_6)
+    known : label -> (mass [kg], x, y, z [m] in the last link)
         Loads that are known.
     bare : Bare or None
         Stored bare identification.
     gravity_m_s2 : base frame
-    efficiency : six gear efficiencies
+    efficiency : gear efficiency of every axis, or one for all
         1 where the torque already stands behind the gear.
     coefficient : Coefficient or None
         Needed by that method alone.
     hull_radius_m : float or None
-        A centre of mass further from link_6 is reported; 0.4 of the arm's length if not given.
+        A centre of mass further from the last link is reported; 0.4 of the arm's length if not given.
     """
 
     inertials: str = "ignore"
     known: Mapping[str, Four] = field(default_factory=dict)
     bare: Bare | None = None
     gravity_m_s2: tuple[float, float, float] = STANDARD_GRAVITY_M_S2
-    efficiency: Six = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+    efficiency: tuple[float, ...] = (1.0,)
     coefficient: Coefficient | None = None
     hull_radius_m: float | None = None
 
@@ -82,5 +81,7 @@ def parse_known(text: str) -> tuple[str, Four]:
         or not all(math.isfinite(v) for v in values)
         or values[0] < 0
     ):
-        raise InputError(f"--known {text}: expected LABEL=MASS,X,Y,Z in kg and m (link_6), such as tool=12.5,0,0,0.11")
+        raise InputError(
+            f"--known {text}: expected LABEL=MASS,X,Y,Z in kg and m (last link), such as tool=12.5,0,0,0.11"
+        )
     return label.strip(), (values[0], values[1], values[2], values[3])

@@ -2,8 +2,8 @@
 
 First the base gravity parameters (the A_ij, B_ij) and the friction offsets of the loaded arm, then the load as what
 changed against the bare arm: `beta_loaded - beta_bare = E phi`. From loaded rows alone the load cannot be told: its
-columns lie in the span of link 6's. What makes it work is a stored bare identification, bare rows in the data (their
-postures need not be the same), or trusted inertials.
+columns lie in the span of the last link's. What makes it work is a stored bare identification, bare rows in the data
+(their postures need not be the same), or trusted inertials.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def estimate_posture(visits: Visits, robot: Robot, options: EstimateOptions) -> 
         first,
         method="posture",
         loads=tuple(load for part in parts for load in part.loads),
-        findings=(_limits(base), *(finding for part in parts for finding in part.findings)),
+        findings=(_limits(base, robot.axes), *(finding for part in parts for finding in part.findings)),
         bare=bare,
         quality=dict(zip(labels, (part.quality for part in parts), strict=True)),
     )
@@ -92,15 +92,16 @@ def _bare(visits: Visits, robot: Robot, options: EstimateOptions, base: BaseSet,
             return found
         raise DataUnusable(
             "the bare rows do not determine all base parameters of the arm; measure more bare postures that move axes 2"
-            " to 6, or use --method joint, which takes what they give"
+            f" to {robot.axes}, or use --method joint, which takes what they give"
         )
     links = link_knowledge(robot, options)
     if len(links.free):
-        lumped = [name for name in base.names if "_6" in name]
+        lumped = [name for name in base.names if f"_{robot.axes}" in name]
         raise DataUnusable(
-            f"loads {', '.join(labels)} were on throughout and nothing is known of the bare arm: only link 6 and load"
-            f" together can be seen, in the combinations {'; '.join(lumped)}; give a stored bare identification (--bare"
-            " RESULT.json), record the bare arm too, or say how far the URDF's inertials are trusted (--inertials)"
+            f"loads {', '.join(labels)} were on throughout and nothing is known of the bare arm: only link"
+            f" {robot.axes} and load together can be seen, in the combinations {'; '.join(lumped)}; give a stored bare"
+            " identification (--bare RESULT.json), record the bare arm too, or say how far the URDF's inertials are"
+            " trusted (--inertials)"
         )
     std = np.where(np.isfinite(links.std), np.maximum(links.std, _BLURRED), 0.0)
     return _bare_from(
@@ -117,6 +118,7 @@ def _bare_from(robot: Robot, options: EstimateOptions, base: BaseSet, value: Flo
         value=tuple(value.tolist()),
         covariance=tuple(tuple(row) for row in covariance.tolist()),
         combination=tuple(tuple(row) for row in base.combination.tolist()),
+        offset_nm=(np.nan,) * robot.axes,
     )
 
 
@@ -175,11 +177,11 @@ def _base_directions(problem: Problem, base: BaseSet) -> Floats:
     return directions
 
 
-def _limits(base: BaseSet) -> Finding:
-    lumped = "; ".join(name for name in base.names if "_6" in name)
+def _limits(base: BaseSet, last: int) -> Finding:
+    lumped = "; ".join(name for name in base.names if f"_{last}" in name)
     return Finding(
         "info", "posture variation",
-        f"link 6 and load are seen only together ({lumped}); the load is what changed against the bare arm, so any"
+        f"link {last} and load are seen only together ({lumped}); the load is what changed against the bare arm, so any"
         " error of the bare identification is an error of the load",
         "the difference method at the same poses does not need the bare parameters",
     )  # fmt: skip

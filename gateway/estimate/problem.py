@@ -13,7 +13,7 @@ from gateway.estimate.options import EstimateOptions
 from gateway.identify.links import PER_LINK_AT_REST, link_prior
 from gateway.identify.loads import bare_rows, load_vector, unknown_labels
 from gateway.model.base import BaseSet, rest_base
-from gateway.model.regressor import GRAVITY_NAMES, LOAD_COLUMNS, gravity_regressor
+from gateway.model.regressor import LOAD_COLUMNS, gravity_names, gravity_regressor
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits
 from gateway.result.result import Bare
@@ -29,10 +29,10 @@ FRICTION_SHARE = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Links:
-    """Knowledge of the 24 link parameters [m, hx, hy, hz].
+    """Knowledge of the 4 N link parameters [m, hx, hy, hz].
 
-    `fixed` (24,) is what is taken as known exactly (0 elsewhere); `held` are columns with a Gaussian prior `mean`,
-    `std` (24,); `base` are the combinations of the free ones, `free` their columns.
+    `fixed` (4 N,) is what is taken as known exactly (0 elsewhere); `held` are columns with a Gaussian prior `mean`,
+    `std` (4 N,); `base` are the combinations of the free ones, `free` their columns.
     """
 
     fixed: Floats
@@ -44,13 +44,13 @@ class Links:
 
     @property
     def columns(self) -> Ints:
-        """Columns of the 24 that stand for parameters: held ones, then independent free ones."""
+        """Columns of the 4 N that stand for parameters: held ones, then independent free ones."""
         return np.concatenate([self.held, self.free[self.base.indices]])
 
     @property
     def names(self) -> tuple[str, ...]:
         """Name of each of `columns`; a free one names what it lumps."""
-        return (*(GRAVITY_NAMES[k] for k in self.held), *self.base.names)
+        return (*(gravity_names(len(self.mean) // PER_LINK_AT_REST)[k] for k in self.held), *self.base.names)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,7 +172,7 @@ def _sided_axes(visits: Visits, measured: NDArray[np.bool_]) -> Ints:
 
 
 def _torque_rms(visits: Visits) -> Floats:
-    """Root mean square (6,) of each axis's torque; 0 where not measured."""
+    """Root mean square (N,) of each axis's torque; 0 where not measured."""
     count = np.isfinite(visits.tau_nm).sum(axis=0)
     return np.sqrt(np.nansum(visits.tau_nm**2, axis=0) / np.maximum(count, 1))
 

@@ -41,7 +41,7 @@ def load_vector(known: Sequence[float]) -> Floats:
 
 
 def bare_rows(bare: Bare) -> tuple[Floats, Floats]:
-    """A stored bare identification as rows (k, 24) and right side (k,) with unit standard deviation."""
+    """A stored bare identification as rows (k, 4 N) and right side (k,) with unit standard deviation."""
     combination, value = np.asarray(bare.combination, dtype=float), np.asarray(bare.value, dtype=float)
     size, vectors = np.linalg.eigh(np.asarray(bare.covariance, dtype=float))
     size = np.maximum(size, max(_SUREST * float(size.max(initial=0.0)), 1e-28))

@@ -18,7 +18,7 @@ from gateway.identify.links import PER_LINK_MOVING, link_prior
 from gateway.identify.loads import BARE_LABEL
 from gateway.model.motion import PER_BODY, MovingRows
 from gateway.model.regressor import regressor
-from gateway.model.robot import AXES, SHORTEST_M
+from gateway.model.robot import SHORTEST_M
 
 Floats = NDArray[np.float64]
 
@@ -31,10 +31,10 @@ INERTIA_RADIUS_M = 0.2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Baseline:
-    """Columns (n, 6, P) of the model to beat with the prior's mean (P,) and precision (P,).
+    """Columns (n, N, P) of the model to beat with the prior's mean (P,) and precision (P,).
 
-    `body` (60, P) maps the parameters to those of the six links as the rows of an unloaded arm see them; `loads` gives
-    the slice of each label's ten columns; `friction` (6, 4) the columns of each axis (sign, speed, acceleration, one).
+    `body` (10 N, P) maps the parameters to those of the N links as the rows of an unloaded arm see them; `loads` gives
+    the slice of each label's ten columns; `friction` (N, 4) the columns of each axis (sign, speed, acceleration, one).
     """
 
     columns: Floats
@@ -54,7 +54,7 @@ def baseline(motion: MovingRows, trust: float | None, known: Mapping[str, tuple[
     motion : MovingRows
     trust : float or None
         Relative standard deviation of the CAD values; None = link parameters unknown.
-    known : mapping of label to (mass [kg], centre of mass (3,) [m] in link 6)
+    known : mapping of label to (mass [kg], centre of mass (3,) [m] in the last link)
     """
     labels = free_labels(motion, trust, known)
     body, mean, precision = _bodies(motion, trust)
@@ -81,7 +81,7 @@ def baseline(motion: MovingRows, trust: float | None, known: Mapping[str, tuple[
 
 
 def free_labels(motion: MovingRows, trust: float | None, known: Mapping[str, tuple[float, Floats]]) -> list[str]:
-    """Labels that get columns of their own: without CAD and bare rows the first load lumps with link 6."""
+    """Labels that get columns of their own: without CAD and bare rows the first load lumps with the last link."""
     fitted = motion.load[~motion.given]
     labels = [
         str(label) for label in np.unique(motion.load) if label != BARE_LABEL and (label in fitted or label in known)
@@ -93,7 +93,7 @@ def free_labels(motion: MovingRows, trust: float | None, known: Mapping[str, tup
 
 def _bodies(motion: MovingRows, trust: float | None) -> tuple[Floats, Floats, Floats]:
     seen = np.flatnonzero(np.abs(motion.rigid).max(axis=(0, 1)) > 1e-12)
-    body = np.eye(AXES * PER_BODY)[:, seen]
+    body = np.eye(motion.robot.axes * PER_BODY)[:, seen]
     if trust is None:
         return body, np.zeros(len(seen)), _plausible_size(motion)[seen] ** -2.0
     mean, deviation = link_prior(motion.robot, max(trust, EXACT), PER_LINK_MOVING)
@@ -101,7 +101,7 @@ def _bodies(motion: MovingRows, trust: float | None) -> tuple[Floats, Floats, Fl
 
 
 def _plausible_size(motion: MovingRows) -> Floats:
-    """Standard deviation (60,) of the parameters of links nothing is known of, from the torque the arm needs.
+    """Standard deviation (10 N,) of the parameters of links nothing is known of, from the torque the arm needs.
 
     A body of the mass that the strongest axis holds at half the reach, on every link, as large as the link.
     """
@@ -128,7 +128,7 @@ def _nearly_free(motion: MovingRows, columns: Floats) -> Floats:
 
 def _load(motion: MovingRows, label: str, known: tuple[float, Floats] | None) -> tuple[Floats, Floats, Floats]:
     here = (motion.load == label)[:, None, None]
-    columns = motion.rigid[:, :, 5 * PER_BODY :] * here
+    columns = motion.rigid[:, :, -PER_BODY:] * here
     mean, precision = np.zeros(PER_BODY), _nearly_free(motion, columns)
     heaviest = _torque_scale(motion).max() / 9.80665
     precision[4:] = (heaviest * INERTIA_RADIUS_M**2) ** -2.0
@@ -140,11 +140,12 @@ def _load(motion: MovingRows, label: str, known: tuple[float, Floats] | None) ->
 
 
 def _friction(motion: MovingRows, loaded: bool, first: int) -> tuple[Floats, Floats, NDArray[np.int_]]:
-    columns = np.zeros((len(motion), AXES, 4 * AXES))
-    precision = np.zeros(4 * AXES)
+    axes = motion.robot.axes
+    columns = np.zeros((len(motion), axes, 4 * axes))
+    precision = np.zeros(4 * axes)
     scale = _torque_scale(motion)
     carries = _carries_gravity(motion)
-    for axis in range(AXES):
+    for axis in range(axes):
         own = np.column_stack(
             [motion.sign[:, axis], motion.qd_rad_s[:, axis], motion.qdd_rad_s2[:, axis], np.ones(len(motion))]
         )
@@ -153,13 +154,13 @@ def _friction(motion: MovingRows, loaded: bool, first: int) -> tuple[Floats, Flo
         precision[4 * axis : 4 * axis + 4] = np.maximum((FREE * 1e2 * relative) ** 2, 1e-18)
         if loaded and carries[axis]:
             precision[4 * axis + 3] = (TIGHT_OFFSET * scale[axis]) ** -2.0
-    return columns, precision, first + np.arange(4 * AXES).reshape(AXES, 4)
+    return columns, precision, first + np.arange(4 * axes).reshape(axes, 4)
 
 
 def _carries_gravity(motion: MovingRows) -> NDArray[np.bool_]:
-    """Axes (6,) whose torque gravity can enter."""
+    """Axes (N,) whose torque gravity can enter."""
     rows = np.linspace(0, len(motion) - 1, min(len(motion), 50)).astype(int)
-    rest = np.zeros((len(rows), AXES))
+    rest = np.zeros((len(rows), motion.robot.axes))
     still = np.asarray(regressor(motion.robot, motion.q_rad[rows], rest, rest, tuple(motion.gravity_m_s2)))
     strength = np.abs(still).max(axis=(0, 2))
     return strength > 1e-6 * max(float(strength.max()), 1e-12)

@@ -54,14 +54,25 @@ def arm_robot(loaded: LoadedCell, arm: ArmConfig) -> Robot:
     Raises
     ------
     ConfigError
-        File unreadable, or not a chain of six revolute joints.
+        File unreadable, or not a chain of two to eight revolute joints.
     """
     return robot_from_text(arm, robot_text(loaded, arm), robot_place(loaded, arm))
 
 
 def robot_from_text(arm: ArmConfig, text: str, where: str) -> Robot:
-    """Robot model of an arm from URDF text that was already read (or stored in a recording)."""
+    """Robot model of an arm from URDF text that was already read (or stored in a recording).
+
+    Raises
+    ------
+    ConfigError
+        Not a chain of two to eight revolute joints, or of another number than the arm has axes.
+    """
     robot = robot_from_dh(arm.dh, arm.name) if arm.dh is not None else robot_from_urdf(text, where)
+    if robot.axes != len(arm.axis):
+        raise ConfigError(
+            f"{where}: robot '{robot.name}' has {robot.axes} axes, arm '{arm.name}' {len(arm.axis)} [[arm.axis]]"
+            " tables; one is needed for each axis"
+        )
     if arm.flange_xyz_m is None:
         return robot
     return with_flange(robot, arm.flange_xyz_m, arm.flange_rpy_rad)

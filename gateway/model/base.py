@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import qr, solve_triangular
 
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
-from gateway.model.regressor import gravity_regressor, regressor
-from gateway.model.robot import AXES, Robot
+from gateway.model.regressor import full_names, gravity_names, gravity_regressor, regressor
+from gateway.model.robot import Robot
 
 Floats = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ def base_parameters(rows: Floats, names: Sequence[str], tolerance: float = TOLER
 
     Parameters
     ----------
-    rows : array of shape (n, p) or (n, 6, p)
+    rows : array of shape (n, p) or (n, N, p)
     names : p names of the columns
     tolerance : float
         Columns whose part outside the others is shorter than this share of them count as dependent.
@@ -89,31 +89,23 @@ def base_parameters(rows: Floats, names: Sequence[str], tolerance: float = TOLER
 def rest_base(
     robot: Robot, gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2, columns: Sequence[int] | None = None
 ) -> BaseSet:
-    """Base parameters of the arm at rest over the whole joint space, of all 24 columns or the given ones."""
-    q = _spread_states()[0]
+    """Base parameters of the arm at rest over the whole joint space, of all columns or the given ones."""
+    q = _spread_states(robot)[0]
     rows = gravity_regressor(robot, q, gravity_m_s2)
-    chosen = list(range(4 * AXES)) if columns is None else list(columns)
-    names = [_short(column, 4, ("m", "hx", "hy", "hz")) for column in chosen]
-    return base_parameters(rows[:, :, chosen], names)
+    names = gravity_names(robot.axes)
+    chosen = list(range(len(names))) if columns is None else list(columns)
+    return base_parameters(rows[:, :, chosen], [names[column] for column in chosen])
 
 
 def moving_base(robot: Robot, gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2) -> BaseSet:
-    """Base parameters of the moving arm over a fixed set of well-spread states, of all 60 columns."""
-    q, qd, qdd = _spread_states()
-    names = [
-        _short(column, 10, ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz"))
-        for column in range(10 * AXES)
-    ]
-    return base_parameters(regressor(robot, q, qd, qdd, gravity_m_s2), names)
+    """Base parameters of the moving arm over a fixed set of well-spread states, of all columns."""
+    q, qd, qdd = _spread_states(robot)
+    return base_parameters(regressor(robot, q, qd, qdd, gravity_m_s2), full_names(robot.axes))
 
 
-def _spread_states() -> Floats:
-    """The same joint states (3, 60, 6) every time: positions, velocities, accelerations."""
-    return np.random.default_rng(_SEED).uniform(-2.0, 2.0, size=(3, _STATES, AXES))
-
-
-def _short(column: int, per_link: int, names: Sequence[str]) -> str:
-    return f"{names[column % per_link]}_{column // per_link + 1}"
+def _spread_states(robot: Robot) -> Floats:
+    """The same joint states (3, 60, N) of an arm every time: positions, velocities, accelerations."""
+    return np.random.default_rng(_SEED).uniform(-2.0, 2.0, size=(3, _STATES, robot.axes))
 
 
 def _name(row: Floats, names: Sequence[str], kept: int) -> str:

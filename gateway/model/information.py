@@ -22,8 +22,8 @@ def payload_information(
     Parameters
     ----------
     robot : Robot
-    q_rad : array of shape (n, 6)
-    sigma_nm : array of shape (6,)
+    q_rad : array of shape (n, N)
+    sigma_nm : array of shape (N,)
         Standard deviation of a half-sum; NaN or infinite = the axis is not measured.
     gravity_m_s2 : array of shape (3,)
 

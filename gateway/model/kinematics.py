@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.robot import AXES, Robot
+from gateway.model.robot import Robot
 
 Floats = NDArray[np.float64]
 STANDARD_GRAVITY_M_S2 = (0.0, 0.0, -9.80665)
@@ -38,19 +38,19 @@ def link_frames(robot: Robot, q_rad: Floats) -> Floats:
     Parameters
     ----------
     robot : Robot
-    q_rad : array of shape (n, 6)
+    q_rad : array of shape (n, N)
 
     Returns
     -------
-    array of shape (n, 6, 4, 4)
+    array of shape (n, N, 4, 4)
         Base -> link i, translations in m.
     """
     q_rad = np.asarray(q_rad, dtype=float)
     sine, versine = np.sin(q_rad), 1.0 - np.cos(q_rad)
-    frames = np.zeros((len(q_rad), AXES, 4, 4))
+    frames = np.zeros((len(q_rad), robot.axes, 4, 4))
     frames[:, :, 3, 3] = 1.0
     rotation, origin = np.eye(3)[None], np.zeros((1, 3))
-    for i in range(AXES):
+    for i in range(robot.axes):
         fixed, step = robot.placement[i, :3, :3], robot.placement[i, :3, 3]
         cross = cross_matrix(robot.axis[i])
         turned = fixed + sine[:, i, None, None] * (fixed @ cross) + versine[:, i, None, None] * (fixed @ cross @ cross)
@@ -61,13 +61,13 @@ def link_frames(robot: Robot, q_rad: Floats) -> Floats:
 
 
 def flange_frames(robot: Robot, q_rad: Floats) -> Floats:
-    """Pose (n, 4, 4) of the flange in the base frame [m]; of link 6 where the flange is not known."""
+    """Pose (n, 4, 4) of the flange in the base frame [m]; of the last link where the flange is not known."""
     last = link_frames(robot, q_rad)[:, -1]
     return last if robot.flange is None else last @ robot.flange
 
 
 def joint_axes_origins(robot: Robot, q_rad: Floats) -> tuple[Floats, Floats]:
-    """Unit direction (n, 6, 3) of every joint axis and a point (n, 6, 3) on it [m], in the base frame."""
+    """Unit direction (n, N, 3) of every joint axis and a point (n, N, 3) on it [m], in the base frame."""
     frames = link_frames(robot, q_rad)
     return np.einsum("nijk,ik->nij", frames[:, :, :3, :3], robot.axis), frames[:, :, :3, 3]
 
@@ -78,7 +78,9 @@ def kinematic_difference(first: Robot, second: Robot) -> str:
     Lines are compared, not frames, wherever the base stands: a URDF and a table of Denavit-Hartenberg rows may describe
     one arm.
     """
-    zero = np.zeros((1, AXES))
+    if first.axes != second.axes:
+        return f"one has {first.axes} axes, the other {second.axes}"
+    zero = np.zeros((1, first.axes))
     (axes, points), (other_axes, other_points) = (joint_axes_origins(robot, zero) for robot in (first, second))
     turned = np.linalg.norm(np.cross(axes[0], other_axes[0]), axis=1)
     turned = np.where(
@@ -88,7 +90,7 @@ def kinematic_difference(first: Robot, second: Robot) -> str:
     apart = np.einsum("ijk,ik->ij", across, other_points[0] - points[0])
     shift = np.linalg.lstsq(across.reshape(-1, 3), apart.ravel(), rcond=None)[0]
     apart_m = np.linalg.norm(apart - across @ shift, axis=1)
-    for joint in range(AXES):
+    for joint in range(first.axes):
         if turned[joint] > SAME_AXIS_RAD:
             return f"axis {joint + 1} points {np.degrees(turned[joint]):.1f} degrees elsewhere"
         if apart_m[joint] > SAME_AXIS_M:
@@ -96,10 +98,10 @@ def kinematic_difference(first: Robot, second: Robot) -> str:
     return ""
 
 
-def gravity_in_link_6(
+def gravity_in_last_link(
     robot: Robot, q_rad: Floats, gravity_m_s2: tuple[float, float, float] | Floats = STANDARD_GRAVITY_M_S2
 ) -> Floats:
-    """Unit direction (n, 3) of gravity as the load sees it, in the frame of link 6."""
+    """Unit direction (n, 3) of gravity as the load sees it, in the frame of the last link."""
     direction = np.asarray(gravity_m_s2, dtype=float)
     rotation = link_frames(robot, q_rad)[:, -1, :3, :3]
     return np.einsum("nji,j->ni", rotation, direction / np.linalg.norm(direction))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gateway.data.table import Table
 from gateway.errors import DataUnusable
 from gateway.model.regressor import regressor
-from gateway.model.robot import AXES, Robot
+from gateway.model.robot import Robot
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -41,20 +41,20 @@ class MovingRows:
     load : str array of shape (n,)
     given : bool array of shape (n,)
         Row of the hold-out the user gave: no fit sees it.
-    q_rad, qd_rad_s, qdd_rad_s2, tau_nm : arrays of shape (n, 6)
+    q_rad, qd_rad_s, qdd_rad_s2, tau_nm : arrays of shape (n, N)
         Torque 0 where not measured.
-    judged : bool array of shape (n, 6)
+    judged : bool array of shape (n, N)
         The axis is measured and moves.
-    sign : array of shape (n, 6)
+    sign : array of shape (n, N)
         Smooth sign of the velocity.
-    speed_rad_s : array of shape (6,)
+    speed_rad_s : array of shape (N,)
         Top speed of each axis.
-    rigid : array of shape (n, 6, 60)
+    rigid : array of shape (n, N, 10 N)
         Rigid body regressor, ten columns per link.
-    wind_up_rad : array of shape (n, 6)
+    wind_up_rad : array of shape (n, N)
         Angle of the secondary encoder over that of the motor encoder, NaN where there is none. Where there is one,
         `q_rad` is the angle of the link.
-    temperature_c : array of shape (n, 6)
+    temperature_c : array of shape (n, N)
         NaN where absent.
     """
 
@@ -99,7 +99,7 @@ class MovingRows:
 
     @property
     def measured(self) -> Mask:
-        """Axes (6,) that have rows to judge."""
+        """Axes (N,) that have rows to judge."""
         return np.asarray(self.judged.any(axis=0))
 
     @property
@@ -205,8 +205,8 @@ def _rigid(robot: Robot, q_rad: Floats, qd_rad_s: Floats, qdd_rad_s2: Floats, gr
 
 
 def angle_derivative(motion: MovingRows, axis: int) -> Floats:
-    """Change of the rigid body regressor with the angle of one axis: (n, 6, 60) per rad, by central difference."""
-    step = np.zeros(AXES)
+    """Change of the rigid body regressor with the angle of one axis: (n, N, 10 N) per rad, by central difference."""
+    step = np.zeros(motion.robot.axes)
     step[axis] = STEP_RAD
     ends = [
         _rigid(motion.robot, motion.q_rad + side * step, motion.qd_rad_s, motion.qdd_rad_s2, motion.gravity_m_s2)
@@ -216,7 +216,7 @@ def angle_derivative(motion: MovingRows, axis: int) -> Floats:
 
 
 def tilt_derivative(motion: MovingRows, direction: int) -> Floats:
-    """Change of the regressor when the base turns about its x (0) or y (1) axis: (n, 6, 60) per rad."""
+    """Change of the regressor when the base turns about its x (0) or y (1) axis: (n, N, 10 N) per rad."""
     turn = np.zeros(3)
     turn[direction] = 1.0
     rest = np.zeros_like(motion.q_rad)
@@ -224,10 +224,10 @@ def tilt_derivative(motion: MovingRows, direction: int) -> Floats:
 
 
 def structural_base(robot: Robot, gravity_m_s2: Floats) -> NDArray[np.int_]:
-    """Columns of the 60 that are independent for some motion of this arm (a fixed set of well-spread states)."""
+    """Columns that are independent for some motion of this arm (a fixed set of well-spread states)."""
     generator = np.random.default_rng(20_240_501)
-    states = generator.uniform(-2.0, 2.0, size=(3, 60, AXES))
-    stacked = _rigid(robot, states[0], states[1], states[2], gravity_m_s2).reshape(-1, AXES * PER_BODY)
+    states = generator.uniform(-2.0, 2.0, size=(3, 60, robot.axes))
+    stacked = _rigid(robot, states[0], states[1], states[2], gravity_m_s2).reshape(-1, robot.axes * PER_BODY)
     scale = np.linalg.norm(stacked, axis=0)
     usable = np.flatnonzero(scale > 1e-9 * scale.max())
     chosen: list[int] = []

@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.model.kinematics import cross_matrix, sine_cosine
-from gateway.model.robot import AXES, Robot
+from gateway.model.robot import Robot
 
 Floats = NDArray[np.float64]
 
 _MOTION = 12  # fall (3), gain (3), products of the spin xx yy zz xy yz zx
-_ROWS = 2 + AXES  # velocity, acceleration, a screw for each axis
 
 
 def _wrench_map() -> Floats:
@@ -56,8 +55,8 @@ _WRENCH_MAP = _wrench_map()
 class MotionConstants:
     """What does not depend on the row.
 
-    `step` (6, 3, 36): spatial step to each link by [1, sin q, cos q]; `turned` (6, 6, 6): spatial cross product with
-    the joint's own axis; `axis` (6, 3); `first` (12, 10): torque of axis 1 per unit of the first link's motion;
+    `step` (N, 3, 36): spatial step to each link by [1, sin q, cos q]; `turned` (N, 6, 6): spatial cross product with
+    the joint's own axis; `axis` (N, 3); `first` (12, 10): torque of axis 1 per unit of the first link's motion;
     `parts`: the components of each axis that are not zero as (index, value).
     """
 
@@ -70,8 +69,8 @@ class MotionConstants:
     @staticmethod
     def of(robot: Robot) -> MotionConstants:
         """Constants of an arm: Rodrigues' formula behind the fixed placement of each joint."""
-        step, turned = np.zeros((AXES, 3, 6, 6)), np.zeros((AXES, 6, 6))
-        for j in range(AXES):
+        step, turned = np.zeros((robot.axes, 3, 6, 6)), np.zeros((robot.axes, 6, 6))
+        for j in range(robot.axes):
             rotation, cross = robot.placement[j, :3, :3], cross_matrix(robot.axis[j])
             lever, twice = cross_matrix(robot.placement[j, :3, 3]), rotation @ cross @ cross
             for k, turn in enumerate((rotation + twice, rotation @ cross, -twice)):
@@ -80,7 +79,7 @@ class MotionConstants:
             turned[j, :3, :3] = turned[j, 3:, 3:] = cross
         parts = tuple(tuple((k, float(axis[k])) for k in range(3) if axis[k] != 0.0) for axis in robot.axis)
         first = np.einsum("mkc,k->mc", _WRENCH_MAP.reshape(_MOTION, 6, 10)[:, 3:], robot.axis[0])
-        return MotionConstants(step.reshape(AXES, 3, 36), turned, robot.axis, first, parts)
+        return MotionConstants(step.reshape(-1, 3, 36), turned, robot.axis, first, parts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,17 +97,18 @@ class MotionBuffers:
     @staticmethod
     def of(constants: MotionConstants, n: int) -> MotionBuffers:
         """Workspace for blocks of n rows of one arm."""
-        state = np.zeros((AXES, n, _ROWS, 6))
-        for j in range(AXES):
+        axes = len(constants.axis)
+        state = np.zeros((axes, n, 2 + axes, 6))  # velocity, acceleration, a screw for each axis
+        for j in range(axes):
             state[j, :, 2 + j, 3:] = constants.axis[j]
         return MotionBuffers(
-            phase=np.ones((3, AXES, n)),
+            phase=np.ones((3, axes, n)),
             step=np.empty((n, 36)),
             state=state,
-            velocity=np.empty((2, 5, AXES, n)),
-            motion=np.empty((AXES, _MOTION, n)),
+            velocity=np.empty((2, 5, axes, n)),
+            motion=np.empty((axes, _MOTION, n)),
             wrench=np.empty((n, 60)),
-            rows=np.zeros((n, AXES, 60)),
+            rows=np.zeros((n, axes, 10 * axes)),
         )
 
 
@@ -122,17 +122,17 @@ def block(
     constants : MotionConstants
     work : MotionBuffers
         Of exactly the block's length.
-    motion : three arrays of shape (n, 6)
+    motion : three arrays of shape (n, N)
         Positions [rad], velocities [rad/s], accelerations [rad/s2].
     gravity : array of shape (3,)
         In the base frame [m/s2].
-    out : array of shape (n, 6, 60)
+    out : array of shape (n, N, 10 N)
     """
     n = len(out)
     _hand_on(constants, work, motion, gravity)
     _motion_of_links(work)
     np.matmul(work.motion[0].T, constants.first, out=work.rows[:, 0, :10])  # only its own axis moves the first link
-    for j in range(1, AXES):
+    for j in range(1, len(constants.axis)):
         wrench = np.matmul(work.motion[j].T, _WRENCH_MAP, out=work.wrench).reshape(n, 6, 10)
         np.matmul(work.state[j, :, 2 : 3 + j], wrench, out=work.rows[:, : j + 1, 10 * j : 10 * j + 10])
     out[...] = work.rows
@@ -148,7 +148,7 @@ def _hand_on(
     falling = np.concatenate([-gravity, np.zeros(3)]) @ constants.step[0].reshape(3, 6, 6)
     state[0, :, 0] = 0.0
     state[0, :, 1] = phase[0] @ falling
-    for j in range(AXES):
+    for j in range(len(constants.axis)):
         if j:
             step = np.matmul(phase[j], constants.step[j], out=work.step).reshape(-1, 6, 6)
             np.matmul(state[j - 1, :, : j + 2], step, out=state[j, :, : j + 2])
@@ -166,7 +166,7 @@ def _motion_of_links(work: MotionBuffers) -> None:
     Vectors in five components x, y, z, x, y: (y, z, x) and (z, x, y) are then slices, a cross product three steps.
     """
     motion, velocity = work.motion.transpose(1, 0, 2), work.velocity
-    velocity[:, :3] = work.state[:, :, 0].reshape(AXES, -1, 2, 3).transpose(2, 3, 0, 1)
+    velocity[:, :3] = work.state[:, :, 0].reshape(*work.state.shape[:2], 2, 3).transpose(2, 3, 0, 1)
     velocity[:, 3:] = velocity[:, :2]
     motion[:6] = work.state[:, :, 1].transpose(2, 0, 1)
     linear, spin = velocity

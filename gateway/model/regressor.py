@@ -1,4 +1,4 @@
-"""Torque of a six-axis arm as rows linear in the inertial parameters of its links.
+"""Torque of an arm of N axes as rows linear in the inertial parameters of its links.
 
 Full rows: `tau = Y(q, qd, qdd) phi`, ten columns a link [m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz], first moment
 `h = m c` and inertia about the link frame's origin. Rest rows: four columns a link [m, hx, hy, hz]. The torque is that
@@ -14,20 +14,33 @@ from numpy.typing import ArrayLike, NDArray
 
 from gateway.model import newton_euler, statics
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
-from gateway.model.robot import AXES, Robot
+from gateway.model.robot import Robot
 
 Floats = NDArray[np.float64]
 
 FULL_PER_LINK = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 GRAVITY_PER_LINK = FULL_PER_LINK[:4]
-FULL_NAMES = tuple(f"{name}_{link}" for link in range(1, AXES + 1) for name in FULL_PER_LINK)
-GRAVITY_NAMES = tuple(f"{name}_{link}" for link in range(1, AXES + 1) for name in GRAVITY_PER_LINK)
-LOAD_COLUMNS = slice(20, 24)
+#: Columns of what the last link carries, among rest rows.
+LOAD_COLUMNS = slice(-4, None)
 
 # Rows in a block: work arrays fill the second-level cache. Not powers of two: such strides fall into the same cache
 # sets. Matrix products of this size stay on one thread.
 _MOVING_BLOCK = 352
 _REST_BLOCK = 520
+
+
+def full_names(axes: int) -> tuple[str, ...]:
+    """Names of the full columns: m_1, hx_1 .. Izz_N."""
+    return _names(axes, FULL_PER_LINK)
+
+
+def gravity_names(axes: int) -> tuple[str, ...]:
+    """Names of the rest columns: m_1, hx_1 .. hz_N."""
+    return _names(axes, GRAVITY_PER_LINK)
+
+
+def _names(axes: int, per_link: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"{name}_{link}" for link in range(1, axes + 1) for name in per_link)
 
 
 def regressor(
@@ -43,19 +56,19 @@ def regressor(
     Parameters
     ----------
     robot : Robot
-    q_rad, qd_rad_s, qdd_rad_s2 : arrays of shape (n, 6)
+    q_rad, qd_rad_s, qdd_rad_s2 : arrays of shape (n, N)
     gravity_m_s2 : array of shape (3,)
         Gravity in the base frame.
-    out : array of shape (n, 6, 60), optional
+    out : array of shape (n, N, 10 N), optional
         Written to and returned.
 
     Returns
     -------
-    array of shape (n, 6, 60)
-        Nm per unit of `FULL_NAMES` (kg, kg m, kg m2).
+    array of shape (n, N, 10 N)
+        Nm per unit of `full_names` (kg, kg m, kg m2).
     """
     q, qd, qdd = (np.asarray(value, dtype=float) for value in (q_rad, qd_rad_s, qdd_rad_s2))
-    out = _checked(q, out, 10 * AXES)
+    out = _checked(robot, q, out, 10 * robot.axes)
     gravity = np.asarray(gravity_m_s2, dtype=float)
     constants = newton_euler.MotionConstants.of(robot)
     size, starts = _blocks(len(q), _MOVING_BLOCK)
@@ -77,19 +90,19 @@ def gravity_regressor(
     Parameters
     ----------
     robot : Robot
-    q_rad : array of shape (n, 6)
+    q_rad : array of shape (n, N)
     gravity_m_s2 : array of shape (3,)
         Gravity in the base frame.
-    out : array of shape (n, 6, 24), optional
+    out : array of shape (n, N, 4 N), optional
         Written to and returned.
 
     Returns
     -------
-    array of shape (n, 6, 24)
-        Nm per unit of `GRAVITY_NAMES` (kg, kg m).
+    array of shape (n, N, 4 N)
+        Nm per unit of `gravity_names` (kg, kg m).
     """
     q = np.asarray(q_rad, dtype=float)
-    return _rest_rows(robot, q, gravity_m_s2, _checked(q, out, 4 * AXES))
+    return _rest_rows(robot, q, gravity_m_s2, _checked(robot, q, out, 4 * robot.axes))
 
 
 def load_regressor(
@@ -98,15 +111,15 @@ def load_regressor(
     gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2,
     out: Floats | None = None,
 ) -> Floats:
-    """Columns (n, 6, 4) of a body carried by link 6 at rest: Nm per [kg, kg m, kg m, kg m]."""
+    """Columns (n, N, 4) of a body carried by the last link at rest: Nm per [kg, kg m, kg m, kg m]."""
     q = np.asarray(q_rad, dtype=float)
-    return _rest_rows(robot, q, gravity_m_s2, _checked(q, out, 4))
+    return _rest_rows(robot, q, gravity_m_s2, _checked(robot, q, out, 4))
 
 
-def _checked(q: Floats, out: Floats | None, columns: int) -> Floats:
-    if q.ndim != 2 or q.shape[1] != AXES:
-        raise ValueError(f"joint positions need the shape (n, {AXES}), got {q.shape}")
-    shape = (len(q), AXES, columns)
+def _checked(robot: Robot, q: Floats, out: Floats | None, columns: int) -> Floats:
+    if q.ndim != 2 or q.shape[1] != robot.axes:
+        raise ValueError(f"joint positions need the shape (n, {robot.axes}), got {q.shape}")
+    shape = (len(q), robot.axes, columns)
     if out is None:
         return np.empty(shape)
     if out.shape != shape:
@@ -126,7 +139,7 @@ def _blocks(count: int, most: int) -> tuple[int, list[int]]:
 def _rest_rows(robot: Robot, q: Floats, gravity_m_s2: ArrayLike, out: Floats) -> Floats:
     constants = statics.RestConstants.of(robot, np.asarray(gravity_m_s2, dtype=float))
     size, starts = _blocks(len(q), _REST_BLOCK)
-    work = statics.RestBuffers.of(size)
+    work = statics.RestBuffers.of(robot.axes, size)
     for start in starts:
         rows = slice(start, start + size)
         statics.block(constants, work, q[rows], out[rows])

@@ -1,4 +1,4 @@
-"""A serial arm of six revolute axes as plain arrays, read from a URDF or from a table of Denavit-Hartenberg rows.
+"""A serial arm of two to eight revolute axes as plain arrays, read from a URDF or a table of Denavit-Hartenberg rows.
 
 Link `i` turns with joint `i`; its frame has its origin on that joint's axis (the URDF convention) and the pose
 `placement[i] @ rotation(axis[i], q[i])` in the frame of the link before it, the root link for `i = 0`. Unknown
@@ -14,12 +14,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.cell.quantities import FEWEST_AXES, MOST_AXES
 from gateway.errors import ConfigError
 from gateway.model import urdf
 from gateway.model.urdf_elements import Pose
 from gateway.model.urdf_shapes import Shape
 
 Floats = NDArray[np.float64]
+#: Of the arm that most rooms have in mind; the count of an arm is its own.
 AXES = 6
 SHORTEST_M = 0.1
 
@@ -44,28 +46,28 @@ class LinkShape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Robot:
-    """Geometry, inertials and limits of an arm.
+    """Geometry, inertials and limits of an arm of N axes.
 
     Attributes
     ----------
     name : str
-    placement : array of shape (6, 4, 4)
+    placement : array of shape (N, 4, 4)
         Pose [m] of link i in link i-1 (root link for the first) at q = 0.
-    axis : array of shape (6, 3)
+    axis : array of shape (N, 3)
         Unit axis of joint i in link i.
-    mass_kg : array of shape (6,)
-    com_m : array of shape (6, 3)
+    mass_kg : array of shape (N,)
+    com_m : array of shape (N, 3)
         Centre of mass in the link's frame.
-    inertia_kg_m2 : array of shape (6, 3, 3)
+    inertia_kg_m2 : array of shape (N, 3, 3)
         About the centre of mass, axes of the link's frame.
-    lower_rad, upper_rad : arrays of shape (6,)
+    lower_rad, upper_rad : arrays of shape (N,)
         Joint limits, -inf and inf where the source gives none.
-    velocity_rad_s, effort_nm : arrays of shape (6,)
+    velocity_rad_s, effort_nm : arrays of shape (N,)
         Joint limits, NaN where the source gives none (0 counts as none).
     flange : array of shape (4, 4) or None
-        Pose [m] of the flange in link 6.
-    link_names, joint_names : tuples of 6 str
-    shapes : tuple of 6 tuples of LinkShape
+        Pose [m] of the flange in the last link.
+    link_names, joint_names : tuples of N str
+    shapes : tuple of N tuples of LinkShape
         What the source gives of each link's body; empty where it gives none.
     source : str
         File the arm was read from: names of meshes start beside it.
@@ -81,11 +83,21 @@ class Robot:
     upper_rad: Floats
     velocity_rad_s: Floats
     effort_nm: Floats
+    link_names: tuple[str, ...]
+    joint_names: tuple[str, ...]
+    shapes: tuple[tuple[LinkShape, ...], ...]
     flange: Floats | None = None
-    link_names: tuple[str, ...] = tuple(f"link_{i + 1}" for i in range(AXES))
-    joint_names: tuple[str, ...] = tuple(f"joint_{i + 1}" for i in range(AXES))
-    shapes: tuple[tuple[LinkShape, ...], ...] = ((),) * AXES
     source: str = ""
+
+    @property
+    def axes(self) -> int:
+        """How many axes the arm has."""
+        return len(self.axis)
+
+    @property
+    def last_link(self) -> str:
+        """Name of the frame that a load is given in: `link_6` of an arm of six axes."""
+        return frame_of_load(self.axes)
 
 
 class DhRows(Protocol):
@@ -101,6 +113,11 @@ class DhRows(Protocol):
     def d_m(self) -> Sequence[float]: ...
     @property
     def theta_offset_rad(self) -> Sequence[float]: ...
+
+
+def frame_of_load(axes: int) -> str:
+    """Name of the frame of the last link of an arm of so many axes."""
+    return f"link_{axes}"
 
 
 def transform(rotation: Floats, translation: Floats | Sequence[float]) -> Floats:
@@ -124,7 +141,7 @@ def rotation_rpy(rpy_rad: Sequence[float] | Floats) -> Floats:
 
 
 def with_flange(robot: Robot, xyz_m: Sequence[float], rpy_rad: Sequence[float] = (0.0, 0.0, 0.0)) -> Robot:
-    """The same arm with its flange at `xyz_m`, `rpy_rad` of link 6."""
+    """The same arm with its flange at `xyz_m`, `rpy_rad` of the last link."""
     return replace(robot, flange=transform(rotation_rpy(rpy_rad), xyz_m))
 
 
@@ -134,7 +151,7 @@ def reach_m(robot: Robot) -> float:
 
 
 def link_lengths_m(robot: Robot) -> Floats:
-    """Length (6,) [m] of every link, what an error of its first moment is measured by.
+    """Length (N,) [m] of every link, what an error of its first moment is measured by.
 
     To the next joint or to the centre of mass, whichever is further; the last link reaches to the flange, and counts no
     less than the step before it, since what hangs on it is never smaller than the wrist. At least 0.1 m.
@@ -160,14 +177,14 @@ def robot_from_urdf(text: str, where: str) -> Robot:
     Raises
     ------
     ConfigError
-        Not XML, entity declarations, not six revolute joints in one chain, or a value that is missing or no finite
-        number; names file and element.
+        Not XML, entity declarations, not two to eight revolute joints in one chain, or a value that is missing or no
+        finite number; names file and element.
     """
     chain = urdf.read_chain(text, where)
-    if len(chain.joints) != AXES:
+    if not FEWEST_AXES <= len(chain.joints) <= MOST_AXES:
         raise ConfigError(
-            f"{where}: robot '{chain.name}' has {len(chain.joints)} moving joints in its chain, six revolute ones are"
-            ' needed; fix the others in the URDF (type="fixed")'
+            f"{where}: robot '{chain.name}' has {len(chain.joints)} moving joints in its chain, {FEWEST_AXES} to"
+            f' {MOST_AXES} revolute ones are needed; fix the others in the URDF (type="fixed")'
         )
     placement = np.array([transform(rotation_rpy(joint.rpy_rad), joint.xyz_m) for joint in chain.joints])
     for i, joint in enumerate(chain.joints):
@@ -196,53 +213,59 @@ def robot_from_dh(table: DhRows, name: str = "dh") -> Robot:
     """Arm from Denavit-Hartenberg rows; links are unknown, limits open.
 
     Modified (Craig): `Rx(alpha_i) Tx(a_i) Rz(theta_i) Tz(d_i)`, link frame = DH frame.
-    Standard (Paul): `Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)`; frames of links 1 to 5 stand on their own joint's axis,
-    link 6 is DH frame 6.
+    Standard (Paul): `Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)`; frames of all links but the last stand on their
+    own joint's axis, the last is its DH frame.
 
     Raises
     ------
     ConfigError
-        Unknown convention, not six rows, a value that is not finite, or a standard table with a_6 other than 0 (frame
-        6 would not stand on axis 6: give that length in the flange).
+        Unknown convention, not two to eight rows, columns of different length, a value that is not finite, or a
+        standard table whose last a is not 0 (that frame would not stand on its axis: give the length in the flange).
     """
     columns = [
         np.asarray(column, dtype=float) for column in (table.alpha_rad, table.a_m, table.d_m, table.theta_offset_rad)
     ]
-    if any(column.shape != (AXES,) or not np.isfinite(column).all() for column in columns):
+    axes = len(table.alpha_rad)
+    if any(column.shape != (axes,) or not np.isfinite(column).all() for column in columns):
         raise ConfigError(
-            f"DH table of '{name}': alpha_rad, a_m, d_m and theta_offset_rad need six finite numbers each"
+            f"DH table of '{name}': alpha_rad, a_m, d_m and theta_offset_rad need one finite number for each axis"
         )
+    if not FEWEST_AXES <= axes <= MOST_AXES:
+        raise ConfigError(f"DH table of '{name}' has {axes} rows; {FEWEST_AXES} to {MOST_AXES} axes are handled")
     alpha, a, d, offset = columns
-    axis = np.tile([0.0, 0.0, 1.0], (AXES, 1))
+    axis = np.tile([0.0, 0.0, 1.0], (axes, 1))
     if table.convention == "modified":
         placement = np.array(
-            [_rx(alpha[i]) @ _move(a[i], 0.0) @ _move(0.0, d[i]) @ _rz(offset[i]) for i in range(AXES)]
+            [_rx(alpha[i]) @ _move(a[i], 0.0) @ _move(0.0, d[i]) @ _rz(offset[i]) for i in range(axes)]
         )
     elif table.convention == "standard":
-        if a[5] != 0.0:
+        if a[-1] != 0.0:
             raise ConfigError(
-                f"DH table of '{name}': a_m of row 6 must be 0 in the standard convention; put it in the flange"
+                f"DH table of '{name}': a_m of row {axes} must be 0 in the standard convention; put it in the flange"
             )
-        placement = np.empty((AXES, 4, 4))
+        placement = np.empty((axes, 4, 4))
         placement[0] = np.eye(4)
-        for i in range(AXES - 1):
+        for i in range(axes - 1):
             placement[i + 1] = _rz(offset[i]) @ _move(a[i], d[i]) @ _rx(alpha[i])
-        placement[5] = placement[5] @ _rz(offset[5]) @ _move(0.0, d[5]) @ _rx(alpha[5])
-        axis[5] = _rx(-alpha[5])[:3, :3] @ axis[5]
+        placement[-1] = placement[-1] @ _rz(offset[-1]) @ _move(0.0, d[-1]) @ _rx(alpha[-1])
+        axis[-1] = _rx(-alpha[-1])[:3, :3] @ axis[-1]
     else:
         raise ConfigError(f"DH table of '{name}': convention '{table.convention}' is neither 'modified' nor 'standard'")
-    unknown, open_ = np.full(AXES, np.nan), np.full(AXES, np.inf)
+    unknown, open_ = np.full(axes, np.nan), np.full(axes, np.inf)
     return Robot(
         name=name,
         placement=placement,
         axis=axis,
         mass_kg=unknown,
-        com_m=np.full((AXES, 3), np.nan),
-        inertia_kg_m2=np.full((AXES, 3, 3), np.nan),
+        com_m=np.full((axes, 3), np.nan),
+        inertia_kg_m2=np.full((axes, 3, 3), np.nan),
         lower_rad=-open_,
         upper_rad=open_,
         velocity_rad_s=unknown,
         effort_nm=unknown,
+        link_names=tuple(f"link_{i + 1}" for i in range(axes)),
+        joint_names=tuple(f"joint_{i + 1}" for i in range(axes)),
+        shapes=((),) * axes,
     )
 
 

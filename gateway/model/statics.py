@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.model.kinematics import cross_matrix, sine_cosine
-from gateway.model.robot import AXES, Robot
+from gateway.model.robot import Robot
 
 Floats = NDArray[np.float64]
 
@@ -22,8 +22,8 @@ Floats = NDArray[np.float64]
 class RestConstants:
     """What does not depend on the row.
 
-    `step` (6, 3, 16): by [1, sin q, cos q], what hands [origin, x, y, z] on; `first` (3, 12): what makes those of
-    link 1, level x, level y and a row that counts origins; `axis` (6, 3); `gravity_m_s2`: its strength.
+    `step` (N, 3, 16): by [1, sin q, cos q], what hands [origin, x, y, z] on; `first` (3, 12): what makes those of
+    link 1, level x, level y and a row that counts origins; `axis` (N, 3); `gravity_m_s2`: its strength.
     """
 
     step: Floats
@@ -34,8 +34,8 @@ class RestConstants:
     @staticmethod
     def of(robot: Robot, gravity_m_s2: Floats) -> RestConstants:
         """Constants of an arm in a field of gravity (3,), base frame."""
-        step = np.zeros((AXES, 3, 4, 4))
-        for j in range(AXES):
+        step = np.zeros((robot.axes, 3, 4, 4))
+        for j in range(robot.axes):
             rotation, cross = robot.placement[j, :3, :3], cross_matrix(robot.axis[j])
             twice = rotation @ cross @ cross
             step[j, 0, 0, 0] = 1.0
@@ -44,7 +44,7 @@ class RestConstants:
         level = np.zeros((3, 4))
         level[:2, 1:], level[2, 0] = _level(gravity_m_s2), 1.0
         first = (level @ step[0]).reshape(3, 12)
-        return RestConstants(step.reshape(AXES, 3, 16), first, robot.axis, float(np.linalg.norm(gravity_m_s2)))
+        return RestConstants(step.reshape(-1, 3, 16), first, robot.axis, float(np.linalg.norm(gravity_m_s2)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,36 +57,37 @@ class RestBuffers:
     push: Floats
 
     @staticmethod
-    def of(n: int) -> RestBuffers:
-        """Workspace for blocks of n rows."""
+    def of(axes: int, n: int) -> RestBuffers:
+        """Workspace for blocks of n rows of an arm of so many axes."""
         return RestBuffers(
-            phase=np.ones((3, AXES, n)),
-            step=np.empty((AXES - 1, n, 16)),
-            places=np.empty((n, 3, 4 * AXES)),
-            push=np.empty((n, AXES, 3)),
+            phase=np.ones((3, axes, n)),
+            step=np.empty((axes - 1, n, 16)),
+            places=np.empty((n, 3, 4 * axes)),
+            push=np.empty((n, axes, 3)),
         )
 
 
 def block(constants: RestConstants, work: RestBuffers, q: Floats, out: Floats) -> None:
-    """Write the rows of the last links of one block: positions [rad] (n, 6), `out` (n, 6, 4 * links)."""
-    n, first = len(q), AXES - out.shape[2] // 4
+    """Write the rows of the last links of one block: positions [rad] (n, N), `out` (n, N, 4 * links)."""
+    n, axes = q.shape
+    first = axes - out.shape[2] // 4
     angle = np.ascontiguousarray(q.T)
     sine_cosine(angle, work.phase[1], work.phase[2])
     phase, places = work.phase.transpose(1, 2, 0), work.places
-    step = np.matmul(phase[1:], constants.step[1:], out=work.step).reshape(AXES - 1, n, 4, 4)
+    step = np.matmul(phase[1:], constants.step[1:], out=work.step).reshape(axes - 1, n, 4, 4)
     places[:, :, :4] = (phase[0] @ constants.first).reshape(n, 3, 4)
-    for j in range(1, AXES):
+    for j in range(1, axes):
         np.matmul(places[:, :, 4 * j - 4 : 4 * j], step[j - 1], out=places[:, :, 4 * j : 4 * j + 4])
     _push(constants, work)
     np.matmul(work.push, work.places[:, :, 4 * first :], out=out)
-    for i in range(first + 1, AXES):
+    for i in range(first + 1, axes):
         out[:, i, : 4 * (i - first)] = 0.0
 
 
 def _push(constants: RestConstants, work: RestBuffers) -> None:
     """For every axis the level vector k and -k . o, as rows that act on [origin, x, y, z], into `work.push`."""
-    x, y = np.ascontiguousarray(work.places[:, :2].transpose(1, 2, 0)).reshape(2, AXES, 4, -1)
-    axis_x = np.zeros((AXES, x.shape[2]))
+    x, y = np.ascontiguousarray(work.places[:, :2].transpose(1, 2, 0)).reshape(2, len(constants.axis), 4, -1)
+    axis_x = np.zeros((x.shape[0], x.shape[2]))
     axis_y = np.zeros_like(axis_x)
     for k in range(3):
         if constants.axis[:, k].any():

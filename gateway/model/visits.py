@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gateway.data.rows import Table
-from gateway.model.robot import AXES
 
 Floats = NDArray[np.float64]
 
@@ -30,20 +29,20 @@ class Visits:
     pose : int array of shape (n,)
     time_s : array of shape (n,)
         Middle of the visit; NaN where not given.
-    q_rad : array of shape (n, 6)
-    tau_nm : array of shape (n, 6)
+    q_rad : array of shape (n, N)
+    tau_nm : array of shape (n, N)
         Behind the gear: half the sum of both sides, or the one side there is; NaN = axis not measured.
-    band_nm : array of shape (n, 6)
+    band_nm : array of shape (n, N)
         Half the difference of the sides in the direction of motion; NaN where there is but one.
-    tau_std_nm : array of shape (n, 6)
+    tau_std_nm : array of shape (n, N)
         Standard deviation of `tau_nm` by the averaged samples alone; NaN where unknown.
-    gear_nm : array of shape (n, 6)
+    gear_nm : array of shape (n, N)
         Half the range that an unknown direction leaves through the gear's efficiency; 0 where the side is known.
     two_sided : bool array of shape (n,)
-    direction : int array of shape (n, 6)
+    direction : int array of shape (n, N)
         Side of a one-sided visit; 0 = both, or unknown.
-    temperature_c : array of shape (n, 6)
-    q_link_rad : array of shape (n, 6)
+    temperature_c : array of shape (n, N)
+    q_link_rad : array of shape (n, N)
         By the secondary encoders; NaN where there is none.
     where : tuple of str
         `file:line` of the first row, for messages.
@@ -68,6 +67,11 @@ class Visits:
         """Number of visits."""
         return len(self.pose)
 
+    @property
+    def axes(self) -> int:
+        """How many axes the arm has."""
+        return self.q_rad.shape[1]
+
     def take(self, rows: NDArray[Any]) -> Visits:
         """The chosen visits (mask or indices)."""
         index = np.flatnonzero(rows) if np.asarray(rows).dtype == bool else np.asarray(rows, dtype=int)
@@ -76,7 +80,7 @@ class Visits:
 
 
 def through_gear(reported_nm: Floats, direction: Floats | float, efficiency: Floats) -> Floats:
-    """Torque behind the gear [Nm] of reported torque (n, 6) after motion in `direction` (n, 6), 0 = unknown.
+    """Torque behind the gear [Nm] of reported torque (n, N) after motion in `direction` (n, N), 0 = unknown.
 
     Unknown: the reported torque as it stands, the geometric middle of what it may be.
     """
@@ -94,11 +98,11 @@ def pair_visits(table: Table, efficiency: ArrayLike = 1.0) -> Visits:
     ----------
     table : Table
         Moving rows are left out.
-    efficiency : array of shape (6,)
+    efficiency : array of shape (N,)
         Gear efficiency of each axis; 1 where the table's torque already stands behind the gear.
     """
     rest = table.take(~table.moving)
-    eta = np.broadcast_to(np.asarray(efficiency, dtype=float), (AXES,))
+    eta = np.broadcast_to(np.asarray(efficiency, dtype=float), (rest.axes,))
     facing = rest.direction.astype(float)
     torque = through_gear(rest.tau_nm, facing, eta)
     open_nm = np.where(facing == 0, np.abs(rest.tau_nm) * (1.0 / eta - eta) / 2.0, 0.0)

@@ -1,8 +1,8 @@
 """The result file: what an estimation or a diagnosis hands over, as frozen values and as JSON.
 
 NaN stands for "unknown" inside and is written as null; what the data cannot give is never filled in. Joints count
-from 1. Frame `link_6` is the frame of the sixth link of the robot model. Keys that a newer writer added are kept in
-`Result.extra` and written back.
+from 1. Frame `link_6` is the frame of the sixth link of the robot model: the last one, of an arm of six axes. Keys that
+a newer writer added are kept in `Result.extra` and written back.
 """
 
 from __future__ import annotations
@@ -23,13 +23,14 @@ from gateway.errors import InputError
 
 SCHEMA = 1
 NAN = math.nan
+#: Where nothing is known of an arm of six axes.
 UNKNOWN_SIX = (NAN,) * 6
 UNKNOWN_THREE = (NAN,) * 3
 Verdict = Literal["none_needed", "explained", "improved", "unexplained", "undecided"]
 HoldoutKind = Literal["fresh", "given", "blocks"]
 Severity = Literal["info", "warn", "fail"]
-#: Columns [m, hx, hy, hz] of links 1 to 6.
-COLUMNS = 24
+#: Columns [m, hx, hy, hz] of each link.
+PER_LINK = 4
 #: Larger than any mass, place or variance of an arm; beyond it the arithmetic overflows.
 LARGEST = 1e12
 
@@ -58,8 +59,8 @@ Matrix = tuple[Numbers, ...]
 class LoadResult:
     """One load on the flange.
 
-    `com_m`, `com_std_m` in link_6 [m]; `correlation` of [mass, x, y, z]; `per_pose_mass_kg` keyed by the pose number.
-    A refused load keeps NaN everywhere and says why in `refused`.
+    `com_m`, `com_std_m` [m] in `frame`, that of the last link; `correlation` of [mass, x, y, z]; `per_pose_mass_kg`
+    keyed by the pose number. A refused load keeps NaN everywhere and says why in `refused`.
     """
 
     label: str
@@ -148,7 +149,7 @@ class Parameter:
 class Rows:
     """What was measured and what the model says, a row per visit (or per instant): figures are drawn from this.
 
-    `tau_nm`, `model_nm`, `band_nm`, `std_nm` (n, 6) joint side [Nm]; `direction` (n, 6) is 0 for a two-sided visit.
+    `tau_nm`, `model_nm`, `band_nm`, `std_nm` (n, N) joint side [Nm]; `direction` (n, N) is 0 for a two-sided visit.
     """
 
     run: tuple[str, ...] = ()
@@ -167,8 +168,8 @@ class Rows:
 class Bare:
     """Base gravity parameters of the bare arm: what a later identification subtracts.
 
-    `columns` are indices into the 24 columns [m, hx, hy, hz] of links 1 to 6; `value` [kg or kg m] belongs to them,
-    `covariance` has the squared units; `combination` (rank, 24) says which link parameters each of them lumps.
+    `columns` are indices into the columns [m, hx, hy, hz] of links 1 to N; `value` [kg or kg m] belongs to them,
+    `covariance` has the squared units; `combination` (rank, 4 N) says which link parameters each of them lumps.
     `offset_nm` is the torque of each axis that does not turn with gravity, NaN where it was not estimated.
     """
 
@@ -326,8 +327,8 @@ def _check_loads(result: Result, where: str) -> None:
 
 
 def _check_bare(bare: Bare, where: str) -> None:
-    rank = len(bare.value)
-    shapes = {"gravity_m_s2": (1, 3), "value": (1, rank), "covariance": (rank, rank), "combination": (rank, COLUMNS)}
+    rank, columns = len(bare.value), PER_LINK * len(bare.offset_nm)
+    shapes = {"gravity_m_s2": (1, 3), "value": (1, rank), "covariance": (rank, rank), "combination": (rank, columns)}
     for key, (height, width) in shapes.items():
         given = getattr(bare, key)
         rows = given if key in ("covariance", "combination") else (given,)

@@ -85,6 +85,11 @@ def bind(recording: Recording, cell: Cell, arm: ArmConfig) -> Bound:
             f"{recording.path}: holds no arm '{arm.name}' but {held}; name the cell and arm that it was made with"
         )
     before = arm_config(recording.cell, arm.name, str(recording.path))
+    if len(before.axis) != len(arm.axis):
+        raise InputError(
+            f"{recording.path}: was recorded with an arm of {len(before.axis)} axes, the cell's '{arm.name}' has"
+            f" {len(arm.axis)}; name the cell that it was made with"
+        )
     _refuse_wired_otherwise(recording, before, arm)
     corrections = tuple(_corrections(before, arm))
     if not corrections:
@@ -137,7 +142,7 @@ def _constants(axis: AxisConfig) -> dict[str, float]:
 def _torque_scale(
     recording: Recording, part: ArmRecording, arms: tuple[ArmConfig, ArmConfig], corrections: Sequence[Correction]
 ) -> np.ndarray:
-    """Motor torque (6,) by the torque constants of the second arm over that by those of the first."""
+    """Motor torque (N,) by the torque constants of the second arm over that by those of the first."""
     if not part.constants:
         changed = [f"J{each.joint}" for each in corrections if each.name == "torque_constant_nm_per_a"]
         if changed:
@@ -154,14 +159,14 @@ def _torque_scale(
 def torque_units(
     config: ArmConfig, profiles: Mapping[str, Any], constants: Sequence[Constants], where: str
 ) -> np.ndarray:
-    """Motor torque (6,) [Nm] per bit of each torque word.
+    """Motor torque (N,) [Nm] per bit of each torque word.
 
     Parameters
     ----------
     config : ArmConfig
     profiles : mapping of str to str
         Texts by name.
-    constants : sequence of 6 Constants
+    constants : sequence of Constants, one per axis
         Read from the drives.
     where : str
         File, for messages.

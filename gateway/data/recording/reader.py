@@ -80,14 +80,15 @@ def read_unsealed(path: Path) -> Recording:
 
 def _arm(place: Place, config: ArmConfig, profiles: dict[str, str]) -> ArmRecording:
     constants = tuple(_constants(place, item) for item in place.document("constants", list, []))
-    if constants and len(constants) != 6:
-        raise place.refuse("@constants", "constants of six drives expected")
+    axes = len(config.axis)
+    if constants and len(constants) != axes:
+        raise place.refuse("@constants", f"constants of {axes} drives expected")
     units = torque_units(config, profiles, constants, place.where()) if constants else None
     visits = place.inside("visits")
-    read_visits = [_visit(visits.inside(name), _number(visits, name), units) for name in visits.names()]
+    read_visits = [_visit(visits.inside(name), _number(visits, name), axes, units) for name in visits.names()]
     return ArmRecording(
         name=config.name,
-        poses=_poses(place),
+        poses=_poses(place, axes),
         visits=tuple(sorted(read_visits, key=lambda visit: visit.number)),
         constants=constants,
         identities=place.document("identities", list, []),
@@ -104,10 +105,10 @@ def _constants(place: Place, item: Any) -> Constants:
         raise place.refuse("@constants", f"is damaged: {error}") from error
 
 
-def _poses(place: Place) -> tuple[RestPose, ...]:
+def _poses(place: Place, axes: int) -> tuple[RestPose, ...]:
     if not place.has("pose_q_rad"):
         return ()
-    q_rad = place.array("pose_q_rad", 6, "f")
+    q_rad = place.array("pose_q_rad", axes, "f")
     numbers, validation = place.array("pose_number", None, "iu"), place.array("pose_validation", None, "iu")
     if not len(q_rad) == len(numbers) == len(validation):
         raise place.refuse("pose_number", "number of poses differs from pose_q_rad")
@@ -123,11 +124,11 @@ def _number(visits: Place, name: str) -> int:
     return int(name)
 
 
-def _visit(place: Place, number: int, torque_unit_nm: np.ndarray | None) -> Visit:
+def _visit(place: Place, number: int, axes: int, torque_unit_nm: np.ndarray | None) -> Visit:
     def words(name: str) -> np.ndarray:
-        return place.array(name, 6, "iu").astype(np.int64)
+        return place.array(name, axes, "iu").astype(np.int64)
 
-    torque_word, stored_nm = words("torque_permille"), _finite(place, "motor_torque_nm")
+    torque_word, stored_nm = words("torque_permille"), _finite(place, "motor_torque_nm", axes)
     shape = torque_word.shape
     motor_nm = stored_nm if torque_unit_nm is None else torque_word * torque_unit_nm
     if motor_nm.shape != stored_nm.shape or not np.allclose(motor_nm, stored_nm, rtol=SAME_TORQUE, atol=1e-12):
@@ -141,26 +142,26 @@ def _visit(place: Place, number: int, torque_unit_nm: np.ndarray | None) -> Visi
         approach=place.integer("approach"),
         complete=bool(place.integer("complete")),
         incomplete_epochs=place.integer("incomplete_epochs", 0),
-        direction=np.sign(place.numbers("direction", 6, np.zeros(6))).astype(np.int8),
-        target_rad=place.numbers("target_rad", 6, np.zeros(6)),
+        direction=np.sign(place.numbers("direction", axes, np.zeros(axes))).astype(np.int8),
+        target_rad=place.numbers("target_rad", axes, np.zeros(axes)),
         statusword=words("statusword"),
         position_count=words("position_count"),
         torque_word=torque_word,
         current_word=words("current_permille") if place.has("current_permille") else absent,
         velocity_word=words("velocity_word") if place.has("velocity_word") else absent,
-        q_rad=_finite(place, "q_rad"),
+        q_rad=_finite(place, "q_rad", axes),
         motor_torque_nm=motor_nm,
-        joint_torque_nm=_finite(place, "joint_torque_nm"),
-        motor_current_a=place.array("motor_current_a", 6, "f") if place.has("motor_current_a") else absent * np.nan,
+        joint_torque_nm=_finite(place, "joint_torque_nm", axes),
+        motor_current_a=place.array("motor_current_a", axes, "f") if place.has("motor_current_a") else absent * np.nan,
         sync_index=place.array("sync_index", None, "iu").astype(np.int64),
         time_s=_finite(place, "time_s", None),
-        gravity_nm=place.numbers("gravity_nm", 6) if "gravity_nm" in place.group.attrs else None,
-        friction_band_nm=place.numbers("friction_band_nm", 6) if "friction_band_nm" in place.group.attrs else None,
+        gravity_nm=place.numbers("gravity_nm", axes) if "gravity_nm" in place.group.attrs else None,
+        friction_band_nm=place.numbers("friction_band_nm", axes) if "friction_band_nm" in place.group.attrs else None,
     )
     return _consistent(place, visit, shape[0])
 
 
-def _finite(place: Place, name: str, columns: int | None = 6) -> np.ndarray:
+def _finite(place: Place, name: str, columns: int | None) -> np.ndarray:
     values = place.array(name, columns, "f").astype(float)
     if not np.isfinite(values).all():
         raise place.refuse(name, "holds a value that is not finite")

@@ -114,8 +114,9 @@ class Recording:
         visits = [visit for visit in arm.visits if visit.complete]
         axes = AxisConversion.from_arm(arm_config(self.cell, arm.name, str(self.path)))
         n_rows = len(visits)
-        blank = np.full((n_rows, 6), np.nan)
-        motor = np.array([visit.motor_torque_nm.mean(axis=0) for visit in visits]).reshape(-1, 6)
+        shape = (n_rows, len(axes.ratio))
+        blank = np.full(shape, np.nan)
+        motor = np.array([visit.motor_torque_nm.mean(axis=0) for visit in visits]).reshape(shape)
         joint = [axes.joint_torque(visit.motor_torque_nm) for visit in visits]
         return Table(
             file=(str(self.path),) * n_rows,
@@ -124,13 +125,13 @@ class Recording:
             load=np.array([visit.load for visit in visits], dtype=str),
             pose=np.array([visit.pose for visit in visits], dtype=int),
             time_s=np.array([visit.time_s[0] for visit in visits]),
-            q_rad=np.array([visit.q_rad.mean(axis=0) for visit in visits]).reshape(-1, 6),
-            qd_rad_s=np.zeros((n_rows, 6)),
-            qdd_rad_s2=np.zeros((n_rows, 6)),
+            q_rad=np.array([visit.q_rad.mean(axis=0) for visit in visits]).reshape(shape),
+            qd_rad_s=np.zeros(shape),
+            qdd_rad_s2=np.zeros(shape),
             moving=np.zeros(n_rows, dtype=bool),
-            direction=np.array([visit.direction for visit in visits], dtype=np.int8).reshape(-1, 6),
+            direction=np.array([visit.direction for visit in visits], dtype=np.int8).reshape(shape),
             tau_nm=axes.joint_torque(motor),
-            tau_std_nm=np.array([_std(samples) for samples in joint]).reshape(-1, 6),
+            tau_std_nm=np.array([_std(samples) for samples in joint]).reshape(shape),
             count=np.array([len(visit) for visit in visits], dtype=int),
             q2nd_rad=blank,
             temperature_c=blank,
@@ -140,7 +141,7 @@ class Recording:
 
 
 def _std(samples: np.ndarray) -> np.ndarray:
-    return samples.std(axis=0, ddof=1) if len(samples) > 1 else np.full(6, np.nan)
+    return samples.std(axis=0, ddof=1) if len(samples) > 1 else np.full(samples.shape[1], np.nan)
 
 
 def arm_config(cell: Cell, name: str, where: str) -> ArmConfig:

@@ -50,7 +50,7 @@ class ArmHeader:
     ----------
     name : str
     poses : tuple of RestPose
-    constants : tuple of 6 Constants
+    constants : tuple of Constants, one per drive
         What was read from the drives.
     identities, ledger : lists of dict
         Who the drives are; every object that was written, with its old value.
@@ -154,7 +154,9 @@ class RecordingWriter:
         arm.attrs["ledger"] = json.dumps(header.ledger)
         if "pose_q_rad" in arm:
             del arm["pose_q_rad"], arm["pose_number"], arm["pose_validation"]
-        dataset = arm.create_dataset("pose_q_rad", data=np.array([p.q_rad for p in header.poses]).reshape(-1, 6))
+        if not header.poses:
+            return
+        dataset = arm.create_dataset("pose_q_rad", data=np.array([pose.q_rad for pose in header.poses]))
         dataset.attrs["unit"] = "rad"
         arm["pose_number"] = np.array([pose.number for pose in header.poses], dtype=np.int64)
         arm["pose_validation"] = np.array([pose.purpose == "validation" for pose in header.poses], dtype=np.int8)

@@ -18,6 +18,7 @@ from gateway.data.recording.writer import RecordingWriter
 from gateway.errors import ConfigError, InputError
 from gateway.estimate import EstimateOptions, run
 from gateway.result.result import Result
+from tests.cells import CELLS
 from tests.visits import ARM_HEADER, header_of, visit
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -228,3 +229,29 @@ def test_bare_identification_of_another_robot_is_refused(tmp_path, cell_at, reco
     given(ModelRequest(cell=EXAMPLES / "large" / "cell.toml", bare=tmp_path / "bare.json"), [])
     with pytest.raises(InputError, match="--bare: it identified robot"):
         given(ModelRequest(cell=cell, bare=tmp_path / "bare.json"), [path])
+
+
+def test_a_table_of_another_number_of_axes_than_the_robot_is_refused_by_both(tmp_path: Path) -> None:
+    four = CELLS[0]
+    path = tmp_path / "six.csv"
+    path.write_text(TABLE.replace("i2_a", "tau2_nm"))
+    about = given(ModelRequest(robot=four.folder / "robot.urdf"), [path])
+    with pytest.raises(InputError, match=r"six.csv: the data are of 6 axes, robot 'pallet4' has 4"):
+        read_rows([path], about)
+    with pytest.raises(InputError, match=r"six.csv:1: columns of 6 axes, and the arm of the cell has 4"):
+        read_rows([path], given(ModelRequest(cell=four.folder / "cell.toml"), [path]))
+
+
+def test_a_recording_of_another_number_of_axes_than_the_cell_is_refused_by_both(
+    cell_at: Callable[..., Path], record: Callable[..., Path]
+) -> None:
+    run = record(cell_at("six"))
+    with pytest.raises(InputError, match=r"recorded with an arm of 6 axes, the cell's 'main' has 4"):
+        given(ModelRequest(cell=CELLS[0].folder / "cell.toml"), [run])
+
+
+def test_a_robot_of_another_number_of_axes_than_the_cell_is_refused_by_both(cell_at: Callable[..., Path]) -> None:
+    cell = cell_at("six")
+    shutil.copy(CELLS[1].folder / "robot.urdf", cell.parent / "robot.urdf")
+    with pytest.raises(ConfigError, match=r"robot 'light7' has 7 axes, arm 'main' 6 \[\[arm.axis\]\] tables"):
+        given(ModelRequest(cell=cell), [])

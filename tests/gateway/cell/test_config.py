@@ -80,13 +80,14 @@ AXIS = ("arm", 0, "axis", 2)
         (AXIS, "node_id", 1, "node id 1 is given to more than one axis"),
         (AXIS, "node_id", 200, "node_id"),
         (("arm", 0), "axis", [], "has 0 [[arm.axis]] tables"),
+        (("arm", 0), "start_rad", [0.0] * 4, "start_rad has 4 numbers and the arm 6 [[arm.axis]] tables"),
         (("arm", 0), "bus", "b", "there is no [bus.b]"),
         (("arm", 0), "robot", None, "needs either robot"),
         (("arm", 0), "inertials", "prior", "inertials"),
         (("arm", 0), "coupling", [[1.0, 0.0]], "coupling must be an invertible"),
         (("arm", 0), "keep_out", [{"min_m": [0, 0, 1], "max_m": [1, 1, 0]}], "must lie below max_m"),
         (("arm", 0), "link_radius_m", 0.0, "link_radius_m"),
-        (("arm", 0), "link_radius_m", [0.1, 0.1], "link_radius_m"),
+        (("arm", 0), "link_radius_m", [0.1, 0.1], "link_radius_m has 2 numbers and the arm 6"),
         (("arm", 0), "load_radius_m", -0.1, "load_radius_m"),
         (("arm", 0), "hold_to_run", HOLD | {"good": 5}, "bits outside mask 0x4"),
         (("arm", 0), "hold_to_run", HOLD | {"good": 0}, "a broken wire looks like"),
@@ -118,6 +119,22 @@ def test_every_mistake_is_named_at_once(cell):
     del cell["arm"][0]["axis"][5]["torque_limit_nm"]
     with pytest.raises(ConfigError, match=r"axis\.0\.gear_ratio: is missing.*axis\.5\.torque_limit_nm: is missing"):
         parse_cell(as_toml(cell), "cell.toml")
+
+
+@pytest.mark.parametrize("axes", [1, 9])
+def test_too_few_and_too_many_axes_are_refused(cell, axes):
+    cell["arm"][0]["axis"] = [{**cell["arm"][0]["axis"][0], "node_id": number + 1} for number in range(axes)]
+    with pytest.raises(ConfigError, match=rf"arm 'main' has {axes} \[\[arm.axis\]\] tables, 2 to 8 are handled"):
+        parse_cell(as_toml(cell), "cell.toml")
+
+
+def test_an_arm_of_a_pair_has_six_axes():
+    path = EXAMPLES / "pair" / "cell.toml"
+    pair = tomllib.loads(path.read_text())
+    pair["arm"][0]["axis"].pop()
+    pair["arm"][0]["start_rad"].pop()
+    with pytest.raises(ConfigError, match=r"is the .* of a pair and has 5 axes; only arms of 6 axes are led together"):
+        parse_cell(as_toml(pair), "cell.toml")
 
 
 def test_two_arms_on_one_bus_need_different_nodes(cell):

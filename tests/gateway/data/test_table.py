@@ -313,3 +313,35 @@ def test_paper_table_loads(measured_data):
     assert sorted(set(table.load)) == ["a", "b", "none"]
     assert table.tau_nm[0, 1] == pytest.approx(7.74 * 210)
     assert table.extra["x_k2_m"][8] == -0.62
+
+
+@pytest.mark.parametrize("axes", [2, 4, 7, 8])
+def test_the_number_of_axes_is_that_of_the_columns(tmp_path, axes):
+    names = [pattern.format(i) for pattern in ("q{}_rad", "tau{}_nm", "dir{}", "temp{}_c") for i in range(1, axes + 1)]
+    columns = {"pose": [1, 2], **{name: [1, -1] for name in names}}
+    table = read_csv(write(tmp_path / "t.csv", columns), None)
+    assert table.axes == axes
+    assert table.tau_nm.shape == table.direction.shape == table.temperature_c.shape == (2, axes)
+    write_csv(table, tmp_path / "again.csv")
+    assert set(names) < set((tmp_path / "again.csv").read_text().splitlines()[0].split(","))
+
+
+@pytest.mark.parametrize(
+    ("names", "says"),
+    [
+        (["q1_rad", "tau1_nm"], "columns of 1 axes; 2 to 8"),
+        (["x_own"], "columns of 0 axes"),
+        (["q1_rad", "q2_rad", "tau3_nm"], "'q3_rad' is missing"),
+        ([*(f"q{i}_rad" for i in range(1, 10)), "tau1_nm"], "unknown column 'q9_rad'"),
+    ],
+)
+def test_a_table_of_too_few_or_too_many_axes_is_refused(tmp_path, names, says):
+    with pytest.raises(InputError, match=says):
+        read_csv(write(tmp_path / "t.csv", {"pose": [1], **{name: [0.5] for name in names}}), None)
+
+
+def test_tables_of_different_arms_are_not_put_together(tmp_path):
+    four = {"pose": [1], **{name: [0.5] for name in (*Q[:4], *TAU[:4])}}
+    tables = [read_csv(write(tmp_path / "a.csv", rest_rows()), None), read_csv(write(tmp_path / "b.csv", four), None)]
+    with pytest.raises(InputError, match=r"different numbers of axes \(.*a.csv 6, .*b.csv 4\)"):
+        concatenate(tables)

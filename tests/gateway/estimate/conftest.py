@@ -36,11 +36,15 @@ def urdf() -> str:
     return "".join([*parts, "</robot>"])
 
 
+BAND_NM = np.array([40.0, 50.0, 30.0, 8.0, 6.0, 4.0])
+
+
 @dataclass
 class Arm:
     """The arm as pinocchio knows it, with something on the flange."""
 
     text: str = field(default_factory=urdf)
+    band_nm: np.ndarray = field(default_factory=lambda: BAND_NM)
 
     @property
     def robot(self):
@@ -51,7 +55,7 @@ class Arm:
         if load is not None:
             mass, *com = load
             body = pinocchio.Inertia(mass, np.array(com), np.zeros((3, 3)))
-            model.appendBodyToJoint(6, body, pinocchio.SE3.Identity())
+            model.appendBodyToJoint(model.nv, body, pinocchio.SE3.Identity())
         return model
 
     def gravity_torque(self, q, load=None, gravity=(0.0, 0.0, -9.80665)):
@@ -82,25 +86,23 @@ def table_of():
     return make_table
 
 
-BAND_NM = np.array([40.0, 50.0, 30.0, 8.0, 6.0, 4.0])
-
-
 def make_measured(arm, poses, loads, rng=None, left=0.0, sides=(1, -1), bias=0.0):
     """Two-sided rest table: pinocchio's gravity, a friction band, `left` of it scattered, `bias` of it common.
 
     loads: label -> (mass, x, y, z) or None for the bare arm
     """
     rows = {"load": [], "pose": [], "q": [], "tau": [], "direction": []}
+    band_nm = arm.band_nm
     for label, load in loads.items():
         torque = arm.gravity_torque(poses, load)
         for number, (q, tau) in enumerate(zip(poses, torque, strict=True)):
             for side in sides:
-                scatter = 0.0 if rng is None else left * BAND_NM * rng.standard_normal(6) * np.sqrt(2)
+                scatter = 0.0 if rng is None else left * band_nm * rng.standard_normal(len(band_nm)) * np.sqrt(2)
                 rows["load"].append(label)
                 rows["pose"].append(number)
                 rows["q"].append(q)
-                rows["tau"].append(tau + side * BAND_NM + bias * BAND_NM + scatter)
-                rows["direction"].append(np.full(6, side))
+                rows["tau"].append(tau + side * band_nm + bias * band_nm + scatter)
+                rows["direction"].append(np.full(len(band_nm), side))
     return make_table(rows["load"], rows["pose"], rows["q"], rows["tau"], direction=np.array(rows["direction"]))
 
 

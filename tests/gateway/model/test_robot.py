@@ -124,7 +124,7 @@ def test_flange_follows_link_6(random_urdf):
 def test_gravity_directions_and_their_angle(random_urdf):
     robot = robot_from_urdf(random_urdf(0), "r")
     q = np.random.default_rng(0).uniform(-3, 3, (4, 6))
-    seen = kinematics.gravity_in_link_6(robot, q)
+    seen = kinematics.gravity_in_last_link(robot, q)
     frames = kinematics.link_frames(robot, q)
     for row in range(4):
         np.testing.assert_allclose(frames[row, 5, :3, :3] @ seen[row], [0, 0, -1], atol=1e-12)
@@ -171,9 +171,12 @@ BOMB = '<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a
         (lambda text: "<sdf/>", "<sdf>"),
         (
             lambda text: text.replace('name="joint_3" type="revolute"', 'name="joint_3" type="prismatic"'),
-            "joint 'joint_3'",
+            "joint 'joint_3' is of type 'prismatic'; only revolute",
         ),
-        (lambda text: text.replace('name="joint_3" type="revolute"', 'name="joint_3" type="fixed"'), "5 moving joints"),
+        (
+            lambda text: re.sub(r'name="joint_([^6])" type="revolute"', r'name="joint_\1" type="fixed"', text),
+            "1 moving joints in its chain, 2 to 8",
+        ),
         (lambda text: text.replace('<child link="link_3"/>', '<child link="nowhere"/>'), "'nowhere'"),
         (lambda text: text.replace('<child link="link_3"/>', '<child link="link_2"/>'), "child of two joints"),
         (lambda text: text.replace('<parent link="link_5"/>', '<parent link="link_4"/>'), "both turn on link 'link_4'"),
@@ -195,9 +198,13 @@ def test_a_bad_urdf_is_refused_with_file_and_element(random_urdf, change, says):
     assert str(caught.value).startswith("cell/bad.urdf")
 
 
+COLUMNS = ("alpha_rad", "a_m", "d_m", "theta_offset_rad")
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
-    [({"convention": "khalil"}, "khalil"), ({"a_m": [0.0] * 5}, "six"), ({"d_m": [np.nan] * 6}, "finite"),
+    [({"convention": "khalil"}, "khalil"), ({"a_m": [0.0] * 5}, "for each axis"), ({"d_m": [np.nan] * 6}, "finite"),
+     ({key: [0.0] for key in COLUMNS}, "has 1 rows"), ({key: [0.0] * 9 for key in COLUMNS}, "has 9 rows"),
      ({"convention": "standard", "a_m": [0.1] * 6}, "row 6")],
 )  # fmt: skip
 def test_a_bad_dh_table_is_refused(qh165_dh, change, says):
