@@ -22,6 +22,7 @@ from drives.objects import OBJECTS, object_name
 from drives.pdo import restore_steps, tpdo_plans
 from drives.probe import matching_profiles, probe, scan
 from drives.profile_file import load_profile
+from drives.reactions import DRIVE_RULES
 from drives.statistics import quantile
 from drives.values import Identity
 
@@ -314,6 +315,19 @@ def test_quantile_by_its_definition(values, share):
     assert found in values
     assert sum(value <= found for value in values) >= math.floor(share * len(values))
     assert sum(value < found for value in values) <= share * len(values)
+
+
+# -- rules ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rule", DRIVE_RULES.values(), ids=DRIVE_RULES)
+@pytest.mark.parametrize("period_s", [0.001, 0.004, 0.01, 0.03, 0.1])
+def test_by_the_clock_a_rule_waits_for_its_time_and_no_longer_and_by_syncs_for_its_number(rule, period_s):
+    """An operating system may pause who answers: not so many SYNCs, but so much time has to go by."""
+    assert rule.syncs(period_s, "lockstep") == int(rule.limit)
+    syncs = rule.syncs(period_s, "real")
+    assert syncs * period_s >= rule.least_s - 1e-12
+    assert syncs == int(rule.limit) or (syncs - 1) * period_s < rule.least_s
 
 
 # -- errors -----------------------------------------------------------------------------------------------------------

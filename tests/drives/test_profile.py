@@ -162,6 +162,24 @@ def test_per_mille_of_a_current_of_the_drive_and_not_of_the_motor():
     assert 250 * scale.offset_nm == pytest.approx(0.25 * 6.0 * 0.4)
 
 
+@pytest.mark.parametrize("reference", ["rms", "peak"])
+@pytest.mark.parametrize("per", ["rms", "peak"])
+def test_a_torque_offset_in_amperes_of_either_kind(reference, per):
+    """A motor that gives 3 Nm at 2 A rms, which are 2 sqrt(2) A peak; 1000 per mille are 10 A rms."""
+    peak = {"rms": 1.0, "peak": math.sqrt(2)}
+    offset = f"""
+[torque_offset]
+kind = "permille_rated_current"
+rated = {{ value = {10 * peak[reference]}, source = "plate" }}
+current_reference = "{reference}"
+torque_constant_per = "{per}"
+source = "manual"
+"""
+    given_here = constants(torque_rated=2.4, current_rated_a=5.0, offset_rated=10 * peak[reference])
+    scale = motor_scale(parse_profile(GENERIC + offset, "x"), given_here, 1.5 / peak[per])
+    assert 200 * scale.offset_nm == pytest.approx(3.0)
+
+
 def test_counts_and_velocity():
     scale = motor_scale(load_profile("generic-cia402"), constants(torque_rated=1.0, current_rated_a=1.0), 1.0)
     assert scale.counts(math.pi) == 32768
@@ -206,3 +224,16 @@ def test_identity_is_compared_with_what_the_profile_gives():
     assert "below" in identity(revision=0x0FFFF).mismatches(profile)[0]
     assert "above" in identity(revision=0x30000).mismatches(profile)[0]
     assert len(identity(vendor_id=None, revision=None).mismatches(profile)) == 2
+
+
+@pytest.mark.parametrize(
+    ("wanted", "fits"),
+    [
+        ("", {None: True, 0x10000: True}),
+        ("revision_min = 0x10000", {None: False, 0xFFFF: False, 0x10000: True, 0x90000: True}),
+        ("revision_max = 0x20000", {None: False, 0: True, 0x20000: True, 0x20001: False}),
+    ],
+)
+def test_a_revision_is_asked_for_by_either_bound_and_the_bounds_are_known_ones(wanted, fits):
+    profile = parse_profile(GENERIC.replace("[torque]", f"[identity]\n{wanted}\n[torque]", 1), "x")
+    assert {revision: not identity(revision=revision).mismatches(profile) for revision in fits} == fits
