@@ -294,8 +294,9 @@ class Slave:
         if self.nmt != 5:
             return
         self.sync_seen += 1
-        for number in (0, 1):
-            self._send_tpdo(number)
+        for number in (0, 1, 2):
+            if (0x1800 + number, 1) in self.values:
+                self._send_tpdo(number)
         if self._latched is not None:
             offset = 0
             for address, size in self._mapped(0x1600):
