@@ -237,3 +237,15 @@ def test_a_silent_drive_leaves_its_joint_without_a_number(arm, fake):
 def test_sag_is_a_bound_at_the_joints(arm, fake):
     fake.sag_rad = lambda: np.abs(fake.axes.ratio * 0.01).tolist()
     assert arm.sag_rad() == pytest.approx(np.full(6, 0.01))
+
+
+def test_measured_torque_is_that_of_the_joints(pair, drives):
+    """What the arm weighs there, within a bit of each drive's torque word."""
+    up(pair)
+    q_rad = np.array([0.1, 0.4, -0.3, 0.2, 0.1, 0.0])
+    pair.exchange([arm.command(q_rad) for arm in pair.members])
+    for each in drives:
+        each.band_nm = np.zeros(6)
+    sample, _ = pair.hold()
+    bit_nm = np.abs(drives[0].axes.joint_torque(np.full(6, drives[0].scale.torque_nm)))
+    assert (np.abs(sample.joint_torque_nm - drives[0].gravity(q_rad)) <= bit_nm).all()
