@@ -257,6 +257,20 @@ def test_a_probe_counts_the_answers_of_each_id(bus, make_slave):
     assert probe(bus, [1, 2, 5]) == {1: 0, 2: 1, 5: 2}
 
 
+def test_a_probe_waits_for_a_second_device_no_longer_than_it_may_take_and_listens_no_more(bus, make_slave, wire):
+    for node_id in (2, 5):
+        make_slave(node_id)
+    begin_s = wire.now_s
+    assert probe(bus, [2, 5], timeout_s=0.3) == {2: 1, 5: 1}
+    assert 0.05 <= wire.now_s - begin_s < 0.1
+    wire.emit(0x582, bytes.fromhex("4300100092010200"))
+    bus.drain()
+    assert bus.counts["unclaimed"] == 1
+    begin_s = wire.now_s
+    assert probe(bus, [2, 3], timeout_s=0.3) == {2: 1, 3: 0}
+    assert wire.now_s - begin_s == pytest.approx(0.3, abs=0.02)
+
+
 def test_a_scan_finds_everybody_and_changes_nothing(bus, make_slave):
     first, second = make_slave(2), make_slave(90)
     second.values[0x1018, 1] = 0xFB
