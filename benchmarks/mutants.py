@@ -2,8 +2,9 @@
 
 python -m benchmarks.mutants [--count 200] [--seed 1] [--jobs 2] [--rooms drives,gateway/motion] [--out out/mutants]
 
-Mutants are drawn at random over all places of the rooms, each is tried in a copy of the project. What no test notices
-is listed with its place.
+Mutants are drawn at random over all places of the rooms, each is tried in a copy of the project. The mirrored tests run
+once as they are, and have to pass; the tests that came to the changed lines there are asked first, then all the others.
+What no test notices is listed with its place.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import argparse
 import ast
 import json
+import os
 import random
 import shutil
 import subprocess
@@ -23,6 +25,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Final
 
+from coverage import CoverageData
 from rich.progress import track
 
 from benchmarks.figure import figure
@@ -38,8 +41,12 @@ ROOMS: Final = {
     "gateway/diagnose": 85.0,
     "gateway/pair": 85.0,
 }
-#: A mutant that makes the tests run longer than this has been noticed [s].
+#: A mutant with which the tests run longer than this has been noticed [s]: all together, and one of them, of which the
+#: slowest takes a tenth.
 LONGEST_S: Final = 900.0
+_ARGUMENTS: Final = ("-x", "-q", "-p", "no:cacheprovider", "--timeout=100")
+#: Exit codes of pytest: a test failed, or none could be collected; others may come from what it was asked for.
+_FAILED, _BROKEN, _NONE_LEFT = 1, 2, 5
 COPIED: Final = ("drives", "gateway", "sim", "tests", "benchmarks", "examples", "docs", "pyproject.toml", "README.md")
 COMPARED: Final[dict[type[ast.cmpop], type[ast.cmpop]]] = {
     ast.Lt: ast.GtE,
@@ -175,27 +182,85 @@ def draw(count: int, seed: int, rooms: Sequence[str], root: Path = ROOT) -> list
     return chosen
 
 
-def mirrored(path: str, root: Path = ROOT) -> list[str]:
-    """Tests of a module: the file of its name first, then the folder that mirrors its room."""
-    module = Path(path)
-    folder = Path("tests", *module.parts[:2]) if module.parts[0] == "gateway" else Path("tests", module.parts[0])
-    own = [str(found.relative_to(root)) for found in (root / folder).rglob(f"test_{module.stem}*.py")]
-    return [*sorted(own), str(folder)]
+def mirrored(path: str) -> str:
+    """Folder of the tests that mirror the room of a module."""
+    parts = Path(path).parts
+    return str(Path("tests", *parts[:2]) if parts[0] == "gateway" else Path("tests", parts[0]))
 
 
-def noticed(mutant: Mutant, copy: Path) -> bool:
-    """Whether a test fails, or never ends, with the mutant in a copy of the project."""
+class Reach:
+    """Which tests come to which lines.
+
+    Parameters
+    ----------
+    folders : sequence of str
+        Of tests; they are run once as the project is.
+    copy : Path
+        The project.
+
+    Raises
+    ------
+    SystemExit
+        A test fails already.
+    """
+
+    def __init__(self, folders: Sequence[str], copy: Path) -> None:
+        self._root = copy
+        path = copy / ".reach"
+        measured = ("--cov=drives", "--cov=gateway", "--cov-context=test", "--cov-report=", *folders)
+        if _pytest(copy, *measured, COVERAGE_FILE=str(path)) != 0:
+            raise SystemExit(f"a test of {', '.join(folders)} fails before anything is changed")
+        self._data = CoverageData(str(path))
+        self._data.read()
+
+    def tests(self, mutant: Mutant) -> tuple[str, ...]:
+        """Tests that come to the statement of a mutant, those in the file of the module's name first."""
+        path = self._root / mutant.path
+        first, last = _statement(path.read_text(), mutant.line)
+        contexts = self._data.contexts_by_lineno(str(path))
+        found = {each.rpartition("|")[0] for line in range(first, last + 1) for each in contexts.get(line, ())}
+        folder, own = mirrored(mutant.path), f"/test_{Path(mutant.path).stem}"
+        here = {name for name in found if name.startswith(f"{folder}/")}
+        return tuple(sorted(here, key=lambda name: (own not in name, name)))
+
+
+def _statement(text: str, line: int) -> tuple[int, int]:
+    """First and last line of the smallest statement at a line; of one with a body, the head."""
+    spans = [(1, 0)]
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.stmt):
+            body = getattr(node, "body", None)
+            spans.append(
+                (node.lineno, max(node.lineno, body[0].lineno - 1) if body else node.end_lineno or node.lineno)
+            )
+    around = [(first, last) for first, last in spans if first <= line <= last]
+    return min(around, key=lambda span: span[1] - span[0], default=(line, line))
+
+
+def _pytest(copy: Path, *arguments: str, **environment: str) -> int:
+    """Exit code of the tests; the copy is what every process of a test imports."""
+    command = [sys.executable, "-m", "pytest", *_ARGUMENTS, *arguments]
+    around = {**os.environ, "PYTHONPATH": str(copy), **environment}
+    try:
+        return subprocess.run(
+            command, cwd=copy, env=around, capture_output=True, timeout=LONGEST_S, check=False
+        ).returncode
+    except subprocess.TimeoutExpired:
+        return _FAILED
+
+
+def noticed(mutant: Mutant, copy: Path, first: Sequence[str] = ()) -> bool:
+    """Whether a mirrored test fails with the mutant in a copy of the project; those of `first` are asked first."""
     path = copy / mutant.path
     text = path.read_text()
     path.write_text(mutated(text, mutant.number))
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *mirrored(mutant.path, copy)]
     try:
-        done = subprocess.run(command, cwd=copy, capture_output=True, timeout=LONGEST_S, check=False)
-    except subprocess.TimeoutExpired:
-        return True
+        if first and _pytest(copy, *first) in (_FAILED, _BROKEN):
+            return True
+        others = [f"--deselect={name}" for name in first]
+        return _pytest(copy, mirrored(mutant.path), *others) not in (0, _NONE_LEFT)
     finally:
         path.write_text(text)
-    return done.returncode != 0
 
 
 def tried(mutants: Sequence[Mutant], jobs: int) -> list[bool]:
@@ -212,16 +277,18 @@ def tried(mutants: Sequence[Mutant], jobs: int) -> list[bool]:
                 else:
                     shutil.copy(source, copy / name)
             free.put(copy)
+        reach = Reach(sorted({mirrored(mutant.path) for mutant in mutants}), copy)
+        first = [reach.tests(mutant) for mutant in mutants]
 
-        def one(mutant: Mutant) -> bool:
+        def one(mutant: Mutant, tests: Sequence[str]) -> bool:
             copy = free.get()
             try:
-                return noticed(mutant, copy)
+                return noticed(mutant, copy, tests)
             finally:
                 free.put(copy)
 
         with ThreadPoolExecutor(jobs) as pool:
-            return list(track(pool.map(one, mutants), "mutants", total=len(mutants)))
+            return list(track(pool.map(one, mutants, first), "mutants", total=len(mutants)))
 
 
 def main(argv: list[str]) -> int:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import ast
+from dataclasses import replace
 from pathlib import Path
 
-from benchmarks.mutants import Mutant, draw, mirrored, mutated, noticed, places
+import pytest
+
+from benchmarks.mutants import Mutant, Reach, draw, mirrored, mutated, noticed, places
 
 TEXT = """
 def check(a: int | None, b):
@@ -38,22 +41,56 @@ def test_mutants_are_drawn_by_the_seed(tmp_path):
     assert first != draw(3, 2, ["drives"], tmp_path)
 
 
-def test_mirrored_tests_begin_with_the_file_of_the_module():
-    assert mirrored("drives/epoch.py")[0] == "tests/drives/test_epoch.py"
-    assert mirrored("gateway/motion/watch.py") == ["tests/gateway/motion/test_watch.py", "tests/gateway/motion"]
+@pytest.mark.parametrize(
+    ("path", "folder"),
+    [("drives/epoch.py", "tests/drives"), ("gateway/motion/watch.py", "tests/gateway/motion")],
+)
+def test_a_module_is_mirrored_by_the_tests_of_its_room(path, folder):
+    assert mirrored(path) == folder
 
 
-def test_a_test_that_looks_notices_and_one_that_does_not_look_does_not(tmp_path):
+LARGER = "def larger(a, b):\n    if a > b:\n        return a\n    return b\n"
+LOOKS = "from drives.a import larger\n\ndef test_larger():\n    assert larger(1, 2) == 2\n"
+
+
+@pytest.fixture
+def project(tmp_path) -> Path:
     for name, text in {
         "drives/__init__.py": "",
-        "drives/a.py": "def larger(a, b):\n    return a if a > b else b\n",
-        "tests/drives/test_a.py": "from drives.a import larger\n\ndef test_larger():\n    assert larger(1, 2) == 2\n",
+        "drives/a.py": LARGER,
+        "gateway/__init__.py": "",
+        "tests/drives/test_a.py": LOOKS,
+        "tests/drives/test_b.py": "def test_nothing():\n    pass\n",
         "pyproject.toml": '[tool.pytest.ini_options]\npythonpath = ["."]\n',
     }.items():
         Path(tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
-    mutant = Mutant("drives/a.py", 2, 0, "Gt to LtE")
-    assert noticed(mutant, tmp_path)
-    assert "a > b" in (tmp_path / "drives/a.py").read_text()
-    (tmp_path / "tests/drives/test_a.py").write_text("def test_nothing():\n    pass\n")
-    assert not noticed(mutant, tmp_path)
+    return tmp_path
+
+
+MUTANT = Mutant("drives/a.py", 2, 0, "Gt to LtE")
+
+
+@pytest.mark.parametrize(
+    "first", [(), ("tests/drives/test_a.py::test_larger",), ("tests/drives/test_b.py::test_nothing",)]
+)
+def test_a_test_that_looks_notices_whichever_is_asked_first(project, first):
+    assert noticed(MUTANT, project, first)
+    assert (project / "drives/a.py").read_text() == LARGER
+
+
+@pytest.mark.parametrize(
+    "first", [(), ("tests/drives/test_a.py::test_larger",), ("tests/drives/test_a.py::test_gone",)]
+)
+def test_a_test_that_does_not_look_does_not_notice(project, first):
+    (project / "tests/drives/test_a.py").write_text(LOOKS.replace("== 2", "in (1, 2)"))
+    assert not noticed(MUTANT, project, first)
+
+
+def test_the_tests_that_come_to_a_line_are_known(project):
+    reach = Reach(["tests/drives"], project)
+    assert reach.tests(MUTANT) == ("tests/drives/test_a.py::test_larger",)
+    assert reach.tests(replace(MUTANT, line=3)) == ()
+    (project / "tests/drives/test_b.py").write_text("def test_wrong():\n    assert False\n")
+    with pytest.raises(SystemExit, match="fails before anything is changed"):
+        Reach(["tests/drives"], project)

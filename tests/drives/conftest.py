@@ -149,6 +149,9 @@ class Slave:
         #: Aborts a write of an inhibit time while the PDO exists.
         self.strict_inhibit = False
         self.takes_nmt = True
+        #: Heeds its consumer heartbeat time (0x1016) by the clock, and leaves operation as 0x6007 says.
+        self.supervises = False
+        self._master_s: float | None = None
         self._latched: bytes | None = None
         self._upload = b""
         self._toggle = 0
@@ -247,6 +250,8 @@ class Slave:
             self._latched = data
         elif can_id == 0x080 and self.nmt == 5:
             self._sync()
+        elif can_id == 0x700 | self.values[0x1016, 1] >> 16:
+            self._master_s = self.wire.now_s
 
     def _command(self, command: int) -> None:
         refused = command == 1 and self.wire.now_s < self.communication_error_until_s
@@ -276,13 +281,22 @@ class Slave:
             self.communication_errors += 1
             self.nmt = 127
 
+    def _supervise_master(self) -> None:
+        """Consumer heartbeat time (CiA 301, 0x1016) and abort connection option (CiA 402-2, 0x6007)."""
+        limit_s = (self.values[0x1016, 1] & 0xFFFF) / 1000.0
+        armed = self.supervises and limit_s and self._master_s is not None and self.state == "operation enabled"
+        if armed and self.wire.now_s - self._master_s > limit_s:
+            self.state = {1: "fault", 2: "switch on disabled", 3: "quick stop"}[self.values[0x6007, 0]]
+
     def _sync(self) -> None:
         self._supervise_sync()
+        self._supervise_master()
         if self.nmt != 5:
             return
         self.sync_seen += 1
-        for number in (0, 1):
-            self._send_tpdo(number)
+        for number in (0, 1, 2):
+            if (0x1800 + number, 1) in self.values:
+                self._send_tpdo(number)
         if self._latched is not None:
             offset = 0
             for address, size in self._mapped(0x1600):
@@ -323,6 +337,7 @@ class Slave:
     def _control(self, word: int) -> None:
         if self.stuck_in != self.state:
             self.state = after_command(self.state, word)
+            self._supervise_master()
 
     # -- SDO server (CiA 301, 7.2.4.3) ---------------------------------------------------------------------------------
 

@@ -77,6 +77,17 @@ def test_own_frames_are_told_from_another_masters(bus, wire, echo):
     assert bus.foreign == {0x080: 1, 0x000: 1}
 
 
+@pytest.mark.parametrize(
+    ("can_id", "masters"),
+    [(0x000, 1), (0x080, 1), (0x601, 1), (0x67F, 1), (0x600, 0), (0x680, 0), (0x581, 0), (0x5FF, 0), (0x081, 0)],
+)
+def test_only_what_a_master_sends_is_another_masters(bus, wire, can_id, masters):
+    """CiA 301, predefined connection set: NMT, SYNC, and SDO requests to nodes 1 to 127; answers are the nodes'."""
+    wire.emit(can_id, bytes(8))
+    bus.drain()
+    assert (bus.foreign[can_id], bus.foreign_count) == (masters, masters)
+
+
 def test_a_full_transmit_queue_is_waited_for(bus, wire):
     wire.send_errors = 3
     bus.send(0x201, b"")

@@ -69,6 +69,22 @@ def test_an_answer_that_comes_after_the_next_sync_contradicts_its_successor(grou
         assert step(group, slaves).complete
 
 
+def test_of_a_single_drive_too_an_answer_to_the_sync_before_is_not_believed(bus, add_slaves, setups):
+    """Nothing else comes late here: what stayed away itself is what is watched for."""
+    slaves = add_slaves(1)
+    with DriveGroup(bus, setups(1), 0.004) as group:
+        group.connect()
+        group.configure()
+        group.enable()
+        seen = slaves[0].sync_seen
+        slaves[0].tpdo_delay_s |= {seen + 1: 0.0413, seen + 2: 0.0006}
+        assert step(group, slaves).missing == (0,)
+        for _ in range(5):
+            step(group, slaves)
+        assert group.statistics.ambiguous >= 1
+        assert all(step(group, slaves).complete for _ in range(20))
+
+
 def test_a_doubled_answer_is_counted_and_does_no_harm(group, slaves, wire):
     real = wire.emit
 

@@ -462,7 +462,13 @@ def test_node_ids_must_differ_also_from_the_masters(bus, setups):
     with pytest.raises(ConfigurationRefused):
         DriveGroup(bus, setups(2), PERIOD_S, master_node_id=2)
     with pytest.raises(ConfigurationRefused):
-        DriveGroup(bus, setups(2), math.nan)
+        DriveGroup(bus, [], PERIOD_S)
+
+
+@pytest.mark.parametrize("period_s", [0.0, -PERIOD_S, math.nan, math.inf, -math.inf])
+def test_a_period_is_a_positive_time(bus, setups, period_s):
+    with pytest.raises(ConfigurationRefused, match="not positive"):
+        DriveGroup(bus, setups(2), period_s)
 
 
 def test_a_master_that_paused_does_not_call_a_heartbeat_lost(group, slaves, wire):

@@ -22,6 +22,7 @@ from drives.objects import OBJECTS, object_name
 from drives.pdo import restore_steps, tpdo_plans
 from drives.probe import matching_profiles, probe, scan
 from drives.profile_file import load_profile
+from drives.reactions import DRIVE_RULES
 from drives.statistics import quantile
 from drives.values import Identity
 
@@ -256,6 +257,20 @@ def test_a_probe_counts_the_answers_of_each_id(bus, make_slave):
     assert probe(bus, [1, 2, 5]) == {1: 0, 2: 1, 5: 2}
 
 
+def test_a_probe_waits_for_a_second_device_no_longer_than_it_may_take_and_listens_no_more(bus, make_slave, wire):
+    for node_id in (2, 5):
+        make_slave(node_id)
+    begin_s = wire.now_s
+    assert probe(bus, [2, 5], timeout_s=0.3) == {2: 1, 5: 1}
+    assert 0.05 <= wire.now_s - begin_s < 0.1
+    wire.emit(0x582, bytes.fromhex("4300100092010200"))
+    bus.drain()
+    assert bus.counts["unclaimed"] == 1
+    begin_s = wire.now_s
+    assert probe(bus, [2, 3], timeout_s=0.3) == {2: 1, 3: 0}
+    assert wire.now_s - begin_s == pytest.approx(0.3, abs=0.02)
+
+
 def test_a_scan_finds_everybody_and_changes_nothing(bus, make_slave):
     first, second = make_slave(2), make_slave(90)
     second.values[0x1018, 1] = 0xFB
@@ -314,6 +329,19 @@ def test_quantile_by_its_definition(values, share):
     assert found in values
     assert sum(value <= found for value in values) >= math.floor(share * len(values))
     assert sum(value < found for value in values) <= share * len(values)
+
+
+# -- rules ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rule", DRIVE_RULES.values(), ids=DRIVE_RULES)
+@pytest.mark.parametrize("period_s", [0.001, 0.004, 0.01, 0.03, 0.1])
+def test_by_the_clock_a_rule_waits_for_its_time_and_no_longer_and_by_syncs_for_its_number(rule, period_s):
+    """An operating system may pause who answers: not so many SYNCs, but so much time has to go by."""
+    assert rule.syncs(period_s, "lockstep") == int(rule.limit)
+    syncs = rule.syncs(period_s, "real")
+    assert syncs * period_s >= rule.least_s - 1e-12
+    assert syncs == int(rule.limit) or (syncs - 1) * period_s < rule.least_s
 
 
 # -- errors -----------------------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from drives.errors import ProfileError
 from drives.profile_file import PROFILE_FOLDER, list_profiles, load_profile, parse_profile, profile_schema
 from drives.scaling import Constants, motor_scale
+from drives.toml_text import parse_toml
 from drives.values import AxisSetup, Identity
 
 GENERIC = (PROFILE_FOLDER / "generic-cia402.toml").read_text()
@@ -79,6 +80,26 @@ def remove(text, start):
         (GENERIC.replace('name = "generic-cia402"', 'name = "../x"'), "name"),
         (GENERIC.replace("abort_connection = 3", "abort_connection = 0"), "abort_connection"),
         (GENERIC.replace("slow_timeout_s = 2.0", "slow_timeout_s = 0.1"), "slow_timeout_s"),
+        (GENERIC[: GENERIC.index("[torque.rated]")] + GENERIC[GENERIC.index("[current]") :], "the value that 1000 per"),
+        (GENERIC.replace('"permille_rated_torque"', '"internal_unit"', 1), "internal_unit_a belongs to kind"),
+        (
+            GENERIC.replace("[torque]", '[torque]\ninternal_unit_a = { value = 1.0, source = "x" }', 1),
+            "internal_unit_a belongs to kind",
+        ),
+        (GENERIC.replace('kind = "permille_rated_current"', 'kind = "permille_rated_torque"'), "is not a current"),
+        (
+            GENERIC.replace('index = 0x6064, subindex = 0, type = "i32"', 'index = 0x6064, subindex = 0, type = "i16"'),
+            "i32",
+        ),
+        (
+            GENERIC[: GENERIC.index("[velocity]")] + GENERIC[GENERIC.index("[position]") :],
+            r"feedforward needs \[velocity\]",
+        ),
+        (
+            GENERIC + '[torque_offset]\nkind = "permille_rated_current"\nrated = { value = 1.0, source = "x" }\n'
+            'current_reference = "rms"\nsource = "x"\n',
+            "current_reference and torque_constant_per",
+        ),
     ],
 )
 def test_a_mistake_is_named_with_file_and_key(text, says):
@@ -162,6 +183,24 @@ def test_per_mille_of_a_current_of_the_drive_and_not_of_the_motor():
     assert 250 * scale.offset_nm == pytest.approx(0.25 * 6.0 * 0.4)
 
 
+@pytest.mark.parametrize("reference", ["rms", "peak"])
+@pytest.mark.parametrize("per", ["rms", "peak"])
+def test_a_torque_offset_in_amperes_of_either_kind(reference, per):
+    """A motor that gives 3 Nm at 2 A rms, which are 2 sqrt(2) A peak; 1000 per mille are 10 A rms."""
+    peak = {"rms": 1.0, "peak": math.sqrt(2)}
+    offset = f"""
+[torque_offset]
+kind = "permille_rated_current"
+rated = {{ value = {10 * peak[reference]}, source = "plate" }}
+current_reference = "{reference}"
+torque_constant_per = "{per}"
+source = "manual"
+"""
+    given_here = constants(torque_rated=2.4, current_rated_a=5.0, offset_rated=10 * peak[reference])
+    scale = motor_scale(parse_profile(GENERIC + offset, "x"), given_here, 1.5 / peak[per])
+    assert 200 * scale.offset_nm == pytest.approx(3.0)
+
+
 def test_counts_and_velocity():
     scale = motor_scale(load_profile("generic-cia402"), constants(torque_rated=1.0, current_rated_a=1.0), 1.0)
     assert scale.counts(math.pi) == 32768
@@ -206,3 +245,40 @@ def test_identity_is_compared_with_what_the_profile_gives():
     assert "below" in identity(revision=0x0FFFF).mismatches(profile)[0]
     assert "above" in identity(revision=0x30000).mismatches(profile)[0]
     assert len(identity(vendor_id=None, revision=None).mismatches(profile)) == 2
+
+
+@pytest.mark.parametrize(
+    ("wanted", "fits"),
+    [
+        ("", {None: True, 0x10000: True}),
+        ("revision_min = 0x10000", {None: False, 0xFFFF: False, 0x10000: True, 0x90000: True}),
+        ("revision_max = 0x20000", {None: False, 0: True, 0x20000: True, 0x20001: False}),
+    ],
+)
+def test_a_revision_is_asked_for_by_either_bound_and_the_bounds_are_known_ones(wanted, fits):
+    profile = parse_profile(GENERIC.replace("[torque]", f"[identity]\n{wanted}\n[torque]", 1), "x")
+    assert {revision: not identity(revision=revision).mismatches(profile) for revision in fits} == fits
+
+
+@pytest.mark.parametrize("node_id", [0, 128, -1])
+def test_a_node_id_is_one_of_127(node_id):
+    with pytest.raises(ProfileError, match=r"not in 1 \.\. 127"):
+        AxisSetup(node_id, load_profile("generic-cia402"), 0.5, 100.0)
+    assert [AxisSetup(node, load_profile("generic-cia402"), 0.5, 100.0).node_id for node in (1, 127)] == [1, 127]
+
+
+@pytest.mark.parametrize(("parts", "fine"), [(63, True), (64, True), (65, False)])
+def test_a_key_of_very_many_parts_is_refused(parts, fine):
+    """The cost of the parser grows with their square."""
+    text = ".".join("a" * parts) + " = 1"
+    if fine:
+        assert parse_toml(text)
+    else:
+        with pytest.raises(tomllib.TOMLDecodeError, match="more than 64 parts"):
+            parse_toml(text)
+
+
+@pytest.mark.parametrize("text", ["x = " + "9" * 5000, "x = " + "[" * 5000])
+def test_what_the_interpreter_cannot_hold_is_no_toml(text):
+    with pytest.raises(tomllib.TOMLDecodeError):
+        parse_toml(text)

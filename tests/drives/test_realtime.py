@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import ctypes
 import os
+import resource
+from pathlib import Path
 
 import pytest
 
 from drives import realtime
-from drives.realtime import RealTime, available
+from drives.realtime import RealTime, available, leave_real_time
 
 
 class System:
@@ -68,3 +70,65 @@ def test_asking_changes_nothing_and_says_what_would_be_given(monkeypatch, permit
     status = available()
     assert (status.fifo, status.locked, bool(status.why)) == (permitted, permitted, not permitted)
     assert system.calls == []
+
+
+def test_a_scheduler_that_cannot_be_set_back_is_told(monkeypatch):
+    system = System(monkeypatch, permitted=True)
+    asked = RealTime()
+    with asked:
+        system.permitted = False
+    assert asked.status.fifo
+    assert "cannot be set back" in asked.status.why
+
+
+@pytest.mark.parametrize("permitted", [True, False])
+def test_a_thread_may_leave_what_it_inherited(monkeypatch, permitted):
+    system = System(monkeypatch, permitted)
+    leave_real_time()
+    assert system.calls == ([("scheduler", os.SCHED_OTHER, 0)] if permitted else [])
+
+
+def test_memory_that_cannot_be_locked_is_told_and_not_unlocked(monkeypatch):
+    system = System(monkeypatch, permitted=True)
+    system.mlockall = lambda flags: -1  # type: ignore[method-assign]
+    with RealTime() as status:
+        assert (status.fifo, status.locked) == (True, False)
+        assert "memory is not locked" in status.why
+    assert ("munlockall",) not in system.calls
+
+
+#: Bits 14 (CAP_IPC_LOCK) and 23 (CAP_SYS_NICE) of linux/capability.h.
+LOCK, NICE = 1 << 14, 1 << 23
+GIB = 1 << 30
+
+
+@pytest.mark.parametrize(
+    ("effective", "rtprio", "memlock", "fifo", "locked"),
+    [
+        (0, 0, 0, False, False),
+        (NICE, 0, 0, True, False),
+        (LOCK, 0, 0, False, True),
+        (~(LOCK | NICE) & (1 << 40) - 1, 0, 0, False, False),
+        (0, 39, 4 * GIB - 1, False, False),
+        (0, 40, 4 * GIB, True, True),
+        (0, resource.RLIM_INFINITY, resource.RLIM_INFINITY, True, True),
+    ],
+)
+def test_what_is_permitted_is_read_from_capabilities_and_limits(monkeypatch, effective, rtprio, memlock, fifo, locked):
+    soft = {resource.RLIMIT_RTPRIO: rtprio, resource.RLIMIT_MEMLOCK: memlock}
+    monkeypatch.setattr(resource, "getrlimit", lambda number: (soft[number], resource.RLIM_INFINITY))
+    monkeypatch.setattr(Path, "read_text", lambda _: f"Name:\tx\nCapPrm:\t{'f' * 16}\nCapEff:\t{effective:016x}\n")
+    status = available()
+    assert (status.fifo, status.locked) == (fifo, locked)
+    assert ("rtprio" in status.why, "memlock" in status.why) == (not fifo, not locked)
+
+
+def test_a_system_without_capabilities_and_limits_gives_nothing(monkeypatch):
+    def unreadable(_: Path) -> str:
+        raise FileNotFoundError
+
+    monkeypatch.setattr(Path, "read_text", unreadable)
+    monkeypatch.delattr(resource, "RLIMIT_RTPRIO")
+    monkeypatch.delattr(resource, "RLIMIT_MEMLOCK")
+    status = available()
+    assert (status.fifo, status.locked) == (False, False)

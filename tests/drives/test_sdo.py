@@ -224,6 +224,42 @@ def test_an_answer_that_does_not_fit_its_type_is_refused(sdo, slave, data, kind)
         sdo.read(0x6077, 0, "i16")
 
 
+@pytest.mark.parametrize("command", [0x42, 0x46, 0x4E])
+def test_a_size_that_is_not_indicated_is_none(sdo, slave, command):
+    """CiA 301, 7.2.4.3.6: n is valid only if e = 1 and s = 1; without s four bytes of data came."""
+    slave.reply = lambda request, answer: [(0.0, bytes([command]) + request[1:4] + b"\x01\x02\x03\x04")]
+    assert sdo.upload(0x2000) == b"\x01\x02\x03\x04"
+
+
+def test_an_object_of_unknown_length_is_read_to_its_end(sdo, slave):
+    def reply(request, answer):
+        return [(0.001, b"\x40" + answer[1:4] + bytes(4) if answer[0] == 0x41 else answer)]
+
+    slave.reply = reply
+    assert sdo.upload(0x1008) == slave.texts[0x1008, 0]
+
+
+@pytest.mark.parametrize(("announced", "asked_on"), [(1 << 16, True), ((1 << 16) + 1, False)])
+def test_an_object_that_is_too_long_is_refused_before_it_is_sent(sdo, slave, wire, announced, asked_on):
+    def reply(request, answer):
+        return [(0.001, answer[:4] + struct.pack("<I", announced) if answer[0] == 0x41 else answer)]
+
+    slave.reply = reply
+    with pytest.raises(SdoProtocolError, match=f"{announced}"):
+        sdo.upload(0x1008)
+    assert any(data[0] == 0x60 for can_id, data in wire.sent if can_id == 0x603) == asked_on
+
+
+def test_a_wrong_toggle_bit_of_a_confirmation_ends_a_download(sdo, slave):
+    def reply(request, answer):
+        return [(0.001, bytes([answer[0] ^ 0x10]) + answer[1:] if request[0] & 0xE0 == 0 else answer)]
+
+    slave.reply = reply
+    with pytest.raises(SdoProtocolError, match="toggle"):
+        sdo.download(0x1008, 0, bytes(20))
+    assert len(slave._download) == 7
+
+
 def test_slow_objects_have_their_own_time(sdo, slave):
     slave.reply = lambda request, answer: [(1.5, answer)]
     assert sdo.upload(0x1000, 0, SLOW) == b"\x92\x01\x02\x00"

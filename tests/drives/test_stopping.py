@@ -219,6 +219,149 @@ def test_an_axis_that_never_comes_to_rest_is_named(group, slaves):
         group.quick_stop()
 
 
+@pytest.mark.parametrize(("syncs", "enough"), [(205, True), (222, False)])
+def test_a_ramp_is_waited_for_two_seconds(group, slaves, syncs, enough):
+    """Of 10 ms each; 0.2 s beyond them are patience."""
+    move(group, 3)
+    slaves[3].ways = {"quick stop": [500] * syncs}
+    if enough:
+        group.quick_stop()
+        assert slaves[3].ways["quick stop"] == []
+    else:
+        with pytest.raises(TransitionTimeout, match="node 4.*still moves"):
+            group.quick_stop()
+
+
+def slow_to_obey(slave: Slave, syncs: int) -> None:
+    """It leaves OPERATION ENABLED so many SYNCs after it was told to."""
+    plain, told = slave._control, [0]
+
+    def control(word: int) -> None:
+        told[0] += word != 0x0F
+        if told[0] > syncs or word == 0x0F:
+            plain(word)
+
+    slave._control = control  # type: ignore[method-assign]
+
+
+@pytest.mark.parametrize(("syncs", "goes_on"), [(15, True), (30, False)])
+def test_the_heartbeat_ends_when_an_axis_stays_enabled_too_long(group, slaves, wire, syncs, goes_on):
+    """0.2 s are 20 SYNCs; a drive that still is enabled then shall stop by itself."""
+    move(group, 3)
+    slow_to_obey(slaves[2], syncs)
+    group.quick_stop()
+    before = len(beats_s(wire))
+    group.bus.listen(0.5)
+    assert (len(beats_s(wire)) > before) == goes_on
+    assert {slave.state for slave in slaves} == {"quick stop"}
+
+
+def test_a_bus_that_fails_while_sag_is_watched_ends_the_heartbeat(group, slaves, wire):
+    for _ in range(5):
+        group.hold()
+    plain = slaves[0]._sync
+
+    def sync() -> None:
+        plain()
+        if slaves[0].state == "switch on disabled":
+            wire.send_errors = 1 << 30
+
+    slaves[0]._sync = sync  # type: ignore[method-assign]
+    with pytest.raises(DriveError, match="could not be sent"):
+        group.disable()
+    slaves[0]._sync, wire.send_errors = plain, 0  # type: ignore[method-assign]
+    beats = len(beats_s(wire))
+    group.bus.listen(1.0)
+    assert len(beats_s(wire)) == beats
+
+
+def test_arms_that_all_fall_silent_are_not_watched_for_sag(group, slaves):
+    """Nothing is measured where nothing answers."""
+    for _ in range(5):
+        group.hold()
+    syncs = []
+
+    def sync(slave: Slave) -> Callable[[], None]:
+        plain = slave._sync
+
+        def counted() -> None:
+            syncs.append(slave.state)
+            if slave.state != "switch on disabled":
+                plain()
+
+        return counted
+
+    for slave in slaves:
+        slave._sync = sync(slave)  # type: ignore[method-assign]
+    with contextlib.suppress(DriveError):
+        group.disable()
+    assert syncs.count("switch on disabled") <= len(slaves) * 6
+
+
+# -- what fails on the way down ----------------------------------------------------------------------------------------
+
+
+def test_a_drive_that_cannot_be_disarmed_is_named_and_the_others_are(group, slaves, wire):
+    slaves[2].refused[0x1016, 1] = 0x08000022
+    with pytest.raises(DriveError, match="node 3:1016:01"):
+        group.disable()
+    assert [slave.values[0x1016, 1] for slave in slaves if slave.node_id != 3] == [0] * 5
+    beats = len(beats_s(wire))
+    group.bus.listen(1.0)
+    assert len(beats_s(wire)) == beats
+
+
+def test_a_bus_that_is_dead_at_the_end_is_counted_and_no_error(group, wire):
+    group.disable()
+    wire.send_errors = 1 << 30
+    group.close()
+    assert group.bus.counts["unsent_at_close"] == 1
+
+
+@pytest.mark.parametrize("error", [DriveError("first"), ValueError("first")])
+def test_what_goes_wrong_while_closing_is_added_to_the_error_that_led_to_it(bus, slaves, setups, error):
+    def used() -> None:
+        with DriveGroup(bus, setups(6), PERIOD_S) as group:
+            group.connect()
+            group.configure()
+            group.enable()
+            slaves[4].alive = False
+            raise error
+
+    with pytest.raises(type(error), match="first") as caught:
+        used()
+    added = getattr(caught.value, "while_stopping", ())
+    assert [failure.node for failure in added] == ([5] if isinstance(error, DriveError) else [])
+    assert {slave.state for slave in slaves if slave.node_id != 5} == {"switch on disabled"}
+
+
+def test_axes_that_never_come_to_rest_are_not_released(group, slaves):
+    slaves[0].ways = {"operation enabled": [500, -500] * 200}
+    move(group, 2, step=0)
+    with pytest.raises(ConfigurationRefused, match="bring the axes to rest first"):
+        group.release(1, 0.1)
+    assert group.enabled
+    assert {slave.state for slave in slaves} == {"operation enabled"}
+
+
+def test_a_bus_that_fails_while_the_quick_stop_is_tried_is_an_error(group, slaves, wire):
+    rows = [[DriveCommand((slave.position + 50 * row) * COUNT_RAD) for slave in slaves] for row in range(1, 6)]
+    slaves[0].ways = {"quick stop": [700] * 50}
+    plain = slaves[0]._sync
+
+    def sync() -> None:
+        plain()
+        if slaves[0].state == "quick stop":
+            wire.send_errors = 1 << 30
+
+    slaves[0]._sync = sync  # type: ignore[method-assign]
+    group.on_stop = lambda: (setattr(slaves[0], "_sync", plain), setattr(wire, "send_errors", 0))
+    with pytest.raises(DriveError, match="could not be sent"):
+        group.prove_quick_stop(rows)
+    assert not group.enabled
+    assert {slave.state for slave in slaves} == {"quick stop"}
+
+
 # -- the end of the heartbeat ------------------------------------------------------------------------------------------
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from types import SimpleNamespace
 
@@ -128,6 +129,23 @@ def test_a_torque_that_stays_at_rest_stops_when_sdo_keeps_contradicting(rig: Rig
     others = [None if number % 2 else (ENABLED, number, 20) for number in range(2 * SAME_IN_A_ROW + 1)]
     with pytest.raises(DriveFault, match="node 1.*torque 10.*torque 11"):
         rig.checks(*(((ENABLED, 1000, 10), other) for other in others))
+
+
+def test_a_torque_that_differs_once_at_rest_is_noise(rig: Rig) -> None:
+    """Between the answer to SYNC and the question by SDO some milliseconds pass; who contradicts twice is wrong."""
+    rig.truth[0] = (1000, 11)
+    still = [((ENABLED, 1000, 10), (ENABLED, number, 20)) for number in range(SAME_IN_A_ROW + 1)]
+    rig.checks(*still)
+    rig.truth[0] = (1000, 10)
+    rig.checks(*still, *still)
+
+
+@pytest.mark.parametrize(("off", "stops"), [(0.0019, False), (0.0021, True)])
+def test_an_axis_at_rest_may_stand_a_little_elsewhere_by_sdo(rig: Rig, off: float, stops: bool) -> None:
+    rig.truth[1] = (2000 - round(off * 65536) - (1 if stops else 0), 20)
+    rows = [((ENABLED, number, 0), (ENABLED, 2000, 20)) for number in range(3 * SAME_IN_A_ROW)]
+    with pytest.raises(DriveFault) if stops else contextlib.nullcontext():
+        rig.checks(*rows)
 
 
 # ------------------------------------------------------------------------------- by the clock nobody waits for SDO

@@ -201,3 +201,38 @@ def test_an_axis_that_moves_while_its_brake_opens_stops_the_way_up(group, slaves
         group.enable()
     assert caught.value.node == 2
     assert {slave.state for slave in slaves} == {OFF}
+
+
+# -- what ends it ------------------------------------------------------------------------------------------------------
+
+
+def test_a_drive_that_is_operational_and_does_not_answer_sync_is_named(group, slaves):
+    slaves[1].tpdo_cut = 0
+    with pytest.raises(IncompleteEpochs, match=r"node 2.*does not answer SYNC \(\d+ sent\).*synchronous"):
+        group.enable()
+    assert enabling_words(slaves) == set()
+
+
+def test_a_drive_that_goes_to_fault_before_the_first_word_is_led_nowhere(group, slaves):
+    """No route leads out of FAULT, and the word that resets it is never sent."""
+    plain = slaves[2]._sync
+
+    def sync() -> None:
+        slaves[2].state = slaves[2].stuck_in = "fault"
+        plain()
+
+    slaves[2]._sync = sync  # type: ignore[method-assign]
+    plain_get = slaves[2].get
+    slaves[2].get = lambda address: 0x0208 if address == (0x6041, 0) and slaves[2].nmt == 5 else plain_get(address)
+    with pytest.raises(DriveFault, match="node 3.*no route from FAULT"):
+        group.enable()
+    assert enabling_words(slaves) == set()
+    assert all(not word & 0x80 for slave in slaves for word in slave.controlwords)
+
+
+def test_a_drive_that_somebody_enabled_meanwhile_is_not_enabled_again(group, slaves):
+    slaves[0].state = "operation enabled"
+    with pytest.raises(DriveFault, match="node 1.*before it was enabled.*disable it first"):
+        group.enable()
+    slaves[0].state = "switch on disabled"
+    assert enabling_words(slaves) == set()

@@ -2,7 +2,9 @@
 
 import io
 import os
+import termios
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 
 import pytest
 
@@ -10,8 +12,17 @@ from drives.sdo import Posted
 from gateway.cell.config import HoldToRun
 from gateway.errors import ConfigError, PlanRefused
 from gateway.motion import holdtorun
-from gateway.motion.holdtorun import FIRST_REPEAT_S, PATIENCE_S, RELEASED_S, HeldInput, HeldKey, held_key
+from gateway.motion.holdtorun import (
+    FIRST_REPEAT_S,
+    PATIENCE_S,
+    RELEASED_S,
+    HeldInput,
+    HeldKey,
+    held_key,
+    with_held_input,
+)
 from gateway.motion.stops import StopKind
+from gateway.motion.stream import MoveOptions
 
 
 class Clock:
@@ -117,3 +128,88 @@ def test_nothing_is_powered_before_the_input_is_held(clock):
     with pytest.raises(PlanRefused, match=r"node 3:60FD:00, was not held within 60 s"):
         HeldInput(node, node, CONFIG).wait()
     assert clock.now_s > 100.0 + PATIENCE_S
+
+
+def test_a_first_key_may_take_longer_to_repeat_than_the_next_one(clock, keyboard):
+    reading, writing = keyboard
+    key = HeldKey(reading)
+    os.write(writing, b" ")
+    key.wait()
+    clock.now_s += 1.01 * FIRST_REPEAT_S
+    assert key() is not None
+
+
+def test_a_key_pressed_twice_before_the_start_is_pressed_once(clock, keyboard):
+    """Whoever presses again while the drives come up has not yet shown how fast the key repeats."""
+    reading, writing = keyboard
+    key = HeldKey(reading)
+    for _ in range(2):
+        os.write(writing, b" ")
+        key.wait()
+    clock.now_s += (RELEASED_S + FIRST_REPEAT_S) / 2
+    assert key() is None
+
+
+def test_a_terminal_that_is_gone_is_a_release(clock):
+    reading, writing = os.pipe()
+    key = HeldKey(reading)
+    os.write(writing, b" ")
+    key.wait()
+    os.close(writing)
+    clock.now_s += 1.01 * FIRST_REPEAT_S
+    assert key() is not None
+    os.close(reading)
+
+
+def test_keys_of_a_terminal_come_one_by_one_and_unseen_and_everything_is_put_back(monkeypatch):
+    master, terminal = os.openpty()
+    before = termios.tcgetattr(terminal)
+    with os.fdopen(terminal, "r") as stdin:
+        monkeypatch.setattr("sys.stdin", stdin)
+        with held_key() as key:
+            local = termios.tcgetattr(terminal)[3]
+            assert not local & termios.ECHO
+            assert not local & termios.ICANON
+            os.write(master, b" ")
+            key.wait()
+            assert key() is None
+        assert termios.tcgetattr(terminal)[3] == before[3]
+    os.close(master)
+
+
+def opened(clock, config, nodes=(3,)):
+    node = Input(clock, value=0x10000)
+    group = SimpleNamespace(access=[SimpleNamespace(node_id=each, sdo=node) for each in nodes], bus=node)
+    return node, SimpleNamespace(config=SimpleNamespace(hold_to_run=config), group=group)
+
+
+def test_a_cell_without_an_input_changes_nothing(clock):
+    options = MoveOptions()
+    assert with_held_input(opened(clock, None)[1], options) is options
+
+
+def test_a_cell_with_an_input_is_ready_when_it_is_held_and_heard_under_power_alone(clock):
+    said = []
+    node, arm = opened(clock, CONFIG)
+    before = MoveOptions(ready=lambda: said.append("ready"))
+    options = with_held_input(arm, before)
+    options.ready()
+    assert said == ["ready"]
+    assert node.asked
+    node.value = 0
+    clock.now_s += RELEASED_S + 0.2
+    assert options.desk.look() is None
+    options.desk.under_power = True
+    clock.now_s += RELEASED_S + 0.2
+    wish = options.desk.look()
+    assert wish is not None
+    assert wish.kind is StopKind.ALONG_PATH
+
+
+@pytest.mark.parametrize(("value", "held"), [(0x10000, True), (0x1FFFF, True), (0x0FFFF, False), (0, False)])
+def test_only_the_bits_of_the_mask_say_whether_it_is_held(clock, value, held):
+    node = Input(clock, value=value)
+    source = HeldInput(node, node, CONFIG)
+    source()
+    clock.now_s += 0.01
+    assert (source() is None) == held

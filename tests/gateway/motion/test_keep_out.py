@@ -100,6 +100,46 @@ def test_touching_is_outside_and_thickness_counts(workspace):
     assert clearance_m(workspace.robot, alone, far, q_rad, np.full((1, 1), 9.0)) == pytest.approx(0.3, abs=1e-5)
 
 
+def test_a_clearance_that_is_enough_is_never_above_the_true_one(workspace):
+    """Capsules that begin anywhere in their link; what is not clear by enough is exact."""
+    random = np.random.default_rng(8)
+    link = np.repeat(np.arange(6), 3)
+    start, end = random.uniform(-0.4, 0.4, (2, len(link), 3))
+    body = replace(
+        workspace.body,
+        part=tuple(f"part {number}" for number in range(len(link))),
+        link=link,
+        start_m=start,
+        end_m=end,
+        radius_m=random.uniform(0.0, 0.1, len(link)),
+        source=("",) * len(link),
+    )
+    low = random.uniform(-1.0, 1.0, (6, 3))
+    boxes = np.stack([low, low + random.uniform(0.05, 0.5, (6, 3))], axis=1)
+    q_rad = random.uniform(workspace.lower_rad, workspace.upper_rad, (40, 6))
+    segments = body.segments_m(link_frames(workspace.robot, q_rad))
+    exact = (
+        np.stack(
+            [
+                segment_box_distance(
+                    *segments.reshape(-1, 2, 3).swapaxes(0, 1), *(np.tile(each, (720, 1)) for each in box)
+                )
+                for box in boxes
+            ],
+            axis=1,
+        ).reshape(40, len(link), 6)
+        - body.radius_m[:, None]
+    )
+    enough = random.uniform(0.0, 0.3, (40, len(link)))
+    found = clearance_m(workspace.robot, body, boxes, q_rad, enough)
+    free = exact > 0.0
+    near = free & (found <= enough[:, :, None])
+    assert (found <= np.maximum(exact, 0.0) + 1e-5).all()
+    assert near.any()
+    assert (found > enough[:, :, None]).any()
+    assert found[near] == pytest.approx(exact[near], abs=1e-5)
+
+
 def test_no_point_of_the_arm_moves_farther_than_its_levers_say(workspace):
     random = np.random.default_rng(4)
     q_rad = random.uniform(workspace.lower_rad, workspace.upper_rad, (4000, 6))

@@ -7,7 +7,7 @@ import pytest
 
 from drives.errors import DriveFault
 from gateway.motion.arms import Arms
-from gateway.motion.power import powered
+from gateway.motion.power import SAG_RAD, powered
 from gateway.motion.state import Phase, StateKeeper
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
 from gateway.motion.stream import FIRST_SHARE, MoveOptions, Station, Stream
@@ -162,6 +162,76 @@ def test_a_joint_that_sinks_in_its_brake_is_told(station, fake):
     with powered(Stream(station)):
         pass
     assert "joint 2 sank by 0.0080 rad" in keeper.state.reason
+
+
+@pytest.mark.parametrize(("sunk_rad", "said"), [(0.9, False), (1.1, True)])
+def test_a_joint_sinks_from_a_limit_on(station, fake, sunk_rad, said):
+    sag = np.zeros(6)
+    sag[3] = sunk_rad * SAG_RAD
+    fake.sag_rad = lambda: np.abs(fake.axes.motor_velocity(sag)).tolist()
+    with powered(Stream(station)):
+        pass
+    assert ("joint 4 sank" in station.state.state.reason) == said
+    assert ("check its brake" in station.state.state.reason) == said
+
+
+def test_a_stop_that_fails_without_another_error_is_raised(station, fake):
+    def broken():
+        raise DriveFault("cannot be disabled", node=4)
+
+    fake.disable = broken
+    with pytest.raises(DriveFault, match="cannot be disabled"), powered(Stream(station)):
+        pass
+    assert not station.options.desk.under_power
+
+
+def test_a_sag_after_an_error_is_among_its_notes_with_time_and_sync(station, workspace, fake):
+    fake.fault_at = 30
+    fake.sag_rad = lambda: np.abs(fake.axes.motor_velocity(np.full(6, 2 * SAG_RAD))).tolist()
+    with pytest.raises(DriveFault, match="FAULT") as failed, powered(Stream(station)) as stream:
+        move(stream, workspace)
+    notes = " ".join(failed.value.__notes__)
+    assert "joint 1 sank" in notes
+    assert "SYNC 29 of this run" in notes
+    assert station.state.state.phase is Phase.STOPPED
+    assert "FAULT" in station.state.state.reason
+
+
+def test_a_first_motion_that_was_stopped_is_not_done(station, workspace, fake):
+    done = []
+    asked = asked_at(fake, 40, StopKind.ALONG_PATH)
+    options = replace(asked, first_done=lambda: done.append(1))
+    with pytest.raises(StoppedByPerson), powered(Stream(replace(station, options=options))) as stream:
+        move(stream, workspace)
+    assert done == []
+
+
+def test_by_the_clock_the_scheduler_is_asked_for_while_power_is_on(station, fake, monkeypatch):
+    log = []
+
+    class Asked:
+        def __enter__(self):
+            log.append(("real time", fake.enabled))
+
+        def __exit__(self, *_):
+            log.append(("ordinary", fake.enabled))
+
+    monkeypatch.setattr("gateway.motion.power.RealTime", Asked)
+    with powered(Stream(station)):
+        pass
+    assert log == []
+    with powered(Stream(replace(station, arms=Arms(station.arms.members, "real")))):
+        assert fake.enabled
+    assert log == [("real time", False), ("ordinary", False)]
+
+
+def test_a_wish_that_comes_with_the_last_sync_is_told(station, fake):
+    wish = StopRequest(StopKind.ALONG_PATH, StoppedByPerson("a person"))
+    asked = []
+    options = MoveOptions(StopDesk(lambda: wish if asked else None))
+    with pytest.raises(StoppedByPerson), powered(Stream(replace(station, options=options))):
+        asked.append(1)
+    assert fake.log == ["enable", "disable"]
 
 
 def test_an_error_of_a_drive_is_kept_and_what_fails_while_stopping_joins_it(station, workspace, fake):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import runpy
 from pathlib import Path
 
 import pytest
 
 from drives.errors import DriveError
+from gateway.motion import reactions
 from gateway.motion.reactions import MEANING, REACTIONS, markdown
 
 SAFETY = (Path(__file__).parents[3] / "docs" / "safety.md").read_text(encoding="utf-8")
@@ -39,3 +41,17 @@ def test_every_fault_that_is_not_fit_is_a_kind_of_the_simulator() -> None:
     known = {kind for name in named for kind in KINDS if kind == name or kind.startswith(name.rstrip("*"))}
     assert {name for name in named if not any(k == name or k.startswith(name.rstrip("*")) for k in known)} == set()
     assert f"({len(KINDS)} kinds)" in SAFETY
+
+
+def test_the_table_is_printed_when_asked_for_and_never_by_the_way(capsys: pytest.CaptureFixture[str]) -> None:
+    runpy.run_path(reactions.__file__)
+    assert capsys.readouterr().out == ""
+    runpy.run_path(reactions.__file__, run_name="__main__")
+    assert capsys.readouterr().out == markdown() + "\n"
+
+
+def test_each_rule_stands_in_the_table_once_with_its_reaction() -> None:
+    rows = [row.split(" | ") for row in markdown().splitlines()[2:]]
+    assert len(rows) == len(REACTIONS)
+    found = {row[0].removeprefix("| "): row[2].removesuffix(" |") for row in rows}
+    assert found == {rule.what: rule.reaction for rule in REACTIONS.values()}

@@ -163,3 +163,24 @@ def test_two_threads_may_ask_about_the_outputs_at_the_same_time():
     assert failed == []
     os.close(read)
     os.close(write)
+
+
+def test_outside_the_main_thread_signals_are_left_as_they_are():
+    before = [signal.getsignal(number) for number in SIGNALS]
+    seen = []
+
+    def run():
+        with signals_ask(StopDesk()):
+            seen.append([signal.getsignal(number) for number in SIGNALS])
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    assert seen == [before]
+
+
+def test_a_listener_that_runs_well_is_told_and_asks_for_nothing():
+    desk, told = StopDesk(), []
+    guarded(lambda *words: told.append(words), desk)("a", 1)
+    assert told == [("a", 1)]
+    assert not desk.asked()

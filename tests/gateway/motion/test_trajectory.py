@@ -54,3 +54,30 @@ def test_a_missing_limit_is_refused(value):
     limits = MotionLimits(np.full(6, 0.5), np.full(6, value), np.full(6, 3.0))
     with pytest.raises(PlanRefused, match="no motion fits"):
         straight(np.zeros(6), np.ones(6), limits, PERIOD_S)
+
+
+@pytest.mark.parametrize("end", [np.nan, np.inf])
+def test_an_end_that_is_no_number_is_refused(end):
+    with pytest.raises(PlanRefused, match="finite joint angles"):
+        straight(np.zeros(6), np.array([0.0, 0, 0, end, 0, 0]), LIMITS, PERIOD_S)
+
+
+def test_a_joint_that_stands_does_not_limit_the_motion():
+    limits = MotionLimits(np.array([0.5, 1e-3, 0.5, 0.5, 0.5, 0.5]), np.full(6, 0.8), np.full(6, 4.0))
+    fast = straight(np.zeros(6), np.array([2.0, 0, 0, 0, 0, 0]), limits, PERIOD_S)
+    assert fast.duration_s == pytest.approx(2.0 / 0.5 + 0.5 / 0.8 + 0.8 / 4.0, abs=PERIOD_S)
+    slow = straight(np.zeros(6), np.array([2.0, 0.02, 0, 0, 0, 0]), limits, PERIOD_S)
+    # 0.02 rad at 0.001 rad/s: the first joint goes at 0.1 rad/s, which it takes 2 sqrt(v / j) to reach
+    assert slow.duration_s == pytest.approx(20.0 + 2 * np.sqrt(0.1 / 4.0), abs=PERIOD_S)
+
+
+def test_rows_are_the_motion_at_the_syncs_and_the_last_one_stands():
+    motion = straight(np.zeros(6), np.full(6, 0.3), LIMITS, PERIOD_S)
+    path = np.vstack([np.zeros(6), motion.q_rad])
+    mean = (path[1:] - path[:-1]) / PERIOD_S
+    between = (np.vstack([np.zeros(6), motion.qd_rad_s])[1:] + np.vstack([np.zeros(6), motion.qd_rad_s])[:-1]) / 2
+    assert mean[:-1] == pytest.approx(between[:-1], abs=2e-4)
+    assert (motion.qd_rad_s[-1] == 0).all()
+    assert (motion.qdd_rad_s2[-1] == 0).all()
+    slope = np.gradient(motion.qd_rad_s, PERIOD_S, axis=0)
+    assert slope[2:-2] == pytest.approx(motion.qdd_rad_s2[2:-2], abs=0.03)

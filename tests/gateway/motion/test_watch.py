@@ -1,5 +1,7 @@
 """Limits at every SYNC, and the test for standing still."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from gateway.acquire.plan import travel_limits
 from gateway.acquire.settle import SettleTest
 from gateway.data.sample import ArmSample
 from gateway.errors import LimitExceeded
+from gateway.motion.contact import FOLLOW_RAD
 from gateway.motion.reactions import ARM_RULES
 from gateway.motion.trajectory import straight
 from gateway.motion.watch import IN_A_ROW, Watch
@@ -211,3 +214,117 @@ def test_by_the_clock_a_drive_may_take_its_set_points_over_late(workspace, late,
     samples = [ArmSample(row, row * period_s, q, ZERO, (ANSWER,) * 6) for row, q in enumerate(targets)]
     # a target that goes out with a SYNC is reached one SYNC later at the soonest
     assert (stream(watch, samples[1:20], sent[:19]) == -1) == fine
+
+
+# ------------------------------------------------------------------------------------------- limits by their numbers
+
+
+@pytest.mark.parametrize(("period_s", "share", "stops"), [(0.001, 1.5, True), (0.001, 1.1, False), (0.01, 1.5, True)])
+def test_speed_is_measured_over_a_span_that_does_not_see_the_noise(workspace, period_s, share, stops):
+    """Of 20 ms: readings that jump to and fro by half a milliradian are 0.5 rad/s from one millisecond to the next."""
+    limit = workspace.speed_rad_s[5]
+    q = [joint(6, share * limit * period_s * k + (-1) ** k * 2.5e-4) for k in range(100)]
+    watch = Watch("main", workspace, period_s)
+    samples = [ArmSample(k, k * period_s, each, ZERO, (ANSWER,) * 6) for k, each in enumerate(q)]
+    at = stream(watch, samples, q)
+    assert (at >= 0) == stops
+    assert at * period_s <= 0.1
+
+
+@pytest.mark.parametrize(("share", "stops"), [(0.99, False), (1.01, True)])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_each_limit_holds_to_either_side(workspace, share, stops, sign):
+    target = [joint(3, sign * share * workspace.following_error_rad[2])] * 20
+    assert (stream(Watch("main", workspace, PERIOD_S), [sample(k, ZERO) for k in range(20)], target) >= 0) == stops
+    slow = [joint(3, sign * share * workspace.torque_nm[2]) * min(1.0, k / 400) for k in range(440)]
+    samples = [sample(k, ZERO, each) for k, each in enumerate(slow)]
+    assert (stream(Watch("main", workspace, PERIOD_S), samples, [ZERO] * len(slow)) >= 0) == stops
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize(("beyond", "stops"), [(0.019, False), (0.021, True)])
+def test_a_joint_may_stand_a_little_beyond_its_range(workspace, side, beyond, stops):
+    """By control and rounding: 0.02 rad."""
+    edge = workspace.upper_rad[1] if side > 0 else workspace.lower_rad[1]
+    q = joint(2, edge + side * beyond)
+    watch = Watch("main", workspace, PERIOD_S)
+    watch.start(joint(2, edge))
+    assert (stream(watch, [sample(k, q) for k in range(5)], [q] * 5) >= 0) == stops
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_joint_outside_its_range_may_move_in_and_never_out_again(workspace, side):
+    """0.1 rad outside; a third of the way in it turns round."""
+    edge = workspace.upper_rad[1] if side > 0 else workspace.lower_rad[1]
+    begin = edge + side * 0.1
+    watch = Watch("main", workspace, PERIOD_S)
+    watch.start(joint(2, begin))
+    inward = [joint(2, begin - side * 0.001 * k) for k in range(34)]
+    assert stream(watch, [sample(k, each) for k, each in enumerate(inward)], inward) == -1
+    out = [joint(2, begin - side * (0.033 - 0.001 * k)) for k in range(34)]
+    at = stream(watch, [sample(40 + k, each) for k, each in enumerate(out)], out)
+    assert 18 <= at <= 22
+    inside = Watch("main", workspace, PERIOD_S)
+    inside.start(joint(2, begin))
+    home = [joint(2, begin - side * 0.005 * k) for k in range(60)]
+    assert stream(inside, [sample(k, each) for k, each in enumerate(home)], home) == -1
+    with pytest.raises(LimitExceeded, match="outside its range"):
+        inside.check(sample(70, joint(2, edge + side * 0.03)), joint(2, edge + side * 0.03), ZERO)
+
+
+def test_an_arm_whose_links_are_not_known_is_not_modelled(workspace):
+    unknown = Watch("main", replace(workspace, links=None), PERIOD_S)
+    assert np.array_equal(unknown.modelled_torque(np.ones((4, 6))), np.zeros((4, 6)))
+    assert Watch("main", workspace, PERIOD_S).modelled_torque(np.empty((0, 6))).shape == (0, 6)
+
+
+@pytest.mark.parametrize(("period_s", "late_s", "counts"), [(0.01, 0.0049, False), (0.01, 0.0051, True)])
+def test_a_sync_is_late_from_half_a_period_on(workspace, period_s, late_s, counts):
+    """Every third one, for longer than the rule looks at."""
+    watch = Watch("main", workspace, period_s)
+
+    def run() -> None:
+        for k in range(600):
+            shift = late_s if k % 3 == 2 else 0.0
+            watch.check(ArmSample(k, k * period_s + shift, ZERO, ZERO, (ANSWER,) * 6), ZERO, ZERO)
+
+    assert ARM_RULES["rhythm"].limit < 1 / 3
+    if counts:
+        with pytest.raises(IncompleteEpochs, match="SYNCs went out late"):
+            run()
+    else:
+        run()
+
+
+def test_a_stuck_joint_is_named_with_what_it_was_told(watch, workspace):
+    def told() -> None:
+        for k in range(200):
+            watch.check(sample(k, ZERO), joint(4, -0.001 * k), ZERO)
+
+    with pytest.raises(LimitExceeded, match=r"joint 4 was told to move by -0\.\d+ rad and has moved by 0\.000 rad"):
+        told()
+
+
+@pytest.mark.parametrize(("share", "stops"), [(0.15, True), (0.3, False)])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_joint_has_to_go_a_fifth_of_what_it_is_told(workspace, share, stops, sign):
+    """Slowly, so that no other limit is left before."""
+    far = FOLLOW_RAD * 1.5
+    targets = [joint(1, sign * 0.0005 * k) for k in range(int(far / 0.0005))]
+    wide = replace(workspace, following_error_rad=np.full(6, 1.0))
+    watch = Watch("main", wide, PERIOD_S)
+    samples = [sample(k, share * each) for k, each in enumerate(targets)]
+    assert (stream(watch, samples, targets) >= 0) == stops
+
+
+def test_contact_is_looked_for_after_the_brakes_are_open_and_named_with_its_joint(workspace):
+    quiet = 60
+    jump = joint(5, -0.5 * workspace.torque_nm[4])
+    watch = Watch("main", workspace, PERIOD_S)
+    for k in range(quiet):
+        watch.check(sample(k, ZERO), ZERO, ZERO)
+    watch.check(sample(quiet, ZERO, jump), ZERO, ZERO)
+    watch.check(sample(quiet + 1, ZERO, jump), ZERO, ZERO)
+    with pytest.raises(LimitExceeded, match="joint 5: the torque has jumped by") as caught:
+        watch.check(sample(quiet + 2, ZERO, jump), ZERO, ZERO)
+    assert caught.value.joint == 5

@@ -207,3 +207,120 @@ def test_the_first_bad_place_of_a_way_is_named(workspace):
     assert "no finite number" in workspace.why_not_path(np.array([way[0], np.full(6, np.nan)]))
     assert workspace.why_not_path(way[:1]) is None
     assert "joint 1 outside" in workspace.why_not_path(way[3:])
+
+
+def test_a_way_that_needs_too_much_torque_in_its_middle_is_refused(workspace):
+    """The arm is stretched out halfway; at both ends it is not. Whichever of several ways it is."""
+    way = np.array([[0.0, -1.2, 0.0, 0.0, 0.0, 0.0], [0.0, 2.0, 0.0, 0.0, 0.0, 0.0]])
+    places = np.linspace(0, 1, 200)[:, None] * (way[1] - way[0]) + way[0]
+    free = replace(workspace, boxes_m=np.empty((0, 2, 3)), lower_rad=np.full(6, -3.0), upper_rad=np.full(6, 3.0))
+    need = free.holding_torque(places)[:, 1]
+    ends = max(need[0], need[-1])
+    assert need.max() > 1.2 * ends
+    limit = np.full(6, 1e4)
+    limit[1] = (need.max() + ends) / 2 / TORQUE_SHARE
+    weak = replace(free, torque_nm=limit)
+    still = np.zeros_like(way[:1]) + way[0]
+    assert weak.feasible(way).all()
+    assert weak.path_clear(np.vstack([still, way[:1], still]), np.vstack([still, way[1:], still])).tolist() == [
+        True,
+        False,
+        True,
+    ]
+    assert "holding torque of joint 2" in weak.why_not_path(way)
+    assert free.path_clear(way[:1], way[1:]).tolist() == [True]
+
+
+def test_the_least_efficient_side_of_the_loads_counts(workspace, postures):
+    """A load that hangs on the other side of a joint may relieve it: the bare arm then needs more."""
+    links = gravity_of(workspace, postures, workspace.links)
+    relief = replace(workspace, max_load=np.array([3.0, -0.9, 0.0, 0.0]))
+    loaded = links + gravity_of(workspace, postures, np.r_[np.zeros(20), relief.max_load])
+    expected = np.maximum(np.abs(links), np.abs(loaded)) / workspace.efficiency
+    assert relief.holding_torque(postures) == pytest.approx(expected)
+    assert (np.abs(loaded) < np.abs(links)).any()
+
+
+def gravity_of(workspace, q_rad, parameters):
+    """Torque (n, 6) of links with these masses and moments, from the gradient of their potential energy."""
+    step = 1e-6
+
+    def energy(q):
+        frames = link_frames(workspace.robot, q)
+        mass, moment = parameters.reshape(6, 4)[:, 0], parameters.reshape(6, 4)[:, 1:]
+        weighed = mass[None, :, None] * frames[:, :6, :3, 3] + np.einsum("nlij,lj->nli", frames[:, :6, :3, :3], moment)
+        return -weighed.sum(axis=1) @ workspace.gravity_m_s2
+
+    return np.column_stack([(energy(q_rad + d) - energy(q_rad - d)) / (2 * step) for d in step * np.eye(6)])
+
+
+@pytest.mark.parametrize(("margin", "inside"), [(0.0, True), (0.05, False)])
+@pytest.mark.parametrize("end", ["lower_rad", "upper_rad"])
+def test_a_joint_may_stand_at_its_limit_and_not_within_the_margin(workspace, margin, inside, end):
+    q_rad = np.zeros((1, 6))
+    q_rad[0, 3] = getattr(workspace, end)[3]
+    assert bool(workspace.violations(q_rad, margin_rad=margin)[3][1][0]) != inside
+
+
+def test_travel_takes_the_time_of_the_slowest_joint_and_its_ramp(workspace):
+    """s / v + v / a of constant acceleration, the longest of either."""
+    way = np.array([[0.2, 0.0, 1.0, 0.0, -0.4, 0.0], [0.0] * 6])
+    cruise = np.abs(way) / workspace.speed_rad_s
+    ramp = max(workspace.speed_rad_s / workspace.acceleration_rad_s2)
+    found = workspace.travel_time(np.zeros((2, 6)), way)
+    assert found == pytest.approx([cruise[0].max() + ramp, ramp])
+
+
+def test_the_way_back_in_is_slow(workspace):
+    speed = workspace.inward_speed_rad_s()
+    assert (speed <= 0.05 + 1e-12).all()
+    assert (speed <= 0.1 * workspace.speed_rad_s + 1e-12).all()
+    assert ((speed == pytest.approx(0.05)) | (speed == 0.1 * workspace.speed_rad_s)).all()
+
+
+def test_a_load_without_a_centre_of_gravity_hangs_on_the_flange(small_cell):
+    arm = small_cell.cell.arm[0].model_copy(update={"max_load_kg": 7.0, "max_load_com_m": None})
+    robot = arm_robot(small_cell, arm)
+    flange = np.zeros(3) if robot.flange is None else robot.flange[:3, 3]
+    assert workspace_of(arm, robot).max_load == pytest.approx([7.0, *(7.0 * flange)])
+    hung = arm.model_copy(update={"max_load_com_m": (0.1, -0.2, 0.3)})
+    assert workspace_of(hung, robot).max_load == pytest.approx([7.0, 0.7, -1.4, 2.1])
+
+
+def test_masses_and_centres_of_gravity_have_both_to_be_known(small_cell):
+    arm = small_cell.cell.arm[0]
+    robot = arm_robot(small_cell, arm)
+    assert workspace_of(arm, robot).links == pytest.approx(
+        np.column_stack([robot.mass_kg, robot.mass_kg[:, None] * robot.com_m]).ravel()
+    )
+    mass, com = robot.mass_kg.copy(), robot.com_m.copy()
+    mass[3], com[2, 1] = np.nan, np.nan
+    assert workspace_of(arm, replace(robot, mass_kg=mass)).links is None
+    assert workspace_of(arm, replace(robot, com_m=com)).links is None
+
+
+def test_a_box_beyond_the_first_bad_posture_does_not_hide_it_and_one_before_is_named_first(workspace):
+    way = np.zeros((5, 6))
+    way[:, 0] = np.linspace(0.0, 1.2, 5)
+    free = replace(workspace, boxes_m=np.empty((0, 2, 3)), links=None)
+    assert free.refused_on(way) is None
+    at = {}
+    for row in (1.5, 3.5):
+        q_rad = np.zeros((1, 6))
+        q_rad[0, 0] = 0.3 * row
+        point = flange_m(workspace, q_rad)[0]
+        at[row] = [point - 0.004, point + 0.004]
+    both = replace(free, boxes_m=np.array([at[3.5], at[1.5]]))
+    assert 0.5 < both.refused_on(way).row < 1.6
+    late = replace(free, boxes_m=np.array([at[3.5]]))
+    assert 2.0 < late.refused_on(way).row < 3.6
+    assert "keep_out box 1" in late.refused_on(way).reason
+
+
+def test_a_joint_of_a_narrow_range_moves_to_its_middle(workspace):
+    upper = workspace.upper_rad.copy()
+    upper[4] = workspace.lower_rad[4] + 0.01
+    narrow = replace(workspace, upper_rad=upper)
+    q_rad = np.zeros(6)
+    q_rad[4] = upper[4] + 0.1
+    assert narrow.inward_way(q_rad)[4] == pytest.approx(workspace.lower_rad[4] + 0.005)

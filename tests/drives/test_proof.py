@@ -1,0 +1,223 @@
+"""The three proofs of how the drives stop, on slaves of which it is known when they stop, how far and how long."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from drives.drive import DriveCommand
+from drives.errors import ConfigurationRefused, DriveError, TransitionTimeout
+from drives.group import DriveGroup
+from drives.values import AxisSetup
+from tests.drives.conftest import Slave, Wire
+
+PERIOD_S = 0.01
+COUNT_RAD = 2 * math.pi / 65536
+#: Consumer heartbeat time of the generic profile [s].
+SILENCE_S = 0.5
+STEP = 20
+
+
+@pytest.fixture
+def slaves(add_slaves: Callable[[int], list[Slave]]) -> list[Slave]:
+    found = add_slaves(3)
+    for slave in found:
+        slave.supervises = True
+    return found
+
+
+@pytest.fixture
+def group(bus: object, slaves: list[Slave], setups: Callable[[int], list[AxisSetup]]) -> Iterator[DriveGroup]:
+    """By the clock: that is what the drives supervise by."""
+    with DriveGroup(bus, setups(3), PERIOD_S, "real") as group:  # type: ignore[arg-type]
+        group.connect()
+        group.configure()
+        group.enable()
+        yield group
+
+
+def rows(slaves: list[Slave], number: int) -> list[list[DriveCommand]]:
+    """So many set points, each `STEP` counts further."""
+    return [
+        [DriveCommand((slave.position + STEP * row) * COUNT_RAD) for slave in slaves] for row in range(1, number + 1)
+    ]
+
+
+def words(wire: Wire, node_id: int) -> list[tuple[float, int]]:
+    """Controlwords to a node with the times at which they went out."""
+    sent = zip(wire.sent, wire.sent_at_s, strict=True)
+    return [(at, data[0] | data[1] << 8) for (can_id, data), at in sent if can_id == 0x200 + node_id]
+
+
+def last_beat_s(wire: Wire) -> float:
+    return max(at for (can_id, _), at in zip(wire.sent, wire.sent_at_s, strict=True) if can_id == 0x77F)
+
+
+def test_each_drive_leaves_operation_after_its_heartbeat_time(group, slaves, wire):
+    """30 steps of 20 counts; axis 1 goes on by 700, 500 and 300 counts while it brakes, the others stand at once."""
+    slaves[0].ways = {"quick stop": [700, 500, 300]}
+    traces = group.fall_silent(rows(slaves, 30))
+    for trace in traces:
+        assert trace.stated_s == pytest.approx(SILENCE_S + PERIOD_S)
+        assert trace.left_s is not None
+        assert trace.left_s + 1e-3 > SILENCE_S
+        assert trace.left_s <= SILENCE_S + 2 * PERIOD_S
+        assert trace.left_s - trace.enabled_s == pytest.approx(PERIOD_S, abs=1e-3)
+        assert (trace.in_time, trace.stood, str(trace.state)) == (True, True, "QUICK STOP ACTIVE")
+    assert [trace.node_id for trace in traces] == [1, 2, 3]
+    assert [trace.moved_rad / COUNT_RAD for trace in traces] == pytest.approx([30 * STEP + 1500, 30 * STEP, 30 * STEP])
+    assert [trace.coast_rad / COUNT_RAD for trace in traces] == pytest.approx([1500, 0, 0])
+    assert traces[0].rest_s == pytest.approx(traces[0].left_s + 3 * PERIOD_S, abs=1e-3)
+    assert {slave.state for slave in slaves} == {"switch on disabled"}
+
+
+def test_no_heartbeat_and_no_word_that_energises_follows(group, slaves, wire):
+    begun_s = wire.now_s
+    group.fall_silent(rows(slaves, 30))
+    assert last_beat_s(wire) - begun_s < PERIOD_S
+    for slave in slaves:
+        left_s = next(at for at, word in words(wire, slave.node_id) if at > begun_s and word != 0x0F)
+        assert {word for at, word in words(wire, slave.node_id) if at >= left_s} <= {0x02, 0x00, 0x06, 0x07}
+        told = [slave.position] * 3
+        assert slave.position_at_sync[-3:] == told
+
+
+def test_after_the_last_set_point_the_axes_are_held_and_a_drive_that_has_left_keeps_its_target(group, slaves):
+    start = [slave.position for slave in slaves]
+    slaves[1].values[0x1016, 1] = 127 << 16 | 100
+    group.fall_silent(rows(slaves, 80))
+    went = [(slave.values[0x607A, 0] - at) // STEP for slave, at in zip(slaves, start, strict=True)]
+    assert went[1] == pytest.approx(0.1 / PERIOD_S + 1, abs=2)
+    assert went[0] == went[2] == pytest.approx(SILENCE_S / PERIOD_S + 1, abs=2)
+
+
+def test_a_drive_that_ignores_the_missing_heartbeat_is_stopped_by_the_master(group, slaves, wire):
+    """0.2 s after the stated time; the others are out by then."""
+    slaves[2].supervises = False
+    traces = group.fall_silent(rows(slaves, 10))
+    assert [trace.in_time for trace in traces] == [True, True, False]
+    assert traces[2].left_s is None
+    stopped_s = next(at for at, word in words(wire, 3) if word == 0x02)
+    assert stopped_s - last_beat_s(wire) == pytest.approx(SILENCE_S + PERIOD_S + 0.2, abs=3 * PERIOD_S)
+    assert {slave.state for slave in slaves} == {"switch on disabled"}
+
+
+def test_a_drive_that_leaves_later_than_it_said_is_not_in_time(group, slaves):
+    slaves[0].values[0x1016, 1] = 127 << 16 | 600
+    first, second, _ = group.fall_silent(rows(slaves, 10))
+    assert (first.in_time, second.in_time) == (False, True)
+    assert first.left_s == pytest.approx(0.6, abs=2 * PERIOD_S)
+
+
+def test_a_drive_that_still_moves_at_the_end_did_not_stand(group, slaves):
+    slaves[1].ways = {"quick stop": [500] * 400}
+    traces = group.fall_silent(rows(slaves, 10))
+    assert [trace.stood for trace in traces] == [True, False, True]
+    assert {slave.state for slave in slaves} == {"switch on disabled"}
+
+
+def test_a_drive_that_leaves_the_bus_as_well_is_asked_by_sdo(group, slaves):
+    """Error behaviour 0x1029: a missing heartbeat may end NMT state OPERATIONAL too, and the answers to SYNC."""
+    slave = slaves[1]
+    plain = slave._sync
+
+    def sync() -> None:
+        plain()
+        if slave.state == "quick stop":
+            slave.nmt = 127
+
+    slave._sync = sync  # type: ignore[method-assign]
+    trace = group.fall_silent(rows(slaves, 10))[1]
+    assert (trace.stood, str(trace.state)) == (True, "QUICK STOP ACTIVE")
+    assert trace.left_s is not None
+
+
+@pytest.mark.parametrize("option", [1, 2, 3])
+def test_whatever_0x6007_makes_of_it_counts_as_left(group, slaves, option):
+    slaves[0].values[0x6007, 0] = option
+    first = group.fall_silent(rows(slaves, 5))[0]
+    assert (first.in_time, first.stood) == (True, True)
+    assert str(first.state) == {1: "FAULT", 2: "SWITCH ON DISABLED", 3: "QUICK STOP ACTIVE"}[option]
+    assert slaves[0].state == ("fault" if option == 1 else "switch on disabled")
+
+
+def test_only_enabled_axes_fall_silent(group, slaves):
+    group.disable()
+    with pytest.raises(ConfigurationRefused):
+        group.fall_silent(rows(slaves, 1))
+
+
+def test_a_bus_that_fails_meanwhile_ends_the_proof_and_all_are_stopped(group, slaves, wire):
+    group.on_stop = lambda: setattr(wire, "send_errors", 0)
+    last = rows(slaves, 5)
+    given = iter(last)
+
+    def failing() -> Iterator[list[DriveCommand]]:
+        yield from given
+        wire.send_errors = 1 << 30
+        yield last[-1]
+
+    with pytest.raises(DriveError, match="could not be sent"):
+        group.fall_silent(failing())
+    assert {slave.state for slave in slaves} == {"quick stop"}
+    assert not group.enabled
+
+
+# -- one axis on its brake ---------------------------------------------------------------------------------------------
+
+
+def slow(slave: Slave, syncs: int) -> None:
+    """The drive leaves OPERATION ENABLED so many SYNCs after it was told to."""
+    plain, told = slave._control, [0]
+
+    def control(word: int) -> None:
+        told[0] += word != 0x0F
+        if told[0] > syncs or word == 0x0F:
+            plain(word)
+
+    slave._control = control  # type: ignore[method-assign]
+
+
+@pytest.mark.parametrize(("syncs", "waited"), [(90, True), (120, False)])
+def test_a_slow_drive_is_waited_for_as_long_as_its_profile_says(group, slaves, syncs, waited):
+    """1 s is 100 SYNCs."""
+    slow(slaves[1], syncs)
+    slaves[1].ways = {"switch on disabled": [-30, -40, 10]}
+    if waited:
+        assert group.release(1, 0.2) == pytest.approx(70 * COUNT_RAD)
+    else:
+        with pytest.raises(TransitionTimeout, match="stays in OPERATION ENABLED"):
+            group.release(1, 0.2)
+
+
+def test_one_axis_is_watched_for_as_long_as_asked(group, slaves):
+    """What it does afterwards does not count; a slow drive is watched from when it has left."""
+    slow(slaves[1], 30)
+    slaves[1].ways = {"switched on": [0], "switch on disabled": [0] * 17 + [-5] + [-400] * 10}
+    syncs = slaves[0].sync_seen
+    sag_rad = group.release(1, 0.2)
+    assert 5 <= sag_rad / COUNT_RAD + 1e-6 < 1000
+    assert slaves[0].sync_seen - syncs >= 30 + 20
+
+
+# -- the quick stop ----------------------------------------------------------------------------------------------------
+
+
+def test_a_ramp_is_watched_until_it_ends(group, slaves):
+    """0.5 s of ramp: the trace says when the axis was last seen to move, and the master's heartbeat goes on."""
+    slaves[2].ways = {"quick stop": [1000 - 10 * number for number in range(50)]}
+    third = group.prove_quick_stop(rows(slaves, 5))[2]
+    assert third.stood
+    assert third.rest_s == pytest.approx(50 * PERIOD_S, abs=2 * PERIOD_S)
+    assert third.coast_rad / COUNT_RAD == pytest.approx(sum(1000 - 10 * number for number in range(50)), abs=2 * STEP)
+
+
+def test_a_drive_that_obeys_two_syncs_late_is_in_time_and_a_later_one_is_not(group, slaves):
+    slow(slaves[0], 1)
+    slow(slaves[1], 6)
+    first, second, third = group.prove_quick_stop(rows(slaves, 5))
+    assert (first.in_time, second.in_time, third.in_time) == (True, False, True)
+    assert second.left_s == pytest.approx(third.left_s + 6 * PERIOD_S, abs=1e-3)
+    assert second.stood

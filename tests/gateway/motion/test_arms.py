@@ -1,0 +1,251 @@
+"""Arms under one clock: brought up together, one SYNC each, stopped together whoever fails first."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from drives.errors import DriveFault, StopAsked
+from gateway.motion.arm import Arm
+from gateway.motion.arms import Arms
+from tests.gateway.conftest import BAND_NM, FakeDrives
+
+
+class Drives(FakeDrives):
+    """Drives that note their SYNCs by the clock and tell the other arms before they stop because of a fault."""
+
+    def __init__(self, axes, gravity) -> None:
+        super().__init__(axes, gravity, BAND_NM)
+        self.sent_s = 0.0
+        self.tell_others: Callable[[], None] = lambda: None
+        self.aligned_s: float | None = None
+        self.refused: Exception | None = None
+
+    def enable(self, stop_asked=lambda: False):
+        self.log.append("enable")
+        if self.refused is not None:
+            raise self.refused
+        if stop_asked():
+            raise StopAsked("a stop was asked for")
+        self.enabled = True
+        return self._epoch()
+
+    def exchange(self, commands, /):
+        self.sent_s = time.monotonic()
+        try:
+            return super().exchange(commands)
+        except DriveFault:
+            self.tell_others()
+            raise
+
+    def sync_sent_s(self):
+        return self.sent_s
+
+
+@pytest.fixture
+def drives(fake) -> tuple[Drives, Drives]:
+    return Drives(fake.axes, fake.gravity), Drives(fake.axes, fake.gravity)
+
+
+@pytest.fixture(params=["lockstep", "real"])
+def pair(request, drives) -> Iterator[Arms]:
+    arms = Arms(
+        [Arm(name, each, each.axes) for name, each in zip(("left", "right"), drives, strict=True)], request.param
+    )
+    yield arms
+    arms.close()
+
+
+def up(arms: Arms) -> None:
+    assert not arms.enabled
+    arms.enable(lambda: False)
+    assert arms.enabled
+
+
+def commands(arms: Arms, to: float = 0.0) -> list:
+    return [arm.command(np.full(6, to)) for arm in arms.members]
+
+
+def test_arms_are_named_as_in_a_sentence(pair):
+    assert pair.names == "'left' and 'right'"
+
+
+def test_each_arm_says_where_it_stands_and_follows_its_own_targets(pair, drives):
+    drives[1].q_rad = np.full(6, 0.2)
+    left, right = pair.where()
+    assert (left, right) == (pytest.approx(np.zeros(6)), pytest.approx(np.full(6, 0.2)))
+    up(pair)
+    pair.exchange([pair.members[0].command(np.full(6, 0.1)), pair.members[1].command(np.full(6, -0.1))])
+    left, right = pair.hold()
+    assert left.q_rad == pytest.approx(np.full(6, 0.1), abs=1e-4)
+    assert right.q_rad == pytest.approx(np.full(6, -0.1), abs=1e-4)
+    pair.disable()
+    assert not pair.enabled
+    assert [each.log for each in drives] == [["enable", "disable"]] * 2
+
+
+def test_an_arm_that_is_ready_holds_until_the_other_one_is(pair, drives):
+    slow = threading.Event()
+    plain = drives[1].enable
+
+    def enable(stop_asked):
+        slow.wait(5.0)
+        return plain(stop_asked)
+
+    drives[1].enable = enable  # type: ignore[method-assign]
+    held = drives[0].hold
+
+    def hold():
+        if drives[0].sync_index > 5:
+            slow.set()
+        return held()
+
+    drives[0].hold = hold  # type: ignore[method-assign]
+    pair.enable(lambda: False)
+    assert drives[0].sync_index > 5
+
+
+@pytest.mark.parametrize("failing", [0, 1])
+def test_one_arm_that_cannot_be_enabled_leaves_none_under_power(pair, drives, failing):
+    """What is raised is the drive's error, not that the other arm gave up because of it."""
+    drives[failing].refused = DriveFault("is in FAULT", node=4)
+    with pytest.raises(DriveFault, match="is in FAULT"):
+        pair.enable(lambda: False)
+    assert [each.log[-1] for each in drives] == ["disable"] * 2
+    assert not pair.enabled
+    assert not any(each.enabled for each in drives)
+
+
+def test_who_asks_to_stop_on_the_way_up_gets_nothing_enabled(pair, drives):
+    with pytest.raises(StopAsked):
+        pair.enable(lambda: True)
+    assert [each.log[-1] for each in drives] == ["disable"] * 2
+    assert not pair.enabled
+
+
+def test_arms_that_fail_both_are_named_both(pair, drives):
+    for each, node in zip(drives, (3, 5), strict=True):
+        each.refused = DriveFault("is in FAULT", node=node)
+    with pytest.raises(DriveFault, match="node 3") as caught:
+        pair.enable(lambda: False)
+    assert caught.value.__notes__ == ["another arm: node 5: is in FAULT"]
+
+
+@pytest.mark.parametrize("failing", [0, 1])
+def test_a_fault_of_one_arm_stops_the_other_by_its_ramp(pair, drives, failing):
+    up(pair)
+    for _ in range(3):
+        pair.exchange(commands(pair))
+    drives[failing].fault_at = drives[failing].sync_index + 1
+    with pytest.raises(DriveFault, match="left OPERATION ENABLED"):
+        pair.exchange(commands(pair))
+    assert drives[1 - failing].log == ["enable", "quick stop"]
+    assert (pair.stopped_by, pair.enabled) == (failing, False)
+    pair.disable()
+    assert [each.log[-1] for each in drives] == ["disable"] * 2
+
+
+def test_after_a_stop_nobody_is_stopped_a_second_time(pair, drives):
+    up(pair)
+    pair.quick_stop()
+    assert [each.log for each in drives] == [["enable", "quick stop"]] * 2
+    drives[0].tell_others()
+    pair.close()
+    assert [each.log for each in drives] == [["enable", "quick stop"]] * 2
+    assert pair.stopped_by is None
+
+
+def test_by_the_clock_arms_begin_together_and_the_time_between_their_syncs_is_kept(pair, drives):
+    up(pair)
+    for _ in range(4):
+        pair.exchange(commands(pair))
+    first, second = (each.aligned_s for each in drives)
+    if not pair.real:
+        assert (first, second, len(pair.skew_s)) == (None, None, 0)
+        return
+    assert first == second
+    assert first is not None
+    assert first > time.monotonic() - 5.0
+    assert len(pair.skew_s) == 4
+    assert pair.skew_s[-1] == drives[1].sent_s - drives[0].sent_s
+
+
+def test_in_lockstep_the_arms_are_served_in_turn_by_one_thread(drives):
+    arms = Arms([Arm(str(index), each, each.axes) for index, each in enumerate(drives)], "lockstep")
+    up(arms)
+    seen = []
+    for index, each in enumerate(drives):
+        plain = each.exchange
+        each.exchange = lambda told, index=index, plain=plain: (  # type: ignore[method-assign]
+            seen.append((index, threading.current_thread())) or plain(told)
+        )
+    for _ in range(3):
+        arms.exchange(commands(arms))
+    assert [index for index, _ in seen] == [0, 1] * 3
+    assert {thread for _, thread in seen} == {threading.main_thread()}
+    arms.close()
+
+
+@pytest.mark.parametrize("pacing", ["lockstep", "real"])
+def test_a_single_arm_needs_no_thread(drives, pacing):
+    before = threading.active_count()
+    arms = Arms([Arm("only", drives[0], drives[0].axes)], pacing)
+    assert arms.names == "'only'"
+    up(arms)
+    arms.exchange(commands(arms))
+    assert drives[0].aligned_s is None
+    assert len(arms.skew_s) == 0
+    assert threading.active_count() == before
+    arms.quick_stop()
+    arms.disable()
+    arms.close()
+    assert drives[0].log == ["enable", "quick stop", "disable"]
+
+
+# -- one arm -----------------------------------------------------------------------------------------------------------
+
+
+def test_targets_and_torque_offsets_go_through_gear_and_sign(arm, fake):
+    """Power is the same on both sides: motor torque x motor speed = joint torque x joint speed."""
+    rng = np.random.default_rng(3)
+    q_rad, torque_nm, speed = rng.uniform(-1, 1, 6), rng.uniform(-50, 50, 6), rng.normal(size=6)
+    plain, fed = arm.command(q_rad), arm.command(q_rad, q_rad, torque_nm)
+    assert [each.position_rad for each in plain] == [each.position_rad for each in fed]
+    assert [each.torque_offset_nm for each in plain] == [0.0] * 6
+    ratio = fake.axes.ratio
+    motor_speed = fake.axes.motor_velocity(speed)
+    power = sum(each.torque_offset_nm * each_s for each, each_s in zip(fed, motor_speed, strict=True))
+    assert power == pytest.approx(torque_nm @ speed)
+    moved = arm.command(q_rad + speed * 1e-3)
+    turned = [after.position_rad - before.position_rad for after, before in zip(moved, plain, strict=True)]
+    assert np.abs(turned) == pytest.approx(np.abs(ratio * speed * 1e-3))
+
+
+def test_a_silent_drive_leaves_its_joint_without_a_number(arm, fake):
+    fake.silent = {fake.sync_index + 1: 3}
+    fake.enabled = True
+    sample = arm.hold()
+    assert not sample.complete
+    assert np.isnan(sample.q_rad[3])
+    assert arm.hold().complete
+
+
+def test_sag_is_a_bound_at_the_joints(arm, fake):
+    fake.sag_rad = lambda: np.abs(fake.axes.ratio * 0.01).tolist()
+    assert arm.sag_rad() == pytest.approx(np.full(6, 0.01))
+
+
+def test_measured_torque_is_that_of_the_joints(pair, drives):
+    """What the arm weighs there, within a bit of each drive's torque word."""
+    up(pair)
+    q_rad = np.array([0.1, 0.4, -0.3, 0.2, 0.1, 0.0])
+    pair.exchange([arm.command(q_rad) for arm in pair.members])
+    for each in drives:
+        each.band_nm = np.zeros(6)
+    sample, _ = pair.hold()
+    bit_nm = np.abs(drives[0].axes.joint_torque(np.full(6, drives[0].scale.torque_nm)))
+    assert (np.abs(sample.joint_torque_nm - drives[0].gravity(q_rad)) <= bit_nm).all()

@@ -1,0 +1,119 @@
+"""What an arm's drives are told of the cell, and how an arm sees them."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from drives.errors import ProfileError
+from gateway.cell.config import LoadedCell
+from gateway.cell.conversion import AxisConversion
+from gateway.motion import opening
+from gateway.motion.opening import axis_setups
+
+
+def test_each_drive_gets_node_profile_constant_and_the_speed_of_its_motor(small_cell):
+    """A joint at its speed limit turns its motor by the gear ratio times as fast."""
+    config = small_cell.cell.arm[0]
+    setups = axis_setups(small_cell, config)
+    assert [setup.node_id for setup in setups] == [axis.node_id for axis in config.axis]
+    for setup, axis in zip(setups, config.axis, strict=True):
+        assert setup.profile.name == axis.profile
+        assert setup.torque_constant_nm_per_a == axis.torque_constant_nm_per_a.value
+        assert setup.max_motor_speed_rad_s == pytest.approx(abs(axis.gear_ratio.value) * axis.speed_limit_rad_s)
+        assert not setup.feedforward
+
+
+def test_a_motor_that_turns_with_two_joints_may_be_as_fast_as_both_together(small_cell):
+    coupling = np.eye(6)
+    coupling[5, 4] = -0.5
+    config = small_cell.cell.arm[0].model_copy(update={"coupling": tuple(map(tuple, coupling.tolist()))})
+    setups = axis_setups(small_cell, config)
+    five, six = config.axis[4], config.axis[5]
+    both = abs(six.gear_ratio.value) * (six.speed_limit_rad_s + 0.5 * five.speed_limit_rad_s)
+    assert setups[5].max_motor_speed_rad_s == pytest.approx(both)
+    assert setups[4].max_motor_speed_rad_s == pytest.approx(abs(five.gear_ratio.value) * five.speed_limit_rad_s)
+    assert (setups[5].position_limit_rad, setups[4].position_limit_rad is None) == (None, False)
+
+
+def test_a_profile_that_is_not_packaged_is_a_file_beside_the_cell(small_cell, tmp_path):
+    config = small_cell.cell.arm[0]
+    own = config.model_copy(
+        update={"axis": tuple(axis.model_copy(update={"profile": "mine.toml"}) for axis in config.axis)}
+    )
+    loaded = LoadedCell(cell=small_cell.cell, text=small_cell.text, folder=tmp_path)
+    with pytest.raises(ProfileError, match=r"mine\.toml"):
+        axis_setups(loaded, own)
+    text = axis_setups(small_cell, config)[0].profile.text.replace('eds = "generic-cia402.eds"\n', "")
+    (tmp_path / "mine.toml").write_text(text)
+    assert axis_setups(loaded, own)[0].profile.text == text
+
+
+class Group:
+    """As much of a drive group as an arm asks for."""
+
+    def __init__(self) -> None:
+        self.sag_rad: tuple[float, ...] = ()
+        self.sync_sent_s = 12.5
+        self.aligned: list[float] = []
+        self.on_stop = lambda: None
+        position = SimpleNamespace(object="position")
+        setup = SimpleNamespace(profile=SimpleNamespace(position=position), torque_limit_nm=None)
+        self.drives = [
+            SimpleNamespace(
+                access=SimpleNamespace(read=lambda entry, node=node: 1000 * node if entry == "position" else None),
+                scale=SimpleNamespace(count_rad=0.001),
+                setup=setup,
+            )
+            for node in range(1, 7)
+        ]
+        self.enable = self.exchange = self.hold = self.disable = self.quick_stop = lambda *_: None
+
+    def align(self, at_s: float) -> None:
+        self.aligned.append(at_s)
+
+
+def test_an_arm_asks_its_drives_by_sdo_where_they_stand_and_hears_of_their_sag():
+    group = Group()
+    seen = opening._GroupDrives(group)  # type: ignore[arg-type]
+    assert seen.positions_rad() == pytest.approx([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    assert list(seen.sag_rad()) == [0.0] * 6
+    group.sag_rad = (0.1,) * 6
+    assert list(seen.sag_rad()) == [0.1] * 6
+    seen.align(3.0)
+    assert (group.aligned, seen.sync_sent_s()) == ([3.0], 12.5)
+    told = []
+    seen.when_stopping(lambda: told.append(1))
+    group.on_stop()
+    assert told == [1]
+
+
+@pytest.mark.parametrize("harder", ["ramp", "motion"])
+def test_a_drive_gives_no_more_torque_than_the_harder_of_motion_and_quick_stop_needs(
+    small_cell, workspace, monkeypatch, harder
+):
+    config = small_cell.cell.arm[0]
+    ramp = workspace.acceleration_rad_s2 * (3.0 if harder == "ramp" else 0.3)
+    monkeypatch.setattr(opening, "quick_stop_rad_s2", lambda *_: ramp)
+    monkeypatch.setattr(opening, "needed_torque_nm", lambda _space, _config, hardest: 10.0 * hardest)
+    group = Group()
+    group.setups = axis_setups(small_cell, config)  # type: ignore[attr-defined]
+    for drive, setup in zip(group.drives, group.setups, strict=True):  # type: ignore[attr-defined]
+        drive.setup = setup
+    opening._limit_torques(group, config, workspace, SimpleNamespace(readings=()))  # type: ignore[arg-type]
+    ratio = np.abs(AxisConversion.from_arm(config).ratio)
+    expected = 10.0 * np.maximum(ramp, workspace.acceleration_rad_s2) / ratio
+    assert [drive.setup.torque_limit_nm for drive in group.drives] == pytest.approx(expected.tolist())
+
+
+def test_where_a_ramp_is_not_known_no_torque_is_limited(small_cell, workspace, monkeypatch):
+    config = small_cell.cell.arm[0]
+    monkeypatch.setattr(opening, "quick_stop_rad_s2", lambda *_: None)
+    group = Group()
+    group.setups = axis_setups(small_cell, config)  # type: ignore[attr-defined]
+    for drive, setup in zip(group.drives, group.setups, strict=True):  # type: ignore[attr-defined]
+        drive.setup = setup
+    opening._limit_torques(group, config, workspace, SimpleNamespace(readings=()))  # type: ignore[arg-type]
+    assert [drive.setup.torque_limit_nm for drive in group.drives] == [None] * 6

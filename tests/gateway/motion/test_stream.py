@@ -1,0 +1,233 @@
+"""The loop that sends set points: how long it holds, whom it hears and tells, when it comes to rest."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from gateway.errors import LimitExceeded
+from gateway.motion.arms import Arms
+from gateway.motion.contact import TAKE_OVER_S
+from gateway.motion.state import StateKeeper
+from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
+from gateway.motion.stream import REPORT_S, REST_LONGEST_S, REST_S, MoveOptions, Station, Stream
+from gateway.motion.trajectory import MotionLimits, straight
+
+PERIOD_S = 0.01
+TARGET = np.array([0.3, 0.2, -0.2, 0.1, 0.2, -0.3])
+
+
+@pytest.fixture
+def told() -> list[tuple[str, int, int]]:
+    return []
+
+
+@pytest.fixture
+def make(arm, workspace, told) -> Callable[..., Stream]:
+    def make(pacing: str = "lockstep", **options) -> Stream:
+        stream = Stream(
+            Station(
+                arms=Arms((arm,), pacing),  # type: ignore[arg-type]
+                workspaces=(workspace,),
+                period_s=PERIOD_S,
+                state=StateKeeper("main", lambda state: None),
+                options=MoveOptions(**options),
+                report=lambda what, row, rows: told.append((what, row, rows)),
+            )
+        )
+        stream.start()
+        return stream
+
+    return make
+
+
+def move(stream: Stream, workspace, target: np.ndarray = TARGET) -> None:
+    limits = MotionLimits(workspace.speed_rad_s, workspace.acceleration_rad_s2, workspace.jerk_rad_s3)
+    stream.move([straight(stream.q_rad[0], target, limits, PERIOD_S)], "move")
+
+
+@pytest.mark.parametrize(("seconds", "syncs"), [(0.0, 0), (0.3, 30), (0.07, 7), (0.301, 31), (0.3 + 1e-13, 30)])
+def test_it_stands_for_as_many_whole_periods_as_cover_the_time(make, fake, seconds, syncs):
+    stream = make()
+    heard = []
+    before = fake.sync_index
+    stream.stand(seconds, "stand", heard.append)
+    assert fake.sync_index - before == len(heard) == syncs
+    assert [samples[0].sync_index for samples in heard] == list(range(before + 1, before + 1 + syncs))
+    assert stream.sync_index == fake.sync_index
+
+
+def test_the_brakes_are_given_their_time_and_then_a_jump_of_torque_is_contact(make, fake, workspace):
+    """While the drives take over from the brakes the torque may jump; afterwards it may not."""
+    stream = make()
+    fake.contact_nm = {fake.sync_index + 3: 0.5 * workspace.torque_nm[2]}
+    stream.take_over()
+    assert fake.sync_index == 1 + round(TAKE_OVER_S / PERIOD_S)
+    stream.stand(0.2, "stand")
+    fake.contact_nm[fake.sync_index + 1] = -0.5 * workspace.torque_nm[2]
+    with pytest.raises(LimitExceeded, match="joint 3: the torque has jumped"):
+        stream.stand(0.2, "stand")
+
+
+def test_who_listens_is_told_four_times_a_second(make, told):
+    stream = make()
+    stream.stand(2.0, "stand")
+    assert [row for _, row, _ in told] == list(range(0, 200, round(REPORT_S / PERIOD_S)))
+    assert {(what, rows) for what, _, rows in told} == {("stand", 200)}
+
+
+def test_set_points_begin_where_the_arm_stands_and_no_motion_is_none(make, fake, workspace):
+    fake.q_rad = TARGET.copy()
+    stream = make()
+    assert stream.q_rad[0] == pytest.approx(TARGET, abs=1e-4)
+    before = fake.sync_index
+    move(stream, workspace, stream.q_rad[0])
+    assert fake.sync_index == before
+    assert not stream.moving
+
+
+@pytest.mark.parametrize(("kind", "urgent"), [(StopKind.ALONG_PATH, False), (StopKind.QUICK_STOP, True)])
+@pytest.mark.parametrize("moving", [False, True])
+def test_a_wish_says_how_urgent_it_is(make, fake, workspace, kind, urgent, moving):
+    wish = StopRequest(kind, StoppedByPerson("a person"))
+    stream = make(desk=StopDesk(lambda: wish if fake.sync_index >= 20 else None))
+    with pytest.raises(StoppedByPerson):
+        move(stream, workspace) if moving else stream.stand(1.0, "stand")
+    assert stream.urgent == urgent
+    # along the path the arm has come to rest by then; an urgent stop is left to the drives
+    assert stream.moving == (moving and urgent)
+
+
+def test_a_wish_that_becomes_urgent_while_the_arm_comes_to_rest_is_heard(make, fake, workspace):
+    """The servo lags, so that rest takes a while after the last set point."""
+    lag = 0.9
+    plain = fake._follow
+
+    def follow() -> None:
+        before = fake.q_rad
+        plain()
+        fake.q_rad = lag * before + (1 - lag) * fake.q_rad
+
+    desk = StopDesk()
+    stream = make(desk=desk)
+    fake._follow = follow
+    rate = []
+    send = stream._send
+
+    def sent(way, at, r) -> None:
+        rate.append(r)
+        if rate.count(0.0) == 2:
+            desk.ask(StoppedByPerson("again"), StopKind.QUICK_STOP)
+        elif len(rate) == 30:
+            desk.ask(StoppedByPerson("once"))
+        send(way, at, r)
+
+    stream._send = sent  # type: ignore[method-assign]
+    with pytest.raises(StoppedByPerson, match="once"):
+        move(stream, workspace)
+    assert stream.urgent
+    assert rate.count(0.0) == 2
+
+
+@pytest.mark.parametrize(("swing_rad", "rest_s"), [(0.0, REST_S + PERIOD_S), (1e-3, REST_LONGEST_S)])
+def test_a_stop_ends_when_the_joints_stand_and_at_the_latest_after_its_time(make, fake, workspace, swing_rad, rest_s):
+    wish = StopRequest(StopKind.ALONG_PATH, StoppedByPerson("a person"))
+    stream = make(desk=StopDesk(lambda: wish if fake.sync_index >= 40 else None))
+    rate = []
+    send, plain = stream._send, fake._follow
+
+    def follow() -> None:
+        plain()
+        fake.q_rad = fake.q_rad + swing_rad * (-1) ** fake.sync_index
+
+    fake._follow = follow
+    stream._send = lambda way, at, r: (rate.append(r), send(way, at, r))  # type: ignore[method-assign]
+    with pytest.raises(StoppedByPerson):
+        move(stream, workspace)
+    assert rate.count(0.0) * PERIOD_S == pytest.approx(rest_s)
+    assert not stream.moving
+
+
+def test_in_lockstep_a_job_is_just_done(make, fake):
+    stream = make()
+    before, switch_s = fake.sync_index, sys.getswitchinterval()
+    assert stream.hold_while(lambda: threading.current_thread(), "work") is threading.main_thread()
+    assert fake.sync_index == before
+    assert sys.getswitchinterval() == switch_s
+
+
+def test_by_the_clock_the_arm_is_held_while_a_job_is_done_beside_it(make, fake):
+    stream = make("real")
+    stream._arms.enabled = True
+    go_on = threading.Event()
+    held = fake.hold
+
+    def hold():
+        if fake.sync_index >= 10:
+            go_on.set()
+        return held()
+
+    fake.hold = hold
+    switch_s = sys.getswitchinterval()
+    assert stream.hold_while(lambda: go_on.wait(10.0) and threading.current_thread().name, "work").startswith("beside")
+    assert fake.sync_index >= 10
+    assert sys.getswitchinterval() == switch_s
+
+
+def test_a_job_that_fails_beside_the_arm_is_raised(make):
+    stream = make("real")
+    stream._arms.enabled = True
+    switch_s = sys.getswitchinterval()
+    with pytest.raises(ZeroDivisionError):
+        stream.hold_while(lambda: 1 / 0, "work")
+    assert sys.getswitchinterval() == switch_s
+
+
+def test_arms_in_their_brakes_are_not_held_meanwhile(make, fake):
+    stream = make("real")
+    stream._arms.enabled = False
+    before = fake.sync_index
+    assert stream.hold_while(lambda: 5, "work") == 5
+    assert fake.sync_index == before
+
+
+@pytest.mark.parametrize(("pacing", "more"), [("real", 1), ("lockstep", 0)])
+def test_by_the_clock_a_motion_begins_with_one_sync_at_rest(make, fake, workspace, pacing, more):
+    """What was computed since the last SYNC must not pass for a stall of the motion."""
+    stream = make(pacing)
+    limits = MotionLimits(workspace.speed_rad_s, workspace.acceleration_rad_s2, workspace.jerk_rad_s3)
+    motion = straight(stream.q_rad[0], TARGET, limits, PERIOD_S)
+    before = fake.sync_index
+    stream.move([motion], "move")
+    assert fake.sync_index - before == len(motion) + more
+
+
+@pytest.mark.parametrize(("override", "done"), [(1.0, None), (0.5, None), (1.0, lambda: None), (0.05, lambda: None)])
+def test_the_first_motion_is_never_faster_than_the_override(make, fake, workspace, override, done):
+    stream = make(override=override, first_done=done)
+    limits = MotionLimits(workspace.speed_rad_s, workspace.acceleration_rad_s2, workspace.jerk_rad_s3)
+    motion = straight(stream.q_rad[0], TARGET, limits, PERIOD_S)
+    before = fake.sync_index
+    stream.move([motion], "move")
+    share = override if done is None else min(0.1, override)
+    assert fake.sync_index - before == pytest.approx(len(motion) / share, abs=2)
+    assert stream.first_moved == (done is not None)
+
+
+def test_a_first_motion_that_was_stopped_has_not_ended(make, fake, workspace):
+    wish = StopRequest(StopKind.ALONG_PATH, StoppedByPerson("a person"))
+    stream = make(desk=StopDesk(lambda: wish if fake.sync_index >= 60 else None), first_done=lambda: None)
+    with pytest.raises(StoppedByPerson):
+        move(stream, workspace)
+    assert not stream.first_moved
+
+
+def test_the_watch_knows_the_gravity_of_where_the_arm_stands(make, fake, workspace):
+    stream = make()
+    move(stream, workspace)
+    expected = stream._watches[0].modelled_torque(TARGET[None])[0]
+    assert stream._gravity_nm[0] == pytest.approx(expected, abs=1e-6)

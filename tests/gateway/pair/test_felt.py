@@ -1,0 +1,176 @@
+"""How far both hands are off, told by the force in the part or by distance sensors."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from gateway.pair.felt import FeltByDistance, FeltByForce
+from gateway.pair.gap import GapWatch
+from gateway.pair.guard import ForceGuard
+
+ROWS, DT_S = 8, 0.004
+
+
+class Wrench:
+    """An arm whose wrench and external torque are known."""
+
+    def __init__(self) -> None:
+        self.count, self.resets, self.calls = ROWS, 0, []
+        self.wrench: np.ndarray | None = None
+        self.external_nm: np.ndarray | None = None
+
+    def reset(self) -> None:
+        self.resets += 1
+
+    def update(self, m, sample, rate=1.0) -> None:
+        self.calls.append((m, sample, rate))
+
+
+class Maps:
+    """Inside the part is half the difference of both wrenches."""
+
+    def internal(self, m, first, second):
+        return None if first is None or second is None else (first - second) / 2
+
+
+def felt(limit_n: float = 50.0, doubt_n: float = 0.0) -> tuple[FeltByForce, Wrench, Wrench]:
+    one, two = Wrench(), Wrench()
+    guard = ForceGuard(limit_n, DT_S, time_s=0.008)
+    return FeltByForce((one, two), Maps(), guard, doubt_n), one, two  # type: ignore[arg-type]
+
+
+def push(force_n: float) -> np.ndarray:
+    return np.array([0.0, 0.6 * force_n, 0.8 * force_n, 5.0, 0.0, 0.0])
+
+
+def test_force_inside_the_part_is_kept_by_the_command_and_torque_by_the_one_before():
+    found, one, two = felt()
+    assert (one.resets, two.resets) == (1, 1)
+    one.external_nm, two.external_nm = np.full(6, 1.0), np.full(6, 2.0)
+    assert found.take(0, ("a", "b")) == ""
+    assert np.isnan(found.external_nm).all()
+    one.wrench, two.wrench = push(20.0), -push(20.0)
+    assert found.take(1, ("c", "d"), 0.5) == ""
+    assert found.external_nm[0].tolist() == [[1.0] * 6, [2.0] * 6]
+    assert np.isnan(found.external_nm[1:]).all()
+    assert found.force[1] == pytest.approx(push(20.0))
+    assert (found.force[0] == 0).all()
+    assert found.size_n(1) == pytest.approx(20.0)
+    assert (one.calls, two.calls) == ([(0, "a", 1.0), (1, "c", 0.5)], [(0, "b", 1.0), (1, "d", 0.5)])
+    assert found.inputs(1) == (one.wrench, two.wrench)
+    one.external_nm = None
+    found.take(2, ("e", "f"))
+    assert np.isnan(found.external_nm[1, 0]).all()
+    assert found.external_nm[1, 1].tolist() == [2.0] * 6
+
+
+def test_both_arms_are_listened_to_before_the_way_begins():
+    found, one, two = felt()
+    found.listen(("a", "b"))
+    assert (one.calls, two.calls) == ([(0, "a", 1.0)], [(0, "b", 1.0)])
+
+
+def test_a_force_above_twice_its_limit_for_longer_than_its_time_stops_both():
+    """100 N, 8 ms: the third SYNC in a row."""
+    found, one, two = felt(50.0)
+    one.wrench, two.wrench = push(101.0), -push(101.0)
+    assert [found.take(m, ("a", "b")) for m in range(2)] == ["", ""]
+    why = found.take(2, ("a", "b"))
+    assert "above 100 N for more than 8 ms (101 N at command 3 of 8)" in why
+    quiet, one, two = felt(50.0)
+    one.wrench, two.wrench = push(99.0), -push(99.0)
+    assert [quiet.take(m, ("a", "b")) for m in range(5)] == [""] * 5
+
+
+@pytest.mark.parametrize(("force_n", "doubtful"), [(9.9, True), (10.1, False)])
+def test_a_small_force_may_be_friction(force_n, doubtful):
+    found, one, two = felt(doubt_n=10.0)
+    one.wrench, two.wrench = push(force_n), -push(force_n)
+    found.take(1, ("a", "b"))
+    assert found.doubtful(1) == doubtful
+    assert found.doubtful(0)
+
+
+# -- distance ----------------------------------------------------------------------------------------------------------
+
+
+def layout(missing: int = 3):
+    channels = tuple(
+        SimpleNamespace(subindex=number, gap_m=gap) for number, gap in ((1, 0.004), (2, 0.005), (4, 0.008))
+    )
+    config = SimpleNamespace(range_m=(0.001, 0.010), channel=channels, missing_cycles=missing, node_id=21, bus="b")
+    demanded = np.array([0.004, 0.005, 0.008])
+    estimator = SimpleNamespace(demanded_m=demanded, error_in_base=lambda readings, pose: (readings - demanded, pose))
+    return SimpleNamespace(config=config, arm=1, estimator=estimator)
+
+
+def told(*values: float | None) -> tuple:
+    """Samples of both arms; the device is on the slave's bus."""
+    reading = None if values == (None,) else SimpleNamespace(values=values)
+    return SimpleNamespace(instruments=()), SimpleNamespace(instruments=(reading,))
+
+
+def watch(missing: int = 3) -> GapWatch:
+    return GapWatch(layout(missing))  # type: ignore[arg-type]
+
+
+def test_distances_of_the_last_sync_alone_are_known():
+    seen = watch()
+    assert seen.readings_m is None
+    assert seen.take(told(0.004, 0.006, 0.008)) is None
+    assert seen.readings_m == pytest.approx([0.004, 0.006, 0.008])
+    assert seen.take(told(None)) is None
+    assert seen.readings_m is None
+
+
+@pytest.mark.parametrize("value", [0.0009, 0.0101])
+def test_a_distance_outside_the_range_of_its_sensor_stops_at_once_and_names_it(value):
+    trouble = watch().take(told(0.004, 0.006, value))
+    assert trouble is not None
+    assert trouble.urgent
+    assert f"sensor 4 measures {1e3 * value:.2f} mm, its range is 1 to 10 mm" in trouble.why
+    assert watch().take(told(0.001, 0.010, 0.005)) is None
+
+
+@pytest.mark.parametrize("values", [(None,), (0.004, None, 0.008)])
+def test_distances_that_stay_away_stop_along_the_path(values):
+    seen = watch(missing=3)
+    assert [seen.take(told(*values)) for _ in range(2)] == [None, None]
+    seen.take(told(0.004, 0.005, 0.008))
+    assert [seen.take(told(*values)) for _ in range(2)] == [None, None]
+    trouble = seen.take(told(*values))
+    assert trouble is not None
+    assert not trouble.urgent
+    says = "sensor 2 reports no valid value" if len(values) == 3 else "its frames are missing or late"
+    assert f"node 21 on bus 'b': no distances for 3 cycles, {says}" in trouble.why
+
+
+def test_a_sensor_out_of_range_counts_even_if_another_one_is_silent():
+    trouble = watch().take(told(None, 0.02, 0.005))
+    assert trouble is not None
+    assert trouble.urgent
+
+
+def test_what_distances_say_is_told_in_the_slaves_base_and_kept_by_the_command():
+    slave = np.arange(ROWS * 16.0).reshape(ROWS, 4, 4)
+    seen = watch()
+    found = FeltByDistance(seen, slave)
+    assert found.inputs(3) == (None, None)
+    assert found.gaps_m.shape == (ROWS, 3)
+    samples = told(0.004, 0.006, 0.007)
+    seen.take(samples)
+    found.listen(samples)
+    nothing, (error, pose) = found.inputs(3)
+    assert nothing is None
+    assert error == pytest.approx([0.0, 0.001, -0.001])
+    assert np.array_equal(pose, slave[3])
+    assert found.take(3, samples) == ""
+    assert found.gaps_m[3] == pytest.approx([0.0, 0.001, -0.001])
+    assert np.isnan(np.delete(found.gaps_m, 3, axis=0)).all()
+    assert (found.size_n(3), found.doubtful(3)) == (0.0, False)
+    seen.take(told(None))
+    found.take(4, samples)
+    assert np.isnan(found.gaps_m[4]).all()

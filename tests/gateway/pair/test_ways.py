@@ -1,0 +1,251 @@
+"""Set points of both arms along a way: at full rate, slowed down, faded in, and when the force in the part rises."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from gateway.motion.stops import StopKind
+from gateway.motion.trajectory import Motion
+from gateway.pair.ways import RISING, RISING_SYNCS, SETTLE_S, Along, Settling, WatchedWay, smooth
+
+ROWS, DT_S = 12, 0.004
+
+
+class Pair:
+    """What a way needs of the pair; torque offsets are a tenth of the set points."""
+
+    def __init__(self) -> None:
+        self.dt_s = DT_S
+        self.cell = SimpleNamespace(config=SimpleNamespace(servo_lag_s=0.0))
+        self.q_rad = (np.zeros(6), np.zeros(6))
+        self.seen: list[object] = []
+        self.asked: list[tuple[str, StopKind]] = []
+
+    def offsets(self, q):
+        return tuple(each / 10 for each in q)
+
+    def see(self, samples) -> None:
+        self.seen.append(samples)
+
+    def ask(self, why, kind=StopKind.ALONG_PATH) -> None:
+        self.asked.append((why, kind))
+
+
+class Felt:
+    """Tells a number, has a force, and is troubled when told to."""
+
+    def __init__(self) -> None:
+        self.told, self.trouble, self.force_n, self.doubt = 0.0, "", 0.0, False
+        self.taken: list[tuple[int, float]] = []
+        self.listened = 0
+
+    def inputs(self, m):
+        return self.told, self.told
+
+    def take(self, m, samples, rate=1.0):
+        self.taken.append((m, rate))
+        return self.trouble
+
+    def listen(self, samples) -> None:
+        self.listened += 1
+
+    def size_n(self, m):
+        return self.force_n
+
+    def doubtful(self, m):
+        return self.doubt
+
+
+class Passage:
+    """Commands become targets as they are: row m of arm k is m^2 + k, plus what is felt."""
+
+    def __init__(self) -> None:
+        rows = np.arange(ROWS)[:, None]
+        self.path = np.zeros(ROWS)
+        self.speed_rad_s, self.acceleration_rad_s2 = rows * np.ones((1, 12)), -rows * np.ones((1, 12))
+        self.free_nm = (rows * np.ones((1, 6)), -rows * np.ones((1, 6)))
+
+    def targets(self, m, commands):
+        return commands
+
+
+@pytest.fixture
+def pair() -> Pair:
+    return Pair()
+
+
+@pytest.fixture
+def felt() -> Felt:
+    return Felt()
+
+
+def along(pair: Pair, felt: Felt, fading: int = 0) -> tuple[Along, list[tuple[int, object]]]:
+    asked: list[tuple[int, object]] = []
+
+    def commander(m, one, two):
+        asked.append((m, one))
+        more = 0.0 if one is None else one
+        return np.full(6, m**2 + more), np.full(6, m**2 + 1.0 + more)
+
+    return Along(pair, Passage(), commander, felt, fading), asked  # type: ignore[arg-type]
+
+
+SAMPLES = tuple(SimpleNamespace(q_rad=np.full(6, np.nan)) for _ in range(2))
+
+
+def test_at_full_rate_each_row_is_asked_for_once_and_sent_as_it_is(pair, felt):
+    way, asked = along(pair, felt)
+    assert way.count == ROWS
+    for row in range(ROWS):
+        felt.told = 0.1 * row
+        first, second = way.targets(float(row), 1.0)
+        assert first == pytest.approx(np.full(6, row**2 + 0.1 * row))
+        assert second == pytest.approx(np.full(6, row**2 + 1.0 + 0.1 * row))
+        assert way.offsets()[0] == pytest.approx(first / 10)
+        assert way.modelled(float(row))[1] == pytest.approx(np.full(6, -row))
+        assert way.rates(float(row))[0] == pytest.approx(np.full(12, row))
+        assert way.rates(float(row))[1] == pytest.approx(np.full(12, -row))
+        way.take(float(row), 1.0, SAMPLES)
+    assert [m for m, _ in asked] == list(range(ROWS))
+    assert felt.taken == [(row, 1.0) for row in range(ROWS)]
+    assert len(pair.seen) == ROWS
+    assert way.ahead(1.0, 1.0) is None
+    assert way.spent_s > 0.0
+
+
+def test_before_the_first_row_the_rates_are_those_of_the_first(pair, felt):
+    way, _ = along(pair, felt)
+    assert way.rates(-1.0)[0] == pytest.approx(np.zeros(12))
+    assert way.modelled(-1.0)[0] == pytest.approx(np.zeros(6))
+
+
+def test_between_two_rows_set_points_lie_on_the_line_between_them(pair, felt):
+    way, _ = along(pair, felt)
+    for row in range(5):
+        way.targets(float(row), 1.0)
+    for at in (4.25, 4.5, 4.75, 5.0):
+        first, second = way.targets(at, 0.25)
+        assert first == pytest.approx(np.full(6, 16 + (at - 4) * 9))
+        assert second - first == pytest.approx(np.ones(6))
+
+
+def test_what_the_hands_yield_between_two_rows_is_added_at_once(pair, felt):
+    way, asked = along(pair, felt)
+    for row in range(5):
+        way.targets(float(row), 1.0)
+    way.targets(4.25, 0.25)
+    felt.told = 2.0
+    assert way.targets(4.5, 0.25)[0] == pytest.approx(np.full(6, 16 + 0.5 * 9 + 2.0))
+    assert way.targets(5.0, 0.25)[1] == pytest.approx(np.full(6, 26 + 2.0))
+    assert [m for m, _ in asked] == [0, 1, 2, 3, 4, 5, 5, 5]
+
+
+def test_a_place_that_misses_a_row_by_rounding_is_that_row(pair, felt):
+    way, asked = along(pair, felt)
+    for row in range(4):
+        way.targets(float(row), 1.0)
+    assert way.targets(3.0 + 1e-12, 1.0)[0] == pytest.approx(np.full(6, 9.0))
+    assert max(m for m, _ in asked) == 3
+
+
+def test_rows_that_were_passed_over_are_computed_all_the_same(pair, felt):
+    way, asked = along(pair, felt)
+    way.targets(0.0, 1.0)
+    way.targets(3.0, 3.0)
+    assert [m for m, _ in asked] == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize(("doubt", "rate", "told"), [(True, 0.5, None), (False, 0.5, 3.0), (True, 1.0, 3.0)])
+def test_what_may_be_friction_is_not_answered_while_time_slows_down(pair, felt, doubt, rate, told):
+    way, asked = along(pair, felt)
+    for row in range(3):
+        way.targets(float(row), 1.0)
+    felt.told, felt.doubt = 3.0, doubt
+    way.targets(2.0 + rate, rate)
+    assert asked[-1] == (3, told)
+
+
+def test_a_way_begins_where_the_arms_are_and_fades_in(pair, felt):
+    pair.q_rad = (np.full(6, 5.0), np.full(6, -3.0))
+    way, _ = along(pair, felt, fading=4)
+    for row in range(6):
+        first, second = way.targets(float(row), 1.0)
+        left = 1.0 - smooth(min((row + 1) / 4, 1.0))
+        assert first == pytest.approx(np.full(6, row**2 + left * 5.0))
+        assert second == pytest.approx(np.full(6, row**2 + 1.0 + left * (-4.0)))
+
+
+def test_smooth_goes_from_0_to_1_and_is_at_rest_at_both_ends():
+    assert (smooth(0.0), smooth(0.5), smooth(1.0)) == (0.0, 0.5, 1.0)
+    for end in (0.0, 1.0):
+        assert (smooth(end + 1e-6) - smooth(end - 1e-6)) / 2e-6 == pytest.approx(0.0, abs=1e-6)
+    assert (np.diff([smooth(share) for share in np.linspace(0, 1, 50)]) > 0).all()
+
+
+def forces(pair: Pair, felt: Felt, sizes_n: list[float]) -> list[StopKind]:
+    """What is asked for while a force stands that both arms are to be stopped for."""
+    way, _ = along(pair, felt)
+    way.targets(0.0, 1.0)
+    for size_n in sizes_n:
+        felt.trouble, felt.force_n = "too much force", size_n
+        way.take(0.0, 1.0, SAMPLES)
+    return [kind for _, kind in pair.asked]
+
+
+def test_a_force_stops_both_along_the_path_once(pair, felt):
+    assert forces(pair, felt, [100.0] * 20) == [StopKind.ALONG_PATH]
+    assert pair.asked[0][0] == "too much force"
+
+
+@pytest.mark.parametrize(("later", "urgent"), [(RISING * 120.0 - 1.0, False), (RISING * 120.0 + 1.0, True)])
+def test_a_force_that_goes_on_rising_is_a_quick_stop(pair, felt, later, urgent):
+    """It may rise while the stop begins; against the largest of these SYNCs it may not become much more."""
+    begin = [100.0, 120.0, 110.0, 90.0][: RISING_SYNCS + 1]
+    kinds = forces(pair, felt, [*begin, later])
+    assert kinds == [StopKind.ALONG_PATH, *([StopKind.QUICK_STOP] if urgent else [])]
+
+
+def test_a_force_that_rises_while_the_stop_begins_is_no_quick_stop(pair, felt):
+    assert forces(pair, felt, [10.0, 100.0, 1000.0, 10.0]) == [StopKind.ALONG_PATH]
+
+
+def test_no_force_asks_for_nothing(pair, felt):
+    way, _ = along(pair, felt)
+    for row in range(3):
+        way.targets(float(row), 1.0)
+        way.take(float(row), 1.0, SAMPLES)
+    assert pair.asked == []
+
+
+def test_a_gap_is_closed_at_rest_at_the_first_command(pair, felt):
+    asked = []
+
+    def commander(m, one, two):
+        asked.append((m, one, two))
+        return np.ones(6), 2 * np.ones(6)
+
+    settling = Settling(pair, Passage(), commander, felt)  # type: ignore[arg-type]
+    assert settling.count == round(SETTLE_S / DT_S)
+    felt.told = 4.0
+    first, second = settling.targets(7.0, 1.0)
+    assert (first[0], second[0]) == (1.0, 2.0)
+    assert asked == [(0, 4.0, 4.0)]
+    assert [rate.tolist() for rate in settling.rates(3.0)] == [[0.0] * 12] * 2
+    assert settling.offsets()[1] == pytest.approx(np.full(6, 0.2))
+    assert settling.modelled(3.0)[0] == pytest.approx(np.zeros(6))
+    assert settling.ahead(3.0, 1.0) is None
+    settling.take(0.0, 1.0, SAMPLES)
+    assert (felt.listened, len(pair.seen), felt.taken) == (1, 1, [])
+
+
+def test_a_prepared_motion_of_both_arms_is_watched(pair):
+    rows = np.arange(1.0, 5.0)[:, None] * np.ones((1, 6))
+    motions = [Motion(sign * rows, sign * np.ones((4, 6)), np.zeros((4, 6)), DT_S) for sign in (1.0, -1.0)]
+    way = WatchedWay(pair, pair.q_rad, motions)  # type: ignore[arg-type]
+    assert way.targets(2.0, 1.0)[1] == pytest.approx(np.full(6, -3.0))
+    assert way.offsets()[1] == pytest.approx(np.full(6, -0.3))
+    way.take(2.0, 1.0, SAMPLES)
+    assert pair.seen == [SAMPLES]
