@@ -19,7 +19,7 @@ from gateway.acquire.poses import PoseRequest, assumed_noise_nm, choose_poses
 from gateway.cell.config import load_cell
 from gateway.data.rows import Table
 from gateway.estimate import ESTIMATORS, EstimateOptions
-from gateway.estimate.estimate import LoadEstimate
+from gateway.identify.load_estimate import LoadEstimate
 from gateway.model.arm_model import arm_robot
 from gateway.model.robot import Robot, robot_from_urdf
 from gateway.motion.workspace import workspace_of

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.estimate.estimate import LoadEstimate
 from gateway.estimate.options import EstimateOptions
+from gateway.identify.load_estimate import LoadEstimate
 from gateway.model.information import payload_information
 from gateway.model.robot import Robot
 from gateway.result.result import NextMeasurement

@@ -16,8 +16,9 @@ from scipy.special import stdtrit
 from gateway.data.rows import Table
 from gateway.errors import DataUnusable, InputError
 from gateway.estimate.consistency import describe_masses, disagree
-from gateway.estimate.estimate import LOAD_PARTS, Estimate, LoadEstimate, refused_load
+from gateway.estimate.estimate import Estimate
 from gateway.estimate.options import Coefficient, EstimateOptions
+from gateway.identify.load_estimate import LOAD_PARTS, LoadEstimate, refused_load
 from gateway.identify.loads import BARE_LABEL
 from gateway.model.robot import Robot
 from gateway.result.result import Finding

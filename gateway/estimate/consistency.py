@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from gateway.estimate.estimate import LoadEstimate
+from gateway.identify.load_estimate import LoadEstimate
 from gateway.model.robot import Robot, reach_m
 from gateway.result.result import Finding
 

@@ -5,19 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.estimate.estimate import (
-    Estimate,
-    FittedRows,
-    LoadEstimate,
-    load_directions,
-    load_from_moment,
-    without_guesses,
-)
+from gateway.estimate.estimate import Estimate, FittedRows
 from gateway.estimate.friction import friction_bands
-from gateway.estimate.linear import Prior, determined
 from gateway.estimate.noise import NoiseFit
 from gateway.estimate.options import EstimateOptions
 from gateway.estimate.problem import Problem
+from gateway.identify.load_estimate import LoadEstimate, load_directions, load_from_moment, without_guesses
+from gateway.identify.solve import Prior, determined
 from gateway.model.base import rest_base
 from gateway.model.regressor import load_regressor
 from gateway.model.robot import Robot, reach_m

@@ -15,20 +15,19 @@ from numpy.typing import NDArray
 from gateway.errors import DataUnusable
 from gateway.estimate.advice import wrist_in_words
 from gateway.estimate.consistency import CONTRADICTS, describe_masses, disagree
-from gateway.estimate.estimate import (
-    Estimate,
-    FittedRows,
+from gateway.estimate.estimate import Estimate, FittedRows
+from gateway.estimate.friction import band_scatter, friction_bands, noise_groups
+from gateway.estimate.noise import Groups, NoiseFit, fit_noise
+from gateway.estimate.options import EstimateOptions
+from gateway.identify.load_estimate import (
     LoadEstimate,
     load_directions,
     load_from_moment,
     refused_load,
     without_guesses,
 )
-from gateway.estimate.friction import band_scatter, friction_bands, noise_groups
-from gateway.estimate.linear import Prior, determined
-from gateway.estimate.noise import Groups, NoiseFit, fit_noise
-from gateway.estimate.options import EstimateOptions
 from gateway.identify.loads import BARE_LABEL, load_vector, unknown_labels
+from gateway.identify.solve import Prior, determined
 from gateway.model.kinematics import gravity_in_last_link, largest_angle_rad
 from gateway.model.regressor import load_regressor
 from gateway.model.robot import Robot, reach_m

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from gateway.estimate.advice import cost_of_missing_axes, wrist_in_words
 from gateway.estimate.consistency import hull_radius_m, physical_findings
-from gateway.estimate.estimate import Estimate, FittedRows, LoadEstimate
+from gateway.estimate.estimate import Estimate, FittedRows
 from gateway.estimate.options import EstimateOptions
+from gateway.identify.load_estimate import LoadEstimate, load_result
 from gateway.model.robot import Robot
-from gateway.result.result import Finding, FitSummary, LoadResult, Parameter, Result, Rows
+from gateway.result.result import Finding, FitSummary, Parameter, Result, Rows
 
 Floats = NDArray[np.float64]
 
@@ -63,30 +64,6 @@ def to_result(
         rows=None if estimate.rows is None else _rows(estimate.rows),
         bare=estimate.bare,
     )
-
-
-def load_result(load: LoadEstimate, robot: Robot | None) -> LoadResult:
-    """One load as the file has it; the flange's frame where the robot model gives the flange."""
-    known = np.isfinite(load.com_m)
-    flange = None if robot is None else robot.flange
-    return LoadResult(
-        label=load.label,
-        mass_kg=float(load.mass_kg),
-        mass_std_kg=float(load.mass_std_kg),
-        com_m=_numbers(load.com_m) if known.any() else None,
-        com_std_m=_numbers(load.com_std_m) if known.any() else None,
-        frame="link_6" if robot is None else robot.last_link,
-        com_flange_m=None if flange is None or not known.all() else _numbers(in_flange(load.com_m, flange)),
-        correlation=None if load.refused else tuple(_numbers(row) for row in load.correlation),
-        unidentifiable=load.unidentifiable,
-        per_pose_mass_kg=dict(load.per_pose_mass_kg),
-        refused=load.refused,
-    )
-
-
-def in_flange(point_m: Floats, flange: Floats) -> Floats:
-    """A point (3,) of the last link in the frame of the flange, whose pose there is (4, 4)."""
-    return flange[:3, :3].T @ (point_m - flange[:3, 3])
 
 
 def _findings(estimate: Estimate, robot: Robot | None, options: EstimateOptions) -> list[Finding]:

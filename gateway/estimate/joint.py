@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from gateway.errors import DataUnusable
 from gateway.estimate.consistency import CONTRADICTS, describe_masses, disagree
 from gateway.estimate.describe import axis_sigma, describe, per_pose_mass
-from gateway.estimate.estimate import Estimate, refused_load
+from gateway.estimate.estimate import Estimate
 from gateway.estimate.friction import noise_groups
-from gateway.estimate.linear import Prior, solve
 from gateway.estimate.noise import NoiseFit, fit_noise, noise_levels
 from gateway.estimate.options import EstimateOptions
 from gateway.estimate.problem import Problem, build_problem
+from gateway.identify.load_estimate import refused_load
+from gateway.identify.solve import Prior, solve
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits
 

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from gateway.data.rows import Table
 from gateway.errors import DataUnusable
-from gateway.estimate.estimate import Estimate, FittedRows, LoadEstimate, load_from_moment, without_guesses
-from gateway.estimate.linear import Solution, determined, solve
+from gateway.estimate.estimate import Estimate, FittedRows
 from gateway.estimate.moving_columns import Columns, MovingSetup, fast_rows, moving_columns
 from gateway.estimate.options import EstimateOptions
+from gateway.identify.load_estimate import LoadEstimate, load_from_moment, without_guesses
+from gateway.identify.solve import Solution, determined, solve
 from gateway.model.robot import Robot, reach_m
 from gateway.result.result import Finding
 

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.rows import Table
-from gateway.estimate.linear import Prior
 from gateway.estimate.options import EstimateOptions
 from gateway.estimate.problem import LOAD_NAMES, LOAD_UNITS
 from gateway.identify.links import PER_LINK_MOVING, body_parameters, link_prior
 from gateway.identify.loads import unknown_labels
+from gateway.identify.solve import Prior
 from gateway.model.base import BaseSet, base_parameters, moving_base
 from gateway.model.regressor import full_names, regressor
 from gateway.model.robot import Robot

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 from scipy.stats import chi2
 
-from gateway.estimate.linear import Prior, Solution, solve
+from gateway.identify.solve import Prior, Solution, solve
 
 Floats = NDArray[np.float64]
 

@@ -19,10 +19,10 @@ from gateway.errors import DataUnusable, InputError
 from gateway.estimate.describe import describe
 from gateway.estimate.estimate import Estimate
 from gateway.estimate.joint import fit_problem, require_postures
-from gateway.estimate.linear import determined
 from gateway.estimate.options import EstimateOptions
 from gateway.estimate.problem import LOAD_NAMES, Problem, build_problem, link_knowledge
 from gateway.identify.loads import BARE_LABEL, unknown_labels
+from gateway.identify.solve import determined
 from gateway.model.base import BaseSet, rest_base
 from gateway.model.regressor import LOAD_COLUMNS
 from gateway.model.robot import Robot

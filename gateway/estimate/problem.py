@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.errors import DataUnusable
-from gateway.estimate.linear import Prior
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.links import PER_LINK_AT_REST, link_prior
 from gateway.identify.loads import bare_rows, load_vector, unknown_labels
+from gateway.identify.solve import Prior
 from gateway.model.base import BaseSet, rest_base
 from gateway.model.regressor import LOAD_COLUMNS, gravity_names, gravity_regressor
 from gateway.model.robot import Robot

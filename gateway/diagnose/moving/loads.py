@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 from gateway.diagnose.moving.fit import MovingProblem
 from gateway.diagnose.moving.state import MovingState
 from gateway.diagnose.moving.thresholds import MOVING
+from gateway.identify.load_estimate import known_load, load_directions, load_from_moment, load_result, unknown_load
 from gateway.identify.loads import BARE_LABEL
 from gateway.model.effects.velocity_friction import Stribeck
 from gateway.result.result import LoadResult
 
 Floats = NDArray[np.float64]
-
-QUANTITIES = ("mass_kg", "com_x_m", "com_y_m", "com_z_m")
 
 
 def loads_of(
@@ -38,41 +37,20 @@ def loads_of(
 def _load(
     problem: MovingProblem, state: MovingState, label: str, known: Mapping[str, tuple[float, Floats]]
 ) -> LoadResult:
+    robot = problem.motion.robot
     if label in known:
-        mass, com = known[label]
-        return LoadResult(label, mass, 0.0, tuple(float(x) for x in com), (0.0, 0.0, 0.0))
+        return load_result(known_load(label, *known[label]), robot)
     if label not in problem.base.loads:
-        return LoadResult(label, unidentifiable=QUANTITIES)
+        return load_result(unknown_load(label), robot)
     where = np.arange(problem.base.loads[label].start, problem.base.loads[label].start + 4)
-    parameters = state.full.value[where]
+    moment = state.full.value[where]
     covariance = state.full.inverse[np.ix_(where, where)] + over_blocks(problem, state, where)
-    mass, mass_std = float(parameters[0]), float(np.sqrt(covariance[0, 0]))
-    if not mass > 0 or mass_std > MOVING.loose_mass * mass:
-        return LoadResult(label, unidentifiable=QUANTITIES)
-    com = parameters[1:] / mass
-    turn = np.column_stack([-com / mass, np.eye(3) / mass])
-    turn = np.vstack([[1.0, 0.0, 0.0, 0.0], turn])
-    spread = turn @ covariance @ turn.T
-    std = np.sqrt(np.diag(spread))
-    loose = std[1:] > MOVING.loose_com_m
-    com_out = tuple(float("nan") if bad else float(x) for x, bad in zip(com, loose, strict=True))
-    return LoadResult(
-        label=label,
-        mass_kg=mass,
-        mass_std_kg=mass_std,
-        com_m=com_out,
-        com_std_m=tuple(float(x) for x in std[1:]),
-        com_flange_m=_in_flange(problem, com) if not loose.any() else None,
-        correlation=tuple(tuple(float(x) for x in row) for row in spread / np.outer(std, std)),
-        unidentifiable=tuple(name for name, bad in zip(QUANTITIES[1:], loose, strict=True) if bad),
-    )
-
-
-def _in_flange(problem: MovingProblem, com_m: Floats) -> tuple[float, ...] | None:
-    flange = problem.motion.robot.flange
-    if flange is None:
-        return None
-    return tuple(float(x) for x in flange[:3, :3].T @ (com_m - flange[:3, 3]))
+    turn = load_directions(moment)
+    std = np.sqrt(np.diag(turn @ covariance @ turn.T))
+    if not moment[0] > 0 or std[0] > MOVING.loose_mass * moment[0]:
+        return load_result(unknown_load(label), robot)
+    found = np.concatenate([[True], std[1:] <= MOVING.loose_com_m])
+    return load_result(load_from_moment(label, moment, covariance, np.ones(4), found), robot)
 
 
 def over_blocks(problem: MovingProblem, state: MovingState, where: NDArray[np.int_]) -> Floats:

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm, t
 
 from gateway.diagnose.rest.linear import Fit, RestProblem
 from gateway.diagnose.rest.thresholds import REST
+from gateway.identify.load_estimate import load_directions, load_from_moment, load_result, refused_load, unknown_load
 from gateway.model.robot import Robot
 from gateway.result.result import LoadResult
 
 Floats = NDArray[np.float64]
-
-NAMES = ("com_x", "com_y", "com_z")
 
 
 def loads_of(problem: RestProblem, fit: Fit, robot: Robot) -> tuple[LoadResult, ...]:
@@ -24,38 +21,20 @@ def loads_of(problem: RestProblem, fit: Fit, robot: Robot) -> tuple[LoadResult, 
 
 
 def _load(problem: RestProblem, fit: Fit, robot: Robot, index: int) -> LoadResult:
-    label = problem.labels[index]
-    phi = fit.loads[index]
-    part = problem.load_part(index)
-    covariance = fit.covariance[part, part] * _widening(problem, fit, part) ** 2
-    mass, mass_std = float(phi[0]), float(np.sqrt(covariance[0, 0]))
-    if mass + REST.against_mass * mass_std < 0:
-        reason = f"the data ask for a mass of {mass:.3g} kg (standard deviation {mass_std:.2g} kg)"
-        return LoadResult(label, refused=reason)
-    if mass_std > REST.blind_mass * max(abs(mass), 1e-3) or mass <= 0:
-        return LoadResult(label, unidentifiable=("mass", *NAMES))
-    com = phi[1:] / mass
-    slope = np.zeros((4, 4))
-    slope[0, 0] = 1.0
-    slope[1:, 0] = -com / mass
-    slope[1:, 1:] = np.eye(3) / mass
-    spread = slope @ covariance @ slope.T
-    std = np.sqrt(np.maximum(np.diag(spread), 0.0))
-    blind = std[1:] > REST.blind_m
-    known = np.where(blind, math.nan, com)
-    scale = np.where(std > 0, std, 1.0)
-    flange = None if robot.flange is None else _in_flange(known, robot.flange)
-    return LoadResult(
-        label=label,
-        mass_kg=mass,
-        mass_std_kg=mass_std,
-        com_m=tuple(float(v) for v in known),
-        com_std_m=tuple(float(v) for v in np.where(blind, math.nan, std[1:])),
-        com_flange_m=flange,
-        correlation=tuple(tuple(float(v) for v in row) for row in spread / np.outer(scale, scale)),
-        unidentifiable=tuple(name for name, missing in zip(NAMES, blind, strict=True) if missing),
-        per_pose_mass_kg=_per_pose(problem, fit, index),
-    )
+    label, moment, part = problem.labels[index], fit.loads[index], problem.load_part(index)
+    covariance = fit.covariance[part, part]
+    widening = _widening(problem, fit, part)
+    turn = load_directions(moment)
+    std = widening * np.sqrt(np.maximum(np.diag(turn @ covariance @ turn.T), 0.0))
+    mass = float(moment[0])
+    if mass + REST.against_mass * std[0] < 0:
+        reason = f"the data ask for a mass of {mass:.3g} kg (standard deviation {std[0]:.2g} kg)"
+        return load_result(refused_load(label, reason), robot)
+    if std[0] > REST.blind_mass * max(abs(mass), 1e-3) or mass <= 0:
+        return load_result(unknown_load(label), robot)
+    found = np.concatenate([[True], std[1:] <= REST.blind_m])
+    per_pose = _per_pose(problem, fit, index)
+    return load_result(load_from_moment(label, moment, covariance, np.full(4, widening), found, per_pose), robot)
 
 
 def _widening(problem: RestProblem, fit: Fit, part: slice) -> float:
@@ -70,10 +49,6 @@ def _widening(problem: RestProblem, fit: Fit, part: slice) -> float:
     if not told.any():
         return 1.0
     return float(t.ppf(0.975, np.average(freedom[problem.group], weights=told)) / norm.ppf(0.975))
-
-
-def _in_flange(com_m: Floats, flange: Floats) -> tuple[float, ...]:
-    return tuple(float(v) for v in flange[:3, :3].T @ (com_m - flange[:3, 3]))
 
 
 def _per_pose(problem: RestProblem, fit: Fit, index: int) -> dict[str, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gateway.estimate.estimate import load_from_moment
+from gateway.identify.load_estimate import load_from_moment
 
 MOMENT = np.array([10.0, 1.0, -0.5, 2.0])
 MIX = np.random.default_rng(3).normal(size=(4, 4))

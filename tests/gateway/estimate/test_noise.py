@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gateway.estimate.linear import Prior
 from gateway.estimate.noise import Groups, fit_noise, noise_levels
+from gateway.identify.solve import Prior
 
 
 def groups(index, stated=0.0, scale=None, **seen):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import statsmodels.api as sm
 
-from gateway.estimate.linear import Prior, determined, solve
+from gateway.identify.solve import Prior, determined, solve
 
 
 @pytest.fixture

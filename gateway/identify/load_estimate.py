@@ -1,0 +1,167 @@
+"""A load from its fitted parameters: mass and centre of gravity with their covariance, and what stays unknown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.model.robot import Robot
+from gateway.result.result import LoadResult
+
+Floats = NDArray[np.float64]
+
+LOAD_PARTS = ("mass_kg", "com_x_m", "com_y_m", "com_z_m")
+_AS_ZERO = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadEstimate:
+    """One load.
+
+    Attributes
+    ----------
+    label : str
+    mass_kg, mass_std_kg : float
+        NaN where the data cannot give them.
+    com_m, com_std_m : arrays of shape (3,)
+        In the last link; 1.96 standard deviations hold the truth in 95 %.
+    correlation : array of shape (4, 4)
+        Of [mass, x, y, z], NaN where unidentifiable.
+    covariance : array of shape (4, 4)
+        Of [m, hx, hy, hz], as far as the data determine it.
+    unidentifiable : tuple of str
+    per_pose_mass_kg : mapping of pose number to mass
+    refused : str or None
+        Why the data of this load contradict each other; everything else is NaN then.
+    """
+
+    label: str
+    mass_kg: float
+    mass_std_kg: float
+    com_m: Floats
+    com_std_m: Floats
+    correlation: Floats
+    covariance: Floats
+    unidentifiable: tuple[str, ...] = ()
+    per_pose_mass_kg: Mapping[str, float] = field(default_factory=dict)
+    refused: str | None = None
+
+    @property
+    def moment(self) -> Floats:
+        """[m, hx, hy, hz]."""
+        return self.mass_kg * np.concatenate([[1.0], self.com_m])
+
+
+def refused_load(label: str, reason: str, per_pose_mass_kg: Mapping[str, float] | None = None) -> LoadEstimate:
+    """A load whose data contradict each other."""
+    return replace(unknown_load(label), per_pose_mass_kg=dict(per_pose_mass_kg or {}), refused=reason)
+
+
+def load_directions(moment: Floats) -> Floats:
+    """Derivatives (4, 4) of [m, x, y, z] by [m, hx, hy, hz] at `moment` (4,)."""
+    mass = moment[0] if abs(moment[0]) > _AS_ZERO else _AS_ZERO
+    turn = np.zeros((4, 4))
+    turn[0, 0] = 1.0
+    turn[1:, 0] = -moment[1:] / mass**2
+    turn[1:, 1:] = np.eye(3) / mass
+    return turn
+
+
+def load_from_moment(
+    label: str,
+    moment: Floats,
+    covariance: Floats,
+    widening: Floats,
+    found: NDArray[np.bool_],
+    per_pose_mass_kg: Mapping[str, float] | None = None,
+) -> LoadEstimate:
+    """A load from [m, h] (4,) with covariance (4, 4).
+
+    Parameters
+    ----------
+    label : str
+    moment, covariance : arrays of shape (4,), (4, 4)
+    widening : array of shape (4,)
+        Factor on the standard deviations of [m, x, y, z].
+    found : bool array of shape (4,)
+        Which of [m, x, y, z] the data determine.
+    per_pose_mass_kg : mapping, optional
+    """
+    turn = load_directions(moment)
+    spread = turn @ covariance @ turn.T
+    std = np.where(found, np.sqrt(np.maximum(np.diag(spread), 0.0)), np.nan)
+    value = np.where(found, np.concatenate([moment[:1], turn[1, 1] * moment[1:]]), np.nan)
+    size = np.where(std > 0, std, np.nan)
+    correlation = spread / np.outer(size, size)
+    np.fill_diagonal(correlation, np.where(np.isfinite(std), 1.0, np.nan))
+    wide = std * widening
+    missing = tuple(name for name, good in zip(LOAD_PARTS, found, strict=True) if not good)
+    return LoadEstimate(
+        label,
+        float(value[0]),
+        float(wide[0]),
+        value[1:],
+        wide[1:],
+        correlation,
+        covariance,
+        missing,
+        per_pose_mass_kg or {},
+    )
+
+
+def without_guesses(load: LoadEstimate, longest_m: float) -> LoadEstimate:
+    """The load without coordinates whose standard deviation exceeds the arm's own length: those are not known."""
+    lost = load.com_std_m > longest_m
+    if not lost.any():
+        return load
+    gone = np.concatenate([[False], lost])
+    correlation = np.where(gone[:, None] | gone, np.nan, load.correlation)
+    return replace(
+        load,
+        com_m=np.where(lost, np.nan, load.com_m),
+        com_std_m=np.where(lost, np.nan, load.com_std_m),
+        correlation=correlation,
+        unidentifiable=tuple(
+            name for name, out in zip(LOAD_PARTS, gone, strict=True) if out or name in load.unidentifiable
+        ),
+    )
+
+
+def unknown_load(label: str) -> LoadEstimate:
+    """A load of which the data tell nothing."""
+    nothing, square = np.full(3, np.nan), np.full((4, 4), np.nan)
+    return LoadEstimate(label, np.nan, np.nan, nothing, nothing, square, square, LOAD_PARTS)
+
+
+def known_load(label: str, mass_kg: float, com_m: Floats) -> LoadEstimate:
+    """A load that was weighed."""
+    exact = np.zeros((4, 4))
+    return LoadEstimate(label, mass_kg, 0.0, np.asarray(com_m, dtype=float), np.zeros(3), np.eye(4), exact)
+
+
+def load_result(load: LoadEstimate, robot: Robot | None) -> LoadResult:
+    """One load as the file has it; the flange's frame where the robot model gives the flange."""
+    known = np.isfinite(load.com_m)
+    flange = None if robot is None else robot.flange
+    told = load.refused is None and np.isfinite(load.mass_kg)
+    return LoadResult(
+        label=load.label,
+        mass_kg=float(load.mass_kg),
+        mass_std_kg=float(load.mass_std_kg),
+        com_m=tuple(load.com_m.tolist()) if known.any() else None,
+        com_std_m=tuple(load.com_std_m.tolist()) if known.any() else None,
+        frame="link_6" if robot is None else robot.last_link,
+        com_flange_m=None if flange is None or not known.all() else tuple(in_flange(load.com_m, flange).tolist()),
+        correlation=tuple(tuple(row) for row in load.correlation.tolist()) if told else None,
+        unidentifiable=load.unidentifiable,
+        per_pose_mass_kg=dict(load.per_pose_mass_kg),
+        refused=load.refused,
+    )
+
+
+def in_flange(point_m: Floats, flange: Floats) -> Floats:
+    """A point (3,) of the last link in the frame of the flange, whose pose there is (4, 4)."""
+    return flange[:3, :3].T @ (point_m - flange[:3, 3])
