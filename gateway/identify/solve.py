@@ -16,6 +16,7 @@ Floats = NDArray[np.float64]
 
 TOLERANCE = 1e-7
 _NOTHING = 1e-13
+_RIDGE = 1e-10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,6 +136,36 @@ def solve(
         condition=float(kept[0] / kept[-1]) if len(kept) else np.inf,
         log_determinant=float(2.0 * np.sum(np.log(kept)) + 2.0 * np.sum(np.log(scale))),
     )
+
+
+def solve_information(
+    columns: Floats, tau_nm: Floats, weight: Floats, mean: Floats, precision: Floats
+) -> tuple[Floats, Floats, float]:
+    """The same minimum by the information matrix: many rows, all columns held by a prior, nothing left undetermined.
+
+    Parameters
+    ----------
+    columns : array of shape (n, axes, p)
+    tau_nm, weight : arrays of shape (n, axes)
+    mean, precision : arrays of shape (p,)
+        Of the prior; precision 0 = free.
+
+    Returns
+    -------
+    covariance (p, p), parameters (p,), the minimum
+    """
+    matrix = (columns * weight[:, :, None]).reshape(-1, columns.shape[2])
+    right = (tau_nm * weight).reshape(-1)
+    information = matrix.T @ matrix
+    information[np.diag_indices_from(information)] += precision
+    scale = np.sqrt(np.diag(information))
+    scale[scale == 0] = 1.0
+    normal = information / scale / scale[:, None]
+    normal[np.diag_indices_from(normal)] += _RIDGE
+    inverse = np.linalg.inv(normal) / scale / scale[:, None]
+    value = inverse @ (matrix.T @ right + precision * mean)
+    rest = right - matrix @ value
+    return inverse, value, float(rest @ rest + precision @ (value - mean) ** 2)
 
 
 def _singular_values(factor: Floats) -> tuple[Floats, Floats, Floats]:

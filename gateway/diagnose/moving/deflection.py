@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
 
 from gateway.diagnose.moving.fit import MovingProblem, counting_share
 from gateway.diagnose.moving.state import MovingState
 from gateway.diagnose.moving.thresholds import MOVING
+from gateway.diagnose.wind_up import design_of, wind_up
 from gateway.result.result import EffectResult, Evidence
 
 Floats = NDArray[np.float64]
@@ -27,19 +27,16 @@ def elastic_joints(problem: MovingProblem, state: MovingState) -> tuple[EffectRe
         if not np.isfinite(bend).all() or not motion.measured[axis]:
             continue
         fitted = ~motion.given
-        design = np.stack([-torque, np.ones(len(bend))], axis=1)
-        value, *_ = np.linalg.lstsq(design[fitted], bend[fitted], rcond=None)
-        left = (bend - design @ value)[fitted]
-        rows = max(counting_share(left) * len(left), 3.0)
-        least = 1e-7 + 1e-4 * float(np.ptp(bend))
-        spread = max(float(np.sqrt(np.mean(left**2))), least) * np.sqrt(len(left) / rows)
-        std = float(spread * np.sqrt(np.linalg.pinv(design[fitted].T @ design[fitted])[0, 0]))
-        ratio, compliance = _foretold(problem, design, bend), float(value[0])
+        design = design_of(torque)
+        slope, *_ = np.linalg.lstsq(design[fitted], bend[fitted], rcond=None)
+        share = counting_share((bend - design @ slope)[fitted])
+        seen = wind_up(torque[fitted], bend[fitted], max(share * int(fitted.sum()), 3.0), motion.axes)
+        compliance, std = seen.compliance_rad_nm, seen.std_rad_nm
+        ratio = _foretold(problem, design, bend)
         bent = compliance * float(np.abs(torque).max())
         if compliance < MOVING.wind_up * std or ratio > MOVING.wind_up_ratio or bent > MOVING.largest_wind_up_rad:
             continue
-        p_value = float(max(student.sf(compliance / std, rows - 2.0) * motion.axes, 1e-300))
-        key, evidence = "compliance_rad_nm", Evidence(holdout_rms_ratio=ratio, p_value=p_value)
+        key, evidence = "compliance_rad_nm", Evidence(holdout_rms_ratio=ratio, p_value=seen.p_value)
         found.append(EffectResult("joint_elasticity", (axis + 1,), {key: compliance}, {key: std}, evidence))
     return tuple(found)
 

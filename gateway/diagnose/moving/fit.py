@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.identify.moving_baseline import Baseline
+from gateway.identify.solve import solve_information
 from gateway.model.motion import PER_BODY, Mask, Modelled, MovingRows, structural_base
 from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
 
 ROUNDS = 4
-RIDGE = 1e-10
 INDEPENDENT = 1e-5
 
 
@@ -120,14 +120,14 @@ def fit(problem: MovingProblem, terms: Sequence[Term], train: Mask, test: Mask) 
     gains = _gain_positions(base, terms)
     factor = np.ones(motion.axes)
     columns, modelled = _columns(motion, base, terms, None), None
-    inverse, value, cost = solve(columns, motion.tau_nm, weight, mean, precision)
+    inverse, value, cost = solve_information(columns, motion.tau_nm, weight, mean, precision)
     for _ in range(ROUNDS * any(term.modelled for term in terms)):
         modelled = model_torque(problem, terms, columns, value)
         columns = _columns(motion, base, terms, modelled)
         for axis in gains:
             columns[:, axis, : base.friction[0, 0]] *= factor[axis]
             mean[gains[axis]] = 1.0 - factor[axis]
-        inverse, value, cost = solve(columns, motion.tau_nm, weight, mean, precision)
+        inverse, value, cost = solve_information(columns, motion.tau_nm, weight, mean, precision)
         for axis, position in gains.items():
             factor[axis] += value[position]
     modelled = model_torque(problem, terms, columns, value)
@@ -165,24 +165,6 @@ def prior_precision(term: Term) -> Floats:
     """Precision of the prior of an effect's linear parameters; 0 where there is no opinion."""
     spread = np.array(term.spread[: term.count])
     return np.where(np.isnan(spread), 0.0, 1.0 / np.where(np.isnan(spread), 1.0, spread) ** 2)
-
-
-def solve(
-    columns: Floats, tau_nm: Floats, weight: Floats, mean: Floats, precision: Floats
-) -> tuple[Floats, Floats, float]:
-    """Penalised least squares: covariance (P, P), parameters (P,), cost."""
-    matrix = (columns * weight[:, :, None]).reshape(-1, columns.shape[2])
-    right = (tau_nm * weight).reshape(-1)
-    information = matrix.T @ matrix
-    information[np.diag_indices_from(information)] += precision
-    scale = np.sqrt(np.diag(information))
-    scale[scale == 0] = 1.0
-    normal = information / scale / scale[:, None]
-    normal[np.diag_indices_from(normal)] += RIDGE
-    inverse = np.linalg.inv(normal) / scale / scale[:, None]
-    value = inverse @ (matrix.T @ right + precision * mean)
-    rest = right - matrix @ value
-    return inverse, value, float(rest @ rest + precision @ (value - mean) ** 2)
 
 
 def model_torque(problem: MovingProblem, terms: Sequence[Term], columns: Floats, value: Floats) -> Modelled:

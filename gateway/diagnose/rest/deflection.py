@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import t as student
 
 from gateway.diagnose.rest.linear import Fit, RestProblem, modelled
 from gateway.diagnose.rest.thresholds import REST
+from gateway.diagnose.wind_up import wind_up
 from gateway.result.result import EffectResult, Evidence
 
 
@@ -27,19 +27,12 @@ def elastic_joints(problem: RestProblem, after: Fit) -> list[EffectResult]:
         bend = rows.wind_up_rad[:, axis]
         if not np.isfinite(bend).all() or len(bend) < 4:
             continue
-        design = np.stack([-prediction.joint_nm[:, axis], np.ones(len(bend))], axis=1)
-        value, *_ = np.linalg.lstsq(design, bend, rcond=None)
-        left = bend - design @ value
-        freedom = len(bend) - 2
-        least = 1e-7 + 1e-4 * float(np.ptp(bend))
-        spread = max(float(np.sqrt(left @ left / freedom)), least)
-        covariance = spread**2 * np.linalg.pinv(design.T @ design)
-        compliance, std = float(value[0]), float(np.sqrt(covariance[0, 0]))
+        found = wind_up(prediction.joint_nm[:, axis], bend, len(bend), problem.axes)
+        compliance, std = found.compliance_rad_nm, found.std_rad_nm
         if compliance < REST.wind_up * std or _strength(problem, after, axis, compliance) < REST.wind_up_strength:
             continue
-        p_value = float(max(student.sf(compliance / std, freedom) * problem.axes, 1e-300))
-        name, key = "joint_elasticity", "compliance_rad_nm"
-        out.append(EffectResult(name, (axis + 1,), {key: compliance}, {key: std}, Evidence(p_value=p_value)))
+        key, evidence = "compliance_rad_nm", Evidence(p_value=found.p_value)
+        out.append(EffectResult("joint_elasticity", (axis + 1,), {key: compliance}, {key: std}, evidence))
     return out
 
 

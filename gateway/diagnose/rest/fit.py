@@ -25,6 +25,7 @@ from gateway.diagnose.rest.linear import (
     with_terms,
 )
 from gateway.diagnose.rest.thresholds import REST
+from gateway.identify.solve import Prior, solve
 from gateway.model.rest import AlteredModel
 from gateway.model.term import Term
 
@@ -32,6 +33,8 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _STEPS = 6
+#: Relative size below which a combination of columns counts as zero.
+TOLERANCE = 1e-10
 
 
 @dataclass(slots=True, eq=False)
@@ -98,25 +101,13 @@ def _linearised(
             spreads.append(spread_of(problem, noise, term, own))
     design = np.hstack(columns)
     residual = problem.target - at_start.residual
-    prior_std, pull = _prior(problem, terms, state, spreads)
-    prior_rows, prior_residual = _prior_rows(problem, state, prior_std, pull)
-    weight = 1.0 / noise.std[problem.group]
-    big = np.vstack([design * weight[:, None], prior_rows])
-    scale = np.sqrt((big**2).sum(axis=0))
-    scale[scale == 0] = 1.0
-    q, r = np.linalg.qr(big / scale)
-    diagonal = np.abs(np.diag(r))
-    r = r + np.diag(np.where(diagonal < 1e-10 * diagonal.max(), 1e-10 * diagonal.max(), 0.0))
-    right = q.T @ np.concatenate([residual * weight, prior_residual])
-    inverse = np.linalg.inv(r) / scale[:, None]
-    delta = inverse @ right
-    _move(problem, terms, state, delta)
+    prior = _prior(problem, terms, state, spreads)
+    solution = solve(design, residual, 1.0 / noise.std[problem.group], prior, TOLERANCE)
+    _move(problem, terms, state, solution.value)
     setting = with_terms(terms, state.theta, problem.rows)
     left = problem.target - modelled(problem, setting, state.links, state.loads, state.band)
-    orthogonal = q[: len(weight)]
-    updated = _update_noise(problem, left, orthogonal, noise)
+    updated = _update_noise(problem, left, solution.leverage, noise)
     penalty = _penalty(problem, terms, state, spreads)
-    log_det = 2.0 * float(np.sum(np.log(np.abs(np.diag(r))) + np.log(scale)))
     mode = _log_density(problem, left, updated, penalty)
     log_spread = sum(float(np.sum(np.log(values))) for values in spreads)
     return Fit(
@@ -125,14 +116,14 @@ def _linearised(
         loads=state.loads.copy(),
         band=state.band.copy(),
         theta=tuple(values.copy() for values in state.theta),
-        covariance=inverse @ inverse.T,
+        covariance=solution.covariance,
         setting=setting,
         residual=left,
         design=design,
         noise=updated,
-        evidence=mode - 0.5 * log_det - log_spread,
-        prior_std=prior_std,
-        orthogonal=orthogonal,
+        evidence=mode - 0.5 * solution.log_determinant - log_spread,
+        prior_std=prior.std,
+        orthogonal=solution.orthogonal,
         mode=mode,
     )
 
@@ -147,27 +138,15 @@ def _as_fit(problem: RestProblem, terms: Sequence[Term], state: _State, setting:
     )
 
 
-def _prior(problem: RestProblem, terms: Sequence[Term], state: _State, spreads: list[Floats]) -> tuple[Floats, Floats]:
-    """Prior standard deviation (p,) and distance (p,) of the prior mean from the present point."""
+def _prior(problem: RestProblem, terms: Sequence[Term], state: _State, spreads: list[Floats]) -> Prior:
+    """Prior of the step from the present point."""
     free = np.full(problem.n_common - 4 * problem.axes, np.inf)
+    centre = [np.array(term.start) - theta for term, theta in zip(terms, state.theta, strict=True)]
     std = np.concatenate([problem.link_std, free, *spreads])
-    centre = [np.array(term.start) for term in terms]
-    pull = np.concatenate(
-        [problem.links - state.links, np.zeros(len(free)), *(c - t for c, t in zip(centre, state.theta, strict=True))]
-    )
-    return std, pull
-
-
-def _prior_rows(problem: RestProblem, state: _State, std: Floats, pull: Floats) -> tuple[Floats, Floats]:
-    held = np.isfinite(std)
-    rows = np.diag(np.where(held, 1.0 / np.where(held, std, 1.0), 0.0))[held]
-    residual = (pull / np.where(held, std, 1.0))[held]
-    if len(problem.prior_target):
-        more = np.zeros((len(problem.prior_target), len(std)))
-        more[:, problem.link_part] = problem.prior_rows
-        rows = np.vstack([rows, more])
-        residual = np.concatenate([residual, problem.prior_target - problem.prior_rows @ state.links])
-    return rows, residual
+    rows = np.zeros((len(problem.prior_target), len(std)))
+    rows[:, problem.link_part] = problem.prior_rows
+    mean = np.concatenate([problem.links - state.links, np.zeros(len(free)), *centre])
+    return Prior(mean, std, rows, problem.prior_target - problem.prior_rows @ state.links)
 
 
 def _move(problem: RestProblem, terms: Sequence[Term], state: _State, delta: Floats) -> None:
@@ -183,8 +162,7 @@ def _move(problem: RestProblem, terms: Sequence[Term], state: _State, delta: Flo
         at += k
 
 
-def _update_noise(problem: RestProblem, residual: Floats, orthogonal: Floats, noise: Noise) -> Noise:
-    leverage = (orthogonal**2).sum(axis=1)
+def _update_noise(problem: RestProblem, residual: Floats, leverage: Floats, noise: Noise) -> Noise:
     count, taken, squares = problem.by_group(), problem.by_group(leverage), problem.by_group(residual**2)
     freedom = np.maximum(count - taken, 0.0) + REST.noise_weight
     variance = (squares + REST.noise_weight * noise.start**2) / freedom

@@ -7,13 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import linalg
 
 from benchmarks.rigs.tables import make_table
 from gateway.data.rows import MOVING, concatenate
 from gateway.diagnose.moving.candidates import candidates, suggested
 from gateway.diagnose.moving.diagnosis import diagnose_motion
-from gateway.diagnose.moving.fit import MovingNoise, MovingProblem, blocks, counting_share, fit, solve
+from gateway.diagnose.moving.fit import MovingNoise, MovingProblem, blocks, counting_share, fit
 from gateway.diagnose.moving.select import state_of
 from gateway.diagnose.moving.trial import drop_by_chance, put_on_trial
 from gateway.diagnose.options import DiagnoseOptions
@@ -68,20 +67,6 @@ def test_counting_share_of_a_first_order_process_is_its_closed_form():
         series[row] = keep * series[row - 1] + white
     assert counting_share(series) == pytest.approx((1 - keep) / (1 + keep), rel=0.15)
     assert counting_share(generator.normal(size=20_000)) == pytest.approx(1.0, abs=0.05)
-
-
-def test_penalised_least_squares_is_least_squares_with_the_prior_as_rows():
-    generator = np.random.default_rng(2)
-    columns, tau = generator.normal(size=(50, 6, 4)), generator.normal(size=(50, 6))
-    weight, mean = generator.uniform(0.5, 2.0, size=(50, 6)), generator.normal(size=4)
-    precision = np.array([0.0, 1.0, 4.0, 100.0])
-    inverse, value, cost = solve(columns, tau, weight, mean, precision)
-    rows = np.vstack([(columns * weight[:, :, None]).reshape(-1, 4), np.diag(np.sqrt(precision))])
-    right = np.concatenate([(tau * weight).reshape(-1), np.sqrt(precision) * mean])
-    expected = np.linalg.lstsq(rows, right)[0]
-    assert value == pytest.approx(expected, abs=1e-8)
-    assert inverse == pytest.approx(linalg.inv(rows.T @ rows), rel=1e-6)
-    assert cost == pytest.approx(np.sum((rows @ expected - right) ** 2), rel=1e-8)
 
 
 @pytest.mark.parametrize(

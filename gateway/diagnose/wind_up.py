@@ -1,0 +1,42 @@
+"""Joint elasticity by a secondary encoder: the link stands behind the motor in proportion to the torque."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+Floats = NDArray[np.float64]
+
+#: What no encoder resolves: an angle [rad], and a share of the wind-up's range.
+LEAST_RAD, LEAST_SHARE = 1e-7, 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class WindUp:
+    """Compliance [rad/Nm] of one joint with its standard deviation and the probability of it by chance."""
+
+    compliance_rad_nm: float
+    std_rad_nm: float
+    p_value: float
+
+
+def design_of(torque_nm: Floats) -> Floats:
+    """Columns (n, 2) of the wind-up: the torque that winds, and a constant for the zeros of the two encoders."""
+    return np.stack([-torque_nm, np.ones(len(torque_nm))], axis=1)
+
+
+def wind_up(torque_nm: Floats, bend_rad: Floats, rows: float, axes: int) -> WindUp:
+    """Compliance from torque (n,) and wind-up (n,), of which so many rows are independent; p over all axes."""
+    design = design_of(torque_nm)
+    value, *_ = np.linalg.lstsq(design, bend_rad, rcond=None)
+    left, freedom = bend_rad - design @ value, rows - 2.0
+    least = LEAST_RAD + LEAST_SHARE * float(np.ptp(bend_rad))
+    spread = max(float(np.sqrt(np.mean(left**2) * rows / freedom)), least) * np.sqrt(len(left) / rows)
+    std = float(spread * np.sqrt(np.linalg.pinv(design.T @ design)[0, 0]))
+    if std == 0.0:  # nothing winds this joint, and nothing bends it
+        return WindUp(0.0, np.inf, 1.0)
+    p_value = float(max(student.sf(value[0] / std, freedom) * axes, 1e-300))
+    return WindUp(float(value[0]), std, p_value)
