@@ -22,8 +22,8 @@ def with_build_errors(plant: Plant, chain: SimChain, seed: int) -> Plant:
     rng = np.random.default_rng([seed, 3])
     reach = np.linalg.norm(chain.placement[1:, :3, 3], axis=1)
     length = np.maximum(np.append(reach, reach[-1]), 0.1)
-    mass = plant.link_mass_kg * (1.0 + MASS_SHARE * np.clip(rng.standard_normal(6), -2.5, 2.5))
-    shift = MOMENT_SHARE * length[:, None] * np.clip(rng.standard_normal((6, 3)), -2.5, 2.5)
+    mass = plant.link_mass_kg * (1.0 + MASS_SHARE * np.clip(rng.standard_normal(plant.axes), -2.5, 2.5))
+    shift = MOMENT_SHARE * length[:, None] * np.clip(rng.standard_normal((plant.axes, 3)), -2.5, 2.5)
     scale = mass / plant.link_mass_kg
     return replace(
         plant,

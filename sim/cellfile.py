@@ -69,7 +69,7 @@ class AxisSpec:
 
 @dataclass(frozen=True, slots=True)
 class ArmSpec:
-    """One arm: its chain, its six axes, and how it stands in gravity.
+    """One arm: its chain, its axes, and how it stands in gravity.
 
     `start_rad` is where an arm of a pair grips the part.
     """
@@ -190,14 +190,17 @@ def _arm(entry: Table, path: Path) -> ArmSpec:
         text = robot.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise CellFileError(f"{robot}: cannot be read: {error}. Correct the robot key of {path}.") from error
-    if len(entry["axis"]) != 6:
-        raise CellFileError(f"{path}: arm '{name}' has {len(entry['axis'])} [[arm.axis]] tables, six are needed.")
+    axes, chain = len(entry["axis"]), read_chain(text, str(robot))
+    if axes != len(chain.axis):
+        raise CellFileError(
+            f"{path}: arm '{name}' has {axes} [[arm.axis]] tables, its robot {len(chain.axis)} joints; give one each."
+        )
     return ArmSpec(
         name=name,
         bus=str(entry["bus"]),
-        chain=read_chain(text, str(robot)),
+        chain=chain,
         gravity_m_s2=np.array(entry.get("gravity_m_s2", (0.0, 0.0, -9.80665)), dtype=float),
-        coupling=np.array(entry.get("coupling", np.eye(6)), dtype=float),
+        coupling=np.array(entry.get("coupling", np.eye(axes)), dtype=float),
         axes=tuple(_axis(axis, path) for axis in entry["axis"]),
         start_rad=tuple(float(value) for value in entry["start_rad"]) if "start_rad" in entry else None,
     )

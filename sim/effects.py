@@ -27,6 +27,7 @@ from sim.reading_effects import (
     warm_up,
 )
 from sim.request import Array, EffectError, PointJacobian, Request, Transform, add_passive, changed
+from sim.urdf import MOST_AXES
 
 # ---------------------------------------------------------------------------------------------------------- friction
 
@@ -117,7 +118,7 @@ def balancer_spring(request: Request) -> Transform:
     def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
         angle = q_rad[1] - phase
         length = math.sqrt(lever**2 + anchor**2 - 2.0 * lever * anchor * math.cos(angle))
-        out = np.zeros(6)
+        out = np.zeros_like(q_rad)
         out[1] = -force(length) * lever * anchor * math.sin(angle) / length
         return out
 
@@ -131,7 +132,7 @@ def cable_torque(request: Request) -> Transform:
 
     def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
         wound = q_rad[axis] - neutral
-        out = np.zeros(6)
+        out = np.zeros_like(q_rad)
         out[axis] = -stiffness * (math.sin(wound) if harmonic else wound)
         return out
 
@@ -195,7 +196,7 @@ def effect_from_dict(effect: Mapping[str, object], jacobian: PointJacobian | Non
     Parameters
     ----------
     effect : mapping with `name`, `joints` (from 1, may be absent) and `parameters` (SI, may be absent)
-    jacobian : (q_rad (6,), link from 0, point (3,) in the link's frame) -> position (3,) and Jacobian (3, 6);
+    jacobian : (q_rad (N,), link from 0, point (3,) in the link's frame) -> position (3,) and Jacobian (3, N);
         needed by effects that act between the arm and its surroundings
 
     Returns
@@ -209,20 +210,31 @@ def effect_from_dict(effect: Mapping[str, object], jacobian: PointJacobian | Non
     name = str(effect.get("name"))
     joints = effect.get("joints", ())
     parameters = effect.get("parameters", {})
-    if not isinstance(joints, (list, tuple)) or any(not isinstance(j, int) or not 1 <= j <= 6 for j in joints):
-        raise EffectError(f"effect {name}: joints must be numbers from 1 to 6, got {joints!r}")
+    if not isinstance(joints, (list, tuple)) or any(not isinstance(j, int) or not 1 <= j <= MOST_AXES for j in joints):
+        raise EffectError(f"effect {name}: joints must be numbers from 1 to {MOST_AXES}, got {joints!r}")
     if not isinstance(parameters, Mapping):
         raise EffectError(f"effect {name}: parameters must be a table")
     request = Request(name, tuple(joints), parameters)
     if name in OFF_LIBRARY_WITH_GEOMETRY:
         if jacobian is None:
             raise EffectError(f"effect {name} needs the geometry of the arm")
-        return OFF_LIBRARY_WITH_GEOMETRY[name](request, jacobian)
+        return _within(request, OFF_LIBRARY_WITH_GEOMETRY[name](request, jacobian))
     build = LIBRARY.get(name) or OFF_LIBRARY.get(name)
     if build is None:
         known = ", ".join([*LIBRARY, *OFF_LIBRARY, *OFF_LIBRARY_WITH_GEOMETRY])
         raise EffectError(f"unknown effect {name!r}; known are {known}")
-    return build(request)
+    return _within(request, build(request))
+
+
+def _within(request: Request, transform: Transform) -> Transform:
+    """The same, refused by an arm that has not such a joint."""
+
+    def apply(plant: Plant) -> Plant:
+        if max(request.joints, default=1) > plant.axes:
+            raise EffectError(f"effect {request.name}: joint {max(request.joints)} of an arm of {plant.axes} axes")
+        return transform(plant)
+
+    return apply
 
 
 def apply_effects(

@@ -33,7 +33,7 @@ def plant_of(arm: ArmSpec) -> Plant:
     bodies = arm.chain.bodies
     for number, body in enumerate(bodies, start=1):
         if body is None:
-            raise UrdfError(f"robot of arm '{arm.name}': link {number} has no <inertial>; the simulator needs all six")
+            raise UrdfError(f"robot of arm '{arm.name}': link {number} has no <inertial>; the simulator needs them all")
     limit = np.array([axis.torque_limit_nm for axis in arm.axes])
     speed = np.array([axis.speed_limit_rad_s for axis in arm.axes])
     efficiency = np.array([axis.gear_efficiency for axis in arm.axes])
@@ -46,8 +46,8 @@ def plant_of(arm: ArmSpec) -> Plant:
         coulomb_nm=COULOMB_SHARE * limit,
         stiction_nm=STICTION_OVER_COULOMB * COULOMB_SHARE * limit,
         viscous_nm_s_rad=VISCOUS_SHARE * COULOMB_SHARE * limit / speed,
-        creep_rad_s=np.full(6, CREEP_RAD_S),
-        friction_scatter=np.full(6, SCATTER),
+        creep_rad_s=np.full(len(bodies), CREEP_RAD_S),
+        friction_scatter=np.full(len(bodies), SCATTER),
         gear_efficiency=efficiency,
         reading_noise_nm=NOISE_SHARE * limit / (efficiency * OVERLOAD),
     )

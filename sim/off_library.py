@@ -15,7 +15,7 @@ def hardening_cable(request: Request) -> Transform:
     axis, amplitude, phase = request.axis(), request.number("amplitude_nm"), request.number("phase_rad", 0.0)
 
     def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
-        out = np.zeros(6)
+        out = np.zeros_like(q_rad)
         out[axis] = -amplitude * math.cos(3.0 * q_rad[axis] + phase)
         return out
 
@@ -27,7 +27,7 @@ def end_stop_buffer(request: Request) -> Transform:
     axis, stiffness, angle = request.axis(), request.number("stiffness_nm_rad2"), request.number("angle_rad", 0.0)
 
     def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
-        out = np.zeros(6)
+        out = np.zeros_like(q_rad)
         out[axis] = -stiffness * max(q_rad[axis] - angle, 0.0) ** 2
         return out
 
@@ -39,7 +39,7 @@ def linkage_spring(request: Request) -> Transform:
     stiffness, phase = request.number("stiffness_nm"), request.number("phase_rad", 0.0)
 
     def torque(q_rad: Array, _time_s: float, _tau_nm: Array) -> Array:
-        out = np.zeros(6)
+        out = np.zeros_like(q_rad)
         out[2] = -stiffness * math.sin(2.0 * (q_rad[1] + q_rad[2]) + phase)
         return out
 
@@ -52,7 +52,7 @@ def saturating_motor(request: Request) -> Transform:
     coefficient, reference = request.number("coefficient"), request.number("reference_nm")
 
     def error(_q_rad: Array, torque_nm: Array) -> Array:
-        out = np.zeros(6)
+        out = np.zeros_like(torque_nm)
         out[axis] = coefficient * torque_nm[axis] * abs(torque_nm[axis]) / reference
         return out
 
@@ -64,7 +64,7 @@ def eccentric_gear(request: Request) -> Transform:
     axis, coefficient, phase = request.axis(), request.number("coefficient"), request.number("phase_rad", 0.0)
 
     def error(q_rad: Array, torque_nm: Array) -> Array:
-        out = np.zeros(6)
+        out = np.zeros_like(q_rad)
         out[axis] = coefficient * torque_nm[axis] * math.cos(q_rad[axis] + phase)
         return out
 

@@ -8,6 +8,7 @@ between motor and gear output, and is exact at rest. The coupling is numerical: 
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -42,27 +43,28 @@ class ArmWorld:
     arm : cell's description: chain, axes, coupling
     plant : true physics
     seed : of the noise
-    filters_s : (6,) time constants of the drives' torque filters [s]
+    filters_s : (N,) time constants of the drives' torque filters [s]; 0.001 if not given
     """
 
-    def __init__(self, arm: ArmSpec, plant: Plant, seed: int, filters_s: tuple[float, ...] = (0.001,) * 6) -> None:
+    def __init__(self, arm: ArmSpec, plant: Plant, seed: int, filters_s: Sequence[float] = ()) -> None:
         self.plant = plant
         self.time_s = 0.0
         self._chain = arm.chain
-        self._coupling = None if np.array_equal(arm.coupling, np.eye(6)) else arm.coupling
+        self._coupling = None if np.array_equal(arm.coupling, np.eye(len(arm.axes))) else arm.coupling
         self._zero = np.array([axis.zero_offset_rad for axis in arm.axes])
         self._limits = np.array([axis.position_limit_rad for axis in arm.axes])
         self._noise = np.random.default_rng(seed)
         self._client = -1
-        home = np.clip(np.zeros(6), self._limits[:, 0], self._limits[:, 1])
-        self._q, self._qd = home.tolist(), [0.0] * 6
+        home = np.clip(0.0, self._limits[:, 0], self._limits[:, 1])
+        self._q, self._qd = home.tolist(), [0.0] * len(home)
         self._body = -1
         self._now = plant.at(0.0)
         self._refreshed_s = 0.0
         self._passive: list[float] | None = None
         self._load_body()
         loops = servo_loops(arm, self._masses(), plant.rotor_inertia_kg_m2)
-        self.axes = [MotorAxis(servo, JointFriction(seed * 8 + i), filters_s[i]) for i, servo in enumerate(loops)]
+        filters = tuple(filters_s) or (0.001,) * len(loops)
+        self.axes = [MotorAxis(servo, JointFriction(seed * 8 + i), filters[i]) for i, servo in enumerate(loops)]
         self._tune()
         self._take_over()
         self._settle()
@@ -105,25 +107,25 @@ class ArmWorld:
             path.write_text(text, encoding="utf-8")
             flags = bullet.URDF_USE_INERTIA_FROM_FILE
             self._body = bullet.loadURDF(str(path), useFixedBase=True, flags=flags, physicsClientId=self._client)
-        joints = list(range(6))
-        for joint in range(-1, 6):
+        joints = list(range(len(self._q)))
+        for joint in (-1, *joints):
             bullet.changeDynamics(
                 self._body, joint, linearDamping=0, angularDamping=0, jointDamping=0, physicsClientId=self._client
             )
         bullet.setJointMotorControlArray(
-            self._body, joints, bullet.VELOCITY_CONTROL, forces=[0.0] * 6, physicsClientId=self._client
+            self._body, joints, bullet.VELOCITY_CONTROL, forces=[0.0] * len(joints), physicsClientId=self._client
         )
         for joint in joints:
             bullet.resetJointState(self._body, joint, self._q[joint], self._qd[joint], physicsClientId=self._client)
 
     def _postures(self) -> list[Array]:
         low, high = self._limits.T
-        shares = np.random.default_rng(0).uniform(0.1, 0.9, (12, 6))
+        shares = np.random.default_rng(0).uniform(0.1, 0.9, (12, len(low)))
         return [np.array(self._q), *(low + shares * (high - low))]
 
     def _masses(self) -> list[Array]:
-        """Mass matrices (6, 6) on the motor side of a coupling, in the present and twelve other postures."""
-        inverse = np.eye(6) if self._coupling is None else np.linalg.inv(self._coupling)
+        """Mass matrices (N, N) on the motor side of a coupling, in the present and twelve other postures."""
+        inverse = np.eye(len(self._q)) if self._coupling is None else np.linalg.inv(self._coupling)
         return [
             inverse.T
             @ np.array(bullet.calculateMassMatrix(self._body, list(q), physicsClientId=self._client))
@@ -156,10 +158,9 @@ class ArmWorld:
 
     def _settle(self) -> None:
         """Wind the couplings up to gravity, so that the arm hangs still in its brakes from the first moment."""
-        self._qd = [0.0] * 6
-        gravity = bullet.calculateInverseDynamics(
-            self._body, self._q, [0.0] * 6, [0.0] * 6, physicsClientId=self._client
-        )
+        still = [0.0] * len(self._q)
+        self._qd = still
+        gravity = bullet.calculateInverseDynamics(self._body, self._q, still, still, physicsClientId=self._client)
         self._passive = self._passive_torque()
         need = np.array(gravity) - (self._passive or 0.0)
         angle = np.array(self._q)
@@ -175,7 +176,7 @@ class ArmWorld:
     # ---------------------------------------------------------------------------------------------------- operation
 
     def hang(self, payload: Payload) -> None:
-        """Bolt another load to link 6; an arm that stands in its brakes keeps still."""
+        """Bolt another load to the last link; an arm that stands in its brakes keeps still."""
         self.plant = self.plant.with_payload(payload)
         self._now = self.plant.at(self.time_s)
         self._load_body()
@@ -196,18 +197,11 @@ class ArmWorld:
 
     def _step(self, ticks: int) -> None:
         body, client, axes = self._body, self._client, self.axes
-        joints = (0, 1, 2, 3, 4, 5)
-        first, second, third, fourth, fifth, sixth = (axis.tick for axis in axes)
+        joints = tuple(range(len(axes)))
+        step = [axis.tick for axis in axes]
         for _ in range(ticks):
             a, b = (self._q, self._qd) if self._coupling is None else self._coupled()
-            forces = [
-                first(a[0], b[0]),
-                second(a[1], b[1]),
-                third(a[2], b[2]),
-                fourth(a[3], b[3]),
-                fifth(a[4], b[4]),
-                sixth(a[5], b[5]),
-            ]
+            forces = [tick(angle, speed) for tick, angle, speed in zip(step, a, b, strict=True)]
             if self._coupling is not None:
                 forces = (np.array(forces) @ self._coupling).tolist()
             if self._passive is not None:
@@ -244,23 +238,23 @@ class ArmWorld:
             self._passive = self._passive_torque()
 
     def joint_torque_nm(self) -> Array:
-        """Torque that each gear transmits to its joint, shape (6,) [Nm]; `tau` of `sim.plant`."""
+        """Torque that each gear transmits to its joint, shape (N,) [Nm]; `tau` of `sim.plant`."""
         torque = np.array([axis.torque_nm for axis in self.axes])
         return torque if self._coupling is None else self._coupling.T @ torque
 
     @property
     def q_rad(self) -> Array:
-        """True joint angles, shape (6,) [rad]."""
+        """True joint angles, shape (N,) [rad]."""
         return np.array(self._q)
 
     @property
     def qd_rad_s(self) -> Array:
-        """True joint speeds, shape (6,) [rad/s]."""
+        """True joint speeds, shape (N,) [rad/s]."""
         return np.array(self._qd)
 
     @property
     def fastest_rad_s(self) -> Array:
-        """Largest speed of each motor at its gear output since `forget_fastest`, shape (6,) [rad/s]."""
+        """Largest speed of each motor at its gear output since `forget_fastest`, shape (N,) [rad/s]."""
         return np.array([axis.fastest_rad_s for axis in self.axes])
 
     def forget_fastest(self) -> None:
@@ -269,7 +263,7 @@ class ArmWorld:
             axis.fastest_rad_s = 0.0
 
     def reading_nm(self) -> Array:
-        """One reading of the six motor torques, shape (6,), gear output side [Nm]: `r` of `sim.plant`."""
+        """One reading of the motor torques, shape (N,), gear output side [Nm]: `r` of `sim.plant`."""
         now = self._now
         u = np.array([axis.shown_nm for axis in self.axes])
         shown = now.current_factor * u / now.torque_constant_scale
@@ -278,7 +272,7 @@ class ArmWorld:
         if now.reading_ripple is not None:
             error = error + now.reading_ripple(np.array([axis.position_rad for axis in self.axes]), u)
         shown = now.torque_sign * (now.coupling @ (shown + error * live))
-        return shown + live * now.reading_noise_nm * self._noise.standard_normal(6)
+        return shown + live * now.reading_noise_nm * self._noise.standard_normal(len(shown))
 
     def close(self) -> None:
         """Give the physics engine back."""
@@ -288,10 +282,11 @@ class ArmWorld:
 
 
 def physical_chain(chain: SimChain, plant: Plant) -> SimChain:
-    """The chain with the plant's inertials, the payload joined to link 6 as one rigid body; joints without limits."""
-    bodies = [SimBody(float(plant.link_mass_kg[i]), plant.link_com_m[i], plant.link_inertia_kg_m2[i]) for i in range(6)]
+    """The chain with the plant's inertials, the payload joined to the last link as one body; joints without limits."""
+    inertials = zip(plant.link_mass_kg.tolist(), plant.link_com_m, plant.link_inertia_kg_m2, strict=True)
+    bodies = [SimBody(*inertial) for inertial in inertials]
     load = plant.payload
     if load.mass_kg > 0.0:
-        bodies[5] = combine(bodies[5], SimBody(load.mass_kg, load.com_m, load.inertia_kg_m2))
-    free = np.full(6, np.inf)
+        bodies[-1] = combine(bodies[-1], SimBody(load.mass_kg, load.com_m, load.inertia_kg_m2))
+    free = np.full(len(bodies), np.inf)
     return replace(chain, bodies=tuple(bodies), lower_rad=-free, upper_rad=free, effort_nm=free, velocity_rad_s=free)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -19,7 +20,7 @@ AMBIENT_C = 25.0
 
 
 def torque_constant_scale(request: Request) -> Transform:
-    """The motor gives `scale` times the torque per ampere that is stored; without joints all six do."""
+    """The motor gives `scale` times the torque per ampere that is stored; without joints all do."""
     scale = request.number("scale")
     if scale <= 0:
         raise EffectError(f"effect {request.name}: scale must be positive, got {scale}")
@@ -44,7 +45,7 @@ def thermal_drift(request: Request) -> Transform:
     on_friction = request.parameters.get("on", "torque_constant") == "friction"
 
     def apply(plant: Plant) -> Plant:
-        temperature = plant.temperature_c or warm_up
+        temperature = plant.temperature_c or partial(warm_up, axes=plant.axes)
         start = np.asarray(temperature(0.0))[axis]
         earlier = plant.drift
 
@@ -64,10 +65,10 @@ def thermal_drift(request: Request) -> Transform:
     return apply
 
 
-def warm_up(time_s: float) -> Array:
-    """Motor temperatures while an arm warms up; the wrist motors stay cooler [deg C]."""
+def warm_up(time_s: float, axes: int = 6) -> Array:
+    """Motor temperatures (N,) while an arm warms up; the wrist motors stay cooler [deg C]."""
     rise = WARM_UP_K * (1.0 - math.exp(-time_s / WARM_UP_TIME_S))
-    return AMBIENT_C + rise * np.array([1.0, 1.1, 1.0, 0.8, 0.8, 0.7])
+    return AMBIENT_C + rise * np.array([1.0, 1.1, 1.0, *[0.8] * (axes - 4), 0.7])[:axes]
 
 
 def torque_ripple(request: Request) -> Transform:
@@ -76,7 +77,7 @@ def torque_ripple(request: Request) -> Transform:
     periods, phase = request.number("per_revolution"), request.number("phase_rad", 0.0)
 
     def error(q_rad: Array, _torque_nm: Array) -> Array:
-        swing = np.zeros(6)
+        swing = np.zeros_like(q_rad)
         swing[axis] = amplitude * math.sin(periods * q_rad[axis] + phase)
         return swing
 
@@ -88,9 +89,14 @@ def axis_coupling(request: Request) -> Transform:
     if len(request.joints) != 2 or request.joints[0] == request.joints[1]:
         raise EffectError(f"effect {request.name} needs two joints [i, j], got {list(request.joints)}")
     row, column = request.joints[0] - 1, request.joints[1] - 1
-    mixing = np.eye(6)
-    mixing[row, column] = request.number("coefficient")
-    return lambda plant: replace(plant, coupling=mixing @ plant.coupling)
+    coefficient = request.number("coefficient")
+
+    def apply(plant: Plant) -> Plant:
+        mixing = np.eye(plant.axes)
+        mixing[row, column] = coefficient
+        return replace(plant, coupling=mixing @ plant.coupling)
+
+    return apply
 
 
 def sign_reversed(request: Request) -> Transform:

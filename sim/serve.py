@@ -40,7 +40,8 @@ def serve(cell_path: Path, options: ServeOptions, say: Callable[[str], None]) ->
     reader.start()
     buses = ", ".join(f"{bus.interface}:{bus.channel}" for bus in simulation.specs.values())
     loads = ", ".join(simulation.loads) or "none given"
-    say(f"{READY}: {6 * len(simulation.arms)} drives of cell {simulation.cell.name} on {buses}; loads: {loads}")
+    count = sum(len(arm.drives) for arm in simulation.arms)
+    say(f"{READY}: {count} drives of cell {simulation.cell.name} on {buses}; loads: {loads}")
     try:
         simulation.run()
     finally:

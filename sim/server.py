@@ -39,13 +39,13 @@ OLDEST_FRAME_S = 5.0
 
 
 class ArmUnit:
-    """One arm: its physics and its six drives.
+    """One arm: its physics and its drives.
 
     Attributes
     ----------
     name : of the arm
     world : physics
-    drives : six, in the order of the cell's axes
+    drives : in the order of the cell's axes
     instruments : measuring devices on the same bus
     """
 
@@ -59,7 +59,7 @@ class ArmUnit:
         self._rest_s = 0.0
         self.send: Callable[[can.Message], None] = lambda _message: None
         self.instruments: list[FakeMeasuringDevice] = []
-        coupled = not np.array_equal(arm.coupling, np.eye(6))
+        coupled = not np.array_equal(arm.coupling, np.eye(len(arm.axes)))
         self.drives = [
             FakeDrive(
                 DriveSite(arm.axes[axis].node_id, arm.axes[joint], sync_period_s, not coupled),

@@ -27,8 +27,8 @@ def servo_loops(arm: ArmSpec, masses: Sequence[Array], rotor_kg_m2: Array) -> li
     Parameters
     ----------
     arm : for the limits of the axes
-    masses : mass matrices (6, 6) in several postures, motor side of a coupling
-    rotor_kg_m2 : (6,) at the gear output
+    masses : mass matrices (N, N) in several postures, motor side of a coupling
+    rotor_kg_m2 : (N,) at the gear output
     """
     rotor = rotor_kg_m2.tolist()
     inertia = (np.max([np.diag(mass) for mass in masses], axis=0) + rotor).tolist()
@@ -43,20 +43,20 @@ def servo_loops(arm: ArmSpec, masses: Sequence[Array], rotor_kg_m2: Array) -> li
 
 
 def coupling(masses: Sequence[Array], rotor_kg_m2: Array) -> tuple[Array, Array]:
-    """Stiffness (6,) [Nm/rad] and damping (6,) [Nm s/rad] whose fastest mode with the links stays stable.
+    """Stiffness (N,) [Nm/rad] and damping (N,) [Nm s/rad] whose fastest mode with the links stays stable.
 
     Parameters
     ----------
-    masses : mass matrices (6, 6) in several postures, motor side of a coupling
-    rotor_kg_m2 : (6,) at the gear output
+    masses : mass matrices (N, N) in several postures, motor side of a coupling
+    rotor_kg_m2 : (N,) at the gear output
     """
     link = np.min([1.0 / np.diag(np.linalg.inv(mass)) for mass in masses], axis=0)
     reduced = 1.0 / (1.0 / rotor_kg_m2 + 1.0 / link)
     shape = np.block([[np.diag(reduced), -np.diag(reduced)], [-np.diag(reduced), np.diag(reduced)]])
-    fastest = 0.0
+    axes, fastest = len(rotor_kg_m2), 0.0
     for mass in masses:
-        inverse = np.zeros((12, 12))
-        inverse[:6, :6], inverse[6:, 6:] = np.diag(1.0 / rotor_kg_m2), np.linalg.inv(mass)
+        inverse = np.zeros_like(shape)
+        inverse[:axes, :axes], inverse[axes:, axes:] = np.diag(1.0 / rotor_kg_m2), np.linalg.inv(mass)
         fastest = max(fastest, float(np.max(np.linalg.eigvals(inverse @ shape).real)))
     frequency = COUPLING_PHASE / TICK_S / np.sqrt(fastest)
     return reduced * frequency**2, 2.0 * COUPLING_DAMPING * reduced * frequency

@@ -1,4 +1,4 @@
-"""URDF of a six-axis arm: read into arrays, written from arrays.
+"""URDF of an arm: read into arrays, written from arrays.
 
 The reader keeps what a simulator needs: where the joints sit, their axes and limits, and the inertials. Links that
 hang on fixed joints are merged into the moving link that carries them. The writer gives every link its inertia on
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+FEWEST_AXES, MOST_AXES = 2, 8
 
 
 class UrdfError(ValueError):
@@ -33,15 +34,15 @@ class SimBody:
 
 @dataclass(frozen=True, slots=True)
 class SimChain:
-    """Six revolute joints in a chain.
+    """Revolute joints in a chain, two to eight.
 
     Attributes
     ----------
     name : robot name
-    placement : (6, 4, 4) parent link frame -> joint frame at angle 0
-    axis : (6, 3) unit axis of rotation in the joint frame
-    bodies : six inertials in link frames, None where the file gives none
-    lower_rad, upper_rad, effort_nm, velocity_rad_s : (6,) limits of the file
+    placement : (N, 4, 4) parent link frame -> joint frame at angle 0
+    axis : (N, 3) unit axis of rotation in the joint frame
+    bodies : inertials in link frames, None where the file gives none
+    lower_rad, upper_rad, effort_nm, velocity_rad_s : (N,) limits of the file
     """
 
     name: str
@@ -92,11 +93,11 @@ def combine(first: SimBody, second: SimBody) -> SimBody:
 
 
 def read_chain(text: str, where: str) -> SimChain:
-    """Read a URDF of six revolute joints in a chain.
+    """Read a URDF of two to eight revolute joints in a chain.
 
     Raises
     ------
-    UrdfError : not XML, not a chain of six revolute joints, or a number that is none
+    UrdfError : not XML, not a chain of two to eight revolute joints, or a number that is none
     """
     try:
         robot = ElementTree.fromstring(text)
@@ -140,8 +141,8 @@ def _chain(robot: ElementTree.Element, where: str) -> SimChain:
                 stack.append((_ref(joint, "child"), np.eye(4), len(found) - 1))
             else:
                 raise UrdfError(f"{where}: joint '{joint.attrib['name']}' is {joint.attrib['type']}, not revolute")
-    if len(found) != 6:
-        raise UrdfError(f"{where}: {len(found)} revolute joints, six are needed")
+    if not FEWEST_AXES <= len(found) <= MOST_AXES:
+        raise UrdfError(f"{where}: {len(found)} revolute joints, {FEWEST_AXES} to {MOST_AXES} are needed")
     limits = np.array([_limits(joint) for joint, _ in found])
     return SimChain(
         name=robot.attrib.get("name", "robot"),

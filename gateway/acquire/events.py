@@ -43,7 +43,7 @@ class VisitDone:
 
     Attributes
     ----------
-    torque_nm, torque_std_nm : tuples of 6 floats
+    torque_nm, torque_std_nm : tuples of floats, one per axis
         Mean and standard deviation of the joint torque, efficiency not applied.
     """
 
@@ -63,7 +63,7 @@ class PoseDone:
 
     Attributes
     ----------
-    gravity_nm, friction_band_nm : tuples of 6 floats
+    gravity_nm, friction_band_nm : tuples of floats, one per axis
         Half the sum and half the difference of the two sides, each with the gear efficiency of its direction.
     """
 

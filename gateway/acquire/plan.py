@@ -89,9 +89,9 @@ class Expectation:
     ----------
     mass_std_kg : float
     com_std_m : tuple of 3 floats
-        Of the centre of gravity in link 6, for `reference_load_kg`.
+        Of the centre of gravity in the last link, for `reference_load_kg`.
     reference_load_kg : float
-    noise_nm : tuple of 6 floats
+    noise_nm : tuple of floats, one per axis
         Standard deviation of a two-sided joint torque that was put in.
     noise_source : str
     """
@@ -113,7 +113,7 @@ class Plan:
     poses : tuple of RestPose
         All poses, in the order of their numbers.
     settings : VisitSettings
-    start_rad : tuple of 6 floats or None
+    start_rad : tuple of floats, one per axis or None
         Where the arm stands at the start; None = not known yet, the plan starts at its first point.
     steps : tuple of Step
     duration_s : float
@@ -153,7 +153,7 @@ def plan_from(plan: Plan, workspace: Workspace, start_rad: np.ndarray, done: Seq
     ----------
     plan : Plan
     workspace : Workspace
-    start_rad : array of shape (6,)
+    start_rad : array of shape (N,)
     done : sequence of (pose, direction)
 
     Raises
@@ -310,8 +310,9 @@ def _check_inwards(workspace: Workspace, step: MoveInwards, start: np.ndarray | 
 
 
 def _check_motion(workspace: Workspace, start: np.ndarray, target: np.ndarray, where: str) -> None:
-    if target.shape != (6,) or not np.isfinite(target).all():
-        raise PlanRefused(f"{where}: a target of six finite joint angles is needed, got {angles(target)}")
+    axes = workspace.robot.axes
+    if target.shape != (axes,) or not np.isfinite(target).all():
+        raise PlanRefused(f"{where}: a target of {axes} finite joint angles is needed, got {angles(target)}")
     reason = workspace.why_not_path(np.array([start, target]))
     if reason is not None:
         raise PlanRefused(f"{where}: {reason}")

@@ -55,7 +55,7 @@ def make_plan(loaded: LoadedCell, n_poses: int | None = None, seed: int | None =
     workspace = workspace_of(config, arm_robot(loaded, config))
     poses = loaded.cell.poses
     if poses.file is not None:
-        return plan_of_poses(loaded, config, workspace, read_poses(loaded.path(poses.file)))
+        return plan_of_poses(loaded, config, workspace, read_poses(loaded.path(poses.file), workspace.robot.axes))
     request = PoseRequest(
         count=poses.count if n_poses is None else n_poses,
         validation=poses.validation,
@@ -128,7 +128,7 @@ def expectation(
     ----------
     workspace : Workspace
     poses : sequence of RestPose
-    noise_nm : array of shape (6,)
+    noise_nm : array of shape (N,)
         Standard deviation of a two-sided joint torque.
     noise_source : str
 
@@ -137,7 +137,7 @@ def expectation(
     PlanRefused
         The poses do not tell mass and centre of gravity apart.
     """
-    q_rad = np.array([pose.q_rad for pose in poses]).reshape(-1, 6)
+    q_rad = np.array([pose.q_rad for pose in poses]).reshape(-1, workspace.robot.axes)
     information = payload_information(workspace.robot, q_rad, noise_nm, workspace.gravity_m_s2).sum(axis=0)
     mass_kg, com_m = reference_load(workspace, q_rad)
     mass_std_kg, com_std_m = expected_std(information, mass_kg, com_m)

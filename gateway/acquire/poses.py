@@ -1,7 +1,7 @@
 """Choice of rest poses: D-optimal for the load's mass and first moment, drawn from random feasible postures.
 
 Measured bare and loaded at the same poses, a pose adds L' W L / 2 to the information on [m, h], L the load's columns of
-the six axes and W the inverse variances. Greedy choice, then exchange until nothing improves. Near-copies of a pose
+all axes and W the inverse variances. Greedy choice, then exchange until nothing improves. Near-copies of a pose
 share their friction and add less than they promise: poses keep a distance, and a small weight on the information about
 the links spreads them.
 """
@@ -16,7 +16,7 @@ import numpy as np
 from gateway.data.csv_text import read_columns
 from gateway.data.rest_pose import RestPose
 from gateway.errors import InputError, PlanRefused
-from gateway.model.regressor import gravity_regressor
+from gateway.model.regressor import LOAD_COLUMNS, gravity_regressor
 from gateway.motion.workspace import BAND_SHARE, Workspace
 
 #: What a two-sided approach leaves of the friction band, until a recording has measured it.
@@ -55,7 +55,7 @@ class PoseRequest:
 
 
 def assumed_noise_nm(workspace: Workspace) -> np.ndarray:
-    """Standard deviation (6,) of a two-sided joint torque before any was measured: a share of the torque limit."""
+    """Standard deviation (N,) of a two-sided joint torque before any was measured: a share of the torque limit."""
     return BAND_SHARE * LEFT_SHARE * workspace.torque_nm
 
 
@@ -66,7 +66,7 @@ def choose_poses(workspace: Workspace, request: PoseRequest, noise_nm: np.ndarra
     ----------
     workspace : Workspace
     request : PoseRequest
-    noise_nm : array of shape (6,)
+    noise_nm : array of shape (N,)
         Standard deviation of a two-sided joint torque.
 
     Raises
@@ -86,7 +86,7 @@ def choose_poses(workspace: Workspace, request: PoseRequest, noise_nm: np.ndarra
 
 
 def feasible_postures(workspace: Workspace, request: PoseRequest, random: np.random.Generator) -> np.ndarray:
-    """Random postures (n, 6) whose approach from both sides is feasible; full turns of a joint are drawn once.
+    """Random postures (n, N) whose approach from both sides is feasible; full turns of a joint are drawn once.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def feasible_postures(workspace: Workspace, request: PoseRequest, random: np.ran
     offset = request.approach_offset_rad
     drawn, found, n_found = [], [], 0
     for _ in range(DRAWS):
-        q = middle + half * random.uniform(-1, 1, (CANDIDATES, 6))
+        q = middle + half * random.uniform(-1, 1, (CANDIDATES, workspace.robot.axes))
         good = workspace.feasible(q, request.margin_rad, workspace.rest_share)
         good[good] = workspace.path_clear(q[good] + offset, q[good] - offset)
         drawn.append(q)
@@ -122,7 +122,7 @@ def feasible_postures(workspace: Workspace, request: PoseRequest, random: np.ran
 def _d_optimal(workspace: Workspace, candidates: np.ndarray, count: int, noise_nm: np.ndarray) -> list[int]:
     rows = gravity_regressor(workspace.robot, candidates, workspace.gravity_m_s2) / noise_nm[:, None]
     links = rows * (1.0 / np.maximum(np.abs(rows).max(axis=(0, 1)), 1e-12))
-    load = rows[:, :, 20:24] / np.abs(rows[:, :, 20:24]).max(axis=(0, 1))
+    load = rows[:, :, LOAD_COLUMNS] / np.abs(rows[:, :, LOAD_COLUMNS]).max(axis=(0, 1))
     designs = ((load, 1.0), (links, LINK_WEIGHT))
     near = _near(candidates)
     chosen: list[int] = []
@@ -148,7 +148,7 @@ def _gain(designs: tuple[tuple[np.ndarray, float], ...], chosen: list[int]) -> n
     for rows, weight in designs:
         information = 1e-4 * np.eye(rows.shape[2]) + np.einsum("nij,nik->jk", rows[chosen], rows[chosen])
         spread = rows @ np.linalg.solve(information, rows.transpose(0, 2, 1))
-        total += weight * np.linalg.slogdet(np.eye(6) + spread)[1]
+        total += weight * np.linalg.slogdet(np.eye(rows.shape[1]) + spread)[1]
     return total
 
 
@@ -182,16 +182,18 @@ def _apart(candidates: np.ndarray, chosen: list[int], count: int) -> list[int]:
     return found
 
 
-def read_poses(path: Path) -> tuple[RestPose, ...]:
-    """Poses from a CSV file: `pose`, `q1_rad` .. `q6_rad`, and `x_validation` (0 or 1) if some are to judge on.
+def read_poses(path: Path, axes: int) -> tuple[RestPose, ...]:
+    """Poses of an arm of so many axes from a CSV file: `pose`, `q1_rad` .., and `x_validation` (0 or 1) if some judge.
 
     Raises
     ------
     InputError
-        With file and line: missing or unknown column, cell that is no number, pose given twice.
+        With file and line: missing or unknown column, too many axes, cell that is no number, pose given twice.
     """
     columns = read_columns(path)
-    names = ["pose", *(f"q{i}_rad" for i in range(1, 7))]
+    if columns.axes > axes:
+        raise InputError(f"{path}:1: columns of {columns.axes} axes, and the arm has {axes}")
+    names = ["pose", *(f"q{i}_rad" for i in range(1, axes + 1))]
     for name in names:
         if name not in columns.values:
             raise InputError(f"{path}:1: column '{name}' is missing")

@@ -45,7 +45,7 @@ def find_route(
     ----------
     workspace : Workspace
     poses : sequence of RestPose
-    start_rad : array of shape (6,) or None
+    start_rad : array of shape (N,) or None
         Where the arm stands; None = anywhere.
     approach_offset_rad : float
     """
@@ -75,7 +75,7 @@ def _paths(
     via: list[list[tuple[tuple[float, ...], ...]]] = [[() for _ in entries] for _ in exits]
     pairs = [(a, b) for a in range(len(exits)) for b in range(len(entries)) if a != b]
     clear = workspace.path_clear(exits[[a for a, _ in pairs]], entries[[b for _, b in pairs]])
-    points = _via_points(workspace) if not clear.all() else np.empty((0, 6))
+    points = _via_points(workspace) if not clear.all() else np.empty((0, workspace.robot.axes))
     for (a, b), is_clear in zip(pairs, clear, strict=True):
         if not is_clear:
             point = _one_point_between(workspace, exits[a], entries[b], points)
@@ -88,7 +88,7 @@ def _paths(
 
 def _via_points(workspace: Workspace) -> np.ndarray:
     random = np.random.default_rng(VIA_SEED)
-    q = random.uniform(workspace.lower_rad, workspace.upper_rad, (4 * VIA_POINTS, 6))
+    q = random.uniform(workspace.lower_rad, workspace.upper_rad, (4 * VIA_POINTS, workspace.robot.axes))
     q = np.vstack([(workspace.lower_rad + workspace.upper_rad) / 2, q])
     return q[workspace.feasible(q)][:VIA_POINTS]
 

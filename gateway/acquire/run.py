@@ -166,7 +166,7 @@ class Run:
         self._slower = 1.0 / station.options.override
         self._step = -1
         self._settle_s: dict[int, float] = {}
-        self._direction = np.zeros(6, dtype=np.int8)
+        self._direction = np.zeros(self._workspace.robot.axes, dtype=np.int8)
         self._first_side: Visit | None = None
         self._settled_s = 0.0
 

@@ -80,7 +80,7 @@ class RecordingSummary:
         Visits that were there already.
     incomplete_epochs : int
         SYNCs that were taken again while sampling.
-    friction_band_nm : tuple of 6 floats
+    friction_band_nm : tuple of floats, one per axis
         Median over the poses of half the difference of both sides; NaN if no pose was measured from both.
     statistics : dict
         Of the bus.
@@ -137,7 +137,7 @@ def record(
     wanted = {(pose.number, side) for pose in plan.poses for side in (-1, 1)}
     done = () if stored is None else tuple(wanted.intersection(stored.done(request.load)))
     writer = VisitQueue(request.path, _header(opened), _arm_header(opened, poses), earlier)
-    tally = _Tally()
+    tally = _Tally(len(opened.config.axis))
     try:
         if len(done) < len(wanted):
             heard = (tally, *listeners)
@@ -264,8 +264,9 @@ class _Queued:
 class _Tally:
     """Counts what a run adds."""
 
-    def __init__(self) -> None:
+    def __init__(self, axes: int) -> None:
         self.visits = self.incomplete = 0
+        self._axes = axes
         self._bands: list[tuple[float, ...]] = []
 
     def __call__(self, event: Event) -> None:
@@ -276,7 +277,7 @@ class _Tally:
             self._bands.append(event.friction_band_nm)
 
     def band_nm(self) -> tuple[float, ...]:
-        return tuple(np.median(self._bands, axis=0).tolist()) if self._bands else (float("nan"),) * 6
+        return tuple(np.median(self._bands, axis=0).tolist()) if self._bands else (float("nan"),) * self._axes
 
 
 def _plain(value: Any) -> Any:

@@ -29,7 +29,7 @@ class SettleTest:
     ----------
     period_s : float
         SYNC period.
-    torque_limit_nm : array of shape (6,)
+    torque_limit_nm : array of shape (N,)
         Sets the floor below which torque differences do not matter.
     """
 
@@ -41,18 +41,18 @@ class SettleTest:
         self._rows: deque[np.ndarray] = deque(maxlen=WINDOWS * self.window)
 
     def add(self, q_rad: np.ndarray, torque_nm: np.ndarray) -> None:
-        """Take in one complete sample, (6,) each."""
+        """Take in one complete sample, (N,) each."""
         self._rows.append(np.concatenate([q_rad, torque_nm]))
 
     def restless(self) -> np.ndarray | None:
-        """Joints that do not stand yet: bool array of shape (6,); None = too few samples to tell."""
+        """Joints that do not stand yet: bool array of shape (N,); None = too few samples to tell."""
         if len(self._rows) < WINDOWS * self.window:
             return None
-        rows = np.array(self._rows)
+        axes, rows = len(self._floor_nm), np.array(self._rows)
         noise = np.sqrt((np.diff(rows, axis=0) ** 2).mean(axis=0) / 2.0)
-        way = np.ptp(rows[-self.window :, :6], axis=0)
-        moved = way > POSITION_FLOOR_RAD + 2.0 * SIGMAS * noise[:6]
-        drift = np.ptp(rows[:, 6:].reshape(WINDOWS, self.window, 6).mean(axis=1), axis=0)
-        allowed = self._floor_nm + SIGMAS * np.sqrt(2.0 / self.window) * noise[6:]
+        way = np.ptp(rows[-self.window :, :axes], axis=0)
+        moved = way > POSITION_FLOOR_RAD + 2.0 * SIGMAS * noise[:axes]
+        drift = np.ptp(rows[:, axes:].reshape(WINDOWS, self.window, axes).mean(axis=1), axis=0)
+        allowed = self._floor_nm + SIGMAS * np.sqrt(2.0 / self.window) * noise[axes:]
         self.worst = int(np.argmax(way * moved if moved.any() else drift / allowed))
         return moved | (drift > allowed)

@@ -31,8 +31,9 @@ from gateway.motion.workspace import Workspace
 from gateway.preflight.look_over import LOAD_LIMIT_PERCENT
 from gateway.preflight.rules import Axis, CheckItem
 
-#: Displacement of each axis [rad]: the wrist sees little gravity and reaches little.
-STEPS_RAD: Final = (0.15, 0.15, 0.15, 0.3, 0.3, 0.3)
+#: Displacement of an axis [rad] of the first three at least, and of the last three beyond them: the wrist sees little
+#: gravity and reaches little.
+STEP_RAD, WRIST_STEP_RAD, WRIST_AXES = 0.15, 0.3, 3
 APPROACH_RAD: Final = 0.03
 SPEED_RAD_S: Final = 0.05
 SAMPLES: Final = 20
@@ -64,7 +65,7 @@ def plan_moves(arm: str, workspace: Workspace, start_rad: np.ndarray, period_s: 
     ----------
     arm : str
     workspace : Workspace
-    start_rad : array of shape (6,)
+    start_rad : array of shape (N,)
     period_s : float
         SYNC period.
 
@@ -78,7 +79,7 @@ def plan_moves(arm: str, workspace: Workspace, start_rad: np.ndarray, period_s: 
         raise PlanRefused(f"arm '{arm}' stands where it may not move: {reason}; move it clear by hand")
     inward = np.where(start_rad > (workspace.lower_rad + workspace.upper_rad) / 2, -1.0, 1.0)
     poses = [RestPose(1, _tuple(start_rad), "fit")]
-    for joint in range(6):
+    for joint in range(workspace.robot.axes):
         poses.append(RestPose(joint + 2, _displaced(arm, workspace, start_rad, joint, float(inward[joint])), "fit"))
     plan, unreachable = plan_poses(arm, workspace, poses, _settings(period_s))
     if unreachable:
@@ -88,16 +89,22 @@ def plan_moves(arm: str, workspace: Workspace, start_rad: np.ndarray, period_s: 
 
 def _displaced(arm: str, workspace: Workspace, start_rad: np.ndarray, joint: int, inward: float) -> tuple[float, ...]:
     """The axis displaced inward or else outward, the approach to both sides included."""
-    for step in (inward * STEPS_RAD[joint], -inward * STEPS_RAD[joint]):
+    size = step_rad(joint, workspace.robot.axes)
+    for step in (inward * size, -inward * size):
         target = start_rad.copy()
         target[joint] += step
         ends = np.array([target + APPROACH_RAD, target - APPROACH_RAD])
         if workspace.path_clear(np.array([start_rad, start_rad]), ends).all():
             return _tuple(target)
     raise PlanRefused(
-        f"arm '{arm}', joint {joint + 1}: no room for {STEPS_RAD[joint]} rad to either side; bring the arm to a "
+        f"arm '{arm}', joint {joint + 1}: no room for {size} rad to either side; bring the arm to a "
         "posture away from limits and keep_out boxes"
     )
+
+
+def step_rad(joint: int, axes: int) -> float:
+    """Displacement [rad] of a joint, from 0, of an arm of so many axes."""
+    return WRIST_STEP_RAD if joint >= max(WRIST_AXES, axes - WRIST_AXES) else STEP_RAD
 
 
 def _tuple(q_rad: np.ndarray) -> tuple[float, ...]:
@@ -192,7 +199,7 @@ def wiring_items(arm: str, node_ids: Sequence[int], verdict: Verdict) -> list[Ch
     Parameters
     ----------
     arm : str
-    node_ids : sequence of 6 int
+    node_ids : sequence of int, one per axis
     verdict : Verdict
     """
     items = [_found(node_ids, wiring, verdict) for wiring in verdict.found]
@@ -203,7 +210,7 @@ def wiring_items(arm: str, node_ids: Sequence[int], verdict: Verdict) -> list[Ch
     changed = {joint for wiring in verdict.found for joint in wiring.joints}
     for joint, view in enumerate(verdict.axes, start=1):
         if joint not in changed:
-            items.append(_seen(joint, node_ids[joint - 1], view))
+            items.append(_seen(joint, node_ids, view))
     return items
 
 
@@ -250,8 +257,8 @@ def _or(rivals: Sequence[Wiring]) -> str:
     return f" (or {', '.join(words)}: not told apart here)"
 
 
-def _seen(joint: int, node_id: int, view: WiringView) -> CheckItem:
-    where = f"J{joint} node {node_id}"
+def _seen(joint: int, node_ids: Sequence[int], view: WiringView) -> CheckItem:
+    where = f"J{joint} node {node_ids[joint - 1]}"
     parts = [f"torque and position have the same sense (friction {view.band_nm:.2g} Nm)"]
     if abs(view.band_nm) < 3.0 * view.band_std_nm:
         parts = [f"friction of {view.band_nm:.2g} Nm is too small to show the sense of the torque"]
@@ -269,8 +276,8 @@ def _seen(joint: int, node_id: int, view: WiringView) -> CheckItem:
         return CheckItem("ok", where, "; ".join(parts))
     parts.append(f"gravity does not tell here: {', '.join(missing)}")
     advice = (
-        f"see that joint {joint} turned by {STEPS_RAD[joint - 1]} rad, in the model's positive sense when its angle "
-        "rose; or repeat with a load or in another posture"
+        f"see that joint {joint} turned by {step_rad(joint - 1, len(node_ids))} rad, in the model's positive sense "
+        "when its angle rose; or repeat with a load or in another posture"
     )
     severity = "info" if view.sign_seen and not view.swaps_unseen else "warn"
     return CheckItem(severity, where, "; ".join(parts), advice)

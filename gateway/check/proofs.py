@@ -1,6 +1,6 @@
 """Proofs that the drives stop on loss of the master, kept beside the write ledger and asked for before anything moves.
 
-A proof stands for these six drives (serial number, firmware), as they are set up, under this SYNC, behind these gears.
+A proof stands for these drives (serial number, firmware), as they are set up, under this SYNC, behind these gears.
 What changes any of it makes the proof void, and with it the knowledge that these drives have moved before.
 """
 

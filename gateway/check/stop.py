@@ -47,8 +47,8 @@ class StopProof:
     Attributes
     ----------
     arm : str
-    traces : tuple of 6 StopTrace
-    moved_rad, coast_rad : tuples of 6 floats
+    traces : tuple of StopTrace, one per axis
+    moved_rad, coast_rad : tuples of floats, one per axis
         Joint angle from the last heartbeat to rest, and from the last SYNC in OPERATION ENABLED to rest.
     items : tuple of CheckItem
     quick_stop : tuple of StopTrace
@@ -79,14 +79,14 @@ class StopProof:
 
 
 def slow_motion(arm: str, workspace: Workspace, start_rad: np.ndarray, consumer_s: float, period_s: float) -> Motion:
-    """A slow motion of all six joints that lasts longer than the heartbeat time, inside all limits.
+    """A slow motion of all joints that lasts longer than the heartbeat time, inside all limits.
 
     Parameters
     ----------
     arm : str
         Name, for messages.
     workspace : Workspace
-    start_rad : array of shape (6,)
+    start_rad : array of shape (N,)
         Where the arm stands.
     consumer_s : float
         Longest heartbeat time of the drives.
@@ -119,9 +119,10 @@ def _directions(workspace: Workspace, start_rad: np.ndarray) -> Iterator[np.ndar
     inward = np.where(start_rad > (workspace.lower_rad + workspace.upper_rad) / 2, -1.0, 1.0)
     yield inward
     yield -inward
-    flips = np.random.default_rng(0).permutation(62) + 1
+    axes = workspace.robot.axes
+    flips = np.random.default_rng(0).permutation(2**axes - 2) + 1
     for flip in flips:
-        yield np.where(flip >> np.arange(6) & 1, -inward, inward)
+        yield np.where(flip >> np.arange(axes) & 1, -inward, inward)
 
 
 def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof:
@@ -176,7 +177,7 @@ def _moving_slowly(opened: OpenArm, options: MoveOptions, motion: Motion) -> Gen
 
 
 def go_slowly(opened: OpenArm, options: MoveOptions, target_rad: np.ndarray) -> None:
-    """Bring the arm to joint positions (6,) [rad] at the speed of the proof, on the straight way if that is clear.
+    """Bring the arm to joint positions (N,) [rad] at the speed of the proof, on the straight way if that is clear.
 
     Raises
     ------

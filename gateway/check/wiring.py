@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.cell.conversion import AxisConversion
-from gateway.model.robot import AXES, Robot
+from gateway.model.robot import Robot
 
 Floats = NDArray[np.float64]
 
@@ -19,7 +19,7 @@ class Moves:
 
     Attributes
     ----------
-    motor_rad, motor_nm : arrays of shape (n, 2, 6)
+    motor_rad, motor_nm : arrays of shape (n, 2, N)
         By drive; first the approach with all joints decreasing, then increasing.
     """
 
@@ -37,7 +37,7 @@ class WiredArm:
     gravity_m_s2 : array of shape (3,)
     axes : AxisConversion
         As the cell file says.
-    torque_limit_nm : array of shape (6,)
+    torque_limit_nm : array of shape (N,)
     trust : float
         Relative standard deviation of the links' masses.
     load_kg : float
@@ -85,7 +85,8 @@ class Reading:
     @classmethod
     def stated(cls, axes: AxisConversion) -> Reading:
         """As the cell file says."""
-        return cls(np.arange(AXES), axes, np.ones(AXES), np.ones(AXES))
+        count = len(axes.ratio)
+        return cls(np.arange(count), axes, np.ones(count), np.ones(count))
 
     def with_wiring(self, wiring: Wiring) -> Reading:
         """The same with one more difference."""
@@ -95,7 +96,7 @@ class Reading:
             order[at] = order[at[::-1]]
             return replace(self, order=order)
         axes, torque, scale = self.axes, self.torque_factor.copy(), self.scale.copy()
-        signs = np.ones(AXES)
+        signs = np.ones_like(scale)
         signs[at] = -1.0
         if wiring.name in ("reversed", "position_reversed"):
             axes = replace(axes, position_sign=axes.position_sign * signs)
@@ -112,12 +113,12 @@ class Reading:
         return replace(self, axes=axes, torque_factor=torque, scale=scale)
 
     def joints(self, moves: Moves, stated: AxisConversion) -> tuple[Floats, Floats, Floats]:
-        """Joint angles, half sums of the two approaches, and half their difference along the motion, (n, 6) each.
+        """Joint angles, half sums of the two approaches, and half their difference along the motion, (n, N) each.
 
         The half difference is taken without the gear's efficiency: friction and gear losses both make it positive.
         """
         position, torque = moves.motor_rad[..., self.order], moves.motor_nm[..., self.order] / self.torque_factor
-        up = np.sign(self.axes.joint_velocity(stated.motor_velocity(np.ones(AXES))[self.order]))
+        up = np.sign(self.axes.joint_velocity(stated.motor_velocity(np.ones(len(self.order)))[self.order]))
         sides = [self.axes.joint_torque_by_direction(torque[:, side], sense * up) for side, sense in enumerate((-1, 1))]
         band = self.axes.joint_torque(torque[:, 1] - torque[:, 0]) / 2.0 * up
         return self.axes.joint_position(position.mean(axis=1)), (sides[0] + sides[1]) / 2.0, band

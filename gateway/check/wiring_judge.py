@@ -19,7 +19,7 @@ from scipy.special import logsumexp
 
 from gateway.check.wiring import Floats, Moves, Reading, WiredArm, Wiring
 from gateway.model.regressor import gravity_regressor
-from gateway.model.robot import AXES, link_lengths_m
+from gateway.model.robot import link_lengths_m
 
 #: A wiring is named when its evidence is better by this (natural logarithm), and seen when the others are worse by it.
 NAMED: Final = 12.0
@@ -82,7 +82,7 @@ class Verdict:
         What explains them nearly as well as the last one found.
     odds : float
         Natural logarithm of the evidence gained.
-    axes : tuple of 6 WiringView
+    axes : tuple of WiringView, one per axis
         Under what was found.
     misfit : float
         Root mean square of what is left over what is allowed for.
@@ -146,7 +146,7 @@ class _Evidence:
     def _free_columns(self, q: Floats, expected: Floats, measured: Floats) -> Iterator[Floats]:
         """Small errors that are no mistake, one column each: zeros of the encoders, offset and scale of each axis."""
         arm = self.arm
-        for joint in range(AXES):
+        for joint in range(arm.robot.axes):
             moved = q.copy()
             moved[:, joint] += STEP_RAD
             change = gravity_regressor(arm.robot, moved, arm.gravity_m_s2) @ self._mean - expected
@@ -190,7 +190,7 @@ def judge_wiring(arm: WiredArm, moves: Moves) -> Verdict:
         reading = reading.with_wiring(best)
         gained += best_value - value
         value = best_value
-    views = tuple(_view(evidence, reading, joint, value) for joint in range(1, AXES + 1))
+    views = tuple(_view(evidence, reading, joint, value) for joint in range(1, arm.robot.axes + 1))
     return Verdict(tuple(found), rivals, gained, views, evidence.misfit(reading))
 
 
@@ -209,22 +209,23 @@ def _bands(reading: Reading, arm: WiredArm, moves: Moves) -> tuple[Floats, Float
 
 
 def _scatter(band: Floats) -> Floats:
-    """Scatter (6,) of half differences (n, 6), by their median: gear losses differ where one axis was displaced."""
+    """Scatter (N,) of half differences (n, N), by their median: gear losses differ where one axis was displaced."""
     return np.median(np.abs(band - np.median(band, axis=0)), axis=0) * 1.4826
 
 
 def _scored(evidence: _Evidence, reading: Reading, parity: Sequence[int]) -> list[tuple[float, Wiring]]:
     """Evidence of every single difference that friction allows; where friction asks for one, of those alone."""
-    opposite = [joint for joint in range(1, AXES + 1) if parity[joint - 1] < 0]
+    joints = range(1, len(parity) + 1)
+    opposite = [joint for joint in joints if parity[joint - 1] < 0]
     names = ("torque_reversed", "position_reversed") if opposite else ("reversed",)
-    wirings = [Wiring(name, (joint,)) for joint in opposite or range(1, AXES + 1) for name in names]
-    pairs = itertools.combinations(range(1, AXES + 1), 2)
+    wirings = [Wiring(name, (joint,)) for joint in opposite or joints for name in names]
+    pairs = itertools.combinations(joints, 2)
     wirings += [Wiring("swapped", pair) for pair in pairs if not opposite or set(pair) <= set(opposite)]
     scored = [(evidence.of(reading.with_wiring(wiring)), wiring) for wiring in wirings]
     if opposite:
         return scored
     for name in ("gear_ratio", "torque_scale"):
-        for joint in range(1, AXES + 1):
+        for joint in joints:
             values, factor, _ = _factor(evidence, reading, name, joint)
             if not AGREES[0] < factor < AGREES[1]:
                 scored.append((values, Wiring(name, (joint,), factor)))
@@ -245,7 +246,7 @@ def _view(evidence: _Evidence, reading: Reading, joint: int, value: float) -> Wi
     _, factor, spread = _factor(evidence, reading, "gear_ratio", joint)
     unseen = tuple(
         other
-        for other in range(1, AXES + 1)
+        for other in range(1, evidence.arm.robot.axes + 1)
         if other != joint and value - evidence.of(reading.with_wiring(Wiring("swapped", (joint, other)))) < SEEN
     )
     band, band_std = _bands(reading, evidence.arm, evidence.moves)

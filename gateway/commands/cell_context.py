@@ -54,7 +54,7 @@ class CellContext:
         return open_bus(self.bus_spec(arm))
 
     def profiles(self, arm: ArmConfig) -> tuple[DriveProfile, ...]:
-        """Drive profiles of the six axes."""
+        """Drive profiles of the axes."""
         return tuple(setup.profile for setup in axis_setups(self.loaded, arm))
 
     def bus_load(self, arm: ArmConfig) -> CheckItem:

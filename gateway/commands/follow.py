@@ -20,11 +20,14 @@ from gateway.commands.options import (
     write_json,
 )
 from gateway.commands.outcome import fail_on_findings
+from gateway.errors import ConfigError
 
 if TYPE_CHECKING:
     from gateway.follow.job import Prepared
 
 FILE = click.Path(path_type=Path, dir_okay=False)
+#: A path, its law and its page have so many columns.
+FOLLOWED_AXES = 6
 QUANTITIES = (
     ("peak error [mrad]", "peak_rad", 1000.0),
     ("rms error [mrad]", "rms_rad", 1000.0),
@@ -76,6 +79,10 @@ def follow(
 
     context = open_cell(cell, bus_spec, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
+    if len(arm.axis) != FOLLOWED_AXES:
+        raise ConfigError(
+            f"arm '{arm.name}' has {len(arm.axis)} axes: a path is followed by arms of {FOLLOWED_AXES} axes only"
+        )
     prepared = prepare(context.loaded, arm, FollowRequest(path_file, load_file, label))
     session = session_of()
     _announce(prepared, session)
@@ -118,7 +125,7 @@ def _show(body: dict[str, Any], session: Session) -> None:
             [setting["name"], *(number(None if value is None else scale * value, 3) for value in setting[key])]
             for setting in body["settings"]
         ]
-        session.show(grid(title, ["setting", *axis_names(6)], rows))
+        session.show(grid(title, ["setting", *axis_names(FOLLOWED_AXES)], rows))
     if body["computing_s"]:
         median, p99 = (1e6 * body["computing_s"][key] for key in ("median", "p99"))
         session.show(f"both offsets of six axes: {median:.0f} us per SYNC, 99 % within {p99:.0f} us")

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
-from gateway.model.robot import AXES, Robot
+from gateway.model.robot import Robot
 
 Floats = NDArray[np.float64]
 PER_LINK = 10
@@ -27,9 +27,9 @@ class ArmDynamics:
     ----------
     robot : Robot
         Its geometry; the inertials are those of `parameters`.
-    parameters : array of shape (60,)
+    parameters : array of shape (10 N,)
         Per link [m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz] (kg, kg m, kg m2) about the origin and in the frame of
-        the link; a load counts to link 6.
+        the link; a load counts to the last link.
     gravity_m_s2 : array of shape (3,)
         In the base frame.
 
@@ -42,23 +42,28 @@ class ArmDynamics:
     __slots__ = ("_fall", "_links")
 
     def __init__(self, robot: Robot, parameters: ArrayLike, gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2) -> None:
-        phi = np.asarray(parameters, dtype=float).reshape(AXES, PER_LINK)
+        phi = np.asarray(parameters, dtype=float).reshape(robot.axes, PER_LINK)
         if not np.isfinite(phi).all():
             raise ValueError("inertial parameters must be finite")
         self._fall = tuple((-np.asarray(gravity_m_s2, dtype=float)).tolist())
-        self._links = tuple(_link_constants(robot, phi, number) for number in range(AXES))
+        self._links = tuple(_link_constants(robot, phi, number) for number in range(robot.axes))
+
+    @property
+    def axes(self) -> int:
+        """How many axes the arm has."""
+        return len(self._links)
 
     def torque(self, q: Sequence[float], qd: Sequence[float], qdd: Sequence[float]) -> list[float]:
         """Actuator torque, positive in +q, of one instant.
 
         Parameters
         ----------
-        q, qd, qdd : sequences of 6 floats
+        q, qd, qdd : sequences of floats, one per axis
             Joint positions [rad], velocities [rad/s], accelerations [rad/s2].
 
         Returns
         -------
-        list of 6 floats
+        list of floats, one per axis
             Nm; rotors, friction and gear losses are not in it.
         """
         wx = wy = wz = ux = uy = uz = 0.0  # angular velocity and acceleration
@@ -98,10 +103,10 @@ class ArmDynamics:
 
     def _backward(self, handed: list[tuple[float, ...]]) -> list[float]:
         """Sum the wrenches from the last link to the first; the torque is what each axis feels of its own."""
-        out = [0.0] * AXES
+        out = [0.0] * len(handed)
         fx = fy = fz = nx = ny = nz = 0.0
         links = self._links
-        for number in range(AXES - 1, -1, -1):
+        for number in range(len(handed) - 1, -1, -1):
             ox, oy, oz, kx, ky, kz, co, si = handed[number]
             fx += ox
             fy += oy

@@ -20,10 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.feedforward.dynamics import ArmDynamics
-from gateway.model.robot import AXES
 
 Floats = NDArray[np.float64]
-Six = list[float]
+PerAxis = list[float]
 
 #: Way at the gear output over which friction and gear losses build up from none [rad]; twice that turns them round.
 TURN_ROUND_RAD = 2e-5
@@ -62,22 +61,22 @@ class AxisTerms:
 
 
 class FeedforwardLaw:
-    """Both offsets of six axes.
+    """Both offsets of every axis.
 
     Parameters
     ----------
     dynamics : ArmDynamics
         Arm and load.
-    axes : sequence of 6 AxisTerms
-    coupling : array of shape (6, 6), optional
+    axes : sequence of AxisTerms, one per axis
+    coupling : array of shape (N, N), optional
         A of theta = A (q - q0); None = identity.
     """
 
     __slots__ = ("_axes", "_coupling", "_dynamics", "_limits", "_to_gear", "_velocity")
 
     def __init__(self, dynamics: ArmDynamics, axes: Sequence[AxisTerms], coupling: Floats | None = None) -> None:
-        if len(axes) != AXES:
-            raise ValueError(f"{AXES} axes are needed, got {len(axes)}")
+        if len(axes) != dynamics.axes:
+            raise ValueError(f"{dynamics.axes} axes are needed, got {len(axes)}")
         self._dynamics = dynamics
         self._limits = tuple(axis.limit_nm for axis in axes)
         self._velocity = tuple((1.0 - axis.velocity_share) * axis.position_sign * axis.ratio for axis in axes)
@@ -92,36 +91,36 @@ class FeedforwardLaw:
             )
             for axis in axes
         )
-        identity = coupling is None or np.array_equal(coupling, np.eye(AXES))
+        identity = coupling is None or np.array_equal(coupling, np.eye(len(axes)))
         self._coupling = None if coupling is None or identity else np.asarray(coupling, dtype=float)
         self._to_gear = None if self._coupling is None else np.linalg.inv(self._coupling).T
 
     @property
     def limits_nm(self) -> tuple[float, ...]:
-        """Largest torque offset (6,) [Nm], motor side."""
+        """Largest torque offset (N,) [Nm], motor side."""
         return self._limits
 
-    def sense(self, before: Six, way_rad: Six) -> Six:
-        """Sense (6,) of friction and gear losses after a way.
+    def sense(self, before: PerAxis, way_rad: PerAxis) -> PerAxis:
+        """Sense (N,) of friction and gear losses after a way.
 
         Parameters
         ----------
-        before : list of 6 floats
+        before : list of floats, one per axis
             Sense before it, each within -1 and 1; 0 = not known.
-        way_rad : list of 6 floats
+        way_rad : list of floats, one per axis
             Change of the joint positions.
         """
         way = way_rad if self._coupling is None else (self._coupling @ way_rad).tolist()
         return [max(-1.0, min(1.0, old + step / TURN_ROUND_RAD)) for old, step in zip(before, way, strict=True)]
 
-    def offsets(self, q: Six, qd: Six, qdd: Six, sense: Six) -> tuple[Six, Six]:
-        """Velocity offsets [rad/s] and torque offsets [Nm] (6,) each, motor side, not limited.
+    def offsets(self, q: PerAxis, qd: PerAxis, qdd: PerAxis, sense: PerAxis) -> tuple[PerAxis, PerAxis]:
+        """Velocity offsets [rad/s] and torque offsets [Nm] (N,) each, motor side, not limited.
 
         Parameters
         ----------
-        q, qd, qdd : lists of 6 floats
+        q, qd, qdd : lists of floats, one per axis
             Commanded joint positions [rad], velocities [rad/s], accelerations [rad/s2].
-        sense : list of 6 floats
+        sense : list of floats, one per axis
             Of friction and gear losses, see `sense`.
         """
         torque = self._dynamics.torque(q, qd, qdd)
@@ -141,5 +140,5 @@ class FeedforwardLaw:
     def excess(self, torque_nm: Sequence[float]) -> tuple[int, float] | None:
         """Axis (from 0) and offset [Nm] of the one that is furthest beyond its limit; None = all are within."""
         shares = [abs(value) / limit for value, limit in zip(torque_nm, self._limits, strict=True)]
-        worst = max(range(AXES), key=shares.__getitem__)
+        worst = max(range(len(shares)), key=shares.__getitem__)
         return (worst, torque_nm[worst]) if not shares[worst] <= 1.0 or math.isnan(shares[worst]) else None

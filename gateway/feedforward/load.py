@@ -26,16 +26,16 @@ FRAME = "link_6"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeedLoad:
-    """A rigid body on link 6.
+    """A rigid body on the last link.
 
     Attributes
     ----------
     label : str
     mass_kg : float
     com_m : array of shape (3,)
-        In link 6.
+        In the last link.
     inertia_kg_m2 : array of shape (3, 3)
-        About the centre of gravity, axes of link 6.
+        About the centre of gravity, axes of the last link.
     source, inertia_source : str
         Where mass and centre of gravity, and the inertia, come from.
     mass_std_kg : float
@@ -52,7 +52,7 @@ class FeedLoad:
 
     @property
     def parameters(self) -> Floats:
-        """[m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz] (10,) about the origin of link 6."""
+        """[m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz] (10,) about the origin of the last link."""
         return body_parameters(self.mass_kg, self.com_m, self.inertia_kg_m2)
 
     def scaled(self, factor: float) -> FeedLoad:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from gateway.cell.config import ArmConfig
 from gateway.errors import ConfigError
 from gateway.identify.links import body_parameters
-from gateway.model.robot import AXES, Robot, link_lengths_m
+from gateway.model.robot import Robot, link_lengths_m
 from gateway.result.result import Bare
 
 Floats = NDArray[np.float64]
@@ -17,7 +17,7 @@ LEAST_SHARE = 0.3
 
 
 def drawn_parameters(robot: Robot, arm: ArmConfig) -> Floats:
-    """Parameters (60,) of the links as the robot model gives them.
+    """Parameters (10 N,) of the links as the robot model gives them.
 
     Raises
     ------
@@ -30,12 +30,12 @@ def drawn_parameters(robot: Robot, arm: ArmConfig) -> Floats:
             'inertials = "prior:0.05" if the robot model holds plausible ones'
         )
     parameters = []
-    for number in range(AXES):
+    for number in range(robot.axes):
         values = [robot.mass_kg[number], *robot.com_m[number], *robot.inertia_kg_m2[number].ravel()]
         if not np.isfinite(values).all():
             raise ConfigError(
                 f"robot '{robot.name}', link {number + 1}: mass, centre of mass or inertia is not given; feedforward "
-                "needs all six links' inertials in the robot model"
+                "needs every link's inertials in the robot model"
             )
         parameters.append(body_parameters(values[0], robot.com_m[number], robot.inertia_kg_m2[number]))
     return np.concatenate(parameters)
@@ -50,7 +50,7 @@ def corrected_parameters(robot: Robot, drawn: Floats, bare: Bare, gravity_m_s2: 
     Parameters
     ----------
     robot : Robot
-    drawn : array of shape (60,)
+    drawn : array of shape (10 N,)
     bare : Bare
         Of a result: base gravity parameters.
     gravity_m_s2 : array of shape (3,)
@@ -58,7 +58,7 @@ def corrected_parameters(robot: Robot, drawn: Floats, bare: Bare, gravity_m_s2: 
 
     Returns
     -------
-    array of shape (60,) or None
+    array of shape (10 N,) or None
         None where the identification does not fit: another gravity or robot, not all of it known, or a link that would
         have to be lighter than a third of the drawing's.
     """
@@ -67,12 +67,12 @@ def corrected_parameters(robot: Robot, drawn: Floats, bare: Bare, gravity_m_s2: 
     combination, value = np.array(bare.combination, dtype=float), np.array(bare.value, dtype=float)
     if combination.ndim != 2 or not (np.isfinite(combination).all() and np.isfinite(value).all()):
         return None
-    bodies = drawn.reshape(AXES, 10)
+    bodies = drawn.reshape(robot.axes, 10)
     lengths = link_lengths_m(robot)
-    scale = (bodies[:, :1] * np.column_stack([np.ones(AXES), lengths, lengths, lengths])).ravel()
+    scale = (bodies[:, :1] * np.column_stack([np.ones(robot.axes), lengths, lengths, lengths])).ravel()
     wide = combination * scale
     change = scale * np.linalg.lstsq(wide, value - combination @ bodies[:, :4].ravel(), rcond=1e-9)[0]
-    moments = bodies[:, :4] + change.reshape(AXES, 4)
+    moments = bodies[:, :4] + change.reshape(robot.axes, 4)
     if (moments[:, 0] < LEAST_SHARE * bodies[:, 0]).any():
         return None
     return np.concatenate(

@@ -42,12 +42,12 @@ class AxisSources:
 def axis_terms(
     arm: ArmConfig, profiles: Sequence[DriveProfile], result: Result | None
 ) -> tuple[tuple[AxisTerms, ...], tuple[AxisSources, ...]]:
-    """Terms of the six axes from cell, profiles and, for friction the cell does not give, the rest poses' band.
+    """Terms of every axis from cell, profiles and, for friction the cell does not give, the rest poses' band.
 
     Parameters
     ----------
     arm : ArmConfig
-    profiles : sequence of 6 DriveProfile
+    profiles : sequence of DriveProfile, one per axis
     result : Result or None
         Its friction band stands for Coulomb friction.
 

@@ -1,4 +1,4 @@
-"""Six drives as one arm: joint set points out, one sample per SYNC in."""
+"""The drives of N axes as one arm: joint set points out, one sample per SYNC in."""
 
 from __future__ import annotations
 
@@ -12,14 +12,12 @@ from drives.epoch import Epoch
 from gateway.cell.conversion import AxisConversion
 from gateway.data.sample import ArmSample
 
-AXES = 6
-
 
 class ArmDrives(Protocol):
     """What an arm needs of its drives, on whatever fieldbus: CANopen satisfies it by `drives.group.DriveGroup`."""
 
     def positions_rad(self) -> Sequence[float]:
-        """Where the six motors stand, read while they are not enabled."""
+        """Where the motors stand, read while they are not enabled."""
         ...
 
     def enable(self, stop_asked: Callable[[], bool], /) -> Epoch:
@@ -79,7 +77,7 @@ class Arm:
         self._zero = axes.zero_offset_rad
 
     def where(self) -> np.ndarray:
-        """Joint positions (6,) [rad] of the arm in its brakes."""
+        """Joint positions (N,) [rad] of the arm in its brakes."""
         return self.axes.joint_position(np.array(self.drives.positions_rad()))
 
     def enable(self, stop_asked: Callable[[], bool] = lambda: False) -> ArmSample:
@@ -95,20 +93,20 @@ class Arm:
         self.drives.quick_stop()
 
     def sag_rad(self) -> np.ndarray:
-        """How far each joint (6,) [rad] has moved since the drives were disabled."""
+        """How far each joint (N,) [rad] has moved since the drives were disabled."""
         return self.axes.joint_bound(np.array(self.drives.sag_rad()))
 
     def command(
         self, q_rad: np.ndarray, ahead_rad: np.ndarray | None = None, offset_nm: np.ndarray | None = None
     ) -> Sequence[DriveCommand]:
-        """Drive targets of joint positions (6,) [rad].
+        """Drive targets of joint positions (N,) [rad].
 
         Parameters
         ----------
-        q_rad : array of shape (6,)
-        ahead_rad : array of shape (6,), optional
+        q_rad : array of shape (N,)
+        ahead_rad : array of shape (N,), optional
             Set point of the SYNC after, as far as it is known; for arms that are fed forward.
-        offset_nm : array of shape (6,), optional
+        offset_nm : array of shape (N,), optional
             Joint torque that the drives add to their own.
         """
         del ahead_rad

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gateway.cell.config import ArmConfig
 from gateway.model.capsule import Capsule, capsule_of
 from gateway.model.mesh import MeshError
-from gateway.model.robot import AXES, Robot, reach_m
+from gateway.model.robot import Robot, reach_m
 
 Floats = NDArray[np.float64]
 
@@ -51,19 +51,19 @@ class Body:
         return tuple(dict.fromkeys(self.part))
 
     def segments_m(self, frames: Floats) -> Floats:
-        """Ends (n, k, 2, 3) [m] of the segments in the base frame, from link frames (n, 6, 4, 4)."""
+        """Ends (n, k, 2, 3) [m] of the segments in the base frame, from link frames (n, N, 4, 4)."""
         of_link = frames[:, self.link]
         ends = np.stack([self.start_m, self.end_m], axis=1)
         return np.matmul(ends, of_link[:, :, :3, :3].transpose(0, 1, 3, 2)) + of_link[:, :, None, :3, 3]
 
     def levers_m(self, robot: Robot) -> Floats:
-        """Farthest (k, 6) [m] that a segment's points may lie from each joint axis, in any posture; 0 beyond the link.
+        """Farthest (k, N) [m] that a segment's points may lie from each joint axis, in any posture; 0 beyond the link.
 
         No point of a segment moves farther than these times the joints' turns.
         """
         steps = np.linalg.norm(robot.placement[:, :3, 3], axis=1)
         ends = np.stack([self.start_m, self.end_m], axis=1)
-        lever = np.zeros((len(self.link), AXES))
+        lever = np.zeros((len(self.link), robot.axes))
         for row, link in enumerate(self.link):
             length = float(np.linalg.norm(ends[row], axis=1).max())
             for joint in range(link):
@@ -81,12 +81,12 @@ def body_of(arm: ArmConfig, robot: Robot) -> Body:
     """
     parts: list[tuple[str, int, Capsule]] = []
     source: list[str] = []
-    for link in range(1, AXES):
+    for link in range(1, robot.axes):
         capsules, words = _link(arm, robot, link)
         parts += [(f"link {link + 1}", link, capsule) for capsule in capsules]
         source.append(words)
     capsules, words = _load(arm, robot)
-    parts += [("load", AXES - 1, capsule) for capsule in capsules]
+    parts += [("load", robot.axes - 1, capsule) for capsule in capsules]
     source.append(words)
     return Body(
         part=tuple(part for part, _, _ in parts),
@@ -125,7 +125,7 @@ def _link(arm: ArmConfig, robot: Robot, link: int) -> tuple[list[Capsule], str]:
 def _bone(robot: Robot, link: int, radius_m: float) -> Capsule:
     """Capsule from a link's joint to the next one, of the last link to the flange."""
     start = np.zeros(3)
-    end = robot.placement[link + 1, :3, 3] if link + 1 < AXES else _flange_m(robot)
+    end = robot.placement[link + 1, :3, 3] if link + 1 < robot.axes else _flange_m(robot)
     length = float(np.linalg.norm(end))
     if link == 1 and length > 0.0:
         start = min(radius_m / length, 1.0) * end
@@ -142,8 +142,8 @@ def _load(arm: ArmConfig, robot: Robot) -> tuple[list[Capsule], str]:
     if arm.load_radius_m is not None:
         radius, words = arm.load_radius_m, f"{arm.load_radius_m:g} m, arm.load_radius_m"
     elif arm.load_points_m:
-        radius, words = stated_radius_m(arm, robot, AXES - 1)
-        words = f"as link 6: {words}; give arm.load_radius_m"
+        radius, words = stated_radius_m(arm, robot, robot.axes - 1)
+        words = f"as link {robot.axes}: {words}; give arm.load_radius_m"
     else:
         radius, words = 0.0, "not stated, only the flange is kept out; give arm.load_points_m"
     return list(_star(flange, arm.load_points_m, radius)), words

@@ -47,12 +47,12 @@ class Contact:
         self._share = min(period_s / MEMORY_S, 1.0)
         self._limit = CONTACT_SHARE * workspace.torque_nm
         self._reversal = 1.0 / workspace.efficiency - workspace.efficiency
-        self._mean = np.zeros(6)
+        self._mean = np.zeros_like(self._limit)
         self._taking_over = int(np.ceil(TAKE_OVER_S / period_s))
         self._grace_syncs = int(np.ceil(LATE_GRACE_S / period_s))
         self._grace = 0
-        self._count = np.zeros(6, dtype=int)
-        self._side = np.zeros(6)
+        self._count = np.zeros(len(self._limit), dtype=int)
+        self._side = np.zeros_like(self._limit)
         self._from: tuple[np.ndarray, np.ndarray] | None = None
 
     def sync_was_late(self) -> None:
@@ -64,11 +64,11 @@ class Contact:
 
         Parameters
         ----------
-        q_rad : array of shape (6,)
+        q_rad : array of shape (N,)
             Measured.
-        torque_nm, modelled_nm : arrays of shape (6,)
+        torque_nm, modelled_nm : arrays of shape (N,)
             Joint side.
-        target_rad : array of shape (6,)
+        target_rad : array of shape (N,)
             What the drives had been told.
 
         Raises

@@ -34,12 +34,12 @@ def motor_ranges_rad(arm: ArmConfig) -> tuple[Range | None, ...]:
 
 
 def motor_torques_nm(axes: AxisConversion, joint_nm: np.ndarray | None) -> tuple[float | None, ...]:
-    """Motor torque [Nm] of each drive that covers torques (6,) [Nm] of either sign at the joints; None = not known.
+    """Motor torque [Nm] of each drive that covers torques (N,) [Nm] of either sign at the joints; None = not known.
 
     Parameters
     ----------
     axes : AxisConversion
-    joint_nm : array of shape (6,) or None
+    joint_nm : array of shape (N,) or None
         Largest torque of each joint, gear losses included.
     """
     if joint_nm is None:
@@ -50,13 +50,13 @@ def motor_torques_nm(axes: AxisConversion, joint_nm: np.ndarray | None) -> tuple
 def quick_stop_rad_s2(
     arm: ArmConfig, profiles: Sequence[DriveProfile], readings: Sequence[Readings]
 ) -> np.ndarray | None:
-    """Deceleration (6,) [rad/s2] of the joints by the drives' quick stop ramps; None where one of them is not known.
+    """Deceleration (N,) [rad/s2] of the joints by the drives' quick stop ramps; None where one of them is not known.
 
     Parameters
     ----------
     arm : ArmConfig
-    profiles : sequence of 6 DriveProfile
-    readings : sequence of 6 Readings
+    profiles : sequence of DriveProfile, one per axis
+    readings : sequence of Readings, one per axis
         Objects of each drive.
     """
     motor: list[float] = []

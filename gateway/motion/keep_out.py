@@ -66,7 +66,7 @@ def clearance_m(robot: Robot, body: Body, boxes_m: Floats, q_rad: Floats, enough
     body : Body
     boxes_m : array of shape (b, 2, 3)
         Lower and upper corners.
-    q_rad : array of shape (n, 6)
+    q_rad : array of shape (n, N)
     enough_m : array of shape (n, capsules), optional
         Where a bounding ball is clear by this, its clearance is given: a lower bound. 0 if left out.
 
@@ -83,7 +83,7 @@ def clearance_m(robot: Robot, body: Body, boxes_m: Floats, q_rad: Floats, enough
 
 
 def _clearance(body: Body, frames: Floats, boxes_m: Floats, enough_m: Floats | float) -> Floats:
-    """As `clearance_m`, at link frames (n, 6, 4, 4)."""
+    """As `clearance_m`, at link frames (n, N, 4, 4)."""
     low, high = boxes_m[:, 0] + BOX_TOLERANCE_M, boxes_m[:, 1] - BOX_TOLERANCE_M
     segments = body.segments_m(frames)
     middle = segments.mean(axis=2)[:, :, None]
@@ -109,7 +109,7 @@ def blocked_at(robot: Robot, body: Body, boxes_m: Floats, start_rad: Floats, end
     robot : Robot
     body : Body
     boxes_m : array of shape (b, 2, 3)
-    start_rad, end_rad : arrays of shape (n, 6)
+    start_rad, end_rad : arrays of shape (n, N)
 
     Returns
     -------

@@ -64,15 +64,15 @@ class OpenArm:
     config : ArmConfig
     robot_text : str
     workspace : Workspace
-    profiles : tuple of 6 DriveProfile
+    profiles : tuple of DriveProfile, one per axis
     group : DriveGroup
     arm : Arm
-    identities : tuple of 6 Identity
-    constants : tuple of 6 Constants
+    identities : tuple of Identity, one per axis
+    constants : tuple of Constants, one per axis
         Read from the drives.
     preflight : tuple of CheckItem
         What the drives were found to be before anything was written.
-    readings : tuple of 6 Readings
+    readings : tuple of Readings, one per axis
         Objects of each drive as the engineer left them, (index, subindex) -> value.
     """
 

@@ -11,18 +11,18 @@ PATH_STEP_RAD = 0.05
 
 
 def angles(q_rad: Sequence[float] | np.ndarray) -> str:
-    """A posture (6,) in words."""
+    """A posture (N,) in words."""
     return "[" + ", ".join(f"{value:.3f}" for value in q_rad) + "] rad"
 
 
 def path_points(start_rad: np.ndarray, end_rad: np.ndarray) -> np.ndarray:
-    """Points (k, 6) of a straight joint motion, at most `PATH_STEP_RAD` apart, both ends included."""
+    """Points (k, N) of a straight joint motion, at most `PATH_STEP_RAD` apart, both ends included."""
     way = np.array([start_rad, end_rad])
     return postures_at(way, fine_places(way))
 
 
 def fine_places(way_rad: np.ndarray) -> np.ndarray:
-    """Places (k,) in rows along a way (n, 6), at most `PATH_STEP_RAD` apart, all rows included."""
+    """Places (k,) in rows along a way (n, N), at most `PATH_STEP_RAD` apart, all rows included."""
     step = np.abs(np.diff(way_rad, axis=0)).max(axis=1)
     count = np.maximum(np.ceil(step / PATH_STEP_RAD), 1).astype(int)
     row = np.repeat(np.arange(len(count)), count)
@@ -31,7 +31,7 @@ def fine_places(way_rad: np.ndarray) -> np.ndarray:
 
 
 def postures_at(way_rad: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Postures (k, 6) at places in rows along a way (n, 6)."""
+    """Postures (k, N) at places in rows along a way (n, N)."""
     row = np.minimum(place.astype(int), max(len(way_rad) - 2, 0))
     share = (place - row)[:, None]
     return (1.0 - share) * way_rad[row] + share * way_rad[np.minimum(row + 1, len(way_rad) - 1)]

@@ -104,7 +104,7 @@ class Stream:
 
     Attributes
     ----------
-    q_rad : tuple of arrays of shape (6,)
+    q_rad : tuple of arrays of shape (N,)
         Last set points, one per arm.
     samples : tuple of ArmSample
         What was measured last.

@@ -13,7 +13,6 @@ from gateway.errors import ConfigError
 from gateway.feedforward.load import FeedLoad, assumed_load, rated_load
 from gateway.feedforward.parameters import drawn_parameters
 from gateway.model.regressor import regressor
-from gateway.model.robot import AXES
 from gateway.motion.workspace import BAND_SHARE, Workspace
 
 Floats = NDArray[np.float64]
@@ -27,7 +26,7 @@ SEED = 11
 
 
 def needed_torque_nm(workspace: Workspace, arm: ArmConfig, decel_rad_s2: Floats) -> Floats | None:
-    """Torque (6,) [Nm, joint side, gear losses included] that every axis needs at most, with a reserve.
+    """Torque (N,) [Nm, joint side, gear losses included] that every axis needs at most, with a reserve.
 
     1.3 x (largest gravity torque over the joint range, bare and with the rated and the heaviest load, over the gear's
     efficiency + friction band + what the quick stop of all axes at once needs: the row of the inertia matrix and the
@@ -38,12 +37,12 @@ def needed_torque_nm(workspace: Workspace, arm: ArmConfig, decel_rad_s2: Floats)
     workspace : Workspace
     arm : ArmConfig
         Loads, rotors and friction.
-    decel_rad_s2 : array of shape (6,)
+    decel_rad_s2 : array of shape (N,)
         Ramps of the quick stop at the joints.
 
     Returns
     -------
-    array of shape (6,) or None
+    array of shape (N,) or None
         None where the links, a rotor's inertia or the load that the arm may carry are not known.
     """
     bodies = _bodies(workspace, arm)
@@ -61,9 +60,9 @@ def needed_torque_nm(workspace: Workspace, arm: ArmConfig, decel_rad_s2: Floats)
         return np.abs(rows @ bodies).max(axis=2) / workspace.efficiency
 
     def stopping_nm(q_rad: Floats) -> Floats:
-        still, total = np.zeros_like(q_rad), np.zeros((len(q_rad), AXES, bodies.shape[1]))
+        still, total = np.zeros_like(q_rad), np.zeros((*q_rad.shape, bodies.shape[1]))
         for axis, deceleration in enumerate(decel_rad_s2):
-            turned = np.tile(np.eye(AXES)[axis] * deceleration, (len(q_rad), 1))
+            turned = np.tile(np.eye(len(decel_rad_s2))[axis] * deceleration, (len(q_rad), 1))
             total += np.abs(regressor(workspace.robot, q_rad, still, turned, np.zeros(3)) @ bodies)
         return total.max(axis=2)
 
@@ -74,7 +73,7 @@ def needed_torque_nm(workspace: Workspace, arm: ArmConfig, decel_rad_s2: Floats)
 
 
 def _bodies(workspace: Workspace, arm: ArmConfig) -> Floats | None:
-    """Link parameters (60, loads) bare and with every load the cell names; None where links or load are not known."""
+    """Link parameters (10 N, loads) bare and with every load the cell names; None where links or load are not known."""
     loads = list(_loads(workspace, arm))
     if workspace.links is None or not loads:
         return None
@@ -90,7 +89,7 @@ def _bodies(workspace: Workspace, arm: ArmConfig) -> Floats | None:
 
 
 def _loads(workspace: Workspace, arm: ArmConfig) -> Iterator[FeedLoad]:
-    """The rated and the heaviest load, as far as given: solid bodies with their centre of gravity in link 6."""
+    """The rated and the heaviest load, as far as given: solid bodies with their centre of gravity in the last link."""
     if arm.rated_load_kg is not None:
         yield rated_load(arm, workspace.robot)
     if workspace.max_load is not None:
@@ -99,19 +98,20 @@ def _loads(workspace: Workspace, arm: ArmConfig) -> Iterator[FeedLoad]:
 
 
 def _largest(torque_nm: Callable[[Floats], Floats], lower_rad: Floats, upper_rad: Floats) -> Floats:
-    """Largest torque (6,) over a range of postures, of a function of postures (n, 6) to torques (n, 6)."""
+    """Largest torque (N,) over a range of postures, of a function of postures (n, N) to torques (n, N)."""
     random = np.random.default_rng(SEED)
-    drawn = random.uniform(lower_rad, upper_rad, (POSTURES, AXES))
+    axes = len(lower_rad)
+    drawn = random.uniform(lower_rad, upper_rad, (POSTURES, axes))
     found = torque_nm(drawn)
     best = np.argsort(-found, axis=0)[:STARTS]
-    axis = np.tile(np.arange(AXES), STARTS)
+    axis = np.tile(np.arange(axes), STARTS)
     q_rad = drawn[best.ravel()]
     rows = np.arange(len(q_rad))
-    for sweep, joint in product(range(SWEEPS), range(AXES)):
+    for sweep, joint in product(range(SWEEPS), range(axes)):
         tried = np.repeat(q_rad[:, None], ANGLES + 1, axis=1)
         half = (upper_rad[joint] - lower_rad[joint]) / NARROWER**sweep
         around = q_rad[:, joint, None] + np.linspace(-half, half, ANGLES)
         tried[:, :-1, joint] = np.clip(around, lower_rad[joint], upper_rad[joint])
-        value = torque_nm(tried.reshape(-1, AXES)).reshape(len(q_rad), ANGLES + 1, AXES)
+        value = torque_nm(tried.reshape(-1, axes)).reshape(len(q_rad), ANGLES + 1, axes)
         q_rad = tried[rows, np.argmax(value[rows, :, axis], axis=1)]
     return np.maximum(found.max(axis=0), torque_nm(q_rad).max(axis=0))

@@ -1,7 +1,7 @@
-"""Jerk-limited motions of six joints, sampled once per SYNC (ruckig).
+"""Jerk-limited motions of an arm's joints, sampled once per SYNC (ruckig).
 
 All joints share one time law along a straight line in joint space: what was checked as a line is what is driven, also
-while `pathclock` brakes on it. (Phase synchronisation of six separate time laws leaves the line where the joints'
+while `pathclock` brakes on it. (Phase synchronisation of a separate time law each leaves the line where the joints'
 limits differ.)
 """
 
@@ -15,14 +15,13 @@ import ruckig
 
 from gateway.errors import PlanRefused
 
-AXES = 6
 #: Speed [rad/s] or acceleration [rad/s2] that counts as none.
 STILL = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionLimits:
-    """Limits (6,) of a motion: speed [rad/s], acceleration [rad/s2], jerk [rad/s3]."""
+    """Limits (N,) of a motion: speed [rad/s], acceleration [rad/s2], jerk [rad/s3]."""
 
     speed_rad_s: np.ndarray
     acceleration_rad_s2: np.ndarray
@@ -35,7 +34,7 @@ class Motion:
 
     Attributes
     ----------
-    q_rad, qd_rad_s, qdd_rad_s2 : arrays of shape (n, 6)
+    q_rad, qd_rad_s, qdd_rad_s2 : arrays of shape (n, N)
     period_s : float
     """
 
@@ -59,7 +58,7 @@ def straight(start_rad: np.ndarray, target_rad: np.ndarray, limits: MotionLimits
 
     Parameters
     ----------
-    start_rad, target_rad : arrays of shape (6,)
+    start_rad, target_rad : arrays of shape (N,)
     limits : MotionLimits
     period_s : float
         SYNC period.
@@ -74,7 +73,7 @@ def straight(start_rad: np.ndarray, target_rad: np.ndarray, limits: MotionLimits
     if not np.isfinite(length):
         raise PlanRefused("a motion needs finite joint angles at both ends")
     if length <= STILL:
-        return _standing(period_s)
+        return _standing(len(way), period_s)
     line = way / length
     request = _along(line, limits)
     request.target_position = [length]
@@ -84,12 +83,12 @@ def straight(start_rad: np.ndarray, target_rad: np.ndarray, limits: MotionLimits
     return motion
 
 
-def _standing(period_s: float) -> Motion:
-    return Motion(np.empty((0, AXES)), np.empty((0, AXES)), np.empty((0, AXES)), period_s)
+def _standing(axes: int, period_s: float) -> Motion:
+    return Motion(np.empty((0, axes)), np.empty((0, axes)), np.empty((0, axes)), period_s)
 
 
 def _along(line: np.ndarray, limits: MotionLimits) -> Any:
-    """Request for the way along a line (6,): every joint's limits hold for its share of it."""
+    """Request for the way along a line (N,): every joint's limits hold for its share of it."""
     request = ruckig.InputParameter(1)
     request.current_position = [0.0]
     share = np.abs(line)

@@ -53,7 +53,7 @@ class Watch:
         speed = SPEED_TOLERANCE * workspace.speed_rad_s
         self._limits = np.array([workspace.following_error_rad, speed, workspace.torque_nm, half])
         self._half = half
-        self._count = np.zeros((4, 6), dtype=int)
+        self._count = np.zeros(self._limits.shape, dtype=int)
         self._counting = False
         self._target: np.ndarray | None = None
         self._late_syncs = late_syncs
@@ -63,12 +63,12 @@ class Watch:
         self._history: deque[tuple[float, np.ndarray]] = deque(maxlen=max(2, round(SPEED_SPAN_S / period_s) + 1))
 
     def start(self, q_rad: np.ndarray) -> None:
-        """Take over an arm that holds joints (6,) [rad]; a joint that stands outside its range may move inwards."""
+        """Take over an arm that holds joints (N,) [rad]; a joint that stands outside its range may move inwards."""
         away = np.abs(q_rad - self._middle) + POSITION_TOLERANCE_RAD
         self._limits[RANGE] = np.maximum(self._half, away)
 
     def modelled_torque(self, q_rad: np.ndarray) -> np.ndarray:
-        """Torque (n, 6) [Nm] that the bare arm's model asks for at positions (n, 6); 0 if the links are unknown."""
+        """Torque (n, N) [Nm] that the bare arm's model asks for at positions (n, N); 0 if the links are unknown."""
         links = self._workspace.links
         if links is None or not len(q_rad):
             return np.zeros_like(q_rad)
@@ -80,9 +80,9 @@ class Watch:
         Parameters
         ----------
         sample : ArmSample
-        target_rad : array of shape (6,)
+        target_rad : array of shape (N,)
             Joint positions that were sent with this SYNC.
-        modelled_nm : array of shape (6,)
+        modelled_nm : array of shape (N,)
             `modelled_torque` there.
 
         Raises

@@ -10,7 +10,7 @@ import numpy as np
 from gateway.data.sample import ArmSample
 from gateway.motion.trajectory import Motion
 
-#: One array of shape (6,) per arm.
+#: One array of shape (N,) per arm.
 PerArm = tuple[np.ndarray, ...]
 
 
@@ -52,7 +52,7 @@ class MotionWay:
 
     Parameters
     ----------
-    start_rad : arrays of shape (6,)
+    start_rad : arrays of shape (N,)
         Where the arms were last told to be.
     motions : sequence of Motion
         One per arm, all of the same length, each beginning at rest at its start and ending at rest.

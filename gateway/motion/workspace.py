@@ -8,7 +8,7 @@ import numpy as np
 
 from gateway.cell.config import ArmConfig
 from gateway.errors import ConfigError, PlanRefused
-from gateway.model.regressor import gravity_regressor
+from gateway.model.regressor import LOAD_COLUMNS, gravity_regressor
 from gateway.model.robot import Robot
 from gateway.motion.body import Body, body_of
 from gateway.motion.keep_out import PATH_RESOLUTION_M, blocked_at, clearance_m
@@ -38,7 +38,7 @@ class Refusal:
     ----------
     row : float
         Place on the way, in rows: 2.5 is halfway from the third to the fourth posture.
-    q_rad : array of shape (6,)
+    q_rad : array of shape (N,)
         Posture there.
     reason : str
     """
@@ -56,23 +56,23 @@ class Workspace:
     ----------
     robot : Robot
     gravity_m_s2 : array of shape (3,)
-    lower_rad, upper_rad : arrays of shape (6,)
+    lower_rad, upper_rad : arrays of shape (N,)
         The tighter of the cell's and the robot's own limits.
-    speed_rad_s, acceleration_rad_s2, jerk_rad_s3 : arrays of shape (6,)
-    torque_nm : array of shape (6,)
+    speed_rad_s, acceleration_rad_s2, jerk_rad_s3 : arrays of shape (N,)
+    torque_nm : array of shape (N,)
         Joint-side limit of what the motors give, gear losses not included.
-    efficiency : array of shape (6,)
-    following_error_rad : array of shape (6,)
+    efficiency : array of shape (N,)
+    following_error_rad : array of shape (N,)
     boxes_m : array of shape (k, 2, 3)
         Lower and upper corners of the keep-out boxes, base frame.
     points_m : array of shape (p, 3)
-        Points in link 6: the flange and the points of the load.
+        Points in the last link: the flange and the points of the load.
     body : Body
         Links beyond the first and load, as thick as they are: they stay out of the boxes.
-    links : array of shape (24,) or None
+    links : array of shape (4 N,) or None
         Mass and first moment of every link; None = not known, torque is then not checked.
     max_load : array of shape (4,) or None
-        Mass [kg] and first moment [kg m] of the heaviest load in link 6.
+        Mass [kg] and first moment [kg m] of the heaviest load in the last link.
     """
 
     robot: Robot
@@ -108,7 +108,7 @@ class Workspace:
 
         Parameters
         ----------
-        q_rad : array of shape (n, 6)
+        q_rad : array of shape (n, N)
         margin_rad : float
             Distance to keep from every joint limit.
         torque_share : float
@@ -126,14 +126,14 @@ class Workspace:
                 + (f" less {margin_rad:.3f} rad for the approach" if margin_rad else ""),
                 outside[:, i],
             )
-            for i in range(6)
+            for i in range(self.robot.axes)
         ]
         found += self._in_boxes(q_rad)
         torque = self.holding_torque(q_rad)
         if torque is not None:
             usable = self.torque_nm * torque_share
             words = "holding torque of joint {} above {:.0%} of its limit"
-            found += [(words.format(i + 1, torque_share), torque[:, i] > usable[i]) for i in range(6)]
+            found += [(words.format(i + 1, torque_share), torque[:, i] > usable[i]) for i in range(len(usable))]
         return found
 
     def _in_boxes(self, q_rad: np.ndarray) -> list[tuple[str, np.ndarray]]:
@@ -153,22 +153,22 @@ class Workspace:
         return ~np.any([mask for _, mask in self.violations(q_rad, margin_rad, torque_share)], axis=0)
 
     def why_not(self, q_rad: np.ndarray, torque_share: float = TORQUE_SHARE) -> str | None:
-        """First thing that stands against one posture (6,); None = feasible."""
+        """First thing that stands against one posture (N,); None = feasible."""
         found = self.violations(q_rad[None], torque_share=torque_share)
         return next((words for words, mask in found if mask[0]), None)
 
     def holding_torque(self, q_rad: np.ndarray) -> np.ndarray | None:
-        """Largest motor-driven torque (n, 6) [Nm] that holding the posture takes, bare or with the heaviest load."""
+        """Largest motor-driven torque (n, N) [Nm] that holding the posture takes, bare or with the heaviest load."""
         if self.links is None:
             return None
         rows = gravity_regressor(self.robot, q_rad, self.gravity_m_s2)
         torque = np.abs(rows @ self.links)
         if self.max_load is not None:
-            torque = np.maximum(torque, np.abs(rows @ self.links + rows[:, :, 20:24] @ self.max_load))
+            torque = np.maximum(torque, np.abs(rows @ self.links + rows[:, :, LOAD_COLUMNS] @ self.max_load))
         return torque / self.efficiency
 
     def path_clear(self, start_rad: np.ndarray, end_rad: np.ndarray) -> np.ndarray:
-        """Whether straight joint motions from start (n, 6) to end (n, 6) stay feasible: bool array of shape (n,).
+        """Whether straight joint motions from start (n, N) to end (n, N) stay feasible: bool array of shape (n,).
 
         Boxes and joint limits all along; the holding torque at points `PATH_STEP_RAD` apart.
         """
@@ -189,7 +189,7 @@ class Workspace:
         rows = np.flatnonzero(clear)
         ways = [path_points(start_rad[row], end_rad[row]) for row in rows]
         owner = np.repeat(rows, [len(way) for way in ways])
-        q_rad = np.concatenate([np.empty((0, 6)), *ways])
+        q_rad = np.concatenate([np.empty((0, self.robot.axes)), *ways])
         for first in range(0, len(q_rad), BLOCK):
             torque = self.holding_torque(q_rad[first : first + BLOCK])
             if torque is not None:
@@ -197,7 +197,7 @@ class Workspace:
                 clear[owner[first : first + BLOCK][over]] = False
 
     def refused_on(self, way_rad: np.ndarray) -> Refusal | None:
-        """First thing that stands against a way of postures (n, 6) with straight joint motions between them.
+        """First thing that stands against a way of postures (n, N) with straight joint motions between them.
 
         Boxes and joint limits are checked all along, the holding torque at points `PATH_STEP_RAD` apart.
         """
@@ -227,12 +227,12 @@ class Workspace:
         return Refusal(first, q_rad, self.why_not(q_rad) or TOO_CLOSE)
 
     def why_not_path(self, q_rad: np.ndarray) -> str | None:
-        """First thing that stands against a sampled way (n, 6), the posture included; None = feasible all along."""
+        """First thing that stands against a sampled way (n, N), the posture included; None = feasible all along."""
         refusal = self.refused_on(q_rad)
         return None if refusal is None else f"at {angles(refusal.q_rad)}: {refusal.reason}"
 
     def inward_way(self, q_rad: np.ndarray) -> np.ndarray | None:
-        """Nearest posture (6,) inside the joint range, for an arm that stands outside; None = it stands inside.
+        """Nearest posture (N,) inside the joint range, for an arm that stands outside; None = it stands inside.
 
         Joints outside move in, by `INWARD_MARGIN_RAD`, the others stand; the straight way there is checked.
 
@@ -264,7 +264,7 @@ class Workspace:
         return target
 
     def inward_speed_rad_s(self) -> np.ndarray:
-        """Speed (6,) of the way back into the joint range."""
+        """Speed (N,) of the way back into the joint range."""
         return np.minimum(INWARD_SHARE * self.speed_rad_s, INWARD_SPEED_RAD_S)
 
     def slowed(self, share: float) -> Workspace:
@@ -290,7 +290,7 @@ class Workspace:
         )
 
     def travel_time(self, start_rad: np.ndarray, end_rad: np.ndarray) -> np.ndarray:
-        """Estimate [s] of the time of straight motions (..., 6): slowest axis at full speed plus its ramp."""
+        """Estimate [s] of the time of straight motions (..., N): slowest axis at full speed plus its ramp."""
         step = np.abs(end_rad - start_rad)
         ramp = self.speed_rad_s / self.acceleration_rad_s2
         return (step / self.speed_rad_s).max(axis=-1) + ramp.max()

@@ -23,7 +23,7 @@ def judge_limits(axis: Axis, arm: ArmConfig, readings: Readings) -> list[CheckIt
     ----------
     axis : Axis
     arm : ArmConfig
-        For the conversion from motor to joint; a coupled joint needs all six motors and is left to the run.
+        For the conversion from motor to joint; a coupled joint needs all motors and is left to the run.
     readings : mapping
         (index, subindex) -> value.
     """
@@ -113,6 +113,6 @@ def _following(lines: Lines, readings: Readings) -> None:
 
 
 def _joint_rad(arm: ArmConfig, joint: int, revolutions: float) -> float:
-    motor = np.zeros(6)
+    motor = np.zeros(len(arm.axis))
     motor[joint - 1] = 2 * math.pi * revolutions
     return float(AxisConversion.from_arm(arm).joint_position(motor)[joint - 1])

@@ -1,4 +1,4 @@
-"""Pre-flight check: the six drives are asked what they are, and judged. Nothing is written, nothing moves."""
+"""Pre-flight check: the drives are asked what they are, and judged. Nothing is written, nothing moves."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ READ_SETTINGS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Preflight:
-    """What the six drives of an arm said, and what it is worth.
+    """What the drives of an arm said, and what it is worth.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Preflight:
     refusing : tuple of CheckItem
         Failing ones that nobody else would refuse; a drive in fault, or a joint outside its limits, is refused in words
         of its own when the drives are enabled or moved.
-    readings : tuple of 6 Readings
+    readings : tuple of Readings, one per axis
         (index, subindex) -> value, None where the drive has no such object; as the engineer left them.
     """
 
@@ -169,7 +169,7 @@ def as_left(readings: Readings, identity: Identity, ledger: WriteLedger) -> Read
 def check_arm(
     bus: Bus, arm: ArmConfig, profiles: Sequence[DriveProfile], ledger: WriteLedger | None = None
 ) -> list[CheckItem]:
-    """Check the six drives of an arm; a drive that does not answer is a failing line, the others are still read.
+    """Check the drives of an arm; a drive that does not answer is a failing line, the others are still read.
 
     Drives in each other's place come before what each of them says of its limits, which follows from it.
 
@@ -177,7 +177,7 @@ def check_arm(
     ----------
     bus : Bus
     arm : ArmConfig
-    profiles : sequence of 6 DriveProfile
+    profiles : sequence of DriveProfile, one per axis
         Of the axes, in order.
     ledger : WriteLedger, optional
         What the gateway wrote itself.
@@ -212,7 +212,7 @@ def look_over(arm: ArmConfig, group: DriveGroup, identities: Sequence[Identity])
     arm : ArmConfig
     group : DriveGroup
         Connected, not configured.
-    identities : sequence of 6 Identity
+    identities : sequence of Identity, one per axis
 
     Raises
     ------

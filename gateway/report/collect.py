@@ -65,7 +65,7 @@ def flange_spread(robot: Robot, loads: Sequence[LoadResult]) -> dict[str, dict[s
     ----------
     robot : Robot
     loads : sequence of LoadResult
-        Standard deviations and correlation of [mass, x, y, z] in link_6.
+        Standard deviations and correlation of [mass, x, y, z] in the last link.
 
     Returns
     -------

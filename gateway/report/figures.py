@@ -9,7 +9,7 @@ from typing import Any
 from markupsafe import Markup
 
 from gateway.report import words
-from gateway.report.rows import Layout, cell, layout, measured_axes
+from gateway.report.rows import Layout, axes_of, cell, layout, measured_axes
 from gateway.report.svg import Panel, limits
 
 Json = Mapping[str, Any]
@@ -31,7 +31,7 @@ def residual_figures(result: Json) -> list[tuple[str, Markup]]:
     if plan is None:
         return []
     before = (result.get("data") or {}).get("model_before_nm")
-    floor = list(result.get("noise_floor_nm") or []) + [None] * 6
+    floor = list(result.get("noise_floor_nm") or []) + [None] * axes_of(result)
     figures = []
     for axis in measured_axes(rows):
         after_nm = [cell(rows["tau_nm"], row, axis) - cell(rows.get("model_nm"), row, axis) for row in plan.order]

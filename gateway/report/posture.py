@@ -11,7 +11,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from gateway.report import words
-from gateway.report.rows import DENSE, measured_axes
+from gateway.report.rows import DENSE, axes_of, measured_axes
 from gateway.report.svg import Panel, limits
 
 Json = Mapping[str, Any]
@@ -36,7 +36,7 @@ def posture_figures(result: Json) -> list[tuple[str, Markup]]:
     q = _table(rows["q_rad"])
     after = _sides(rows, rows.get("model_nm"), data.get("band_model_nm"))
     before = _sides(rows, data.get("model_before_nm"), data.get("band_model_before_nm"))
-    floor = list(result.get("noise_floor_nm") or []) + [None] * 6
+    floor = list(result.get("noise_floor_nm") or []) + [None] * axes_of(result)
     figures = []
     for axis in measured_axes(rows):
         if not any(np.isfinite(values[:, axis]).any() for _, values in after):
@@ -47,13 +47,12 @@ def posture_figures(result: Json) -> list[tuple[str, Markup]]:
     return figures
 
 
-def _table(values: Sequence[Sequence[float | None]] | None) -> Floats:
-    rows = [[math.nan if value is None else float(value) for value in row] for row in values or []]
-    return np.array(rows, dtype=float).reshape(-1, 6)
+def _table(values: Sequence[Sequence[float | None]]) -> Floats:
+    return np.array([[math.nan if value is None else float(value) for value in row] for row in values])
 
 
 def _sides(rows: Json, model: Any, band_model: Any) -> list[tuple[int, Floats]]:
-    """Residual (n, 6) of readings after motion up (+1), down (-1), unknown (0); empty without a model."""
+    """Residual (n, N) of readings after motion up (+1), down (-1), unknown (0); empty without a model."""
     if not model:
         return []
     middle = _table(rows["tau_nm"]) - _table(model)
@@ -82,7 +81,7 @@ def _joint(q: Floats, series: Sequence[tuple[int, Floats]], axis: int) -> int:
     if seen.sum() < 2 * HARMONICS or np.var(left[seen]) == 0:
         return axis
     shares = []
-    for joint in range(6):
+    for joint in range(q.shape[1]):
         angle = q[seen, joint]
         shape = np.stack([np.ones_like(angle), *(f(k * angle) for k in (1, 2) for f in (np.sin, np.cos))], axis=1)
         fit, *_ = np.linalg.lstsq(shape, left[seen], rcond=None)
@@ -156,7 +155,7 @@ def load_change_figure(result: Json) -> Markup | None:
 
 
 def _changes(load: Json, before: Json | None, named: bool) -> list[tuple[str, float, float, str]]:
-    """(name, place of the value before, its half width, text) per quantity; lengths in the frame of link 6."""
+    """(name, place of the value before, its half width, text) per quantity; lengths in the frame of the last link."""
     if before is None:
         return []
     entries = []

@@ -81,14 +81,28 @@ def layout(rows: Mapping[str, Any], roles: Sequence[str] | None = None) -> Layou
 
 
 def cell(table: Sequence[Sequence[float | None]] | None, row: int, axis: int) -> float:
-    """One number of a rows x 6 table; NaN where it is absent."""
+    """One number of a rows x axes table; NaN where it is absent."""
     if not table or row >= len(table) or not table[row]:
         return math.nan
     value = table[row][axis]
     return math.nan if value is None else float(value)
 
 
+def axes_of(result: Mapping[str, Any]) -> int:
+    """How many axes a result is of: as its rows say, else the longest of its lists."""
+    rows = _width((result.get("rows") or {}).get("tau_nm"))
+    parts = [result, result.get("before") or {}, result.get("after") or {}]
+    names = ("noise_floor_nm", "friction_band_nm", "rms_nm", "holdout_rms_nm")
+    return rows or max(len(part.get(name) or ()) for part in parts for name in names)
+
+
+def _width(table: Sequence[Sequence[float | None]] | None) -> int:
+    return max(map(len, table), default=0) if table else 0
+
+
 def measured_axes(rows: Mapping[str, Any]) -> list[int]:
     """Axes (from 0) with at least one torque."""
     table = rows.get("tau_nm") or []
-    return [axis for axis in range(6) if any(math.isfinite(cell(table, row, axis)) for row in range(len(table)))]
+    return [
+        axis for axis in range(_width(table)) if any(math.isfinite(cell(table, row, axis)) for row in range(len(table)))
+    ]

@@ -9,6 +9,7 @@ from typing import Any
 
 from gateway.report import sentences, words
 from gateway.report.quality import AxisQuality
+from gateway.report.rows import axes_of
 
 Json = Mapping[str, Any]
 
@@ -113,14 +114,15 @@ def view(result: Json) -> View:
 def _axes(result: Json) -> tuple[AxisQuality, ...]:
     before, after = result.get("before") or {}, result.get("after") or {}
     key = "holdout_rms_nm" if sentences.held_out_known(result) else "rms_nm"
-    floor, band = _six(result.get("noise_floor_nm")), _six(result.get("friction_band_nm"))
-    columns = zip(floor, _six(before.get(key)), _six(after.get(key)), band, _six(after.get("rms_nm")), strict=True)
+    floor, band = result.get("noise_floor_nm"), result.get("friction_band_nm")
+    lists = (floor, before.get(key), after.get(key), band, after.get("rms_nm"))
+    columns = zip(*(_by_axis(values, axes_of(result)) for values in lists), strict=True)
     return tuple(AxisQuality(words.axis(index + 1), *column) for index, column in enumerate(columns))
 
 
-def _six(values: Sequence[float | None] | None) -> tuple[float | None, ...]:
-    given = list(values or [])[:6]
-    return tuple(value if words.known(value) else None for value in given + [None] * (6 - len(given)))
+def _by_axis(values: Sequence[float | None] | None, axes: int) -> tuple[float | None, ...]:
+    given = list(values or [])[:axes]
+    return tuple(value if words.known(value) else None for value in given + [None] * (axes - len(given)))
 
 
 def _before(result: Json, load: Json) -> Json | None:
@@ -156,7 +158,7 @@ def _load(load: Json, before: Json | None) -> LoadView:
 
 
 def centre(load: Json) -> tuple[str, Sequence[float | None] | None]:
-    """Frame and centre of gravity: in the flange frame where it is given, else in link_6."""
+    """Frame and centre of gravity: in the flange frame where it is given, else in that of the last link."""
     if load.get("com_flange_m"):
         return "flange", load["com_flange_m"]
     return str(load.get("frame", "link_6")), load.get("com_m")

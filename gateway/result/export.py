@@ -106,7 +106,7 @@ def _complete(load: Mapping[str, Any], frames: Sequence[str], in_flange: Mapping
     if flange is not None and "flange" in frames:
         return _checked({**load, "com_std_m": in_flange.get("com_std_m")}, label, flange, "flange")
     if "link_6" in frames and link is not None:
-        return _checked(load, label, link, "link_6")
+        return _checked(load, label, link, _one_line(str(load.get("frame", "link_6"))))
     if link is None or any(value is None for value in link):
         raise DataUnusable(f"load '{label}' has no centre of gravity to hand over: {_unidentifiable(load)}")
     raise ConfigError(

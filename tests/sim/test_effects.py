@@ -198,7 +198,7 @@ def test_off_library_effect_acts(name, plant, chain):
     ("effect", "word"),
     [
         ({"name": "ghost"}, "unknown effect"),
-        ({"name": "torque_offset", "joints": [7], "parameters": {"offset_nm": 1.0}}, "joints"),
+        ({"name": "torque_offset", "joints": [9], "parameters": {"offset_nm": 1.0}}, "joints"),
         ({"name": "torque_offset", "joints": [], "parameters": {"offset_nm": 1.0}}, "one joint"),
         ({"name": "torque_offset", "joints": [1], "parameters": {}}, "offset_nm"),
         ({"name": "torque_constant_scale", "joints": [1], "parameters": {"scale": -1.0}}, "positive"),

@@ -43,7 +43,7 @@ def test_payloads_of_the_examples(name, mass):
         (lambda text: text.replace('robot = "robot.urdf"', ""), "names no robot"),
         (lambda text: text.replace("generic-cia402", "nobody", 1), "cannot be read"),
         (lambda text: text.replace('bus = "a"', 'bus = "b"'), r"no \[bus.b\]"),
-        (lambda text: text + "\n[[arm.axis]]\nnode_id = 7\n", "six are needed"),
+        (lambda text: text + "\n[[arm.axis]]\nnode_id = 7\n", r"has 7 \[\[arm.axis\]\] tables, its robot 6 joints"),
         (lambda text: text.replace("value = 120", 'value = "x"', 1), "wrong kind"),
         (lambda text: "name = ", "not valid TOML"),
     ],

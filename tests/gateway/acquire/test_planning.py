@@ -229,7 +229,7 @@ def test_broken_plans_are_refused(plan, workspace):
         (changed(plan, approach, plan.steps[approach - 1]), "without having been approached"),
         (changed(plan, approach + 1, plan.steps[approach - 1]), "before it has settled"),
         (changed(plan, approach - 1, MoveTo((0.0, 0.0, 9.0, 0.0, 0.0, 0.0))), "joint 3 outside"),
-        (changed(plan, approach - 1, MoveTo((0.0, 0.0, float("nan"), 0.0, 0.0, 0.0))), "six finite joint angles"),
+        (changed(plan, approach - 1, MoveTo((0.0, 0.0, float("nan"), 0.0, 0.0, 0.0))), "6 finite joint angles"),
         (replace(plan, settings=replace(plan.settings, approach_speed_rad_s=0.0)), "approach speed is 0"),
         (replace(plan, steps=plan.steps[approach:]), "approached from nowhere"),
     ]
@@ -292,8 +292,8 @@ def write_poses(path, rows: list[list], header="pose,q1_rad,q2_rad,q3_rad,q4_rad
 
 def test_poses_from_a_file(tmp_path, small_cell, workspace, poses):
     write_poses(tmp_path / "p.csv", [[p.number, *p.q_rad, int(p.purpose == "validation")] for p in poses])
-    assert read_poses(tmp_path / "p.csv") == poses
-    plan = plan_of_poses(small_cell, small_cell.cell.arm[0], workspace, read_poses(tmp_path / "p.csv"))
+    assert read_poses(tmp_path / "p.csv", 6) == poses
+    plan = plan_of_poses(small_cell, small_cell.cell.arm[0], workspace, read_poses(tmp_path / "p.csv", 6))
     assert plan.poses == poses
 
 
@@ -309,7 +309,7 @@ def test_poses_from_a_file(tmp_path, small_cell, workspace, poses):
 def test_bad_pose_files(tmp_path, rows, header, message):
     write_poses(tmp_path / "p.csv", rows, *([header] if header else []))
     with pytest.raises(InputError, match=message):
-        read_poses(tmp_path / "p.csv")
+        read_poses(tmp_path / "p.csv", 6)
 
 
 def test_settings_come_from_the_cell(small_cell):

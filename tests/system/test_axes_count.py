@@ -1,0 +1,84 @@
+"""Arms of four and of seven axes, from the cell file to the report: checked, proven, recorded, estimated."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from gateway.data.recording.reader import read
+from gateway.data.table import read_csv, write_csv
+from tests.cells import CELLS
+from tests.system.conftest import Place
+
+pytestmark = pytest.mark.system
+
+
+@pytest.fixture(params=CELLS, ids=lambda cell: cell.name)
+def arm(request):
+    return request.param
+
+
+@pytest.fixture
+def place(arm, tmp_path) -> Place:
+    for name in ("cell.toml", "robot.urdf", "payload.toml"):
+        shutil.copy(arm.folder / name, tmp_path / name)
+    return Place(tmp_path)
+
+
+def load_of(place):
+    text = place.payload.read_text(encoding="utf-8")
+    (mass,) = (float(line.split("=")[1]) for line in text.splitlines() if line.startswith("mass_kg"))
+    (com,) = (json.loads(line.split("=")[1]) for line in text.splitlines() if line.startswith("com_m"))
+    return mass, np.array(com)
+
+
+def test_from_the_cell_to_the_report(place, serve, gateway, arm):
+    def ran(*arguments):
+        result = gateway(*arguments)
+        assert result.exit_code == 0, result.output
+        return result
+
+    drives = serve()
+    bus = ("--bus", drives.bus)
+    bare, loaded, plan = (place.folder / name for name in ("bare.h5", "loaded.h5", "plan.json"))
+    ran("check", place.cell, *bus)
+    proven = ran("check", place.cell, *bus, "--prove-stop", "--move", "--yes")
+    assert f"J{arm.axes}" in proven.output
+    ran("plan", place.cell, "--json", plan)
+    assert {len(pose["q_rad"]) for pose in json.loads(plan.read_text())["poses"]} == {arm.axes}
+    ran("record", place.cell, *bus, "--yes", "--load", "none", "-o", bare)
+    drives.hang("load")
+    ran("record", place.cell, *bus, "--yes", "--load", "load", "-o", loaded)
+
+    mass, com = load_of(place)
+    for method in ("joint", "difference", "posture"):
+        found = place.folder / f"{method}.json"
+        ran("estimate", bare, loaded, "--cell", place.cell, "--method", method, "--json", found)
+        body = json.loads(found.read_text())
+        (load,) = body["loads"]
+        assert load["frame"] == f"link_{arm.axes}"
+        assert abs(load["mass_kg"] - mass) < max(4 * load["mass_std_kg"], 0.02), (method, load)
+        assert (np.abs(load["com_m"] - com) < np.maximum(4 * np.array(load["com_std_m"]), 0.002)).all(), (method, load)
+        assert len(body["after"]["rms_nm"]) == len(body["friction_band_nm"]) == arm.axes
+        page = found.with_suffix(".html")
+        ran("report", found, "-o", page)
+        assert f"J{arm.axes}" in page.read_text(encoding="utf-8")
+        assert f"J{arm.axes + 1}" not in page.read_text(encoding="utf-8")
+    for form in ("urdf", "json"):
+        ran("export", place.folder / "joint.json", "--format", form)
+
+    table = read(loaded).table()
+    write_csv(table, place.folder / "loaded.csv")
+    again = read_csv(place.folder / "loaded.csv", None)
+    assert again.axes == arm.axes
+    np.testing.assert_array_equal(again.tau_nm, table.tau_nm)
+
+
+def test_a_path_is_not_followed(place, gateway, arm):
+    (place.folder / "path.csv").write_text("q1_rad\n0\n", encoding="utf-8")
+    said = gateway("follow", place.cell, "--path", place.folder / "path.csv", "--yes")
+    assert said.exit_code == 3
+    assert f"arm 'main' has {arm.axes} axes: a path is followed by arms of 6 axes only" in said.output
