@@ -18,6 +18,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
@@ -26,7 +27,6 @@ from queue import SimpleQueue
 from typing import Final
 
 from coverage import CoverageData
-from rich.progress import track
 
 from benchmarks.figure import figure
 
@@ -85,6 +85,9 @@ class Mutant:
     line: int
     number: int
     what: str
+
+    def __str__(self) -> str:
+        return f"{self.path}:{self.line} {self.what}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,16 +215,22 @@ class Reach:
             raise SystemExit(f"a test of {', '.join(folders)} fails before anything is changed")
         self._data = CoverageData(str(path))
         self._data.read()
+        #: How many lines each test comes to.
+        self._lines = Counter(
+            name.rpartition("|")[0]
+            for file in self._data.measured_files()
+            for names in self._data.contexts_by_lineno(file).values()
+            for name in names
+        )
 
     def tests(self, mutant: Mutant) -> tuple[str, ...]:
-        """Tests that come to the statement of a mutant, those in the file of the module's name first."""
+        """Tests that come to the statement of a mutant, those that come to little else first."""
         path = self._root / mutant.path
         first, last = _statement(path.read_text(), mutant.line)
         contexts = self._data.contexts_by_lineno(str(path))
         found = {each.rpartition("|")[0] for line in range(first, last + 1) for each in contexts.get(line, ())}
-        folder, own = mirrored(mutant.path), f"/test_{Path(mutant.path).stem}"
-        here = {name for name in found if name.startswith(f"{folder}/")}
-        return tuple(sorted(here, key=lambda name: (own not in name, name)))
+        here = {name for name in found if name.startswith(f"{mirrored(mutant.path)}/")}
+        return tuple(sorted(here, key=lambda name: (self._lines[name], name)))
 
 
 def _statement(text: str, line: int) -> tuple[int, int]:
@@ -283,12 +292,14 @@ def tried(mutants: Sequence[Mutant], jobs: int) -> list[bool]:
         def one(mutant: Mutant, tests: Sequence[str]) -> bool:
             copy = free.get()
             try:
-                return noticed(mutant, copy, tests)
+                seen = noticed(mutant, copy, tests)
+                print(f"{'noticed' if seen else 'not noticed'}: {mutant}", flush=True)
+                return seen
             finally:
                 free.put(copy)
 
         with ThreadPoolExecutor(jobs) as pool:
-            return list(track(pool.map(one, mutants, first), "mutants", total=len(mutants)))
+            return list(pool.map(one, mutants, first))
 
 
 def main(argv: list[str]) -> int:
@@ -313,8 +324,6 @@ def main(argv: list[str]) -> int:
     (arguments.out / "summary.json").write_text(json.dumps({"figures": figures, "unseen": unseen}, indent=1) + "\n")
     for name, found in figures.items():
         print(f"{name}: {found['value']:.0f} {found['unit']}, goal {found['goal']}")
-    for mutant in unseen:
-        print(f"not noticed: {mutant['path']}:{mutant['line']} {mutant['what']}")
     return 0 if all(found["met"] for found in figures.values()) else 1
 
 

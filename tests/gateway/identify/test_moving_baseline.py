@@ -10,7 +10,7 @@ import pytest
 from benchmarks.rigs.tables import make_table
 from gateway.data.rows import MOVING, concatenate
 from gateway.identify.links import PER_LINK_MOVING, link_prior
-from gateway.identify.moving_baseline import FREE, INERTIA_RADIUS_M, TIGHT_OFFSET, baseline
+from gateway.identify.moving_baseline import FREE, INERTIA_RADIUS_M, TIGHT_OFFSET, baseline, free_labels
 from gateway.model.motion import prepare
 from gateway.model.robot import robot_from_urdf
 
@@ -108,3 +108,11 @@ def test_without_cad_and_bare_rows_the_first_load_lumps_with_link_6(robot):
     assert list(built(robot, ["a", "b"], trust=None)[1].loads) == ["b"]
     assert list(built(robot, ["none", "a"], trust=None)[1].loads) == ["a"]
     assert list(built(robot, ["a", "b"])[1].loads) == ["a", "b"]
+
+
+def test_a_load_of_given_rows_alone_has_columns_only_where_it_was_weighed(robot):
+    """Held rows are never fitted: what they carry has to be known."""
+    motion = prepare(rows("none", 1), rows("tool", 2), robot, GRAVITY)
+    assert free_labels(motion, TRUST, {}) == []
+    assert free_labels(motion, TRUST, {"tool": (8.0, np.zeros(3))}) == ["tool"]
+    assert free_labels(prepare(rows("tool", 1), rows("none", 2), robot, GRAVITY), TRUST, {}) == ["tool"]

@@ -86,3 +86,18 @@ def test_tolerance_is_relative_to_scaled_columns():
     columns = rng.normal(size=(40, 3)) * [1e-5, 1.0, 1e6]
     assert base_parameters(columns, list("abc")).rank == 3
     assert base_parameters(np.zeros((4, 2)), list("ab")).rank == 0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_base_parameters_give_the_same_torque_whatever_the_units_of_the_columns(seed):
+    """Dependent columns in units from a thousandth to a thousand; any parameters, torque of the kept ones alone."""
+    rng = np.random.default_rng(seed)
+    free = rng.normal(size=(40, 3))
+    unit = 10.0 ** rng.integers(-3, 4, 6)
+    rows = np.column_stack([free, free @ rng.normal(size=(3, 3))]) * unit
+    base = base_parameters(rows[:, None, :], [f"p{number}" for number in range(6)])
+    assert base.rank == 3
+    parameters = rng.normal(size=6) / unit
+    assert rows[:, base.indices] @ (base.combination @ parameters) == pytest.approx(
+        rows @ parameters, rel=1e-8, abs=1e-8
+    )
