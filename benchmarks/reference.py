@@ -6,11 +6,11 @@ python -m benchmarks.reference [--write]: say which pages are not current, or br
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import types
 import typing
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -22,7 +22,10 @@ from pydantic_core import PydanticUndefined
 from drives.profile import DriveProfile
 from gateway.cell.config import Cell
 from gateway.cli import main as program
+from gateway.result.follow import FollowResult
+from gateway.result.pair import FunctionFile, LearnStatus, LessonFile, PairRunResult
 from gateway.result.result import json_schema
+from gateway.result.values import json_text, schema_of
 
 DOCS: Final = Path(__file__).resolve().parents[1] / "docs"
 
@@ -170,6 +173,20 @@ def _cell(text: str) -> str:
     return " ".join(text.split()).replace("|", "\\|")
 
 
+#: Files beside the result that leave, by the name of their schema.
+FILES: Final[Mapping[str, type]] = {
+    "follow": FollowResult,
+    "pair-run": PairRunResult,
+    "pair-points": LessonFile,
+    "pair-function": FunctionFile,
+    "pair-learn": LearnStatus,
+}
+
+
+def _schema(model: type) -> str:
+    return json_text(schema_of(model))
+
+
 PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "reference/cell-file.md": lambda: keys_page(
         "Cell file",
@@ -183,7 +200,8 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
         DriveProfile,
     ),
     "reference/commands.md": commands_page,
-    "reference/result.schema.json": lambda: json.dumps(json_schema(), indent=1) + "\n",
+    "reference/result.schema.json": lambda: json_text(json_schema()),
+    **{f"reference/{name}.schema.json": partial(_schema, model) for name, model in FILES.items()},
 }
 
 

@@ -15,14 +15,13 @@ from gateway.feedforward.dynamics import ArmDynamics
 from gateway.feedforward.law import AxisTerms, FeedforwardLaw
 from gateway.feedforward.load import FeedLoad, rated_load
 from gateway.feedforward.parameters import corrected_parameters, drawn_parameters
-from gateway.feedforward.terms import AxisSources, axis_terms
+from gateway.feedforward.terms import axis_terms
 from gateway.follow.path import FollowPath
 from gateway.model.robot import Robot
+from gateway.result.follow import IDENTIFIED, MAXIMUM, OFF, AxisSources
 from gateway.result.result import Result
 
 Floats = NDArray[np.float64]
-
-OFF, MAXIMUM, IDENTIFIED = "off", "maximum", "identified"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -17,14 +15,15 @@ from gateway.pair.cell import PairCell
 from gateway.pair.embodiments import DISTANCE_GAINS, EMBODIMENTS, Embodiment, with_gains
 from gateway.pair.function import TransformFunction, constant_function, sampled
 from gateway.pair.impedance import Gains
-from gateway.pair.lesson import Lesson, TaughtPoint, read_lesson
+from gateway.pair.lesson import Lesson, read_lesson
 from gateway.pair.link import PairLink
 from gateway.pair.motion import PairMotion, PairMotionOptions, refuse_elsewhere
 from gateway.pair.run import PairCycle, PairRun
 from gateway.pair.speed import SpeedTable
-from gateway.pair.storage import PairStore, run_as_json
+from gateway.pair.storage import PairStore, run_result
 from gateway.pair.stored import read_stored, refuse_foreign
 from gateway.pair.teach import Teacher, TeachRule
+from gateway.result.pair import PairRunResult, TaughtPoint
 
 #: What can be run without the simulator's truth.
 RUNNABLE = tuple(name for name, row in EMBODIMENTS.items() if row.first != "exact")
@@ -194,14 +193,8 @@ def run_pair(
     request: PairRunRequest,
     told: Callable[[PairCycle], None],
     options: PairMotionOptions | None = None,
-) -> dict[str, Any]:
-    """Run cycles of an embodiment, keep what was learned and what the report shows.
-
-    Returns
-    -------
-    dict
-        The run as it is stored for the report, with the statistics of both buses.
-    """
+) -> PairRunResult:
+    """Run cycles of an embodiment, keep what was learned and what the report shows."""
     row = embodiment_of(cell, request.embodiment)
     options = options or PairMotionOptions()
     moves = options.moves
@@ -216,6 +209,12 @@ def run_pair(
     if store.frozen:
         run.controller.freeze()
     cycles: list[PairCycle] = []
+
+    def kept() -> PairRunResult:
+        result = run_result(cell, run, cycles, link.statistics())
+        store.keep(result)
+        return result
+
     try:
         with powered(stream):
             run.start()
@@ -224,11 +223,11 @@ def run_pair(
                 run.motion.prepare(lambda: _keep(store, run, cycles))
                 guarded(told, moves.desk)(cycles[-1])
                 run.back()
-    finally:
-        body = _stored(cell, link, run, cycles)
+    except BaseException:
         if cycles:
-            store.write(f"run-{row.name}.json", json.dumps(body, allow_nan=False) + "\n")
-    return body
+            kept()
+        raise
+    return kept()
 
 
 def _keep(store: PairStore, run: PairRun, cycles: list[PairCycle]) -> None:
@@ -246,14 +245,3 @@ def _keep(store: PairStore, run: PairRun, cycles: list[PairCycle]) -> None:
     if second is not None:
         path = store.save("second", second, **origin)
         store.write(f"speed-{run.path.speed:g}.json", path.read_text(encoding="utf-8"))
-
-
-def _stored(cell: PairCell, link: PairLink, run: PairRun, cycles: list[PairCycle]) -> dict[str, Any]:
-    if not cycles:
-        return {}
-    body = run_as_json(cell, run.path, (run.config.name, run.config.text), cycles)
-    body["knots_s_m"] = np.round(run.controller.function.s_m, 6).tolist()
-    body["statistics"] = link.statistics()
-    body["learning_s"] = max(cycle.learning_s for cycle in cycles)
-    body["evaluation_s"] = float(np.mean([cycle.evaluation_s for cycle in cycles]))
-    return body

@@ -56,18 +56,22 @@ def damaged(change: dict[str, object]) -> str:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{", "not readable"),
-        ("[]", "no stored transform function"),
-        (damaged({"kind": "x"}), "no stored transform function"),
-        (damaged({"schema": 2}), "schema 2"),
+        ("{", "not valid JSON"),
+        ("[]", "one JSON object is expected"),
+        (damaged({"kind": "x"}), "is no file of kind 'servo-gateway transform function'"),
+        (damaged({"schema": 2}), "schema: this version reads schema 1, the file says 2"),
         (damaged({"units": {"s_m": "mm"}}), "units"),
         (damaged({"stage": "third"}), "stage"),
         (damaged({"path_hash": 3}), "path_hash"),
         (damaged({"speed": "fast"}), "speed"),
         (damaged({"speed": -1}), "speed"),
         (damaged({"knots": []}), "knots"),
-        (damaged({"knots": [{"s_m": 0.0}]}), "a knot has no"),
-        (damaged({"knots": [{"s_m": 0.0, "position_m": [0, 0], "rotation": [[1, 0, 0]]}]}), "needs N ways"),
+        (damaged({"knots": [{"s_m": 0.0}]}), r"knots\[0\]\.position_m: the key is missing"),
+        (
+            damaged({"knots": [{"s_m": 0.0, "position_m": [0, 0], "rotation": [[1, 0, 0]]}]}),
+            r"knots\[0\]\.position_m: three",
+        ),
+        (damaged({"knots": [{"s_m": 0.0, "position_m": [0, 0, 0], "rotation": [[1, 0, 0]]}]}), "needs N ways"),
         (damaged({"knots": [{"s_m": "a", "position_m": [0, 0, 0], "rotation": [[1, 0, 0]] * 3}]}), "f.json"),
     ],
 )
