@@ -265,7 +265,7 @@ class RestDiagnosis:
                 "inertials": self.knowledge.inertials,
             },
             rows=rows,
-            extra={"data": drawn},
+            data=drawn,
         )
 
     def _confirmed(self, decision: Decision, held: Held | None, problem: RestProblem) -> tuple[Decision, list[Finding]]:
