@@ -119,6 +119,8 @@ def render_pair(cell: str, bound: Bound, runs: Sequence[PairRunResult]) -> str:
         "pair.html.j2",
         Head("Two arms, one workpiece", f"Two arms, one workpiece: {cell}", (("", date),)),
         what=bound.what,
+        status="good" if any(view.largest[-1] < bound.limit for view in views) else "bad",
+        headline=_headline(views, bound),
         limit=f"{bound.limit:g}",
         source=bound.source,
         table=[_row(view, bound) for view in views],
@@ -134,6 +136,13 @@ def render_pair(cell: str, bound: Bound, runs: Sequence[PairRunResult]) -> str:
 def _view(run: PairRunResult, what: Quantity) -> RunView:
     first, last = ([what.factor * value for value in values] for values in (what.first(run), what.last(run)))
     return RunView(run, (first, last), [what.factor * what.largest(cycle) for cycle in run.cycles])
+
+
+def _headline(views: Sequence[RunView], bound: Bound) -> str:
+    """The way of running it that ends with the least."""
+    best = min(views, key=lambda view: view.largest[-1] if math.isfinite(view.largest[-1]) else math.inf)
+    size = f"{best.largest[-1]:.{bound.what.digits}f} {bound.what.unit}"
+    return f"{best.run.name}: largest {bound.what.error} {size} in the last cycle"
 
 
 def _row(view: RunView, bound: Bound) -> list[str]:
@@ -212,7 +221,7 @@ def _per_cycle(curves: Sequence[Sequence[float]], label: str) -> Panel:
     every = [value for curve in curves for value in curve]
     panel = Panel(WIDTH, HEIGHT, (0.5, longest + 0.5), limits(every, include=(0.0,)))
     panel.y_axis(label)
-    panel.x_axis("cycle")
+    panel.x_axis("cycle", min(5, longest))
     for place, curve in enumerate(curves):
         kind = f"c{place % COLOURS}"
         points = [(float(cycle), value) for cycle, value in enumerate(curve, start=1) if math.isfinite(value)]

@@ -1,6 +1,5 @@
-"""The page as a whole: one file, offline, every figure with its units, and no figure without its data."""
+"""The page on a result: what it shows, and no figure without its data."""
 
-import html.parser
 import json
 import re
 
@@ -9,44 +8,15 @@ import pytest
 from gateway.report.render import render
 from gateway.result.result import from_json
 
-VOID = {"meta", "link", "br", "img", "input", "hr"}
-
 
 def read(body):
     """The result that a file of this content holds."""
     return from_json(json.dumps(body))
 
 
-class Balanced(html.parser.HTMLParser):
-    """Fails on a tag that is closed out of turn."""
-
-    def __init__(self):
-        super().__init__()
-        self.open = []
-
-    def handle_starttag(self, tag, attrs):
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open
-        assert self.open.pop() == tag
-
-
 @pytest.fixture(scope="module")
 def page(full_result):
     return render(read(full_result))
-
-
-def test_the_page_is_one_small_file_that_fetches_nothing(page):
-    assert not re.search(r"""(src|href)\s*=|url\(|@import|<script|https?://""", page)
-    assert len(page) < 6e6
-
-
-def test_the_page_is_well_formed(page):
-    parser = Balanced()
-    parser.feed(page)
-    assert parser.open == []
 
 
 @pytest.mark.parametrize(
@@ -74,15 +44,6 @@ def test_the_page_is_well_formed(page):
 )
 def test_the_page_shows(page, text):
     assert text in page
-
-
-def test_every_axis_of_every_drawing_is_labelled_with_its_unit(page):
-    labels = re.findall(r'class="label mid"[^>]*>([^<]+)<', page)
-    units = [label for label in labels if re.search(r"\[(Nm|mm|kg|rad|-)\]$", label)]
-    named = {"noise floor", "no better than without"}
-    others = [label for label in labels if label not in units and label not in named]
-    assert len(units) >= 20
-    assert all(re.search(r"poses?$", label) for label in others)
 
 
 def test_there_are_six_drawings_per_axis_and_one_per_pose(page):
