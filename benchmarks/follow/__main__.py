@@ -160,9 +160,9 @@ def _computing(place: rig.Place) -> dict[str, dict]:
         sense = [0.0] * 6
         begun = time.thread_time()
         for index in range(ROUNDS // 5):
-            q, rate, gain = states[index % len(states)]
-            sense = law.sense(sense, rate)
-            _, torque = law.offsets(q, rate, gain, sense)
+            q, velocity, acceleration = states[index % len(states)]
+            sense = law.sense(sense, velocity)
+            _, torque = law.offsets(q, velocity, acceleration, sense)
             law.excess(torque)
         times.append(1e6 * (time.thread_time() - begun) / (ROUNDS // 5))
     name = "both offsets of six axes, processor time per SYNC"

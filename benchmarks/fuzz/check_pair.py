@@ -22,7 +22,7 @@ from gateway.pair.function import TransformFunction, function_of_knots
 from gateway.pair.lesson import Lesson, read_lesson, taught_point
 from gateway.pair.storage import PairStore
 from gateway.pair.stored import to_json
-from gateway.report.pair import FORCE, Bound, render_pair
+from gateway.report.pair import FORCE, Limited, render_pair
 
 PAIR = EXAMPLES / "pair"
 
@@ -194,7 +194,7 @@ def check_run(data: bytes) -> None:
 
     def read() -> str:
         rows = store.runs()
-        return render_pair("pair", Bound(FORCE, 40.0, "torques"), rows) if rows else ""
+        return render_pair("pair", Limited(FORCE, 40.0, "torques"), rows) if rows else ""
 
     page = bounded(read, (InputError,), len(data))
     assert page is None or page.encode() is not None

@@ -24,7 +24,7 @@ from benchmarks.bench.__main__ import show
 from benchmarks.pair.bus_figures import figures
 from benchmarks.pair.bus_rig import CELL
 from benchmarks.pair.bus_tier import BusTier
-from gateway.report.pair import FORCE, Bound, render_pair
+from gateway.report.pair import FORCE, Limited, render_pair
 from gateway.result.pair import PairRunResult
 from gateway.result.values import decoded
 
@@ -153,7 +153,7 @@ def report(out: Path, done: Sequence[dict[str, Any]]) -> None:
     """The report's page of the first seed, with the true force."""
     runs = [decoded(PairRunResult, curve, "curves") for curve in done[0]["curves"]]
     cell = f"{CELL.parent.name}, seed {done[0]['seed']}"
-    bound = Bound(FORCE, LIMIT_N, "the simulator's true one")
+    bound = Limited(FORCE, LIMIT_N, "the simulator's true one")
     (out / "report.html").write_text(render_pair(cell, bound, runs))
 
 

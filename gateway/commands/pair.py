@@ -256,13 +256,13 @@ def _function_row(one: FunctionOrigin) -> list[str]:
 def pair_report(cell: Path, output: Path, store: Path | None) -> None:
     """One HTML page: force or gap along the path for every embodiment that was run, learning points, convergence."""
     from gateway.errors import DataUnusable
-    from gateway.report.pair import FORCE, GAP, Bound, render_pair
+    from gateway.report.pair import FORCE, GAP, Limited, render_pair
 
     pair, kept = _open(cell, None, store)
     if pair.gap is None:
-        bound = Bound(FORCE, pair.config.force.limit_n, "as estimated from the motors' torques")
+        bound = Limited(FORCE, pair.config.force.limit_n, "as estimated from the motors' torques")
     else:
-        bound = Bound(GAP, pair.gap.limit_m, "as the distance sensors measured it")
+        bound = Limited(GAP, pair.gap.limit_m, "as the distance sensors measured it")
     runs = [run for run in kept.runs() if bound.what.last(run)]
     if not runs:
         raise DataUnusable(f"{kept.folder}: holds no run; run-pair first")

@@ -120,9 +120,11 @@ def check_offsets(path: FollowPath, settings: Sequence[Setting], arm: str) -> No
             ways = np.diff(np.vstack([at, motion.q_rad]), axis=0)
             at = motion.q_rad[-1]
             parts = (motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2, ways)
-            for row, (q, rate, gain, step) in enumerate(zip(*(part.tolist() for part in parts), strict=True), start=1):
+            for row, (q, velocity, acceleration, step) in enumerate(
+                zip(*(part.tolist() for part in parts), strict=True), start=1
+            ):
                 sense = law.sense(sense, step)
-                _, torque = law.offsets(q, rate, gain, sense)
+                _, torque = law.offsets(q, velocity, acceleration, sense)
                 excess = law.excess(torque)
                 if excess is not None:
                     axis, value = excess

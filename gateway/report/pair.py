@@ -74,7 +74,7 @@ GAP = Quantity(
 
 
 @dataclass(frozen=True, slots=True)
-class Bound:
+class Limited:
     """What is drawn, its limit in SI, and how it is known."""
 
     what: Quantity
@@ -101,14 +101,14 @@ class RunView:
         return [value for values in self.along for value in values if math.isfinite(value)]
 
 
-def render_pair(cell: str, bound: Bound, runs: Sequence[PairRunResult]) -> str:
+def render_pair(cell: str, bound: Limited, runs: Sequence[PairRunResult]) -> str:
     """HTML text of the page on a pair.
 
     Parameters
     ----------
     cell : str
         Name of it.
-    bound : Bound
+    bound : Limited
     runs : sequence of PairRunResult
         With at least one cycle each.
     """
@@ -138,14 +138,14 @@ def _view(run: PairRunResult, what: Quantity) -> RunView:
     return RunView(run, (first, last), [what.factor * what.largest(cycle) for cycle in run.cycles])
 
 
-def _headline(views: Sequence[RunView], bound: Bound) -> str:
+def _headline(views: Sequence[RunView], bound: Limited) -> str:
     """The way of running it that ends with the least."""
     best = min(views, key=lambda view: view.largest[-1] if math.isfinite(view.largest[-1]) else math.inf)
     size = f"{best.largest[-1]:.{bound.what.digits}f} {bound.what.unit}"
     return f"{best.run.name}: largest {bound.what.error} {size} in the last cycle"
 
 
-def _row(view: RunView, bound: Bound) -> list[str]:
+def _row(view: RunView, bound: Limited) -> list[str]:
     """Texts of the table: name, words, and numbers."""
     run, what = view.run, bound.what
     sizes = [f"{value:.{what.digits}f}" for value in (view.largest[0], view.largest[-1])]
@@ -163,7 +163,7 @@ def _row(view: RunView, bound: Bound) -> list[str]:
     ]
 
 
-def _caption(view: RunView, bound: Bound) -> Markup:
+def _caption(view: RunView, bound: Limited) -> Markup:
     run, what = view.run, bound.what
     figure = FIGURES.get(run.name)
     named = f" ({figure} of the patent)" if figure else ""
@@ -173,7 +173,7 @@ def _caption(view: RunView, bound: Bound) -> Markup:
     )
 
 
-def _along(view: RunView, bound: Bound) -> Markup:
+def _along(view: RunView, bound: Limited) -> Markup:
     run, what, limit, known = view.run, bound.what, bound.limit, view.kept
     x_mm = [1e3 * value for value in run.x_m]
     # a gap stays far inside its range: drawn to the range's scale nothing of it would be seen
@@ -202,7 +202,7 @@ def _thinned(x: Sequence[float], y: Sequence[float]) -> list[Point]:
     return list(zip(x[::step], y[::step], strict=True))
 
 
-def _convergence(views: Sequence[RunView], bound: Bound) -> Markup:
+def _convergence(views: Sequence[RunView], bound: Limited) -> Markup:
     what = bound.what
     panel = _per_cycle([view.largest for view in views], f"largest {what.error} [{what.unit}]")
     if what.to_limit:

@@ -8,7 +8,7 @@ import re
 import pytest
 
 from gateway.report.follow import headline, render_follow
-from gateway.report.pair import FORCE, GAP, Bound, render_pair
+from gateway.report.pair import FORCE, GAP, Limited, render_pair
 from gateway.report.render import render
 from gateway.result.follow import (
     AxisSources,
@@ -86,7 +86,9 @@ def run(name="C8", **along):
 
 
 def forces(name="C8"):
-    return render_pair("pair", Bound(FORCE, 40.0, "as estimated"), [run(name, first_n=(0.0, 60.0), last_n=(0.0, 20.0))])
+    return render_pair(
+        "pair", Limited(FORCE, 40.0, "as estimated"), [run(name, first_n=(0.0, 60.0), last_n=(0.0, 20.0))]
+    )
 
 
 @pytest.fixture(scope="module", params=["result", "comparison", "force", "gap"])
@@ -97,7 +99,7 @@ def page(request, full_result):
         return render_follow(comparison())
     if request.param == "force":
         return forces()
-    return render_pair("gap", Bound(GAP, 1e-3, "as measured"), [run(first_m=(0.0, 3e-4), last_m=(0.0, math.nan))])
+    return render_pair("gap", Limited(GAP, 1e-3, "as measured"), [run(first_m=(0.0, 3e-4), last_m=(0.0, math.nan))])
 
 
 def test_a_page_is_one_small_file_that_fetches_nothing(page):
