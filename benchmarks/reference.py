@@ -23,7 +23,7 @@ from drives.profile import DriveProfile
 from gateway.cell.config import Cell
 from gateway.cli import main as program
 from gateway.result.follow import FollowResult
-from gateway.result.pair import FunctionFile, LearnStatus, LessonFile, PairRunResult
+from gateway.result.pair import LearnStatus, LessonFile, PairRunResult, StoredFunction
 from gateway.result.result import json_schema
 from gateway.result.values import json_text, schema_of
 
@@ -178,7 +178,7 @@ FILES: Final[Mapping[str, type]] = {
     "follow": FollowResult,
     "pair-run": PairRunResult,
     "pair-points": LessonFile,
-    "pair-function": FunctionFile,
+    "pair-function": StoredFunction,
     "pair-learn": LearnStatus,
 }
 

@@ -21,8 +21,9 @@ from gateway.pair.cell import COLUMNS, PairCell, load_pair, read_path
 from gateway.pair.function import TransformFunction, function_of_knots
 from gateway.pair.lesson import Lesson, read_lesson, taught_point
 from gateway.pair.storage import PairStore
-from gateway.pair.stored import to_json
+from gateway.pair.stored import transform_of
 from gateway.report.pair import FORCE, Limited, render_pair
+from gateway.result.values import json_text
 
 PAIR = EXAMPLES / "pair"
 
@@ -123,12 +124,12 @@ def check_function(data: bytes) -> None:
     path.write_bytes(data)
     stored = bounded(lambda: store.load("first"), (InputError,), len(data))
     if stored is not None:
-        function = stored.function
+        function = transform_of(stored)
         assert np.isfinite(function.many(np.linspace(-1.0, 2.0, 7))).all()
-        path.write_text(to_json(stored), encoding="utf-8")
+        path.write_text(json_text(stored), encoding="utf-8")
         again = store.load("first")
         assert again is not None
-        assert to_json(again) == to_json(stored)
+        assert json_text(again) == json_text(stored)
 
 
 def lessons() -> st.SearchStrategy[bytes]:

@@ -27,6 +27,7 @@ from gateway.result.pair import (
     FunctionOrigin,
     LearnStatus,
     LinkStatistics,
+    StoredFunction,
     TeachResult,
 )
 from gateway.result.values import plain_values
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
     from gateway.pair.cell import PairCell
     from gateway.pair.link import PairLink
     from gateway.pair.storage import PairStore
-    from gateway.pair.stored import StoredFunction
 
 store_option = click.option(
     "--store",
@@ -235,7 +235,7 @@ def _origin(stored: StoredFunction | None) -> FunctionOrigin | None:
     if stored is None:
         return None
     return FunctionOrigin(
-        points=len(stored.function),
+        points=len(stored.knots),
         learn_source=stored.learn_source,
         speed=stored.speed,
         date=stored.date,

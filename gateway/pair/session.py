@@ -21,7 +21,7 @@ from gateway.pair.motion import PairMotion, PairMotionOptions, refuse_elsewhere
 from gateway.pair.run import PairCycle, PairRun
 from gateway.pair.speed import SpeedTable
 from gateway.pair.storage import PairStore, run_result
-from gateway.pair.stored import read_stored, refuse_foreign
+from gateway.pair.stored import read_stored, refuse_foreign, transform_of
 from gateway.pair.teach import Teacher, TeachRule
 from gateway.result.pair import PairRunResult, TaughtPoint
 
@@ -148,13 +148,13 @@ def first_function(cell: PairCell, store: PairStore, row: Embodiment, speed: flo
     if first is None:
         raise InputError(f"{store.folder}: holds no first function; run teach before this embodiment")
     if row.first == "speed_table":
-        return speed_table(store, first.function).at(speed), "interpolated between stored speeds"
+        return speed_table(store, transform_of(first)).at(speed), "interpolated between stored speeds"
     if row.learning is None:
-        return first.function, f"taught {first.date}"
+        return transform_of(first), f"taught {first.date}"
     second = store.load("second")
     if second is None or second.embodiment != row.name:
-        return first.function, f"taught {first.date}"
-    return second.function, f"learned by {second.embodiment} {second.date}"
+        return transform_of(first), f"taught {first.date}"
+    return transform_of(second), f"learned by {second.embodiment} {second.date}"
 
 
 def _from_one_relation(
@@ -163,7 +163,7 @@ def _from_one_relation(
     """The grasps' relation, or what this embodiment has learned from it."""
     second = None if row.learning is None else store.load("second")
     if second is not None and second.embodiment == row.name:
-        return second.function, f"learned by {second.embodiment} {second.date}"
+        return transform_of(second), f"learned by {second.embodiment} {second.date}"
     return one_relation(cell, row, speed), "one relation, from the start"
 
 
@@ -182,7 +182,7 @@ def speed_table(store: PairStore, first: TransformFunction) -> SpeedTable:
     for path in sorted(store.folder.glob("speed-*.json")):
         stored = read_stored(path)
         refuse_foreign(stored, store.path_hash, store.cell_hash, str(path))
-        functions[stored.speed] = stored.function
+        functions[stored.speed] = transform_of(stored)
     return SpeedTable(functions)
 
 

@@ -25,9 +25,9 @@ from gateway.pair.cell import PairCell
 from gateway.pair.function import TransformFunction
 from gateway.pair.path import PairPath
 from gateway.pair.run import PairCycle, PairRun
-from gateway.pair.stored import StoredFunction, read_stored, refuse_foreign, to_json
+from gateway.pair.stored import read_stored, refuse_foreign, stored_function
 from gateway.pair.transform import Floats
-from gateway.result.pair import LearningSwitch, LinkStatistics, PairRunResult, Stage
+from gateway.result.pair import LearningSwitch, LinkStatistics, PairRunResult, Stage, StoredFunction
 from gateway.result.values import Model, Numbers, decoded, json_object, json_text, numbers, plain_values, text_of
 
 HASH_DECIMALS = 7
@@ -61,15 +61,15 @@ class PairStore:
 
     def save(self, stage: Stage, function: TransformFunction, **origin: Any) -> Path:
         """Store a function; `origin` are the fields of `StoredFunction` that are not known here."""
-        stored = StoredFunction(
-            function=function,
+        stored = stored_function(
+            function,
             path_hash=self.path_hash,
             cell_hash=self.cell_hash,
             stage=stage,
             date=dt.datetime.now(dt.UTC).isoformat(timespec="seconds"),
             **origin,
         )
-        return self.write(f"{stage}.json", to_json(stored))
+        return self.write(f"{stage}.json", json_text(stored))
 
     def load(self, stage: Stage) -> StoredFunction | None:
         """A stored function, None where there is none.

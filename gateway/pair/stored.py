@@ -5,47 +5,32 @@ A function belongs to one path in one cell; for any other it is refused.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from gateway.errors import InputError
 from gateway.pair.function import TransformFunction
-from gateway.result.pair import FUNCTION_KIND, KNOT_UNITS, SCHEMA, FunctionFile, FunctionKnot, Stage
-from gateway.result.values import check_kind, decoded, json_object, json_text, matrix, numbers, text_of
+from gateway.result.pair import FUNCTION_KIND, KNOT_UNITS, SCHEMA, FunctionKnot, StoredFunction
+from gateway.result.values import check_kind, decoded, json_object, matrix, numbers, text_of
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StoredFunction:
-    """A function and its origin, in the words of `gateway.result.pair.FunctionFile`."""
-
-    function: TransformFunction
-    path_hash: str
-    cell_hash: str
-    stage: Stage
-    learn_source: str
-    speed: float
-    date: str
-    embodiment: str = ""
-    cycles: int = 0
-
-
-def to_json(stored: StoredFunction) -> str:
-    """Text of the file."""
-    function = stored.function
+def stored_function(function: TransformFunction, **origin: Any) -> StoredFunction:
+    """A function with its origin: the other fields of `StoredFunction`."""
     knots = zip(function.s_m, function.position_m, function.rotation, strict=True)
-    return json_text(
-        FunctionFile(
-            stage=stored.stage,
-            learn_source=stored.learn_source,
-            speed=stored.speed,
-            date=stored.date,
-            embodiment=stored.embodiment,
-            cycles=stored.cycles,
-            path_hash=stored.path_hash,
-            cell_hash=stored.cell_hash,
-            knots=tuple(FunctionKnot(float(way), numbers(place), matrix(turn)) for way, place, turn in knots),
-        )
+    return StoredFunction(
+        knots=tuple(FunctionKnot(float(way), numbers(place), matrix(turn)) for way, place, turn in knots), **origin
     )
+
+
+def transform_of(stored: StoredFunction) -> TransformFunction:
+    """The function itself.
+
+    Raises
+    ------
+    InputError
+        Knots out of order, matrices that are no rotations.
+    """
+    return TransformFunction(*([getattr(knot, key) for knot in stored.knots] for key in KNOT_UNITS))
 
 
 def read_stored(path: Path) -> StoredFunction:
@@ -75,25 +60,14 @@ def from_json(text: str, where: str) -> StoredFunction:
     """
     data = json_object(text, where)
     check_kind(data, SCHEMA, FUNCTION_KIND, where)
-    file = decoded(FunctionFile, data, where)
-    if file.units != KNOT_UNITS:
-        raise InputError(f"{where}: units {file.units!r}, expected {KNOT_UNITS}")
-    columns = [[getattr(knot, key) for knot in file.knots] for key in KNOT_UNITS]
+    stored = decoded(StoredFunction, data, where)
+    if stored.units != KNOT_UNITS:
+        raise InputError(f"{where}: units {stored.units!r}, expected {KNOT_UNITS}")
     try:
-        function = TransformFunction(*columns)
+        transform_of(stored)
     except (InputError, ValueError) as error:
         raise InputError(f"{where}: {error}") from error
-    return StoredFunction(
-        function=function,
-        path_hash=file.path_hash,
-        cell_hash=file.cell_hash,
-        stage=file.stage,
-        learn_source=file.learn_source,
-        speed=file.speed,
-        date=file.date,
-        embodiment=file.embodiment,
-        cycles=file.cycles,
-    )
+    return stored
 
 
 def refuse_foreign(stored: StoredFunction, path_hash: str, cell_hash: str, where: str) -> None:

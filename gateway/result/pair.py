@@ -206,7 +206,7 @@ class FunctionKnot:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FunctionFile:
+class StoredFunction:
     """A transform function and its origin.
 
     Attributes

@@ -11,6 +11,7 @@ import json
 import math
 import sys
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar
 
@@ -110,7 +111,7 @@ def json_text(value: Any) -> str:
 
 def schema_of(model: type) -> dict[str, Any]:
     """JSON schema of a model's file."""
-    schema = plain_values(TypeAdapter(model).json_schema())
+    schema = plain_values(_adapter(model).json_schema())
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 
@@ -173,10 +174,15 @@ def decoded(model: type[Model], data: Mapping[str, Any], where: str) -> Model:
         A key is missing or of the wrong kind: named with its path.
     """
     try:
-        return TypeAdapter(model).validate_json(json.dumps(data), strict=True)
+        return _adapter(model).validate_json(json.dumps(data), strict=True)
     except ValidationError as error:
         problem = error.errors(include_url=False)[0]
         raise InputError(f"{where}: {_path(problem['loc'])}{_in_words(problem)}") from error
+
+
+@cache
+def _adapter(model: type[Model]) -> TypeAdapter[Model]:
+    return TypeAdapter(model)
 
 
 def _path(place: tuple[int | str, ...]) -> str:
