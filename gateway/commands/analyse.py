@@ -19,11 +19,11 @@ from gateway.commands.options import (
     write_json,
 )
 from gateway.commands.outcome import fail_on_findings, show_result
-from gateway.result.result import Result, to_dict
 
 if TYPE_CHECKING:
     from gateway.analyse.given import Given, ModelRequest
     from gateway.estimate import Coefficient
+    from gateway.result.result import Result
 
 
 def model_request(
@@ -95,6 +95,8 @@ def estimate(
 
 def _hand_over(result: Result, json_out: str | None) -> None:
     """Write and show; a failing finding ends the command."""
+    from gateway.result.result import to_dict
+
     if json_out:
         write_json(json_out, to_dict(result))
     show_result(result, session_of())

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from gateway.commands.console import AXES, Session, axis_table, findings_table, grid, load_table, number
 from gateway.errors import FindingFailed
-from gateway.report.sentences import verdict_sentence
-from gateway.result.result import Finding, LoadResult, NextMeasurement, Result
+
+if TYPE_CHECKING:
+    from gateway.result.result import Finding, LoadResult, NextMeasurement, Result
 
 # Up to this many poses are listed, more are counted.
 LISTED_POSES = 6
@@ -16,6 +18,8 @@ LISTED_POSES = 6
 
 def show_result(result: Result, session: Session) -> None:
     """Loads, residuals, verdict, what to measure next, findings."""
+    from gateway.report.sentences import verdict_sentence
+
     if result.loads:
         session.show(load_table(result))
     for load in result.loads:

@@ -20,17 +20,6 @@ from gateway.commands.options import (
     session_of,
     write_json,
 )
-from gateway.result.pair import (
-    SCHEMA,
-    STAGES,
-    CycleSummary,
-    FunctionOrigin,
-    LearnStatus,
-    LinkStatistics,
-    StoredFunction,
-    TeachResult,
-)
-from gateway.result.values import plain_values
 
 if TYPE_CHECKING:
     from gateway.commands.cell_context import CellContext
@@ -39,6 +28,7 @@ if TYPE_CHECKING:
     from gateway.pair.cell import PairCell
     from gateway.pair.link import PairLink
     from gateway.pair.storage import PairStore
+    from gateway.result.pair import CycleSummary, FunctionOrigin, LinkStatistics, StoredFunction
 
 store_option = click.option(
     "--store",
@@ -105,6 +95,8 @@ def teach(
     from gateway.pair.link import open_link
     from gateway.pair.motion import PairMotionOptions
     from gateway.pair.session import open_lesson, teach_pair
+    from gateway.result.pair import TeachResult
+    from gateway.result.values import plain_values
 
     pair, kept = _open(cell, bus_spec, store, moving.pacing)
     lesson = open_lesson(pair, kept, resume)
@@ -161,6 +153,8 @@ def run_pair(
     from gateway.pair.motion import PairMotionOptions
     from gateway.pair.session import PairRunRequest, embodiment_of, first_function
     from gateway.pair.session import run_pair as run
+    from gateway.result.pair import SCHEMA
+    from gateway.result.values import plain_values
 
     pair, kept = _open(cell, bus_spec, store, moving.pacing)
     row = embodiment_of(pair, embodiment)
@@ -214,6 +208,9 @@ def _cycle_line(summary: CycleSummary) -> str:
 @common
 def learn(action: str, cell: Path, store: Path | None, json_out: str | None) -> None:
     """Status of what was learned in CELL; freeze or resume learning; reset forgets the second function."""
+    from gateway.result.pair import STAGES, LearnStatus
+    from gateway.result.values import plain_values
+
     _, kept = _open(cell, None, store)
     session = session_of()
     if action == "reset":
@@ -232,6 +229,8 @@ def learn(action: str, cell: Path, store: Path | None, json_out: str | None) -> 
 
 
 def _origin(stored: StoredFunction | None) -> FunctionOrigin | None:
+    from gateway.result.pair import FunctionOrigin
+
     if stored is None:
         return None
     return FunctionOrigin(

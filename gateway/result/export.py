@@ -17,12 +17,15 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
 from gateway.errors import ConfigError, DataUnusable
-from gateway.result.drawn import Drawn
-from gateway.result.result import LoadResult, Result
-from gateway.result.values import Vector, json_text
+
+if TYPE_CHECKING:
+    from gateway.result.drawn import Spread
+    from gateway.result.result import LoadResult, Result
+    from gateway.result.values import Vector
 
 INERTIA_NOTE = "inertia not measured (no motion reveals it at rest)"
 
@@ -77,7 +80,8 @@ def export(result: Result, fmt: str, label: str | None = None) -> str:
     if fmt not in FORMATS:
         raise ConfigError(f"format '{fmt}' is not known; choose one of {', '.join(FORMATS)}")
     write, frames = FORMATS[fmt]
-    loads = [_complete(load, frames, result.data or Drawn()) for load in _chosen(result, label)]
+    turned = {} if result.data is None else result.data.flange
+    loads = [_complete(load, frames, turned.get(load.label)) for load in _chosen(result, label)]
     return write(loads, _one_line(result.robot))
 
 
@@ -93,12 +97,11 @@ def _chosen(result: Result, label: str | None) -> list[LoadResult]:
     return [load for load in result.loads if math.isfinite(load.mass_kg)] or list(result.loads)
 
 
-def _complete(load: LoadResult, frames: Sequence[str], drawn: Drawn) -> ExportLoad:
+def _complete(load: LoadResult, frames: Sequence[str], in_flange: Spread | None) -> ExportLoad:
     if not math.isfinite(load.mass_kg):
         raise DataUnusable(f"load '{load.label}' has no mass to hand over: {load.refused or _unidentifiable(load)}")
     if load.com_flange_m is not None and "flange" in frames:
-        turned = drawn.flange.get(load.label)
-        return _checked(load, load.com_flange_m, None if turned is None else turned.com_std_m, "flange")
+        return _checked(load, load.com_flange_m, None if in_flange is None else in_flange.com_std_m, "flange")
     if "link_6" in frames and load.com_m is not None:
         return _checked(load, load.com_m, load.com_std_m, "link_6")
     if load.com_m is None or not all(map(math.isfinite, load.com_m)):
@@ -181,6 +184,8 @@ def _comment(text: str) -> str:
 
 def to_json(loads: Sequence[ExportLoad], robot: str) -> str:
     """Mass and centre of gravity in SI, the frame named, inertia `null`."""
+    from gateway.result.values import json_text
+
     handed = [asdict(load) | {"inertia_kg_m2": None, "note": INERTIA_NOTE} for load in loads]
     return json_text({"robot": robot, "loads": handed})
 
