@@ -6,11 +6,11 @@ python -m benchmarks.reference [--write]: say which pages are not current, or br
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import types
 import typing
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -27,7 +27,10 @@ from gateway.diagnose.rest.thresholds import REST
 from gateway.diagnose.thresholds import described
 from gateway.model.effect import Effect, nowhere
 from gateway.model.effects import LIBRARY
+from gateway.result.follow import FollowResult
+from gateway.result.pair import LearnStatus, LessonFile, PairRunResult, StoredFunction
 from gateway.result.result import json_schema
+from gateway.result.values import json_text, schema_of
 
 DOCS: Final = Path(__file__).resolve().parents[1] / "docs"
 
@@ -216,6 +219,20 @@ def thresholds_page() -> str:
     return "\n".join(lines) + "\n"
 
 
+#: Files beside the result that leave, by the name of their schema.
+FILES: Final[Mapping[str, type]] = {
+    "follow": FollowResult,
+    "pair-run": PairRunResult,
+    "pair-points": LessonFile,
+    "pair-function": StoredFunction,
+    "pair-learn": LearnStatus,
+}
+
+
+def _schema(model: type) -> str:
+    return json_text(schema_of(model))
+
+
 PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "reference/cell-file.md": lambda: keys_page(
         "Cell file",
@@ -231,7 +248,8 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "reference/commands.md": commands_page,
     "reference/effects.md": effects_page,
     "reference/thresholds.md": thresholds_page,
-    "reference/result.schema.json": lambda: json.dumps(json_schema(), indent=1) + "\n",
+    "reference/result.schema.json": lambda: json_text(json_schema()),
+    **{f"reference/{name}.schema.json": partial(_schema, model) for name, model in FILES.items()},
 }
 
 

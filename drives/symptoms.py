@@ -95,7 +95,7 @@ class Symptoms:
                     raise_failures(_odd_bits(epoch))
             elif self._odd[axis]:
                 self._odd[axis] = 0
-            answer = (reading.position_count, reading.torque_raw)
+            answer = (reading.position_count, reading.torque_word)
             if answer != self._last[axis]:
                 self._last[axis] = answer
                 self._same[axis] = 0
@@ -162,12 +162,12 @@ class Symptoms:
     def _compare(self, axis: int, reading: DriveReading, position: int, torque: int) -> None:
         drive = self._exchange.drives[axis]
         allowed = drive.scale.revolutions(SAME_REVOLUTIONS) + 1.0
-        if abs(position - reading.position_count) <= allowed and torque == reading.torque_raw:
+        if abs(position - reading.position_count) <= allowed and torque == reading.torque_word:
             return
         if abs(position - reading.position_count) <= allowed and self._same[axis] < 2 * SAME_IN_A_ROW:
             return
         raise DRIVE_RULES["stale"].raised(
-            f"repeats position {reading.position_count}, torque {reading.torque_raw} since {self._same[axis]} SYNCs; "
+            f"repeats position {reading.position_count}, torque {reading.torque_word} since {self._same[axis]} SYNCs; "
             f"SDO says position {position}, torque {torque}",
             node=drive.node_id,
             index=drive.plans[1].mapping,

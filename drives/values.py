@@ -80,9 +80,9 @@ class DriveReading(NamedTuple):
     ----------
     node_id, sync_index : int
         Who, and after which SYNC.
-    statusword, position_count, torque_raw : int
+    statusword, position_count, torque_word : int
         As received.
-    velocity_raw, current_raw : int or None
+    velocity_word, current_word : int or None
         As received; None = not mapped.
     position_rad, torque_nm : float
         By the profile's arithmetic.
@@ -94,9 +94,9 @@ class DriveReading(NamedTuple):
     sync_index: int
     statusword: int
     position_count: int
-    torque_raw: int
-    velocity_raw: int | None
-    current_raw: int | None
+    torque_word: int
+    velocity_word: int | None
+    current_word: int | None
     position_rad: float
     torque_nm: float
     velocity_rad_s: float | None

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import Protocol
 
 from canopen.sdo.exceptions import SdoAbortedError
 
-from sim.objects import LIMITS, VALUE_RANGE
-from sim.units import MAX_TORQUE_PER_MILLE
-
-if TYPE_CHECKING:
-    from sim.fake_drive import FakeDrive
+from sim.cellfile import AxisSpec
+from sim.motor import MotorAxis
+from sim.objects import LIMITS, VALUE_RANGE, ObjectStore
+from sim.states import Automaton
+from sim.units import MAX_TORQUE_PER_MILLE, DriveUnits, Word
 
 VENDOR_ID = 0x0000053A
 REVISION = 0x00010000
@@ -19,6 +20,47 @@ MODES = {1: 0, 8: 7, 10: 9}
 #: How far the drive's software limits stand outside the cell's [rad].
 LIMIT_MARGIN_RAD = 0.05
 FOLLOWING_WINDOW_RAD = 0.15
+
+
+class DescribedDrive(Protocol):
+    """What the objects of a drive read and write: the functions are named where an object takes them."""
+
+    node_id: int
+    serial: int
+    limited: bool
+    sync_period_s: float
+    counts_per_joint_rad: float
+    spec: AxisSpec
+    units: DriveUnits
+    store: ObjectStore
+    axis: MotorAxis
+    automaton: Automaton
+    mode: int
+    error_code: int
+    target_counts: int
+    target_torque: int
+    velocity_offset: int
+    torque_offset: int
+
+    def statusword(self) -> int: ...
+    def digital_inputs(self) -> int: ...
+    def position_counts(self) -> int: ...
+    def demand_counts(self) -> int: ...
+    def following_error_counts(self) -> int: ...
+    def counts_at(self, joint_rad: float) -> int: ...
+    def velocity_word(self) -> int: ...
+    def demand_velocity(self) -> int: ...
+    def demand_word(self) -> int: ...
+    def standard_current_word(self) -> int: ...
+    def torque_word(self, word: Word) -> Callable[[], int]: ...
+    def take_controlword(self, word: int) -> None: ...
+    def take_mode(self, value: int) -> None: ...
+    def take_quick_stop_option(self, value: int) -> None: ...
+    def take_target(self, counts: int) -> None: ...
+    def take_target_torque(self, word: int) -> None: ...
+    def take_velocity_offset(self, value: int) -> None: ...
+    def take_torque_offset(self, word: int) -> None: ...
+    def take_max_torque(self, word: int) -> None: ...
 
 
 def _one_of(*allowed: int):
@@ -29,7 +71,7 @@ def _one_of(*allowed: int):
     return check
 
 
-def fill(drive: FakeDrive) -> None:
+def fill(drive: DescribedDrive) -> None:
     """Register all objects of a drive but those of its PDOs and of the network management."""
     _device(drive)
     _state_objects(drive)
@@ -37,7 +79,7 @@ def fill(drive: FakeDrive) -> None:
     _torque_objects(drive)
 
 
-def _device(drive: FakeDrive) -> None:
+def _device(drive: DescribedDrive) -> None:
     store, profile = drive.store, drive.spec.profile
     identity = profile.get("identity", {})
     revision = max(int(identity.get("revision_min", 0)), min(REVISION, int(identity.get("revision_max", REVISION))))
@@ -64,7 +106,7 @@ def _device(drive: FakeDrive) -> None:
     store.constant((0x1200, 2), "u32", 0x580 + drive.node_id)
 
 
-def _state_objects(drive: FakeDrive) -> None:
+def _state_objects(drive: DescribedDrive) -> None:
     store = drive.store
     store.parameter((0x6007, 0), "i16", 1, _one_of(0, 1, 2, 3))
     store.live((0x603F, 0), "u16", lambda: drive.error_code)
@@ -85,7 +127,7 @@ def _state_objects(drive: FakeDrive) -> None:
     store.constant((0x6079, 0), "u32", 565_000)
 
 
-def _motion_objects(drive: FakeDrive) -> None:
+def _motion_objects(drive: DescribedDrive) -> None:
     store, axis, units = drive.store, drive.spec, drive.units
     window = abs(round(FOLLOWING_WINDOW_RAD * drive.counts_per_joint_rad))
     speed = axis.speed_limit_rad_s * abs(axis.gear_ratio)
@@ -124,7 +166,7 @@ def _motion_objects(drive: FakeDrive) -> None:
     store.live((0x60F4, 0), "i32", drive.following_error_counts)
 
 
-def _torque_objects(drive: FakeDrive) -> None:
+def _torque_objects(drive: DescribedDrive) -> None:
     store, units = drive.store, drive.units
     store.live((0x6071, 0), "i16", lambda: drive.target_torque, drive.take_target_torque)
     store.parameter((0x6072, 0), "u16", MAX_TORQUE_PER_MILLE, drive.take_max_torque)

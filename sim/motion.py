@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import TYPE_CHECKING
+from typing import Protocol
 
+from sim.cellfile import AxisSpec
+from sim.motor import MotorAxis
+from sim.objects import ObjectStore
 from sim.servo import TICK_S
-from sim.states import PdsState
-
-if TYPE_CHECKING:
-    from sim.fake_drive import FakeDrive
+from sim.states import Automaton, PdsState
 
 PP, CSP, CST = 1, 8, 10
 NEW_SET_POINT, RELATIVE, HALT = 1 << 4, 1 << 6, 1 << 8
@@ -34,6 +34,36 @@ CLOCK_DRAW = 0.03
 MOST_BUFFERED = 8
 
 
+class MovingDrive(Protocol):
+    """What the motion of a drive is made of."""
+
+    spec: AxisSpec
+    store: ObjectStore
+    axis: MotorAxis
+    automaton: Automaton
+    mode: int
+    error_code: int
+
+    def target_rad(self) -> float:
+        """Target position at the gear output, inside the software limits."""
+        ...
+
+    def demanded_nm(self) -> float:
+        """Torque feedforward, in CST the whole demand, gear output side."""
+        ...
+
+    def joint_speed(self, word: int) -> float:
+        """Magnitude at the gear output [rad/s] of a speed or acceleration word."""
+        ...
+
+    def following_error_counts(self) -> int:
+        """0x60F4."""
+        ...
+
+    def raise_fault(self, code: int) -> None:
+        """EMCY, then the fault reaction."""
+
+
 class DriveMotion:
     """Reference generator and monitor of one drive.
 
@@ -45,7 +75,7 @@ class DriveMotion:
     buffered : set points are taken over by a clock of the drive's own
     """
 
-    def __init__(self, drive: FakeDrive) -> None:
+    def __init__(self, drive: MovingDrive) -> None:
         self._drive = drive
         self.target_limited = False
         self.brake_stuck = False

@@ -9,14 +9,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import Protocol
 
-from sim.node import OPERATIONAL, PRE_OPERATIONAL
-from sim.objects import DEVICE_STATE, NO_DATA, Address
+from sim.node import OPERATIONAL, PRE_OPERATIONAL, SlaveNode
+from sim.objects import DEVICE_STATE, NO_DATA, Address, ObjectStore
 from sim.pdo import Pdo
-
-if TYPE_CHECKING:
-    from sim.fake_drive import FakeDrive
 
 EMCY_COMMUNICATION = 0x8100
 REGISTER_COMMUNICATION = 0x11
@@ -60,6 +57,25 @@ class Quirks:
     never_enables: bool = False
 
 
+class QuirkyDrive(Protocol):
+    """What the conduct of a drive is made of."""
+
+    node: SlaveNode
+    store: ObjectStore
+    quirks: Quirks
+
+    @property
+    def enabled(self) -> bool:
+        """Whether it is in OPERATION ENABLED."""
+        ...
+
+    def drop_out(self) -> None:
+        """Fall back from OPERATION ENABLED to SWITCHED ON."""
+
+    def transmit(self, tpdo: Pdo) -> None:
+        """Put one TPDO on the bus."""
+
+
 class Conduct:
     """How a drive with quirks behaves on the network.
 
@@ -72,7 +88,7 @@ class Conduct:
     clock : monotonic, by which a communication error stands
     """
 
-    def __init__(self, drive: FakeDrive) -> None:
+    def __init__(self, drive: QuirkyDrive) -> None:
         self._drive = drive
         self.clock: Callable[[], float] = time.monotonic
         self._refused_at_s: float | None = None

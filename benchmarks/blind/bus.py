@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 import time
@@ -10,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gateway.result.result import UNKNOWN_THREE, Result, read_result
 from sim.blind import LEAST_STRENGTH
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -43,40 +43,41 @@ def run_bus_cell(job: tuple[int, str]) -> dict:
     with (folder / "log.txt").open("w", encoding="utf-8") as log:
         done = subprocess.run(words, stdout=log, stderr=log, timeout=TIMEOUT_S, check=False)
     path = folder / "result.json"
-    result = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    finished = done.returncode in (0, REFUSED) and "truth" in result and (folder / "report.html").exists()
-    return _score(seed, name, result if finished else {}, time.monotonic() - begin)
+    ended = done.returncode in (0, REFUSED) and path.exists() and (folder / "report.html").exists()
+    result = read_result(path) if ended else None
+    finished = result is not None and "truth" in result.extra
+    return _score(seed, name, result if finished else None, time.monotonic() - begin)
 
 
-def _score(seed: int, name: str, result: dict, time_s: float) -> dict:
-    """What is kept of one cell, as of the cells without a bus."""
-    truth = result.get("truth") or {"effects": [], "loads": []}
+def _score(seed: int, name: str, result: Result | None, time_s: float) -> dict:
+    """What is kept of one cell, as of the cells without a bus; None = the job did not end."""
+    truth = {"effects": [], "loads": []} if result is None else result.extra["truth"]
     effects = [effect for effect in truth["effects"] if effect.get("strength", np.inf) >= LEAST_STRENGTH]
     return {
         "seed": seed,
         "cell": name,
-        "finished": bool(result),
+        "finished": result is not None,
         "kind": ("clean", "one", "two")[len(effects)],
         "truth": [[effect["name"], list(effect["joints"])] for effect in effects],
         "strengths": [effect.get("strength", 1e9) for effect in effects],
-        "found": [[effect["name"], list(effect["joints"])] for effect in result.get("effects", [])],
-        "verdict": result.get("verdict", "none: the job did not end"),
-        "inside": _inside(result, truth),
+        "found": [] if result is None else [[effect.name, list(effect.joints)] for effect in result.effects],
+        "verdict": "none: the job did not end" if result is None else result.verdict,
+        "inside": [] if result is None else _inside(result, truth),
         "time_s": time_s,
     }
 
 
-def _inside(result: dict, truth: dict) -> list[bool]:
+def _inside(result: Result, truth: dict) -> list[bool]:
     """Whether the 95 % intervals of mass, x, y, z hold the truth; none where the load itself moved."""
     if any(effect["name"] == "payload_shift" for effect in truth["effects"]):
         return []
     known = {load["label"]: load for load in truth["loads"]}
     out = []
-    for load in result.get("loads", []):
-        true = known[load["label"]]
-        if load.get("mass_kg") is None or None in (load.get("com_m") or [None]):
-            out += [False] * 4
-            continue
-        value, std = (np.array([load[f"mass{part}_kg"], *load[f"com{part}_m"]]) for part in ("", "_std"))
-        out += [bool(v) for v in np.abs(value - np.array([true["mass_kg"], *true["com_m"]])) < 1.96 * std]
+    for load in result.loads:
+        true = known[load.label]
+        value = np.array([load.mass_kg, *(load.com_m or UNKNOWN_THREE)])
+        std = np.array([load.mass_std_kg, *(load.com_std_m or UNKNOWN_THREE)])
+        off = np.abs(value - np.array([true["mass_kg"], *true["com_m"]]))
+        # what is not known is not inside
+        out += (off < 1.96 * std).tolist() if np.isfinite(value).all() else [False] * 4
     return out

@@ -102,7 +102,7 @@ def _stretch(made: Rig, group: DriveGroup, base: int, start: list[float], rng: r
         for axis, reading in enumerate(epoch.readings, start=1):
             if reading is None:
                 continue
-            answer = (reading.position_count, reading.torque_raw)
+            answer = (reading.position_count, reading.torque_word)
             verdict.taken += 1
             if answer != made.seen.answers.get((sync, axis)):
                 old = answer == made.seen.answers.get((sync - 1, axis))

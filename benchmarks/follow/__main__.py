@@ -24,6 +24,7 @@ from benchmarks.figure import figure
 from benchmarks.follow import rig
 from gateway.cell.config import load_cell
 from gateway.follow.job import FollowRequest, prepare
+from gateway.result.follow import FedTrend, FollowResult, read_follow
 
 SEEDS = (1, 2, 3)
 WRONG = (0.8, 1.2)
@@ -41,8 +42,8 @@ def main(argv: list[str]) -> int:
     figures: dict[str, dict] = {}
     with tempfile.TemporaryDirectory() as folder:
         jobs = [("large", seed) for seed in arguments.seeds] + [("small", arguments.seeds[0])]
-        bodies: dict[str, list[dict[str, Any]]] = {"large": [], "small": []}
-        wrong: list[dict[str, Any]] = []
+        results: dict[str, list[FollowResult]] = {"large": [], "small": []}
+        wrong: list[FollowResult] = []
         for number, (example, seed) in enumerate(jobs, start=1):
             print(f"{number}/{len(jobs)}: {example} arm, build errors {seed}", file=sys.stderr, flush=True)
             place = rig.set_up(Path(folder) / f"{example}-{seed}", example)
@@ -51,28 +52,28 @@ def main(argv: list[str]) -> int:
                 report = arguments.out / f"{example}-{seed}.html"
                 told = rig.follow_command(place, handle, place.result, report)
                 assert told.exit_code == 0, told.output
-                bodies[example].append(json.loads(report.with_suffix(".json").read_text()))
+                results[example].append(read_follow(report.with_suffix(".json")))
                 wrong += _wrong(place, handle)
                 if number == 1:
                     figures |= _told_otherwise(place, handle)
                     figures |= _computing(place)
         first = f"{jobs[0][0]}-{jobs[0][1]}"
         shutil.copy(arguments.out / f"{first}.html", arguments.out / "report.html")
-    figures = _following(bodies) | _loads(bodies, wrong) | figures
+    figures = _following(results) | _loads(results, wrong) | figures
     (arguments.out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n")
     show(figures)
     return 0 if all(item["met"] is not False for item in figures.values()) else 1
 
 
-def peaks(body: dict[str, Any]) -> dict[str, np.ndarray]:
+def peaks(result: FollowResult) -> dict[str, np.ndarray]:
     """Peak following error (6,) of each setting."""
-    return {setting["name"]: np.array(setting["peak_rad"]) for setting in body["settings"]}
+    return {setting.name: np.array(setting.peak_rad) for setting in result.settings}
 
 
-def _following(bodies: dict[str, list[dict[str, Any]]]) -> dict[str, dict]:
+def _following(results: dict[str, list[FollowResult]]) -> dict[str, dict]:
     found: dict[str, dict] = {}
-    for example, several in bodies.items():
-        each = [peaks(body) for body in several]
+    for example, several in results.items():
+        each = [peaks(result) for result in several]
         for axis in WATCHED:
             for other, goal in (("off", "<= 0.3333"), ("maximum", "<= 0.5")):
                 ratio = [item["identified"][axis] / item[other][axis] for item in each]
@@ -88,7 +89,7 @@ def _words(setting: str) -> str:
     return "without" if setting == "off" else "maximum load"
 
 
-def _wrong(place: rig.Place, handle: Any) -> list[dict[str, Any]]:
+def _wrong(place: rig.Place, handle: Any) -> list[FollowResult]:
     """The same pass with a load that is 20 % too light or too heavy in the file."""
     return [
         rig.followed(
@@ -98,15 +99,20 @@ def _wrong(place: rig.Place, handle: Any) -> list[dict[str, Any]]:
     ]
 
 
-def _failed(body: dict[str, Any]) -> bool:
-    return any(item["severity"] == "fail" and item["where"].startswith("load") for item in body["findings"])
+def _failed(result: FollowResult) -> bool:
+    return any(item.severity == "fail" and item.where.startswith("load") for item in result.findings)
 
 
-def _loads(bodies: dict[str, list[dict[str, Any]]], wrong: list[dict[str, Any]]) -> dict[str, dict]:
-    right = [body for several in bodies.values() for body in several]
-    slope = [abs(body["trend"]["scale"]) / body["trend"]["scale_std"] for body in wrong]
-    alarms = sum(any(item["severity"] != "info" for item in body["findings"]) for body in right)
-    share = [abs(body["trend"]["scale"]) for body in right]
+def _trend(result: FollowResult) -> FedTrend:
+    assert result.trend is not None
+    return result.trend
+
+
+def _loads(results: dict[str, list[FollowResult]], wrong: list[FollowResult]) -> dict[str, dict]:
+    right = [result for several in results.values() for result in several]
+    slope = [abs(_trend(result).scale) / _trend(result).scale_std for result in wrong]
+    alarms = sum(any(item.severity != "info" for item in result.findings) for result in right)
+    share = [abs(_trend(result).scale) for result in right]
     return {
         "load 20 % off: found by the residual's trend, share": figure(np.mean([_failed(b) for b in wrong]), ">= 1"),
         "load 20 % off: trend in standard deviations, least": figure(
@@ -154,9 +160,9 @@ def _computing(place: rig.Place) -> dict[str, dict]:
         sense = [0.0] * 6
         begun = time.thread_time()
         for index in range(ROUNDS // 5):
-            q, rate, gain = states[index % len(states)]
-            sense = law.sense(sense, rate)
-            _, torque = law.offsets(q, rate, gain, sense)
+            q, velocity, acceleration = states[index % len(states)]
+            sense = law.sense(sense, velocity)
+            _, torque = law.offsets(q, velocity, acceleration, sense)
             law.excess(torque)
         times.append(1e6 * (time.thread_time() - begun) / (ROUNDS // 5))
     name = "both offsets of six axes, processor time per SYNC"

@@ -6,7 +6,6 @@ rounded, friction only as the rest poses show it, the load as it was identified.
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shutil
@@ -24,11 +23,13 @@ from gateway.cli import main
 from gateway.commands.cell_context import open_cell
 from gateway.feedforward.dynamics import ArmDynamics
 from gateway.feedforward.law import FeedforwardLaw
-from gateway.follow.body import body_of
+from gateway.follow.comparison import result_of
 from gateway.follow.job import FollowRequest, Prepared, drive, prepare
 from gateway.follow.settings import Setting
 from gateway.model.arm_model import arm_named
 from gateway.motion.opening import open_arm
+from gateway.result.follow import FollowResult
+from gateway.result.result import read_result, to_json
 from sim.serve import RunningSimulation, running
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -59,11 +60,10 @@ class Place:
 
     def result_with(self, name: str, factor: float) -> Path:
         """The identified load with another mass."""
-        body = json.loads(self.result.read_text())
-        for loads in (body["loads"], body["after"]["loads"]):
-            for load in loads:
-                load["mass_kg"] *= factor
-        (self.folder / f"{name}.json").write_text(json.dumps(body))
+        result = read_result(self.result)
+        loads = tuple(replace(load, mass_kg=factor * load.mass_kg) for load in result.loads)
+        changed = replace(result, loads=loads, after=replace(result.after, loads=loads))
+        (self.folder / f"{name}.json").write_text(to_json(changed))
         return self.folder / f"{name}.json"
 
 
@@ -130,13 +130,13 @@ def velocity_alone(prepared: Prepared) -> Setting:
     return Setting("velocity alone", law, None)
 
 
-def followed(handle: RunningSimulation, cell: Path, request: FollowRequest, *names: str) -> dict[str, Any]:
-    """The body of a job under the named settings only."""
+def followed(handle: RunningSimulation, cell: Path, request: FollowRequest, *names: str) -> FollowResult:
+    """The result of a job under the named settings only."""
     context = open_cell(cell, handle.bus)
     prepared = _prepared(context, request, names)
     override = replace(context.override(prepared.arm), feedforward=True)
     with open_arm(context.loaded, override, prepared.arm.name) as opened:
-        return body_of(drive(opened, prepared, lambda what, done: None))
+        return result_of(drive(opened, prepared, lambda what, done: None))
 
 
 def _prepared(context: Any, request: FollowRequest, names: tuple[str, ...]) -> Prepared:

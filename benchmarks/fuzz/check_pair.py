@@ -19,10 +19,11 @@ from drives.errors import BusError
 from gateway.errors import ConfigError, InputError
 from gateway.pair.cell import COLUMNS, PairCell, load_pair, read_path
 from gateway.pair.function import TransformFunction, function_of_knots
-from gateway.pair.lesson import Lesson, TaughtPoint, read_lesson
-from gateway.pair.report import render_pair
+from gateway.pair.lesson import Lesson, read_lesson, taught_point
 from gateway.pair.storage import PairStore
-from gateway.pair.stored import to_json
+from gateway.pair.stored import transform_of
+from gateway.report.pair import FORCE, Limited, render_pair
+from gateway.result.values import json_text
 
 PAIR = EXAMPLES / "pair"
 
@@ -123,18 +124,18 @@ def check_function(data: bytes) -> None:
     path.write_bytes(data)
     stored = bounded(lambda: store.load("first"), (InputError,), len(data))
     if stored is not None:
-        function = stored.function
+        function = transform_of(stored)
         assert np.isfinite(function.many(np.linspace(-1.0, 2.0, 7))).all()
-        path.write_text(to_json(stored), encoding="utf-8")
+        path.write_text(json_text(stored), encoding="utf-8")
         again = store.load("first")
         assert again is not None
-        assert to_json(again) == to_json(stored)
+        assert json_text(again) == json_text(stored)
 
 
 def lessons() -> st.SearchStrategy[bytes]:
     store, function = _store(), _function()
     points = [
-        TaughtPoint(number * 10, 0.2 * number, function.at(0.2 * number), np.full(6, 1e-4), (9.0, 3.0), (1.0, 0.5))
+        taught_point(number * 10, 0.2 * number, function.at(0.2 * number), np.full(6, 1e-4), ((9.0, 3.0), (1.0, 0.5)))
         for number in range(3)
     ]
     return damaged([Lesson(store.path_hash, store.cell_hash, points).to_json().encode()])
@@ -154,7 +155,7 @@ def check_lesson(data: bytes) -> None:
     if lesson is not None:
         path.write_text(lesson.to_json(), encoding="utf-8")
         assert read_lesson(path, store.path_hash, store.cell_hash).to_json() == lesson.to_json()
-        assert all(isinstance(point.index, int) and point.index >= 0 for point in lesson.points)
+        assert all(isinstance(point.command, int) and point.command >= 1 for point in lesson.points)
 
 
 # ------------------------------------------------------------------------------------------------- switch, runs, report
@@ -194,8 +195,7 @@ def check_run(data: bytes) -> None:
 
     def read() -> str:
         rows = store.runs()
-        about = {"cell": "pair", "date": "2026-01-01", "force_limit_n": 40.0, "source": "torques", "rows": rows}
-        return render_pair(about) if rows else ""
+        return render_pair("pair", Limited(FORCE, 40.0, "torques"), rows) if rows else ""
 
     page = bounded(read, (InputError,), len(data))
     assert page is None or page.encode() is not None

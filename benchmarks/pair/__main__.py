@@ -10,7 +10,6 @@ run again; a run that was interrupted, or whose `--minutes` are over, prints wha
 from __future__ import annotations
 
 import argparse
-import datetime as dt
 import json
 import sys
 import time
@@ -25,7 +24,9 @@ from benchmarks.bench.__main__ import show
 from benchmarks.pair.bus_figures import figures
 from benchmarks.pair.bus_rig import CELL
 from benchmarks.pair.bus_tier import BusTier
-from gateway.pair.report import render_pair
+from gateway.report.pair import FORCE, Limited, render_pair
+from gateway.result.pair import PairRunResult
+from gateway.result.values import decoded
 
 SHORT = ("plain", "each", "mean", "points", "stop", "distance")
 FULL = (
@@ -150,14 +151,10 @@ def show_seeds(rows: Sequence[dict[str, Any]]) -> None:
 
 def report(out: Path, done: Sequence[dict[str, Any]]) -> None:
     """The report's page of the first seed, with the true force."""
-    data = {
-        "cell": f"{CELL.parent.name}, seed {done[0]['seed']}",
-        "date": dt.datetime.now(dt.UTC).isoformat(timespec="seconds"),
-        "force_limit_n": LIMIT_N,
-        "source": "the simulator's true one",
-        "rows": done[0]["curves"],
-    }
-    (out / "report.html").write_text(render_pair(data))
+    runs = [decoded(PairRunResult, curve, "curves") for curve in done[0]["curves"]]
+    cell = f"{CELL.parent.name}, seed {done[0]['seed']}"
+    bound = Limited(FORCE, LIMIT_N, "the simulator's true one")
+    (out / "report.html").write_text(render_pair(cell, bound, runs))
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from gateway.pair.motion import PairMotionOptions, PairStopped
 from gateway.pair.run import PairRun
 from gateway.pair.session import cell_gains
 from gateway.pair.speed import ExtrapolationWarning, SpeedTable
+from gateway.result.values import plain_values
 from sim.states import PdsState
 
 Row = dict[str, Any]
@@ -337,7 +338,7 @@ def _taught(seed: int) -> dict[str, Any]:
     with inline_rig(seed) as rig:
         nine, lesson = rig.teach(9)
         _count(seen, rig)
-    points = [point.as_json() for point in lesson.points]
+    points = plain_values(lesson.points)
     seen |= {"functions": {}, "points": points, "nine": _knots(nine)}
     return seen | {"alone": {f"{speed:g}": np.round(_alone(seed, nine, speed), 7).tolist() for speed in (USUAL, FAST)}}
 
@@ -356,7 +357,7 @@ def _alone(seed: int, nine: TransformFunction, speed: float) -> Any:
 def _count(seen: dict[str, Any], rig: PairRig) -> None:
     statistics = rig.link.statistics()
     for name in seen["statistics"]:
-        seen["statistics"][name] += sum(statistics[name])
+        seen["statistics"][name] += sum(getattr(statistics, name))
 
 
 def _knots(function: TransformFunction) -> list[Any]:

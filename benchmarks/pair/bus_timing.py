@@ -69,12 +69,12 @@ def lockstep(cycles: int = CYCLES) -> dict[str, Any]:
     PairWorld._tick = _no_physics  # type: ignore[method-assign]
     try:
         with pair_rig(None) as rig, powered(Stream(rig.link.station(rig.cell, MoveOptions()))) as stream:
-            before = rig.link.statistics()["incomplete"]
+            before = rig.link.statistics().incomplete
             began = time.perf_counter()
             for cycle in range(cycles):
                 stream.hold("hold", cycle, cycles)
             took_s = time.perf_counter() - began
-            after = rig.link.statistics()["incomplete"]
+            after = rig.link.statistics().incomplete
     finally:
         PairWorld._tick = plain  # type: ignore[method-assign]
     return {"cycles": cycles, "incomplete": sum(after) - sum(before), "cycle_s": took_s / cycles}

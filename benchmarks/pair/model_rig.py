@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from benchmarks.pair.adjust import Adjustment, AdjustmentRule
 from gateway.model.robot import Robot, robot_from_dh, with_flange
 from gateway.pair.calibration import PairCalibration, PathWrenches
-from gateway.pair.controller import CycleSummary, PairController
+from gateway.pair.controller import PairController
 from gateway.pair.embodiments import Embodiment
 from gateway.pair.function import TransformFunction, constant_function, function_of_knots
 from gateway.pair.inverse import ForwardChain, chain_of, path_joint_angles, solve
@@ -21,6 +21,7 @@ from gateway.pair.learning import at_points
 from gateway.pair.path import PairPath, PathProgram, master_commands
 from gateway.pair.relation import relation, slave_command
 from gateway.pair.transform import apply_correction, inverse
+from gateway.result.pair import CycleSummary
 from sim.pair import geometry
 from sim.pair.errors import PairErrors, warmed
 from sim.pair.kinetostatic import (

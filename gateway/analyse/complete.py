@@ -18,9 +18,8 @@ from gateway.data.reading import is_recording
 from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.data.table import Table
 from gateway.report.collect import drawn_poses, flange_spread
-from gateway.result.result import Finding, Result, to_dict
-
-FRESH = "fresh"
+from gateway.result.drawn import Drawn, DrawnPose, DrawnSource
+from gateway.result.result import Finding, Result
 
 
 def complete(result: Result, about: Given, table: Table, paths: Sequence[Path]) -> Result:
@@ -40,29 +39,28 @@ def complete(result: Result, about: Given, table: Table, paths: Sequence[Path]) 
     Returns
     -------
     Result
-        With `extra["data"]` (see `gateway.report`) and the provenance of every constant.
+        With what the report names and draws, and the provenance of every constant.
     """
-    earlier = dict(result.extra.get("data") or {})
-    roles = earlier.get("role") or _roles(result)
-    data: dict[str, Any] = {
-        "created": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        "software": _software(),
-        "cell": about.loaded.cell.name if about.loaded is not None else _cell_of(about.recordings),
-        "arm": None if about.arm is None else about.arm.name,
-        "sources": [_source(path, about.recordings, table) for path in paths],
-        "role": roles,
-        "poses": _poses(result, about, roles),
-        "flange": {} if about.robot is None else flange_spread(about.robot, result.loads),
-        "bus": _bus(about.recordings, about.arm.name if about.arm is not None else None),
-    }
-    if about.arm is not None:
-        data["torque_limit_nm"] = [axis.torque_limit_nm for axis in about.arm.axis]
+    drawn = Drawn() if result.data is None else result.data
+    roles = drawn.role or _roles(result)
     constants = _provenance(about)
     return replace(
         result,
         findings=(*result.findings, *_corrected(about)),
         provenance={**constants, **result.provenance},
-        extra={**result.extra, "data": {key: value for key, value in (data | earlier).items() if value is not None}},
+        data=replace(
+            drawn,
+            created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+            software=_software(),
+            cell=about.loaded.cell.name if about.loaded is not None else _cell_of(about.recordings),
+            arm=None if about.arm is None else about.arm.name,
+            sources=tuple(_source(path, about.recordings, table) for path in paths),
+            role=roles,
+            poses=_poses(result, about, roles),
+            flange={} if about.robot is None else flange_spread(about.robot, result.loads),
+            bus=_bus(about.recordings, about.arm.name if about.arm is not None else None),
+            torque_limit_nm=() if about.arm is None else tuple(axis.torque_limit_nm for axis in about.arm.axis),
+        ),
     )
 
 
@@ -74,19 +72,14 @@ def _corrected(about: Given) -> list[Finding]:
     ]
 
 
-def as_json(result: Result) -> dict[str, Any]:
-    """Plain values of a completed result."""
-    return to_dict(result)
-
-
-def _poses(result: Result, about: Given, roles: Sequence[str]) -> list[dict[str, Any]]:
+def _poses(result: Result, about: Given, roles: Sequence[str]) -> tuple[DrawnPose, ...]:
     if result.rows is None or about.robot is None:
-        return []
+        return ()
     return drawn_poses(about.robot, result.rows, result.loads, roles)
 
 
-def _roles(result: Result) -> list[str]:
-    return [] if result.rows is None else ["fit"] * len(result.rows.load)
+def _roles(result: Result) -> tuple[str, ...]:
+    return () if result.rows is None else ("fit",) * len(result.rows.load)
 
 
 def _software() -> str:
@@ -100,30 +93,29 @@ def _cell_of(recordings: Sequence[Recording]) -> str | None:
     return recordings[0].cell.name if recordings else None
 
 
-def _source(path: Path, recordings: Sequence[Recording], table: Table) -> dict[str, Any]:
+def _source(path: Path, recordings: Sequence[Recording], table: Table) -> DrawnSource:
     count = sum(name == str(path) for name in table.file)
-    entry: dict[str, Any] = {"file": str(path), "kind": "measured table", "visits": count}
-    if is_recording(path):
-        recording = next(item for item in recordings if item.path == path)
-        entry |= {"kind": "recording", "exit_status": recording.exit_status, "created": recording.created}
-    return entry
+    if not is_recording(path):
+        return DrawnSource(str(path), "measured table", count)
+    recording = next(item for item in recordings if item.path == path)
+    return DrawnSource(str(path), "recording", count, recording.exit_status, recording.created)
 
 
 def _recorded_arm(recordings: Sequence[Recording], name: str | None) -> list[tuple[Recording, ArmRecording]]:
     return [(item, arm) for item in recordings for arm in item.arms if name in (None, arm.name)]
 
 
-def _bus(recordings: Sequence[Recording], name: str | None) -> list[dict[str, Any]]:
+def _bus(recordings: Sequence[Recording], name: str | None) -> tuple[dict[str, str | int | float | None], ...]:
     """A line per recorded arm: the counters of the bus during its last run."""
-    lines = []
+    lines: list[dict[str, str | int | float | None]] = []
     for recording, arm in _recorded_arm(recordings, name):
         statistics = arm.bus_statistics
         if statistics:
             lines.append({"run": f"{recording.path.name}, {arm.name}", **_bus_line(statistics)})
-    return lines
+    return tuple(lines)
 
 
-def _bus_line(statistics: Mapping[str, Any]) -> dict[str, Any]:
+def _bus_line(statistics: Mapping[str, Any]) -> dict[str, int | float]:
     sdo = [item for item in statistics.get("sdo") or [] if isinstance(item, Mapping)]
     slowest = max((item.get("max_s") or 0.0 for item in sdo), default=None)
     line = {

@@ -23,7 +23,7 @@ from gateway.identify.links import default_inertials
 from gateway.model.arm_model import arm_named, arm_robot, robot_from_text
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2, kinematic_difference
 from gateway.model.robot import Robot, robot_from_urdf
-from gateway.result.result import Bare, from_json
+from gateway.result.result import Bare, read_result
 
 VALIDATION = "x_validation"
 Load = tuple[float, float, float, float]
@@ -197,11 +197,7 @@ def read_bare(path: Path) -> Bare:
     InputError
         Unreadable, or the result holds none.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}; name a JSON that `estimate --json` wrote") from error
-    bare = from_json(text, str(path)).bare
+    bare = read_result(path).bare
     if bare is None:
         raise InputError(f"{path}: holds no bare identification; estimate bare rows with --json and name that file")
     if not all(np.isfinite(part).all() for part in (bare.value, bare.gravity_m_s2, bare.covariance, bare.combination)):

@@ -24,6 +24,7 @@ from gateway.commands.outcome import fail_on_findings, show_result
 if TYPE_CHECKING:
     from gateway.analyse.given import Given, ModelRequest
     from gateway.estimate import Coefficient
+    from gateway.result.result import Result
 
 
 def model_request(
@@ -78,7 +79,7 @@ def estimate(
     """Mass and centre of gravity of every unknown load, with standard deviations and what cannot be told."""
     from dataclasses import replace
 
-    from gateway.analyse.complete import as_json, complete
+    from gateway.analyse.complete import complete
     from gateway.analyse.given import estimate_options, given, read_rows
     from gateway.estimate import run
 
@@ -90,11 +91,17 @@ def estimate(
         options = replace(options, coefficient=wanted.of(about))
     with session_of().working("estimation"):
         result = run(table, about.robot, options, method)
-    body = as_json(complete(result, about, table, data))
+    _hand_over(complete(result, about, table, data), json_out)
+
+
+def _hand_over(result: Result, json_out: str | None) -> None:
+    """Write and show; a failing finding ends the command."""
+    from gateway.result.result import to_dict
+
     if json_out:
-        write_json(json_out, body)
-    show_result(body, session_of())
-    fail_on_findings(body)
+        write_json(json_out, to_dict(result))
+    show_result(result, session_of())
+    fail_on_findings(result.findings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +162,7 @@ def diagnose(
     json_out: str | None,
 ) -> None:
     """What the model lacks, judged on data that no fit has seen; or that nothing is missing, or undecided."""
-    from gateway.analyse.complete import as_json, complete
+    from gateway.analyse.complete import complete
     from gateway.analyse.given import diagnose_arguments, given, read_rows, split_validation
     from gateway.diagnose import DiagnoseOptions
     from gateway.diagnose import diagnose as run
@@ -167,8 +174,4 @@ def diagnose(
     options = DiagnoseOptions(holdout=unseen, only=only, without=without, **diagnose_arguments(about))
     with session_of().working("diagnosis"):
         result = run(seen, about.model, options)
-    body = as_json(complete(result, about, table, [*data, *holdout]))
-    if json_out:
-        write_json(json_out, body)
-    show_result(body, session_of())
-    fail_on_findings(body)
+    _hand_over(complete(result, about, table, [*data, *holdout]), json_out)

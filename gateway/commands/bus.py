@@ -124,7 +124,7 @@ def check(
     for name, lines in items.items():
         shown = [line for line in lines if session.verbosity > 0 or line.severity in ("warn", "fail")]
         title = f"arm {name}: {_count(lines)}"
-        session.show(findings_table([line.as_json() for line in shown], title) if shown else title)
+        session.show(findings_table(shown, title) if shown else title)
     findings = [line.as_json() for lines in items.values() for line in lines]
     if json_out:
         body = {"schema": 1, "cell": context.loaded.cell.name, "findings": findings}

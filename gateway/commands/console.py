@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import errno
+import math
 import os
 import sys
 import time
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from rich import box
 from rich.console import Console
@@ -17,6 +18,9 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
+
+if TYPE_CHECKING:
+    from gateway.result.result import Result
 
 SEVERITY_STYLE = {"fail": "bold red", "warn": "yellow", "warning": "yellow", "ok": "green", "pass": "green"}
 PLAIN_WIDTH = 140
@@ -136,7 +140,7 @@ def grid(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], *, l
 
 def number(value: float | None, digits: int = 2) -> str:
     """A number with fixed decimals, or a dash where there is none."""
-    return "-" if value is None else f"{value:.{digits}f}"
+    return "-" if value is None or math.isnan(value) else f"{value:.{digits}f}"
 
 
 def axis_names(axes: int) -> list[str]:
@@ -144,59 +148,65 @@ def axis_names(axes: int) -> list[str]:
     return [f"J{axis}" for axis in range(1, axes + 1)]
 
 
-def load_table(loads: Sequence[Mapping[str, Any]], title: str = "load") -> Table:
+def load_table(result: Result) -> Table:
     """Mass and centre of gravity of each load, one standard deviation behind each number."""
+    turned = {} if result.data is None else result.data.flange
     rows = []
-    for load in loads:
-        if load.get("refused"):
-            rows.append([str(load.get("label")), "refused", str(load["refused"]), ""])
+    for load in result.loads:
+        if load.refused:
+            rows.append([load.label, "refused", load.refused, ""])
             continue
+        in_flange = turned.get(load.label)
         rows.append(
             [
-                str(load.get("label")),
-                _plus_minus(load.get("mass_kg"), load.get("mass_std_kg"), 1.0, 3),
-                _vector(load.get("com_m"), load.get("com_std_m")),
-                _vector(load.get("com_flange_m"), load.get("com_flange_std_m")),
+                load.label,
+                _plus_minus(load.mass_kg, load.mass_std_kg, 1.0, 3),
+                _vector(load.com_m, load.com_std_m),
+                _vector(load.com_flange_m, None if in_flange is None else in_flange.com_std_m),
             ]
         )
-    frame = loads[0].get("frame", "link_6") if loads else "link_6"
+    frame = result.loads[0].frame if result.loads else "link_6"
     columns = ["load", "mass [kg]", f"centre of gravity in {frame} [mm]", "in the flange frame [mm]"]
-    return grid(f"{title}: value ± one standard deviation", columns, rows, left=4)
+    return grid("load: value ± one standard deviation", columns, rows, left=4)
 
 
-def _plus_minus(value: float | None, std: float | None, scale: float, digits: int) -> str:
-    if value is None:
+def _plus_minus(value: float, std: float, scale: float, digits: int) -> str:
+    if math.isnan(value):
         return "not identifiable"
     text = f"{scale * value:.{digits}f}"
-    return text if std is None else f"{text} ± {scale * std:.{digits}f}"
+    return text if math.isnan(std) else f"{text} ± {scale * std:.{digits}f}"
 
 
-def _vector(values: Sequence[float | None] | None, stds: Sequence[float | None] | None) -> str:
+def _vector(values: Sequence[float] | None, stds: Sequence[float] | None) -> str:
     if values is None:
         return "-"
-    spread = stds if stds is not None else (None, None, None)
+    spread = (math.nan,) * len(values) if stds is None else stds
     return "  ".join(_plus_minus(value, std, 1000.0, 1) for value, std in zip(values, spread, strict=True))
 
 
-def axis_table(title: str, lines: Mapping[str, Sequence[float | None] | None], digits: int = 3) -> Table:
+def axis_table(title: str, lines: Mapping[str, Sequence[float]]) -> Table:
     """One row per quantity, one column per axis."""
-    rows = [[name, *(number(value, digits) for value in values)] for name, values in lines.items() if values]
+    rows = [[name, *(number(value, 3) for value in values)] for name, values in lines.items()]
     return grid(title, ["", *axis_names(max((len(row) - 1 for row in rows), default=0))], rows)
 
 
-def findings_table(findings: Sequence[Mapping[str, Any]], title: str = "findings") -> Table:
+class Told(Protocol):
+    """A finding, or a line of the pre-flight check."""
+
+    @property
+    def severity(self) -> str: ...
+    @property
+    def where(self) -> str: ...
+    @property
+    def what(self) -> str: ...
+    @property
+    def advice(self) -> str: ...
+
+
+def findings_table(findings: Sequence[Told], title: str = "findings") -> Table:
     """Findings with their advice; the severity in colour."""
     table = grid(title, ["severity", "where", "what", "advice"], [], left=4)
-    for finding in findings:
-        severity = str(finding.get("severity", ""))
-        table.add_row(
-            Text(severity, style=SEVERITY_STYLE.get(severity, "default")),
-            _plain(finding.get("where")),
-            _plain(finding.get("what")),
-            _plain(finding.get("advice")),
-        )
+    for told in findings:
+        severity = Text(told.severity, style=SEVERITY_STYLE.get(told.severity, "default"))
+        table.add_row(severity, told.where, told.what, told.advice)
     return table
-
-
-def _plain(value: object) -> str:
-    return "" if value is None else str(value)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -24,6 +24,7 @@ from gateway.errors import ConfigError
 
 if TYPE_CHECKING:
     from gateway.follow.job import Prepared
+    from gateway.result.follow import FollowResult
 
 FILE = click.Path(path_type=Path, dir_okay=False)
 #: A path, its law and its page have so many columns.
@@ -71,11 +72,12 @@ def follow(
 
     from gateway.check.proofs import ensure_proven
     from gateway.commands.cell_context import open_cell
-    from gateway.follow.body import body_of
+    from gateway.follow.comparison import result_of
     from gateway.follow.job import FollowRequest, drive, prepare
-    from gateway.follow.page import page
     from gateway.model.arm_model import arm_named
     from gateway.motion.opening import open_arm
+    from gateway.report.follow import render_follow
+    from gateway.result.values import plain_values
 
     context = open_cell(cell, bus_spec, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
@@ -98,15 +100,15 @@ def follow(
         for note in getattr(stopped, "__notes__", []):
             session.note(note)
         raise
-    body = body_of(job)
+    result = result_of(job)
     if json_out:
-        write_json(json_out, body)
+        write_json(json_out, plain_values(result))
     if report_file:
-        replace_file(report_file, page(body))
-    _show(body, session)
+        replace_file(report_file, render_follow(result))
+    _show(result, session)
     if report_file:
         session.show(f"report: {report_file}")
-    fail_on_findings(body)
+    fail_on_findings(result.findings)
 
 
 def _announce(prepared: Prepared, session: Session) -> None:
@@ -119,15 +121,15 @@ def _announce(prepared: Prepared, session: Session) -> None:
             session.note(f"{setting.name}: {setting.load.mass_kg:.2f} kg at {com} mm in link_6 ({setting.load.source})")
 
 
-def _show(body: dict[str, Any], session: Session) -> None:
+def _show(result: FollowResult, session: Session) -> None:
     for title, key, scale in QUANTITIES:
         rows = [
-            [setting["name"], *(number(None if value is None else scale * value, 3) for value in setting[key])]
-            for setting in body["settings"]
+            [setting.name, *(number(scale * value, 3) for value in getattr(setting, key))]
+            for setting in result.settings
         ]
         session.show(grid(title, ["setting", *axis_names(FOLLOWED_AXES)], rows))
-    if body["computing_s"]:
-        median, p99 = (1e6 * body["computing_s"][key] for key in ("median", "p99"))
+    if result.computing_s is not None:
+        median, p99 = 1e6 * result.computing_s.median, 1e6 * result.computing_s.p99
         session.show(f"both offsets of six axes: {median:.0f} us per SYNC, 99 % within {p99:.0f} us")
-    if body["findings"]:
-        session.show(findings_table(body["findings"]))
+    if result.findings:
+        session.show(findings_table(result.findings))

@@ -54,12 +54,12 @@ def commission(
 ) -> None:
     """All of it, guided: check, bare arm, each load, diagnosis, fresh poses, report. The arm moves."""
     from drives.errors import DriveError
-    from gateway.analyse.complete import as_json
     from gateway.commands.cell_context import open_cell
     from gateway.commands.commission import Job
     from gateway.commands.commission import commission as run
     from gateway.model.arm_model import arm_named
     from gateway.report.render import render
+    from gateway.result.result import to_dict
 
     context = open_cell(cell, bus_spec, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
@@ -75,12 +75,11 @@ def commission(
         if recording.exists():
             error.add_note(f"What was measured is in {recording}; go on with commission --resume.")
         raise
-    body = as_json(result)
-    write_json(str(out / "result.json"), body)
-    replace_file(out / "report.html", render(body))
-    show_result(body, session_of())
+    write_json(str(out / "result.json"), to_dict(result))
+    replace_file(out / "report.html", render(result))
+    show_result(result, session_of())
     session_of().show(f"report: {out / 'report.html'}")
-    fail_on_findings(body)
+    fail_on_findings(result.findings)
 
 
 def _set_aside(path: Path, session: Session) -> None:
@@ -102,7 +101,7 @@ class _Terminal:
 
     def checked(self, items: Sequence[CheckItem]) -> None:
         """Show what is wrong."""
-        shown = [item.as_json() for item in items if item.severity in ("warn", "fail")]
+        shown = [item for item in items if item.severity in ("warn", "fail")]
         if shown:
             self.session.show(findings_table(shown, "pre-flight check"))
         else:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import click
 
 from drives.files import replace_file
 from gateway.commands.options import common, one_of, session_of, write_json
-from gateway.errors import InputError
 from gateway.result.export import FORMATS
 
 RESULT = click.Path(path_type=Path, dir_okay=False)
@@ -22,6 +20,7 @@ RESULT = click.Path(path_type=Path, dir_okay=False)
 def report(result: Path, output: Path) -> None:
     """One HTML page from a result: it opens offline and prints on paper."""
     from gateway.report.render import render
+    from gateway.result.result import read_result
 
     replace_file(output, render(read_result(result)))
     session_of().show(f"report: {output}")
@@ -36,6 +35,7 @@ def report(result: Path, output: Path) -> None:
 def export(result: Path, fmt: str, label: str | None, output: Path | None) -> None:
     """The load as URDF, JSON, or in the load syntax of a robot controller."""
     from gateway.result.export import export as export_text
+    from gateway.result.result import read_result
 
     text = export_text(read_result(result), fmt, label)
     if output is None:
@@ -81,20 +81,3 @@ def profiles_schema() -> None:
     from drives.profile_file import profile_schema
 
     write_json("-", profile_schema())
-
-
-def read_result(path: Path) -> dict[str, Any]:
-    """A result JSON from disk, checked key by key.
-
-    Raises
-    ------
-    InputError
-        Not readable, not JSON, or not a result of this version; named with file and key.
-    """
-    from gateway.result.result import from_json, to_dict
-
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}; name the JSON that `estimate --json` wrote") from error
-    return to_dict(from_json(text, str(path)))

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import datetime as dt
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -24,10 +23,12 @@ from gateway.commands.options import (
 
 if TYPE_CHECKING:
     from gateway.commands.cell_context import CellContext
+    from gateway.commands.console import Session
     from gateway.motion.stream import MoveOptions
     from gateway.pair.cell import PairCell
     from gateway.pair.link import PairLink
     from gateway.pair.storage import PairStore
+    from gateway.result.pair import CycleSummary, FunctionOrigin, LinkStatistics, StoredFunction
 
 store_option = click.option(
     "--store",
@@ -94,6 +95,8 @@ def teach(
     from gateway.pair.link import open_link
     from gateway.pair.motion import PairMotionOptions
     from gateway.pair.session import open_lesson, teach_pair
+    from gateway.result.pair import TeachResult
+    from gateway.result.values import plain_values
 
     pair, kept = _open(cell, bus_spec, store, moving.pacing)
     lesson = open_lesson(pair, kept, resume)
@@ -108,15 +111,15 @@ def teach(
             kept,
             lesson,
             lambda point, done, count: session.show(
-                f"point {done} of {count} at {point.s_m:.3f} m: {point.forces_n[0]:.1f} N before,"
-                f" {point.forces_n[-1]:.1f} N after {len(point.forces_n)} sweeps;"
-                f" slave moved {1e3 * abs(point.correction[:3]).max():.2f} mm"
+                f"point {done} of {count} at {point.s_m:.3f} m: {point.force_n[0]:.1f} N before,"
+                f" {point.force_n[-1]:.1f} N after {len(point.force_n)} sweeps;"
+                f" slave moved {1e3 * max(map(abs, point.correction_m)):.2f} mm"
             ),
             PairMotionOptions(moves=options),
         )
     session.show(f"{kept.folder / 'first.json'}: first function with {len(function)} points")
     if json_out:
-        write_json(json_out, {"schema": 1, "points": [point.as_json() for point in lesson.points]})
+        write_json(json_out, plain_values(TeachResult(points=tuple(lesson.points))))
 
 
 @click.command()
@@ -150,6 +153,8 @@ def run_pair(
     from gateway.pair.motion import PairMotionOptions
     from gateway.pair.session import PairRunRequest, embodiment_of, first_function
     from gateway.pair.session import run_pair as run
+    from gateway.result.pair import SCHEMA
+    from gateway.result.values import plain_values
 
     pair, kept = _open(cell, bus_spec, store, moving.pacing)
     row = embodiment_of(pair, embodiment)
@@ -161,7 +166,7 @@ def run_pair(
     context = _context(cell, pair)
     with stoppable(moving) as options, open_link(pair, _ledgers(context, pair)) as link:
         options = _proven(context, link, options)
-        body = run(
+        result = run(
             link,
             pair,
             kept,
@@ -169,18 +174,20 @@ def run_pair(
             lambda cycle: session.show(_cycle_line(cycle.summary)),
             PairMotionOptions(speed=at, moves=options),
         )
-    statistics = body["statistics"]
-    session.show(f"SYNCs {statistics['cycles']}, incomplete epochs {statistics['incomplete']}")
-    if statistics["skew_s"]:
-        skew = statistics["skew_s"]
-        session.show(
-            f"slave's SYNC after the master's: median {1e6 * skew['median']:.0f} us, p99 {1e6 * skew['p99']:.0f}"
-        )
+    if result.statistics is not None:
+        _show_statistics(result.statistics, session)
     if json_out:
-        write_json(json_out, {"schema": 1, **body})
+        write_json(json_out, {"schema": SCHEMA, **plain_values(result)})
 
 
-def _cycle_line(summary: Any) -> str:
+def _show_statistics(statistics: LinkStatistics, session: Session) -> None:
+    session.show(f"SYNCs {list(statistics.cycles)}, incomplete epochs {list(statistics.incomplete)}")
+    if statistics.skew_s is not None:
+        median, p99 = 1e6 * statistics.skew_s.median, 1e6 * statistics.skew_s.p99
+        session.show(f"slave's SYNC after the master's: median {median:.0f} us, p99 {p99:.0f}")
+
+
+def _cycle_line(summary: CycleSummary) -> str:
     learned = "learned" if summary.learned else (summary.reason or "not learned")
     if not math.isnan(summary.gap_m):
         return (
@@ -201,39 +208,43 @@ def _cycle_line(summary: Any) -> str:
 @common
 def learn(action: str, cell: Path, store: Path | None, json_out: str | None) -> None:
     """Status of what was learned in CELL; freeze or resume learning; reset forgets the second function."""
+    from gateway.result.pair import STAGES, LearnStatus
+    from gateway.result.values import plain_values
+
     _, kept = _open(cell, None, store)
     session = session_of()
     if action == "reset":
         session.show("what was learned is forgotten" if kept.forget() else "there was nothing to forget")
     elif action != "status":
         kept.freeze(action == "freeze")
-    stored = {stage: kept.load(stage) for stage in ("first", "second")}
-    body: dict[str, Any] = {
-        "schema": 1,
-        "learning": "off" if kept.frozen else "on",
-        "functions": {
-            stage: None
-            if one is None
-            else {
-                "points": len(one.function),
-                "learn_source": one.learn_source,
-                "speed": one.speed,
-                "date": one.date,
-                "embodiment": one.embodiment,
-                "cycles": one.cycles,
-            }
-            for stage, one in stored.items()
-        },
-    }
-    session.show(f"learning is {body['learning']}")
-    rows = [[stage, *(("-",) * 5 if one is None else _function_row(one))] for stage, one in body["functions"].items()]
+    status = LearnStatus(
+        learning="off" if kept.frozen else "on",
+        functions={stage: _origin(kept.load(stage)) for stage in STAGES},
+    )
+    session.show(f"learning is {status.learning}")
+    rows = [[stage, *(("-",) * 5 if one is None else _function_row(one))] for stage, one in status.functions.items()]
     session.show(grid("functions", ["", "points", "from", "speed", "embodiment", "date"], rows, left=6))
     if json_out:
-        write_json(json_out, body)
+        write_json(json_out, plain_values(status))
 
 
-def _function_row(one: dict[str, Any]) -> list[str]:
-    return [str(one["points"]), one["learn_source"], number(one["speed"]), one["embodiment"], one["date"]]
+def _origin(stored: StoredFunction | None) -> FunctionOrigin | None:
+    from gateway.result.pair import FunctionOrigin
+
+    if stored is None:
+        return None
+    return FunctionOrigin(
+        points=len(stored.knots),
+        learn_source=stored.learn_source,
+        speed=stored.speed,
+        date=stored.date,
+        embodiment=stored.embodiment,
+        cycles=stored.cycles,
+    )
+
+
+def _function_row(one: FunctionOrigin) -> list[str]:
+    return [str(one.points), one.learn_source, number(one.speed), one.embodiment, one.date]
 
 
 @click.command()
@@ -244,22 +255,15 @@ def _function_row(one: dict[str, Any]) -> list[str]:
 def pair_report(cell: Path, output: Path, store: Path | None) -> None:
     """One HTML page: force or gap along the path for every embodiment that was run, learning points, convergence."""
     from gateway.errors import DataUnusable
-    from gateway.pair.report import render_pair
+    from gateway.report.pair import FORCE, GAP, Limited, render_pair
 
     pair, kept = _open(cell, None, store)
-    drawn = "last_n" if pair.gap is None else "last_m"
-    rows = [row for row in kept.runs() if row.get(drawn)]
-    if not rows:
+    if pair.gap is None:
+        bound = Limited(FORCE, pair.config.force.limit_n, "as estimated from the motors' torques")
+    else:
+        bound = Limited(GAP, pair.gap.limit_m, "as the distance sensors measured it")
+    runs = [run for run in kept.runs() if bound.what.last(run)]
+    if not runs:
         raise DataUnusable(f"{kept.folder}: holds no run; run-pair first")
-    data = {
-        "cell": pair.loaded.cell.name,
-        "date": dt.datetime.now(dt.UTC).isoformat(timespec="seconds"),
-        **(
-            {"force_limit_n": pair.config.force.limit_n, "source": "as estimated from the motors' torques"}
-            if pair.gap is None
-            else {"gap_limit_m": pair.gap.limit_m, "source": "as the distance sensors measured it"}
-        ),
-        "rows": rows,
-    }
-    replace_file(output, render_pair(data))
-    session_of().show(f"{output}: {len(rows)} embodiments")
+    replace_file(output, render_pair(pair.loaded.cell.name, bound, runs))
+    session_of().show(f"{output}: {len(runs)} embodiments")

@@ -15,6 +15,7 @@ from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.errors import ConfigError, DataUnusable, InputError
 from gateway.identify.links import body_parameters
 from gateway.model.robot import Robot
+from gateway.result.drawn import Drawn
 from gateway.result.result import LoadResult, Result
 
 Floats = NDArray[np.float64]
@@ -130,12 +131,11 @@ def check_origin(result: Result, loaded: LoadedCell, arm: ArmConfig, robot: Robo
     InputError
         It was identified elsewhere; says where.
     """
-    data = result.extra.get("data")
-    data = data if isinstance(data, dict) else {}
+    about = result.data or Drawn()
     for what, have, want in (
         ("robot", result.robot, robot.name),
-        ("cell", data.get("cell"), loaded.cell.name),
-        ("arm", data.get("arm"), arm.name),
+        ("cell", about.cell, loaded.cell.name),
+        ("arm", about.arm, arm.name),
     ):
         if have is not None and have != want:
             raise InputError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,32 +11,12 @@ from drives.profile import DriveProfile
 from gateway.cell.config import ArmConfig, AxisConfig
 from gateway.errors import ConfigError
 from gateway.feedforward.law import AxisTerms
+from gateway.result.follow import AxisSources
 from gateway.result.result import Result
 
 #: Share of the axis' torque limit that a torque offset may take.
 LIMIT_SHARE = 1.0
 LEFT_OUT = "not included: not given"
-
-
-@dataclass(frozen=True, slots=True)
-class AxisSources:
-    """Where each term of an axis comes from, in words; "not included: .." where it is left out."""
-
-    gear_losses: str
-    rotor_inertia: str
-    coulomb: str
-    viscous: str
-    velocity_share: str
-
-    @property
-    def missing(self) -> tuple[str, ...]:
-        """Terms that are left out."""
-        named = {
-            "rotor inertia": self.rotor_inertia,
-            "Coulomb friction": self.coulomb,
-            "viscous friction": self.viscous,
-        }
-        return tuple(name for name, source in named.items() if source.startswith("not included"))
 
 
 def axis_terms(
@@ -103,4 +83,9 @@ def _axis(axis: AxisConfig, profile: DriveProfile, band_nm: float | None) -> tup
         viscous=LEFT_OUT if viscous is None else viscous.source,
         velocity_share=f"{terms.velocity_share:g}: {'' if share is None else share.source}",
     )
-    return terms, sources
+    named = {
+        "rotor inertia": sources.rotor_inertia,
+        "Coulomb friction": sources.coulomb,
+        "viscous friction": sources.viscous,
+    }
+    return terms, replace(sources, missing=tuple(name for name, source in named.items() if source == LEFT_OUT))

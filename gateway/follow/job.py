@@ -6,18 +6,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gateway.cell.config import ArmConfig, LoadedCell
-from gateway.errors import DataUnusable, InputError
+from gateway.errors import DataUnusable
 from gateway.feedforward.load import check_origin, identified_load
-from gateway.follow.body import Comparison
+from gateway.follow.comparison import Comparison
 from gateway.follow.path import FollowPath, check_path, read_path
 from gateway.follow.run import FollowStation, Tell, follow
-from gateway.follow.settings import IDENTIFIED, FeedModel, Setting, check_offsets, feed_model, three_settings
+from gateway.follow.settings import FeedModel, Setting, check_offsets, feed_model, three_settings
 from gateway.follow.trend import load_trend
 from gateway.model.arm_model import arm_robot
 from gateway.motion.opening import OpenArm, axis_setups
 from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import Workspace, workspace_of
-from gateway.result.result import Result, from_json
+from gateway.result.follow import IDENTIFIED
+from gateway.result.result import Result, read_result
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,13 +103,7 @@ def _result(request: FollowRequest) -> tuple[Result, str]:
             "no identified load: give --load RESULT.json, as `servo-gateway estimate DATA --json RESULT.json` or "
             "`commission` writes it for this cell"
         )
-    try:
-        text = request.load.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"{request.load}: cannot be read: {error}; name the JSON that `estimate --json` wrote"
-        ) from error
-    return from_json(text, str(request.load)), str(request.load)
+    return read_result(request.load), str(request.load)
 
 
 def drive(opened: OpenArm, prepared: Prepared, tell: Tell, options: MoveOptions | None = None) -> Comparison:

@@ -15,14 +15,13 @@ from gateway.feedforward.dynamics import ArmDynamics
 from gateway.feedforward.law import AxisTerms, FeedforwardLaw
 from gateway.feedforward.load import FeedLoad, rated_load
 from gateway.feedforward.parameters import corrected_parameters, drawn_parameters
-from gateway.feedforward.terms import AxisSources, axis_terms
+from gateway.feedforward.terms import axis_terms
 from gateway.follow.path import FollowPath
 from gateway.model.robot import Robot
+from gateway.result.follow import IDENTIFIED, MAXIMUM, OFF, AxisSources
 from gateway.result.result import Result
 
 Floats = NDArray[np.float64]
-
-OFF, MAXIMUM, IDENTIFIED = "off", "maximum", "identified"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,9 +120,11 @@ def check_offsets(path: FollowPath, settings: Sequence[Setting], arm: str) -> No
             ways = np.diff(np.vstack([at, motion.q_rad]), axis=0)
             at = motion.q_rad[-1]
             parts = (motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2, ways)
-            for row, (q, rate, gain, step) in enumerate(zip(*(part.tolist() for part in parts), strict=True), start=1):
+            for row, (q, velocity, acceleration, step) in enumerate(
+                zip(*(part.tolist() for part in parts), strict=True), start=1
+            ):
                 sense = law.sense(sense, step)
-                _, torque = law.offsets(q, rate, gain, sense)
+                _, torque = law.offsets(q, velocity, acceleration, sense)
                 excess = law.excess(torque)
                 if excess is not None:
                     axis, value = excess

@@ -58,16 +58,16 @@ class Track:
         return self.target_rad - self.measured_rad
 
     @property
-    def rate_rad_s(self) -> Floats:
+    def velocity_rad_s(self) -> Floats:
         """Velocity (n, 6) of the target, by central differences."""
         return np.gradient(self.target_rad, self.period_s, axis=0)
 
     @property
     def acceleration_rad_s2(self) -> Floats:
         """Acceleration (n, 6) of the target, by central differences; 0 at both ends."""
-        gain = np.zeros_like(self.target_rad)
-        gain[1:-1] = np.diff(self.target_rad, 2, axis=0) / self.period_s**2
-        return gain
+        second = np.zeros_like(self.target_rad)
+        second[1:-1] = np.diff(self.target_rad, 2, axis=0) / self.period_s**2
+        return second
 
 
 @dataclass(slots=True)
@@ -145,7 +145,7 @@ def following(track: Track) -> Following:
     known: NDArray[np.bool_] = np.asarray(np.isfinite(error).all(axis=1))
     if not known.any():
         raise ValueError("no SYNC was answered by every drive")
-    rate = track.rate_rad_s
+    rate = track.velocity_rad_s
     moving = (np.abs(rate) > STILL_RAD_S) & known[:, None]
     power = np.sum(np.where(moving, rate**2, 0.0), axis=0)
     late = np.sum(np.where(moving, error * rate, 0.0), axis=0)

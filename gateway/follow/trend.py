@@ -81,7 +81,7 @@ def load_trend(track: Track, model: FeedModel, load: FeedLoad) -> Trend | None:
     Trend or None
         None where too little moves to tell.
     """
-    q, rate, acceleration = track.target_rad, track.rate_rad_s, track.acceleration_rad_s2
+    q, rate, acceleration = track.target_rad, track.velocity_rad_s, track.acceleration_rad_s2
     columns = regressor(model.robot, q, rate, acceleration, model.gravity_m_s2)
     to_gear = np.linalg.inv(model.coupling)
     arm, own = (rows @ to_gear for rows in (columns @ model.links, columns[:, :, 50:] @ load.parameters))

@@ -6,8 +6,8 @@ After CN104379308. What carries the coordination is arithmetic without bus, cloc
 - `inverse`, `force`, `calibration`: joint positions for poses, force from joint torque, its internal part;
 - `impedance`, `adjust`, `distance`, `guard`: how a hand yields, teaching, distance instead of force, the limit;
 - `representative`, `store`, `selection`, `learning`, `learner`: what is learned from corrections, and where;
-- `speed`, `streaming`, `stored`: functions per speed, blended and filtered commands, functions as JSON;
-- `embodiments`, `controller`, `summary`: all embodiments as configurations, run one control cycle at a time.
+- `speed`, `streaming`, `stored`: functions per speed, blended and filtered commands, functions as files;
+- `embodiments`, `controller`: all embodiments as configurations, run one control cycle at a time.
 
-The other modules put it on two buses: cell file, teaching, running, report.
+The other modules put it on two buses: cell file, teaching, running, what is kept.
 """

@@ -7,6 +7,8 @@ two cycles: functions are exchanged at m = 0, corrections start from nothing the
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from gateway.errors import ConfigError, InputError, PlanRefused
@@ -17,10 +19,24 @@ from gateway.pair.function import TransformFunction
 from gateway.pair.impedance import Admittance, lag_of_correction_s, refuse_unstable
 from gateway.pair.learner import Cycle, Learned, Learner
 from gateway.pair.path import PairPath
-from gateway.pair.summary import ControllerState, CycleSummary
 from gateway.pair.transform import Floats, apply_correction, corrected_pose, correction_between, inverse
+from gateway.result.pair import CycleSummary
 
 WAY_TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ControllerState:
+    """What the controller holds between two cycles."""
+
+    cycle: int
+    frozen: bool
+    first: TransformFunction
+    second: TransformFunction | None
+    in_use: str
+    points: np.ndarray
+    margin: float
+    lead_s: float
 
 
 class PairController:

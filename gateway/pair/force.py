@@ -10,53 +10,18 @@ would let go of its share of the weight.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gateway.pair.inverse import SINGULAR
 from gateway.pair.transform import Floats, cross_matrix
 
-DAMPING = 0.02
 GRAVITY_M_S2 = (0.0, 0.0, -9.80665)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WrenchEstimate:
-    """Wrenches (n, 6) [N, Nm]; `observable` (n,) is False next to a singular posture: unknown there, not zero."""
-
-    wrench: Floats
-    observable: np.ndarray
 
 
 def dead_band(value: ArrayLike, band: ArrayLike) -> Floats:
     """Value (..., 6) without what lies inside the band (6,); continuous at its edge."""
     given = np.asarray(value, dtype=float)
     return np.sign(given) * np.maximum(np.abs(given) - np.asarray(band), 0.0)
-
-
-def wrench_from_torque(jacobian: ArrayLike, external_nm: ArrayLike) -> WrenchEstimate:
-    """Wrench on the gripper from external joint torque, `W = -J^-T tau_ext`.
-
-    Parameters
-    ----------
-    jacobian : array of shape (n, 6, 6)
-        Nominal geometric Jacobian at the fingertip, base axes.
-    external_nm : array of shape (n, 6)
-
-    Returns
-    -------
-    WrenchEstimate
-        Where the smallest singular value is below 0.05, `J^-T` becomes `(J J^T + 0.02^2 I)^-1 J` and the row is
-        flagged as not observable.
-    """
-    matrix, torque = np.asarray(jacobian, dtype=float), np.asarray(external_nm, dtype=float)
-    observable = np.linalg.svd(matrix, compute_uv=False)[:, -1] >= SINGULAR
-    damping = np.where(observable, 0.0, DAMPING**2)[:, None, None] * np.eye(6)
-    normal = matrix @ np.swapaxes(matrix, 1, 2) + damping
-    wrench = np.asarray(-np.linalg.solve(normal, matrix @ torque[..., None])[..., 0], dtype=float)
-    return WrenchEstimate(wrench, observable)
 
 
 def to_centre(w_r_b: ArrayLike, lever_m: ArrayLike) -> Floats:

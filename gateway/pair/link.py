@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from gateway.motion.state import StateKeeper
 from gateway.motion.stream import MoveOptions, Station
 from gateway.pair.cell import PairCell
 from gateway.pair.gap import instruments_on
+from gateway.result.pair import LinkStatistics, Skew
 
 
 class PairLink:
@@ -39,23 +39,22 @@ class PairLink:
             options=options,
         )
 
-    def statistics(self) -> dict[str, Any]:
-        """Cycles, incomplete epochs, lateness and skew so far."""
-        skew = np.array(self.together.skew_s) if self.together.skew_s else np.zeros(1)
-        groups = [each.group.statistics for each in self.opened]
-        return {
-            "pacing": "real" if self.together.real else "lockstep",
-            "cycles": [group.cycles for group in groups],
-            "incomplete": [group.incomplete for group in groups],
-            "late": [group.late for group in groups],
-            "skew_s": {
-                "median": float(np.median(skew)),
-                "p99": float(np.percentile(np.abs(skew), 99)),
-                "max": float(np.abs(skew).max()),
-            }
-            if self.together.real
-            else None,
-        }
+    def statistics(self) -> LinkStatistics:
+        """What both buses have counted so far."""
+        first, second = (each.group.statistics for each in self.opened)
+        return LinkStatistics(
+            pacing="real" if self.together.real else "lockstep",
+            cycles=(first.cycles, second.cycles),
+            incomplete=(first.incomplete, second.incomplete),
+            late=(first.late, second.late),
+            skew_s=_skew(self.together.skew_s) if self.together.real else None,
+        )
+
+
+def _skew(skew_s: Sequence[float]) -> Skew:
+    skew = np.array(skew_s) if skew_s else np.zeros(1)
+    size = np.abs(skew)
+    return Skew(float(np.median(skew)), float(np.percentile(size, 99)), float(size.max()))
 
 
 @contextmanager

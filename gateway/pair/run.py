@@ -13,7 +13,7 @@ import numpy as np
 
 from gateway.motion.stream import Stream
 from gateway.pair.cell import PairCell
-from gateway.pair.controller import CycleSummary, PairController
+from gateway.pair.controller import PairController
 from gateway.pair.embodiments import Embodiment
 from gateway.pair.function import TransformFunction, function_of_knots
 from gateway.pair.motion import PairMotion, PairMotionOptions
@@ -21,6 +21,7 @@ from gateway.pair.passage import Commander, Passage, Streamed
 from gateway.pair.path import PairPath
 from gateway.pair.relation import slave_command
 from gateway.pair.transform import Floats
+from gateway.result.pair import CycleSummary
 
 
 @dataclass(frozen=True, slots=True, eq=False)

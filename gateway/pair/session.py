@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -17,14 +15,15 @@ from gateway.pair.cell import PairCell
 from gateway.pair.embodiments import DISTANCE_GAINS, EMBODIMENTS, Embodiment, with_gains
 from gateway.pair.function import TransformFunction, constant_function, sampled
 from gateway.pair.impedance import Gains
-from gateway.pair.lesson import Lesson, TaughtPoint, read_lesson
+from gateway.pair.lesson import Lesson, read_lesson
 from gateway.pair.link import PairLink
 from gateway.pair.motion import PairMotion, PairMotionOptions, refuse_elsewhere
 from gateway.pair.run import PairCycle, PairRun
 from gateway.pair.speed import SpeedTable
-from gateway.pair.storage import PairStore, run_as_json
-from gateway.pair.stored import read_stored, refuse_foreign
+from gateway.pair.storage import PairStore, run_result
+from gateway.pair.stored import read_stored, refuse_foreign, transform_of
 from gateway.pair.teach import Teacher, TeachRule
+from gateway.result.pair import PairRunResult, TaughtPoint
 
 #: What can be run without the simulator's truth.
 RUNNABLE = tuple(name for name, row in EMBODIMENTS.items() if row.first != "exact")
@@ -149,13 +148,13 @@ def first_function(cell: PairCell, store: PairStore, row: Embodiment, speed: flo
     if first is None:
         raise InputError(f"{store.folder}: holds no first function; run teach before this embodiment")
     if row.first == "speed_table":
-        return speed_table(store, first.function).at(speed), "interpolated between stored speeds"
+        return speed_table(store, transform_of(first)).at(speed), "interpolated between stored speeds"
     if row.learning is None:
-        return first.function, f"taught {first.date}"
+        return transform_of(first), f"taught {first.date}"
     second = store.load("second")
     if second is None or second.embodiment != row.name:
-        return first.function, f"taught {first.date}"
-    return second.function, f"learned by {second.embodiment} {second.date}"
+        return transform_of(first), f"taught {first.date}"
+    return transform_of(second), f"learned by {second.embodiment} {second.date}"
 
 
 def _from_one_relation(
@@ -164,7 +163,7 @@ def _from_one_relation(
     """The grasps' relation, or what this embodiment has learned from it."""
     second = None if row.learning is None else store.load("second")
     if second is not None and second.embodiment == row.name:
-        return second.function, f"learned by {second.embodiment} {second.date}"
+        return transform_of(second), f"learned by {second.embodiment} {second.date}"
     return one_relation(cell, row, speed), "one relation, from the start"
 
 
@@ -183,7 +182,7 @@ def speed_table(store: PairStore, first: TransformFunction) -> SpeedTable:
     for path in sorted(store.folder.glob("speed-*.json")):
         stored = read_stored(path)
         refuse_foreign(stored, store.path_hash, store.cell_hash, str(path))
-        functions[stored.speed] = stored.function
+        functions[stored.speed] = transform_of(stored)
     return SpeedTable(functions)
 
 
@@ -194,14 +193,8 @@ def run_pair(
     request: PairRunRequest,
     told: Callable[[PairCycle], None],
     options: PairMotionOptions | None = None,
-) -> dict[str, Any]:
-    """Run cycles of an embodiment, keep what was learned and what the report shows.
-
-    Returns
-    -------
-    dict
-        The run as it is stored for the report, with the statistics of both buses.
-    """
+) -> PairRunResult:
+    """Run cycles of an embodiment, keep what was learned and what the report shows."""
     row = embodiment_of(cell, request.embodiment)
     options = options or PairMotionOptions()
     moves = options.moves
@@ -216,6 +209,12 @@ def run_pair(
     if store.frozen:
         run.controller.freeze()
     cycles: list[PairCycle] = []
+
+    def kept() -> PairRunResult:
+        result = run_result(cell, run, cycles, link.statistics())
+        store.keep(result)
+        return result
+
     try:
         with powered(stream):
             run.start()
@@ -224,11 +223,11 @@ def run_pair(
                 run.motion.prepare(lambda: _keep(store, run, cycles))
                 guarded(told, moves.desk)(cycles[-1])
                 run.back()
-    finally:
-        body = _stored(cell, link, run, cycles)
+    except BaseException:
         if cycles:
-            store.write(f"run-{row.name}.json", json.dumps(body, allow_nan=False) + "\n")
-    return body
+            kept()
+        raise
+    return kept()
 
 
 def _keep(store: PairStore, run: PairRun, cycles: list[PairCycle]) -> None:
@@ -246,14 +245,3 @@ def _keep(store: PairStore, run: PairRun, cycles: list[PairCycle]) -> None:
     if second is not None:
         path = store.save("second", second, **origin)
         store.write(f"speed-{run.path.speed:g}.json", path.read_text(encoding="utf-8"))
-
-
-def _stored(cell: PairCell, link: PairLink, run: PairRun, cycles: list[PairCycle]) -> dict[str, Any]:
-    if not cycles:
-        return {}
-    body = run_as_json(cell, run.path, (run.config.name, run.config.text), cycles)
-    body["knots_s_m"] = np.round(run.controller.function.s_m, 6).tolist()
-    body["statistics"] = link.statistics()
-    body["learning_s"] = max(cycle.learning_s for cycle in cycles)
-    body["evaluation_s"] = float(np.mean([cycle.evaluation_s for cycle in cycles]))
-    return body

@@ -13,8 +13,7 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import json
-import math
-from dataclasses import asdict
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +24,11 @@ from gateway.errors import InputError
 from gateway.pair.cell import PairCell
 from gateway.pair.function import TransformFunction
 from gateway.pair.path import PairPath
-from gateway.pair.run import PairCycle
-from gateway.pair.stored import StoredFunction, read_stored, refuse_foreign, to_json
-from gateway.pair.stored_run import check_run
+from gateway.pair.run import PairCycle, PairRun
+from gateway.pair.stored import read_stored, refuse_foreign, stored_function
 from gateway.pair.transform import Floats
+from gateway.result.pair import LearningSwitch, LinkStatistics, PairRunResult, Stage, StoredFunction
+from gateway.result.values import Model, Numbers, decoded, json_object, json_text, numbers, plain_values, text_of
 
 HASH_DECIMALS = 7
 
@@ -59,19 +59,19 @@ class PairStore:
         self.path_hash, self.cell_hash = cell.program.hash, cell_hash(cell)
         self.points = folder / "points.json"
 
-    def save(self, stage: str, function: TransformFunction, **origin: Any) -> Path:
+    def save(self, stage: Stage, function: TransformFunction, **origin: Any) -> Path:
         """Store a function; `origin` are the fields of `StoredFunction` that are not known here."""
-        stored = StoredFunction(
-            function=function,
+        stored = stored_function(
+            function,
             path_hash=self.path_hash,
             cell_hash=self.cell_hash,
             stage=stage,
             date=dt.datetime.now(dt.UTC).isoformat(timespec="seconds"),
             **origin,
         )
-        return self.write(f"{stage}.json", to_json(stored))
+        return self.write(f"{stage}.json", json_text(stored))
 
-    def load(self, stage: str) -> StoredFunction | None:
+    def load(self, stage: Stage) -> StoredFunction | None:
         """A stored function, None where there is none.
 
         Raises
@@ -95,11 +95,12 @@ class PairStore:
     @property
     def frozen(self) -> bool:
         """Learning is switched off."""
-        return bool(self._json("state.json").get("frozen", False))
+        path = self.folder / "state.json"
+        return path.exists() and _read(LearningSwitch, path).frozen
 
     def freeze(self, frozen: bool) -> None:
         """Switch learning off or on."""
-        self.write("state.json", json.dumps({"frozen": frozen}) + "\n")
+        self.write("state.json", json_text(LearningSwitch(frozen)))
 
     def forget(self) -> bool:
         """Delete the second function and switch learning on; whether there was one."""
@@ -109,7 +110,11 @@ class PairStore:
         (self.folder / "state.json").unlink(missing_ok=True)
         return there
 
-    def runs(self) -> list[dict[str, Any]]:
+    def keep(self, run: PairRunResult) -> None:
+        """Keep a run for the report."""
+        self.write(f"run-{run.name}.json", json.dumps(plain_values(run), allow_nan=False) + "\n")
+
+    def runs(self) -> list[PairRunResult]:
         """Stored runs with at least one cycle, for the report.
 
         Raises
@@ -117,25 +122,15 @@ class PairStore:
         InputError
             One of them is damaged.
         """
-        found = []
-        for path in sorted(self.folder.glob("run-*.json")):
-            body = self._json(path.name)
-            if body.get("cycles"):
-                check_run(body, str(path))
-                found.append(body)
-        return found
+        found = [_read(PairRunResult, path) for path in sorted(self.folder.glob("run-*.json"))]
+        return [run for run in found if run.cycles]
 
-    def _json(self, name: str) -> dict[str, Any]:
-        path = self.folder / name
-        if not path.exists():
-            return {}
-        try:
-            body = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError, RecursionError) as error:
-            raise InputError(f"{path}: not readable as JSON: {error}; delete it") from error
-        if not isinstance(body, dict):
-            raise InputError(f"{path}: is not what this program writes; delete it")
-        return body
+
+def _read(model: type[Model], path: Path) -> Model:
+    try:
+        return decoded(model, json_object(text_of(path, ""), str(path)), str(path))
+    except InputError as error:
+        raise InputError(f"{error}; is not what this program writes, delete it") from error
 
 
 def line_of_grippers(cell: PairCell, path: PairPath) -> Floats:
@@ -146,37 +141,33 @@ def line_of_grippers(cell: PairCell, path: PairPath) -> Floats:
     return (two - one) / np.linalg.norm(two - one, axis=1, keepdims=True)
 
 
-def run_as_json(cell: PairCell, path: PairPath, name: tuple[str, str], cycles: list[PairCycle]) -> dict[str, Any]:
-    """Cycles of one run as the report takes them; `name` is embodiment and its text."""
-    return {
-        "name": name[0],
-        "text": name[1],
-        "speed": path.speed,
-        "s_m": path.s_m.tolist(),
-        "x_m": (cell.arms[0].world_from_base @ path.commands)[:, 0, 3].tolist(),
-        **(_forces(cell, path, cycles) if cell.gap is None else _gaps(cycles)),
-        "knots_s_m": [],
-        "cycles": [_plain(asdict(cycle.summary)) for cycle in cycles],
-    }
+def run_result(cell: PairCell, run: PairRun, cycles: Sequence[PairCycle], statistics: LinkStatistics) -> PairRunResult:
+    """At least one cycle of a run as the report takes them."""
+    path = run.path
+    drawn = _forces(cell, path, cycles) if cell.gap is None else _gaps(cycles)
+    return PairRunResult(
+        name=run.config.name,
+        text=run.config.text,
+        speed=path.speed,
+        s_m=numbers(path.s_m),
+        x_m=numbers((cell.arms[0].world_from_base @ path.commands)[:, 0, 3]),
+        **drawn,
+        knots_s_m=numbers(np.round(run.controller.function.s_m, 6)),
+        cycles=tuple(cycle.summary for cycle in cycles),
+        statistics=statistics,
+        learning_s=max(cycle.learning_s for cycle in cycles),
+        evaluation_s=float(np.mean([cycle.evaluation_s for cycle in cycles])),
+    )
 
 
-def _forces(cell: PairCell, path: PairPath, cycles: list[PairCycle]) -> dict[str, Any]:
+def _forces(cell: PairCell, path: PairPath, cycles: Sequence[PairCycle]) -> dict[str, Numbers]:
     """Force along the line between the grippers in the first and the last cycle [N]."""
     along = line_of_grippers(cell, path)
     first, last = (np.sum(cycle.force[:, :3] * along, axis=1) for cycle in (cycles[0], cycles[-1]))
-    return {"first_n": np.round(first, 2).tolist(), "last_n": np.round(last, 2).tolist()}
+    return {"first_n": numbers(np.round(first, 2)), "last_n": numbers(np.round(last, 2))}
 
 
-def _gaps(cycles: list[PairCycle]) -> dict[str, Any]:
+def _gaps(cycles: Sequence[PairCycle]) -> dict[str, Numbers]:
     """The distance that is furthest off the demanded one, by how much, in the first and the last cycle [m]."""
-    found = {}
-    for name, gaps_m in (("first_m", cycles[0].gaps_m), ("last_m", cycles[-1].gaps_m)):
-        worst = [max(row, key=abs) for row in gaps_m.tolist()]
-        found[name] = [None if math.isnan(value) else round(value, 7) for value in worst]
-    return found
-
-
-def _plain(summary: dict[str, Any]) -> dict[str, Any]:
-    return {
-        key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in summary.items()
-    }
+    first, last = ([max(row, key=abs) for row in cycle.gaps_m.tolist()] for cycle in (cycles[0], cycles[-1]))
+    return {"first_m": numbers(np.round(first, 7)), "last_m": numbers(np.round(last, 7))}

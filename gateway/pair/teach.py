@@ -15,7 +15,7 @@ import numpy as np
 
 from gateway.pair.function import TransformFunction, function_of_knots
 from gateway.pair.impedance import Admittance, Gains
-from gateway.pair.lesson import Lesson, TaughtPoint
+from gateway.pair.lesson import Lesson, taught_point
 from gateway.pair.motion import PairMotion, PairStopped
 from gateway.pair.passage import Pair, Passage
 from gateway.pair.path import PairPath
@@ -23,6 +23,7 @@ from gateway.pair.relation import relation, slave_command
 from gateway.pair.sweep import LEVER_M, liveliest_twist, swept
 from gateway.pair.transform import Floats, apply_correction
 from gateway.pair.ways import smooth
+from gateway.result.pair import TaughtPoint
 
 #: Largest change of a correction in one step [m], [rad].
 LARGEST_STEP = (1.5e-3, 8e-3)
@@ -126,7 +127,7 @@ class Teacher:
             A point cannot be adjusted; both arms were stopped, what was taught so far is saved.
         """
         self._motion.start()
-        done = {point.index for point in lesson.points}
+        done = {point.command - 1 for point in lesson.points}
         for index in (int(value) for value in indices):
             if index not in done:
                 point = self._teach(lesson, index)
@@ -173,7 +174,7 @@ class Teacher:
         plain = slave_command(first.world_from_base, command, second.world_from_base, function.at(s_m))
         adjusted = apply_correction(plain, self._correction)
         together = relation(first.world_from_base, command, second.world_from_base, adjusted)
-        return TaughtPoint(index, s_m, together, self._correction.copy(), *seen)
+        return taught_point(index, s_m, together, self._correction, seen)
 
     def _measure(self, sweep: Passage, function: TransformFunction) -> Floats:
         """Mean internal wrench (6,) over one period of the sweep, friction cancelled."""

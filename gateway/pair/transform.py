@@ -26,22 +26,6 @@ def cross_matrix(vector: ArrayLike) -> Floats:
     return matrix
 
 
-def rot(axis: ArrayLike, angle_rad: float) -> Floats:
-    """Right-handed rotation (3, 3) by an angle [rad] about an axis (3,) (CN104379308 eq. (9), signs repaired).
-
-    Raises
-    ------
-    ValueError
-        The axis has no direction.
-    """
-    direction = np.asarray(axis, dtype=float)
-    length = float(np.linalg.norm(direction))
-    if not length > 0.0:
-        raise ValueError("a rotation axis needs a direction, got a zero vector")
-    cross = cross_matrix(direction / length)
-    return np.eye(3) + math.sin(angle_rad) * cross + (1.0 - math.cos(angle_rad)) * (cross @ cross)
-
-
 def exp_rotation(vector_rad: ArrayLike) -> Floats:
     """Rotations (..., 3, 3) of rotation vectors (..., 3) [rad]."""
     vector = np.asarray(vector_rad, dtype=float)

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from gateway.model.kinematics import flange_frames, link_frames
 from gateway.model.robot import Robot
+from gateway.result.drawn import DrawnPose, Spread
 from gateway.result.result import LoadResult, Rows
+from gateway.result.values import NAN, matrix, numbers
 
 MOST_POSES = 60
 
 
 def drawn_poses(
     robot: Robot, rows: Rows, loads: Sequence[LoadResult], roles: Sequence[str] = ()
-) -> list[dict[str, Any]]:
+) -> tuple[DrawnPose, ...]:
     """Where the arm stood: one entry per pose, with the load that hung on it last.
 
     Parameters
@@ -27,38 +28,34 @@ def drawn_poses(
     loads : sequence of LoadResult
         For the centre of gravity.
     roles : sequence of str
-        Role of each row, as in `data.role`.
-
-    Returns
-    -------
-    list of dict
-        Entries of `data.poses`: pose, load, role, q_rad, points_m (base to flange), com_m.
+        Role of each row, as in `Drawn.role`.
     """
     chosen = _rows_to_draw(rows)
     if not chosen:
-        return []
+        return ()
     q_rad = np.array([rows.q_rad[row] for row in chosen])
     frames, flange = link_frames(robot, q_rad), flange_frames(robot, q_rad)
     centres = {load.label: load.com_m for load in loads if load.com_m is not None and np.isfinite(load.com_m).all()}
     entries = []
     for place, row in enumerate(chosen):
         points = [*frames[place, :, :3, 3], flange[place, :3, 3]]
-        entry: dict[str, Any] = {
-            "pose": rows.pose[row] if rows.pose else place + 1,
-            "time_s": rows.time_s[row] if rows.time_s else None,
-            "load": rows.load[row],
-            "role": roles[row] if row < len(roles) else "fit",
-            "q_rad": list(rows.q_rad[row]),
-            "points_m": np.round(points, 5).tolist(),
-        }
         com = centres.get(rows.load[row])
-        if com is not None:
-            entry["com_m"] = np.round((frames[place, -1] @ np.array([*com, 1.0]))[:3], 5).tolist()
-        entries.append(entry)
-    return entries
+        in_base = None if com is None else numbers(np.round((frames[place, -1] @ np.array([*com, 1.0]))[:3], 5))
+        entries.append(
+            DrawnPose(
+                pose=rows.pose[row] if rows.pose else place + 1,
+                load=rows.load[row],
+                role=roles[row] if row < len(roles) else "fit",
+                q_rad=rows.q_rad[row],
+                points_m=matrix(np.round(points, 5)),
+                com_m=in_base,
+                time_s=rows.time_s[row] if rows.time_s else NAN,
+            )
+        )
+    return tuple(entries)
 
 
-def flange_spread(robot: Robot, loads: Sequence[LoadResult]) -> dict[str, dict[str, Any]]:
+def flange_spread(robot: Robot, loads: Sequence[LoadResult]) -> dict[str, Spread]:
     """Uncertainty of each centre of gravity in the frame of the flange.
 
     Parameters
@@ -70,7 +67,7 @@ def flange_spread(robot: Robot, loads: Sequence[LoadResult]) -> dict[str, dict[s
     Returns
     -------
     dict
-        label -> {"com_std_m": [3], "correlation": 4 x 4 of [mass, x, y, z]}; empty where the flange is not known.
+        Spread by label; empty where the flange is not known.
     """
     if robot.flange is None:
         return {}
@@ -84,8 +81,7 @@ def flange_spread(robot: Robot, loads: Sequence[LoadResult]) -> dict[str, dict[s
         covariance = turn @ (np.array(load.correlation) * np.outer(std, std)) @ turn.T
         if np.isfinite(covariance).all() and (np.diag(covariance) > 0).all():
             size = np.sqrt(np.diag(covariance))
-            correlation = covariance / np.outer(size, size)
-            spread[load.label] = {"com_std_m": size[1:].tolist(), "correlation": correlation.tolist()}
+            spread[load.label] = Spread(numbers(size[1:]), matrix(covariance / np.outer(size, size)))
     return spread
 
 

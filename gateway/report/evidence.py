@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from markupsafe import Markup
 
@@ -13,20 +12,21 @@ from gateway.report.quality import AxisQuality
 from gateway.report.rows import cell, measured_axes
 from gateway.report.svg import Panel, limits, tick_text
 from gateway.report.view import Candidate
+from gateway.result.drawn import Curve
+from gateway.result.result import LoadResult, Result, Rows
 
-Json = Mapping[str, Any]
 MOST_CANDIDATES = 14
 LEFT = 34.0
 
 
 def quality_figure(axes: Sequence[AxisQuality]) -> Markup | None:
     """Residual per axis, before and after, logarithmic: over the noise floor where it is known, else in Nm."""
-    rated = [axis for axis in axes if axis.ratio_after is not None]
-    shown = rated or [axis for axis in axes if axis.after]
+    rated = [axis for axis in axes if words.known(axis.ratio_after)]
+    shown = rated or [axis for axis in axes if axis.after > 0]
     if not shown:
         return None
     pairs = [(axis.ratio_before, axis.ratio_after) if rated else (axis.before, axis.after) for axis in shown]
-    values = [value for pair in pairs for value in pair if value]
+    values = [value for pair in pairs for value in pair if value > 0]
     low, high = _decades(min([0.7, *values]), max([3.0, *values])) if rated else _decades(min(values), max(values))
     panel = Panel(430.0, 34.0 + 26.0 * len(shown) + 34.0, (low, high), (len(shown) - 0.5, -0.5), left=LEFT, top=24.0)
     if rated:
@@ -41,13 +41,13 @@ def quality_figure(axes: Sequence[AxisQuality]) -> Markup | None:
     return panel.svg("Residual of every axis, before and after")
 
 
-def _dumbbell(panel: Panel, row: int, pair: tuple[float | None, float | None], axis: AxisQuality) -> None:
+def _dumbbell(panel: Panel, row: int, pair: tuple[float, float], axis: AxisQuality) -> None:
     low = panel.x_range[0]
-    before, after = (None if value is None else math.log10(max(value, 10**low)) for value in pair)
-    if before is not None and after is not None and axis.before != axis.after:
+    before, after = (math.log10(max(value, 10**low)) if words.known(value) else math.nan for value in pair)
+    if words.known(before) and words.known(after) and axis.before != axis.after:
         panel.segment((before, row), (after, row), "move")
         panel.dot(before, row, "dot before", f"{axis.name} before: {axis.before:.3g} Nm", 5.5)
-    if after is not None:
+    if words.known(after):
         panel.dot(after, row, "dot after", f"{axis.name}: {axis.after:.3g} Nm", 5.5)
 
 
@@ -71,39 +71,33 @@ def evidence_figure(candidates: Sequence[Candidate]) -> Markup | None:
     return panel.svg("Held-out error of every effect that was tried")
 
 
-def per_pose_figure(result: Json, classes: Mapping[str, str]) -> Markup | None:
+def per_pose_figure(result: Result, classes: Mapping[str, str]) -> Markup | None:
     """Mass that each pose alone would give, for every load, with the 95 % interval of all poses together."""
-    loads = [load for load in result.get("loads") or [] if load.get("per_pose_mass_kg")]
-    names = sorted({pose for load in loads for pose in load["per_pose_mass_kg"]}, key=_as_number)
+    loads = [load for load in result.loads if load.per_pose_mass_kg]
+    names = sorted({pose for load in loads for pose in load.per_pose_mass_kg}, key=_as_number)
     if not names:
         return None
-    values = [mass for load in loads for mass in load["per_pose_mass_kg"].values() if mass is not None]
-    panel = Panel(430.0, 190.0, (-0.7, len(names) - 0.3), limits([*values, *map(_mass, loads)]), left=56.0)
+    values = [mass for load in loads for mass in (load.mass_kg, *load.per_pose_mass_kg.values())]
+    panel = Panel(430.0, 190.0, (-0.7, len(names) - 0.3), limits(values), left=56.0)
     panel.y_axis("mass by each pose alone [kg]")
     for place, name in enumerate(names):
         if len(names) <= 24 or place % 5 == 0:
             panel.text(panel.x(place), panel.height - panel.bottom + 13, name, "tick mid")
     panel.x_label("pose")
     for load in loads:
-        _per_pose(panel, load, names, classes.get(str(load.get("label")), "load-1"))
+        _per_pose(panel, load, names, classes.get(load.label, "load-1"))
     return panel.svg("Mass that each pose alone would give")
 
 
-def _per_pose(panel: Panel, load: Json, names: Sequence[str], kind: str) -> None:
-    mass, std = load.get("mass_kg"), load.get("mass_std_kg")
-    if mass is not None and std is not None:
-        half = words.TWO_SIDED_95 * std
+def _per_pose(panel: Panel, load: LoadResult, names: Sequence[str], kind: str) -> None:
+    mass, half = load.mass_kg, words.TWO_SIDED_95 * load.mass_std_kg
+    if words.known(mass) and words.known(half):
         panel.box(panel.x_range, (mass - half, mass + half), f"between {kind}")
         panel.segment((panel.x_range[0], mass), (panel.x_range[1], mass), f"whisker {kind}")
     for place, name in enumerate(names):
-        value = load["per_pose_mass_kg"].get(name)
-        if value is not None:
-            panel.dot(place, value, f"dot {kind}", f"load {load['label']}, pose {name}: {value:.2f} kg", 3.4)
-
-
-def _mass(load: Json) -> float:
-    value = load.get("mass_kg")
-    return math.nan if value is None else float(value)
+        value = load.per_pose_mass_kg.get(name, math.nan)
+        if words.known(value):
+            panel.dot(place, value, f"dot {kind}", f"load {load.label}, pose {name}: {value:.2f} kg", 3.4)
 
 
 def _as_number(name: str) -> tuple[float, str]:
@@ -113,9 +107,9 @@ def _as_number(name: str) -> tuple[float, str]:
         return math.inf, name
 
 
-def friction_figure(result: Json) -> Markup | None:
+def friction_figure(result: Result) -> Markup | None:
     """Friction band of every visit and its typical value per axis, logarithmic."""
-    rows = result.get("rows") or {}
+    rows = result.rows or Rows()
     bands = {axis: _bands(rows, axis) for axis in measured_axes(rows)}
     bands = {axis: values for axis, values in bands.items() if values}
     if not bands:
@@ -142,33 +136,24 @@ def friction_figure(result: Json) -> Markup | None:
     return panel.svg("Friction band of every axis")
 
 
-def curve_figure(curve: Json) -> Markup:
+def curve_figure(curve: Curve) -> Markup:
     """One effect over the quantity it depends on: points measured, curve and 95 % band."""
-    xs, ys = _floats(curve.get("x")), _floats(curve.get("y"))
-    low, high = _floats(curve.get("low")), _floats(curve.get("high"))
-    px, py = _floats(curve.get("points_x")), _floats(curve.get("points_y"))
-    panel = Panel(
-        560.0, 290.0, limits([*xs, *px], pad=0.03), limits([*ys, *low, *high, *py], include=(0.0,)), left=60.0
-    )
-    panel.y_axis(str(curve.get("y_label") or "torque [Nm]"), 5)
-    unit = curve.get("x_unit")
-    panel.x_axis(f"{curve.get('x_label', '')}" + (f" [{unit}]" if unit else ""), 6)
-    if low and high:
-        panel.area(xs, low, high, "confidence")
-    panel.polyline(list(zip(xs, ys, strict=True)), "curve")
-    for x, y in zip(px, py, strict=True):
+    x_range = limits([*curve.x, *curve.points_x], pad=0.03)
+    y_range = limits([*curve.y, *curve.low, *curve.high, *curve.points_y], include=(0.0,))
+    panel = Panel(560.0, 290.0, x_range, y_range, left=60.0)
+    panel.y_axis(curve.y_label, 5)
+    panel.x_axis(curve.x_label + (f" [{curve.x_unit}]" if curve.x_unit else ""), 6)
+    if curve.low and curve.high:
+        panel.area(curve.x, curve.low, curve.high, "confidence")
+    panel.polyline(list(zip(curve.x, curve.y, strict=True)), "curve")
+    for x, y in zip(curve.points_x, curve.points_y, strict=True):
         panel.dot(x, y, "dot before", f"measured: {y:.3g} Nm", 3.6)
-    return panel.svg(f"{words.effect(str(curve.get('name', 'effect')))} as a curve")
+    return panel.svg(f"{words.effect(curve.name)} as a curve")
 
 
-def _bands(rows: Json, axis: int) -> list[float]:
-    table = rows.get("band_nm") or []
-    values = [cell(table, row, axis) for row in range(len(table))]
+def _bands(rows: Rows, axis: int) -> list[float]:
+    values = [cell(rows.band_nm, row, axis) for row in range(len(rows.band_nm))]
     return [value for value in values if math.isfinite(value) and value > 0]
-
-
-def _floats(values: Sequence[float | None] | None) -> list[float]:
-    return [math.nan if value is None else float(value) for value in values or []]
 
 
 def _decades(low: float, high: float) -> tuple[float, float]:

@@ -4,85 +4,77 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from markupsafe import Markup
 
 from gateway.report import words
-from gateway.report.rows import Layout, axes_of, cell, layout, measured_axes
+from gateway.report.rows import Layout, cell, layout, measured_axes
 from gateway.report.svg import Panel, limits
+from gateway.result.drawn import FRESH, Drawn
+from gateway.result.result import Result, Rows
 
-Json = Mapping[str, Any]
 WIDTH, HEIGHT = 470.0, 210.0
 LOAD_CLASSES = ("load-0", "load-1", "load-2", "load-3", "load-4")
 
 
-def torque_figures(result: Json) -> list[tuple[str, Markup]]:
+def torque_figures(result: Result) -> list[tuple[str, Markup]]:
     """Per measured axis: measured torque of every visit with its friction band, the model as a dash."""
-    rows, plan = _rows(result)
-    if plan is None:
+    if result.rows is None or not result.rows.tau_nm:
         return []
-    return [(words.axis(axis + 1), _torque(result, plan, axis)) for axis in measured_axes(rows)]
+    plan, colours = _plan(result, result.rows), load_classes(result)
+    return [(words.axis(axis + 1), _torque(result.rows, plan, colours, axis)) for axis in measured_axes(result.rows)]
 
 
-def residual_figures(result: Json) -> list[tuple[str, Markup]]:
+def residual_figures(result: Result) -> list[tuple[str, Markup]]:
     """Per measured axis: measured minus model of every visit, before and after, over the noise floor."""
-    rows, plan = _rows(result)
-    if plan is None:
+    rows = result.rows
+    if rows is None or not rows.tau_nm:
         return []
-    before = (result.get("data") or {}).get("model_before_nm")
-    floor = list(result.get("noise_floor_nm") or []) + [None] * axes_of(result)
+    plan = _plan(result, rows)
+    before = (result.data or Drawn()).model_before_nm
     figures = []
     for axis in measured_axes(rows):
-        after_nm = [cell(rows["tau_nm"], row, axis) - cell(rows.get("model_nm"), row, axis) for row in plan.order]
-        before_nm = [cell(rows["tau_nm"], row, axis) - cell(before, row, axis) for row in plan.order]
-        if any(math.isfinite(value) for value in after_nm):
-            figures.append((words.axis(axis + 1), _residual(plan, (before_nm, after_nm), floor[axis], axis)))
+        after_nm = [cell(rows.tau_nm, row, axis) - cell(rows.model_nm, row, axis) for row in plan.order]
+        before_nm = [cell(rows.tau_nm, row, axis) - cell(before, row, axis) for row in plan.order]
+        if any(map(math.isfinite, after_nm)):
+            floor = cell((result.noise_floor_nm,), 0, axis)
+            figures.append((words.axis(axis + 1), _residual(plan, (before_nm, after_nm), floor, axis)))
     return figures
 
 
-def load_classes(result: Json) -> dict[str, str]:
+def load_classes(result: Result) -> dict[str, str]:
     """CSS class of each load label, the bare arm first."""
-    rows = result.get("rows") or {}
-    named_loads = [str(load.get("label")) for load in result.get("loads") or []]
-    labels = list(dict.fromkeys([*(rows.get("load") or []), *named_loads]))
+    measured = () if result.rows is None else result.rows.load
+    labels = list(dict.fromkeys([*measured, *(load.label for load in result.loads)]))
     bare = [label for label in labels if label == "none"]
     rest = [label for label in labels if label != "none"]
     named = dict.fromkeys(bare, LOAD_CLASSES[0])
     return named | {label: LOAD_CLASSES[1 + index % (len(LOAD_CLASSES) - 1)] for index, label in enumerate(rest)}
 
 
-def _rows(result: Json) -> tuple[Json, Layout | None]:
-    rows = result.get("rows") or {}
-    if not rows.get("tau_nm"):
-        return rows, None
-    return rows, layout(rows, (result.get("data") or {}).get("role"))
+def _plan(result: Result, rows: Rows) -> Layout:
+    return layout(rows, () if result.data is None else result.data.role)
 
 
-def _torque(result: Json, plan: Layout, axis: int) -> Markup:
-    rows = result["rows"]
-    tau = [cell(rows["tau_nm"], row, axis) for row in plan.order]
-    model = [cell(rows.get("model_nm"), row, axis) for row in plan.order]
-    band = [_zero(cell(rows.get("band_nm"), row, axis)) for row in plan.order]
+def _torque(rows: Rows, plan: Layout, colours: Mapping[str, str], axis: int) -> Markup:
+    tau, model, band = (
+        [cell(table, row, axis) for row in plan.order] for table in (rows.tau_nm, rows.model_nm, rows.band_nm)
+    )
+    band = [half if math.isfinite(half) else 0.0 for half in band]
     spread = [value + side * half for value, half in zip(tau, band, strict=True) for side in (-1, 1)]
     panel = Panel(WIDTH, HEIGHT, plan.width, limits([*spread, *model]))
     _shade_fresh(panel, plan)
     _frame(panel, plan, f"{words.axis(axis + 1)} torque [Nm]")
-    colours = load_classes(result)
-    radius = 1.6 if plan.dense else 3.2
     for place, row, value, half in zip(plan.place, plan.order, tau, band, strict=True):
         if not math.isfinite(value):
             continue
-        kind = colours[rows["load"][row]]
-        if half > 0 and not plan.dense:
+        kind = colours[rows.load[row]]
+        if plan.dense:
+            panel.dot(place, value, f"dot {kind} small", "", 1.6)
+            continue
+        if half > 0:
             panel.segment((place, value - half), (place, value + half), f"whisker {kind}")
-        panel.dot(
-            place,
-            value,
-            f"dot {kind}{' small' * plan.dense}",
-            "" if plan.dense else _hint(rows, row, "measured", value),
-            radius,
-        )
+        panel.dot(place, value, f"dot {kind}", _hint(rows, row, value), 3.2)
     _model_marks(panel, plan, model)
     return panel.svg(f"Torque of {words.axis(axis + 1)}, measured and modelled, for every visit")
 
@@ -96,10 +88,10 @@ def _model_marks(panel: Panel, plan: Layout, model: Sequence[float]) -> None:
         panel.segment((place - 0.42, value), (place + 0.42, value), "model")
 
 
-def _residual(plan: Layout, pair: tuple[list[float], list[float]], floor: float | None, axis: int) -> Markup:
+def _residual(plan: Layout, pair: tuple[list[float], list[float]], floor: float, axis: int) -> Markup:
     before, after = pair
     shown = [value for value in (*before, *after) if math.isfinite(value)]
-    half = 2 * floor if floor is not None else 0.0
+    half = 2 * floor if math.isfinite(floor) else 0.0
     panel = Panel(WIDTH, HEIGHT, plan.width, limits(shown, include=(-half, half, 0.0)))
     _shade_fresh(panel, plan)
     if half:
@@ -119,7 +111,7 @@ def _residual(plan: Layout, pair: tuple[list[float], list[float]], floor: float 
 
 
 def _shade_fresh(panel: Panel, plan: Layout) -> None:
-    fresh = [place for place, role in zip(plan.place, plan.roles, strict=True) if role == "fresh"]
+    fresh = [place for place, role in zip(plan.place, plan.roles, strict=True) if role == FRESH]
     for start, end in _runs(fresh):
         panel.box((start - 0.5, end + 0.5), panel.y_range, "fresh")
 
@@ -156,11 +148,7 @@ def _runs(places: Sequence[float]) -> list[tuple[float, float]]:
     return runs
 
 
-def _hint(rows: Json, row: int, what: str, value: float) -> str:
-    pose = rows["pose"][row] if rows.get("pose") else -1
+def _hint(rows: Rows, row: int, value: float) -> str:
+    pose = rows.pose[row] if rows.pose else -1
     place = f"pose {pose}, " if pose >= 0 else ""
-    return f"{place}load {rows['load'][row]}: {what} {value:.4g} Nm"
-
-
-def _zero(value: float) -> float:
-    return value if math.isfinite(value) else 0.0
+    return f"{place}load {rows.load[row]}: measured {value:.4g} Nm"

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
 from gateway.report import words
-from gateway.report.rows import DENSE, axes_of, measured_axes
+from gateway.report.centre import earlier
+from gateway.report.rows import DENSE, cell, measured_axes
 from gateway.report.svg import Panel, limits
+from gateway.result.drawn import Drawn
+from gateway.result.result import UNKNOWN_THREE, LoadResult, Result, Rows
+from gateway.result.values import Matrix
 
-Json = Mapping[str, Any]
 Floats = NDArray[np.float64]
 
 WIDTH, HEIGHT = 470.0, 220.0
@@ -22,46 +24,42 @@ WIDTH, HEIGHT = 470.0, 220.0
 BETTER_BY = 0.25
 # Harmonics of a joint angle that are asked how much they explain; twice as many visits are needed to ask.
 HARMONICS = 5
+# Name, unit and factor to it of what is known of a load.
+QUANTITIES = (("mass", "kg", 1.0), *((f"centre {name}", "mm", 1e3) for name in "xyz"))
 
 
-def posture_figures(result: Json) -> list[tuple[str, Markup]]:
+def posture_figures(result: Result) -> list[tuple[str, Markup]]:
     """Per measured axis: what each side of each visit reads beyond the model, over the joint angle it hangs on.
 
     A two-sided visit gives two marks, one for each direction of approach; a visit or instant with one direction gives
     one.
     """
-    rows, data = result.get("rows") or {}, result.get("data") or {}
-    if not rows.get("tau_nm") or not rows.get("q_rad"):
+    rows, data = result.rows, result.data or Drawn()
+    if rows is None or not rows.tau_nm or not rows.q_rad:
         return []
-    q = _table(rows["q_rad"])
-    after = _sides(rows, rows.get("model_nm"), data.get("band_model_nm"))
-    before = _sides(rows, data.get("model_before_nm"), data.get("band_model_before_nm"))
-    floor = list(result.get("noise_floor_nm") or []) + [None] * axes_of(result)
+    q = np.array(rows.q_rad)
+    after = _sides(rows, rows.model_nm, data.band_model_nm)
+    before = _sides(rows, data.model_before_nm, data.band_model_before_nm)
     figures = []
     for axis in measured_axes(rows):
         if not any(np.isfinite(values[:, axis]).any() for _, values in after):
             continue
         joint = _joint(q, before or after, axis)
         shown = [[(side, values[:, axis]) for side, values in series] for series in (before, after)]
-        figures.append((words.axis(axis + 1), _figure(q[:, joint], shown, (axis, joint), floor[axis])))
+        floor = cell((result.noise_floor_nm,), 0, axis)
+        figures.append((words.axis(axis + 1), _figure(q[:, joint], shown, (axis, joint), floor)))
     return figures
 
 
-def _table(values: Sequence[Sequence[float | None]]) -> Floats:
-    return np.array([[math.nan if value is None else float(value) for value in row] for row in values])
-
-
-def _sides(rows: Json, model: Any, band_model: Any) -> list[tuple[int, Floats]]:
-    """Residual (n, N) of readings after motion up (+1), down (-1), unknown (0); empty without a model."""
+def _sides(rows: Rows, model: Matrix, band_model: Matrix) -> list[tuple[int, Floats]]:
+    """Residual (n, axes) of readings after motion up (+1), down (-1), unknown (0); empty without a model."""
     if not model:
         return []
-    middle = _table(rows["tau_nm"]) - _table(model)
-    direction = np.zeros_like(middle)
-    if rows.get("direction"):
-        direction = np.nan_to_num(_table(rows["direction"]))
+    middle = np.array(rows.tau_nm) - np.array(model)
+    direction = np.array(rows.direction) if rows.direction else np.zeros_like(middle)
     half = np.full_like(middle, np.nan)
-    if band_model and rows.get("band_nm"):
-        half = _table(rows["band_nm"]) - _table(band_model)
+    if band_model and rows.band_nm:
+        half = np.array(rows.band_nm) - np.array(band_model)
     two = np.isfinite(half)
     out = []
     for side in (1, -1, 0):
@@ -81,8 +79,7 @@ def _joint(q: Floats, series: Sequence[tuple[int, Floats]], axis: int) -> int:
     if seen.sum() < 2 * HARMONICS or np.var(left[seen]) == 0:
         return axis
     shares = []
-    for joint in range(q.shape[1]):
-        angle = q[seen, joint]
+    for angle in q[seen].T:
         shape = np.stack([np.ones_like(angle), *(f(k * angle) for k in (1, 2) for f in (np.sin, np.cos))], axis=1)
         fit, *_ = np.linalg.lstsq(shape, left[seen], rcond=None)
         shares.append(1.0 - float(np.var(left[seen] - shape @ fit) / np.var(left[seen])))
@@ -91,11 +88,11 @@ def _joint(q: Floats, series: Sequence[tuple[int, Floats]], axis: int) -> int:
 
 
 def _figure(
-    angle: Floats, shown: Sequence[Sequence[tuple[int, Floats]]], place: tuple[int, int], floor: float | None
+    angle: Floats, shown: Sequence[Sequence[tuple[int, Floats]]], place: tuple[int, int], floor: float
 ) -> Markup:
     axis, joint = place
     values = [float(v) for series in shown for _, side in series for v in side]
-    half = 2.0 * floor if floor is not None and math.isfinite(floor) else 0.0
+    half = 2.0 * floor if math.isfinite(floor) else 0.0
     panel = Panel(WIDTH, HEIGHT, limits(angle.tolist(), pad=0.04), limits(values, include=(-half, half, 0.0)))
     if half:
         panel.box(panel.x_range, (-half, half), "floor")
@@ -124,16 +121,10 @@ def _mark(panel: Panel, place: tuple[float, float], side: int, kind: str) -> Non
         panel.triangle(*place, side, f"dot {kind}", 2.2 if small else 4.2)
 
 
-def load_change_figure(result: Json) -> Markup | None:
+def load_change_figure(result: Result) -> Markup | None:
     """Mass and centre of gravity of every load before and after, in half widths of the final 95 % interval."""
-    if not result.get("effects"):
-        return None
-    earlier = {load.get("label"): load for load in (result.get("before") or {}).get("loads") or []}
-    entries = [
-        entry
-        for load in result.get("loads") or []
-        for entry in _changes(load, earlier.get(load.get("label")), len(result["loads"]) > 1)
-    ]
+    several = len(result.loads) > 1
+    entries = [entry for load in result.loads for entry in _changes(load, earlier(result, load), several)]
     if not entries:
         return None
     reach = [v for _, at, half, _ in entries for v in (at - half, at + half)]
@@ -154,33 +145,26 @@ def load_change_figure(result: Json) -> Markup | None:
     return panel.svg("Mass and centre of gravity before and after")
 
 
-def _changes(load: Json, before: Json | None, named: bool) -> list[tuple[str, float, float, str]]:
+def _changes(load: LoadResult, before: LoadResult | None, named: bool) -> list[tuple[str, float, float, str]]:
     """(name, place of the value before, its half width, text) per quantity; lengths in the frame of the last link."""
     if before is None:
         return []
     entries = []
-    for name, unit, factor, (value, std), (old, old_std) in _quantities(load, before):
+    for (name, unit, factor), (value, std), (old, old_std) in zip(
+        QUANTITIES, _quantities(load), _quantities(before), strict=True
+    ):
         if not all(map(math.isfinite, (value, std, old))) or std <= 0:
             continue
         scale = words.TWO_SIDED_95 * std
         half = old_std / std if math.isfinite(old_std) else 0.0
         digits = words.decimals(factor * scale)
         text = f"{words.plain(factor * old, digits)} → {words.plain(factor * value, digits)} {unit}"
-        title = f"{load.get('label')} {name}" if named else name
+        title = f"{load.label} {name}" if named else name
         entries.append((title, (old - value) / scale, half, text))
     return entries
 
 
-def _quantities(load: Json, before: Json) -> list[tuple[str, str, float, tuple[float, float], tuple[float, float]]]:
-    """Name, unit, factor to that unit, and (value, standard deviation) after and before; NaN where not known."""
-
-    def pair(item: Json, place: int) -> tuple[float, float]:
-        if place < 0:
-            values = (item.get("mass_kg"), item.get("mass_std_kg"))
-        else:
-            values = ((item.get("com_m") or [None] * 3)[place], (item.get("com_std_m") or [None] * 3)[place])
-        first, second = (math.nan if value is None else float(value) for value in values)
-        return first, second
-
-    kinds = [("mass", "kg", 1.0), *((f"centre {name}", "mm", 1e3) for name in "xyz")]
-    return [(*kind, pair(load, place), pair(before, place)) for place, kind in enumerate(kinds, start=-1)]
+def _quantities(load: LoadResult) -> list[tuple[float, float]]:
+    """Value and standard deviation of each of `QUANTITIES`; NaN where not known."""
+    com, std = load.com_m or UNKNOWN_THREE, load.com_std_m or UNKNOWN_THREE
+    return [(load.mass_kg, load.mass_std_kg), *zip(com, std, strict=True)]

@@ -2,30 +2,27 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
 class AxisQuality:
-    """Residual of one axis against its noise floor, Nm; None = not measured or not known."""
+    """Residual of one axis against its noise floor, Nm; NaN = not measured or not known."""
 
     name: str
-    floor: float | None
-    before: float | None
-    after: float | None
-    band: float | None
-    fit: float | None
+    floor: float
+    before: float
+    after: float
+    band: float
+    fit: float
 
     @property
-    def ratio_before(self) -> float | None:
+    def ratio_before(self) -> float:
         """Residual before over the floor."""
-        return _ratio(self.before, self.floor)
+        return self.before / self.floor if self.floor > 0 else math.nan
 
     @property
-    def ratio_after(self) -> float | None:
+    def ratio_after(self) -> float:
         """Residual after over the floor."""
-        return _ratio(self.after, self.floor)
-
-
-def _ratio(value: float | None, floor: float | None) -> float | None:
-    return value / floor if value is not None and floor is not None and floor > 0 else None
+        return self.after / self.floor if self.floor > 0 else math.nan

@@ -1,87 +1,44 @@
-"""The page: view and figures put into the template. One file, nothing is fetched when it opens."""
+"""The page on a result: view and figures put into the template."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from importlib.resources import files
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from gateway.report import evidence, figures, posture, space, words
-from gateway.report.view import View, centre, view
+from gateway.report.centre import centre, earlier
+from gateway.report.page import Head, page
+from gateway.report.view import View, view
+from gateway.result.drawn import FRESH, Curve, Drawn
+from gateway.result.result import EffectResult, Result
 
-Json = Mapping[str, Any]
 
-
-def render(result: Json) -> str:
-    """HTML text of the report.
-
-    Parameters
-    ----------
-    result : mapping
-        Result JSON, schema 1; see the package docstring for what it may carry beside the contract.
-
-    Returns
-    -------
-    str
-        A complete page.
-    """
-    environment = Environment(
-        loader=PackageLoader("gateway", "report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    result = _in_flange(result)
-    shown = view(result)
-    style = files("gateway.report").joinpath("report.css").read_text(encoding="utf-8")
-    return environment.get_template("report.html.j2").render(
-        result=_Lenient(result),
-        data=_Lenient(result.get("data") or {}),
+def render(result: Result) -> str:
+    """HTML text of the report on a result; what the result does not hold is left out."""
+    shown, data = view(result), result.data or Drawn()
+    about = (("robot", result.robot), ("cell", data.cell), ("arm", data.arm), ("", data.created))
+    return page(
+        "report.html.j2",
+        Head(f"Load identification: {result.robot}", "Load identification report", about),
+        result=result,
+        data=data,
         view=shown,
-        about=_about(result),
-        residual_known=any(axis.fit is not None or axis.after is not None for axis in shown.axes),
-        css=Markup(style),
-        sig=words.significant,
-        degrees=lambda q: words.plain(None if q is None else math.degrees(q), 1),
+        residual_known=any(words.known(axis.fit) or words.known(axis.after) for axis in shown.axes),
+        degrees=lambda q: words.plain(math.degrees(q), 1),
         cellular=_cellular,
-        **_figures(result, shown),
-        **_tables(result),
+        **_figures(result, data, shown),
+        **_tables(result, data),
     )
 
 
-def _in_flange(result: Json) -> Json:
-    """The result with the uncertainty of each load in the frame its centre of gravity is given in."""
-    spread = (result.get("data") or {}).get("flange") or {}
-    loads = []
-    for load in result.get("loads") or []:
-        own = spread.get(load.get("label")) if load.get("com_flange_m") else None
-        extra = {} if own is None else {"com_flange_std_m": own["com_std_m"], "correlation": own["correlation"]}
-        loads.append({**load, **extra})
-    return {**result, "loads": loads}
-
-
-def _about(result: Json) -> list[Markup]:
-    """Robot, cell, arm and date for the head of the page, as far as they are known."""
-    data = result.get("data") or {}
-    named = [("robot", result.get("robot")), ("cell", data.get("cell")), ("arm", data.get("arm"))]
-    parts = [Markup("{} <b>{}</b>").format(name, value) for name, value in named if value]
-    return parts + ([Markup("{}").format(data["created"])] if data.get("created") else [])
-
-
-class _Lenient(dict[str, Any]):
-    """A dictionary whose absent keys read as None in the template."""
-
-    def __getattr__(self, name: str) -> Any:
-        return self.get(name)
-
-
-def _figures(result: Json, shown: View) -> dict[str, Any]:
+def _figures(result: Result, data: Drawn, shown: View) -> dict[str, Any]:
     classes = figures.load_classes(result)
-    data = result.get("data") or {}
-    drawn = space.pose_figures(result, classes)
-    com, curves = _com(result), _curves(result)
-    measured = dict.fromkeys((result.get("rows") or {}).get("load") or [])
+    drawn = space.pose_figures(data.poses, classes)
+    com, curves = _com(result), _curves(result.effects, data.curves)
+    measured = dict.fromkeys(() if result.rows is None else result.rows.load)
     return {
         "quality": evidence.quality_figure(shown.axes),
         "per_pose": evidence.per_pose_figure(result, classes),
@@ -95,10 +52,10 @@ def _figures(result: Json, shown: View) -> dict[str, Any]:
         "torque": figures.torque_figures(result),
         "residual": figures.residual_figures(result),
         "arms": drawn,
-        "more_poses": max(0, len(data.get("poses") or []) - len(drawn)),
+        "more_poses": max(0, len(data.poses) - len(drawn)),
         "com": com,
-        "side_views": _Lenient({label: pictures[0][1] for label, pictures in com}),
-        "flange": any(load.get("com_flange_m") for load in result.get("loads") or []),
+        "side_views": {label: pictures[0][1] for label, pictures in com},
+        "flange": any(load.com_flange_m for load in result.loads),
         "swatches": {label: _swatch(kind) for label, kind in classes.items()},
         "legend": [(words.load(label), _swatch(classes[label])) for label in measured],
     }
@@ -108,49 +65,42 @@ def _swatch(kind: str) -> str:
     return kind.replace("load-", "b")
 
 
-def _com(result: Json) -> list[tuple[str, Any]]:
-    earlier = {load.get("label"): load for load in (result.get("before") or {}).get("loads") or []}
-    with_before = bool(result.get("effects"))
-    pictures = [
-        (load.get("label"), space.com_figures(load, earlier.get(load.get("label")) if with_before else None))
-        for load in result.get("loads") or []
-        if centre(load)[1]
-    ]
-    return [(label, picture) for label, picture in pictures if picture]
+def _com(result: Result) -> list[tuple[str, list[tuple[str, Markup]]]]:
+    """Pictures of the centre of gravity of each load where it is known."""
+    found = []
+    for load in result.loads:
+        shown, before = centre(load, result), earlier(result, load)
+        if shown is not None and shown.known:
+            found.append((load.label, space.com_figures(shown, None if before is None else centre(before))))
+    return found
 
 
-def _curves(result: Json) -> dict[int, Markup]:
+def _curves(effects: tuple[EffectResult, ...], curves: tuple[Curve, ...]) -> dict[int, Markup]:
     """Curve of each effect, by its place in `effects`."""
     drawn: dict[int, Markup] = {}
-    curves = list((result.get("data") or {}).get("curves") or [])
-    for place, effect in enumerate(result.get("effects") or []):
+    for place, effect in enumerate(effects):
         match = next((curve for curve in curves if _belongs(curve, effect)), None)
         if match is not None:
             drawn[place] = evidence.curve_figure(match)
     return drawn
 
 
-def _belongs(curve: Json, effect: Json) -> bool:
-    joints = effect.get("joints") or []
-    return curve.get("name") == effect.get("name") and (not joints or curve.get("joint") in (*joints, None))
+def _belongs(curve: Curve, effect: EffectResult) -> bool:
+    return curve.name == effect.name and (not effect.joints or curve.joint in (*effect.joints, None))
 
 
-def _tables(result: Json) -> dict[str, Any]:
-    data = result.get("data") or {}
-    columns: dict[str, None] = {}
-    for row in data.get("bus") or []:
-        columns |= dict.fromkeys(row)
+def _tables(result: Result, data: Drawn) -> dict[str, Any]:
     return {
-        "bus_columns": list(columns),
-        "provenance": _provenance(result.get("provenance") or {}),
-        "fresh": "fresh" in (data.get("role") or []),
-        "open_question": result.get("verdict") == "undecided",
-        "has_floor": any(words.known(value) for value in result.get("noise_floor_nm") or []),
-        "has_before_rows": bool(data.get("model_before_nm")),
+        "bus_columns": list(dict.fromkeys(name for row in data.bus for name in row)),
+        "provenance": _provenance(result.provenance),
+        "fresh": FRESH in data.role,
+        "open_question": result.verdict == "undecided",
+        "has_floor": any(map(words.known, result.noise_floor_nm)),
+        "has_before_rows": bool(data.model_before_nm),
     }
 
 
-def _provenance(tree: Json) -> list[tuple[str, str, str, str, str]]:
+def _provenance(tree: Mapping[str, Any]) -> list[tuple[str, str, str, str, str]]:
     rows = []
     for where, constants in tree.items():
         if not isinstance(constants, Mapping):

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+
+from gateway.result.drawn import FRESH
+from gateway.result.result import Rows
+from gateway.result.values import Matrix
 
 # Above this many rows the marks become small and poses are no longer named one by one.
 DENSE = 120
@@ -49,23 +52,21 @@ class Layout:
         return (-0.8, (self.place[-1] if self.place else 0.0) + 0.8)
 
 
-def layout(rows: Mapping[str, Any], roles: Sequence[str] | None = None) -> Layout:
+def layout(rows: Rows, roles: Sequence[str] = ()) -> Layout:
     """Sort the rows by load (in order of appearance) and pose.
 
     Parameters
     ----------
-    rows : mapping
-        `rows` of the result JSON.
-    roles : sequence of str, optional
-        One word per row.
+    rows : Rows
+    roles : sequence of str
+        One word per row; none are known where their number is another.
     """
-    loads = list(rows.get("load") or [])
-    count = len(loads)
-    poses = list(rows.get("pose") or [-1] * count)
-    words = list(roles) if roles is not None and len(roles) == count else ["fit"] * count
+    loads, count = rows.load, len(rows.load)
+    poses = rows.pose or (-1,) * count
+    words = roles if len(roles) == count else ("fit",) * count
     seen = list(dict.fromkeys(loads))
     shown = range(0, count, 1 + count // MOST_ROWS)
-    order = sorted(shown, key=lambda row: (seen.index(loads[row]), words[row] == "fresh", poses[row], row))
+    order = sorted(shown, key=lambda row: (seen.index(loads[row]), words[row] == FRESH, poses[row], row))
     place, groups = [], []
     position = 0.0
     for rank, row in enumerate(order):
@@ -80,29 +81,11 @@ def layout(rows: Mapping[str, Any], roles: Sequence[str] | None = None) -> Layou
     return Layout(tuple(order), tuple(place), tuple(groups), names, tuple(words[row] for row in order))
 
 
-def cell(table: Sequence[Sequence[float | None]] | None, row: int, axis: int) -> float:
-    """One number of a rows x axes table; NaN where it is absent."""
-    if not table or row >= len(table) or not table[row]:
-        return math.nan
-    value = table[row][axis]
-    return math.nan if value is None else float(value)
+def cell(table: Matrix, row: int, axis: int) -> float:
+    """One number of a table (rows, axes); NaN where it is absent."""
+    return table[row][axis] if row < len(table) and axis < len(table[row]) else math.nan
 
 
-def axes_of(result: Mapping[str, Any]) -> int:
-    """How many axes a result is of: as its rows say, else the longest of its lists."""
-    rows = _width((result.get("rows") or {}).get("tau_nm"))
-    parts = [result, result.get("before") or {}, result.get("after") or {}]
-    names = ("noise_floor_nm", "friction_band_nm", "rms_nm", "holdout_rms_nm")
-    return rows or max(len(part.get(name) or ()) for part in parts for name in names)
-
-
-def _width(table: Sequence[Sequence[float | None]] | None) -> int:
-    return max(map(len, table), default=0) if table else 0
-
-
-def measured_axes(rows: Mapping[str, Any]) -> list[int]:
+def measured_axes(rows: Rows) -> list[int]:
     """Axes (from 0) with at least one torque."""
-    table = rows.get("tau_nm") or []
-    return [
-        axis for axis in range(_width(table)) if any(math.isfinite(cell(table, row, axis)) for row in range(len(table)))
-    ]
+    return [axis for axis, column in enumerate(zip(*rows.tau_nm, strict=True)) if any(map(math.isfinite, column))]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from gateway.report import words
 from gateway.report.quality import AxisQuality
+from gateway.result.result import LoadResult, Result
 
-Json = Mapping[str, Any]
 HELD_OUT = {
     "fresh": "fresh poses that no fit has seen",
     "given": "the data given for validation",
@@ -18,41 +17,36 @@ HELD_OUT = {
 NEAR_FLOOR = 1.3
 
 
-def status(result: Json) -> str:
+def status(result: Result) -> str:
     """`bad` with a failing finding or a refused load, `good` when nothing is left open, else `open`."""
-    findings = result.get("findings") or []
-    refused = any(load.get("refused") for load in result.get("loads") or [])
-    if refused or any(finding.get("severity") == "fail" for finding in findings):
+    if result.failed or any(load.refused for load in result.loads):
         return "bad"
-    return "good" if result.get("verdict") in ("none_needed", "explained") else "open"
+    return "good" if result.verdict in ("none_needed", "explained") else "open"
 
 
-def headline(result: Json) -> str:
+def headline(result: Result) -> str:
     """What hangs on the flange, in one line."""
-    loads = result.get("loads") or []
-    good = [load for load in loads if words.known(load.get("mass_kg"))]
+    loads = result.loads
+    good = [load for load in loads if words.known(load.mass_kg)]
     if not good:
         if loads:
-            return "The load was refused" if any(load.get("refused") for load in loads) else "No load could be found"
+            return "The load was refused" if any(load.refused for load in loads) else "No load could be found"
         return "The bare arm, no load on the flange"
     parts = []
     for load in good:
         value, half = mass(load)
-        parts.append(
-            f"{value} kg" + (f" ± {half} kg" if half else "") + (f" ({load['label']})" if len(loads) > 1 else "")
-        )
-    refused = [str(load["label"]) for load in loads if load.get("refused")]
+        parts.append(f"{value} kg" + (f" ± {half} kg" if half else "") + (f" ({load.label})" if len(loads) > 1 else ""))
+    refused = [load.label for load in loads if load.refused]
     rest = f"; {words.listing(refused)} refused" if refused else ""
     return f"{words.listing(parts)} on the flange{rest}"
 
 
-def verdict_sentence(result: Json) -> str:
+def verdict_sentence(result: Result) -> str:
     """What was wrong with the model, and how that is known."""
-    effects = result.get("effects") or []
-    found = words.effects_on([(item["name"], item.get("joints") or []) for item in effects])
+    found = words.effects_on([(item.name, item.joints) for item in result.effects])
     names = words.listing(found)
-    held_out = HELD_OUT.get(str(result.get("holdout_kind")), "data kept out of the fit")
-    verdict = result.get("verdict")
+    held_out = HELD_OUT.get(result.holdout_kind or "", "data kept out of the fit")
+    verdict = result.verdict
     if verdict == "none_needed":
         return f"Nothing is missing from the model: on {held_out} only measurement noise is left."
     if verdict == "explained":
@@ -63,26 +57,26 @@ def verdict_sentence(result: Json) -> str:
         return "The model lacks something that no known effect explains; the residual below shows where."
     if verdict == "undecided":
         if found:
-            each = [words.effect_on(item["name"], item.get("joints") or []) for item in effects]
+            each = [words.effect_on(item.name, item.joints) for item in result.effects]
             between = words.listing(each if len(each) > 1 else [*each, "nothing at all"], "and")
             return f"The data cannot decide between {between}; what to measure next is given below."
         return "There is too little data to say whether the model lacks anything; what to measure next is given below."
     return "The load was estimated with the model as it stands; no diagnosis of the residual was asked for."
 
 
-def quality_sentence(axes: Sequence[AxisQuality], result: Json) -> str:
+def quality_sentence(axes: Sequence[AxisQuality], result: Result) -> str:
     """How far the model is from the noise, on its worst axis."""
-    rated = [(axis.ratio_after, axis) for axis in axes if axis.ratio_after is not None]
+    rated = [(axis.ratio_after, axis) for axis in axes if words.known(axis.ratio_after)]
     if not rated:
-        measured = [axis for axis in axes if axis.after is not None]
+        measured = [axis for axis in axes if words.known(axis.after)]
         if not measured:
             return "No residual is known."
-        worst = max(measured, key=lambda axis: axis.after or 0.0)
+        worst = max(measured, key=lambda axis: axis.after)
         size = f"{words.significant(worst.after)} Nm on {worst.name}"
         return f"The noise floor is not known; the largest residual is {size}."
     ratio, worst = max(rated, key=lambda pair: pair[0])
     place = "" if held_out_known(result) else " in the fit itself"
-    settled = result.get("verdict") in ("none_needed", "explained")
+    settled = result.verdict in ("none_needed", "explained")
     judged = "The model is not as good as the data"
     if ratio <= NEAR_FLOOR:
         judged = "The model is as good as the data"
@@ -94,17 +88,11 @@ def quality_sentence(axes: Sequence[AxisQuality], result: Json) -> str:
     )
 
 
-def held_out_known(result: Json) -> bool:
+def held_out_known(result: Result) -> bool:
     """Whether a residual on held-out data is given."""
-    after = result.get("after") or {}
-    return any(words.known(value) for value in after.get("holdout_rms_nm") or [])
+    return any(map(words.known, result.after.holdout_rms_nm))
 
 
-def half_width(std: float | None) -> float | None:
-    """Half width of the 95 % interval."""
-    return words.TWO_SIDED_95 * std if std is not None and words.known(std) else None
-
-
-def mass(load: Json) -> tuple[str, str]:
-    """Mass and half width of its interval, kg, as text."""
-    return words.plus_minus(load.get("mass_kg"), half_width(load.get("mass_std_kg")))
+def mass(load: LoadResult) -> tuple[str, str]:
+    """Mass and half width of its 95 % interval, kg, as text."""
+    return words.plus_minus(load.mass_kg, words.TWO_SIDED_95 * load.mass_std_kg)

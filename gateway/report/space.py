@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from markupsafe import Markup, escape
 
 from gateway.report import words
+from gateway.report.centre import Centre
+from gateway.report.rows import cell
 from gateway.report.svg import Panel, Scale
-from gateway.report.view import centre
+from gateway.result.drawn import FRESH, DrawnPose
 
-Json = Mapping[str, Any]
 Vector = Sequence[float]
 AZIMUTH_RAD, ELEVATION_RAD = math.radians(-62.0), math.radians(16.0)
 ARM_WIDTH, ARM_MARGIN = 190.0, 9.0
@@ -24,17 +24,16 @@ ELLIPSE_95 = math.sqrt(5.991)
 COM_SIDE = 190.0
 
 
-def pose_figures(result: Json, classes: Mapping[str, str]) -> list[tuple[str, Markup]]:
+def pose_figures(drawn: Sequence[DrawnPose], classes: Mapping[str, str]) -> list[tuple[str, Markup]]:
     """One drawing per pose, all to the same scale.
 
     Parameters
     ----------
-    result : mapping
-        Result JSON; uses `data.poses`.
+    drawn : sequence of DrawnPose
     classes : mapping
         CSS class of each load label.
     """
-    poses = [pose for pose in (result.get("data") or {}).get("poses") or [] if pose.get("points_m")]
+    poses = [pose for pose in drawn if pose.points_m]
     if not poses:
         return []
     every = [point for pose in poses for point in _all_points(pose)] + [(0.0, 0.0, 0.0)]
@@ -52,8 +51,8 @@ def project(point: Vector) -> tuple[float, float]:
     return right, math.cos(ELEVATION_RAD) * z - math.sin(ELEVATION_RAD) * depth
 
 
-def _all_points(pose: Json) -> list[Vector]:
-    return [*pose["points_m"], *([pose["com_m"]] if pose.get("com_m") else [])]
+def _all_points(pose: DrawnPose) -> list[Vector]:
+    return [*pose.points_m, *([pose.com_m] if pose.com_m else [])]
 
 
 def _scales(flat: Sequence[tuple[float, float]]) -> tuple[Scale, Scale]:
@@ -67,15 +66,14 @@ def _scales(flat: Sequence[tuple[float, float]]) -> tuple[Scale, Scale]:
     return right, Scale(min(ys), min(ys) + per_px * height, ARM_MARGIN + height, ARM_MARGIN)
 
 
-def _title(pose: Json) -> str:
-    if pose["pose"] < 0:
-        time_s = pose.get("time_s")
-        return "in motion" if time_s is None else f"at {time_s:.1f} s"
-    return f"pose {pose['pose']}" + (", fresh" if pose.get("role") == "fresh" else "")
+def _title(pose: DrawnPose) -> str:
+    if pose.pose < 0:
+        return f"at {pose.time_s:.1f} s" if math.isfinite(pose.time_s) else "in motion"
+    return f"pose {pose.pose}" + (", fresh" if pose.role == FRESH else "")
 
 
-def _arm(pose: Json, scales: tuple[Scale, Scale], ground: float, classes: Mapping[str, str]) -> Markup:
-    points = _distinct(pose["points_m"])
+def _arm(pose: DrawnPose, scales: tuple[Scale, Scale], ground: float, classes: Mapping[str, str]) -> Markup:
+    points = _distinct(pose.points_m)
     parts = [_floor(scales, ground), _line([(x, y, 0.0) for x, y, _ in points], scales, "shadow", 7.0)]
     count = max(len(points) - 1, 1)
     if points[0][2] > 0:
@@ -83,11 +81,11 @@ def _arm(pose: Json, scales: tuple[Scale, Scale], ground: float, classes: Mappin
     for index in range(len(points) - 1):
         parts.append(_line(points[index : index + 2], scales, "link", 11.0 - 6.5 * index / count))
     parts += [_mark(point, scales, "joint", max(2.0, 4.2 - 0.4 * rank)) for rank, point in enumerate(points[:-1])]
-    if pose.get("com_m"):
-        kind = classes.get(str(pose.get("load")), "load-1")
-        parts.append(_line([points[-1], pose["com_m"]], scales, f"stem {kind}", 2.0))
-        parts.append(_mark(pose["com_m"], scales, f"payload {kind}", 6.5))
-    hint = "q = " + ", ".join(f"{math.degrees(q):.0f}" for q in pose.get("q_rad") or []) + " deg"
+    if pose.com_m:
+        kind = classes.get(pose.load, "load-1")
+        parts.append(_line([points[-1], pose.com_m], scales, f"stem {kind}", 2.0))
+        parts.append(_mark(pose.com_m, scales, f"payload {kind}", 6.5))
+    hint = "q = " + ", ".join(f"{math.degrees(q):.0f}" for q in pose.q_rad) + " deg"
     body = "".join(parts)
     label = f'role="img" aria-label="The arm in {escape(_title(pose))}"'
     size = f'viewBox="0 0 {ARM_WIDTH:g} {scales[1].start_px + ARM_MARGIN:.0f}"'
@@ -129,26 +127,25 @@ def _mark(point: Vector, scales: tuple[Scale, Scale], kind: str, radius: float) 
     return f'<circle class="{kind}" cx="{scales[0](x):.1f}" cy="{scales[1](y):.1f}" r="{radius:.1f}"/>'
 
 
-def com_figures(load: Json, before: Json | None) -> list[tuple[str, Markup]]:
+def com_figures(load: Centre, before: Centre | None) -> list[tuple[str, Markup]]:
     """Centre of gravity in two views, mm, with the 95 % ellipse; before the effects were added as well.
 
     Parameters
     ----------
-    load : mapping
-        Entry of `loads`.
-    before : mapping or None
-        The same load in `before.loads`.
+    load : Centre
+    before : Centre or None
+        Of the same load.
     """
-    frame, com = centre(load)
-    if com is None or any(value is None for value in com):
+    if not load.known:
         return []
+    shown = [("after", load)] if before is None or not before.known else [("before", before), ("after", load)]
     views = (("side view", 2, 0), ("end view", 1, 0))
-    half = _half_range(load, before)
-    return [(f"{title}, {frame} frame", _com_view(load, before, (across, up), half)) for title, across, up in views]
+    return [(f"{title}, {load.frame} frame", _com_view(shown, (across, up))) for title, across, up in views]
 
 
-def _com_view(load: Json, before: Json | None, pair: tuple[int, int], half: float) -> Markup:
+def _com_view(shown: Sequence[tuple[str, Centre]], pair: tuple[int, int]) -> Markup:
     across, up = pair
+    half = 1.15 * max(20.0, *(_reach_mm(item) for _, item in shown))
     panel = Panel(COM_SIDE + 64, COM_SIDE + 52, (-half, half), (-half, half), left=52, right=12, top=12, bottom=40)
     panel.x_axis(f"{'xyz'[across]} [mm]", 3)
     panel.y_axis(f"{'xyz'[up]} [mm]", 3)
@@ -157,31 +154,27 @@ def _com_view(load: Json, before: Json | None, pair: tuple[int, int], half: floa
         panel.segment((-0.12 * half, 0.0), (0.0, 0.0), "flange")
     else:
         panel.dot(0.0, 0.0, "flange-face", "flange", COM_SIDE * 0.16)
-    for item, kind in ((before, "before"), (load, "after")):
-        if item is not None and _complete(centre(item)[1]):
-            _com_mark(panel, item, pair, kind)
+    for kind, item in shown:
+        _com_mark(panel, item, pair, kind)
     return panel.svg("Centre of gravity of the load with its 95 % ellipse")
 
 
-def _com_mark(panel: Panel, load: Json, pair: tuple[int, int], kind: str) -> None:
-    com = centre(load)[1] or (0.0, 0.0, 0.0)
-    x, y = (1000 * float(com[axis] or 0.0) for axis in pair)
-    outline = _ellipse(load, pair)
+def _com_mark(panel: Panel, item: Centre, pair: tuple[int, int], kind: str) -> None:
+    x, y = (1000 * item.com_m[axis] for axis in pair)
+    outline = _ellipse(item, pair)
     if outline:
         points = " ".join(f"{panel.x(x + dx):.1f},{panel.y(y + dy):.1f}" for dx, dy in outline)
         panel.add(f'<polygon class="ellipse {kind}" points="{points}"/>')
     panel.dot(x, y, f"dot {kind}", f"{kind}: {words.plain(x, 1)}, {words.plain(y, 1)} mm", 3.6)
 
 
-def _ellipse(load: Json, pair: tuple[int, int]) -> list[tuple[float, float]]:
+def _ellipse(item: Centre, pair: tuple[int, int]) -> list[tuple[float, float]]:
     """Outline of the 95 % ellipse about its centre, mm; empty where the uncertainty is not known."""
-    std = load.get("com_flange_std_m") or load.get("com_std_m")
-    if not _complete(std) or std is None:
+    if not all(map(math.isfinite, item.std_m)):
         return []
-    first, second = (1000 * float(std[axis]) for axis in pair)
-    rows = load.get("correlation")
-    rho = rows[pair[0] + 1][pair[1] + 1] if rows and len(rows) == 4 else 0.0
-    rho = max(-0.999, min(0.999, float(rho or 0.0)))
+    first, second = (1000 * item.std_m[axis] for axis in pair)
+    rho = cell(item.correlation or (), pair[0] + 1, pair[1] + 1)
+    rho = max(-0.999, min(0.999, rho)) if math.isfinite(rho) else 0.0
     side = math.sqrt(1 - rho * rho)
     return [
         (
@@ -192,18 +185,7 @@ def _ellipse(load: Json, pair: tuple[int, int]) -> list[tuple[float, float]]:
     ]
 
 
-def _half_range(load: Json, before: Json | None) -> float:
-    largest = 20.0
-    for item in (load, before):
-        com = centre(item)[1] if item is not None else None
-        if item is None or com is None or not _complete(com):
-            continue
-        std = item.get("com_std_m")
-        for axis in range(3):
-            spread = float(std[axis]) if _complete(std) and std is not None else 0.0
-            largest = max(largest, 1000 * (abs(float(com[axis] or 0.0)) + ELLIPSE_95 * spread))
-    return 1.15 * largest
-
-
-def _complete(values: Sequence[float | None] | None) -> bool:
-    return values is not None and all(words.known(value) for value in values)
+def _reach_mm(item: Centre) -> float:
+    """How far a centre of gravity with its ellipse lies from the origin, the largest of the three components."""
+    spread = item.std_m if all(map(math.isfinite, item.std_m)) else (0.0, 0.0, 0.0)
+    return max(1000 * (abs(com) + ELLIPSE_95 * std) for com, std in zip(item.com_m, spread, strict=True))

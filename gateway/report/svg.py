@@ -100,6 +100,10 @@ class Panel:
                 f'<line class="{kind}" x1="{self.left}" x2="{self.width - self.right}" y1="{y:.1f}" y2="{y:.1f}"/>'
             )
             self.text(self.left - 6, y + 3.5, tick_text(value, step), "tick end")
+        self.y_label(label)
+
+    def y_label(self, label: str) -> None:
+        """Label beside the vertical axis."""
         middle = (self.top + self.height - self.bottom) / 2
         self.add(f'<text class="label mid" transform="translate(12 {middle:.1f}) rotate(-90)">{escape(label)}</text>')
 
@@ -141,8 +145,9 @@ class Panel:
         self.add(f'<line class="{kind}" x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}"/>')
 
     def polyline(self, points: Sequence[Point], kind: str) -> None:
-        """Open line through data positions."""
-        self.add(f'<polyline class="{kind}" points="{self._places(points)}"/>')
+        """Open line through data positions; a position that is not known is left out."""
+        known = [(x, y) for x, y in points if math.isfinite(x) and math.isfinite(y)]
+        self.add(f'<polyline class="{kind}" points="{self._places(known)}"/>')
 
     def area(self, xs: Sequence[float], low: Sequence[float], high: Sequence[float], kind: str) -> None:
         """Filled band between two curves."""

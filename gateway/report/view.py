@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from itertools import zip_longest
 
 from gateway.report import sentences, words
+from gateway.report.centre import Centre, centre, earlier
 from gateway.report.quality import AxisQuality
-from gateway.report.rows import axes_of
-
-Json = Mapping[str, Any]
-
+from gateway.result.result import UNKNOWN_THREE, EffectResult, Evidence, LoadResult, Result
 
 UNKNOWNS = {
     "mass_kg": "mass",
@@ -84,149 +81,101 @@ class View:
     has_before: bool
 
 
-def view(result: Json) -> View:
-    """Read a result into the values that the page shows.
-
-    Parameters
-    ----------
-    result : mapping
-        Result JSON, schema 1.
-
-    Returns
-    -------
-    View
-    """
+def view(result: Result) -> View:
+    """Read a result into the values that the page shows."""
     axes = _axes(result)
     return View(
         status=sentences.status(result),
         headline=sentences.headline(result),
         verdict=sentences.verdict_sentence(result),
         quality=sentences.quality_sentence(axes, result),
-        loads=tuple(_load(load, _before(result, load)) for load in result.get("loads") or []),
+        loads=tuple(_load(result, load) for load in result.loads),
         axes=axes,
-        effects=tuple(_effect(effect) for effect in result.get("effects") or []),
+        effects=tuple(_effect(effect) for effect in result.effects),
         candidates=_candidates(result),
-        held_out=sentences.HELD_OUT.get(str(result.get("holdout_kind")), ""),
-        has_before=bool(result.get("effects")),
+        held_out=sentences.HELD_OUT.get(result.holdout_kind or "", ""),
+        has_before=bool(result.effects),
     )
 
 
-def _axes(result: Json) -> tuple[AxisQuality, ...]:
-    before, after = result.get("before") or {}, result.get("after") or {}
-    key = "holdout_rms_nm" if sentences.held_out_known(result) else "rms_nm"
-    floor, band = result.get("noise_floor_nm"), result.get("friction_band_nm")
-    lists = (floor, before.get(key), after.get(key), band, after.get("rms_nm"))
-    columns = zip(*(_by_axis(values, axes_of(result)) for values in lists), strict=True)
-    return tuple(AxisQuality(words.axis(index + 1), *column) for index, column in enumerate(columns))
+def _axes(result: Result) -> tuple[AxisQuality, ...]:
+    before, after = result.before, result.after
+    shown = (before.rms_nm, after.rms_nm)
+    if sentences.held_out_known(result):
+        shown = (before.holdout_rms_nm, after.holdout_rms_nm)
+    columns = zip_longest(result.noise_floor_nm, *shown, result.friction_band_nm, after.rms_nm, fillvalue=math.nan)
+    return tuple(AxisQuality(words.axis(joint), *column) for joint, column in enumerate(columns, start=1))
 
 
-def _by_axis(values: Sequence[float | None] | None, axes: int) -> tuple[float | None, ...]:
-    given = list(values or [])[:axes]
-    return tuple(value if words.known(value) else None for value in given + [None] * (axes - len(given)))
-
-
-def _before(result: Json, load: Json) -> Json | None:
-    if not result.get("effects"):
-        return None
-    earlier = (result.get("before") or {}).get("loads") or []
-    return next((item for item in earlier if item.get("label") == load.get("label")), None)
-
-
-def _load(load: Json, before: Json | None) -> LoadView:
+def _load(result: Result, load: LoadResult) -> LoadView:
+    before = earlier(result, load)
     mass, half = sentences.mass(load)
-    earlier = sentences.mass(before) if before is not None and words.known(before.get("mass_kg")) else ("", "")
-    value, spread = load.get("mass_kg"), sentences.half_width(load.get("mass_std_kg"))
+    was = sentences.mass(before) if before is not None and words.known(before.mass_kg) else ("", "")
+    spread = words.TWO_SIDED_95 * load.mass_std_kg
     interval = ""
-    if value is not None and spread is not None:
+    if words.known(load.mass_kg) and words.known(spread):
         digits = words.decimals(spread)
-        interval = f"{words.plain(value - spread, digits)} to {words.plain(value + spread, digits)} kg"
-    frame, com = centre(load)
+        interval = f"{words.plain(load.mass_kg - spread, digits)} to {words.plain(load.mass_kg + spread, digits)} kg"
+    shown = centre(load, result)
     return LoadView(
-        label=str(load.get("label")),
+        label=load.label,
         mass=mass,
         mass_half=half,
         interval=interval,
-        frame=frame,
-        com=_components(
-            com, load.get("com_flange_std_m") or load.get("com_std_m"), centre(before)[1] if before else None
-        ),
-        before_mass=earlier[0],
-        before_half=earlier[1],
-        refused=str(load.get("refused") or ""),
-        unidentifiable=tuple(_reason(item) for item in load.get("unidentifiable") or []),
+        frame=load.frame if shown is None else shown.frame,
+        com=() if shown is None else _components(shown, None if before is None else centre(before)),
+        before_mass=was[0],
+        before_half=was[1],
+        refused=load.refused or "",
+        unidentifiable=tuple(UNKNOWNS.get(item, item) for item in load.unidentifiable),
     )
 
 
-def centre(load: Json) -> tuple[str, Sequence[float | None] | None]:
-    """Frame and centre of gravity: in the flange frame where it is given, else in that of the last link."""
-    if load.get("com_flange_m"):
-        return "flange", load["com_flange_m"]
-    return str(load.get("frame", "link_6")), load.get("com_m")
-
-
-def _components(
-    com: Sequence[float | None] | None, std: Sequence[float | None] | None, before: Sequence[float | None] | None
-) -> tuple[ComponentView, ...]:
-    if com is None:
-        return ()
-    spread, earlier = std or (None,) * 3, before or (None,) * 3
+def _components(shown: Centre, before: Centre | None) -> tuple[ComponentView, ...]:
     views = []
-    for name, value, sigma, old in zip("xyz", com, spread, earlier, strict=True):
-        half = sentences.half_width(sigma)
-        text, wide = words.plus_minus(None if value is None else 1000 * value, None if half is None else 1000 * half)
-        views.append(ComponentView(name, text, wide, words.plain(1000 * old, 1) if old is not None else ""))
+    old_m = UNKNOWN_THREE if before is None else before.com_m
+    for name, value, std, old in zip("xyz", shown.com_m, shown.std_m, old_m, strict=True):
+        text, half = words.plus_minus(1000 * value, 1000 * words.TWO_SIDED_95 * std)
+        views.append(ComponentView(name, text, half, words.plain(1000 * old, 1) if words.known(old) else ""))
     return tuple(views)
 
 
-def _reason(item: Any) -> str:
-    if isinstance(item, Mapping):
-        return ": ".join(str(item[key]) for key in ("what", "why") if item.get(key))
-    return UNKNOWNS.get(str(item), str(item))
-
-
-def _effect(effect: Json) -> EffectView:
-    joints = tuple(effect.get("joints") or ())
-    std = effect.get("std") or {}
+def _effect(effect: EffectResult) -> EffectView:
     parameters = []
-    for key, value in (effect.get("parameters") or {}).items():
+    for key, value in effect.parameters.items():
         name, unit = words.parameter(key)
-        sigma = std.get(key)
-        parameters.append(
-            (name, words.significant(value, 4), words.significant(sigma, 2) if words.known(sigma) else "", unit)
-        )
+        std = effect.std.get(key)
+        spread = words.significant(std, 2) if words.known(std) else ""
+        parameters.append((name, words.significant(value, 4), spread, unit))
     return EffectView(
-        name=effect["name"],
-        joints=joints,
-        words=words.effect_on(effect["name"], joints),
+        name=effect.name,
+        joints=effect.joints,
+        words=words.effect_on(effect.name, effect.joints),
         parameters=tuple(parameters),
-        evidence=_evidence(effect.get("evidence") or {}),
+        evidence=_evidence(effect.evidence),
     )
 
 
-def _evidence(evidence: Json) -> tuple[str, ...]:
+def _evidence(evidence: Evidence) -> tuple[str, ...]:
     lines = []
-    ratio = evidence.get("holdout_rms_ratio")
-    if words.known(ratio):
-        verb = "falls to" if float(ratio or 0) < 1 else "is"
-        lines.append(f"held-out error {verb} {100 * float(ratio or 0):.0f} % of what it was")
-    if words.known(evidence.get("p_value")):
-        lines.append(f"chance of that without the effect: p = {words.significant(evidence['p_value'], 2)}")
-    if evidence.get("runner_up"):
-        odds = evidence.get("odds")
-        against = f", odds {words.significant(odds, 2)} to 1" if words.known(odds) else ""
-        lines.append(f"next best explanation: {words.effect(evidence['runner_up'])}{against}")
+    if words.known(evidence.holdout_rms_ratio):
+        verb = "falls to" if evidence.holdout_rms_ratio < 1 else "is"
+        lines.append(f"held-out error {verb} {100 * evidence.holdout_rms_ratio:.0f} % of what it was")
+    if words.known(evidence.p_value):
+        lines.append(f"chance of that without the effect: p = {words.significant(evidence.p_value, 2)}")
+    if evidence.runner_up:
+        against = f", odds {words.significant(evidence.odds, 2)} to 1" if words.known(evidence.odds) else ""
+        lines.append(f"next best explanation: {words.effect(evidence.runner_up)}{against}")
     return tuple(lines)
 
 
-def _candidates(result: Json) -> tuple[Candidate, ...]:
+def _candidates(result: Result) -> tuple[Candidate, ...]:
     found = [
-        _candidate(item, (item.get("evidence") or {}).get("holdout_rms_ratio"), chosen=True)
-        for item in result.get("effects") or []
+        Candidate(words.short(item.name, item.joints), item.evidence.holdout_rms_ratio, chosen=True)
+        for item in result.effects
     ]
-    rejected = [_candidate(item, item.get("holdout_rms_ratio"), chosen=False) for item in result.get("rejected") or []]
-    known = [item for item in found + rejected if words.known(item.ratio)]
+    found += [
+        Candidate(words.short(item.name, item.joints), item.holdout_rms_ratio, chosen=False) for item in result.rejected
+    ]
+    known = [item for item in found if words.known(item.ratio)]
     return tuple(sorted(known, key=lambda item: (not item.chosen, item.ratio)))
-
-
-def _candidate(item: Json, ratio: float | None, *, chosen: bool) -> Candidate:
-    return Candidate(words.short(item["name"], item.get("joints") or []), math.nan if ratio is None else ratio, chosen)

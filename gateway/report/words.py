@@ -58,13 +58,20 @@ def significant(value: float | None, digits: int = 3) -> str:
     return f"{value:.{digits}g}".replace("-", MINUS)
 
 
-def plus_minus(value: float | None, half_width: float | None) -> tuple[str, str]:
+def rounded(value: float) -> str:
+    """A number with three significant digits, none behind the third decimal and no exponent; a dash where unknown."""
+    if not math.isfinite(value) or value == 0:
+        return plain(value, 0)
+    return plain(value, max(0, min(3, 2 - math.floor(math.log10(abs(value))))))
+
+
+def plus_minus(value: float, half_width: float) -> tuple[str, str]:
     """Value and half width of its interval with matching decimals; an empty half width where it is unknown."""
     if not known(value):
         return "unknown", ""
     if not known(half_width):
         return significant(value, 4), ""
-    digits = min(decimals(float(half_width or 0.0)), 6)
+    digits = min(decimals(half_width), 6)
     return plain(value, digits), plain(half_width, digits)
 
 

@@ -13,14 +13,19 @@ kg m2, tool mounting plate).
 
 from __future__ import annotations
 
-import json
+import math
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
 from gateway.errors import ConfigError, DataUnusable
+
+if TYPE_CHECKING:
+    from gateway.result.drawn import Spread
+    from gateway.result.result import LoadResult, Result
+    from gateway.result.values import Vector
 
 INERTIA_NOTE = "inertia not measured (no motion reveals it at rest)"
 
@@ -34,28 +39,27 @@ class ExportLoad:
     label : str
         Name of the load in the result.
     mass_kg, mass_std_kg : float
-        Mass and its standard deviation, kg.
+        Mass and its standard deviation, kg; NaN = unknown.
     com_m, com_std_m : tuple of 3 float
-        Centre of gravity in `frame`, m, and its standard deviation.
+        Centre of gravity in `frame`, m, and its standard deviation; None = unknown.
     frame : str
         `flange` or `link_6`.
     """
 
     label: str
     mass_kg: float
-    mass_std_kg: float | None
-    com_m: tuple[float, float, float]
-    com_std_m: tuple[float, float, float] | None
+    mass_std_kg: float
+    com_m: Vector
+    com_std_m: Vector | None
     frame: str
 
 
-def export(result: Mapping[str, Any], fmt: str, label: str | None = None) -> str:
+def export(result: Result, fmt: str, label: str | None = None) -> str:
     """Text of the identified load(s) in the syntax of `fmt`.
 
     Parameters
     ----------
-    result : mapping
-        The result JSON as read from disk.
+    result : Result
     fmt : str
         A key of `FORMATS`.
     label : str, optional
@@ -76,73 +80,50 @@ def export(result: Mapping[str, Any], fmt: str, label: str | None = None) -> str
     if fmt not in FORMATS:
         raise ConfigError(f"format '{fmt}' is not known; choose one of {', '.join(FORMATS)}")
     write, frames = FORMATS[fmt]
-    spread = (result.get("data") or {}).get("flange") or {}
-    loads = [_complete(load, frames, spread.get(load.get("label"), {})) for load in _chosen(result, label)]
-    return write(loads, _one_line(str(result.get("robot", "robot"))))
+    turned = {} if result.data is None else result.data.flange
+    loads = [_complete(load, frames, turned.get(load.label)) for load in _chosen(result, label)]
+    return write(loads, _one_line(result.robot))
 
 
-def _chosen(result: Mapping[str, Any], label: str | None) -> list[Mapping[str, Any]]:
-    loads = list(result.get("loads") or [])
+def _chosen(result: Result, label: str | None) -> list[LoadResult]:
     if label is not None:
-        loads = [load for load in loads if load.get("label") == label]
+        loads = [load for load in result.loads if load.label == label]
         if not loads:
-            known = ", ".join(str(load.get("label")) for load in result.get("loads") or []) or "none"
+            known = ", ".join(load.label for load in result.loads) or "none"
             raise ConfigError(f"load '{label}' is not in the result; it holds: {known}")
         return loads
-    usable = [load for load in loads if load.get("mass_kg") is not None]
-    if usable:
-        return usable
-    if loads:
-        return loads
-    raise DataUnusable("the result holds no load; estimate one first (servo-gateway estimate DATA --json OUT.json)")
+    if not result.loads:
+        raise DataUnusable("the result holds no load; estimate one first (servo-gateway estimate DATA --json OUT.json)")
+    return [load for load in result.loads if math.isfinite(load.mass_kg)] or list(result.loads)
 
 
-def _complete(load: Mapping[str, Any], frames: Sequence[str], in_flange: Mapping[str, Any]) -> ExportLoad:
-    label = str(load.get("label"))
-    if load.get("mass_kg") is None:
-        reason = load.get("refused") or _unidentifiable(load)
-        raise DataUnusable(f"load '{label}' has no mass to hand over: {reason}")
-    flange, link = load.get("com_flange_m"), load.get("com_m")
-    if flange is not None and "flange" in frames:
-        return _checked({**load, "com_std_m": in_flange.get("com_std_m")}, label, flange, "flange")
-    if "link_6" in frames and link is not None:
-        return _checked(load, label, link, _one_line(str(load.get("frame", "link_6"))))
-    if link is None or any(value is None for value in link):
-        raise DataUnusable(f"load '{label}' has no centre of gravity to hand over: {_unidentifiable(load)}")
+def _complete(load: LoadResult, frames: Sequence[str], in_flange: Spread | None) -> ExportLoad:
+    if not math.isfinite(load.mass_kg):
+        raise DataUnusable(f"load '{load.label}' has no mass to hand over: {load.refused or _unidentifiable(load)}")
+    if load.com_flange_m is not None and "flange" in frames:
+        return _checked(load, load.com_flange_m, None if in_flange is None else in_flange.com_std_m, "flange")
+    if "link_6" in frames and load.com_m is not None:
+        return _checked(load, load.com_m, load.com_std_m, _one_line(load.frame))
+    if load.com_m is None or not all(map(math.isfinite, load.com_m)):
+        raise DataUnusable(f"load '{load.label}' has no centre of gravity to hand over: {_unidentifiable(load)}")
     raise ConfigError(
-        f"load '{label}': the controller wants the centre of gravity in the flange frame, and the flange is not given; "
-        "add flange_xyz_m and flange_rpy_rad (flange in link_6) to the cell file, then estimate again with --cell"
+        f"load '{load.label}': the controller wants the centre of gravity in the flange frame, and the flange is not "
+        "given; add flange_xyz_m and flange_rpy_rad (flange in link_6) to the cell file, estimate again with --cell"
     )
 
 
-def _checked(load: Mapping[str, Any], label: str, com: Sequence[float | None], frame: str) -> ExportLoad:
-    if any(value is None for value in com):
+def _checked(load: LoadResult, com: Vector, std: Vector | None, frame: str) -> ExportLoad:
+    if not all(map(math.isfinite, com)):
         raise DataUnusable(
-            f"load '{label}': the centre of gravity is not complete ({_unidentifiable(load)}); measure the poses that "
-            "the result names under `next`"
+            f"load '{load.label}': the centre of gravity is not complete ({_unidentifiable(load)}); measure the poses "
+            "that the result names under `next`"
         )
-    std = load.get("com_std_m")
-    known = std is not None and all(value is not None for value in std)
-    return ExportLoad(
-        label=_one_line(label),
-        mass_kg=float(load["mass_kg"]),
-        mass_std_kg=load.get("mass_std_kg"),
-        com_m=_three(com),
-        com_std_m=_three(std) if known and std is not None else None,
-        frame=frame,
-    )
+    known = std is not None and all(map(math.isfinite, std))
+    return ExportLoad(_one_line(load.label), load.mass_kg, load.mass_std_kg, com, std if known else None, frame)
 
 
-def _three(values: Sequence[Any]) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
-
-
-def _unidentifiable(load: Mapping[str, Any]) -> str:
-    names = [
-        entry if isinstance(entry, str) else str(entry.get("what", entry)) for entry in load.get("unidentifiable") or []
-    ]
-    return "not identifiable: " + ", ".join(names) if names else "it was not estimated"
+def _unidentifiable(load: LoadResult) -> str:
+    return f"not identifiable: {', '.join(load.unidentifiable)}" if load.unidentifiable else "it was not estimated"
 
 
 def _number(value: float, digits: int) -> str:
@@ -161,7 +142,7 @@ def _identifier(label: str) -> str:
 
 def _accuracy(load: ExportLoad) -> str:
     mass = f"{load.mass_kg:.3f} kg"
-    if load.mass_std_kg is not None:
+    if math.isfinite(load.mass_std_kg):
         mass += f" +- {load.mass_std_kg:.3f} kg"
     if load.com_std_m is None:
         return f"{mass} (one standard deviation)"
@@ -203,23 +184,10 @@ def _comment(text: str) -> str:
 
 def to_json(loads: Sequence[ExportLoad], robot: str) -> str:
     """Mass and centre of gravity in SI, the frame named, inertia `null`."""
-    body = {
-        "robot": robot,
-        "loads": [
-            {
-                "label": load.label,
-                "frame": load.frame,
-                "mass_kg": load.mass_kg,
-                "mass_std_kg": load.mass_std_kg,
-                "com_m": list(load.com_m),
-                "com_std_m": None if load.com_std_m is None else list(load.com_std_m),
-                "inertia_kg_m2": None,
-                "note": INERTIA_NOTE,
-            }
-            for load in loads
-        ],
-    }
-    return json.dumps(body, indent=1, allow_nan=False) + "\n"
+    from gateway.result.values import json_text
+
+    handed = [asdict(load) | {"inertia_kg_m2": None, "note": INERTIA_NOTE} for load in loads]
+    return json_text({"robot": robot, "loads": handed})
 
 
 def to_abb(loads: Sequence[ExportLoad], robot: str) -> str:
@@ -288,7 +256,7 @@ def _remark(text: str) -> str:
 
 
 def _short_accuracy(load: ExportLoad) -> str:
-    std = "" if load.mass_std_kg is None else f" +- {load.mass_std_kg:.3f}"
+    std = "" if math.isnan(load.mass_std_kg) else f" +- {load.mass_std_kg:.3f}"
     return f"{load.mass_kg:.3f}{std} kg"
 
 

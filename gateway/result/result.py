@@ -1,28 +1,38 @@
 """The result file: what an estimation or a diagnosis hands over, as frozen values and as JSON.
 
-NaN stands for "unknown" inside and is written as null; what the data cannot give is never filled in. Joints count
-from 1. Frame `link_6` is the frame of the sixth link of the robot model: the last one, of an arm of six axes. Keys that
-a newer writer added are kept in `Result.extra` and written back.
+What the data cannot give is never filled in: NaN, null in the file. Joints count from 1. Frame `link_6` is the frame of
+the sixth link of the robot model: the last one, of an arm of six axes. Keys that a newer writer added are kept in
+`Result.extra` and written back.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import json
-import math
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
-
-import numpy as np
-from pydantic import AfterValidator, BeforeValidator, TypeAdapter, ValidationError, WithJsonSchema
-from pydantic_core import ErrorDetails
+from pathlib import Path
+from typing import Any, Literal
 
 from gateway.errors import InputError
+from gateway.result.drawn import Drawn
+from gateway.result.values import (
+    NAN,
+    SILENT,
+    Matrix,
+    Number,
+    Numbers,
+    Vector,
+    check_kind,
+    check_lengths,
+    decoded,
+    json_object,
+    plain_values,
+    schema_of,
+    text_of,
+)
 
 SCHEMA = 1
-NAN = math.nan
 #: Where nothing is known of an arm of six axes.
 UNKNOWN_SIX = (NAN,) * 6
 UNKNOWN_THREE = (NAN,) * 3
@@ -33,26 +43,6 @@ Severity = Literal["info", "warn", "fail"]
 PER_LINK = 4
 #: Larger than any mass, place or variance of an arm; beyond it the arithmetic overflows.
 LARGEST = 1e12
-
-
-def _nan_if_null(value: Any) -> Any:
-    if isinstance(value, int) and abs(value) > sys.float_info.max:
-        return math.inf
-    return NAN if value is None else value
-
-
-def _not_infinite(value: float) -> float:
-    if math.isinf(value):
-        raise ValueError("a number that is too large to hold")
-    return value
-
-
-#: A number, or NaN = unknown, which is null in the file.
-Number = Annotated[
-    float, BeforeValidator(_nan_if_null), AfterValidator(_not_infinite), WithJsonSchema({"type": ["number", "null"]})
-]
-Numbers = tuple[Number, ...]
-Matrix = tuple[Numbers, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,14 +56,14 @@ class LoadResult:
     label: str
     mass_kg: Number = NAN
     mass_std_kg: Number = NAN
-    com_m: Numbers | None = None
-    com_std_m: Numbers | None = None
+    com_m: Vector | None = None
+    com_std_m: Vector | None = None
     frame: str = "link_6"
-    com_flange_m: Numbers | None = None
-    correlation: Matrix | None = None
+    com_flange_m: Vector | None = field(default=None, metadata=SILENT)
+    correlation: Matrix | None = field(default=None, metadata=SILENT)
     unidentifiable: tuple[str, ...] = ()
     per_pose_mass_kg: Mapping[str, Number] = field(default_factory=dict)
-    refused: str | None = None
+    refused: str | None = field(default=None, metadata=SILENT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +112,7 @@ class NextMeasurement:
     what: str
     poses_rad: Matrix = ()
     tells_apart: tuple[str, ...] = ()
-    reduction: Number = NAN
+    reduction: Number = field(default=NAN, metadata=SILENT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,6 +153,13 @@ class Rows:
     band_nm: Matrix = ()
     std_nm: Matrix = ()
 
+    def __post_init__(self) -> None:
+        """Refuse tables that are not of one length and width."""
+        check_lengths(**{item.name: getattr(self, item.name) for item in dataclasses.fields(self)})
+        tables = (self.q_rad, self.direction, self.tau_nm, self.model_nm, self.band_nm, self.std_nm)
+        if len({len(row) for table in tables for row in table}) > 1:
+            raise ValueError("one number per axis is needed in every row of every table")
+
 
 @dataclass(frozen=True, slots=True)
 class Bare:
@@ -200,13 +197,14 @@ class Result:
     next: tuple[NextMeasurement, ...] = ()
     findings: tuple[Finding, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    method: str | None = None
+    method: str | None = field(default=None, metadata=SILENT)
     parameters: tuple[Parameter, ...] = ()
     quality: Mapping[str, Any] = field(default_factory=dict)
-    rows: Rows | None = None
-    bare: Bare | None = None
+    rows: Rows | None = field(default=None, metadata=SILENT)
+    bare: Bare | None = field(default=None, metadata=SILENT)
+    data: Drawn | None = field(default=None, metadata=SILENT)
     schema: int = SCHEMA
-    extra: Mapping[str, Any] = field(default_factory=dict)
+    extra: Mapping[str, Any] = field(default_factory=dict, metadata=SILENT)
 
     @property
     def failed(self) -> bool:
@@ -214,21 +212,11 @@ class Result:
         return any(finding.severity == "fail" for finding in self.findings)
 
 
-# Keys that are left out where they say nothing, rather than written as null.
-_OPTIONAL = {
-    "LoadResult": {"com_flange_m", "refused", "correlation"},
-    "NextMeasurement": {"reduction"},
-    "Result": {"method", "rows", "bare", "extra"},
-}
-_ORDER_FIRST = ("schema",)
-
-
 def to_dict(result: Result) -> dict[str, Any]:
     """Plain dictionaries, lists and numbers of a result; NaN and infinity become None."""
     plain = plain_values(result)
     extra = plain.pop("extra", {})
-    first = {key: plain.pop(key) for key in _ORDER_FIRST}
-    return first | plain | {key: value for key, value in extra.items() if key not in plain}
+    return {"schema": plain.pop("schema")} | plain | {key: value for key, value in extra.items() if key not in plain}
 
 
 def to_json(result: Result) -> str:
@@ -250,78 +238,37 @@ def from_json(text: str, where: str = "result") -> Result:
     InputError
         Not JSON, another schema, a key that is missing or of the wrong kind: named with its path.
     """
-    try:
-        data = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise InputError(f"{where}:{error.lineno}: not valid JSON: {error.msg}") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{where}: holds a number or a nesting that no result file has: {error}") from error
-    if not isinstance(data, dict):
-        raise InputError(f"{where}: a result file is one JSON object, this is {_kind_of(data)}")
-    if data.get("schema") != SCHEMA:
-        raise InputError(f"{where}: schema: this version reads schema {SCHEMA}, the file says {data.get('schema')!r}")
+    data = json_object(text, where)
+    check_kind(data, SCHEMA, None, where)
     known = {item.name for item in dataclasses.fields(Result)} - {"extra"}
     extra = {key: value for key, value in data.items() if key not in known}
-    result = _decoded({key: value for key, value in data.items() if key in known}, where)
+    result = decoded(Result, {key: value for key, value in data.items() if key in known}, where)
     _check_loads(result, where)
     if result.bare is not None:
         _check_bare(result.bare, where)
     return dataclasses.replace(result, extra=extra)
 
 
+def read_result(path: Path) -> Result:
+    """A result from disk.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or as `from_json`.
+    """
+    return from_json(text_of(path, "name the JSON that `estimate --json` wrote"), str(path))
+
+
 def json_schema() -> dict[str, Any]:
     """JSON schema of the result file."""
-    schema = plain_values(TypeAdapter(Result).json_schema())
+    schema = schema_of(Result)
     schema["properties"].pop("extra")
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
-
-
-def _decoded(data: Mapping[str, Any], where: str) -> Result:
-    try:
-        return TypeAdapter(Result).validate_json(json.dumps(data), strict=True)
-    except ValidationError as error:
-        problem = error.errors(include_url=False)[0]
-        raise InputError(f"{where}: {_path(problem['loc'])}{_in_words(problem)}") from error
-
-
-def _path(place: tuple[int | str, ...]) -> str:
-    """`loads[0].mass_kg: ` of a place in the file."""
-    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")
-    return f"{text}: " if text else ""
-
-
-_EXPECTED = {
-    "float_type": "a number or null",
-    "string_type": "text",
-    "int_type": "an integer",
-    "tuple_type": "a list",
-    "dict_type": "an object",
-    "dataclass_type": "an object",
-}
-
-
-def _in_words(problem: ErrorDetails) -> str:
-    kind, given = problem["type"], problem["input"]
-    if kind == "missing":
-        return "the key is missing"
-    if kind == "literal_error":
-        return f"{given!r} is not {problem['ctx']['expected'] if 'ctx' in problem else 'one of the words'}"
-    if kind in _EXPECTED:
-        return f"expected {_EXPECTED[kind]}, got {_kind_of(given)}"
-    return problem["msg"].removeprefix("Value error, ")
-
-
-def _kind_of(value: Any) -> str:
-    """A value in words, for messages."""
-    return "null" if value is None else f"{type(value).__name__} {value!r}"[:80]
+    return schema
 
 
 def _check_loads(result: Result, where: str) -> None:
     for index, load in enumerate(result.loads):
-        for key in ("com_m", "com_std_m"):
-            value = getattr(load, key)
-            if value is not None and len(value) != 3:
-                raise InputError(f"{where}: loads[{index}].{key}: three numbers are needed, got {len(value)}")
         if any(abs(value) > LARGEST for value in (load.mass_kg, load.mass_std_kg, *(load.com_m or ()))):
             raise InputError(f"{where}: loads[{index}]: a mass or a place beyond {LARGEST:g}")
 
@@ -336,20 +283,3 @@ def _check_bare(bare: Bare, where: str) -> None:
             raise InputError(f"{where}: bare.{key}: {height} x {width} numbers are needed")
         if any(abs(value) > LARGEST for row in rows for value in row):
             raise InputError(f"{where}: bare.{key}: a number beyond {LARGEST:g}")
-
-
-def plain_values(value: Any) -> Any:
-    """The same in what JSON can hold: dataclasses as dictionaries, arrays as lists, NaN and infinity as None."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        optional = _OPTIONAL.get(type(value).__name__, set())
-        items = {item.name: plain_values(getattr(value, item.name)) for item in dataclasses.fields(value)}
-        return {key: plain for key, plain in items.items() if plain is not None or key not in optional}
-    if isinstance(value, Mapping):
-        return {str(key): plain_values(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain_values(item) for item in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return plain_values(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

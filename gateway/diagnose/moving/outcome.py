@@ -82,7 +82,7 @@ def result_of(outcome: MovingOutcome) -> Result:
         findings=(*_faults(() if undecided else effects), *_remarks(outcome)),
         provenance=_provenance(problem, outcome),
         rows=_rows(problem, after),
-        extra={"data": pictures(problem, outcome.before, after, drawn, _kept(problem))},
+        data=pictures(problem, outcome.before, after, drawn, _kept(problem)),
     )
 
 

@@ -7,7 +7,6 @@ curve is the effect; its band follows from the covariance of its coefficients.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,8 @@ from gateway.diagnose.moving.state import MovingState
 from gateway.model.effect import Over
 from gateway.model.effects import LIBRARY
 from gateway.model.term import Term
+from gateway.result.drawn import Curve, Drawn
+from gateway.result.values import matrix, numbers
 
 Floats = NDArray[np.float64]
 
@@ -31,8 +32,8 @@ def pictures(
     after: MovingState,
     effects: Sequence[tuple[Term, ...]],
     kept: NDArray[np.int_],
-) -> dict[str, Any]:
-    """Keys of `data` that the report reads.
+) -> Drawn:
+    """What the report draws.
 
     Parameters
     ----------
@@ -45,14 +46,17 @@ def pictures(
         Rows that the result file keeps.
     """
     motion = problem.motion
-    data: dict[str, Any] = {"role": ["held out" if given else "fit" for given in motion.given[kept]]}
-    if effects:
-        data["model_before_nm"] = (motion.tau_nm - before.full.residual_nm)[kept].tolist()
-        data["curves"] = [_curve(problem, after, terms) for terms in effects]
-    return data
+    role = tuple("held out" if given else "fit" for given in motion.given[kept])
+    if not effects:
+        return Drawn(role=role)
+    return Drawn(
+        role=role,
+        model_before_nm=matrix((motion.tau_nm - before.full.residual_nm)[kept]),
+        curves=tuple(_curve(problem, after, terms) for terms in effects),
+    )
 
 
-def _curve(problem: MovingProblem, state: MovingState, terms: tuple[Term, ...]) -> dict[str, Any]:
+def _curve(problem: MovingProblem, state: MovingState, terms: tuple[Term, ...]) -> Curve:
     """One effect on the axis where it is largest."""
     motion, full = problem.motion, state.full
     where = full.part(terms)
@@ -69,19 +73,19 @@ def _curve(problem: MovingProblem, state: MovingState, terms: tuple[Term, ...]) 
     x, label, unit = _abscissa(problem, state, terms[0], axis, y, rows)
     order = np.argsort(x, kind="stable")
     x, y, spread, points = x[order], y[order], spread[order], points[order]
-    return {
-        "name": terms[0].name,
-        "joint": axis + 1,
-        "x_label": label,
-        "x_unit": unit,
-        "y_label": f"J{axis + 1} torque [Nm]",
-        "x": x.tolist(),
-        "y": y.tolist(),
-        "low": (y - spread).tolist(),
-        "high": (y + spread).tolist(),
-        "points_x": x.tolist(),
-        "points_y": points.tolist(),
-    }
+    return Curve(
+        name=terms[0].name,
+        joint=axis + 1,
+        x_label=label,
+        x_unit=unit,
+        y_label=f"J{axis + 1} torque [Nm]",
+        x=numbers(x),
+        y=numbers(y),
+        low=numbers(y - spread),
+        high=numbers(y + spread),
+        points_x=numbers(x),
+        points_y=numbers(points),
+    )
 
 
 def _abscissa(

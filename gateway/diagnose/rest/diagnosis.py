@@ -228,7 +228,7 @@ class RestDiagnosis:
                 "inertials": self.knowledge.inertials,
             },
             rows=rows,
-            extra={"data": drawn},
+            data=drawn,
         )
 
     def _confirmed(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,9 @@ from gateway.model.effect import Over
 from gateway.model.effects import LIBRARY
 from gateway.model.rest import Model, Prediction, RestRows
 from gateway.model.term import Term
+from gateway.result.drawn import Curve, Drawn
 from gateway.result.result import Rows
+from gateway.result.values import Matrix, matrix, numbers
 
 Floats = NDArray[np.float64]
 
@@ -57,8 +59,8 @@ class DrawnVisits:
         return cls(held.problem, np.arange(len(held.problem.rows)) >= len(problem.rows), kind)
 
 
-def pictures(visits: DrawnVisits, decision: Decision) -> tuple[Rows, dict[str, Any]]:
-    """Rows of the result and the keys that the report reads: role, curves, models before and after.
+def pictures(visits: DrawnVisits, decision: Decision) -> tuple[Rows, Drawn]:
+    """Rows of the result and what the report draws of them: role, curves, models before and after.
 
     Parameters
     ----------
@@ -72,33 +74,34 @@ def pictures(visits: DrawnVisits, decision: Decision) -> tuple[Rows, dict[str, A
         load=tuple(rows.load.tolist()),
         pose=tuple(int(number) for number in rows.pose),
         time_s=tuple(float(time) for time in rows.time_s),
-        q_rad=_matrix(rows.q_rad),
+        q_rad=matrix(rows.q_rad),
         direction=tuple(tuple(int(side) for side in row) for row in rows.side),
-        tau_nm=_matrix(rows.sum_nm),
-        model_nm=_matrix(_known(_predict(problem, after, after.terms).sum_nm, problem)),
-        band_nm=_matrix(rows.difference_nm),
-        std_nm=_matrix(np.broadcast_to(after.noise.std[: problem.axes], rows.sum_nm.shape)),
+        tau_nm=matrix(rows.sum_nm),
+        model_nm=matrix(_known(_predict(problem, after, after.terms).sum_nm, problem)),
+        band_nm=matrix(rows.difference_nm),
+        std_nm=matrix(np.broadcast_to(after.noise.std[: problem.axes], rows.sum_nm.shape)),
     )
-    data: dict[str, Any] = {"role": [visits.kind if fresh else "fit" for fresh in visits.fresh]}
-    data["band_model_nm"] = _known_band(_predict(problem, after, after.terms).difference_nm, problem)
+    drawn = Drawn(
+        role=tuple(visits.kind if fresh else "fit" for fresh in visits.fresh),
+        band_model_nm=_known_band(_predict(problem, after, after.terms).difference_nm, problem),
+    )
     if decision.proven:
         before = _predict(problem, decision.before, decision.before.terms)
-        data["model_before_nm"] = _known(before.sum_nm, problem).tolist()
-        data["band_model_before_nm"] = _known_band(before.difference_nm, problem)
-        data["curves"] = [_curve(problem, after, after.terms.index(term)) for term in decision.proven]
-    return shown, data
-
-
-def _matrix(values: Floats) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(float(value) for value in row) for row in values)
+        drawn = replace(
+            drawn,
+            model_before_nm=matrix(_known(before.sum_nm, problem)),
+            band_model_before_nm=_known_band(before.difference_nm, problem),
+            curves=tuple(_curve(problem, after, after.terms.index(term)) for term in decision.proven),
+        )
+    return shown, drawn
 
 
 def _known(values: Floats, problem: RestProblem) -> Floats:
     return np.where(problem.use_sum, values, np.nan)
 
 
-def _known_band(values: Floats, problem: RestProblem) -> list[list[float]]:
-    return np.where(problem.use_difference, values, np.nan).tolist()
+def _known_band(values: Floats, problem: RestProblem) -> Matrix:
+    return matrix(np.where(problem.use_difference, values, np.nan))
 
 
 def _predict(problem: RestProblem, fit: Fit, terms: Sequence[Term]) -> Prediction:
@@ -108,7 +111,7 @@ def _predict(problem: RestProblem, fit: Fit, terms: Sequence[Term]) -> Predictio
     return problem.model.predict(setting, fit.links, visit_loads(problem, fit.loads), fit.band)
 
 
-def _curve(problem: RestProblem, fit: Fit, position: int) -> dict[str, Any]:
+def _curve(problem: RestProblem, fit: Fit, position: int) -> Curve:
     """One effect over what it depends on, on the axis and in the reading where it is largest."""
     term = fit.terms[position]
     others = [other for place, other in enumerate(fit.terms) if place != position]
@@ -133,19 +136,19 @@ def _curve(problem: RestProblem, fit: Fit, position: int) -> dict[str, Any]:
     order = np.argsort(x, kind="stable")
     x, effect, spread = x[order], effect[order], TWO_SIDED_95 * spread[order]
     seen = np.isfinite(points_x) & np.isfinite(points_y)
-    return {
-        "name": term.name,
-        "joint": axis + 1,
-        "x_label": x_label,
-        "x_unit": x_unit,
-        "y_label": f"J{axis + 1}, {reading} of both sides [Nm]",
-        "x": x.tolist(),
-        "y": effect.tolist(),
-        "low": (effect - spread).tolist(),
-        "high": (effect + spread).tolist(),
-        "points_x": points_x[seen].tolist(),
-        "points_y": points_y[seen].tolist(),
-    }
+    return Curve(
+        name=term.name,
+        joint=axis + 1,
+        x_label=x_label,
+        x_unit=x_unit,
+        y_label=f"J{axis + 1}, {reading} of both sides [Nm]",
+        x=numbers(x),
+        y=numbers(effect),
+        low=numbers(effect - spread),
+        high=numbers(effect + spread),
+        points_x=numbers(points_x[seen]),
+        points_y=numbers(points_y[seen]),
+    )
 
 
 def _largest(effects: dict[str, tuple[Floats, Floats]], term: Term) -> tuple[str, int]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 
 import numpy as np
@@ -11,6 +10,9 @@ import pytest
 pytest.importorskip("pybullet", reason="the simulated drives need the extra [sim]")
 
 from benchmarks.follow import rig
+from benchmarks.follow.__main__ import peaks
+from gateway.result.drawn import Drawn
+from gateway.result.follow import read_follow
 from gateway.result.result import LoadResult, Result, to_json
 
 # What an identification of this load with these build errors gave, rounded; the truth is 70 kg at (50, -20, 220) mm.
@@ -26,8 +28,7 @@ def place(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_STATE_HOME", "set by the rig")
         place = rig.set_up(tmp_path_factory.mktemp("follow"), "large")
-        data = {"cell": "large", "arm": "main"}
-        result = Result(robot="qh165", loads=(LOAD,), friction_band_nm=BAND_NM, extra={"data": data})
+        result = Result(robot="qh165", loads=(LOAD,), friction_band_nm=BAND_NM, data=Drawn(cell="large", arm="main"))
         place.result.write_text(to_json(result))
         path = place.path.read_text()
         points = re.sub(r"  \[0\.3, .*\n", "", path)
@@ -46,17 +47,13 @@ def drives(place):
 def right(place, drives):
     report = place.folder / "right.html"
     told = rig.follow_command(place, drives, place.result, report)
-    return told, json.loads(report.with_suffix(".json").read_text()), report.read_text()
-
-
-def peaks(body):
-    return {setting["name"]: np.array(setting["peak_rad"]) for setting in body["settings"]}
+    return told, read_follow(report.with_suffix(".json")), report.read_text()
 
 
 def test_the_identified_load_is_followed_better_than_the_maximum_and_far_better_than_none(right):
-    told, body, _ = right
+    told, result, _ = right
     assert told.exit_code == 0, told.output
-    found = peaks(body)
+    found = peaks(result)
     for axis in (1, 2):
         assert found["identified"][axis] <= found["off"][axis] / 3
         assert found["identified"][axis] <= found["maximum"][axis] / 2
@@ -64,23 +61,23 @@ def test_the_identified_load_is_followed_better_than_the_maximum_and_far_better_
 
 
 def test_every_figure_is_given_per_axis_and_setting(right):
-    _, body, _ = right
-    assert [setting["name"] for setting in body["settings"]] == ["off", "maximum", "identified"]
-    for setting in body["settings"]:
+    _, result, _ = right
+    assert [setting.name for setting in result.settings] == ["off", "maximum", "identified"]
+    for setting in result.settings:
         for key in ("peak_rad", "rms_rad", "lag_s", "overshoot_rad"):
-            assert len(setting[key]) == 6
-            assert all(value is not None for value in setting[key])
-    off, fed = body["settings"][0], body["settings"][2]
+            assert np.isfinite(getattr(setting, key)).all()
+            assert len(getattr(setting, key)) == 6
+    off, fed = result.settings[0], result.settings[2]
     # a fifth of the velocity is left to a position loop of 6 1/s: 0.2 / 6 s
-    assert off["lag_s"] == pytest.approx([0.2 / 6.0] * 6, rel=0.1)
-    assert np.abs(fed["lag_s"]).max() < 1e-3
+    assert off.lag_s == pytest.approx([0.2 / 6.0] * 6, rel=0.1)
+    assert np.abs(fed.lag_s).max() < 1e-3
 
 
 def test_the_right_load_raises_no_finding_and_what_is_left_out_is_said(right):
-    _, body, _ = right
-    assert {item["severity"] for item in body["findings"]} == {"info"}
-    assert abs(body["trend"]["scale"]) < 0.07
-    assert any("viscous friction" in item["what"] for item in body["findings"])
+    _, result, _ = right
+    assert {item.severity for item in result.findings} == {"info"}
+    assert abs(result.trend.scale) < 0.07
+    assert any("viscous friction" in item.what for item in result.findings)
 
 
 def test_the_page_shows_the_three_settings_side_by_side_with_units(right):
@@ -99,14 +96,14 @@ def test_a_load_20_percent_off_shows_as_a_trend_and_fails(place, drives, right, 
         told = rig.follow_command(place, drives, place.result_with("heavy", factor), place.folder / "heavy.html")
         assert told.exit_code == 7, told.output
         assert "identify it again" in told.output
-        body = json.loads((place.folder / "heavy.json").read_text())
+        result = read_follow(place.folder / "heavy.json")
         assert "tag fail" in (place.folder / "heavy.html").read_text()
     else:
         request = rig.FollowRequest(place.path, place.result_with("light", factor))
-        body = rig.followed(drives, place.cell, request, "identified")
-    assert body["findings"][0]["severity"] == "fail"
-    assert body["trend"]["scale"] == pytest.approx(1 / factor - 1, abs=0.07)
-    assert abs(body["trend"]["scale"]) > 3 * body["trend"]["scale_std"]
+        result = rig.followed(drives, place.cell, request, "identified")
+    assert result.findings[0].severity == "fail"
+    assert result.trend.scale == pytest.approx(1 / factor - 1, abs=0.07)
+    assert abs(result.trend.scale) > 3 * result.trend.scale_std
 
 
 def test_afterwards_the_drives_hold_no_offset_and_the_brakes_hold_the_arm(drives, right):

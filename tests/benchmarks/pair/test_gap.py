@@ -86,7 +86,7 @@ def test_a_missing_frame_is_no_value_and_never_the_old_one() -> None:
     assert not np.isnan(done.gaps_m[~without]).any()
     assert not done.summary.learned
     assert "no gap could be told" in done.summary.reason
-    assert statistics["incomplete"] == [0, 0]
+    assert statistics.incomplete == (0, 0)
 
 
 def falls_silent(rig: GapRig) -> None:
@@ -196,6 +196,6 @@ def test_the_report_shows_the_gap_in_millimetres(cell: Path) -> None:
     output = cell.parent / "report.html"
     assert call("pair-report", cell, "-o", output).exit_code == 0
     page = output.read_text(encoding="utf-8")
-    for said in ("gap error [mm]", "first [mm]", "<td class='n'>0.300</td>", "<td class='n'>0.075</td>", "<svg"):
+    for said in ("gap error [mm]", "first [mm]", '<td class="n">0.300</td>', '<td class="n">0.075</td>', "<svg"):
         assert said in page
     assert "Nm" not in page

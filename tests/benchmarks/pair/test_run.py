@@ -49,7 +49,7 @@ def test_one_cycle_with_twelve_drives() -> None:
         wanted = np.concatenate(run.motion.q_rad)
         true = np.linalg.norm(record[:, 1:4], axis=1)
         rig.power.off()
-    assert sum(statistics["incomplete"]) <= 2
+    assert sum(statistics.incomplete) <= 2
     assert np.abs(q - wanted).max() < 0.02
     assert 20.0 < true.max() < 400.0
     assert abs(done.summary.force_n - true.max()) < 0.5 * true.max()
@@ -164,8 +164,8 @@ def test_teaching_goes_on_where_it_ended() -> None:
             stream = Stream(rig.link.station(rig.cell, options.moves))
             teacher = Teacher(PairMotion(rig.cell, stream, options), cell_gains(rig.cell), rule)
             with powered(stream):
-                teacher.run(lesson, indices[:count], lambda _lesson, point: saved.append(point.index))
+                teacher.run(lesson, indices[:count], lambda _lesson, point: saved.append(point.command - 1))
             lesson = lesson_from_json(lesson.to_json(), "points.json")
     assert saved == indices.tolist()
     assert len(lesson.function(np.eye(4))) == 3
-    assert all(point.forces_n[-1] <= 40.0 for point in lesson.points)
+    assert all(point.force_n[-1] <= 40.0 for point in lesson.points)

@@ -15,6 +15,7 @@ from gateway.feedforward.parameters import corrected_parameters, drawn_parameter
 from gateway.feedforward.terms import axis_terms
 from gateway.model.base import rest_base
 from gateway.model.regressor import gravity_regressor
+from gateway.result.drawn import Drawn
 from gateway.result.result import Bare, LoadResult, Result
 
 GRAVITY = np.array([0.0, 0.0, -9.80665])
@@ -61,8 +62,8 @@ def test_what_is_no_identified_load_is_refused(held, label, error, words):
     ("changes", "words"),
     [
         ({"robot": "kr300"}, "robot 'kr300'"),
-        ({"extra": {"data": {"cell": "small"}}}, "cell 'small'"),
-        ({"extra": {"data": {"arm": "left"}}}, "arm 'left'"),
+        ({"data": Drawn(cell="small")}, "cell 'small'"),
+        ({"data": Drawn(arm="left")}, "arm 'left'"),
     ],
 )
 def test_the_load_of_another_arm_is_refused(large, qh165, changes, words):

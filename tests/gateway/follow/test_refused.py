@@ -10,11 +10,12 @@ import pytest
 from click.testing import CliRunner
 
 from gateway.cli import main
+from gateway.result.drawn import Drawn
 from gateway.result.result import LoadResult, Result, to_json
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 LOAD = LoadResult("a", 70.0, 0.2, (0.05, -0.02, 0.22), (0.001, 0.001, 0.002))
-RESULT = Result(robot="qh165", loads=(LOAD,), extra={"data": {"cell": "large", "arm": "main"}})
+RESULT = Result(robot="qh165", loads=(LOAD,), data=Drawn(cell="large", arm="main"))
 
 
 @pytest.fixture
@@ -48,7 +49,7 @@ def run(cell, result, *more):
         (replace(RESULT, loads=()), 6, "holds no identified load"),
         (replace(RESULT, loads=(replace(LOAD, refused="rows contradict"),)), 6, "rows contradict"),
         (replace(RESULT, robot="kr300"), 3, "identified on robot 'kr300'"),
-        (replace(RESULT, extra={"data": {"cell": "small"}}), 3, "identified on cell 'small'"),
+        (replace(RESULT, data=Drawn(cell="small")), 3, "identified on cell 'small'"),
         (replace(RESULT, loads=(replace(LOAD, frame="flange"),)), 3, "frame 'flange'"),
         (replace(RESULT, loads=(replace(LOAD, mass_kg=900.0),)), 5, "the feedforward asks for"),
     ],

@@ -75,5 +75,5 @@ def test_rows_after_a_lost_answer_and_repeated_readings_are_left_out():
 def test_rates_are_those_of_the_target():
     time_s = PERIOD_S * np.arange(400)
     pass_ = track(six(np.sin(time_s)), six(np.sin(time_s)))
-    np.testing.assert_allclose(pass_.rate_rad_s[1:-1, 0], np.cos(time_s)[1:-1], atol=1e-4)
+    np.testing.assert_allclose(pass_.velocity_rad_s[1:-1, 0], np.cos(time_s)[1:-1], atol=1e-4)
     np.testing.assert_allclose(pass_.acceleration_rad_s2[1:-1, 0], -np.sin(time_s)[1:-1], atol=1e-4)

@@ -10,7 +10,7 @@ import pytest
 
 from gateway.errors import ConfigError, InputError, PlanRefused
 from gateway.pair.calibration import PairCalibration
-from gateway.pair.controller import CycleSummary, PairController
+from gateway.pair.controller import PairController
 from gateway.pair.embodiments import DEFAULT_GAINS, EMBODIMENTS
 from gateway.pair.function import TransformFunction, function_of_knots
 from gateway.pair.impedance import Gains
@@ -18,6 +18,7 @@ from gateway.pair.learning import LearningRule
 from gateway.pair.path import PairPath
 from gateway.pair.relation import slave_command
 from gateway.pair.transform import apply_correction, correction_between, inverse, pose
+from gateway.result.pair import CycleSummary
 
 FIXED = pose(np.eye(3), [0.4, 0.0, 0.0])
 CHAIN = np.repeat([1.0e5, 3.0e3], 3)

@@ -7,50 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gateway.model.robot import Robot
 from gateway.pair.calibration import PairCalibration, PathWrenches
 from gateway.pair.force import (
     dead_band,
     share_of_part,
     split,
-    wrench_from_torque,
 )
 from gateway.pair.function import constant_function
-from gateway.pair.inverse import chain_of
 from gateway.pair.path import PairPath
 from gateway.pair.relation import slave_command
 
 Q = np.array([0.1, 1.4, -3.0, 0.2, -1.3, 0.3])
-
-
-def test_a_push_of_10_n_comes_back_with_its_sign(arm: Robot) -> None:
-    """Virtual work: a push F on the tip needs the motor torque -J^T F on top of the model's to stand still."""
-    chain = chain_of(arm)
-    push = np.array([10.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    step = 1e-6
-    power = np.empty(6)
-    for i in range(6):
-        ahead, back = Q.copy(), Q.copy()
-        ahead[i] += step
-        back[i] -= step
-        moved = chain.poses(ahead[None])[0][0, :3, 3] - chain.poses(back[None])[0][0, :3, 3]
-        power[i] = push[:3] @ moved / (2.0 * step)
-    model, friction = np.linspace(-30.0, 40.0, 6), np.full(6, 2.0)
-    measured = model + friction - power
-    external = measured - model - friction
-    estimate = wrench_from_torque(chain.poses(Q[None])[1], external[None])
-    assert estimate.observable[0]
-    assert np.allclose(estimate.wrench[0], push, atol=1e-6)
-
-
-def test_next_to_a_singular_posture_the_sample_is_flagged_and_bounded(arm: Robot) -> None:
-    q = np.array([0.0, 1.4, -3.0, 0.2, -0.001, 0.1])
-    jacobian = chain_of(arm).poses(q[None])[1]
-    estimate = wrench_from_torque(jacobian, np.ones((1, 6)))
-    assert not estimate.observable[0]
-    assert np.abs(estimate.wrench).max() < 1.0 / 0.02
-    damped = -np.linalg.inv(jacobian[0] @ jacobian[0].T + 0.02**2 * np.eye(6)) @ jacobian[0] @ np.ones(6)
-    assert np.allclose(estimate.wrench[0], damped)
 
 
 def test_bands() -> None:

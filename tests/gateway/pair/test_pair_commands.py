@@ -15,6 +15,7 @@ from gateway.cli import main
 from gateway.pair.cell import load_pair
 from gateway.pair.function import function_of_knots
 from gateway.pair.storage import PairStore
+from gateway.pair.stored import transform_of
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "pair"
 
@@ -155,7 +156,7 @@ def test_learning_is_switched_off_on_and_forgotten(cell: Path) -> None:
     store = taught(cell)
     first = store.load("first")
     assert first is not None
-    store.save("second", first.function, learn_source="command", speed=1.5, embodiment="C8", cycles=3)
+    store.save("second", transform_of(first), learn_source="command", speed=1.5, embodiment="C8", cycles=3)
     assert call("learn", "freeze", cell).exit_code == 0
     assert store.frozen
     status = json.loads(CliRunner().invoke(main, ["learn", "status", str(cell), "--json", "-"]).stdout)

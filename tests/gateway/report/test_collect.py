@@ -32,21 +32,21 @@ def test_points_and_centre_of_gravity_stand_where_pinocchio_puts_them(arms):
     for entry, q in zip(entries, q_rad, strict=True):
         pin.forwardKinematics(model, data, q)
         joints = [data.oMi[index].translation for index in range(1, 7)]
-        assert np.allclose(entry["points_m"][:6], joints, atol=2e-5)
-        assert np.allclose(entry["com_m"], data.oMi[6].act(np.array(com)), atol=2e-5)
-        assert len(entry["points_m"]) == 7
+        assert np.allclose(entry.points_m[:6], joints, atol=2e-5)
+        assert np.allclose(entry.com_m, data.oMi[6].act(np.array(com)), atol=2e-5)
+        assert len(entry.points_m) == 7
 
 
 def test_a_pose_is_drawn_once_with_the_load_that_hung_on_it_last(arms):
     q_rad = np.zeros((6, 6))
     measured = rows(q_rad, ["none", "a", "b", "none", "a", "none"], [1, 1, 1, 2, 2, 3])
     entries = drawn_poses(arms[0], measured, [LoadResult("a", 1.0)], ["fit", "fit", "fresh", "fit", "fit", "fit"])
-    assert [(entry["pose"], entry["load"], entry["role"]) for entry in entries] == [
+    assert [(entry.pose, entry.load, entry.role) for entry in entries] == [
         (1, "b", "fresh"),
         (2, "a", "fit"),
         (3, "none", "fit"),
     ]
-    assert not any("com_m" in entry for entry in entries)
+    assert not any(entry.com_m for entry in entries)
 
 
 def test_of_a_moving_run_a_few_instants_are_drawn(arms):
@@ -55,7 +55,7 @@ def test_of_a_moving_run_a_few_instants_are_drawn(arms):
 
 
 def test_without_rows_there_is_nothing_to_draw(arms):
-    assert drawn_poses(arms[0], Rows(), []) == []
+    assert drawn_poses(arms[0], Rows(), []) == ()
 
 
 def test_uncertainty_turns_with_the_flange(arms):
@@ -64,9 +64,9 @@ def test_uncertainty_turns_with_the_flange(arms):
     correlation = ((1.0, 0.0, 0.5, 0.0), (0.0, 1.0, 0.2, 0.0), (0.5, 0.2, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
     load = LoadResult("a", 5.0, 0.1, (0.0, 0.0, 0.1), (0.001, 0.002, 0.003), correlation=correlation)
     spread = flange_spread(robot, [load])["a"]
-    assert np.allclose(spread["com_std_m"], [0.002, 0.001, 0.003])
-    assert np.allclose(spread["correlation"][0], [1.0, 0.5, 0.0, 0.0])
-    assert np.isclose(spread["correlation"][1][2], -0.2)
+    assert np.allclose(spread.com_std_m, [0.002, 0.001, 0.003])
+    assert np.allclose(spread.correlation[0], [1.0, 0.5, 0.0, 0.0])
+    assert np.isclose(spread.correlation[1][2], -0.2)
 
 
 def test_without_flange_or_correlation_nothing_is_said_of_its_uncertainty(arms):

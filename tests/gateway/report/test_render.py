@@ -1,45 +1,22 @@
-"""The page as a whole: one file, offline, every figure with its units, and no figure without its data."""
+"""The page on a result: what it shows, and no figure without its data."""
 
-import html.parser
+import json
 import re
 
 import pytest
 
 from gateway.report.render import render
+from gateway.result.result import from_json
 
-VOID = {"meta", "link", "br", "img", "input", "hr"}
 
-
-class Balanced(html.parser.HTMLParser):
-    """Fails on a tag that is closed out of turn."""
-
-    def __init__(self):
-        super().__init__()
-        self.open = []
-
-    def handle_starttag(self, tag, attrs):
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open
-        assert self.open.pop() == tag
+def read(body):
+    """The result that a file of this content holds."""
+    return from_json(json.dumps(body))
 
 
 @pytest.fixture(scope="module")
 def page(full_result):
-    return render(full_result)
-
-
-def test_the_page_is_one_small_file_that_fetches_nothing(page):
-    assert not re.search(r"""(src|href)\s*=|url\(|@import|<script|https?://""", page)
-    assert len(page) < 6e6
-
-
-def test_the_page_is_well_formed(page):
-    parser = Balanced()
-    parser.feed(page)
-    assert parser.open == []
+    return render(read(full_result))
 
 
 @pytest.mark.parametrize(
@@ -69,15 +46,6 @@ def test_the_page_shows(page, text):
     assert text in page
 
 
-def test_every_axis_of_every_drawing_is_labelled_with_its_unit(page):
-    labels = re.findall(r'class="label mid"[^>]*>([^<]+)<', page)
-    units = [label for label in labels if re.search(r"\[(Nm|mm|kg|rad|-)\]$", label)]
-    named = {"noise floor", "no better than without"}
-    others = [label for label in labels if label not in units and label not in named]
-    assert len(units) >= 20
-    assert all(re.search(r"poses?$", label) for label in others)
-
-
 def test_there_are_six_drawings_per_axis_and_one_per_pose(page):
     assert len(re.findall(r'aria-label="Residual of J\d for', page)) == 6
     assert len(re.findall(r'aria-label="Residual of J\d against posture', page)) == 6
@@ -89,14 +57,14 @@ def test_there_are_six_drawings_per_axis_and_one_per_pose(page):
 def test_a_bare_result_of_the_contract_is_enough(full_result):
     keys = ("schema", "robot", "loads", "verdict", "effects", "before", "after", "holdout_kind", "noise_floor_nm",
             "friction_band_nm", "rejected", "next", "findings", "provenance")  # fmt: skip
-    page = render({key: full_result[key] for key in keys})
+    page = render(read({key: full_result[key] for key in keys}))
     assert "25.03 kg" in page
     assert "Poses measured" not in page
     assert "None" not in page
 
 
 def test_hardly_anything_is_enough():
-    page = render({"schema": 1, "robot": "r", "loads": []})
+    page = render(read({"schema": 1, "robot": "r", "loads": []}))
     assert "no load on the flange" in page
     assert "None" not in page
 
@@ -105,7 +73,7 @@ def test_words_from_the_data_stay_words(result):
     result["robot"] = "<b>bold</b>"
     result["loads"][0]["label"] = "<script>alert(1)</script>"
     result["rows"]["load"] = ["<i>x</i>"] * len(result["rows"]["load"])
-    page = render(result)
+    page = render(read(result))
     assert "<script" not in page
     assert "<b>bold" not in page
     assert "<i>x" not in page
@@ -114,7 +82,7 @@ def test_words_from_the_data_stay_words(result):
 def test_axes_without_torque_have_no_drawing(result):
     for row in result["rows"]["tau_nm"]:
         row[0] = None
-    page = render(result)
+    page = render(read(result))
     assert len(re.findall(r'aria-label="Residual of J\d for', page)) == 5
     assert len(re.findall(r'aria-label="Residual of J\d against posture', page)) == 5
 
@@ -127,8 +95,8 @@ def test_a_long_moving_run_is_drawn_as_a_line(result):
         rows[key] = [rows[key][index % short] for index in range(count)]
     rows["load"] = ["none"] * count
     rows["pose"] = [-1] * count
-    result["data"] |= {"model_before_nm": None, "role": None}
-    page = render(result)
+    result["data"] |= {"model_before_nm": [], "role": []}
+    page = render(read(result))
     assert 'class="model-line"' in page
     assert len(page) < 6e6
 
@@ -137,5 +105,5 @@ def test_sources_findings_and_questions_may_say_less(result):
     result["data"]["sources"] = [{"file": "table.csv", "kind": "measured table", "visits": 3}]
     result["next"] = [{"what": "hang a known load"}]
     result["findings"] = [{"severity": "fail", "where": "J4", "what": "torque sign is reversed"}]
-    page = render(result)
+    page = render(read(result))
     assert all(text in page for text in ("table.csv", "hang a known load", "torque sign is reversed"))

@@ -8,6 +8,7 @@ import pytest
 
 from gateway.errors import ConfigError, DataUnusable
 from gateway.result.export import FORMATS, export
+from gateway.result.result import from_json
 
 LOAD = {
     "label": "gripper 2",
@@ -21,8 +22,13 @@ LOAD = {
 }
 
 
+def holding(loads):
+    """The result that a file with these loads holds."""
+    return from_json(json.dumps({"schema": 1, "robot": "small", "loads": loads}))
+
+
 def result(**changes):
-    return {"schema": 1, "robot": "small", "loads": [LOAD | changes]}
+    return holding([LOAD | changes])
 
 
 def test_abb_is_kilogram_and_millimetre_in_the_wrist_frame():
@@ -52,7 +58,7 @@ def test_urdf_inertial_reads_back():
 
 def test_urdf_and_json_fall_back_to_link_6_and_say_so():
     load = {key: value for key, value in LOAD.items() if key != "com_flange_m"}
-    body = {"schema": 1, "robot": "small", "loads": [load]}
+    body = holding([load])
     root = ElementTree.fromstring(export(body, "urdf"))
     assert root.find("joint/parent").get("link") == "link_6"
     assert root.find("link/inertial/origin").get("xyz") == "0.010000 -0.020000 0.180000"
@@ -79,7 +85,7 @@ def test_fanuc_is_kilogram_and_centimetre_in_the_faceplate_frame():
 
 
 def test_fanuc_fills_a_schedule_per_load_without_motion():
-    body = {"schema": 1, "robot": "r", "loads": [LOAD, LOAD | {"label": "b;\nL P[1] 100% FINE", "mass_kg": 3.0}]}
+    body = holding([LOAD, LOAD | {"label": "b;\nL P[1] 100% FINE", "mass_kg": 3.0}])
     text = export(body, "fanuc")
     assert "$PLST_GRP1[2].$PAYLOAD=3.000" in text
     assert "DEFAULT_GROUP = *,*,*,*,*;" in text
@@ -103,7 +109,7 @@ def test_yaskawa_is_kilogram_and_millimetre_from_the_mounting_plate():
 def test_a_controller_needs_the_flange(fmt):
     load = {key: value for key, value in LOAD.items() if key != "com_flange_m"}
     with pytest.raises(ConfigError, match="flange_xyz_m"):
-        export({"schema": 1, "robot": "small", "loads": [load]}, fmt)
+        export(holding([load]), fmt)
 
 
 @pytest.mark.parametrize("fmt", sorted(FORMATS))
@@ -127,7 +133,7 @@ def test_a_label_cannot_leave_its_comment(fmt):
 
 
 def test_refused_loads_are_left_out_unless_named():
-    body = {"schema": 1, "robot": "r", "loads": [LOAD, LOAD | {"label": "b", "mass_kg": None, "refused": "why"}]}
+    body = holding([LOAD, LOAD | {"label": "b", "mass_kg": None, "refused": "why"}])
     assert export(body, "kuka").count("LOAD_DATA[") == 1
     with pytest.raises(DataUnusable, match="why"):
         export(body, "kuka", "b")

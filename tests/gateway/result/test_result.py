@@ -8,7 +8,7 @@ import math
 import jsonschema
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.errors import InputError
@@ -139,6 +139,16 @@ def test_numpy_values_are_written_as_numbers():
         ({"bare": bare(covariance=[[1.0, 0.0], []])}, "bare.covariance: 2 x 2"),
         ({"bare": bare(gravity_m_s2=[0.0, 0.0])}, "bare.gravity_m_s2"),
         ({"bare": bare(value=[1e300, 0.0])}, "bare.value: a number beyond"),
+        ({"before": {"loads": [{"label": "a", "com_m": [0.0]}]}}, "before.loads[0].com_m: three numbers"),
+        ({"rows": {"load": ["a", "b"], "tau_nm": [[1.0]]}}, "rows: lists of one length"),
+        ({"rows": {"load": ["a", "b"], "tau_nm": [[1.0], [1.0, 2.0]]}}, "rows: one number per axis"),
+        (
+            {"data": {"curves": [{"name": "x", "x": [1.0], "y": []}, {"x": []}]}},
+            "data.curves[1].name: the key is missing",
+        ),
+        ({"data": {"curves": [{"name": "x", "x": [1.0], "y": [1.0, 2.0]}]}}, "data.curves[0]: lists of one length"),
+        ({"data": {"poses": [{"pose": 1, "load": "a", "points_m": [[0.0]]}]}}, "data.poses[0].points_m[0]: three"),
+        ({"data": {"flange": {"a": {"com_std_m": [0.1, 0.1, 0.1]}}}}, "data.flange.a.correlation: the key is missing"),
         ({"effects": [{"name": "x", "joints": [1.5]}]}, "effects[0].joints[0]: expected an integer"),
     ],
 )
@@ -162,6 +172,7 @@ ANY_JSON = st.recursive(
 )
 
 
+@settings(deadline=None)
 @given(ANY_JSON)
 def test_whatever_stands_in_the_file_only_input_error_comes_out(value):
     data = {"schema": 1, "robot": "r", "loads": value, "before": value, "rows": value}

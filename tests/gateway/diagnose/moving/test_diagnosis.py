@@ -133,26 +133,26 @@ def test_too_short_a_run_is_undecided_and_says_what_to_measure():
 def test_what_the_report_draws_of_a_moving_run():
     table, robot, _ = measured(1, World(load_friction={1: 0.08}))
     result = diagnose_motion(table, robot, IGNORE)
-    data, rows = result.extra["data"], result.rows
-    assert set(data["role"]) == {"fit"}
-    assert np.shape(data["model_before_nm"]) == np.shape(rows.tau_nm)
+    data, rows = result.data, result.rows
+    assert set(data.role) == {"fit"}
+    assert np.shape(data.model_before_nm) == np.shape(rows.tau_nm)
     before, after = (
         np.sqrt(np.mean((np.array(rows.tau_nm) - np.array(model)) ** 2, axis=0))
-        for model in (data["model_before_nm"], rows.model_nm)
+        for model in (data.model_before_nm, rows.model_nm)
     )
     assert after[1] < 0.6 * before[1]
-    (curve,) = data["curves"]
-    assert (curve["name"], curve["joint"], curve["x_unit"]) == ("load_dependent_friction", 2, "Nm")
-    x, y = np.array(curve["x"]), np.array(curve["y"])
+    (curve,) = data.curves
+    assert (curve.name, curve.joint, curve.x_unit) == ("load_dependent_friction", 2, "Nm")
+    x, y = np.array(curve.x), np.array(curve.y)
     assert (np.diff(x) >= 0).all()
     assert y == pytest.approx(result.effects[0].parameters["coefficient"] * x, rel=0.02, abs=0.02 * np.abs(y).max())
-    assert (np.array(curve["low"]) <= y).all()
-    assert np.sqrt(np.mean((np.array(curve["points_y"]) - 0.08 * x) ** 2)) < 0.5 * np.abs(y).max()
+    assert (np.array(curve.low) <= y).all()
+    assert np.sqrt(np.mean((np.array(curve.points_y) - 0.08 * x) ** 2)) < 0.5 * np.abs(y).max()
 
 
 def test_a_clean_moving_run_draws_no_curve():
     table, robot, _ = measured(0, World())
-    assert "curves" not in diagnose_motion(table, robot, IGNORE).extra["data"]
+    assert not diagnose_motion(table, robot, IGNORE).data.curves
 
 
 @pytest.mark.parametrize(("compliance", "found"), [(2e-4, ["joint_elasticity"]), (0.0, [])])

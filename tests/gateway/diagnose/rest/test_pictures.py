@@ -45,10 +45,10 @@ def friction():
 
 def test_every_visit_is_drawn_the_fresh_ones_too(friction):
     result, _ = friction
-    data, rows = result.extra["data"], result.rows
+    data, rows = result.data, result.rows
     assert len(rows.pose) == 20 + FRESH
-    assert data["role"] == ["fit"] * 20 + ["fresh"] * FRESH
-    assert np.shape(data["model_before_nm"]) == np.shape(rows.tau_nm) == (20 + FRESH, 6)
+    assert data.role == ("fit",) * 20 + ("fresh",) * FRESH
+    assert np.shape(data.model_before_nm) == np.shape(rows.tau_nm) == (20 + FRESH, 6)
     assert rows.pose[-FRESH:] == (10, 11, 12)
     left = np.array(rows.tau_nm) - np.array(rows.model_nm)
     rms = np.sqrt(np.mean(left[:20] ** 2, axis=0))
@@ -57,12 +57,12 @@ def test_every_visit_is_drawn_the_fresh_ones_too(friction):
 
 def test_the_curve_of_a_friction_is_its_coefficient_times_the_torque(friction):
     result, _ = friction
-    (curve,) = result.extra["data"]["curves"]
-    assert (curve["name"], curve["joint"]) == ("load_dependent_friction", 3)
-    assert "half the difference" in curve["y_label"]
-    assert curve["x_unit"] == "Nm"
-    x, y = np.array(curve["x"]), np.array(curve["y"])
-    low, high = np.array(curve["low"]), np.array(curve["high"])
+    (curve,) = result.data.curves
+    assert (curve.name, curve.joint) == ("load_dependent_friction", 3)
+    assert "half the difference" in curve.y_label
+    assert curve.x_unit == "Nm"
+    x, y = np.array(curve.x), np.array(curve.y)
+    low, high = np.array(curve.low), np.array(curve.high)
     assert (np.diff(x) >= 0).all()
     assert (low <= y).all()
     assert (y <= high).all()
@@ -72,17 +72,17 @@ def test_the_curve_of_a_friction_is_its_coefficient_times_the_torque(friction):
     assert 0.4 * 0.15 < coefficient < 0.15
     std = result.effects[0].std["coefficient"]
     assert high - y == pytest.approx(1.96 * std * np.abs(x), rel=0.02, abs=0.02 * y.max())
-    points = np.array(curve["points_y"])
+    points = np.array(curve.points_y)
     assert len(points) == 20 + FRESH
-    assert np.sqrt(np.mean((points - coefficient * np.abs(curve["points_x"])) ** 2)) < 0.2 * y.max()
+    assert np.sqrt(np.mean((points - coefficient * np.abs(curve.points_x)) ** 2)) < 0.2 * y.max()
 
 
 def test_a_balancer_is_drawn_over_its_joint_angle():
     spring = {"stiffness_n_m": 2e4, "lever_m": 0.2, "anchor_m": 0.5, "free_length_m": 0.2}
     result, plant = diagnosed({"name": "balancer_spring", "joints": [2], "parameters": spring})
-    curve = next(item for item in result.extra["data"]["curves"] if item["name"] == "balancer_spring")
-    assert (curve["joint"], curve["x_label"], curve["x_unit"]) == (2, "q2", "rad")
-    x, y = np.array(curve["x"]), np.array(curve["y"])
+    curve = next(item for item in result.data.curves if item.name == "balancer_spring")
+    assert (curve.joint, curve.x_label, curve.x_unit) == (2, "q2", "rad")
+    x, y = np.array(curve.x), np.array(curve.y)
     truth = []
     for angle in x:
         q = np.zeros(6)
@@ -92,11 +92,11 @@ def test_a_balancer_is_drawn_over_its_joint_angle():
     shapes = np.column_stack([np.ones_like(x), np.sin(x), np.cos(x)])
     rest = [values - shapes @ np.linalg.lstsq(shapes, values, rcond=None)[0] for values in (y, np.array(truth))]
     assert np.linalg.norm(rest[0] - rest[1]) < 0.3 * np.linalg.norm(rest[1])
-    assert len(curve["points_x"]) == 20 + FRESH
+    assert len(curve.points_x) == 20 + FRESH
 
 
 def test_nothing_found_draws_no_curve():
     result, _ = diagnosed({"name": "base_tilt", "joints": [], "parameters": {"tilt_x_rad": 0.0, "tilt_y_rad": 0.0}})
     assert result.effects == ()
-    assert "curves" not in result.extra["data"]
-    assert "model_before_nm" not in result.extra["data"]
+    assert not result.data.curves
+    assert not result.data.model_before_nm

@@ -1,0 +1,246 @@
+"""What a comparison of the settings says: figures, findings, and what the pictures are drawn of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.feedforward.load import FRAME, FeedLoad
+from gateway.follow.path import FollowPath
+from gateway.follow.settings import FeedModel, Setting
+from gateway.follow.track import Following, Track, following
+from gateway.follow.trend import Trend
+from gateway.result.follow import (
+    IDENTIFIED,
+    MAXIMUM,
+    OFF,
+    ComputingTime,
+    ErrorCurve,
+    FedLoad,
+    FedModel,
+    FedTrend,
+    FollowedPath,
+    FollowedSetting,
+    FollowResult,
+    FollowSeries,
+    PeakRatio,
+    TorqueCurve,
+    TrendCloud,
+)
+from gateway.result.result import Finding
+from gateway.result.values import matrix, numbers
+
+Floats = NDArray[np.float64]
+#: Points of a curve, dots of a cloud.
+CURVE_POINTS, CLOUD_POINTS = 360, 260
+#: The trend counts as real from this many standard deviations, and matters from these shares on.
+SIGMAS = 3.0
+NOTED_SHARE, FAILED_SHARE = 0.07, 0.10
+#: An axis counts as worse than without feedforward beyond this.
+WORSE_RAD = 2e-5
+#: Axes of which torque and trend are drawn: those on which the load weighs most.
+DRAWN_AXES = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """Everything of one job; `tracks` belong to `settings` one by one."""
+
+    robot: str
+    cell: str
+    arm: str
+    path: FollowPath
+    path_file: str
+    model: FeedModel
+    settings: tuple[Setting, ...]
+    tracks: tuple[Track, ...]
+    trend: Trend | None
+
+
+def result_of(job: Comparison) -> FollowResult:
+    """A comparison as it is handed over."""
+    figures = {track.setting: following(track) for track in job.tracks}
+    return FollowResult(
+        robot=job.robot,
+        cell=job.cell,
+        arm=job.arm,
+        path=FollowedPath(job.path.name, job.path_file, job.path.duration_s, job.path.period_s),
+        settings=tuple(_setting(setting, figures[setting.name]) for setting in job.settings),
+        ratio=_ratio({name: item.peak_rad for name, item in figures.items()}),
+        trend=None if job.trend is None else _trend(job.trend),
+        model=FedModel(job.model.links_source, job.model.sources),
+        computing_s=_computing(job.tracks),
+        left_out_syncs=_left_out(job.tracks),
+        findings=findings(job, figures),
+        series=_series(job),
+    )
+
+
+def _setting(setting: Setting, figures: Following) -> FollowedSetting:
+    return FollowedSetting(
+        name=setting.name,
+        load=None if setting.load is None else _load(setting.load),
+        peak_rad=numbers(figures.peak_rad),
+        rms_rad=numbers(figures.rms_rad),
+        lag_s=numbers(figures.lag_s),
+        overshoot_rad=numbers(figures.overshoot_rad),
+    )
+
+
+def _load(load: FeedLoad) -> FedLoad:
+    return FedLoad(
+        label=load.label,
+        mass_kg=load.mass_kg,
+        mass_std_kg=load.mass_std_kg,
+        com_m=numbers(load.com_m),
+        frame=FRAME,
+        inertia_kg_m2=matrix(load.inertia_kg_m2),
+        source=load.source,
+        inertia_source=load.inertia_source,
+    )
+
+
+def _ratio(peak: Mapping[str, Floats]) -> PeakRatio:
+    over_off = {name: numbers(value / peak[OFF]) for name, value in peak.items() if name != OFF and OFF in peak}
+    both = IDENTIFIED in peak and MAXIMUM in peak
+    return PeakRatio(over_off, numbers(peak[IDENTIFIED] / peak[MAXIMUM]) if both else None)
+
+
+def _trend(trend: Trend) -> FedTrend:
+    return FedTrend(
+        scale=trend.scale,
+        scale_std=trend.scale_std,
+        mass_kg=trend.mass_kg,
+        mass_std_kg=trend.mass_std_kg,
+        com_m=numbers(trend.com_m),
+        com_std_m=numbers(trend.com_std_m),
+        rms_nm=numbers(trend.rms_nm),
+    )
+
+
+def _computing(tracks: Sequence[Track]) -> ComputingTime | None:
+    times = np.concatenate([track.computing_s[track.computing_s > 0] for track in tracks])
+    if not len(times):
+        return None
+    return ComputingTime(float(np.median(times)), float(np.percentile(times, 99)), float(times.max()), len(times))
+
+
+def _left_out(tracks: Sequence[Track]) -> int:
+    return sum(int(np.isnan(track.measured_rad).any(axis=1).sum()) for track in tracks)
+
+
+def findings(job: Comparison, figures: Mapping[str, Following]) -> tuple[Finding, ...]:
+    """What the reader has to know, the worst first."""
+    found = [*_load_finding(job), *_worse(figures), *_missing(job.model)]
+    if left := _left_out(job.tracks):
+        total = sum(len(track.target_rad) for track in job.tracks)
+        found.append(Finding("info", "bus", f"{left} of {total} SYNCs are left out: unanswered, late or repeated"))
+    order = ("fail", "warn", "info")
+    return tuple(sorted(found, key=lambda item: order.index(item.severity)))
+
+
+def _load_finding(job: Comparison) -> list[Finding]:
+    fed = next((setting.load for setting in job.settings if setting.name == IDENTIFIED), None)
+    if fed is None:
+        return []
+    where = f"load {fed.label}"
+    if job.trend is None or not math.isfinite(job.trend.scale_std):
+        what = "the path moves too little to tell from the torque whether the load is right"
+        return [Finding("warn", where, what, "follow a longer path that lifts and lowers the load")]
+    trend = job.trend
+    asked = (1.0 + trend.scale) * fed.mass_kg
+    said = (
+        f"{100 * trend.scale:+.1f} +- {100 * trend.scale_std:.1f} % of its torque is left in the residual: the torque "
+        f"asks for {asked:.2f} kg, {fed.mass_kg:.2f} kg was fed"
+    )
+    proven = abs(trend.scale) > SIGMAS * trend.scale_std
+    if not proven or abs(trend.scale) < NOTED_SHARE:
+        return [Finding("info", where, f"the torque agrees with the load that was fed ({said})")]
+    severity = "fail" if abs(trend.scale) >= FAILED_SHARE else "warn"
+    advice = "what hangs there is not what was identified: identify it again, or hang the load that was"
+    return [Finding(severity, where, said, advice)]
+
+
+def _worse(figures: Mapping[str, Following]) -> list[Finding]:
+    if OFF not in figures or IDENTIFIED not in figures:
+        return []
+    worse = figures[IDENTIFIED].peak_rad > figures[OFF].peak_rad + WORSE_RAD
+    advice = "check velocity_share in the drive profile, gear_efficiency and friction of this axis, and the load"
+    return [
+        Finding("warn", f"J{axis + 1}", "follows worse with the identified load than without feedforward", advice)
+        for axis in np.flatnonzero(worse)
+    ]
+
+
+def _missing(model: FeedModel) -> list[Finding]:
+    lacking: dict[str, list[int]] = {}
+    for axis, source in enumerate(model.sources, start=1):
+        for name in source.missing:
+            lacking.setdefault(name, []).append(axis)
+    keys = {
+        "rotor inertia": "rotor_inertia_kg_m2",
+        "Coulomb friction": "coulomb_nm",
+        "viscous friction": "viscous_nm_s_rad",
+    }
+    return [
+        Finding(
+            "info",
+            ", ".join(f"J{axis}" for axis in axes),
+            f"{name} is not in the offset: it is not given",
+            f"give {keys[name]} of these axes in the cell file",
+        )
+        for name, axes in lacking.items()
+    ]
+
+
+# -- curves ------------------------------------------------------------------------------------------------------------
+
+
+def _series(job: Comparison) -> FollowSeries:
+    curves = {}
+    for track in job.tracks:
+        chosen = _chosen(track)
+        curves[track.setting] = ErrorCurve(numbers(track.time_s[chosen]), matrix(track.error_rad[chosen].T))
+    fed = next((track for track in job.tracks if track.setting == IDENTIFIED), None)
+    if fed is None or job.trend is None:
+        return FollowSeries(curves)
+    weight = np.nan_to_num(np.abs(job.trend.load_nm)).max(axis=0)
+    axes = np.sort(np.argsort(weight)[-DRAWN_AXES:]).tolist()
+    return FollowSeries(
+        curves,
+        tuple(_torque_curve(fed, axis) for axis in axes),
+        tuple(_cloud(job.trend, axis) for axis in axes),
+    )
+
+
+def _torque_curve(track: Track, axis: int) -> TorqueCurve:
+    rows = _spread_over(len(track.target_rad), CURVE_POINTS)
+    return TorqueCurve(
+        axis=axis + 1,
+        time_s=numbers(track.time_s[rows]),
+        measured_nm=numbers(track.torque_nm[rows, axis]),
+        offset_nm=numbers(track.torque_offset_nm[rows, axis]),
+    )
+
+
+def _cloud(trend: Trend, axis: int) -> TrendCloud:
+    known = np.flatnonzero(np.isfinite(trend.load_nm[:, axis]))
+    rows = known[_spread_over(len(known), CLOUD_POINTS)]
+    return TrendCloud(axis + 1, numbers(trend.load_nm[rows, axis]), numbers(trend.residual_nm[rows, axis]))
+
+
+def _spread_over(count: int, most: int) -> NDArray[np.int_]:
+    """Not more than `most` of `count` rows, evenly."""
+    return np.linspace(0, count - 1, min(most, count)).astype(int)
+
+
+def _chosen(track: Track) -> NDArray[np.int_]:
+    """Rows of a curve: of every short stretch the row with the largest error of any axis, in units of its peak."""
+    error = np.abs(np.nan_to_num(track.error_rad))
+    size = (error / np.maximum(error.max(axis=0), 1e-12)).max(axis=1)
+    edges = np.unique(np.linspace(0, len(size), min(CURVE_POINTS, len(size)) + 1).astype(int))
+    return np.array([low + int(np.argmax(size[low:high])) for low, high in zip(edges[:-1], edges[1:], strict=True)])

@@ -1,0 +1,155 @@
+"""The page on a comparison: the settings stand side by side, axis by axis."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from markupsafe import Markup
+
+from gateway.report import words
+from gateway.report.page import Head, page
+from gateway.report.svg import Panel, limits
+from gateway.result.follow import IDENTIFIED, MAXIMUM, OFF, ErrorCurve, FollowResult, TorqueCurve, TrendCloud
+
+NAMES = {OFF: "off", MAXIMUM: "maximum load assumed", IDENTIFIED: "identified load"}
+#: Axes that are named in the headline: those that lift.
+HEADLINE_AXES = (1, 2)
+MRAD = 1000.0
+WIDTH, HEIGHT = 330.0, 170.0
+
+
+def render_follow(result: FollowResult) -> str:
+    """HTML text of the page on a comparison."""
+    path = f"{result.path.name}, {result.path.duration_s:.1f} s"
+    about = (("robot", result.robot), ("cell", result.cell), ("arm", result.arm), ("path", path))
+    trend = result.trend if result.trend is not None and math.isfinite(result.trend.scale) else None
+    return page(
+        "follow.html.j2",
+        Head(f"Feedforward: {result.robot}", "Feedforward report", about),
+        result=result,
+        names=[(setting.name, NAMES.get(setting.name, setting.name)) for setting in result.settings],
+        status="bad" if any(item.severity == "fail" for item in result.findings) else "good",
+        headline=headline(result),
+        figures=figure_rows(result),
+        bars=_bars(result),
+        curves=_curves(result),
+        zoom=_zoom(result),
+        torque=[_torque(curve) for curve in result.series.torque],
+        trend=trend,
+        clouds=[] if trend is None else [_cloud(cloud, trend.scale) for cloud in result.series.trend],
+    )
+
+
+def headline(result: FollowResult) -> str:
+    """The result in one line: the peak error of the axes that lift, from setting to setting."""
+    if result.setting(OFF) is None or result.setting(IDENTIFIED) is None:
+        return "Following error"
+    shown = [setting for name in NAMES if (setting := result.setting(name)) is not None]
+    parts = [
+        f"{words.axis(axis + 1)} {' > '.join(words.rounded(MRAD * setting.peak_rad[axis]) for setting in shown)} mrad"
+        for axis in HEADLINE_AXES
+    ]
+    return "Peak following error: " + "; ".join(parts)
+
+
+def figure_rows(result: FollowResult) -> list[tuple[str, list[tuple[str, str]]]]:
+    """Rows of the table of figures: name of the axis; setting and text of every quantity."""
+    columns = [
+        (setting.name, scale, getattr(setting, key))
+        for key, scale in (("peak_rad", MRAD), ("rms_rad", MRAD), ("lag_s", 1000.0), ("overshoot_rad", MRAD))
+        for setting in result.settings
+    ]
+    return [
+        (words.axis(axis + 1), [(name, words.rounded(scale * values[axis])) for name, scale, values in columns])
+        for axis in _axes(result)
+    ]
+
+
+def _axes(result: FollowResult) -> range:
+    return range(min((len(setting.peak_rad) for setting in result.settings), default=0))
+
+
+def _bars(result: FollowResult) -> Markup:
+    """Peak of each axis under each setting, on a scale of powers of ten."""
+    axes, count = _axes(result), len(result.settings)
+    logs = [
+        [math.log10(max(MRAD * value, 1e-6)) if words.known(value) else math.nan for value in setting.peak_rad]
+        for setting in result.settings
+    ]
+    low_log, high_log = limits([value for row in logs for value in row], pad=0.0)
+    low, high = math.floor(low_log), math.ceil(high_log)
+    high = max(high, low + 1)
+    panel = Panel(720.0, 230.0, (0.4, len(axes) + 0.6), (float(low), float(high)))
+    for power in range(low, high + 1):
+        panel.segment((panel.x_range[0], power), (panel.x_range[1], power), "grid")
+        panel.text(panel.left - 6, panel.y(power) + 3.5, f"{10.0**power:g}", "tick end")
+    panel.y_label("peak following error [mrad]")
+    for axis in axes:
+        panel.text(panel.x(axis + 1.0), panel.height - panel.bottom + 16, words.axis(axis + 1), "tick mid")
+        for place, (setting, row) in enumerate(zip(result.settings, logs, strict=True)):
+            x = axis + 1.0 + 0.2 * (place - (count - 1) / 2)
+            if math.isfinite(row[axis]):
+                panel.segment((x, low), (x, row[axis]), f"peak {setting.name}")
+    return panel.svg("Peak following error of every axis under every setting, logarithmic scale")
+
+
+def _curves(result: FollowResult) -> list[list[tuple[str, Markup]]]:
+    """Per axis one panel per setting, all with the same scale."""
+    error = result.series.error
+    rows = []
+    for axis in _axes(result):
+        scale = limits(_errors(list(error.values()), axis))
+        rows.append(
+            [
+                (f"{words.axis(axis + 1)}, {NAMES.get(name, name)}", _error_panel({name: curve}, axis, scale))
+                for name, curve in error.items()
+            ]
+        )
+    return rows
+
+
+def _zoom(result: FollowResult) -> list[tuple[str, Markup]]:
+    """Per axis the settings with feedforward in one panel, enlarged."""
+    fed = {name: curve for name, curve in result.series.error.items() if name != OFF}
+    if not fed:
+        return []
+    scales = [limits(_errors(list(fed.values()), axis)) for axis in _axes(result)]
+    return [("", _error_panel(fed, axis, scale)) for axis, scale in enumerate(scales)]
+
+
+def _errors(curves: Sequence[ErrorCurve], axis: int) -> list[float]:
+    return [MRAD * value for curve in curves for value in curve.error_rad[axis]]
+
+
+def _error_panel(curves: dict[str, ErrorCurve], axis: int, scale: tuple[float, float]) -> Markup:
+    panel = Panel(WIDTH, HEIGHT, (0.0, max(curve.time_s[-1] for curve in curves.values())), scale)
+    panel.y_axis(f"{words.axis(axis + 1)} error [mrad]")
+    panel.x_axis("time [s]")
+    for name, curve in curves.items():
+        panel.polyline(list(zip(curve.time_s, _errors([curve], axis), strict=True)), f"trace {name}")
+    told = " and ".join(NAMES.get(name, name) for name in curves)
+    return panel.svg(f"Following error of axis {axis + 1} over time, {told}")
+
+
+def _torque(curve: TorqueCurve) -> tuple[str, Markup]:
+    panel = Panel(470.0, 200.0, (0.0, curve.time_s[-1]), limits([*curve.measured_nm, *curve.offset_nm]))
+    panel.y_axis("motor torque [Nm]")
+    panel.x_axis("time [s]")
+    for values, kind in ((curve.measured_nm, "model-line"), (curve.offset_nm, "trace identified")):
+        panel.polyline(list(zip(curve.time_s, values, strict=True)), kind)
+    name = words.axis(curve.axis)
+    return name, panel.svg(f"Torque of {name}: measured, and the offset that was fed")
+
+
+def _cloud(cloud: TrendCloud, slope: float) -> tuple[str, Markup]:
+    """Residual over the torque of the load as fed, and the trend through it."""
+    panel = Panel(470.0, 230.0, limits(cloud.load_nm), limits(cloud.residual_nm, include=(0.0,)))
+    panel.y_axis("residual [Nm]")
+    panel.x_axis("torque of the load as fed [Nm]")
+    for load, residual in zip(cloud.load_nm, cloud.residual_nm, strict=True):
+        panel.dot(load, residual, "cloud", radius=2.2)
+    low, high = min(cloud.load_nm), max(cloud.load_nm)
+    panel.segment((low, slope * low), (high, slope * high), "trend-line")
+    name = words.axis(cloud.axis)
+    return name, panel.svg(f"Torque residual of {name} over the torque of the load as fed, with the trend")

@@ -1,0 +1,231 @@
+"""The page on a pair: force or gap along the path for every way of running it, learning points, convergence per cycle.
+
+The first three drawings are those of CN104379308 figures 17 to 19, with numbers: force along the line between the
+grippers over the way, for the comparison example, for impedance alone and for the embodiment that was run. A pair that
+keeps a gap by distance sensors has the gap's deviation in place of the force.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from markupsafe import Markup
+
+from gateway.report.page import Head, page
+from gateway.report.svg import Panel, Point, limits
+from gateway.result.pair import CycleSummary, PairRunResult
+from gateway.result.values import Numbers
+
+WIDTH, HEIGHT = 560.0, 230.0
+FIGURES = {"A": "figure 17", "B": "figure 18", "C8": "figure 19"}
+COLOURS = 8
+MOST_POINTS = 500
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """What is drawn: how to read it, unit and factor to it, digits, words; whether it is always drawn to its limit."""
+
+    first: Callable[[PairRunResult], Numbers]
+    last: Callable[[PairRunResult], Numbers]
+    largest: Callable[[CycleSummary], float]
+    unit: str
+    factor: float
+    digits: int
+    axis: str
+    title: str
+    error: str
+    of_what: str
+    below: str
+    to_limit: bool
+
+
+FORCE = Quantity(
+    first=lambda run: run.first_n,
+    last=lambda run: run.last_n,
+    largest=lambda cycle: cycle.force_n,
+    unit="N",
+    factor=1.0,
+    digits=0,
+    axis="Fx [N]",
+    title="Force",
+    error="force",
+    of_what="force inside the part",
+    below="Force along the line between the grippers, positive where the part is pulled.",
+    to_limit=True,
+)
+GAP = Quantity(
+    first=lambda run: run.first_m,
+    last=lambda run: run.last_m,
+    largest=lambda cycle: cycle.gap_m,
+    unit="mm",
+    factor=1e3,
+    digits=3,
+    axis="gap error [mm]",
+    title="Gap",
+    error="gap error",
+    of_what="deviation of the gap from the demanded one",
+    below="Of all sensors the one that is furthest off.",
+    to_limit=False,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Limited:
+    """What is drawn, its limit in SI, and how it is known."""
+
+    what: Quantity
+    limit_si: float
+    source: str
+
+    @property
+    def limit(self) -> float:
+        """In the unit that is drawn."""
+        return self.what.factor * self.limit_si
+
+
+@dataclass(frozen=True, slots=True)
+class RunView:
+    """A run as it is drawn, values in the unit of the quantity."""
+
+    run: PairRunResult
+    along: tuple[list[float], list[float]]
+    largest: list[float]
+
+    @property
+    def kept(self) -> list[float]:
+        """Known values along the path."""
+        return [value for values in self.along for value in values if math.isfinite(value)]
+
+
+def render_pair(cell: str, bound: Limited, runs: Sequence[PairRunResult]) -> str:
+    """HTML text of the page on a pair.
+
+    Parameters
+    ----------
+    cell : str
+        Name of it.
+    bound : Limited
+    runs : sequence of PairRunResult
+        With at least one cycle each.
+    """
+    views = [_view(run, bound.what) for run in runs]
+    several = [view for view in views if len(view.largest) > 1] or views
+    date = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
+    return page(
+        "pair.html.j2",
+        Head("Two arms, one workpiece", f"Two arms, one workpiece: {cell}", (("", date),)),
+        what=bound.what,
+        status="good" if any(view.largest[-1] < bound.limit for view in views) else "bad",
+        headline=_headline(views, bound),
+        limit=f"{bound.limit:g}",
+        source=bound.source,
+        table=[_row(view, bound) for view in views],
+        along=[(_caption(view, bound), _along(view, bound)) for view in views],
+        convergence=[
+            (f"Largest {bound.what.of_what} per cycle", _convergence(several, bound)),
+            ("Learning points per cycle", _knots(several)),
+        ],
+        key=[(f"c{place % COLOURS}", view.run.name) for place, view in enumerate(several)],
+    )
+
+
+def _view(run: PairRunResult, what: Quantity) -> RunView:
+    first, last = ([what.factor * value for value in values] for values in (what.first(run), what.last(run)))
+    return RunView(run, (first, last), [what.factor * what.largest(cycle) for cycle in run.cycles])
+
+
+def _headline(views: Sequence[RunView], bound: Limited) -> str:
+    """The way of running it that ends with the least."""
+    best = min(views, key=lambda view: view.largest[-1] if math.isfinite(view.largest[-1]) else math.inf)
+    size = f"{best.largest[-1]:.{bound.what.digits}f} {bound.what.unit}"
+    return f"{best.run.name}: largest {bound.what.error} {size} in the last cycle"
+
+
+def _row(view: RunView, bound: Limited) -> list[str]:
+    """Texts of the table: name, words, and numbers."""
+    run, what = view.run, bound.what
+    sizes = [f"{value:.{what.digits}f}" for value in (view.largest[0], view.largest[-1])]
+    moment = [f"{run.cycles[-1].moment_nm:.1f}"] if what is FORCE else []
+    kept = "yes" if view.largest[-1] < bound.limit else "no"
+    return [
+        run.name,
+        run.text,
+        f"{run.speed:g}",
+        f"{len(run.cycles)}",
+        *sizes,
+        *moment,
+        f"{run.cycles[-1].knots}",
+        kept,
+    ]
+
+
+def _caption(view: RunView, bound: Limited) -> Markup:
+    run, what = view.run, bound.what
+    figure = FIGURES.get(run.name)
+    named = f" ({figure} of the patent)" if figure else ""
+    worst = f"{view.largest[-1]:.{what.digits}f} {what.unit}"
+    return Markup("<b>{}</b> {}{}, speed {:g}: largest {} {}").format(
+        run.name, run.text, named, run.speed, what.error, worst
+    )
+
+
+def _along(view: RunView, bound: Limited) -> Markup:
+    run, what, limit, known = view.run, bound.what, bound.limit, view.kept
+    x_mm = [1e3 * value for value in run.x_m]
+    # a gap stays far inside its range: drawn to the range's scale nothing of it would be seen
+    to_limit = what.to_limit or max(map(abs, known), default=0.0) > 0.5 * limit
+    frame = (-1.2 * limit, 1.2 * limit) if to_limit else (0.0,)
+    panel = Panel(WIDTH, HEIGHT, (run.s_m[0], run.s_m[-1]), limits(known, include=frame))
+    low, high = panel.y_range
+    if to_limit:
+        panel.box(panel.x_range, (limit, high), "over")
+        panel.box(panel.x_range, (low, -limit), "over")
+    panel.y_axis(what.axis)
+    panel.x_axis(f"way along the path [m]; gripper X {min(x_mm):.0f} to {max(x_mm):.0f} mm")
+    for side in (-limit, limit) if to_limit else ():
+        panel.segment((run.s_m[0], side), (run.s_m[-1], side), "limit")
+    first, last = view.along
+    if first and len(run.cycles) > 1:
+        panel.polyline(_thinned(run.s_m, first), "before-line")
+    panel.polyline(_thinned(run.s_m, last), "force")
+    for knot in run.knots_s_m:
+        panel.dot(knot, 0.0, "knot", f"learning point at {knot:.3f} m", 2.6)
+    return panel.svg(f"{what.title} along the path for {run.name}")
+
+
+def _thinned(x: Sequence[float], y: Sequence[float]) -> list[Point]:
+    step = max(1, len(y) // MOST_POINTS)
+    return list(zip(x[::step], y[::step], strict=True))
+
+
+def _convergence(views: Sequence[RunView], bound: Limited) -> Markup:
+    what = bound.what
+    panel = _per_cycle([view.largest for view in views], f"largest {what.error} [{what.unit}]")
+    if what.to_limit:
+        panel.segment((panel.x_range[0], bound.limit), (panel.x_range[1], bound.limit), "limit")
+    return panel.svg(f"Largest {what.title.lower()} per cycle")
+
+
+def _knots(views: Sequence[RunView]) -> Markup:
+    counts = [[float(cycle.knots) for cycle in view.run.cycles] for view in views]
+    return _per_cycle(counts, "learning points [number]").svg("Learning points per cycle")
+
+
+def _per_cycle(curves: Sequence[Sequence[float]], label: str) -> Panel:
+    """A curve per run over its cycles."""
+    longest = max(map(len, curves), default=1)
+    every = [value for curve in curves for value in curve]
+    panel = Panel(WIDTH, HEIGHT, (0.5, longest + 0.5), limits(every, include=(0.0,)))
+    panel.y_axis(label)
+    panel.x_axis("cycle", min(5, longest))
+    for place, curve in enumerate(curves):
+        kind = f"c{place % COLOURS}"
+        points = [(float(cycle), value) for cycle, value in enumerate(curve, start=1) if math.isfinite(value)]
+        panel.polyline(points, f"trace {kind}")
+        for x, y in points:
+            panel.dot(x, y, f"spot {kind}", radius=2.2)
+    return panel

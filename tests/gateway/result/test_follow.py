@@ -1,0 +1,105 @@
+"""What `follow` hands over as a file: it comes back whole, and a broken one is refused by name."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import jsonschema
+import pytest
+
+from gateway.errors import InputError
+from gateway.result.follow import (
+    OFF,
+    AxisSources,
+    ComputingTime,
+    ErrorCurve,
+    FedLoad,
+    FedModel,
+    FedTrend,
+    FollowedPath,
+    FollowedSetting,
+    FollowResult,
+    FollowSeries,
+    PeakRatio,
+    TorqueCurve,
+    TrendCloud,
+    follow_from_json,
+)
+from gateway.result.result import Finding
+from gateway.result.values import json_text, plain_values, schema_of
+
+SIX = (0.01, 0.02, 0.03, 0.01, 0.02, 0.005)
+LOAD = FedLoad("tool", 21.0, math.nan, (0.0, 0.01, 0.2), "link_6", ((0.1, 0.0, 0.0),) * 3, "result.json", "assumed")
+
+
+def example() -> FollowResult:
+    names = ("off", "maximum", "identified")
+    sources = AxisSources("datasheet", "datasheet", "assumed", "not included: not given", "0.8", ("viscous friction",))
+    return FollowResult(
+        robot="qh165",
+        cell="large",
+        arm="main",
+        path=FollowedPath("swing", "path.toml", 3.2, 0.004),
+        settings=tuple(
+            FollowedSetting(name, None if name == OFF else LOAD, SIX, SIX, (math.nan, *SIX[1:]), SIX) for name in names
+        ),
+        ratio=PeakRatio({"maximum": (0.5,) * 6, "identified": (0.1,) * 6}, (0.2,) * 6),
+        trend=FedTrend(0.02, 0.01, 21.4, 0.3, (0.0, 0.0, 0.2), (0.01, 0.01, 0.01), SIX),
+        model=FedModel("robot model", (sources,) * 6),
+        computing_s=ComputingTime(4e-5, 6e-5, 1e-4, 1200),
+        left_out_syncs=2,
+        findings=(Finding("info", "bus", "2 of 1200 SYNCs are left out"),),
+        series=FollowSeries(
+            {name: ErrorCurve((0.0, 0.1, 0.2), ((0.0, math.nan, 1e-3),) * 6) for name in names},
+            (TorqueCurve(2, (0.0, 0.1), (1.0, math.nan), (1.0, 2.0)),),
+            (TrendCloud(2, (100.0, 120.0), (1.0, 3.0)),),
+        ),
+    )
+
+
+def test_everything_comes_back() -> None:
+    text = json_text(example())
+    assert json_text(follow_from_json(text, "f.json")) == text
+    assert math.isnan(follow_from_json(text, "f.json").settings[0].lag_s[0])
+    assert list(json.loads(text))[:2] == ["schema", "kind"]
+    jsonschema.validate(json.loads(text), schema_of(FollowResult))
+
+
+def without(*keys: str) -> dict[str, Any]:
+    body = plain_values(example())
+    part = body
+    for key in keys[:-1]:
+        part = part[key]
+    del part[keys[-1]]
+    return body
+
+
+def changed(**changes: object) -> dict[str, Any]:
+    return plain_values(example()) | changes
+
+
+@pytest.mark.parametrize(
+    ("body", "says"),
+    [
+        (without("robot"), "robot: the key is missing"),
+        (without("path", "duration_s"), "path.duration_s: the key is missing"),
+        (without("kind"), "is no file of kind 'follow'"),
+        (changed(schema=2), "this version reads schema 1"),
+        (changed(left_out_syncs="two"), "left_out_syncs: expected an integer"),
+        (
+            plain_values(example()) | {"series": {"error": {"off": {"time_s": [0], "error_rad": [[1, 2]]}}}},
+            "one length",
+        ),
+        (
+            plain_values(example()) | {"findings": [{"severity": "bad", "where": "", "what": ""}]},
+            "findings[0].severity",
+        ),
+    ],
+)
+def test_a_broken_file_is_refused_with_its_path(body: dict[str, Any], says: str) -> None:
+    with pytest.raises(InputError) as caught:
+        follow_from_json(json.dumps(body), "f.json")
+    assert str(caught.value).startswith("f.json: ")
+    assert says in str(caught.value)
