@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.feedforward.load import FRAME, FeedLoad
-from gateway.follow.path import FollowPath
-from gateway.follow.settings import FeedModel, Setting
+from gateway.follow.job import Comparison
+from gateway.follow.settings import FeedModel
 from gateway.follow.track import Track, following
 from gateway.follow.trend import Trend
 from gateway.result.follow import (
@@ -44,35 +43,21 @@ WORSE_RAD = 2e-5
 DRAWN_AXES = 2
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
-    """Everything of one job; `tracks` belong to `settings` one by one."""
-
-    robot: str
-    cell: str
-    arm: str
-    path: FollowPath
-    path_file: str
-    model: FeedModel
-    settings: tuple[Setting, ...]
-    tracks: tuple[Track, ...]
-    trend: Trend | None
-
-
 def result_of(job: Comparison) -> FollowResult:
     """A comparison as it is handed over."""
-    loads = {setting.name: None if setting.load is None else _load(setting.load) for setting in job.settings}
+    prepared, path = job.prepared, job.prepared.path
+    loads = {setting.name: None if setting.load is None else _load(setting.load) for setting in prepared.settings}
     settings = tuple(following(track, loads[track.setting]) for track in job.tracks)
     peak = {setting.name: np.array(setting.peak_rad) for setting in settings}
     return FollowResult(
-        robot=job.robot,
-        cell=job.cell,
-        arm=job.arm,
-        path=FollowedPath(job.path.name, job.path_file, job.path.duration_s, job.path.period_s),
+        robot=prepared.model.robot.name,
+        cell=prepared.loaded.cell.name,
+        arm=prepared.arm.name,
+        path=FollowedPath(path.name, prepared.path_file, path.duration_s, path.period_s),
         settings=settings,
         ratio=_ratio(peak),
         trend=None if job.trend is None else job.trend.told,
-        model=FedModel(job.model.links_source, job.model.sources),
+        model=FedModel(prepared.model.links_source, prepared.model.sources),
         computing_s=_computing(job.tracks),
         left_out_syncs=_left_out(job.tracks),
         findings=findings(job, peak),
@@ -112,7 +97,7 @@ def _left_out(tracks: Sequence[Track]) -> int:
 
 def findings(job: Comparison, peak: Mapping[str, Floats]) -> tuple[Finding, ...]:
     """What the reader has to know, the worst first; `peak` (6,) error of each setting [rad]."""
-    found = [*_load_finding(job), *_worse(peak), *_missing(job.model)]
+    found = [*_load_finding(job), *_worse(peak), *_missing(job.prepared.model)]
     if left := _left_out(job.tracks):
         total = sum(len(track.target_rad) for track in job.tracks)
         found.append(Finding("info", "bus", f"{left} of {total} SYNCs are left out: unanswered, late or repeated"))
@@ -121,7 +106,7 @@ def findings(job: Comparison, peak: Mapping[str, Floats]) -> tuple[Finding, ...]
 
 
 def _load_finding(job: Comparison) -> list[Finding]:
-    fed = next((setting.load for setting in job.settings if setting.name == IDENTIFIED), None)
+    fed = next((setting.load for setting in job.prepared.settings if setting.name == IDENTIFIED), None)
     if fed is None:
         return []
     where = f"load {fed.label}"
