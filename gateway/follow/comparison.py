@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.feedforward.load import FRAME, FeedLoad
-from gateway.follow.path import FollowPath
-from gateway.follow.settings import FeedModel, Setting
-from gateway.follow.track import Following, Track, following
+from gateway.follow.job import Comparison
+from gateway.follow.settings import FeedModel
+from gateway.follow.track import Track, following
 from gateway.follow.trend import Trend
 from gateway.result.follow import (
     IDENTIFIED,
@@ -22,9 +21,7 @@ from gateway.result.follow import (
     ErrorCurve,
     FedLoad,
     FedModel,
-    FedTrend,
     FollowedPath,
-    FollowedSetting,
     FollowResult,
     FollowSeries,
     PeakRatio,
@@ -46,48 +43,25 @@ WORSE_RAD = 2e-5
 DRAWN_AXES = 2
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
-    """Everything of one job; `tracks` belong to `settings` one by one."""
-
-    robot: str
-    cell: str
-    arm: str
-    path: FollowPath
-    path_file: str
-    model: FeedModel
-    settings: tuple[Setting, ...]
-    tracks: tuple[Track, ...]
-    trend: Trend | None
-
-
 def result_of(job: Comparison) -> FollowResult:
     """A comparison as it is handed over."""
-    figures = {track.setting: following(track) for track in job.tracks}
+    prepared, path = job.prepared, job.prepared.path
+    loads = {setting.name: None if setting.load is None else _load(setting.load) for setting in prepared.settings}
+    settings = tuple(following(track, loads[track.setting]) for track in job.tracks)
+    peak = {setting.name: np.array(setting.peak_rad) for setting in settings}
     return FollowResult(
-        robot=job.robot,
-        cell=job.cell,
-        arm=job.arm,
-        path=FollowedPath(job.path.name, job.path_file, job.path.duration_s, job.path.period_s),
-        settings=tuple(_setting(setting, figures[setting.name]) for setting in job.settings),
-        ratio=_ratio({name: item.peak_rad for name, item in figures.items()}),
-        trend=None if job.trend is None else _trend(job.trend),
-        model=FedModel(job.model.links_source, job.model.sources),
+        robot=prepared.model.robot.name,
+        cell=prepared.loaded.cell.name,
+        arm=prepared.arm.name,
+        path=FollowedPath(path.name, prepared.path_file, path.duration_s, path.period_s),
+        settings=settings,
+        ratio=_ratio(peak),
+        trend=None if job.trend is None else job.trend.told,
+        model=FedModel(prepared.model.links_source, prepared.model.sources),
         computing_s=_computing(job.tracks),
         left_out_syncs=_left_out(job.tracks),
-        findings=findings(job, figures),
+        findings=findings(job, peak),
         series=_series(job),
-    )
-
-
-def _setting(setting: Setting, figures: Following) -> FollowedSetting:
-    return FollowedSetting(
-        name=setting.name,
-        load=None if setting.load is None else _load(setting.load),
-        peak_rad=numbers(figures.peak_rad),
-        rms_rad=numbers(figures.rms_rad),
-        lag_s=numbers(figures.lag_s),
-        overshoot_rad=numbers(figures.overshoot_rad),
     )
 
 
@@ -110,18 +84,6 @@ def _ratio(peak: Mapping[str, Floats]) -> PeakRatio:
     return PeakRatio(over_off, numbers(peak[IDENTIFIED] / peak[MAXIMUM]) if both else None)
 
 
-def _trend(trend: Trend) -> FedTrend:
-    return FedTrend(
-        scale=trend.scale,
-        scale_std=trend.scale_std,
-        mass_kg=trend.mass_kg,
-        mass_std_kg=trend.mass_std_kg,
-        com_m=numbers(trend.com_m),
-        com_std_m=numbers(trend.com_std_m),
-        rms_nm=numbers(trend.rms_nm),
-    )
-
-
 def _computing(tracks: Sequence[Track]) -> ComputingTime | None:
     times = np.concatenate([track.computing_s[track.computing_s > 0] for track in tracks])
     if not len(times):
@@ -133,9 +95,9 @@ def _left_out(tracks: Sequence[Track]) -> int:
     return sum(int(np.isnan(track.measured_rad).any(axis=1).sum()) for track in tracks)
 
 
-def findings(job: Comparison, figures: Mapping[str, Following]) -> tuple[Finding, ...]:
-    """What the reader has to know, the worst first."""
-    found = [*_load_finding(job), *_worse(figures), *_missing(job.model)]
+def findings(job: Comparison, peak: Mapping[str, Floats]) -> tuple[Finding, ...]:
+    """What the reader has to know, the worst first; `peak` (6,) error of each setting [rad]."""
+    found = [*_load_finding(job), *_worse(peak), *_missing(job.prepared.model)]
     if left := _left_out(job.tracks):
         total = sum(len(track.target_rad) for track in job.tracks)
         found.append(Finding("info", "bus", f"{left} of {total} SYNCs are left out: unanswered, late or repeated"))
@@ -144,14 +106,14 @@ def findings(job: Comparison, figures: Mapping[str, Following]) -> tuple[Finding
 
 
 def _load_finding(job: Comparison) -> list[Finding]:
-    fed = next((setting.load for setting in job.settings if setting.name == IDENTIFIED), None)
+    fed = next((setting.load for setting in job.prepared.settings if setting.name == IDENTIFIED), None)
     if fed is None:
         return []
     where = f"load {fed.label}"
-    if job.trend is None or not math.isfinite(job.trend.scale_std):
+    if job.trend is None or not math.isfinite(job.trend.told.scale_std):
         what = "the path moves too little to tell from the torque whether the load is right"
         return [Finding("warn", where, what, "follow a longer path that lifts and lowers the load")]
-    trend = job.trend
+    trend = job.trend.told
     asked = (1.0 + trend.scale) * fed.mass_kg
     said = (
         f"{100 * trend.scale:+.1f} +- {100 * trend.scale_std:.1f} % of its torque is left in the residual: the torque "
@@ -165,10 +127,10 @@ def _load_finding(job: Comparison) -> list[Finding]:
     return [Finding(severity, where, said, advice)]
 
 
-def _worse(figures: Mapping[str, Following]) -> list[Finding]:
-    if OFF not in figures or IDENTIFIED not in figures:
+def _worse(peak: Mapping[str, Floats]) -> list[Finding]:
+    if OFF not in peak or IDENTIFIED not in peak:
         return []
-    worse = figures[IDENTIFIED].peak_rad > figures[OFF].peak_rad + WORSE_RAD
+    worse = peak[IDENTIFIED] > peak[OFF] + WORSE_RAD
     advice = "check velocity_share in the drive profile, gear_efficiency and friction of this axis, and the load"
     return [
         Finding("warn", f"J{axis + 1}", "follows worse with the identified load than without feedforward", advice)

@@ -8,11 +8,11 @@ from pathlib import Path
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.errors import DataUnusable
 from gateway.feedforward.load import check_origin, identified_load
-from gateway.follow.comparison import Comparison
 from gateway.follow.path import FollowPath, check_path, read_path
 from gateway.follow.run import FollowStation, Tell, follow
 from gateway.follow.settings import FeedModel, Setting, check_offsets, feed_model, three_settings
-from gateway.follow.trend import load_trend
+from gateway.follow.track import Track
+from gateway.follow.trend import Trend, load_trend
 from gateway.model.arm_model import arm_robot
 from gateway.motion.opening import OpenArm, axis_setups
 from gateway.motion.stream import MoveOptions
@@ -69,6 +69,15 @@ class Prepared:
         return len(self.settings) * self.path.duration_s
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """What was driven: `tracks` belong to the settings one by one."""
+
+    prepared: Prepared
+    tracks: tuple[Track, ...]
+    trend: Trend | None
+
+
 def prepare(loaded: LoadedCell, arm: ArmConfig, request: FollowRequest) -> Prepared:
     """Read and check path, load, cell and profiles; nothing is opened and nothing moves.
 
@@ -121,14 +130,4 @@ def drive(opened: OpenArm, prepared: Prepared, tell: Tell, options: MoveOptions 
     for setting, track in zip(prepared.settings, tracks, strict=True):
         if setting.name == IDENTIFIED and setting.load is not None:
             trend = load_trend(track, prepared.model, setting.load)
-    return Comparison(
-        robot=prepared.model.robot.name,
-        cell=prepared.loaded.cell.name,
-        arm=prepared.arm.name,
-        path=prepared.path,
-        path_file=prepared.path_file,
-        model=prepared.model,
-        settings=prepared.settings,
-        tracks=tracks,
-        trend=trend,
-    )
+    return Comparison(prepared, tracks, trend)

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.sample import ArmSample
+from gateway.result.follow import FedLoad, FollowedSetting
+from gateway.result.values import numbers
 
 Floats = NDArray[np.float64]
 
@@ -112,29 +114,14 @@ def _doubtful(target: Floats, measured: Floats) -> NDArray[np.bool_]:
     return np.asarray(out | (moved & repeated))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Following:
-    """How well one pass followed; arrays of shape (6,).
-
-    Attributes
-    ----------
-    peak_rad, rms_rad : following error
-    lag_s : time by which the axis is late: error over velocity, least squares; NaN for an axis that was not moved
-    overshoot_rad : furthest beyond a resting place, in the direction of the last motion
-    """
-
-    peak_rad: Floats
-    rms_rad: Floats
-    lag_s: Floats
-    overshoot_rad: Floats
-
-
-def following(track: Track) -> Following:
+def following(track: Track, load: FedLoad | None = None) -> FollowedSetting:
     """Figures of one pass.
 
     Parameters
     ----------
     track : Track
+    load : FedLoad, optional
+        That was fed.
 
     Raises
     ------
@@ -149,11 +136,13 @@ def following(track: Track) -> Following:
     moving = (np.abs(rate) > STILL_RAD_S) & known[:, None]
     power = np.sum(np.where(moving, rate**2, 0.0), axis=0)
     late = np.sum(np.where(moving, error * rate, 0.0), axis=0)
-    return Following(
-        peak_rad=np.abs(error[known]).max(axis=0),
-        rms_rad=np.sqrt((error[known] ** 2).mean(axis=0)),
-        lag_s=np.divide(late, power, out=np.full(6, np.nan), where=power > 0),
-        overshoot_rad=_overshoot(track, known),
+    return FollowedSetting(
+        name=track.setting,
+        load=load,
+        peak_rad=numbers(np.abs(error[known]).max(axis=0)),
+        rms_rad=numbers(np.sqrt((error[known] ** 2).mean(axis=0))),
+        lag_s=numbers(np.divide(late, power, out=np.full_like(late, np.nan), where=power > 0)),
+        overshoot_rad=numbers(_overshoot(track, known)),
     )
 
 

@@ -24,6 +24,8 @@ from gateway.feedforward.load import FeedLoad
 from gateway.follow.settings import FeedModel
 from gateway.follow.track import Track
 from gateway.model.regressor import regressor
+from gateway.result.follow import FedTrend
+from gateway.result.values import numbers
 
 Floats = NDArray[np.float64]
 
@@ -43,27 +45,15 @@ class Trend:
 
     Attributes
     ----------
-    scale, scale_std : float
-        s of the trend and its standard deviation.
-    mass_kg, mass_std_kg : float
-        Mass that the torque asks for, first moment free; NaN where the path does not tell.
-    com_m, com_std_m : arrays of shape (3,)
-        Its centre of gravity in link 6; NaN where the path does not tell.
+    told : FedTrend
+        In numbers; what the path does not tell is NaN.
     load_nm, residual_nm : arrays of shape (n, 6)
         Torque of the load as fed, and the residual less the nuisance; NaN where an axis does not move.
-    rms_nm : array of shape (6,)
-        Of what the trend leaves.
     """
 
-    scale: float
-    scale_std: float
-    mass_kg: float
-    mass_std_kg: float
-    com_m: Floats
-    com_std_m: Floats
+    told: FedTrend
     load_nm: Floats
     residual_nm: Floats
-    rms_nm: Floats
 
 
 def load_trend(track: Track, model: FeedModel, load: FeedLoad) -> Trend | None:
@@ -101,15 +91,17 @@ def load_trend(track: Track, model: FeedModel, load: FeedLoad) -> Trend | None:
     values, stds, _ = problem.solve(moment)
     mass, mass_std, com, com_std = _as_load(load, values, stds)
     return Trend(
-        scale=float(scale[0]),
-        scale_std=float(scale_std[0]),
-        mass_kg=mass,
-        mass_std_kg=mass_std,
-        com_m=com,
-        com_std_m=com_std,
+        told=FedTrend(
+            scale=float(scale[0]),
+            scale_std=float(scale_std[0]),
+            mass_kg=mass,
+            mass_std_kg=mass_std,
+            com_m=numbers(com),
+            com_std_m=numbers(com_std),
+            rms_nm=numbers(np.sqrt(np.sum(left**2, axis=0) / np.maximum(used.sum(axis=0), 1))),
+        ),
         load_nm=np.where(used, own, np.nan),
         residual_nm=np.where(used, left + scale[0] * own, np.nan),
-        rms_nm=np.sqrt(np.sum(left**2, axis=0) / np.maximum(used.sum(axis=0), 1)),
     )
 
 
