@@ -1,4 +1,4 @@
-"""Load identification of six-axis robots from the torque of their own drives."""
+"""Load identification of robot arms from the torque of their own drives."""
 
 import os
 

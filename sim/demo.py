@@ -143,7 +143,7 @@ def comparison(result: dict[str, Any]) -> list[str]:
     )
     lines.append(f"undeclared effects: {named}; found: {found}; verdict: {result.get('verdict')}")
     residual = [(result.get(when) or {}).get("holdout_rms_nm") or [] for when in ("before", "after")]
-    if result.get("effects") and all(len(six) == 6 for six in residual):
+    if result.get("effects") and all(residual):
         pairs = [(old, new) for old, new in zip(*residual, strict=True) if old is not None and new is not None]
         lines.append("held-out RMS [Nm], before > after: " + ", ".join(f"{old:.4g} > {new:.4g}" for old, new in pairs))
     return lines

@@ -198,10 +198,9 @@ class ArmWorld:
     def _step(self, ticks: int) -> None:
         body, client, axes = self._body, self._client, self.axes
         joints = tuple(range(len(axes)))
-        step = [axis.tick for axis in axes]
         for _ in range(ticks):
             a, b = (self._q, self._qd) if self._coupling is None else self._coupled()
-            forces = [tick(angle, speed) for tick, angle, speed in zip(step, a, b, strict=True)]
+            forces = list(map(MotorAxis.tick, axes, a, b))
             if self._coupling is not None:
                 forces = (np.array(forces) @ self._coupling).tolist()
             if self._passive is not None:

@@ -165,7 +165,7 @@ def _stiction() -> dict[str, dict]:
         arm = draw.draw_arm(rng)
         poses = draw.choose_poses(arm, POSES, rng)
         columns = measure(arm.chain, arm.plant, _visits(poses), arm.loads, arm.protocol, rng)
-        options = EstimateOptions(inertials="prior:0.05", efficiency=_six(arm.efficiency))
+        options = EstimateOptions(inertials="prior:0.05", efficiency=tuple(arm.efficiency.tolist()))
         found = _joint(table_of(columns), robot_from_urdf(arm.urdf, "drawn.urdf"), options)
         tool = arm.loads["tool"]
         value, std = _four(found.loads[0])
@@ -183,11 +183,6 @@ def _visits(poses: Floats) -> list[PlannedVisit]:
     """Every pose bare, then every pose with the tool."""
     bare = [PlannedVisit(k, "none", 25.0 * k, q) for k, q in enumerate(poses)]
     return bare + [PlannedVisit(k, "tool", 2000.0 + 25.0 * k, q) for k, q in enumerate(poses)]
-
-
-def _six(values: Floats) -> tuple[float, float, float, float, float, float]:
-    a, b, c, d, e, f = (float(value) for value in values)
-    return a, b, c, d, e, f
 
 
 def _calibrated(value: float) -> bool:
@@ -211,7 +206,9 @@ def _cells() -> dict[str, dict]:
         for seed in range(PLANS)
     ]
     efficiency = np.array([axis.gear_efficiency.value for axis in config.axis])
-    options = EstimateOptions(inertials=config.inertials, gravity_m_s2=config.gravity_m_s2, efficiency=_six(efficiency))
+    options = EstimateOptions(
+        inertials=config.inertials, gravity_m_s2=config.gravity_m_s2, efficiency=tuple(efficiency.tolist())
+    )
     errors, hits = [], []
     for seed in range(CELLS):
         rng = np.random.default_rng([seed, STREAM, 2])

@@ -77,10 +77,11 @@ def robots() -> st.SearchStrategy[bytes]:
 
 
 def check_urdf(data: bytes) -> None:
-    """Six orthonormal placements and unit axes, no negative mass, or `ConfigError`."""
+    """Two to eight orthonormal placements and unit axes, no negative mass, or `ConfigError`."""
     text = data.decode("utf-8", "replace")
     robot = bounded(lambda: robot_from_urdf(text, "robot.urdf"), (ConfigError,), len(data))
     if robot is not None:
+        assert 2 <= robot.axes <= 8
         turn = robot.placement[:, :3, :3]
         assert np.allclose(turn @ turn.transpose(0, 2, 1), np.eye(3), atol=1e-9)
         assert np.allclose(np.linalg.norm(robot.axis, axis=1), 1.0)
@@ -92,6 +93,7 @@ def check_urdf(data: bytes) -> None:
 # ---------------------------------------------------------------------------------------------------------------- CSV
 
 CSV_SEEDS = [
+    b"pose,q1_rad,q2_rad,q3_rad,q4_rad,tau2_nm,dir4\n" + b"".join(b"%d,0.1,0.2,-0.3,0.4,5.5,1\n" % k for k in range(4)),
     b"run,load,pose,"
     + ",".join([*(f"q{i}_rad" for i in range(1, 7)), *(f"tau{i}_nm" for i in range(1, 7))]).encode()
     + b"\n"
@@ -130,7 +132,7 @@ def check_csv(data: bytes) -> None:
     names = [name.strip() for name in rows.pop(min(rows))]
     for line, row in rows.items():
         assert line in table.line or row in [rows[kept] for kept in table.line]
-    for axis in range(6):
+    for axis in range(table.axes):
         column = names.index(f"q{axis + 1}_rad")
         assert [float(rows[line][column]) for line in table.line] == list(table.q_rad[:, axis])
 

@@ -278,7 +278,7 @@ class PosesConfig(Strict):
     validation: int = Field(default=4, ge=0, description="further poses to judge on, that no fit sees")
     settle_timeout_s: Positive = Field(default=10.0, description="longest wait for rest")
     seed: int = Field(default=1, ge=0, description="of the choice of poses")
-    file: str | None = Field(default=None, description="CSV with pose, q1_rad .. q6_rad instead of chosen poses")
+    file: str | None = Field(default=None, description="CSV with pose, q1_rad .. qN_rad instead of chosen poses")
 
 
 class Cell(Strict):

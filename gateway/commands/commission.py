@@ -161,8 +161,8 @@ class _Robot:
 
     @property
     def validation_rad(self) -> np.ndarray:
-        """Poses (k, 6) [rad] kept for the proof."""
-        return np.array([pose.q_rad for pose in self._validation]).reshape(-1, 6)
+        """Poses (k, N) [rad] kept for the proof."""
+        return np.array([pose.q_rad for pose in self._validation]).reshape(-1, len(self._job.arm.axis))
 
     def measure_load(self, label: str) -> None:
         """Hang a load and measure all poses to fit from; where they are all there, only the last load is asked for."""
@@ -174,7 +174,7 @@ class _Robot:
             self._record(self._fit)
 
     def measure_poses(self, q_rad: np.ndarray) -> Table:
-        """Measure poses (k, 6) [rad] under the load that hangs now: validation poses, or new ones to fit from."""
+        """Measure poses (k, N) [rad] under the load that hangs now: validation poses, or new ones to fit from."""
         if np.array_equal(q_rad, self.validation_rad):
             poses = self._validation
             self._dialogue.say(f"proof on {len(poses)} fresh poses that no fit has seen")

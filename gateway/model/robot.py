@@ -21,7 +21,7 @@ from gateway.model.urdf_elements import Pose
 from gateway.model.urdf_shapes import Shape
 
 Floats = NDArray[np.float64]
-#: Of the arm that most rooms have in mind; the count of an arm is its own.
+#: Axes of the usual arm, for what is of such an arm alone; how many an arm has, it says itself.
 AXES = 6
 SHORTEST_M = 0.1
 

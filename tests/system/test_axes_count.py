@@ -77,6 +77,16 @@ def test_from_the_cell_to_the_report(place, serve, gateway, arm):
     np.testing.assert_array_equal(again.tau_nm, table.tau_nm)
 
 
+def test_a_reversed_torque_is_found_by_small_moves(place, serve, gateway, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "400")
+    drives = serve(effect='[[effect]]\nname = "sign_reversed"\njoints = [2]\n')
+    said = gateway("check", place.cell, "--bus", drives.bus, "--prove-stop", "--move", "--yes")
+    assert said.exit_code == 7, said.output
+    words = " ".join(said.output.split())
+    assert "J2 node 2" in words
+    assert "torque sign is reversed" in words or "opposite senses" in words
+
+
 def test_a_path_is_not_followed(place, gateway, arm):
     (place.folder / "path.csv").write_text("q1_rad\n0\n", encoding="utf-8")
     said = gateway("follow", place.cell, "--path", place.folder / "path.csv", "--yes")

@@ -13,6 +13,7 @@ from gateway.feedforward.load import FeedLoad
 from gateway.model.regressor import regressor
 from gateway.model.robot import robot_from_urdf
 from tests.arms import link_parameters, peer_of, states
+from tests.cells import CELLS
 
 GRAVITY = (1.5, -2.0, -9.0)
 
@@ -30,6 +31,16 @@ def test_torque_agrees_with_pinocchio(random_urdf, seed):
     expected = [pinocchio.rnea(model, data, *row) for row in zip(q, qd, qdd, strict=True)]
     found = torques(ArmDynamics(robot, link_parameters(robot), GRAVITY), q, qd, qdd)
     np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-9)
+
+
+@pytest.mark.parametrize("cell", CELLS, ids=lambda cell: cell.name)
+def test_torque_of_an_arm_that_has_not_six_axes_agrees_with_pinocchio(cell):
+    model, data = peer_of(cell.urdf, GRAVITY)
+    q, qd, qdd = states(1, 30, cell.axes)
+    expected = [pinocchio.rnea(model, data, *row) for row in zip(q, qd, qdd, strict=True)]
+    dynamics = ArmDynamics(cell.robot, link_parameters(cell.robot), GRAVITY)
+    assert dynamics.axes == cell.axes
+    np.testing.assert_allclose(torques(dynamics, q, qd, qdd), expected, rtol=1e-10, atol=1e-9)
 
 
 def test_torque_agrees_with_the_rows_for_any_parameters(random_urdf):
