@@ -21,7 +21,8 @@ from drives.ledger import LedgerEntry, WriteLedger
 from drives.objects import OBJECTS, object_name
 from drives.pdo import restore_steps, tpdo_plans
 from drives.probe import matching_profiles, probe, scan
-from drives.profile_file import load_profile
+from drives.profile import ObjectReference
+from drives.profile_file import list_profiles, load_profile
 from drives.reactions import DRIVE_RULES
 from drives.statistics import quantile
 from drives.values import Identity
@@ -74,6 +75,25 @@ def test_a_profile_without_current_needs_one_frame():
     assert [entry.mapping for entry in plans[0].entries] == [0x60410010, 0x60640020, 0x32410910]
     assert len(plans) == 1
     assert roles == ("statusword", "position", "torque")
+
+
+@pytest.mark.parametrize("name", list_profiles())
+@pytest.mark.parametrize("torque", ["i16", "i32"])
+@pytest.mark.parametrize("velocity", ["i16", "i32"])
+def test_a_frame_holds_no_more_than_eight_bytes_and_nothing_that_fits_is_left_out(name, torque, velocity):
+    profile = load_profile(name)
+    changes = {"torque": profile.torque.model_copy(update={"object": ObjectReference(index=0x6077, type=torque)})}
+    if profile.velocity is not None:
+        wide = ObjectReference(index=0x606C, type=velocity)
+        changes["velocity"] = profile.velocity.model_copy(update={"object": wide})
+    plans, roles = tpdo_plans(profile.model_copy(update=changes), 3)
+    sizes = [sum(entry.size_bits for entry in plan.entries) for plan in plans]
+    assert max(sizes) <= 64
+    assert len(roles) == sum(len(plan.entries) for plan in plans)
+    for role in ("velocity", "current"):
+        signal = getattr(profile.model_copy(update=changes), role)
+        if len(plans) == 2 and signal is not None and role not in roles:
+            assert sizes[1] + signal.object.size_bits > 64
 
 
 def test_restore_switches_a_pdo_off_empties_and_fills_it_and_switches_it_on():
