@@ -195,6 +195,22 @@ def test_a_heartbeat_watch_starts_with_the_first_heartbeat(bus, wire):
     assert watch.states[1] is NmtState.PREOPERATIONAL
 
 
+@pytest.mark.parametrize("begin_s", [0.0, 100.0])
+@pytest.mark.parametrize(
+    ("clock_s", "syncs_s", "lost"), [(0.4, 0.4, ()), (9.0, 0.4, ()), (0.4, 9.0, ()), (0.6, 0.6, (1,)), (9.0, 0.6, (1,))]
+)
+def test_a_heartbeat_is_lost_when_it_is_silent_too_long_by_the_clock_and_by_syncs(
+    bus, wire, begin_s, clock_s, syncs_s, lost
+):
+    sync_time_s = [begin_s]
+    watch = HeartbeatWatch(bus, [1], [0.5], lambda: sync_time_s[0])
+    wire.emit(0x701, b"\x05")
+    bus.drain()
+    wire.now_s += clock_s
+    sync_time_s[0] += syncs_s
+    assert watch.lost() == lost
+
+
 def test_a_boot_up_is_kept_until_it_is_forgiven(bus, wire):
     watch = HeartbeatWatch(bus, [1], [0.5])
     wire.emit(0x701, b"\x00")
