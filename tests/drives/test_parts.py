@@ -21,7 +21,8 @@ from drives.ledger import LedgerEntry, WriteLedger
 from drives.objects import OBJECTS, object_name
 from drives.pdo import restore_steps, tpdo_plans
 from drives.probe import matching_profiles, probe, scan
-from drives.profile_file import load_profile
+from drives.profile import ObjectReference
+from drives.profile_file import list_profiles, load_profile
 from drives.reactions import DRIVE_RULES
 from drives.statistics import quantile
 from drives.values import Identity
@@ -74,6 +75,25 @@ def test_a_profile_without_current_needs_one_frame():
     assert [entry.mapping for entry in plans[0].entries] == [0x60410010, 0x60640020, 0x32410910]
     assert len(plans) == 1
     assert roles == ("statusword", "position", "torque")
+
+
+@pytest.mark.parametrize("name", list_profiles())
+@pytest.mark.parametrize("torque", ["i16", "i32"])
+@pytest.mark.parametrize("velocity", ["i16", "i32"])
+def test_a_frame_holds_no_more_than_eight_bytes_and_nothing_that_fits_is_left_out(name, torque, velocity):
+    profile = load_profile(name)
+    changes = {"torque": profile.torque.model_copy(update={"object": ObjectReference(index=0x6077, type=torque)})}
+    if profile.velocity is not None:
+        wide = ObjectReference(index=0x606C, type=velocity)
+        changes["velocity"] = profile.velocity.model_copy(update={"object": wide})
+    plans, roles = tpdo_plans(profile.model_copy(update=changes), 3)
+    sizes = [sum(entry.size_bits for entry in plan.entries) for plan in plans]
+    assert max(sizes) <= 64
+    assert len(roles) == sum(len(plan.entries) for plan in plans)
+    for role in ("velocity", "current"):
+        signal = getattr(profile.model_copy(update=changes), role)
+        if len(plans) == 2 and signal is not None and role not in roles:
+            assert sizes[1] + signal.object.size_bits > 64
 
 
 def test_restore_switches_a_pdo_off_empties_and_fills_it_and_switches_it_on():
@@ -173,6 +193,22 @@ def test_a_heartbeat_watch_starts_with_the_first_heartbeat(bus, wire):
     bus.drain()
     assert watch.lost() == ()
     assert watch.states[1] is NmtState.PREOPERATIONAL
+
+
+@pytest.mark.parametrize("begin_s", [0.0, 100.0])
+@pytest.mark.parametrize(
+    ("clock_s", "syncs_s", "lost"), [(0.4, 0.4, ()), (9.0, 0.4, ()), (0.4, 9.0, ()), (0.6, 0.6, (1,)), (9.0, 0.6, (1,))]
+)
+def test_a_heartbeat_is_lost_when_it_is_silent_too_long_by_the_clock_and_by_syncs(
+    bus, wire, begin_s, clock_s, syncs_s, lost
+):
+    sync_time_s = [begin_s]
+    watch = HeartbeatWatch(bus, [1], [0.5], lambda: sync_time_s[0])
+    wire.emit(0x701, b"\x05")
+    bus.drain()
+    wire.now_s += clock_s
+    sync_time_s[0] += syncs_s
+    assert watch.lost() == lost
 
 
 def test_a_boot_up_is_kept_until_it_is_forgiven(bus, wire):

@@ -7,11 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from drives.bus import BusSpec
 from drives.errors import ProfileError
 from gateway.cell.config import LoadedCell
 from gateway.cell.conversion import AxisConversion
 from gateway.motion import opening
-from gateway.motion.opening import axis_setups
+from gateway.motion.opening import BusOverride, axis_setups
 
 
 def test_each_drive_gets_node_profile_constant_and_the_speed_of_its_motor(small_cell):
@@ -117,3 +118,22 @@ def test_where_a_ramp_is_not_known_no_torque_is_limited(small_cell, workspace, m
         drive.setup = setup
     opening._limit_torques(group, config, workspace, SimpleNamespace(readings=()))  # type: ignore[arg-type]
     assert [drive.setup.torque_limit_nm for drive in group.drives] == [None] * 6
+
+
+@pytest.mark.parametrize("given", [None, BusSpec("virtual", "elsewhere")])
+def test_the_bus_is_that_of_the_cell_unless_another_one_is_given(small_cell, monkeypatch, given):
+    class Opened(Exception):  # noqa: N818 - ends what is tried
+        pass
+
+    asked = []
+
+    def open_bus(spec, trace):
+        asked.append((spec, trace))
+        raise Opened
+
+    monkeypatch.setattr(opening, "open_bus", open_bus)
+    with pytest.raises(Opened), opening.open_arm(small_cell, BusOverride(spec=given)):
+        pass
+    bus = small_cell.cell.bus[small_cell.cell.arm[0].bus]
+    own = BusSpec(bus.interface, bus.channel, bus.bitrate_bit_s, dict(bus.options))
+    assert asked == [(given or own, None)]

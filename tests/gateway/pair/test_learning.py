@@ -160,6 +160,36 @@ def test_second_function_is_used_once_it_has_settled(path: PairPath, cell: PairC
     assert learner.in_use is first
 
 
+@pytest.mark.parametrize(
+    ("moved_mm", "force_n", "used"),
+    [
+        ([0.04, 0.06, 0.04, 0.04], [9.0] * 4, [False, False, False, True]),
+        ([0.04, 0.04, 0.1, 0.2, 0.3], [9.0] * 5, [False, True, True, True, False]),
+        ([0.04, 0.04, 0.2, 0.1, 0.2], [9.0] * 5, [False, True, True, True, True]),
+        ([0.04, 0.04, 0.01, 0.02, 0.03, 0.04], [9.0] * 6, [False, True, True, True, True, True]),
+        ([0.04, 0.04, 0.04], [9.0, 9.0, 9.1], [False, True, False]),
+        ([0.04, 0.04, 0.04], [9.0, 9.5, 9.4], [False, True, True]),
+    ],
+)
+def test_a_second_function_is_used_while_it_stays_settled(
+    path: PairPath, cell: PairCalibration, moved_mm: list[float], force_n: list[float], used: list[bool]
+) -> None:
+    """Two small updates in a row; given up for a larger force or knots that move ever further."""
+    learner = learner_of(LearningRule(choice="convergence", smooth_s=0.0), path, cell)
+    found = []
+    for way_mm, force in zip(moved_mm, force_n, strict=True):
+        learner._choose(force, 1e-3 * way_mm, 1e-4)
+        found.append(learner._in_use)
+    assert found == used
+
+
+def test_a_turn_that_is_too_large_is_not_settled(path: PairPath, cell: PairCalibration) -> None:
+    learner = learner_of(LearningRule(choice="convergence", smooth_s=0.0), path, cell)
+    for _ in range(4):
+        learner._choose(1.0, 1e-5, 2.1e-4)
+    assert not learner._in_use
+
+
 def test_reset_forgets_everything(path: PairPath, cell: PairCalibration) -> None:
     learner = learner_of(LearningRule(), path, cell)
     run_cycles(learner, path, cell, 3)

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from gateway.pair.transform import (
     apply_correction,
+    corrected_pose,
     correction_between,
     exp_rotation,
     inverse,
@@ -75,3 +76,17 @@ def test_correction_between_inverts_the_addition() -> None:
     poses = random_poses(20)
     corrections = np.random.default_rng(4).normal(scale=0.3, size=(20, 6))
     assert np.allclose(correction_between(apply_correction(poses, corrections), poses), corrections, atol=1e-12)
+
+
+@pytest.mark.parametrize("size_rad", [0.0, 1e-9, 1e-5, 9e-7, 1.1e-6, 0.02, 0.7, 3.0])
+def test_one_correction_at_a_time_is_that_of_an_independent_library(size_rad: float) -> None:
+    """Both branches: the series for small turns and the closed form."""
+    rng = np.random.default_rng(7)
+    for transform in random_poses(5):
+        axis = rng.normal(size=3)
+        turn = size_rad * axis / np.linalg.norm(axis)
+        change = np.concatenate([rng.normal(size=3), turn])
+        found = corrected_pose(transform, change)
+        assert found[:3, :3] == pytest.approx(Rotation.from_rotvec(turn).as_matrix() @ transform[:3, :3], abs=1e-14)
+        assert found[:3, 3] == pytest.approx(transform[:3, 3] + change[:3])
+        assert found[3].tolist() == [0.0, 0.0, 0.0, 1.0]
