@@ -76,6 +76,7 @@ def result_of(outcome: MovingOutcome) -> Result:
         before=_summary(problem, before, outcome, first=True),
         after=_summary(problem, after, outcome, first=False),
         holdout_kind="given" if problem.motion.given.any() else "blocks",
+        noise_floor_nm=_unknown(problem),
         friction_band_nm=listed(friction_level(problem, after)),
         rejected=_rejected(outcome),
         next=(*(_tell_apart(item) for item in doubtful), *_richer(outcome, bool(effects))),
@@ -88,7 +89,8 @@ def result_of(outcome: MovingOutcome) -> Result:
 
 def too_little(problem: MovingProblem, state: MovingState) -> Result:
     """Too little motion to hold any of it out."""
-    summary = FitSummary(rms_nm=listed(_rms(problem, state)))
+    unknown = _unknown(problem)
+    summary = FitSummary(rms_nm=listed(_rms(problem, state)), holdout_rms_nm=unknown)
     step = NextMeasurement("a moving run of at least 10 s in which every axis changes its direction several times")
     what = f"{int((~problem.motion.given).sum())} moving rows over {problem.motion.duration_s:.1f} s"
     return Result(
@@ -96,10 +98,16 @@ def too_little(problem: MovingProblem, state: MovingState) -> Result:
         verdict="undecided",
         before=summary,
         after=summary,
+        noise_floor_nm=unknown,
+        friction_band_nm=unknown,
         holdout_kind="blocks",
         next=(step,),
         findings=(Finding("warn", "data", f"{what} are too few to hold any out", "record a longer run"),),
     )
+
+
+def _unknown(problem: MovingProblem) -> tuple[float, ...]:
+    return (np.nan,) * problem.motion.axes
 
 
 def _rms(problem: MovingProblem, state: MovingState) -> Floats:

@@ -30,8 +30,11 @@ from gateway.pair.session import (
     teach_pair,
 )
 from gateway.pair.storage import PairStore
+from gateway.pair.stored import transform_of
 from gateway.pair.teach import Teacher, TeachRule
 from gateway.pair.transform import correction_between
+from gateway.result.pair import LinkStatistics
+from gateway.result.values import plain_values
 from tests.gateway.pair.together import EXAMPLE, Together
 
 #: How far the grasps are off [m, rad].
@@ -85,10 +88,10 @@ def test_teaching_finds_the_relation_that_the_part_has_whatever_the_cell_says(ta
         left = correction_between(function.at(s_m), pair.true)
         assert np.linalg.norm(left[:3]) < 0.3 * np.linalg.norm(begun[:3])
     for point, _, _ in told:
-        assert point.forces_n[-1] <= 5.0
-        assert point.moments_nm[-1] <= 1.5
-        assert len(point.forces_n) == len(point.moments_nm) > 1
-        assert all(n > 5.0 or nm > 1.5 for n, nm in zip(point.forces_n[:-1], point.moments_nm[:-1], strict=True))
+        assert point.force_n[-1] <= 5.0
+        assert point.moment_nm[-1] <= 1.5
+        assert len(point.force_n) == len(point.moment_nm) > 1
+        assert all(n > 5.0 or nm > 1.5 for n, nm in zip(point.force_n[:-1], point.moment_nm[:-1], strict=True))
     assert [drives.log for drives in pair.drives] == [["enable", "disable"]] * 2
     for index, arm in enumerate(pair.cell.arms):
         assert pair.part.q_rad[index] == pytest.approx(arm.start_rad, abs=5e-3)
@@ -99,9 +102,9 @@ def test_what_was_taught_is_on_disk(taught):
     stored = store.load("first")
     assert stored is not None
     assert (stored.learn_source, stored.speed, stored.embodiment) == ("taught", 0.0, "C1")
-    assert stored.function.at(0.01) == pytest.approx(function.at(0.01))
+    assert transform_of(stored).at(0.01) == pytest.approx(function.at(0.01))
     again = open_lesson(pair.cell, store, resume=True)
-    assert [point.index for point in again.points] == [point.index for point, _, _ in told]
+    assert [point.command for point in again.points] == [point.command for point, _, _ in told]
     with pytest.raises(InputError, match="holds taught points.*--resume"):
         open_lesson(pair.cell, store, resume=False)
 
@@ -139,16 +142,13 @@ def test_a_point_that_cannot_be_adjusted_stops_both(pair, store, rule, says):
 def test_a_run_goes_there_and_back_as_often_as_asked_and_is_stored_for_the_report(pair, store):
     store.save("first", constant_function(pair.true), learn_source="taught", speed=0.0)
     body, told = run(pair, store, "C1", cycles=2)
-    assert len(told) == len(body["cycles"]) == 2
-    assert body["name"] == "C1"
-    assert body["speed"] == SPEED
-    assert len(body["s_m"]) == len(body["x_m"]) == len(body["first_n"]) == len(pair.cell.path(SPEED))
-    assert body["statistics"] == {
-        "pacing": "lockstep", "cycles": [7, 7], "incomplete": [1, 1], "late": [2, 2], "skew_s": None,
-    }  # fmt: skip
-    assert body["evaluation_s"] > 0.0
-    assert json.loads((store.folder / "run-C1.json").read_text()) == body
-    assert store.runs() == [body]
+    assert len(told) == len(body.cycles) == 2
+    assert body.name == "C1"
+    assert body.speed == SPEED
+    assert len(body.s_m) == len(body.x_m) == len(body.first_n) == len(pair.cell.path(SPEED))
+    assert body.statistics == LinkStatistics("lockstep", (7, 7), (1, 1), (2, 2))
+    assert body.evaluation_s > 0.0
+    assert [plain_values(kept) for kept in store.runs()] == [plain_values(body)]
     assert [drives.log for drives in pair.drives] == [["enable", "disable"]] * 2
     for drives, arm in zip(pair.drives, pair.cell.arms, strict=True):
         assert pair.part.q_rad[drives.index] == pytest.approx(arm.start_rad, abs=5e-3)
@@ -157,8 +157,8 @@ def test_a_run_goes_there_and_back_as_often_as_asked_and_is_stored_for_the_repor
 def test_a_function_that_fits_the_part_leaves_little_force_and_the_grasps_alone_much(pair, store):
     """By the spring alone the grasps' error is worth half the cell's stiffness times 0.45 mm."""
     store.save("first", constant_function(pair.true), learn_source="taught", speed=0.0)
-    good = run(pair, store, "C1")[0]["cycles"][0]["force_n"]
-    bad = run(pair, store, "A")[0]["cycles"][0]["force_n"]
+    good = run(pair, store, "C1")[0].cycles[0].force_n
+    bad = run(pair, store, "A")[0].cycles[0].force_n
     spring_n = 0.5 * pair.cell.config.force.stiffness.straight * np.linalg.norm(AWAY[:3])
     assert bad == pytest.approx(spring_n, rel=0.35)
     assert good < 0.5 * bad
@@ -176,10 +176,10 @@ def test_what_was_learned_is_kept_and_gone_on_from_unless_learning_is_off(pair, 
         assert not any(cycle.summary.learned for cycle in told)
         return
     assert (second.embodiment, second.speed, second.cycles) == ("C2c", SPEED, 2)
-    assert body["cycles"][1]["force_n"] < body["cycles"][0]["force_n"]
+    assert body.cycles[1].force_n < body.cycles[0].force_n
     row = embodiment_of(pair.cell, "C2c")
     begun, where = first_function(pair.cell, store, row, SPEED)
-    assert begun.knots == pytest.approx(second.function.knots)
+    assert begun.knots == pytest.approx(transform_of(second).knots)
     assert where == f"learned by C2c {second.date}"
 
 
@@ -223,7 +223,7 @@ def test_a_sample_that_is_lost_spoils_the_cycle_for_learning(pair, store):
 
 def test_a_slow_share_is_planned_slower(pair, store):
     body, _ = run(pair, store, "A", moves=MoveOptions(override=0.5))
-    assert body["speed"] == 0.5 * SPEED
+    assert body.speed == 0.5 * SPEED
 
 
 def test_arms_that_stand_elsewhere_are_not_moved(pair, store):

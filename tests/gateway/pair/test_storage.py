@@ -17,7 +17,10 @@ from gateway.pair.function import constant_function
 from gateway.pair.link import PairLink
 from gateway.pair.motion import calibration_of
 from gateway.pair.run import PairCycle
-from gateway.pair.storage import PairStore, cell_hash, line_of_grippers, run_as_json
+from gateway.pair.storage import PairStore, cell_hash, line_of_grippers, run_result
+from gateway.pair.stored import transform_of
+from gateway.result.pair import LinkStatistics
+from gateway.result.values import plain_values
 from tests.gateway.pair.together import EXAMPLE
 
 
@@ -92,7 +95,7 @@ def test_learning_is_on_until_it_is_switched_off_and_forgetting_switches_it_on(c
 
 def test_a_function_for_another_path_or_cell_is_refused(cell, store):
     store.save("first", constant_function(cell.nominal_relation), learn_source="taught", speed=0.0)
-    assert store.load("first").function.at(0.1) == pytest.approx(cell.nominal_relation)
+    assert transform_of(store.load("first")).at(0.1) == pytest.approx(cell.nominal_relation)
     for name in ("path_hash", "cell_hash"):
         held = getattr(store, name)
         setattr(store, name, "0" * len(held))
@@ -102,11 +105,16 @@ def test_a_function_for_another_path_or_cell_is_refused(cell, store):
 
 
 @pytest.mark.parametrize(
-    ("text", "says"), [("{", "not readable as JSON"), ("[" * 9999, "not readable"), ("[]", "is not")]
+    ("text", "says"),
+    [
+        ("{", "state.json:1: not valid JSON"),
+        ("[" * 9999, "state.json: holds .* nesting"),
+        ("[]", "one JSON object is expected"),
+    ],
 )
 def test_a_damaged_file_is_named(store, text, says):
     store.write("state.json", text)
-    with pytest.raises(InputError, match=f"state.json: {says}"):
+    with pytest.raises(InputError, match=says):
         _ = store.frozen
 
 
@@ -116,9 +124,9 @@ def test_runs_without_a_cycle_are_left_out_of_the_report(store):
     cycle = {"force_n": 60.0, "moment_nm": 9.0, "knots": 1}
     store.write("run-B.json", json.dumps(run | {"name": "B", "cycles": [cycle]}))
     store.write("run-A.json", json.dumps(run | {"cycles": []}))
-    assert [body["name"] for body in store.runs()] == ["B"]
+    assert [body.name for body in store.runs()] == ["B"]
     store.write("run-A.json", json.dumps(run | {"cycles": [cycle]}))
-    assert [body["name"] for body in store.runs()] == ["A", "B"]
+    assert [body.name for body in store.runs()] == ["A", "B"]
 
 
 def test_the_line_of_the_grippers_points_from_the_master_to_the_slave(cell):
@@ -129,6 +137,16 @@ def test_the_line_of_the_grippers_points_from_the_master_to_the_slave(cell):
         one = cell.arms[0].world_from_base @ path.commands[row]
         two = one @ cell.nominal_relation
         assert along[row] == pytest.approx((two[:3, 3] - one[:3, 3]) / np.linalg.norm(two[:3, 3] - one[:3, 3]))
+
+
+STATISTICS = LinkStatistics("lockstep", (7, 7), (0, 0), (0, 0))
+
+
+def run_of(cell, path, name):
+    """A run of one row on a path, as far as the report takes it."""
+    function = constant_function(cell.nominal_relation)
+    controller = PairController(EMBODIMENTS[name], path, calibration_of(cell), function)
+    return SimpleNamespace(path=path, config=EMBODIMENTS[name], controller=controller)
 
 
 def summary(cell, path, force, gaps=None):
@@ -144,13 +162,13 @@ def test_a_run_for_the_report_shows_force_along_the_line_of_the_first_and_the_la
     force = np.zeros((len(path), 6))
     force[:, :3] = 12.345 * along
     cycles = [summary(cell, path, force), summary(cell, path, 7 * force), summary(cell, path, -2 * force)]
-    body = run_as_json(cell, path, ("A", "one relation"), cycles)
-    assert body["first_n"] == pytest.approx([12.345] * len(path), abs=0.006)
-    assert set(body["last_n"]) == {-24.69}
-    assert body["x_m"][0] == pytest.approx((cell.arms[0].world_from_base @ path.commands[0])[0, 3])
-    assert (body["speed"], len(body["cycles"])) == (2.0, 3)
-    assert body["cycles"][0]["force_n"] is None
-    json.dumps(body, allow_nan=False)
+    body = run_result(cell, run_of(cell, path, "A"), cycles, STATISTICS)
+    assert body.first_n == pytest.approx([12.345] * len(path), abs=0.006)
+    assert set(body.last_n) == {-24.69}
+    assert body.x_m[0] == pytest.approx((cell.arms[0].world_from_base @ path.commands[0])[0, 3])
+    assert (body.speed, len(body.cycles)) == (2.0, 3)
+    assert np.isnan(body.cycles[0].force_n)
+    assert plain_values(body)["cycles"][0]["force_n"] is None
 
 
 def test_a_gap_for_the_report_is_the_worst_of_its_sensors_with_its_sign(distance_cell):
@@ -161,9 +179,10 @@ def test_a_gap_for_the_report_is_the_worst_of_its_sensors_with_its_sign(distance
     gaps[4, 0] = 2e-4
     gaps[5] = np.nan
     cycle = summary(distance_cell, path, np.zeros((len(path), 6)), gaps)
-    body = run_as_json(distance_cell, path, ("E5", "gap"), [cycle, cycle])
-    assert body["first_m"][2:6] == [0.0, -3e-4, 2e-4, None]
-    assert "first_n" not in body
+    body = run_result(distance_cell, run_of(distance_cell, path, "A"), [cycle, cycle], STATISTICS)
+    assert body.first_m[2:5] == (0.0, -3e-4, 2e-4)
+    assert np.isnan(body.first_m[5])
+    assert "first_n" not in plain_values(body)
 
 
 def test_statistics_of_both_buses_by_the_clock():
@@ -172,7 +191,7 @@ def test_statistics_of_both_buses_by_the_clock():
     skew = [1e-4] * 98 + [-3e-4, 5e-4]
     link = PairLink(opened, SimpleNamespace(real=True, skew_s=skew))  # type: ignore[arg-type]
     found = link.statistics()
-    assert (found["pacing"], found["cycles"]) == ("real", [100, 100])
-    assert found["skew_s"]["median"] == pytest.approx(1e-4)
-    assert found["skew_s"]["max"] == pytest.approx(5e-4)
-    assert 3e-4 <= found["skew_s"]["p99"] <= 5e-4
+    assert (found.pacing, found.cycles) == ("real", (100, 100))
+    assert found.skew_s.median == pytest.approx(1e-4)
+    assert found.skew_s.max == pytest.approx(5e-4)
+    assert 3e-4 <= found.skew_s.p99 <= 5e-4
