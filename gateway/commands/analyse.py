@@ -15,7 +15,6 @@ from gateway.commands.options import (
     data_argument,
     json_option,
     model_options,
-    one_of,
     session_of,
     write_json,
 )
@@ -42,11 +41,25 @@ def model_request(
     return ModelRequest(robot, cell_file, inertials, dict(parse_known(text) for text in known), bare, arm_name)
 
 
+def _method(_ctx: click.Context, _param: click.Parameter, value: str) -> str:
+    """An estimator of the table; any other name is a usage error."""
+    from gateway.estimate import ESTIMATORS
+
+    if value not in ESTIMATORS:
+        raise click.BadParameter(f"'{value}' is no method; choose one of {', '.join(ESTIMATORS)}")
+    return value
+
+
 @click.command()
 @data_argument
 @model_options
 @click.option(
-    "--method", type=one_of(["joint", "difference", "posture", "coefficient"]), default="joint", show_default=True
+    "--method",
+    callback=_method,
+    metavar="METHOD",
+    default="joint",
+    show_default=True,
+    help="joint, difference, posture or coefficient.",
 )
 @click.option("--axis", type=click.IntRange(1, MOST_AXES), help="coefficient: the one axis.")
 @click.option("--lever", metavar="COLUMN", help="coefficient: column x_... of the load's lever about that axis [m].")

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gateway.data.table import write_csv
 from sim.request import add_passive
+from tests.house import House
 from tests.moving_arm import URDF, World, measured
 from tests.resting_arm import Bench
 
-ROOT = Path(__file__).parents[4]
 MADE_UP = '''
 """A rope wound over a cam of axis 3."""
 
@@ -56,43 +53,27 @@ EFFECT = Effect(
 
 
 @pytest.fixture(scope="module")
-def house(tmp_path_factory) -> Path:
+def house(tmp_path_factory) -> House:
     """The product with one file more."""
-    root = tmp_path_factory.mktemp("house")
-    for package in ("gateway", "drives"):
-        shutil.copytree(ROOT / package, root / package, ignore=shutil.ignore_patterns("__pycache__"))
-    (root / "gateway" / "model" / "effects" / "cam_rope.py").write_text(MADE_UP)
-    return root
+    house = House(tmp_path_factory.mktemp("house"))
+    house.add("gateway/model/effects/cam_rope.py", MADE_UP)
+    return house
 
 
-def diagnosed(house: Path, csv: Path, *options: str) -> tuple[dict, str]:
+def diagnosed(house: House, csv: Path, *options: str) -> tuple[dict, str]:
     """Result and page of the command, run from the house with the added file."""
     out, page = csv.with_suffix(".json"), csv.with_suffix(".html")
-    program = "from gateway.cli import main; main()"
-    line = [sys.executable, "-c", program, "diagnose", csv.name, "--robot", "robot.urdf", "--json", out.name, *options]
-    environment = os.environ | {"PYTHONPATH": str(house)}
-    done = subprocess.run(line, cwd=csv.parent, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    line = [sys.executable, "-c", program, "report", out.name, "--output", page.name]
-    done = subprocess.run(line, cwd=csv.parent, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
+    line = ("diagnose", csv.name, "--robot", "robot.urdf", "--json", out.name, *options)
+    for arguments in (line, ("report", out.name, "--output", page.name)):
+        done = house.command(*arguments, cwd=csv.parent)
+        assert done.returncode == 0, done.stdout + done.stderr
     return json.loads(out.read_text()), page.read_text()
 
 
 def write(table, path: Path, urdf: str) -> Path:
     """A table as the CSV that an engineer has, and the URDF beside it."""
     (path.parent / "robot.urdf").write_text(urdf)
-    columns: dict[str, np.ndarray] = {"load": table.load, "pose": table.pose, "time_s": table.time_s}
-    moving = bool(table.moving.all())
-    given = {"q{}_rad": table.q_rad, "tau{}_nm": table.tau_nm}
-    given |= {"qd{}_rad_s": table.qd_rad_s, "qdd{}_rad_s2": table.qdd_rad_s2} if moving else {}
-    given |= {} if moving else {"dir{}": table.direction, "tau{}_std_nm": table.tau_std_nm}
-    for name, values in given.items():
-        columns |= {name.format(axis + 1): values[:, axis] for axis in range(6)}
-    if moving:
-        del columns["pose"]
-    lines = [",".join(columns), *(",".join(str(value) for value in row) for row in zip(*columns.values(), strict=True))]
-    path.write_text("\n".join(lines) + "\n")
+    write_csv(table, path)
     return path
 
 
