@@ -16,8 +16,9 @@ from pydantic import Field, ValidationError, model_validator
 
 from drives.toml_text import parse_toml
 from drives.validation import Strict, problems_in_words
+from gateway.cell.axes import FEWEST_AXES, MOST_AXES
 from gateway.cell.config_pair import DistanceConfig, PairConfig
-from gateway.cell.quantities import FEWEST_AXES, MOST_AXES, Finite, Positive, Vector3
+from gateway.cell.quantities import Finite, Positive, Vector3
 from gateway.errors import ConfigError
 
 

@@ -6,9 +6,6 @@ from typing import Annotated
 
 from pydantic import Field
 
-#: Axes that an arm may have. Fewer cannot tell a mass from its place; more is more than the numerics are tried with.
-FEWEST_AXES, MOST_AXES = 2, 8
-
 #: Of a place, a direction or a turn: larger is a slip, and overflows further on.
 _Component = Annotated[float, Field(ge=-1e6, le=1e6)]
 Vector3 = tuple[_Component, _Component, _Component]

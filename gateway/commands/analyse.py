@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from gateway.cell.quantities import MOST_AXES
+from gateway.cell.axes import MOST_AXES
 from gateway.commands.measure import arm_option
 from gateway.commands.options import (
     common,

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway.cell.quantities import MOST_AXES
+from gateway.cell.axes import MOST_AXES
 from gateway.errors import InputError
 
 AXES = range(1, MOST_AXES + 1)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from gateway.cell.axes import FEWEST_AXES, MOST_AXES
 from gateway.cell.conversion import AxisConversion
-from gateway.cell.quantities import FEWEST_AXES, MOST_AXES
 from gateway.data.csv_text import CsvColumns, read_columns
 from gateway.data.rows import MOVING, Table, concatenate, without_duplicates
 from gateway.errors import InputError

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.cell.quantities import FEWEST_AXES, MOST_AXES
+from gateway.cell.axes import FEWEST_AXES, MOST_AXES
 from gateway.errors import ConfigError
 from gateway.model import urdf
 from gateway.model.urdf_elements import Pose
