@@ -272,7 +272,7 @@ class DriveGroup(DriveSetup):
     def _cycle(self, words: Sequence[int] | None = None) -> Epoch:
         exchange, guard = self._parts()
         try:
-            epoch = self.last_epoch = exchange.cycle(self._enable_words if words is None else words)
+            epoch = exchange.cycle(self._enable_words if words is None else words)
             self._emcy.sync_index = epoch.sync_index
             guard.check(epoch)
         except DriveError as error:

@@ -17,7 +17,6 @@ from drives.busload import frame_bits_worst, load_percent
 from drives.cia402 import ENABLE_OPERATION
 from drives.drive import AxisSetup, Cia402Drive, Identity
 from drives.emcy import EmcyLog
-from drives.epoch import Epoch
 from drives.errors import (
     BusOverload,
     ConfigurationRefused,
@@ -123,7 +122,6 @@ class DriveSetup:
         #: Every axis is in OPERATION ENABLED and follows `exchange`.
         self.enabled = False
         #: The last row, also the one that led to an error.
-        self.last_epoch: Epoch | None = None
         #: Called before the axes are stopped because of an error: what moves with them is told in the same cycle.
         self.on_stop: Callable[[], None] = lambda: None
         self._bus = bus

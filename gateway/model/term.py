@@ -70,8 +70,6 @@ class Term:
         Whether the columns of the bodies are read in the scale that is fitted.
     with_friction : bool
         Whether Coulomb and viscous friction of its axis belong to what is reported.
-    moves_friction : bool
-        Whether friction and rotor inertia of its last joint sit on the motor.
     """
 
     name: ClassVar[str] = ""
@@ -83,7 +81,6 @@ class Term:
     ordinary: ClassVar[bool] = False
     scales_reading: ClassVar[bool] = False
     with_friction: ClassVar[bool] = False
-    moves_friction: ClassVar[bool] = False
 
     @property
     def joints(self) -> tuple[int, ...]:

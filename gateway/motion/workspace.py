@@ -92,11 +92,6 @@ class Workspace:
     max_load: np.ndarray | None
 
     @property
-    def radius_source(self) -> tuple[str, ...]:
-        """One sentence per link beyond the first and for the load: how thick, and where that comes from."""
-        return tuple(f"{part}: {source}" for part, source in zip(self.body.parts, self.body.source, strict=True))
-
-    @property
     def rest_share(self) -> float:
         """Share of the torque limits that rest poses may use."""
         return TORQUE_SHARE_BARE if self.max_load is None else TORQUE_SHARE
@@ -266,28 +261,6 @@ class Workspace:
     def inward_speed_rad_s(self) -> np.ndarray:
         """Speed (N,) of the way back into the joint range."""
         return np.minimum(INWARD_SHARE * self.speed_rad_s, INWARD_SPEED_RAD_S)
-
-    def slowed(self, share: float) -> Workspace:
-        """The same limits for an arm whose time runs slower: speed x share, acceleration x share^2, jerk x share^3.
-
-        Parameters
-        ----------
-        share : float
-            In (0, 1].
-
-        Raises
-        ------
-        ValueError
-            Any other share.
-        """
-        if not 0.0 < share <= 1.0:
-            raise ValueError(f"a share of the speed lies in (0, 1], got {share}")
-        return replace(
-            self,
-            speed_rad_s=share * self.speed_rad_s,
-            acceleration_rad_s2=share**2 * self.acceleration_rad_s2,
-            jerk_rad_s3=share**3 * self.jerk_rad_s3,
-        )
 
     def travel_time(self, start_rad: np.ndarray, end_rad: np.ndarray) -> np.ndarray:
         """Estimate [s] of the time of straight motions (..., N): slowest axis at full speed plus its ramp."""

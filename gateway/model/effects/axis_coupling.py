@@ -68,7 +68,6 @@ class MotorCoupling(_Coupling):
     linear: ClassVar[tuple[bool, ...]] = (True, True, True)
     SPREAD: ClassVar[tuple[float, ...]] = (NAN, NAN, NAN)
     ordinary: ClassVar[bool] = True
-    moves_friction: ClassVar[bool] = True
 
     def columns(self, motion: MovingRows, modelled: Modelled) -> Floats:
         i, j, c = self.inner, self.outer, self.coefficient

@@ -210,10 +210,12 @@ def test_stated_radii_go_from_joint_to_joint(small_cell):
 def test_what_is_assumed_is_said(small_cell):
     arm = arm_of(small_cell)
     workspace = workspace_of(arm, arm_robot(small_cell, arm))
-    assert len(workspace.radius_source) == 6
-    assert workspace.radius_source[0].startswith("link 2: 0.066 m, assumed: 0.05 x reach")
+    body = workspace.body
+    assert len(body.source) == len(body.parts) == 6
+    assert (body.parts[0], body.parts[-1]) == ("link 2", "load")
+    assert body.source[0].startswith("0.066 m, assumed: 0.05 x reach")
     assert workspace.body.radius_m[0] == pytest.approx(0.05 * reach_m(workspace.robot))
-    assert workspace.radius_source[-1].startswith("load: not stated, only the flange")
+    assert body.source[-1].startswith("not stated, only the flange")
 
 
 def test_a_load_has_points_and_thickness(small_cell):

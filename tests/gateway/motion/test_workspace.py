@@ -182,19 +182,6 @@ def test_a_box_on_the_way_in_refuses(workspace):
         inside_a_box.inward_way(q_rad)
 
 
-def test_slowed_limits_are_those_of_slower_time(workspace):
-    """A motion q(t) played as q(s t) has s, s^2 and s^3 times the rates."""
-    slow = workspace.slowed(0.1)
-    assert slow.speed_rad_s == pytest.approx(0.1 * workspace.speed_rad_s)
-    assert slow.acceleration_rad_s2 == pytest.approx(0.01 * workspace.acceleration_rad_s2)
-    assert slow.jerk_rad_s3 == pytest.approx(0.001 * workspace.jerk_rad_s3)
-    assert slow.lower_rad is workspace.lower_rad
-    assert slow.body is workspace.body
-    for share in (0.0, 1.01, -1.0, float("nan")):
-        with pytest.raises(ValueError, match="share of the speed"):
-            workspace.slowed(share)
-
-
 def test_the_first_bad_place_of_a_way_is_named(workspace):
     way = np.zeros((4, 6))
     way[2:, 0] = workspace.upper_rad[0] + 0.1
