@@ -40,6 +40,32 @@ FLOORS: Final = (
 )
 
 
+#: Files that a torque passes from the frame with 0x6077 to the mass in the report, and what it is called there.
+TORQUE_PATH: Final = (
+    ("drives/exchange.py", "frames"),
+    ("drives/decode.py", "torque_nm"),
+    ("drives/values.py", "torque_nm"),
+    ("drives/epoch.py", "readings"),
+    ("gateway/motion/arm.py", "torque_nm"),
+    ("gateway/data/sample.py", "joint_torque_nm"),
+    ("gateway/acquire/run.py", "samples"),
+    ("gateway/data/visit.py", "motor_torque_nm"),
+    ("gateway/data/recording/writer.py", "motor_torque_nm"),
+    ("gateway/data/recording/reader.py", "motor_torque_nm"),
+    ("gateway/data/recording/recorded.py", "motor_torque_nm"),
+    ("gateway/cell/conversion.py", "joint_torque"),
+    ("gateway/data/rows.py", "tau_nm"),
+    ("gateway/model/visits.py", "tau_nm"),
+    ("gateway/estimate/problem.py", "target"),
+    ("gateway/estimate/noise.py", "target"),
+    ("gateway/identify/solve.py", "target"),
+    ("gateway/estimate/describe.py", "moment"),
+    ("gateway/identify/load_estimate.py", "mass_kg"),
+    ("gateway/result/result.py", "mass_kg"),
+    ("gateway/report/view.py", "mass"),
+)
+
+
 @dataclass(frozen=True, slots=True)
 class House:
     """What was read.
@@ -158,6 +184,11 @@ def figures(house: House) -> dict[str, dict]:
             "value": len(upward(house)),
             "goal": "<= 2",
             "list": [f"{start} -> {end}" for start, end in upward(house)],
+        },
+        "files that a torque passes to become a mass": {
+            "value": len(TORQUE_PATH),
+            "goal": "<= 20",
+            "list": [f"{path}: {name}" for path, name in TORQUE_PATH],
         },
         "rooms that have no floor": {"value": len(bare), "list": bare},
         "public class names used twice": {

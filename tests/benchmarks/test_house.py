@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.house import FLOORS, ROOT, House, circles, figures, read_house, upward
+from benchmarks.house import FLOORS, ROOT, TORQUE_PATH, House, circles, figures, read_house, upward
 
 
 @pytest.fixture(scope="module")
@@ -58,3 +58,8 @@ def test_floors_are_those_that_the_linter_holds() -> None:
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
     layers = next(each["layers"] for each in contracts if each["type"] == "layers")
     assert [tuple(layer.split(" : ")) for layer in reversed(layers)] == list(FLOORS)
+
+
+@pytest.mark.parametrize(("path", "name"), TORQUE_PATH)
+def test_the_way_of_a_torque_is_as_drawn(path, name):
+    assert name in (ROOT / path).read_text(encoding="utf-8")
