@@ -46,7 +46,7 @@ chaos: venv
 soak: venv
 	$(BIN)/python -m benchmarks.chaos soak --out out/soak
 
-# A quarter of an hour: 200 small mistakes, each put in and looked for by the tests.
+# Half an hour: 200 small mistakes, each put in and looked for by the tests.
 mutants: venv
 	$(BIN)/python -m benchmarks.mutants --out out/mutants
 

@@ -205,3 +205,11 @@ def test_a_trace_holds_what_was_sent_and_received(tmp_path):
 def test_a_trace_that_cannot_be_written_is_an_error(tmp_path):
     with pytest.raises(BusError, match="trace"):
         open_bus(BusSpec("virtual", "trace"), trace=tmp_path / "missing" / "trace.log")
+
+
+@pytest.mark.parametrize(
+    ("interface", "stamped"),
+    [("socketcan", True), ("udp_multicast", True), ("virtual", True), ("pcan", False), ("slcan", False)],
+)
+def test_stamps_of_hardware_with_a_clock_of_its_own_are_not_compared_with_ours(wire, interface, stamped):
+    assert Bus(wire, BusSpec(interface, "x")).stamped == stamped

@@ -74,6 +74,24 @@ def test_what_stays_on_with_sync_is_counted_into_the_load(bus, slaves, setups, l
         configured(bus, chosen, options=limit)
 
 
+@pytest.mark.parametrize(("limit_percent", "refused"), [(12.0, True), (14.0, False)])
+def test_a_load_that_is_too_high_is_refused_before_anything_is_written(
+    bus, slaves, setups, locked, limit_percent, refused
+):
+    """SYNC 55, TPDOs 135 and 115, RPDO 135 bits are 11 % of 4 ms; what stays on takes 115 bits more."""
+    (slave,) = slaves
+    slave._pdo(0x1802, 0x1A02, 0x381, [STATUSWORD, POSITION])
+    slave.values[0x1802, 2] = 1
+    options = GroupOptions(load_limit_percent=limit_percent)
+    if refused:
+        with pytest.raises(BusOverload):
+            configured(bus, with_profile(setups(1), locked), options=options)
+        assert slave.written == []
+    else:
+        configured(bus, with_profile(setups(1), locked), options=options).close()
+        assert slave.written != []
+
+
 def test_what_stays_on_by_event_is_named_and_not_counted(bus, slaves, setups, locked):
     (slave,) = slaves
     chosen = with_profile(setups(1), locked)

@@ -9,13 +9,16 @@ import numpy as np
 import pinocchio
 import pytest
 
+from gateway.errors import ConfigError
 from gateway.identify.links import (
     PER_LINK_AT_REST,
     PER_LINK_MOVING,
     body_parameters,
+    default_inertials,
     has_inertials,
     link_prior,
     link_values,
+    parse_inertials,
 )
 from gateway.model.robot import Robot, link_lengths_m, robot_from_urdf
 
@@ -80,3 +83,24 @@ def test_has_inertials_asks_for_every_link(robot):
     massless[1] = 0.0
     assert not has_inertials(replace(robot, mass_kg=massless))
     assert np.isnan(link_values(without(robot, 5))[5]).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "share"),
+    [("exact", 0.0), ("ignore", np.inf), ("prior:0.05", 0.05), ("prior:2", 2.0), ("prior:1e-3", 1e-3)],
+)
+def test_how_far_the_robot_model_is_believed_is_read_from_a_word(text, share):
+    assert parse_inertials(text) == share
+
+
+@pytest.mark.parametrize(
+    "text", ["", "0.05", "prior", "prior:", "prior:x", "prior:0", "prior:-1", "prior:nan", "prior:inf"]
+)
+def test_any_other_word_is_refused(text):
+    with pytest.raises(ConfigError, match="use exact, ignore, or prior:S with S > 0"):
+        parse_inertials(text)
+
+
+def test_a_robot_model_is_believed_by_default_as_far_as_it_says_anything(robot):
+    assert default_inertials(robot) == default_inertials(without(robot, 2)) == "prior:0.05"
+    assert default_inertials(replace(robot, mass_kg=np.full(6, np.nan))) == "ignore"

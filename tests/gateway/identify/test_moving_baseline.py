@@ -10,7 +10,7 @@ import pytest
 from benchmarks.rigs.tables import make_table
 from gateway.data.rows import MOVING, concatenate
 from gateway.identify.links import PER_LINK_MOVING, link_prior
-from gateway.identify.moving_baseline import FREE, INERTIA_RADIUS_M, TIGHT_OFFSET, baseline, free_labels
+from gateway.identify.moving_baseline import FREE, INERTIA_RADIUS_M, SIZE, TIGHT_OFFSET, baseline, free_labels
 from gateway.model.motion import prepare
 from gateway.model.robot import robot_from_urdf
 
@@ -116,3 +116,15 @@ def test_a_load_of_given_rows_alone_has_columns_only_where_it_was_weighed(robot)
     assert free_labels(motion, TRUST, {}) == []
     assert free_labels(motion, TRUST, {"tool": (8.0, np.zeros(3))}) == ["tool"]
     assert free_labels(prepare(rows("tool", 1), rows("none", 2), robot, GRAVITY), TRUST, {}) == ["tool"]
+
+
+def test_without_cad_a_link_may_be_as_heavy_as_the_strongest_axis_holds_at_half_the_reach(robot):
+    motion, base = built(robot, ["none"], trust=None)
+    reach = np.linalg.norm(robot.placement[1:, :3, 3], axis=1)
+    heaviest = SIZE * torque_scale(motion).max() / (9.80665 * 0.5 * reach.sum())
+    seen = np.flatnonzero(base.body[:, : base.friction.min()].any(axis=1))
+    std = 1.0 / np.sqrt(base.precision[: len(seen)])
+    length = np.maximum(np.append(reach, 0.0), 0.15 * reach.sum())
+    power = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
+    assert std == pytest.approx(heaviest * length[seen // 10] ** power[seen % 10])
+    assert not base.mean[: len(seen)].any()

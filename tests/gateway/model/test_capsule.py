@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.model.capsule import Capsule, capsule_of
+from gateway.model.capsule import Capsule, capsule_around, capsule_of
 from gateway.model.mesh import MeshError
 from gateway.model.robot import LinkShape
 from gateway.model.urdf_shapes import Box, Cylinder, Mesh, Sphere
@@ -62,3 +62,15 @@ def test_mesh_lies_in_its_capsule_where_the_link_has_it(tmp_path: Path):
     assert capsule.radius_m < 0.12
     with pytest.raises(MeshError):
         capsule_of(LinkShape(POSE, Mesh("gone.obj", (1.0, 1.0, 1.0)), True), str(tmp_path / "robot.urdf"))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_capsule_goes_with_its_points_wherever_they_are(seed: int):
+    """Which of the axes is taken depends on the points alone, not on where the link's frame is."""
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(12, 3)) * rng.uniform(0.2, 1.0, 3)
+    shift = 10.0 * rng.normal(size=3)
+    here, there = capsule_around(points), capsule_around(points + shift)
+    assert there.radius_m == pytest.approx(here.radius_m)
+    ends = {tuple(np.round(end, 6)) for end in (here.start_m, here.end_m)}
+    assert {tuple(np.round(end - shift, 6)) for end in (there.start_m, there.end_m)} == ends

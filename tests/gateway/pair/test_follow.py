@@ -61,3 +61,18 @@ def test_syncs_that_follow_too_soon_tell_nothing(arm, wrench):
     wrench.update(21, pushed)
     assert np.array_equal(wrench.wrench, before)
     assert wrench.external_nm is None
+
+
+def test_a_way_that_begins_to_slow_down_is_expected_to_need_what_it_needed_before(wrench):
+    """At a rate a hair below the full one torque and friction's band are those of the full rate."""
+    full, slowed = wrench._expected(60, 1.0, SPEED_RAD_S), wrench._expected(60, 1.0 - 1e-9, SPEED_RAD_S)
+    assert slowed[0] == pytest.approx(full[0], rel=1e-6, abs=1e-6)
+    assert slowed[1] == pytest.approx(full[1], abs=1e-6)
+
+
+def test_an_arm_that_has_come_to_rest_on_the_way_needs_its_weight_alone_and_may_rub_either_way(arm, wrench):
+    known, band = wrench._expected(60, 0.0, np.zeros(6))
+    q = arm.start_rad + SPEED_RAD_S * (60 * DT_S - LAG_S - DT_S)
+    still = np.zeros((1, 6))
+    assert known == pytest.approx(arm.model_torque(q[None], still, still)[0], abs=1e-6)
+    assert band == pytest.approx(arm.coulomb_nm)

@@ -12,7 +12,10 @@ from gateway.motion.power import powered
 from gateway.motion.stops import StopKind
 from gateway.motion.stream import MoveOptions, Stream
 from gateway.pair.cell import load_pair
-from gateway.pair.gap import instruments_on
+from gateway.pair.controller import PairController
+from gateway.pair.embodiments import EMBODIMENTS
+from gateway.pair.function import constant_function
+from gateway.pair.gap import gap_layout, instruments_on
 from gateway.pair.motion import APPROACH_RAD_S, APPROACH_S, PairMotion, calibration_of, refuse_unreachable
 from tests.gateway.pair.together import EXAMPLE, Together
 
@@ -133,3 +136,28 @@ def test_a_device_is_read_on_its_own_bus_alone(pair, distance_cell):
     assert instruments_on(other, distance_cell.config) == ()
     assert instruments_on(config.bus, pair.cell.config) == ()
     assert instruments_on(config.bus, None) == ()
+
+
+def test_a_beam_is_a_direction_however_long_it_is_written(distance_cell):
+    """The same sensors with beams of twice and half the length say the same of any hand."""
+    config, wanted = distance_cell.config.distance, distance_cell.nominal_relation
+    slave = distance_cell.nominal_slave(distance_cell.path(1.0))[0]
+    gaps = np.array([channel.gap_m for channel in config.channel]) + 1e-4 * np.arange(len(config.channel))
+    found = []
+    for length in (0.5, 1.0, 2.0):
+        channels = tuple(
+            one.model_copy(update={"beam": tuple(length * value for value in one.beam)}) for one in config.channel
+        )
+        layout = gap_layout(config.model_copy(update={"channel": channels}), 1, wanted)
+        found.append(layout.estimator.error_in_base(gaps, slave))
+    assert found[0] == pytest.approx(found[1])
+    assert found[2] == pytest.approx(found[1])
+    assert np.abs(found[1]).max() > 1e-5
+
+
+@pytest.mark.parametrize("row", EMBODIMENTS.values(), ids=EMBODIMENTS)
+def test_present_positions_are_asked_for_by_rows_that_learn_from_them_alone(pair, row):
+    path = pair.cell.path(1.0)
+    controller = PairController(row, path, calibration_of(pair.cell), constant_function(pair.cell.nominal_relation))
+    learns = None if row.learning is None else row.learning.source
+    assert controller.needs_measured == (learns in ("measured", "master_measured"))

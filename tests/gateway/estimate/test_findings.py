@@ -1,0 +1,91 @@
+"""What is said of a load and of the rows: by numbers that stand on either side of each limit."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from gateway.estimate import advice, difference, posture
+from gateway.estimate.consistency import physical_findings
+from gateway.estimate.describe import axis_sigma
+from gateway.model.base import rest_base
+
+
+def load(mass_kg: float, std_kg: float = 0.1, com_m=(0.0, 0.0, 0.1), com_std_m=(0.01, 0.01, 0.01)):
+    return SimpleNamespace(
+        label="tool", mass_kg=mass_kg, mass_std_kg=std_kg, com_m=np.array(com_m), com_std_m=np.array(com_std_m)
+    )
+
+
+@pytest.mark.parametrize(
+    ("mass_kg", "says"),
+    [(-0.01, "which no body has"), (0.0, "which no body has"), (0.195, "cannot be told from zero"), (0.197, "")],
+)
+def test_a_mass_is_judged_by_zero_and_by_its_uncertainty(mass_kg, says):
+    """95 % of a normal error of 0.1 kg lie within 0.196 kg."""
+    found = physical_findings(load(mass_kg), 1.0)
+    assert [says in finding.what for finding in found] == ([True] if says else [])
+    assert physical_findings(load(np.nan), 1.0) == []
+
+
+@pytest.mark.parametrize(
+    ("com_x_m", "std_m", "says"),
+    [
+        (0.99, 0.0, ""),
+        (1.02, 0.0, "outside a sphere"),
+        (1.02, 0.1, "within its uncertainty"),
+        (1.02, np.nan, "outside"),
+    ],
+)
+def test_a_centre_of_mass_outside_the_sphere_is_doubted(com_x_m, std_m, says):
+    found = physical_findings(load(9.0, com_m=(com_x_m, 0.0, 0.0), com_std_m=(std_m, 0.0, 0.0)), 1.0)
+    assert [says in finding.what for finding in found] == ([True] if says else [])
+    if found:
+        assert ("may lie inside" in found[0].what) == (std_m == 0.1)
+
+
+def test_the_noise_of_an_axis_is_that_of_its_own_rows():
+    axis = np.array([0, 0, 0, 2, 2, 5])
+    fit = SimpleNamespace(weight=1.0 / np.array([1.0, 2.0, 9.0, 4.0, 4.0, 0.5]))
+    found = axis_sigma(SimpleNamespace(axis=axis), fit)  # type: ignore[arg-type]
+    assert found == pytest.approx([2.0, np.nan, 4.0, np.nan, np.nan, 0.5], nan_ok=True)
+
+
+def test_what_lumps_with_the_load_is_named_and_nothing_else(arm):
+    base = rest_base(arm.robot)
+    said = posture._limits(base).what
+    listed = said[said.index("(") + 1 : said.rindex(");")].split("; ")
+    assert listed == [name for name in base.names if "_6" in name]
+    assert 0 < len(listed) < len(base.names)
+
+
+def test_what_a_load_leaves_open_may_be_as_large_as_a_load_nobody_knows():
+    """Mass up to a load nobody knows, moments up to that 0.3 m away; what is known stays as it is."""
+    known = SimpleNamespace(refused=None, covariance=np.diag([1.0, 2.0, 3.0, 4.0]), unidentifiable=())
+    assert advice._with_unknown(known) == pytest.approx(known.covariance, abs=1e-9)  # type: ignore[arg-type]
+    half = SimpleNamespace(refused=None, covariance=known.covariance, unidentifiable=("com_y_m",))
+    wide = (0.3 * advice._UNKNOWN_KG) ** 2
+    assert np.diag(advice._with_unknown(half)) == pytest.approx([1.0, 2.0, 3.0 + wide, 4.0])  # type: ignore[arg-type]
+    mass = SimpleNamespace(refused=None, covariance=known.covariance, unidentifiable=("mass_kg",))
+    assert advice._with_unknown(mass)[0, 0] == pytest.approx(1.0 + advice._UNKNOWN_KG**2)  # type: ignore[arg-type, index]
+    refused = SimpleNamespace(refused="too few", covariance=known.covariance, unidentifiable=())
+    assert advice._with_unknown(refused) is None  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("times", "said"), [(0.9, False), (1.1, True)])
+def test_rows_contradict_each_other_where_they_leave_more_than_friction_does(monkeypatch, times, said):
+    """Residuals in units of what the half differences scatter by, of the axes whose scatter is known."""
+    sigma = np.array([1.0, 2.0, 4.0, 0.5, 1.0, 1.0])
+    freedom = np.array([9, 9, 9, 9, 2, 9])
+    monkeypatch.setattr(difference, "band_scatter", lambda _visits: (sigma**2, freedom))
+    monkeypatch.setattr(difference, "disagree", lambda _masses: True)
+    axis = np.tile(np.arange(6), 20)
+    residual = times * difference.CONTRADICTS * sigma[axis] * np.where(axis == 4, 1e6, 1.0)
+    fit = SimpleNamespace(solution=SimpleNamespace(residual=residual))
+    told = difference._contradiction(None, fit, SimpleNamespace(per_pose_mass_kg={"a": 3.0, "b": 9.0}), axis)  # type: ignore[arg-type]
+    assert (told is not None) == said
+    if told is not None:
+        assert f"{times * difference.CONTRADICTS:.0f} times what the friction leaves" in told
+        assert "3 to 9 kg (median 6)" in told
