@@ -85,3 +85,9 @@ def test_penalised_least_squares_is_least_squares_with_the_prior_as_rows():
     assert value == pytest.approx(expected, abs=1e-8)
     assert inverse == pytest.approx(linalg.inv(rows.T @ rows), rel=1e-6)
     assert cost == pytest.approx(np.sum((rows @ expected - right) ** 2), rel=1e-8)
+
+
+def test_condition_is_that_of_columns_of_unit_length():
+    """Two unit columns at an angle with cosine c have singular values sqrt(1 + c) and sqrt(1 - c)."""
+    design = np.array([[1.0, 0.6], [0.0, 0.8], [0.0, 0.0]]) * [3.0, 0.01]
+    assert solve(design, np.ones(3), np.ones(3)).condition == pytest.approx(np.sqrt(1.6 / 0.4))

@@ -74,3 +74,13 @@ def test_a_capsule_goes_with_its_points_wherever_they_are(seed: int):
     assert there.radius_m == pytest.approx(here.radius_m)
     ends = {tuple(np.round(end, 6)) for end in (here.start_m, here.end_m)}
     assert {tuple(np.round(end - shift, 6)) for end in (there.start_m, there.end_m)} == ends
+
+
+def test_a_capsule_about_points_far_from_the_origin_is_hardly_larger_than_they_need():
+    """A three-cornered bar: the circle about an equilateral triangle of side a has the radius a / sqrt 3."""
+    angle = np.deg2rad([90.0, 210.0, 330.0])
+    corners = 0.1 * np.stack([np.cos(angle), np.sin(angle)], axis=1) + [2.0, -3.0]
+    points = np.array([[x, y, z] for x, y in corners for z in np.linspace(0.0, 1.0, 11)])
+    capsule = capsule_around(points)
+    assert max(distance(capsule, point) for point in points) <= capsule.radius_m * (1 + 1e-9)
+    assert capsule.radius_m == pytest.approx(0.1, rel=0.03)

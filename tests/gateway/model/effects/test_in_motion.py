@@ -263,6 +263,14 @@ def test_what_the_rows_cannot_show_is_not_tried(motion):
     assert joints_of(terms_in_motion(stiff, setup(motion)), "joint_elasticity") == [(1,), (3,)]
 
 
+def test_balancers_are_tried_all_around_the_joint(motion):
+    terms = terms_in_motion(motion, setup(motion))
+    for law in (CoilBalancer, GasBalancer):
+        phases = np.unwrap(np.sort([term.phase_rad for term in terms if type(term) is law]))
+        gaps = np.diff(np.append(phases, phases[0] + 2.0 * np.pi))
+        assert gaps.max() == pytest.approx(np.pi / 6)
+
+
 def test_a_swing_is_read_off_the_residual(motion):
     rng = np.random.default_rng(0)
     left = 0.1 * rng.normal(size=(N, 6))

@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gateway.identify.load_estimate import load_from_moment
+from gateway.identify.load_estimate import (
+    LOAD_PARTS,
+    in_flange,
+    known_load,
+    load_from_moment,
+    load_result,
+    refused_load,
+    unknown_load,
+    without_guesses,
+)
 
 MOMENT = np.array([10.0, 1.0, -0.5, 2.0])
 MIX = np.random.default_rng(3).normal(size=(4, 4))
@@ -38,3 +47,32 @@ def test_what_the_data_do_not_determine_is_unknown_and_named():
     assert np.isnan(correlation[2]).all()
     assert np.isnan(correlation[:, 2]).all()
     assert correlation[3, 3] == 1.0
+
+
+def test_a_coordinate_less_sure_than_the_arm_is_long_is_a_guess():
+    spread = np.diag([1e-4, 1e-4, 1e-4, 900.0])
+    load = load_from_moment("a", MOMENT, spread, np.ones(4), np.array([True, False, True, True]))
+    told = without_guesses(load, 1.5)
+    assert told.unidentifiable == ("com_x_m", "com_z_m")
+    assert np.isnan(told.com_m).tolist() == [True, False, True]
+    assert np.isnan(told.com_std_m[2])
+    assert np.isnan(told.correlation[3]).all()
+    assert told.correlation[0, 2] == pytest.approx(load.correlation[0, 2])
+    assert without_guesses(load, 4.0) is load
+
+
+def test_loads_that_are_not_estimated():
+    weighed = load_result(known_load("a", 2.0, np.array([0.1, 0.0, 0.2])), None)
+    assert (weighed.mass_kg, weighed.mass_std_kg, weighed.com_m) == (2.0, 0.0, (0.1, 0.0, 0.2))
+    nothing = load_result(unknown_load("b"), None)
+    assert np.isnan(nothing.mass_kg)
+    assert (nothing.com_m, nothing.correlation, nothing.unidentifiable) == (None, None, LOAD_PARTS)
+    refused = load_result(refused_load("c", "two masses", {"1": 3.0}), None)
+    assert (refused.refused, refused.per_pose_mass_kg, refused.correlation) == ("two masses", {"1": 3.0}, None)
+
+
+def test_a_point_in_the_flange_is_seen_from_its_origin_and_axes():
+    flange = np.array([[0.0, -1, 0, 0.1], [1, 0, 0, 0.2], [0, 0, 1, 0.3], [0, 0, 0, 1]])
+    point = np.array([0.4, -0.2, 0.5])
+    there = in_flange(point, flange)
+    assert flange @ np.append(there, 1.0) == pytest.approx(np.append(point, 1.0))
