@@ -51,14 +51,15 @@ def _best_scale(problem: MovingProblem, state: MovingState, pool: Sequence[Term]
 
 def _best_law(problem: MovingProblem, state: MovingState, found: Term, pool: Sequence[Term]) -> Term:
     """The plainest law of the effect in its best shape, or another where the held-out rows clearly want it."""
-    chosen, best = found, -np.inf
+    chosen, best, lead = found, -np.inf, 0.0
     for law in dict.fromkeys(type(term) for term in pool if term.label == found.label):
         members = [term for term in pool if type(term) is law and term.label == found.label]
         member = min(members, key=lambda term: _cost(problem, state, term, np.array(term.start[term.count :])))
         member = _best_shape(problem, state, member)
         trial = put_on_trial(problem, state.fits, state.full, member)
-        if trial is not None and trial.gain > best:
-            chosen, best = member, trial.gain + MOVING.lead
+        if trial is not None and trial.gain - lead > best:
+            chosen, best = member, trial.gain - lead
+        lead = MOVING.lead
     return chosen
 
 
