@@ -1,0 +1,88 @@
+"""A hypothesis at rest: its density, its evidence and its step against closed forms and another library."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from gateway.diagnose.rest.diagnosis import RestDiagnosis
+from gateway.diagnose.rest.fit import fit
+from gateway.diagnose.rest.linear import common_columns, modelled, with_terms
+from gateway.diagnose.rest.problem import first_noise
+from gateway.diagnose.rest.thresholds import REST
+from gateway.model.effects.payload_shift import PayloadShift
+from gateway.model.effects.torque_offset import TorqueOffset
+from tests.resting_arm import Bench, effect
+
+
+@pytest.fixture(scope="module")
+def problem():
+    bench = Bench(4, [effect("torque_offset", [2], offset_nm=40.0)])
+    return RestDiagnosis(bench.robot, bench.options).problem(bench.both())
+
+
+@pytest.fixture(scope="module")
+def fits(problem):
+    noise = first_noise(problem)
+    return fit(problem, (), noise), fit(problem, (TorqueOffset(1),), noise)
+
+
+def density(problem, found) -> float:
+    """Log density of rows, parameters and noise, by scipy's own distributions."""
+    std = found.noise.std[problem.group]
+    rows = stats.norm.logpdf(found.residual, scale=std).sum()
+    parameters = np.concatenate([found.links - problem.links, np.full(problem.n_common - 24, 0.0), found.flat_theta])
+    held = np.isfinite(found.prior_std)
+    # the prior's own constants belong to the evidence
+    prior = -0.5 * np.sum((parameters[held] / found.prior_std[held]) ** 2)
+    used = np.unique(problem.group)
+    shape, start = REST.noise_weight / 2.0, found.noise.start[used] ** 2
+    noise = stats.invgamma.logpdf(found.noise.std[used] ** 2, shape, scale=shape * start) + np.log(start)
+    return float(rows + prior + noise.sum())
+
+
+def test_the_density_of_a_fit_is_that_of_its_distributions(problem, fits):
+    plain, found = fits
+    assert found.mode - plain.mode == pytest.approx(density(problem, found) - density(problem, plain), abs=1e-6)
+
+
+def test_the_evidence_is_the_density_less_the_room_that_the_parameters_had(problem, fits):
+    """Laplace: half the logarithm of the information, and the widths of the priors."""
+    for found in fits:
+        held = np.isfinite(found.prior_std)
+        weighted = found.design / found.noise.std[problem.group][:, None]
+        information = weighted.T @ weighted + np.diag(
+            np.where(held, 1.0 / np.where(held, found.prior_std, 1.0), 0.0) ** 2
+        )
+        widths = np.log(found.prior_std[problem.n_common :]).sum()
+        expected = found.mode - 0.5 * np.linalg.slogdet(information)[1] - widths
+        # the information is that of the step before the last update of the noise
+        assert found.evidence == pytest.approx(expected, abs=0.1)
+
+
+def test_an_offset_that_is_there_is_found_with_its_size(fits):
+    plain, found = fits
+    assert found.evidence - plain.evidence > 20.0
+    assert found.theta[0][0] == pytest.approx(40.0, abs=4.0 * np.sqrt(found.covariance[-1, -1]))
+
+
+def test_columns_are_the_derivatives_of_the_modelled_rows(problem, fits):
+    """Also under a load that has shifted, whose first moment then goes with its mass."""
+    found = fits[0]
+    times = np.sort(problem.rows.time_s[problem.rows.load != "none"])
+    term = PayloadShift(float(times[3]))
+    setting = with_terms([term], [np.array([0.02, -0.01, 0.03])], problem.rows)
+    columns = common_columns(problem, setting, found.links, found.loads, found.band)
+    for place, step in ((3, 1e-3), (problem.load_part(0).start, 1e-3), (problem.load_part(0).start + 2, 1e-3)):
+        moved = np.concatenate([found.links, found.loads.ravel()])
+        sides = []
+        for sign in (1.0, -1.0):
+            at = moved + sign * step * (np.arange(len(moved)) == place)
+            sides.append(modelled(problem, setting, at[:24], at[24:].reshape(-1, 4), found.band))
+        assert columns[:, place] == pytest.approx((sides[0] - sides[1]) / (2 * step), abs=1e-4)
+    for axis in range(6):
+        raised = found.band + 0.5 * (np.arange(6) == axis)
+        change = modelled(problem, setting, found.links, found.loads, raised)
+        change = change - modelled(problem, setting, found.links, found.loads, found.band)
+        assert columns[:, problem.band_part.start + axis] == pytest.approx(2.0 * change, abs=1e-6)
