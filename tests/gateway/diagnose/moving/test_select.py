@@ -1,0 +1,63 @@
+"""What an effect has to show before it is believed: each demand alone decides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from gateway.diagnose.moving.select import believed, demands, penalty
+from gateway.diagnose.moving.thresholds import MOVING
+from gateway.model.effects.axis_coupling import MotorCoupling, TorqueMixing
+from gateway.model.effects.balancer_spring import HarmonicBalancer
+from gateway.model.effects.base_tilt import BaseTilt
+from gateway.model.effects.load_dependent_friction import LoadDependentFriction
+from gateway.model.effects.torque_offset import TorqueOffset
+
+PROBLEM = SimpleNamespace(motion=SimpleNamespace(axes=6))
+TRIED = 200
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A trial that just meets every demand on an effect that any gear has."""
+
+    term: object
+    ratio: float = MOVING.ordinary.ratio
+    gain: float = 1e-9
+    p_demand: float = MOVING.ordinary.p_demand / TRIED
+    p_held: float = MOVING.ordinary.p_held
+    blocks_better: float = MOVING.ordinary.blocks_better
+
+
+@pytest.mark.parametrize(
+    "worse",
+    [
+        {"ratio": MOVING.ordinary.ratio + 1e-9},
+        {"gain": 0.0},
+        {"p_demand": 1.01 * MOVING.ordinary.p_demand / TRIED},
+        {"p_held": MOVING.ordinary.p_held + 1e-9},
+        {"blocks_better": MOVING.ordinary.blocks_better - 1e-9},
+    ],
+    ids=lambda value: next(iter(value)),
+)
+def test_each_demand_alone_decides(worse):
+    shown = Shown(LoadDependentFriction(1))
+    assert believed(PROBLEM, shown, TRIED)
+    assert not believed(PROBLEM, replace(shown, **worse), TRIED)
+
+
+def test_a_fault_or_an_extra_part_needs_more_than_what_any_gear_has():
+    assert demands(LoadDependentFriction(1), 6) is demands(MotorCoupling(4, 5, 1.0), 6) is MOVING.ordinary
+    assert demands(TorqueMixing(4, 5), 6) is demands(TorqueOffset(1), 6) is MOVING.special
+    assert demands(BaseTilt(), 6) is MOVING.special_all_axes
+    assert demands(BaseTilt(), 2) is MOVING.special, "two axes are not many"
+    assert not believed(PROBLEM, Shown(TorqueOffset(1)), TRIED)
+
+
+def test_what_is_rare_and_has_many_shapes_has_more_to_make_good():
+    assert penalty(LoadDependentFriction(1)) == 1.0
+    assert penalty(TorqueOffset(1)) == pytest.approx(1.0 + np.log(MOVING.rare))
+    assert penalty(HarmonicBalancer()) == pytest.approx(4.0 + np.log(MOVING.rare))
