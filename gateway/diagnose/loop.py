@@ -30,9 +30,9 @@ def close_loop(
         Visits measured so far.
     robot : Robot
     options : DiagnoseOptions
-    measure : poses (k, 6) [rad] -> Table
+    measure : poses (k, N) [rad] -> Table
         Drives there under the present load and measures; pose numbers must be new ones.
-    validation_rad : array of shape (k, 6)
+    validation_rad : array of shape (k, N)
         Fresh poses on which the answer is proven; may be empty.
 
     Returns
@@ -58,8 +58,8 @@ def close_loop(
 
 
 def next_poses(result: Result) -> Floats:
-    """Poses (k, 6) [rad] that a result asks for; empty where it asks for none."""
+    """Poses (k, N) [rad] that a result asks for; empty where it asks for none."""
     for entry in result.next:
         if entry.poses_rad:
             return np.array(entry.poses_rad, dtype=float)
-    return np.zeros((0, 6))
+    return np.zeros((0, len(result.after.rms_nm)))

@@ -242,7 +242,11 @@ def test_a_defect_is_told_even_where_no_log_can_be_written(monkeypatch, capsys):
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP", "SIGINT"])
 def test_a_signal_before_anything_moves_ends_the_program_with_its_code(name):
     program = (
-        "import os, signal, sys, time\nfrom gateway import cli\nimport gateway.commands.console as console\n"
+        "import os, signal, sys, time\n"
+        # as a terminal leaves them: a program in the background is started with some of them ignored
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"
+        "from gateway import cli\nimport gateway.commands.console as console\n"
         f"console.Session = lambda **_: os.kill(os.getpid(), signal.{name}) or time.sleep(20)\n"
         "sys.argv = ['servo-gateway', 'plan', 'none.toml']\ncli.main()\n"
     )
