@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, f
 
 from gateway.diagnose.rest.linear import Fit, RestProblem
+from gateway.diagnose.rest.thresholds import REST
 
 Floats = NDArray[np.float64]
 DRAWS = 400
@@ -112,7 +113,7 @@ def fresh_misfit(residual: Floats, covariance: Floats, axis: NDArray[np.int_], s
     for number in axes:
         rows = np.flatnonzero(axis == number)
         scaled = residual[rows] @ np.linalg.solve(covariance[np.ix_(rows, rows)], residual[rows])
-        mean = float(scaled) / len(rows) / 1.15
+        mean = float(scaled) / len(rows) / REST.fresh_slack
         if spare is None:
             chance = float(chi2.sf(mean * len(rows), len(rows)))
         else:

@@ -41,6 +41,7 @@ class RestThresholds:
         "probability that noise leaves what is left, below which structure remains",
         "one false alarm in a thousand clean cells",
     )
+    fresh_slack: float = threshold(1.15, "", "by which the variance of fresh rows may be larger than foretold", BLIND)
     most_effects: int = threshold(
         3, "", "effects of one hypothesis", "pairs were the most that blind cells hide, one more to be able to fail"
     )

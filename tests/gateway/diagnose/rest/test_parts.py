@@ -1,0 +1,127 @@
+"""Parts of the diagnosis at rest against closed forms, draws, and fits done the long way."""
+
+from __future__ import annotations
+
+import itertools
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from gateway.diagnose.held import Held
+from gateway.diagnose.rest.holdout import left_out, left_out_with
+from gateway.diagnose.rest.screen import Screen, log_bayes_factor, pair_log_bayes
+from gateway.diagnose.rest.structure import fresh_misfit, spare_rows
+from gateway.diagnose.rest.thresholds import REST
+
+RNG = np.random.default_rng(7)
+
+
+def screened(blocks, target) -> Screen:
+    """Candidates as the screen hands them on: columns in units of their prior, nothing projected out."""
+    tall = np.hstack(blocks)
+    width = np.array([block.shape[1] for block in blocks])
+    start = np.concatenate([[0], np.cumsum(width)[:-1]])
+    score = tall.T @ target
+    alone = [log_bayes_factor(block.T @ block, block.T @ target) for block in blocks]
+    return Screen(tuple(range(len(blocks))), tall, score, start, width, np.array(alone), tall)  # type: ignore[arg-type]
+
+
+def log_marginal(columns, target) -> float:
+    """Log density of rows whose coefficients and noise have unit variance."""
+    covariance = np.eye(len(target)) + columns @ columns.T
+    return float(stats.multivariate_normal.logpdf(target, np.zeros(len(target)), covariance))
+
+
+@pytest.mark.parametrize("width", [1, 2, 4])
+def test_a_bayes_factor_is_the_ratio_of_the_marginal_densities(width):
+    columns, target = RNG.normal(size=(12, width)), 2.0 * RNG.normal(size=12)
+    expected = log_marginal(columns, target) - log_marginal(np.zeros((12, 1)), target)
+    assert log_bayes_factor(columns.T @ columns, columns.T @ target) == pytest.approx(expected)
+
+
+def test_a_pair_is_weighed_as_both_together():
+    blocks, target = [RNG.normal(size=(15, width)) for width in (1, 3, 2, 1)], 2.0 * RNG.normal(size=15)
+    view = screened(blocks, target)
+    pairs = np.array(list(itertools.combinations(range(4), 2)))
+    found = pair_log_bayes(view, pairs[:, 0], pairs[:, 1])
+    nothing = log_marginal(np.zeros((15, 1)), target)
+    for (a, b), value in zip(pairs, found, strict=True):
+        assert value == pytest.approx(log_marginal(np.hstack([blocks[a], blocks[b]]), target) - nothing)
+
+
+@pytest.fixture
+def fitted():
+    """Rows of six poses and a least squares fit to them; the noise differs from row to row."""
+    rows, poses = 30, np.repeat(np.arange(6), 5)
+    design, target = RNG.normal(size=(rows, 4)), RNG.normal(size=rows)
+    std = np.array([0.5, 2.0, 1.0])
+    group = np.arange(rows) % 3
+    weighted, right = design / std[group][:, None], target / std[group]
+    basis, _ = np.linalg.qr(weighted)
+    residual = std[group] * (right - basis @ (basis.T @ right))
+    problem = SimpleNamespace(rows=SimpleNamespace(pose=poses), visit=np.arange(rows), group=group)
+    fit = SimpleNamespace(noise=SimpleNamespace(std=std), residual=residual, orthogonal=basis)
+    return problem, fit, weighted, right
+
+
+def refitted(weighted, right, poses, prior=0) -> np.ndarray:
+    """Residual of each row in the fit without its pose; the last `prior` columns have a unit prior."""
+    out = np.empty(len(right))
+    for pose in np.unique(poses):
+        keep = poses != pose
+        rows = np.vstack([weighted[keep], np.eye(weighted.shape[1])[weighted.shape[1] - prior :]])
+        value = np.linalg.lstsq(rows, np.concatenate([right[keep], np.zeros(prior)]))[0]
+        out[~keep] = (right - weighted @ value)[~keep]
+    return out
+
+
+def test_a_pose_that_is_left_out_is_foretold_by_the_others(fitted):
+    problem, fit, weighted, right = fitted
+    expected = fit.noise.std[problem.group] * refitted(weighted, right, problem.rows.pose)
+    assert left_out(problem, fit) == pytest.approx(expected)
+
+
+def test_and_so_it_is_with_one_more_candidate(fitted):
+    problem, fit, weighted, right = fitted
+    more = RNG.normal(size=(len(right), 2))
+    away = more - fit.orthogonal @ (fit.orthogonal.T @ more)
+    view = screened([away], right - fit.orthogonal @ (fit.orthogonal.T @ right))
+    expected = refitted(np.hstack([weighted, away]), right, problem.rows.pose, prior=2)
+    found = left_out_with(problem, fit, view, 0) / fit.noise.std[problem.group]
+    # the prior is a row that is never left out
+    assert found == pytest.approx(expected)
+
+
+def test_fresh_rows_are_judged_axis_by_axis():
+    """By chi-square where the noise is known, by F where it was told by few rows; times the axes."""
+    axis = np.repeat([0, 2], [4, 6])
+    covariance = np.diag(np.repeat([4.0, 0.25], [4, 6]))
+    residual = np.concatenate([np.full(4, 3.0), np.full(6, 0.5)])
+    mean = np.array([9.0 / 4.0, 1.0]) / REST.fresh_slack
+    known = 2 * min(stats.chi2.sf(mean[0] * 4, 4), stats.chi2.sf(mean[1] * 6, 6))
+    assert fresh_misfit(residual, covariance, axis) == pytest.approx(known)
+    told = 2 * min(stats.f.sf(mean[0], 4, 10.0), stats.f.sf(mean[1], 6, 1.0))
+    assert fresh_misfit(residual, covariance, axis, np.array([10.0, 0.0, 0.3])) == pytest.approx(told)
+    assert fresh_misfit(0.1 * residual, covariance, axis) == 1.0
+
+
+def test_rows_that_the_fit_has_not_taken_up():
+    basis, _ = np.linalg.qr(RNG.normal(size=(12, 3)))
+    problem = SimpleNamespace(axis=np.arange(12) % 4, axes=5)
+    spare = spare_rows(problem, SimpleNamespace(orthogonal=basis))
+    assert spare.sum() == pytest.approx(12 - 3)
+    assert spare[4] == 0.0
+    assert spare[1] == pytest.approx(3.0 - (basis[1::4] ** 2).sum())
+
+
+def test_what_is_held_out_is_pooled_in_units_of_the_noise():
+    residual, axis = np.array([3.0, -4.0, 2.0, 6.0]), np.array([0, 0, 1, 3])
+    held, other = Held.of_rows(residual, axis, 4), Held.of_rows(2.0 * residual, axis, 4)
+    assert held.rms_nm == pytest.approx([np.sqrt(12.5), 2.0, np.nan, 6.0], nan_ok=True)
+    assert held.over(other, range(4), np.ones(4)) == pytest.approx(0.5)
+    mixed = Held.of_rows(np.array([3.0, -4.0, 4.0, 6.0]), axis, 4)
+    noise = np.array([5.0, 1.0, 1.0, 1.0])
+    assert held.over(mixed, (0, 1), noise) == pytest.approx(np.sqrt((1.0 + 4.0) / (1.0 + 16.0)))
+    assert held.over(Held.of_rows(0.0 * residual, axis, 4), (0,), np.ones(4)) == 1.0
