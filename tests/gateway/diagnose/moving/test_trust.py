@@ -1,0 +1,66 @@
+"""The drawing of the links is trusted as far as the rows themselves allow."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from gateway.diagnose import DiagnoseOptions, diagnose
+from gateway.diagnose.moving.fit import MovingNoise, MovingProblem, blocks
+from gateway.diagnose.moving.loads import jackknife
+from gateway.diagnose.moving.trust import log_evidence
+from gateway.identify.moving_baseline import baseline
+from gateway.model.motion import prepare
+from tests.moving_arm import GRAVITY, World, measured
+
+
+def trust_of(result) -> float:
+    said = str(result.provenance["inertials"])
+    return float("inf") if said == "ignore" else float(said.removeprefix("prior:"))
+
+
+@pytest.mark.parametrize(("cad_error", "least", "most"), [(0.0, 0.0, 0.02), (0.25, 0.1, float("inf"))])
+def test_a_good_drawing_is_trusted_and_a_bad_one_is_not(cad_error, least, most):
+    table, robot, _ = measured(3, World(), duration_s=20.0, cad_error=cad_error)
+    assert least <= trust_of(diagnose(table, robot, DiagnoseOptions())) <= most
+
+
+def test_what_the_user_says_of_the_drawing_stands():
+    table, robot, _ = measured(3, World(), duration_s=20.0, cad_error=0.25)
+    for said, trust in (("prior:0.03", 0.03), ("ignore", float("inf"))):
+        assert trust_of(diagnose(table, robot, DiagnoseOptions(inertials=said))) == trust
+
+
+def test_evidence_is_the_marginal_density_of_the_rows():
+    """Against scipy's density of the rows with the parameters integrated out, trust against trust."""
+    table, robot, _ = measured(5, World(), duration_s=3.0, rate_hz=10.0)
+    motion = prepare(table, None, robot, GRAVITY)
+    noise = MovingNoise(np.full(6, 3.0), np.full(6, 0.5))
+    values, expected = [], []
+    for trust in (0.05, 0.2):
+        base = baseline(motion, trust, {})
+        # friction that is nearly free is beyond what a dense density resolves: here it has a size
+        base = replace(base, precision=np.maximum(base.precision, 1e-4))
+        problem = MovingProblem(motion, base, noise, blocks(motion, 3))
+        values.append(log_evidence(problem, ()))
+        judged = motion.judged.ravel()
+        columns = (base.columns * noise.weight[:, None]).reshape(-1, base.columns.shape[2])[judged]
+        target = (motion.tau_nm * noise.weight).ravel()[judged] - columns @ base.mean
+        covariance = np.eye(len(target)) + (columns / base.precision) @ columns.T
+        expected.append(stats.multivariate_normal.logpdf(target, np.zeros(len(target)), covariance))
+    assert values[1] - values[0] == pytest.approx(expected[1] - expected[0], rel=1e-4)
+
+
+def test_a_jackknife_over_means_is_their_variance():
+    """Means without one block each of n: (n - 1) / n times the sum of squares is the variance of the mean."""
+    rng = np.random.default_rng(2)
+    parts = rng.normal(size=(8, 2))
+    without = (parts.sum(axis=0) - parts) / 7.0
+
+    inside, given = (SimpleNamespace(motion=SimpleNamespace(given=np.array(rows))) for rows in ([False], [True]))
+    assert np.diag(jackknife(inside, without)) == pytest.approx(parts.var(axis=0, ddof=1) / 8.0)
+    assert not jackknife(given, without).any()
