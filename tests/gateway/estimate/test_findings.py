@@ -25,9 +25,9 @@ def load(mass_kg: float, std_kg: float = 0.1, com_m=(0.0, 0.0, 0.1), com_std_m=(
 )
 def test_a_mass_is_judged_by_zero_and_by_its_uncertainty(mass_kg, says):
     """95 % of a normal error of 0.1 kg lie within 0.196 kg."""
-    found = physical_findings(load(mass_kg), 1.0)
+    found = physical_findings(load(mass_kg), "link_6", 1.0)
     assert [says in finding.what for finding in found] == ([True] if says else [])
-    assert physical_findings(load(np.nan), 1.0) == []
+    assert physical_findings(load(np.nan), "link_6", 1.0) == []
 
 
 @pytest.mark.parametrize(
@@ -40,7 +40,7 @@ def test_a_mass_is_judged_by_zero_and_by_its_uncertainty(mass_kg, says):
     ],
 )
 def test_a_centre_of_mass_outside_the_sphere_is_doubted(com_x_m, std_m, says):
-    found = physical_findings(load(9.0, com_m=(com_x_m, 0.0, 0.0), com_std_m=(std_m, 0.0, 0.0)), 1.0)
+    found = physical_findings(load(9.0, com_m=(com_x_m, 0.0, 0.0), com_std_m=(std_m, 0.0, 0.0)), "link_6", 1.0)
     assert [says in finding.what for finding in found] == ([True] if says else [])
     if found:
         assert ("may lie inside" in found[0].what) == (std_m == 0.1)
@@ -49,13 +49,13 @@ def test_a_centre_of_mass_outside_the_sphere_is_doubted(com_x_m, std_m, says):
 def test_the_noise_of_an_axis_is_that_of_its_own_rows():
     axis = np.array([0, 0, 0, 2, 2, 5])
     fit = SimpleNamespace(weight=1.0 / np.array([1.0, 2.0, 9.0, 4.0, 4.0, 0.5]))
-    found = axis_sigma(SimpleNamespace(axis=axis), fit)  # type: ignore[arg-type]
+    found = axis_sigma(SimpleNamespace(axis=axis, visits=SimpleNamespace(axes=6)), fit)  # type: ignore[arg-type]
     assert found == pytest.approx([2.0, np.nan, 4.0, np.nan, np.nan, 0.5], nan_ok=True)
 
 
 def test_what_lumps_with_the_load_is_named_and_nothing_else(arm):
     base = rest_base(arm.robot)
-    said = posture._limits(base).what
+    said = posture._limits(base, 6).what
     listed = said[said.index("(") + 1 : said.rindex(");")].split("; ")
     assert listed == [name for name in base.names if "_6" in name]
     assert 0 < len(listed) < len(base.names)
