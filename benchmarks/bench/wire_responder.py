@@ -17,6 +17,8 @@ import can
 CHANNEL = "239.74.163.2"
 NODES = range(1, 7)
 QUIT_ID = 0x7F0
+#: Where a simulated drive says what it is, and what it says: lockstep goes to no other.
+SIMULATOR_OBJECT, SIMULATOR_NAME = (0x5FFE, 0), b"servo-sim"
 TPDO = struct.Struct("<Hih")
 _AFTER = {0x06: 0x21, 0x07: 0x23, 0x0F: 0x27, 0x00: 0x40, 0x02: 0x40}
 
@@ -31,12 +33,14 @@ class Responder:
             self.values[node] |= {
                 (0x1000, 0): 0x00020192,
                 (0x1005, 0): 0x80,
+                (0x1014, 0): 0x80 + node,
                 (0x1018, 1): 2,
                 (0x1018, 4): node,
                 (0x6076, 0): 2000,
                 (0x6064, 0): 1000 * node,
             }
         self.unused: dict[tuple[int, int, int], int] = {}
+        self.text_left = dict.fromkeys(NODES, b"")
         self.state = dict.fromkeys(NODES, 0x40)
         self.tpdos = [
             can.Message(arbitration_id=0x180 + node, data=bytearray(8), is_extended_id=False) for node in NODES
@@ -75,6 +79,13 @@ class Responder:
             values[address] = int.from_bytes(request[4:8], "little")
             self.unused[node, *address] = request[0] & 0x0C
             answer = b"\x60" + request[1:4] + bytes(4)
+        elif request[0] & 0xE0 == 0x40 and address == SIMULATOR_OBJECT:
+            self.text_left[node] = SIMULATOR_NAME
+            answer = b"\x41" + request[1:4] + struct.pack("<I", len(SIMULATOR_NAME))
+        elif request[0] & 0xE0 == 0x60:
+            part, self.text_left[node] = self.text_left[node][:7], self.text_left[node][7:]
+            last = 0 if self.text_left[node] else 1
+            answer = bytes([request[0] & 0x10 | (7 - len(part)) << 1 | last]) + part.ljust(7, b"\0")
         elif request[0] & 0xE0 == 0x40:
             live = {(0x6041, 0): self.state[node], (0x6064, 0): self.positions[node], (0x6061, 0): 8}
             value = live.get(address, values.get(address, 0))
