@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,8 @@ Floats = NDArray[np.float64]
 
 #: What no encoder resolves: an angle [rad], and a share of the wind-up's range.
 LEAST_RAD, LEAST_SHARE = 1e-7, 1e-4
+#: A slope and a constant leave one of them.
+FEWEST_ROWS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +31,13 @@ def design_of(torque_nm: Floats) -> Floats:
     return np.stack([-torque_nm, np.ones(len(torque_nm))], axis=1)
 
 
-def wind_up(torque_nm: Floats, bend_rad: Floats, rows: float, axes: int) -> WindUp:
-    """Compliance from torque (n,) and wind-up (n,), of which so many rows are independent; p over all axes."""
+def wind_up(torque_nm: Floats, bend_rad: Floats, share: Callable[[Floats], float], axes: int) -> WindUp:
+    """Compliance from torque (n,) and wind-up (n,); `share` of a residual (n,) is independent, p is over all axes."""
     design = design_of(torque_nm)
     value, *_ = np.linalg.lstsq(design, bend_rad, rcond=None)
-    left, freedom = bend_rad - design @ value, rows - 2.0
+    left = bend_rad - design @ value
+    rows = max(share(left) * len(left), FEWEST_ROWS)
+    freedom = rows - 2.0
     least = LEAST_RAD + LEAST_SHARE * float(np.ptp(bend_rad))
     spread = max(float(np.sqrt(np.mean(left**2) * rows / freedom)), least) * np.sqrt(len(left) / rows)
     std = float(spread * np.sqrt(np.linalg.pinv(design.T @ design)[0, 0]))

@@ -27,12 +27,9 @@ def elastic_joints(problem: MovingProblem, state: MovingState) -> tuple[EffectRe
         if not np.isfinite(bend).all() or not motion.measured[axis]:
             continue
         fitted = ~motion.given
-        design = design_of(torque)
-        slope, *_ = np.linalg.lstsq(design[fitted], bend[fitted], rcond=None)
-        share = counting_share((bend - design @ slope)[fitted])
-        seen = wind_up(torque[fitted], bend[fitted], max(share * int(fitted.sum()), 3.0), motion.axes)
+        seen = wind_up(torque[fitted], bend[fitted], counting_share, motion.axes)
         compliance, std = seen.compliance_rad_nm, seen.std_rad_nm
-        ratio = _foretold(problem, design, bend)
+        ratio = _foretold(problem, design_of(torque), bend)
         bent = compliance * float(np.abs(torque).max())
         if compliance < MOVING.wind_up * std or ratio > MOVING.wind_up_ratio or bent > MOVING.largest_wind_up_rad:
             continue

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.diagnose.held import TWO_SIDED_95
 from gateway.diagnose.moving.fit import MovingProblem
 from gateway.diagnose.moving.loads import over_blocks
 from gateway.diagnose.moving.state import MovingState
@@ -22,7 +23,6 @@ from gateway.result.values import matrix, numbers
 
 Floats = NDArray[np.float64]
 
-TWO_SIDED_95 = 1.96
 MOST_POINTS = 300
 
 

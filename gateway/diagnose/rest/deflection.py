@@ -27,7 +27,7 @@ def elastic_joints(problem: RestProblem, after: Fit) -> list[EffectResult]:
         bend = rows.wind_up_rad[:, axis]
         if not np.isfinite(bend).all() or len(bend) < 4:
             continue
-        found = wind_up(prediction.joint_nm[:, axis], bend, len(bend), problem.axes)
+        found = wind_up(prediction.joint_nm[:, axis], bend, lambda _: 1.0, problem.axes)
         compliance, std = found.compliance_rad_nm, found.std_rad_nm
         if compliance < REST.wind_up * std or _strength(problem, after, axis, compliance) < REST.wind_up_strength:
             continue

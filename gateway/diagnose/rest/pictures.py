@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.diagnose.held import TWO_SIDED_95
 from gateway.diagnose.rest.decide import Decision
 from gateway.diagnose.rest.holdout import Unseen
 from gateway.diagnose.rest.linear import Fit, RestProblem, visit_loads, with_terms
@@ -28,7 +29,6 @@ from gateway.result.values import Matrix, matrix, numbers
 
 Floats = NDArray[np.float64]
 
-TWO_SIDED_95 = 1.96
 GRID = 60
 GRID_MARGIN = 0.05
 STEP = 1e-4
