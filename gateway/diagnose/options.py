@@ -29,6 +29,7 @@ class DiagnoseOptions:
     holdout_kind : "given" (by the user) or "fresh" (measured afterwards)
     only, without : names of effects that alone are tried, that are not tried
     gravity_m_s2 : gravity in the frame of the base
+    gain_std : (N,) relative standard deviation of the torque constants; None = as of a table that states none
     efficiency : (N,) gear efficiencies that the table's torque still has to go through; None = lossless
     gear_ratio : (N,), NaN where unknown; None = all unknown
     pose_choice : (k, N) poses that may be asked for; None = between the joint angles that were visited
@@ -42,6 +43,7 @@ class DiagnoseOptions:
     only: frozenset[str] = frozenset()
     without: frozenset[str] = frozenset()
     gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.80665)
+    gain_std: tuple[float, ...] | None = None
     efficiency: Floats | None = None
     gear_ratio: Floats | None = None
     pose_choice: Floats | None = None

@@ -39,6 +39,7 @@ class EstimateOptions:
     bare : Bare or None
         Stored bare identification.
     gravity_m_s2 : base frame
+    gain_std : (N,) relative standard deviation of the torque constants; None = as of a table that states none
     efficiency : gear efficiency of every axis, or one for all
         1 where the torque already stands behind the gear.
     coefficient : Coefficient or None
@@ -51,6 +52,7 @@ class EstimateOptions:
     known: Mapping[str, Four] = field(default_factory=dict)
     bare: Bare | None = None
     gravity_m_s2: tuple[float, float, float] = STANDARD_GRAVITY_M_S2
+    gain_std: tuple[float, ...] | None = None
     efficiency: tuple[float, ...] = (1.0,)
     coefficient: Coefficient | None = None
     hull_radius_m: float | None = None

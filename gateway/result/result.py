@@ -50,7 +50,8 @@ class LoadResult:
     """One load on the flange.
 
     `com_m`, `com_std_m` [m] in `frame`, that of the last link; `correlation` of [mass, x, y, z]; `per_pose_mass_kg`
-    keyed by the pose number. A refused load keeps NaN everywhere and says why in `refused`.
+    keyed by the pose number; `budget` the share of the mass's variance by source, `constants`, `links`, `friction` and
+    `noise`, sum 1. A refused load keeps NaN everywhere and says why in `refused`.
     """
 
     label: str
@@ -63,6 +64,7 @@ class LoadResult:
     correlation: Matrix | None = field(default=None, metadata=SILENT)
     unidentifiable: tuple[str, ...] = ()
     per_pose_mass_kg: Mapping[str, Number] = field(default_factory=dict)
+    budget: Mapping[str, Number] = field(default_factory=dict, metadata=SILENT)
     refused: str | None = field(default=None, metadata=SILENT)
 
 
@@ -103,6 +105,31 @@ class Rejected:
     name: str
     joints: tuple[int, ...] = ()
     holdout_rms_ratio: Number = NAN
+
+
+@dataclass(frozen=True, slots=True)
+class NuisanceResult:
+    """What every arm has, one number an axis, with its standard deviation: `gain`, `bias_nm`, `load_friction`."""
+
+    value: Numbers = ()
+    std: Numbers = ()
+
+
+@dataclass(frozen=True, slots=True)
+class SetAside:
+    """A visit or a period that was found gross on one axis, and is in no fit: by how many bands it lies off.
+
+    `pose` at rest, `from_s` and `to_s` in motion; `joint` from 1; `reason` in words.
+    """
+
+    run: str
+    load: str
+    joint: int
+    bands: Number
+    pose: int | None = field(default=None, metadata=SILENT)
+    from_s: Number = field(default=NAN, metadata=SILENT)
+    to_s: Number = field(default=NAN, metadata=SILENT)
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,6 +223,8 @@ class Result:
     rejected: tuple[Rejected, ...] = ()
     next: tuple[NextMeasurement, ...] = ()
     findings: tuple[Finding, ...] = ()
+    nuisance: Mapping[str, NuisanceResult] = field(default_factory=dict, metadata=SILENT)
+    set_aside: tuple[SetAside, ...] = field(default=(), metadata=SILENT)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     method: str | None = field(default=None, metadata=SILENT)
     parameters: tuple[Parameter, ...] = ()

@@ -1,0 +1,136 @@
+"""What every arm has beside its links, its loads and its friction bands, as parameters with priors (`methods.md` 9).
+
+Per axis a gain error of the reading, a bias that friction leaves in the middle of both sides, and a loss that grows
+with the torque. None of them is an effect: a result is as sure as they are known, and an effect is named only where it
+goes beyond them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gateway.errors import ConfigError
+
+Floats = NDArray[np.float64]
+
+#: Relative standard deviation of a torque whose constants nobody states.
+TABLE_GAIN_STD: Final = 0.03
+#: Share of the friction band by which the two directions differ.
+BIAS_SHARE: Final = 0.10
+#: Loss over transmitted torque, and its standard deviation.
+LOAD_FRICTION: Final = 0.05
+LOAD_FRICTION_STD: Final = 0.05
+#: Share of a loss by which driving and driven back differ beyond what one efficiency says.
+UNEVEN_LOSS: Final = 0.10
+#: Standard deviations of its prior that an ordinary parameter may lie off before it is an effect.
+ORDINARY_STD: Final = 2.0
+#: Relative standard deviation beyond which a gain says nothing of a mass.
+_MOST_GAIN_STD: Final = 0.3
+#: Least relative standard deviation that is told from none in the arithmetic.
+_EXACT: Final = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NuisancePrior:
+    """Prior of what every arm has, N axes.
+
+    Attributes
+    ----------
+    gain, gain_std : (N,) measured torque over true torque, less 1
+    bias_std_nm : (N,) of the bias by direction, mean 0
+    load_friction, load_friction_std : (N,)
+    """
+
+    gain: Floats
+    gain_std: Floats
+    bias_std_nm: Floats
+    load_friction: Floats
+    load_friction_std: Floats
+
+    @property
+    def mean(self) -> Floats:
+        """Means (3 N,) of gains, biases [Nm] and load frictions."""
+        return np.concatenate([self.gain, np.zeros_like(self.gain), self.load_friction])
+
+    @property
+    def std(self) -> Floats:
+        """Standard deviations (3 N,) in the same order."""
+        return np.concatenate([self.gain_std, self.bias_std_nm, self.load_friction_std])
+
+
+def gain_stds(given: Sequence[float] | None, axes: int) -> Floats:
+    """Relative standard deviation (N,) of each axis's torque constant.
+
+    Raises
+    ------
+    ConfigError
+        Another number of axes, a negative one, or one of 30 % and more: that is no constant.
+    """
+    if given is None:
+        return np.full(axes, TABLE_GAIN_STD)
+    values = np.asarray(given, dtype=float)
+    if values.shape != (axes,):
+        raise ConfigError(f"{len(values)} standard deviations of torque constants for an arm of {axes} axes")
+    if not (np.isfinite(values) & (values >= 0) & (values < _MOST_GAIN_STD)).all():
+        raise ConfigError(
+            f"a torque constant known to {100 * float(np.nanmax(np.abs(values))):.0f} % says nothing of a mass: "
+            f"state less than {100 * _MOST_GAIN_STD:.0f} %, or weigh a load and give it as --known"
+        )
+    return np.maximum(values, _EXACT)
+
+
+def parse_torque_gain(text: str) -> float:
+    """Relative standard deviation behind `exact` (0) and `prior:S`.
+
+    Raises
+    ------
+    ConfigError
+        Anything else.
+    """
+    if text == "exact":
+        return 0.0
+    try:
+        share = float(text.removeprefix("prior:")) if text.startswith("prior:") else np.nan
+    except ValueError:
+        share = np.nan
+    if not (np.isfinite(share) and 0 < share < _MOST_GAIN_STD):
+        raise ConfigError(
+            f"--torque-gain {text}: use exact, or prior:S with the relative standard deviation of the torque "
+            f"constants, 0 < S < {_MOST_GAIN_STD:g}, such as prior:0.03"
+        )
+    return float(share)
+
+
+def nuisance_prior(gain_std: Floats, band_nm: ArrayLike, lost: ArrayLike) -> NuisancePrior:
+    """Prior of what every arm has.
+
+    Parameters
+    ----------
+    gain_std : array of shape (N,)
+        Of the torque constants, relative.
+    band_nm : array of shape (N,)
+        Friction band of each axis; NaN = not seen, no bias can be foretold.
+    lost : array of shape (N,)
+        Loss over transmitted torque that the half differences of the axis show; NaN = not seen, as the prior has it.
+
+    Notes
+    -----
+    A gear of one efficiency loses more where it is driven, and leaves `nu^2 / 2` of the torque in the middle of both
+    sides; losses that are even leave nothing. Which of both a gear is nobody states: the gain is moved by half of it.
+    """
+    band = np.abs(np.nan_to_num(np.asarray(band_nm, dtype=float)))
+    nu = np.asarray(lost, dtype=float)
+    nu = np.clip(np.where(np.isfinite(nu), nu, LOAD_FRICTION), 0.0, 1.0)
+    middle = nu**2 / 4.0
+    return NuisancePrior(
+        gain=middle,
+        gain_std=np.sqrt(gain_std**2 + middle**2 + (UNEVEN_LOSS * nu) ** 2),
+        bias_std_nm=np.maximum(BIAS_SHARE * band, _EXACT),
+        load_friction=np.full(len(nu), LOAD_FRICTION),
+        load_friction_std=np.full(len(nu), LOAD_FRICTION_STD),
+    )
