@@ -108,6 +108,7 @@ class RestDiagnosis:
             inertials=_inertials(robot, options.inertials),
             known=options.known,
             bare=options.bare,
+            gain_std=options.gain_std,
         )
 
     def problem(self, table: Table) -> RestProblem:
