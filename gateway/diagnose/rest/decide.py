@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.held import TWO_SIDED_95
-from gateway.diagnose.rest.holdout import gained_by_pose
+from gateway.diagnose.rest.holdout import chosen_by_others, gained_by_pose
 from gateway.diagnose.rest.linear import Fit, RestProblem, modelled, with_terms
 from gateway.diagnose.rest.screen import projector
 from gateway.diagnose.rest.search import Search, pruned
@@ -140,6 +140,24 @@ def _without_weak(search: Search, chosen: Fit) -> Fit:
         if all(strong(search, fit, term) and strength(search, fit, term) >= least for term in fit.terms)
     ]
     return pruned(search, search.best(better)) if better else chosen
+
+
+def unseen_by_choice(search: Search) -> Floats:
+    """Residual (rows,) [Nm] of every row by the hypothesis that the other poses choose, fitted to them.
+
+    Any hypothesis of named effects that go beyond what every arm has may be chosen; each effect has to gain `needed`.
+    """
+    level = search.score(search.best()) - REST.out_of_reach
+    fits = [
+        hypothesis
+        for hypothesis in search.pool.values()
+        if search.score(hypothesis) > level
+        and all(term.name != UNNAMED and beyond_ordinary(search.problem, hypothesis, term) for term in hypothesis.terms)
+    ]
+    nothing = search.fitted(())
+    fits += [] if any(hypothesis is nothing for hypothesis in fits) else [nothing]
+    score = [search.score(hypothesis) - REST.needed * len(hypothesis.terms) for hypothesis in fits]
+    return chosen_by_others(search.problem, fits, score)
 
 
 def _without_ordinary(search: Search, chosen: Fit) -> Fit:

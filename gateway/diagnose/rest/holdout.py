@@ -24,8 +24,7 @@ def pose_of_rows(problem: RestProblem) -> NDArray[np.int_]:
 
 def left_out(problem: RestProblem, fit: Fit) -> Floats:
     """Residual (rows,) [Nm] of each row when its pose, under all loads, is not in the fit (linearised)."""
-    std = fit.noise.std[problem.group]
-    return std * _left_out(pose_of_rows(problem), fit.residual / std, fit.orthogonal)
+    return foretold_poses(problem, fit)[0]
 
 
 def gained_by_pose(problem: RestProblem, after: Fit, before: Fit, axes: Sequence[int]) -> Floats:
@@ -50,12 +49,28 @@ def foretold_poses(problem: RestProblem, fit: Fit) -> tuple[Floats, Floats]:
     for number in np.unique(pose):
         rows = np.flatnonzero(pose == number)
         part = fit.orthogonal[rows]
-        free = np.eye(len(rows)) - part @ part.T
-        out[rows] = np.linalg.lstsq(free, scaled[rows], rcond=1e-9)[0]
-        size = np.linalg.eigvalsh(free)
-        told = float(np.sum(np.log(np.maximum(size, LEAST_FREE)))) - float(scaled[rows] @ out[rows])
+        size, turned = np.linalg.eigh(np.eye(len(rows)) - part @ part.T)
+        free = size > LEAST_FREE
+        seen = (turned.T @ scaled[rows])[free] / size[free]
+        out[rows] = turned[:, free] @ seen
+        told = float(np.sum(np.log(size[free]))) - float(scaled[rows] @ out[rows])
         density.append(0.5 * told - float(np.sum(np.log(std[rows]))))
     return std * out, np.array(density)
+
+
+def chosen_by_others(problem: RestProblem, fits: Sequence[Fit], score: Sequence[float]) -> Floats:
+    """Residual (rows,) [Nm] of every row by the one of these fits that the other poses choose, fitted to them.
+
+    Parameters
+    ----------
+    problem : RestProblem
+    fits : hypotheses to choose from
+    score : their log odds on all poses
+    """
+    residual, density = zip(*(foretold_poses(problem, fit) for fit in fits), strict=True)
+    choice = np.argmax(np.array(score)[:, None] - np.array(density), axis=0)
+    _, pose = np.unique(pose_of_rows(problem), return_inverse=True)
+    return np.asarray(np.array(residual)[choice[pose], np.arange(len(pose))], dtype=float)
 
 
 def left_out_with(problem: RestProblem, fit: Fit, view: Screen, index: int) -> Floats:

@@ -40,6 +40,9 @@ class RestThresholds:
         "odds below which a rival is worth more measurements",
         "the square of sure odds: one more measurement of the same weight could turn it",
     )
+    out_of_reach: float = threshold(
+        100.0, "log odds", "behind the best, beyond which no choice of fewer poses goes back", "more than one pose decides"
+    )
     hint_odds: float = threshold(3.0, "", "odds below which a larger set is kept in mind", KASS)
     structure_p: float = threshold(
         1e-3,
