@@ -141,7 +141,8 @@ def _squares_by_pose(problem: RestProblem, result: Fit, poses: NDArray[np.int_])
     impossible = np.where(determined_bands(problem), np.minimum(result.band, 0.0), 0.0)
     residual = left_out(problem, result) + result.design[:, problem.band_part] @ impossible
     scaled = residual / result.noise.start[problem.group]
-    return np.bincount(np.searchsorted(poses, pose_of_rows(problem)), weights=scaled**2, minlength=len(poses))
+    of_pose = np.searchsorted(poses, pose_of_rows(problem))
+    return np.asarray(np.bincount(of_pose, weights=scaled**2, minlength=len(poses)), dtype=float)
 
 
 def _over_floor(problem: RestProblem, result: Fit) -> float:

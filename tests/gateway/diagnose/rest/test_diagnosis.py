@@ -222,3 +222,23 @@ def test_fresh_poses_are_judged_first_and_then_tell_the_load_too():
     assert result.loads[0].mass_std_kg < alone.loads[0].mass_std_kg
     assert len(result.loads[0].per_pose_mass_kg) > len(alone.loads[0].per_pose_mass_kg)
     assert result.before.loads == result.loads == result.after.loads
+
+
+def test_sweeps_of_single_joints_tell_the_band_of_the_joints_that_moved():
+    """Each of axes 2 to 6 passes six angles up and down again, numbered on, while the others stand still."""
+    bench, tables = Bench(1, []), []
+    for load in ("none", "tool"):
+        for axis in range(1, 6):
+            poses = np.tile(bench.poses[axis], (6, 1))
+            poses[:, axis] = np.linspace(-0.7, 0.7, 6)
+            table = bench.table(poses, load, first=100 * axis)
+            moved = np.where(np.arange(6) == axis, table.direction, 0).astype(np.int8)
+            down = 50 * (table.direction[:, axis] < 0)
+            tables.append(replace(table, direction=moved, pose=table.pose + down))
+    result = diagnose(concatenate(tables), bench.robot, bench.options)
+    assert not result.failed
+    assert np.isnan(result.friction_band_nm[0])
+    # what is left of the band once the joint has settled: 80 % in the mean
+    np.testing.assert_allclose(result.friction_band_nm[1:], 0.8 * bench.arm.plant.coulomb_nm[1:], rtol=0.15)
+    tool = bench.arm.loads["tool"]
+    assert abs(result.loads[0].mass_kg - tool.mass_kg) < 3 * result.loads[0].mass_std_kg
