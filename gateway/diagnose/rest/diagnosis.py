@@ -25,6 +25,7 @@ from gateway.diagnose.rest.mistakes import (
     find_mistakes,
     links_far_from_cad,
     suspicious,
+    unseen_ratio,
 )
 from gateway.diagnose.rest.outcome import (
     Judge,
@@ -164,6 +165,17 @@ class RestDiagnosis:
         both = build_problem(self.robot, joined([seen, unseen]), self.knowledge)
         return Unseen(both, both.visit >= len(seen))
 
+    def _upheld(self, found: Found, holdout: Table | None) -> Found:
+        """The same, without mistakes that leave rows that no fit has seen worse than they were read."""
+        if not found.mistakes or holdout is None or holdout.moving.all():
+            return found
+        read = self._searched(found.table, (), 0.0)
+        held, undone = self._held(read, holdout), self._held(found, holdout)
+        if held is None or undone is None:
+            return found
+        ratio = unseen_ratio(held, read.search.fitted(()), undone, found.search.fitted(()))
+        return found if ratio < 1.0 else read
+
     def _before(self, decision: Decision, judge: Judge, found: Found, sided: bool) -> FitSummary:
         """What the model without effects says of the data as they were read."""
         second = np.isfinite(found.search.problem.rows.wind_up_rad).any()
@@ -181,6 +193,7 @@ class RestDiagnosis:
 
     def report(self, found: Found, holdout: Table | None = None, kind: HoldoutKind = "given") -> Result:
         """Verdict and figures of a search; `holdout` are rows that no fit has seen, `kind` where they come from."""
+        found = self._upheld(found, holdout)
         search, problem = found.search, found.search.problem
         decision = decide(search, found.chosen)
         held = self._held(found, holdout)

@@ -93,6 +93,15 @@ class RestThresholds:
     surer: float = threshold(5.0, "log odds", "against a mistake beside the best effects instead", BLIND)
     obvious: float = threshold(150.0, "log odds", "gain at which effects need not be searched for first", BLIND)
     most_mistakes: int = threshold(3, "", "mistakes of one arm", "two wrong drives and one cable")
+    least_axes: int = threshold(
+        2,
+        "",
+        "axes that were measured and moved, below which no mistake is looked for",
+        "what one axis shows alone, any spring or wrong link shows too",
+    )
+    moved_rad: float = threshold(
+        0.02, "rad", "range of an axis's angles below which it stood still", "ten times the tolerance of one pose"
+    )
     suspicious: float = threshold(
         1.7, "floors", "what is left of the half sums at which mistakes are looked for", BLIND
     )
