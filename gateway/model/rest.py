@@ -102,6 +102,7 @@ class AlteredModel:
     offset_nm : (n, N) added to the reading
     coupling : (N, N) reported axis i shows sum_j coupling[i, j] * axis j
     load_friction : (N,) nu of nu |tau|
+    bias_nm : (N,) by how much friction upwards exceeds friction downwards, halved
     band_gain : (n, N) factor on the friction band
     gain_per_nm : (N,) added to the gain per Nm of motor torque
     pull_n : (N, 3) force in the base frame on the origin of each link
@@ -118,6 +119,7 @@ class AlteredModel:
     offset_nm: Floats
     coupling: Floats
     load_friction: Floats
+    bias_nm: Floats
     band_gain: Floats
     gain_per_nm: Floats
     pull_n: Floats
@@ -138,6 +140,7 @@ def neutral(n: int, axes: int) -> AlteredModel:
         offset_nm=np.zeros((n, axes)),
         coupling=np.eye(axes),
         load_friction=none,
+        bias_nm=none,
         band_gain=np.ones((n, axes)),
         gain_per_nm=none,
         pull_n=np.zeros((axes, 3)),
@@ -268,9 +271,9 @@ class Model:
 
     def readings(self, setting: AlteredModel, torque: Floats, band_nm: Floats) -> Prediction:
         """Readings from the torque (n, N) the gears transmit."""
-        losses = setting.load_friction * np.abs(torque)
         two = self.rows.two_sided[:, None]
-        friction = band_nm * setting.band_gain + losses
+        friction = band_nm * setting.band_gain + setting.load_friction * np.abs(torque)
+        carried, torque = torque, torque + setting.bias_nm
         if self._straight(setting):
             # the way through the gear and back cancels: each side reads torque and friction as they are
             middle = (setting.gain * torque + setting.offset_nm) @ setting.coupling.T
@@ -283,7 +286,7 @@ class Model:
         if not self.rows.two_sided.all():
             single = np.where(self.rows.side > 0, up, np.where(self.rows.side < 0, down, half_sum))
             half_sum = np.where(two, half_sum, single)
-        return Prediction(half_sum, np.where(two, (up - down) / 2.0, 0.0), torque)
+        return Prediction(half_sum, np.where(two, (up - down) / 2.0, 0.0), carried)
 
     def _straight(self, setting: AlteredModel) -> bool:
         """Whether nothing stands between the gear and the reading that the conversion does not undo."""

@@ -108,6 +108,7 @@ class RestDiagnosis:
             inertials=_inertials(robot, options.inertials),
             known=options.known,
             bare=options.bare,
+            gain_std=options.gain_std,
         )
 
     def problem(self, table: Table) -> RestProblem:
@@ -184,7 +185,7 @@ class RestDiagnosis:
         decision = decide(search, found.chosen)
         held = self._held(found, holdout)
         decision, findings = self._confirmed(decision, held, problem)
-        judge = Judge(problem, held)
+        judge = Judge.of(search, decision, held)
         effects = [entry for mistake in found.mistakes for entry in mistake_effect(mistake, found.gained)]
         effects += proven(search, decision, judge)
         seen_by_encoder = elastic_joints(problem, decision.after) if "joint_elasticity" in self.options.allowed else []

@@ -112,8 +112,8 @@ def projector(problem: RestProblem, fit: Fit, weight: Floats) -> tuple[Callable[
         return left - basis @ (basis[:rows].T @ columns)
 
     centre = np.concatenate([np.array(term.start) for term in fit.terms]) if fit.terms else np.zeros(0)
-    free = np.zeros(problem.n_common - 4 * problem.axes)
-    pull = np.concatenate([problem.links - fit.links, free, centre - fit.flat_theta])
+    pull = np.concatenate([problem.common_mean - fit.common, centre - fit.flat_theta])
+    pull[problem.taken_over(fit.terms)] = 0.0
     target = np.concatenate(
         [
             fit.residual * weight,

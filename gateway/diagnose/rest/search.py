@@ -98,10 +98,13 @@ def run(search: Search) -> Fit:
         search.fitted(terms, nothing)
     for terms in _promising_pairs(views[0]):
         search.fitted(terms, nothing)
-    for _ in range(REST.most_effects):
+    for step in range(REST.most_effects):
+        best = search.best()
         leaders = sorted(search.pool.values(), key=search.score, reverse=True)[:3]
         for leader in leaders:
             _extend(search, leader, search.named, REST.forward)
+        if step > 0 and search.best() is best:
+            break
     _rivals(search)
     return pruned(search, search.best())
 
