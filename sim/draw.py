@@ -212,7 +212,9 @@ def choose_poses(arm: DrawnArm, count: int, rng: np.random.Generator) -> Array:
     return informative_poses(arm.chain, arm.floor_nm, arm.prior_std, count, rng)
 
 
-def informative_poses(chain: SimChain, floor_nm: Array, prior_std: Array, count: int, rng: np.random.Generator) -> Array:
+def informative_poses(
+    chain: SimChain, floor_nm: Array, prior_std: Array, count: int, rng: np.random.Generator
+) -> Array:
     """Greedy D-optimal poses (count, 6) among random ones, for links known to `prior_std` (24,) at a floor (6,)."""
     q = rng.uniform(0.95 * chain.lower_rad, 0.95 * chain.upper_rad, (80, 6))
     columns = gravity_columns(chain, q, GRAVITY) / floor_nm[:, None]

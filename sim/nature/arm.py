@@ -106,7 +106,7 @@ def draw_arm(levels: Levels, rng: np.random.Generator) -> tuple[Arm, Stated]:
     friction = draw_friction(rated, levels, rng)
     noise, resolution = rated * rng.uniform(0.002, 0.012, 6), rated * rng.uniform(0.0002, 0.001, 6)
     samples = int(rng.integers(40, 200))
-    floor = np.hypot(friction.half_sum_std_nm, np.hypot(noise, resolution / np.sqrt(12.0)) / np.sqrt(2.0 * samples))
+    floor = np.hypot(friction.half_sum_std_nm(friction.coulomb_nm, friction.coulomb_nm), noise / np.sqrt(2.0 * samples))
     cogging_rms = rng.uniform(*levels.cogging_floors, 6) * floor
     # four amplitudes of the same standard deviation: RMS of the sum is sqrt(2) of it
     cogging_std = cogging_rms / np.sqrt(2.0)

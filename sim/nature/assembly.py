@@ -77,7 +77,7 @@ def slipping_load(arm: Arm, rows: Rows, rng: np.random.Generator) -> tuple[Build
 
 
 def geared_wrist(arm: Arm, rows: Rows, rng: np.random.Generator) -> tuple[Build, tuple[float, float]]:
-    """A hollow wrist whose last gear is carried by axis 5: motor 5 gets a share of what motor 6 gives, losses included."""
+    """A hollow wrist whose last gear is carried by axis 5: motor 5 feels a share of what motor 6 gives."""
     sign = rng.choice([-1.0, 1.0])
 
     def build(ratio: float) -> Effect:

@@ -113,9 +113,7 @@ def _mechanisms(kind: str, rng: np.random.Generator) -> list[Maker]:
     return [table[name] for name in chosen]
 
 
-def scaled(
-    arm: Arm, rows: Rows, maker: Maker, taken: Absorbing, rng: np.random.Generator
-) -> tuple[Effect, float]:
+def scaled(arm: Arm, rows: Rows, maker: Maker, taken: Absorbing, rng: np.random.Generator) -> tuple[Effect, float]:
     """An effect near a strength of 1.5 to 20, every factor as likely, as far as its physical limits let it."""
     wanted = float(np.exp(rng.uniform(np.log(LEAST_STRENGTH), np.log(MOST_STRENGTH))))
     best: tuple[Effect, float] | None = None

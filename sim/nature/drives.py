@@ -56,7 +56,7 @@ def strong_ripple(arm: Arm, rows: Rows, rng: np.random.Generator) -> tuple[Build
 
 
 def weak_magnets(arm: Arm, rows: Rows, rng: np.random.Generator) -> tuple[Build, tuple[float, float]]:
-    """Magnets weaken while winding, housing and rotor warm up one after the other: the same torque takes more current."""
+    """Magnets that weaken while winding and housing warm up in turn: the same torque takes more current."""
     axis = int(rng.integers(1, 6))
     fast_s, slow_s, fast = rng.uniform(60.0, 240.0), rng.uniform(600.0, 3000.0), rng.uniform(0.2, 0.5)
     kelvin = rng.uniform(30.0, 60.0)

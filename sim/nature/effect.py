@@ -57,7 +57,7 @@ def rows_of(visits: Sequence[PlannedVisit]) -> Rows:
 
 
 def play(corners: Array, width: float) -> Array:
-    """What follows a path with dead travel: the play operator of half width `width` over `corners` (n, 2); ends (n,)."""
+    """Play operator of half width `width` over `corners` (n, 2): where it stands at the ends (n,)."""
     follower, ends = float(corners[0, 0]), np.empty(len(corners))
     for row, way in enumerate(corners):
         for corner in way:

@@ -1,8 +1,8 @@
 """What gears lose: presliding, bias by direction, losses that grow with load, efficiency by direction, warm-up.
 
-After a slow approach a joint stands on the kinetic level of its friction. While the controller settles, the joint creeps
-back by a small way, and within the presliding range friction falls exponentially with that way (Dahl 1968): from the
-kinetic level `F` to `F (2 exp(-s / s0) - 1)`. What is left is scattered further from stop to stop.
+After a slow approach a joint stands on the kinetic level of its friction. While the controller settles, the joint
+creeps back by a small way, and within the presliding range friction falls exponentially with that way (Dahl 1968): from
+the kinetic level `F` to `F (2 exp(-s / s0) - 1)`. What is left is scattered further from stop to stop.
 """
 
 from __future__ import annotations
@@ -59,14 +59,17 @@ class Friction:
     gross_share: float
 
     @property
-    def half_sum_std_nm(self) -> Array:
-        """Standard deviation (6,) of half the sum of both sides, by presliding and scatter, at the warm band."""
-        # variance of 2 exp(-s) - 1 for a gamma-distributed s of shape k and mean c
+    def left_std(self) -> Array:
+        """Standard deviation (6,) of the share of the kinetic level that a joint stands on."""
+        # of 2 exp(-s) - 1 for a gamma-distributed s of shape k and mean c
         first = (1.0 + self.creep / CREEP_SHAPE) ** -CREEP_SHAPE
         second = (1.0 + 2.0 * self.creep / CREEP_SHAPE) ** -CREEP_SHAPE
-        presliding = 4.0 * (second - first**2) / 2.0
-        scatter = self.tail_share**2 * (1.0 + self.side_correlation) / 2.0
-        return self.coulomb_nm * np.sqrt(presliding + scatter)
+        return 2.0 * np.sqrt(second - first**2)
+
+    def half_sum_std_nm(self, band_nm: Array, cold_nm: Array) -> Array:
+        """Standard deviation of half the sum of both sides, for bands and cold unloaded bands of any shape (..., 6)."""
+        scatter = self.tail_share * cold_nm * np.sqrt(1.0 + self.side_correlation)
+        return np.hypot(self.left_std * band_nm, scatter) / np.sqrt(2.0)
 
     @property
     def mean_left(self) -> Array:

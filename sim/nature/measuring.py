@@ -36,7 +36,7 @@ class Gross:
 
 @dataclass(frozen=True, slots=True)
 class Stops:
-    """What chance does to the rows (n, 6): share of the kinetic level left, scatter [bands], angle [rad], noise [Nm]."""
+    """What chance does to the rows (n, 6): share of the kinetic level left, scatter in bands, angle, noise."""
 
     left: Array
     scatter: Array
@@ -113,13 +113,15 @@ def cogging_nm(arm: Arm, q_rad: Array) -> Array:
 def draw_gross(arm: Arm, visits: Sequence[PlannedVisit], rng: np.random.Generator) -> tuple[tuple[Gross, ...], Array]:
     """Visits that go wrong, and what that adds to the rows (2 visits, 6) [Nm]: a cable caught, a brake, a touch."""
     added, found = np.zeros((len(visits), 2, 6)), []
-    for number in np.flatnonzero(rng.random(len(visits)) < arm.friction.gross_share):
+    for number, wrong in enumerate(rng.random(len(visits)) < arm.friction.gross_share):
+        if not wrong:
+            continue
         axis = int(rng.integers(6))
         bands = float(rng.uniform(*GROSS_BANDS))
         way = GROSS_WAYS[rng.integers(len(GROSS_WAYS))] * rng.choice([-1.0, 1.0])
         band = float(arm.friction.band_nm(np.zeros((1, 6)), np.array([visits[number].time_s]))[0, axis])
         added[number, :, axis] = bands * band * way
-        found.append(Gross(int(number), visits[number].pose, visits[number].load, axis + 1, bands))
+        found.append(Gross(number, visits[number].pose, visits[number].load, axis + 1, bands))
     return tuple(found), added.reshape(-1, 6)
 
 

@@ -57,7 +57,7 @@ def draw_linkage(arm: Arm, rng: np.random.Generator) -> Linkage:
 
 
 def gas_balancer(arm: Arm, rows: Rows, rng: np.random.Generator) -> tuple[Build, tuple[float, float]]:
-    """A gas strut: pulling it out presses nitrogen at 60 to 150 bar; it warms up, and its seal drags with the pressure."""
+    """A gas strut that presses nitrogen at 60 to 150 bar; it warms up, and its seal drags with the pressure."""
     strut = draw_linkage(arm, rng)
     short, long = strut.span_m(np.linspace(-2.0, 2.0, 81))
     swept = long - short
@@ -72,7 +72,9 @@ def gas_balancer(arm: Arm, rows: Rows, rng: np.random.Generator) -> tuple[Build,
             out = strut.length_m(rows.q_rad[:, BALANCED]) - short
             kelvin = HALL_K + warmer_k * (1.0 - np.exp(-rows.time_s / warm_s))
             height = dead + swept - out
-            pressure = per_area * GAS * kelvin / (height - per_area * OWN_VOLUME) - ATTRACTION * (per_area / height) ** 2
+            pressure = (
+                per_area * GAS * kelvin / (height - per_area * OWN_VOLUME) - ATTRACTION * (per_area / height) ** 2
+            )
             force = area_m2 * (pressure - AIR_PA)
             lever = strut.lever_m(rows.q_rad[:, BALANCED])
             drag = seal * force * np.tanh(lever / 0.02) * rows.direction

@@ -30,7 +30,7 @@ def saturated_current(arm: Arm, rows: Rows, rng: np.random.Generator) -> tuple[B
 
 
 def end_stop(arm: Arm, rows: Rows, rng: np.random.Generator) -> tuple[Build, tuple[float, float]]:
-    """A rubber stop or a bellows that is touched over the last third of the range, and then pushes back harder and harder."""
+    """A rubber stop or a bellows that is touched over the last third of the range and pushes back harder and harder."""
     axis, side = int(rng.integers(1, 5)), rng.choice([-1.0, 1.0])
     at_rad = side * float(np.quantile(side * rows.q_rad[:, axis], rng.uniform(0.55, 0.75)))
     power = rng.uniform(1.0, 1.6)
@@ -61,7 +61,7 @@ def detents(arm: Arm, rows: Rows, rng: np.random.Generator) -> tuple[Build, tupl
 
 
 def gusts(arm: Arm, rows: Rows, rng: np.random.Generator) -> tuple[Build, tuple[float, float]]:
-    """Another machine beside the arm: blasts of a minute every few minutes, along one direction, on the upper arm and on."""
+    """Another machine beside the arm: blasts of a minute every few minutes, along one direction, on the wrist."""
     towards = rng.standard_normal(3)
     towards = towards / np.linalg.norm(towards)
     period_s, length_s, phase_s = rng.uniform(150.0, 420.0), rng.uniform(40.0, 110.0), rng.uniform(0.0, 400.0)
