@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.blind.mechanisms import MECHANISMS
 from benchmarks.blind.oracle import load_std
 from benchmarks.rigs.tables import simulated_table
 from gateway.data.table import Table
@@ -213,8 +212,3 @@ def _score(
         total_s=total_s,
         **parts,
     )
-
-
-def right_names(mechanism: str) -> tuple[str, ...]:
-    """What a mechanism may rightly be called."""
-    return MECHANISMS[mechanism]
