@@ -17,7 +17,7 @@ from sim.nature.arm import Arm
 from sim.nature.cell import Cell
 from sim.nature.effect import Effect, Rows, rows_of
 from sim.nature.measuring import Gross, equilibrium
-from sim.nature.strength import added
+from sim.nature.strength import added, efficiency_slopes
 from sim.offline import PlannedVisit, gravity_columns
 
 Floats = NDArray[np.float64]
@@ -63,13 +63,15 @@ def _design(arm: Arm, rows: Rows, effects: Sequence[Effect], tau: Floats) -> tup
     each = np.eye(6)
     links = gravity_columns(arm.chain, q, arm.gravity_m_s2)
     band = arm.friction.band_nm(tau, time_s)
+    common, split = efficiency_slopes(arm, rows)
     turn = arm.gear_ratio * q
     waves = [np.sin(turn), np.cos(turn), np.sin(2.0 * turn), np.cos(2.0 * turn)]
     parts = [
         (links[:, :, 20:] * loaded[:, None, None], np.full(4, np.inf)),
         (links, arm.links_std),
         (each * tau[:, :, None], arm.gain_std),
-        (each * tau[:, :, None], arm.friction.efficiency_std),
+        (each * common[:, :, None], np.full(6, arm.friction.efficiency_std)),
+        (each * split[:, :, None], np.full(6, arm.friction.split_std)),
         (each * band[:, :, None], np.full(6, arm.friction.bias_std)),
         *((each * wave[:, :, None], arm.cogging_std_nm) for wave in waves),
     ]

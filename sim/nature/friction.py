@@ -18,8 +18,6 @@ Array = NDArray[np.float64]
 
 #: Shape of the gamma distribution of the way that a joint creeps back.
 CREEP_SHAPE = 2.0
-#: Half-sums of presliding are drawn so often for their standard deviation and mean.
-DRAWS = 512
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +30,7 @@ class Friction:
     bias_share, bias_std : half the difference between directions over the band; its standard deviation over arms
     load_loss, load_power, rated_nm : `load_loss * rated * (|tau| / rated) ** load_power` is added to the band
     driving, driven : residual efficiency where the motor drives, where it is driven back
-    efficiency_std : standard deviation over arms of what these two leave in half-sums, over the torque
+    efficiency_std, split_std : standard deviations over arms of their mean, and of half their difference
     declared_efficiency : what the owner states; the true one is that times the residual
     warm_share, warm_s : (2, 6) and (2,) excess of the cold band, and time constants
     creep : mean way back over the presliding length
@@ -48,7 +46,8 @@ class Friction:
     rated_nm: Array
     driving: Array
     driven: Array
-    efficiency_std: Array
+    efficiency_std: float
+    split_std: float
     declared_efficiency: Array
     warm_share: Array
     warm_s: Array
@@ -123,7 +122,8 @@ def draw_friction(rated_nm: Array, levels: Levels, rng: np.random.Generator) -> 
         rated_nm=rated_nm,
         driving=driving,
         driven=driven,
-        efficiency_std=_efficiency_std(levels, split_std),
+        efficiency_std=(levels.efficiency[1] - levels.efficiency[0]) / np.sqrt(12.0),
+        split_std=split_std,
         declared_efficiency=declared,
         warm_share=np.vstack([warm[0] * fast, warm[0] * (1.0 - fast)]),
         warm_s=np.array([rng.uniform(90.0, 400.0), rng.uniform(900.0, 3600.0)]),
@@ -133,12 +133,3 @@ def draw_friction(rated_nm: Array, levels: Levels, rng: np.random.Generator) -> 
         side_correlation=float(rng.uniform(*levels.side_correlation) * rng.choice([-1.0, 1.0])),
         gross_share=float(rng.uniform(*levels.gross_share)),
     )
-
-
-def _efficiency_std(levels: Levels, split_std: float) -> Array:
-    """Standard deviation (6,) of `(1 / driving + driven) / 2`, what a half-sum keeps of the losses, over arms."""
-    draws = np.random.default_rng(0)
-    efficiency = draws.uniform(*levels.efficiency, DRAWS)
-    split = split_std * draws.uniform(-np.sqrt(3.0), np.sqrt(3.0), DRAWS)
-    kept = 0.5 * (1.0 / np.minimum(efficiency + split, 1.0) + np.minimum(efficiency - split, 1.0))
-    return np.full(6, float(np.std(kept)))

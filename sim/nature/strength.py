@@ -9,7 +9,7 @@ half-differences: their RMS after removing each axis's mean, over the floor.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,22 @@ def added(arm: Arm, rows: Rows, effect: Effect) -> Halves:
     return Halves(with_.half_sum_nm - without.half_sum_nm, with_.half_difference_nm - without.half_difference_nm)
 
 
+def efficiency_slopes(arm: Arm, rows: Rows) -> tuple[Array, Array]:
+    """Change of the half-sums (visits, 6) [Nm] with the efficiency of each axis, and with half its split by direction.
+
+    Beyond the band it is near a constant by the sign of the torque; within, both sides drive.
+    """
+    friction = arm.friction
+    step = 1e-3
+
+    def half_sums(both: float, split: float) -> Array:
+        turned = replace(friction, driving=friction.driving + both + split, driven=friction.driven + both - split)
+        seen = reported_nm(replace(arm, friction=turned), rows, (), quiet(arm, rows))[0]
+        return halves(seen, friction.declared_efficiency).half_sum_nm
+
+    return (half_sums(0.0, 0.0) - half_sums(-step, 0.0)) / step, (half_sums(0.0, 0.0) - half_sums(0.0, -step)) / step
+
+
 @dataclass(frozen=True, slots=True)
 class Absorbing:
     """What takes a torque in the half-sums over: weighted columns with their prior as rows, orthonormal."""
@@ -66,12 +82,14 @@ def absorbing(arm: Arm, visits: Sequence[PlannedVisit]) -> Absorbing:
     _, tau = reported_nm(arm, rows, (), quiet(arm, rows))
     q, loaded, tau = rows.q_rad[0::2], rows.loaded[0::2], tau[0::2]
     columns = gravity_columns(arm.chain, q, arm.gravity_m_s2)
-    scale = np.hypot(arm.gain_std, arm.friction.efficiency_std)
+    common, split = efficiency_slopes(arm, rows)
     bias = arm.friction.bias_std * arm.friction.coulomb_nm
     each = np.eye(6)
     priors = [
         columns * arm.links_std,
-        each * (tau * scale)[:, :, None],
+        each * (tau * arm.gain_std)[:, :, None],
+        each * (common * arm.friction.efficiency_std)[:, :, None],
+        each * (split * arm.friction.split_std)[:, :, None],
         each * (np.ones_like(tau) * bias)[:, :, None],
     ]
     free = columns[:, :, 20:] * loaded[:, None, None]
