@@ -92,6 +92,7 @@ def report(cells: list[dict], over_bus: list[dict], out: Path) -> int:
     from rich.table import Table as RichTable
 
     from benchmarks.blind.figures import bus_figures, confusion, figures, there_and_said, weakest
+    from benchmarks.blind.strict_figures import strict_figures
 
     console = Console(width=150)
     matrix = RichTable("what is there", "what was said", "cells", title="confusion")
@@ -108,7 +109,7 @@ def report(cells: list[dict], over_bus: list[dict], out: Path) -> int:
         for cell in over_bus:
             runs.add_row(str(cell["seed"]), cell["cell"], *there_and_said(cell), f"{cell['time_s']:.0f}")
         console.print(runs)
-    result = figures(cells) | bus_figures(over_bus)
+    result = figures(cells) | strict_figures(cells) | bus_figures(over_bus)
     table = RichTable("figure", "value", "95 % interval", "unit", "goal", "met")
     for name, figure in result.items():
         low, high = figure["interval"]

@@ -7,13 +7,12 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from benchmarks.blind.figures import bootstrap, clopper_pearson
 from benchmarks.blind.mechanisms import MECHANISMS
+from benchmarks.blind.shares import Figures, middle, reached, share
 from benchmarks.blind.strict import LEAST, STRONG, Said, There, kind, misnamed, right, there
 from sim.nature.levels import CONDITIONS
 
 Cell = dict
-Figures = dict[str, dict]
 
 QUANTITIES = ("mass", "x", "y", "z")
 METHODS = {"estimated": "estimate", "diagnosed": "diagnose"}
@@ -29,43 +28,6 @@ def truth(cell: Cell) -> tuple[There, ...]:
 def said(cell: Cell) -> Said:
     """What was said."""
     return Said(tuple((name, tuple(joints)) for name, joints in cell["found"]), cell["verdict"])
-
-
-def share(hits: Sequence[float], goal: str = "printed") -> dict:
-    """Share of hits with its interval (Clopper and Pearson) and goal: ``>= a``, ``<= a``, ``a .. b`` or ``printed``."""
-    total = len(hits)
-    value = float(np.mean(hits)) if total else float("nan")
-    return {
-        "value": value,
-        "interval": clopper_pearson(float(np.sum(hits)), total),
-        "unit": f"of {total}",
-        "goal": goal,
-        "met": reached(value, goal) if total else None,
-    }
-
-
-def middle(values: Sequence[float], goal: str = "printed", unit: str = "median of") -> dict:
-    """Median with its bootstrap interval and goal."""
-    known = [value for value in values if np.isfinite(value)]
-    value = float(np.median(known)) if known else float("nan")
-    return {
-        "value": value,
-        "interval": bootstrap(known),
-        "unit": f"{unit} {len(known)}",
-        "goal": goal,
-        "met": reached(value, goal) if known else None,
-    }
-
-
-def reached(value: float, goal: str) -> bool:
-    """Whether a value lies within its goal."""
-    if goal == "printed":
-        return True
-    if ".." in goal:
-        low, high = (float(part) for part in goal.split(".."))
-        return low <= value <= high
-    sign, _, bound = goal.partition(" ")
-    return value >= float(bound) if sign == ">=" else value <= float(bound)
 
 
 def covered(cells: Iterable[Cell], method: str, quantity: int | None = None) -> list[float]:

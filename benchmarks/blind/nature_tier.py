@@ -55,6 +55,7 @@ def report(ordinary: list[dict], effects: list[dict], timed: list[dict], out: Pa
     from rich.table import Table
 
     from benchmarks.blind import nature_figures as figures
+    from benchmarks.blind.shares import Figures
 
     console = Console(width=160)
     conditions = Table(
@@ -73,7 +74,7 @@ def report(ordinary: list[dict], effects: list[dict], timed: list[dict], out: Pa
         for there, said, count in rows:
             table.add_row(there, said, str(count))
         console.print(table)
-    found: figures.Figures = figures.ordinary_figures(ordinary) if ordinary else {}
+    found: Figures = figures.ordinary_figures(ordinary) if ordinary else {}
     found |= figures.effect_figures(effects) if effects else {}
     found |= figures.gross_figures([*ordinary, *effects]) | figures.time_figures(timed)
     _print(console, found)
