@@ -168,11 +168,15 @@ def _without_ordinary(search: Search, chosen: Fit) -> Fit:
 
 def beyond_ordinary(problem: RestProblem, hypothesis: Fit, term: Term) -> bool:
     """Whether the interval of what an effect takes over lies outside its prior."""
+    position = hypothesis.terms.index(term)
+    at = problem.n_common + sum(len(theta) for theta in hypothesis.theta[:position])
+    if term.takes_over == "cogging":
+        size = float(np.linalg.norm(hypothesis.theta[position][: term.count])) / np.sqrt(2.0)
+        unsure = float(np.sqrt(np.diag(hypothesis.covariance)[at : at + term.count].mean() / 2.0))
+        return size - TWO_SIDED_95 * unsure > REST.cogging * float(hypothesis.noise.std[term.joints[0] - 1])
     places = problem.taken_over([term])
     if not len(places):
         return True
-    position = hypothesis.terms.index(term)
-    at = problem.n_common + sum(len(theta) for theta in hypothesis.theta[:position])
     away = abs(float(hypothesis.theta[position][0] - problem.common_mean[places[0]]))
     unsure = TWO_SIDED_95 * float(np.sqrt(max(hypothesis.covariance[at, at], 0.0)))
     return away - unsure > ORDINARY_STD * float(problem.common_std[places[0]])

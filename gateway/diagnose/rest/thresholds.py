@@ -74,6 +74,12 @@ class RestThresholds:
         "share of an axis's torque below which no noise is believed",
         "resolution of a torque word of 1000 steps, rounded off over some visits",
     )
+    cold: float = threshold(
+        0.25, "", "share by which friction is larger cold, of each time constant", "`methods.md` 9: 0 to 0.5"
+    )
+    warm_fast_s: float = threshold(600.0, "s", "the shorter time in which it warms up", "`methods.md` 9: 5 to 60 min")
+    warm_slow_s: float = threshold(2400.0, "s", "the longer", "`methods.md` 9: 5 to 60 min")
+    cogging: float = threshold(1.0, "floors", "RMS of a ripple that every gear has", "`methods.md` 9: below one floor")
     # where the search looks
     singles: int = threshold(8, "", "places fitted alone", BLIND)
     pairs: int = threshold(10, "", "pairs of places fitted together", BLIND)
