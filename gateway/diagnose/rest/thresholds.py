@@ -58,6 +58,9 @@ class RestThresholds:
         8, "", "effects of one hypothesis", "an end to the search, well beyond what its gains let it reach"
     )
     needed: float = threshold(3.0, "log odds", "what an effect has to gain to stay", "log of 20, as sure odds")
+    over_prior: float = threshold(
+        1.0, "odds", "against what goes beyond an ordinary parameter, whose prior holds it down already", BLIND
+    )
     implausible: float = threshold(8.0, "log odds", "against an effect that its mechanism cannot do", BLIND)
     rare: float = threshold(2.0, "log odds", "against a shape without a name beside the effects with one", BLIND)
     # prior and noise
@@ -99,7 +102,7 @@ class RestThresholds:
     common_mistake: float = threshold(
         30.0, "log odds", "against one factor on all axes: heavier links look like it", BLIND
     )
-    surer: float = threshold(3.0, "log odds", "against a mistake beside the best effects instead", BLIND)
+    surer: float = threshold(2.0, "log odds", "against a mistake beside the best effects instead", BLIND)
     obvious: float = threshold(150.0, "log odds", "gain at which effects need not be searched for first", BLIND)
     most_mistakes: int = threshold(3, "", "mistakes of one arm", "two wrong drives and one cable")
     least_axes: int = threshold(
