@@ -15,6 +15,7 @@ from gateway.diagnose.rest.bias import friction_by_direction
 from gateway.diagnose.rest.decide import Decision, decide
 from gateway.diagnose.rest.deflection import elastic_joints
 from gateway.diagnose.rest.fit import fit
+from gateway.diagnose.rest.fresh import fresh_misfit, fresh_seen_nm, spare_rows
 from gateway.diagnose.rest.holdout import Unseen, foretold_covariance, predicted
 from gateway.diagnose.rest.linear import Fit, RestProblem, visit_loads
 from gateway.diagnose.rest.loads import loads_of
@@ -42,7 +43,7 @@ from gateway.diagnose.rest.problem import Knowledge, build_problem, first_noise
 from gateway.diagnose.rest.remarks import corrected_links, limits, refused_loads
 from gateway.diagnose.rest.rows import joined, rest_rows
 from gateway.diagnose.rest.search import Search, run
-from gateway.diagnose.rest.structure import fresh_misfit, spare_rows
+from gateway.diagnose.rest.structure import structure_seen_nm
 from gateway.diagnose.rest.thresholds import REST
 from gateway.errors import DataUnusable
 from gateway.identify.links import default_inertials, parse_inertials
@@ -233,6 +234,8 @@ class RestDiagnosis:
             rejected=tuple(rejected(search, decision)),
             next=questions(problem, decision, self.robot, self.options, self.knowledge),
             findings=tuple(findings),
+            quality=structure_seen_nm(problem, decision.whole, np.array(floor))
+            | fresh_seen_nm(problem, held, decision.after),
             provenance={
                 "visits": len(problem.rows),
                 "poses": len(np.unique(problem.rows.pose)),
@@ -250,11 +253,11 @@ class RestDiagnosis:
         """The decision in the light of rows that no fit has seen."""
         if held is None:
             return decision, []
-        axis = held.problem.axis[held.mask]
+        group = held.problem.group[held.mask]
         residual = predicted(held, decision.after)
         spare = spare_rows(problem, decision.after)
-        chance = fresh_misfit(residual, foretold_covariance(held, decision.after), axis, spare)
-        if chance >= REST.structure_p:
+        chance = fresh_misfit(residual, foretold_covariance(held, decision.after), group, problem.axes, spare)
+        if chance >= REST.fresh_p:
             return decision, []
         verdict = LESS[decision.verdict]
         finding = Finding(

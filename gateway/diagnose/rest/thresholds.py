@@ -41,6 +41,32 @@ class RestThresholds:
         "probability that noise leaves what is left, below which structure remains",
         "one false alarm in a thousand clean cells",
     )
+    least_pairs: int = threshold(
+        4, "", "pairs of visits of one pose below which an axis's residuals are not compared", "as least poses"
+    )
+    least_freedom: float = threshold(
+        3.0, "rows", "freedom below which an axis's scatter is not compared", "fewer know their own scatter to a factor"
+    )
+    scatter_freedom: float = threshold(
+        0.5,
+        "",
+        "share of the freedom that the scatter of an axis is compared with",
+        "friction that is left after settling is not normal, nor are its two sides quite independent",
+    )
+    power: float = threshold(0.8, "", "probability with which the size that is told would have been seen", "custom")
+    power_draws: int = threshold(120, "", "draws by which that size is found", "they tell 80 % to 4 %")
+    power_seed: int = threshold(20, "", "seed of those draws", "any; the same data give the same result")
+    largest_structure: float = threshold(
+        20.0, "floors", "size beyond which no structure is asked about", "the strongest effect of the blind cells"
+    )
+    structure_step: float = threshold(0.02, "", "to what share that size is found", "less than its draws scatter")
+    fresh_p: float = threshold(
+        0.05,
+        "",
+        "probability of residuals as large on fresh rows, below which they contradict the model",
+        "with the slack one false alarm in seventy, which asks for more poses and names nothing; four poses see a "
+        "doubled residual of one axis one time in two so, and one in eight at a thousandth",
+    )
     fresh_slack: float = threshold(1.15, "", "by which the variance of fresh rows may be larger than foretold", BLIND)
     most_effects: int = threshold(
         3, "", "effects of one hypothesis", "pairs were the most that blind cells hide, one more to be able to fail"
