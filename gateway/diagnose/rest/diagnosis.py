@@ -41,6 +41,7 @@ from gateway.diagnose.rest.outcome import (
 from gateway.diagnose.rest.pictures import DrawnVisits, pictures
 from gateway.diagnose.rest.problem import Knowledge, build_problem, first_noise
 from gateway.diagnose.rest.remarks import corrected_links, limits, refused_loads
+from gateway.diagnose.rest.ripple import ripple_remarks, with_ripple
 from gateway.diagnose.rest.rows import joined, rest_rows
 from gateway.diagnose.rest.search import Search, run
 from gateway.diagnose.rest.structure import structure_seen_nm
@@ -151,7 +152,10 @@ class RestDiagnosis:
         setup = RestSetup(self.options.gear_ratios(problem.axes), weighed, torque)
         named = terms_at_rest(problem.rows, setup, self.options.allowed)
         search = Search(problem, tuple(named), tuple(unnamed_terms(problem.rows, setup)), noise)
-        return Found(table, search, run(search), mistakes, gained)
+        chosen = run(search)
+        if "torque_ripple" in self.options.allowed:
+            chosen = with_ripple(search, chosen, setup.gear_ratio)
+        return Found(table, search, chosen, mistakes, gained)
 
     def _held(self, found: Found, holdout: Table | None) -> Unseen | None:
         if holdout is None or holdout.moving.all():
@@ -219,6 +223,8 @@ class RestDiagnosis:
                 before = replace(before, loads=after.loads)
         floor, band = floor_and_band(problem, decision)
         findings += corrected_links(decision)
+        if "torque_ripple" in self.options.allowed:
+            findings += ripple_remarks(search, decision.after, self.options.gear_ratios(problem.axes))
         findings += mistake_findings(found.mistakes) + refused_loads(after.loads) + limits(problem)
         rows, drawn = pictures(DrawnVisits.of(problem, held, "fresh" if kind == "fresh" else "held out"), decision)
         return Result(

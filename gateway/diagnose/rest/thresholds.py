@@ -102,6 +102,25 @@ class RestThresholds:
         "largest change of all rows below which a candidate does nothing",
         "half a floor over all rows together is seen by no fit",
     )
+    # swings of unknown order
+    ripple_angles: int = threshold(
+        12,
+        "",
+        "angles of an axis below which its orders are not looked through",
+        "fewer are met by the best of thousands of orders whatever the torque is: by draws",
+    )
+    ripple_squares: float = threshold(
+        3.0, "floors2", "mean square of what is left of an axis below which it is not asked", "a swing of two floors"
+    )
+    ripple_p: float = threshold(
+        0.01,
+        "",
+        "probability that torque without any order is met as well by the best of all orders, over all axes",
+        "one name in a hundred for what is no ripple",
+    )
+    ripple_draws: int = threshold(1000, "", "draws by which that is found", "they tell one in a hundred to a third")
+    ripples: int = threshold(3, "", "axes whose ripple is looked for one after the other", "the heavy ones")
+    aliases: int = threshold(3, "", "further orders that are told where they fit nearly as well", "a line of text")
     # commissioning mistakes
     mistake: float = threshold(20.0, "log odds", "what undoing a mistake has to gain", BLIND)
     common_mistake: float = threshold(
