@@ -106,6 +106,11 @@ class Term:
         return self.SPREAD
 
     @property
+    def tries(self) -> int:
+        """How many shapes were looked through for this one, which is paid for where it is weighed."""
+        return 1
+
+    @property
     def count(self) -> int:
         """Number of linear parameters, which have a column each in motion."""
         return sum(self.linear)

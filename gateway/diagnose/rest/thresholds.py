@@ -53,6 +53,32 @@ class RestThresholds:
         "probability that noise leaves what is left, below which structure remains",
         "one false alarm in a thousand clean cells",
     )
+    least_pairs: int = threshold(
+        4, "", "pairs of visits of one pose below which an axis's residuals are not compared", "as least poses"
+    )
+    least_freedom: float = threshold(
+        3.0, "rows", "freedom below which an axis's scatter is not compared", "fewer know their own scatter to a factor"
+    )
+    scatter_freedom: float = threshold(
+        0.5,
+        "",
+        "share of the freedom that the scatter of an axis is compared with",
+        "friction that is left after settling is not normal, nor are its two sides quite independent",
+    )
+    power: float = threshold(0.8, "", "probability with which the size that is told would have been seen", "custom")
+    power_draws: int = threshold(120, "", "draws by which that size is found", "they tell 80 % to 4 %")
+    power_seed: int = threshold(20, "", "seed of those draws", "any; the same data give the same result")
+    largest_structure: float = threshold(
+        20.0, "floors", "size beyond which no structure is asked about", "the strongest effect of the blind cells"
+    )
+    structure_step: float = threshold(0.02, "", "to what share that size is found", "less than its draws scatter")
+    fresh_p: float = threshold(
+        0.05,
+        "",
+        "probability of residuals as large on fresh rows, below which they contradict the model",
+        "with the slack one false alarm in seventy, which asks for more poses and names nothing; four poses see a "
+        "doubled residual of one axis one time in two so, and one in eight at a thousandth",
+    )
     fresh_slack: float = threshold(1.15, "", "by which the variance of fresh rows may be larger than foretold", BLIND)
     most_effects: int = threshold(
         8, "", "effects of one hypothesis", "an end to the search, well beyond what its gains let it reach"
@@ -97,6 +123,25 @@ class RestThresholds:
         "largest change of all rows below which a candidate does nothing",
         "half a floor over all rows together is seen by no fit",
     )
+    # swings of unknown order
+    ripple_angles: int = threshold(
+        12,
+        "",
+        "angles of an axis below which its orders are not looked through",
+        "fewer are met by the best of thousands of orders whatever the torque is: by draws",
+    )
+    ripple_squares: float = threshold(
+        3.0, "floors2", "mean square of what is left of an axis below which it is not asked", "a swing of two floors"
+    )
+    ripple_p: float = threshold(
+        0.01,
+        "",
+        "probability that torque without any order is met as well by the best of all orders, over all axes",
+        "one name in a hundred for what is no ripple",
+    )
+    ripple_draws: int = threshold(1000, "", "draws by which that is found", "they tell one in a hundred to a third")
+    ripples: int = threshold(3, "", "axes whose ripple is looked for one after the other", "the heavy ones")
+    aliases: int = threshold(3, "", "further orders that are told where they fit nearly as well", "a line of text")
     # commissioning mistakes
     mistake: float = threshold(20.0, "log odds", "what undoing a mistake has to gain", BLIND)
     common_mistake: float = threshold(
