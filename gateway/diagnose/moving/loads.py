@@ -6,12 +6,13 @@ time is left out (jackknife). The second is the larger one as soon as the model 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.moving.fit import MovingProblem
+from gateway.diagnose.moving.fit import MovingFit, MovingProblem, fit
+from gateway.diagnose.moving.splits import blocks
 from gateway.diagnose.moving.state import MovingState
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.identify.load_estimate import known_load, load_directions, load_from_moment, load_result, unknown_load
@@ -20,6 +21,11 @@ from gateway.model.effects.velocity_friction import Stribeck
 from gateway.result.result import LoadResult
 
 Floats = NDArray[np.float64]
+
+#: A spread needs two differences.
+FEWEST_PARTS = 3
+#: Share of a variance that is rounding.
+LEAST = 1e-10
 
 
 def loads_of(
@@ -44,7 +50,7 @@ def _load(
         return load_result(unknown_load(label), robot)
     where = np.arange(problem.base.loads[label].start, problem.base.loads[label].start + 4)
     moment = state.full.value[where]
-    covariance = state.full.inverse[np.ix_(where, where)] + over_blocks(problem, state, where)
+    covariance = spread_of(problem, state, where)
     turn = load_directions(moment)
     std = np.sqrt(np.diag(turn @ covariance @ turn.T))
     if not moment[0] > 0 or std[0] > MOVING.loose_mass * moment[0]:
@@ -53,17 +59,36 @@ def _load(
     return load_result(load_from_moment(label, moment, covariance, np.ones(4), found), robot)
 
 
-def over_blocks(problem: MovingProblem, state: MovingState, where: NDArray[np.int_]) -> Floats:
-    """Covariance of parameters over fits that leave out one block of time each; zero with a given hold-out."""
-    return jackknife(problem, np.array([fit.value[where] for fit in state.fits]))
+def spread_of(problem: MovingProblem, state: MovingState, where: NDArray[np.int_]) -> Floats:
+    """Covariance of parameters (k,): what the noise allows, or where it is wider, what leaving out blocks shows."""
+    without = jackknife(np.array([fit.value[where] for fit in _without_blocks(problem, state)]))
+    return wider(state.full.inverse[np.ix_(where, where)], without)
 
 
-def jackknife(problem: MovingProblem, estimates: Floats) -> Floats:
-    """Covariance of estimates (splits, k) that leave out one block of time each; zero with a given hold-out."""
-    if problem.motion.given.any() or len(estimates) < 3:
+def _without_blocks(problem: MovingProblem, state: MovingState) -> Sequence[MovingFit]:
+    """Fits that leave out a block of time of every run: to leave out a whole run is to lose what only it shows."""
+    if len(np.unique(problem.motion.run[~problem.motion.given])) < MOVING.several_runs:
+        return state.fits
+    splits = blocks(problem.motion, MOVING.blocks)
+    return [fit(problem, state.terms, train, test, state.full) for train, test in splits]
+
+
+def jackknife(estimates: Floats) -> Floats:
+    """Covariance of estimates (splits, k) that leave out one block of time each; zero of fewer than three."""
+    if len(estimates) < FEWEST_PARTS:
         return np.zeros((estimates.shape[1],) * 2)
     centred = estimates - estimates.mean(axis=0)
     return (len(estimates) - 1) / len(estimates) * centred.T @ centred
+
+
+def wider(first: Floats, second: Floats) -> Floats:
+    """The covariance (k, k) that is, in every direction, the wider of two: both measure the same spread."""
+    unit = np.sqrt(np.maximum(np.diag(first), 1e-300))
+    size, turn = np.linalg.eigh(first / unit / unit[:, None])
+    root = turn * np.sqrt(np.maximum(size, LEAST))
+    share, axes = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, second / unit / unit[:, None]).T))
+    both = (root @ axes) * unit[:, None]
+    return both * np.maximum(share, 1.0) @ both.T
 
 
 def friction_level(problem: MovingProblem, state: MovingState) -> Floats:
