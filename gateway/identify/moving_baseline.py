@@ -52,7 +52,7 @@ class Baseline:
     friction: NDArray[np.int_]
     trust: float | None
     lines: tuple[tuple[NDArray[np.int_], Floats], ...]
-    sums: dict[bytes, tuple[Floats, ...]] = field(repr=False, default_factory=dict)
+    sums: dict[bytes, Floats] = field(repr=False, default_factory=dict)
 
     @property
     def axes(self) -> int:

@@ -88,7 +88,8 @@ def _judged(motion: MovingRows, knowledge: Knowledge) -> tuple[Choice, Judges]:
     found = choose(motion, knowledge)
     if motion.given.any():
         return found, Judges((found,))
-    return found, Judges(tuple(choose(part, knowledge) for part in judging(motion, MOVING.judged_blocks)))
+    near = replace(knowledge, trust=found.problem.base.trust) if knowledge.free else knowledge
+    return found, Judges(tuple(choose(part, near) for part in judging(motion, MOVING.judged_blocks)))
 
 
 def _outcome(found: Choice, judges: Judges, knowledge: Knowledge) -> MovingOutcome:

@@ -26,7 +26,7 @@ Ints = NDArray[np.int_]
 Extra = tuple[tuple[Ints, Floats], ...]
 
 #: Most rounds of the modelled torque, the step of a gain at which it has settled, and what a gain may be.
-ROUNDS, SETTLED, FACTORS = 5, 2e-4, (0.2, 5.0)
+ROUNDS, SETTLED, FACTORS = 5, 1e-3, (0.2, 5.0)
 INDEPENDENT = 1e-5
 _EMPTY = np.zeros((0, 0))
 _NOTHING = Modelled(_EMPTY, _EMPTY, _EMPTY, _EMPTY)
@@ -188,33 +188,44 @@ class _Seen:
     counted: Floats
     tau_nm: Floats
     weight: Floats
-    products: tuple[Floats, ...]
+    products: Floats
 
 
-def _row_sums(base: Baseline, counted: Floats, train: Mask) -> tuple[Floats, ...]:
-    """Products (k, k) of the baseline's columns of each axis over the rows that are fitted, summed once."""
+def _row_sums(base: Baseline, counted: Floats, train: Mask) -> Floats:
+    """Products (N, P, P) of the baseline's columns on each axis over the rows that are fitted, summed once."""
     key = train.tobytes()
     if key not in base.sums:
-        rows = (line[counted[:, axis] > 0] for axis, (_, line) in enumerate(base.lines))
-        base.sums[key] = tuple(own.T @ own for own in rows)
+        count = base.columns.shape[2]
+        products = np.zeros((base.axes, count, count))
+        for axis, (there, line) in enumerate(base.lines):
+            own = line[counted[:, axis] > 0]
+            products[axis][np.ix_(there, there)] = own.T @ own
+        base.sums[key] = products
     return base.sums[key]
 
 
 def _normal(base: Baseline, seen: _Seen, extra: Extra, factor: Floats, count: int) -> tuple[Floats, Floats]:
     """Information (P, P) and right side (P,) of the fitted rows."""
     information, right = np.zeros((count, count)), np.zeros(count)
+    square, body = seen.weight**2, base.carried
+    known = base.columns.shape[2]
+    parts = (
+        (slice(0, body), slice(0, body), 2),
+        (slice(0, body), slice(body, known), 1),
+        (slice(body, known),) * 2 + (0,),
+    )
+    for rows, columns, power in parts:
+        information[rows, columns] = np.tensordot(square * factor**power, seen.products[:, rows, columns], axes=1)
+    information[body:known, :body] = information[:body, body:known].T
     for axis, ((there, line), (positions, columns)) in enumerate(zip(base.lines, extra, strict=True)):
-        square = seen.weight[axis] ** 2
-        scale = _scale(base, there, factor[axis])
         own = columns * seen.counted[:, [axis]]
-        both = np.column_stack([own, seen.tau_nm[:, axis]])
-        cross = line.T @ both * (square * scale)[:, None]
-        information[np.ix_(there, there)] += square * seen.products[axis] * scale * scale[:, None]
-        information[np.ix_(there, positions)] += cross[:, :-1]
-        information[np.ix_(positions, there)] += cross[:, :-1].T
-        information[np.ix_(positions, positions)] += square * own.T @ own
+        cross = line.T @ np.column_stack([own, seen.tau_nm[:, axis]])
+        cross *= (square[axis] * _scale(base, there, factor[axis]))[:, None]
+        information[there[:, None], positions] += cross[:, :-1]
+        information[positions[:, None], there] += cross[:, :-1].T
+        information[positions[:, None], positions] += square[axis] * own.T @ own
         right[there] += cross[:, -1]
-        right[positions] += square * own.T @ seen.tau_nm[:, axis]
+        right[positions] += square[axis] * own.T @ seen.tau_nm[:, axis]
     return information, right
 
 
@@ -259,7 +270,10 @@ def _extra(motion: MovingRows, base: Baseline, terms: Sequence[Term], modelled: 
     """Columns of each axis that the baseline has none of; zero as long as they need a torque that is not modelled."""
     torque = np.zeros_like(motion.tau_nm) if modelled is None else modelled.rigid_nm
     found = [
-        ([int(base.gain[axis]), int(base.loss[axis])], [torque[:, axis], np.abs(torque[:, axis]) * motion.sign[:, axis]])
+        (
+            [int(base.gain[axis]), int(base.loss[axis])],
+            [torque[:, axis], np.abs(torque[:, axis]) * motion.sign[:, axis]],
+        )
         for axis in range(motion.axes)
     ]
     start = len(base.mean)

@@ -23,6 +23,7 @@ from gateway.model.term import Label, Term
 
 Floats = NDArray[np.float64]
 
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Judges:
     """The choices that rows judge which they have not seen: one where rows were given, else one an outer block."""

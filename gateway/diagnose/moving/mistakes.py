@@ -89,10 +89,17 @@ def _suspects(problem: MovingProblem, now: MovingFit, allowed: frozenset[str]) -
         power = _friction_power(problem, now, axis)
         if power < 0 and not _right_in_a_run(problem, axis):
             yield MovingMistake("sign_reversed", (axis + 1,)), 1.0 if power < -MOVING.mistake else MOVING.halved
-    for pair in combinations(axes, 2) if "axes_swapped" in allowed else ():
+    foreign = [axis for axis in axes if _share_left(problem, now, axis) > MOVING.explained]
+    for pair in combinations(foreign, 2) if "axes_swapped" in allowed else ():
         mistake = MovingMistake("axes_swapped", (pair[0] + 1, pair[1] + 1))
         if _ratio(problem, now, mistake, everything, everything) < MOVING.halved:
             yield mistake, MOVING.halved
+
+
+def _share_left(problem: MovingProblem, now: MovingFit, axis: int) -> float:
+    """Residual of an axis over its torque, both RMS over the rows that may be fitted."""
+    rows = now.weight[:, axis] > 0
+    return float(np.sqrt(np.mean(now.residual_nm[rows, axis] ** 2) / np.mean(problem.motion.tau_nm[rows, axis] ** 2)))
 
 
 def _right_in_a_run(problem: MovingProblem, axis: int) -> bool:
@@ -100,10 +107,10 @@ def _right_in_a_run(problem: MovingProblem, axis: int) -> bool:
     motion = problem.motion
     for number in np.unique(motion.run[~motion.given]):
         rows = (motion.run == number) & ~motion.given
-        alone = fit(problem, (), rows, motion.given)
-        if (alone.weight[:, axis] > 0).sum() >= MOVING.fewest_rows:
-            if _friction_power(problem, alone, axis) > MOVING.right_way:
-                return True
+        if motion.judged[rows, axis].sum() < MOVING.fewest_rows:
+            continue
+        if _friction_power(problem, fit(problem, (), rows, motion.given), axis) > MOVING.right_way:
+            return True
     return False
 
 

@@ -21,16 +21,21 @@ LARGEST_LOG = 6.0
 
 @dataclass(frozen=True, slots=True)
 class HeldRatio:
-    """Held-out RMS after over before, with its 95 % interval; NaN where nothing was held out."""
+    """Held-out RMS after over before, its 95 % interval, and what it is below in 95 %; NaN where nothing was held out."""
 
     value: float
     low: float
     high: float
+    most: float
 
     @property
     def below_one(self) -> bool:
-        """Whether it is below 1 for sure."""
-        return self.high < 1.0
+        """Whether it is below 1 in 95 % of what the stretches could have been."""
+        return self.most < 1.0
+
+
+#: Nothing was held out.
+NOT_HELD = HeldRatio(np.nan, np.nan, np.nan, np.nan)
 
 
 def held_ratio(before: Held, after: Held, axes: Collection[int], sigma_nm: Floats) -> HeldRatio:
@@ -46,17 +51,17 @@ def held_ratio(before: Held, after: Held, axes: Collection[int], sigma_nm: Float
     own = [axis for axis in axes if before.counted[:, axis].any()]
     rows = before.counted[:, own].any(axis=1)
     if not own or not rows.any():
-        return HeldRatio(np.nan, np.nan, np.nan)
+        return NOT_HELD
     was, now = (((held.residual_nm / sigma_nm)[rows][:, own] ** 2).sum(axis=1) for held in (before, after))
     if not was.sum() > 0 or np.array_equal(was, now):
-        return HeldRatio(1.0, 1.0, 1.0)
+        return HeldRatio(1.0, 1.0, 1.0, 1.0)
     count = int(np.clip(len(was) * counting_share(was - now), FEWEST, MOST))
     sums = np.array([[part.sum() for part in np.array_split(series, count)] for series in (was, now)])
     drawn = sums[:, np.random.default_rng(0).integers(0, count, size=(DRAWS, count))].sum(axis=2)
     value = float(np.sqrt(now.sum() / was.sum()))
     there = (drawn > 0).all(axis=0)
     if there.sum() < DRAWS // 2:
-        return HeldRatio(value, 0.0, np.inf)
+        return HeldRatio(value, 0.0, np.inf, np.inf)
     spread = float(np.std(0.5 * np.log(drawn[1, there] / drawn[0, there]))) * np.sqrt(count / (count - 1.0))
-    reach = float(np.exp(min(stats.t.ppf(0.975, count - 1) * spread, LARGEST_LOG)))
-    return HeldRatio(value, value / reach, value * reach)
+    both, above = (float(np.exp(min(stats.t.ppf(p, count - 1) * spread, LARGEST_LOG))) for p in (0.975, 0.95))
+    return HeldRatio(value, value / both, value * both, value * above)

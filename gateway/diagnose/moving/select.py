@@ -14,7 +14,7 @@ import numpy as np
 
 from gateway.diagnose.moving.candidates import candidates, possible, suggested
 from gateway.diagnose.moving.fit import MovingProblem, without_beyond
-from gateway.diagnose.moving.ratio import HeldRatio
+from gateway.diagnose.moving.ratio import NOT_HELD, HeldRatio
 from gateway.diagnose.moving.refine import refine, reshaped
 from gateway.diagnose.moving.state import MovingState, beyond_usual, compare, lacking, refitted, state_of, with_noise_of
 from gateway.diagnose.moving.thresholds import MOVING, Demands
@@ -43,7 +43,7 @@ class Chosen:
     runner_up: Trial | None
     odds: float
     contested: bool
-    held: HeldRatio = HeldRatio(float("nan"), float("nan"), float("nan"))
+    held: HeldRatio = NOT_HELD
 
     @property
     def label(self) -> Label:

@@ -98,6 +98,9 @@ class MovingThresholds:
     right_way: float = threshold(
         2.0, "std", "power of friction above zero in one run that proves the sign of its torque", "one in forty"
     )
+    explained: float = threshold(
+        0.1, "", "share of an axis's torque that is left of one that may be another axis's", RUNS
+    )
     most_mistakes: int = threshold(3, "", "mistakes of one arm", "two wrong drives and one cable")
     # secondary encoders
     wind_up: float = threshold(6.0, "std", "compliance by a secondary encoder that is named", RUNS)

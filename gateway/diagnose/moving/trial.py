@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from gateway.diagnose.held import Held
+from gateway.diagnose.held import TWO_SIDED_95, Held
 from gateway.diagnose.moving.fit import (
     INDEPENDENT,
     MovingFit,
@@ -19,6 +19,7 @@ from gateway.diagnose.moving.fit import (
     usual_of,
 )
 from gateway.diagnose.moving.thresholds import MOVING
+from gateway.identify.nuisance import ORDINARY_STD
 from gateway.model.term import Label, Term
 
 Floats = NDArray[np.float64]
@@ -73,9 +74,7 @@ def held_out(problem: MovingProblem, fits: Sequence[MovingFit]) -> Held:
     return Held(residual * counted, counted)
 
 
-def put_on_trial(
-    problem: MovingProblem, fits: Sequence[MovingFit], full: MovingFit, term: Term
-) -> Trial | None:
+def put_on_trial(problem: MovingProblem, fits: Sequence[MovingFit], full: MovingFit, term: Term) -> Trial | None:
     """Add one effect to the fits of every split; see `trials_of`."""
     return trials_of(problem, fits, full, [term])[0]
 
@@ -120,11 +119,23 @@ def _beyond(
     """Trial against the fits whose axis has the ordinary share of the effect and no more."""
     term, index = what
     share = float(problem.base.mean[index])
+    if not _may_go_beyond(problem, full, index):
+        return None
     asked = _ask(problem, full.held(index, share), [term], hopeless)
     if not asked:
         return None
     (trial,) = _hold_out(problem, [fit.held(index, share) for fit in fits], [term], [asked[0]])
     return replace(trial, value=trial.value + share * (np.arange(len(trial.value)) == 0))
+
+
+def _may_go_beyond(problem: MovingProblem, full: MovingFit, index: int) -> bool:
+    """Whether the rows alone, the prior taken out again, put what every arm has beyond what is ordinary."""
+    usual, prior = float(problem.base.mean[index]), float(problem.base.precision[index])
+    own = 1.0 / float(full.inverse[index, index]) - prior
+    if own <= 0.0:
+        return False
+    off = abs(float(full.value[index]) - usual) * (own + prior) / own
+    return off - TWO_SIDED_95 / np.sqrt(own) > ORDINARY_STD / np.sqrt(prior)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,9 +149,7 @@ class _Asked:
     full: MovingFit
 
 
-def _ask(
-    problem: MovingProblem, full: MovingFit, terms: Sequence[Term], hopeless: float
-) -> dict[int, _Asked]:
+def _ask(problem: MovingProblem, full: MovingFit, terms: Sequence[Term], hopeless: float) -> dict[int, _Asked]:
     """What the fitted rows demand, by the number of the effect; those below `hopeless`."""
     columns = [term.columns(problem.motion, full.modelled) for term in terms]
     out: dict[int, _Asked] = {}
