@@ -41,10 +41,11 @@ class RestRows:
         Half the sum of both sides, each through the gear by its own direction; of a one-sided visit its own torque. NaN
         where the axis was not measured.
     difference_nm : array of shape (n, N)
-        Half the difference of the sides (up minus down), NaN in one-sided visits.
+        Half the difference of the sides (up minus down), NaN where the axis came from one side alone.
     side : array of shape (n, N)
-        Direction of approach of one-sided visits, 0 where unknown or two-sided.
+        Direction of approach of an axis that came from one side, 0 where unknown or from both.
     two_sided : bool array of shape (n,)
+        At least one axis came from both sides.
     sample_std_nm : array of shape (n, N)
         Standard deviation of `sum_nm` by the averaged samples alone, NaN = unknown.
     temperature_c : array of shape (n, N)
@@ -102,6 +103,7 @@ class AlteredModel:
     offset_nm : (n, N) added to the reading
     coupling : (N, N) reported axis i shows sum_j coupling[i, j] * axis j
     load_friction : (N,) nu of nu |tau|
+    bias_nm : (N,) by how much friction upwards exceeds friction downwards, halved
     band_gain : (n, N) factor on the friction band
     gain_per_nm : (N,) added to the gain per Nm of motor torque
     pull_n : (N, 3) force in the base frame on the origin of each link
@@ -118,6 +120,7 @@ class AlteredModel:
     offset_nm: Floats
     coupling: Floats
     load_friction: Floats
+    bias_nm: Floats
     band_gain: Floats
     gain_per_nm: Floats
     pull_n: Floats
@@ -138,6 +141,7 @@ def neutral(n: int, axes: int) -> AlteredModel:
         offset_nm=np.zeros((n, axes)),
         coupling=np.eye(axes),
         load_friction=none,
+        bias_nm=none,
         band_gain=np.ones((n, axes)),
         gain_per_nm=none,
         pull_n=np.zeros((axes, 3)),
@@ -268,9 +272,9 @@ class Model:
 
     def readings(self, setting: AlteredModel, torque: Floats, band_nm: Floats) -> Prediction:
         """Readings from the torque (n, N) the gears transmit."""
-        losses = setting.load_friction * np.abs(torque)
         two = self.rows.two_sided[:, None]
-        friction = band_nm * setting.band_gain + losses
+        friction = band_nm * setting.band_gain + setting.load_friction * np.abs(torque)
+        carried, torque = torque, torque + setting.bias_nm
         if self._straight(setting):
             # the way through the gear and back cancels: each side reads torque and friction as they are
             middle = (setting.gain * torque + setting.offset_nm) @ setting.coupling.T
@@ -280,10 +284,9 @@ class Model:
             up = self._side(setting, torque, friction, 1.0)
             down = self._side(setting, torque, friction, -1.0)
         half_sum = (up + down) / 2.0
-        if not self.rows.two_sided.all():
-            single = np.where(self.rows.side > 0, up, np.where(self.rows.side < 0, down, half_sum))
-            half_sum = np.where(two, half_sum, single)
-        return Prediction(half_sum, np.where(two, (up - down) / 2.0, 0.0), torque)
+        if self.rows.side.any():
+            half_sum = np.where(self.rows.side > 0, up, np.where(self.rows.side < 0, down, half_sum))
+        return Prediction(half_sum, np.where(two, (up - down) / 2.0, 0.0), carried)
 
     def _straight(self, setting: AlteredModel) -> bool:
         """Whether nothing stands between the gear and the reading that the conversion does not undo."""
@@ -303,7 +306,7 @@ class Model:
 
     def sum_by_torque(self, setting: AlteredModel, torque: Floats, band_nm: Floats) -> Floats:
         """Derivative (n, N, N) of the half sums by the transmitted torque of each axis."""
-        if self._straight(setting) and self.rows.two_sided.all():
+        if self._straight(setting) and not self.rows.side.any():
             return setting.coupling[None] * setting.gain[:, None, :]
         step = 1e-4 * (1.0 + np.abs(torque).max(axis=0))
         count = self.rows.axes

@@ -70,6 +70,8 @@ class Term:
         Whether the columns of the bodies are read in the scale that is fitted.
     with_friction : bool
         Whether Coulomb and viscous friction of its axis belong to what is reported.
+    takes_over : str
+        What every arm has on that axis and the effect is too much of: "gain", "bias", "load_friction"; empty = nothing.
     """
 
     name: ClassVar[str] = ""
@@ -81,6 +83,7 @@ class Term:
     ordinary: ClassVar[bool] = False
     scales_reading: ClassVar[bool] = False
     with_friction: ClassVar[bool] = False
+    takes_over: ClassVar[str] = ""
 
     @property
     def joints(self) -> tuple[int, ...]:

@@ -118,7 +118,7 @@ def _disagreement(
     std = fits[0].noise.std[both.group]
     readings = []
     for fit in fits:
-        setting = with_terms(fit.terms, fit.theta, both.rows)
+        setting = with_terms(fit.terms, fit.theta, both.rows, fit.nuisance)
         readings.append(modelled(both, setting, fit.links, fit.loads, fit.band))
     told = []
     for other in readings[1:]:

@@ -9,11 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.diagnose.held import TWO_SIDED_95
+from gateway.diagnose.rest.holdout import chosen_by_others, gained_by_pose
 from gateway.diagnose.rest.linear import Fit, RestProblem, modelled, with_terms
 from gateway.diagnose.rest.screen import projector
 from gateway.diagnose.rest.search import Search, pruned
 from gateway.diagnose.rest.structure import misfit
 from gateway.diagnose.rest.thresholds import REST
+from gateway.identify.nuisance import ORDINARY_STD
 from gateway.model.term import Label, Term
 from gateway.model.unnamed import UNNAMED
 from gateway.result.result import Verdict
@@ -75,7 +78,7 @@ def decide(search: Search, chosen: Fit) -> Decision:
     """
     problem = search.problem
     before = search.fitted(())
-    whole = _without_weak(search, chosen)
+    whole = _seen_to_help(search, _without_ordinary(search, _without_weak(search, chosen)))
     after = search.fitted([term for term in whole.terms if term.name != UNNAMED], whole)
     proven = tuple(term for term in after.terms if strong(search, whole, term))
     near = _rivals(search, whole)
@@ -109,12 +112,12 @@ def strength(search: Search, whole: Fit, term: Term) -> float:
     problem = search.problem
     place = whole.terms.index(term)
     rest = [k for k in range(len(whole.terms)) if k != place]
-    without = with_terms([whole.terms[k] for k in rest], [whole.theta[k] for k in rest], problem.rows)
+    without = with_terms([whole.terms[k] for k in rest], [whole.theta[k] for k in rest], problem.rows, whole.nuisance)
     share = modelled(problem, whole.setting, whole.links, whole.loads, whole.band)
     share = share - modelled(problem, without, whole.links, whole.loads, whole.band)
     weight = 1.0 / whole.noise.std[problem.group]
     common = slice(0, problem.n_common)
-    plain = replace(whole, terms=(), theta=(), design=whole.design[:, common], prior_std=whole.prior_std[common])
+    plain = replace(whole, terms=(), theta=(), design=whole.design[:, common], prior_std=problem.common_std)
     project, _ = projector(problem, plain, weight)
     left = project((share * weight)[:, None])[: len(weight), 0]
     return float(np.sqrt((problem.by_group(left**2) / np.maximum(problem.by_group(), 1)).max()))
@@ -139,10 +142,74 @@ def _without_weak(search: Search, chosen: Fit) -> Fit:
     return pruned(search, search.best(better)) if better else chosen
 
 
+def unseen_by_choice(search: Search) -> Floats:
+    """Residual (rows,) [Nm] of every row by the hypothesis that the other poses choose, fitted to them.
+
+    Any hypothesis of named effects that go beyond what every arm has may be chosen; each effect has to gain `needed`.
+    """
+    level = search.score(search.best()) - REST.out_of_reach
+    fits = [
+        hypothesis
+        for hypothesis in search.pool.values()
+        if search.score(hypothesis) > level
+        and all(term.name != UNNAMED and beyond_ordinary(search.problem, hypothesis, term) for term in hypothesis.terms)
+    ]
+    nothing = search.fitted(())
+    fits += [] if any(hypothesis is nothing for hypothesis in fits) else [nothing]
+    score = [search.score(hypothesis) - REST.needed * len(hypothesis.terms) for hypothesis in fits]
+    return chosen_by_others(search.problem, fits, score)
+
+
+def _without_ordinary(search: Search, chosen: Fit) -> Fit:
+    """The hypothesis without effects that every arm has in that size."""
+    kept = [term for term in chosen.terms if beyond_ordinary(search.problem, chosen, term)]
+    return chosen if len(kept) == len(chosen.terms) else search.fitted(kept, chosen)
+
+
+def beyond_ordinary(problem: RestProblem, hypothesis: Fit, term: Term) -> bool:
+    """Whether the interval of what an effect takes over lies outside its prior."""
+    places = problem.taken_over([term])
+    if not len(places):
+        return True
+    position = hypothesis.terms.index(term)
+    at = problem.n_common + sum(len(theta) for theta in hypothesis.theta[:position])
+    away = abs(float(hypothesis.theta[position][0] - problem.common_mean[places[0]]))
+    unsure = TWO_SIDED_95 * float(np.sqrt(max(hypothesis.covariance[at, at], 0.0)))
+    return away - unsure > ORDINARY_STD * float(problem.common_std[places[0]])
+
+
+def _seen_to_help(search: Search, chosen: Fit) -> Fit:
+    """The hypothesis without effects that poses left out do not confirm, the one that helps least first.
+
+    What takes over something that every arm has competes with that, and only must not be met worse.
+    """
+    while True:
+        terms = [term for term in chosen.terms if term.name != UNNAMED]
+        short = [
+            (helped(search, chosen, term) - REST.unseen * (not len(search.problem.taken_over([term]))), k)
+            for k, term in enumerate(terms)
+        ]
+        if not short or min(short)[0] >= 0.0:
+            return chosen
+        least = terms[min(short)[1]]
+        chosen = search.fitted([term for term in chosen.terms if term is not least], chosen)
+
+
+def helped(search: Search, hypothesis: Fit, term: Term) -> float:
+    """By how many standard deviations over poses unseen rows are met better with an effect than without it."""
+    without = search.fitted([other for other in hypothesis.terms if other is not term], hypothesis)
+    gained = gained_by_pose(search.problem, hypothesis, without)
+    if gained.sum() <= 0:
+        return -np.inf
+    return float(gained.sum() / max(np.sqrt(len(gained)) * float(gained.std(ddof=1)), 1e-12)) if len(gained) > 1 else 0.0
+
+
 def strong(search: Search, hypothesis: Fit, term: Term) -> bool:
-    """Whether the data, and not the prior on the links alone, show an effect."""
+    """Whether the data, and not the prior on the links alone, show an effect that goes beyond what every arm has."""
     if term.name == UNNAMED:
         return True
+    if len(search.problem.taken_over([term])):
+        return beyond_ordinary(search.problem, hypothesis, term)
     least = REST.least_link_strength if term.name == "link_mass" else REST.least_strength
     return strength(search, hypothesis, term) >= least
 

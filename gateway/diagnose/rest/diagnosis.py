@@ -25,6 +25,7 @@ from gateway.diagnose.rest.mistakes import (
     find_mistakes,
     links_far_from_cad,
     suspicious,
+    unseen_ratio,
 )
 from gateway.diagnose.rest.outcome import (
     Judge,
@@ -108,6 +109,7 @@ class RestDiagnosis:
             inertials=_inertials(robot, options.inertials),
             known=options.known,
             bare=options.bare,
+            gain_std=options.gain_std,
         )
 
     def problem(self, table: Table) -> RestProblem:
@@ -163,6 +165,17 @@ class RestDiagnosis:
         both = build_problem(self.robot, joined([seen, unseen]), self.knowledge)
         return Unseen(both, both.visit >= len(seen))
 
+    def _upheld(self, found: Found, holdout: Table | None) -> Found:
+        """The same, without mistakes that leave rows that no fit has seen worse than they were read."""
+        if not found.mistakes or holdout is None or holdout.moving.all():
+            return found
+        read = self._searched(found.table, (), 0.0)
+        held, undone = self._held(read, holdout), self._held(found, holdout)
+        if held is None or undone is None:
+            return found
+        ratio = unseen_ratio(held, read.search.fitted(()), undone, found.search.fitted(()))
+        return found if ratio < 1.0 else read
+
     def _before(self, decision: Decision, judge: Judge, found: Found, sided: bool) -> FitSummary:
         """What the model without effects says of the data as they were read."""
         second = np.isfinite(found.search.problem.rows.wind_up_rad).any()
@@ -180,11 +193,12 @@ class RestDiagnosis:
 
     def report(self, found: Found, holdout: Table | None = None, kind: HoldoutKind = "given") -> Result:
         """Verdict and figures of a search; `holdout` are rows that no fit has seen, `kind` where they come from."""
+        found = self._upheld(found, holdout)
         search, problem = found.search, found.search.problem
         decision = decide(search, found.chosen)
         held = self._held(found, holdout)
         decision, findings = self._confirmed(decision, held, problem)
-        judge = Judge(problem, held)
+        judge = Judge.of(search, decision, held)
         effects = [entry for mistake in found.mistakes for entry in mistake_effect(mistake, found.gained)]
         effects += proven(search, decision, judge)
         seen_by_encoder = elastic_joints(problem, decision.after) if "joint_elasticity" in self.options.allowed else []

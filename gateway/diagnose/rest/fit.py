@@ -33,6 +33,8 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _STEPS = 6
+#: Standard deviation of what an effect of the hypothesis says instead.
+NOTHING = 1e-9
 #: Relative size below which a combination of columns counts as zero.
 TOLERANCE = 1e-10
 
@@ -42,6 +44,7 @@ class _State:
     links: Floats
     loads: Floats
     band: Floats
+    nuisance: Floats
     theta: list[Floats]
 
 
@@ -79,19 +82,21 @@ def _begin(problem: RestProblem, terms: Sequence[Term], start: Fit | None) -> _S
     if start is None:
         links, loads, band = problem.links.copy(), np.zeros((n_labels, 4)), np.zeros(problem.axes)
         loads[:, 0] = 1e-3
+        nuisance = problem.nuisance.mean
         known: dict[Term, Floats] = {}
     else:
-        links, loads, band = start.links.copy(), start.loads.copy(), start.band.copy()
+        links, loads, band, nuisance = (part.copy() for part in (start.links, start.loads, start.band, start.nuisance))
         known = dict(zip(start.terms, start.theta, strict=True))
     theta = [known[term].copy() if term in known else np.array(term.start, dtype=float) for term in terms]
-    return _State(links, loads, band, theta)
+    nuisance[problem.taken_over(terms) - problem.nuisance_part.start] = 0.0
+    return _State(links, loads, band, nuisance, theta)
 
 
 def _linearised(
     problem: RestProblem, terms: Sequence[Term], state: _State, noise: Noise, spreads: list[Floats], step: int
 ) -> Fit:
     """One Gauss-Newton step from `state` (which is moved), with noise and evidence at the new point."""
-    setting = with_terms(terms, state.theta, problem.rows)
+    setting = with_terms(terms, state.theta, problem.rows, state.nuisance)
     at_start = _as_fit(problem, terms, state, setting, noise)
     columns = [common_columns(problem, setting, state.links, state.loads, state.band)]
     for position, term in enumerate(terms):
@@ -104,17 +109,19 @@ def _linearised(
     prior = _prior(problem, terms, state, spreads)
     solution = solve(design, residual, 1.0 / noise.std[problem.group], prior, TOLERANCE)
     _move(problem, terms, state, solution.value)
-    setting = with_terms(terms, state.theta, problem.rows)
+    setting = with_terms(terms, state.theta, problem.rows, state.nuisance)
     left = problem.target - modelled(problem, setting, state.links, state.loads, state.band)
     updated = _update_noise(problem, left, solution.leverage, noise)
-    penalty = _penalty(problem, terms, state, spreads)
+    penalty = _penalty(problem, terms, state, prior, spreads)
     mode = _log_density(problem, left, updated, penalty)
-    log_spread = sum(float(np.sum(np.log(values))) for values in spreads)
+    known = prior.std[problem.nuisance_part]
+    log_spread = sum(float(np.sum(np.log(values))) for values in (*spreads, known))
     return Fit(
         terms=tuple(terms),
         links=state.links.copy(),
         loads=state.loads.copy(),
         band=state.band.copy(),
+        nuisance=state.nuisance.copy(),
         theta=tuple(values.copy() for values in state.theta),
         covariance=solution.covariance,
         setting=setting,
@@ -133,19 +140,21 @@ def _as_fit(problem: RestProblem, terms: Sequence[Term], state: _State, setting:
     empty = np.zeros((0, 0))
     now = modelled(problem, setting, state.links, state.loads, state.band)
     theta = tuple(state.theta)
-    return Fit(
-        tuple(terms), state.links, state.loads, state.band, theta, empty, setting, now, empty, noise, 0.0, empty, empty
-    )
+    place = (state.links, state.loads, state.band, state.nuisance, theta)
+    return Fit(tuple(terms), *place, empty, setting, now, empty, noise, 0.0, empty, empty)
 
 
 def _prior(problem: RestProblem, terms: Sequence[Term], state: _State, spreads: list[Floats]) -> Prior:
     """Prior of the step from the present point."""
-    free = np.full(problem.n_common - 4 * problem.axes, np.inf)
     centre = [np.array(term.start) - theta for term, theta in zip(terms, state.theta, strict=True)]
-    std = np.concatenate([problem.link_std, free, *spreads])
+    common_std, common_mean = problem.common_std, problem.common_mean
+    said_once = problem.taken_over(terms)
+    common_std[said_once], common_mean[said_once] = NOTHING, 0.0
+    here = np.concatenate([state.links, state.loads.ravel(), state.band, state.nuisance])
+    std = np.concatenate([common_std, *spreads])
     rows = np.zeros((len(problem.prior_target), len(std)))
     rows[:, problem.link_part] = problem.prior_rows
-    mean = np.concatenate([problem.links - state.links, np.zeros(len(free)), *centre])
+    mean = np.concatenate([np.where(np.isfinite(common_std), common_mean - here, 0.0), *centre])
     return Prior(mean, std, rows, problem.prior_target - problem.prior_rows @ state.links)
 
 
@@ -153,6 +162,7 @@ def _move(problem: RestProblem, terms: Sequence[Term], state: _State, delta: Flo
     state.links = state.links + delta[problem.link_part]
     state.loads = state.loads + delta[problem.link_part.stop : problem.band_part.start].reshape(-1, 4)
     state.band = state.band + delta[problem.band_part]
+    state.nuisance = state.nuisance + delta[problem.nuisance_part]
     at = problem.n_common
     for position, term in enumerate(terms):
         k = len(term.linear)
@@ -170,8 +180,13 @@ def _update_noise(problem: RestProblem, residual: Floats, leverage: Floats, nois
     return Noise(noise.start, std, noise.least)
 
 
-def _penalty(problem: RestProblem, terms: Sequence[Term], state: _State, spreads: list[Floats]) -> float:
+def _penalty(
+    problem: RestProblem, terms: Sequence[Term], state: _State, prior: Prior, spreads: list[Floats]
+) -> float:
     total = float(np.sum(((state.links - problem.links) / problem.link_std) ** 2))
+    mean = problem.nuisance.mean
+    mean[problem.taken_over(terms) - problem.nuisance_part.start] = 0.0
+    total += float(np.sum(((state.nuisance - mean) / prior.std[problem.nuisance_part]) ** 2))
     if len(problem.prior_target):
         total += float(np.sum((problem.prior_target - problem.prior_rows @ state.links) ** 2))
     for term, values, spread in zip(terms, state.theta, spreads, strict=True):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +13,8 @@ from gateway.diagnose.rest.linear import Fit, RestProblem, common_columns, model
 from gateway.diagnose.rest.screen import Screen
 
 Floats = NDArray[np.float64]
+#: Share of a row's own noise below which the fit has taken it up altogether.
+LEAST_FREE: Final = 1e-9
 
 
 def pose_of_rows(problem: RestProblem) -> NDArray[np.int_]:
@@ -20,8 +24,52 @@ def pose_of_rows(problem: RestProblem) -> NDArray[np.int_]:
 
 def left_out(problem: RestProblem, fit: Fit) -> Floats:
     """Residual (rows,) [Nm] of each row when its pose, under all loads, is not in the fit (linearised)."""
+    return foretold_poses(problem, fit)[0]
+
+
+def gained_by_pose(problem: RestProblem, after: Fit, before: Fit) -> Floats:
+    """Squares (poses,) of unseen rows that `after` leaves less than `before`, over the noise of `after`."""
+    std = after.noise.std[problem.group]
+    less = (left_out(problem, before) / std) ** 2 - (left_out(problem, after) / std) ** 2
+    _, pose = np.unique(pose_of_rows(problem), return_inverse=True)
+    return np.asarray(np.bincount(pose, weights=less), dtype=float)
+
+
+def foretold_poses(problem: RestProblem, fit: Fit) -> tuple[Floats, Floats]:
+    """Residual (rows,) [Nm] of every row when its pose is not in the fit, and log density (poses,) of each pose then.
+
+    What a fit of all poses scores, less the density of one, is what the fit of the others scores: so the others choose,
+    and the one that is left out judges, at no cost (linearised).
+    """
     std = fit.noise.std[problem.group]
-    return std * _left_out(pose_of_rows(problem), fit.residual / std, fit.orthogonal)
+    pose = pose_of_rows(problem)
+    scaled = fit.residual / std
+    out, density = np.empty_like(scaled), []
+    for number in np.unique(pose):
+        rows = np.flatnonzero(pose == number)
+        part = fit.orthogonal[rows]
+        size, turned = np.linalg.eigh(np.eye(len(rows)) - part @ part.T)
+        free = size > LEAST_FREE
+        seen = (turned.T @ scaled[rows])[free] / size[free]
+        out[rows] = turned[:, free] @ seen
+        told = float(np.sum(np.log(size[free]))) - float(scaled[rows] @ out[rows])
+        density.append(0.5 * told - float(np.sum(np.log(std[rows]))))
+    return std * out, np.array(density)
+
+
+def chosen_by_others(problem: RestProblem, fits: Sequence[Fit], score: Sequence[float]) -> Floats:
+    """Residual (rows,) [Nm] of every row by the one of these fits that the other poses choose, fitted to them.
+
+    Parameters
+    ----------
+    problem : RestProblem
+    fits : hypotheses to choose from
+    score : their log odds on all poses
+    """
+    residual, density = zip(*(foretold_poses(problem, fit) for fit in fits), strict=True)
+    choice = np.argmax(np.array(score)[:, None] - np.array(density), axis=0)
+    _, pose = np.unique(pose_of_rows(problem), return_inverse=True)
+    return np.asarray(np.array(residual)[choice[pose], np.arange(len(pose))], dtype=float)
 
 
 def left_out_with(problem: RestProblem, fit: Fit, view: Screen, index: int) -> Floats:
@@ -72,7 +120,7 @@ def foretold_covariance(held: Unseen, fit: Fit) -> Floats:
     The noise of the rows, and what the covariance of the fit's parameters leaves open about them.
     """
     problem = held.problem
-    setting = with_terms(fit.terms, fit.theta, problem.rows)
+    setting = with_terms(fit.terms, fit.theta, problem.rows, fit.nuisance)
     columns = [common_columns(problem, setting, fit.links, fit.loads, fit.band)]
     columns += [
         term_columns(problem, fit, term, fit.theta[position], position) for position, term in enumerate(fit.terms)
@@ -83,5 +131,5 @@ def foretold_covariance(held: Unseen, fit: Fit) -> Floats:
 
 
 def _at(problem: RestProblem, fit: Fit) -> Floats:
-    setting = with_terms(fit.terms, fit.theta, problem.rows)
+    setting = with_terms(fit.terms, fit.theta, problem.rows, fit.nuisance)
     return problem.target - modelled(problem, setting, fit.links, fit.loads, fit.band)

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.rest.thresholds import REST
+from gateway.identify.nuisance import NuisancePrior
 from gateway.model.rest import AlteredModel, Model, RestRows, neutral
 from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+_STEP = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,6 +34,7 @@ class RestProblem:
     target : (rows,) half sums, then half differences
     group : (rows,) noise group: axis + N * (0 half sum, 1 half difference, 2 one-sided)
     prior_rows, prior_target : further knowledge of the links: `prior_rows @ links = prior_target` with unit std
+    nuisance : what every arm has, its prior
     """
 
     model: Model
@@ -46,6 +49,7 @@ class RestProblem:
     group: NDArray[np.int_]
     prior_rows: Floats
     prior_target: Floats
+    nuisance: NuisancePrior
 
     @property
     def rows(self) -> RestRows:
@@ -80,12 +84,36 @@ class RestProblem:
     @property
     def band_part(self) -> slice:
         """Where the friction bands stand."""
-        return slice(self.n_common - self.axes, self.n_common)
+        return slice(self.nuisance_part.start - self.axes, self.nuisance_part.start)
+
+    @property
+    def nuisance_part(self) -> slice:
+        """Where gains, biases and load frictions stand."""
+        return slice(self.n_common - 3 * self.axes, self.n_common)
 
     @property
     def n_common(self) -> int:
-        """Parameters that every hypothesis has: links, loads, bands."""
-        return 5 * self.axes + 4 * len(self.labels)
+        """Parameters that every hypothesis has: links, loads, bands, gains, biases and load frictions."""
+        return 8 * self.axes + 4 * len(self.labels)
+
+    @property
+    def common_mean(self) -> Floats:
+        """Mean (n_common,) of the prior of what every hypothesis has; 0 where it is open."""
+        return np.concatenate([self.links, np.zeros(4 * len(self.labels) + self.axes), self.nuisance.mean])
+
+    @property
+    def common_std(self) -> Floats:
+        """Its standard deviation (n_common,), infinite where it is open."""
+        free = np.full(4 * len(self.labels) + self.axes, np.inf)
+        return np.concatenate([self.link_std, free, self.nuisance.std])
+
+    def taken_over(self, terms: Sequence[Term]) -> NDArray[np.int_]:
+        """Places among the common parameters of which the effects are too much: what they say is said once."""
+        first = {"gain": 0, "bias": self.axes, "load_friction": 2 * self.axes}
+        places = [
+            first[term.takes_over] + term.joints[0] - 1 for term in terms if term.takes_over and len(term.joints) == 1
+        ]
+        return self.nuisance_part.start + np.array(places, dtype=int)
 
     def by_group(self, values: Floats | None = None) -> Floats:
         """Sum (3 N,) over the rows of each noise group; their number where no values (rows,) are given."""
@@ -109,8 +137,9 @@ class Fit:
     ----------
     terms : effects of the hypothesis
     links : (4 N,), loads : (labels, 4), band : (N,)
+    nuisance : (3 N,) gains, biases [Nm] and load frictions
     theta : parameters of each effect
-    covariance : of [links, loads, band, theta]
+    covariance : of [links, loads, band, nuisance, theta]
     setting : AlteredModel at the solution
     residual : (rows,) measured - modelled
     design : (rows, p) derivative of the modelled reading
@@ -124,6 +153,7 @@ class Fit:
     links: Floats
     loads: Floats
     band: Floats
+    nuisance: Floats
     theta: tuple[Floats, ...]
     covariance: Floats
     setting: AlteredModel
@@ -140,15 +170,22 @@ class Fit:
         """All effect parameters in one vector."""
         return np.concatenate(self.theta) if self.theta else np.zeros(0)
 
+    @property
+    def common(self) -> Floats:
+        """What every hypothesis has, in one vector (n_common,)."""
+        return np.concatenate([self.links, self.loads.ravel(), self.band, self.nuisance])
+
 
 def visit_loads(problem: RestProblem, loads: Floats) -> Floats:
     """Load parameters (n, 4) at each visit."""
     return problem.fixed_load + problem.member @ loads if len(problem.labels) else problem.fixed_load.copy()
 
 
-def with_terms(terms: Sequence[Term], theta: Sequence[Floats], rows: RestRows) -> AlteredModel:
-    """The setting with all effects of a hypothesis in it."""
+def with_terms(terms: Sequence[Term], theta: Sequence[Floats], rows: RestRows, nuisance: Floats) -> AlteredModel:
+    """The setting with what every arm has (3 N,), and all effects of a hypothesis, in it."""
+    gain, bias, load_friction = nuisance.reshape(3, rows.axes)
     setting = neutral(len(rows), rows.axes)
+    setting = replace(setting, gain=setting.gain + gain, bias_nm=bias, load_friction=load_friction)
     for term, values in zip(terms, theta, strict=True):
         setting = term.apply(setting, values, rows)
     return setting
@@ -166,7 +203,7 @@ def modelled(problem: RestProblem, setting: AlteredModel, links: Floats, loads: 
 
 
 def common_columns(problem: RestProblem, setting: AlteredModel, links: Floats, loads: Floats, band: Floats) -> Floats:
-    """Columns (rows, 5 N + 4 labels) of links, loads and bands."""
+    """Columns (rows, n_common) of links, loads, bands, gains, biases and load frictions."""
     model = problem.model
     bodies = model.bodies(setting, links, visit_loads(problem, loads))
     torque, regressor = model.joint_torque(setting, bodies)
@@ -179,16 +216,47 @@ def common_columns(problem: RestProblem, setting: AlteredModel, links: Floats, l
     for k in range(len(problem.labels)):
         half_sum[:, :, problem.load_part(k)] = load_columns * problem.member[:, k, None, None]
     difference = np.zeros_like(half_sum)
-    base = model.readings(setting, torque, band)
-    for axis in range(problem.axes):
-        step = 1e-3 * (1.0 + abs(band[axis]))
-        moved = band.copy()
-        moved[axis] += step
-        shifted = model.readings(setting, torque, moved)
-        column = problem.band_part.start + axis
-        half_sum[:, :, column] = (shifted.sum_nm - base.sum_nm) / step
-        difference[:, :, column] = (shifted.difference_nm - base.difference_nm) / step
+    _axis_columns(problem, setting, torque, band, half_sum, difference)
     return stacked(problem, half_sum, difference)
+
+
+def _axis_columns(
+    problem: RestProblem, setting: AlteredModel, torque: Floats, band: Floats, half_sum: Floats, difference: Floats
+) -> None:
+    """Fill in the columns of bands, gains, biases and load frictions.
+
+    Where no axis is read in another they are independent of each other: one step serves all axes at once.
+    """
+    model, axes = problem.model, problem.axes
+    base = model.readings(setting, torque, band)
+    own = np.arange(axes)
+    coupled = bool(np.any(setting.coupling != np.eye(axes)))
+    for kind in range(4):
+        for moved in np.eye(axes) if coupled else np.ones((1, axes)):
+            step = _STEP * (1.0 + np.abs(band)) if kind in (0, 2) else np.full(axes, _STEP)
+            changed, raised = _raised(setting, band, kind, step * moved)
+            shifted = model.readings(changed, torque, raised)
+            for out, new, old in (
+                (half_sum, shifted.sum_nm, base.sum_nm),
+                (difference, shifted.difference_nm, base.difference_nm),
+            ):
+                slope = (new - old) / step[moved > 0] if coupled else (new - old) / step
+                start = problem.band_part.start + kind * axes
+                if coupled:
+                    out[:, :, start + int(np.argmax(moved))] = slope
+                else:
+                    out[:, own, start + own] = slope
+
+
+def _raised(setting: AlteredModel, band: Floats, kind: int, step: Floats) -> tuple[AlteredModel, Floats]:
+    """The setting and the bands with one kind of them raised by `step` (N,)."""
+    if kind == 0:
+        return setting, band + step
+    if kind == 1:
+        return replace(setting, gain=setting.gain * (1.0 + step)), band
+    if kind == 2:
+        return replace(setting, bias_nm=setting.bias_nm + step), band
+    return replace(setting, load_friction=setting.load_friction + step), band
 
 
 def term_columns(problem: RestProblem, fit: Fit, term: Term, theta: Floats, position: int | None = None) -> Floats:
@@ -198,7 +266,7 @@ def term_columns(problem: RestProblem, fit: Fit, term: Term, theta: Floats, posi
     """
     columns = np.empty((len(problem.target), len(theta)))
     rest = [k for k in range(len(fit.terms)) if k != position]
-    base = with_terms([fit.terms[k] for k in rest], [fit.theta[k] for k in rest], problem.rows)
+    base = with_terms([fit.terms[k] for k in rest], [fit.theta[k] for k in rest], problem.rows, fit.nuisance)
     for k, step in enumerate(_steps(term, theta, fit.noise)):
         sides = []
         for sign in (1.0, -1.0):

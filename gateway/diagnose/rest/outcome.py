@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from gateway.diagnose.held import Held, listed
-from gateway.diagnose.rest.decide import Decision, noise_floor, strong
+from gateway.diagnose.rest.decide import Decision, noise_floor, strong, unseen_by_choice
 from gateway.diagnose.rest.holdout import Unseen, left_out, left_out_with, predicted
 from gateway.diagnose.rest.linear import Fit, RestProblem
 from gateway.diagnose.rest.loads import loads_of
@@ -34,12 +35,25 @@ class Judge:
     ----------
     problem : RestProblem
     held : Unseen or None
+    answer : Fit or None
+        The one that was chosen from several: without rows that are given, the poses that it is judged on had a say.
+    by_others : (rows,)
+        What the hypotheses leave that the other poses choose, in the place of the answer.
     axis : axis of every unseen row
     group : noise group of every unseen row
     """
 
     problem: RestProblem
     held: Unseen | None
+    answer: Fit | None = None
+    by_others: Floats = field(default_factory=lambda: np.zeros(0))
+
+    @classmethod
+    def of(cls, search: Search, decision: Decision, held: Unseen | None) -> Self:
+        """Judge of the answer of a search."""
+        if held is not None or decision.after is decision.before:
+            return cls(search.problem, held)
+        return cls(search.problem, None, decision.after, unseen_by_choice(search))
 
     @property
     def group(self) -> NDArray[np.int_]:
@@ -53,7 +67,9 @@ class Judge:
 
     def residual(self, fit: Fit) -> Floats:
         """Residual of a fit on the unseen rows [Nm]."""
-        return left_out(self.problem, fit) if self.held is None else predicted(self.held, fit)
+        if self.held is not None:
+            return predicted(self.held, fit)
+        return self.by_others if fit is self.answer else left_out(self.problem, fit)
 
     def leaves(self, fit: Fit) -> Held:
         """What a fit leaves of the unseen rows."""
@@ -125,7 +141,11 @@ def mistake_effect(mistake: Mistake, gained: float) -> list[EffectResult]:
     """A commissioning mistake as effects: one per axis, or one per pair of axes."""
     places = [mistake.joints] if mistake.name == "axes_swapped" else [(joint,) for joint in mistake.joints]
     parameters = {"factor": mistake.factor} if mistake.name == "current_rms_peak" else {}
-    evidence = Evidence(p_value=float(np.exp(-min(gained, 690.0))), odds=float(np.exp(min(gained, 27.0))))
+    evidence = Evidence(
+        holdout_rms_ratio=mistake.ratio,
+        p_value=float(np.exp(-min(gained, 690.0))),
+        odds=float(np.exp(min(gained, 27.0))),
+    )
     return [EffectResult(mistake.name, joints, parameters, {}, evidence) for joints in places]
 
 

@@ -13,6 +13,7 @@ from gateway.diagnose.rest.thresholds import REST
 from gateway.errors import DataUnusable
 from gateway.identify.links import PER_LINK_AT_REST, link_prior, parse_inertials
 from gateway.identify.loads import bare_rows, load_vector, unknown_labels
+from gateway.identify.nuisance import NuisancePrior, gain_stds, nuisance_prior
 from gateway.model.rest import Model, RestRows
 from gateway.model.robot import Robot
 from gateway.result.result import Bare
@@ -21,6 +22,8 @@ Floats = NDArray[np.float64]
 OPEN_MASS_KG = 1e3
 OPEN_MOMENT_KG_M = 1e3
 EXACT = 1e-4
+#: Friction band of an axis that was approached from one side only, as a share of its torque.
+BAND_UNSEEN = 0.05
 #: Of a link that weighs nothing [kg, kg m]: nothing is known exactly.
 LEAST_STD = 1e-10
 
@@ -35,12 +38,14 @@ class Knowledge:
     inertials : "exact", "ignore" or "prior:RELATIVE_STD"
     known : label -> (mass, x, y, z) of loads that were weighed
     bare : stored bare identification, or None
+    gain_std : relative standard deviation of each torque constant, or None
     """
 
     gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.80665)
     inertials: str = "prior:0.05"
     known: Mapping[str, tuple[float, float, float, float]] = field(default_factory=dict)
     bare: Bare | None = None
+    gain_std: tuple[float, ...] | None = None
 
 
 def build_problem(robot: Robot, rows: RestRows, knowledge: Knowledge) -> RestProblem:
@@ -58,9 +63,9 @@ def build_problem(robot: Robot, rows: RestRows, knowledge: Knowledge) -> RestPro
     use_sum = np.isfinite(rows.sum_nm)
     if not use_sum.any():
         raise DataUnusable("no axis torque was measured at rest: nothing to diagnose")
-    use_difference = rows.two_sided[:, None] & np.isfinite(rows.difference_nm)
+    use_difference = use_sum & np.isfinite(rows.difference_nm)
     axis = np.broadcast_to(np.arange(rows.axes), use_sum.shape)
-    kind = np.broadcast_to(np.where(rows.two_sided, 0, 2 * rows.axes)[:, None], use_sum.shape)
+    kind = np.where(use_difference, 0, 2 * rows.axes)
     links, std = _link_prior(robot, knowledge.inertials)
     prior_rows, prior_target = (
         (np.zeros((0, 4 * rows.axes)), np.zeros(0)) if knowledge.bare is None else bare_rows(knowledge.bare)
@@ -78,6 +83,7 @@ def build_problem(robot: Robot, rows: RestRows, knowledge: Knowledge) -> RestPro
         group=np.concatenate([(axis + kind)[use_sum], axis[use_difference] + rows.axes]),
         prior_rows=prior_rows,
         prior_target=prior_target,
+        nuisance=_nuisance(rows, use_difference, knowledge),
     )
 
 
@@ -86,6 +92,22 @@ def _link_prior(robot: Robot, inertials: str) -> tuple[Floats, Floats]:
     mean, std = link_prior(robot, max(parse_inertials(inertials), EXACT), PER_LINK_AT_REST)
     nearly_open = np.tile([OPEN_MASS_KG, *[OPEN_MOMENT_KG_M] * 3], len(mean) // PER_LINK_AT_REST)
     return mean, np.where(np.isinf(std), nearly_open, np.maximum(std, LEAST_STD))
+
+
+def _nuisance(rows: RestRows, seen: NDArray[np.bool_], knowledge: Knowledge) -> NuisancePrior:
+    """Prior of what every arm has; the sides of the visits tell how large bands and losses are."""
+    band, lost = np.empty(rows.axes), np.full(rows.axes, np.nan)
+    for axis in range(rows.axes):
+        use = seen[:, axis] & np.isfinite(rows.sum_nm[:, axis])
+        torque, half = np.abs(rows.sum_nm[use, axis]), rows.difference_nm[use, axis]
+        if not use.any():
+            size = rows.sum_nm[np.isfinite(rows.sum_nm[:, axis]), axis]
+            band[axis] = BAND_UNSEEN * float(np.sqrt(np.mean(size**2))) if len(size) else np.nan
+            continue
+        band[axis] = float(np.median(half))
+        if len(half) >= 4 and np.ptp(torque) > 0:
+            lost[axis] = float(np.polyfit(torque, half, 1)[0])
+    return nuisance_prior(gain_stds(knowledge.gain_std, rows.axes), band, lost)
 
 
 def first_noise(problem: RestProblem) -> Noise:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.rest.linear import Fit, RestProblem, spread_of, term_columns
 from gateway.diagnose.rest.thresholds import REST
+from gateway.identify.solve import NOTHING
 from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
@@ -101,7 +102,7 @@ def projector(problem: RestProblem, fit: Fit, weight: Floats) -> tuple[Callable[
     more[:, problem.link_part] = problem.prior_rows
     big = np.vstack([fit.design * weight[:, None], prior, more])
     scale = np.sqrt((big**2).sum(axis=0))
-    scale[scale == 0] = 1.0
+    scale[scale <= NOTHING * scale.max(initial=0.0)] = 1.0  # rounding of a column that is zero is not a column
     basis, r = np.linalg.qr(big / scale)
     basis = basis[:, np.abs(np.diag(r)) > 1e-10]
     rows = len(weight)
@@ -112,8 +113,8 @@ def projector(problem: RestProblem, fit: Fit, weight: Floats) -> tuple[Callable[
         return left - basis @ (basis[:rows].T @ columns)
 
     centre = np.concatenate([np.array(term.start) for term in fit.terms]) if fit.terms else np.zeros(0)
-    free = np.zeros(problem.n_common - 4 * problem.axes)
-    pull = np.concatenate([problem.links - fit.links, free, centre - fit.flat_theta])
+    pull = np.concatenate([problem.common_mean - fit.common, centre - fit.flat_theta])
+    pull[problem.taken_over(fit.terms)] = 0.0
     target = np.concatenate(
         [
             fit.residual * weight,

@@ -27,12 +27,21 @@ class RestThresholds:
     least_link_strength: float = threshold(
         1.2, "floors", "the same of extra mass on a link, which a drawing that is wrong looks like", BLIND
     )
+    unseen: float = threshold(
+        1.0,
+        "std",
+        "by how much unseen rows have to be met better with an effect that is named, over poses",
+        "five of six that are seen to help do help",
+    )
     sure_odds: float = threshold(20.0, "", "odds below which another set of effects is a rival", KASS)
     ask_odds: float = threshold(
         400.0,
         "",
         "odds below which a rival is worth more measurements",
         "the square of sure odds: one more measurement of the same weight could turn it",
+    )
+    out_of_reach: float = threshold(
+        100.0, "log odds", "behind the best, beyond which no choice of fewer poses goes back", "more than one pose decides"
     )
     hint_odds: float = threshold(3.0, "", "odds below which a larger set is kept in mind", KASS)
     structure_p: float = threshold(
@@ -43,7 +52,7 @@ class RestThresholds:
     )
     fresh_slack: float = threshold(1.15, "", "by which the variance of fresh rows may be larger than foretold", BLIND)
     most_effects: int = threshold(
-        3, "", "effects of one hypothesis", "pairs were the most that blind cells hide, one more to be able to fail"
+        8, "", "effects of one hypothesis", "an end to the search, well beyond what its gains let it reach"
     )
     needed: float = threshold(3.0, "log odds", "what an effect has to gain to stay", "log of 20, as sure odds")
     implausible: float = threshold(8.0, "log odds", "against an effect that its mechanism cannot do", BLIND)
@@ -84,6 +93,15 @@ class RestThresholds:
     surer: float = threshold(5.0, "log odds", "against a mistake beside the best effects instead", BLIND)
     obvious: float = threshold(150.0, "log odds", "gain at which effects need not be searched for first", BLIND)
     most_mistakes: int = threshold(3, "", "mistakes of one arm", "two wrong drives and one cable")
+    least_axes: int = threshold(
+        2,
+        "",
+        "axes that were measured and moved, below which no mistake is looked for",
+        "what one axis shows alone, any spring or wrong link shows too",
+    )
+    moved_rad: float = threshold(
+        0.02, "rad", "range of an axis's angles below which it stood still", "ten times the tolerance of one pose"
+    )
     suspicious: float = threshold(
         1.7, "floors", "what is left of the half sums at which mistakes are looked for", BLIND
     )

@@ -22,6 +22,7 @@ class LoadDependentFriction(OnAxis):
     """`nu |tau| sign(dir)`."""
 
     name: ClassVar[str] = "load_dependent_friction"
+    takes_over: ClassVar[str] = "load_friction"
     parameters: ClassVar[tuple[str, ...]] = ("coefficient",)
     SPREAD: ClassVar[tuple[float, ...]] = (0.2,)
     bounds: ClassVar[Mapping[str, tuple[float, float]]] = {"coefficient": (0.0, 0.6)}

@@ -23,6 +23,7 @@ class TorqueConstantScale(Term):
 
     axis: int | None = None
     name: ClassVar[str] = "torque_constant_scale"
+    takes_over: ClassVar[str] = "gain"
     parameters: ClassVar[tuple[str, ...]] = ("scale",)
     SPREAD: ClassVar[tuple[float, ...]] = (0.2,)
     #: Beyond this a drive model is confused with another, or a gear ratio.

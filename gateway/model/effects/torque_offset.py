@@ -22,6 +22,7 @@ class TorqueOffset(ReadingTorque):
     """`offset`, whatever the arm does."""
 
     name: ClassVar[str] = "torque_offset"
+    takes_over: ClassVar[str] = "bias"
     parameters: ClassVar[tuple[str, ...]] = ("offset_nm",)
 
     def shape(self, q_rad: Floats, fixed: Floats) -> Floats:
