@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.identify.moving_baseline import Baseline
+from gateway.identify.moving_baseline import HELD, Baseline
+from gateway.identify.nuisance import ORDINARY_STD
 from gateway.identify.solve import solve_normal
 from gateway.model.effects.load_dependent_friction import LoadDependentFriction
 from gateway.model.motion import PER_BODY, Mask, Modelled, MovingRows, structural_base
@@ -27,6 +28,8 @@ Extra = tuple[tuple[Ints, Floats], ...]
 
 #: Most rounds of the modelled torque, the step of a gain at which it has settled, and what a gain may be.
 ROUNDS, SETTLED, FACTORS = 5, 1e-3, (0.2, 5.0)
+#: Passes in which parameters are held to their limits.
+_PASSES = 3
 INDEPENDENT = 1e-5
 _EMPTY = np.zeros((0, 0))
 _NOTHING = Modelled(_EMPTY, _EMPTY, _EMPTY, _EMPTY)
@@ -60,7 +63,9 @@ class MovingFit:
         Scale in which the columns of the bodies stand on each axis.
     extra : (positions (k,), columns (n, k)) of each axis, of the parameters that the baseline has no columns of
     inverse : array of shape (P, P)
-        Covariance of the parameters.
+        Covariance of the parameters, those at a limit held there.
+    spread : array of shape (P, P)
+        The same with none held: the uncertainty of the result.
     value : array of shape (P,)
     residual_nm : array of shape (n, N)
         Of every row, fitted or not.
@@ -76,6 +81,7 @@ class MovingFit:
     factor: Floats
     extra: tuple[tuple[Ints, Floats], ...]
     inverse: Floats
+    spread: Floats
     value: Floats
     residual_nm: Floats
     modelled: Modelled
@@ -118,14 +124,10 @@ class MovingFit:
         scale = _scale(self.base, there, self.factor[axis])
         return columns[rows] @ (change[there].T * scale).T + more[rows] @ change[positions]
 
-    def held(self, index: int, value: float) -> MovingFit:
-        """The fit with one parameter held to a value: exact where the torque is linear in all of them."""
-        lead = self.inverse[:, index] / self.inverse[index, index]
-        off = self.value[index] - value
-        residual = self.residual_nm + self.torque(range(self.base.axes), lead * off)
-        inverse = self.inverse - np.outer(lead, self.inverse[index])
-        cost = self.cost + off**2 / self.inverse[index, index]
-        return replace(self, inverse=inverse, value=self.value - lead * off, residual_nm=residual, cost=cost)
+    def at_limit(self, index: int) -> bool:
+        """Whether a gain or load friction is as far off as is ordinary, and the rows want it further."""
+        off = abs(float(self.value[index] - self.base.mean[index]))
+        return off > (1.0 - 1e-6) * ORDINARY_STD * float(self.base.precision[index]) ** -0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,7 +151,8 @@ def fit(
     """Fit the baseline with `terms` to the rows of `train` (n,), beginning with the torque of a fit that is `near`.
 
     Gains, load frictions and other columns of the modelled torque are made anew until the torque settles. A gain
-    multiplies what the bodies give: their columns carry the gain found so far, and its parameter is the step left.
+    multiplies what the bodies give: their columns carry the gain found so far, and its parameter is the step left. No
+    gain and no load friction goes beyond what is ordinary: what lies beyond is an effect, and has to be found.
     """
     motion, base = problem.motion, _with_usual_replaced(problem.base, terms)
     counted = motion.judged * train[:, None]
@@ -159,26 +162,62 @@ def fit(
     seen = _Seen(counted, motion.tau_nm * counted, problem.noise.weight, _row_sums(base, counted, train))
     factor, modelled = (np.ones(motion.axes), None) if near is None else (near.factor, near.modelled)
     least = 2 if near is None else 1
-    extra, inverse, value, carried = (), np.zeros((0, 0)), mean, mean
+    extra, information, inverse, value, carried = (), _EMPTY, _EMPTY, mean, mean
     for number in range(ROUNDS + 1):
         extra = _extra(motion, base, terms, modelled)
         carried = np.zeros(len(mean))
         carried[gains] = factor - 1.0
         information, right = _normal(base, seen, extra, factor, len(mean))
-        inverse, value = solve_normal(information, right, mean - carried, precision)
+        inverse, value = _within_ordinary(base, (information, right), (mean, carried, precision))
         modelled = model_torque(problem, terms, value)
         if number == ROUNDS or (number >= least and np.abs(value[gains]).max() < SETTLED):
             break
         factor = np.clip(factor + value[gains], *FACTORS)
-    weight = problem.noise.weight * counted
     solved = MovingFit(
-        tuple(terms), base, weight, test, factor, extra, inverse, value, motion.tau_nm, modelled or _NOTHING, 0.0
+        terms=tuple(terms),
+        base=base,
+        weight=problem.noise.weight * counted,
+        test=test,
+        factor=factor,
+        extra=extra,
+        inverse=inverse,
+        spread=inverse,
+        value=value,
+        residual_nm=motion.tau_nm,
+        modelled=modelled or _NOTHING,
+        cost=0.0,
     )
     residual = motion.tau_nm - solved.torque(range(motion.axes), value)
     value = value + carried
-    cost = float(((weight * residual) ** 2).sum() + precision @ (value - mean) ** 2)
+    cost = float(((solved.weight * residual) ** 2).sum() + precision @ (value - mean) ** 2)
     modelled = replace(solved.modelled, total_nm=motion.tau_nm - residual)
-    return replace(solved, value=value, residual_nm=residual, modelled=modelled, cost=cost)
+    solved = replace(solved, value=value, residual_nm=residual, modelled=modelled, cost=cost)
+    if not any(solved.at_limit(index) for index in (*base.gain, *base.loss)):
+        return solved
+    return replace(solved, spread=solve_normal(information, mean, mean, precision)[0])
+
+
+def _within_ordinary(
+    base: Baseline, normal: tuple[Floats, Floats], prior: tuple[Floats, Floats, Floats]
+) -> tuple[Floats, Floats]:
+    """Covariance and parameters; gains and load frictions that the rows want beyond what is ordinary stay there.
+
+    `prior` has the mean, what of it the columns carry already, and the precision.
+    """
+    mean, carried, precision = prior
+    inverse, value = solve_normal(*normal, mean - carried, precision)
+    usual = np.concatenate([base.gain, base.loss])
+    reach = ORDINARY_STD * precision[usual] ** -0.5
+    target, held = mean.copy(), precision.copy()
+    for _ in range(_PASSES):
+        off = (value + carried - mean)[usual]
+        over = np.abs(off) > (1.0 + 1e-9) * reach
+        if not over.any():
+            break
+        target[usual[over]] = mean[usual[over]] + (np.sign(off) * reach)[over]
+        held[usual[over]] = HELD
+        inverse, value = solve_normal(*normal, target - carried, held)
+    return inverse, value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -236,15 +275,6 @@ def usual_of(base: Baseline, term: Term) -> int | None:
     if isinstance(term, LoadDependentFriction):
         return int(base.loss[term.axis])
     return None
-
-
-def without_beyond(base: Baseline, terms: Sequence[Term]) -> Baseline:
-    """The baseline of an arm whose axes have of these effects what is ordinary, and no more."""
-    for term in terms:
-        index = usual_of(base, term)
-        if index is not None:
-            base = base.held(index, float(base.mean[index]))
-    return base
 
 
 def _with_usual_replaced(base: Baseline, terms: Sequence[Term]) -> Baseline:

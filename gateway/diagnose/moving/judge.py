@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.held import Held
 from gateway.diagnose.moving.choice import Choice
-from gateway.diagnose.moving.fit import MovingProblem, fit, without_beyond
+from gateway.diagnose.moving.fit import MovingProblem, fit
 from gateway.diagnose.moving.mistakes import MovingMistake, undo
 from gateway.diagnose.moving.ratio import HeldRatio, held_ratio
 from gateway.diagnose.moving.trial import trials_of
@@ -61,10 +61,8 @@ class Judges:
         with_it, without = [], []
         for choice in self.choices:
             problem, whole = choice.problem, choice.state.full.residual_nm
-            removed = [term for term in choice.state.terms if term.label == label]
             rest = [term for term in choice.state.terms if term.label != label]
-            plain = replace(problem, base=without_beyond(problem.base, removed))
-            left = _residual(plain, rest) if removed else whole
+            left = _residual(problem, rest) if len(rest) < len(choice.state.terms) else whole
             with_it.append((problem, whole if instead is None else _residual(problem, [*rest, *instead])))
             without.append((problem, left))
         return held_ratio(_joined(without), _joined(with_it), axes, sigma_nm)

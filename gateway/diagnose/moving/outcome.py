@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gateway.diagnose.held import Held, listed
 from gateway.diagnose.moving.fit import MovingProblem
 from gateway.diagnose.moving.judge import Judges
-from gateway.diagnose.moving.loads import friction_level, loads_of
+from gateway.diagnose.moving.loads import friction_level, loads_of, nuisances
 from gateway.diagnose.moving.mistakes import MovingMistake
 from gateway.diagnose.moving.parameters import figures_of, parameters_of
 from gateway.diagnose.moving.pictures import pictures
@@ -98,6 +98,7 @@ def result_of(outcome: MovingOutcome) -> Result:
         rejected=_rejected(outcome),
         next=(*(_tell_apart(item) for item in doubtful), *_richer(outcome, bool(effects))),
         findings=(*_faults(() if undecided else effects), *_remarks(outcome)),
+        nuisance=nuisances(problem, after),
         provenance=_provenance(problem, outcome),
         quality={"holdout_ratio": _axis_ratios(outcome)},
         rows=_rows(problem, after),

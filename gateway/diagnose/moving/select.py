@@ -8,12 +8,12 @@ are ordinary in any gear need less than those that mean a fault or an extra part
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from gateway.diagnose.moving.candidates import candidates, possible, suggested
-from gateway.diagnose.moving.fit import MovingProblem, without_beyond
+from gateway.diagnose.moving.fit import MovingProblem
 from gateway.diagnose.moving.ratio import NOT_HELD, HeldRatio
 from gateway.diagnose.moving.refine import refine, reshaped
 from gateway.diagnose.moving.state import MovingState, beyond_usual, compare, lacking, refitted, state_of, with_noise_of
@@ -139,8 +139,7 @@ def _without_idle(problem: MovingProblem, state: MovingState) -> MovingState:
     while state.terms:
         rated = []
         for term in state.terms:
-            plain = replace(problem, base=without_beyond(problem.base, [term]))
-            smaller = state_of(plain, [other for other in state.terms if other != term])
+            smaller = state_of(problem, [other for other in state.terms if other != term])
             rated.append(compare(problem, smaller, state, term))
         idle = [trial for trial in rated if not _needed(problem, trial)]
         if not idle:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.held import TWO_SIDED_95, Held
-from gateway.diagnose.moving.fit import MovingFit, MovingProblem, fit, noise_of, scaled_to, usual_of, without_beyond
+from gateway.diagnose.moving.fit import MovingFit, MovingProblem, fit, noise_of, scaled_to, usual_of
 from gateway.diagnose.moving.trial import Trial, demand, held_out, judge
 from gateway.identify.nuisance import ORDINARY_STD
 from gateway.model.term import Label, Term
@@ -45,10 +45,8 @@ def with_noise_of(problem: MovingProblem, terms: Sequence[Term], full: MovingFit
 
 
 def lacking(problem: MovingProblem, state: MovingState, label: Label) -> MovingState:
-    """The model without one effect; what every arm has of it stays."""
-    removed = [term for term in state.terms if term.label == label]
-    plain = replace(problem, base=without_beyond(problem.base, removed))
-    return state_of(plain, [term for term in state.terms if term.label != label])
+    """The model without one effect; what is ordinary of it comes back."""
+    return state_of(problem, [term for term in state.terms if term.label != label])
 
 
 def beyond_usual(problem: MovingProblem, term: Term, value: Floats, covariance: Floats) -> bool:

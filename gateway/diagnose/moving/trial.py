@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from gateway.diagnose.held import TWO_SIDED_95, Held
+from gateway.diagnose.held import Held
 from gateway.diagnose.moving.fit import (
     INDEPENDENT,
     MovingFit,
@@ -19,7 +19,6 @@ from gateway.diagnose.moving.fit import (
     usual_of,
 )
 from gateway.diagnose.moving.thresholds import MOVING
-from gateway.identify.nuisance import ORDINARY_STD
 from gateway.model.term import Label, Term
 
 Floats = NDArray[np.float64]
@@ -91,51 +90,20 @@ def trials_of(
 
     None if the rows cannot tell it from what the model has, if what they demand has a p above `hopeless`, or if there
     are more than `most` that they demand more. The step is exact for columns that do not depend on the model, and first
-    order for those that do. Of an effect that every arm has a share of, the model to beat has the ordinary share, and
-    the trial's value is the whole.
+    order for those that do. Of an effect that every arm has a share of, the model has as much of it as is
+    ordinary: what is tried is the rest, and the trial's value is the whole.
     """
     out: list[Trial | None] = [None] * len(terms)
     usual = [usual_of(problem.base, term) for term in terms]
-    plain = [number for number, index in enumerate(usual) if index is None]
-    asked = _ask(problem, full, [terms[number] for number in plain], hopeless)
+    there = [number for number, index in enumerate(usual) if index is None or full.at_limit(index)]
+    asked = _ask(problem, full, [terms[number] for number in there], hopeless)
     best = sorted(asked, key=lambda place: asked[place].log_p)[:most]
-    chosen = [terms[plain[place]] for place in best]
-    trials = _hold_out(problem, fits, chosen, [asked[place] for place in best])
+    trials = _hold_out(problem, fits, [terms[there[place]] for place in best], [asked[place] for place in best])
     for place, trial in zip(best, trials, strict=True):
-        out[plain[place]] = trial
-    for number, index in enumerate(usual):
-        if index is not None:
-            out[number] = _beyond(problem, fits, full, (terms[number], index), hopeless)
+        index = usual[there[place]]
+        share = 0.0 if index is None else float(full.value[index])
+        out[there[place]] = replace(trial, value=trial.value + share * (np.arange(len(trial.value)) == 0))
     return out
-
-
-def _beyond(
-    problem: MovingProblem,
-    fits: Sequence[MovingFit],
-    full: MovingFit,
-    what: tuple[Term, int],
-    hopeless: float,
-) -> Trial | None:
-    """Trial against the fits whose axis has the ordinary share of the effect and no more."""
-    term, index = what
-    share = float(problem.base.mean[index])
-    if not _may_go_beyond(problem, full, index):
-        return None
-    asked = _ask(problem, full.held(index, share), [term], hopeless)
-    if not asked:
-        return None
-    (trial,) = _hold_out(problem, [fit.held(index, share) for fit in fits], [term], [asked[0]])
-    return replace(trial, value=trial.value + share * (np.arange(len(trial.value)) == 0))
-
-
-def _may_go_beyond(problem: MovingProblem, full: MovingFit, index: int) -> bool:
-    """Whether the rows alone, the prior taken out again, put what every arm has beyond what is ordinary."""
-    usual, prior = float(problem.base.mean[index]), float(problem.base.precision[index])
-    own = 1.0 / float(full.inverse[index, index]) - prior
-    if own <= 0.0:
-        return False
-    off = abs(float(full.value[index]) - usual) * (own + prior) / own
-    return off - TWO_SIDED_95 / np.sqrt(own) > ORDINARY_STD / np.sqrt(prior)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
