@@ -17,11 +17,13 @@ Floats = NDArray[np.float64]
 #: Draws of the bootstrap, and stretches of time that it draws from.
 DRAWS, FEWEST, MOST = 400, 6, 60
 LARGEST_LOG = 6.0
+#: Of the interval's ends, and between them of what the ratio is below in 95 %.
+QUANTILES = np.array([0.025, 0.95, 0.975])
 
 
 @dataclass(frozen=True, slots=True)
 class HeldRatio:
-    """Held-out RMS after over before, its 95 % interval, and what it is below in 95 %; NaN where nothing was held out."""
+    """Held-out RMS after over before, its 95 % interval, `most` that it is in 95 %; NaN where nothing was held out."""
 
     value: float
     low: float
@@ -39,7 +41,8 @@ NOT_HELD = HeldRatio(np.nan, np.nan, np.nan, np.nan)
 
 
 def held_ratio(before: Held, after: Held, axes: Collection[int], sigma_nm: Floats) -> HeldRatio:
-    """Ratio pooled over axes in units of their noise (N,), by a bootstrap over stretches of time.
+    """Ratio pooled over axes in units of their noise (N,), by a bootstrap over stretches of time, as
+    many as there are independent values, widened as t is against the normal.
 
     Parameters
     ----------
@@ -62,6 +65,8 @@ def held_ratio(before: Held, after: Held, axes: Collection[int], sigma_nm: Float
     there = (drawn > 0).all(axis=0)
     if there.sum() < DRAWS // 2:
         return HeldRatio(value, 0.0, np.inf, np.inf)
-    spread = float(np.std(0.5 * np.log(drawn[1, there] / drawn[0, there]))) * np.sqrt(count / (count - 1.0))
-    both, above = (float(np.exp(min(stats.t.ppf(p, count - 1) * spread, LARGEST_LOG))) for p in (0.975, 0.95))
-    return HeldRatio(value, value / both, value * both, value * above)
+    logs = 0.5 * np.log(drawn[1, there] / drawn[0, there])
+    reach = (np.quantile(logs, QUANTILES) - np.log(value)) * np.sqrt(count / (count - 1.0))
+    reach *= stats.t.ppf(QUANTILES, count - 1) / stats.norm.ppf(QUANTILES)
+    low, most, high = (value * np.exp(np.clip(reach, -LARGEST_LOG, LARGEST_LOG))).tolist()
+    return HeldRatio(value, low, high, most)

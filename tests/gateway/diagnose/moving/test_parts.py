@@ -55,10 +55,12 @@ def table_of(seed=0, n=400, run="1", load="none", rate_hz=20.0):
 
 
 def problem_of(robot, table, trust=None, count=4):
+    """Gains and load frictions held at 0: with them the model is not linear."""
     motion = prepare(table, None, robot, GRAVITY)
-    return MovingProblem(
-        motion, baseline(motion, trust, {}), MovingNoise(np.ones(6), np.ones(6)), blocks(motion, count)
-    )
+    base = baseline(motion, trust, {})
+    for index in (*base.gain, *base.loss):
+        base = base.held(index, 0.0)
+    return MovingProblem(motion, base, MovingNoise(np.ones(6), np.ones(6)), blocks(motion, count))
 
 
 def test_counting_share_of_a_first_order_process_is_its_closed_form():
