@@ -16,20 +16,17 @@ from gateway.errors import DataUnusable
 from gateway.estimate.consistency import CONTRADICTS, describe_masses, disagree
 from gateway.estimate.describe import axis_sigma, describe, per_pose_mass
 from gateway.estimate.estimate import Estimate
-from gateway.estimate.friction import noise_groups
-from gateway.estimate.noise import NoiseFit, fit_noise, noise_levels
+from gateway.estimate.fitting import fit_problem
+from gateway.estimate.noise import NoiseFit
 from gateway.estimate.options import EstimateOptions
 from gateway.estimate.problem import Problem, build_problem
 from gateway.identify.load_estimate import refused_load
-from gateway.identify.solve import Prior, solve
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
-OFFSET_SHARES = (0.0, 0.03, 0.1, 0.3, 1.0)
 _SAME_POSE_RAD = 0.05
-_CLEARLY = 1.0
 MOST_LINK_ROWS = 30
 
 
@@ -54,11 +51,12 @@ def estimate_joint(visits: Visits, robot: Robot, options: EstimateOptions) -> Es
     problem = build_problem(visits, robot, options)
     for label in problem.loads:
         require_postures(visits, label)
-    fit, prior = fit_problem(problem)
+    fitted = fit_problem(problem, options)
+    problem, fit = fitted.problem, fitted.fit
     reasons = {label: _contradiction(problem, fit, robot, options, label) for label in problem.loads}
     refused = {label: reason for label, reason in reasons.items() if reason is not None}
     if not refused:
-        return describe(problem, fit, prior, robot, options)
+        return describe(fitted, robot, options)
     kept = visits.take(~np.isin(visits.load, list(refused)))
     others = tuple(
         refused_load(label, reason, per_pose_mass(problem, fit, robot, options, label))
@@ -81,10 +79,11 @@ def _contradiction(problem: Problem, fit: NoiseFit, robot: Robot, options: Estim
     if not len(kept):
         return None
     known = {name: value for name, value in options.known.items() if name in kept.load}
-    others = build_problem(kept, robot, replace(options, known=known))
+    without = replace(options, known=known)
+    others = build_problem(kept, robot, without)
     if len(others.target) < MOST_LINK_ROWS:
         return None
-    sigma = axis_sigma(others, fit_problem(others)[0])
+    sigma = axis_sigma(others, fit_problem(others, without).fit)
     here = (problem.visits.load[problem.visit] == label) & np.isfinite(sigma[problem.axis])
     excess = float(np.sqrt(np.mean((fit.solution.residual[here] / sigma[problem.axis[here]]) ** 2)))
     if excess < CONTRADICTS:
@@ -109,26 +108,3 @@ def require_postures(visits: Visits, label: str) -> None:
             " along gravity turns no axis; add at least one posture in which gravity comes from another side of the"
             " flange (more than 30 degrees apart), ten are better"
         )
-
-
-def fit_problem(problem: Problem) -> tuple[NoiseFit, Prior]:
-    """Solve with noise and offset size chosen by the data; the prior holds the offsets as chosen."""
-    groups = noise_groups(problem.visits, problem.visit, problem.axis)
-    scale = groups.scale_nm[problem.offset_axis]
-    prior = problem.prior.with_std(problem.offsets, 0.1 * scale)
-    levels = noise_levels(problem.design, problem.target, prior, groups)
-    share = _offset_share(problem, levels.weight, scale)
-    prior = problem.prior.with_std(problem.offsets, np.maximum(share, 1e-7) * scale)
-    return fit_noise(problem.design, problem.target, prior, groups), prior
-
-
-def _offset_share(problem: Problem, weight: Floats, scale: Floats) -> float:
-    """Standard deviation of the offsets as a share of their scale: the one with the greatest marginal likelihood."""
-    best, best_value = OFFSET_SHARES[0], -np.inf
-    for share in OFFSET_SHARES:
-        std = max(share, 1e-7) * scale
-        solution = solve(problem.design, problem.target, weight, problem.prior.with_std(problem.offsets, std))
-        value = -0.5 * (solution.misfit + solution.log_determinant) - float(np.sum(np.log(std)))
-        if value > best_value + (_CLEARLY if best == 0.0 and share > 0.0 and np.isfinite(best_value) else 0.0):
-            best, best_value = share, value
-    return best

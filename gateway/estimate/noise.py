@@ -27,6 +27,8 @@ _DOUBT_POOLED = 0.02
 _DOUBT_GROUP = 0.002
 _LEAST_FREEDOM = 2.0
 _SMALLEST = 1e-9
+#: Share of the torque below which noise is none: beside less, no prior of a torque constant could be told from none.
+_NO_NOISE = 1e-6
 _LEAST_NM = 1e-6
 _MOST_TELLING = 3
 _NORMAL = 1.959963984540054
@@ -204,7 +206,7 @@ def _iterate(design: Floats, target: Floats, prior: Prior, groups: Groups, start
     """Fisher scoring of the restricted likelihood in the extra variances, kept from falling below zero."""
     count, typical = len(groups.scale_nm), _typical(groups)
     level = float(np.mean(target**2))
-    least = np.maximum((_SMALLEST * (groups.scale_nm + np.sqrt(level))) ** 2, _LEAST_NM**2)
+    least = np.maximum((_NO_NOISE * (groups.scale_nm + np.sqrt(level))) ** 2, _LEAST_NM**2)
     member = np.zeros((len(target), count))
     member[np.arange(len(target)), groups.index] = 1.0
 

@@ -18,7 +18,8 @@ from scipy.stats import chi2
 from gateway.errors import DataUnusable, InputError
 from gateway.estimate.describe import describe
 from gateway.estimate.estimate import Estimate
-from gateway.estimate.joint import fit_problem, require_postures
+from gateway.estimate.fitting import fit_problem
+from gateway.estimate.joint import require_postures
 from gateway.estimate.options import EstimateOptions
 from gateway.estimate.problem import LOAD_NAMES, Problem, build_problem, link_knowledge
 from gateway.identify.loads import BARE_LABEL, unknown_labels
@@ -64,9 +65,8 @@ def estimate_posture(visits: Visits, robot: Robot, options: EstimateOptions) -> 
     for label in labels:
         own = visits.take(visits.load == label)
         known = {name: value for name, value in options.known.items() if name in own.load}
-        problem = build_problem(own, robot, replace(alone, bare=bare, known=known))
-        fit, prior = fit_problem(problem)
-        part = describe(problem, fit, prior, robot, options)
+        told = replace(alone, bare=bare, known=known)
+        part = describe(fit_problem(build_problem(own, robot, told), told), robot, options)
         parts.append(replace(part, findings=(*part.findings, *_check(own, robot, alone, bare, base, label))))
     first = parts[0]
     return replace(
@@ -85,9 +85,9 @@ def _bare(visits: Visits, robot: Robot, options: EstimateOptions, base: BaseSet,
         refuse_other_bare(options.bare, robot, options.gravity_m_s2)
         return options.bare
     if (visits.load == BARE_LABEL).any():
-        problem = build_problem(visits.take(visits.load == BARE_LABEL), robot, replace(options, known={}))
-        fit, prior = fit_problem(problem)
-        found = describe(problem, fit, prior, robot, options).bare
+        told = replace(options, known={})
+        problem = build_problem(visits.take(visits.load == BARE_LABEL), robot, told)
+        found = describe(fit_problem(problem, told), robot, options).bare
         if found is not None:
             return found
         raise DataUnusable(
@@ -144,8 +144,9 @@ def _check(
     own: Visits, robot: Robot, alone: EstimateOptions, bare: Bare, base: BaseSet, label: str
 ) -> tuple[Finding, ...]:
     """Whether what changed against the bare arm is a body on the flange and nothing else."""
-    loaded = build_problem(replace(own, load=np.full(len(own), BARE_LABEL)), robot, replace(alone, known={}))
-    fit, _ = fit_problem(loaded)
+    told = replace(alone, known={})
+    loaded = build_problem(replace(own, load=np.full(len(own), BARE_LABEL)), robot, told)
+    fit = fit_problem(loaded, told).fit
     directions = _base_directions(loaded, base)
     if not determined(fit.solution, directions).all():
         return ()

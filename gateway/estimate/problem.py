@@ -1,4 +1,4 @@
-"""Rest visits and a robot as the weighted linear problem of links, loads, torque offsets and friction sides."""
+"""Rest visits and a robot as the weighted linear problem of links, loads, gains, torque offsets and friction sides."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.errors import DataUnusable
+from gateway.estimate.gains import GainRows
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.links import PER_LINK_AT_REST, link_prior
-from gateway.identify.loads import bare_rows, load_vector, unknown_labels
+from gateway.identify.loads import bare_and_gain_rows, load_vector, unknown_labels
 from gateway.identify.solve import Prior
 from gateway.model.base import BaseSet, rest_base
 from gateway.model.regressor import LOAD_COLUMNS, gravity_names, gravity_regressor
@@ -73,8 +74,10 @@ class Problem:
     offsets : int array of shape (k,)
         Columns of the torque offsets, one per measured axis.
     offset_axis : int array of shape (k,)
+    gains : int array of shape (k,)
+        Columns of the gains, one per measured axis, in the same order.
     known_nm : array of shape (r,)
-        What was taken off the measured torque.
+        What is known of the torque.
     """
 
     visits: Visits
@@ -89,7 +92,20 @@ class Problem:
     loads: dict[str, int]
     offsets: Ints
     offset_axis: Ints
+    gains: Ints
     known_nm: Floats
+
+    @property
+    def rows(self) -> GainRows:
+        """The rows without their gains."""
+        axis_place = np.searchsorted(self.offset_axis, self.axis)
+        return GainRows(
+            self.design,
+            self.visits.tau_nm[self.visit, self.axis],
+            self.known_nm,
+            int(self.offsets[0]),
+            self.gains[axis_place],
+        )
 
 
 def link_knowledge(robot: Robot, options: EstimateOptions) -> Links:
@@ -138,6 +154,10 @@ def build_problem(visits: Visits, robot: Robot, options: EstimateOptions) -> Pro
     parts.append((axis[:, None] == offset_axis).astype(float))
     names += [f"offset[J{k + 1}]" for k in offset_axis]
     units += ["Nm"] * len(offset_axis)
+    gains = len(names) + np.arange(len(offset_axis))
+    parts.append(np.zeros((len(axis), len(gains))))
+    names += [f"gain[J{k + 1}]" for k in offset_axis]
+    units += ["1"] * len(offset_axis)
     sided = _sided_axes(visits, measured)
     parts.append(np.where(axis[:, None] == sided, visits.direction[visit, axis][:, None], 0.0))
     names += [f"friction[J{k + 1}]" for k in sided]
@@ -148,8 +168,8 @@ def build_problem(visits: Visits, robot: Robot, options: EstimateOptions) -> Pro
         axis=axis,
         design=np.hstack(parts),
         target=visits.tau_nm[visit, axis] - known,
-        prior=_prior(links, options.bare, len(names)).with_std(
-            offsets[-1] + 1 + np.arange(len(sided)), FRICTION_SHARE * _torque_rms(visits)[sided]
+        prior=_prior(links, options.bare, len(names), gains, offset_axis).with_std(
+            gains[-1] + 1 + np.arange(len(sided)), FRICTION_SHARE * _torque_rms(visits)[sided]
         ),
         names=tuple(names),
         units=tuple(units),
@@ -157,6 +177,7 @@ def build_problem(visits: Visits, robot: Robot, options: EstimateOptions) -> Pro
         loads=loads,
         offsets=offsets,
         offset_axis=offset_axis,
+        gains=gains,
         known_nm=known,
     )
 
@@ -177,14 +198,16 @@ def _torque_rms(visits: Visits) -> Floats:
     return np.sqrt(np.nansum(visits.tau_nm**2, axis=0) / np.maximum(count, 1))
 
 
-def _prior(links: Links, bare: Bare | None, count: int) -> Prior:
+def _prior(links: Links, bare: Bare | None, count: int, gains: Ints, gain_axis: Ints) -> Prior:
     prior = Prior.free(count)
     held = len(links.held)
     mean, std = prior.mean, prior.std
     mean[:held], std[:held] = links.mean[links.held], links.std[links.held]
     if bare is None:
         return Prior(mean, std, prior.rows, prior.right)
-    rows, right = bare_rows(bare)
+    rows, right = bare_and_gain_rows(bare)
     further = np.zeros((len(rows), count))
+    count_links = len(links.fixed)
     further[:, : len(links.columns)] = rows[:, links.columns]
-    return Prior(mean, std, further, right - rows @ links.fixed)
+    further[:, gains] = rows[:, count_links + gain_axis]
+    return Prior(mean, std, further, right - rows[:, :count_links] @ links.fixed)

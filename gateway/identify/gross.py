@@ -78,7 +78,8 @@ def _told(halves: RestHalves, found: Deviations, limits: GrossLimits) -> Gross:
     seen = np.isfinite(halves.sum_nm).sum(axis=0)
     count = found.gross.sum(axis=0)
     many = count > np.ceil(limits.most * seen)
-    spread = _in_a_row(halves, found.gross.any(axis=1), limits.in_a_row) | found.gross[:, many].any(axis=1)
+    flagged = np.flatnonzero(found.gross.any(axis=1))
+    spread = _in_a_row(halves, flagged, limits.in_a_row) | found.gross[:, many].any(axis=1)
     many |= found.gross[spread].any(axis=0)
     too_many = tuple((int(axis), int(count[axis])) for axis in np.flatnonzero(many))
     where = np.argwhere(found.gross & ~many)
@@ -92,19 +93,17 @@ def _told(halves: RestHalves, found: Deviations, limits: GrossLimits) -> Gross:
     return Gross(entries, too_many, disturbed)
 
 
-def _in_a_row(halves: RestHalves, flagged: Mask, least: int) -> Mask:
-    """Flagged visits (n,) of which at least so many of one load follow each other in time."""
-    out = np.zeros(len(flagged), dtype=bool)
+def _in_a_row(halves: RestHalves, flagged: Ints, least: int) -> Mask:
+    """Which (n,) of the flagged visits (k,) follow each other in time, at least so many of one load."""
+    out, wanted = np.zeros(len(halves.load), dtype=bool), set(flagged.tolist())
     for label in np.unique(halves.load):
         here = np.flatnonzero(halves.load == label)
         order = here[np.argsort(np.nan_to_num(halves.time_s[here]), kind="stable")]
         row: list[int] = []
-        for visit in [*order.tolist(), None]:
-            if visit is not None and flagged[visit]:
-                row.append(visit)
-                continue
-            out[row] = len(row) >= least
-            row = []
+        for visit in order.tolist():
+            row = [*row, visit] if visit in wanted else []
+            if len(row) >= least:
+                out[row] = True
     return out
 
 

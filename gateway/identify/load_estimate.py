@@ -34,6 +34,7 @@ class LoadEstimate:
         Of [m, hx, hy, hz], as far as the data determine it.
     unidentifiable : tuple of str
     per_pose_mass_kg : mapping of pose number to mass
+    budget : mapping of source to its share of the mass's variance, sum 1
     refused : str or None
         Why the data of this load contradict each other; everything else is NaN then.
     """
@@ -47,6 +48,7 @@ class LoadEstimate:
     covariance: Floats
     unidentifiable: tuple[str, ...] = ()
     per_pose_mass_kg: Mapping[str, float] = field(default_factory=dict)
+    budget: Mapping[str, float] = field(default_factory=dict)
     refused: str | None = None
 
     @property
@@ -158,6 +160,7 @@ def load_result(load: LoadEstimate, robot: Robot | None) -> LoadResult:
         correlation=tuple(tuple(row) for row in load.correlation.tolist()) if told else None,
         unidentifiable=load.unidentifiable,
         per_pose_mass_kg=dict(load.per_pose_mass_kg),
+        budget=dict(load.budget),
         refused=load.refused,
     )
 

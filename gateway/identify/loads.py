@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.errors import InputError
+from gateway.identify.links import PER_LINK_AT_REST
 from gateway.result.result import Bare
 
 Floats = NDArray[np.float64]
@@ -17,6 +18,8 @@ Floats = NDArray[np.float64]
 BARE_LABEL: Final = "none"
 #: What a stored identification knows better than this share of what it knows least, it knows that well.
 _SUREST: Final = 1e-12
+#: Standard deviation [kg, kg m] below which nothing is known: heavier rows drown the measured ones in rounding.
+_EXACT_KG: Final = 1e-10
 
 
 def unknown_labels(present: Iterable[str], known: Mapping[str, object]) -> tuple[str, ...]:
@@ -43,7 +46,30 @@ def load_vector(known: Sequence[float]) -> Floats:
 def bare_rows(bare: Bare) -> tuple[Floats, Floats]:
     """A stored bare identification as rows (k, 4 N) and right side (k,) with unit standard deviation."""
     combination, value = np.asarray(bare.combination, dtype=float), np.asarray(bare.value, dtype=float)
-    size, vectors = np.linalg.eigh(np.asarray(bare.covariance, dtype=float))
-    size = np.maximum(size, max(_SUREST * float(size.max(initial=0.0)), 1e-28))
+    return _whitened(combination, value, np.asarray(bare.covariance, dtype=float))
+
+
+def bare_and_gain_rows(bare: Bare) -> tuple[Floats, Floats]:
+    """The same together with the gains it was made with, rows (k, 5 N): the same arm errs the same way under a load.
+
+    They stand for the prior of those gains too. The gains' columns are 0 where the identification says none.
+    """
+    axes = len(bare.combination[0]) // PER_LINK_AT_REST
+    told = np.flatnonzero(np.isfinite(bare.gain)) if bare.gain else np.zeros(0, dtype=int)
+    if not len(told):
+        rows, right = bare_rows(bare)
+        return np.hstack([rows, np.zeros((len(rows), axes))]), right
+    combination, value = np.asarray(bare.combination, dtype=float), np.asarray(bare.value, dtype=float)
+    both = np.concatenate([np.arange(len(value)), len(value) + told])
+    rows = np.zeros((len(both), PER_LINK_AT_REST * axes + axes))
+    rows[: len(value), : PER_LINK_AT_REST * axes] = combination
+    rows[np.arange(len(value), len(both)), PER_LINK_AT_REST * axes + told] = 1.0
+    covariance = np.asarray(bare.gain_covariance, dtype=float)[np.ix_(both, both)]
+    return _whitened(rows, np.concatenate([value, np.asarray(bare.gain, dtype=float)[told]]), covariance)
+
+
+def _whitened(rows: Floats, right: Floats, covariance: Floats) -> tuple[Floats, Floats]:
+    size, vectors = np.linalg.eigh(covariance)
+    size = np.maximum(size, max(_SUREST * float(size.max(initial=0.0)), _EXACT_KG**2))
     whiten = (vectors / np.sqrt(size)).T
-    return whiten @ combination, whiten @ value
+    return whiten @ rows, whiten @ right

@@ -33,6 +33,8 @@ ORDINARY_STD: Final = 2.0
 _MOST_GAIN_STD: Final = 0.3
 #: Least relative standard deviation that is told from none in the arithmetic.
 _EXACT: Final = 1e-9
+#: Half differences of an axis from which a loss can be read.
+_LEAST_HALVES: Final = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,6 +108,48 @@ def parse_torque_gain(text: str) -> float:
     return float(share)
 
 
+def losses(difference_nm: Floats, torque_nm: Floats) -> tuple[Floats, Floats]:
+    """Loss over transmitted torque of each axis, and its standard deviation, from half differences `band + nu |tau|`.
+
+    Parameters
+    ----------
+    difference_nm : array of shape (n, N)
+        Half the difference of both sides; NaN = none.
+    torque_nm : array of shape (n, N)
+        As modelled: a measured torque would be its own explanation.
+
+    Returns
+    -------
+    value, std : arrays of shape (N,)
+        The data weighed with the prior; NaN where the half differences say less than the prior.
+    """
+    axes = difference_nm.shape[1]
+    value, std = np.full(axes, np.nan), np.full(axes, np.nan)
+    for axis in range(axes):
+        use = np.isfinite(difference_nm[:, axis]) & np.isfinite(torque_nm[:, axis])
+        if use.sum() < _LEAST_HALVES:
+            continue
+        half, size = difference_nm[use, axis], np.abs(torque_nm[use, axis])
+        away = size - size.mean()
+        spread = float(away @ away)
+        slope = float(away @ half) / spread if spread > (_EXACT * size.max(initial=0.0)) ** 2 else 0.0
+        left = half - half.mean() - slope * away
+        noise = float(left @ left) / (use.sum() - 2)
+        # the data's weight, and the prior's
+        own = spread / max(noise, (_EXACT * np.abs(half).max(initial=0.0)) ** 2, 1e-300)
+        prior = LOAD_FRICTION_STD**-2
+        if own < prior:
+            continue
+        value[axis] = (own * slope + prior * LOAD_FRICTION) / (own + prior)
+        std[axis] = (own + prior) ** -0.5
+    return value, std
+
+
+def efficiency_of(lost: float) -> float:
+    """Efficiency of a gear whose losses in both directions differ from the torque by `lost`: `(1 / eta - eta) / 2`."""
+    return float(np.hypot(1.0, lost) - lost)
+
+
 def nuisance_prior(gain_std: Floats, band_nm: ArrayLike, lost: ArrayLike) -> NuisancePrior:
     """Prior of what every arm has.
 
@@ -116,19 +160,21 @@ def nuisance_prior(gain_std: Floats, band_nm: ArrayLike, lost: ArrayLike) -> Nui
     band_nm : array of shape (N,)
         Friction band of each axis; NaN = not seen, no bias can be foretold.
     lost : array of shape (N,)
-        Loss over transmitted torque that the half differences of the axis show; NaN = not seen, as the prior has it.
+        Loss over transmitted torque that the half differences of the axis show (`losses`); NaN = not seen, as the prior
+        has it.
 
     Notes
     -----
     A gear of one efficiency loses more where it is driven, and leaves `nu^2 / 2` of the torque in the middle of both
-    sides; losses that are even leave nothing. Which of both a gear is nobody states: the gain is moved by half of it.
+    sides; losses that are even leave nothing. Which of both a gear is nobody states: the gain is moved by half of it
+    where the loss is seen, and only widened where it is not.
     """
     band = np.abs(np.nan_to_num(np.asarray(band_nm, dtype=float)))
-    nu = np.asarray(lost, dtype=float)
-    nu = np.clip(np.where(np.isfinite(nu), nu, LOAD_FRICTION), 0.0, 1.0)
+    given = np.asarray(lost, dtype=float)
+    nu = np.clip(np.where(np.isfinite(given), given, LOAD_FRICTION), 0.0, 1.0)
     middle = nu**2 / 4.0
     return NuisancePrior(
-        gain=middle,
+        gain=np.where(np.isfinite(given), middle, 0.0),
         gain_std=np.sqrt(gain_std**2 + middle**2 + (UNEVEN_LOSS * nu) ** 2),
         bias_std_nm=np.maximum(BIAS_SHARE * band, _EXACT),
         load_friction=np.full(len(nu), LOAD_FRICTION),

@@ -194,7 +194,8 @@ class Bare:
 
     `columns` are indices into the columns [m, hx, hy, hz] of links 1 to N; `value` [kg or kg m] belongs to them,
     `covariance` has the squared units; `combination` (rank, 4 N) says which link parameters each of them lumps.
-    `offset_nm` is the torque of each axis that does not turn with gravity, NaN where it was not estimated.
+    `offset_nm` is the torque of each axis that does not turn with gravity, NaN where it was not estimated. `gain` is
+    that of the torque of each axis, NaN where not measured; `gain_covariance` belongs to `value` and `gain` together.
     """
 
     robot: str
@@ -205,6 +206,8 @@ class Bare:
     covariance: Matrix
     combination: Matrix
     offset_nm: Numbers = UNKNOWN_SIX
+    gain: Numbers = field(default=(), metadata=SILENT)
+    gain_covariance: Matrix = field(default=(), metadata=SILENT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -305,9 +308,12 @@ def _check_loads(result: Result, where: str) -> None:
 def _check_bare(bare: Bare, where: str) -> None:
     rank, columns = len(bare.value), PER_LINK * len(bare.offset_nm)
     shapes = {"gravity_m_s2": (1, 3), "value": (1, rank), "covariance": (rank, rank), "combination": (rank, columns)}
+    if bare.gain:
+        axes = len(bare.offset_nm)
+        shapes |= {"gain": (1, axes), "gain_covariance": (rank + axes, rank + axes)}
     for key, (height, width) in shapes.items():
         given = getattr(bare, key)
-        rows = given if key in ("covariance", "combination") else (given,)
+        rows = given if key.endswith("covariance") or key == "combination" else (given,)
         if len(rows) != height or any(len(row) != width for row in rows):
             raise InputError(f"{where}: bare.{key}: {height} x {width} numbers are needed")
         if any(abs(value) > LARGEST for row in rows for value in row):

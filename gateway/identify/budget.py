@@ -1,0 +1,75 @@
+"""Where the variance of an estimate comes from: the torque constants, the links, the friction, the noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.identify.solve import Prior
+
+Floats = NDArray[np.float64]
+Names = NDArray[np.str_]
+
+CONSTANTS: Final = "constants"
+LINKS: Final = "links"
+FRICTION: Final = "friction"
+NOISE: Final = "noise"
+#: Keys of a budget.
+SOURCES: Final = (CONSTANTS, LINKS, FRICTION, NOISE)
+
+
+def budget_of(
+    design: Floats,
+    weight: Floats,
+    prior: Prior,
+    covariance: Floats,
+    direction: Floats,
+    of_row: Names,
+    of_parameter: Mapping[str, Floats],
+    of_further: str = LINKS,
+) -> Mapping[str, float]:
+    """Share of the variance of `direction @ x` by source, sum 1, whatever the order.
+
+    The estimate is linear in the measured rows and in the prior's means, each of variance 1 once weighted. The variance
+    is the sum of the squares of its coefficients, `|direction C A^T W|^2 + |direction C P^T|^2`, and every row and
+    every prior belongs to one source.
+
+    Parameters
+    ----------
+    design : array of shape (n, p)
+    weight : array of shape (n,)
+        One over the standard deviation of each row.
+    prior : Prior
+    covariance : array of shape (p, p)
+        Of the solution: the inverse of `A^T W^2 A + P^T P`.
+    direction : array of shape (p,)
+    of_row : str array of shape (n,)
+        Source of each row.
+    of_parameter : source -> array of shape (p,)
+        Share of the prior's variance of each parameter that is of that source; of free ones it does not matter.
+    of_further : str
+        Source of the prior's further combinations.
+
+    Returns
+    -------
+    mapping
+        Each of `SOURCES`; empty where nothing has a variance.
+    """
+    reach = covariance @ direction
+    held = np.isfinite(prior.std)
+    by_row = (design @ reach * weight) ** 2
+    by_prior = np.zeros(len(reach))
+    by_prior[held] = (reach[held] / prior.std[held]) ** 2
+    nothing = np.zeros(len(reach))
+    total = {
+        source: float(by_row[of_row == source].sum() + by_prior @ of_parameter.get(source, nothing))
+        for source in SOURCES
+    }
+    total[of_further] += float(((prior.rows @ reach) ** 2).sum())
+    whole = sum(total.values())
+    if not (np.isfinite(whole) and whole > 0.0):
+        return {}
+    return {source: value / whole for source, value in total.items()}
