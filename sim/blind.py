@@ -4,6 +4,8 @@ The strength of an effect is what it does to the measured rows beyond everything
 over: its torques are weighted by the floor of each axis and projected on the base and load columns, with the prior on
 the link parameters as rows; strength = RMS over the visits of what is left, on the axis where that is largest. For an
 effect between the two sides of a visit: RMS of half the difference after removing each axis's mean, over the floor.
+Cells are drawn by that strength; `strength_beyond` projects what every arm has out as well: errors of the torque
+constants and a bias of friction by direction.
 """
 
 from __future__ import annotations
@@ -24,6 +26,8 @@ from sim.plant import Plant
 Array = NDArray[np.float64]
 
 LEAST_STRENGTH, MOST_STRENGTH = 1.5, 20.0
+#: What every arm has, one standard deviation: relative error of a torque constant, bias by direction over the band.
+GAIN_STD, BIAS_SHARE = 0.03, 0.1
 MIX = {"clean": 0.52, "two": 0.14, "off": 0.08}
 
 
@@ -130,6 +134,19 @@ def scaled(
 
 def strength(arm: DrawnArm, visits: Sequence[PlannedVisit], effect: Mapping[str, object]) -> float:
     """Projected strength of one effect over the noise floor, as the module text defines it."""
+    return _strength(arm, visits, effect, 0.0, 0.0)
+
+
+def strength_beyond(arm: DrawnArm, visits: Sequence[PlannedVisit], effect: Mapping[str, object]) -> float:
+    """Strength of one effect beyond gains and biases too; infinite for a mistake of commissioning."""
+    if effect["name"] in ("sign_reversed", "axes_swapped", "current_rms_peak"):
+        return float("inf")
+    return _strength(arm, visits, effect, GAIN_STD, BIAS_SHARE)
+
+
+def _strength(
+    arm: DrawnArm, visits: Sequence[PlannedVisit], effect: Mapping[str, object], gain_std: float, bias_share: float
+) -> float:
     quiet = replace(arm.protocol, settle=np.zeros(6), resolution_nm=np.zeros(6), samples=1)
     still = replace(arm.plant, reading_noise_nm=np.zeros(6))
     rng = np.random.default_rng(0)
@@ -144,14 +161,18 @@ def strength(arm: DrawnArm, visits: Sequence[PlannedVisit], effect: Mapping[str,
     q = np.array([visit.q_rad for visit in visits])
     links = gravity_columns(arm.chain, q, arm.plant.gravity_m_s2) / arm.floor_nm[:, None]
     loaded = np.array([visit.load != "none" for visit in visits], dtype=float)
+    modelled, band = without[0] / arm.floor_nm, np.ones_like(without[0]) * arm.plant.coulomb_nm / arm.floor_nm
+    every = [gain_std * modelled, bias_share * band]
     columns = [(links * arm.prior_std).reshape(-1, 24)]
+    columns += [(np.eye(6) * part[:, :, None]).reshape(-1, 6) for part in every]
     free = 0
     if not arm.known:
         columns.append((links[:, :, 20:] * loaded[:, None, None]).reshape(-1, 4))
         free = 4
-    prior = np.hstack([np.eye(24), np.zeros((24, free))])
+    known = 24 + 6 * len(every)
+    prior = np.eye(known, known + free)
     design = np.vstack([np.hstack(columns), prior])
-    target = np.append(half_sum.ravel(), np.zeros(24))
+    target = np.append(half_sum.ravel(), np.zeros(known))
     fit, *_ = np.linalg.lstsq(design, target, rcond=None)
     left = (target - design @ fit)[: half_sum.size].reshape(-1, 6)
     rms = np.sqrt(np.mean(left**2, axis=0)), np.sqrt(np.mean(half_difference**2, axis=0))
@@ -191,5 +212,6 @@ __all__ = [
     "draw_cell",
     "scaled",
     "strength",
+    "strength_beyond",
     "wanted_strength",
 ]

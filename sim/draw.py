@@ -61,13 +61,13 @@ class DrawnArm:
 def draw_arm(rng: np.random.Generator) -> DrawnArm:
     """Draw one arm; everything random comes from `rng`."""
     payload_kg = float(np.exp(rng.uniform(np.log(10.0), np.log(200.0))))
-    chain = _chain(payload_kg, rng)
+    chain = arm_geometry(payload_kg, rng)
     body = [chain.bodies[i] for i in range(6)]
     masses = np.array([b.mass_kg for b in body if b])
     coms = np.array([b.com_m for b in body if b])
     tensors = np.array([b.inertia_kg_m2 for b in body if b])
-    loads = {"tool": _load("tool", payload_kg, rng)}
-    capacity = _capacity(chain, masses, coms, loads["tool"], rng)
+    loads = {"tool": draw_load("tool", payload_kg, rng)}
+    capacity = rated_torque_nm(chain, masses, coms, loads["tool"], rng)
     coulomb = capacity * rng.uniform(0.015, 0.05, 6)
     efficiency = np.ones(6) if rng.random() < 0.5 else rng.uniform(0.8, 0.95, 6)
     plant = nominal_plant(
@@ -148,7 +148,8 @@ def _believed(chain: SimChain, std: Array, rng: np.random.Generator) -> str:
     )
 
 
-def _chain(payload_kg: float, rng: np.random.Generator) -> SimChain:
+def arm_geometry(payload_kg: float, rng: np.random.Generator) -> SimChain:
+    """Chain of an arm for loads up to `payload_kg`, with a spherical wrist or the offset wrist of light arms."""
     size = (payload_kg / 165.0) ** 0.3
     total = payload_kg * float(rng.uniform(4.0, 7.0))
     spherical = rng.random() < 0.6
@@ -189,14 +190,15 @@ def _chain(payload_kg: float, rng: np.random.Generator) -> SimChain:
     )
 
 
-def _load(label: str, payload_kg: float, rng: np.random.Generator) -> Payload:
+def draw_load(label: str, payload_kg: float, rng: np.random.Generator) -> Payload:
+    """A load of 30 to 100 % of what the arm may carry, its centre of gravity within the reach of such a tool."""
     mass = payload_kg * float(rng.uniform(0.3, 1.0))
     reach = 0.25 * (payload_kg / 165.0) ** 0.3
     com = reach * rng.uniform(-1.0, 1.0, 3)
     return Payload(label, mass, com, 0.01 * mass * np.eye(3))
 
 
-def _capacity(chain: SimChain, masses: Array, coms: Array, load: Payload, rng: np.random.Generator) -> Array:
+def rated_torque_nm(chain: SimChain, masses: Array, coms: Array, load: Payload, rng: np.random.Generator) -> Array:
     """Rated torque per axis: the largest static torque over the joint space with the load, and margin."""
     plant = nominal_plant(masses, coms, np.tile(np.eye(3), (6, 1, 1)), payload=load)
     q = rng.uniform(chain.lower_rad, chain.upper_rad, (60, 6))
@@ -207,10 +209,16 @@ def _capacity(chain: SimChain, masses: Array, coms: Array, load: Payload, rng: n
 
 def choose_poses(arm: DrawnArm, count: int, rng: np.random.Generator) -> Array:
     """Rest poses (count, 6) that say most about load and links: greedy D-optimal among random ones."""
-    lower, upper = arm.chain.lower_rad, arm.chain.upper_rad
-    q = rng.uniform(0.95 * lower, 0.95 * upper, (80, 6))
-    columns = gravity_columns(arm.chain, q, arm.plant.gravity_m_s2) / arm.floor_nm[:, None]
-    scaled = columns * arm.prior_std
+    return informative_poses(arm.chain, arm.floor_nm, arm.prior_std, count, rng)
+
+
+def informative_poses(
+    chain: SimChain, floor_nm: Array, prior_std: Array, count: int, rng: np.random.Generator
+) -> Array:
+    """Greedy D-optimal poses (count, 6) among random ones, for links known to `prior_std` (24,) at a floor (6,)."""
+    q = rng.uniform(0.95 * chain.lower_rad, 0.95 * chain.upper_rad, (80, 6))
+    columns = gravity_columns(chain, q, GRAVITY) / floor_nm[:, None]
+    scaled = columns * prior_std
     inverse = np.eye(24)
     chosen: list[int] = []
     for _ in range(count):

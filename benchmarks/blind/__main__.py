@@ -1,9 +1,11 @@
 """Blind cells from seed to score.
 
-python -m benchmarks.blind [--seeds dev|test] [--out out/blind] [--limit N] [--bus N].
+python -m benchmarks.blind [--tier drawn|nature] [--seeds dev|test|fresh] [--out out/blind] [--jobs N].
 
-Development seeds are 0 to 399, and from there to 9999 where more are wanted (--first); test seeds 10000 to 10999 are
-run once for the published table and never tuned on.
+Tier `drawn`, by the simulator's own draws (--limit N, --bus N): development seeds are 0 to 399, and from there to 9999
+where more are wanted (--first); test seeds 10000 to 10999 and, after the model had changed, fresh seeds 20000 to 20999
+are run once for the published table and never tuned on.
+Tier `nature` (--cells N --diagnosed N --effects N --conditions NAME,..): development seeds from 0, test from 30000.
 """
 
 from __future__ import annotations
@@ -18,32 +20,57 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-SEEDS = {"dev": range(10000), "test": range(10000, 11000)}
-COUNT = {"dev": 400, "test": 1000}
+SEEDS = {"dev": range(10000), "test": range(10000, 11000), "fresh": range(20000, 21000)}
+COUNT = {"dev": 400, "test": 1000, "fresh": 1000}
 
 
 def main(argv: list[str]) -> int:
     """Run the cells over two processes; exit 1 when a goal is missed."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.blind", description=__doc__)
+    parser.add_argument("--tier", choices=("drawn", "nature"), default="drawn")
     parser.add_argument("--seeds", choices=sorted(SEEDS), default="dev")
-    parser.add_argument("--out", type=Path, default=Path("out/blind"))
-    parser.add_argument("--limit", type=int, default=None, help="so many cells (dev 400, test 1000)")
+    parser.add_argument("--out", type=Path, default=None, help="out/blind or out/blind-nature")
+    parser.add_argument("--limit", type=int, default=None, help="so many cells (dev 400, test and fresh 1000)")
     parser.add_argument("--first", type=int, default=0, help="skip so many cells")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--bus", type=int, default=12, help="cells over the bus, from start to report")
+    parser.add_argument("--cells", type=int, default=400, help="nature: arms of each condition")
+    parser.add_argument("--diagnosed", type=int, default=None, help="nature: so many of them diagnosed too (all)")
+    parser.add_argument("--effects", type=int, default=600, help="nature: arms with something beyond the ordinary")
+    parser.add_argument("--conditions", default=None, help="nature: names with commas (all)")
+    parser.add_argument("--timed", type=int, default=20, help="nature: so many diagnoses of 40 poses by the clock")
     arguments = parser.parse_args(argv)
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
+    if arguments.tier == "nature":
+        return _nature(arguments)
     seeds = list(SEEDS[arguments.seeds])[arguments.first :][: arguments.limit or COUNT[arguments.seeds]]
-    arguments.out.mkdir(parents=True, exist_ok=True)
+    out = arguments.out or Path("out/blind")
+    out.mkdir(parents=True, exist_ok=True)
     from benchmarks.blind.bus import run_bus_cell
     from benchmarks.blind.cells import run_cell
 
-    out = arguments.out
     cells = run(run_cell, seeds, arguments.jobs, out / "cells.jsonl")
     first = list(SEEDS[arguments.seeds])[: arguments.bus]
     over_bus = run(run_bus_cell, [(seed, str(out / "bus")) for seed in first], arguments.jobs, out / "bus.jsonl")
     return report(cells, over_bus, out)
+
+
+def _nature(arguments: argparse.Namespace) -> int:
+    from benchmarks.blind.nature_tier import FIRST, Plan, run_nature
+    from sim.nature.levels import CONDITIONS
+
+    if arguments.seeds not in FIRST:
+        raise SystemExit(f"--tier nature has seeds {' and '.join(FIRST)}")
+    plan = Plan(
+        first=FIRST[arguments.seeds] + arguments.first,
+        cells=arguments.cells,
+        diagnosed=arguments.cells if arguments.diagnosed is None else arguments.diagnosed,
+        conditions=tuple(arguments.conditions.split(",")) if arguments.conditions else CONDITIONS,
+        effects=arguments.effects,
+        timed=arguments.timed,
+    )
+    return run_nature(plan, run, arguments.jobs, arguments.out or Path("out/blind-nature"))
 
 
 def run(work: Callable[[Any], dict], tasks: Sequence[Any], jobs: int, path: Path) -> list[dict]:
@@ -65,6 +92,7 @@ def report(cells: list[dict], over_bus: list[dict], out: Path) -> int:
     from rich.table import Table as RichTable
 
     from benchmarks.blind.figures import bus_figures, confusion, figures, there_and_said, weakest
+    from benchmarks.blind.strict_figures import strict_figures
 
     console = Console(width=150)
     matrix = RichTable("what is there", "what was said", "cells", title="confusion")
@@ -81,7 +109,7 @@ def report(cells: list[dict], over_bus: list[dict], out: Path) -> int:
         for cell in over_bus:
             runs.add_row(str(cell["seed"]), cell["cell"], *there_and_said(cell), f"{cell['time_s']:.0f}")
         console.print(runs)
-    result = figures(cells) | bus_figures(over_bus)
+    result = figures(cells) | strict_figures(cells) | bus_figures(over_bus)
     table = RichTable("figure", "value", "95 % interval", "unit", "goal", "met")
     for name, figure in result.items():
         low, high = figure["interval"]

@@ -20,7 +20,7 @@ from gateway.model.effect import RestSetup
 from gateway.model.effects import terms_at_rest
 from gateway.model.robot import Robot, robot_from_urdf
 from gateway.result.result import LoadResult, Result
-from sim.blind import LEAST_STRENGTH, VISIT_S, BlindCell, draw_cell
+from sim.blind import LEAST_STRENGTH, VISIT_S, BlindCell, draw_cell, strength_beyond
 from sim.draw import choose_poses
 from sim.offline import PlannedVisit
 
@@ -49,6 +49,7 @@ class Score:
     odds: list
     next: list
     structure_p: float
+    beyond: list
 
 
 class Robotside:
@@ -145,7 +146,19 @@ def _score(
         odds=[float(min(effect.evidence.odds, 1e9)) for effect in result.effects],
         next=[entry.what for entry in result.next],
         structure_p=float(result.provenance.get("structure_p", 1.0)),
+        beyond=_beyond(cell),
     )
+
+
+def _beyond(cell: BlindCell) -> list:
+    """Every effect built in, with its joints and its strength beyond what every arm has."""
+    entries = []
+    for effect, size in zip(cell.truth.effects, cell.truth.strengths, strict=True):
+        # friction that changes with the position lies in the half-differences, where gains and biases do not reach
+        friction = effect["name"] == "position_friction"
+        beyond = size if friction else strength_beyond(cell.arm, cell.visits, effect)
+        entries.append((effect["name"], effect["joints"], beyond))
+    return entries
 
 
 def _truth_load(cell: BlindCell) -> np.ndarray:

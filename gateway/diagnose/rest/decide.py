@@ -201,7 +201,9 @@ def helped(search: Search, hypothesis: Fit, term: Term) -> float:
     gained = gained_by_pose(search.problem, hypothesis, without)
     if gained.sum() <= 0:
         return -np.inf
-    return float(gained.sum() / max(np.sqrt(len(gained)) * float(gained.std(ddof=1)), 1e-12)) if len(gained) > 1 else 0.0
+    return (
+        float(gained.sum() / max(np.sqrt(len(gained)) * float(gained.std(ddof=1)), 1e-12)) if len(gained) > 1 else 0.0
+    )
 
 
 def strong(search: Search, hypothesis: Fit, term: Term) -> bool:

@@ -41,7 +41,10 @@ class RestThresholds:
         "the square of sure odds: one more measurement of the same weight could turn it",
     )
     out_of_reach: float = threshold(
-        100.0, "log odds", "behind the best, beyond which no choice of fewer poses goes back", "more than one pose decides"
+        100.0,
+        "log odds",
+        "behind the best, beyond which no choice of fewer poses goes back",
+        "more than one pose decides",
     )
     hint_odds: float = threshold(3.0, "", "odds below which a larger set is kept in mind", KASS)
     structure_p: float = threshold(
@@ -90,7 +93,7 @@ class RestThresholds:
     common_mistake: float = threshold(
         30.0, "log odds", "against one factor on all axes: heavier links look like it", BLIND
     )
-    surer: float = threshold(5.0, "log odds", "against a mistake beside the best effects instead", BLIND)
+    surer: float = threshold(3.0, "log odds", "against a mistake beside the best effects instead", BLIND)
     obvious: float = threshold(150.0, "log odds", "gain at which effects need not be searched for first", BLIND)
     most_mistakes: int = threshold(3, "", "mistakes of one arm", "two wrong drives and one cable")
     least_axes: int = threshold(

@@ -1,0 +1,93 @@
+"""The tier drawn by nature: which cells are run, and what is printed of them.
+
+Development seeds start at 0, test seeds at 30000; the test seeds are run once for the published table and never tuned
+on. Of each condition `cells` arms with only the ordinary are estimated and, the first `diagnosed` of them, diagnosed;
+then `effects` arms with something beyond it are diagnosed with the robot at hand.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+FIRST = {"dev": 0, "test": 30000}
+TIMED = 20
+
+#: (work, tasks, jobs, file) -> scores.
+Run = Callable[[Callable[[Any], dict], Sequence[Any], int, Path], list[dict]]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How much is run: first seed, cells and diagnosed cells of each condition, cells with effects, timed cells."""
+
+    first: int
+    cells: int
+    diagnosed: int
+    conditions: tuple[str, ...]
+    effects: int
+    timed: int
+
+
+def run_nature(plan: Plan, run: Run, jobs: int, out: Path) -> int:
+    """Run the cells, print tables and figures, write summary.json; 1 when a goal is missed."""
+    from benchmarks.blind.nature import run_effect, run_ordinary, run_timed
+
+    out.mkdir(parents=True, exist_ok=True)
+    tasks = [
+        (plan.first + number, condition, number < plan.diagnosed)
+        for number in range(plan.cells)
+        for condition in plan.conditions
+    ]
+    ordinary = run(run_ordinary, tasks, jobs, out / "ordinary.jsonl") if tasks else []
+    seeds = range(plan.first, plan.first + plan.effects)
+    effects = run(run_effect, list(seeds), jobs, out / "effects.jsonl") if seeds else []
+    timed = run(run_timed, list(range(plan.first, plan.first + plan.timed)), 1, out / "timed.jsonl")
+    return report(ordinary, effects, timed, out)
+
+
+def report(ordinary: list[dict], effects: list[dict], timed: list[dict], out: Path) -> int:
+    """Print tables and figures, write summary.json; 1 when a goal is missed."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from benchmarks.blind import nature_figures as figures
+    from benchmarks.blind.shares import Figures
+
+    console = Console(width=160)
+    conditions = Table(
+        title="95 % intervals that hold the truth (m x y z), width over the oracle's, named, gross visits"
+    )
+    for name in ("condition", "cells", "estimate", "width", "diagnose", "width", "named", "gross found", "thrown out"):
+        conditions.add_column(name)
+    for row in figures.by_condition(ordinary):
+        conditions.add_row(*row)
+    console.print(conditions)
+    for title, rows in (
+        ("named where only the ordinary is there", figures.falsely_named(ordinary)),
+        ("one mechanism", figures.confusion(effects)),
+    ):
+        table = Table("what is there", "what was said", "cells", title=title)
+        for there, said, count in rows:
+            table.add_row(there, said, str(count))
+        console.print(table)
+    found: Figures = figures.ordinary_figures(ordinary) if ordinary else {}
+    found |= figures.effect_figures(effects) if effects else {}
+    found |= figures.gross_figures([*ordinary, *effects]) | figures.time_figures(timed)
+    _print(console, found)
+    (out / "summary.json").write_text(json.dumps({"figures": found}, indent=1) + "\n", encoding="utf-8")
+    return 0 if all(entry["met"] is not False for entry in found.values()) else 1
+
+
+def _print(console: Any, found: dict[str, dict]) -> None:
+    from rich.table import Table
+
+    table = Table("figure", "value", "95 % interval", "unit", "goal", "met")
+    for name, entry in found.items():
+        low, high = entry["interval"]
+        met = {True: "yes", False: "MISSED", None: "none"}[entry["met"]]
+        table.add_row(name, f"{entry['value']:.4g}", f"{low:.4g} .. {high:.4g}", entry["unit"], entry["goal"], met)
+    console.print(table)

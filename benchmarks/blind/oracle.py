@@ -1,0 +1,106 @@
+"""How well a load can be known at all: the Bayesian linear model that is told everything but the numbers.
+
+Half-sums are linear in the links, the load, the errors of the torque constants, the bias by direction, what efficiency
+leaves, the cogging, and in an amplitude of each true effect's torque curve as drawn. All of these have the priors that
+the cell was drawn with, the load and the amplitudes none; the noise of every row is known, gross visits are known and
+left out. The model is evaluated at the truth; what is returned is the standard deviation of mass and centre.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.nature.arm import Arm
+from sim.nature.cell import Cell
+from sim.nature.effect import Effect, Rows, rows_of
+from sim.nature.measuring import Gross, equilibrium
+from sim.nature.strength import added, efficiency_slopes
+from sim.offline import PlannedVisit, gravity_columns
+
+Floats = NDArray[np.float64]
+
+STEP_RAD = 1e-5
+#: A curve below this share of the floor is none.
+NO_CURVE = 1e-6
+
+
+def load_std(cell: Cell, visits: Sequence[PlannedVisit], gross: Sequence[Gross]) -> Floats:
+    """Standard deviation of mass [kg] and centre x, y, z [m] (4,) that these visits of a cell allow."""
+    arm, rows = cell.arm, rows_of(visits)
+    still = np.zeros_like(rows.q_rad)
+    tau = equilibrium(arm, rows, cell.effects, still)[0][0::2]
+    design, precision = _design(arm, rows, cell.effects, tau)
+    weight = _weights(arm, rows, cell.effects, tau)
+    for wrong in gross:
+        weight[wrong.visit] = _without(weight[wrong.visit], wrong.joint - 1)
+    covariance = posterior(design, weight, precision)
+    return centre_std(covariance[:4, :4], arm.load)
+
+
+def posterior(design: Floats, weight: Floats, precision: Floats) -> Floats:
+    """Covariance (p, p) of parameters with columns (v, N, p), inverse noise covariances (v, N, N) and priors (p,)."""
+    scale = np.sqrt(np.einsum("vap,vab,vbp->p", design, weight, design) + precision)
+    scaled = design / scale
+    information = np.einsum("vap,vab,vbq->pq", scaled, weight, scaled) + np.diag(precision / scale**2)
+    return np.linalg.pinv(information, rcond=1e-13, hermitian=True) / np.outer(scale, scale)
+
+
+def centre_std(covariance: Floats, load: Floats) -> Floats:
+    """Standard deviation (4,) of [m, x, y, z] for a covariance (4, 4) of [m, hx, hy, hz], to first order."""
+    mass, centre = load[0], load[1:] / load[0]
+    jacobian = np.eye(4) / mass
+    jacobian[0, 0] = 1.0
+    jacobian[1:, 0] = -centre / mass
+    return np.sqrt(np.diag(jacobian @ covariance @ jacobian.T))
+
+
+def _design(arm: Arm, rows: Rows, effects: Sequence[Effect], tau: Floats) -> tuple[Floats, Floats]:
+    """Columns (visits, 6, p), the load's four first, and the prior precision (p,) of each, 0 where there is none."""
+    q, time_s, loaded = rows.q_rad[0::2], rows.time_s[0::2], rows.loaded[0::2]
+    each = np.eye(6)
+    links = gravity_columns(arm.chain, q, arm.gravity_m_s2)
+    band = arm.friction.band_nm(tau, time_s)
+    common, split = efficiency_slopes(arm, rows)
+    turn = arm.gear_ratio * q
+    waves = [np.sin(turn), np.cos(turn), np.sin(2.0 * turn), np.cos(2.0 * turn)]
+    parts = [
+        (links[:, :, 20:] * loaded[:, None, None], np.full(4, np.inf)),
+        (links, arm.links_std),
+        (each * tau[:, :, None], arm.gain_std),
+        (each * common[:, :, None], np.full(6, arm.friction.efficiency_std)),
+        (each * split[:, :, None], np.full(6, arm.friction.split_std)),
+        (each * band[:, :, None], np.full(6, arm.friction.bias_std)),
+        *((each * wave[:, :, None], arm.cogging_std_nm) for wave in waves),
+    ]
+    for effect in effects:
+        curve = added(arm, rows, effect).half_sum_nm if effect.wired is None else np.zeros_like(tau)
+        if np.abs(curve / arm.floor_nm).max() > NO_CURVE:
+            parts.append((curve[:, :, None], np.full(1, np.inf)))
+    return np.concatenate([part for part, _ in parts], axis=2), np.concatenate([std for _, std in parts]) ** -2.0
+
+
+def _weights(arm: Arm, rows: Rows, effects: Sequence[Effect], tau: Floats) -> Floats:
+    """Inverse covariance (visits, 6, 6) of the half-sums: friction, noise, rounding, and the pose that is not met."""
+    time_s = rows.time_s[0::2]
+    cold = arm.friction.coulomb_nm * arm.friction.cold(time_s)
+    noise = arm.noise_nm / np.sqrt(2.0 * arm.samples)
+    rounding = np.where(arm.noise_nm > 0.5 * arm.resolution_nm, 0.0, arm.resolution_nm / np.sqrt(24.0))
+    spread = arm.friction.half_sum_std_nm(arm.friction.band_nm(tau, time_s), cold)
+    covariance = np.eye(6) * (spread**2 + noise**2 + rounding**2)[:, :, None]
+    for axis in range(6):
+        step = np.zeros_like(rows.q_rad)
+        step[:, axis] = STEP_RAD
+        more, less = (equilibrium(arm, rows, effects, way)[0][0::2] for way in (step, -step))
+        slope = (more - less) / (2.0 * STEP_RAD) * arm.repeat_rad[axis]
+        covariance = covariance + slope[:, :, None] * slope[:, None, :]
+    return np.linalg.inv(covariance)
+
+
+def _without(weight: Floats, axis: int) -> Floats:
+    """Inverse covariance (6, 6) when the row of one axis is not there: its information conditioned away."""
+    out = weight - np.outer(weight[:, axis], weight[axis]) / weight[axis, axis]
+    out[axis] = out[:, axis] = 0.0
+    return out

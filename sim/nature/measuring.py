@@ -1,0 +1,156 @@
+"""Rows of a measured table of an arm: equilibrium, friction, what the drives report, and what goes wrong in a visit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.nature.arm import Arm
+from sim.nature.effect import Effect, Rows, rows_of
+from sim.offline import PlannedVisit, gravity_columns
+
+Array = NDArray[np.float64]
+
+#: Steps until angle and torque agree; a gear that gives way by 0.02 rad is settled to 1e-8 of its torque.
+STEPS = 6
+#: A gross error, in bands of its axis.
+GROSS_BANDS = (4.0, 15.0)
+#: How a gross visit goes wrong: from below alone, from above alone, both alike, both apart.
+GROSS_WAYS = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, -1.0]])
+
+
+@dataclass(frozen=True, slots=True)
+class Gross:
+    """A visit that went wrong on one axis: its place among the visits, axis from 1, size in bands of that axis."""
+
+    visit: int
+    pose: int
+    load: str
+    joint: int
+    bands: float
+
+
+@dataclass(frozen=True, slots=True)
+class Stops:
+    """What chance does to the rows (n, 6): share of the kinetic level left, scatter in bands, angle, noise."""
+
+    left: Array
+    scatter: Array
+    angle_rad: Array
+    noise_nm: Array
+
+
+def quiet(arm: Arm, rows: Rows) -> Stops:
+    """Every stop alike and no noise."""
+    nothing = np.zeros_like(rows.q_rad)
+    return Stops(nothing + arm.friction.mean_left, nothing, nothing, nothing)
+
+
+def chance(arm: Arm, rows: Rows, rng: np.random.Generator) -> Stops:
+    """What chance does to visits that are measured from both sides."""
+    visits = len(rows.time_s) // 2
+    left, scatter = (part.reshape(-1, 6) for part in arm.friction.stops(visits, rng))
+    angle = np.repeat(arm.repeat_rad * rng.standard_normal((visits, 6)), 2, axis=0)
+    noise = arm.noise_nm / np.sqrt(arm.samples) * rng.standard_normal(left.shape)
+    return Stops(left, scatter, angle, noise)
+
+
+def equilibrium(arm: Arm, rows: Rows, effects: Sequence[Effect], angle_rad: Array) -> tuple[Array, Array]:
+    """Torque that the gears transmit (n, 6) [Nm] and true link angles (n, 6) [rad]."""
+    gravity, links = arm.gravity_m_s2, arm.links
+    load = np.where(rows.loaded[:, None], arm.load, 0.0)
+    for effect in effects:
+        gravity = gravity if effect.gravity_m_s2 is None else effect.gravity_m_s2
+        links = links if effect.links is None else links + effect.links
+        load = load if effect.on_load is None else load + rows.loaded[:, None] * effect.on_load(rows)
+    tau = np.zeros_like(rows.q_rad)
+    q = rows.q_rad + angle_rad
+    for _ in range(STEPS if any(e.on_angle is not None for e in effects) else 2):
+        # the load keeps the teeth on one flank; a joint that carries nothing floats in the play
+        flank = np.tanh(tau / np.maximum(0.3 * arm.friction.coulomb_nm, 1e-9))
+        q = rows.q_rad + angle_rad - 0.5 * arm.backlash_rad * flank
+        for effect in effects:
+            if effect.on_angle is not None:
+                q = q + effect.on_angle(rows, tau)
+        columns = gravity_columns(arm.chain, q, gravity)
+        tau = columns @ links + np.einsum("nap,np->na", columns[:, :, 20:], load)
+        held = tau
+        for effect in effects:
+            if effect.on_joint is not None:
+                tau = tau - effect.on_joint(rows, held)
+    return tau, q
+
+
+def reported_nm(arm: Arm, rows: Rows, effects: Sequence[Effect], stops: Stops) -> tuple[Array, Array]:
+    """What the drives report (n, 6) [Nm], joint side, and the torque the gears transmit (n, 6)."""
+    tau, _ = equilibrium(arm, rows, effects, stops.angle_rad)
+    band = arm.friction.band_nm(tau, rows.time_s)
+    mean, half = arm.friction.bias_share * band, band
+    for effect in effects:
+        if effect.on_friction is not None:
+            more, half = effect.on_friction(rows, tau, half)
+            mean = mean + more
+    cold = arm.friction.coulomb_nm * arm.friction.cold(rows.time_s)
+    behind = tau + rows.direction[:, None] * half * stops.left + mean + cold * stops.scatter
+    seen = (1.0 + arm.gain) * arm.friction.motor_nm(behind, rows.direction) + cogging_nm(arm, rows.q_rad)
+    for effect in effects:
+        if effect.on_reading is not None:
+            seen = effect.on_reading(rows, seen)
+    return seen + stops.noise_nm, tau
+
+
+def cogging_nm(arm: Arm, q_rad: Array) -> Array:
+    """Torque (n, 6) [Nm] that follows the motor's angle, once and twice a turn."""
+    turn = arm.gear_ratio * q_rad
+    waves = np.stack([np.sin(turn), np.cos(turn), np.sin(2.0 * turn), np.cos(2.0 * turn)], axis=2)
+    return np.einsum("nac,ac->na", waves, arm.cogging_nm)
+
+
+def draw_gross(arm: Arm, visits: Sequence[PlannedVisit], rng: np.random.Generator) -> tuple[tuple[Gross, ...], Array]:
+    """Visits that go wrong, and what that adds to the rows (2 visits, 6) [Nm]: a cable caught, a brake, a touch."""
+    added, found = np.zeros((len(visits), 2, 6)), []
+    for number, wrong in enumerate(rng.random(len(visits)) < arm.friction.gross_share):
+        if not wrong:
+            continue
+        axis = int(rng.integers(6))
+        bands = float(rng.uniform(*GROSS_BANDS))
+        way = GROSS_WAYS[rng.integers(len(GROSS_WAYS))] * rng.choice([-1.0, 1.0])
+        band = float(arm.friction.band_nm(np.zeros((1, 6)), np.array([visits[number].time_s]))[0, axis])
+        added[number, :, axis] = bands * band * way
+        found.append(Gross(number, visits[number].pose, visits[number].load, axis + 1, bands))
+    return tuple(found), added.reshape(-1, 6)
+
+
+def measure(
+    arm: Arm, visits: Sequence[PlannedVisit], effects: Sequence[Effect], rng: np.random.Generator
+) -> tuple[dict[str, NDArray[Any]], tuple[Gross, ...]]:
+    """Columns of a measured table as `sim.offline.measure` gives them, and which visits went wrong."""
+    rows = rows_of(visits)
+    gross, added = draw_gross(arm, visits, rng)
+    seen, _ = reported_nm(arm, rows, effects, chance(arm, rows, rng))
+    step = arm.resolution_nm
+    # noise above half a step dithers the rounding of the readings away; below it the mean is rounded
+    rough = np.where(arm.noise_nm > 0.5 * step, seen, np.round(seen / step) * step)
+    freedom = arm.samples - 1
+    spread = arm.noise_nm * np.sqrt(rng.chisquare(freedom, rows.q_rad.shape) / freedom)
+    unknown = np.full_like(rows.q_rad, np.nan)
+    columns: dict[str, NDArray[Any]] = {
+        "load": np.array([visit.load for visit in visits for _ in range(2)]),
+        "pose": rows.pose,
+        "time_s": rows.time_s,
+        "n": np.full(len(rows.time_s), arm.samples),
+        "q_rad": rows.q_rad,
+        "dir": np.repeat(rows.direction[:, None], 6, axis=1),
+        "tau_nm": rough + added,
+        "tau_std_nm": np.hypot(spread, step / np.sqrt(12.0)),
+        "temp_c": unknown,
+        "q2nd_rad": unknown,
+    }
+    for effect in effects:
+        if effect.wired is not None:
+            columns = effect.wired(columns)
+    return columns, gross
