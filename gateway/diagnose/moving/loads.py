@@ -20,15 +20,11 @@ from gateway.diagnose.moving.thresholds import MOVING
 from gateway.identify.load_estimate import known_load, load_directions, load_from_moment, load_result, unknown_load
 from gateway.identify.loads import BARE_LABEL
 from gateway.identify.shares import shares
+from gateway.identify.spread import jackknife, wider
 from gateway.model.effects.velocity_friction import Stribeck
 from gateway.result.result import LoadResult, NuisanceResult
 
 Floats = NDArray[np.float64]
-
-#: A spread needs two differences.
-FEWEST_PARTS = 3
-#: Share of a variance that is rounding.
-LEAST = 1e-10
 
 
 def loads_of(
@@ -87,24 +83,6 @@ def _without_blocks(problem: MovingProblem, state: MovingState) -> Sequence[Movi
         return state.fits
     splits = blocks(problem.motion, MOVING.blocks)
     return [fit(problem, state.terms, train, test, state.full) for train, test in splits]
-
-
-def jackknife(estimates: Floats) -> Floats:
-    """Covariance of estimates (splits, k) that leave out one block of time each; zero of fewer than three."""
-    if len(estimates) < FEWEST_PARTS:
-        return np.zeros((estimates.shape[1],) * 2)
-    centred = estimates - estimates.mean(axis=0)
-    return (len(estimates) - 1) / len(estimates) * centred.T @ centred
-
-
-def wider(first: Floats, second: Floats) -> Floats:
-    """The covariance (k, k) that is, in every direction, the wider of two: both measure the same spread."""
-    unit = np.sqrt(np.maximum(np.diag(first), 1e-300))
-    size, turn = np.linalg.eigh(first / unit / unit[:, None])
-    root = turn * np.sqrt(np.maximum(size, LEAST))
-    share, axes = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, second / unit / unit[:, None]).T))
-    both = (root @ axes) * unit[:, None]
-    return both * np.maximum(share, 1.0) @ both.T
 
 
 def nuisances(problem: MovingProblem, state: MovingState) -> dict[str, NuisanceResult]:

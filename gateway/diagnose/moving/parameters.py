@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.moving.fit import MovingFit, MovingProblem
-from gateway.diagnose.moving.loads import jackknife, spread_of, wider
+from gateway.diagnose.moving.loads import spread_of
 from gateway.diagnose.moving.refine import coupling_cost
 from gateway.diagnose.moving.state import MovingState
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.moving.trial import Trial, extend
+from gateway.identify.spread import jackknife, wider
 from gateway.model.effects.axis_coupling import MotorCoupling
 from gateway.model.effects.current_rms_peak import EFFECT as RMS_PEAK
 from gateway.model.effects.current_rms_peak import is_rms_peak

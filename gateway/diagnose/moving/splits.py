@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.model.motion import Mask, MovingRows

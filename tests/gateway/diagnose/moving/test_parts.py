@@ -13,7 +13,7 @@ from gateway.data.rows import MOVING, concatenate
 from gateway.diagnose.moving.candidates import candidates, suggested
 from gateway.diagnose.moving.diagnosis import diagnose_motion
 from gateway.diagnose.moving.fit import MovingNoise, MovingProblem, counting_share, fit
-from gateway.diagnose.moving.splits import blocks, choosing, judging
+from gateway.diagnose.moving.splits import blocks
 from gateway.diagnose.moving.state import state_of
 from gateway.diagnose.moving.trial import drop_by_chance, put_on_trial
 from gateway.diagnose.options import DiagnoseOptions

@@ -10,10 +10,10 @@ from scipy import stats
 
 from gateway.diagnose import DiagnoseOptions, diagnose
 from gateway.diagnose.moving.fit import MovingNoise, MovingProblem
-from gateway.diagnose.moving.loads import jackknife
 from gateway.diagnose.moving.splits import blocks
 from gateway.diagnose.moving.trust import log_evidence
 from gateway.identify.moving_baseline import baseline
+from gateway.identify.spread import jackknife
 from gateway.model.motion import prepare
 from tests.moving_arm import GRAVITY, World, measured
 
