@@ -73,9 +73,12 @@ def estimate_moving(
     plain = replace(motion, ordinary=())
     trust = options.inertials if motion.passes is not None else "ignore"
     free = moving_columns(moving, robot, replace(options, inertials=trust), plain)
-    sigma = _reweighted(free, moving.tau_nm, where, motion.passes or _REWEIGHTS)
+    solution, sigma = _reweighted(free, moving.tau_nm, where, motion.passes or _REWEIGHTS)
+    run = np.asarray(moving.run)
+    if motion.ordinary:  # a prior is weighed against rows that are as good as they are independent
+        sigma = sigma * np.sqrt(_correlation_times(solution.residual, where, run, len(sigma)))
     settled = settle(columns, moving.tau_nm, where, sigma)
-    covariance = _covariance(settled, where, sigma, np.asarray(moving.run))
+    covariance = _covariance(settled, where, sigma, run)
     return _described(moving, columns, where, (settled, covariance, reach_m(robot)))
 
 
@@ -83,8 +86,8 @@ def _target(columns: Columns, tau_nm: Floats, row: Ints, axis: Ints) -> Floats:
     return (tau_nm - columns.known_nm)[row, axis]
 
 
-def _reweighted(columns: Columns, tau_nm: Floats, where: tuple[Ints, Ints], passes: int) -> Floats:
-    """Residual (N,) of every axis, weighted by that of the pass before; the first weights are one."""
+def _reweighted(columns: Columns, tau_nm: Floats, where: tuple[Ints, Ints], passes: int) -> tuple[Solution, Floats]:
+    """Solution with every axis weighted by its residual (N,) in the pass before; the first weights are one."""
     row, axis = where
     design, target = columns.design[row, axis], _target(columns, tau_nm, row, axis)
     least = 1e-6 * max(float(np.sqrt(np.mean(target**2))), 1e-12)
@@ -96,7 +99,7 @@ def _reweighted(columns: Columns, tau_nm: Floats, where: tuple[Ints, Ints], pass
             break
         sigma = new
         solution = solve(design, target, 1.0 / sigma[axis], columns.prior)
-    return sigma
+    return solution, sigma
 
 
 def _rms(residual: Floats, axis: Ints, axes: int) -> Floats:
@@ -116,19 +119,20 @@ def _covariance(settled: Settled, where: tuple[Ints, Ints], sigma: Floats, run: 
     solution = settled.free
     left = settled.solution.residual
     weight = 1.0 / sigma[axis]
-    actual = _rms(left, axis, len(sigma))
-    longest = 1.0
-    for k in range(len(sigma)):
-        here = axis == k
-        if here.any():
-            time = _correlation_time(left[here], run[row[here]])
-            actual[k] *= np.sqrt(time)
-            longest = max(longest, time)
+    times = _correlation_times(left, where, run, len(sigma))
+    actual = _rms(left, axis, len(sigma)) * np.sqrt(times)
     working = (settled.design * weight[:, None]) @ solution.covariance
     real = working * (actual[axis] * weight)[:, None]
     by_prior = solution.covariance - working.T @ working
-    pulled = by_blocks(working * (left * weight)[:, None], row, run, _LONG * longest)
+    pulled = by_blocks(working * (left * weight)[:, None], row, run, _LONG * float(times.max()))
     return wider(real.T @ real, pulled) + by_prior
+
+
+def _correlation_times(residual: Floats, where: tuple[Ints, Ints], run: NDArray[Any], axes: int) -> Floats:
+    """How many rows make one independent one on each axis (N,); 1 where there are none."""
+    row, axis = where
+    parts = [np.flatnonzero(axis == k) for k in range(axes)]
+    return np.array([_correlation_time(residual[part], run[row[part]]) if len(part) else 1.0 for part in parts])
 
 
 def _correlation_time(residual: Floats, run: NDArray[Any]) -> float:
@@ -225,7 +229,7 @@ def _coulomb(columns: Columns, solution: Solution, axes: int) -> Floats:
 def _limits() -> Finding:
     return Finding(
         "info", "moving run",
-        "the standard deviations hold for the noise of the run, not for effects the model lacks; the load's own inertia"
-        " is left out",
+        "the standard deviations hold for the noise of the run, its torque constants and its losses, not for effects the"
+        " model lacks",
         "diagnose judges the model on parts of the run that no fit has seen",
     )  # fmt: skip

@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from gateway.data.table import Table
 from gateway.diagnose.moving.choice import Choice, Knowledge, choose, plain_choice, problem_of
 from gateway.diagnose.moving.deflection import elastic_joints
+from gateway.diagnose.moving.fit import MovingProblem
 from gateway.diagnose.moving.judge import Judges
 from gateway.diagnose.moving.outcome import MovingOutcome, result_of, too_little
 from gateway.diagnose.moving.parameters import certain
 from gateway.diagnose.moving.select import left_over, weigh
 from gateway.diagnose.moving.splits import judging
-from gateway.diagnose.moving.state import state_of
+from gateway.diagnose.moving.state import MovingState, state_of
 from gateway.diagnose.moving.structure import structured_axes
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.options import DiagnoseOptions
@@ -99,7 +100,7 @@ def _outcome(found: Choice, judges: Judges, knowledge: Knowledge) -> MovingOutco
         replace(item, held=judges.effect(item.label, item.axes(problem.motion.axes), problem.noise.sigma_nm))
         for item in weigh(problem, state, knowledge.allowed)
     ]
-    refuted = tuple(item for item in chosen if not item.held.below_one)
+    refuted = tuple(item for item in chosen if not item.held.below_one or (item.contested and not item.rival))
     open_ones = [item for item in chosen if item not in refuted]
     sure = tuple(item for item in open_ones if not item.contested and certain(problem, state, item.terms))
     doubtful = tuple(item for item in open_ones if item not in sure)
@@ -111,6 +112,7 @@ def _outcome(found: Choice, judges: Judges, knowledge: Knowledge) -> MovingOutco
         judges = Judges((replace(found, state=state),))
     as_read = state_of(found.as_read, ()) if found.mistakes else None
     return MovingOutcome(
+        told=_told(problem, state, knowledge),
         problem=problem,
         before=state_of(problem, ()),
         after=state,
@@ -126,6 +128,15 @@ def _outcome(found: Choice, judges: Judges, knowledge: Knowledge) -> MovingOutco
         held_after=judges.after(kept),
         judges=judges,
     )
+
+
+def _told(problem: MovingProblem, state: MovingState, knowledge: Knowledge) -> tuple[MovingProblem, MovingState]:
+    """The model that the answer is read from: a drawing that the rows do not contradict is no better than usual."""
+    trust = problem.base.trust
+    if not knowledge.free or trust is None or trust >= MOVING.usual_trust:
+        return problem, state
+    usual = replace(problem, base=problem.base.trusting(problem.motion, MOVING.usual_trust))
+    return usual, state_of(usual, state.terms)
 
 
 def _allowed(options: DiagnoseOptions) -> frozenset[str]:

@@ -344,11 +344,14 @@ def noise_of(motion: MovingRows, terms: Sequence[Term], modelled: Modelled | Non
     """Scale and share of each axis from a fit of that axis alone; unmeasured axes get 1 and 1."""
     chosen = structural_base(motion.robot, motion.gravity_m_s2)
     sigma, share = np.ones((2, motion.axes))
+    labels = np.unique(motion.load[~motion.given])
     for axis in np.flatnonzero(motion.measured):
         rows = motion.judged[:, axis] & ~motion.given
         own = [motion.rigid[:, axis][:, chosen]]
         own.append(np.column_stack([motion.sign[:, axis], motion.qd_rad_s[:, axis], motion.qdd_rad_s2[:, axis]]))
         own.append(np.ones((len(motion), 1)))
+        # each load beside the first has a body of its own: left out, the difference of two loads would pass for noise
+        own += [motion.rigid[:, axis, -PER_BODY:] * (motion.load == label)[:, None] for label in labels[1:]]
         for term in terms:
             axes = term.enters(motion.axes)
             if axis in axes and (modelled is not None or not term.modelled):

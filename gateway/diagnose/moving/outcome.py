@@ -49,9 +49,10 @@ class MovingOutcome:
     """Everything the result file is written from.
 
     `doubtful` effects are contested, `unproven` ones were not borne out by the rows that judge; `rejected` have their
-    held-out ratio. `held_before`, `held_after`: what is left of rows that chose nothing.
+    held-out ratio. `told` is the model that loads and parameters are read from. `held_before`, `held_after`: what is left of rows that chose nothing.
     """
 
+    told: tuple[MovingProblem, MovingState]
     problem: MovingProblem
     before: MovingState
     after: MovingState
@@ -76,7 +77,7 @@ def result_of(outcome: MovingOutcome) -> Result:
     effects = (
         *_mistakes(outcome),
         *outcome.wound,
-        *(_effect(problem, after, item, _tried(outcome)) for item in outcome.effects),
+        *(_effect(*outcome.told, item, _tried(outcome)) for item in outcome.effects),
     )
     doubtful = outcome.doubtful
     undecided = bool(doubtful) and not effects
@@ -84,7 +85,7 @@ def result_of(outcome: MovingOutcome) -> Result:
         effects = tuple(part for item in doubtful for part in _rivals(outcome, item))
     drawn = [item.terms for item in outcome.effects]
     before = outcome.as_read if outcome.as_read is not None else outcome.before
-    loads = loads_of(problem, after, outcome.known)
+    loads = loads_of(*outcome.told, outcome.known)
     return Result(
         robot=problem.motion.robot.name,
         loads=loads,
@@ -98,7 +99,7 @@ def result_of(outcome: MovingOutcome) -> Result:
         rejected=_rejected(outcome),
         next=(*(_tell_apart(item) for item in doubtful), *_richer(outcome, bool(effects))),
         findings=(*_faults(() if undecided else effects), *_remarks(outcome)),
-        nuisance=nuisances(problem, after),
+        nuisance=nuisances(*outcome.told),
         provenance=_provenance(problem, outcome),
         quality={"holdout_ratio": _axis_ratios(outcome)},
         rows=_rows(problem, after),
@@ -160,7 +161,7 @@ def _tried(outcome: MovingOutcome) -> int:
 def _rivals(outcome: MovingOutcome, item: Chosen) -> list[EffectResult]:
     """Both effects that explain the same rows."""
     problem = outcome.problem
-    found = [_effect(problem, outcome.after, item, _tried(outcome))]
+    found = [_effect(*outcome.told, item, _tried(outcome))]
     rival = item.runner_up
     if rival is not None:
         values, std = figures_of(rival)
@@ -243,15 +244,7 @@ def _remarks(outcome: MovingOutcome) -> tuple[Finding, ...]:
         Finding("info", f"J{axis + 1}", f"the residual still hangs on the motion (held-out ratio {ratio:.2f})")
         for axis, ratio in outcome.structure.items()
     ]
-    found += [
-        Finding(
-            "info",
-            _where(item),
-            f"{LIBRARY[item.terms[0].name].words} fits the rows, but does not foretell those that chose nothing"
-            f" (held-out ratio {item.held.value:.2f}, 95 % {item.held.low:.2f} to {item.held.high:.2f}): not believed",
-        )
-        for item in outcome.unproven
-    ]
+    found += [Finding("info", _where(item), f"{_why_not(item)}: not believed") for item in outcome.unproven]
     found += [
         Finding(
             "warn",
@@ -271,6 +264,20 @@ def _remarks(outcome: MovingOutcome) -> tuple[Finding, ...]:
             for item in outcome.doubtful
         ]
     return tuple(found)
+
+
+def _why_not(item: Chosen) -> str:
+    """Why an effect that the fitted rows want is not named."""
+    words, held = LIBRARY[item.terms[0].name].words, item.held
+    if not held.below_one:
+        return (
+            f"{words} fits the rows, but does not foretell those that chose nothing (held-out ratio {held.value:.2f},"
+            f" 95 % {held.low:.2f} to {held.high:.2f})"
+        )
+    if item.runner_up is None:
+        return f"{words} is not worth what it has to be beforehand (odds {item.odds:.2g})"
+    other = LIBRARY[item.runner_up.term.name].words
+    return f"{words} fits the rows hardly better than {other}, which is not believed itself (odds {item.odds:.2g})"
 
 
 def _provenance(problem: MovingProblem, outcome: MovingOutcome) -> dict[str, object]:

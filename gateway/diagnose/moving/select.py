@@ -34,8 +34,9 @@ def demands(term: Term, axes: int) -> Demands:
 class Chosen:
     """An effect in the final model: all its terms, its trial against the model without it, and the runner-up's.
 
-    `contested`: the odds, against the runner-up and against nothing, are below `sure_odds`. `held`: what it is worth on
-    rows that chose nothing.
+    `contested`: the odds, against the runner-up and against nothing, are below `sure_odds`. `rival`: the runner-up meets
+    its own demands; one that does not leaves two names of which neither is believed. `held`: what the effect is worth
+    on rows that chose nothing.
     """
 
     terms: tuple[Term, ...]
@@ -43,6 +44,7 @@ class Chosen:
     runner_up: Trial | None
     odds: float
     contested: bool
+    rival: bool
     held: HeldRatio = NOT_HELD
 
     @property
@@ -188,5 +190,6 @@ def weigh(problem: MovingProblem, state: MovingState, allowed: frozenset[str]) -
             own.gain - penalty(mine[0]) - (max(runner.gain - penalty(runner.term), 0.0) if runner is not None else 0.0)
         )
         odds = float(np.exp(np.clip(lead, -27.0, 27.0)))
-        out.append(Chosen(mine, own, runner, odds, odds < MOVING.sure_odds))
+        rival = runner is not None and believed(problem, runner, len(pool))
+        out.append(Chosen(mine, own, runner, odds, odds < MOVING.sure_odds, rival))
     return out
