@@ -6,7 +6,7 @@ The torque is pinocchio's inverse dynamics plus friction, rotor inertia, one eff
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ import pinocchio  # pyright: ignore[reportMissingImports]
 from scipy.spatial.transform import Rotation
 
 from benchmarks.rigs.tables import make_table
-from gateway.data.rows import MOVING
+from gateway.data.rows import MOVING, concatenate
 from gateway.model.robot import robot_from_urdf
 
 URDF = (Path(__file__).parents[1] / "examples" / "small" / "robot.urdf").read_text()
@@ -83,16 +83,42 @@ def coloured(generator, shape, rate_hz):
     return out
 
 
-def measured(seed, world, duration_s=24.0, rate_hz=25.0, noise=0.02, cad_error=0.03):
-    """Table of one moving run, the robot model, and the scale of each axis's torque (6,)."""
+def several(seed, loads, world=None, gain_std=0.03, load_friction=(0.05, 0.02), duration_s=10.0, noise=0.02):
+    """Runs of one arm, by their load ((mass, x, y, z), None = bare), with what every arm has; and the robot model.
+
+    Gains are off by `gain_std`, every axis loses a share of its torque: (mean, standard deviation).
+    """
+    generator = np.random.default_rng(seed)
+    gain = dict(enumerate(1.0 + gain_std * generator.normal(size=6)))
+    lost = dict(enumerate(np.maximum(load_friction[0] + load_friction[1] * generator.normal(size=6), 0.0)))
+    world = replace(World() if world is None else world, gain=gain, load_friction=lost)
+    tables, scale, robot = [], None, None
+    for number, (label, load) in enumerate(loads.items()):
+        table, robot, scale = measured(
+            [seed, number], replace(world, payload=load), duration_s, noise=noise, arm_seed=seed, scale=scale
+        )
+        name = "none" if load is None else label
+        count = len(table.time_s)
+        tables.append(replace(table, load=np.array([name] * count), run=np.array([str(number)] * count)))
+    return concatenate(tables), robot
+
+
+def measured(  # noqa: PLR0913 - each stands for one thing about the run
+    seed, world, duration_s=24.0, rate_hz=25.0, noise=0.02, cad_error=0.03, arm_seed=None, scale=None
+):
+    """Table of one moving run, the robot model, and the scale of each axis's torque (6,).
+
+    Runs of one `arm_seed` are of one arm, whose friction goes by `scale`.
+    """
     generator = np.random.default_rng(seed)
     robot = robot_from_urdf(URDF, "robot.urdf")
-    model = true_arm(generator, world, cad_error)
+    model = true_arm(generator if arm_seed is None else np.random.default_rng(arm_seed), world, cad_error)
     time, q, qd, qdd = trajectory(generator, robot, duration_s, rate_hz)
     data = model.createData()
     rigid = np.array([pinocchio.rnea(model, data, *rows) for rows in zip(q, qd, qdd, strict=True)])
-    scale = np.sqrt((rigid**2).mean(axis=0))
-    scale = np.maximum(scale, 0.05 * scale.max())
+    if scale is None:
+        scale = np.sqrt((rigid**2).mean(axis=0))
+        scale = np.maximum(scale, 0.05 * scale.max())
     top = np.abs(qd).max(axis=0)
     coulomb, viscous = 0.15 * scale, 0.1 * scale / top
     rotor = 0.05 * scale / np.abs(qdd).max(axis=0)

@@ -18,11 +18,15 @@ from gateway.data.rows import Table
 from gateway.errors import DataUnusable
 from gateway.estimate.estimate import Estimate, FittedRows
 from gateway.estimate.moving_columns import Columns, MovingSetup, fast_rows, moving_columns
+from gateway.estimate.moving_ordinary import Settled, settle
 from gateway.estimate.options import EstimateOptions
+from gateway.identify.budget import CONSTANTS, FRICTION, LINKS
 from gateway.identify.load_estimate import LoadEstimate, load_from_moment, without_guesses
+from gateway.identify.shares import shares
 from gateway.identify.solve import Solution, determined, solve
+from gateway.identify.spread import by_blocks, wider
 from gateway.model.robot import Robot, reach_m
-from gateway.result.result import Finding
+from gateway.result.result import Finding, NuisanceResult
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
@@ -30,6 +34,8 @@ Ints = NDArray[np.int_]
 _REWEIGHTS = 12
 _SETTLED = 1e-3
 _LONGEST = 2000
+#: Correlation times of a block that is one pull.
+_LONG = 3.0
 
 
 def estimate_moving(
@@ -63,17 +69,17 @@ def estimate_moving(
             f"{int(used.sum())} usable torque values in motion are fewer than the {columns.design.shape[2]} unknowns;"
             " record a longer run that moves all axes"
         )
-    row, axis = np.nonzero(used)
-    if motion.passes is None and np.isfinite(options.trust):
-        free = moving_columns(moving, robot, replace(options, inertials="ignore"), motion)
-        _, sigma = _reweighted(free, moving.tau_nm, (row, axis), _REWEIGHTS)
-        solution = solve(
-            columns.design[row, axis], _target(columns, moving.tau_nm, row, axis), 1.0 / sigma[axis], columns.prior
-        )
-    else:
-        solution, sigma = _reweighted(columns, moving.tau_nm, (row, axis), motion.passes or _REWEIGHTS)
-    covariance = _covariance(columns.design[row, axis], solution, (row, axis), sigma, np.asarray(moving.run))
-    return _described(moving, columns, (row, axis), (solution, covariance, reach_m(robot)))
+    where = np.nonzero(used)
+    plain = replace(motion, ordinary=())
+    trust = options.inertials if motion.passes is not None else "ignore"
+    free = moving_columns(moving, robot, replace(options, inertials=trust), plain)
+    solution, sigma = _reweighted(free, moving.tau_nm, where, motion.passes or _REWEIGHTS)
+    run = np.asarray(moving.run)
+    if motion.ordinary:  # a prior is weighed against rows that are as good as they are independent
+        sigma = sigma * np.sqrt(_correlation_times(solution.residual, where, run, len(sigma)))
+    settled = settle(columns, moving.tau_nm, where, sigma)
+    covariance = _covariance(settled, where, sigma, run)
+    return _described(moving, columns, where, (settled, covariance, reach_m(robot)))
 
 
 def _target(columns: Columns, tau_nm: Floats, row: Ints, axis: Ints) -> Floats:
@@ -102,21 +108,31 @@ def _rms(residual: Floats, axis: Ints, axes: int) -> Floats:
     return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), 1.0)
 
 
-def _covariance(
-    design: Floats, solution: Solution, where: tuple[Ints, Ints], sigma: Floats, run: NDArray[Any]
-) -> Floats:
-    """Covariance (p, p) under the residuals as they are: their own size, and hanging together in time."""
+def _covariance(settled: Settled, where: tuple[Ints, Ints], sigma: Floats, run: NDArray[Any]) -> Floats:
+    """Covariance (p, p) under the residuals as they are: their own size, and hanging together in time.
+
+    Each axis's residual by its correlation time; and stretches of all axes together by what they pull (a sandwich over
+    blocks of several correlation times), because what the model lacks hangs on the motion and on all axes at once. Of
+    each parameter the wider of both.
+    """
     row, axis = where
+    solution = settled.free
+    left = settled.solution.residual
     weight = 1.0 / sigma[axis]
-    actual = _rms(solution.residual, axis, len(sigma))
-    for k in range(len(sigma)):
-        here = axis == k
-        if here.any():
-            actual[k] *= np.sqrt(_correlation_time(solution.residual[here], run[row[here]]))
-    working = (design * weight[:, None]) @ solution.covariance
+    times = _correlation_times(left, where, run, len(sigma))
+    actual = _rms(left, axis, len(sigma)) * np.sqrt(times)
+    working = (settled.design * weight[:, None]) @ solution.covariance
     real = working * (actual[axis] * weight)[:, None]
     by_prior = solution.covariance - working.T @ working
-    return real.T @ real + by_prior
+    pulled = by_blocks(working * (left * weight)[:, None], row, run, _LONG * float(times.max()))
+    return wider(real.T @ real, pulled) + by_prior
+
+
+def _correlation_times(residual: Floats, where: tuple[Ints, Ints], run: NDArray[Any], axes: int) -> Floats:
+    """How many rows make one independent one on each axis (N,); 1 where there are none."""
+    row, axis = where
+    parts = [np.flatnonzero(axis == k) for k in range(axes)]
+    return np.array([_correlation_time(residual[part], run[row[part]]) if len(part) else 1.0 for part in parts])
 
 
 def _correlation_time(residual: Floats, run: NDArray[Any]) -> float:
@@ -134,14 +150,16 @@ def _correlation_time(residual: Floats, run: NDArray[Any]) -> float:
 
 
 def _described(
-    moving: Table, columns: Columns, where: tuple[Ints, Ints], fit: tuple[Solution, Floats, float]
+    moving: Table, columns: Columns, where: tuple[Ints, Ints], fit: tuple[Settled, Floats, float]
 ) -> Estimate:
-    solution, covariance, longest_m = fit
+    settled, covariance, longest_m = fit
+    solution = settled.solution
     row, axis = where
     found = determined(solution, np.eye(len(columns.names)))
     model = np.full(moving.tau_nm.shape, np.nan)
     model[row, axis] = moving.tau_nm[row, axis] - solution.residual
-    loads = tuple(_load(solution, covariance, named, longest_m) for named in columns.loads.items())
+    loads = tuple(_load(columns, settled, covariance, named, longest_m) for named in columns.loads.items())
+    std = np.where(found, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.nan)
     blank = np.full(moving.tau_nm.shape, np.nan)
     rows = FittedRows(
         run=np.asarray(moving.run).astype(str),
@@ -163,7 +181,7 @@ def _described(
         names=columns.names,
         units=columns.units,
         value=np.where(found, solution.value, np.nan),
-        std=np.where(found, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.nan),
+        std=std,
         covariance=covariance,
         rows=rows,
         band_nm=_coulomb(columns, solution, moving.axes),
@@ -171,19 +189,33 @@ def _described(
         condition=solution.condition,
         lumped=tuple(name for name, good in zip(columns.names, found, strict=True) if not good),
         findings=(_limits(),),
+        nuisance={
+            name: NuisanceResult(tuple(solution.value[index].tolist()), tuple(std[index].tolist()))
+            for name, index in columns.ordinary.items()
+        },
         quality={"rows": len(row), "parameters": len(columns.names)},
     )
 
 
-def _load(solution: Solution, covariance: Floats, named: tuple[str, int], longest_m: float) -> LoadEstimate:
+def _load(
+    columns: Columns, settled: Settled, covariance: Floats, named: tuple[str, int], longest_m: float
+) -> LoadEstimate:
     label, first = named
+    solution = settled.solution
     part = slice(first, first + 4)
     directions = np.zeros((4, len(solution.value)))
     directions[:, part] = np.eye(4)
     found = determined(solution, directions)
     found[1:] &= found[0]
     load = load_from_moment(label, solution.value[part], covariance[part, part], np.ones(4), found)
-    return without_guesses(load, longest_m)
+    sources = {
+        CONSTANTS: columns.ordinary.get("gain", np.zeros(0, dtype=int)),
+        LINKS: columns.links,
+        FRICTION: columns.friction,
+    }
+    lead, precision = settled.free.covariance[first], columns.prior.std**-2.0
+    budget = shares(lead, precision, sources, float(covariance[first, first])) if found[0] else {}
+    return replace(without_guesses(load, longest_m), budget=budget)
 
 
 def _coulomb(columns: Columns, solution: Solution, axes: int) -> Floats:
@@ -197,7 +229,7 @@ def _coulomb(columns: Columns, solution: Solution, axes: int) -> Floats:
 def _limits() -> Finding:
     return Finding(
         "info", "moving run",
-        "the standard deviations hold for the noise of the run, not for effects the model lacks; the load's own inertia"
-        " is left out",
+        "the standard deviations hold for the noise of the run, its torque constants and its losses, not for effects the"
+        " model lacks",
         "diagnose judges the model on parts of the run that no fit has seen",
     )  # fmt: skip

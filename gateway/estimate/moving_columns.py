@@ -12,8 +12,10 @@ from gateway.estimate.options import EstimateOptions
 from gateway.estimate.problem import LOAD_NAMES, LOAD_UNITS
 from gateway.identify.links import PER_LINK_MOVING, body_parameters, link_prior
 from gateway.identify.loads import unknown_labels
+from gateway.identify.nuisance import gain_stds, nuisance_prior
 from gateway.identify.solve import Prior
 from gateway.model.base import BaseSet, base_parameters, moving_base
+from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
 from gateway.model.regressor import full_names, regressor
 from gateway.model.robot import Robot
 
@@ -22,6 +24,12 @@ Ints = NDArray[np.int_]
 Mask = NDArray[np.bool_]
 
 FRICTION = ("coulomb", "viscous", "rotor_inertia", "offset")
+#: What every arm has beside: the reading's gain, a loss in proportion to the torque, and loads that are no points.
+ORDINARY = ("gain", "load_friction", "load_inertia")
+NUISANCES = ORDINARY[:2]
+#: Radius of gyration of a load [m], and its six numbers among a body's ten.
+_GYRATION_M, _INERTIA = 0.2, slice(4 - PER_LINK_MOVING, None)
+INERTIA_NAMES = tuple(f"inertia_{name}" for name in ("xx", "xy", "xz", "yy", "yz", "zz"))
 FRICTION_UNITS = ("Nm", "Nm s/rad", "kg m2", "Nm")
 #: Of the last link: mass and first moment; all ten.
 _LOAD, _BODY = slice(-PER_LINK_MOVING, 4 - PER_LINK_MOVING), slice(-PER_LINK_MOVING, None)
@@ -39,6 +47,7 @@ class MovingSetup:
         Rows slower than this share of an axis's speed limit are not used on it; an axis without a limit uses all.
     friction : names out of `FRICTION` that every axis gets, or None
         None: all of them, without the offset where a load is unknown, because a free offset swallows gravity.
+    ordinary : names out of `ORDINARY` that every axis or load gets, with their priors
     passes : int or None
         None: axes are weighted by the residual of a fit with free link parameters, which has one answer. A number:
         that many solutions, each axis weighted by its residual in the one before, beginning with equal weights; with
@@ -48,12 +57,28 @@ class MovingSetup:
     smooth_rad_s: float = 0.02
     slow_share: float = 0.01
     friction: tuple[str, ...] | None = None
+    ordinary: tuple[str, ...] = ORDINARY
     passes: int | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Columns:
-    """Design (n, N, p), known torque (n, N), prior, names, units, and the first column of each load."""
+    """Columns of a moving run.
+
+    Attributes
+    ----------
+    design : array of shape (n, N, p)
+        Those of what every arm has are 0: they are of the modelled torque.
+    known_nm : array of shape (n, N)
+        Torque of what is known exactly.
+    prior : Prior
+    names, units : tuples of p str
+    loads : first column of each load
+    bodies : how many of the first columns are torque of bodies, which a gain multiplies
+    ordinary : columns (N,) of what every arm has, by its name
+    sign : array of shape (n, N)
+        Rounded sign of the speed.
+    """
 
     design: Floats
     known_nm: Floats
@@ -61,6 +86,21 @@ class Columns:
     names: tuple[str, ...]
     units: tuple[str, ...]
     loads: dict[str, int]
+    bodies: int
+    ordinary: dict[str, Ints]
+    sign: Floats
+
+    @property
+    def links(self) -> Ints:
+        """Columns of the links."""
+        return np.arange(min(self.loads.values(), default=self.bodies))
+
+    @property
+    def friction(self) -> Ints:
+        """Columns of friction, the loss in proportion to the torque among them."""
+        last = min((int(index[0]) for index in self.ordinary.values()), default=len(self.names))
+        own = np.arange(self.bodies, last)
+        return np.concatenate([own, self.ordinary.get("load_friction", own[:0])])
 
 
 def fast_rows(qd_rad_s: Floats, robot: Robot, motion: MovingSetup) -> Mask:
@@ -95,16 +135,40 @@ def moving_columns(moving: Table, robot: Robot, options: EstimateOptions, motion
     loads: dict[str, int] = {}
     for label in unknown:
         loads[label] = len(names)
-        parts.append(rows[:, :, _LOAD] * (np.asarray(moving.load) == label)[:, None, None])
+        here = (np.asarray(moving.load) == label)[:, None, None]
+        parts.append(rows[:, :, _LOAD] * here)
         names += [f"{name}[{label}]" for name in LOAD_NAMES]
         units += LOAD_UNITS
+        if "load_inertia" in motion.ordinary:
+            parts.append(rows[:, :, _INERTIA] * here)
+            names += [f"{name}[{label}]" for name in INERTIA_NAMES]
+            units += ["kg m2"] * len(INERTIA_NAMES)
+    bodies = len(names)
     shapes = motion.friction or (FRICTION[:3] if loads else FRICTION)
     parts.append(_friction_columns(moving, shapes, motion.smooth_rad_s))
     names += [f"{name}[J{axis + 1}]" for axis in range(robot.axes) for name in shapes]
     units += [FRICTION_UNITS[FRICTION.index(name)] for _ in range(robot.axes) for name in shapes]
+    ordinary: dict[str, Ints] = {}
+    for name in (name for name in motion.ordinary if name in NUISANCES):
+        ordinary[name] = len(names) + np.arange(robot.axes)
+        names += [f"{name}[J{axis + 1}]" for axis in range(robot.axes)]
+        units += [""] * robot.axes
+        parts.append(np.zeros((len(moving.q_rad), robot.axes, robot.axes)))
     prior = Prior.free(len(names))
     prior.mean[: len(held)], prior.std[: len(held)] = mean[held], std[held]
-    return Columns(np.concatenate(parts, axis=2), known, prior, tuple(names), tuple(units), loads)
+    if "load_inertia" in motion.ordinary:
+        heaviest = float(np.sqrt(np.nanmean(moving.tau_nm**2, axis=0)).max()) / float(
+            np.linalg.norm(STANDARD_GRAVITY_M_S2)
+        )
+        for first in loads.values():
+            prior.std[first + 4 : first + 10] = heaviest * _GYRATION_M**2
+    nothing = np.full(robot.axes, np.nan)
+    usual = nuisance_prior(gain_stds(options.gain_std, robot.axes), nothing, nothing)
+    for name, index in ordinary.items():
+        prior.mean[index], prior.std[index] = getattr(usual, name), getattr(usual, f"{name}_std")
+    sign = np.tanh(moving.qd_rad_s / motion.smooth_rad_s)
+    design = np.concatenate(parts, axis=2)
+    return Columns(design, known, prior, tuple(names), tuple(units), loads, bodies, ordinary, sign)
 
 
 def _free_base(robot: Robot, options: EstimateOptions, free: Ints) -> BaseSet:

@@ -3,19 +3,22 @@
 Parameters carry a Gaussian prior. Link parameters: the CAD values of the robot model with a relative standard deviation
 (mass; first moment as a fraction of mass x link length; inertia as one of mass x length^2). Without CAD the fit works
 on base columns, nearly free. A load on the flange has free mass and first moment and an inertia of the size its torque
-allows. A constant offset is held small where no bare rows tell it from the gravity of an unknown load.
+allows. A constant offset is held small where no bare rows tell it from the gravity of an unknown load. Every axis has a
+gain and a loss that grows with the torque, held to what is ordinary: their columns are of the modelled torque, so the
+fit makes them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.identify.links import PER_LINK_MOVING, link_prior
 from gateway.identify.loads import BARE_LABEL
+from gateway.identify.nuisance import NuisancePrior, gain_stds, nuisance_prior
 from gateway.model.motion import PER_BODY, MovingRows
 from gateway.model.regressor import regressor
 from gateway.model.robot import SHORTEST_M
@@ -27,14 +30,18 @@ TIGHT_OFFSET = 0.003
 FREE = 1e-5
 SIZE = 1.0
 INERTIA_RADIUS_M = 0.2
+#: Precision of a parameter that is held to a value.
+HELD = 1e14
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Baseline:
-    """Columns (n, N, P) of the model to beat with the prior's mean (P,) and precision (P,).
+    """Columns (n, N, P) of the model to beat with the prior's mean (P + 2 N,) and precision (P + 2 N,).
 
     `body` (10 N, P) maps the parameters to those of the N links as the rows of an unloaded arm see them; `loads` gives
     the slice of each label's ten columns; `friction` (N, 4) the columns of each axis (sign, speed, acceleration, one).
+    The last 2 N parameters are the gain and the load friction of every axis, with no columns here. `lines` has, for
+    each axis, which columns reach it and those columns (n, k); `sums` what fits have summed over rows, by the rows.
     """
 
     columns: Floats
@@ -44,9 +51,56 @@ class Baseline:
     loads: Mapping[str, slice]
     friction: NDArray[np.int_]
     trust: float | None
+    lines: tuple[tuple[NDArray[np.int_], Floats], ...]
+    sums: dict[bytes, Floats] = field(repr=False, default_factory=dict)
+
+    @property
+    def axes(self) -> int:
+        """Number of axes."""
+        return self.columns.shape[1]
+
+    @property
+    def carried(self) -> int:
+        """Number of leading parameters that are bodies, links or loads: what the axes carry."""
+        return int(self.friction.min())
+
+    @property
+    def gain(self) -> NDArray[np.int_]:
+        """Where the gain (N,) of every axis stands among the parameters."""
+        return self.columns.shape[2] + np.arange(self.axes)
+
+    @property
+    def loss(self) -> NDArray[np.int_]:
+        """Where the load friction (N,) of every axis stands among the parameters."""
+        return self.columns.shape[2] + self.axes + np.arange(self.axes)
+
+    def held(self, index: int, value: float) -> Baseline:
+        """The same with one parameter held to a value."""
+        mean, precision = self.mean.copy(), self.precision.copy()
+        mean[index], precision[index] = value, HELD
+        return replace(self, mean=mean, precision=precision)
+
+    def trusting(self, motion: MovingRows, trust: float) -> Baseline:
+        """The same with CAD values, which it had before, trusted to another relative standard deviation."""
+        mean, precision = self.mean.copy(), self.precision.copy()
+        _, own_mean, own_precision = _bodies(motion, trust)
+        mean[: len(own_mean)], precision[: len(own_mean)] = own_mean, own_precision
+        return replace(self, mean=mean, precision=precision, trust=trust)
 
 
-def baseline(motion: MovingRows, trust: float | None, known: Mapping[str, tuple[float, Floats]]) -> Baseline:
+def ordinary(motion: MovingRows, gain_std: Floats | None = None) -> NuisancePrior:
+    """What every arm has, nothing of its losses being seen; `gain_std` (N,), None = of a table that states none."""
+    axes = motion.robot.axes
+    nothing = np.full(axes, np.nan)
+    return nuisance_prior(gain_stds(None, axes) if gain_std is None else gain_std, nothing, nothing)
+
+
+def baseline(
+    motion: MovingRows,
+    trust: float | None,
+    known: Mapping[str, tuple[float, Floats]],
+    usual: NuisancePrior | None = None,
+) -> Baseline:
     """Build the columns.
 
     Parameters
@@ -55,7 +109,10 @@ def baseline(motion: MovingRows, trust: float | None, known: Mapping[str, tuple[
     trust : float or None
         Relative standard deviation of the CAD values; None = link parameters unknown.
     known : mapping of label to (mass [kg], centre of mass (3,) [m] in the last link)
+    usual : NuisancePrior, optional
+        Gains and load frictions that are ordinary; as of a table that states nothing if left out.
     """
+    usual = ordinary(motion) if usual is None else usual
     labels = free_labels(motion, trust, known)
     body, mean, precision = _bodies(motion, trust)
     columns = [motion.rigid @ body]
@@ -74,10 +131,19 @@ def baseline(motion: MovingRows, trust: float | None, known: Mapping[str, tuple[
     columns.append(friction_columns)
     means.append(np.zeros(friction_columns.shape[2]))
     precisions.append(friction_precision)
+    means += [usual.gain, usual.load_friction]
+    precisions += [usual.gain_std**-2.0, usual.load_friction_std**-2.0]
     all_columns = np.concatenate(columns, axis=2)
     padded = np.zeros((body.shape[0], all_columns.shape[2]))
     padded[:, : body.shape[1]] = body
-    return Baseline(all_columns, np.concatenate(means), np.concatenate(precisions), padded, loads, where, trust)
+    lines = tuple(_line(all_columns[:, axis]) for axis in range(motion.axes))
+    return Baseline(all_columns, np.concatenate(means), np.concatenate(precisions), padded, loads, where, trust, lines)
+
+
+def _line(columns: Floats) -> tuple[NDArray[np.int_], Floats]:
+    """Which columns (n, P) of one axis are there, and those."""
+    there = np.flatnonzero(np.abs(columns).max(axis=0) > 0)
+    return there, np.ascontiguousarray(columns[:, there])
 
 
 def free_labels(motion: MovingRows, trust: float | None, known: Mapping[str, tuple[float, Floats]]) -> list[str]:

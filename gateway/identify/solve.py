@@ -139,34 +139,33 @@ def solve(
     )
 
 
-def solve_information(
-    columns: Floats, tau_nm: Floats, weight: Floats, mean: Floats, precision: Floats
-) -> tuple[Floats, Floats, float]:
+def solve_normal(information: Floats, right: Floats, mean: Floats, precision: Floats) -> tuple[Floats, Floats]:
     """The same minimum by the information matrix: many rows, all columns held by a prior, nothing left undetermined.
 
     Parameters
     ----------
-    columns : array of shape (n, axes, p)
-    tau_nm, weight : arrays of shape (n, axes)
+    information : array of shape (p, p)
+        Weighted columns by weighted columns.
+    right : array of shape (p,)
+        Weighted columns by the weighted target.
     mean, precision : arrays of shape (p,)
         Of the prior; precision 0 = free.
 
     Returns
     -------
-    covariance (p, p), parameters (p,), the minimum
+    covariance (p, p), parameters (p,)
     """
-    matrix = (columns * weight[:, :, None]).reshape(-1, columns.shape[2])
-    right = (tau_nm * weight).reshape(-1)
-    information = matrix.T @ matrix
-    information[np.diag_indices_from(information)] += precision
-    scale = np.sqrt(np.diag(information))
+    normal = information.copy()
+    normal[np.diag_indices_from(normal)] += precision
+    scale = np.sqrt(np.diag(normal))
     scale[scale == 0] = 1.0
-    normal = information / scale / scale[:, None]
+    normal /= scale
+    normal /= scale[:, None]
     normal[np.diag_indices_from(normal)] += _RIDGE
-    inverse = np.linalg.inv(normal) / scale / scale[:, None]
-    value = inverse @ (matrix.T @ right + precision * mean)
-    rest = right - matrix @ value
-    return inverse, value, float(rest @ rest + precision @ (value - mean) ** 2)
+    inverse = np.linalg.inv(normal)
+    inverse /= scale
+    inverse /= scale[:, None]
+    return inverse, inverse @ (right + precision * mean)
 
 
 def _singular_values(factor: Floats) -> tuple[Floats, Floats, Floats]:

@@ -34,9 +34,9 @@ def possible(problem: MovingProblem, full: MovingFit, term: Term, value: Floats,
     def friction_nm(axis: int, columns: Floats, own: Floats) -> Floats:
         first = base.friction[axis]
         weight = full.weight[:, axis] ** 2
-        change = full.inverse @ (full.columns[:, axis].T @ (columns * weight[:, None])) @ own
+        change = full.inverse @ (full.cross([axis], (columns * weight[:, None])[:, None]) @ own)
         parameters = (full.value[: len(change)] - change)[first[:2]]
         return base.columns[:, axis, first[:2]] @ parameters + columns @ own
 
-    drawn = motion.rigid @ (base.body[:, : len(base.mean)] @ base.mean)
+    drawn = motion.rigid @ (base.body @ base.mean[: base.body.shape[1]])
     return term.possible(value, np.sqrt(np.diag(covariance)), Seen(motion, full.modelled, drawn, friction_nm))

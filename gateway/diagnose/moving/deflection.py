@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,16 +11,19 @@ from gateway.diagnose.moving.fit import MovingProblem, counting_share
 from gateway.diagnose.moving.state import MovingState
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.wind_up import design_of, wind_up
+from gateway.model.motion import Mask
 from gateway.result.result import EffectResult, Evidence
 
 Floats = NDArray[np.float64]
 
 
-def elastic_joints(problem: MovingProblem, state: MovingState) -> tuple[EffectResult, ...]:
+def elastic_joints(
+    problem: MovingProblem, state: MovingState, pairs: Sequence[tuple[Mask, Mask]]
+) -> tuple[EffectResult, ...]:
     """Elastic joints among those with a secondary encoder.
 
     Wind-up is regressed on the modelled torque of the links, with a constant for the zeros of the two encoders. A joint
-    counts where the slope is certain, and foretells the wind-up of blocks of time that were not in its fit.
+    counts where the slope is certain, and foretells the wind-up of rows that were not in its fit: `pairs` (fitted, judged).
     """
     motion = problem.motion
     found = []
@@ -29,7 +34,7 @@ def elastic_joints(problem: MovingProblem, state: MovingState) -> tuple[EffectRe
         fitted = ~motion.given
         seen = wind_up(torque[fitted], bend[fitted], counting_share, motion.axes)
         compliance, std = seen.compliance_rad_nm, seen.std_rad_nm
-        ratio = _foretold(problem, design_of(torque), bend)
+        ratio = _foretold(pairs, design_of(torque), bend)
         bent = compliance * float(np.abs(torque).max())
         if compliance < MOVING.wind_up * std or ratio > MOVING.wind_up_ratio or bent > MOVING.largest_wind_up_rad:
             continue
@@ -38,10 +43,10 @@ def elastic_joints(problem: MovingProblem, state: MovingState) -> tuple[EffectRe
     return tuple(found)
 
 
-def _foretold(problem: MovingProblem, design: Floats, bend: Floats) -> float:
+def _foretold(pairs: Sequence[tuple[Mask, Mask]], design: Floats, bend: Floats) -> float:
     """RMS of the wind-up that is left on unseen rows, with the torque over without it."""
     squares = np.zeros(2)
-    for train, test in problem.splits:
+    for train, test in pairs:
         for place, columns in enumerate((design, design[:, 1:])):
             value, *_ = np.linalg.lstsq(columns[train], bend[train], rcond=None)
             squares[place] += float(((bend - columns @ value)[test] ** 2).sum())

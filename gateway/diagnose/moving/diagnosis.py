@@ -1,4 +1,4 @@
-"""Diagnosis of moving runs: what the model lacks, judged on blocks of time or on a run that no fit has seen.
+"""Diagnosis of moving runs: what the model lacks, chosen by some rows and judged on others that chose nothing.
 
 The noise floor of a moving run is unknown, so the best verdict is `improved`. Errors are those of rows in which the
 axis moves (friction at a standstill is a set); how many those are stands in the provenance.
@@ -13,22 +13,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.table import Table
+from gateway.diagnose.moving.choice import Choice, Knowledge, choose, plain_choice, problem_of
 from gateway.diagnose.moving.deflection import elastic_joints
-from gateway.diagnose.moving.fit import MovingNoise, MovingProblem, blocks
-from gateway.diagnose.moving.mistakes import MovingMistake, find_mistakes, undo
+from gateway.diagnose.moving.fit import MovingProblem
+from gateway.diagnose.moving.judge import Judges
 from gateway.diagnose.moving.outcome import MovingOutcome, result_of, too_little
 from gateway.diagnose.moving.parameters import certain
-from gateway.diagnose.moving.select import select, weigh
-from gateway.diagnose.moving.state import MovingState, state_of, with_noise_of
+from gateway.diagnose.moving.select import left_over, weigh
+from gateway.diagnose.moving.splits import judging
+from gateway.diagnose.moving.state import MovingState, state_of
 from gateway.diagnose.moving.structure import structured_axes
 from gateway.diagnose.moving.thresholds import MOVING
-from gateway.diagnose.moving.trial import Trial
-from gateway.diagnose.moving.trust import choose_trust
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.errors import DataUnusable
 from gateway.identify.links import has_inertials, parse_inertials
 from gateway.identify.loads import BARE_LABEL, unknown_labels
-from gateway.identify.moving_baseline import EXACT, baseline
+from gateway.identify.moving_baseline import EXACT, ordinary
+from gateway.identify.nuisance import gain_stds
 from gateway.model.motion import MovingRows, prepare
 from gateway.model.robot import Robot
 from gateway.result.result import Result
@@ -59,60 +60,89 @@ def diagnose_motion(table: Table, robot: Robot, options: DiagnoseOptions) -> Res
     known = _known(motion, options.known)
     motion = _foretold(motion, known)
     trust, free = _trust(robot, options.inertials)
-    allowed = options.allowed
-    if "current_rms_peak" in options.only and "current_rms_peak" not in options.without:
-        allowed |= {"torque_constant_scale"}
-    problem = _problem(motion, trust, known)
+    usual = ordinary(motion, gain_stds(options.gain_std, motion.axes))
+    knowledge = Knowledge(_allowed(options), trust, free, known, usual)
     if (~motion.given).sum() < MOVING.fewest_rows or motion.duration_s < MOVING.shortest_s:
+        problem = problem_of(motion, trust, knowledge)
         return too_little(problem, state_of(problem, ()))
-    mistakes = find_mistakes(problem, allowed)
-    as_read = None
-    if mistakes:
-        as_read = state_of(problem, ())
-        problem = _problem(undo(motion, mistakes), trust, known)
-    problem, state, left = select(problem, allowed)
-    if free and problem.base.trust is not None:
-        chosen = choose_trust(problem, state.terms, known)
-        if chosen != problem.base.trust:
-            again = replace(problem, base=baseline(problem.motion, chosen, known))
-            start = () if chosen is None else state.terms
-            problem, state, left = select(with_noise_of(again, start, None), allowed, start)
-    outcome = _outcome(problem, state, left, allowed, mistakes, as_read, known)
-    wound = elastic_joints(problem, outcome.after) if "joint_elasticity" in allowed else ()
-    if wound and as_read is None:
+    found, judges = _judged(motion, knowledge)
+    refuted = frozenset(item.label for item in found.mistakes if not judges.mistake(item).below_one)
+    if refuted:
+        found, judges = _judged(motion, replace(knowledge, refuted=refuted))
+    outcome = replace(_outcome(found, judges, knowledge), refuted=refuted)
+    if "joint_elasticity" not in knowledge.allowed:
+        return result_of(outcome)
+    wound = elastic_joints(outcome.problem, outcome.after, judges.pairs)
+    if wound and not found.mistakes:
         stiff = replace(table, q2nd_rad=np.full_like(table.q2nd_rad, np.nan))
         held = options.holdout and replace(options.holdout, q2nd_rad=np.full_like(options.holdout.q2nd_rad, np.nan))
-        by_motor = prepare(stiff, held, robot, np.asarray(options.gravity_m_s2))
-        as_read = state_of(_problem(_foretold(by_motor, known), problem.base.trust, known), ())
-    return result_of(replace(outcome, wound=wound, as_read=as_read))
+        by_motor = _foretold(prepare(stiff, held, robot, np.asarray(options.gravity_m_s2)), known)
+        as_read = problem_of(by_motor, outcome.problem.base.trust, knowledge)
+        parts = judging(by_motor, MOVING.judged_blocks)
+        read = Judges(tuple(plain_choice(part, outcome.problem.base.trust, knowledge) for part in parts))
+        outcome = replace(outcome, as_read=state_of(as_read, ()), held_before=read.before())
+    return result_of(replace(outcome, wound=wound))
 
 
-def _outcome(  # noqa: PLR0913 - gathers what the stages left
-    problem: MovingProblem,
-    state: MovingState,
-    left: list[Trial],
-    allowed: frozenset[str],
-    mistakes: list[MovingMistake],
-    as_read: MovingState | None,
-    known: Mapping[str, tuple[float, Floats]],
-) -> MovingOutcome:
-    chosen = weigh(problem, state, allowed)
-    sure = tuple(item for item in chosen if not item.contested and certain(problem, state, item.terms))
-    doubtful = tuple(item for item in chosen if item not in sure)
-    if doubtful and sure:
+def _judged(motion: MovingRows, knowledge: Knowledge) -> tuple[Choice, Judges]:
+    """The model that all rows choose which may, and those by which it is judged."""
+    found = choose(motion, knowledge)
+    if motion.given.any():
+        return found, Judges((found,))
+    near = replace(knowledge, trust=found.problem.base.trust) if knowledge.free else knowledge
+    return found, Judges(tuple(choose(part, near) for part in judging(motion, MOVING.judged_blocks)))
+
+
+def _outcome(found: Choice, judges: Judges, knowledge: Knowledge) -> MovingOutcome:
+    """The effects that their odds and the rows that judge bear out, and the others."""
+    problem, state = found.problem, found.state
+    chosen = [
+        replace(item, held=judges.effect(item.label, item.axes(problem.motion.axes), problem.noise.sigma_nm))
+        for item in weigh(problem, state, knowledge.allowed)
+    ]
+    refuted = tuple(item for item in chosen if not item.held.below_one or (item.contested and not item.rival))
+    open_ones = [item for item in chosen if item not in refuted]
+    sure = tuple(item for item in open_ones if not item.contested and certain(problem, state, item.terms))
+    doubtful = tuple(item for item in open_ones if item not in sure)
+    if len(sure) < len(chosen) and (sure or refuted):
         state = state_of(problem, [term for item in sure for term in item.terms])
+    kept = {term.label for term in state.terms}
+    rejected = left_over(problem, state, knowledge.allowed)
+    if problem.motion.given.any():
+        judges = Judges((replace(found, state=state),))
+    as_read = state_of(found.as_read, ()) if found.mistakes else None
     return MovingOutcome(
+        told=_told(problem, state, knowledge),
         problem=problem,
         before=state_of(problem, ()),
         after=state,
         effects=sure,
         doubtful=doubtful,
-        rejected=tuple(left),
-        mistakes=tuple(mistakes),
+        unproven=refuted,
+        rejected=tuple(zip((term.label for term in rejected), judges.ratios(rejected), strict=True)),
+        mistakes=tuple((item, judges.mistake(item)) for item in found.mistakes),
         as_read=as_read,
         structure=structured_axes(problem, state),
-        known=known,
+        known=knowledge.known,
+        held_before=judges.before(),
+        held_after=judges.after(kept),
+        judges=judges,
     )
+
+
+def _told(problem: MovingProblem, state: MovingState, knowledge: Knowledge) -> tuple[MovingProblem, MovingState]:
+    """The model that the answer is read from: a drawing that the rows do not contradict is no better than usual."""
+    trust = problem.base.trust
+    if not knowledge.free or trust is None or trust >= MOVING.usual_trust:
+        return problem, state
+    usual = replace(problem, base=problem.base.trusting(problem.motion, MOVING.usual_trust))
+    return usual, state_of(usual, state.terms)
+
+
+def _allowed(options: DiagnoseOptions) -> frozenset[str]:
+    """Names that may be tried: a factor between peak and effective current is found as a scale."""
+    peak = "current_rms_peak" in options.only and "current_rms_peak" not in options.without
+    return options.allowed | {"torque_constant_scale"} if peak else options.allowed
 
 
 def _foretold(motion: MovingRows, known: Mapping[str, tuple[float, Floats]]) -> MovingRows:
@@ -128,13 +158,6 @@ def _foretold(motion: MovingRows, known: Mapping[str, tuple[float, Floats]]) -> 
             " hold out rows under a load that is"
         )
     return replace(motion, judged=motion.judged & ~strange[:, None])
-
-
-def _problem(motion: MovingRows, trust: float | None, known: Mapping[str, tuple[float, Floats]]) -> MovingProblem:
-    problem = MovingProblem(
-        motion, baseline(motion, trust, known), MovingNoise(*np.ones((2, motion.axes))), blocks(motion, MOVING.blocks)
-    )
-    return with_noise_of(problem, (), None)
 
 
 def _known(

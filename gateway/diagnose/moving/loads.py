@@ -6,18 +6,23 @@ time is left out (jackknife). The second is the larger one as soon as the model 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.moving.fit import MovingProblem
+from gateway.diagnose.held import listed
+from gateway.diagnose.moving.fit import MovingFit, MovingProblem, fit, usual_of
+from gateway.diagnose.moving.splits import blocks
 from gateway.diagnose.moving.state import MovingState
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.identify.load_estimate import known_load, load_directions, load_from_moment, load_result, unknown_load
 from gateway.identify.loads import BARE_LABEL
+from gateway.identify.shares import shares
+from gateway.identify.spread import jackknife, wider
 from gateway.model.effects.velocity_friction import Stribeck
-from gateway.result.result import LoadResult
+from gateway.result.result import LoadResult, NuisanceResult
 
 Floats = NDArray[np.float64]
 
@@ -44,26 +49,56 @@ def _load(
         return load_result(unknown_load(label), robot)
     where = np.arange(problem.base.loads[label].start, problem.base.loads[label].start + 4)
     moment = state.full.value[where]
-    covariance = state.full.inverse[np.ix_(where, where)] + over_blocks(problem, state, where)
+    covariance = spread_of(problem, state, where)
     turn = load_directions(moment)
     std = np.sqrt(np.diag(turn @ covariance @ turn.T))
     if not moment[0] > 0 or std[0] > MOVING.loose_mass * moment[0]:
         return load_result(unknown_load(label), robot)
     found = np.concatenate([[True], std[1:] <= MOVING.loose_com_m])
-    return load_result(load_from_moment(label, moment, covariance, np.ones(4), found), robot)
+    load = load_result(load_from_moment(label, moment, covariance, np.ones(4), found), robot)
+    return replace(load, budget=_budget(state.full, int(where[0]), float(covariance[0, 0])))
 
 
-def over_blocks(problem: MovingProblem, state: MovingState, where: NDArray[np.int_]) -> Floats:
-    """Covariance of parameters over fits that leave out one block of time each; zero with a given hold-out."""
-    return jackknife(problem, np.array([fit.value[where] for fit in state.fits]))
+def _budget(full: MovingFit, mass: int, variance: float) -> dict[str, float]:
+    """Share of a mass's variance by source: the load's own inertia counts as noise, which it is to the mass."""
+    base = full.base
+    first = min((part.start for part in base.loads.values()), default=base.carried)
+    sources = {
+        "constants": base.gain,
+        "links": np.arange(first),
+        "friction": np.concatenate([base.friction.ravel(), base.loss]),
+    }
+    return shares(full.spread[: len(base.mean), mass], base.precision, sources, variance)
 
 
-def jackknife(problem: MovingProblem, estimates: Floats) -> Floats:
-    """Covariance of estimates (splits, k) that leave out one block of time each; zero with a given hold-out."""
-    if problem.motion.given.any() or len(estimates) < 3:
-        return np.zeros((estimates.shape[1],) * 2)
-    centred = estimates - estimates.mean(axis=0)
-    return (len(estimates) - 1) / len(estimates) * centred.T @ centred
+def spread_of(problem: MovingProblem, state: MovingState, where: NDArray[np.int_]) -> Floats:
+    """Covariance of parameters (k,): what the noise allows, or where it is wider, what leaving out blocks shows."""
+    without = jackknife(np.array([fit.value[where] for fit in _without_blocks(problem, state)]))
+    return wider(state.full.spread[np.ix_(where, where)], without)
+
+
+def _without_blocks(problem: MovingProblem, state: MovingState) -> Sequence[MovingFit]:
+    """Fits that leave out a block of time of every run: to leave out a whole run is to lose what only it shows."""
+    if len(np.unique(problem.motion.run[~problem.motion.given])) < MOVING.several_runs:
+        return state.fits
+    splits = blocks(problem.motion, MOVING.blocks)
+    return [fit(problem, state.terms, train, test, state.full) for train, test in splits]
+
+
+def nuisances(problem: MovingProblem, state: MovingState) -> dict[str, NuisanceResult]:
+    """Gain and load friction of every axis; NaN for an axis that was not judged. An effect in its place is the whole."""
+    base, full, unseen = state.full.base, state.full, ~problem.motion.measured
+    place = np.concatenate([base.gain, base.loss])
+    for term in state.terms:
+        index = usual_of(base, term)
+        if index is not None:
+            place[place == index] = full.part([term])[0]
+    value, std = full.value[place], np.sqrt(np.diag(spread_of(problem, state, place)))
+    found = {"gain": slice(0, base.axes), "load_friction": slice(base.axes, None)}
+    return {
+        name: NuisanceResult(listed(np.where(unseen, np.nan, value[at])), listed(np.where(unseen, np.nan, std[at])))
+        for name, at in found.items()
+    }
 
 
 def friction_level(problem: MovingProblem, state: MovingState) -> Floats:

@@ -1,31 +1,40 @@
 """Commissioning mistakes that a moving run shows by itself: a torque with the wrong sign, two axes swapped.
 
 Friction takes power. An axis whose fitted friction gives power reads its torque with the wrong sign. Two swapped axes
-explain each other's torque far better than their own. Either is believed only if undoing it helps on rows held out.
+explain each other's torque far better than their own. Either is believed only if undoing it helps for sure on rows held
+out, and a sign only if friction turns with it in every run.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.diagnose.held import Held
 from gateway.diagnose.moving.fit import MovingFit, MovingNoise, MovingProblem, fit
+from gateway.diagnose.moving.ratio import HeldRatio, held_ratio
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.model.motion import MovingRows
+from gateway.model.term import Label
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class MovingMistake:
-    """`sign_reversed` of one joint or `axes_swapped` of two, from 1; `ratio` = held-out RMS after over before."""
+    """`sign_reversed` of one joint or `axes_swapped` of two, from 1."""
 
     name: str
     joints: tuple[int, ...]
-    ratio: float = np.nan
+
+    @property
+    def label(self) -> Label:
+        """Name and joints."""
+        return self.name, self.joints
 
     @property
     def axes(self) -> list[int]:
@@ -33,11 +42,13 @@ class MovingMistake:
         return [joint - 1 for joint in self.joints]
 
 
-def find_mistakes(problem: MovingProblem, allowed: frozenset[str]) -> list[MovingMistake]:
-    """Mistakes in the order in which they were found, each with those before it undone."""
+def find_mistakes(
+    problem: MovingProblem, allowed: frozenset[str], refuted: frozenset[Label] = frozenset()
+) -> list[MovingMistake]:
+    """Mistakes in the order in which they were found, each with those before it undone; none that is `refuted`."""
     found: list[MovingMistake] = []
     for _ in range(MOVING.most_mistakes):
-        best = _worst(problem, allowed)
+        best = _worst(problem, allowed, refuted)
         if best is None:
             break
         found.append(best)
@@ -45,7 +56,7 @@ def find_mistakes(problem: MovingProblem, allowed: frozenset[str]) -> list[Movin
     return found
 
 
-def undo(motion: MovingRows, mistakes: list[MovingMistake]) -> MovingRows:
+def undo(motion: MovingRows, mistakes: Sequence[MovingMistake]) -> MovingRows:
     """The run as it would read without the mistakes."""
     tau = motion.tau_nm.copy()
     for mistake in mistakes:
@@ -56,32 +67,51 @@ def undo(motion: MovingRows, mistakes: list[MovingMistake]) -> MovingRows:
     return replace(motion, tau_nm=tau)
 
 
-def _worst(problem: MovingProblem, allowed: frozenset[str]) -> MovingMistake | None:
-    """The mistake whose undoing halves the held-out error most clearly."""
+def _worst(problem: MovingProblem, allowed: frozenset[str], refuted: frozenset[Label]) -> MovingMistake | None:
+    """The mistake whose undoing lowers the held-out error most, of those that lower it for sure."""
     neutral = _with_neutral_noise(problem)
-    everything = ~problem.motion.given
-    now = fit(neutral, (), everything, problem.motion.given)
-    suspects = []
-    axes = [int(axis) for axis in np.flatnonzero(problem.motion.measured)]
-    for axis in axes:
-        power = _friction_power(neutral, now, axis) if "sign_reversed" in allowed else 0.0
-        if power < 0:
-            suspects.append(
-                (
-                    MovingMistake("sign_reversed", (axis + 1,)),
-                    MOVING.not_worse if power < -MOVING.mistake else MOVING.halved,
-                )
-            )
-    for pair in combinations(axes, 2):
-        mistake = MovingMistake("axes_swapped", (pair[0] + 1, pair[1] + 1))
-        if "axes_swapped" in allowed and _ratio(neutral, now, mistake, everything, everything) < MOVING.halved:
-            suspects.append((mistake, MOVING.halved))
+    now = fit(neutral, (), ~problem.motion.given, problem.motion.given)
     judged = []
-    for mistake, limit in suspects:
-        ratio = _held_ratio(neutral, mistake)
-        if ratio < limit and _takes_power(neutral, mistake):
-            judged.append(replace(mistake, ratio=ratio))
-    return min(judged, key=lambda mistake: mistake.ratio, default=None)
+    for mistake, limit in _suspects(neutral, now, allowed):
+        if mistake.label in refuted or not _takes_power(neutral, mistake):
+            continue
+        ratio, gain = _held_ratio(neutral, mistake)
+        if ratio.below_one and ratio.value < limit and gain > np.log(MOVING.rare * MOVING.sure_odds):
+            judged.append((ratio.value, mistake))
+    return min(judged, key=lambda pair: pair[0], default=(1.0, None))[1]
+
+
+def _suspects(problem: MovingProblem, now: MovingFit, allowed: frozenset[str]) -> Iterator[tuple[MovingMistake, float]]:
+    """Mistakes that the fitted rows suggest, with the held-out ratio that undoing each must reach."""
+    axes = [int(axis) for axis in np.flatnonzero(problem.motion.measured)]
+    everything = ~problem.motion.given
+    for axis in axes if "sign_reversed" in allowed else ():
+        power = _friction_power(problem, now, axis)
+        if power < 0 and not _right_in_a_run(problem, axis):
+            yield MovingMistake("sign_reversed", (axis + 1,)), 1.0 if power < -MOVING.mistake else MOVING.halved
+    foreign = [axis for axis in axes if _share_left(problem, now, axis) > MOVING.explained]
+    for pair in combinations(foreign, 2) if "axes_swapped" in allowed else ():
+        mistake = MovingMistake("axes_swapped", (pair[0] + 1, pair[1] + 1))
+        if _ratio(problem, now, mistake, everything, everything) < MOVING.halved:
+            yield mistake, MOVING.halved
+
+
+def _share_left(problem: MovingProblem, now: MovingFit, axis: int) -> float:
+    """Residual of an axis over its torque, both RMS over the rows that may be fitted."""
+    rows = now.weight[:, axis] > 0
+    return float(np.sqrt(np.mean(now.residual_nm[rows, axis] ** 2) / np.mean(problem.motion.tau_nm[rows, axis] ** 2)))
+
+
+def _right_in_a_run(problem: MovingProblem, axis: int) -> bool:
+    """Whether friction takes power for sure in some run: a reversed sign would turn it in all of them."""
+    motion = problem.motion
+    for number in np.unique(motion.run[~motion.given]):
+        rows = (motion.run == number) & ~motion.given
+        if motion.judged[rows, axis].sum() < MOVING.fewest_rows:
+            continue
+        if _friction_power(problem, fit(problem, (), rows, motion.given), axis) > MOVING.right_way:
+            return True
+    return False
 
 
 def _with_neutral_noise(problem: MovingProblem) -> MovingProblem:
@@ -129,16 +159,22 @@ def _ratio(
     return float(np.exp(np.mean(logs)))
 
 
-def _held_ratio(problem: MovingProblem, mistake: MovingMistake) -> float:
-    """Held-out RMS, each axis over its own torque, undone over as it reads: the pair's axes, or all for one sign."""
-    other = _undone(problem, mistake)
-    squares = np.zeros((2, problem.motion.axes))
-    for train, test in problem.splits:
-        for position, case in enumerate((problem, other)):
-            solved = fit(case, (), train, test)
-            scaled = (solved.residual_nm / case.noise.sigma_nm * case.motion.judged)[test]
-            squares[position] += (scaled**2).sum(axis=0)
-    if len(mistake.joints) > 1:
-        squares = squares[:, mistake.axes]
-        return float(np.exp(0.5 * np.log(squares[1] / squares[0]).mean()))
-    return float(np.sqrt(squares[1].sum() / squares[0].sum()))
+def _held_ratio(problem: MovingProblem, mistake: MovingMistake) -> tuple[HeldRatio, float]:
+    """Held-out RMS, each axis over its own torque, undone over as it reads, and the log likelihood gained.
+
+    Of the pair's axes, or of all for one sign.
+    """
+    motion = problem.motion
+    sides = []
+    for case in (problem, _undone(problem, mistake)):
+        residual, counted = np.zeros_like(motion.tau_nm), np.zeros_like(motion.judged)
+        for train, test in case.splits:
+            left = fit(case, (), train, test).residual_nm / case.noise.sigma_nm
+            residual[test], counted[test] = left[test], case.motion.judged[test]
+        sides.append(Held(residual * counted, counted))
+    axes = mistake.axes if len(mistake.joints) > 1 else list(np.flatnonzero(motion.measured))
+    before, after = sides
+    effective = problem.noise.share * before.counted.sum(axis=0)
+    log = np.log(np.maximum(before.square, 1e-300) / np.maximum(after.square, 1e-300))
+    gain = 0.5 * float((effective * log)[axes].sum())
+    return held_ratio(before, after, axes, np.ones(motion.axes)), gain

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.moving.fit import MovingFit, MovingProblem
-from gateway.diagnose.moving.loads import jackknife, over_blocks
+from gateway.diagnose.moving.loads import spread_of
 from gateway.diagnose.moving.refine import coupling_cost
 from gateway.diagnose.moving.state import MovingState
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.moving.trial import Trial, extend
+from gateway.identify.spread import jackknife, wider
 from gateway.model.effects.axis_coupling import MotorCoupling
 from gateway.model.effects.current_rms_peak import EFFECT as RMS_PEAK
 from gateway.model.effects.current_rms_peak import is_rms_peak
@@ -58,21 +59,17 @@ def certain(problem: MovingProblem, state: MovingState, terms: Sequence[Term]) -
 def _law(problem: MovingProblem, state: MovingState, term: Term) -> tuple[Named, Named]:
     """Coulomb and viscous friction of the effect's axis."""
     index = problem.base.friction[term.joints[0] - 1, :2]
-    covariance = _covariance(problem, state, index)
+    covariance = spread_of(problem, state, index)
     names = ("coulomb_nm", "viscous_nm_s_rad")
     values = zip(names, state.full.value[index].tolist(), strict=True)
     return dict(values), dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
-
-
-def _covariance(problem: MovingProblem, state: MovingState, index: NDArray[np.int_]) -> Floats:
-    return state.full.inverse[np.ix_(index, index)] + over_blocks(problem, state, index)
 
 
 def _with_shape(problem: MovingProblem, state: MovingState, term: Term) -> tuple[Floats, Floats]:
     """All parameters of a term with their covariance: those of its shape have their prior, and widen the others."""
     index = state.full.part([term])
     if all(term.linear):
-        return state.full.value[index], _covariance(problem, state, index)
+        return state.full.value[index], spread_of(problem, state, index)
     at, precision = np.array(term.start[term.count :]), np.array(term.spread[term.count :]) ** -2.0
     axes = list(term.enters(problem.motion.axes))
     slopes = _slopes(problem, state.full, term, state.full.value[index])
@@ -82,12 +79,12 @@ def _with_shape(problem: MovingProblem, state: MovingState, term: Term) -> tuple
         for fit, step in zip((state.full, *state.fits), extended, strict=True)
     ]
     weight = state.full.weight[:, axes, None] ** 2
-    taken = state.full.inverse @ np.einsum("nap,nak->pk", state.full.columns[:, axes], weight * slopes)
+    taken = state.full.inverse @ state.full.cross(axes, weight * slopes)
     shape = np.diag(1.0 / precision) if extended[0] is None else extended[0][1]
     lead = -taken[index] @ shape
     own = state.full.inverse[np.ix_(index, index)] - lead @ taken[index].T
     whole = np.block([[own, lead], [lead.T, shape]])
-    return thetas[0], whole + jackknife(problem, np.array(thetas[1:]))
+    return thetas[0], wider(whole, jackknife(np.array(thetas[1:])))
 
 
 def _slopes(problem: MovingProblem, full: MovingFit, term: Term, value: Floats) -> Floats:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.held import TWO_SIDED_95
 from gateway.diagnose.moving.fit import MovingProblem
-from gateway.diagnose.moving.loads import over_blocks
+from gateway.diagnose.moving.loads import spread_of
 from gateway.diagnose.moving.state import MovingState
 from gateway.model.effect import Over
 from gateway.model.effects import LIBRARY
@@ -60,13 +60,13 @@ def _curve(problem: MovingProblem, state: MovingState, terms: tuple[Term, ...]) 
     """One effect on the axis where it is largest."""
     motion, full = problem.motion, state.full
     where = full.part(terms)
-    columns, value = full.columns[:, :, where], full.value[where]
+    columns, value = full.columns_of(where), full.value[where]
     effect = columns @ value
     axes = sorted({axis for term in terms for axis in term.enters(motion.axes)})
     axis = max(axes, key=lambda number: float(np.mean((effect * motion.judged)[:, number] ** 2)))
     rows = np.flatnonzero(motion.judged[:, axis])
     rows = rows[:: max(1, int(np.ceil(len(rows) / MOST_POINTS)))]
-    covariance = full.inverse[np.ix_(where, where)] + over_blocks(problem, state, where)
+    covariance = spread_of(problem, state, where)
     part = columns[rows, axis]
     spread = TWO_SIDED_95 * np.sqrt(np.maximum(np.einsum("nk,kl,nl->n", part, covariance, part), 0.0))
     y, points = effect[rows, axis], effect[rows, axis] + full.residual_nm[rows, axis]

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from gateway.diagnose.moving.candidates import possible
 from gateway.diagnose.moving.fit import MovingProblem, fit, prior_precision
 from gateway.diagnose.moving.state import MovingState, refitted, state_of
 from gateway.diagnose.moving.thresholds import MOVING
-from gateway.diagnose.moving.trial import extend, put_on_trial
+from gateway.diagnose.moving.trial import extend, put_on_trial, trials_of
 from gateway.model.effects.axis_coupling import MotorCoupling
 from gateway.model.term import Term
 
@@ -52,12 +53,18 @@ def _best_scale(problem: MovingProblem, state: MovingState, pool: Sequence[Term]
 def _best_law(problem: MovingProblem, state: MovingState, found: Term, pool: Sequence[Term]) -> Term:
     """The plainest law of the effect in its best shape, or another where the held-out rows clearly want it."""
     chosen, best, lead = found, -np.inf, 0.0
-    for law in dict.fromkeys(type(term) for term in pool if term.label == found.label):
-        members = [term for term in pool if type(term) is law and term.label == found.label]
-        member = min(members, key=lambda term: _cost(problem, state, term, np.array(term.start[term.count :])))
-        member = _best_shape(problem, state, member)
+    members = [term for term in pool if term.label == found.label]
+    trials = [trial for trial in trials_of(problem, state.fits, state.full, members) if trial is not None]
+    trials = [trial for trial in trials if possible(problem, state.full, trial.term, trial.value, trial.covariance)]
+    for law in dict.fromkeys(type(term) for term in members):
+        own = [trial for trial in trials if type(trial.term) is law]
+        if not own:
+            continue
+        member = _best_shape(problem, state, min(own, key=lambda trial: trial.p_demand).term)
         trial = put_on_trial(problem, state.fits, state.full, member)
-        if trial is not None and trial.gain - lead > best:
+        if trial is None or not possible(problem, state.full, member, trial.value, trial.covariance):
+            continue
+        if trial.gain - lead > best:
             chosen, best = member, trial.gain - lead
         lead = MOVING.lead
     return chosen

@@ -14,12 +14,13 @@ import numpy as np
 
 from gateway.diagnose.moving.candidates import candidates, possible, suggested
 from gateway.diagnose.moving.fit import MovingProblem
+from gateway.diagnose.moving.ratio import NOT_HELD, HeldRatio
 from gateway.diagnose.moving.refine import refine, reshaped
-from gateway.diagnose.moving.state import MovingState, compare, refitted, state_of, with_noise_of
+from gateway.diagnose.moving.state import MovingState, beyond_usual, compare, lacking, refitted, state_of, with_noise_of
 from gateway.diagnose.moving.thresholds import MOVING, Demands
-from gateway.diagnose.moving.trial import Trial, put_on_trial
+from gateway.diagnose.moving.trial import Trial, demanded_most, trials_of
 from gateway.model.effects import DRAWN, FRICTION
-from gateway.model.term import Term
+from gateway.model.term import Label, Term
 
 
 def demands(term: Term, axes: int) -> Demands:
@@ -33,7 +34,9 @@ def demands(term: Term, axes: int) -> Demands:
 class Chosen:
     """An effect in the final model: all its terms, its trial against the model without it, and the runner-up's.
 
-    `contested`: the runner-up meets its own demands, and the odds against it are below `sure_odds`.
+    `contested`: the odds, against the runner-up and against nothing, are below `sure_odds`. `rival`: the runner-up meets
+    its own demands; one that does not leaves two names of which neither is believed. `held`: what the effect is worth
+    on rows that chose nothing.
     """
 
     terms: tuple[Term, ...]
@@ -41,6 +44,17 @@ class Chosen:
     runner_up: Trial | None
     odds: float
     contested: bool
+    rival: bool
+    held: HeldRatio = NOT_HELD
+
+    @property
+    def label(self) -> Label:
+        """Name and joints."""
+        return self.terms[0].label
+
+    def axes(self, count: int) -> list[int]:
+        """Axes, from 0, of an arm of so many that it enters."""
+        return sorted({axis for term in self.terms for axis in term.enters(count)})
 
 
 def believed(problem: MovingProblem, trial: Trial, tried: int) -> bool:
@@ -57,7 +71,7 @@ def believed(problem: MovingProblem, trial: Trial, tried: int) -> bool:
 
 def select(
     problem: MovingProblem, allowed: frozenset[str], start: Sequence[Term] = ()
-) -> tuple[MovingProblem, MovingState, list[Trial]]:
+) -> tuple[MovingProblem, MovingState]:
     """Add effects while they are believed, then drop those that are not needed any more.
 
     Returns
@@ -66,30 +80,26 @@ def select(
         With the noise figures of the final model.
     MovingState
         The final model.
-    list of Trial
-        The best trial of every effect that was tried on the final model and did not earn its place.
     """
     state = state_of(problem, start)
     pool = candidates(problem, state.full, allowed)
-    stale: dict[Term, float] = {}
     while len(state.terms) < MOVING.largest_model:
         tried = len(pool)
-        best = _best(problem, state, pool, stale, tried)
+        best = _best(problem, state, pool, tried)
         if best is None:
-            best = _best(problem, state, suggested(problem, state.full, allowed), {}, tried)
-        added = (
-            (refine(problem, state, best.term, pool),) if best is not None else _best_pair(problem, state, pool, tried)
-        )
-        if not added:
+            best = _best(problem, state, suggested(problem, state.full, allowed), tried)
+        if best is None:
             break
-        state = state_of(problem, (*state.terms, *added))
+        state = state_of(problem, (*state.terms, refine(problem, state, best.term, pool)))
         problem = with_noise_of(problem, state.terms, state.full)
         state = state_of(problem, state.terms)
-        stale = {}
-    state = reshaped(problem, _without_idle(problem, state, len(pool)), pool)
-    left = _trials(problem, state, pool)
-    left += _trials(problem, state, suggested(problem, state.full, allowed))
-    return problem, state, left
+    return problem, reshaped(problem, _without_idle(problem, state), pool)
+
+
+def left_over(problem: MovingProblem, state: MovingState, allowed: frozenset[str]) -> list[Term]:
+    """Every effect that could be tried and is not in the model, in the shape that the fitted rows demand most."""
+    pool = [*candidates(problem, state.full, allowed), *suggested(problem, state.full, allowed)]
+    return demanded_most(problem, state.full, _open(state, pool))
 
 
 def _open(state: MovingState, pool: Sequence[Term]) -> list[Term]:
@@ -101,71 +111,50 @@ def _open(state: MovingState, pool: Sequence[Term]) -> list[Term]:
 
 
 def _trials(problem: MovingProblem, state: MovingState, pool: Sequence[Term]) -> list[Trial]:
-    trials = (put_on_trial(problem, state.fits, state.full, term) for term in _open(state, pool))
+    trials = trials_of(problem, state.fits, state.full, _open(state, pool))
     return [trial for trial in trials if trial is not None]
 
 
-def _best(
-    problem: MovingProblem, state: MovingState, pool: Sequence[Term], stale: dict[Term, float], tried: int
-) -> Trial | None:
-    """The believed trial that gains most; gains of an earlier round bound those of this one loosely."""
-    best: Trial | None = None
-    for term in sorted(_open(state, pool), key=lambda term: -stale.get(term, np.inf)):
-        if best is not None and stale.get(term, np.inf) < 0.3 * best.gain - 5.0:
-            continue
-        hopeless = demands(term, problem.motion.axes).p_demand / tried
-        trial = put_on_trial(problem, state.fits, state.full, term, hopeless=hopeless)
-        stale[term] = trial.gain if trial is not None else -np.inf
-        if trial is None or not believed(problem, trial, tried):
-            continue
-        if (best is None or trial.gain > best.gain) and possible(
-            problem, state.full, term, trial.value, trial.covariance
-        ):
-            best = trial
-    return best
+def _best(problem: MovingProblem, state: MovingState, pool: Sequence[Term], tried: int) -> Trial | None:
+    """The believed trial that gains most: of those that the fitted rows demand most, else of all."""
+    terms = _open(state, pool)
+    hopeless = max(need.p_demand for need in (MOVING.ordinary, MOVING.special)) / tried
+    for most in (MOVING.runners, None):
+        trials = trials_of(problem, state.fits, state.full, terms, hopeless, most)
+        good = [trial for trial in trials if trial is not None and _proven(problem, state, trial, tried)]
+        if good:
+            return max(good, key=lambda trial: trial.gain)
+    return None
 
 
-def _best_pair(problem: MovingProblem, state: MovingState, pool: Sequence[Term], tried: int) -> tuple[Term, ...]:
-    """Two parts of one axis's friction that are believed together though neither is alone."""
-    friction = [term for term in _open(state, pool) if term.name in FRICTION]
-    hopeless = MOVING.ordinary.p_demand / tried
-    best, found = 0.0, ()
-    for position, first in enumerate(friction):
-        for second in friction[position + 1 :]:
-            if first.joints != second.joints or first.name == second.name:
-                continue
-            trial = put_on_trial(problem, state.fits, state.full, first, second, hopeless=hopeless)
-            if trial is None or trial.gain <= best or not believed(problem, trial, tried):
-                continue
-            if all(_possible_part(problem, state, trial, term, part) for term, part in ((first, 0), (second, 1))):
-                best, found = trial.gain, (first, second)
-    return found
+def _proven(problem: MovingProblem, state: MovingState, trial: Trial, tried: int) -> bool:
+    """Whether a trial meets its demands, goes beyond what is ordinary, and is what an arm can have."""
+    return (
+        believed(problem, trial, tried)
+        and beyond_usual(problem, trial.term, trial.value, trial.covariance)
+        and possible(problem, state.full, trial.term, trial.value, trial.covariance)
+    )
 
 
-def _possible_part(problem: MovingProblem, state: MovingState, trial: Trial, term: Term, part: int) -> bool:
-    """The load's share of a pair must be a loss; its shape over speed is free."""
-    if term.with_friction:
-        return True
-    here = slice(part, part + 1)
-    return possible(problem, state.full, term, trial.value[here], trial.covariance[here, here])
-
-
-def _without_idle(problem: MovingProblem, state: MovingState, tried: int) -> MovingState:
+def _without_idle(problem: MovingProblem, state: MovingState) -> MovingState:
     """Drop, one at a time, the effect that the held-out rows miss least, while it is not believed any more."""
     while state.terms:
         rated = []
         for term in state.terms:
             smaller = state_of(problem, [other for other in state.terms if other != term])
-            rated.append((compare(problem, smaller, state, term), smaller))
-        rated = [item for item in rated if not _needed(item[0], problem.motion.axes)]
-        if not rated:
+            rated.append(compare(problem, smaller, state, term))
+        idle = [trial for trial in rated if not _needed(problem, trial)]
+        if not idle:
             return state
-        state = min(rated, key=lambda item: item[0].gain)[1]
+        gone = min(idle, key=lambda trial: trial.gain).term
+        state = state_of(problem, [term for term in state.terms if term != gone])
     return state
 
 
-def _needed(trial: Trial, axes: int) -> bool:
-    need = demands(trial.term, axes)
+def _needed(problem: MovingProblem, trial: Trial) -> bool:
+    need = demands(trial.term, problem.motion.axes)
+    if not beyond_usual(problem, trial.term, trial.value, trial.covariance):
+        return False
     return trial.ratio <= 0.5 * (1.0 + need.ratio) and trial.gain > 0 and trial.p_held <= 2.0 * need.p_held
 
 
@@ -180,7 +169,7 @@ def weigh(problem: MovingProblem, state: MovingState, allowed: frozenset[str]) -
     out = []
     for key in dict.fromkeys(term.label for term in state.terms):
         mine = tuple(term for term in state.terms if term.label == key)
-        smaller = state_of(problem, [term for term in state.terms if term.label != key])
+        smaller = lacking(problem, state, key)
         own = compare(problem, smaller, state, mine[0])
         touched = {axis for term in mine for axis in term.enters(axes)}
         others = [
@@ -201,6 +190,6 @@ def weigh(problem: MovingProblem, state: MovingState, allowed: frozenset[str]) -
             own.gain - penalty(mine[0]) - (max(runner.gain - penalty(runner.term), 0.0) if runner is not None else 0.0)
         )
         odds = float(np.exp(np.clip(lead, -27.0, 27.0)))
-        contested = runner is not None and odds < MOVING.sure_odds and believed(problem, runner, len(pool))
-        out.append(Chosen(mine, own, runner, odds, contested))
+        rival = runner is not None and believed(problem, runner, len(pool))
+        out.append(Chosen(mine, own, runner, odds, odds < MOVING.sure_odds, rival))
     return out

@@ -6,11 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from gateway.diagnose.held import Held
-from gateway.diagnose.moving.fit import MovingFit, MovingProblem, fit, noise_of, scaled_to
-from gateway.diagnose.moving.trial import Trial, held_out, judge
-from gateway.model.term import Term
+from gateway.diagnose.held import TWO_SIDED_95, Held
+from gateway.diagnose.moving.fit import MovingFit, MovingProblem, fit, noise_of, scaled_to, usual_of
+from gateway.diagnose.moving.trial import Trial, demand, held_out, judge
+from gateway.identify.nuisance import ORDINARY_STD
+from gateway.model.term import Label, Term
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,12 +29,8 @@ class MovingState:
 
 def state_of(problem: MovingProblem, terms: Sequence[Term]) -> MovingState:
     """Fit a model to every split and to all rows that may be fitted."""
-    fits = tuple(fit(problem, terms, train, test) for train, test in problem.splits)
-    if problem.motion.given.any():
-        full = fits[0]
-    else:
-        everything = ~problem.motion.given
-        full = fit(problem, terms, everything, problem.motion.given)
+    full = fit(problem, terms, ~problem.motion.given, problem.motion.given)
+    fits = tuple(fit(problem, terms, train, test, full) for train, test in problem.splits)
     return MovingState(tuple(terms), fits, full, held_out(problem, fits))
 
 
@@ -44,13 +44,29 @@ def with_noise_of(problem: MovingProblem, terms: Sequence[Term], full: MovingFit
     return replace(problem, noise=scaled_to(noise, full.residual_nm, motion.judged & everything[:, None]))
 
 
+def lacking(problem: MovingProblem, state: MovingState, label: Label) -> MovingState:
+    """The model without one effect; what is ordinary of it comes back."""
+    return state_of(problem, [term for term in state.terms if term.label != label])
+
+
+def beyond_usual(problem: MovingProblem, term: Term, value: Floats, covariance: Floats) -> bool:
+    """Whether the interval of an effect that every arm has a share of lies outside what is ordinary; others do."""
+    index = usual_of(problem.base, term)
+    if index is None:
+        return True
+    off = abs(float(value[0]) - float(problem.base.mean[index]))
+    usual = float(problem.base.precision[index]) ** -0.5
+    return off - TWO_SIDED_95 * float(np.sqrt(covariance[0, 0])) > ORDINARY_STD * usual
+
+
 def compare(problem: MovingProblem, smaller: MovingState, larger: MovingState, term: Term) -> Trial:
     """Trial of `term` from two fitted models: `smaller` has all of `larger` but the term (or its whole family)."""
-    drop = smaller.full.cost - larger.full.cost
+    axes = list(term.enters(problem.motion.axes))
     where = larger.full.part([term])
-    rest = larger.full.residual_nm[:, list(term.enters(problem.motion.axes))]
     value, covariance = larger.full.value[where], larger.full.inverse[np.ix_(where, where)]
-    return judge(problem, larger.fits, term, smaller.held, larger.held, (value, covariance, drop, rest, smaller.full))
+    drop = smaller.full.cost - larger.full.cost
+    log_p = demand(problem, smaller.full, axes, (covariance, drop, larger.full.residual_nm[:, axes]))
+    return judge(problem, larger.fits, term, smaller.held, larger.held, (value, covariance, log_p))
 
 
 def refitted(problem: MovingProblem, smaller: MovingState, term: Term) -> Trial:

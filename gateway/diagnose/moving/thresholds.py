@@ -34,6 +34,12 @@ class MovingThresholds:
     blocks: int = threshold(
         6, "", "blocks of time held out in turn", "each still holds every axis both ways in a run of 10 s"
     )
+    judged_blocks: int = threshold(
+        4, "", "outer blocks that judge in turn", "three quarters of the rows are left to choose a model by"
+    )
+    several_runs: int = threshold(
+        3, "", "runs from which on one may be held out whole", "two are left, which show what changes from run to run"
+    )
     fewest_rows: int = threshold(60, "", "rows below which nothing is held out", "ten a block")
     shortest_s: float = threshold(
         2.0, "s", "run below which nothing is held out", "some ten correlation times of a drive's current"
@@ -48,8 +54,10 @@ class MovingThresholds:
         30.0, "", "odds beforehand of another shape of friction over a fault or an extra part", RUNS
     )
     sure_odds: float = threshold(10.0, "", "odds below which a runner-up contests an effect", RUNS)
-    largest_model: int = threshold(16, "", "terms of one model", RUNS)
-    runners: int = threshold(12, "", "candidates weighed in the place of an effect", RUNS)
+    largest_model: int = threshold(60, "", "terms of one model", "more than any arm has: keeps the search finite")
+    runners: int = threshold(
+        12, "", "candidates weighed in the place of an effect, and judged first as the next one", RUNS
+    )
     lead: float = threshold(
         5.0, "log likelihood", "by which another law has to do better on held-out rows than a plainer one", RUNS
     )
@@ -87,8 +95,11 @@ class MovingThresholds:
     halved: float = threshold(
         0.5, "", "held-out ratio that undoing a mistake must reach", "a mistake leaves residuals as large as the torque"
     )
-    not_worse: float = threshold(
-        1.03, "", "the same where friction alone proves it", "axes without gravity have little else"
+    right_way: float = threshold(
+        2.0, "std", "power of friction above zero in one run that proves the sign of its torque", "one in forty"
+    )
+    explained: float = threshold(
+        0.1, "", "share of an axis's torque that is left of one that may be another axis's", RUNS
     )
     most_mistakes: int = threshold(3, "", "mistakes of one arm", "two wrong drives and one cable")
     # secondary encoders

@@ -3,21 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
 from gateway.diagnose.held import Held
-from gateway.diagnose.moving.fit import INDEPENDENT, MovingFit, MovingProblem, counting_share, prior_precision
+from gateway.diagnose.moving.fit import (
+    INDEPENDENT,
+    MovingFit,
+    MovingProblem,
+    counting_share,
+    prior_precision,
+    usual_of,
+)
 from gateway.diagnose.moving.thresholds import MOVING
-from gateway.model.term import Term
+from gateway.model.term import Label, Term
 
 Floats = NDArray[np.float64]
 FEWEST_STRETCHES, MOST_STRETCHES = 6, 24
-# Coefficients, their covariance, drop of the cost, residual (n, len(axes)) with the effect, fit without it.
-Solved = tuple[Floats, Floats, float, Floats, MovingFit]
+# Coefficients, their covariance, change of the other parameters with its sign turned, drop of the cost.
+Step = tuple[Floats, Floats, Floats, float]
+# Coefficients, their covariance, log of the probability that the fitted rows demand as much by chance.
+Solved = tuple[Floats, Floats, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,67 +73,159 @@ def held_out(problem: MovingProblem, fits: Sequence[MovingFit]) -> Held:
     return Held(residual * counted, counted)
 
 
-def put_on_trial(
-    problem: MovingProblem, fits: Sequence[MovingFit], full: MovingFit, *terms: Term, hopeless: float = np.inf
-) -> Trial | None:
-    """Add one effect, or several of the same axes, to the fits of every split.
+def put_on_trial(problem: MovingProblem, fits: Sequence[MovingFit], full: MovingFit, term: Term) -> Trial | None:
+    """Add one effect to the fits of every split; see `trials_of`."""
+    return trials_of(problem, fits, full, [term])[0]
 
-    None if the rows cannot tell it from what the model has, or if what they demand has a p above `hopeless`.
 
-    The step is exact for columns that do not depend on the model, and first order for those that do.
+def trials_of(
+    problem: MovingProblem,
+    fits: Sequence[MovingFit],
+    full: MovingFit,
+    terms: Sequence[Term],
+    hopeless: float = np.inf,
+    most: int | None = None,
+) -> list[Trial | None]:
+    """Add each effect, by itself, to the fits of every split.
+
+    None if the rows cannot tell it from what the model has, if what they demand has a p above `hopeless`, or if there
+    are more than `most` that they demand more. The step is exact for columns that do not depend on the model, and first
+    order for those that do. Of an effect that every arm has a share of, the model has as much of it as is
+    ordinary: what is tried is the rest, and the trial's value is the whole.
     """
-    axes = list(terms[0].enters(problem.motion.axes))
-    columns = _columns(problem, terms, full)
-    precision = np.concatenate([prior_precision(term) for term in terms])
-    precision = np.broadcast_to(precision, columns.shape[2:])
-    shared = None if any(term.modelled for term in terms) else columns
-    solution = extend(full, axes, columns, precision)
-    if solution is None:
-        return None
-    value, covariance, lead, drop = solution
-    rest = full.residual_nm[:, axes] + full.columns[:, axes] @ lead - columns @ value
-    demand = _demand(problem, full, axes, rest, drop, _rank(covariance))
-    if demand > hopeless:
-        return None
-    residual = np.zeros_like(problem.motion.tau_nm)
-    for fit in fits:
-        columns = shared if shared is not None else _columns(problem, terms, fit)
-        step = extend(fit, axes, columns, precision)
-        rows = fit.test
-        part = fit.residual_nm[rows]
-        if step is not None:
-            part = part + fit.columns[rows] @ step[2]
-            part[:, axes] -= columns[rows] @ step[0]
-        residual[rows] = part
+    out: list[Trial | None] = [None] * len(terms)
+    usual = [usual_of(problem.base, term) for term in terms]
+    there = [number for number, index in enumerate(usual) if index is None or full.at_limit(index)]
+    asked = _ask(problem, full, [terms[number] for number in there], hopeless)
+    best = sorted(asked, key=lambda place: asked[place].log_p)[:most]
+    trials = _hold_out(problem, fits, [terms[there[place]] for place in best], [asked[place] for place in best])
+    for place, trial in zip(best, trials, strict=True):
+        index = usual[there[place]]
+        share = 0.0 if index is None else float(full.value[index])
+        out[there[place]] = replace(trial, value=trial.value + share * (np.arange(len(trial.value)) == 0))
+    return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Asked:
+    """What the fitted rows say of an effect: its columns, what they add, the residual, log p of the F test, the fit."""
+
+    columns: Floats
+    step: Step
+    left_nm: Floats
+    log_p: float
+    full: MovingFit
+
+
+def _ask(problem: MovingProblem, full: MovingFit, terms: Sequence[Term], hopeless: float) -> dict[int, _Asked]:
+    """What the fitted rows demand, by the number of the effect; those below `hopeless`."""
+    columns = [term.columns(problem.motion, full.modelled) for term in terms]
+    out: dict[int, _Asked] = {}
+    for number, step in enumerate(extensions(problem, full, terms, columns)):
+        if step is None:
+            continue
+        axes = list(terms[number].enters(problem.motion.axes))
+        value, covariance, lead, drop = step
+        left = full.residual_nm[:, axes] + full.torque(axes, lead) - columns[number] @ value
+        log_p = _log_demand(problem, full, axes, left, drop, _rank(covariance))
+        if log_p <= np.log(hopeless):
+            out[number] = _Asked(columns[number], step, left, log_p, full)
+    return out
+
+
+def demanded_most(problem: MovingProblem, full: MovingFit, terms: Sequence[Term]) -> list[Term]:
+    """One term of each effect: the one that the fitted rows demand most."""
+    best: dict[Label, tuple[float, Term]] = {}
+    for number, told in _ask(problem, full, terms, np.inf).items():
+        term = terms[number]
+        if term.label not in best or told.log_p < best[term.label][0]:
+            best[term.label] = told.log_p, term
+    return [term for _, term in best.values()]
+
+
+def _hold_out(
+    problem: MovingProblem,
+    fits: Sequence[MovingFit],
+    terms: Sequence[Term],
+    asked: Sequence[_Asked],
+) -> list[Trial]:
+    """What each effect is worth on the rows of every split."""
+    if not terms:
+        return []
     before = held_out(problem, fits)
-    after = Held(residual * before.counted, before.counted)
-    return judge(problem, fits, terms[0], before, after, (value, covariance, drop, rest, full))
+    residuals = [before.residual_nm.copy() for _ in terms]
+    everywhere = range(problem.motion.axes)
+    for fit in fits:
+        columns = [
+            term.columns(problem.motion, fit.modelled) if term.modelled else told.columns
+            for term, told in zip(terms, asked, strict=True)
+        ]
+        rows = np.flatnonzero(fit.test)
+        for number, step in enumerate(extensions(problem, fit, terms, columns)):
+            if step is not None:
+                axes = list(terms[number].enters(problem.motion.axes))
+                moved = fit.torque(everywhere, step[2], rows)
+                moved[:, axes] -= columns[number][rows] @ step[0]
+                residuals[number][rows] += moved * before.counted[rows]
+    out = []
+    for term, told, residual in zip(terms, asked, residuals, strict=True):
+        value, covariance, _, _ = told.step
+        after = Held(residual * before.counted, before.counted)
+        out.append(judge(problem, fits, term, before, after, (value, covariance, told.log_p)))
+    return out
 
 
-def _columns(problem: MovingProblem, terms: Sequence[Term], fit: MovingFit) -> Floats:
-    return np.concatenate([term.columns(problem.motion, fit.modelled) for term in terms], axis=2)
+def extensions(
+    problem: MovingProblem, fit: MovingFit, terms: Sequence[Term], columns: Sequence[Floats]
+) -> list[Step | None]:
+    """What the columns of each effect add to a fit; those that enter the same axes are taken together."""
+    out: list[Step | None] = [None] * len(terms)
+    alike: dict[tuple[int, ...], list[int]] = {}
+    for number, term in enumerate(terms):
+        alike.setdefault(term.enters(problem.motion.axes), []).append(number)
+    for axes, numbers in alike.items():
+        precision = [prior_precision(terms[number]) for number in numbers]
+        joined = extend_each(fit, list(axes), [columns[number] for number in numbers], precision)
+        for number, step in zip(numbers, joined, strict=True):
+            out[number] = step
+    return out
 
 
-def extend(
-    fit: MovingFit, axes: list[int], columns: Floats, precision: Floats
-) -> tuple[Floats, Floats, Floats, float] | None:
-    """What columns (n, len(axes), k) with a prior of `precision` (k,) add to a fit.
+def extend(fit: MovingFit, axes: list[int], columns: Floats, precision: Floats) -> Step | None:
+    """What columns (n, len(axes), k) with a prior of `precision` (k,) add to a fit; see `extend_each`."""
+    return extend_each(fit, axes, [columns], [np.broadcast_to(precision, columns.shape[2:])])[0]
+
+
+def extend_each(
+    fit: MovingFit, axes: list[int], columns: Sequence[Floats], precision: Sequence[Floats]
+) -> list[Step | None]:
+    """What sets of columns (n, len(axes), k) with priors of `precision` (k,) add to a fit, each set by itself.
 
     Returns
     -------
     coefficients (k,), their covariance, the change of the other parameters (P,) with its sign turned, and the drop of
     the cost. What is collinear with the model stays zero; None if all of it is.
     """
-    weight = fit.weight[:, axes] ** 2
-    own = columns.reshape(-1, columns.shape[2])
-    weighted = (columns * weight[:, :, None]).reshape(-1, columns.shape[2])
-    cross = fit.columns[:, axes].reshape(-1, fit.columns.shape[2]).T @ weighted
-    raw = own.T @ weighted
+    everything = np.concatenate(list(columns), axis=2)
+    weighted = everything * fit.weight[:, axes, None] ** 2
+    cross = fit.cross(axes, weighted)
+    leads = fit.inverse @ cross
+    right = np.einsum("nak,na->k", weighted, fit.residual_nm[:, axes])
+    out: list[Step | None] = []
+    start = 0
+    for part, known in zip(columns, precision, strict=True):
+        own = slice(start, start + part.shape[2])
+        start += part.shape[2]
+        raw = np.tensordot(part, weighted[:, :, own], axes=([0, 1], [0, 1]))
+        out.append(_step(raw, cross[:, own], leads[:, own], right[own], known))
+    return out
+
+
+def _step(raw: Floats, cross: Floats, lead: Floats, right: Floats, precision: Floats) -> Step | None:
     size = np.diag(raw)
     if not (size > 0).all():
         return None
     scale = np.sqrt(size)
-    lead = fit.inverse @ cross
     rest = (raw - cross.T @ lead) / scale / scale[:, None]
     strength, direction = np.linalg.eigh(rest)
     seen = strength > INDEPENDENT
@@ -133,7 +234,6 @@ def extend(
     basis = direction[:, seen] / scale[:, None]
     held = np.diag(strength[seen]) + basis.T @ (precision[:, None] * basis)
     covariance = basis @ np.linalg.inv(held) @ basis.T
-    right = weighted.T @ fit.residual_nm[:, axes].reshape(-1)
     value = covariance @ right
     return value, covariance, lead @ value, float(right @ value)
 
@@ -147,7 +247,7 @@ def judge(
     solved: Solved,
 ) -> Trial:
     """Figures of one trial from the held-out residuals without (`before`) and with the effect (`after`)."""
-    value, covariance, drop, rest, full = solved
+    value, covariance, log_p = solved
     noise, axes = problem.noise, list(term.enters(problem.motion.axes))
     old, new = before.square, after.square
     there = before.counted.any(axis=0) & (old > 0)
@@ -167,7 +267,7 @@ def judge(
         term=term,
         ratio=ratio,
         gain=float(0.5 * (effective * log).sum()),
-        p_demand=_demand(problem, full, axes, rest, drop, _rank(covariance)),
+        p_demand=float(np.exp(log_p)),
         p_held=drop_by_chance(was[rows], now[rows]),
         blocks_better=float(np.mean(better)),
         value=value,
@@ -181,17 +281,23 @@ def _rank(covariance: Floats) -> int:
     return max(int(np.linalg.matrix_rank(covariance, hermitian=True)), 1)
 
 
-def _demand(
+def demand(problem: MovingProblem, full: MovingFit, axes: list[int], solved: tuple[Floats, float, Floats]) -> float:
+    """Log p of what a refit shows: covariance of the effect, drop of the cost, residual (n, len(axes)) with it."""
+    covariance, drop, after_nm = solved
+    return _log_demand(problem, full, axes, after_nm, drop, _rank(covariance))
+
+
+def _log_demand(
     problem: MovingProblem, full: MovingFit, axes: list[int], after_nm: Floats, drop: float, count: int
 ) -> float:
-    """p of the F test of a drop of the cost against what is left on the axes (n, len(axes)), rows counted by the
+    """Log p of the F test of a drop of the cost against what is left on the axes (n, len(axes)), rows counted by the
     correlation of the residual that is left."""
     used = full.weight[:, axes] > 0
     rows = [after_nm[used[:, position], position] for position in range(len(axes))]
     freedom = max(sum(len(row) * counting_share(row) for row in rows if len(row)) - count, 4.0)
     left = float(((full.weight[:, axes] * after_nm) ** 2).sum()) + 1e-12
     counted = sum(len(row) * problem.noise.share[axis] for row, axis in zip(rows, axes, strict=True))
-    return float(stats.f.sf(drop / left * min(freedom, counted) / count, count, freedom))
+    return float(stats.f.logsf(drop / left * min(freedom, counted) / count, count, freedom))
 
 
 def drop_by_chance(before: Floats, after: Floats) -> float:

@@ -7,7 +7,7 @@ contradict is kept.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.moving.fit import MovingNoise, MovingProblem, counting_share, fit, prior_precision
 from gateway.diagnose.moving.thresholds import MOVING
-from gateway.identify.moving_baseline import baseline
 from gateway.model.effects import DRAWN
 from gateway.model.term import Term
 
@@ -42,16 +41,14 @@ def _scaled(covariance: Floats, precision: Floats) -> Floats:
     return covariance * root * root[:, None]
 
 
-def choose_trust(
-    problem: MovingProblem, terms: Sequence[Term], known: Mapping[str, tuple[float, Floats]]
-) -> float | None:
+def choose_trust(problem: MovingProblem, terms: Sequence[Term]) -> float | None:
     """Trust of the CAD values: relative standard deviation, or None if they are worth nothing."""
     problem = _with_noise_left(problem, terms)
     stories = [list(terms)]
     without = [term for term in terms if term.name not in DRAWN]
     if len(without) < len(terms):
         stories.append(without)
-    scores = np.array([[_score(problem, story, known, level) for level in LEVELS] for story in stories])
+    scores = np.array([[_score(problem, story, level) for level in LEVELS] for story in stories])
     best = scores[int(np.argmax(scores.max(axis=1)))]
     level = LEVELS[int(np.argmax(best >= best.max() - MOVING.contradicted))]
     return None if level >= MOVING.worthless else level
@@ -71,8 +68,7 @@ def _with_noise_left(problem: MovingProblem, terms: Sequence[Term]) -> MovingPro
     return replace(problem, noise=MovingNoise(sigma, share))
 
 
-def _score(
-    problem: MovingProblem, terms: Sequence[Term], known: Mapping[str, tuple[float, Floats]], level: float
-) -> float:
+def _score(problem: MovingProblem, terms: Sequence[Term], level: float) -> float:
     worse = np.log(max(level / MOVING.usual_trust, 1.0)) / np.log(MOVING.usual_factor)
-    return log_evidence(replace(problem, base=baseline(problem.motion, level, known)), terms) - 0.5 * float(worse) ** 2
+    trusting = replace(problem, base=problem.base.trusting(problem.motion, level))
+    return log_evidence(trusting, terms) - 0.5 * float(worse) ** 2

@@ -126,6 +126,10 @@ class CoilBalancer(_Balancer):
     def shaped(self, values: Floats) -> Self:
         return replace(self, phase_rad=float(values[0]), ratio=_share(values[1]))
 
+    def possible(self, value: Floats, std: Floats, seen: Seen) -> bool:
+        """As every balancer, and a spring pulls harder the longer it is."""
+        return bool(value[0] > 0) and _Balancer.possible(self, value, std, seen)
+
     def plausible(self, theta: Floats, rows: RestRows) -> bool:
         """The spring is under tension wherever the arm was, and pulls harder the longer it is."""
         _, length, _ = self.lengths(rows.q_rad, theta[2:])
@@ -171,6 +175,10 @@ class GasBalancer(_Balancer):
 
     def shaped(self, values: Floats) -> Self:
         return replace(self, phase_rad=float(values[0]), ratio=_share(values[1]), stroke=_stroke(values[2]))
+
+    def possible(self, value: Floats, std: Floats, seen: Seen) -> bool:
+        """As every balancer, and gas pushes."""
+        return bool(value[0] > 0) and _Balancer.possible(self, value, std, seen)
 
     def plausible(self, theta: Floats, rows: RestRows) -> bool:
         return bool(theta[0] > 0)

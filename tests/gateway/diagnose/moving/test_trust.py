@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy import stats
 
 from gateway.diagnose import DiagnoseOptions, diagnose
-from gateway.diagnose.moving.fit import MovingNoise, MovingProblem, blocks
-from gateway.diagnose.moving.loads import jackknife
+from gateway.diagnose.moving.fit import MovingNoise, MovingProblem
+from gateway.diagnose.moving.splits import blocks
 from gateway.diagnose.moving.trust import log_evidence
 from gateway.identify.moving_baseline import baseline
+from gateway.identify.spread import jackknife
 from gateway.model.motion import prepare
 from tests.moving_arm import GRAVITY, World, measured
 
@@ -45,12 +45,15 @@ def test_evidence_is_the_marginal_density_of_the_rows():
         base = baseline(motion, trust, {})
         # friction that is nearly free is beyond what a dense density resolves: here it has a size
         base = replace(base, precision=np.maximum(base.precision, 1e-4))
+        for index in (*base.gain, *base.loss):
+            base = base.held(index, 0.0)
+        linear = base.columns.shape[2]
         problem = MovingProblem(motion, base, noise, blocks(motion, 3))
         values.append(log_evidence(problem, ()))
         judged = motion.judged.ravel()
         columns = (base.columns * noise.weight[:, None]).reshape(-1, base.columns.shape[2])[judged]
-        target = (motion.tau_nm * noise.weight).ravel()[judged] - columns @ base.mean
-        covariance = np.eye(len(target)) + (columns / base.precision) @ columns.T
+        target = (motion.tau_nm * noise.weight).ravel()[judged] - columns @ base.mean[:linear]
+        covariance = np.eye(len(target)) + (columns / base.precision[:linear]) @ columns.T
         expected.append(stats.multivariate_normal.logpdf(target, np.zeros(len(target)), covariance))
     assert values[1] - values[0] == pytest.approx(expected[1] - expected[0], rel=1e-4)
 
@@ -61,6 +64,5 @@ def test_a_jackknife_over_means_is_their_variance():
     parts = rng.normal(size=(8, 2))
     without = (parts.sum(axis=0) - parts) / 7.0
 
-    inside, given = (SimpleNamespace(motion=SimpleNamespace(given=np.array(rows))) for rows in ([False], [True]))
-    assert np.diag(jackknife(inside, without)) == pytest.approx(parts.var(axis=0, ddof=1) / 8.0)
-    assert not jackknife(given, without).any()
+    assert np.diag(jackknife(without)) == pytest.approx(parts.var(axis=0, ddof=1) / 8.0)
+    assert not jackknife(without[:2]).any()

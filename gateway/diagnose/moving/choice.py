@@ -1,0 +1,94 @@
+"""A model of moving rows, chosen by rows of which those that judge are none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.moving.fit import MovingNoise, MovingProblem
+from gateway.diagnose.moving.mistakes import MovingMistake, find_mistakes, undo
+from gateway.diagnose.moving.select import select
+from gateway.diagnose.moving.splits import choosing
+from gateway.diagnose.moving.state import MovingState, state_of, with_noise_of
+from gateway.diagnose.moving.thresholds import MOVING
+from gateway.diagnose.moving.trust import choose_trust
+from gateway.identify.loads import BARE_LABEL
+from gateway.identify.moving_baseline import baseline
+from gateway.identify.nuisance import NuisancePrior
+from gateway.model.motion import MovingRows
+from gateway.model.term import Label
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Knowledge:
+    """What is known beside the rows.
+
+    Attributes
+    ----------
+    allowed : names of effects that may be tried
+    trust : relative standard deviation of the CAD values to start with, None = worth nothing
+    free : whether the rows may change the trust
+    known : label -> (mass [kg], centre of mass (3,) [m] in the last link)
+    usual : what every arm has
+    refuted : mistakes that rows which judge have not borne out
+    """
+
+    allowed: frozenset[str]
+    trust: float | None
+    free: bool
+    known: Mapping[str, tuple[float, Floats]]
+    usual: NuisancePrior
+    refuted: frozenset[Label] = frozenset()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Choice:
+    """A chosen model: the problem with its noise, the fits, the mistakes undone, and the rows as they were read."""
+
+    problem: MovingProblem
+    state: MovingState
+    mistakes: tuple[MovingMistake, ...]
+    as_read: MovingProblem
+
+
+def problem_of(motion: MovingRows, trust: float | None, knowledge: Knowledge) -> MovingProblem:
+    """The problem of rows under a trust of the CAD values, without effects."""
+    splits = choosing(motion, MOVING.blocks, frozenset(knowledge.known) | {BARE_LABEL})
+    base = baseline(motion, trust, knowledge.known, knowledge.usual)
+    return with_noise_of(MovingProblem(motion, base, MovingNoise(*np.ones((2, motion.axes))), splits), (), None)
+
+
+def choose(motion: MovingRows, knowledge: Knowledge) -> Choice:
+    """The mistakes, the trust and the effects that the rows want, those that are given left out of everything."""
+    problem = as_read = problem_of(motion, knowledge.trust, knowledge)
+    mistakes = find_mistakes(problem, knowledge.allowed, knowledge.refuted)
+    if mistakes:
+        problem = problem_of(undo(motion, mistakes), knowledge.trust, knowledge)
+    problem, state = select(problem, knowledge.allowed)
+    if knowledge.free and problem.base.trust is not None:
+        chosen = choose_trust(problem, state.terms)
+        if chosen != problem.base.trust:
+            problem, state = _under(chosen, problem, state, knowledge)
+    return Choice(problem, state, tuple(mistakes), as_read)
+
+
+def plain_choice(motion: MovingRows, trust: float | None, knowledge: Knowledge) -> Choice:
+    """The choice of no effect at all."""
+    problem = problem_of(motion, trust, knowledge)
+    return Choice(problem, state_of(problem, ()), (), problem)
+
+
+def _under(
+    trust: float | None, problem: MovingProblem, state: MovingState, knowledge: Knowledge
+) -> tuple[MovingProblem, MovingState]:
+    """The choice made again under another trust; links worth nothing take up effects that looked like them."""
+    if trust is None:
+        base, start = baseline(problem.motion, None, knowledge.known, knowledge.usual), ()
+    else:
+        base, start = problem.base.trusting(problem.motion, trust), state.terms
+    return select(with_noise_of(replace(problem, base=base), start, None), knowledge.allowed, start)

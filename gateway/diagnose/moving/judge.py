@@ -1,0 +1,117 @@
+"""What a chosen model is worth on rows that had no part in the choice.
+
+Rows that were given judge the model that was chosen without them. Where none were given, outer blocks of time judge in
+turn, each a model that was chosen anew without it; of an effect of the final model counts there what the block's own
+choice has of it. These rows have a veto and nothing else: they choose no effect, no shape and no parameter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.held import Held
+from gateway.diagnose.moving.choice import Choice
+from gateway.diagnose.moving.fit import MovingProblem, fit
+from gateway.diagnose.moving.mistakes import MovingMistake, undo
+from gateway.diagnose.moving.ratio import HeldRatio, held_ratio
+from gateway.diagnose.moving.trial import trials_of
+from gateway.model.term import Label, Term
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judges:
+    """The choices that rows judge which they have not seen: one where rows were given, else one an outer block."""
+
+    choices: tuple[Choice, ...]
+
+    @property
+    def pairs(self) -> list[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
+        """(fitted, judged) rows of each."""
+        motions = [choice.problem.motion for choice in self.choices]
+        return [(~motion.given & motion.judged.any(axis=1), motion.given) for motion in motions]
+
+    def before(self) -> Held:
+        """What the model without effects leaves, mistakes as they were read."""
+        return _joined([(choice.as_read, _residual(choice.as_read, ())) for choice in self.choices])
+
+    def plain(self) -> Held:
+        """The same with the mistakes undone."""
+        return _joined([(choice.problem, _residual(choice.problem, ())) for choice in self.choices])
+
+    def after(self, labels: Collection[Label]) -> Held:
+        """What the choices leave, of their effects those with these labels."""
+        parts = []
+        for choice in self.choices:
+            kept = [term for term in choice.state.terms if term.label in labels]
+            same = len(kept) == len(choice.state.terms)
+            left = choice.state.full.residual_nm if same else _residual(choice.problem, kept)
+            parts.append((choice.problem, left))
+        return _joined(parts)
+
+    def effect(
+        self, label: Label, axes: Sequence[int], sigma_nm: Floats, instead: Sequence[Term] | None = None
+    ) -> HeldRatio:
+        """Ratio of what the choices leave with one effect, or others `instead`, to what they leave without it."""
+        with_it, without = [], []
+        for choice in self.choices:
+            problem, whole = choice.problem, choice.state.full.residual_nm
+            rest = [term for term in choice.state.terms if term.label != label]
+            left = _residual(problem, rest) if len(rest) < len(choice.state.terms) else whole
+            with_it.append((problem, whole if instead is None else _residual(problem, [*rest, *instead])))
+            without.append((problem, left))
+        return held_ratio(_joined(without), _joined(with_it), axes, sigma_nm)
+
+    def ratios(self, terms: Sequence[Term]) -> list[float]:
+        """Held-out ratio of each of some effects that no choice has, beside all that it has; NaN where not to tell."""
+        squares = np.zeros((len(terms), 2))
+        for choice in self.choices:
+            problem, full = choice.problem, choice.state.full
+            trials = trials_of(problem, [full], full, terms)
+            before = _joined([(problem, full.residual_nm)])
+            for place, (term, trial) in enumerate(zip(terms, trials, strict=True)):
+                own = list(term.enters(problem.motion.axes))
+                for side, held in enumerate((before, before if trial is None else trial.held)):
+                    squares[place, side] += (held.square / problem.noise.sigma_nm**2)[own].sum()
+        return [float(np.sqrt(now / was)) if was > 0 else 1.0 for was, now in squares]
+
+    def mistake(self, mistake: MovingMistake) -> HeldRatio:
+        """Ratio of what is left of the torque with one mistake undone to what is left as it was read."""
+        as_read, undone = [], []
+        for choice in self.choices:
+            others = [other for other in choice.mistakes if other.label != mistake.label]
+            read = replace(choice.as_read, motion=undo(choice.as_read.motion, others))
+            whole = choice.problem if len(others) < len(choice.mistakes) else read
+            as_read.append((read, _share_left(read)))
+            undone.append((whole, _share_left(whole)))
+        first = self.choices[0].problem.motion
+        axes = mistake.axes if len(mistake.joints) > 1 else range(first.axes)
+        return held_ratio(_joined(as_read), _joined(undone), axes, np.ones(first.axes))
+
+
+def _residual(problem: MovingProblem, terms: Sequence[Term]) -> Floats:
+    motion = problem.motion
+    return fit(problem, terms, ~motion.given, motion.given).residual_nm
+
+
+def _share_left(problem: MovingProblem) -> Floats:
+    """Residual (n, N) over the RMS torque of its axis."""
+    motion = problem.motion
+    size = np.sqrt((motion.tau_nm**2 * motion.judged).sum(axis=0) / np.maximum(motion.judged.sum(axis=0), 1))
+    return _residual(problem, ()) / np.where(size > 0, size, 1.0)
+
+
+def _joined(parts: Sequence[tuple[MovingProblem, Floats]]) -> Held:
+    """Residuals of the rows that judge, each from its own choice."""
+    first = parts[0][0].motion
+    residual, counted = np.zeros_like(first.tau_nm), np.zeros_like(first.judged)
+    for problem, left in parts:
+        rows = problem.motion.given
+        counted[rows] = problem.motion.judged[rows]
+        residual[rows] = left[rows]
+    return Held(residual * counted, counted)
