@@ -85,16 +85,19 @@ def torque_ripple(request: Request) -> Transform:
 
 
 def axis_coupling(request: Request) -> Transform:
-    """Motor j turns when joint i turns; axis i feels `coefficient` times the torque of axis j."""
+    """Motor j turns when joint i turns; axis i feels `coefficient` times the torque of axis j.
+
+    Several couplings of one arm add up: each is a share of the torque that axis j has by itself.
+    """
     if len(request.joints) != 2 or request.joints[0] == request.joints[1]:
         raise EffectError(f"effect {request.name} needs two joints [i, j], got {list(request.joints)}")
     row, column = request.joints[0] - 1, request.joints[1] - 1
     coefficient = request.number("coefficient")
 
     def apply(plant: Plant) -> Plant:
-        mixing = np.eye(plant.axes)
-        mixing[row, column] = coefficient
-        return replace(plant, coupling=mixing @ plant.coupling)
+        felt = plant.coupling.copy()
+        felt[row, column] += coefficient
+        return replace(plant, coupling=felt)
 
     return apply
 

@@ -12,6 +12,7 @@ from typing import Any
 from gateway.data.rows import Table
 from gateway.errors import ConfigError, DataUnusable
 from gateway.estimate.advice import next_pose
+from gateway.estimate.aside import without_gross
 from gateway.estimate.coefficient import estimate_coefficient
 from gateway.estimate.difference import estimate_difference
 from gateway.estimate.estimate import Estimate
@@ -42,7 +43,9 @@ Estimator = Callable[[Table, Robot, EstimateOptions], Estimate]
 
 def _of_visits(function: Callable[[Visits, Robot, EstimateOptions], Estimate]) -> Estimator:
     def with_table(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
-        return function(_visits(table, options), robot, options)
+        sound, aside, findings = without_gross(_visits(table, options), robot, options.gravity_m_s2)
+        found = function(sound, robot, options)
+        return replace(found, set_aside=aside, findings=(*findings, *found.findings))
 
     return with_table
 
@@ -58,7 +61,7 @@ def _joint(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
     """Rest rows where there are any; a run that only moves is fitted as one."""
     if table.moving.all():
         return estimate_moving(table, robot, options)
-    at_rest = estimate_joint(_visits(table, options), robot, options)
+    at_rest = _of_visits(estimate_joint)(table, robot, options)
     if not table.moving.any():
         return at_rest
     note = Finding("info", "moving rows", f"{int(table.moving.sum())} moving rows were left out beside the rest rows")

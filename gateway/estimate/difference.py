@@ -158,7 +158,7 @@ def _differences(own: Visits, reference: Visits, label: str) -> _Rows:
         torque.append(mine.tau_nm.mean(axis=0) - theirs.tau_nm.mean(axis=0))
         stated.append(_mean_variance(mine) + _mean_variance(theirs))
         share.append(np.full(own.axes, 1.0 / len(mine) + 1.0 / len(theirs)))
-        one_sided.append(not (mine.two_sided.all() and theirs.two_sided.all()))
+        one_sided.append(np.isnan(mine.band_nm).any(axis=0) | np.isnan(theirs.band_nm).any(axis=0))
     if not found:
         raise DataUnusable(
             f"load '{label}' shares no pose with a known load (same number, same angles within {SAME_POSE_RAD} rad);"
@@ -171,7 +171,7 @@ def _differences(own: Visits, reference: Visits, label: str) -> _Rows:
         torque_nm=np.array(torque).reshape(shape),
         stated=np.array(stated).reshape(shape),
         share=np.array(share).reshape(shape),
-        one_sided=np.array(one_sided),
+        one_sided=np.array(one_sided).reshape(shape),
     )
 
 
@@ -204,7 +204,7 @@ def _groups(visits: Visits, rows: _Rows, pose: NDArray[np.int_], axis: NDArray[n
     visit, all_axis = np.nonzero(np.isfinite(visits.tau_nm))
     single = noise_groups(visits, visit, all_axis)
     return Groups(
-        index=axis + axes * rows.one_sided[pose],
+        index=axis + axes * rows.one_sided[pose, axis],
         stated=rows.stated[pose, axis] / rows.share[pose, axis],
         scale_nm=single.scale_nm,
         seen=np.concatenate([single.seen[:axes], np.full(axes, np.nan)]),

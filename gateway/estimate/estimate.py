@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.identify.load_estimate import LoadEstimate
-from gateway.result.result import Bare, Finding, NextMeasurement
+from gateway.result.result import Bare, Finding, NextMeasurement, SetAside
 
 Floats = NDArray[np.float64]
 
@@ -73,6 +73,8 @@ class Estimate:
     bare : Bare or None
     findings : tuple of Finding
     next : tuple of NextMeasurement
+    set_aside : tuple of SetAside
+        Gross torques that are in no fit.
     quality : mapping
         Further figures for the report.
     """
@@ -93,4 +95,5 @@ class Estimate:
     bare: Bare | None = None
     findings: tuple[Finding, ...] = ()
     next: tuple[NextMeasurement, ...] = ()
+    set_aside: tuple[SetAside, ...] = ()
     quality: Mapping[str, Any] = field(default_factory=dict)

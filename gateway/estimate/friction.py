@@ -49,9 +49,7 @@ def noise_groups(visits: Visits, visit: Ints, axis: Ints) -> Groups:
     """Noise groups of rows (visit, axis): axis for two-sided visits, axis + N for one-sided ones."""
     axes, bands = visits.axes, friction_bands(visits)
     square, freedom = band_scatter(visits)
-    one_sided = ~visits.two_sided[visit] | (
-        (visits.direction[visit, axis] == 0) & np.isnan(visits.band_nm[visit, axis])
-    )
+    one_sided = np.isnan(visits.band_nm[visit, axis])
     index = axis + axes * one_sided
     sampled = visits.tau_std_nm[visit, axis]
     gear = visits.gear_nm[visit, axis] ** 2 / 3.0

@@ -54,6 +54,7 @@ def to_result(
         friction_band_nm=_numbers(estimate.band_nm),
         next=estimate.next,
         findings=(*estimate.findings, *_findings(estimate, robot, options)),
+        set_aside=estimate.set_aside,
         provenance=dict(provenance or {}),
         method=estimate.method,
         parameters=tuple(

@@ -167,7 +167,7 @@ def _link_units(links: Links) -> list[str]:
 
 def _sided_axes(visits: Visits, measured: NDArray[np.bool_]) -> Ints:
     """Axes that were approached from a known side alone: their friction is in the torque."""
-    one_sided = measured & ~visits.two_sided[:, None] & (visits.direction != 0)
+    one_sided = measured & (visits.direction != 0)
     return np.flatnonzero(one_sided.any(axis=0))
 
 

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 TOLERANCE = 1e-7
-_NOTHING = 1e-13
+#: Length of a column, over that of the longest, below which it is the rounding of none.
+NOTHING = 1e-13
 _RIDGE = 1e-10
 
 
@@ -111,7 +112,7 @@ def solve(
     big[n + len(held) :] = prior.rows
     right = np.concatenate([target * weight, prior.mean[held] / prior.std[held], prior.right])
     scale = np.sqrt(np.einsum("ij,ij->j", big, big))
-    scale[scale <= _NOTHING * scale.max(initial=0.0)] = 1.0  # rounding of a column that is zero is not a column
+    scale[scale <= NOTHING * scale.max(initial=0.0)] = 1.0  # rounding of a column that is zero is not a column
     big /= scale
     q, r = np.linalg.qr(big)
     left, size, turned = _singular_values(r)

@@ -41,10 +41,11 @@ class RestRows:
         Half the sum of both sides, each through the gear by its own direction; of a one-sided visit its own torque. NaN
         where the axis was not measured.
     difference_nm : array of shape (n, N)
-        Half the difference of the sides (up minus down), NaN in one-sided visits.
+        Half the difference of the sides (up minus down), NaN where the axis came from one side alone.
     side : array of shape (n, N)
-        Direction of approach of one-sided visits, 0 where unknown or two-sided.
+        Direction of approach of an axis that came from one side, 0 where unknown or from both.
     two_sided : bool array of shape (n,)
+        At least one axis came from both sides.
     sample_std_nm : array of shape (n, N)
         Standard deviation of `sum_nm` by the averaged samples alone, NaN = unknown.
     temperature_c : array of shape (n, N)
@@ -283,9 +284,8 @@ class Model:
             up = self._side(setting, torque, friction, 1.0)
             down = self._side(setting, torque, friction, -1.0)
         half_sum = (up + down) / 2.0
-        if not self.rows.two_sided.all():
-            single = np.where(self.rows.side > 0, up, np.where(self.rows.side < 0, down, half_sum))
-            half_sum = np.where(two, half_sum, single)
+        if self.rows.side.any():
+            half_sum = np.where(self.rows.side > 0, up, np.where(self.rows.side < 0, down, half_sum))
         return Prediction(half_sum, np.where(two, (up - down) / 2.0, 0.0), carried)
 
     def _straight(self, setting: AlteredModel) -> bool:
@@ -306,7 +306,7 @@ class Model:
 
     def sum_by_torque(self, setting: AlteredModel, torque: Floats, band_nm: Floats) -> Floats:
         """Derivative (n, N, N) of the half sums by the transmitted torque of each axis."""
-        if self._straight(setting) and self.rows.two_sided.all():
+        if self._straight(setting) and not self.rows.side.any():
             return setting.coupling[None] * setting.gain[:, None, :]
         step = 1e-4 * (1.0 + np.abs(torque).max(axis=0))
         count = self.rows.axes

@@ -6,6 +6,7 @@ Each side goes through the gear by its own direction first: the motor driving, `
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from gateway.data.rows import Table
 
 Floats = NDArray[np.float64]
+Mask = NDArray[Any]
 
 SAME_POSE_RAD = 2e-3
 
@@ -33,14 +35,16 @@ class Visits:
     tau_nm : array of shape (n, N)
         Behind the gear: half the sum of both sides, or the one side there is; NaN = axis not measured.
     band_nm : array of shape (n, N)
-        Half the difference of the sides in the direction of motion; NaN where there is but one.
+        Half the difference of the sides in the direction of motion; NaN where there is but one, on axes that stood
+        still in between too.
     tau_std_nm : array of shape (n, N)
         Standard deviation of `tau_nm` by the averaged samples alone; NaN where unknown.
     gear_nm : array of shape (n, N)
         Half the range that an unknown direction leaves through the gear's efficiency; 0 where the side is known.
     two_sided : bool array of shape (n,)
+        At least one axis came from both sides: those with a band.
     direction : int array of shape (n, N)
-        Side of a one-sided visit; 0 = both, or unknown.
+        Side of an axis that came from one alone; 0 = both, or unknown.
     temperature_c : array of shape (n, N)
     q_link_rad : array of shape (n, N)
         By the secondary encoders; NaN where there is none.
@@ -92,7 +96,9 @@ def pair_visits(table: Table, efficiency: ArrayLike = 1.0) -> Visits:
     """Visits of the rest rows of a table.
 
     Rows of one run, load and pose at the same joint angles, approached from opposite sides, make one visit, in the
-    order of time; what finds no partner stays one-sided.
+    order of time. Then those of which some axes came from opposite sides and the others from the same, which are both
+    sides for those axes alone; and, numbered as one pose or not, those of a sweep of a single joint that passes the
+    same angle both ways. What finds no partner stays one-sided.
 
     Parameters
     ----------
@@ -110,7 +116,7 @@ def pair_visits(table: Table, efficiency: ArrayLike = 1.0) -> Visits:
     one, other = _pairs(rest)
     two = one != other
     half = np.where(two[:, None], np.hypot(std[one], std[other]) / 2.0, std[one])
-    moved = two[:, None] & (facing[one] != 0)
+    moved = two[:, None] & (facing[one] != 0) & (facing[one] == -facing[other])
     return Visits(
         load=np.asarray(rest.load, dtype=str)[one],
         run=np.asarray(rest.run, dtype=str)[one],
@@ -122,7 +128,7 @@ def pair_visits(table: Table, efficiency: ArrayLike = 1.0) -> Visits:
         tau_std_nm=half,
         gear_nm=np.maximum(open_nm[one], open_nm[other]),
         two_sided=two,
-        direction=np.where(two[:, None], 0, rest.direction[one]).astype(int),
+        direction=np.where(moved, 0, rest.direction[one]).astype(int),
         temperature_c=(rest.temperature_c[one] + rest.temperature_c[other]) / 2.0,
         q_link_rad=(rest.q2nd_rad[one] + rest.q2nd_rad[other]) / 2.0,
         where=tuple(rest.where(int(row)) for row in one),
@@ -131,32 +137,58 @@ def pair_visits(table: Table, efficiency: ArrayLike = 1.0) -> Visits:
 
 def _pairs(rest: Table) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
     """Row of the first side and of the second; the same row twice for a one-sided visit."""
-    groups: dict[tuple[str, str, int], list[int]] = {}
+    by_pose: dict[tuple[str, str, int], list[int]] = {}
     for row in range(len(rest)):
-        groups.setdefault((str(rest.run[row]), str(rest.load[row]), int(rest.pose[row])), []).append(row)
-    pairs = [pair for members in groups.values() for pair in _pairs_of_pose(rest, members)]
+        by_pose.setdefault((str(rest.run[row]), str(rest.load[row]), int(rest.pose[row])), []).append(row)
+    pairs: list[tuple[int, int]] = []
+    by_load: dict[tuple[str, str], list[int]] = {}
+    for (run, load, _), members in by_pose.items():
+        for rule in (_reversed, _partly_reversed):
+            found, members = _matched(rest, members, rule)
+            pairs += found
+        by_load.setdefault((run, load), []).extend(members)
+    for members in by_load.values():
+        found, alone = _matched(rest, members, _one_reversed)
+        pairs += found + [(row, row) for row in alone]
     pairs.sort()
-    found = np.array(pairs, dtype=int).reshape(-1, 2)
-    return found[:, 0], found[:, 1]
+    rows = np.array(pairs, dtype=int).reshape(-1, 2)
+    return rows[:, 0], rows[:, 1]
 
 
-def _pairs_of_pose(rest: Table, members: list[int]) -> list[tuple[int, int]]:
-    waiting = sorted(members, key=lambda row: (np.nan_to_num(rest.time_s[row]), row))
-    pairs = []
-    while waiting:
-        row = waiting.pop(0)
-        facing = rest.direction[row]
-        partner = next(
-            (
-                other
-                for other in waiting
-                if facing.any()
-                and np.array_equal(rest.direction[other], -facing)
-                and np.abs(rest.q_rad[other] - rest.q_rad[row]).max() < SAME_POSE_RAD
-            ),
-            row,
-        )
-        if partner != row:
-            waiting.remove(partner)
-        pairs.append((row, partner))
-    return pairs
+def _reversed(facing: Mask, others: Mask) -> Mask:
+    """Whether all that moved came the other way: directions (N,) against (k, N)."""
+    return (others == -facing).all(axis=1) & facing.any()
+
+
+def _partly_reversed(facing: Mask, others: Mask) -> Mask:
+    """Whether some axes came the other way and the rest as before, or stood still."""
+    return (np.abs(others) == np.abs(facing)).all(axis=1) & (others != facing).any(axis=1)
+
+
+def _one_reversed(facing: Mask, others: Mask) -> Mask:
+    """Whether one axis alone came the other way, the rest as before or not at all."""
+    return _partly_reversed(facing, others) & ((others != facing).sum(axis=1) == 1) & (len(facing) > 1)
+
+
+def _matched(
+    rest: Table, members: list[int], opposite: Callable[[Mask, Mask], Mask]
+) -> tuple[list[tuple[int, int]], list[int]]:
+    """Rows at the same angles that `opposite` makes both sides of a visit, in the order of time; and those alone."""
+    order = np.array(sorted(members, key=lambda row: (np.nan_to_num(rest.time_s[row]), row)), dtype=int)
+    waiting = np.ones(len(order), dtype=bool)
+    pairs: list[tuple[int, int]] = []
+    alone: list[int] = []
+    for place, row in enumerate(order):
+        if not waiting[place]:
+            continue
+        waiting[place] = False
+        others = order[waiting]
+        fits = opposite(rest.direction[row], rest.direction[others])
+        fits &= np.abs(rest.q_rad[others] - rest.q_rad[row]).max(axis=1, initial=0.0) < SAME_POSE_RAD
+        if not fits.any():
+            alone.append(int(row))
+            continue
+        partner = int(np.argmax(fits))
+        pairs.append((int(row), int(others[partner])))
+        waiting[np.flatnonzero(waiting)[partner]] = False
+    return pairs, alone

@@ -228,3 +228,14 @@ def test_effects_add_up(plant, chain):
     ]
     difference = seen(chain, apply_effects(plant, both)) - seen(chain, plant)
     np.testing.assert_allclose(difference, [4.0, 0, 0, 0, 2.0 * math.sin(Q[4]), 3.0 * Q[5]], atol=1e-9)
+
+
+def test_couplings_of_one_arm_are_shares_of_what_each_axis_gives_by_itself(plant, chain):
+    before = seen(chain, plant)
+    felt = plant
+    for joints, share in (([2, 3], -0.4), ([3, 4], 0.5), ([2, 4], -0.6)):
+        felt = effect_from_dict({"name": "axis_coupling", "joints": joints, "parameters": {"coefficient": share}})(felt)
+    after = seen(chain, felt)
+    np.testing.assert_allclose(after[1], before[1] - 0.4 * before[2] - 0.6 * before[3])
+    np.testing.assert_allclose(after[2], before[2] + 0.5 * before[3])
+    np.testing.assert_allclose(np.delete(after, [1, 2]), np.delete(before, [1, 2]))

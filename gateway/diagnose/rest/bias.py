@@ -17,11 +17,10 @@ def friction_by_direction(problem: RestProblem, after: Fit) -> list[EffectResult
     tell it from torque, but visits from both sides together can.
     """
     rows = problem.rows
-    single = ~rows.two_sided
     at, axes = problem.band_part.start, problem.axes
     out = []
     for axis in range(axes):
-        side = rows.side[single & problem.use_sum[:, axis], axis]
+        side = rows.side[problem.use_sum[:, axis], axis]
         if min(int((side > 0).sum()), int((side < 0).sum())) < REST.each_side:
             continue
         bias, std = float(after.band[axis]), float(np.sqrt(max(after.covariance[at + axis, at + axis], 0.0)))

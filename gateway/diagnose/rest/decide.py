@@ -179,33 +179,39 @@ def beyond_ordinary(problem: RestProblem, hypothesis: Fit, term: Term) -> bool:
 
 
 def _seen_to_help(search: Search, chosen: Fit) -> Fit:
-    """The hypothesis without effects that poses left out do not confirm, the one that helps least first."""
+    """The hypothesis without effects that poses left out do not confirm, the one that helps least first.
+
+    What takes over something that every arm has competes with that, and only must not be met worse.
+    """
     while True:
         terms = [term for term in chosen.terms if term.name != UNNAMED]
-        helps = [(helped(search, chosen, term), k) for k, term in enumerate(terms)]
-        if not helps or min(helps)[0] >= REST.unseen:
+        short = [
+            (helped(search, chosen, term) - REST.unseen * (not len(search.problem.taken_over([term]))), k)
+            for k, term in enumerate(terms)
+        ]
+        if not short or min(short)[0] >= 0.0:
             return chosen
-        least = terms[min(helps)[1]]
+        least = terms[min(short)[1]]
         chosen = search.fitted([term for term in chosen.terms if term is not least], chosen)
 
 
 def helped(search: Search, hypothesis: Fit, term: Term) -> float:
-    """By how many standard deviations unseen rows are met better with an effect than without it."""
-    problem = search.problem
+    """By how many standard deviations over poses unseen rows are met better with an effect than without it."""
     without = search.fitted([other for other in hypothesis.terms if other is not term], hypothesis)
-    axes = [joint - 1 for joint in term.joints if term.name != "link_mass"] or list(range(problem.axes))
-    gained = gained_by_pose(problem, hypothesis, without, axes)
+    gained = gained_by_pose(search.problem, hypothesis, without)
     if gained.sum() <= 0:
         return -np.inf
-    return float(gained.sum() / max(np.sqrt(len(gained)) * float(gained.std(ddof=1)), 1e-12)) if len(gained) > 1 else 0.0
+    return (
+        float(gained.sum() / max(np.sqrt(len(gained)) * float(gained.std(ddof=1)), 1e-12)) if len(gained) > 1 else 0.0
+    )
 
 
 def strong(search: Search, hypothesis: Fit, term: Term) -> bool:
     """Whether the data, and not the prior on the links alone, show an effect that goes beyond what every arm has."""
     if term.name == UNNAMED:
         return True
-    if not beyond_ordinary(search.problem, hypothesis, term):
-        return False
+    if len(search.problem.taken_over([term])):
+        return beyond_ordinary(search.problem, hypothesis, term)
     least = REST.least_link_strength if term.name == "link_mass" else REST.least_strength
     return strength(search, hypothesis, term) >= least
 

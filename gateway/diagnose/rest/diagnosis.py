@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -25,6 +26,7 @@ from gateway.diagnose.rest.mistakes import (
     find_mistakes,
     links_far_from_cad,
     suspicious,
+    unseen_ratio,
 )
 from gateway.diagnose.rest.outcome import (
     Judge,
@@ -39,7 +41,7 @@ from gateway.diagnose.rest.outcome import (
 from gateway.diagnose.rest.pictures import DrawnVisits, pictures
 from gateway.diagnose.rest.problem import Knowledge, build_problem, first_noise
 from gateway.diagnose.rest.remarks import corrected_links, limits, refused_loads
-from gateway.diagnose.rest.rows import joined, rest_rows
+from gateway.diagnose.rest.rows import Aside, joined, rest_rows, set_gross_aside
 from gateway.diagnose.rest.search import Search, run
 from gateway.diagnose.rest.structure import fresh_misfit, spare_rows
 from gateway.diagnose.rest.thresholds import REST
@@ -48,6 +50,7 @@ from gateway.identify.links import default_inertials, parse_inertials
 from gateway.identify.loads import BARE_LABEL
 from gateway.model.effect import RestSetup
 from gateway.model.effects import terms_at_rest
+from gateway.model.rest import RestRows
 from gateway.model.robot import Robot
 from gateway.model.unnamed import unnamed_terms
 from gateway.result.result import Finding, FitSummary, HoldoutKind, LoadResult, Result, Verdict
@@ -78,6 +81,7 @@ class Found:
     chosen: Fit
     mistakes: tuple[Mistake, ...]
     gained: float
+    aside: Aside
 
     @property
     def score(self) -> float:
@@ -111,37 +115,42 @@ class RestDiagnosis:
             gain_std=options.gain_std,
         )
 
-    def problem(self, table: Table) -> RestProblem:
-        """Rows of a table as a problem."""
-        return build_problem(self.robot, rest_rows(table, self.options.efficiency), self.knowledge)
+    def aside(self, rows: RestRows) -> Aside:
+        """Gross torques of visits as they were read."""
+        return set_gross_aside(rows, self.robot, np.asarray(self.knowledge.gravity_m_s2, dtype=float))
+
+    def problem(self, table: Table, aside: Aside) -> RestProblem:
+        """Rows of a table as a problem, without what was set aside."""
+        return build_problem(self.robot, aside.sound(rest_rows(table, self.options.efficiency)), self.knowledge)
 
     def search(self, table: Table) -> Found:
         """Fit the hypotheses, with commissioning mistakes undone where that is what the data ask for."""
-        problem = self.problem(table)
+        aside = self.aside(rest_rows(table, self.options.efficiency))
+        build = partial(self.problem, aside=aside)
+        problem = build(table)
         plain = fit(problem, (), first_noise(problem))
         mistakes: tuple[Mistake, ...] = ()
         gained = 0.0
         looked = beyond_any_effect(problem, plain)
         if looked:
-            mistakes, gained = find_mistakes(table, self.problem, self.options.allowed)
-            if gained > REST.obvious and self._settled(_undone(table, mistakes)):
-                return self._searched(table, mistakes, gained)
-        found = self._searched(table, (), 0.0)
+            mistakes, gained = find_mistakes(table, build, self.options.allowed)
+            if gained > REST.obvious and self._settled(build(_undone(table, mistakes))):
+                return self._searched(table, aside, mistakes, gained)
+        found = self._searched(table, aside, (), 0.0)
         if not looked and (suspicious(found.search.problem, found.chosen) or links_far_from_cad(problem, plain)):
-            mistakes, gained = find_mistakes(table, self.problem, self.options.allowed)
+            mistakes, gained = find_mistakes(table, build, self.options.allowed)
         if mistakes:
-            other = self._searched(table, mistakes, gained)
+            other = self._searched(table, aside, mistakes, gained)
             if other.score > found.score and not other.taken_back:
                 found = other
         return found
 
-    def _settled(self, table: Table) -> bool:
+    def _settled(self, problem: RestProblem) -> bool:
         """Whether the model without effects meets the data, or nearly."""
-        problem = self.problem(table)
         return not suspicious(problem, fit(problem, (), first_noise(problem)))
 
-    def _searched(self, table: Table, mistakes: tuple[Mistake, ...], gained: float) -> Found:
-        problem = self.problem(_undone(table, mistakes))
+    def _searched(self, table: Table, aside: Aside, mistakes: tuple[Mistake, ...], gained: float) -> Found:
+        problem = self.problem(_undone(table, mistakes), aside)
         noise = first_noise(problem)
         plain = fit(problem, (), noise)
         bodies = problem.model.bodies(plain.setting, plain.links, visit_loads(problem, plain.loads))
@@ -150,7 +159,7 @@ class RestDiagnosis:
         setup = RestSetup(self.options.gear_ratios(problem.axes), weighed, torque)
         named = terms_at_rest(problem.rows, setup, self.options.allowed)
         search = Search(problem, tuple(named), tuple(unnamed_terms(problem.rows, setup)), noise)
-        return Found(table, search, run(search), mistakes, gained)
+        return Found(table, search, run(search), mistakes, gained, aside)
 
     def _held(self, found: Found, holdout: Table | None) -> Unseen | None:
         if holdout is None or holdout.moving.all():
@@ -161,8 +170,20 @@ class RestDiagnosis:
         unseen = unseen.take(np.isin(unseen.load, [*seen.load, BARE_LABEL]))
         if not len(unseen):
             raise DataUnusable("the hold-out carries no load that is in the data: nothing to judge on")
-        both = build_problem(self.robot, joined([seen, unseen]), self.knowledge)
+        rows = joined([seen, unseen])
+        both = build_problem(self.robot, self.aside(rows).sound(rows), self.knowledge)
         return Unseen(both, both.visit >= len(seen))
+
+    def _upheld(self, found: Found, holdout: Table | None) -> Found:
+        """The same, without mistakes that leave rows that no fit has seen worse than they were read."""
+        if not found.mistakes or holdout is None or holdout.moving.all():
+            return found
+        read = self._searched(found.table, found.aside, (), 0.0)
+        held, undone = self._held(read, holdout), self._held(found, holdout)
+        if held is None or undone is None:
+            return found
+        ratio = unseen_ratio(held, read.search.fitted(()), undone, found.search.fitted(()))
+        return found if ratio < 1.0 else read
 
     def _before(self, decision: Decision, judge: Judge, found: Found, sided: bool) -> FitSummary:
         """What the model without effects says of the data as they were read."""
@@ -172,7 +193,7 @@ class RestDiagnosis:
         table = replace(found.table, q2nd_rad=np.full_like(found.table.q2nd_rad, np.nan))
         if sided:
             table = replace(table, direction=np.zeros_like(table.direction))
-        problem = self.problem(table)
+        problem = self.problem(table, found.aside)
         return summary(problem, fit(problem, (), first_noise(problem)), Judge(problem, None), self.robot)
 
     def _from_all(self, held: Unseen, seen: Fit) -> tuple[LoadResult, ...]:
@@ -181,6 +202,7 @@ class RestDiagnosis:
 
     def report(self, found: Found, holdout: Table | None = None, kind: HoldoutKind = "given") -> Result:
         """Verdict and figures of a search; `holdout` are rows that no fit has seen, `kind` where they come from."""
+        found = self._upheld(found, holdout)
         search, problem = found.search, found.search.problem
         decision = decide(search, found.chosen)
         held = self._held(found, holdout)
@@ -206,6 +228,7 @@ class RestDiagnosis:
                 before = replace(before, loads=after.loads)
         floor, band = floor_and_band(problem, decision)
         findings += corrected_links(decision)
+        findings += found.aside.findings
         findings += mistake_findings(found.mistakes) + refused_loads(after.loads) + limits(problem)
         rows, drawn = pictures(DrawnVisits.of(problem, held, "fresh" if kind == "fresh" else "held out"), decision)
         return Result(
@@ -221,6 +244,7 @@ class RestDiagnosis:
             rejected=tuple(rejected(search, decision)),
             next=questions(problem, decision, self.robot, self.options, self.knowledge),
             findings=tuple(findings),
+            set_aside=found.aside.entries,
             provenance={
                 "visits": len(problem.rows),
                 "poses": len(np.unique(problem.rows.pose)),

@@ -180,9 +180,7 @@ def _update_noise(problem: RestProblem, residual: Floats, leverage: Floats, nois
     return Noise(noise.start, std, noise.least)
 
 
-def _penalty(
-    problem: RestProblem, terms: Sequence[Term], state: _State, prior: Prior, spreads: list[Floats]
-) -> float:
+def _penalty(problem: RestProblem, terms: Sequence[Term], state: _State, prior: Prior, spreads: list[Floats]) -> float:
     total = float(np.sum(((state.links - problem.links) / problem.link_std) ** 2))
     mean = problem.nuisance.mean
     mean[problem.taken_over(terms) - problem.nuisance_part.start] = 0.0

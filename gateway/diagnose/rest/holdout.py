@@ -27,11 +27,10 @@ def left_out(problem: RestProblem, fit: Fit) -> Floats:
     return foretold_poses(problem, fit)[0]
 
 
-def gained_by_pose(problem: RestProblem, after: Fit, before: Fit, axes: Sequence[int]) -> Floats:
-    """Squares (poses,) of unseen rows of these axes that `after` leaves less than `before`, over the noise of `after`."""
+def gained_by_pose(problem: RestProblem, after: Fit, before: Fit) -> Floats:
+    """Squares (poses,) of unseen rows that `after` leaves less than `before`, over the noise of `after`."""
     std = after.noise.std[problem.group]
-    counted = np.isin(problem.axis, axes)
-    less = ((left_out(problem, before) / std) ** 2 - (left_out(problem, after) / std) ** 2) * counted
+    less = (left_out(problem, before) / std) ** 2 - (left_out(problem, after) / std) ** 2
     _, pose = np.unique(pose_of_rows(problem), return_inverse=True)
     return np.asarray(np.bincount(pose, weights=less), dtype=float)
 

@@ -1,22 +1,25 @@
 """Commissioning mistakes: a torque sign, two drives in each other's place, an rms value taken for a peak value.
 
 They wreck every other conclusion and are therefore looked for first: each is undone in the data, and the model without
-effects is asked whether it likes the data better. Friction always opposes the approach, so a band below zero alone
-proves a reversed sign.
+effects is asked whether it likes the data better, and whether it then foretells poses that it has not seen better.
+Friction always opposes the approach, so a band below zero alone proves a reversed sign, of an axis whose visits were
+approached from both sides: elsewhere the sign of a band is that of whatever else the model lacks.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
+from scipy.stats import t as student
 
 from gateway.data.table import Table
 from gateway.diagnose.rest.fit import fit
+from gateway.diagnose.rest.holdout import Unseen, left_out, pose_of_rows, predicted
 from gateway.diagnose.rest.linear import Fit, RestProblem
 from gateway.diagnose.rest.problem import first_noise
 from gateway.diagnose.rest.thresholds import REST
@@ -36,12 +39,14 @@ class Mistake:
     joints : joints counted from 1
     factor : reported over true current (current_rms_peak), else 1
     with_positions : whether the positions of swapped axes are swapped too
+    ratio : RMS on left-out poses with it undone over that of the data as they were read; NaN = not judged
     """
 
     name: str
     joints: tuple[int, ...]
     factor: float = 1.0
     with_positions: bool = False
+    ratio: float = field(default=np.nan, compare=False)
 
     @property
     def handicap(self) -> float:
@@ -90,14 +95,54 @@ def plain_score(problem: RestProblem, rows_scale: float) -> tuple[float, Fit]:
 
 
 def band_signs(problem: RestProblem, result: Fit) -> float:
-    """Log probability that every friction band of a fit is positive."""
-    seen = problem.by_group()[problem.axes :].reshape(2, -1).sum(axis=0) > 0
-    return float(np.sum(norm.logcdf(_bands(problem, result)[seen])))
+    """Log probability that every friction band of a fit that the visits determine is positive."""
+    return float(np.sum(norm.logcdf(_bands(problem, result)[determined_bands(problem)])))
+
+
+def determined_bands(problem: RestProblem) -> NDArray[np.bool_]:
+    """Axes (N,) whose friction band the visits determine: half differences, or single visits from each side."""
+    side = np.where(problem.use_sum & ~problem.use_difference, problem.rows.side, 0.0)
+    fewer = np.minimum((side > 0).sum(axis=0), (side < 0).sum(axis=0))
+    enough = fewer >= REST.each_side
+    return np.asarray((problem.use_difference.sum(axis=0) >= REST.each_side) | enough)
+
+
+def informative_axes(problem: RestProblem) -> NDArray[np.bool_]:
+    """Axes (N,) that were measured and that moved."""
+    return np.asarray(problem.use_sum.any(axis=0) & (np.ptp(problem.rows.q_rad, axis=0) > REST.moved_rad))
 
 
 def _bands(problem: RestProblem, result: Fit) -> Floats:
-    """Friction band (N,) of each axis in its own standard deviations."""
-    return result.band / np.sqrt(np.maximum(np.diag(result.covariance)[problem.band_part], 1e-30))
+    """Friction band (N,) of each axis in its own standard deviations; 0 where the visits do not determine it."""
+    std = np.sqrt(np.maximum(np.diag(result.covariance)[problem.band_part], 1e-30))
+    return np.where(determined_bands(problem), result.band / std, 0.0)
+
+
+def held_ratio(problem: RestProblem, now: Fit, changed: RestProblem, undone: Fit) -> tuple[float, float]:
+    """RMS on left-out poses with a mistake undone over that as the data were read, and its upper 95 % limit.
+
+    Pooled over all axes, each reading in units of the noise floor that it has by itself. A friction band below zero
+    foretells nothing, since friction cannot be: its rows are judged without it. The limit is that of the mean gain
+    per pose, a one-sided t interval.
+    """
+    poses = np.unique(problem.rows.pose)
+    squares = [_squares_by_pose(problem, now, poses), _squares_by_pose(changed, undone, poses)]
+    before, after = (float(values.sum()) for values in squares)
+    if before <= 0:
+        return 1.0, np.inf
+    gain = squares[0] - squares[1]
+    spread = float(gain.std(ddof=1)) * np.sqrt(len(poses)) if len(poses) > 1 else np.inf
+    upper = after / before + float(student.ppf(0.95, max(len(poses) - 1, 1))) * spread / before
+    return float(np.sqrt(after / before)), float(np.sqrt(upper))
+
+
+def _squares_by_pose(problem: RestProblem, result: Fit, poses: NDArray[np.int_]) -> Floats:
+    """Sum of squares (poses,) of the left-out residuals in units of the floor that the sides of visits show."""
+    impossible = np.where(determined_bands(problem), np.minimum(result.band, 0.0), 0.0)
+    residual = left_out(problem, result) + result.design[:, problem.band_part] @ impossible
+    scaled = residual / result.noise.start[problem.group]
+    of_pose = np.searchsorted(poses, pose_of_rows(problem))
+    return np.asarray(np.bincount(of_pose, weights=scaled**2, minlength=len(poses)), dtype=float)
 
 
 def _over_floor(problem: RestProblem, result: Fit) -> float:
@@ -131,6 +176,9 @@ def find_mistakes(
 ) -> tuple[tuple[Mistake, ...], float]:
     """Mistakes whose undoing the model without effects likes better by `mistake` or more, most likely first.
 
+    None where fewer than two axes were measured and moved, and none that leaves unseen poses worse: what a single
+    axis shows, any spring, offset or wrong link shows too.
+
     Parameters
     ----------
     table : Table
@@ -144,25 +192,61 @@ def find_mistakes(
     found: list[Mistake] = []
     gained = 0.0
     problem = build(table)
+    if informative_axes(problem).sum() < REST.least_axes:
+        return (), 0.0
     before, plain = plain_score(problem, 0.0)
     measured = np.asarray(problem.use_sum.any(axis=0))
     while len(found) < REST.most_mistakes and (not found or suspicious(problem, plain)):
-        best: tuple[float, Mistake, RestProblem, Fit] | None = None
+        tried = []
         for mistake in candidates(measured):
             if mistake.name not in allowed or any(set(mistake.joints) & set(old.joints) for old in found):
                 continue
-            changed = build(mistake.undo(table))
-            scale = -float(np.sum(np.isin(changed.axis + 1, mistake.joints))) * np.log(mistake.factor)
-            scale -= mistake.handicap
-            value, result = plain_score(changed, scale)
-            if mistake.handicap and links_far_from_cad(changed, result):
-                continue  # a factor on all axes leaves links as the CAD has them, one heavy link does not
-            if best is None or value > best[0]:
-                best = value, mistake, changed, result
-        if best is None or best[0] - before < REST.mistake:
+            tried.append(_tried(mistake, build(mistake.undo(table))))
+        best = _most_likely(problem, plain, before + REST.mistake, tried)
+        if best is None:
             break
-        gained += best[0] - before
-        before, mistake, problem, plain = best
-        table = mistake.undo(table)
-        found.append(mistake)
+        gained += best.score - before
+        before, problem, plain = best.score, best.problem, best.fit
+        table = best.mistake.undo(table)
+        found.append(best.mistake)
     return tuple(found), gained
+
+
+def unseen_ratio(read: Unseen, plain: Fit, undone: Unseen, fitted: Fit) -> float:
+    """RMS on given rows with mistakes undone over that as they were read, each in units of its own noise floor."""
+    squares = [
+        float(np.sum((predicted(held, each) / each.noise.start[held.problem.group[held.mask]]) ** 2))
+        for held, each in ((undone, fitted), (read, plain))
+    ]
+    return float(np.sqrt(squares[0] / squares[1])) if squares[1] > 0 else 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Trial:
+    """A mistake undone: the evidence of the model without effects, its rows and its fit."""
+
+    score: float
+    mistake: Mistake
+    problem: RestProblem
+    fit: Fit
+
+
+def _tried(mistake: Mistake, changed: RestProblem) -> _Trial:
+    scale = -float(np.sum(np.isin(changed.axis + 1, mistake.joints))) * np.log(mistake.factor)
+    value, result = plain_score(changed, scale - mistake.handicap)
+    return _Trial(value, mistake, changed, result)
+
+
+def _most_likely(problem: RestProblem, plain: Fit, least: float, tried: list[_Trial]) -> _Trial | None:
+    """The trial of the highest score, `least` or more, that foretells left-out poses better than the data as read."""
+    for trial in sorted(tried, key=lambda each: -each.score):
+        if trial.score < least:
+            return None
+        if trial.mistake.handicap and links_far_from_cad(trial.problem, trial.fit):
+            continue  # a factor on all axes leaves links as the CAD has them, one heavy link does not
+        ratio, upper = held_ratio(problem, plain, trial.problem, trial.fit)
+        # the gain that every axis has foretells a factor, far off its prior: a factor only must not be met worse
+        limit = 2.0 * ratio**2 - upper**2 if trial.mistake.factor != 1.0 else upper**2
+        if limit < 1.0:
+            return replace(trial, mistake=replace(trial.mistake, ratio=ratio))
+    return None

@@ -141,7 +141,11 @@ def mistake_effect(mistake: Mistake, gained: float) -> list[EffectResult]:
     """A commissioning mistake as effects: one per axis, or one per pair of axes."""
     places = [mistake.joints] if mistake.name == "axes_swapped" else [(joint,) for joint in mistake.joints]
     parameters = {"factor": mistake.factor} if mistake.name == "current_rms_peak" else {}
-    evidence = Evidence(p_value=float(np.exp(-min(gained, 690.0))), odds=float(np.exp(min(gained, 27.0))))
+    evidence = Evidence(
+        holdout_rms_ratio=mistake.ratio,
+        p_value=float(np.exp(-min(gained, 690.0))),
+        odds=float(np.exp(min(gained, 27.0))),
+    )
     return [EffectResult(mistake.name, joints, parameters, {}, evidence) for joints in places]
 
 

@@ -63,9 +63,9 @@ def build_problem(robot: Robot, rows: RestRows, knowledge: Knowledge) -> RestPro
     use_sum = np.isfinite(rows.sum_nm)
     if not use_sum.any():
         raise DataUnusable("no axis torque was measured at rest: nothing to diagnose")
-    use_difference = rows.two_sided[:, None] & np.isfinite(rows.difference_nm)
+    use_difference = use_sum & np.isfinite(rows.difference_nm)
     axis = np.broadcast_to(np.arange(rows.axes), use_sum.shape)
-    kind = np.broadcast_to(np.where(rows.two_sided, 0, 2 * rows.axes)[:, None], use_sum.shape)
+    kind = np.where(use_difference, 0, 2 * rows.axes)
     links, std = _link_prior(robot, knowledge.inertials)
     prior_rows, prior_target = (
         (np.zeros((0, 4 * rows.axes)), np.zeros(0)) if knowledge.bare is None else bare_rows(knowledge.bare)

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.table import Table
+from gateway.identify.deviations import RestHalves
+from gateway.identify.gross import find_gross, gross_findings, set_aside
+from gateway.model.regressor import gravity_regressor
 from gateway.model.rest import RestRows
+from gateway.model.robot import Robot
 from gateway.model.visits import pair_visits
+from gateway.result.result import Finding, SetAside
 
 Floats = NDArray[np.float64]
 
@@ -42,6 +49,42 @@ def rest_rows(table: Table, given: Floats | None) -> RestRows:
         wind_up_rad=np.where(seen, visits.q_link_rad - visits.q_rad, np.nan),
         efficiency=efficiency,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Aside:
+    """Gross torques that are in no fit: where they stand (n, N), as the result lists them, and what to say of them."""
+
+    mask: NDArray[np.bool_]
+    entries: tuple[SetAside, ...] = ()
+    findings: tuple[Finding, ...] = ()
+
+    def sound(self, rows: RestRows) -> RestRows:
+        """The rows with these torques unmeasured."""
+        if not self.mask.any():
+            return rows
+        return replace(
+            rows,
+            sum_nm=np.where(self.mask, np.nan, rows.sum_nm),
+            difference_nm=np.where(self.mask, np.nan, rows.difference_nm),
+        )
+
+
+def set_gross_aside(rows: RestRows, robot: Robot, gravity_m_s2: Floats) -> Aside:
+    """Gross torques of rest visits, from the visits alone."""
+    halves = RestHalves(
+        regressor=gravity_regressor(robot, rows.q_rad, gravity_m_s2),
+        load=rows.load,
+        time_s=rows.time_s,
+        q_rad=rows.q_rad,
+        sum_nm=rows.sum_nm,
+        difference_nm=rows.difference_nm,
+        side=rows.side,
+        floor_nm=rows.sample_std_nm,
+    )
+    gross = find_gross(halves)
+    entries = set_aside(gross, rows.run.tolist(), rows.load.tolist(), rows.pose.tolist())
+    return Aside(gross.mask(rows.sum_nm.shape), entries, gross_findings(gross, entries))
 
 
 def joined(parts: list[RestRows]) -> RestRows:

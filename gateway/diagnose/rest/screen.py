@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.rest.linear import Fit, RestProblem, spread_of, term_columns
 from gateway.diagnose.rest.thresholds import REST
+from gateway.identify.solve import NOTHING
 from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
@@ -101,7 +102,7 @@ def projector(problem: RestProblem, fit: Fit, weight: Floats) -> tuple[Callable[
     more[:, problem.link_part] = problem.prior_rows
     big = np.vstack([fit.design * weight[:, None], prior, more])
     scale = np.sqrt((big**2).sum(axis=0))
-    scale[scale == 0] = 1.0
+    scale[scale <= NOTHING * scale.max(initial=0.0)] = 1.0  # rounding of a column that is zero is not a column
     basis, r = np.linalg.qr(big / scale)
     basis = basis[:, np.abs(np.diag(r)) > 1e-10]
     rows = len(weight)

@@ -41,7 +41,10 @@ class RestThresholds:
         "the square of sure odds: one more measurement of the same weight could turn it",
     )
     out_of_reach: float = threshold(
-        100.0, "log odds", "behind the best, beyond which no choice of fewer poses goes back", "more than one pose decides"
+        100.0,
+        "log odds",
+        "behind the best, beyond which no choice of fewer poses goes back",
+        "more than one pose decides",
     )
     hint_odds: float = threshold(3.0, "", "odds below which a larger set is kept in mind", KASS)
     structure_p: float = threshold(
@@ -90,9 +93,18 @@ class RestThresholds:
     common_mistake: float = threshold(
         30.0, "log odds", "against one factor on all axes: heavier links look like it", BLIND
     )
-    surer: float = threshold(5.0, "log odds", "against a mistake beside the best effects instead", BLIND)
+    surer: float = threshold(3.0, "log odds", "against a mistake beside the best effects instead", BLIND)
     obvious: float = threshold(150.0, "log odds", "gain at which effects need not be searched for first", BLIND)
     most_mistakes: int = threshold(3, "", "mistakes of one arm", "two wrong drives and one cable")
+    least_axes: int = threshold(
+        2,
+        "",
+        "axes that were measured and moved, below which no mistake is looked for",
+        "what one axis shows alone, any spring or wrong link shows too",
+    )
+    moved_rad: float = threshold(
+        0.02, "rad", "range of an axis's angles below which it stood still", "ten times the tolerance of one pose"
+    )
     suspicious: float = threshold(
         1.7, "floors", "what is left of the half sums at which mistakes are looked for", BLIND
     )

@@ -1,4 +1,9 @@
-"""A motor turns with another joint: friction, inertia or torque of one axis shows on another."""
+"""A motor turns with another joint: friction, inertia or torque of one axis shows on another.
+
+Trains and linkages run within the wrist, through the upper arm to its first axis, and from axis 2 to axis 3 and on to
+axis 4 (parallel links, cable drives). Several of them add up: axis i shows its own torque and a share of each other's.
+The weight of a parallelogram is no coupling: it lies in the span of the serial links.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +17,7 @@ from numpy.typing import NDArray
 from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, moving_axes
 from gateway.model.motion import Modelled, MovingRows, smooth_sign
 from gateway.model.rest import AlteredModel, RestRows
-from gateway.model.term import NAN, Named, Seen, Term, on_axis, wrist
+from gateway.model.term import NAN, Named, Seen, Term, on_axis, plus, wrist
 
 Floats = NDArray[np.float64]
 
@@ -48,9 +53,7 @@ class TorqueMixing(_Coupling):
         return (self.inner,)
 
     def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
-        mixing = np.eye(len(setting.coupling))
-        mixing[self.inner, self.outer] = theta[0]
-        return replace(setting, coupling=mixing @ setting.coupling)
+        return replace(setting, coupling=plus(setting.coupling, (self.inner, self.outer), theta[0]))
 
     def columns(self, motion: MovingRows, modelled: Modelled) -> Floats:
         return on_axis(modelled.total_nm[:, self.outer])
@@ -87,17 +90,14 @@ class MotorCoupling(_Coupling):
 
 
 def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
-    axes = rows.axes
-    # within the wrist, and a parallel link whose motor carries both
-    pairs = {*_within(wrist(axes)), *([(1, 2)] if axes > 2 else [])}
-    yield from (TorqueMixing(*pair) for pair in sorted(pairs))
+    yield from (TorqueMixing(*pair) for pair in sorted(_within(wrist(rows.axes)) | _along_the_arm(rows.axes)))
 
 
 def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
     """The motor of the outer axis turns with the inner joint; the reverse needs a train that reaches back."""
     neighbours = {(axis, axis + 1) for axis in range(motion.axes - 1)}
     moving = set(moving_axes(motion))
-    for pair in sorted(neighbours | _within(wrist(motion.axes))):
+    for pair in sorted(neighbours | _within(wrist(motion.axes)) | _along_the_arm(motion.axes)):
         if set(pair) <= moving:
             yield from (MotorCoupling(*pair, coefficient) for coefficient in COEFFICIENTS)
             yield TorqueMixing(*pair)
@@ -105,6 +105,11 @@ def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
 
 def _within(axes: tuple[int, ...]) -> set[tuple[int, int]]:
     return {(inner, outer) for inner in axes for outer in axes if inner < outer}
+
+
+def _along_the_arm(axes: int) -> set[tuple[int, int]]:
+    """Axes 2, 3 and 4: a parallel link whose motor carries both, or cables that pass from one to the next."""
+    return _within(tuple(range(1, min(axes, 4))))
 
 
 EFFECT: Final = Effect(

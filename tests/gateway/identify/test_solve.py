@@ -91,3 +91,29 @@ def test_condition_is_that_of_columns_of_unit_length():
     """Two unit columns at an angle with cosine c have singular values sqrt(1 + c) and sqrt(1 - c)."""
     design = np.array([[1.0, 0.6], [0.0, 0.8], [0.0, 0.0]]) * [3.0, 0.01]
     assert solve(design, np.ones(3), np.ones(3)).condition == pytest.approx(np.sqrt(1.6 / 0.4))
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-18, 1e-15], ids=["zero", "of rounding", "of more rounding"])
+def test_columns_that_say_nothing_take_up_no_row(problem, size):
+    """Columns without content, and those that others make up, leave every leverage as it is without them."""
+    design, target, std = problem
+    plain = solve(design, target, 1 / std)
+    noise = size * np.random.default_rng(1).normal(size=(40, 3))
+    more = np.column_stack([noise[:, 0], design, noise[:, 1:], design[:, 1] - 2.0 * design[:, 4], design[:, 2]])
+    found = solve(more, target, 1 / std)
+    np.testing.assert_allclose(found.leverage, plain.leverage, rtol=1e-7)
+    np.testing.assert_allclose(found.orthogonal @ found.orthogonal.T, plain.orthogonal @ plain.orthogonal.T, atol=1e-9)
+    np.testing.assert_allclose(found.residual, plain.residual, atol=1e-9)
+    assert found.rank == plain.rank == 5
+    assert found.leverage.sum() == pytest.approx(5.0)
+
+
+def test_more_columns_than_rows_take_up_no_more_than_the_rows_say():
+    """Five rows of one constant, and seven columns of nothing: the constant's leverage is one fifth of each row."""
+    design = np.zeros((5, 8))
+    design[:, 3] = 2.0
+    found = solve(design, np.arange(5.0), np.ones(5))
+    assert found.leverage == pytest.approx(np.full(5, 0.2))
+    assert found.value[3] == pytest.approx(1.0)
+    assert np.delete(found.value, 3) == pytest.approx(np.zeros(7))
+    assert not solve(np.zeros((5, 2)), np.arange(5.0), np.ones(5)).leverage.any()

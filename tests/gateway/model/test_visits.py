@@ -78,3 +78,82 @@ def test_take_and_an_empty_table(rest_table):
     visits = pair_visits(table)
     assert visits.take(visits.load == "b").tau_nm[0, 0] == 2.0
     assert len(pair_visits(table.take(np.zeros(2, dtype=bool)))) == 0
+
+
+def one_moves(axis: int, side: int, others: int = 0) -> list[int]:
+    """Directions of six axes of which one moved."""
+    return [side if k == axis else others for k in range(6)]
+
+
+@pytest.mark.parametrize("others", [0, 1])
+@pytest.mark.parametrize("poses", [[3, 3], [3, 9]])
+def test_a_sweep_of_one_joint_that_passes_an_angle_both_ways_has_both_sides_of_that_axis(rest_table, others, poses):
+    eta = 0.8
+    up, down = 120.0 / eta, 80.0 * eta
+    tau = np.full((2, 6), 30.0)
+    tau[:, 2] = up, down
+    facing = [one_moves(2, 1, others), one_moves(2, -1, others)]
+    table = rest_table(load=["a"] * 2, pose=poses, direction=facing, tau=tau, time=[0.0, 8.0])
+    visits = pair_visits(table, np.full(6, eta))
+    assert visits.two_sided.tolist() == [True]
+    assert visits.pose.tolist() == [3]
+    assert visits.tau_nm[0, 2] == pytest.approx(100.0)
+    assert visits.band_nm[0, 2] == pytest.approx(20.0)
+    assert visits.time_s[0] == pytest.approx(4.0)
+    # the axes that stood still have the one side that they had, or an unknown one
+    still = np.delete(np.arange(6), 2)
+    assert np.isnan(visits.band_nm[0, still]).all()
+    assert visits.direction[0].tolist() == [0 if k == 2 else others for k in range(6)]
+    assert visits.tau_nm[0, still] == pytest.approx(30.0 * (eta if others else 1.0))
+    assert (visits.gear_nm[0, still] > 0).all() == (others == 0)
+    assert visits.gear_nm[0, 2] == 0.0
+
+
+def test_a_whole_sweep_pairs_angle_by_angle(rest_table):
+    angles = np.concatenate([np.linspace(-0.5, 0.5, 6), np.linspace(0.5, -0.5, 6)])
+    q = np.zeros((12, 6))
+    q[:, 1] = angles
+    side = np.repeat([1, -1], 6)
+    tau = 50.0 * np.cos(angles) + 4.0 * side
+    facing = np.where(np.arange(6) == 1, side[:, None], 0)
+    visits = pair_visits(rest_table(load=["a"] * 12, pose=np.arange(12), direction=facing, tau=tau, q=q))
+    assert visits.two_sided.all()
+    assert visits.pose.tolist() == [0, 1, 2, 3, 4, 5]
+    np.testing.assert_allclose(visits.q_rad[:, 1], angles[:6])
+    np.testing.assert_allclose(visits.tau_nm[:, 1], 50.0 * np.cos(angles[:6]))
+    np.testing.assert_allclose(visits.band_nm[:, 1], 4.0)
+
+
+def test_two_joints_that_turn_back_pair_within_a_pose_alone(rest_table):
+    """Of sweeps it is one joint that passes its angle again; two at once are another way to that place."""
+    facing = [[1, 1, 0, 0, 0, 0], [-1, -1, 0, 0, 0, 0]]
+    same = pair_visits(rest_table(load=["a"] * 2, pose=[1, 1], direction=facing, tau=[12.0, 8.0]))
+    assert same.two_sided.tolist() == [True]
+    assert pair_visits(rest_table(load=["a"] * 2, pose=[1, 2], direction=facing, tau=[12.0, 8.0])).two_sided.sum() == 0
+
+
+@pytest.mark.parametrize(
+    "facing",
+    [[one_moves(2, 1), one_moves(2, 1)], [one_moves(2, 1), one_moves(3, -1)], [one_moves(2, 1), one_moves(2, 0)]],
+    ids=["the same side", "another joint", "unknown side"],
+)
+def test_other_directions_are_no_two_sides(rest_table, facing):
+    visits = pair_visits(rest_table(load=["a"] * 2, pose=[1, 1], direction=facing, tau=[12.0, 8.0]))
+    assert len(visits) == 2
+    assert not visits.two_sided.any()
+
+
+def test_a_sweep_under_another_load_or_beside_it_is_another(rest_table):
+    facing = [one_moves(2, 1), one_moves(2, -1)]
+    q = np.zeros((2, 6))
+    q[1, 0] = 0.01
+    for given in ({"load": ["a", "b"]}, {"run": ["r", "s"]}, {"q": q}):
+        table = rest_table(**({"load": ["a"] * 2} | given), pose=[1, 2], direction=facing, tau=[12.0, 8.0])
+        assert not pair_visits(table).two_sided.any()
+
+
+def test_a_full_partner_goes_before_a_part(rest_table):
+    facing = [[1] * 6, one_moves(5, -1, 1), [-1] * 6]
+    visits = pair_visits(rest_table(load=["a"] * 3, pose=[1] * 3, direction=facing, tau=[12.0, 9.0, 8.0]))
+    np.testing.assert_allclose(visits.tau_nm[:, 0], [10.0, 9.0])
+    assert visits.two_sided.tolist() == [True, False]

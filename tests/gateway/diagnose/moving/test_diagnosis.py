@@ -17,6 +17,7 @@ FOUND = [
     ("velocity_friction", (3,), World(stribeck={2: (0.15, 0.15)}), IGNORE, {}),
     ("axis_coupling", (5, 6), World(coupling=(4, 5, 1.0)), IGNORE, {"coefficient": (1.0, 0.05)}),
     ("axis_coupling", (2, 3), World(coupling=(1, 2, 1.0)), IGNORE, {"coefficient": (1.0, 0.1)}),
+    ("axis_coupling", (3, 4), World(coupling=(2, 3, -1.0)), IGNORE, {"coefficient": (-1.0, 0.1)}),
     ("balancer_spring", (2,), World(spring=(0.8, 0.1)), DiagnoseOptions(), {"phase_rad": (0.1, 0.1)}),
     ("cable_torque", (5,), World(cable={4: 0.15}), IGNORE, {}),
     ("base_tilt", (), World(tilt=(0.03, 0.02)), IGNORE, {"tilt_x_rad": (0.03, 0.005), "tilt_y_rad": (0.02, 0.005)}),
@@ -183,3 +184,13 @@ def test_a_scale_that_is_not_certain_is_no_failing_finding():
     assert (5,) in [effect.joints for effect in result.effects]
     assert not [finding for finding in result.findings if finding.severity == "fail"]
     assert result.next
+
+
+def test_a_coupling_past_an_axis_is_found_by_the_motor_that_turns_twice():
+    """Axis 2 is heavy and hides its share; the motor of axis 4 shows it."""
+    table, robot, _ = measured(1, World(coupling=(1, 3, 1.0)))
+    result = diagnose_motion(table, robot, IGNORE)
+    assert [(effect.name, effect.joints) for effect in result.effects] == [("axis_coupling", (2, 4))]
+    assert result.effects[0].parameters["coefficient"] == pytest.approx(1.0, abs=0.1)
+    assert result.effects[0].evidence.holdout_rms_ratio < 0.8
+    assert result.after.holdout_rms_nm[3] < 0.6 * result.before.holdout_rms_nm[3]

@@ -11,6 +11,8 @@ from gateway.data.table import Table, concatenate
 from gateway.diagnose import close_loop, diagnose, next_poses
 from gateway.errors import ConfigError, InputError
 from gateway.result.result import Result, from_json, to_json
+from sim.offline import link_frames
+from sim.request import add_passive
 from tests.resting_arm import Bench, effect, found
 
 
@@ -222,3 +224,70 @@ def test_fresh_poses_are_judged_first_and_then_tell_the_load_too():
     assert result.loads[0].mass_std_kg < alone.loads[0].mass_std_kg
     assert len(result.loads[0].per_pose_mass_kg) > len(alone.loads[0].per_pose_mass_kg)
     assert result.before.loads == result.loads == result.after.loads
+
+
+def test_sweeps_of_single_joints_tell_the_band_of_the_joints_that_moved():
+    """Each of axes 2 to 6 passes six angles up and down again, numbered on, while the others stand still."""
+    bench, tables = Bench(1, []), []
+    for load in ("none", "tool"):
+        for axis in range(1, 6):
+            poses = np.tile(bench.poses[axis], (6, 1))
+            poses[:, axis] = np.linspace(-0.7, 0.7, 6)
+            table = bench.table(poses, load, first=100 * axis)
+            moved = np.where(np.arange(6) == axis, table.direction, 0).astype(np.int8)
+            down = 50 * (table.direction[:, axis] < 0)
+            tables.append(replace(table, direction=moved, pose=table.pose + down))
+    result = diagnose(concatenate(tables), bench.robot, bench.options)
+    assert not result.failed
+    assert np.isnan(result.friction_band_nm[0])
+    # what is left of the band once the joint has settled: 80 % in the mean
+    np.testing.assert_allclose(result.friction_band_nm[1:], 0.8 * bench.arm.plant.coulomb_nm[1:], rtol=0.15)
+    tool = bench.arm.loads["tool"]
+    assert abs(result.loads[0].mass_kg - tool.mass_kg) < 3 * result.loads[0].mass_std_kg
+
+
+def quiet(bench: Bench) -> Bench:
+    """The same arm with gears that rub a thirtieth of what they do."""
+    bench.plant = replace(bench.plant, coulomb_nm=bench.plant.coulomb_nm * 0.03)
+    return bench
+
+
+@pytest.mark.parametrize(
+    "shares",
+    [{(2, 3): -0.4, (3, 4): 0.5, (2, 4): -0.6}, {(3, 4): 0.8}, {(2, 4): 1.0}],
+    ids=lambda shares: "-".join(f"{i}{j}" for i, j in shares),
+)
+def test_a_known_linkage_along_the_arm_is_named_with_its_coefficients(shares):
+    hidden = [effect("axis_coupling", list(pair), coefficient=share) for pair, share in shares.items()]
+    bench = quiet(Bench(2, hidden, poses=14))
+    result = diagnose(bench.both(), bench.robot, bench.options)
+    assert sorted(found(result)) == sorted(("axis_coupling", pair) for pair in shares)
+    for entry in result.effects:
+        share, std = entry.parameters["coefficient"], entry.std["coefficient"]
+        assert abs(share - shares[entry.joints]) < 3.0 * std
+        assert std < 0.05
+
+
+def test_a_parallelogram_is_no_coupling():
+    """The weight of its bars, one that turns with link 3 and one that stays parallel to link 2, is that of links."""
+    bench = quiet(Bench(2, [], poses=14))
+    crank, along = np.array([-0.3, 0.0, 0.1]), 0.5 * bench.arm.chain.placement[2, :3, 3]
+    mass_kg = 0.3 * float(bench.plant.link_mass_kg[2])
+
+    def energy_j(q_rad: np.ndarray) -> float:
+        frames = link_frames(bench.arm.chain, q_rad)[0]
+        bars = frames[1, :3, 3] + frames[1, :3, :3] @ along + 1.5 * (frames[2, :3, :3] @ crank)
+        return -mass_kg * float(bench.plant.gravity_m_s2 @ bars)
+
+    def torque(q_rad: np.ndarray, _time_s: float, _tau_nm: np.ndarray) -> np.ndarray:
+        steps = 1e-5 * np.eye(6)
+        return np.array([energy_j(q_rad - step) - energy_j(q_rad + step) for step in steps]) / 2e-5
+
+    bench.plant = add_passive(bench.plant, torque)
+    result = diagnose(bench.both(), bench.robot, replace(bench.options, inertials="ignore"))
+    assert result.verdict == "none_needed"
+    assert result.effects == ()
+    # and where the drawing has no bars, they are a body that it lacks
+    drawn = diagnose(bench.both(), bench.robot, bench.options)
+    assert drawn.after.rms_nm[1] > 0
+    assert "axis_coupling" not in {name for name, _ in found(drawn)}

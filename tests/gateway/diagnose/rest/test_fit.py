@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
 
+from gateway.data.table import Table
 from gateway.diagnose.rest.diagnosis import RestDiagnosis
 from gateway.diagnose.rest.fit import fit
+from gateway.diagnose.rest.holdout import left_out
 from gateway.diagnose.rest.linear import common_columns, modelled, with_terms
 from gateway.diagnose.rest.problem import first_noise
 from gateway.diagnose.rest.thresholds import REST
@@ -86,3 +90,40 @@ def test_columns_are_the_derivatives_of_the_modelled_rows(problem, fits):
         change = modelled(problem, setting, found.links, found.loads, raised)
         change = change - modelled(problem, setting, found.links, found.loads, found.band)
         assert columns[:, problem.band_part.start + axis] == pytest.approx(2.0 * change, abs=1e-6)
+
+
+def undirected(bench: Bench) -> Table:
+    table = bench.both()
+    return replace(table, direction=np.zeros_like(table.direction))
+
+
+def one_sweep(bench: Bench) -> Table:
+    bench.poses = np.tile(bench.poses[0], (12, 1))
+    bench.poses[:, 2] = np.linspace(-0.8, 0.8, 12)
+    table = bench.both()
+    return replace(table, direction=np.where(np.arange(6) == 2, table.direction, 0).astype(np.int8))
+
+
+@pytest.mark.parametrize("made", [Bench.both, undirected, one_sweep], ids=["both sides", "no side", "one axis"])
+def test_what_is_left_out_is_foretold_by_a_fit_without_it_whatever_columns_are_empty(made):
+    """Bands without a side and links on a vertical axis have empty columns, sweeps have dependent ones."""
+    bench = Bench(3, [])
+    problem = RestDiagnosis(bench.robot, bench.options).problem(made(bench))
+    result = fit(problem, (), first_noise(problem), steps=12)
+    assert (np.abs(result.design).max(axis=0) < 1e-12).any()
+    std = result.noise.std[problem.group]
+    weighted, right = result.design / std[:, None], result.residual / std
+    held = np.isfinite(result.prior_std)
+    prior = np.diag(1.0 / np.where(held, result.prior_std, 1.0))[held]
+    pull = ((problem.links - result.links) / problem.link_std).tolist()
+    expected = np.empty_like(right)
+    pose = problem.rows.pose[problem.visit]
+    for number in np.unique(pose):
+        keep = pose != number
+        rows = np.vstack([weighted[keep], prior])
+        scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-9)
+        moved = np.linalg.lstsq(rows / scale, np.concatenate([right[keep], pull]), rcond=1e-9)[0] / scale
+        expected[~keep] = (right - weighted @ moved)[~keep]
+    np.testing.assert_allclose(left_out(problem, result), std * expected, atol=0.02 * std.max(), rtol=0.02)
+    # and so no held-out figure is more than a few noise floors on an arm that lacks nothing
+    assert np.abs(expected).max() < 6.0

@@ -2,11 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from scipy import stats
 
 from benchmarks.rigs.tables import make_table
-from gateway.diagnose.rest.mistakes import Mistake, candidates
+from gateway.data.table import Table
+from gateway.diagnose import diagnose
+from gateway.diagnose.rest.diagnosis import RestDiagnosis
+from gateway.diagnose.rest.fit import fit
+from gateway.diagnose.rest.mistakes import (
+    Mistake,
+    band_signs,
+    beyond_any_effect,
+    candidates,
+    determined_bands,
+    find_mistakes,
+    held_ratio,
+)
+from gateway.diagnose.rest.problem import first_noise
+from gateway.model.effects import LIBRARY, MISTAKES
+from tests.resting_arm import Bench, effect, found
 
 
 def table():
@@ -42,3 +61,135 @@ def test_undoing_a_mistake_touches_its_axes_alone():
         order = [3, 1, 2, 0, 4, 5]
         assert swapped.tau_nm == pytest.approx(read.tau_nm[:, order])
         assert swapped.q_rad == pytest.approx(read.q_rad[:, order] if with_positions else read.q_rad)
+
+
+def undirected(read: Table) -> Table:
+    return replace(read, direction=np.zeros_like(read.direction))
+
+
+def single_joint_sweep(bench: Bench, axis: int) -> Table:
+    """Visits along which one axis alone moves."""
+    bench.poses = np.tile(bench.poses[0], (12, 1))
+    bench.poses[:, axis] = np.linspace(-0.8, 0.8, 12)
+    return bench.both()
+
+
+HEALTHY = [
+    (2, 2, []),
+    (2, 2, [effect("torque_offset", [1], offset_nm=30.0)]),
+    (3, 3, [effect("balancer_spring", [2], stiffness_n_m=2e4, lever_m=0.2, anchor_m=0.5, free_length_m=0.2)]),
+]
+
+
+@pytest.mark.parametrize(("seed", "axis", "hidden"), HEALTHY)
+def test_a_table_in_which_one_axis_moves_tells_of_no_mistake(seed, axis, hidden):
+    bench = Bench(seed, hidden)
+    read = undirected(single_joint_sweep(bench, axis))
+    result = diagnose(read, bench.robot, bench.options)
+    assert not result.failed
+    assert not {name for name, _ in found(result)} & set(MISTAKES)
+    # even where one is looked for
+    build = RestDiagnosis(bench.robot, bench.options).problem
+    assert find_mistakes(read, build, frozenset(LIBRARY)) == ((), 0.0)
+
+
+def test_nor_does_a_table_of_which_one_axis_was_measured():
+    bench = Bench(8, [effect("sign_reversed", [3])])
+    read = bench.both()
+    build = RestDiagnosis(bench.robot, bench.options).problem
+    assert [each.joints for each in find_mistakes(read, build, frozenset(LIBRARY))[0]] == [(3,)]
+    alone = replace(read, tau_nm=np.where(np.arange(6) == 2, read.tau_nm, np.nan))
+    assert find_mistakes(alone, build, frozenset(LIBRARY))[0] == ()
+
+
+def rows_of(side, two_sided, measured=True):
+    """What is known of the sides of visits (n, N)."""
+    side, both = np.asarray(side, dtype=float), np.asarray(two_sided, dtype=bool)
+    use = np.full(side.shape, measured)
+    return SimpleNamespace(use_sum=use, use_difference=use & both, rows=SimpleNamespace(side=side))
+
+
+def test_a_band_is_determined_by_visits_from_both_sides():
+    none, two = np.zeros((4, 1)), np.ones((4, 1))
+    assert determined_bands(rows_of(none, two))[0]
+    assert not determined_bands(rows_of(none, none))[0]  # no direction was written down
+    assert not determined_bands(rows_of(two, none))[0]  # all from below: an offset looks alike
+    assert determined_bands(rows_of([[1.0], [-1.0], [1.0], [-1.0]], none))[0]
+    assert not determined_bands(rows_of([[1.0], [-1.0], [0.0], [0.0]], none))[0]
+    assert not determined_bands(rows_of([[1.0], [0.0], [0.0], [1.0]], none))[0]
+    assert not determined_bands(rows_of(none, two, measured=False))[0]
+
+
+@pytest.mark.parametrize("sides", ["none", "from below"])
+def test_the_sign_of_a_band_that_nothing_determines_says_nothing(sides):
+    """A motor that reads 40 Nm too little, from one side alone, looks like friction that gives power."""
+    bench = Bench(3, [effect("torque_offset", [axis], offset_nm=-40.0) for axis in (1, 2, 3)])
+    read = bench.both()
+    read = undirected(read) if sides == "none" else read.take(read.direction[:, 0] > 0)
+    problem = RestDiagnosis(bench.robot, bench.options).problem(read)
+    plain = fit(problem, (), first_noise(problem))
+    assert band_signs(problem, plain) == 0.0
+    wrong = replace(plain, band=np.full(6, -1e3))
+    assert band_signs(problem, wrong) == 0.0
+    whole = RestDiagnosis(bench.robot, bench.options).problem(bench.both())
+    assert band_signs(whole, replace(fit(whole, (), first_noise(whole)), band=np.full(6, -1e3))) < -1e3
+    assert beyond_any_effect(whole, replace(fit(whole, (), first_noise(whole)), band=np.full(6, -1e3)))
+
+
+def judged(residual, band, std=2.0, poses=5):
+    """A fit of nothing to half differences of one axis, one a pose."""
+    rows = SimpleNamespace(pose=np.arange(poses), side=np.zeros((poses, 1)))
+    problem = SimpleNamespace(
+        rows=rows,
+        visit=np.arange(poses),
+        use_sum=np.ones((poses, 1), dtype=bool),
+        use_difference=np.ones((poses, 1), dtype=bool),
+        group=np.ones(poses, dtype=int),
+        band_part=slice(0, 1),
+    )
+    fitted = SimpleNamespace(
+        noise=SimpleNamespace(start=np.array([1.0, std]), std=np.array([1.0, std])),
+        residual=np.asarray(residual, dtype=float),
+        orthogonal=np.zeros((poses, 0)),
+        design=np.ones((poses, 1)),
+        band=np.array([float(band)]),
+    )
+    return problem, fitted
+
+
+def test_a_mistake_is_judged_on_left_out_poses_with_its_uncertainty():
+    before, after = np.array([4.0, 6.0, 5.0, 3.0, 7.0]), np.array([2.0, 1.0, 3.0, 2.5, 1.5])
+    ratio, upper = held_ratio(*judged(before, 1.0), *judged(after, 1.0))
+    assert ratio == pytest.approx(np.sqrt((after**2).sum() / (before**2).sum()))
+    gain = before**2 - after**2
+    half = stats.t.ppf(0.95, 4) * stats.sem(gain) * 5
+    assert upper == pytest.approx(np.sqrt(((after**2).sum() + half) / (before**2).sum()))
+    # each in units of its own floor: a reading that is twice as large is not twice as bad
+    assert held_ratio(*judged(before, 1.0), *judged(2.0 * before, 1.0, std=4.0))[0] == pytest.approx(1.0)
+    worse = held_ratio(*judged(after, 1.0), *judged(before, 1.0))
+    assert min(worse) > 1.0
+
+
+def test_friction_that_gives_power_foretells_nothing():
+    """The same residuals, but of a band below zero, which has to be left out: the rows are as large as the band."""
+    left = np.array([0.1, -0.1, 0.2, -0.2, 0.1])
+    ratio, upper = held_ratio(*judged(left, -3.0), *judged(-left, 3.0))
+    assert ratio == pytest.approx(np.sqrt((left**2).sum() / ((left - 3.0) ** 2).sum()))
+    assert upper < 1.0
+    assert held_ratio(*judged(left, 3.0), *judged(-left, 3.0))[0] == pytest.approx(1.0)
+
+
+def test_a_mistake_that_unseen_rows_contradict_is_taken_back():
+    """Drives that were swapped for the first run alone: the rows held out were read as they should be."""
+    bench, healthy = Bench(8, [effect("sign_reversed", [3])]), Bench(8, [])
+    read = bench.both()
+    fresh = healthy.both()
+    fresh = replace(fresh, pose=fresh.pose + 50)
+    assert found(diagnose(read, bench.robot, bench.options)) == [("sign_reversed", (3,))]
+    result = diagnose(read, bench.robot, replace(bench.options, holdout=fresh))
+    assert "sign_reversed" not in {name for name, _ in found(result)}
+    assert result.verdict in ("unexplained", "improved")
+    same = diagnose(read, bench.robot, replace(bench.options, holdout=replace(bench.both(), pose=read.pose + 50)))
+    assert ("sign_reversed", (3,)) in found(same)
+    entry = next(entry for entry in same.effects if entry.name == "sign_reversed")
+    assert 0.0 < entry.evidence.holdout_rms_ratio < 1.0

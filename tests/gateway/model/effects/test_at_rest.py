@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -141,6 +142,8 @@ CASES = [
     ),
     (JointElasticity(1), [2e-5], "joint_elasticity", [2], {"compliance_rad_nm": 2e-5}),
     (TorqueRipple(3, 160.0), [1.5, 0.0], "torque_ripple", [4], {"amplitude_nm": 1.5, "per_revolution": 160.0}),
+    (TorqueMixing(1, 3), [-0.7], "axis_coupling", [2, 4], {"coefficient": -0.7}),
+    (TorqueMixing(2, 3), [0.9], "axis_coupling", [3, 4], {"coefficient": 0.9}),
     (TorqueMixing(4, 5), [0.5], "axis_coupling", [5, 6], {"coefficient": 0.5}),
     (LinkMass(2), [8.0, 1.0, 0.5, -2.0], "link_mass", [3], {"mass_kg": 8.0, "first_moment_kg_m": [1.0, 0.5, -2.0]}),
     (PayloadShift(590.0), [0.02, 0.0, -0.01], "payload_shift", [], {"shift_m": [0.02, 0.0, -0.01], "time_s": 590.0}),
@@ -225,6 +228,38 @@ def test_every_candidate_is_complete(rows, model, bodies):
 def test_ripple_needs_the_gear_ratio(rows, model, bodies):
     setup = RestSetup((np.nan,) * 6, False, np.ones((len(rows), 6)))
     assert not [term for term in terms_at_rest(rows, setup) if term.name == "torque_ripple"]
+
+
+def test_couplings_of_a_linkage_add_up_in_any_order(arm, model, rows, visits, bodies):
+    """From axis 2 to 3, on to 4, and past it: each is a share of what the other axis shows by itself."""
+    shares = [((1, 2), -0.4), ((2, 3), 0.5), ((1, 3), -0.6)]
+    plant = arm.plant
+    for (inner, outer), share in shares:
+        entry = {"name": "axis_coupling", "joints": [inner + 1, outer + 1], "parameters": {"coefficient": share}}
+        plant = effect_from_dict(entry, point_jacobian(arm.chain))(plant)
+    half_sum, difference = halves(arm, plant, visits)
+    for order in itertools.permutations(shares):
+        setting = neutral(len(rows), 6)
+        for pair, share in order:
+            setting = TorqueMixing(*pair).apply(setting, np.array([share]), rows)
+        said = model.predict(setting, *bodies, arm.plant.coulomb_nm)
+        np.testing.assert_allclose(said.sum_nm, half_sum, atol=1e-6)
+        np.testing.assert_allclose(said.difference_nm, difference, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("axes", "pairs"),
+    [
+        (2, []),
+        (3, [(2, 3)]),
+        (4, [(2, 3), (2, 4), (3, 4)]),
+        (6, [(2, 3), (2, 4), (3, 4), (4, 5), (4, 6), (5, 6)]),
+    ],
+)
+def test_axes_that_one_train_may_join(axes, pairs):
+    rows = RestRows(**{name: np.zeros((3, axes)) for name in RestRows.__slots__ if name != "__weakref__"})
+    found = LIBRARY["axis_coupling"].at_rest(rows, RestSetup((np.nan,) * axes, False, np.ones((3, axes))))
+    assert [term.joints for term in found] == pairs
 
 
 def test_an_elastic_arm_is_in_equilibrium(robot, model, rows, bodies):

@@ -1,0 +1,260 @@
+"""How far each rest visit lies off what the others say, axis by axis (`methods.md` 9).
+
+What every visit of a pose shows is an effect of the arm: springs, cables and ripple drop out of the contrasts between
+visits of one pose, and of those of two loads the load is fitted. Visits that no other one repeats are held against a
+robust fit of all, whose scatter the effects are part of.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.identify.robust import median, robust_fit
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int_]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class GrossLimits:
+    """What counts as gross. Origin: simulated arms of seeds 0 to 399, with and without effects, gross visits added."""
+
+    #: Robust standard deviations that an entry lies off at least.
+    scales: float = 7.0
+    #: The same for visits of a pose that no other visit repeats: smooth effects are in their scatter.
+    scales_alone: float = 9.0
+    #: Friction bands that half a sum lies off at least, half a difference at least.
+    sum_bands: float = 0.7
+    difference_bands: float = 0.7
+    #: The same of half a sum that no other visit of its pose checks.
+    alone_bands: float = 1.5
+    #: Share of the axis's torque below which nothing is gross, where neither friction nor noise is known.
+    torque_share: float = 2e-3
+    #: Share of the visits of an axis that may be set aside: more of them are no accident.
+    most: float = 0.1
+    #: Visits one after the other of one load: so many of them are a change, not an accident.
+    in_a_row: int = 3
+    #: Rows of an axis below which nothing is judged.
+    least_rows: int = 5
+    #: Scatter of both halves over the friction band from which on every visit of an axis is disturbed.
+    disturbed_bands: float = 1.0
+    #: Share of the axes that may be so before nothing at all is set aside.
+    disturbed_axes: float = 0.5
+
+
+LIMITS: Final = GrossLimits()
+#: Angles closer than this are one pose [rad].
+SAME_POSE_RAD: Final = 0.01
+#: Prior of the gains in the contrasts, relative: wide enough for any that is ordinary.
+_GAIN_STD: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestHalves:
+    """Rest visits, n of them, N axes, as the search for gross ones sees them.
+
+    Attributes
+    ----------
+    regressor : (n, N, 4 N) gravity rows of the links; the last four columns are those of a load
+    load : (n,) label of what hangs on the flange
+    time_s : (n,) start of the visit; order alone matters
+    q_rad : (n, N)
+    sum_nm : (n, N) half the sum of both sides, or the one side there is; NaN = not measured
+    difference_nm : (n, N) half the difference, NaN = none
+    side : (n, N) direction of a one-sided visit, else 0
+    floor_nm : (n, N) standard deviation by the averaged samples; NaN = unknown
+    """
+
+    regressor: Floats
+    load: NDArray[np.str_]
+    time_s: Floats
+    q_rad: Floats
+    sum_nm: Floats
+    difference_nm: Floats
+    side: Floats
+    floor_nm: Floats
+
+    @property
+    def band_nm(self) -> Floats:
+        """Friction band (N,): median of the half differences; NaN where there is none."""
+        return np.array([median(np.abs(column[np.isfinite(column)])) for column in self.difference_nm.T])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Deviations:
+    """Deviations (n, N) of half sums and half differences, which are gross, and the scatter (N,) of both halves.
+
+    Into the scatter goes what no effect of the arm can be, the contrasts within poses and the half differences.
+    """
+
+    sum_nm: Floats
+    difference_nm: Floats
+    gross: Mask
+    scatter_nm: Floats
+
+
+def least_scale(halves: RestHalves, limits: GrossLimits) -> Floats:
+    """Scale (N,) below which no scatter is believed."""
+    count = np.maximum(np.isfinite(halves.sum_nm).sum(axis=0), 1)
+    size = np.sqrt(np.nansum(halves.sum_nm**2, axis=0) / count)
+    sampled = np.array([median(column[np.isfinite(column)]) for column in halves.floor_nm.T])
+    return np.maximum(np.nan_to_num(sampled), limits.torque_share * size / limits.scales) + 1e-9
+
+
+def poses_of(q_rad: Floats) -> list[Ints]:
+    """Visits of the same angles, in the order given; lists of one included."""
+    left, out = np.arange(len(q_rad)), []
+    while len(left):
+        near = np.abs(q_rad[left] - q_rad[left[0]]).max(axis=1) < SAME_POSE_RAD
+        out.append(left[near])
+        left = left[~near]
+    return out
+
+
+def deviations(halves: RestHalves, groups: list[Ints], without: Mask, least: Floats, limits: GrossLimits) -> Deviations:
+    model, residual, scale = _whole_fit(halves, without, least)
+    differences = _difference_off(halves.difference_nm, np.abs(model), without, least)
+    known = np.where(np.isfinite(differences.scale), differences.scale, 0.0)
+    # both halves of a visit carry the same noise: a scatter of half sums that is smaller is luck
+    least = np.maximum(least, known)
+    band = np.nan_to_num(halves.band_nm)
+    repeated = _contrast_off(halves, groups, without, residual, least, limits)
+    alone = repeated.alone & np.isfinite(residual)
+    gross = repeated.gross | (
+        alone & (np.abs(residual) > np.maximum(limits.scales_alone * scale, limits.alone_bands * band))
+    )
+    sums = np.where(alone, residual, repeated.off_nm)
+    far = np.maximum(limits.scales * differences.scale, limits.difference_bands * band)
+    gross |= np.abs(np.nan_to_num(differences.off_nm)) > far
+    enough = np.isfinite(halves.sum_nm).sum(axis=0) >= limits.least_rows
+    return Deviations(sums, differences.off_nm, gross & enough, np.hypot(np.nan_to_num(repeated.scatter_nm), known))
+
+
+def _whole_fit(halves: RestHalves, without: Mask, least: Floats) -> tuple[Floats, Floats, Floats]:
+    """Model (n, N), residual (n, N) and scale (N,) of a robust fit of links, loads, constants and sides."""
+    use = np.isfinite(halves.sum_nm)
+    visit, axis = np.nonzero(use)
+    rows = halves.regressor[visit, axis]
+    axes = use.shape[1]
+    gravity = [rows, *_load_columns(rows, halves.load[visit])]
+    own = axis[:, None] == np.arange(axes)
+    constants = np.hstack([own.astype(float), own * halves.side[visit, axis][:, None]])
+    fit = robust_fit(np.hstack([*gravity, constants]), halves.sum_nm[use], axis, least, ~without[use])
+    residual, model = np.full(use.shape, np.nan), np.zeros(use.shape)
+    residual[use] = fit.residual
+    model[use] = halves.sum_nm[use] - fit.residual
+    return model, residual, fit.scale
+
+
+def _load_columns(rows: Floats, load: NDArray[np.str_]) -> list[Floats]:
+    """Columns of each load but the first: that one lumps with the last link."""
+    return [rows[:, -4:] * (load == label)[:, None] for label in dict.fromkeys(load.tolist())][1:]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Repeated:
+    off_nm: Floats
+    gross: Mask
+    alone: Mask
+    scatter_nm: Floats
+
+
+def _contrast_off(
+    halves: RestHalves, groups: list[Ints], without: Mask, residual: Floats, least: Floats, limits: GrossLimits
+) -> _Repeated:
+    """Half sums that lie off the other visits of their pose, whatever the pose itself shows."""
+    shape = halves.sum_nm.shape
+    one, other = _contrasts(groups, halves.time_s)
+    use = np.isfinite(halves.sum_nm[one] - halves.sum_nm[other]) & (halves.side[one] == halves.side[other])
+    few = use.sum(axis=0) < limits.least_rows
+    use &= ~few
+    off, gross, alone = np.zeros(shape), np.zeros(shape, dtype=bool), np.ones(shape, dtype=bool)
+    scatter = np.full(shape[1], np.nan)
+    if not use.any():
+        return _Repeated(off, gross, alone, scatter)
+    left, scale = _contrast_fit(halves, one, other, use, without, least)
+    scatter = np.where(few, np.nan, scale / np.sqrt(2.0))
+    far = np.maximum(limits.scales * scale, limits.sum_bands * np.nan_to_num(halves.band_nm))
+    for axis in np.flatnonzero(~few):
+        at = np.flatnonzero(use[:, axis])
+        pairs = np.stack([one[at], other[at]], axis=1)
+        value = left[at, axis]
+        here = np.unique(pairs)
+        alone[here, axis] = False
+        for visit in here:
+            signed = np.concatenate([value[pairs[:, 0] == visit], -value[pairs[:, 1] == visit]])
+            off[visit, axis] = signed[np.argmin(np.abs(signed))]
+        for visit in here[np.abs(off[here, axis]) > far[axis]]:
+            partner = pairs[(pairs == visit).any(axis=1)]
+            rest = partner[partner != visit]
+            gross[visit, axis] = len(rest) > 1 or abs(residual[visit, axis]) >= abs(residual[rest[0], axis])
+    return _Repeated(off, gross, alone, scatter)
+
+
+def _contrasts(groups: list[Ints], time_s: Floats) -> tuple[Ints, Ints]:
+    """Pairs of visits of one pose: two visits make one, more of them a ring in the order of time."""
+    one: list[int] = []
+    other: list[int] = []
+    for group in groups:
+        if len(group) < 2:
+            continue
+        order = group[np.argsort(np.nan_to_num(time_s[group]), kind="stable")]
+        following = np.roll(order, -1)
+        count = 1 if len(order) == 2 else len(order)
+        one += order[:count].tolist()
+        other += following[:count].tolist()
+    return np.array(one, dtype=int), np.array(other, dtype=int)
+
+
+def _contrast_fit(
+    halves: RestHalves, one: Ints, other: Ints, use: Mask, without: Mask, least: Floats
+) -> tuple[Floats, Floats]:
+    """What loads, gains and drifts between loads do not explain of the contrasts (k, N), and its scale (N,)."""
+    axes = use.shape[1]
+    contrast, axis = np.nonzero(use)
+    first, second = one[contrast], other[contrast]
+    rows = halves.regressor[first, axis]
+    labels = list(dict.fromkeys(halves.load.tolist()))[1:]
+    member = [((halves.load[first] == name).astype(float) - (halves.load[second] == name))[:, None] for name in labels]
+    own = (axis[:, None] == np.arange(axes)).astype(float)
+    target = (halves.sum_nm[one] - halves.sum_nm[other])[use]
+    sound = ~(without[one] | without[other])[use]
+    loads = [rows[:, -4:] * each for each in member]
+    shifts = [own * each for each in member]
+    if not labels:
+        loads, shifts = [np.zeros((len(axis), 1))], []
+    free = np.hstack([*loads, *shifts])
+    fit = robust_fit(free, target, axis, least, sound)
+    if labels:
+        # the load's torque as modelled is the column of a gain
+        columns = np.hstack([free, own * (target - fit.residual)[:, None]])
+        prior_std = np.concatenate([np.full(free.shape[1], np.inf), np.full(axes, _GAIN_STD)])
+        fit = robust_fit(columns, target, axis, least, sound, prior_std)
+    left = np.full(use.shape, np.nan)
+    left[use] = fit.residual
+    return left, fit.scale
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Differences:
+    off_nm: Floats
+    scale: Floats
+
+
+def _difference_off(difference_nm: Floats, torque_nm: Floats, without: Mask, least: Floats) -> _Differences:
+    """Half differences less `band + nu |tau|`, fitted robustly, and their scale (N,)."""
+    off, scale = np.full(difference_nm.shape, np.nan), np.full(len(least), np.inf)
+    for axis in range(len(least)):
+        use = np.isfinite(difference_nm[:, axis])
+        if use.sum() < LIMITS.least_rows:
+            continue
+        design = np.stack([np.ones(use.sum()), torque_nm[use, axis]], axis=1)
+        group = np.zeros(len(design), dtype=int)
+        fit = robust_fit(design, difference_nm[use, axis], group, least[axis : axis + 1], ~without[use, axis])
+        off[use, axis], scale[axis] = fit.residual, fit.scale[0]
+    return _Differences(off, scale)

@@ -1,0 +1,167 @@
+"""Gross rest visits: a cable that caught, a brake that dragged, a touch; found from the data alone (`methods.md` 9).
+
+A gross entry (visit, axis) is isolated: the same pose under another load or at another time does not show it, its
+neighbours do not show it, the visits before and after do not show it. What every visit of a pose shows is an effect of
+the arm and is left where it is: springs, cables and ripple drop out of the contrasts between visits of one pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.identify.deviations import LIMITS, Deviations, GrossLimits, RestHalves, deviations, least_scale, poses_of
+from gateway.result.result import Finding, SetAside
+
+Ints = NDArray[np.int_]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class GrossEntry:
+    """One axis of one visit that is off: by how many friction bands (NaN where no band was seen), and in what."""
+
+    visit: int
+    axis: int
+    off_nm: float
+    bands: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gross:
+    """What was found.
+
+    Attributes
+    ----------
+    entries : what is to be set aside
+    too_many : axes from 0, with the number of visits that lie off: too many, or in a row; nothing of them is set aside
+    disturbed : axes from 0, with the scatter of both halves in friction bands; where most axes are, no visit can be
+        told from another and nothing is set aside
+    """
+
+    entries: tuple[GrossEntry, ...] = ()
+    too_many: tuple[tuple[int, int], ...] = ()
+    disturbed: tuple[tuple[int, float], ...] = ()
+
+    def mask(self, shape: tuple[int, int]) -> Mask:
+        """Where the entries stand (n, N)."""
+        out = np.zeros(shape, dtype=bool)
+        for entry in self.entries:
+            out[entry.visit, entry.axis] = True
+        return out
+
+
+def find_gross(halves: RestHalves, limits: GrossLimits = LIMITS) -> Gross:
+    """Isolated gross entries of rest visits.
+
+    Parameters
+    ----------
+    halves : RestHalves
+    limits : GrossLimits, optional
+    """
+    none = np.zeros(halves.sum_nm.shape, dtype=bool)
+    least = least_scale(halves, limits)
+    groups = poses_of(halves.q_rad)
+    first = deviations(halves, groups, none, least, limits)
+    # once more without what was found: the fit is then free of it
+    found = deviations(halves, groups, first.gross, least, limits)
+    return _told(halves, found, limits)
+
+
+def _told(halves: RestHalves, found: Deviations, limits: GrossLimits) -> Gross:
+    """The entries, less those of axes where they are no accident."""
+    band = halves.band_nm
+    seen = np.isfinite(halves.sum_nm).sum(axis=0)
+    count = found.gross.sum(axis=0)
+    many = count > np.ceil(limits.most * seen)
+    spread = _in_a_row(halves, found.gross.any(axis=1), limits.in_a_row) | found.gross[:, many].any(axis=1)
+    many |= found.gross[spread].any(axis=0)
+    too_many = tuple((int(axis), int(count[axis])) for axis in np.flatnonzero(many))
+    where = np.argwhere(found.gross & ~many)
+    entries = tuple(_entry(found, int(visit), int(axis), float(band[axis])) for visit, axis in where)
+    disturbed = tuple(
+        (int(axis), float(found.scatter_nm[axis] / band[axis]))
+        for axis in np.flatnonzero((band > 0) & (found.scatter_nm > limits.disturbed_bands * band))
+    )
+    if len(disturbed) >= limits.disturbed_axes * max(int((seen > 0).sum()), 1):
+        return Gross(disturbed=disturbed)
+    return Gross(entries, too_many, disturbed)
+
+
+def _in_a_row(halves: RestHalves, flagged: Mask, least: int) -> Mask:
+    """Flagged visits (n,) of which at least so many of one load follow each other in time."""
+    out = np.zeros(len(flagged), dtype=bool)
+    for label in np.unique(halves.load):
+        here = np.flatnonzero(halves.load == label)
+        order = here[np.argsort(np.nan_to_num(halves.time_s[here]), kind="stable")]
+        row: list[int] = []
+        for visit in [*order.tolist(), None]:
+            if visit is not None and flagged[visit]:
+                row.append(visit)
+                continue
+            out[row] = len(row) >= least
+            row = []
+    return out
+
+
+def _entry(found: Deviations, visit: int, axis: int, band_nm: float) -> GrossEntry:
+    middle = float(np.nan_to_num(found.sum_nm[visit, axis]))
+    half = float(np.nan_to_num(found.difference_nm[visit, axis]))
+    known = np.isfinite(found.difference_nm[visit, axis])
+    if not known:
+        off, reason = middle, "the torque lies off what the other visits say"
+    elif abs(half) < 0.5 * abs(middle):
+        off, reason = middle, "both sides lie off to the same side, as if a cable or a touch had pushed the joint"
+    elif abs(middle) < 0.5 * abs(half):
+        off, reason = half, "the sides lie further apart than friction, as if a brake had held the joint"
+    else:
+        off, reason = middle + float(np.sign(middle)) * abs(half), "one of both sides lies off"
+    return GrossEntry(visit, axis, off, abs(off) / band_nm if band_nm > 0 else np.nan, reason)
+
+
+def set_aside(gross: Gross, run: Sequence[str], load: Sequence[str], pose: Sequence[int]) -> tuple[SetAside, ...]:
+    """The entries as the result has them, from run, load and pose of the n visits."""
+    return tuple(
+        SetAside(str(run[e.visit]), str(load[e.visit]), e.axis + 1, e.bands, pose=int(pose[e.visit]), reason=e.reason)
+        for e in gross.entries
+    )
+
+
+def gross_findings(gross: Gross, aside: Sequence[SetAside]) -> tuple[Finding, ...]:
+    """What the reader has to know of gross visits; `aside` as `set_aside` gives it."""
+    out = []
+    if aside:
+        where = "; ".join(f"J{a.joint} at pose {a.pose} under {a.load}{_by(a.bands)}" for a in aside)
+        out.append(
+            Finding(
+                "warn", "set aside", f"{len(aside)} gross torques are in no fit: {where}",
+                "look what touched or held the arm there; `record` these poses again",
+            )
+        )  # fmt: skip
+    for axis, count in gross.too_many:
+        out.append(
+            Finding(
+                "warn", f"J{axis + 1}",
+                f"{count} visits lie off the others, too many or too close in time for accidents: none is set aside",
+                "`diagnose` says whether a load has shifted or an effect is missing",
+            )
+        )  # fmt: skip
+    if gross.disturbed:
+        what = ", ".join(f"J{axis + 1} {bands:.1f}" for axis, bands in gross.disturbed)
+        out.append(
+            Finding(
+                "warn", "repeatability",
+                f"visits of one pose disagree by more than the friction band ({what} bands): no sound visit can be told"
+                " from a gross one there",
+                "check the wiring of the axes and what touches the arm, then record again",
+            )
+        )  # fmt: skip
+    return tuple(out)
+
+
+def _by(bands: float) -> str:
+    return f" by {bands:.1f} bands" if np.isfinite(bands) else ""

@@ -1,0 +1,220 @@
+"""Gross rest visits: found where a test has put them, nothing else thrown out, whatever the arm itself does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from benchmarks.rigs.tables import simulated_table
+from gateway.estimate import EstimateOptions, estimate
+from gateway.identify.deviations import RestHalves
+from gateway.identify.gross import Gross, find_gross, gross_findings, set_aside
+from gateway.model.regressor import gravity_regressor
+from gateway.model.robot import robot_from_urdf
+from gateway.model.visits import pair_visits
+from sim.blind import scaled
+from sim.draw import LOADED_S, POSES, VISIT_S, choose_poses, draw_arm
+from sim.draw_effects import MAKERS, OFF_MAKERS
+from sim.effects import apply_effects
+from sim.offline import PlannedVisit, measure, point_jacobian
+
+FROM_BELOW = slice(0, None, 2)
+#: What is added to the torque from below and from above, in the size of the disturbance.
+KINDS = ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, -1.0))
+#: An arm without losses in its gears.
+LOSSLESS = 1
+
+
+@dataclass
+class Measured:
+    """A simulated arm, its measured columns, and where the test has made them gross."""
+
+    seed: int
+    effect: str | None = None
+    loads: tuple[str, ...] = ("none", "tool")
+    strength: float = 10.0
+
+    def __post_init__(self):
+        rng = np.random.default_rng([self.seed, 5])
+        self.arm = draw_arm(rng)
+        poses = choose_poses(self.arm, POSES, rng)
+        self.visits = [
+            PlannedVisit(k, load, LOADED_S * place + VISIT_S * k, q)
+            for place, load in enumerate(self.loads)
+            for k, q in enumerate(poses)
+        ]
+        plant = self.arm.plant
+        if self.effect is not None:
+            maker = (MAKERS | OFF_MAKERS)[self.effect]
+            built, _ = scaled(self.arm, self.visits, maker, self.strength, rng)
+            plant = apply_effects(plant, [built], point_jacobian(self.arm.chain))
+        self.columns = measure(self.arm.chain, plant, self.visits, self.arm.loads, self.arm.protocol, rng)
+        self.robot = robot_from_urdf(self.arm.urdf, "drawn")
+        self.gross: set[tuple[int, int]] = set()
+
+    def disturb(self, count: int, rng: np.random.Generator, sizes: tuple[float, float] = (4.0, 10.0)) -> None:
+        """Gross torques at `count` visits, by so many friction bands: one axis, or all at once."""
+        visits = rng.choice(len(self.visits), count, replace=False)
+        for visit in visits:
+            for axis in [int(rng.integers(6))] if rng.random() < 0.7 else range(6):
+                self.push(int(visit), axis, KINDS[rng.integers(4)], rng.uniform(*sizes) * rng.choice([-1.0, 1.0]))
+
+    def push(self, visit: int, axis: int, kind: tuple[float, float], bands: float) -> None:
+        """Gross torque at one visit and axis."""
+        if kind[0] == -kind[1]:
+            bands = abs(bands)
+        for side in (0, 1):
+            self.columns["tau_nm"][2 * visit + side, axis] += kind[side] * bands * self.arm.plant.coulomb_nm[axis]
+        self.gross.add((visit, axis))
+
+    @property
+    def table(self):
+        return simulated_table(self.columns)
+
+    def found(self) -> Gross:
+        visits = pair_visits(self.table, self.arm.efficiency)
+        return find_gross(
+            RestHalves(
+                gravity_regressor(self.robot, visits.q_rad, (0.0, 0.0, -9.80665)),
+                visits.load,
+                visits.time_s,
+                visits.q_rad,
+                visits.tau_nm,
+                visits.band_nm,
+                visits.direction.astype(float),
+                visits.tau_std_nm,
+            )
+        )
+
+
+def entries(gross: Gross) -> set[tuple[int, int]]:
+    return {(entry.visit, entry.axis) for entry in gross.entries}
+
+
+@pytest.mark.parametrize("loads", [("none", "tool"), ("none",)])
+def test_gross_visits_are_found_and_sound_ones_kept(loads):
+    there = found = wrong = sound = 0
+    for seed in range(40):
+        measured = Measured(seed, loads=loads)
+        measured.disturb(1, np.random.default_rng([seed, 6]))
+        said = entries(measured.found())
+        there, found = there + len(measured.gross), found + len(said & measured.gross)
+        wrong, sound = wrong + len(said - measured.gross), sound + 6 * len(measured.visits) - len(measured.gross)
+    assert found >= 0.95 * there
+    assert wrong <= 0.01 * sound
+
+
+@pytest.mark.parametrize(
+    "effect",
+    ["balancer_spring", "cable_torque", "torque_ripple", "joint_zero_offset", "base_tilt", "axis_coupling",
+     "payload_shift", "end_stop_buffer", "bungee", "sign_reversed"],
+)  # fmt: skip
+def test_what_the_arm_itself_does_is_not_gross(effect):
+    wrong = sound = 0
+    for seed in range(100, 104):
+        measured = Measured(seed, effect, strength=20.0)
+        wrong += len(entries(measured.found()))
+        sound += 6 * len(measured.visits)
+    assert wrong <= 0.01 * sound
+
+
+@pytest.mark.parametrize("effect", ["balancer_spring", "cable_torque", "torque_ripple"])
+def test_gross_visits_are_found_beside_an_effect(effect):
+    there = found = 0
+    for seed in range(120, 124):
+        measured = Measured(seed, effect)
+        measured.disturb(1, np.random.default_rng([seed, 6]))
+        there, found = there + len(measured.gross), found + len(entries(measured.found()) & measured.gross)
+    assert found >= 0.95 * there
+
+
+def test_the_answer_moves_less_than_half_a_standard_deviation():
+    moved = []
+    for seed in range(20):
+        measured = Measured(seed)
+        options = EstimateOptions(inertials="prior:0.05", efficiency=tuple(measured.arm.efficiency))
+        before = estimate(measured.table, measured.robot, options).loads[0]
+        measured.disturb(1, np.random.default_rng([seed, 8]))
+        found = estimate(measured.table, measured.robot, options)
+        after = found.loads[0]
+        assert {(aside.pose, aside.joint - 1, aside.load) for aside in found.set_aside} == {
+            (measured.visits[visit].pose, axis, measured.visits[visit].load) for visit, axis in measured.gross
+        }
+        moved.append(abs(after.mass_kg - before.mass_kg) / before.mass_std_kg)
+        moved += (np.abs(after.com_m - before.com_m) / before.com_std_m).tolist()
+    assert np.quantile(moved, 0.9) < 0.5
+
+
+def test_a_table_of_gross_visits_alone_keeps_them_all_and_says_so():
+    for seed in range(5):
+        measured = Measured(seed)
+        measured.disturb(len(measured.visits), np.random.default_rng(seed))
+        rng = np.random.default_rng([seed, 9])
+        for visit in range(len(measured.visits)):
+            for axis in range(6):
+                measured.push(visit, axis, KINDS[rng.integers(3)], rng.uniform(4, 10) * rng.choice([-1, 1]))
+        found = measured.found()
+        assert not found.entries
+        assert "disagree by more than the friction band" in gross_findings(found, ())[-1].what
+
+
+def test_more_than_a_tenth_of_an_axis_is_no_accident():
+    measured = Measured(3)
+    for visit in range(0, 24, 5):
+        measured.push(visit, 2, (1.0, 1.0), 6.0)
+    found = measured.found()
+    assert not found.entries
+    assert found.too_many == ((2, 5),)
+    finding = gross_findings(found, ())[0]
+    assert (finding.severity, finding.where) == ("warn", "J3")
+    assert finding.what.startswith("5 visits lie off the others")
+
+
+def test_visits_in_a_row_are_a_change_and_not_an_accident():
+    measured = Measured(4)
+    for visit in (21, 22, 23):
+        measured.push(visit, 1, (1.0, 1.0), 6.0)
+    found = measured.found()
+    assert not found.entries
+    assert found.too_many == ((1, 3),)
+
+
+@pytest.mark.parametrize(
+    ("kind", "reason", "bands"),
+    [((1.0, 1.0), "cable or a touch", 6.0), ((1.0, -1.0), "brake", 6.0), ((0.0, 1.0), "one of both sides", 6.0)],
+)
+def test_an_entry_says_by_how_many_bands_and_in_what(kind, reason, bands):
+    measured = Measured(LOSSLESS)
+    measured.push(15, 4, kind, bands)
+    found = measured.found()
+    assert entries(found) == {(15, 4)}
+    assert reason in found.entries[0].reason
+    # the band as seen is a fifth smaller than that in motion, what has settled
+    assert found.entries[0].bands == pytest.approx(bands, rel=0.4)
+    aside = set_aside(found, ["r"] * 24, [v.load for v in measured.visits], [v.pose for v in measured.visits])
+    assert (aside[0].load, aside[0].pose, aside[0].joint) == ("tool", 3, 5)
+    assert "J5 at pose 3 under tool by" in gross_findings(found, aside)[0].what
+
+
+def test_one_sided_visits_are_judged_by_their_own_scatter():
+    there = found = wrong = 0
+    for seed in range(20):
+        measured = Measured(seed)
+        rng = np.random.default_rng([seed, 10])
+        visit, axis = int(rng.integers(24)), int(rng.integers(6))
+        measured.push(visit, axis, (1.0, 1.0), rng.choice([-1.0, 1.0]) * 6.0)
+        measured.columns = {name: values[FROM_BELOW] for name, values in measured.columns.items()}
+        said = entries(measured.found())
+        there, found, wrong = there + 1, found + len(said & measured.gross), wrong + len(said - measured.gross)
+    assert found >= 0.95 * there
+    assert wrong <= 0.01 * 20 * 144
+
+
+def test_a_table_without_noise_holds_nothing_gross():
+    measured = Measured(1)
+    visits = [PlannedVisit(v.pose, v.load, v.time_s, v.q_rad) for v in measured.visits]
+    tau = gravity_regressor(measured.robot, np.array([v.q_rad for v in visits]), (0, 0, -9.80665)) @ np.ones(24)
+    measured.columns["tau_nm"] = np.repeat(tau, 2, axis=0)
+    assert not measured.found().entries
