@@ -21,6 +21,7 @@ def cell(kind: str = "ordinary", truth: tuple = (), found: tuple = (), verdict: 
         "kind": kind,
         "misstated": False,
         "truth": list(truth),
+        "beside": [size for _, _, size in truth],
         "visits": [(0, "none"), (0, "tool"), (1, "none"), (1, "tool")],
         "gross": [],
         "estimated": inside,

@@ -12,7 +12,7 @@ from sim.nature.effect import Effect, play, rows_of
 from sim.nature.measuring import equilibrium, quiet, reported_nm
 from sim.nature.springs import draw_linkage
 from sim.nature.strange import STRANGE, pulled
-from sim.nature.strength import absorbing, added, strength
+from sim.nature.strength import absorbing, added, strength, strengths_beside
 from sim.nature.wiring import WIRING
 from sim.offline import gravity_columns, link_frames
 
@@ -118,6 +118,20 @@ def test_what_links_load_or_nuisances_take_over_has_no_strength(cell):
     bias[:, 4] = arm.friction.bias_std * arm.friction.coulomb_nm[4]
     whole = np.sqrt(np.mean((bias[:, 4] / arm.floor_nm[4]) ** 2))
     assert np.sqrt(np.mean(taken.left(bias)[:, 4] ** 2)) < whole
+
+
+def test_an_effect_beside_another_of_the_same_curve_cannot_be_told(cell):
+    # gears without losses: an offset shows in the half-sums alone
+    ones = np.ones(6)
+    friction = replace(cell.arm.friction, driving=ones, driven=ones, declared_efficiency=ones)
+    arm, rows = replace(cell.arm, friction=friction), rows_of(cell.visits)
+    size = 20.0 * arm.floor_nm.max()
+    first = NAMED["offset_sensor"](arm, rows, np.random.default_rng(8))[0](size)
+    other = NAMED["strong_ripple"](arm, rows, np.random.default_rng(9))[0](size)
+    alone = strength(arm, rows, first, absorbing(arm, cell.visits))
+    twin, ripple = (strengths_beside(arm, cell.visits, rows, (first, more))[0] for more in (first, other))
+    assert twin < 1e-6 * alone
+    assert 0.5 * alone < ripple <= alone
 
 
 def test_strength_of_friction_is_the_swing_of_the_half_differences(cell):
