@@ -69,9 +69,9 @@ def test_a_mass_whose_constants_are_all_wrong_alike_is_as_unsure_as_they_are():
 @pytest.mark.parametrize("condition", ["base", "efficiency", "all"])
 def test_the_truth_lies_where_the_oracle_says(condition):
     # the posterior mean of the same model, from measured half-sums, misses by what the oracle states
-    misses = np.array([_miss(seed, condition) for seed in range(50)])
-    assert 0.8 < np.sqrt(np.mean(misses**2)) < 1.25
-    assert np.abs(misses.mean(axis=0)).max() < 0.5
+    misses = np.array([_miss(seed, condition) for seed in range(30)])
+    assert 0.75 < np.sqrt(np.mean(misses**2)) < 1.3
+    assert np.abs(misses.mean(axis=0)).max() < 0.6
 
 
 def _miss(seed: int, condition: str) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio
 import pytest
 
-from sim.nature.cell import KINDS, draw_cell, draw_effect_cell
+from sim.nature.cell import KINDS, draw_cell, draw_effect_cell, drawn_kind
 from sim.nature.effect import rows_of
 from sim.nature.friction import Friction
 from sim.nature.levels import CONDITIONS
@@ -159,7 +159,10 @@ def test_links_and_gains_are_drawn_with_what_is_stated():
 
 
 def test_every_kind_is_drawn_in_its_share():
-    kinds = [draw_effect_cell(seed).kind for seed in range(150)]
+    drawn = [drawn_kind(seed) for seed in range(1000)]
     for kind, share in KINDS.items():
-        assert np.mean([k == kind for k in kinds]) == pytest.approx(share, abs=0.12)
-    assert {draw_effect_cell(seed).condition for seed in range(40)} <= set(CONDITIONS)
+        # four standard deviations of a share of 1000
+        assert np.mean([k == kind for _, k in drawn]) == pytest.approx(share, abs=4 * np.sqrt(share / 1000))
+    assert {condition for condition, _ in drawn} == set(CONDITIONS)
+    assert np.mean([condition == "all" for condition, _ in drawn]) == pytest.approx(0.5, abs=0.07)
+    assert [draw_effect_cell(seed).kind for seed in range(4)] == [kind for _, kind in drawn[:4]]
