@@ -39,7 +39,7 @@ from gateway.diagnose.rest.outcome import (
     summary,
 )
 from gateway.diagnose.rest.pictures import DrawnVisits, pictures
-from gateway.diagnose.rest.problem import Knowledge, build_problem, first_noise
+from gateway.diagnose.rest.problem import Knowledge, build_problem, first_noise, settled_noise
 from gateway.diagnose.rest.remarks import corrected_links, limits, refused_loads
 from gateway.diagnose.rest.rows import Aside, joined, rest_rows, set_gross_aside
 from gateway.diagnose.rest.search import Search, run
@@ -151,8 +151,8 @@ class RestDiagnosis:
 
     def _searched(self, table: Table, aside: Aside, mistakes: tuple[Mistake, ...], gained: float) -> Found:
         problem = self.problem(_undone(table, mistakes), aside)
-        noise = first_noise(problem)
-        plain = fit(problem, (), noise)
+        plain = fit(problem, (), first_noise(problem))
+        noise = settled_noise(problem, plain)
         bodies = problem.model.bodies(plain.setting, plain.links, visit_loads(problem, plain.loads))
         torque, _ = problem.model.joint_torque(plain.setting, bodies)
         weighed = bool(self.options.known) or self.knowledge.inertials == "exact"

@@ -58,6 +58,9 @@ class RestThresholds:
         8, "", "effects of one hypothesis", "an end to the search, well beyond what its gains let it reach"
     )
     needed: float = threshold(3.0, "log odds", "what an effect has to gain to stay", "log of 20, as sure odds")
+    over_prior: float = threshold(
+        1.0, "odds", "against what goes beyond an ordinary parameter, whose prior holds it down already", BLIND
+    )
     implausible: float = threshold(8.0, "log odds", "against an effect that its mechanism cannot do", BLIND)
     rare: float = threshold(2.0, "log odds", "against a shape without a name beside the effects with one", BLIND)
     # prior and noise
@@ -74,6 +77,12 @@ class RestThresholds:
         "share of an axis's torque below which no noise is believed",
         "resolution of a torque word of 1000 steps, rounded off over some visits",
     )
+    cold: float = threshold(
+        0.25, "", "share by which friction is larger cold, of each time constant", "`methods.md` 9: 0 to 0.5"
+    )
+    warm_fast_s: float = threshold(600.0, "s", "the shorter time in which it warms up", "`methods.md` 9: 5 to 60 min")
+    warm_slow_s: float = threshold(2400.0, "s", "the longer", "`methods.md` 9: 5 to 60 min")
+    cogging: float = threshold(1.0, "floors", "RMS of a ripple that every gear has", "`methods.md` 9: below one floor")
     # where the search looks
     singles: int = threshold(8, "", "places fitted alone", BLIND)
     pairs: int = threshold(10, "", "pairs of places fitted together", BLIND)
@@ -93,7 +102,7 @@ class RestThresholds:
     common_mistake: float = threshold(
         30.0, "log odds", "against one factor on all axes: heavier links look like it", BLIND
     )
-    surer: float = threshold(3.0, "log odds", "against a mistake beside the best effects instead", BLIND)
+    surer: float = threshold(2.0, "log odds", "against a mistake beside the best effects instead", BLIND)
     obvious: float = threshold(150.0, "log odds", "gain at which effects need not be searched for first", BLIND)
     most_mistakes: int = threshold(3, "", "mistakes of one arm", "two wrong drives and one cable")
     least_axes: int = threshold(

@@ -30,6 +30,7 @@ class TorqueRipple(ReadingTorque):
 
     per_revolution: float = 100.0
     name: ClassVar[str] = "torque_ripple"
+    takes_over: ClassVar[str] = "cogging"
     parameters: ClassVar[tuple[str, ...]] = ("sine_nm", "cosine_nm")
     linear: ClassVar[tuple[bool, ...]] = (True, True)
     SPREAD: ClassVar[tuple[float, ...]] = (NAN, NAN)
