@@ -203,7 +203,9 @@ def _fit(
     design, target = problem.about(value)
     fit = fit_noise(design * scale[:, None], target * scale, prior, groups)
     constants = np.concatenate([np.zeros(4), np.minimum(stds[axes] / std[4:], 1.0) ** 2])
-    return _Fitted(problem, design * scale[:, None], target * scale, scale, rows.one_sided[pose, axis], prior, constants, fit)
+    return _Fitted(
+        problem, design * scale[:, None], target * scale, scale, rows.one_sided[pose, axis], prior, constants, fit
+    )
 
 
 def _differences(own: Visits, reference: Visits, reference_nm: Floats, label: str) -> _Rows:
