@@ -71,7 +71,7 @@ class Term:
     with_friction : bool
         Whether Coulomb and viscous friction of its axis belong to what is reported.
     takes_over : str
-        What every arm has on that axis and the effect is too much of: "gain", "bias", "load_friction", "cogging"; empty = nothing.
+        What every arm has on that axis and the effect is too much of: "gain", "bias", "load_friction" or "cogging".
     """
 
     name: ClassVar[str] = ""
