@@ -21,7 +21,9 @@ from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
 
+#: Fits [-] until the modelled torque in the columns is that of the fit: the last changes nothing that is told.
 ROUNDS = 4
+#: Relative length [-] of what the model leaves of a column, below which the column says nothing of its own.
 INDEPENDENT = 1e-5
 
 

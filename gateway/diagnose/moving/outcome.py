@@ -33,6 +33,7 @@ from gateway.result.result import (
 
 Floats = NDArray[np.float64]
 
+#: Rows [-] that a result keeps for its pictures: some hundred kilobytes.
 ROWS_KEPT = 600
 
 

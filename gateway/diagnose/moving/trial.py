@@ -15,6 +15,7 @@ from gateway.diagnose.moving.thresholds import MOVING
 from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
+#: Stretches of time [-] that a held-out gain is spread over: fewer have no scatter, more are not independent.
 FEWEST_STRETCHES, MOST_STRETCHES = 6, 24
 # Coefficients, their covariance, drop of the cost, residual (n, len(axes)) with the effect, fit without it.
 Solved = tuple[Floats, Floats, float, Floats, MovingFit]
