@@ -21,6 +21,7 @@ from gateway.model.term import Named, Term
 
 Floats = NDArray[np.float64]
 
+#: Relative step [-] of a derivative by differences.
 STEP = 1e-3
 
 

@@ -19,7 +19,7 @@ from gateway.diagnose.rest.fit import fit
 from gateway.diagnose.rest.fresh import fresh_misfit, fresh_seen_nm, spare_rows
 from gateway.diagnose.rest.holdout import Unseen, foretold_covariance, predicted
 from gateway.diagnose.rest.linear import Fit, RestProblem, visit_loads
-from gateway.diagnose.rest.loads import loads_of
+from gateway.diagnose.rest.loads import loads_of, ordinary_of
 from gateway.diagnose.rest.mistakes import (
     Mistake,
     band_signs,
@@ -251,6 +251,7 @@ class RestDiagnosis:
             rejected=tuple(rejected(search, decision)),
             next=questions(problem, decision, self.robot, self.options, self.knowledge),
             findings=tuple(findings),
+            nuisance=ordinary_of(problem, decision.after),
             set_aside=found.aside.entries,
             quality=structure_seen_nm(problem, decision.whole, np.array(floor))
             | fresh_seen_nm(problem, held, decision.after),

@@ -32,6 +32,7 @@ from gateway.model.term import Term
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+#: Gauss-Newton steps [-]: the model is nearly linear, the noise settles in four.
 _STEPS = 6
 #: Standard deviation of what an effect of the hypothesis says instead.
 NOTHING = 1e-9

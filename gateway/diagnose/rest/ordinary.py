@@ -24,10 +24,14 @@ KINDS: Final = ("gain", "bias", "load_friction", "one_efficiency", "cold_fast", 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ordinary:
-    """Prior of the ordinary parameters (K N,), by kind and then by axis."""
+    """Prior of the ordinary parameters (K N,), by kind and then by axis.
+
+    `constants` (N,) is the share of a gain's prior variance that is of its torque constant; the rest is of losses.
+    """
 
     mean: Floats
     std: Floats
+    constants: Floats
 
     def __post_init__(self) -> None:
         """All hypotheses share the prior: none may change it."""
@@ -52,6 +56,7 @@ class Ordinary:
         return Ordinary(
             np.concatenate([none, none, prior.load_friction, 0.5 * one, none, none]),
             np.concatenate([gain, prior.bias_std_nm, prior.load_friction_std, 0.5 * one, cold, cold]),
+            (gain_std / gain) ** 2,
         )
 
     @property

@@ -20,8 +20,10 @@ from gateway.model.robot import Robot
 from gateway.result.result import Bare
 
 Floats = NDArray[np.float64]
+#: Standard deviation [kg] and [kg m] of a link of which nothing is known: a hundred times that of any arm.
 OPEN_MASS_KG = 1e3
 OPEN_MOMENT_KG_M = 1e3
+#: Relative standard deviation [-] of inertials that are called exact: below what any torque shows.
 EXACT = 1e-4
 #: Friction band of an axis that was approached from one side only, as a share of its torque.
 BAND_UNSEEN = 0.05

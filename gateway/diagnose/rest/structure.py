@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -228,7 +228,7 @@ def _product_tail(score: Floats, count: int) -> Floats:
     return np.exp(np.interp(score, _SCORES, _log_product_tail(count)))
 
 
-@lru_cache(maxsize=64)
+@cache
 def _log_product_tail(count: int) -> Floats:
     levels = chi2.ppf((np.arange(_LEVELS) + 0.5) / _LEVELS, count)
     tail = chdtrc(count, np.maximum(2.0 * _SCORES[:, None] * np.sqrt(count) + levels, 0.0)).mean(axis=1)

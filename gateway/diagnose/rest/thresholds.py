@@ -150,6 +150,9 @@ class RestThresholds:
     surer: float = threshold(2.0, "log odds", "against a mistake beside the best effects instead", BLIND)
     obvious: float = threshold(150.0, "log odds", "gain at which effects need not be searched for first", BLIND)
     most_mistakes: int = threshold(3, "", "mistakes of one arm", "two wrong drives and one cable")
+    mistake_sure: float = threshold(
+        0.95, "", "probability that undoing a mistake foretells unseen poses better", "custom, one-sided"
+    )
     least_axes: int = threshold(
         2,
         "",
@@ -204,6 +207,12 @@ class RestThresholds:
     )
     # what to measure next
     asked: int = threshold(8, "", "poses asked for at once", "some five minutes of measuring")
+    told_in_all: float = threshold(
+        0.1,
+        "",
+        "share of what a pose tells of all rivals, beside the one that is hardest to tell",
+        "small: it only decides between poses that tell that one equally well",
+    )
     telling: float = threshold(
         1.0, "log odds", "what new poses have to promise", "less does not change odds that matter"
     )
