@@ -8,6 +8,7 @@ from functools import partial
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.data.table import Table
 from gateway.diagnose.options import DiagnoseOptions
@@ -19,7 +20,7 @@ from gateway.diagnose.rest.fit import fit
 from gateway.diagnose.rest.fresh import fresh_misfit, fresh_seen_nm, spare_rows
 from gateway.diagnose.rest.holdout import Unseen, foretold_covariance, predicted
 from gateway.diagnose.rest.linear import Fit, RestProblem, visit_loads
-from gateway.diagnose.rest.loads import loads_of, ordinary_of
+from gateway.diagnose.rest.loads import loads_of, ordinary_of, spread_by_shape
 from gateway.diagnose.rest.mistakes import (
     Mistake,
     band_signs,
@@ -41,7 +42,7 @@ from gateway.diagnose.rest.outcome import (
 )
 from gateway.diagnose.rest.pictures import DrawnVisits, pictures
 from gateway.diagnose.rest.problem import Knowledge, build_problem, first_noise, settled_noise
-from gateway.diagnose.rest.remarks import corrected_links, limits, refused_loads
+from gateway.diagnose.rest.remarks import at_the_edge, corrected_links, limits, refused_loads
 from gateway.diagnose.rest.ripple import ripple_remarks, with_ripple
 from gateway.diagnose.rest.rows import Aside, joined, rest_rows, set_gross_aside
 from gateway.diagnose.rest.search import Search, run
@@ -56,6 +57,8 @@ from gateway.model.rest import RestRows
 from gateway.model.robot import Robot
 from gateway.model.unnamed import unnamed_terms
 from gateway.result.result import Finding, FitSummary, HoldoutKind, LoadResult, Result, Verdict
+
+Floats = NDArray[np.float64]
 
 #: A verdict once something was found beside the search, and once rows that no fit has seen contradict it.
 MORE: Final[Mapping[Verdict, Verdict]] = {
@@ -201,9 +204,9 @@ class RestDiagnosis:
         problem = self.problem(table, found.aside)
         return summary(problem, fit(problem, (), first_noise(problem)), Judge(problem, None), self.robot)
 
-    def _from_all(self, held: Unseen, seen: Fit) -> tuple[LoadResult, ...]:
+    def _from_all(self, held: Unseen, seen: Fit, by_shape: Floats) -> tuple[LoadResult, ...]:
         """Loads of the same hypothesis on fitted and fresh visits together."""
-        return loads_of(held.problem, fit(held.problem, seen.terms, seen.noise, seen), self.robot)
+        return loads_of(held.problem, fit(held.problem, seen.terms, seen.noise, seen), self.robot, by_shape)
 
     def report(self, found: Found, holdout: Table | None = None, kind: HoldoutKind = "given") -> Result:
         """Verdict and figures of a search; `holdout` are rows that no fit has seen, `kind` where they come from."""
@@ -225,14 +228,15 @@ class RestDiagnosis:
         if found.mistakes or seen_by_encoder or by_direction:
             verdict = MORE[verdict]
         before = self._before(decision, judge, found, bool(by_direction))
-        after = summary(problem, decision.after, judge, self.robot)
+        by_shape = spread_by_shape(decision.after, search.alike(decision.after))
+        after = summary(problem, decision.after, judge, self.robot, by_shape)
         if held is not None and kind == "fresh" and not findings:
             # what the proof has confirmed is told by all visits, those of the proof included
-            after = replace(after, loads=self._from_all(held, decision.after))
+            after = replace(after, loads=self._from_all(held, decision.after, by_shape))
             if decision.after is decision.before and not found.mistakes:
                 before = replace(before, loads=after.loads)
         floor, band = floor_and_band(problem, decision)
-        findings += corrected_links(decision)
+        findings += corrected_links(decision) + at_the_edge(decision, problem)
         findings += found.aside.findings
         if "torque_ripple" in self.options.allowed:
             findings += ripple_remarks(search, decision.after, self.options.gear_ratios(problem.axes))

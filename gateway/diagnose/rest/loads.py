@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,14 +22,27 @@ from gateway.result.values import numbers
 Floats = NDArray[np.float64]
 
 
-def loads_of(problem: RestProblem, fit: Fit, robot: Robot) -> tuple[LoadResult, ...]:
-    """Every load that was estimated, in the order of its label."""
-    return tuple(_load(problem, fit, robot, k) for k in range(len(problem.labels)))
+def loads_of(problem: RestProblem, fit: Fit, robot: Robot, by_shape: Floats | None = None) -> tuple[LoadResult, ...]:
+    """Every load that was estimated, in the order of its label.
+
+    `by_shape` (labels, 4, 4) is what the choice of the effects' shapes leaves open about [m, h], none if not given.
+    """
+    further = np.zeros((len(problem.labels), 4, 4)) if by_shape is None else by_shape
+    return tuple(_load(problem, fit, robot, k, further[k]) for k in range(len(problem.labels)))
 
 
-def _load(problem: RestProblem, fit: Fit, robot: Robot, index: int) -> LoadResult:
+def spread_by_shape(fit: Fit, alike: Sequence[tuple[float, Fit]]) -> Floats:
+    """Covariance (labels, 4, 4) of [m, h] about a fit over other shapes of its effects, by their probabilities."""
+    out = np.zeros((len(fit.loads), 4, 4))
+    for weight, other in alike:
+        away = other.loads - fit.loads
+        out += weight * away[:, :, None] * away[:, None, :]
+    return out
+
+
+def _load(problem: RestProblem, fit: Fit, robot: Robot, index: int, by_shape: Floats) -> LoadResult:
     label, moment, part = problem.labels[index], fit.loads[index], problem.load_part(index)
-    covariance = fit.covariance[part, part]
+    covariance = fit.covariance[part, part] + by_shape
     widening = _widening(problem, fit, part)
     turn = load_directions(moment)
     std = widening * np.sqrt(np.maximum(np.diag(turn @ covariance @ turn.T), 0.0))
@@ -46,7 +59,7 @@ def _load(problem: RestProblem, fit: Fit, robot: Robot, index: int) -> LoadResul
 
 
 def _budget(problem: RestProblem, fit: Fit, mass: int) -> Mapping[str, float]:
-    """Share of the variance of a mass by source; one-sided rows are friction, the other rows and what effects have noise."""
+    """Share of the variance of a mass by source; one-sided rows are friction, other rows and effects are noise."""
     count, axes = len(fit.prior_std), problem.axes
     constants, links, friction = np.zeros(count), np.zeros(count), np.zeros(count)
     links[problem.link_part] = 1.0

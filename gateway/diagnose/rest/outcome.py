@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -82,12 +82,12 @@ class Judge:
         return self.leaves(after).over(self.leaves(before), axes, after.noise.std[self.group][:, None])
 
 
-def summary(problem: RestProblem, fit: Fit, judge: Judge, robot: Robot) -> FitSummary:
-    """Residuals and loads of one fit."""
+def summary(problem: RestProblem, fit: Fit, judge: Judge, robot: Robot, by_shape: Floats | None = None) -> FitSummary:
+    """Residuals and loads of one fit; `by_shape` as `loads_of` has it."""
     return FitSummary(
         rms_nm=listed(Held.of_rows(fit.residual, problem.axis, problem.axes).rms_nm),
         holdout_rms_nm=listed(judge.leaves(fit).rms_nm),
-        loads=loads_of(problem, fit, robot),
+        loads=loads_of(problem, fit, robot, by_shape),
     )
 
 
@@ -105,8 +105,21 @@ def proven(search: Search, decision: Decision, judge: Judge) -> list[EffectResul
             runner_up=decision.runner_up.get(term.label),
             odds=min(decision.odds.get(term.label, LARGEST_ODDS), LARGEST_ODDS),
         )
-        out.append(_effect(search.problem, after, position, evidence))
+        out.append(_with_shapes(_effect(search.problem, after, position, evidence), search, after))
     return out
+
+
+def _with_shapes(effect: EffectResult, search: Search, after: Fit) -> EffectResult:
+    """The effect, its standard deviations with what the choice of its shape leaves open."""
+    variance = {key: std**2 for key, std in effect.std.items()}
+    for weight, other in search.alike(after):
+        for term, theta in zip(other.terms, other.theta, strict=True):
+            if term.label != (effect.name, effect.joints):
+                continue
+            values, _ = term.report(theta, np.zeros((len(theta), len(theta))))
+            for key in variance.keys() & values.keys() & effect.parameters.keys():
+                variance[key] += weight * (values[key] - effect.parameters[key]) ** 2
+    return replace(effect, std={key: float(np.sqrt(value)) for key, value in variance.items()})
 
 
 def possible(search: Search, decision: Decision, judge: Judge) -> list[EffectResult]:

@@ -7,6 +7,7 @@ import numpy as np
 from gateway.diagnose.rest.decide import Decision
 from gateway.diagnose.rest.linear import RestProblem
 from gateway.identify.loads import BARE_LABEL
+from gateway.model.effects import LIBRARY
 from gateway.result.result import Finding, LoadResult
 
 
@@ -41,3 +42,18 @@ def limits(problem: RestProblem) -> list[Finding]:
         text = "every pose was approached from one side only: friction is noise here"
         out.append(Finding("info", "data", text, "approach each pose from both sides"))
     return out
+
+
+def at_the_edge(decision: Decision, problem: RestProblem) -> list[Finding]:
+    """Effects with a parameter that no arm of their kind has."""
+    fit = decision.after
+    return [
+        Finding(
+            "warn",
+            " ".join(f"J{joint}" for joint in term.joints) or "arm",
+            f"{LIBRARY[term.name].words} is fitted with a parameter at the edge of what its mechanism can do",
+            "its value says where the data push, not what the part is: look at the part, or measure more poses",
+        )
+        for term, theta in zip(fit.terms, fit.theta, strict=True)
+        if term in decision.proven and not term.plausible(theta, problem.rows)
+    ]

@@ -82,6 +82,14 @@ class Search:
                 self.raw[term] = columns_of(self.problem, nothing, term)
         return screen(self.problem, about, terms, std, self.raw)
 
+    def alike(self, hypothesis: Fit) -> list[tuple[float, Fit]]:
+        """Other shapes of the same effects, each with its probability among all of these shapes."""
+        own = sorted(term.label for term in hypothesis.terms)
+        fits = [fit for fit in self.pool.values() if sorted(term.label for term in fit.terms) == own]
+        score = np.array([self.score(fit) for fit in fits])
+        weight = np.exp(score - score.max(initial=0.0))
+        return [(float(w / weight.sum()), fit) for w, fit in zip(weight, fits, strict=True) if fit is not hypothesis]
+
     def best(self, fits: Iterable[Fit] | None = None) -> Fit:
         """The fit with the highest score."""
         return max(self.pool.values() if fits is None else fits, key=self.score)
