@@ -139,7 +139,8 @@ def _one_sided(estimate: Estimate) -> list[Finding]:
     rows = estimate.rows
     if rows is None or estimate.method == "difference":
         return []
-    alone = np.asarray(np.isnan(rows.band_nm).all(axis=1))
+    measured = np.isfinite(rows.tau_nm).any(axis=1)
+    alone = np.asarray(np.isnan(rows.band_nm[measured]).all(axis=1))
     if not alone.any():
         return []
     return [

@@ -67,8 +67,9 @@ def _percent(budget: Mapping[str, float], name: str) -> str:
 
 
 def _bar(panel: Panel, load: LoadResult, top: float) -> None:
-    title = f"{words.load(load.label)}: standard deviation {words.significant(load.mass_std_kg, 2)} kg"
-    panel.text(_LEFT, top + 4.0, title, "name")
+    std = words.plain(load.mass_std_kg, words.decimals(load.mass_std_kg))
+    title = f"{words.load(load.label)}: standard deviation {std} kg"
+    panel.text(_LEFT, top + 4.0, title, "tick name")
     start = 0.0
     for name in SOURCE_WORDS:
         share = max(0.0, load.budget.get(name, 0.0))
@@ -87,9 +88,13 @@ def budget_rows(result: Result) -> list[BudgetRow]:
     return [
         BudgetRow(
             load.label,
-            words.significant(load.mass_std_kg, 2),
+            words.plain(load.mass_std_kg, words.decimals(load.mass_std_kg)),
             tuple(
-                (name, f"{100 * share:.0f}", words.significant(math.sqrt(max(share, 0.0)) * load.mass_std_kg, 2))
+                (
+                    name,
+                    f"{100 * share:.0f}",
+                    words.plain(math.sqrt(max(share, 0.0)) * load.mass_std_kg, words.decimals(load.mass_std_kg)),
+                )
                 for name, share in ((key, load.budget.get(key, 0.0)) for key in SOURCE_WORDS)
             ),
         )
