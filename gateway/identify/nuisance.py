@@ -79,8 +79,9 @@ def gain_stds(given: Sequence[float] | None, axes: int) -> Floats:
     if values.shape != (axes,):
         raise ConfigError(f"{len(values)} standard deviations of torque constants for an arm of {axes} axes")
     if not (np.isfinite(values) & (values >= 0) & (values < _MOST_GAIN_STD)).all():
+        worst = float(np.nan_to_num(np.abs(values), nan=np.inf).max())
         raise ConfigError(
-            f"a torque constant known to {100 * float(np.nan_to_num(np.abs(values), nan=np.inf).max()):.0f} % says nothing of a mass: "
+            f"a torque constant known to {100 * worst:.0f} % says nothing of a mass: "
             f"state less than {100 * _MOST_GAIN_STD:.0f} %, or weigh a load and give it as --known"
         )
     return np.maximum(values, _EXACT)
