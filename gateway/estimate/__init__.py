@@ -11,7 +11,7 @@ from typing import Any
 
 from gateway.data.rows import Table
 from gateway.errors import ConfigError, DataUnusable
-from gateway.estimate.advice import next_pose
+from gateway.estimate.advice import next_pose, shrinks_most
 from gateway.estimate.aside import without_gross
 from gateway.estimate.coefficient import estimate_coefficient
 from gateway.estimate.difference import estimate_difference
@@ -102,8 +102,9 @@ def estimate(table: Table, robot: Robot | None, options: EstimateOptions, method
     if robot is None:
         raise ConfigError(f"--method {method} needs the robot model: give --robot R.urdf or --cell CELL")
     found = ESTIMATORS[method](table, robot, options)
-    advice = (next_pose(load, robot, found.sigma_nm, options) for load in found.loads)
-    return replace(found, next=tuple(pose for pose in advice if pose is not None))
+    advice = [next_pose(load, robot, found.sigma_nm, options) for load in found.loads]
+    advice += [shrinks_most(load) for load in found.loads]
+    return replace(found, next=tuple(entry for entry in advice if entry is not None))
 
 
 def run(

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.estimate.options import EstimateOptions
+from gateway.identify.budget import CONSTANTS, FRICTION, LINKS
 from gateway.identify.load_estimate import LoadEstimate
 from gateway.model.information import payload_information
 from gateway.model.robot import Robot
@@ -50,6 +51,36 @@ def next_pose(load: LoadEstimate, robot: Robot, sigma_nm: Floats, options: Estim
         poses_rad=(tuple(round(float(angle), 6) for angle in q[best]),),
         reduction=float(np.exp(-value[best] / 8.0)),
     )
+
+
+#: Share of the mass's variance from which on a source is worth a line of its own.
+_WORTH_SAYING = 0.3
+
+
+def shrinks_most(load: LoadEstimate) -> NextMeasurement | None:
+    """What would shrink the mass's uncertainty most, by where it comes from; None where no source stands out.
+
+    `reduction` is what is left of the standard deviation without that source, and for another block of visits with half
+    its variance.
+    """
+    if not load.budget or load.refused is not None:
+        return None
+    source = max(load.budget, key=lambda name: load.budget[name])
+    share = load.budget[source]
+    if share < _WORTH_SAYING:
+        return None
+    percent = f"{100 * share:.0f} % of the variance of {load.label}'s mass comes from"
+    if source == CONSTANTS:
+        what = f"hang a load of known mass and give it as --known: {percent} the torque constants"
+        return NextMeasurement(what=what, reduction=float(np.sqrt(max(1.0 - share, 0.0))))
+    if source == LINKS:
+        what = f"hang a load of known mass, or weigh the links: {percent} what is not known of the links"
+        return NextMeasurement(what=what, reduction=float(np.sqrt(max(1.0 - share, 0.0))))
+    if source == FRICTION:
+        what = f"approach every pose from both sides, bare, {load.label}, {load.label}, bare: {percent} friction"
+        return NextMeasurement(what=what, reduction=float(np.sqrt(1.0 - share / 2.0)))
+    what = f"another block bare, {load.label}, {load.label}, bare: {percent} noise"
+    return NextMeasurement(what=what, reduction=float(np.sqrt(1.0 - share / 2.0)))
 
 
 def candidates(robot: Robot) -> Floats:

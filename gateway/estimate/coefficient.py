@@ -7,7 +7,7 @@ refused: torque beyond the rated one at rest, a torque that rises where the leve
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,10 @@ from gateway.errors import DataUnusable, InputError
 from gateway.estimate.consistency import describe_masses, disagree
 from gateway.estimate.estimate import Estimate
 from gateway.estimate.options import Coefficient, EstimateOptions
+from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, NOISE
 from gateway.identify.load_estimate import LOAD_PARTS, LoadEstimate, refused_load
 from gateway.identify.loads import BARE_LABEL
+from gateway.identify.nuisance import gain_stds
 from gateway.model.robot import Robot
 from gateway.result.result import Finding
 
@@ -93,6 +95,7 @@ def estimate_coefficient(table: Table, robot: Robot | None, options: EstimateOpt
             continue
         case = _Case(label, masses[reference_label], masses.get(label))
         load, finding = _one(_poses(rest, how, label), reference, how, case)
+        load = _with_gain(load, case, float(gain_stds(options.gain_std, table.axes)[how.joint - 1]))
         loads += [load] if case.stated_kg is None or load.refused else []
         findings += finding
     if not loads:
@@ -158,6 +161,17 @@ def _load(label: str, mass: Floats, per_pose: dict[str, float]) -> LoadEstimate:
     return LoadEstimate(
         label, float(mass.mean()), wide, nothing, nothing, correlation, square, LOAD_PARTS[1:], per_pose
     )
+
+
+def _with_gain(load: LoadEstimate, case: _Case, gain_std: float) -> LoadEstimate:
+    """The load with what the torque constant of the one axis leaves open, and the shares of both in its variance."""
+    if load.refused is not None or not np.isfinite(load.mass_std_kg):
+        return load
+    constants = (gain_std * (load.mass_kg - case.reference_kg)) ** 2
+    variance = load.mass_std_kg**2 + constants
+    share = constants / variance if variance > 0 else 0.0
+    budget = {CONSTANTS: share, LINKS: 0.0, FRICTION: 0.0, NOISE: 1.0 - share} if variance > 0 else {}
+    return replace(load, mass_std_kg=float(np.sqrt(variance)), budget=budget)
 
 
 def _doubts(common: list[_Pose], how: Coefficient) -> list[str]:

@@ -30,7 +30,7 @@ from gateway.identify.load_estimate import (
     without_guesses,
 )
 from gateway.identify.loads import BARE_LABEL, load_vector, unknown_labels
-from gateway.identify.nuisance import gain_stds, losses, nuisance_prior
+from gateway.identify.nuisance import gain_stds, held_by_friction, losses, nuisance_prior
 from gateway.identify.solve import Prior, determined
 from gateway.model.kinematics import gravity_in_last_link, largest_angle_rad
 from gateway.model.regressor import load_regressor
@@ -154,7 +154,7 @@ def _one(
         rank=fit.solution.rank,
         condition=fit.solution.condition,
         findings=_left_out(own, rows, label),
-        nuisance={"gain": NuisanceResult(*(tuple(row) for row in gain.tolist()))},
+        nuisance={"gain": NuisanceResult(*(tuple(row) for row in gain.tolist())), "load_friction": fitted.loss},
         quality={"rank": fit.solution.rank, "condition": fit.solution.condition, "poses": len(rows.pose)},
     )
 
@@ -170,6 +170,7 @@ class _Fitted:
     one_sided: NDArray[np.bool_]
     prior: Prior
     constants: Floats
+    loss: NuisanceResult
     fit: NoiseFit
 
 
@@ -189,8 +190,9 @@ def _fit(
     scale = 1.0 / np.sqrt(rows.share[pose, axis])
     groups = _groups(visits, rows, pose, axis)
     # no model of the links stands here: the measured torque says how large the torque is, of the prior alone
-    stds, lost = gain_stds(options.gain_std, robot.axes), losses(visits.band_nm, visits.tau_nm)[0]
-    nuisance = nuisance_prior(stds, friction_bands(visits), lost)
+    stds, lost = gain_stds(options.gain_std, robot.axes), losses(visits.band_nm, visits.tau_nm)
+    bands = friction_bands(visits)
+    nuisance = nuisance_prior(stds, bands, lost[0], held_by_friction(visits.tau_nm, bands))
     mean, std = np.zeros(4 + len(axes)), np.full(4 + len(axes), np.inf)
     mean[4:], std[4:] = nuisance.gain[axes], nuisance.gain_std[axes]
     prior = replace(Prior.free(len(mean)), mean=mean, std=std)
@@ -203,8 +205,9 @@ def _fit(
     design, target = problem.about(value)
     fit = fit_noise(design * scale[:, None], target * scale, prior, groups)
     constants = np.concatenate([np.zeros(4), np.minimum(stds[axes] / std[4:], 1.0) ** 2])
+    loss = NuisanceResult(*(tuple(each.tolist()) for each in lost))
     return _Fitted(
-        problem, design * scale[:, None], target * scale, scale, rows.one_sided[pose, axis], prior, constants, fit
+        problem, design * scale[:, None], target * scale, scale, rows.one_sided[pose, axis], prior, constants, loss, fit
     )
 
 

@@ -12,7 +12,7 @@ from gateway.estimate.gains import settled
 from gateway.estimate.noise import NoiseFit, fit_noise, noise_levels
 from gateway.estimate.options import EstimateOptions
 from gateway.estimate.problem import Problem
-from gateway.identify.nuisance import NuisancePrior, gain_stds, losses, nuisance_prior
+from gateway.identify.nuisance import NuisancePrior, gain_stds, held_by_friction, losses, nuisance_prior
 from gateway.identify.solve import Prior, solve
 
 Floats = NDArray[np.float64]
@@ -58,9 +58,9 @@ def fit_problem(problem: Problem, options: EstimateOptions) -> Fitted:
         torque = np.full(visits.tau_nm.shape, np.nan)
         torque[problem.visit, problem.axis] = rows.torque(value)
         loss, loss_std = losses(visits.band_nm, torque)
-        prior = _with_gains(problem, nuisance_prior(stds, bands, loss), options).with_std(
-            problem.offsets, prior.std[problem.offsets]
-        )
+        nuisance = nuisance_prior(stds, bands, loss, held_by_friction(torque, bands))
+        bias = np.where(np.isfinite(bands), nuisance.bias_std_nm, 0.0)[problem.offset_axis]
+        prior = _with_gains(problem, nuisance, options).with_std(problem.offsets, prior.std[problem.offsets])
         design, target = rows.about(value)
         levels = noise_levels(design, target, prior, groups)
         about = replace(problem, design=design, target=target, prior=prior)

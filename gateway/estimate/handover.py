@@ -13,6 +13,7 @@ from gateway.estimate.consistency import hull_radius_m, physical_findings
 from gateway.estimate.estimate import Estimate, FittedRows
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.load_estimate import LoadEstimate, load_result
+from gateway.identify.nuisance import LOAD_FRICTION, LOAD_FRICTION_STD, ORDINARY_STD, efficiency_of
 from gateway.model.robot import Robot
 from gateway.result.result import Finding, FitSummary, Parameter, Result, Rows
 
@@ -82,7 +83,25 @@ def _findings(estimate: Estimate, robot: Robot | None, options: EstimateOptions)
     if estimate.rows is not None and estimate.method in ("joint", "difference", "posture"):
         out += _missing_axes(estimate.rows, robot, estimate.sigma_nm, options)
         out += _one_sided(estimate)
-    return out
+    return out + _gear_losses(estimate)
+
+
+def _gear_losses(estimate: Estimate) -> list[Finding]:
+    """Axes whose friction grows with the torque more than any ordinary gear's: an efficiency that nobody stated."""
+    loss = estimate.nuisance.get("load_friction")
+    if loss is None:
+        return []
+    most = LOAD_FRICTION + ORDINARY_STD * LOAD_FRICTION_STD
+    return [
+        Finding(
+            "warn", f"J{joint}",
+            f"its friction grows by {100 * value:.0f} % of the torque, as of a gear of efficiency"
+            f" {efficiency_of(value):.2f} that is not stated; the intervals are widened for it",
+            "state `gear_efficiency` in the cell file",
+        )
+        for joint, (value, std) in enumerate(zip(loss.value, loss.std, strict=True), start=1)
+        if value - ORDINARY_STD * std > most
+    ]  # fmt: skip
 
 
 def _why_open(estimate: Estimate, load: LoadEstimate) -> str:
@@ -120,7 +139,8 @@ def _one_sided(estimate: Estimate) -> list[Finding]:
     rows = estimate.rows
     if rows is None or estimate.method == "difference":
         return []
-    alone = np.asarray(np.isnan(rows.band_nm).all(axis=1))
+    measured = np.isfinite(rows.tau_nm).any(axis=1)
+    alone = np.asarray(np.isnan(rows.band_nm[measured]).all(axis=1))
     if not alone.any():
         return []
     return [

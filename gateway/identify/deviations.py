@@ -22,7 +22,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class GrossLimits:
-    """What counts as gross. Origin: simulated arms of seeds 0 to 399, with and without effects, gross visits added."""
+    """What counts as gross. Origin: simulated arms of seeds 0 to 199, with and without effects, gross visits added."""
 
     #: Robust standard deviations that an entry lies off at least.
     scales: float = 7.0

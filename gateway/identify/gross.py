@@ -134,7 +134,7 @@ def gross_findings(gross: Gross, aside: Sequence[SetAside]) -> tuple[Finding, ..
     """What the reader has to know of gross visits; `aside` as `set_aside` gives it."""
     out = []
     if aside:
-        where = "; ".join(f"J{a.joint} at pose {a.pose} under {a.load}{_by(a.bands)}" for a in aside)
+        where = "; ".join(_of_visit(visit, aside) for visit in dict.fromkeys((a.load, a.pose) for a in aside))
         out.append(
             Finding(
                 "warn", "set aside", f"{len(aside)} gross torques are in no fit: {where}",
@@ -162,5 +162,11 @@ def gross_findings(gross: Gross, aside: Sequence[SetAside]) -> tuple[Finding, ..
     return tuple(out)
 
 
-def _by(bands: float) -> str:
-    return f" by {bands:.1f} bands" if np.isfinite(bands) else ""
+def _of_visit(visit: tuple[str, int | None], aside: Sequence[SetAside]) -> str:
+    """The axes of one visit, and by how many bands they lie off."""
+    load, pose = visit
+    here = [each for each in aside if (each.load, each.pose) == visit]
+    axes = ", ".join(dict.fromkeys(f"J{each.joint}" for each in here))
+    bands = [each.bands for each in here if np.isfinite(each.bands)]
+    by = "" if not bands else f" by {min(bands):.1f}" + (f" to {max(bands):.1f}" if len(bands) > 1 else "") + " bands"
+    return f"pose {pose} under {load}, {axes}{by}"

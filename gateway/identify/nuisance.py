@@ -79,8 +79,9 @@ def gain_stds(given: Sequence[float] | None, axes: int) -> Floats:
     if values.shape != (axes,):
         raise ConfigError(f"{len(values)} standard deviations of torque constants for an arm of {axes} axes")
     if not (np.isfinite(values) & (values >= 0) & (values < _MOST_GAIN_STD)).all():
+        worst = float(np.nan_to_num(np.abs(values), nan=np.inf).max())
         raise ConfigError(
-            f"a torque constant known to {100 * float(np.nanmax(np.abs(values))):.0f} % says nothing of a mass: "
+            f"a torque constant known to {100 * worst:.0f} % says nothing of a mass: "
             f"state less than {100 * _MOST_GAIN_STD:.0f} %, or weigh a load and give it as --known"
         )
     return np.maximum(values, _EXACT)
@@ -150,7 +151,14 @@ def efficiency_of(lost: float) -> float:
     return float(np.hypot(1.0, lost) - lost)
 
 
-def nuisance_prior(gain_std: Floats, band_nm: ArrayLike, lost: ArrayLike) -> NuisancePrior:
+def held_by_friction(torque_nm: Floats, band_nm: ArrayLike) -> Floats:
+    """Share (N,) of the torques (n, N) that the friction band (N,) alone could hold; 0 where no band was seen."""
+    known = np.isfinite(torque_nm)
+    inside = known & (np.abs(np.nan_to_num(torque_nm)) < np.nan_to_num(np.asarray(band_nm, dtype=float)))
+    return inside.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+
+
+def nuisance_prior(gain_std: Floats, band_nm: ArrayLike, lost: ArrayLike, held: ArrayLike = 0.0) -> NuisancePrior:
     """Prior of what every arm has.
 
     Parameters
@@ -162,21 +170,24 @@ def nuisance_prior(gain_std: Floats, band_nm: ArrayLike, lost: ArrayLike) -> Nui
     lost : array of shape (N,)
         Loss over transmitted torque that the half differences of the axis show (`losses`); NaN = not seen, as the prior
         has it.
+    held : array of shape (N,)
+        Share of the torques that friction alone could hold (`held_by_friction`).
 
     Notes
     -----
     A gear of one efficiency loses more where it is driven, and leaves `nu^2 / 2` of the torque in the middle of both
     sides; losses that are even leave nothing. Which of both a gear is nobody states: the gain is moved by half of it
-    where the loss is seen, and only widened where it is not.
+    where the loss is seen, and only widened where it is not. Where friction holds the torque, such a gear is driven
+    from both sides and all of `nu` is in the middle; beyond, `nu` times the band is, on the side of the torque.
     """
     band = np.abs(np.nan_to_num(np.asarray(band_nm, dtype=float)))
     given = np.asarray(lost, dtype=float)
     nu = np.clip(np.where(np.isfinite(given), given, LOAD_FRICTION), 0.0, 1.0)
-    middle = nu**2 / 4.0
+    middle = nu**2 / 4.0 + nu / 2.0 * np.asarray(held, dtype=float)
     return NuisancePrior(
         gain=np.where(np.isfinite(given), middle, 0.0),
         gain_std=np.sqrt(gain_std**2 + middle**2 + (UNEVEN_LOSS * nu) ** 2),
-        bias_std_nm=np.maximum(BIAS_SHARE * band, _EXACT),
+        bias_std_nm=np.maximum(np.hypot(BIAS_SHARE, np.where(np.isfinite(given), nu / 2.0, 0.0)) * band, _EXACT),
         load_friction=np.full(len(nu), LOAD_FRICTION),
         load_friction_std=np.full(len(nu), LOAD_FRICTION_STD),
     )

@@ -8,7 +8,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from gateway.report import evidence, figures, posture, space, words
+from gateway.report import budget, evidence, figures, posture, space, words
 from gateway.report.centre import centre, earlier
 from gateway.report.page import Head, page
 from gateway.report.view import View, view
@@ -44,6 +44,7 @@ def _figures(result: Result, data: Drawn, shown: View) -> dict[str, Any]:
         "per_pose": evidence.per_pose_figure(result, classes),
         "change": posture.load_change_figure(result),
         "posture": posture.posture_figures(result),
+        "budget_picture": budget.budget_figure(result),
         "evidence": evidence.evidence_figure(shown.candidates),
         "friction": evidence.friction_figure(result),
         "more_candidates": max(0, len(shown.candidates) - evidence.MOST_CANDIDATES),
@@ -93,6 +94,10 @@ def _tables(result: Result, data: Drawn) -> dict[str, Any]:
     return {
         "bus_columns": list(dict.fromkeys(name for row in data.bus for name in row)),
         "provenance": _provenance(result.provenance),
+        "budget_rows": budget.budget_rows(result),
+        "source_words": budget.SOURCE_WORDS,
+        "nuisances": budget.nuisance_rows(result),
+        "set_aside": budget.aside_rows(result.set_aside),
         "fresh": FRESH in data.role,
         "open_question": result.verdict == "undecided",
         "has_floor": any(map(words.known, result.noise_floor_nm)),

@@ -12,7 +12,7 @@ import pytest
 
 from drives.profile_file import PROFILE_FOLDER, parse_profile
 from gateway.analyse.complete import complete
-from gateway.analyse.given import ModelRequest, given, read_rows
+from gateway.analyse.given import ModelRequest, diagnose_arguments, estimate_options, given, read_rows
 from gateway.cell.config import load_cell
 from gateway.data.recording.writer import RecordingWriter
 from gateway.errors import ConfigError, InputError
@@ -255,3 +255,19 @@ def test_a_robot_of_another_number_of_axes_than_the_cell_is_refused_by_both(cell
     shutil.copy(CELLS[1].folder / "robot.urdf", cell.parent / "robot.urdf")
     with pytest.raises(ConfigError, match=r"robot 'light7' has 7 axes, arm 'main' 6 \[\[arm.axis\]\] tables"):
         given(ModelRequest(cell=cell), [])
+
+
+def test_torque_constants_are_trusted_as_the_cell_says(cell_at, record):
+    """The drives of the examples report torque by constants of their own; what a cell states goes before that."""
+    plain, stated = cell_at("plain"), cell_at("stated")
+    text = stated.read_text()
+    stated.write_text(text.replace('source = "datasheet p. 2" }', 'source = "datasheet p. 2", std_percent = 2 }', 1))
+    path = record(plain)
+    assert given(ModelRequest(), [path]).gain_std == pytest.approx((0.03,) * 6)
+    assert estimate_options(given(ModelRequest(cell=stated), [path])).gain_std == pytest.approx((0.02, *(0.03,) * 5))
+    assert diagnose_arguments(given(ModelRequest(gain_std=0.01), [path]))["gain_std"] == (0.01,) * 6
+
+
+def test_a_table_without_a_cell_states_no_constants():
+    robot = EXAMPLES / "large" / "robot.urdf"
+    assert given(ModelRequest(robot=robot), []).gain_std is None

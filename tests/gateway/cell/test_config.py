@@ -181,3 +181,30 @@ def test_safety_keys_are_read_and_off_by_default(cell):
     assert read.arm[0].link_radius_m == (0.1, 0.09, 0.08, 0.07, 0.06, 0.05)
     assert read.arm[0].load_radius_m == 0
     assert read.bus["a"].allow_real_drive is True
+
+
+@pytest.mark.parametrize(
+    ("source", "stated", "percent"),
+    [
+        ("measured", None, 1.0),
+        ("read from drive, 0x6076", None, 3.0),
+        ("Datasheet p. 12", None, 5.0),
+        ("assumed", None, 10.0),
+        ("catalogue", None, 5.0),
+        ("assumed", 0.0, 0.0),
+        ("measured", 7.5, 7.5),
+    ],
+)
+def test_a_torque_constant_is_trusted_as_stated_else_as_its_source(cell, source, stated, percent):
+    constant = {"value": 1.0, "source": source} | ({} if stated is None else {"std_percent": stated})
+    cell["arm"][0]["axis"][0]["torque_constant_nm_per_a"] = constant
+    read = Cell.model_validate(cell)
+    assert read.arm[0].axis[0].torque_constant_nm_per_a.trust_percent == percent
+
+
+def test_a_torque_constant_known_to_half_is_refused(cell, tmp_path):
+    cell["arm"][0]["axis"][1]["torque_constant_nm_per_a"]["std_percent"] = 50.0
+    path = tmp_path / "cell.toml"
+    path.write_text(as_toml(cell))
+    with pytest.raises(ConfigError, match="a torque constant known to 50 % says nothing of a mass"):
+        load_cell(path)

@@ -294,7 +294,7 @@ def test_the_next_pose_does_help(arm, poses, measured):
     rng = np.random.default_rng(4)
     first = measured(arm, poses[:3], {"none": None, "tool": TOOL}, rng, left=0.1)
     found = run(first, arm.robot, EstimateOptions())
-    (advice,) = found.next
+    advice = found.next[0]
     assert 0 < advice.reduction < 1
     more = np.vstack([poses[:3], advice.poses_rad])
     again = run(measured(arm, more, {"none": None, "tool": TOOL}, rng, left=0.1), arm.robot, EstimateOptions())

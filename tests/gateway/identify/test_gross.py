@@ -195,7 +195,7 @@ def test_an_entry_says_by_how_many_bands_and_in_what(kind, reason, bands):
     assert found.entries[0].bands == pytest.approx(bands, rel=0.4)
     aside = set_aside(found, ["r"] * 24, [v.load for v in measured.visits], [v.pose for v in measured.visits])
     assert (aside[0].load, aside[0].pose, aside[0].joint) == ("tool", 3, 5)
-    assert "J5 at pose 3 under tool by" in gross_findings(found, aside)[0].what
+    assert "pose 3 under tool, J5 by" in gross_findings(found, aside)[0].what
 
 
 def test_one_sided_visits_are_judged_by_their_own_scatter():

@@ -1,0 +1,143 @@
+"""Where the uncertainty of a mass comes from, and what every arm has beside its load: picture and tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from markupsafe import Markup
+
+from gateway.report import words
+from gateway.report.svg import Panel
+from gateway.result.result import LoadResult, NuisanceResult, Result, SetAside
+
+#: Source -> what the page calls it.
+SOURCE_WORDS: Final = {
+    "constants": "torque constants",
+    "links": "links",
+    "friction": "friction",
+    "noise": "noise",
+}
+#: Key of the result -> words, unit and factor to it.
+NUISANCE_WORDS: Final = {
+    "gain": ("gain of the torque", "%", 100.0),
+    "bias_nm": ("bias by direction", "Nm", 1.0),
+    "load_friction": ("losses over torque", "%", 100.0),
+}
+WIDTH: Final = 470.0
+_BAR, _ROW, _TOP, _LEFT = 22.0, 52.0, 22.0, 8.0
+#: Share of the bar below which its number stands in the table alone.
+_ROOM: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class BudgetRow:
+    """One load in words: per source its share [%] and the standard deviation [kg] that it alone would leave."""
+
+    label: str
+    std: str
+    parts: tuple[tuple[str, str, str], ...]
+
+
+def budgeted(result: Result) -> list[LoadResult]:
+    """Loads whose uncertainty is told by source."""
+    return [load for load in result.loads if load.budget and words.known(load.mass_std_kg) and load.mass_std_kg > 0]
+
+
+def budget_figure(result: Result) -> Markup | None:
+    """A bar per load, its length the variance of the mass, cut by source; None where no budget is told."""
+    loads = budgeted(result)
+    if not loads:
+        return None
+    height = _TOP + _ROW * len(loads) + 22.0
+    panel = Panel(WIDTH, height, (0.0, 100.0), (0.0, 1.0), left=_LEFT, right=_LEFT, top=_TOP - 14.0, bottom=34.0)
+    panel.x_axis("share of the variance of the mass [%]")
+    for place, load in enumerate(loads):
+        _bar(panel, load, _TOP + _ROW * place)
+    told = "; ".join(
+        f"{load.label}: {', '.join(_percent(load.budget, name) for name in SOURCE_WORDS)}" for load in loads
+    )
+    return panel.svg(f"Where the uncertainty of the mass comes from. {told}")
+
+
+def _percent(budget: Mapping[str, float], name: str) -> str:
+    return f"{SOURCE_WORDS[name]} {100 * budget.get(name, 0.0):.0f} %"
+
+
+def _bar(panel: Panel, load: LoadResult, top: float) -> None:
+    std = words.plain(load.mass_std_kg, words.decimals(load.mass_std_kg))
+    title = f"{words.load(load.label)}: standard deviation {std} kg"
+    panel.text(_LEFT, top + 4.0, title, "tick name")
+    start = 0.0
+    for name in SOURCE_WORDS:
+        share = max(0.0, load.budget.get(name, 0.0))
+        left, right = panel.x(100 * start), panel.x(100 * (start + share))
+        panel.add(
+            f'<rect class="source-{name}" x="{left:.1f}" y="{top + 10:.1f}" width="{right - left:.1f}"'
+            f' height="{_BAR}"><title>{_percent(load.budget, name)}</title></rect>'
+        )
+        if share >= _ROOM:
+            panel.text((left + right) / 2, top + 10 + _BAR / 2 + 4, f"{100 * share:.0f} %", "mid inside")
+        start += share
+
+
+def budget_rows(result: Result) -> list[BudgetRow]:
+    """The same as numbers."""
+    return [
+        BudgetRow(
+            load.label,
+            words.plain(load.mass_std_kg, words.decimals(load.mass_std_kg)),
+            tuple(
+                (
+                    name,
+                    f"{100 * share:.0f}",
+                    words.plain(math.sqrt(max(share, 0.0)) * load.mass_std_kg, words.decimals(load.mass_std_kg)),
+                )
+                for name, share in ((key, load.budget.get(key, 0.0)) for key in SOURCE_WORDS)
+            ),
+        )
+        for load in budgeted(result)
+    ]
+
+
+def nuisance_rows(result: Result) -> list[tuple[str, str, list[str]]]:
+    """What every arm has: words, unit, and value with standard deviation of every axis."""
+    return [
+        (*_said(key)[:2], _cells(nuisance, _said(key)[2]))
+        for key, nuisance in result.nuisance.items()
+        if any(map(words.known, nuisance.value))
+    ]
+
+
+def _said(key: str) -> tuple[str, str, float]:
+    if key in NUISANCE_WORDS:
+        return NUISANCE_WORDS[key]
+    name, unit = words.parameter(key)
+    return name, unit, 1.0
+
+
+def _cells(nuisance: NuisanceResult, factor: float) -> list[str]:
+    return [_cell(value * factor, std * factor) for value, std in zip(nuisance.value, nuisance.std, strict=True)]
+
+
+def _cell(value: float, std: float) -> str:
+    if not words.known(value):
+        return words.plain(value)
+    shown, half = words.plus_minus(value, std)
+    return f"{shown} \N{PLUS-MINUS SIGN} {half}" if half else shown
+
+
+def aside_rows(entries: Sequence[SetAside]) -> list[tuple[str, str, str, str, str, str]]:
+    """What was set aside: run, load, pose or time, axis, friction bands, reason."""
+    return [
+        (each.run, words.load(each.load), _where(each), words.axis(each.joint), words.plain(each.bands, 1), each.reason)
+        for each in entries
+    ]
+
+
+def _where(entry: SetAside) -> str:
+    if entry.pose is not None:
+        return f"pose {entry.pose}"
+    return f"{words.plain(entry.from_s, 1)} to {words.plain(entry.to_s, 1)} s"

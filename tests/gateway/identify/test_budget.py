@@ -1,0 +1,62 @@
+"""Shares of a variance by source, against the variance of the linear map worked out one source at a time."""
+
+import numpy as np
+import pytest
+
+from gateway.identify.budget import Sources, budget_of
+from gateway.identify.solve import Prior, solve
+
+
+def problem():
+    rng = np.random.default_rng(0)
+    design, weight = rng.standard_normal((20, 4)), rng.uniform(0.5, 3.0, 20)
+    std = np.array([np.inf, 0.3, 0.2, 1.0])
+    rows = rng.standard_normal((2, 4))
+    return design, weight, Prior(np.zeros(4), std, rows, np.zeros(2))
+
+
+SOURCES = Sources(
+    np.array(["noise"] * 15 + ["friction"] * 5),
+    {"constants": np.array([0.0, 1.0, 0.25, 0.0]), "friction": np.array([0.0, 0.0, 0.75, 0.0]),
+     "links": np.array([0.0, 0.0, 0.0, 1.0])},
+)  # fmt: skip
+
+
+def test_shares_are_those_of_the_variance_when_one_source_alone_varies():
+    design, weight, prior = problem()
+    covariance = solve(design, np.zeros(20), weight, prior).covariance
+    direction = np.array([1.0, 0.0, 0.0, 0.5])
+    found = budget_of(design, weight, prior, covariance, direction, SOURCES)
+    rng = np.random.default_rng(1)
+    draws = {source: [] for source in ("constants", "links", "friction", "noise")}
+    for source, values in draws.items():
+        for _ in range(3000):
+            noise = np.where(SOURCES.row == source, rng.standard_normal(20) / weight, 0.0)
+            share = np.sqrt(SOURCES.parameter.get(source, np.zeros(4)))
+            mean = np.where(np.isfinite(prior.std), np.nan_to_num(prior.std, posinf=0.0), 0.0) * share
+            right = rng.standard_normal(2) * (source == "links")
+            drawn = Prior(mean * rng.standard_normal(4), prior.std, prior.rows, right)
+            values.append(direction @ solve(design, noise, weight, drawn).value)
+    variance = {source: np.var(values) for source, values in draws.items()}
+    whole = direction @ covariance @ direction
+    assert sum(variance.values()) == pytest.approx(whole, rel=0.06)
+    for source, share in found.items():
+        assert share == pytest.approx(variance[source] / whole, abs=0.03)
+    assert sum(found.values()) == pytest.approx(1.0)
+
+
+def test_the_order_does_not_matter():
+    design, weight, prior = problem()
+    covariance = solve(design, np.zeros(20), weight, prior).covariance
+    order = np.random.default_rng(2).permutation(20)
+    direction = np.array([1.0, 0.0, 0.0, 0.0])
+    one = budget_of(design, weight, prior, covariance, direction, SOURCES)
+    two = budget_of(
+        design[order], weight[order], prior, covariance, direction, Sources(SOURCES.row[order], SOURCES.parameter)
+    )
+    assert one == pytest.approx(two)
+
+
+def test_nothing_has_no_budget():
+    design, weight, prior = problem()
+    assert budget_of(design, weight, prior, np.zeros((4, 4)), np.ones(4), SOURCES) == {}
