@@ -23,7 +23,8 @@ def elastic_joints(
     """Elastic joints among those with a secondary encoder.
 
     Wind-up is regressed on the modelled torque of the links, with a constant for the zeros of the two encoders. A joint
-    counts where the slope is certain, and foretells the wind-up of rows that were not in its fit: `pairs` (fitted, judged).
+    counts where the slope is certain, and foretells the wind-up of rows that were not in its fit: `pairs` of fitted and
+    judged ones.
     """
     motion = problem.motion
     found = []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,7 +49,8 @@ class MovingOutcome:
     """Everything the result file is written from.
 
     `doubtful` effects are contested, `unproven` ones were not borne out by the rows that judge; `rejected` have their
-    held-out ratio. `told` is the model that loads and parameters are read from. `held_before`, `held_after`: what is left of rows that chose nothing.
+    held-out ratio. `told` is the model that loads and parameters are read from. `held_before`, `held_after`: what is
+    left of rows that chose nothing.
     """
 
     told: tuple[MovingProblem, MovingState]
@@ -98,7 +99,7 @@ def result_of(outcome: MovingOutcome) -> Result:
         friction_band_nm=listed(friction_level(problem, after)),
         rejected=_rejected(outcome),
         next=(*(_tell_apart(item) for item in doubtful), *_richer(outcome, bool(effects))),
-        findings=(*_faults(() if undecided else effects), *_remarks(outcome)),
+        findings=(*_faults(() if undecided else effects), *_remarks(outcome), *_edges(effects)),
         nuisance=nuisances(*outcome.told),
         provenance=_provenance(problem, outcome),
         quality={"holdout_ratio": _axis_ratios(outcome)},
@@ -254,6 +255,16 @@ def _remarks(outcome: MovingOutcome) -> tuple[Finding, ...]:
         )
         for name, joints in sorted(outcome.refuted)
     ]
+    if motion.given.any() and _does_not_carry(outcome):
+        found.append(
+            Finding(
+                "warn",
+                "--holdout",
+                f"its rows are left by more than {MOVING.overfitted:g} times what the fitted ones are: another robot,"
+                " another load or state, or too poor a motion; no figure on them speaks for the model",
+                "hold out a run of the same robot under a load that is fitted",
+            )
+        )
     if outcome.effects:
         found += [
             Finding(
@@ -264,6 +275,20 @@ def _remarks(outcome: MovingOutcome) -> tuple[Finding, ...]:
             for item in outcome.doubtful
         ]
     return tuple(found)
+
+
+def _edges(effects: Sequence[EffectResult]) -> list[Finding]:
+    """Parameters with no standard deviation because they lie at the edge of what is tried."""
+    return [
+        Finding(
+            "info",
+            " ".join(f"J{joint}" for joint in effect.joints),
+            f"{key} of {LIBRARY[effect.name].words} lies at the edge of what was tried, the true one perhaps beyond it",
+        )
+        for effect in effects
+        for key, std in effect.std.items()
+        if np.isnan(std)
+    ]
 
 
 def _why_not(item: Chosen) -> str:

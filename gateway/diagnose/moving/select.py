@@ -34,9 +34,8 @@ def demands(term: Term, axes: int) -> Demands:
 class Chosen:
     """An effect in the final model: all its terms, its trial against the model without it, and the runner-up's.
 
-    `contested`: the odds, against the runner-up and against nothing, are below `sure_odds`. `rival`: the runner-up meets
-    its own demands; one that does not leaves two names of which neither is believed. `held`: what the effect is worth
-    on rows that chose nothing.
+    `contested`: the odds, against the runner-up and against nothing, are below `sure_odds`. `rival`: the runner-up
+    meets its own demands; of two names of which neither is believed none is given. `held`: worth on unseen rows.
     """
 
     terms: tuple[Term, ...]
