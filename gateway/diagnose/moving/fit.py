@@ -114,11 +114,11 @@ class MovingFit:
             out[positions] += more.T @ own
         return out
 
-    def torque(self, axes: Sequence[int], change: Floats, rows: Mask | slice = slice(None)) -> Floats:
+    def torque(self, axes: Sequence[int], change: Floats, rows: Mask | Ints | slice = slice(None)) -> Floats:
         """Torque (rows, len(axes), ...) of a change (P, ...) of the parameters."""
         return np.stack([self._torque(axis, change, rows) for axis in axes], axis=1)
 
-    def _torque(self, axis: int, change: Floats, rows: Mask | slice) -> Floats:
+    def _torque(self, axis: int, change: Floats, rows: Mask | Ints | slice) -> Floats:
         there, columns = self.base.lines[axis]
         positions, more = self.extra[axis]
         scale = _scale(self.base, there, self.factor[axis])

@@ -99,7 +99,7 @@ def result_of(outcome: MovingOutcome) -> Result:
         friction_band_nm=listed(friction_level(problem, after)),
         rejected=_rejected(outcome),
         next=(*(_tell_apart(item) for item in doubtful), *_richer(outcome, bool(effects))),
-        findings=(*_faults(() if undecided else effects), *_remarks(outcome), *_edges(effects)),
+        findings=(*_faults(() if undecided else effects), *_remarks(outcome), *edge_findings(effects)),
         nuisance=nuisances(*outcome.told),
         provenance=_provenance(problem, outcome),
         quality={"holdout_ratio": _axis_ratios(outcome)},
@@ -277,7 +277,7 @@ def _remarks(outcome: MovingOutcome) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-def _edges(effects: Sequence[EffectResult]) -> list[Finding]:
+def edge_findings(effects: Sequence[EffectResult]) -> list[Finding]:
     """Parameters with no standard deviation because they lie at the edge of what is tried."""
     return [
         Finding(

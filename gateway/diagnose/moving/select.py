@@ -117,6 +117,8 @@ def _trials(problem: MovingProblem, state: MovingState, pool: Sequence[Term]) ->
 def _best(problem: MovingProblem, state: MovingState, pool: Sequence[Term], tried: int) -> Trial | None:
     """The believed trial that gains most: of those that the fitted rows demand most, else of all."""
     terms = _open(state, pool)
+    if not terms:
+        return None
     hopeless = max(need.p_demand for need in (MOVING.ordinary, MOVING.special)) / tried
     for most in (MOVING.runners, None):
         trials = trials_of(problem, state.fits, state.full, terms, hopeless, most)

@@ -41,7 +41,7 @@ def test_the_effect_is_found_alone_with_its_parameters(name, joints, world, opti
 
 def test_residual_falls_to_the_noise_that_was_put_in():
     table, robot, scale = measured(2, World(load_friction={1: 0.25}, coupling=(4, 5, 1.0)))
-    result = diagnose_motion(table, robot, IGNORE)
+    result = diagnose_motion(table, robot, DiagnoseOptions(inertials="prior:0.05"))
     assert {effect.name for effect in result.effects} == {"load_dependent_friction", "axis_coupling"}
     noise = 0.02 * np.sqrt(1.04) * scale
     assert np.all(np.array(result.after.holdout_rms_nm) < 1.8 * noise)
