@@ -185,9 +185,9 @@ def _verdict(outcome: MovingOutcome, undecided: bool, any_effect: bool) -> Verdi
         return "undecided"
     if any_effect:
         return "improved"
-    if _does_not_carry(outcome):
-        return "undecided"
-    return "unexplained" if outcome.structure else "none_needed"
+    if outcome.structure:
+        return "unexplained"
+    return "undecided" if _does_not_carry(outcome) else "none_needed"
 
 
 def _does_not_carry(outcome: MovingOutcome) -> bool:

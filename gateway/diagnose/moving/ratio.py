@@ -17,26 +17,27 @@ Floats = NDArray[np.float64]
 #: Draws of the bootstrap, and stretches of time that it draws from.
 DRAWS, FEWEST, MOST = 400, 6, 60
 LARGEST_LOG = 6.0
-#: Of the interval's ends.
-QUANTILES = np.array([0.025, 0.975])
+#: Of the interval's ends, and between them of what the ratio is below in 95 %.
+QUANTILES = np.array([0.025, 0.95, 0.975])
 
 
 @dataclass(frozen=True, slots=True)
 class HeldRatio:
-    """Held-out RMS after over before, with its 95 % interval; NaN where nothing was held out."""
+    """Held-out RMS after over before, its 95 % interval, `most` that it is in 95 %; NaN where nothing was held out."""
 
     value: float
     low: float
     high: float
+    most: float
 
     @property
     def below_one(self) -> bool:
-        """Whether it is below 1 for sure."""
-        return self.high < 1.0
+        """Whether it is below 1 in 95 % of what the stretches could have been."""
+        return self.most < 1.0
 
 
 #: Nothing was held out.
-NOT_HELD = HeldRatio(np.nan, np.nan, np.nan)
+NOT_HELD = HeldRatio(np.nan, np.nan, np.nan, np.nan)
 
 
 def held_ratio(before: Held, after: Held, axes: Collection[int], sigma_nm: Floats) -> HeldRatio:
@@ -56,16 +57,16 @@ def held_ratio(before: Held, after: Held, axes: Collection[int], sigma_nm: Float
         return NOT_HELD
     was, now = (((held.residual_nm / sigma_nm)[rows][:, own] ** 2).sum(axis=1) for held in (before, after))
     if not was.sum() > 0 or np.array_equal(was, now):
-        return HeldRatio(1.0, 1.0, 1.0)
+        return HeldRatio(1.0, 1.0, 1.0, 1.0)
     count = int(np.clip(len(was) * counting_share(was - now), FEWEST, MOST))
     sums = np.array([[part.sum() for part in np.array_split(series, count)] for series in (was, now)])
     drawn = sums[:, np.random.default_rng(0).integers(0, count, size=(DRAWS, count))].sum(axis=2)
     value = float(np.sqrt(now.sum() / was.sum()))
     there = (drawn > 0).all(axis=0)
     if there.sum() < DRAWS // 2:
-        return HeldRatio(value, 0.0, np.inf)
+        return HeldRatio(value, 0.0, np.inf, np.inf)
     logs = 0.5 * np.log(drawn[1, there] / drawn[0, there])
     reach = (np.quantile(logs, QUANTILES) - np.log(value)) * np.sqrt(count / (count - 1.0))
     reach *= stats.t.ppf(QUANTILES, count - 1) / stats.norm.ppf(QUANTILES)
-    low, high = (value * np.exp(np.clip(reach, -LARGEST_LOG, LARGEST_LOG))).tolist()
-    return HeldRatio(value, low, high)
+    low, most, high = (value * np.exp(np.clip(reach, -LARGEST_LOG, LARGEST_LOG))).tolist()
+    return HeldRatio(value, low, high, most)
