@@ -155,7 +155,7 @@ def fit(
     gain and no load friction goes beyond what is ordinary: what lies beyond is an effect, and has to be found.
     """
     motion, base = problem.motion, _with_usual_replaced(problem.base, terms)
-    counted = motion.judged * train[:, None]
+    counted = (motion.judged & train[:, None]).astype(float)
     precision = np.concatenate([base.precision, *(prior_precision(term) for term in terms)])
     mean = np.concatenate([base.mean, np.zeros(len(precision) - len(base.mean))])
     gains = _gain_positions(base, terms)
