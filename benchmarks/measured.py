@@ -61,7 +61,7 @@ def main(argv: list[str]) -> int:
     if not data:
         print("SERVO_GATEWAY_DATA names no folder with the measured runs", file=sys.stderr)
         return 2
-    found: dict[str, dict] = {}
+    found: dict[str, dict[str, object]] = {}
     for name in RUNS:
         result, kind, seconds = judged(Path(data) / name)
         named = ", ".join(short(effect.name, effect.joints) for effect in result.effects) or "nothing named"

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.moving.fit import MovingNoise, MovingProblem
+from gateway.diagnose.moving.fit import MovingProblem
 from gateway.diagnose.moving.mistakes import MovingMistake, find_mistakes, undo
+from gateway.diagnose.moving.noise import MovingNoise
 from gateway.diagnose.moving.select import select, without_idle
 from gateway.diagnose.moving.splits import choosing
 from gateway.diagnose.moving.state import MovingState, state_of, with_noise_of

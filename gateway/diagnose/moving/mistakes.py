@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.held import Held
-from gateway.diagnose.moving.fit import MovingFit, MovingNoise, MovingProblem, fit
+from gateway.diagnose.moving.fit import MovingFit, MovingProblem, fit
+from gateway.diagnose.moving.noise import MovingNoise
 from gateway.diagnose.moving.ratio import HeldRatio, held_ratio
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.model.motion import MovingRows

@@ -12,8 +12,8 @@ from gateway.diagnose import DiagnoseOptions, diagnose
 from gateway.diagnose.moving.choice import Knowledge, problem_of
 from gateway.diagnose.moving.fit import fit
 from gateway.diagnose.moving.mistakes import find_mistakes
-from gateway.diagnose.moving.outcome import edge_findings
 from gateway.diagnose.moving.parameters import at_edge
+from gateway.diagnose.moving.remarks import edge_findings
 from gateway.identify.moving_baseline import ordinary
 from gateway.model.effects import LIBRARY
 from gateway.model.effects.load_dependent_friction import LoadDependentFriction
