@@ -98,7 +98,7 @@ def faults(effects: tuple[EffectResult, ...]) -> tuple[Finding, ...]:
 
 
 def remarks(outcome: MovingOutcome) -> tuple[Finding, ...]:
-    """What else has to be known: axes that say nothing, structure that is left, what was suspected and not borne out."""
+    """What else has to be known: axes that say nothing, structure that is left, what was not borne out."""
     motion = outcome.problem.motion
     found = [
         Finding("warn", f"J{axis + 1}", "the axis does not move or is not measured: nothing is said about it")
