@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.stamp
 
-.PHONY: venv demo test lint docs bench blind vcan chaos soak mutants pair pair-full follow clean
+.PHONY: venv demo test lint docs bench blind blind-nature vcan chaos soak mutants pair pair-full follow clean
 
 venv: $(STAMP)
 
@@ -36,6 +36,10 @@ bench: venv
 
 blind: venv
 	$(BIN)/python -m benchmarks.blind --out out/blind
+
+# Arms as they stand, by nature's own draws: an hour and more.
+blind-nature: venv
+	$(BIN)/python -m benchmarks.blind --tier nature --out out/blind-nature
 
 vcan: venv
 	$(BIN)/python tests/vcan/vm.py

@@ -19,7 +19,9 @@ from gateway.identify.load_estimate import LoadEstimate
 from gateway.model.robot import robot_from_urdf
 from gateway.result.result import LoadResult, Result
 from sim.nature.cell import VISIT_S, Cell, draw_cell, draw_effect_cell
+from sim.nature.effect import rows_of
 from sim.nature.measuring import Gross
+from sim.nature.strength import strengths_beside
 from sim.offline import PlannedVisit
 
 Floats = NDArray[np.float64]
@@ -39,13 +41,18 @@ class Intervals:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """What is kept of one cell; `truth` is mechanism, joints, strength; `gross` pose, load, joint, bands."""
+    """What is kept of one cell.
+
+    `truth` is mechanism, joints, strength; `beside` the strengths beyond what other effects could take over; `gross`
+    is pose, load, joint, bands.
+    """
 
     seed: int
     condition: str
     kind: str
     misstated: bool
     truth: list
+    beside: list
     visits: list
     gross: list
     estimated: Intervals | None = None
@@ -206,6 +213,7 @@ def _score(
         kind=cell.kind,
         misstated=cell.stated.misstated,
         truth=truth_of(cell),
+        beside=list(strengths_beside(cell.arm, cell.visits, rows_of(cell.visits), cell.effects)),
         visits=[(visit.pose, visit.load) for visit in visits],
         gross=[(g.pose, g.load, g.joint, g.bands) for g in gross],
         refused=refused,

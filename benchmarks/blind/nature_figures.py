@@ -95,6 +95,7 @@ def effect_figures(cells: Sequence[Cell]) -> Figures:
     for cell in named:
         by_kind[kind(truth(cell))].append(cell)
     strong = [cell for cell in by_kind["several"] if all(t.strength >= STRONG for t in truth(cell) if t.counts)]
+    clear = [cell for cell in by_kind["several"] if min(cell["beside"]) >= STRONG]
     wired = [cell for cell in cells if cell["kind"] == "wiring"]
     off = [cell for cell in strange if _size(cell) >= LEAST]
     loads = [cell for cell in named if not any(name == "slipping_load" for name, _, _ in cell["truth"])]
@@ -103,6 +104,7 @@ def effect_figures(cells: Sequence[Cell]) -> Figures:
         f"right, one effect of strength {LEAST:g} to {STRONG:g}": share(_right(by_kind["weak"]), ">= 0.9"),
         f"right, two or more effects, each of strength >= {LEAST:g}": share(_right(by_kind["several"]), ">= 0.9"),
         f"right, two or more effects, each of strength >= {STRONG:g}": share(_right(strong), ">= 0.9"),
+        f"right, two or more effects, each of strength >= {STRONG:g} beyond the others too": share(_right(clear)),
         f"right or silent, below {LEAST:g}": share([1.0 - value for value in _misnamed(by_kind["below"])]),
         "right, priors misstated": share(_right([c for c in misstated if kind(truth(c)) != "below"])),
         "something named that is not there": share(_misnamed(named)),

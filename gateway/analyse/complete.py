@@ -10,9 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from drives.errors import ProfileError
-from drives.profile import DriveProfile
-from drives.profile_file import load_profile, parse_profile
-from gateway.analyse.given import Given
+from gateway.analyse.given import Given, profile_of
 from gateway.cell.provenance import provenance
 from gateway.data.reading import is_recording
 from gateway.data.recording.recorded import ArmRecording, Recording
@@ -141,18 +139,11 @@ def _provenance(about: Given) -> dict[str, Any]:
     if about.arm is None:
         return {}
     recorded = _recorded_arm(about.recordings, about.arm.name)
-    texts = recorded[0][0].profiles if recorded else {}
     constants = recorded[0][1].constants if recorded else ()
     try:
-        profiles = [_profile(axis.profile, texts, about) for axis in about.arm.axis]
+        find = profile_of([each for each, _ in recorded], about.loaded)
+        profiles = [find(axis.profile) for axis in about.arm.axis]
     except ProfileError:
         # a table needs no drive profile; its torque was worked out elsewhere
         return {}
     return dict(provenance(about.arm, profiles, constants))
-
-
-def _profile(name: str, texts: Mapping[str, str], about: Given) -> DriveProfile:
-    if name in texts:
-        return parse_profile(texts[name], name)
-    folder = about.loaded.folder if about.loaded is not None else Path()
-    return load_profile(folder / name if name.endswith(".toml") else name)

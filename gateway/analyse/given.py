@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gateway.cell.config import ArmConfig, LoadedCell, load_cell
+from drives.errors import ProfileError
+from drives.profile import DriveProfile
+from drives.profile_file import load_profile, parse_profile
+from gateway.cell.config import REPORTED_STD_PERCENT, ArmConfig, AxisConfig, LoadedCell, load_cell
 from gateway.cell.conversion import AxisConversion
 from gateway.data.reading import is_recording, read_data
 from gateway.data.recording.binding import Bound, Correction, bind, refuse_other_drives
@@ -40,6 +43,8 @@ class ModelRequest:
     known : mapping of label to (mass [kg], x, y, z [m] in the last link)
     arm : str or None
         Name of the arm, if the cell has several.
+    gain_std : float or None
+        Relative standard deviation of every torque constant, instead of what the cell says of each.
     """
 
     robot: Path | None = None
@@ -48,6 +53,7 @@ class ModelRequest:
     known: Mapping[str, Load] = field(default_factory=dict)
     bare: Path | None = None
     arm: str | None = None
+    gain_std: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +77,8 @@ class Given:
         Of that arm, converted with the constants that hold.
     corrections : tuple of Correction
         Constants that were corrected since a recording was made.
+    gain_std : tuple of N floats, or None
+        Relative standard deviations of the torque constants; None where nobody says any.
     """
 
     robot: Robot | None
@@ -84,6 +92,7 @@ class Given:
     loaded: LoadedCell | None
     recordings: tuple[Recording, ...]
     corrections: tuple[Correction, ...] = ()
+    gain_std: tuple[float, ...] | None = None
 
     @property
     def model(self) -> Robot:
@@ -132,7 +141,49 @@ def given(request: ModelRequest, paths: Sequence[Path]) -> Given:
         loaded=loaded,
         recordings=tuple(each.recording for each in bound),
         corrections=tuple(dict.fromkeys(correction for each in bound for correction in each.corrections)),
+        gain_std=_gain_std(request, arm, axes, profile_of(read_ones, loaded)),
     )
+
+
+def _gain_std(
+    request: ModelRequest, arm: ArmConfig | None, axes: int, profile: Callable[[str], DriveProfile]
+) -> tuple[float, ...] | None:
+    """As asked for, else of the cell's constants, where the drive does not report torque by constants of its own."""
+    if request.gain_std is not None:
+        return (request.gain_std,) * axes
+    return None if arm is None else tuple(_constant_std(axis, profile) for axis in arm.axis)
+
+
+def _constant_std(axis: AxisConfig, profile: Callable[[str], DriveProfile]) -> float:
+    constant = axis.torque_constant_nm_per_a
+    if constant.std_percent is None:
+        try:
+            used = profile(axis.profile).needs_torque_constant
+        except ProfileError:
+            # a table needs no drive profile; its torque was worked out elsewhere, with this constant
+            used = True
+        if not used:
+            return REPORTED_STD_PERCENT / 100.0
+    return constant.trust_percent / 100.0
+
+
+def profile_of(recordings: Sequence[Recording], loaded: LoadedCell | None) -> Callable[[str], DriveProfile]:
+    """Drive profiles by name: as they were recorded, else the cell's own, else those of the package.
+
+    Raises
+    ------
+    ProfileError
+        When called: unreadable, or not there.
+    """
+    texts = recordings[0].profiles if recordings else {}
+    folder = loaded.folder if loaded is not None else Path()
+
+    def find(name: str) -> DriveProfile:
+        if name in texts:
+            return parse_profile(texts[name], name)
+        return load_profile(folder / name if name.endswith(".toml") else name)
+
+    return find
 
 
 def _bound(
@@ -231,6 +282,7 @@ def estimate_options(about: Given) -> EstimateOptions:
         known=about.known,
         bare=about.bare,
         gravity_m_s2=about.gravity_m_s2,
+        gain_std=about.gain_std,
         efficiency=tuple(about.efficiency.tolist()),
     )
 
@@ -242,6 +294,7 @@ def diagnose_arguments(about: Given) -> dict[str, Any]:
         "known": about.known,
         "bare": about.bare,
         "gravity_m_s2": about.gravity_m_s2,
+        "gain_std": about.gain_std,
         "efficiency": about.efficiency,
         "gear_ratio": about.gear_ratio,
     }

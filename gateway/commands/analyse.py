@@ -33,12 +33,16 @@ def model_request(
     known: tuple[str, ...],
     bare: Path | None,
     arm_name: str | None,
+    torque_gain: str | None,
 ) -> ModelRequest:
     """The options of MODEL as one value."""
     from gateway.analyse.given import ModelRequest
     from gateway.estimate.options import parse_known
+    from gateway.identify.nuisance import parse_torque_gain
 
-    return ModelRequest(robot, cell_file, inertials, dict(parse_known(text) for text in known), bare, arm_name)
+    gain_std = None if torque_gain is None else parse_torque_gain(torque_gain)
+    loads = dict(parse_known(text) for text in known)
+    return ModelRequest(robot, cell_file, inertials, loads, bare, arm_name, gain_std)
 
 
 def _method(_ctx: click.Context, _param: click.Parameter, value: str) -> str:
@@ -80,6 +84,7 @@ def estimate(
     inertials: str | None,
     known: tuple[str, ...],
     bare: Path | None,
+    torque_gain: str | None,
     method: str,
     axis: int | None,
     lever: str | None,
@@ -96,7 +101,7 @@ def estimate(
     from gateway.analyse.given import estimate_options, given, read_rows
     from gateway.estimate import run
 
-    about = given(model_request(robot, cell_file, inertials, known, bare, arm_name), data)
+    about = given(model_request(robot, cell_file, inertials, known, bare, arm_name, torque_gain), data)
     table = read_rows(data, about)
     options = estimate_options(about)
     if method == "coefficient":
@@ -168,6 +173,7 @@ def diagnose(
     inertials: str | None,
     known: tuple[str, ...],
     bare: Path | None,
+    torque_gain: str | None,
     holdout: tuple[Path, ...],
     only: frozenset[str],
     without: frozenset[str],
@@ -180,7 +186,7 @@ def diagnose(
     from gateway.diagnose import DiagnoseOptions
     from gateway.diagnose import diagnose as run
 
-    request = model_request(robot, cell_file, inertials, known, bare, arm_name)
+    request = model_request(robot, cell_file, inertials, known, bare, arm_name, torque_gain)
     about = given(request, [*data, *holdout])
     table = read_rows(data, about)
     seen, unseen = (table, read_rows(holdout, about)) if holdout else split_validation(table)

@@ -61,6 +61,11 @@ cell_argument = click.argument("cell", type=click.Path(path_type=Path, dir_okay=
 def model_options(function: Function) -> Function:
     """Add the options of MODEL."""
     for option in (
+        click.option(
+            "--torque-gain",
+            metavar="exact|prior:S",
+            help="How far the torque constants are trusted; the cell's std_percent if omitted, prior:0.03 for tables.",
+        ),
         click.option("--bare", type=click.Path(path_type=Path, dir_okay=False), help="Stored bare identification."),
         click.option(
             "--known",

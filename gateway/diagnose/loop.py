@@ -16,6 +16,7 @@ from gateway.result.result import Result
 Floats = NDArray[np.float64]
 Measure = Callable[[Floats], Table]
 
+#: Times [-] that an open answer goes back to the arm: what three rounds leave open, a fourth does too.
 ROUNDS = 3
 
 

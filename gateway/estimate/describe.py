@@ -14,7 +14,7 @@ from gateway.estimate.friction import friction_bands
 from gateway.estimate.noise import NoiseFit
 from gateway.estimate.options import EstimateOptions
 from gateway.estimate.problem import Problem
-from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, NOISE, budget_of
+from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, NOISE, Sources, budget_of
 from gateway.identify.load_estimate import LoadEstimate, load_directions, load_from_moment, without_guesses
 from gateway.identify.solve import determined
 from gateway.model.base import rest_base
@@ -86,8 +86,10 @@ def mass_budget(fitted: Fitted, label: str) -> Mapping[str, float]:
         fitted.prior,
         fit.solution.covariance,
         direction,
-        np.where(one_sided, FRICTION, NOISE),
-        {CONSTANTS: fitted.constants, LINKS: links, FRICTION: friction - fitted.constants},
+        Sources(
+            np.where(one_sided, FRICTION, NOISE),
+            {CONSTANTS: fitted.constants, LINKS: links, FRICTION: friction - fitted.constants},
+        ),
     )
 
 

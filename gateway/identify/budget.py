@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -21,15 +22,27 @@ NOISE: Final = "noise"
 SOURCES: Final = (CONSTANTS, LINKS, FRICTION, NOISE)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Sources:
+    """What each row and each prior of a weighted problem stands for.
+
+    Attributes
+    ----------
+    row : str array of shape (n,)
+        Source of each row.
+    parameter : source -> array of shape (p,)
+        Share of the prior's variance of each parameter that is of that source; of free ones it does not matter.
+    further : str
+        Source of the prior's further combinations.
+    """
+
+    row: Names
+    parameter: Mapping[str, Floats]
+    further: str = LINKS
+
+
 def budget_of(
-    design: Floats,
-    weight: Floats,
-    prior: Prior,
-    covariance: Floats,
-    direction: Floats,
-    of_row: Names,
-    of_parameter: Mapping[str, Floats],
-    of_further: str = LINKS,
+    design: Floats, weight: Floats, prior: Prior, covariance: Floats, direction: Floats, sources: Sources
 ) -> Mapping[str, float]:
     """Share of the variance of `direction @ x` by source, sum 1, whatever the order.
 
@@ -46,12 +59,7 @@ def budget_of(
     covariance : array of shape (p, p)
         Of the solution: the inverse of `A^T W^2 A + P^T P`.
     direction : array of shape (p,)
-    of_row : str array of shape (n,)
-        Source of each row.
-    of_parameter : source -> array of shape (p,)
-        Share of the prior's variance of each parameter that is of that source; of free ones it does not matter.
-    of_further : str
-        Source of the prior's further combinations.
+    sources : Sources
 
     Returns
     -------
@@ -65,10 +73,10 @@ def budget_of(
     by_prior[held] = (reach[held] / prior.std[held]) ** 2
     nothing = np.zeros(len(reach))
     total = {
-        source: float(by_row[of_row == source].sum() + by_prior @ of_parameter.get(source, nothing))
+        source: float(by_row[sources.row == source].sum() + by_prior @ sources.parameter.get(source, nothing))
         for source in SOURCES
     }
-    total[of_further] += float(((prior.rows @ reach) ** 2).sum())
+    total[sources.further] += float(((prior.rows @ reach) ** 2).sum())
     whole = sum(total.values())
     if not (np.isfinite(whole) and whole > 0.0):
         return {}

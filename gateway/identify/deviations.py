@@ -249,12 +249,15 @@ class _Differences:
 def _difference_off(difference_nm: Floats, torque_nm: Floats, without: Mask, least: Floats) -> _Differences:
     """Half differences less `band + nu |tau|`, fitted robustly, and their scale (N,)."""
     off, scale = np.full(difference_nm.shape, np.nan), np.full(len(least), np.inf)
-    for axis in range(len(least)):
-        use = np.isfinite(difference_nm[:, axis])
-        if use.sum() < LIMITS.least_rows:
-            continue
-        design = np.stack([np.ones(use.sum()), torque_nm[use, axis]], axis=1)
-        group = np.zeros(len(design), dtype=int)
-        fit = robust_fit(design, difference_nm[use, axis], group, least[axis : axis + 1], ~without[use, axis])
-        off[use, axis], scale[axis] = fit.residual, fit.scale[0]
+    use = np.isfinite(difference_nm)
+    use &= use.sum(axis=0) >= LIMITS.least_rows
+    if not use.any():
+        return _Differences(off, scale)
+    axis = np.nonzero(use)[1]
+    own = (axis[:, None] == np.arange(len(least))).astype(float)
+    design = np.hstack([own, own * torque_nm[use][:, None]])
+    fit = robust_fit(design, difference_nm[use], axis, least, ~without[use])
+    off[use] = fit.residual
+    seen = use.any(axis=0)
+    scale[seen] = fit.scale[seen]
     return _Differences(off, scale)

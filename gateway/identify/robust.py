@@ -17,6 +17,8 @@ _MAD: Final = 1.4826
 #: Standard deviations beyond which a row has no say (Tukey's biweight).
 _TUKEY: Final = 6.0
 _STEPS: Final = 12
+#: Share of the scale by which the last step may still move a residual.
+_SETTLED: Final = 0.02
 _RANK: Final = 1e-7
 
 
@@ -51,15 +53,18 @@ def robust_fit(
     weight = 1.0 / least[group]
     scale = np.full(len(least), np.inf)
     residual = target
-    for step in range(2 * _STEPS):
-        value = _weighted(basis, target, np.where(sound, weight, 0.0), held)
-        residual = target - basis @ value
-        scale = np.maximum(_scales(residual, group, sound, basis.shape[1], len(least)), least)
-        ratio = np.abs(residual) / scale[group]
-        if step < _STEPS:
-            weight = 1.0 / (scale[group] * np.sqrt(np.maximum(ratio, 0.1)))
-        else:
-            weight = np.maximum(1.0 - (ratio / _TUKEY) ** 2, 0.0) / scale[group]
+    for bounded in (False, True):
+        for _ in range(_STEPS):
+            value = _weighted(basis, target, np.where(sound, weight, 0.0), held)
+            moved, residual = residual, target - basis @ value
+            scale = np.maximum(_scales(residual, group, sound, basis.shape[1], len(least)), least)
+            ratio = np.abs(residual) / scale[group]
+            if bounded:
+                weight = np.maximum(1.0 - (ratio / _TUKEY) ** 2, 0.0) / scale[group]
+            else:
+                weight = 1.0 / (scale[group] * np.sqrt(np.maximum(ratio, 0.1)))
+            if (np.abs(residual - moved) <= _SETTLED * scale[group]).all():
+                break
     return RobustFit(residual, scale)
 
 

@@ -103,6 +103,7 @@ class AlteredModel:
     offset_nm : (n, N) added to the reading
     coupling : (N, N) reported axis i shows sum_j coupling[i, j] * axis j
     load_friction : (N,) nu of nu |tau|
+    one_efficiency : (N,) how far these losses are those of one efficiency both ways, 1, rather than even, 0
     bias_nm : (N,) by how much friction upwards exceeds friction downwards, halved
     band_gain : (n, N) factor on the friction band
     gain_per_nm : (N,) added to the gain per Nm of motor torque
@@ -120,6 +121,7 @@ class AlteredModel:
     offset_nm: Floats
     coupling: Floats
     load_friction: Floats
+    one_efficiency: Floats
     bias_nm: Floats
     band_gain: Floats
     gain_per_nm: Floats
@@ -141,6 +143,7 @@ def neutral(n: int, axes: int) -> AlteredModel:
         offset_nm=np.zeros((n, axes)),
         coupling=np.eye(axes),
         load_friction=none,
+        one_efficiency=none,
         bias_nm=none,
         band_gain=np.ones((n, axes)),
         gain_per_nm=none,
@@ -273,8 +276,9 @@ class Model:
     def readings(self, setting: AlteredModel, torque: Floats, band_nm: Floats) -> Prediction:
         """Readings from the torque (n, N) the gears transmit."""
         two = self.rows.two_sided[:, None]
-        friction = band_nm * setting.band_gain + setting.load_friction * np.abs(torque)
-        carried, torque = torque, torque + setting.bias_nm
+        band = band_nm * setting.band_gain
+        friction = band + setting.load_friction * np.abs(torque)
+        carried, torque = torque, torque + setting.bias_nm + self._left_by_gear(setting, torque, band)
         if self._straight(setting):
             # the way through the gear and back cancels: each side reads torque and friction as they are
             middle = (setting.gain * torque + setting.offset_nm) @ setting.coupling.T
@@ -287,6 +291,16 @@ class Model:
         if self.rows.side.any():
             half_sum = np.where(self.rows.side > 0, up, np.where(self.rows.side < 0, down, half_sum))
         return Prediction(half_sum, np.where(two, (up - down) / 2.0, 0.0), carried)
+
+    def _left_by_gear(self, setting: AlteredModel, torque: Floats, band: Floats) -> Floats:
+        """What a gear that loses more when it is driven leaves in the middle of both sides (n, N).
+
+        The motor gives `(tau + band) / eta` upwards and `(tau - band) eta` downwards where it lifts: half their sum
+        holds `nu^2 tau / 2 + nu band` more than `tau`, of `nu = (1 / eta - eta) / 2`.
+        """
+        nu = setting.load_friction
+        within = np.clip(torque, -np.abs(band), np.abs(band))
+        return setting.one_efficiency * nu * (0.5 * nu * torque + within)
 
     def _straight(self, setting: AlteredModel) -> bool:
         """Whether nothing stands between the gear and the reading that the conversion does not undo."""
@@ -307,7 +321,8 @@ class Model:
     def sum_by_torque(self, setting: AlteredModel, torque: Floats, band_nm: Floats) -> Floats:
         """Derivative (n, N, N) of the half sums by the transmitted torque of each axis."""
         if self._straight(setting) and not self.rows.side.any():
-            return setting.coupling[None] * setting.gain[:, None, :]
+            left = 1.0 + 0.5 * setting.one_efficiency * setting.load_friction**2
+            return setting.coupling[None] * (setting.gain * left)[:, None, :]
         step = 1e-4 * (1.0 + np.abs(torque).max(axis=0))
         count = self.rows.axes
         out = np.empty((len(torque), count, count))

@@ -71,7 +71,7 @@ class Term:
     with_friction : bool
         Whether Coulomb and viscous friction of its axis belong to what is reported.
     takes_over : str
-        What every arm has on that axis and the effect is too much of: "gain", "bias", "load_friction"; empty = nothing.
+        What every arm has on that axis and the effect is too much of: "gain", "bias", "load_friction" or "cogging".
     """
 
     name: ClassVar[str] = ""
@@ -104,6 +104,11 @@ class Term:
     def spread(self) -> tuple[float, ...]:
         """Plausible size of each parameter, NaN = no opinion."""
         return self.SPREAD
+
+    @property
+    def tries(self) -> int:
+        """How many shapes were looked through for this one, which is paid for where it is weighed."""
+        return 1
 
     @property
     def count(self) -> int:

@@ -93,11 +93,17 @@ def draw_cell(seed: int, condition: str, kind: str = ORDINARY) -> Cell:
 
 
 def draw_effect_cell(seed: int) -> Cell:
-    """Cell with something beyond the ordinary: kind and condition drawn from the seed, every second all together."""
+    """Cell with something beyond the ordinary."""
+    condition, kind = drawn_kind(seed)
+    return draw_cell(seed, condition, kind)
+
+
+def drawn_kind(seed: int) -> tuple[str, str]:
+    """Condition and kind of a cell with something beyond the ordinary; every second has all conditions together."""
     rng = np.random.default_rng([seed, 43])
     kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
     condition = "all" if rng.random() < 0.5 else str(rng.choice(CONDITIONS[:-1]))
-    return draw_cell(seed, condition, kind)
+    return condition, kind
 
 
 def _mechanisms(kind: str, rng: np.random.Generator) -> list[Maker]:

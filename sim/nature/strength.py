@@ -75,6 +75,18 @@ class Absorbing:
         top = self.basis[: target.size]
         return (target - top @ (top.T @ target)).reshape(half_sum_nm.shape)
 
+    def beside(self, curves: Sequence[Array]) -> Absorbing:
+        """The same with the curves (visits, 6) [Nm] of other effects, each of free amplitude."""
+        basis = self.basis
+        for curve in curves:
+            column = np.zeros(len(basis))
+            column[: curve.size] = (curve / self.floor_nm).ravel()
+            left = column - basis @ (basis.T @ column)
+            size = float(np.linalg.norm(left))
+            if size > 1e-9 * float(np.linalg.norm(column)):
+                basis = np.column_stack([basis, left / size])
+        return Absorbing(basis, self.floor_nm)
+
 
 def absorbing(arm: Arm, visits: Sequence[PlannedVisit]) -> Absorbing:
     """What the visits of an arm can put into its links, its load and its nuisances."""
@@ -108,3 +120,15 @@ def strength(arm: Arm, rows: Rows, effect: Effect, taken: Absorbing) -> float:
     left = taken.left(more.half_sum_nm)
     apart = (more.half_difference_nm - more.half_difference_nm.mean(axis=0)) / arm.floor_nm
     return float(max(np.sqrt(np.mean(left**2, axis=0)).max(), np.sqrt(np.mean(apart**2, axis=0)).max()))
+
+
+def strengths_beside(
+    arm: Arm, visits: Sequence[PlannedVisit], rows: Rows, effects: Sequence[Effect]
+) -> tuple[float, ...]:
+    """Strength of each effect beyond what the others of the same arm could take over as well."""
+    taken = absorbing(arm, visits)
+    curves = [np.zeros((len(visits), 6)) if e.wired else added(arm, rows, e).half_sum_nm for e in effects]
+    return tuple(
+        strength(arm, rows, effect, taken.beside([*curves[:place], *curves[place + 1 :]]))
+        for place, effect in enumerate(effects)
+    )

@@ -23,8 +23,9 @@ Extra = tuple[tuple[Ints, Floats], ...]
 
 #: Most rounds of the modelled torque, the step of a gain at which it has settled, and what a gain may be.
 ROUNDS, SETTLED, FACTORS = 5, 1e-3, (0.2, 5.0)
-#: Passes in which parameters are held to their limits.
+#: Passes [-] in which parameters are held to their limits.
 _PASSES = 3
+#: Relative length [-] of what the model leaves of a column, below which the column says nothing of its own.
 INDEPENDENT = 1e-5
 _EMPTY = np.zeros((0, 0))
 _NOTHING = Modelled(_EMPTY, _EMPTY, _EMPTY, _EMPTY)

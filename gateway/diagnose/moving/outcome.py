@@ -38,6 +38,7 @@ from gateway.result.result import (
 
 Floats = NDArray[np.float64]
 
+#: Rows [-] that a result keeps for its pictures: some hundred kilobytes.
 ROWS_KEPT = 600
 #: What the figures on rows held out speak of.
 HELD_OUT = {

@@ -22,6 +22,7 @@ from gateway.model.term import Named, Term
 
 Floats = NDArray[np.float64]
 
+#: Relative step [-] of a derivative by differences.
 STEP = 1e-3
 #: How near to an end of its range a parameter is at the edge, as a share of the range.
 EDGE = 0.02

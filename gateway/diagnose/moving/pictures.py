@@ -23,6 +23,7 @@ from gateway.result.values import matrix, numbers
 
 Floats = NDArray[np.float64]
 
+#: Points of a drawn cloud [-]: more hide each other at the width of a page.
 MOST_POINTS = 300
 
 

@@ -19,7 +19,9 @@ from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
 
+#: Factors [-] on the ratio of a train that are tried: 5 % about one to one, coarser where trains are rare.
 COUPLING_STEPS = np.array([0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0])
+#: Evaluations [-] of a law of three shape parameters: the simplex has shrunk a thousandfold by then.
 EVALUATIONS = 150
 
 

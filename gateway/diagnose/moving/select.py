@@ -62,7 +62,7 @@ def believed(problem: MovingProblem, trial: Trial, tried: int) -> bool:
     return (
         trial.ratio <= need.ratio
         and trial.gain > 0
-        and trial.p_demand * tried <= need.p_demand
+        and trial.p_demand * tried * trial.term.tries <= need.p_demand
         and trial.p_held <= need.p_held
         and trial.blocks_better >= need.blocks_better
     )

@@ -16,6 +16,7 @@ from gateway.diagnose.moving.thresholds import MOVING
 from gateway.model.term import Label, Term
 
 Floats = NDArray[np.float64]
+#: Stretches of time [-] that a held-out gain is spread over: fewer have no scatter, more are not independent.
 FEWEST_STRETCHES, MOST_STRETCHES = 6, 24
 # Coefficients, their covariance, change of the other parameters with its sign turned, drop of the cost.
 Step = tuple[Floats, Floats, Floats, float]

@@ -21,6 +21,7 @@ from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
 
+#: Relative errors of a drawing [-] that are weighed: a factor of two apart, from weighed links to none at all.
 LEVELS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 #: Precision that stands for no opinion on an effect's parameter.
 WIDE = 1e-8

@@ -21,7 +21,9 @@ from gateway.result.result import NextMeasurement
 
 Floats = NDArray[np.float64]
 
+#: Poses to choose from [-]: some ten a pose that is asked for, along each of six axes.
 CHOICE = 400
+#: Time from one visit to the next [s]: a slow move and two sides, as a recording has it.
 STEP_S = 30.0
 
 
@@ -125,7 +127,7 @@ def _disagreement(
         # half: what the parameters of the loser can still take up once the new visits are in its fit
         squares = 0.5 * ((other - readings[0]) / std) ** 2
         told.append(np.bincount(visit[visit >= 0], weights=squares[visit >= 0], minlength=len(choice)))
-    return np.min(np.array(told), axis=0) + 0.1 * np.mean(np.array(told), axis=0)
+    return np.min(np.array(told), axis=0) + REST.told_in_all * np.mean(np.array(told), axis=0)
 
 
 def _spread_out(choice: Floats, told: Floats) -> NDArray[np.int_]:

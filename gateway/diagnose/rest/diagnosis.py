@@ -16,9 +16,10 @@ from gateway.diagnose.rest.bias import friction_by_direction
 from gateway.diagnose.rest.decide import Decision, decide
 from gateway.diagnose.rest.deflection import elastic_joints
 from gateway.diagnose.rest.fit import fit
+from gateway.diagnose.rest.fresh import fresh_misfit, fresh_seen_nm, spare_rows
 from gateway.diagnose.rest.holdout import Unseen, foretold_covariance, predicted
 from gateway.diagnose.rest.linear import Fit, RestProblem, visit_loads
-from gateway.diagnose.rest.loads import loads_of
+from gateway.diagnose.rest.loads import loads_of, ordinary_of
 from gateway.diagnose.rest.mistakes import (
     Mistake,
     band_signs,
@@ -39,11 +40,12 @@ from gateway.diagnose.rest.outcome import (
     summary,
 )
 from gateway.diagnose.rest.pictures import DrawnVisits, pictures
-from gateway.diagnose.rest.problem import Knowledge, build_problem, first_noise
+from gateway.diagnose.rest.problem import Knowledge, build_problem, first_noise, settled_noise
 from gateway.diagnose.rest.remarks import corrected_links, limits, refused_loads
+from gateway.diagnose.rest.ripple import ripple_remarks, with_ripple
 from gateway.diagnose.rest.rows import Aside, joined, rest_rows, set_gross_aside
 from gateway.diagnose.rest.search import Search, run
-from gateway.diagnose.rest.structure import fresh_misfit, spare_rows
+from gateway.diagnose.rest.structure import structure_seen_nm
 from gateway.diagnose.rest.thresholds import REST
 from gateway.errors import DataUnusable
 from gateway.identify.links import default_inertials, parse_inertials
@@ -151,15 +153,18 @@ class RestDiagnosis:
 
     def _searched(self, table: Table, aside: Aside, mistakes: tuple[Mistake, ...], gained: float) -> Found:
         problem = self.problem(_undone(table, mistakes), aside)
-        noise = first_noise(problem)
-        plain = fit(problem, (), noise)
+        plain = fit(problem, (), first_noise(problem))
+        noise = settled_noise(problem, plain)
         bodies = problem.model.bodies(plain.setting, plain.links, visit_loads(problem, plain.loads))
         torque, _ = problem.model.joint_torque(plain.setting, bodies)
         weighed = bool(self.options.known) or self.knowledge.inertials == "exact"
         setup = RestSetup(self.options.gear_ratios(problem.axes), weighed, torque)
         named = terms_at_rest(problem.rows, setup, self.options.allowed)
         search = Search(problem, tuple(named), tuple(unnamed_terms(problem.rows, setup)), noise)
-        return Found(table, search, run(search), mistakes, gained, aside)
+        chosen = run(search)
+        if "torque_ripple" in self.options.allowed:
+            chosen = with_ripple(search, chosen, setup.gear_ratio)
+        return Found(table, search, chosen, mistakes, gained, aside)
 
     def _held(self, found: Found, holdout: Table | None) -> Unseen | None:
         if holdout is None or holdout.moving.all():
@@ -229,6 +234,8 @@ class RestDiagnosis:
         floor, band = floor_and_band(problem, decision)
         findings += corrected_links(decision)
         findings += found.aside.findings
+        if "torque_ripple" in self.options.allowed:
+            findings += ripple_remarks(search, decision.after, self.options.gear_ratios(problem.axes))
         findings += mistake_findings(found.mistakes) + refused_loads(after.loads) + limits(problem)
         rows, drawn = pictures(DrawnVisits.of(problem, held, "fresh" if kind == "fresh" else "held out"), decision)
         return Result(
@@ -244,7 +251,10 @@ class RestDiagnosis:
             rejected=tuple(rejected(search, decision)),
             next=questions(problem, decision, self.robot, self.options, self.knowledge),
             findings=tuple(findings),
+            nuisance=ordinary_of(problem, decision.after),
             set_aside=found.aside.entries,
+            quality=structure_seen_nm(problem, decision.whole, np.array(floor))
+            | fresh_seen_nm(problem, held, decision.after),
             provenance={
                 "visits": len(problem.rows),
                 "poses": len(np.unique(problem.rows.pose)),
@@ -262,11 +272,11 @@ class RestDiagnosis:
         """The decision in the light of rows that no fit has seen."""
         if held is None:
             return decision, []
-        axis = held.problem.axis[held.mask]
+        group = held.problem.group[held.mask]
         residual = predicted(held, decision.after)
         spare = spare_rows(problem, decision.after)
-        chance = fresh_misfit(residual, foretold_covariance(held, decision.after), axis, spare)
-        if chance >= REST.structure_p:
+        chance = fresh_misfit(residual, foretold_covariance(held, decision.after), group, problem.axes, spare)
+        if chance >= REST.fresh_p:
             return decision, []
         verdict = LESS[decision.verdict]
         finding = Finding(

@@ -32,6 +32,7 @@ from gateway.model.term import Term
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+#: Gauss-Newton steps [-]: the model is nearly linear, the noise settles in four.
 _STEPS = 6
 #: Standard deviation of what an effect of the hypothesis says instead.
 NOTHING = 1e-9
@@ -82,7 +83,7 @@ def _begin(problem: RestProblem, terms: Sequence[Term], start: Fit | None) -> _S
     if start is None:
         links, loads, band = problem.links.copy(), np.zeros((n_labels, 4)), np.zeros(problem.axes)
         loads[:, 0] = 1e-3
-        nuisance = problem.nuisance.mean
+        nuisance = problem.nuisance.mean.copy()
         known: dict[Term, Floats] = {}
     else:
         links, loads, band, nuisance = (part.copy() for part in (start.links, start.loads, start.band, start.nuisance))
@@ -182,7 +183,7 @@ def _update_noise(problem: RestProblem, residual: Floats, leverage: Floats, nois
 
 def _penalty(problem: RestProblem, terms: Sequence[Term], state: _State, prior: Prior, spreads: list[Floats]) -> float:
     total = float(np.sum(((state.links - problem.links) / problem.link_std) ** 2))
-    mean = problem.nuisance.mean
+    mean = problem.nuisance.mean.copy()
     mean[problem.taken_over(terms) - problem.nuisance_part.start] = 0.0
     total += float(np.sum(((state.nuisance - mean) / prior.std[problem.nuisance_part]) ** 2))
     if len(problem.prior_target):

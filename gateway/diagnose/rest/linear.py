@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.diagnose.rest.ordinary import KINDS, Ordinary, ordinary_setting, raised
 from gateway.diagnose.rest.thresholds import REST
-from gateway.identify.nuisance import NuisancePrior
-from gateway.model.rest import AlteredModel, Model, RestRows, neutral
+from gateway.model.rest import AlteredModel, Model, RestRows
 from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
@@ -49,7 +49,7 @@ class RestProblem:
     group: NDArray[np.int_]
     prior_rows: Floats
     prior_target: Floats
-    nuisance: NuisancePrior
+    nuisance: Ordinary
 
     @property
     def rows(self) -> RestRows:
@@ -88,13 +88,13 @@ class RestProblem:
 
     @property
     def nuisance_part(self) -> slice:
-        """Where gains, biases and load frictions stand."""
-        return slice(self.n_common - 3 * self.axes, self.n_common)
+        """Where the ordinary parameters stand."""
+        return slice(self.n_common - len(KINDS) * self.axes, self.n_common)
 
     @property
     def n_common(self) -> int:
-        """Parameters that every hypothesis has: links, loads, bands, gains, biases and load frictions."""
-        return 8 * self.axes + 4 * len(self.labels)
+        """Parameters that every hypothesis has: links, loads, bands and the ordinary ones."""
+        return (5 + len(KINDS)) * self.axes + 4 * len(self.labels)
 
     @property
     def common_mean(self) -> Floats:
@@ -108,12 +108,8 @@ class RestProblem:
         return np.concatenate([self.link_std, free, self.nuisance.std])
 
     def taken_over(self, terms: Sequence[Term]) -> NDArray[np.int_]:
-        """Places among the common parameters of which the effects are too much: what they say is said once."""
-        first = {"gain": 0, "bias": self.axes, "load_friction": 2 * self.axes}
-        places = [
-            first[term.takes_over] + term.joints[0] - 1 for term in terms if term.takes_over and len(term.joints) == 1
-        ]
-        return self.nuisance_part.start + np.array(places, dtype=int)
+        """Places among the common parameters of which the effects are too much."""
+        return self.nuisance_part.start + self.nuisance.taken_over(terms)
 
     def by_group(self, values: Floats | None = None) -> Floats:
         """Sum (3 N,) over the rows of each noise group; their number where no values (rows,) are given."""
@@ -137,7 +133,7 @@ class Fit:
     ----------
     terms : effects of the hypothesis
     links : (4 N,), loads : (labels, 4), band : (N,)
-    nuisance : (3 N,) gains, biases [Nm] and load frictions
+    nuisance : (K N,) ordinary parameters
     theta : parameters of each effect
     covariance : of [links, loads, band, nuisance, theta]
     setting : AlteredModel at the solution
@@ -182,10 +178,8 @@ def visit_loads(problem: RestProblem, loads: Floats) -> Floats:
 
 
 def with_terms(terms: Sequence[Term], theta: Sequence[Floats], rows: RestRows, nuisance: Floats) -> AlteredModel:
-    """The setting with what every arm has (3 N,), and all effects of a hypothesis, in it."""
-    gain, bias, load_friction = nuisance.reshape(3, rows.axes)
-    setting = neutral(len(rows), rows.axes)
-    setting = replace(setting, gain=setting.gain + gain, bias_nm=bias, load_friction=load_friction)
+    """The setting with what every arm has (K N,), and all effects of a hypothesis, in it."""
+    setting = ordinary_setting(rows, nuisance)
     for term, values in zip(terms, theta, strict=True):
         setting = term.apply(setting, values, rows)
     return setting
@@ -203,7 +197,7 @@ def modelled(problem: RestProblem, setting: AlteredModel, links: Floats, loads: 
 
 
 def common_columns(problem: RestProblem, setting: AlteredModel, links: Floats, loads: Floats, band: Floats) -> Floats:
-    """Columns (rows, n_common) of links, loads, bands, gains, biases and load frictions."""
+    """Columns (rows, n_common) of links, loads, bands and ordinary parameters."""
     model = problem.model
     bodies = model.bodies(setting, links, visit_loads(problem, loads))
     torque, regressor = model.joint_torque(setting, bodies)
@@ -223,7 +217,7 @@ def common_columns(problem: RestProblem, setting: AlteredModel, links: Floats, l
 def _axis_columns(
     problem: RestProblem, setting: AlteredModel, torque: Floats, band: Floats, half_sum: Floats, difference: Floats
 ) -> None:
-    """Fill in the columns of bands, gains, biases and load frictions.
+    """Fill in the columns of bands and ordinary parameters.
 
     Where no axis is read in another they are independent of each other: one step serves all axes at once.
     """
@@ -231,32 +225,23 @@ def _axis_columns(
     base = model.readings(setting, torque, band)
     own = np.arange(axes)
     coupled = bool(np.any(setting.coupling != np.eye(axes)))
-    for kind in range(4):
+    for place, kind in enumerate(("", *KINDS)):
         for moved in np.eye(axes) if coupled else np.ones((1, axes)):
-            step = _STEP * (1.0 + np.abs(band)) if kind in (0, 2) else np.full(axes, _STEP)
-            changed, raised = _raised(setting, band, kind, step * moved)
-            shifted = model.readings(changed, torque, raised)
+            step = _STEP * (1.0 + np.abs(band)) if kind in ("", "bias") else np.full(axes, _STEP)
+            if kind:
+                shifted = model.readings(raised(setting, kind, step * moved, problem.rows), torque, band)
+            else:
+                shifted = model.readings(setting, torque, band + step * moved)
             for out, new, old in (
                 (half_sum, shifted.sum_nm, base.sum_nm),
                 (difference, shifted.difference_nm, base.difference_nm),
             ):
                 slope = (new - old) / step[moved > 0] if coupled else (new - old) / step
-                start = problem.band_part.start + kind * axes
+                start = problem.band_part.start + place * axes
                 if coupled:
                     out[:, :, start + int(np.argmax(moved))] = slope
                 else:
                     out[:, own, start + own] = slope
-
-
-def _raised(setting: AlteredModel, band: Floats, kind: int, step: Floats) -> tuple[AlteredModel, Floats]:
-    """The setting and the bands with one kind of them raised by `step` (N,)."""
-    if kind == 0:
-        return setting, band + step
-    if kind == 1:
-        return replace(setting, gain=setting.gain * (1.0 + step)), band
-    if kind == 2:
-        return replace(setting, bias_nm=setting.bias_nm + step), band
-    return replace(setting, load_friction=setting.load_friction + step), band
 
 
 def term_columns(problem: RestProblem, fit: Fit, term: Term, theta: Floats, position: int | None = None) -> Floats:

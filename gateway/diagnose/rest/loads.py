@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm, t
 
 from gateway.diagnose.rest.linear import Fit, RestProblem
+from gateway.diagnose.rest.ordinary import KINDS
 from gateway.diagnose.rest.thresholds import REST
+from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, NOISE, Sources, budget_of
 from gateway.identify.load_estimate import load_directions, load_from_moment, load_result, refused_load, unknown_load
+from gateway.identify.solve import Prior
 from gateway.model.robot import Robot
-from gateway.result.result import LoadResult
+from gateway.result.result import LoadResult, NuisanceResult
+from gateway.result.values import numbers
 
 Floats = NDArray[np.float64]
 
@@ -34,7 +41,52 @@ def _load(problem: RestProblem, fit: Fit, robot: Robot, index: int) -> LoadResul
         return load_result(unknown_load(label), robot)
     found = np.concatenate([[True], std[1:] <= REST.blind_m])
     per_pose = _per_pose(problem, fit, index)
-    return load_result(load_from_moment(label, moment, covariance, np.full(4, widening), found, per_pose), robot)
+    load = load_from_moment(label, moment, covariance, np.full(4, widening), found, per_pose)
+    return replace(load_result(load, robot), budget=_budget(problem, fit, part.start))
+
+
+def _budget(problem: RestProblem, fit: Fit, mass: int) -> Mapping[str, float]:
+    """Share of the variance of a mass by source; one-sided rows are friction, the other rows and what effects have noise."""
+    count, axes = len(fit.prior_std), problem.axes
+    constants, links, friction = np.zeros(count), np.zeros(count), np.zeros(count)
+    links[problem.link_part] = 1.0
+    friction[problem.nuisance_part] = 1.0
+    gains = slice(problem.nuisance_part.start, problem.nuisance_part.start + axes)
+    constants[gains] = problem.nuisance.constants
+    noise = np.zeros(count)
+    noise[problem.n_common :] = 1.0
+    further = np.zeros((len(problem.prior_rows), count))
+    further[:, problem.link_part] = problem.prior_rows
+    direction = np.zeros(count)
+    direction[mass] = 1.0
+    return budget_of(
+        fit.design,
+        1.0 / fit.noise.std[problem.group],
+        Prior(np.zeros(count), fit.prior_std, further, np.zeros(len(further))),
+        fit.covariance,
+        direction,
+        Sources(
+            np.where(problem.group >= 2 * axes, FRICTION, NOISE),
+            {CONSTANTS: constants, LINKS: links, FRICTION: friction - constants, NOISE: noise},
+        ),
+    )
+
+
+def ordinary_of(problem: RestProblem, fit: Fit) -> dict[str, NuisanceResult]:
+    """What every arm has, as fitted: of an axis that an effect takes over, the effect says it."""
+    at = problem.nuisance_part
+    value = fit.nuisance.reshape(len(KINDS), -1).copy()
+    std = np.sqrt(np.maximum(np.diag(fit.covariance)[at], 0.0)).reshape(len(KINDS), -1)
+    gone = problem.nuisance.taken_over(fit.terms)
+    measured = problem.use_sum.any(axis=0)
+    out = {}
+    for row, kind in enumerate(KINDS):
+        known = measured & ~np.isin(row * problem.axes + np.arange(problem.axes), gone)
+        key = "bias_nm" if kind == "bias" else kind
+        out[key] = NuisanceResult(
+            numbers(np.where(known, value[row], np.nan)), numbers(np.where(known, std[row], np.nan))
+        )
+    return out
 
 
 def _widening(problem: RestProblem, fit: Fit, part: slice) -> float:

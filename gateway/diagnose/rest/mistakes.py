@@ -132,7 +132,7 @@ def held_ratio(problem: RestProblem, now: Fit, changed: RestProblem, undone: Fit
         return 1.0, np.inf
     gain = squares[0] - squares[1]
     spread = float(gain.std(ddof=1)) * np.sqrt(len(poses)) if len(poses) > 1 else np.inf
-    upper = after / before + float(student.ppf(0.95, max(len(poses) - 1, 1))) * spread / before
+    upper = after / before + float(student.ppf(REST.mistake_sure, max(len(poses) - 1, 1))) * spread / before
     return float(np.sqrt(after / before)), float(np.sqrt(upper))
 
 

@@ -24,6 +24,7 @@ from gateway.model.unnamed import UNNAMED
 from gateway.result.result import EffectResult, Evidence, Finding, FitSummary, Rejected
 
 Floats = NDArray[np.float64]
+#: Odds [-] beyond which a number means no more than certain.
 LARGEST_ODDS = 1e12
 
 

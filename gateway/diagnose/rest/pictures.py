@@ -29,8 +29,11 @@ from gateway.result.values import Matrix, matrix, numbers
 
 Floats = NDArray[np.float64]
 
+#: Points of a drawn curve [-]: smooth at the width of a page.
 GRID = 60
+#: Share [-] of the measured range by which a curve is drawn beyond it.
 GRID_MARGIN = 0.05
+#: Relative step [-] of a derivative: half the digits of a float, and some.
 STEP = 1e-4
 #: What an effect at rest can be drawn over.
 SEEN: Final = frozenset({Over.ANGLE, Over.TORQUE, Over.TORQUE_BY_DIRECTION, Over.TIME})

@@ -8,19 +8,22 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.rest.linear import Noise, RestProblem
+from gateway.diagnose.rest.linear import Fit, Noise, RestProblem
+from gateway.diagnose.rest.ordinary import Ordinary
 from gateway.diagnose.rest.thresholds import REST
 from gateway.errors import DataUnusable
 from gateway.identify.links import PER_LINK_AT_REST, link_prior, parse_inertials
 from gateway.identify.loads import bare_rows, load_vector, unknown_labels
-from gateway.identify.nuisance import NuisancePrior, gain_stds, nuisance_prior
+from gateway.identify.nuisance import LOAD_FRICTION, gain_stds, nuisance_prior
 from gateway.model.rest import Model, RestRows
 from gateway.model.robot import Robot
 from gateway.result.result import Bare
 
 Floats = NDArray[np.float64]
+#: Standard deviation [kg] and [kg m] of a link of which nothing is known: a hundred times that of any arm.
 OPEN_MASS_KG = 1e3
 OPEN_MOMENT_KG_M = 1e3
+#: Relative standard deviation [-] of inertials that are called exact: below what any torque shows.
 EXACT = 1e-4
 #: Friction band of an axis that was approached from one side only, as a share of its torque.
 BAND_UNSEEN = 0.05
@@ -94,7 +97,7 @@ def _link_prior(robot: Robot, inertials: str) -> tuple[Floats, Floats]:
     return mean, np.where(np.isinf(std), nearly_open, np.maximum(std, LEAST_STD))
 
 
-def _nuisance(rows: RestRows, seen: NDArray[np.bool_], knowledge: Knowledge) -> NuisancePrior:
+def _nuisance(rows: RestRows, seen: NDArray[np.bool_], knowledge: Knowledge) -> Ordinary:
     """Prior of what every arm has; the sides of the visits tell how large bands and losses are."""
     band, lost = np.empty(rows.axes), np.full(rows.axes, np.nan)
     for axis in range(rows.axes):
@@ -107,7 +110,9 @@ def _nuisance(rows: RestRows, seen: NDArray[np.bool_], knowledge: Knowledge) -> 
         band[axis] = float(np.median(half))
         if len(half) >= 4 and np.ptp(torque) > 0:
             lost[axis] = float(np.polyfit(torque, half, 1)[0])
-    return nuisance_prior(gain_stds(knowledge.gain_std, rows.axes), band, lost)
+    gain_std = gain_stds(knowledge.gain_std, rows.axes)
+    lost = np.clip(np.where(np.isfinite(lost), lost, LOAD_FRICTION), 0.0, 1.0)
+    return Ordinary.of(nuisance_prior(gain_std, band, lost), gain_std, lost)
 
 
 def first_noise(problem: RestProblem) -> Noise:
@@ -137,6 +142,19 @@ def first_noise(problem: RestProblem) -> Noise:
             start[axis + 2 * axes] = max(repeated, floor)
     start = np.where(np.isnan(start), 1.0, start)
     return Noise(start, start.copy(), least)
+
+
+def settled_noise(problem: RestProblem, plain: Fit) -> Noise:
+    """Where the noise of every hypothesis begins: what the sides show, or what is left without any effect if less.
+
+    Half differences hold structure of their own, of friction, that half sums do not; half sums hold the effects.
+    """
+    count = problem.by_group()
+    freedom = count - problem.by_group((plain.orthogonal**2).sum(axis=1))
+    left = np.sqrt(problem.by_group(plain.residual**2) / np.maximum(freedom, 1.0))
+    start = np.where(freedom >= REST.noise_weight, np.minimum(plain.noise.start, left), plain.noise.start)
+    start = np.maximum(start, plain.noise.least)
+    return Noise(start, start.copy(), plain.noise.least)
 
 
 def _difference_scatter(problem: RestProblem, axis: int, torque_nm: Floats) -> float:

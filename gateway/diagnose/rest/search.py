@@ -3,7 +3,7 @@
 Candidates are ranked linearised (all singles, all pairs of places), the best are fitted in full, and hypotheses are
 compared by evidence plus the logarithm of their prior probability: every place of every effect is equally likely
 beforehand, its shapes share that probability; what goes beyond an ordinary parameter of an axis is held down by that
-parameter's prior already, and is as likely as its axis. Shapes without a name compete on the same terms.
+parameter's prior already. Shapes without a name compete on the same terms.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Search:
     def __post_init__(self) -> None:
         places = len({term.label for term in self.named})
         for term in self.named:
-            own = self.problem.axes if len(self.problem.taken_over([term])) else places
+            own = REST.over_prior if len(self.problem.taken_over([term])) else places
             self.prior[term] = -np.log(own) - np.log(term_shapes(term, self.named))
         for term in self.unnamed:
             self.prior[term] = -np.log(len(self.unnamed)) - REST.rare

@@ -53,11 +53,40 @@ class RestThresholds:
         "probability that noise leaves what is left, below which structure remains",
         "one false alarm in a thousand clean cells",
     )
+    least_pairs: int = threshold(
+        4, "", "pairs of visits of one pose below which an axis's residuals are not compared", "as least poses"
+    )
+    least_freedom: float = threshold(
+        3.0, "rows", "freedom below which an axis's scatter is not compared", "fewer know their own scatter to a factor"
+    )
+    scatter_freedom: float = threshold(
+        0.5,
+        "",
+        "share of the freedom that the scatter of an axis is compared with",
+        "friction that is left after settling is not normal, nor are its two sides quite independent",
+    )
+    power: float = threshold(0.8, "", "probability with which the size that is told would have been seen", "custom")
+    power_draws: int = threshold(120, "", "draws by which that size is found", "they tell 80 % to 4 %")
+    power_seed: int = threshold(20, "", "seed of those draws", "any; the same data give the same result")
+    largest_structure: float = threshold(
+        20.0, "floors", "size beyond which no structure is asked about", "the strongest effect of the blind cells"
+    )
+    structure_step: float = threshold(0.02, "", "to what share that size is found", "less than its draws scatter")
+    fresh_p: float = threshold(
+        0.05,
+        "",
+        "probability of residuals as large on fresh rows, below which they contradict the model",
+        "with the slack one false alarm in seventy, which asks for more poses and names nothing; four poses see a "
+        "doubled residual of one axis one time in two so, and one in eight at a thousandth",
+    )
     fresh_slack: float = threshold(1.15, "", "by which the variance of fresh rows may be larger than foretold", BLIND)
     most_effects: int = threshold(
         8, "", "effects of one hypothesis", "an end to the search, well beyond what its gains let it reach"
     )
     needed: float = threshold(3.0, "log odds", "what an effect has to gain to stay", "log of 20, as sure odds")
+    over_prior: float = threshold(
+        1.0, "odds", "against what goes beyond an ordinary parameter, whose prior holds it down already", BLIND
+    )
     implausible: float = threshold(8.0, "log odds", "against an effect that its mechanism cannot do", BLIND)
     rare: float = threshold(2.0, "log odds", "against a shape without a name beside the effects with one", BLIND)
     # prior and noise
@@ -74,6 +103,12 @@ class RestThresholds:
         "share of an axis's torque below which no noise is believed",
         "resolution of a torque word of 1000 steps, rounded off over some visits",
     )
+    cold: float = threshold(
+        0.25, "", "share by which friction is larger cold, of each time constant", "`methods.md` 9: 0 to 0.5"
+    )
+    warm_fast_s: float = threshold(600.0, "s", "the shorter time in which it warms up", "`methods.md` 9: 5 to 60 min")
+    warm_slow_s: float = threshold(2400.0, "s", "the longer", "`methods.md` 9: 5 to 60 min")
+    cogging: float = threshold(1.0, "floors", "RMS of a ripple that every gear has", "`methods.md` 9: below one floor")
     # where the search looks
     singles: int = threshold(8, "", "places fitted alone", BLIND)
     pairs: int = threshold(10, "", "pairs of places fitted together", BLIND)
@@ -88,14 +123,36 @@ class RestThresholds:
         "largest change of all rows below which a candidate does nothing",
         "half a floor over all rows together is seen by no fit",
     )
+    # swings of unknown order
+    ripple_angles: int = threshold(
+        12,
+        "",
+        "angles of an axis below which its orders are not looked through",
+        "fewer are met by the best of thousands of orders whatever the torque is: by draws",
+    )
+    ripple_squares: float = threshold(
+        3.0, "floors2", "mean square of what is left of an axis below which it is not asked", "a swing of two floors"
+    )
+    ripple_p: float = threshold(
+        0.01,
+        "",
+        "probability that torque without any order is met as well by the best of all orders, over all axes",
+        "one name in a hundred for what is no ripple",
+    )
+    ripple_draws: int = threshold(1000, "", "draws by which that is found", "they tell one in a hundred to a third")
+    ripples: int = threshold(3, "", "axes whose ripple is looked for one after the other", "the heavy ones")
+    aliases: int = threshold(3, "", "further orders that are told where they fit nearly as well", "a line of text")
     # commissioning mistakes
     mistake: float = threshold(20.0, "log odds", "what undoing a mistake has to gain", BLIND)
     common_mistake: float = threshold(
         30.0, "log odds", "against one factor on all axes: heavier links look like it", BLIND
     )
-    surer: float = threshold(3.0, "log odds", "against a mistake beside the best effects instead", BLIND)
+    surer: float = threshold(2.0, "log odds", "against a mistake beside the best effects instead", BLIND)
     obvious: float = threshold(150.0, "log odds", "gain at which effects need not be searched for first", BLIND)
     most_mistakes: int = threshold(3, "", "mistakes of one arm", "two wrong drives and one cable")
+    mistake_sure: float = threshold(
+        0.95, "", "probability that undoing a mistake foretells unseen poses better", "custom, one-sided"
+    )
     least_axes: int = threshold(
         2,
         "",
@@ -150,6 +207,12 @@ class RestThresholds:
     )
     # what to measure next
     asked: int = threshold(8, "", "poses asked for at once", "some five minutes of measuring")
+    told_in_all: float = threshold(
+        0.1,
+        "",
+        "share of what a pose tells of all rivals, beside the one that is hardest to tell",
+        "small: it only decides between poses that tell that one equally well",
+    )
     telling: float = threshold(
         1.0, "log odds", "what new poses have to promise", "less does not change odds that matter"
     )

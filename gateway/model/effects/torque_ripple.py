@@ -1,9 +1,13 @@
-"""Motor or wave-generator harmonics: the reading swings several times per turn of the joint."""
+"""Motor or wave-generator harmonics: the reading swings several times per turn of the joint.
+
+Where the gear ratio is known the swings are its first two harmonics. Where it is not, the order is read off what the
+model leaves (order analysis), and the number of orders that were looked through is paid for.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, Final
 
 import numpy as np
@@ -22,17 +26,27 @@ SWINGS: Final = 2
 LEAST_REACH_RAD: Final = 0.2
 #: No motor or gear swings oftener per turn of the joint.
 MOST_PER_REVOLUTION: Final = 600.0
+#: Nor less often at rest, where a few slow swings are any smooth torque: gears of arms reduce by 30 and more.
+LEAST_PER_REVOLUTION: Final = 25.0
+#: Phase [rad] over half the reach of an axis by which two orders next to each other differ.
+ORDER_STEP_RAD: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class TorqueRipple(ReadingTorque):
-    """`a sin(w q) + b cos(w q)`, `w` swings per turn."""
+    """`a sin(w q) + b cos(w q)`, `w` swings per turn; `orders` is the number of orders that were looked through."""
 
     per_revolution: float = 100.0
+    orders: int = field(default=1, compare=False)
     name: ClassVar[str] = "torque_ripple"
+    takes_over: ClassVar[str] = "cogging"
     parameters: ClassVar[tuple[str, ...]] = ("sine_nm", "cosine_nm")
     linear: ClassVar[tuple[bool, ...]] = (True, True)
     SPREAD: ClassVar[tuple[float, ...]] = (NAN, NAN)
+
+    @property
+    def tries(self) -> int:
+        return self.orders
 
     def shape(self, q_rad: Floats, fixed: Floats) -> Floats:
         angle = self.per_revolution * q_rad[:, self.axis]
@@ -45,6 +59,14 @@ class TorqueRipple(ReadingTorque):
 
         values, std = propagated(named, theta, covariance)
         return values | {"per_revolution": self.per_revolution}, std
+
+
+def orders_at_rest(q_rad: Floats) -> Floats:
+    """Swings per turn (k,) to look through at joint angles (n,) of one axis; none where it hardly turned."""
+    reach = float(np.ptp(q_rad))
+    if reach < LEAST_REACH_RAD:
+        return np.zeros(0)
+    return np.arange(LEAST_PER_REVOLUTION, MOST_PER_REVOLUTION, 2.0 * ORDER_STEP_RAD / reach)
 
 
 def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
@@ -67,7 +89,8 @@ def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
         fastest = 0.5 * np.pi / max(float(np.quantile(steps, 0.9)), 1e-9)
         waves = np.arange(6.0 * np.pi / reach, min(fastest, MOST_PER_REVOLUTION), 0.5 * np.pi / reach)
         power = np.abs(np.exp(1j * np.outer(waves, q)) @ rest)
-        yield from (TorqueRipple(axis, float(waves[peak])) for peak in np.argsort(power)[::-1][:SWINGS])
+        best = np.argsort(power)[::-1][:SWINGS]
+        yield from (TorqueRipple(axis, float(waves[peak]), len(waves)) for peak in best)
 
 
 EFFECT: Final = Effect(

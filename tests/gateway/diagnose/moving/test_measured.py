@@ -56,13 +56,17 @@ def test_kr300_lacks_a_balancer_and_carries_a_believable_load():
     assert from_json(to_json(result)).effects[0].name == "balancer_spring"
 
 
-def test_kr300_load_is_nearly_the_same_under_any_trust_in_the_cad():
+def test_kr300_load_under_any_trust_in_the_cad_is_the_same_within_its_intervals():
     table, robot = load("kr300", "run_A")
-    masses = [
-        diagnose_motion(table, robot, DiagnoseOptions(inertials=trust)).loads[0].mass_kg
+    loads = [
+        diagnose_motion(table, robot, DiagnoseOptions(inertials=trust)).loads[0]
         for trust in ("exact", "prior:0.02", "prior:0.05")
     ]
-    assert np.ptp(masses) < 10
+    for one in loads:
+        for other in loads:
+            both = np.hypot(one.mass_std_kg, other.mass_std_kg)
+            assert abs(one.mass_kg - other.mass_kg) < 2.5 * both
+        assert one.mass_std_kg < 15
 
 
 def test_tx40_motor_6_turns_with_joint_5():

@@ -15,6 +15,7 @@ from gateway.model.effects.balancer_spring import HarmonicBalancer
 from gateway.model.effects.base_tilt import BaseTilt
 from gateway.model.effects.load_dependent_friction import LoadDependentFriction
 from gateway.model.effects.torque_offset import TorqueOffset
+from gateway.model.effects.torque_ripple import TorqueRipple
 
 PROBLEM = SimpleNamespace(motion=SimpleNamespace(axes=6))
 TRIED = 200
@@ -61,3 +62,11 @@ def test_what_is_rare_and_has_many_shapes_has_more_to_make_good():
     assert penalty(LoadDependentFriction(1)) == 1.0
     assert penalty(TorqueOffset(1)) == pytest.approx(1.0 + np.log(MOVING.rare))
     assert penalty(HarmonicBalancer()) == pytest.approx(4.0 + np.log(MOVING.rare))
+
+
+def test_an_order_that_was_looked_for_pays_for_every_order_that_was_tried():
+    least = 0.99 * MOVING.special.p_demand / TRIED / 700
+    shown = Shown(TorqueRipple(1, 80.0, 700), 0.5, p_demand=least, p_held=0.0, blocks_better=1.0)
+    assert believed(PROBLEM, shown, TRIED)
+    assert not believed(PROBLEM, replace(shown, p_demand=2.0 * least), TRIED)
+    assert believed(PROBLEM, replace(shown, term=TorqueRipple(1, 80.0), p_demand=700 * least), TRIED)

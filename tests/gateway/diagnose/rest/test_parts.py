@@ -10,10 +10,9 @@ import pytest
 from scipy import stats
 
 from gateway.diagnose.held import Held
+from gateway.diagnose.rest.fresh import spare_rows
 from gateway.diagnose.rest.holdout import left_out, left_out_with
 from gateway.diagnose.rest.screen import Screen, log_bayes_factor, pair_log_bayes
-from gateway.diagnose.rest.structure import fresh_misfit, spare_rows
-from gateway.diagnose.rest.thresholds import REST
 
 RNG = np.random.default_rng(7)
 
@@ -92,19 +91,6 @@ def test_and_so_it_is_with_one_more_candidate(fitted):
     found = left_out_with(problem, fit, view, 0) / fit.noise.std[problem.group]
     # the prior is a row that is never left out
     assert found == pytest.approx(expected)
-
-
-def test_fresh_rows_are_judged_axis_by_axis():
-    """By chi-square where the noise is known, by F where it was told by few rows; times the axes."""
-    axis = np.repeat([0, 2], [4, 6])
-    covariance = np.diag(np.repeat([4.0, 0.25], [4, 6]))
-    residual = np.concatenate([np.full(4, 3.0), np.full(6, 0.5)])
-    mean = np.array([9.0 / 4.0, 1.0]) / REST.fresh_slack
-    known = 2 * min(stats.chi2.sf(mean[0] * 4, 4), stats.chi2.sf(mean[1] * 6, 6))
-    assert fresh_misfit(residual, covariance, axis) == pytest.approx(known)
-    told = 2 * min(stats.f.sf(mean[0], 4, 10.0), stats.f.sf(mean[1], 6, 1.0))
-    assert fresh_misfit(residual, covariance, axis, np.array([10.0, 0.0, 0.3])) == pytest.approx(told)
-    assert fresh_misfit(0.1 * residual, covariance, axis) == 1.0
 
 
 def test_rows_that_the_fit_has_not_taken_up():

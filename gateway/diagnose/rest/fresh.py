@@ -1,0 +1,89 @@
+"""Are poses that were measured afterwards met as well as the fit says, and how large a miss would have shown?"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, f
+
+from gateway.diagnose.rest.holdout import Unseen
+from gateway.diagnose.rest.linear import Fit, RestProblem
+from gateway.diagnose.rest.structure import pooled, told
+from gateway.diagnose.rest.thresholds import REST
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int_]
+
+#: Tests that share one probability: half sums and half differences, either on the worst axis and over all.
+_TESTS = 4
+
+
+def spare_rows(problem: RestProblem, fit: Fit) -> Floats:
+    """Rows (N,) of each axis beyond what the fit has taken up: how well its noise is known."""
+    leverage = (fit.orthogonal**2).sum(axis=1)
+    return np.asarray(np.bincount(problem.axis, weights=1.0 - leverage, minlength=problem.axes), dtype=float)
+
+
+def fresh_misfit(residual: Floats, covariance: Floats, group: Ints, axes: int, spare: Floats | None = None) -> float:
+    """Probability of residuals this large on fresh rows, over all tests.
+
+    Half sums (or single sides) and half differences, either on the axis where they are largest and over all axes.
+
+    Parameters
+    ----------
+    residual : array of shape (k,)
+    covariance : array of shape (k, k)
+        Of the residuals: their own noise, and what the fit does not know of the rows it foretells.
+    group : array of shape (k,)
+        Noise group: axis + `axes` * (0 half sum, 1 half difference, 2 one-sided).
+    axes : number of axes N
+    spare : array of shape (N,), optional
+        How many rows the noise of each axis was estimated from: few rows know their own noise badly. None = known.
+    """
+    tests = []
+    for kind in (group // axes != 1, group // axes == 1):
+        numbers = np.unique(group[kind] % axes)
+        if not len(numbers):
+            continue
+        chances, counts = [], []
+        for number in numbers:
+            rows = np.flatnonzero(kind & (group % axes == number))
+            chances.append(_fresh_axis(residual[rows], covariance[np.ix_(rows, rows)], spare, int(number)))
+            counts.append(float(len(rows)))
+        together = pooled(np.array(chances)[:, None], np.sqrt(counts))
+        tests += [len(numbers) * min(chances), float(together[0])]
+    return min(1.0, len(tests) * min(tests)) if tests else 1.0
+
+
+def _fresh_axis(residual: Floats, covariance: Floats, spare: Floats | None, axis: int) -> float:
+    mean = float(residual @ np.linalg.solve(covariance, residual)) / len(residual) / REST.fresh_slack
+    if spare is None:
+        return float(chi2.sf(mean * len(residual), len(residual)))
+    return float(f.sf(mean, len(residual), max(float(spare[axis]), 1.0)))
+
+
+def fresh_seen_nm(problem: RestProblem, held: Unseen | None, fit: Fit) -> dict[str, list[float | None]]:
+    """RMS (N,) [Nm] of a structure on one axis that fresh half sums would have shown; nothing without such rows."""
+    if held is None:
+        return {}
+    group = held.problem.group[held.mask]
+    axis = group[group // problem.axes != 1] % problem.axes
+    sizes = fresh_seen(np.bincount(axis, minlength=problem.axes), spare_rows(problem, fit))
+    return {"fresh_seen_nm": told(sizes * fit.noise.std[: problem.axes])}
+
+
+def fresh_seen(rows: Ints, spare: Floats | None = None) -> Floats:
+    """RMS (N,) of a structure, in floors, that fresh half sums (N,) of one axis alone show with probability `power`.
+
+    By the test of the worst axis alone, of noise that is foretold exactly; inf on an axis without rows.
+    """
+    measured = np.flatnonzero(rows)
+    out = np.full(len(rows), np.inf)
+    level = REST.fresh_p / _TESTS / max(len(measured), 1)
+    for axis in measured:
+        count = int(rows[axis])
+        freedom = np.inf if spare is None else max(float(spare[axis]), 1.0)
+        limit = chi2.isf(level, count) / count if np.isinf(freedom) else f.isf(level, count, freedom)
+        lower = chi2.isf(REST.power, count) / count
+        out[axis] = np.sqrt(max(limit * REST.fresh_slack / lower - 1.0, 0.0))
+    return out

@@ -1,0 +1,109 @@
+"""What every arm has at rest, as parameters of every hypothesis (`methods.md` 9)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.diagnose.rest.thresholds import REST
+from gateway.identify.nuisance import UNEVEN_LOSS, NuisancePrior
+from gateway.model.rest import AlteredModel, RestRows, neutral
+from gateway.model.term import Term
+
+Floats = NDArray[np.float64]
+
+#: Kinds of ordinary parameters, one of each an axis, in their order: gain error of the reading, bias by direction [Nm],
+#: friction over torque, how far losses are those of one efficiency (0 to 1), and by how much friction is larger cold,
+#: as it fades fast and slowly.
+KINDS: Final = ("gain", "bias", "load_friction", "one_efficiency", "cold_fast", "cold_slow")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ordinary:
+    """Prior of the ordinary parameters (K N,), by kind and then by axis.
+
+    `constants` (N,) is the share of a gain's prior variance that is of its torque constant; the rest is of losses.
+    """
+
+    mean: Floats
+    std: Floats
+    constants: Floats
+
+    def __post_init__(self) -> None:
+        """All hypotheses share the prior: none may change it."""
+        self.mean.flags.writeable = False
+        self.std.flags.writeable = False
+
+    @staticmethod
+    def of(prior: NuisancePrior, gain_std: Floats, lost: Floats) -> Ordinary:
+        """From what the constants and the sides of visits say.
+
+        Parameters
+        ----------
+        prior : NuisancePrior
+        gain_std : array of shape (N,)
+            Of the torque constants alone.
+        lost : array of shape (N,)
+            Loss over transmitted torque, as the half differences show it.
+        """
+        none, one = np.zeros_like(gain_std), np.ones_like(gain_std)
+        gain = np.hypot(gain_std, UNEVEN_LOSS * lost)
+        cold = REST.cold * one
+        return Ordinary(
+            np.concatenate([none, none, prior.load_friction, 0.5 * one, none, none]),
+            np.concatenate([gain, prior.bias_std_nm, prior.load_friction_std, 0.5 * one, cold, cold]),
+            (gain_std / gain) ** 2,
+        )
+
+    @property
+    def axes(self) -> int:
+        """Number of axes N."""
+        return len(self.mean) // len(KINDS)
+
+    def taken_over(self, terms: Sequence[Term]) -> NDArray[np.int_]:
+        """Places of which the effects are too much: what they say is said once."""
+        places = [
+            KINDS.index(term.takes_over) * self.axes + term.joints[0] - 1
+            for term in terms
+            if term.takes_over in KINDS and len(term.joints) == 1
+        ]
+        return np.array(places, dtype=int)
+
+
+def ordinary_setting(rows: RestRows, value: Floats) -> AlteredModel:
+    """The setting in which nothing but the ordinary parameters (K N,) is changed."""
+    gain, bias, load_friction, one_efficiency, fast, slow = value.reshape(len(KINDS), rows.axes)
+    setting = neutral(len(rows), rows.axes)
+    fading = fades(rows)
+    return replace(
+        setting,
+        gain=setting.gain + gain,
+        bias_nm=bias,
+        load_friction=load_friction,
+        one_efficiency=one_efficiency,
+        band_gain=setting.band_gain + fading[0][:, None] * fast + fading[1][:, None] * slow,
+    )
+
+
+def raised(setting: AlteredModel, kind: str, step: Floats, rows: RestRows) -> AlteredModel:
+    """The setting with one kind of ordinary parameter raised by `step` (N,)."""
+    if kind == "gain":
+        return replace(setting, gain=setting.gain * (1.0 + step))
+    if kind == "bias":
+        return replace(setting, bias_nm=setting.bias_nm + step)
+    if kind == "load_friction":
+        return replace(setting, load_friction=setting.load_friction + step)
+    if kind == "one_efficiency":
+        return replace(setting, one_efficiency=setting.one_efficiency + step)
+    fading = fades(rows)[KINDS.index(kind) - KINDS.index("cold_fast")]
+    return replace(setting, band_gain=setting.band_gain + fading[:, None] * step)
+
+
+def fades(rows: RestRows) -> tuple[Floats, Floats]:
+    """What is left (n,) of being cold at each visit, fast and slow; 1 at the first."""
+    since = rows.time_s - rows.time_s.min()
+    return np.exp(-since / REST.warm_fast_s), np.exp(-since / REST.warm_slow_s)

@@ -1,0 +1,89 @@
+"""How cells of nature are counted; every mechanism has its right names."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.blind.mechanisms import MECHANISMS
+from benchmarks.blind.nature_figures import effect_figures, gross_figures, ordinary_figures
+from benchmarks.blind.shares import middle, share
+from gateway.model.effects import LIBRARY
+from sim.nature.cell import NAMED
+from sim.nature.strange import STRANGE
+from sim.nature.wiring import WIRING
+
+
+def cell(kind: str = "ordinary", truth: tuple = (), found: tuple = (), verdict: str = "none_needed", **more) -> dict:
+    inside = {"inside": [1.0, 1.0, 1.0, 0.0], "width": [1.0, 1.1, 1.2, 1.3]}
+    return {
+        "seed": 0,
+        "condition": "base",
+        "kind": kind,
+        "misstated": False,
+        "truth": list(truth),
+        "beside": [size for _, _, size in truth],
+        "visits": [(0, "none"), (0, "tool"), (1, "none"), (1, "tool")],
+        "gross": [],
+        "estimated": inside,
+        "diagnosed": inside,
+        "found": list(found),
+        "verdict": verdict,
+        "set_aside": [],
+        "refused": [],
+        "total_s": 1.0,
+    } | more
+
+
+def test_every_mechanism_has_its_names_and_every_name_is_one_of_the_library():
+    assert set(MECHANISMS) == set(NAMED) | set(STRANGE) | set(WIRING)
+    mistakes = {"sign_reversed", "axes_swapped", "current_rms_peak"}
+    assert {name for names in MECHANISMS.values() for name in names} <= set(LIBRARY) | mistakes
+    assert all(MECHANISMS[name] for name in NAMED | WIRING)
+    assert not any(MECHANISMS[name] for name in STRANGE)
+
+
+def test_shares_and_medians_know_their_goals():
+    assert share([1.0, 0.0], "0.4 .. 0.6")["met"]
+    assert not share([1.0, 1.0], "0.93 .. 0.97")["met"]
+    assert share([1.0], ">= 0.9")["met"]
+    assert not share([1.0], "<= 0.9")["met"]
+    assert share([])["met"] is None
+    assert middle([1.0, float("nan"), 3.0], "<= 2")["value"] == 2.0
+
+
+def test_coverage_leaves_out_what_was_not_given_and_misstated_priors():
+    unknown = cell(diagnosed={"inside": [float("nan")] * 4, "width": [float("nan")] * 4}, estimated=None)
+    out = ordinary_figures([cell(), unknown, cell(misstated=True, found=[("base_tilt", [])], verdict="explained")])
+    assert out["diagnose: 95 % interval holds mass"]["unit"] == "of 1"
+    assert out["estimate: 95 % intervals hold the truth, all four"]["value"] == 0.75
+    assert out["diagnose: width over the oracle's"]["value"] == pytest.approx(1.15)
+    assert out["something named where only the ordinary is there"]["value"] == 0.0
+    assert out["something named, priors misstated"]["value"] == 1.0
+    assert out["base: diagnose holds z"]["value"] == 0.0
+
+
+def test_one_several_and_strange_ones_are_counted_apart():
+    offset = ("offset_sensor", [3], 5.0)
+    cells = [
+        cell("one", [offset], [("static_friction", [3])], "explained"),
+        cell("one", [("tilted_base", [], 2.0)], [("joint_zero_offset", [2])], "improved"),
+        cell("several", [offset, ("tilted_base", [], 4.0)], [("base_tilt", [])], "explained"),
+        cell("strange", [("tether", [], 9.0)], [("cable_torque", [5])], "improved"),
+        cell("strange", [("tether", [], 9.0)], [], "unexplained"),
+        cell("wiring", [("turned_sign", [2], float("inf"))], [("sign_reversed", [2])], "explained"),
+    ]
+    out = effect_figures(cells)
+    assert out["right, one effect of strength >= 3"]["value"] == 1.0
+    assert out["right, one effect of strength 1.5 to 3"]["value"] == 0.0
+    assert out["right, two or more effects, each of strength >= 3"]["value"] == 0.0
+    assert out["off-library given a library name"]["value"] == 0.5
+    assert out["wiring mistakes named"]["value"] == 1.0
+    assert out["something named that is not there"]["value"] == pytest.approx(1 / 3)
+
+
+def test_gross_visits_are_found_on_their_axis_and_good_ones_stay():
+    hit = cell(gross=[(0, "tool", 2, 7.0)], set_aside=[(0, "tool", 2, 6.5)])
+    beside = cell(gross=[(0, "tool", 2, 7.0)], set_aside=[(0, "tool", 3, 6.5), (1, "none", 3, 5.0)])
+    out = gross_figures([hit, beside])
+    assert out["gross visits of 4 bands and more found"]["value"] == 0.5
+    assert out["good visits thrown out"]["value"] == pytest.approx(1 / 6)

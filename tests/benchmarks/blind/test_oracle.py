@@ -1,0 +1,103 @@
+"""The oracle against closed forms, and against the noise that the cells are drawn with."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.blind import oracle
+from sim.nature.cell import draw_cell
+from sim.nature.effect import rows_of
+from sim.nature.levels import levels_of
+from sim.nature.measuring import Gross, quiet, reported_nm
+from sim.nature.strength import halves
+
+
+def test_one_parameter_with_a_prior():
+    # 1 / (sum a^2 / s^2 + 1 / p^2)
+    columns = np.array([[[1.0], [2.0]], [[3.0], [0.0]]])
+    weight = np.tile(np.diag([1 / 0.5**2, 1 / 0.25**2]), (2, 1, 1))
+    expected = 1.0 / ((1 + 9) / 0.5**2 + 4 / 0.25**2 + 1 / 2.0**2)
+    assert oracle.posterior(columns, weight, np.array([1 / 4.0]))[0, 0] == pytest.approx(expected)
+
+
+def test_a_nuisance_of_the_same_shape_adds_its_prior():
+    # y = a (x + b): what is known of x is the noise and the prior of b together
+    columns = np.ones((5, 1, 2))
+    covariance = oracle.posterior(columns, np.full((5, 1, 1), 1 / 0.3**2), np.array([0.0, 1 / 0.7**2]))
+    assert covariance[0, 0] == pytest.approx(0.3**2 / 5 + 0.7**2)
+
+
+def test_the_centre_of_a_load_by_the_error_of_its_moments():
+    rng = np.random.default_rng(0)
+    load = np.array([10.0, 1.0, -2.0, 3.0])
+    root = 0.01 * rng.standard_normal((4, 4))
+    draws = load + rng.standard_normal((200000, 4)) @ root.T
+    values = np.column_stack([draws[:, 0], draws[:, 1:] / draws[:, :1]])
+    assert oracle.centre_std(root @ root.T, load) == pytest.approx(values.std(axis=0), rel=0.02)
+
+
+def test_a_row_that_is_left_out_says_nothing_and_the_others_what_they_said():
+    rng = np.random.default_rng(1)
+    root = rng.standard_normal((6, 6))
+    covariance = root @ root.T
+    weight = oracle._without(np.linalg.inv(covariance), 2)
+    rest = [0, 1, 3, 4, 5]
+    assert weight[np.ix_(rest, rest)] == pytest.approx(np.linalg.inv(covariance[np.ix_(rest, rest)]))
+    assert not weight[2].any()
+
+
+def test_what_is_wrong_or_not_known_makes_the_load_less_known():
+    cell = draw_cell(2, "base")
+    sharp = oracle.load_std(cell, cell.visits, ())
+    unsure = replace(cell, arm=replace(cell.arm, gain_std=5.0 * cell.arm.gain_std))
+    assert (oracle.load_std(unsure, cell.visits, ()) > sharp).all()
+    lost = [Gross(k, 0, "tool", joint, 5.0) for k in range(len(cell.visits)) for joint in (2, 3)]
+    assert oracle.load_std(cell, cell.visits, lost)[0] > 1.5 * sharp[0]
+
+
+def test_a_mass_whose_constants_are_all_wrong_alike_is_as_unsure_as_they_are():
+    # free links, no noise to speak of: what is left is the gain of the axes that carry the mass
+    cell = draw_cell(4, "base")
+    exact = replace(cell.arm, links_std=np.full(24, 1e-12), gain_std=np.full(6, 0.03))
+    std = oracle.load_std(replace(cell, arm=exact), cell.visits, ())
+    assert 0.03 / np.sqrt(6.0) * 0.1 < std[0] / cell.arm.tool.mass_kg < 0.03
+
+
+@pytest.mark.parametrize("condition", ["base", "efficiency", "all"])
+def test_the_truth_lies_where_the_oracle_says(condition):
+    # the posterior mean of the same model, from measured half-sums, misses by what the oracle states
+    misses = np.array([_miss(seed, condition) for seed in range(30)])
+    assert 0.75 < np.sqrt(np.mean(misses**2)) < 1.3
+    assert np.abs(misses.mean(axis=0)).max() < 0.6
+
+
+def _miss(seed: int, condition: str) -> np.ndarray:
+    """Error of the posterior mean over its standard deviation, of mass, x, y, z."""
+    cell = draw_cell(seed, condition)
+    arm, rows = cell.arm, rows_of(cell.visits)
+    columns, gross = cell.measure(cell.visits)
+    tau = reported_nm(arm, rows, (), quiet(arm, rows))[1][0::2]
+    design, precision = oracle._design(arm, rows, (), tau)
+    weight = oracle._weights(arm, rows, (), tau)
+    for wrong in gross:
+        weight[wrong.visit] = oracle._without(weight[wrong.visit], wrong.joint - 1)
+    covariance = oracle.posterior(design, weight, precision)
+    left = halves(columns["tau_nm"], arm.friction.declared_efficiency).half_sum_nm - _expected(cell)
+    error = (covariance @ np.einsum("vap,vab,vb->p", design, weight, left))[:4]
+    load = arm.load
+    centre = np.append(error[0], (error[1:] - load[1:] / load[0] * error[0]) / load[0])
+    return centre / oracle.centre_std(covariance[:4, :4], load)
+
+
+def _expected(cell) -> np.ndarray:
+    """Half-sums of the arm that its owner believes in, with the true load."""
+    arm, rows = cell.arm, rows_of(cell.visits)
+    cad = np.concatenate([[b.mass_kg, *(b.mass_kg * b.com_m)] for b in arm.chain.bodies if b])
+    middle = np.full(6, np.mean(levels_of(cell.condition).efficiency))
+    friction = replace(arm.friction, bias_share=np.zeros(6), driving=middle, driven=middle)
+    believed = replace(arm, links=cad, gain=np.zeros(6), cogging_nm=np.zeros((6, 4)), friction=friction)
+    seen, _ = reported_nm(believed, rows, (), quiet(believed, rows))
+    return halves(seen, friction.declared_efficiency).half_sum_nm
