@@ -103,9 +103,7 @@ def several(seed, loads, world=None, gain_std=0.03, load_friction=(0.05, 0.02), 
     return concatenate(tables), robot
 
 
-def measured(
-    seed, world, duration_s=24.0, rate_hz=25.0, noise=0.02, cad_error=0.03, arm_seed=None, scale=None
-):
+def measured(seed, world, duration_s=24.0, rate_hz=25.0, noise=0.02, cad_error=0.03, arm_seed=None, scale=None):
     """Table of one moving run, the robot model, and the scale of each axis's torque (6,).
 
     Runs of one `arm_seed` are of one arm, whose friction goes by `scale`.

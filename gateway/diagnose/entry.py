@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from gateway.data.table import Table
 from gateway.diagnose.moving.diagnosis import diagnose_motion
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.rest.diagnosis import RestDiagnosis
+from gateway.errors import DataUnusable, InputError
 from gateway.model.robot import Robot
-from gateway.result.result import Result
+from gateway.result.result import Finding, Result
 
 
 def diagnose(table: Table, robot: Robot, options: DiagnoseOptions | None = None) -> Result:
@@ -26,12 +29,46 @@ def diagnose(table: Table, robot: Robot, options: DiagnoseOptions | None = None)
 
     Raises
     ------
-    DataUnusable : no torque measured, or no rest visit and no motion
-    InputError : a known load that is not in the data
+    DataUnusable : no torque measured, no rest visit and no motion, or a hold-out of the other kind than what is fitted
+    InputError : a known load that is not in the data, or a hold-out of another number of axes
     ConfigError : `inertials` is not understood
     """
     options = options or DiagnoseOptions()
-    if table.moving.all():
-        return diagnose_motion(table, robot, options)
-    rest = RestDiagnosis(robot, options)
-    return rest.report(rest.search(table.take(~table.moving)), options.holdout, options.holdout_kind)
+    moves = bool(table.moving.all())
+    held, left_out = _held_alike(options.holdout, robot, moves=moves)
+    options = replace(options, holdout=held)
+    if moves:
+        result = diagnose_motion(table, robot, options)
+    else:
+        rest = RestDiagnosis(robot, options)
+        result = rest.report(rest.search(table.take(~table.moving)), options.holdout, options.holdout_kind)
+        left_out = (*_beside(int(table.moving.sum()), "moving", "rest"), *left_out)
+    return replace(result, findings=(*result.findings, *left_out)) if left_out else result
+
+
+def _held_alike(holdout: Table | None, robot: Robot, *, moves: bool) -> tuple[Table | None, tuple[Finding, ...]]:
+    """Rows of a hold-out that are of the kind that is fitted, and what is said of the others."""
+    if holdout is None:
+        return None, ()
+    if holdout.axes != robot.axes:
+        raise InputError(
+            f"--holdout: its rows are of {holdout.axes} axes, robot '{robot.name}' has {robot.axes}; hold out rows of"
+            " the robot that is diagnosed"
+        )
+    alike = holdout.moving if moves else ~holdout.moving
+    if not alike.any():
+        kinds = ("move", "are at rest") if moves else ("are at rest", "move")
+        raise DataUnusable(
+            f"--holdout: the rows that are fitted {kinds[0]}, those held out {kinds[1]}, and one says nothing of the"
+            " other; hold out rows of the same kind"
+        )
+    kinds = ("rest", "moving") if moves else ("moving", "rest")
+    return holdout.take(alike), _beside(int((~alike).sum()), f"{kinds[0]} rows of the hold-out", kinds[1])
+
+
+def _beside(count: int, kind: str, other: str) -> tuple[Finding, ...]:
+    """That so many rows of one kind were left out beside those of the other."""
+    if not count:
+        return ()
+    name = kind if "rows" in kind else f"{kind} rows"
+    return (Finding("info", "data", f"{count} {name} were left out beside the {other} rows"),)

@@ -69,7 +69,8 @@ def estimate_moving(
             f"{int(used.sum())} usable torque values in motion are fewer than the {columns.design.shape[2]} unknowns;"
             " record a longer run that moves all axes"
         )
-    where = np.nonzero(used)
+    row, axis = np.nonzero(used)
+    where = (row, axis)
     plain = replace(motion, ordinary=())
     trust = options.inertials if motion.passes is not None else "ignore"
     free = moving_columns(moving, robot, replace(options, inertials=trust), plain)
@@ -229,7 +230,6 @@ def _coulomb(columns: Columns, solution: Solution, axes: int) -> Floats:
 def _limits() -> Finding:
     return Finding(
         "info", "moving run",
-        "the standard deviations hold for the noise of the run, its torque constants and its losses, not for effects the"
-        " model lacks",
+        "the standard deviations hold for noise, torque constants and losses, not for effects the model lacks",
         "diagnose judges the model on parts of the run that no fit has seen",
     )  # fmt: skip

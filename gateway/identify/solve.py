@@ -162,9 +162,7 @@ def solve_normal(information: Floats, right: Floats, mean: Floats, precision: Fl
     normal /= scale
     normal /= scale[:, None]
     normal[np.diag_indices_from(normal)] += _RIDGE
-    inverse = np.linalg.inv(normal)
-    inverse /= scale
-    inverse /= scale[:, None]
+    inverse: Floats = np.linalg.inv(normal) / scale / scale[:, None]
     return inverse, inverse @ (right + precision * mean)
 
 

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.moving.fit import MovingNoise, MovingProblem
+from gateway.diagnose.moving.fit import MovingProblem
 from gateway.diagnose.moving.mistakes import MovingMistake, find_mistakes, undo
-from gateway.diagnose.moving.select import select
+from gateway.diagnose.moving.noise import MovingNoise
+from gateway.diagnose.moving.select import select, without_idle
 from gateway.diagnose.moving.splits import choosing
 from gateway.diagnose.moving.state import MovingState, state_of, with_noise_of
 from gateway.diagnose.moving.thresholds import MOVING
@@ -86,9 +87,10 @@ def plain_choice(motion: MovingRows, trust: float | None, knowledge: Knowledge) 
 def _under(
     trust: float | None, problem: MovingProblem, state: MovingState, knowledge: Knowledge
 ) -> tuple[MovingProblem, MovingState]:
-    """The choice made again under another trust; links worth nothing take up effects that looked like them."""
+    """The choice under another trust: effects that are not needed go; all is open where the links are worth nothing."""
     if trust is None:
-        base, start = baseline(problem.motion, None, knowledge.known, knowledge.usual), ()
-    else:
-        base, start = problem.base.trusting(problem.motion, trust), state.terms
-    return select(with_noise_of(replace(problem, base=base), start, None), knowledge.allowed, start)
+        base = baseline(problem.motion, None, knowledge.known, knowledge.usual)
+        return select(with_noise_of(replace(problem, base=base), (), None), knowledge.allowed)
+    problem = replace(problem, base=problem.base.trusting(problem.motion, trust))
+    problem = with_noise_of(problem, state.terms, state.full)
+    return problem, without_idle(problem, state_of(problem, state.terms))

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.moving.fit import MovingProblem, counting_share
+from gateway.diagnose.moving.fit import MovingProblem
+from gateway.diagnose.moving.noise import counting_share
 from gateway.diagnose.moving.state import MovingState
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.wind_up import design_of, wind_up
@@ -23,7 +24,8 @@ def elastic_joints(
     """Elastic joints among those with a secondary encoder.
 
     Wind-up is regressed on the modelled torque of the links, with a constant for the zeros of the two encoders. A joint
-    counts where the slope is certain, and foretells the wind-up of rows that were not in its fit: `pairs` (fitted, judged).
+    counts where the slope is certain, and foretells the wind-up of rows that were not in its fit: `pairs` of fitted and
+    judged ones.
     """
     motion = problem.motion
     found = []

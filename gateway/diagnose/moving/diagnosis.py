@@ -17,8 +17,9 @@ from gateway.diagnose.moving.choice import Choice, Knowledge, choose, plain_choi
 from gateway.diagnose.moving.deflection import elastic_joints
 from gateway.diagnose.moving.fit import MovingProblem
 from gateway.diagnose.moving.judge import Judges
-from gateway.diagnose.moving.outcome import MovingOutcome, result_of, too_little
+from gateway.diagnose.moving.outcome import result_of, too_little
 from gateway.diagnose.moving.parameters import certain
+from gateway.diagnose.moving.remarks import MovingOutcome
 from gateway.diagnose.moving.select import left_over, weigh
 from gateway.diagnose.moving.splits import judging
 from gateway.diagnose.moving.state import MovingState, state_of

@@ -1,10 +1,4 @@
-"""Fits of a moving run: penalised least squares on parts of the rows, and what one more effect would change.
-
-Residuals of a moving run hang together over time, so n rows are worth far fewer: each axis's weight carries the share
-of rows that count (integrated autocorrelation). The noise scale of an axis comes from a fit of that axis alone, free of
-all the others: taken from the residual of the very model on trial, the weights would switch off the axis that shows
-what is missing.
-"""
+"""Fits of a moving run: penalised least squares on parts of the rows, with what every arm has held to its limits."""
 
 from __future__ import annotations
 
@@ -14,11 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.diagnose.moving.noise import MovingNoise
 from gateway.identify.moving_baseline import HELD, Baseline
 from gateway.identify.nuisance import ORDINARY_STD
 from gateway.identify.solve import solve_normal
 from gateway.model.effects.load_dependent_friction import LoadDependentFriction
-from gateway.model.motion import PER_BODY, Mask, Modelled, MovingRows, structural_base
+from gateway.model.motion import PER_BODY, Mask, Modelled, MovingRows
 from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
@@ -34,19 +29,6 @@ _PASSES = 3
 INDEPENDENT = 1e-5
 _EMPTY = np.zeros((0, 0))
 _NOTHING = Modelled(_EMPTY, _EMPTY, _EMPTY, _EMPTY)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MovingNoise:
-    """Scale of the residual (N,) [Nm] and the share (N,) of rows that count."""
-
-    sigma_nm: Floats
-    share: Floats
-
-    @property
-    def weight(self) -> Floats:
-        """Weight (N,) of a row [1/Nm]."""
-        return np.sqrt(self.share) / self.sigma_nm
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,11 +97,11 @@ class MovingFit:
             out[positions] += more.T @ own
         return out
 
-    def torque(self, axes: Sequence[int], change: Floats, rows: Mask | slice = slice(None)) -> Floats:
+    def torque(self, axes: Sequence[int], change: Floats, rows: Mask | Ints | slice = slice(None)) -> Floats:
         """Torque (rows, len(axes), ...) of a change (P, ...) of the parameters."""
         return np.stack([self._torque(axis, change, rows) for axis in axes], axis=1)
 
-    def _torque(self, axis: int, change: Floats, rows: Mask | slice) -> Floats:
+    def _torque(self, axis: int, change: Floats, rows: Mask | Ints | slice) -> Floats:
         there, columns = self.base.lines[axis]
         positions, more = self.extra[axis]
         scale = _scale(self.base, there, self.factor[axis])
@@ -156,7 +138,7 @@ def fit(
     gain and no load friction goes beyond what is ordinary: what lies beyond is an effect, and has to be found.
     """
     motion, base = problem.motion, _with_usual_replaced(problem.base, terms)
-    counted = motion.judged * train[:, None]
+    counted = (motion.judged & train[:, None]).astype(float)
     precision = np.concatenate([base.precision, *(prior_precision(term) for term in terms)])
     mean = np.concatenate([base.mean, np.zeros(len(precision) - len(base.mean))])
     gains = _gain_positions(base, terms)
@@ -339,54 +321,3 @@ def model_torque(problem: MovingProblem, terms: Sequence[Term], value: Floats) -
         start += term.count
     rigid = np.einsum("nap,np->na", motion.rigid, body)
     return Modelled(rigid, rigid, body, load_kg)
-
-
-def noise_of(motion: MovingRows, terms: Sequence[Term], modelled: Modelled | None) -> MovingNoise:
-    """Scale and share of each axis from a fit of that axis alone; unmeasured axes get 1 and 1."""
-    chosen = structural_base(motion.robot, motion.gravity_m_s2)
-    sigma, share = np.ones((2, motion.axes))
-    labels = np.unique(motion.load[~motion.given])
-    for axis in np.flatnonzero(motion.measured):
-        rows = motion.judged[:, axis] & ~motion.given
-        own = [motion.rigid[:, axis][:, chosen]]
-        own.append(np.column_stack([motion.sign[:, axis], motion.qd_rad_s[:, axis], motion.qdd_rad_s2[:, axis]]))
-        own.append(np.ones((len(motion), 1)))
-        # each load beside the first has a body of its own: left out, the difference of two loads would pass for noise
-        own += [motion.rigid[:, axis, -PER_BODY:] * (motion.load == label)[:, None] for label in labels[1:]]
-        for term in terms:
-            axes = term.enters(motion.axes)
-            if axis in axes and (modelled is not None or not term.modelled):
-                own.append(term.columns(motion, modelled)[:, axes.index(axis)])  # type: ignore[arg-type]
-        matrix = np.concatenate(own, axis=1)[rows]
-        scale = np.linalg.norm(matrix, axis=0)
-        matrix = matrix[:, scale > 1e-12] / scale[scale > 1e-12]
-        target = motion.tau_nm[rows, axis]
-        solution = np.linalg.lstsq(matrix, target, rcond=1e-6)[0]
-        rest = target - matrix @ solution
-        floor = 1e-6 * max(float(np.abs(target).max()), 1e-6)
-        sigma[axis] = max(float(np.sqrt(np.mean(rest**2))), floor)
-        share[axis] = counting_share(rest)
-    return MovingNoise(sigma, share)
-
-
-def counting_share(series: Floats) -> float:
-    """Independent values per value of a correlated series (n,): 1 / (1 + 2 sum of autocorrelation to its end)."""
-    centred = series - series.mean()
-    power = float(centred @ centred)
-    if power <= 0 or len(series) < 8:
-        return 1.0
-    size = 1 << (2 * len(series) - 1).bit_length()
-    spectrum = np.abs(np.fft.rfft(centred, size)) ** 2
-    correlation = np.fft.irfft(spectrum, size)[: len(series) // 2] / power
-    below = np.flatnonzero(correlation < 0.05)
-    stop = int(below[0]) if len(below) else len(correlation)
-    return float(1.0 / (1.0 + 2.0 * correlation[1:stop].sum()))
-
-
-def scaled_to(problem_noise: MovingNoise, residual_nm: Floats, judged: Mask) -> MovingNoise:
-    """The same noise, its common scale raised to what the model as a whole leaves (median over the axes)."""
-    count = judged.sum(axis=0)
-    there = count > 0
-    square = (residual_nm**2 * judged).sum(axis=0)[there] / count[there]
-    factor = float(np.sqrt(np.median(square / problem_noise.sigma_nm[there] ** 2)))
-    return MovingNoise(problem_noise.sigma_nm * max(1.0, factor), problem_noise.share)

@@ -86,7 +86,7 @@ def _without_blocks(problem: MovingProblem, state: MovingState) -> Sequence[Movi
 
 
 def nuisances(problem: MovingProblem, state: MovingState) -> dict[str, NuisanceResult]:
-    """Gain and load friction of every axis; NaN for an axis that was not judged. An effect in its place is the whole."""
+    """Gain and load friction of every axis, NaN where it was not judged. An effect in its place is the whole."""
     base, full, unseen = state.full.base, state.full, ~problem.motion.measured
     place = np.concatenate([base.gain, base.loss])
     for term in state.terms:

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.held import Held
-from gateway.diagnose.moving.fit import MovingFit, MovingNoise, MovingProblem, fit
+from gateway.diagnose.moving.fit import MovingFit, MovingProblem, fit
+from gateway.diagnose.moving.noise import MovingNoise
 from gateway.diagnose.moving.ratio import HeldRatio, held_ratio
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.model.motion import MovingRows
@@ -172,7 +173,7 @@ def _held_ratio(problem: MovingProblem, mistake: MovingMistake) -> tuple[HeldRat
             left = fit(case, (), train, test).residual_nm / case.noise.sigma_nm
             residual[test], counted[test] = left[test], case.motion.judged[test]
         sides.append(Held(residual * counted, counted))
-    axes = mistake.axes if len(mistake.joints) > 1 else list(np.flatnonzero(motion.measured))
+    axes = mistake.axes if len(mistake.joints) > 1 else [int(axis) for axis in np.flatnonzero(motion.measured)]
     before, after = sides
     effective = problem.noise.share * before.counted.sum(axis=0)
     log = np.log(np.maximum(before.square, 1e-300) / np.maximum(after.square, 1e-300))

@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.held import Held, listed
 from gateway.diagnose.moving.fit import MovingProblem
-from gateway.diagnose.moving.judge import Judges
 from gateway.diagnose.moving.loads import friction_level, loads_of, nuisances
-from gateway.diagnose.moving.mistakes import MovingMistake
 from gateway.diagnose.moving.parameters import figures_of, parameters_of
 from gateway.diagnose.moving.pictures import pictures
-from gateway.diagnose.moving.ratio import HeldRatio, held_ratio
+from gateway.diagnose.moving.ratio import held_ratio
+from gateway.diagnose.moving.remarks import (
+    MovingOutcome,
+    does_not_carry,
+    edge_findings,
+    faults,
+    remarks,
+    richer,
+    rms_of,
+    tell_apart,
+)
 from gateway.diagnose.moving.select import Chosen
 from gateway.diagnose.moving.state import MovingState
-from gateway.diagnose.moving.thresholds import MOVING
-from gateway.model.effects import LIBRARY, MISTAKES
-from gateway.model.term import Label
 from gateway.result.result import (
     EffectResult,
     Evidence,
@@ -43,33 +45,6 @@ HELD_OUT = {
     "given": "rows that were given, and chose nothing",
     "blocks": "blocks of time of the same runs, each judged by a choice without it; they say little about another run",
 }
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MovingOutcome:
-    """Everything the result file is written from.
-
-    `doubtful` effects are contested, `unproven` ones were not borne out by the rows that judge; `rejected` have their
-    held-out ratio. `told` is the model that loads and parameters are read from. `held_before`, `held_after`: what is left of rows that chose nothing.
-    """
-
-    told: tuple[MovingProblem, MovingState]
-    problem: MovingProblem
-    before: MovingState
-    after: MovingState
-    effects: tuple[Chosen, ...]
-    doubtful: tuple[Chosen, ...]
-    unproven: tuple[Chosen, ...]
-    rejected: tuple[tuple[Label, float], ...]
-    mistakes: tuple[tuple[MovingMistake, HeldRatio], ...]
-    as_read: MovingState | None
-    structure: Mapping[int, float]
-    known: Mapping[str, tuple[float, Floats]]
-    held_before: Held
-    held_after: Held
-    judges: Judges
-    refuted: frozenset[Label] = frozenset()
-    wound: tuple[EffectResult, ...] = ()
 
 
 def result_of(outcome: MovingOutcome) -> Result:
@@ -98,8 +73,8 @@ def result_of(outcome: MovingOutcome) -> Result:
         noise_floor_nm=_unknown(problem),
         friction_band_nm=listed(friction_level(problem, after)),
         rejected=_rejected(outcome),
-        next=(*(_tell_apart(item) for item in doubtful), *_richer(outcome, bool(effects))),
-        findings=(*_faults(() if undecided else effects), *_remarks(outcome)),
+        next=(*(tell_apart(item) for item in doubtful), *richer(outcome, bool(effects))),
+        findings=(*faults(() if undecided else effects), *remarks(outcome), *edge_findings(effects)),
         nuisance=nuisances(*outcome.told),
         provenance=_provenance(problem, outcome),
         quality={"holdout_ratio": _axis_ratios(outcome)},
@@ -111,7 +86,7 @@ def result_of(outcome: MovingOutcome) -> Result:
 def too_little(problem: MovingProblem, state: MovingState) -> Result:
     """Too little motion to hold any of it out."""
     unknown = _unknown(problem)
-    summary = FitSummary(rms_nm=listed(_rms(state)), holdout_rms_nm=unknown)
+    summary = FitSummary(rms_nm=listed(rms_of(state)), holdout_rms_nm=unknown)
     step = NextMeasurement("a moving run of at least 10 s in which every axis changes its direction several times")
     what = f"{int((~problem.motion.given).sum())} moving rows over {problem.motion.duration_s:.1f} s"
     return Result(
@@ -131,15 +106,8 @@ def _unknown(problem: MovingProblem) -> tuple[float, ...]:
     return (np.nan,) * problem.motion.axes
 
 
-def _rms(state: MovingState) -> Floats:
-    counted = state.full.weight > 0
-    count = counted.sum(axis=0)
-    square = (state.full.residual_nm**2 * counted).sum(axis=0)
-    return np.sqrt(np.where(count > 0, square, np.nan) / np.maximum(count, 1))
-
-
 def _summary(state: MovingState, held: Held, loads: tuple[LoadResult, ...]) -> FitSummary:
-    return FitSummary(listed(_rms(state)), listed(held.rms_nm), loads)
+    return FitSummary(listed(rms_of(state)), listed(held.rms_nm), loads)
 
 
 def _effect(problem: MovingProblem, state: MovingState, item: Chosen, tried: int) -> EffectResult:
@@ -185,16 +153,9 @@ def _verdict(outcome: MovingOutcome, undecided: bool, any_effect: bool) -> Verdi
         return "undecided"
     if any_effect:
         return "improved"
-    if _does_not_carry(outcome):
-        return "undecided"
-    return "unexplained" if outcome.structure else "none_needed"
-
-
-def _does_not_carry(outcome: MovingOutcome) -> bool:
-    """The model fits the rows but not those held out: the motion is too poor for what is to be estimated."""
-    fitted, held = _rms(outcome.after), outcome.held_after.rms_nm
-    there = (fitted > 0) & np.isfinite(held)
-    return bool(there.any() and np.median(held[there] / fitted[there]) > MOVING.overfitted)
+    if outcome.structure:
+        return "unexplained"
+    return "undecided" if does_not_carry(outcome) else "none_needed"
 
 
 def _rejected(outcome: MovingOutcome) -> tuple[Rejected, ...]:
@@ -205,80 +166,6 @@ def _rejected(outcome: MovingOutcome) -> tuple[Rejected, ...]:
         found.pop(item.label, None)
     order = sorted(found, key=lambda label: found[label])
     return tuple(Rejected(*label, found[label]) for label in order)
-
-
-def _where(item: Chosen) -> str:
-    return ", ".join(f"J{joint}" for joint in item.terms[0].joints) or "the arm"
-
-
-def _tell_apart(item: Chosen) -> NextMeasurement:
-    names = [item.terms[0].name]
-    if item.runner_up is not None:
-        names.append(item.runner_up.term.name)
-    axes = _where(item)
-    what = f"a moving run in which {axes} pass the same postures at several speeds, in both directions, bare and loaded"
-    return NextMeasurement(what, tells_apart=tuple(names))
-
-
-def _richer(outcome: MovingOutcome, any_effect: bool) -> tuple[NextMeasurement, ...]:
-    if any_effect or not _does_not_carry(outcome):
-        return ()
-    what = "a longer moving run over the whole range of every axis; the rows held out are not foretold by the others"
-    return (NextMeasurement(what),)
-
-
-def _faults(effects: tuple[EffectResult, ...]) -> tuple[Finding, ...]:
-    return tuple(
-        Finding("fail", " ".join(f"J{joint}" for joint in effect.joints), *MISTAKES[effect.name])
-        for effect in effects
-        if effect.name in MISTAKES
-    )
-
-
-def _remarks(outcome: MovingOutcome) -> tuple[Finding, ...]:
-    motion = outcome.problem.motion
-    found = [
-        Finding("warn", f"J{axis + 1}", "the axis does not move or is not measured: nothing is said about it")
-        for axis in np.flatnonzero(~motion.measured)
-    ]
-    found += [
-        Finding("info", f"J{axis + 1}", f"the residual still hangs on the motion (held-out ratio {ratio:.2f})")
-        for axis, ratio in outcome.structure.items()
-    ]
-    found += [Finding("info", _where(item), f"{_why_not(item)}: not believed") for item in outcome.unproven]
-    found += [
-        Finding(
-            "warn",
-            " ".join(f"J{joint}" for joint in joints),
-            f"{MISTAKES[name][0]}: suspected, and not borne out by the rows that chose nothing",
-            "check the sign and the place of its torque",
-        )
-        for name, joints in sorted(outcome.refuted)
-    ]
-    if outcome.effects:
-        found += [
-            Finding(
-                "info",
-                _where(item),
-                f"undecided: {' or '.join(_tell_apart(item).tells_apart)}",
-            )
-            for item in outcome.doubtful
-        ]
-    return tuple(found)
-
-
-def _why_not(item: Chosen) -> str:
-    """Why an effect that the fitted rows want is not named."""
-    words, held = LIBRARY[item.terms[0].name].words, item.held
-    if not held.below_one:
-        return (
-            f"{words} fits the rows, but does not foretell those that chose nothing (held-out ratio {held.value:.2f},"
-            f" 95 % {held.low:.2f} to {held.high:.2f})"
-        )
-    if item.runner_up is None:
-        return f"{words} is not worth what it has to be beforehand (odds {item.odds:.2g})"
-    other = LIBRARY[item.runner_up.term.name].words
-    return f"{words} fits the rows hardly better than {other}, which is not believed itself (odds {item.odds:.2g})"
 
 
 def _provenance(problem: MovingProblem, outcome: MovingOutcome) -> dict[str, object]:

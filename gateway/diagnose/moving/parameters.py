@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.moving.fit import MovingFit, MovingProblem
+from gateway.diagnose.moving.fit import MovingFit, MovingProblem, fit
 from gateway.diagnose.moving.loads import spread_of
 from gateway.diagnose.moving.refine import coupling_cost
 from gateway.diagnose.moving.state import MovingState
@@ -17,12 +17,19 @@ from gateway.identify.spread import jackknife, wider
 from gateway.model.effects.axis_coupling import MotorCoupling
 from gateway.model.effects.current_rms_peak import EFFECT as RMS_PEAK
 from gateway.model.effects.current_rms_peak import is_rms_peak
+from gateway.model.effects.velocity_friction import FRACTIONS, Stribeck
 from gateway.model.term import Named, Term
 
 Floats = NDArray[np.float64]
 
 #: Relative step [-] of a derivative by differences.
 STEP = 1e-3
+#: How near to an end of its range a parameter is at the edge, as a share of the range.
+EDGE = 0.02
+#: Ranges of shapes that are kept off 0 and 1 by their form.
+SHARES = {"lever_ratio": (0.0, 1.0), "gas_stroke": (0.0, 0.97)}
+#: Standard deviation of a decay between those that are tried, a factor of 2 apart, as a share of it.
+STEP_SHARE = 0.2
 
 
 def parameters_of(problem: MovingProblem, state: MovingState, terms: Sequence[Term]) -> tuple[str, Named, Named]:
@@ -32,12 +39,51 @@ def parameters_of(problem: MovingProblem, state: MovingState, terms: Sequence[Te
     for term in terms:
         more, spread = term.report(*_with_shape(problem, state, term))
         values, std = values | more, std | spread
+    for term in terms:
+        if isinstance(term, Stribeck):
+            std = _over_decays(problem, state, term, values, std)
     if isinstance(first, MotorCoupling):
         std["coefficient"] = _coupling_spread(problem, state, first)
     if first.scales_reading and is_rms_peak(values["scale"], std["scale"]):
         scale = values["scale"]
         return RMS_PEAK.name, {"factor": 1.0 / scale}, {"factor": std["scale"] / scale**2}
-    return first.name, values, std
+    return first.name, values, std | dict.fromkeys(at_edge(problem, terms, values), np.nan)
+
+
+def at_edge(problem: MovingProblem, terms: Sequence[Term], values: Named) -> list[str]:
+    """Parameters that lie where what is tried or what an arm can have ends: the true one may be beyond."""
+    found = []
+    for term in terms:
+        if isinstance(term, Stribeck):
+            share = term.decay_rad_s / float(problem.motion.speed_rad_s[term.axis])
+            if not FRACTIONS[0] * (1.0 + EDGE) < share < FRACTIONS[-1] * (1.0 - EDGE):
+                found.append("stribeck_velocity_rad_s")
+        limits = SHARES | dict(term.bounds)
+        for key, (low, high) in limits.items():
+            edge = EDGE * (high - low)
+            if key in values and not low + edge < values[key] < high - edge:
+                found.append(key)
+    return found
+
+
+def _over_decays(problem: MovingProblem, state: MovingState, term: Stribeck, values: Named, std: Named) -> Named:
+    """Standard deviations with that of the decay, which is one of a few: all of them weighed by what the rows say."""
+    motion, others = problem.motion, [other for other in state.terms if other != term]
+    index = problem.base.friction[term.axis, :2]
+    keys = ("coulomb_nm", "viscous_nm_s_rad", "stribeck_nm", "stribeck_velocity_rad_s")
+    costs, found = [], []
+    for share in FRACTIONS:
+        member = Stribeck(term.axis, share * float(motion.speed_rad_s[term.axis]))
+        one = fit(problem, (*others, member), ~motion.given, motion.given, state.full)
+        costs.append(one.cost)
+        found.append([*one.value[index], one.value[-1], member.decay_rad_s])
+    weight = np.exp(-0.5 * (np.array(costs) - min(costs)))
+    off = np.array(found) - np.array([values[key] for key in keys])
+    spread = weight @ off**2 / weight.sum()
+    spread[-1] += (STEP_SHARE * term.decay_rad_s) ** 2
+    return std | {
+        key: float(np.hypot(std.get(key, 0.0), np.sqrt(more))) for key, more in zip(keys, spread, strict=True)
+    }
 
 
 def figures_of(trial: Trial) -> tuple[Named, Named]:

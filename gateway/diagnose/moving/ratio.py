@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gateway.diagnose.held import Held
-from gateway.diagnose.moving.fit import counting_share
+from gateway.diagnose.moving.noise import counting_share
 
 Floats = NDArray[np.float64]
 

@@ -36,10 +36,10 @@ def refine(problem: MovingProblem, state: MovingState, term: Term, pool: Sequenc
     return term
 
 
-def reshaped(problem: MovingProblem, state: MovingState, pool: Sequence[Term]) -> MovingState:
-    """The model with each law in the shape that the rows want beside all the others."""
+def reshaped(problem: MovingProblem, state: MovingState, pool: Sequence[Term], newest: Term | None) -> MovingState:
+    """The model with each law but the newest in the shape that the rows want beside all the others."""
     for term in state.terms:
-        if all(term.linear):
+        if all(term.linear) or term == newest:
             continue
         others = [other for other in state.terms if other != term]
         state = state_of(problem, (*others, _best_law(problem, state_of(problem, others), term, pool)))

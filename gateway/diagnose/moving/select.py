@@ -34,9 +34,8 @@ def demands(term: Term, axes: int) -> Demands:
 class Chosen:
     """An effect in the final model: all its terms, its trial against the model without it, and the runner-up's.
 
-    `contested`: the odds, against the runner-up and against nothing, are below `sure_odds`. `rival`: the runner-up meets
-    its own demands; one that does not leaves two names of which neither is believed. `held`: what the effect is worth
-    on rows that chose nothing.
+    `contested`: the odds, against the runner-up and against nothing, are below `sure_odds`. `rival`: the runner-up
+    meets its own demands; of two names of which neither is believed none is given. `held`: worth on unseen rows.
     """
 
     terms: tuple[Term, ...]
@@ -69,9 +68,7 @@ def believed(problem: MovingProblem, trial: Trial, tried: int) -> bool:
     )
 
 
-def select(
-    problem: MovingProblem, allowed: frozenset[str], start: Sequence[Term] = ()
-) -> tuple[MovingProblem, MovingState]:
+def select(problem: MovingProblem, allowed: frozenset[str]) -> tuple[MovingProblem, MovingState]:
     """Add effects while they are believed, then drop those that are not needed any more.
 
     Returns
@@ -81,8 +78,9 @@ def select(
     MovingState
         The final model.
     """
-    state = state_of(problem, start)
+    state = state_of(problem, ())
     pool = candidates(problem, state.full, allowed)
+    newest: Term | None = None
     while len(state.terms) < MOVING.largest_model:
         tried = len(pool)
         best = _best(problem, state, pool, tried)
@@ -90,10 +88,13 @@ def select(
             best = _best(problem, state, suggested(problem, state.full, allowed), tried)
         if best is None:
             break
-        state = state_of(problem, (*state.terms, refine(problem, state, best.term, pool)))
+        newest = refine(problem, state, best.term, pool)
+        state = state_of(problem, (*state.terms, newest))
         problem = with_noise_of(problem, state.terms, state.full)
         state = state_of(problem, state.terms)
-    return problem, reshaped(problem, _without_idle(problem, state), pool)
+    kept = without_idle(problem, state)
+    # the newest has its shape beside all the others already, unless one of them has gone since
+    return problem, reshaped(problem, kept, pool, newest if len(kept.terms) == len(state.terms) else None)
 
 
 def left_over(problem: MovingProblem, state: MovingState, allowed: frozenset[str]) -> list[Term]:
@@ -118,6 +119,8 @@ def _trials(problem: MovingProblem, state: MovingState, pool: Sequence[Term]) ->
 def _best(problem: MovingProblem, state: MovingState, pool: Sequence[Term], tried: int) -> Trial | None:
     """The believed trial that gains most: of those that the fitted rows demand most, else of all."""
     terms = _open(state, pool)
+    if not terms:
+        return None
     hopeless = max(need.p_demand for need in (MOVING.ordinary, MOVING.special)) / tried
     for most in (MOVING.runners, None):
         trials = trials_of(problem, state.fits, state.full, terms, hopeless, most)
@@ -136,7 +139,7 @@ def _proven(problem: MovingProblem, state: MovingState, trial: Trial, tried: int
     )
 
 
-def _without_idle(problem: MovingProblem, state: MovingState) -> MovingState:
+def without_idle(problem: MovingProblem, state: MovingState) -> MovingState:
     """Drop, one at a time, the effect that the held-out rows miss least, while it is not believed any more."""
     while state.terms:
         rated = []

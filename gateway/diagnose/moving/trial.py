@@ -10,14 +10,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gateway.diagnose.held import Held
-from gateway.diagnose.moving.fit import (
-    INDEPENDENT,
-    MovingFit,
-    MovingProblem,
-    counting_share,
-    prior_precision,
-    usual_of,
-)
+from gateway.diagnose.moving.fit import INDEPENDENT, MovingFit, MovingProblem, prior_precision, usual_of
+from gateway.diagnose.moving.noise import counting_share
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.model.term import Label, Term
 

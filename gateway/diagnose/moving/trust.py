@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.moving.fit import MovingNoise, MovingProblem, counting_share, fit, prior_precision
+from gateway.diagnose.moving.fit import MovingProblem, fit, prior_precision
+from gateway.diagnose.moving.noise import MovingNoise, counting_share
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.model.effects import DRAWN
 from gateway.model.term import Term

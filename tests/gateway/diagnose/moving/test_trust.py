@@ -9,7 +9,8 @@ import pytest
 from scipy import stats
 
 from gateway.diagnose import DiagnoseOptions, diagnose
-from gateway.diagnose.moving.fit import MovingNoise, MovingProblem
+from gateway.diagnose.moving.fit import MovingProblem
+from gateway.diagnose.moving.noise import MovingNoise
 from gateway.diagnose.moving.splits import blocks
 from gateway.diagnose.moving.trust import log_evidence
 from gateway.identify.moving_baseline import baseline

@@ -1,0 +1,78 @@
+"""Which rows choose and which judge: parts of every run, whole runs only where another shows their load too."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gateway.data.rows import concatenate
+from gateway.diagnose.moving.splits import blocks, choosing, judging
+from gateway.model.motion import prepare
+from gateway.model.robot import robot_from_urdf
+from tests.gateway.diagnose.moving.test_parts import GRAVITY, URDF, table_of
+
+BARE = frozenset({"none"})
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return robot_from_urdf(URDF, "robot.urdf")
+
+
+def runs(robot, loads, given=None):
+    tables = [table_of(k, n=120, run=str(k), load=load) for k, load in enumerate(loads)]
+    held = None if given is None else table_of(99, n=60, run="held", load=given)
+    return prepare(concatenate(tables), held, robot, GRAVITY)
+
+
+def whole(motion, splits):
+    """Runs of which a split leaves nothing to fit."""
+    return {
+        int(number)
+        for train, _ in splits
+        for number in np.unique(motion.run[~motion.given])
+        if not train[motion.run == number].any()
+    }
+
+
+def test_a_load_that_hangs_in_one_run_alone_is_seen_by_every_choice(robot):
+    motion = runs(robot, ["none", "a", "b", "c", "d", "e", "f"])
+    splits = choosing(motion, 6, BARE)
+    for train, _ in splits:
+        assert set(motion.load[train]) >= {"a", "b", "c", "d", "e", "f"}
+    assert whole(motion, splits) == {0}, "the bare run alone says nothing that the others do not need"
+
+
+def test_runs_that_share_a_load_are_held_out_whole(robot):
+    motion = runs(robot, ["a", "a", "b", "b", "c"])
+    splits = choosing(motion, 6, BARE)
+    assert whole(motion, splits) == {0, 1, 2, 3}
+    assert np.sum([test for _, test in splits], axis=0).tolist() == [1] * len(motion)
+    assert not whole(motion, blocks(motion, 6))
+
+
+def test_two_runs_are_held_out_in_blocks(robot):
+    motion = runs(robot, ["none", "none"])
+    assert not whole(motion, choosing(motion, 6, BARE))
+
+
+def test_rows_that_judge_are_in_no_split_that_chooses(robot):
+    motion = runs(robot, ["none", "a"], given="a")
+    for train, test in choosing(motion, 6, BARE):
+        assert not (motion.given & (train | test)).any()
+    assert judging(motion, 4) == (motion,)
+
+
+def test_outer_blocks_judge_every_row_once_and_no_fit_comes_near(robot):
+    motion = runs(robot, ["none", "a"])
+    parts = judging(motion, 4)
+    assert np.sum([part.given for part in parts], axis=0).tolist() == [1] * len(motion)
+    for part in parts:
+        assert set(part.run[part.given]) == {0, 1}, "a block of every run"
+        for train, test in choosing(part, 6, BARE):
+            assert not (part.given & (train | test)).any()
+        for number in (0, 1):
+            mine = part.run == number
+            fitted = mine & ~part.given & part.judged.any(axis=1)
+            gap = np.abs(part.time_s[fitted][:, None] - part.time_s[mine & part.given]).min()
+            assert gap > 0.17, "3 % of 6 s"
