@@ -92,6 +92,11 @@ class RestProblem:
         return slice(self.n_common - len(KINDS) * self.axes, self.n_common)
 
     @property
+    def sided(self) -> Mask:
+        """Axes (N,) of which a side of approach is known: without one nothing tells a band."""
+        return np.asarray((self.use_difference | (self.use_sum & (self.rows.side != 0))).any(axis=0))
+
+    @property
     def n_common(self) -> int:
         """Parameters that every hypothesis has: links, loads, bands and the ordinary ones."""
         return (5 + len(KINDS)) * self.axes + 4 * len(self.labels)
@@ -211,6 +216,8 @@ def common_columns(problem: RestProblem, setting: AlteredModel, links: Floats, l
         half_sum[:, :, problem.load_part(k)] = load_columns * problem.member[:, k, None, None]
     difference = np.zeros_like(half_sum)
     _axis_columns(problem, setting, torque, band, half_sum, difference)
+    # the bend that a band leaves in the middle of both sides would have its say alone, and never settles
+    half_sum[:, :, problem.band_part] *= problem.sided
     return stacked(problem, half_sum, difference)
 
 
