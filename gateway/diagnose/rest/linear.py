@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.rest.ordinary import KINDS, Ordinary, ordinary_setting, raised
+from gateway.diagnose.rest.ordinary import COLD, KINDS, Ordinary, ordinary_setting, raised
 from gateway.diagnose.rest.thresholds import REST
 from gateway.model.rest import AlteredModel, Model, RestRows
 from gateway.model.term import Term
@@ -188,6 +188,20 @@ def with_terms(terms: Sequence[Term], theta: Sequence[Floats], rows: RestRows, n
     for term, values in zip(terms, theta, strict=True):
         setting = term.apply(setting, values, rows)
     return setting
+
+
+def certain_bands(problem: RestProblem, fit: Fit) -> Floats:
+    """Friction bands (N,) in standard deviations, for how much larger friction is when cold as fitted.
+
+    That is a factor on a band: it makes its size unsure, and never its sign.
+    """
+    own, covariance = np.arange(problem.axes), fit.covariance
+    band = problem.band_part.start + own
+    cold = np.stack([problem.nuisance_part.start + KINDS.index(k) * problem.axes + own for k in COLD], axis=1)
+    within = covariance[cold[:, :, None], cold[:, None, :]]
+    shared = covariance[band[:, None], cold][:, :, None]
+    left = covariance[band, band] - np.matmul(shared.transpose(0, 2, 1), np.linalg.solve(within, shared))[:, 0, 0]
+    return np.asarray(fit.band / np.sqrt(np.maximum(left, 1e-30)), dtype=float)
 
 
 def stacked(problem: RestProblem, half_sum: Floats, difference: Floats) -> Floats:

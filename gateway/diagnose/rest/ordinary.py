@@ -17,9 +17,10 @@ from gateway.model.term import Term
 Floats = NDArray[np.float64]
 
 #: Kinds of ordinary parameters, one of each an axis, in their order: gain error of the reading, bias by direction [Nm],
-#: friction over torque, how far losses are those of one efficiency (0 to 1), and by how much friction is larger cold, as
-#: it fades fast and slowly.
+#: friction over torque, how far losses are those of one efficiency (0 to 1), and by how much friction is larger cold,
+#: as it fades fast and slowly.
 KINDS: Final = ("gain", "bias", "load_friction", "one_efficiency", "cold_fast", "cold_slow")
+COLD: Final = KINDS[-2:]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -12,10 +12,12 @@ from scipy.stats import chi2
 
 from gateway.diagnose.held import Held, listed
 from gateway.diagnose.rest.decide import Decision, noise_floor, strong, unseen_by_choice
+from gateway.diagnose.rest.fit import NOTHING, fit
 from gateway.diagnose.rest.holdout import Unseen, left_out, left_out_with, predicted
 from gateway.diagnose.rest.linear import Fit, RestProblem
 from gateway.diagnose.rest.loads import loads_of
 from gateway.diagnose.rest.mistakes import Mistake
+from gateway.diagnose.rest.ordinary import Ordinary
 from gateway.diagnose.rest.search import Search
 from gateway.model.effects import MISTAKES
 from gateway.model.robot import Robot
@@ -99,13 +101,27 @@ def proven(search: Search, decision: Decision, judge: Judge) -> list[EffectResul
             continue
         without = search.fitted([other for other in after.terms if other is not term], after)
         evidence = Evidence(
-            holdout_rms_ratio=judge.ratio(after, without, term.joints),
+            holdout_rms_ratio=judge.ratio(after, _as_every_arm(search.problem, without, term), term.joints),
             p_value=_p_value(after, without, term, len(search.prior)),
             runner_up=decision.runner_up.get(term.label),
             odds=min(decision.odds.get(term.label, LARGEST_ODDS), LARGEST_ODDS),
         )
         out.append(_effect(search.problem, after, position, evidence))
     return out
+
+
+def _as_every_arm(problem: RestProblem, without: Fit, term: Term) -> Fit:
+    """The hypothesis without an effect, with what it is too much of held where every arm has it.
+
+    Left open, that would stretch to the size of the effect and leave nothing to compare with.
+    """
+    place = problem.taken_over([term]) - problem.nuisance_part.start
+    if not len(place):
+        return without
+    std = problem.nuisance.std.copy()
+    std[place] = NOTHING
+    held = replace(problem, nuisance=Ordinary(problem.nuisance.mean, std))
+    return fit(held, without.terms, without.noise, without)
 
 
 def possible(search: Search, decision: Decision, judge: Judge) -> list[EffectResult]:
