@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 
 from benchmarks.rigs.tables import simulated_table
 from gateway.data.table import Table, concatenate
 from gateway.diagnose import DiagnoseOptions
+from gateway.diagnose.rest.diagnosis import RestDiagnosis
+from gateway.diagnose.rest.linear import RestProblem
+from gateway.diagnose.rest.rows import rest_rows
 from gateway.model.robot import Robot, robot_from_urdf
 from gateway.result.result import Result
 from sim.draw import DrawnArm, choose_poses, draw_arm
@@ -44,6 +50,17 @@ class Bench:
     def more(self, poses: np.ndarray) -> Table:
         self.next_pose += len(poses)
         return self.table(poses, "tool", self.next_pose)
+
+
+def problems(bench: Bench, table: Table) -> Callable[[Table], RestProblem]:
+    """How a diagnosis makes a problem of this table, also with mistakes in it undone; gross visits are aside."""
+    diagnosis = RestDiagnosis(bench.robot, bench.options)
+    return partial(diagnosis.problem, aside=diagnosis.aside(rest_rows(table, bench.options.efficiency)))
+
+
+def problem_of(bench: Bench, table: Table) -> RestProblem:
+    """The rows of a table as a diagnosis fits them."""
+    return problems(bench, table)(table)
 
 
 def effect(name: str, joints: list[int], **parameters: object) -> dict:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from benchmarks.rigs.tables import simulated_table
 from gateway.diagnose.rest.fit import fit
 from gateway.diagnose.rest.linear import RestProblem, common_columns
+from gateway.diagnose.rest.ordinary import Ordinary
 from gateway.diagnose.rest.problem import Knowledge, build_problem, first_noise
 from gateway.diagnose.rest.rows import rest_rows
 from gateway.diagnose.rest.screen import columns_of
@@ -31,6 +32,8 @@ from sim.offline import PlannedVisit, measure
 Floats = NDArray[np.float64]
 
 POSES = 120
+#: Standard deviation of what every arm has: known beforehand to a share, it takes up no effect.
+NOT_THERE = 1e-9
 UNSEEN, NOTHING, RANK, NEAR = 1e-4, 1e-7, 1e-4, 0.995
 
 
@@ -54,7 +57,7 @@ def alike(seed: int, poses: int = POSES) -> Alike:
     ]
     weight = 1.0 / np.maximum(np.array(size), 1e-9)[problem.group, None]
     common = common_columns(problem, nothing.setting, nothing.links, nothing.loads, nothing.band) * weight
-    basis = _basis(common, 1e-8)
+    basis = _basis(common[:, : problem.nuisance_part.start], 1e-8)
     left: dict[Label, Floats] = {}
     unseen = []
     for term in _one_shape_each(arm, problem):
@@ -95,7 +98,9 @@ def _problem(arm: DrawnArm, seed: int, poses: int) -> RestProblem:
     still = replace(arm.plant, reading_noise_nm=np.full(6, 1e-9))
     table = simulated_table(measure(arm.chain, still, visits, arm.loads, quiet, rng), "pairs")
     robot = robot_from_urdf(arm.urdf, f"seed {seed}")
-    return build_problem(robot, rest_rows(table, arm.efficiency), Knowledge(inertials="ignore"))
+    problem = build_problem(robot, rest_rows(table, arm.efficiency), Knowledge(inertials="ignore"))
+    none = np.zeros_like(problem.nuisance.mean)
+    return replace(problem, nuisance=Ordinary(none, none + NOT_THERE))
 
 
 def _one_shape_each(arm: DrawnArm, problem: RestProblem) -> Iterator[Term]:

@@ -12,7 +12,6 @@ from typing import Any
 from gateway.data.rows import Table
 from gateway.errors import ConfigError, DataUnusable
 from gateway.estimate.advice import next_pose, shrinks_most
-from gateway.estimate.aside import without_gross
 from gateway.estimate.coefficient import estimate_coefficient
 from gateway.estimate.difference import estimate_difference
 from gateway.estimate.estimate import Estimate
@@ -21,6 +20,7 @@ from gateway.estimate.joint import estimate_joint
 from gateway.estimate.moving import estimate_moving
 from gateway.estimate.options import Coefficient, EstimateOptions, parse_known
 from gateway.estimate.posture import estimate_posture
+from gateway.identify.aside import without_gross
 from gateway.identify.links import default_inertials
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits, pair_visits

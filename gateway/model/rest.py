@@ -321,7 +321,8 @@ class Model:
     def sum_by_torque(self, setting: AlteredModel, torque: Floats, band_nm: Floats) -> Floats:
         """Derivative (n, N, N) of the half sums by the transmitted torque of each axis."""
         if self._straight(setting) and not self.rows.side.any():
-            left = 1.0 + 0.5 * setting.one_efficiency * setting.load_friction**2
+            nu, within = setting.load_friction, np.abs(torque) < np.abs(band_nm * setting.band_gain)
+            left = 1.0 + setting.one_efficiency * nu * (0.5 * nu + within)
             return setting.coupling[None] * (setting.gain * left)[:, None, :]
         step = 1e-4 * (1.0 + np.abs(torque).max(axis=0))
         count = self.rows.axes

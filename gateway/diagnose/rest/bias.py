@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import norm
 
-from gateway.diagnose.rest.linear import Fit, RestProblem
+from gateway.diagnose.rest.linear import Fit, RestProblem, certain_bands
 from gateway.diagnose.rest.thresholds import REST
 from gateway.result.result import EffectResult, Evidence
 
@@ -16,7 +16,7 @@ def friction_by_direction(problem: RestProblem, after: Fit) -> list[EffectResult
     In a two-sided visit the same friction is the band, which every model has; a one-sided visit alone cannot
     tell it from torque, but visits from both sides together can.
     """
-    rows = problem.rows
+    rows, certain = problem.rows, certain_bands(problem, after)
     at, axes = problem.band_part.start, problem.axes
     out = []
     for axis in range(axes):
@@ -25,9 +25,9 @@ def friction_by_direction(problem: RestProblem, after: Fit) -> list[EffectResult
             continue
         bias, std = float(after.band[axis]), float(np.sqrt(max(after.covariance[at + axis, at + axis], 0.0)))
         noise = float(after.noise.std[2 * axes + axis])
-        if bias < REST.bias * std or bias < REST.bias_strength * noise:
+        if certain[axis] < REST.bias or bias < REST.bias_strength * noise:
             continue
         ratio = noise / float(np.hypot(noise, bias))
-        evidence = Evidence(holdout_rms_ratio=ratio, p_value=float(max(axes * norm.sf(bias / std), 1e-300)))
+        evidence = Evidence(holdout_rms_ratio=ratio, p_value=float(max(axes * norm.sf(certain[axis]), 1e-300)))
         out.append(EffectResult("static_friction", (axis + 1,), {"bias_nm": bias}, {"bias_nm": std}, evidence))
     return out

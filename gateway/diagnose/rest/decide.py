@@ -178,11 +178,13 @@ def beyond_ordinary(problem: RestProblem, hypothesis: Fit, term: Term) -> bool:
         unsure = float(np.sqrt(np.diag(hypothesis.covariance)[at : at + term.count].mean() / 2.0))
         return size - TWO_SIDED_95 * unsure > REST.cogging * float(hypothesis.noise.std[term.joints[0] - 1])
     places = problem.taken_over([term])
+    if term.takes_over == "gain" and not term.joints:
+        places = problem.nuisance_part.start + np.arange(problem.axes)  # of all axes, as little known as each
     if not len(places):
         return True
     away = abs(float(hypothesis.theta[position][0] - problem.common_mean[places[0]]))
     unsure = TWO_SIDED_95 * float(np.sqrt(max(hypothesis.covariance[at, at], 0.0)))
-    return away - unsure > ORDINARY_STD * float(problem.common_std[places[0]])
+    return away - unsure > ORDINARY_STD * float(problem.common_std[places].max())
 
 
 def _seen_to_help(search: Search, chosen: Fit) -> Fit:
@@ -215,7 +217,7 @@ def strong(search: Search, hypothesis: Fit, term: Term) -> bool:
     """Whether the data, and not the prior on the links alone, show an effect that goes beyond what every arm has."""
     if term.name == UNNAMED:
         return True
-    if len(search.problem.taken_over([term])):
+    if len(search.problem.taken_over([term])) or (term.takes_over == "gain" and not term.joints):
         return beyond_ordinary(search.problem, hypothesis, term)
     least = REST.least_link_strength if term.name == "link_mass" else REST.least_strength
     return strength(search, hypothesis, term) >= least

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.rest.ordinary import KINDS, Ordinary, ordinary_setting, raised
+from gateway.diagnose.rest.ordinary import COLD, KINDS, Ordinary, ordinary_setting, raised
 from gateway.diagnose.rest.thresholds import REST
 from gateway.model.rest import AlteredModel, Model, RestRows
 from gateway.model.term import Term
@@ -90,6 +90,11 @@ class RestProblem:
     def nuisance_part(self) -> slice:
         """Where the ordinary parameters stand."""
         return slice(self.n_common - len(KINDS) * self.axes, self.n_common)
+
+    @property
+    def sided(self) -> Mask:
+        """Axes (N,) of which a side of approach is known: without one nothing tells a band."""
+        return np.asarray((self.use_difference | (self.use_sum & (self.rows.side != 0))).any(axis=0))
 
     @property
     def n_common(self) -> int:
@@ -185,6 +190,20 @@ def with_terms(terms: Sequence[Term], theta: Sequence[Floats], rows: RestRows, n
     return setting
 
 
+def certain_bands(problem: RestProblem, fit: Fit) -> Floats:
+    """Friction bands (N,) in standard deviations, for how much larger friction is when cold as fitted.
+
+    That is a factor on a band: it makes its size unsure, and never its sign.
+    """
+    own, covariance = np.arange(problem.axes), fit.covariance
+    band = problem.band_part.start + own
+    cold = np.stack([problem.nuisance_part.start + KINDS.index(k) * problem.axes + own for k in COLD], axis=1)
+    within = covariance[cold[:, :, None], cold[:, None, :]]
+    shared = covariance[band[:, None], cold][:, :, None]
+    left = covariance[band, band] - np.matmul(shared.transpose(0, 2, 1), np.linalg.solve(within, shared))[:, 0, 0]
+    return np.asarray(fit.band / np.sqrt(np.maximum(left, 1e-30)), dtype=float)
+
+
 def stacked(problem: RestProblem, half_sum: Floats, difference: Floats) -> Floats:
     """Modelled half sums and differences (n, N[, k]) as one column (rows[, k])."""
     return np.concatenate([half_sum[problem.use_sum], difference[problem.use_difference]])
@@ -211,6 +230,8 @@ def common_columns(problem: RestProblem, setting: AlteredModel, links: Floats, l
         half_sum[:, :, problem.load_part(k)] = load_columns * problem.member[:, k, None, None]
     difference = np.zeros_like(half_sum)
     _axis_columns(problem, setting, torque, band, half_sum, difference)
+    # the bend that a band leaves in the middle of both sides would have its say alone, and never settles
+    half_sum[:, :, problem.band_part] *= problem.sided
     return stacked(problem, half_sum, difference)
 
 

@@ -20,7 +20,7 @@ from scipy.stats import t as student
 from gateway.data.table import Table
 from gateway.diagnose.rest.fit import fit
 from gateway.diagnose.rest.holdout import Unseen, left_out, pose_of_rows, predicted
-from gateway.diagnose.rest.linear import Fit, RestProblem
+from gateway.diagnose.rest.linear import Fit, RestProblem, certain_bands
 from gateway.diagnose.rest.problem import first_noise
 from gateway.diagnose.rest.thresholds import REST
 from gateway.model.effects.current_rms_peak import FACTOR
@@ -114,8 +114,7 @@ def informative_axes(problem: RestProblem) -> NDArray[np.bool_]:
 
 def _bands(problem: RestProblem, result: Fit) -> Floats:
     """Friction band (N,) of each axis in its own standard deviations; 0 where the visits do not determine it."""
-    std = np.sqrt(np.maximum(np.diag(result.covariance)[problem.band_part], 1e-30))
-    return np.where(determined_bands(problem), result.band / std, 0.0)
+    return np.where(determined_bands(problem), certain_bands(problem, result), 0.0)
 
 
 def held_ratio(problem: RestProblem, now: Fit, changed: RestProblem, undone: Fit) -> tuple[float, float]:

@@ -20,6 +20,7 @@ Floats = NDArray[np.float64]
 #: friction over torque, how far losses are those of one efficiency (0 to 1), and by how much friction is larger cold,
 #: as it fades fast and slowly.
 KINDS: Final = ("gain", "bias", "load_friction", "one_efficiency", "cold_fast", "cold_slow")
+COLD: Final = KINDS[-2:]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

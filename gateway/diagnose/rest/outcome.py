@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 from gateway.diagnose.held import Held, listed
 from gateway.diagnose.rest.decide import Decision, noise_floor, strong, unseen_by_choice
+from gateway.diagnose.rest.fit import NOTHING, fit
 from gateway.diagnose.rest.holdout import Unseen, left_out, left_out_with, predicted
 from gateway.diagnose.rest.linear import Fit, RestProblem
 from gateway.diagnose.rest.loads import loads_of
@@ -100,7 +101,7 @@ def proven(search: Search, decision: Decision, judge: Judge) -> list[EffectResul
             continue
         without = search.fitted([other for other in after.terms if other is not term], after)
         evidence = Evidence(
-            holdout_rms_ratio=judge.ratio(after, without, term.joints),
+            holdout_rms_ratio=judge.ratio(after, _as_every_arm(search.problem, without, term), term.joints),
             p_value=_p_value(after, without, term, len(search.prior)),
             runner_up=decision.runner_up.get(term.label),
             odds=min(decision.odds.get(term.label, LARGEST_ODDS), LARGEST_ODDS),
@@ -120,6 +121,20 @@ def _with_shapes(effect: EffectResult, search: Search, after: Fit) -> EffectResu
             for key in variance.keys() & values.keys() & effect.parameters.keys():
                 variance[key] += weight * (values[key] - effect.parameters[key]) ** 2
     return replace(effect, std={key: float(np.sqrt(value)) for key, value in variance.items()})
+
+
+def _as_every_arm(problem: RestProblem, without: Fit, term: Term) -> Fit:
+    """The hypothesis without an effect, with what it is too much of held where every arm has it.
+
+    Left open, that would stretch to the size of the effect and leave nothing to compare with.
+    """
+    place = problem.taken_over([term]) - problem.nuisance_part.start
+    if not len(place):
+        return without
+    std = problem.nuisance.std.copy()
+    std[place] = NOTHING
+    held = replace(problem, nuisance=replace(problem.nuisance, std=std))
+    return fit(held, without.terms, without.noise, without)
 
 
 def possible(search: Search, decision: Decision, judge: Judge) -> list[EffectResult]:

@@ -20,8 +20,8 @@ def seen(band, std, sides=(4, 4)):
     side = np.repeat(np.array([1.0, -1.0]), sides)[:, None] * np.ones(N)
     two_sided, use = np.zeros(len(side), dtype=bool), np.ones(side.shape, dtype=bool)
     rows = SimpleNamespace(side=side, two_sided=two_sided)
-    problem = SimpleNamespace(rows=rows, use_sum=use, axes=N, band_part=slice(28, 28 + N))
-    covariance = np.diag(np.concatenate([np.full(28, 1e6), np.asarray(std) ** 2]))
+    problem = SimpleNamespace(rows=rows, use_sum=use, axes=N, band_part=slice(28, 28 + N), nuisance_part=slice(34, 70))
+    covariance = np.diag(np.concatenate([np.full(28, 1e6), np.asarray(std) ** 2, np.ones(36)]))
     noise = SimpleNamespace(std=np.concatenate([np.full(2 * N, np.nan), NOISE_NM * np.arange(1, N + 1)]))
     return problem, SimpleNamespace(band=np.asarray(band, dtype=float), covariance=covariance, noise=noise)
 

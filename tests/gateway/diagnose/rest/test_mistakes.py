@@ -12,7 +12,6 @@ from scipy import stats
 from benchmarks.rigs.tables import make_table
 from gateway.data.table import Table
 from gateway.diagnose import diagnose
-from gateway.diagnose.rest.diagnosis import RestDiagnosis
 from gateway.diagnose.rest.fit import fit
 from gateway.diagnose.rest.mistakes import (
     Mistake,
@@ -25,7 +24,7 @@ from gateway.diagnose.rest.mistakes import (
 )
 from gateway.diagnose.rest.problem import first_noise
 from gateway.model.effects import LIBRARY, MISTAKES
-from tests.resting_arm import Bench, effect, found
+from tests.resting_arm import Bench, effect, found, problem_of, problems
 
 
 def table():
@@ -89,14 +88,14 @@ def test_a_table_in_which_one_axis_moves_tells_of_no_mistake(seed, axis, hidden)
     assert not result.failed
     assert not {name for name, _ in found(result)} & set(MISTAKES)
     # even where one is looked for
-    build = RestDiagnosis(bench.robot, bench.options).problem
+    build = problems(bench, read)
     assert find_mistakes(read, build, frozenset(LIBRARY)) == ((), 0.0)
 
 
 def test_nor_does_a_table_of_which_one_axis_was_measured():
     bench = Bench(8, [effect("sign_reversed", [3])])
     read = bench.both()
-    build = RestDiagnosis(bench.robot, bench.options).problem
+    build = problems(bench, read)
     assert [each.joints for each in find_mistakes(read, build, frozenset(LIBRARY))[0]] == [(3,)]
     alone = replace(read, tau_nm=np.where(np.arange(6) == 2, read.tau_nm, np.nan))
     assert find_mistakes(alone, build, frozenset(LIBRARY))[0] == ()
@@ -126,12 +125,12 @@ def test_the_sign_of_a_band_that_nothing_determines_says_nothing(sides):
     bench = Bench(3, [effect("torque_offset", [axis], offset_nm=-40.0) for axis in (1, 2, 3)])
     read = bench.both()
     read = undirected(read) if sides == "none" else read.take(read.direction[:, 0] > 0)
-    problem = RestDiagnosis(bench.robot, bench.options).problem(read)
+    problem = problem_of(bench, read)
     plain = fit(problem, (), first_noise(problem))
     assert band_signs(problem, plain) == 0.0
     wrong = replace(plain, band=np.full(6, -1e3))
     assert band_signs(problem, wrong) == 0.0
-    whole = RestDiagnosis(bench.robot, bench.options).problem(bench.both())
+    whole = problem_of(bench, bench.both())
     assert band_signs(whole, replace(fit(whole, (), first_noise(whole)), band=np.full(6, -1e3))) < -1e3
     assert beyond_any_effect(whole, replace(fit(whole, (), first_noise(whole)), band=np.full(6, -1e3)))
 

@@ -14,6 +14,7 @@ from sim.effects import apply_effects
 from sim.offline import PlannedVisit, measure, point_jacobian
 
 FRESH = 3
+COEFFICIENT = 0.5
 
 
 def diagnosed(hidden):
@@ -40,7 +41,7 @@ def diagnosed(hidden):
 
 @pytest.fixture(scope="module")
 def friction():
-    return diagnosed({"name": "load_dependent_friction", "joints": [3], "parameters": {"coefficient": 0.15}})
+    return diagnosed({"name": "load_dependent_friction", "joints": [3], "parameters": {"coefficient": COEFFICIENT}})
 
 
 def test_every_visit_is_drawn_the_fresh_ones_too(friction):
@@ -69,7 +70,7 @@ def test_the_curve_of_a_friction_is_its_coefficient_times_the_torque(friction):
     coefficient = result.effects[0].parameters["coefficient"]
     assert y == pytest.approx(coefficient * np.abs(x), rel=0.02, abs=0.02 * y.max())
     # some of the friction built in is lost while a joint settles, none is gained
-    assert 0.4 * 0.15 < coefficient < 0.15
+    assert 0.4 * COEFFICIENT < coefficient < COEFFICIENT
     std = result.effects[0].std["coefficient"]
     assert high - y == pytest.approx(1.96 * std * np.abs(x), rel=0.02, abs=0.02 * y.max())
     points = np.array(curve.points_y)

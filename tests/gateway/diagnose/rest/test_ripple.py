@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from gateway.diagnose import diagnose
-from gateway.diagnose.rest.diagnosis import RestDiagnosis
 from gateway.diagnose.rest.fit import fit
 from gateway.diagnose.rest.problem import first_noise
 from gateway.diagnose.rest.ripple import order_analysis
@@ -21,7 +20,7 @@ from gateway.model.effects.torque_ripple import (
 )
 from sim.effects import apply_effects
 from sim.offline import half_floor, point_jacobian
-from tests.resting_arm import Bench, effect, found
+from tests.resting_arm import Bench, effect, found, problem_of
 
 
 def swinging(seed: int, poses: int, axis: int, order: float, floors: float = 5.0) -> Bench:
@@ -76,7 +75,7 @@ def test_a_torque_without_order_is_not_called_ripple(seed):
 
 
 def left_of_axis(bench: Bench, axis: int):
-    problem = RestDiagnosis(bench.robot, bench.options).problem(bench.both())
+    problem = problem_of(bench, bench.both())
     return order_analysis(problem, fit(problem, (), first_noise(problem)), axis)
 
 
@@ -89,8 +88,8 @@ def test_random_torque_by_pose_is_believed_as_seldom_as_stated():
         torque = dict(enumerate(size * np.random.default_rng(seed).standard_normal(18)))
         table = bench.both()
         more = np.array([torque[int(pose)] for pose in table.pose])
-        problem = RestDiagnosis(bench.robot, bench.options).problem(
-            replace(table, tau_nm=table.tau_nm + np.where(np.arange(6) == 2, more[:, None], 0.0))
+        problem = problem_of(
+            bench, replace(table, tau_nm=table.tau_nm + np.where(np.arange(6) == 2, more[:, None], 0.0))
         )
         swing = order_analysis(problem, fit(problem, (), first_noise(problem)), 2)
         chances.append(1.0 if swing is None else swing.chance)

@@ -9,7 +9,6 @@ import pytest
 from scipy import stats
 
 from gateway.diagnose import diagnose
-from gateway.diagnose.rest.diagnosis import RestDiagnosis
 from gateway.diagnose.rest.fit import fit
 from gateway.diagnose.rest.fresh import fresh_misfit, fresh_seen
 from gateway.diagnose.rest.problem import first_noise
@@ -22,7 +21,7 @@ from gateway.diagnose.rest.structure import (
 from gateway.diagnose.rest.thresholds import REST
 from sim.effects import apply_effects
 from sim.offline import half_floor
-from tests.resting_arm import Bench, effect
+from tests.resting_arm import Bench, effect, problem_of
 
 AXES, POSES, LOADS, TAKEN = 6, 12, 2, 24
 DRAWS = 4000
@@ -156,7 +155,7 @@ def cogging() -> tuple[list[float], list[float]]:
                 for axis in range(6)
             ]
             bench.plant = apply_effects(bench.plant, swings)
-            problem = RestDiagnosis(bench.robot, bench.options).problem(bench.both())
+            problem = problem_of(bench, bench.both())
             into.append(misfit(problem, fit(problem, (), first_noise(problem))))
     return found
 

@@ -1,0 +1,162 @@
+"""What every arm has, as parameters of every hypothesis: their columns, their places, and their priors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gateway.diagnose.rest.linear import common_columns, modelled, with_terms
+from gateway.diagnose.rest.ordinary import KINDS, Ordinary, fades, ordinary_setting
+from gateway.diagnose.rest.problem import Knowledge, build_problem
+from gateway.diagnose.rest.rows import rest_rows
+from gateway.diagnose.rest.thresholds import REST
+from gateway.identify.nuisance import UNEVEN_LOSS, nuisance_prior
+from gateway.model.effects.axis_coupling import TorqueMixing
+from gateway.model.effects.load_dependent_friction import LoadDependentFriction
+from gateway.model.effects.torque_constant_scale import TorqueConstantScale
+from gateway.model.effects.torque_offset import TorqueOffset
+from tests.resting_arm import Bench, problem_of
+
+N = 6
+
+
+def one_sided(table):
+    """Of every visit one side, by turns."""
+    return table.take(np.arange(0, len(table.pose), 2) + np.arange(len(table.pose) // 2) % 2)
+
+
+def undirected(table):
+    return replace(table, direction=np.zeros_like(table.direction))
+
+
+def place_of(problem, rng):
+    """Links, loads, bands and ordinary parameters as an arm might have them, all of them away from nothing."""
+    links = problem.links * rng.uniform(0.8, 1.2, len(problem.links))
+    loads = np.array([[8.0, 0.4, -0.3, 0.9]] * len(problem.labels))
+    band = np.abs(np.nan_to_num(problem.rows.sum_nm)).mean(axis=0) * 0.2 + 1.0
+    nuisance = np.concatenate(
+        [
+            rng.uniform(-0.05, 0.05, N),
+            rng.uniform(-1.0, 1.0, N),
+            rng.uniform(0.02, 0.1, N),
+            rng.uniform(0.1, 0.9, N),
+            rng.uniform(0.1, 0.4, 2 * N),
+        ]
+    )
+    return links, loads, band, nuisance
+
+
+def foretold(problem, links, loads, band, nuisance, terms=(), theta=()):
+    return modelled(problem, with_terms(terms, theta, problem.rows, nuisance), links, loads, band)
+
+
+@pytest.mark.parametrize("seen", [lambda table: table, one_sided, undirected], ids=["both", "one side", "no side"])
+@pytest.mark.parametrize("declared", [1.0, 0.85], ids=["lossless", "efficiency declared"])
+@pytest.mark.parametrize("coupled", [False, True], ids=["apart", "coupled"])
+def test_columns_are_finite_differences_of_the_modelled_rows(seen, declared, coupled):
+    bench = Bench(3, [], poses=6)
+    bench.options = replace(bench.options, efficiency=np.full(N, declared))
+    problem = problem_of(bench, seen(bench.both()))
+    links, loads, band, nuisance = place_of(problem, np.random.default_rng(2))
+    terms = [TorqueMixing(4, 5)] if coupled else []
+    theta = [np.array([0.3])] if coupled else []
+    setting = with_terms(terms, theta, problem.rows, nuisance)
+    columns = common_columns(problem, setting, links, loads, band)
+    half_sums = problem.group % (2 * N) < N
+    whole = np.concatenate([links, loads.ravel(), band, nuisance])
+    cuts = [4 * N, 4 * N + loads.size, 5 * N + loads.size]
+    for place in range(problem.n_common):
+        step = 1e-5 * max(1.0, abs(whole[place]))
+        sides = []
+        for sign in (1.0, -1.0):
+            parts = np.split(whole + sign * step * (np.arange(len(whole)) == place), cuts)
+            sides.append(foretold(problem, parts[0], parts[1].reshape(-1, 4), *parts[2:], terms, theta))
+        slope = (sides[0] - sides[1]) / (2.0 * step)
+        if place < cuts[1]:  # weight is told by half sums alone
+            assert not columns[~half_sums, place].any()
+            slope = np.where(half_sums, slope, 0.0)
+        if cuts[1] <= place < cuts[2] and not problem.sided[place - cuts[1]]:
+            assert not columns[half_sums, place].any()
+            continue
+        if cuts[2] <= place < cuts[2] + N:  # in shares of the gain that the axis has, which is 1 to some hundredths
+            slope *= 1.0 + whole[place]
+        np.testing.assert_allclose(columns[:, place], slope, rtol=2e-3, atol=2e-3 * max(np.abs(slope).max(), 1e-3))
+
+
+def test_each_kind_does_what_it_is_called():
+    """Against the readings of both sides written out by hand, of one axis that carries a known torque."""
+    bench = Bench(3, [], poses=6)
+    problem = problem_of(bench, bench.both())
+    links, loads, band, nuisance = place_of(problem, np.random.default_rng(4))
+    gain, bias, nu, one, fast, slow = nuisance.reshape(len(KINDS), N)
+    bodies = problem.model.bodies(
+        with_terms([], [], problem.rows, nuisance), links, problem.fixed_load + problem.member @ loads
+    )
+    torque = np.einsum("nak,nk->na", problem.model.nominal, bodies)
+    since = problem.rows.time_s - problem.rows.time_s.min()
+    cold = 1.0 + np.outer(np.exp(-since / REST.warm_fast_s), fast) + np.outer(np.exp(-since / REST.warm_slow_s), slow)
+    bands = band * cold
+    left = one * nu * (nu * torque / 2.0 + np.clip(torque, -bands, bands))
+    half_sum = (1.0 + gain) * (torque + bias + left)
+    difference = (1.0 + gain) * (bands + nu * np.abs(torque))
+    expected = np.concatenate([half_sum[problem.use_sum], difference[problem.use_difference]])
+    assert foretold(problem, links, loads, band, nuisance) == pytest.approx(expected)
+
+
+def test_a_gear_of_one_efficiency_leaves_what_the_ordinary_column_says():
+    """Motor over joint torque by efficiency, driving and driven back, with no formula of the model."""
+    eta, torque, band = 0.9, np.linspace(-80.0, 80.0, 9), 5.0
+    sides = [torque + band, torque - band]
+    up = np.where(sides[0] > 0, sides[0] / eta, sides[0] * eta)
+    down = np.where(sides[1] < 0, sides[1] / eta, sides[1] * eta)
+    nu = (1.0 / eta - eta) / 2.0
+    middle = torque + nu * (0.5 * nu * torque + np.clip(torque, -band, band))
+    away = np.abs(torque) > band
+    # nu squared over two stands for what the mean of eta and its inverse exceeds one by
+    assert (up + down)[away] / 2.0 == pytest.approx(middle[away], abs=nu**3 * 80.0)
+    assert (up - down)[away] / 2.0 == pytest.approx((band + nu * np.abs(torque))[away], rel=0.01)
+
+
+def test_an_effect_takes_the_place_of_its_own_axis_alone():
+    ordinary = Ordinary(np.zeros(len(KINDS) * N), np.ones(len(KINDS) * N))
+    terms = [TorqueOffset(1), TorqueConstantScale(4), TorqueConstantScale(None), LoadDependentFriction(2)]
+    assert ordinary.taken_over(terms).tolist() == [N + 1, 4, 2 * N + 2]
+    assert ordinary.taken_over([]).tolist() == []
+
+
+def test_friction_fades_from_the_first_visit_on():
+    bench = Bench(3, [], poses=6)
+    rows = problem_of(bench, bench.both()).rows
+    fast, slow = fades(rows)
+    first = int(np.argmin(rows.time_s))
+    assert fast[first] == slow[first] == 1.0
+    later = rows.time_s - rows.time_s.min()
+    assert np.log(fast) == pytest.approx(-later / REST.warm_fast_s)
+    assert np.log(slow) == pytest.approx(-later / REST.warm_slow_s)
+    none = ordinary_setting(rows, np.zeros(len(KINDS) * N))
+    assert (none.band_gain == 1.0).all()
+    assert (none.gain == 1.0).all()
+
+
+def test_priors_are_those_of_constants_and_of_the_friction_that_is_seen():
+    gain_std, lost = np.full(N, 0.02), np.linspace(0.0, 0.2, N)
+    band = np.arange(1.0, 7.0)
+    prior = Ordinary.of(nuisance_prior(gain_std, band, lost), gain_std, lost)
+    mean, std = prior.mean.reshape(len(KINDS), N), prior.std.reshape(len(KINDS), N)
+    assert dict(zip(KINDS, mean[:, 0], strict=True)) == pytest.approx(
+        {"gain": 0, "bias": 0, "load_friction": 0.05, "one_efficiency": 0.5, "cold_fast": 0, "cold_slow": 0}
+    )
+    assert std[0] == pytest.approx(np.hypot(0.02, UNEVEN_LOSS * lost))
+    assert std[1] == pytest.approx(0.1 * band)
+    assert (std[2] == 0.05).all()
+
+
+def test_an_axis_that_was_not_measured_has_the_prior_of_every_arm():
+    bench = Bench(3, [], poses=6)
+    table = bench.both()
+    blind = replace(table, tau_nm=np.where(np.arange(N) == 3, np.nan, table.tau_nm))
+    problem = build_problem(bench.robot, rest_rows(blind, bench.options.efficiency), Knowledge())
+    assert np.isfinite(problem.nuisance.std).all()
+    assert (problem.nuisance.std > 0).all()
