@@ -87,7 +87,10 @@ def decide(search: Search, chosen: Fit) -> Decision:
     proven = tuple(term for term in after.terms if strong(search, whole, term) and term.label in _key(search, whole)[0])
     rivals = tuple(rival for rival in near if rival.odds < REST.sure_odds and not rival.holds)
     structure_p = misfit(problem, whole)
-    odds, runner_up = _odds(search, after)
+    odds, runner_up = _odds(search, after, whole)
+    if any(not _key(search, rival.fit)[0] for rival in rivals):
+        # what a shape without a name says as well has no name
+        after, proven = before, ()
     verdict = _verdict(search, whole, proven, rivals, structure_p)
     if len(np.unique(problem.rows.pose)) < REST.least_poses:
         verdict, after, proven, rivals = "undecided", before, (), ()
@@ -263,7 +266,7 @@ def _log_sum(values: list[float]) -> float:
     return top + math.log(sum(math.exp(value - top) for value in values))
 
 
-def _odds(search: Search, after: Fit) -> tuple[dict[Label, float], dict[Label, str | None]]:
+def _odds(search: Search, after: Fit, whole: Fit) -> tuple[dict[Label, float], dict[Label, str | None]]:
     odds: dict[Label, float] = {}
     runner_up: dict[Label, str | None] = {}
     own = {term.label for term in after.terms}
@@ -272,7 +275,7 @@ def _odds(search: Search, after: Fit) -> tuple[dict[Label, float], dict[Label, s
         if not others:
             continue
         best = search.best(others)
-        odds[term.label] = math.exp(min(max(search.score(after) - search.score(best), -50.0), 50.0))
+        odds[term.label] = math.exp(min(max(search.score(whole) - search.score(best), -50.0), 50.0))
         instead = [t.name for t in best.terms if t.label not in own and t.name != UNNAMED]
         runner_up[term.label] = instead[0] if instead else None
     return odds, runner_up

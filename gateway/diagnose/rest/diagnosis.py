@@ -32,6 +32,7 @@ from gateway.diagnose.rest.mistakes import (
 )
 from gateway.diagnose.rest.outcome import (
     Judge,
+    contradicted,
     floor_and_band,
     mistake_effect,
     mistake_findings,
@@ -216,6 +217,9 @@ class RestDiagnosis:
         held = self._held(found, holdout)
         decision, findings = self._confirmed(decision, held, problem)
         judge = Judge.of(search, decision, held)
+        if contradicted(search, decision, judge):
+            decision = replace(decision, verdict="unexplained", after=decision.before, proven=(), rivals=())
+            judge = Judge.of(search, decision, held)
         effects = [entry for mistake in found.mistakes for entry in mistake_effect(mistake, found.gained)]
         effects += proven(search, decision, judge)
         seen_by_encoder = elastic_joints(problem, decision.after) if "joint_elasticity" in self.options.allowed else []

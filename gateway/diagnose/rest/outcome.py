@@ -110,6 +110,13 @@ def proven(search: Search, decision: Decision, judge: Judge) -> list[EffectResul
     return out
 
 
+def contradicted(search: Search, decision: Decision, judge: Judge) -> bool:
+    """Whether structure is left, and unseen rows are met no better with any of the effects than without it."""
+    if decision.verdict != "improved" or not decision.proven:
+        return False
+    return all(effect.evidence.holdout_rms_ratio >= 1.0 for effect in proven(search, decision, judge))
+
+
 def _with_shapes(effect: EffectResult, search: Search, after: Fit) -> EffectResult:
     """The effect, its standard deviations with what the choice of its shape leaves open."""
     variance = {key: std**2 for key, std in effect.std.items()}

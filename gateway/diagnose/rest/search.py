@@ -87,7 +87,7 @@ class Search:
         own = sorted(term.label for term in hypothesis.terms)
         fits = [fit for fit in self.pool.values() if sorted(term.label for term in fit.terms) == own]
         score = np.array([self.score(fit) for fit in fits])
-        weight = np.exp(score - score.max(initial=0.0))
+        weight = np.exp(score - score.max())
         return [(float(w / weight.sum()), fit) for w, fit in zip(weight, fits, strict=True) if fit is not hypothesis]
 
     def best(self, fits: Iterable[Fit] | None = None) -> Fit:
