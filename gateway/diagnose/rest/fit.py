@@ -47,6 +47,7 @@ class _State:
     band: Floats
     nuisance: Floats
     theta: list[Floats]
+    spread: dict[Term, Floats]
 
 
 def fit(
@@ -85,12 +86,16 @@ def _begin(problem: RestProblem, terms: Sequence[Term], start: Fit | None) -> _S
         loads[:, 0] = 1e-3
         nuisance = problem.nuisance.mean.copy()
         known: dict[Term, Floats] = {}
+        spread: dict[Term, Floats] = {}
     else:
         links, loads, band, nuisance = (part.copy() for part in (start.links, start.loads, start.band, start.nuisance))
         known = dict(zip(start.terms, start.theta, strict=True))
+        # an effect that another joins or leaves is as plausible as before: else the two could not be compared
+        ends = np.cumsum([len(values) for values in start.theta])[:-1]
+        spread = dict(zip(start.terms, np.split(start.prior_std[problem.n_common :], ends), strict=False))
     theta = [known[term].copy() if term in known else np.array(term.start, dtype=float) for term in terms]
     nuisance[problem.taken_over(terms) - problem.nuisance_part.start] = 0.0
-    return _State(links, loads, band, nuisance, theta)
+    return _State(links, loads, band, nuisance, theta, spread)
 
 
 def _linearised(
@@ -104,7 +109,7 @@ def _linearised(
         own = term_columns(problem, at_start, term, state.theta[position], position)
         columns.append(own)
         if step == 0:
-            spreads.append(spread_of(problem, noise, term, own))
+            spreads.append(state.spread[term] if term in state.spread else spread_of(problem, noise, term, own))
     design = np.hstack(columns)
     residual = problem.target - at_start.residual
     prior = _prior(problem, terms, state, spreads)

@@ -1,0 +1,175 @@
+"""Poses that are left out choose nothing: densities, choices and gains by pose against fits done the long way."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from gateway.diagnose import diagnose
+from gateway.diagnose.rest import decide
+from gateway.diagnose.rest.decide import helped
+from gateway.diagnose.rest.holdout import chosen_by_others, foretold_poses, gained_by_pose, left_out
+from tests.resting_arm import Bench, effect, found
+
+POSES, ROWS = 7, 5
+NOISE = np.array([0.5, 2.0, 1.0])
+
+
+class Linear:
+    """A linear hypothesis with a normal prior on its coefficients, and all that can be told of it in closed form."""
+
+    def __init__(self, design, spread, target) -> None:
+        self.design, self.spread, self.target = design, spread, target
+        self.std = NOISE[np.arange(len(target)) % 3]
+        weighted = design / self.std[:, None]
+        root = np.linalg.cholesky(np.linalg.inv(weighted.T @ weighted + np.diag(spread**-2)))
+        value = root @ root.T @ weighted.T @ (target / self.std)
+        self.fit = SimpleNamespace(
+            residual=target - design @ value, orthogonal=weighted @ root, noise=SimpleNamespace(std=NOISE)
+        )
+
+    def evidence(self, keep) -> float:
+        rows = self.design[keep] * self.spread
+        return float(
+            stats.multivariate_normal.logpdf(self.target[keep], cov=np.diag(self.std[keep] ** 2) + rows @ rows.T)
+        )
+
+    def foretold(self, keep) -> np.ndarray:
+        """Residual of the rows that are not kept, by a fit of those that are."""
+        rows = np.vstack([self.design[keep] / self.std[keep, None], np.diag(1.0 / self.spread)])
+        right = np.concatenate([self.target[keep] / self.std[keep], np.zeros(len(self.spread))])
+        value = np.linalg.lstsq(rows, right)[0]
+        return (self.target - self.design @ value)[~keep]
+
+
+POSE = np.repeat(np.arange(POSES), ROWS)
+PROBLEM = SimpleNamespace(
+    rows=SimpleNamespace(pose=POSE), visit=np.arange(len(POSE)), group=np.arange(len(POSE)) % 3, axes=3
+)
+
+
+def hypotheses(seed: int) -> list[Linear]:
+    """Four sets of effects; the torque holds the second, weakly, so that the poses do not agree."""
+    rng = np.random.default_rng(seed)
+    common = rng.normal(size=(len(POSE), 3))
+    more = [rng.normal(size=(len(POSE), width)) for width in (0, 1, 1, 2)]
+    target = rng.normal(size=len(POSE)) * NOISE[PROBLEM.group] + common @ [2.0, -1.0, 1.0] + 0.4 * more[1][:, 0]
+    return [Linear(np.hstack([common, each]), np.array([3.0] * 3 + [1.0] * each.shape[1]), target) for each in more]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_pose_is_foretold_with_its_density(seed):
+    for linear in hypotheses(seed):
+        residual, density = foretold_poses(PROBLEM, linear.fit)
+        assert left_out(PROBLEM, linear.fit) == pytest.approx(residual)
+        for pose in range(POSES):
+            keep = pose != POSE
+            assert residual[~keep] == pytest.approx(linear.foretold(keep))
+            # the density of all rows is that of the others, times that of the pose given the others
+            told = linear.evidence(keep | True) - linear.evidence(keep) + ROWS / 2.0 * np.log(2.0 * np.pi)
+            assert density[pose] == pytest.approx(told)
+
+
+def test_the_others_choose_as_if_the_pose_had_never_been_measured():
+    different = 0
+    for seed in range(12):
+        linear = hypotheses(seed)
+        everything = np.ones(len(POSE), dtype=bool)
+        score = [each.evidence(everything) for each in linear]
+        expected = np.empty(len(POSE))
+        for pose in range(POSES):
+            keep = pose != POSE
+            choice = int(np.argmax([each.evidence(keep) for each in linear]))
+            expected[~keep] = linear[choice].foretold(keep)
+            different += choice != int(np.argmax(score))
+        assert chosen_by_others(PROBLEM, [each.fit for each in linear], score) == pytest.approx(expected)
+    assert different > 0  # else the choice of all would have passed as well
+
+
+def test_what_one_pose_alone_asks_for_is_not_what_it_is_judged_by():
+    rng = np.random.default_rng(3)
+    common = rng.normal(size=(len(POSE), 2))
+    strange = np.where(POSE == 4, 1.0, 0.05 * rng.normal(size=len(POSE)))[:, None]
+    target = rng.normal(size=len(POSE)) * NOISE[PROBLEM.group] + common @ [2.0, -1.0] + 9.0 * (POSE == 4)
+    plain = Linear(common, np.full(2, 3.0), target)
+    named = Linear(np.hstack([common, strange]), np.array([3.0, 3.0, 10.0]), target)
+    everything = np.ones(len(POSE), dtype=bool)
+    score = [each.evidence(everything) - price for each, price in ((plain, 0.0), (named, 3.0))]
+    assert score[1] > score[0] + 10.0
+    residual = chosen_by_others(PROBLEM, [plain.fit, named.fit], score)
+    assert residual[POSE == 4] == pytest.approx(plain.foretold(POSE != 4))
+    assert np.abs(residual[POSE == 4]).mean() > 6.0
+
+
+def test_what_an_effect_gains_is_counted_by_pose():
+    plain, named = hypotheses(1)[:2]
+    std = NOISE[PROBLEM.group]
+    expected = []
+    for pose in range(POSES):
+        keep = pose != POSE
+        squares = [np.sum((each.foretold(keep) / std[~keep]) ** 2) for each in (plain, named)]
+        expected.append(squares[0] - squares[1])
+    gained = gained_by_pose(PROBLEM, named.fit, plain.fit)
+    assert gained == pytest.approx(expected)
+    term = SimpleNamespace(name="made_up")
+    named.fit.terms = (term,)
+    search = SimpleNamespace(problem=PROBLEM, fitted=lambda terms, start: plain.fit)
+    sure = np.mean(expected) / (np.std(expected, ddof=1) / np.sqrt(POSES))
+    assert helped(search, named.fit, term) == pytest.approx(sure)
+
+
+SPRING = effect("balancer_spring", [2], stiffness_n_m=2e4, lever_m=0.2, anchor_m=0.5, free_length_m=0.2)
+
+
+@pytest.mark.parametrize(("gain", "named"), [(1.0, True), (-1.0, False)])
+def test_an_effect_that_left_out_poses_contradict_is_not_named(monkeypatch, gain, named):
+    """The same data and the same fits; only what left-out poses say of the effect is turned round."""
+    bench = Bench(4, [SPRING])
+    seen = []
+
+    def gained(problem, after, before):
+        seen.append(len(after.terms))
+        return gain * np.abs(gained_by_pose(problem, after, before))
+
+    monkeypatch.setattr(decide, "gained_by_pose", gained)
+    result = diagnose(bench.both(), bench.robot, bench.options)
+    assert seen
+    assert (found(result) == [("balancer_spring", (2,))]) is named
+    if not named:
+        assert found(result) == []
+        assert result.verdict == "unexplained"
+
+
+def test_what_is_reported_unseen_is_what_the_others_choose(monkeypatch):
+    """The effect is worth less on poses that had no say in it than on those that had."""
+    bench = Bench(4, [SPRING])
+    table = bench.both()
+    honest = diagnose(table, bench.robot, bench.options)
+    assert honest.holdout_kind == "blocks"
+    monkeypatch.setattr(
+        "gateway.diagnose.rest.outcome.unseen_by_choice", lambda search: left_out(search.problem, search.best())
+    )
+    chosen = diagnose(table, bench.robot, bench.options)
+    axis = 1
+    assert honest.after.holdout_rms_nm[axis] >= 0.99 * chosen.after.holdout_rms_nm[axis]
+    assert honest.before.holdout_rms_nm == chosen.before.holdout_rms_nm
+    assert honest.after.holdout_rms_nm[axis] < 0.5 * honest.before.holdout_rms_nm[axis]
+
+
+@pytest.mark.parametrize(
+    ("hidden", "axis"),
+    [
+        (effect("load_dependent_friction", [3], coefficient=0.5), 3),
+        (effect("torque_constant_scale", [2], scale=0.85), 2),
+    ],
+    ids=lambda value: value["name"] if isinstance(value, dict) else "",
+)
+def test_what_is_beyond_the_ordinary_is_compared_with_what_every_arm_has(hidden, axis):
+    """Compared with an ordinary parameter that may stretch as far, an effect would be worth nothing."""
+    bench = Bench(4, [hidden])
+    result = diagnose(bench.both(), bench.robot, bench.options)
+    assert found(result) == [(hidden["name"], (axis,))]
+    assert result.effects[0].evidence.holdout_rms_ratio < 0.8
