@@ -141,7 +141,9 @@ class RestDiagnosis:
         if looked:
             mistakes, gained = find_mistakes(table, build, self.options.allowed)
             if gained > REST.obvious and self._settled(build(_undone(table, mistakes))):
-                return self._searched(table, aside, mistakes, gained)
+                at_once = self._searched(table, aside, mistakes, gained)
+                if not at_once.taken_back:
+                    return at_once
         found = self._searched(table, aside, (), 0.0)
         if not looked and (suspicious(found.search.problem, found.chosen) or links_far_from_cad(problem, plain)):
             mistakes, gained = find_mistakes(table, build, self.options.allowed)
