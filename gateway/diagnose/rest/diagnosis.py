@@ -182,8 +182,9 @@ class RestDiagnosis:
         if not len(unseen):
             raise DataUnusable("the hold-out carries no load that is in the data: nothing to judge on")
         rows = joined([seen, unseen])
-        both = build_problem(self.robot, self.aside(rows).sound(rows), self.knowledge)
-        return Unseen(both, both.visit >= len(seen))
+        aside = self.aside(rows)
+        both = build_problem(self.robot, aside.sound(rows), self.knowledge)
+        return Unseen(both, both.visit >= len(seen), aside.among(len(seen)))
 
     def _upheld(self, found: Found, holdout: Table | None) -> Found:
         """The same, without mistakes that leave rows that no fit has seen worse than they were read."""
@@ -262,7 +263,7 @@ class RestDiagnosis:
             next=questions(problem, decision, self.robot, self.options, self.knowledge),
             findings=tuple(findings),
             nuisance=ordinary_of(problem, decision.after),
-            set_aside=found.aside.entries,
+            set_aside=found.aside.entries + (() if held is None else held.aside),
             quality=structure_seen_nm(problem, decision.whole, np.array(floor))
             | fresh_seen_nm(problem, held, decision.after),
             provenance={

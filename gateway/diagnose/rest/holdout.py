@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.rest.linear import Fit, RestProblem, common_columns, modelled, term_columns, with_terms
 from gateway.diagnose.rest.screen import Screen
+from gateway.result.result import SetAside
 
 Floats = NDArray[np.float64]
 #: Share of a row's own noise below which the fit has taken it up altogether.
@@ -103,10 +104,12 @@ class Unseen:
     problem : RestProblem
         Fitted visits and held-out visits together.
     mask : (rows,) the held-out ones
+    aside : gross torques among the held-out visits, which judge nothing
     """
 
     problem: RestProblem
     mask: NDArray[np.bool_]
+    aside: tuple[SetAside, ...] = ()
 
 
 def predicted(held: Unseen, fit: Fit) -> Floats:

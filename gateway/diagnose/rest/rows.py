@@ -59,6 +59,11 @@ class Aside:
     entries: tuple[SetAside, ...] = ()
     findings: tuple[Finding, ...] = ()
 
+    def among(self, first: int) -> tuple[SetAside, ...]:
+        """The entries of visits from the `first` on."""
+        visits = np.argwhere(self.mask)[:, 0]
+        return tuple(entry for entry, visit in zip(self.entries, visits, strict=True) if visit >= first)
+
     def sound(self, rows: RestRows) -> RestRows:
         """The rows with these torques unmeasured."""
         if not self.mask.any():
