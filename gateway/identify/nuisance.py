@@ -78,9 +78,12 @@ def gain_stds(given: Sequence[float] | None, axes: int) -> Floats:
     values = np.asarray(given, dtype=float)
     if values.shape != (axes,):
         raise ConfigError(f"{len(values)} standard deviations of torque constants for an arm of {axes} axes")
-    if not (np.isfinite(values) & (values >= 0) & (values < _MOST_GAIN_STD)).all():
+    wrong = values[~(values >= 0)]
+    if len(wrong):
+        raise ConfigError(f"the standard deviation of a torque constant is a share of 0 or more, not {wrong[0]:g}")
+    if not (values < _MOST_GAIN_STD).all():
         raise ConfigError(
-            f"a torque constant known to {100 * float(np.nanmax(np.abs(values))):.0f} % says nothing of a mass: "
+            f"a torque constant known to {100 * float(values.max()):.0f} % says nothing of a mass: "
             f"state less than {100 * _MOST_GAIN_STD:.0f} %, or weigh a load and give it as --known"
         )
     return np.maximum(values, _EXACT)
