@@ -78,10 +78,19 @@ def gain_stds(given: Sequence[float] | None, axes: int) -> Floats:
     values = np.asarray(given, dtype=float)
     if values.shape != (axes,):
         raise ConfigError(f"{len(values)} standard deviations of torque constants for an arm of {axes} axes")
+<<<<<<< HEAD
     if not (np.isfinite(values) & (values >= 0) & (values < _MOST_GAIN_STD)).all():
         worst = float(np.nan_to_num(np.abs(values), nan=np.inf).max())
         raise ConfigError(
             f"a torque constant known to {100 * worst:.0f} % says nothing of a mass: "
+=======
+    wrong = values[~(values >= 0)]
+    if len(wrong):
+        raise ConfigError(f"the standard deviation of a torque constant is a share of 0 or more, not {wrong[0]:g}")
+    if not (values < _MOST_GAIN_STD).all():
+        raise ConfigError(
+            f"a torque constant known to {100 * float(values.max()):.0f} % says nothing of a mass: "
+>>>>>>> tests
             f"state less than {100 * _MOST_GAIN_STD:.0f} %, or weigh a load and give it as --known"
         )
     return np.maximum(values, _EXACT)

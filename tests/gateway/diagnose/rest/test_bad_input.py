@@ -1,0 +1,197 @@
+"""Tables that are not as they should be: a result, or a refusal with the reason; never a confident wrong one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.rigs.tables import simulated_table
+from gateway.data.table import Table, concatenate
+from gateway.diagnose import diagnose
+from gateway.errors import ConfigError, DataUnusable
+from gateway.model.effects import MISTAKES
+from gateway.result.result import Result
+from sim.offline import PlannedVisit, measure
+from tests.resting_arm import Bench, effect, found
+
+
+@pytest.fixture(scope="module")
+def healthy() -> tuple[Bench, Table, Result]:
+    bench = Bench(3, [])
+    table = bench.both()
+    return bench, table, diagnose(table, bench.robot, bench.options)
+
+
+def mass_of(result: Result, label: str = "tool") -> tuple[float, float]:
+    load = next(load for load in result.loads if load.label == label)
+    return load.mass_kg, load.mass_std_kg
+
+
+# ----------------------------------------------------------------------------------------- how well constants are known
+
+
+def test_constants_that_are_known_exactly_are_taken_at_their_word(healthy):
+    bench, table, _ = healthy
+    result = diagnose(table, bench.robot, replace(bench.options, gain_std=(0.0,) * 6))
+    assert result.verdict == "none_needed"
+    mass, std = mass_of(result)
+    assert abs(mass - bench.arm.loads["tool"].mass_kg) < 3.0 * std
+    assert 0.0 < std < 0.02 * mass
+
+
+def test_constants_that_are_hardly_known_are_refused_with_the_reason(healthy):
+    bench, table, _ = healthy
+    with pytest.raises(ConfigError, match=r"known to 50 % says nothing of a mass.*--known"):
+        diagnose(table, bench.robot, replace(bench.options, gain_std=(0.03,) * 5 + (0.5,)))
+    with pytest.raises(ConfigError, match="5 standard deviations of torque constants for an arm of 6 axes"):
+        diagnose(table, bench.robot, replace(bench.options, gain_std=(0.03,) * 5))
+    for wrong in (-0.01, float("nan")):
+        with pytest.raises(ConfigError, match=f"share of 0 or more, not {wrong}"):
+            diagnose(table, bench.robot, replace(bench.options, gain_std=(wrong,) * 6))
+
+
+# --------------------------------------------------------------------------------------------------------- gross visits
+
+
+def gross(table: Table, bench: Bench, entries: list[tuple[int, int]], bands: float = 6.0) -> Table:
+    """The table with both sides of some visits pushed by so many friction bands on one axis."""
+    torque = table.tau_nm.copy()
+    for visit, axis in entries:
+        torque[2 * visit : 2 * visit + 2, axis] += bands * bench.arm.plant.coulomb_nm[axis]
+    return replace(table, tau_nm=torque)
+
+
+@pytest.mark.parametrize("seed", [1, 3, 6])
+def test_gross_visits_are_set_aside_listed_and_hardly_move_the_answer(seed):
+    bench = Bench(seed, [])
+    table = bench.both()
+    sound = diagnose(table, bench.robot, bench.options)
+    result = diagnose(gross(table, bench, [(4, 2), (13, 1)]), bench.robot, bench.options)
+    assert sorted((aside.load, aside.pose, aside.joint) for aside in result.set_aside) == [
+        ("none", 4, 3),
+        ("tool", 3, 2),
+    ]
+    for aside in result.set_aside:
+        assert aside.bands == pytest.approx(6.0, rel=0.5)
+        assert aside.reason
+    assert any("J3 at pose 4 under none" in each.what for each in result.findings if each.where == "set aside")
+    assert found(result) == found(sound)
+    assert result.verdict == sound.verdict == "none_needed"
+    mass, std = mass_of(sound)
+    assert abs(mass_of(result)[0] - mass) < 0.5 * std
+    moved = np.array(result.loads[0].com_m) - np.array(sound.loads[0].com_m)
+    assert np.all(np.abs(moved) < 0.5 * np.array(sound.loads[0].com_std_m))
+
+
+def test_an_effect_is_named_beside_gross_visits():
+    bench = Bench(4, [effect("base_tilt", [], tilt_x_rad=0.05, tilt_y_rad=0.03)])
+    result = diagnose(gross(bench.both(), bench, [(6, 1)]), bench.robot, bench.options)
+    assert found(result) == [("base_tilt", ())]
+    assert [(aside.pose, aside.joint) for aside in result.set_aside] == [(6, 2)]
+
+
+def test_where_every_visit_is_gross_none_is_set_aside_and_that_is_said(healthy):
+    bench, table, sound = healthy
+    rng = np.random.default_rng(0)
+    push = rng.uniform(4.0, 10.0, table.tau_nm.shape) * rng.choice([-1.0, 1.0], table.tau_nm.shape)
+    wild = replace(table, tau_nm=table.tau_nm + push * bench.arm.plant.coulomb_nm)
+    result = diagnose(wild, bench.robot, bench.options)
+    assert result.set_aside == ()
+    words = [each for each in result.findings if "no sound visit can be told from a gross one" in each.what]
+    assert len(words) == 1
+    assert words[0].severity == "warn"
+    # what it says of the load, it says with as much doubt as the visits scatter
+    load, tool = result.loads[0], bench.arm.loads["tool"]
+    assert load.refused or abs(load.mass_kg - tool.mass_kg) < 3.0 * load.mass_std_kg
+    assert load.mass_std_kg > 2.0 * mass_of(sound)[1]
+
+
+# ----------------------------------------------------------------------------------------------------- what is held out
+
+
+def test_held_out_rows_of_another_arm_are_not_met(healthy):
+    bench, table, _ = healthy
+    other = Bench(7, [])
+    other.poses = bench.poses[:4] + 0.1
+    held = other.both()
+    result = diagnose(table, bench.robot, replace(bench.options, holdout=held))
+    assert result.verdict not in ("explained", "none_needed")
+    words = [each.what for each in result.findings if each.where == "hold-out"]
+    assert len(words) == 1
+    assert "poses that no fit has seen are not met within the noise" in words[0]
+    # and it has not been taken for a word on the load
+    assert mass_of(result) == pytest.approx(mass_of(diagnose(table, bench.robot, bench.options)))
+
+
+def test_held_out_rows_of_the_same_arm_are_met(healthy):
+    bench, table, _ = healthy
+    held = concatenate([bench.table(bench.poses[:4] + 0.1, load, 50) for load in ("none", "tool")])
+    result = diagnose(table, bench.robot, replace(bench.options, holdout=held))
+    assert result.verdict == "none_needed"
+    assert not [each for each in result.findings if each.where == "hold-out"]
+
+
+def test_held_out_rows_with_another_load_alone_are_refused(healthy):
+    bench, table, _ = healthy
+    held = bench.table(bench.poses[:4] + 0.1, "tool", 50)
+    held = replace(held, load=np.full(len(held.load), "gripper"))
+    with pytest.raises(DataUnusable, match="carries no load that is in the data"):
+        diagnose(table, bench.robot, replace(bench.options, holdout=held))
+
+
+# --------------------------------------------------------------------------------------------------------- several runs
+
+
+def of_run(bench: Bench, poses, load: str, run: str, first: int = 0, loads=None) -> Table:
+    """Visits of one run, one after the other."""
+    visits = []
+    for k, q in enumerate(poses):
+        visits.append(PlannedVisit(first + k, load, bench.now_s, q))
+        bench.now_s += 25.0
+    rng = np.random.default_rng([bench.seed, int(bench.now_s)])
+    columns = measure(bench.arm.chain, bench.plant, visits, loads or bench.arm.loads, bench.arm.protocol, rng)
+    return simulated_table(columns, run)
+
+
+def test_a_run_of_a_tenth_of_the_others_changes_no_answer():
+    bench = Bench(3, [], poses=10)
+    long = [of_run(bench, bench.poses, load, run) for run in ("a", "b") for load in ("none", "tool")]
+    short = of_run(bench, bench.poses[:2], "tool", "c")
+    both, alone = (diagnose(concatenate(parts), bench.robot, bench.options) for parts in ([*long, short], long))
+    assert both.verdict == alone.verdict == "none_needed"
+    mass, std = mass_of(alone)
+    assert abs(mass_of(both)[0] - mass) < 0.5 * std
+    assert mass_of(both)[1] == pytest.approx(std, rel=0.15)
+
+
+def test_a_load_of_one_run_alone_is_told_with_its_own_doubt():
+    """Two loads, one measured in each of two runs, the second at four poses only."""
+    bench = Bench(3, [], poses=10)
+    tool = bench.arm.loads["tool"]
+    lighter = replace(tool, mass_kg=0.5 * tool.mass_kg)
+    parts = [of_run(bench, bench.poses, load, "a") for load in ("none", "tool")]
+    parts.append(of_run(bench, bench.poses[:4], "gripper", "b", loads={**bench.arm.loads, "gripper": lighter}))
+    result = diagnose(concatenate(parts), bench.robot, bench.options)
+    assert result.verdict == "none_needed"
+    for label, true_kg in (("tool", tool.mass_kg), ("gripper", lighter.mass_kg)):
+        mass, std = mass_of(result, label)
+        assert abs(mass - true_kg) < 3.0 * std
+        assert std < 0.2 * true_kg
+
+
+# -------------------------------------------------------------------------------------------------- without a direction
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 8])
+def test_a_table_without_directions_names_no_wiring_mistake(seed):
+    bench = Bench(seed, [])
+    table = bench.both()
+    read = replace(table, direction=np.zeros_like(table.direction))
+    result = diagnose(read, bench.robot, bench.options)
+    assert not {name for name, _ in found(result)} & set(MISTAKES)
+    assert not result.failed
+    tool = bench.arm.loads["tool"]
+    mass, std = mass_of(result)
+    assert abs(mass - tool.mass_kg) < 3.0 * std
