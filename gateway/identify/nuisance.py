@@ -54,16 +54,6 @@ class NuisancePrior:
     load_friction: Floats
     load_friction_std: Floats
 
-    @property
-    def mean(self) -> Floats:
-        """Means (3 N,) of gains, biases [Nm] and load frictions."""
-        return np.concatenate([self.gain, np.zeros_like(self.gain), self.load_friction])
-
-    @property
-    def std(self) -> Floats:
-        """Standard deviations (3 N,) in the same order."""
-        return np.concatenate([self.gain_std, self.bias_std_nm, self.load_friction_std])
-
 
 def gain_stds(given: Sequence[float] | None, axes: int) -> Floats:
     """Relative standard deviation (N,) of each axis's torque constant.
@@ -78,19 +68,12 @@ def gain_stds(given: Sequence[float] | None, axes: int) -> Floats:
     values = np.asarray(given, dtype=float)
     if values.shape != (axes,):
         raise ConfigError(f"{len(values)} standard deviations of torque constants for an arm of {axes} axes")
-<<<<<<< HEAD
-    if not (np.isfinite(values) & (values >= 0) & (values < _MOST_GAIN_STD)).all():
-        worst = float(np.nan_to_num(np.abs(values), nan=np.inf).max())
-        raise ConfigError(
-            f"a torque constant known to {100 * worst:.0f} % says nothing of a mass: "
-=======
     wrong = values[~(values >= 0)]
     if len(wrong):
         raise ConfigError(f"the standard deviation of a torque constant is a share of 0 or more, not {wrong[0]:g}")
     if not (values < _MOST_GAIN_STD).all():
         raise ConfigError(
             f"a torque constant known to {100 * float(values.max()):.0f} % says nothing of a mass: "
->>>>>>> tests
             f"state less than {100 * _MOST_GAIN_STD:.0f} %, or weigh a load and give it as --known"
         )
     return np.maximum(values, _EXACT)
