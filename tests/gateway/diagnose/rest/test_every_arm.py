@@ -30,9 +30,9 @@ def diagnosed(cell: Cell) -> Result:
     return diagnose(table, robot_from_urdf(stated.urdf, "nature"), options)
 
 
-@pytest.mark.parametrize("condition", ["bias", "losses", "efficiency", "warm_up"])
+@pytest.mark.parametrize("condition", ["gains", "bias", "losses", "efficiency", "warm_up"])
 def test_what_every_arm_has_is_not_named(condition):
-    """Friction that differs by a tenth between directions, losses and efficiency undeclared on all axes, cold gears."""
+    """Constants off by percents, friction that differs by a tenth by direction, losses nobody declared, cold gears."""
     named, away = [], []
     for seed in SEEDS:
         cell = draw_cell(seed, condition)
