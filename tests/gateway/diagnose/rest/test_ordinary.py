@@ -120,7 +120,7 @@ def test_a_gear_of_one_efficiency_leaves_what_the_ordinary_column_says():
 
 
 def test_an_effect_takes_the_place_of_its_own_axis_alone():
-    ordinary = Ordinary(np.zeros(len(KINDS) * N), np.ones(len(KINDS) * N))
+    ordinary = Ordinary(np.zeros(len(KINDS) * N), np.ones(len(KINDS) * N), np.ones(N))
     terms = [TorqueOffset(1), TorqueConstantScale(4), TorqueConstantScale(None), LoadDependentFriction(2)]
     assert ordinary.taken_over(terms).tolist() == [N + 1, 4, 2 * N + 2]
     assert ordinary.taken_over([]).tolist() == []
@@ -149,7 +149,11 @@ def test_priors_are_those_of_constants_and_of_the_friction_that_is_seen():
         {"gain": 0, "bias": 0, "load_friction": 0.05, "one_efficiency": 0.5, "cold_fast": 0, "cold_slow": 0}
     )
     assert std[0] == pytest.approx(np.hypot(0.02, UNEVEN_LOSS * lost))
-    assert std[1] == pytest.approx(0.1 * band)
+    # a gear of one efficiency leaves up to its loss times the band in the middle, besides the tenth of all
+    assert std[1] == pytest.approx(np.hypot(0.1, 0.5 * lost) * band)
+    assert prior.constants == pytest.approx(0.02**2 / (0.02**2 + (UNEVEN_LOSS * lost) ** 2))
+    with pytest.raises(ValueError, match="read-only"):
+        prior.mean[0] = 1.0
     assert (std[2] == 0.05).all()
 
 
