@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from benchmarks.rigs.tables import simulated_table
 from gateway.diagnose.rest.fit import fit
 from gateway.diagnose.rest.linear import RestProblem, common_columns
-from gateway.diagnose.rest.ordinary import Ordinary
 from gateway.diagnose.rest.problem import Knowledge, build_problem, first_noise
 from gateway.diagnose.rest.rows import rest_rows
 from gateway.diagnose.rest.screen import columns_of
@@ -100,7 +99,7 @@ def _problem(arm: DrawnArm, seed: int, poses: int) -> RestProblem:
     robot = robot_from_urdf(arm.urdf, f"seed {seed}")
     problem = build_problem(robot, rest_rows(table, arm.efficiency), Knowledge(inertials="ignore"))
     none = np.zeros_like(problem.nuisance.mean)
-    return replace(problem, nuisance=Ordinary(none, none + NOT_THERE))
+    return replace(problem, nuisance=replace(problem.nuisance, mean=none, std=none + NOT_THERE))
 
 
 def _one_shape_each(arm: DrawnArm, problem: RestProblem) -> Iterator[Term]:
