@@ -18,9 +18,9 @@ from gateway.estimate import EstimateOptions, estimate
 from gateway.identify.load_estimate import LoadEstimate
 from gateway.model.robot import robot_from_urdf
 from gateway.result.result import LoadResult, Result
-from sim.nature.cell import VISIT_S, Cell, draw_cell, draw_effect_cell
+from sim.nature.cell import VISIT_S, NatureCell, draw_cell, draw_effect_cell
 from sim.nature.effect import rows_of
-from sim.nature.measuring import Gross
+from sim.nature.measuring import GrossVisit
 from sim.nature.strength import strengths_beside
 from sim.offline import PlannedVisit
 
@@ -64,7 +64,7 @@ class Score:
     total_s: float = float("nan")
 
 
-def estimate_options(cell: Cell) -> EstimateOptions:
+def estimate_options(cell: NatureCell) -> EstimateOptions:
     """What the owner states, as options of an estimate."""
     stated = cell.stated
     return EstimateOptions(
@@ -74,7 +74,7 @@ def estimate_options(cell: Cell) -> EstimateOptions:
     )
 
 
-def diagnose_options(cell: Cell) -> DiagnoseOptions:
+def diagnose_options(cell: NatureCell) -> DiagnoseOptions:
     """What the owner states, as options of a diagnosis."""
     stated = cell.stated
     return DiagnoseOptions(
@@ -140,10 +140,10 @@ def run_timed(seed: int) -> dict:
 class Robotside:
     """Drives to poses and measures, as the engineer's cell would; keeps what was visited and what went wrong."""
 
-    def __init__(self, cell: Cell) -> None:
+    def __init__(self, cell: NatureCell) -> None:
         self.cell = cell
         self.visits: list[PlannedVisit] = []
-        self.gross: list[Gross] = []
+        self.gross: list[GrossVisit] = []
         self.calls = 0
         self.next_pose = max(visit.pose for visit in cell.visits) + 1
         self.time_s = max(visit.time_s for visit in cell.visits) + 3 * VISIT_S
@@ -164,18 +164,18 @@ class Robotside:
     def _measured(self, visits: Sequence[PlannedVisit]) -> Table:
         columns, gross = self.cell.measure(visits, self.calls)
         before = len(self.visits)
-        self.gross += [Gross(g.visit + before, g.pose, g.load, g.joint, g.bands) for g in gross]
+        self.gross += [GrossVisit(g.visit + before, g.pose, g.load, g.joint, g.bands) for g in gross]
         self.visits += visits
         self.calls += 1
         return simulated_table(columns, f"nature{self.calls}")
 
 
-def truth_of(cell: Cell) -> list:
+def truth_of(cell: NatureCell) -> list:
     """Mechanism, joints and strength of what is beyond the ordinary."""
     return [(e.mechanism, list(e.joints), s) for e, s in zip(cell.effects, cell.strengths, strict=True)]
 
 
-def _said(cell: Cell, result: Result, oracle: Floats) -> dict:
+def _said(cell: NatureCell, result: Result, oracle: Floats) -> dict:
     return {
         "diagnosed": _intervals(cell, _tool(result.loads), oracle),
         "found": [(effect.name, list(effect.joints)) for effect in result.effects],
@@ -188,7 +188,7 @@ def _tool(loads: Sequence[LoadEstimate] | Sequence[LoadResult]) -> LoadEstimate 
     return next((load for load in loads if load.label == "tool"), None)
 
 
-def _intervals(cell: Cell, load: LoadEstimate | LoadResult | None, oracle: Floats) -> Intervals:
+def _intervals(cell: NatureCell, load: LoadEstimate | LoadResult | None, oracle: Floats) -> Intervals:
     nothing = [float("nan")] * 4
     if load is None or load.com_m is None or load.com_std_m is None:
         return Intervals(nothing, nothing)
@@ -200,9 +200,9 @@ def _intervals(cell: Cell, load: LoadEstimate | LoadResult | None, oracle: Float
 
 
 def _score(
-    cell: Cell,
+    cell: NatureCell,
     visits: Sequence[PlannedVisit],
-    gross: Sequence[Gross],
+    gross: Sequence[GrossVisit],
     parts: dict,
     refused: list,
     total_s: float,

@@ -12,7 +12,7 @@ from benchmarks.blind.shares import Figures, middle, reached, share
 from benchmarks.blind.strict import LEAST, STRONG, Said, There, kind, misnamed, right, there
 from sim.nature.levels import CONDITIONS
 
-Cell = dict
+NatureCell = dict
 
 QUANTITIES = ("mass", "x", "y", "z")
 METHODS = {"estimated": "estimate", "diagnosed": "diagnose"}
@@ -20,29 +20,29 @@ METHODS = {"estimated": "estimate", "diagnosed": "diagnose"}
 GROSS_BANDS = 4.0
 
 
-def truth(cell: Cell) -> tuple[There, ...]:
+def truth(cell: NatureCell) -> tuple[There, ...]:
     """What is there, by the table of right names."""
     return tuple(there(MECHANISMS[name], joints, size) for name, joints, size in cell["truth"])
 
 
-def said(cell: Cell) -> Said:
+def said(cell: NatureCell) -> Said:
     """What was said."""
     return Said(tuple((name, tuple(joints)) for name, joints in cell["found"]), cell["verdict"])
 
 
-def covered(cells: Iterable[Cell], method: str, quantity: int | None = None) -> list[float]:
+def covered(cells: Iterable[NatureCell], method: str, quantity: int | None = None) -> list[float]:
     """Whether intervals hold the truth, of one quantity or of all four; those that were not given are left out."""
     which = slice(None) if quantity is None else slice(quantity, quantity + 1)
     values = [value for cell in cells if cell[method] for value in cell[method]["inside"][which]]
     return [value for value in values if np.isfinite(value)]
 
 
-def widths(cells: Iterable[Cell], method: str) -> list[float]:
+def widths(cells: Iterable[NatureCell], method: str) -> list[float]:
     """Widths over the oracle's, all four quantities."""
     return [value for cell in cells if cell[method] for value in cell[method]["width"]]
 
 
-def ordinary_figures(cells: Sequence[Cell]) -> Figures:
+def ordinary_figures(cells: Sequence[NatureCell]) -> Figures:
     """Figures of the cells with nothing beyond the ordinary, pooled and by condition."""
     out: Figures = {}
     good = [cell for cell in cells if not cell["misstated"]]
@@ -68,7 +68,7 @@ def ordinary_figures(cells: Sequence[Cell]) -> Figures:
     return out
 
 
-def _of_condition(cells: Sequence[Cell]) -> Figures:
+def _of_condition(cells: Sequence[NatureCell]) -> Figures:
     out: Figures = {}
     for method, word in METHODS.items():
         for number, name in enumerate(QUANTITIES):
@@ -78,20 +78,20 @@ def _of_condition(cells: Sequence[Cell]) -> Figures:
     return out
 
 
-def _named(cells: Iterable[Cell]) -> list[float]:
+def _named(cells: Iterable[NatureCell]) -> list[float]:
     return [float(bool(cell["found"])) for cell in cells]
 
 
-def _refused(cell: Cell, word: str) -> float:
+def _refused(cell: NatureCell, word: str) -> float:
     return float(any(text.startswith(word) for text in cell["refused"]))
 
 
-def effect_figures(cells: Sequence[Cell]) -> Figures:
+def effect_figures(cells: Sequence[NatureCell]) -> Figures:
     """Figures of the cells with something beyond the ordinary."""
     named = [cell for cell in cells if cell["kind"] in ("one", "several") and not cell["misstated"]]
     misstated = [cell for cell in cells if cell["kind"] in ("one", "several") and cell["misstated"]]
     strange = [cell for cell in cells if cell["kind"] == "strange"]
-    by_kind: dict[str, list[Cell]] = {"strong": [], "weak": [], "several": [], "below": []}
+    by_kind: dict[str, list[NatureCell]] = {"strong": [], "weak": [], "several": [], "below": []}
     for cell in named:
         by_kind[kind(truth(cell))].append(cell)
     strong = [cell for cell in by_kind["several"] if all(t.strength >= STRONG for t in truth(cell) if t.counts)]
@@ -119,19 +119,19 @@ def effect_figures(cells: Sequence[Cell]) -> Figures:
     }
 
 
-def _size(cell: Cell) -> float:
+def _size(cell: NatureCell) -> float:
     return max(size for _, _, size in cell["truth"])
 
 
-def _right(cells: Iterable[Cell]) -> list[float]:
+def _right(cells: Iterable[NatureCell]) -> list[float]:
     return [float(right(truth(cell), said(cell))) for cell in cells]
 
 
-def _misnamed(cells: Iterable[Cell]) -> list[float]:
+def _misnamed(cells: Iterable[NatureCell]) -> list[float]:
     return [float(misnamed(truth(cell), said(cell))) for cell in cells]
 
 
-def gross_figures(cells: Sequence[Cell]) -> Figures:
+def gross_figures(cells: Sequence[NatureCell]) -> Figures:
     """Gross visits found, and good ones thrown out, of all cells that were diagnosed."""
     asked = [cell for cell in cells if cell["verdict"] and cell["kind"] != "wiring"]
     found = [value for cell in asked for value in _found(cell)]
@@ -142,19 +142,19 @@ def gross_figures(cells: Sequence[Cell]) -> Figures:
     }
 
 
-def _found(cell: Cell) -> list[float]:
+def _found(cell: NatureCell) -> list[float]:
     aside = {(pose, load, joint) for pose, load, joint, _ in cell["set_aside"]}
     return [float((pose, load, joint) in aside) for pose, load, joint, bands in cell["gross"] if bands >= GROSS_BANDS]
 
 
-def _thrown(cell: Cell) -> list[float]:
+def _thrown(cell: NatureCell) -> list[float]:
     """Whether a visit that went well was set aside on any axis; of visits of one pose and load, once."""
     gross = {(pose, load) for pose, load, _, _ in cell["gross"]}
     aside = {(pose, load) for pose, load, _, _ in cell["set_aside"]}
     return [float((pose, load) in aside) for pose, load in {(p, name) for p, name in cell["visits"]} - gross]
 
 
-def time_figures(timed: Sequence[Cell]) -> Figures:
+def time_figures(timed: Sequence[NatureCell]) -> Figures:
     """Median and largest time of a diagnosis."""
     times = [cell["time_s"] for cell in timed]
     if not times:
@@ -173,7 +173,7 @@ def time_figures(timed: Sequence[Cell]) -> Figures:
     }
 
 
-def confusion(cells: Sequence[Cell]) -> list[tuple[str, str, int]]:
+def confusion(cells: Sequence[NatureCell]) -> list[tuple[str, str, int]]:
     """(what is there, what was said, how often) of the cells with one effect, strange ones and wiring mistakes."""
     counter: Counter = Counter()
     for cell in cells:
@@ -184,23 +184,23 @@ def confusion(cells: Sequence[Cell]) -> list[tuple[str, str, int]]:
     return [(name, words, count) for (name, words), count in sorted(counter.items())]
 
 
-def _words(cell: Cell) -> str:
+def _words(cell: NatureCell) -> str:
     if right(truth(cell), said(cell)):
         return "right"
     names = " + ".join(sorted({name for name, _ in cell["found"]}))
     return f"{names} ({cell['verdict']})" if names else str(cell["verdict"] or "refused")
 
 
-def falsely_named(cells: Sequence[Cell]) -> list[tuple[str, str, int]]:
+def falsely_named(cells: Sequence[NatureCell]) -> list[tuple[str, str, int]]:
     """(condition, what was named, how often) of the cells with only the ordinary."""
     counter = Counter((cell["condition"], _words(cell)) for cell in cells if cell["found"])
     return [(condition, words, count) for (condition, words), count in sorted(counter.items())]
 
 
-def by_condition(cells: Sequence[Cell]) -> list[list[str]]:
+def by_condition(cells: Sequence[NatureCell]) -> list[list[str]]:
     """Rows of a table: condition, coverage of the four and width by both methods, named, gross found, thrown out."""
     rows = []
-    parts: list[tuple[str, Callable[[Cell], bool]]] = [("pooled", lambda cell: not cell["misstated"])]
+    parts: list[tuple[str, Callable[[NatureCell], bool]]] = [("pooled", lambda cell: not cell["misstated"])]
     parts += [(name, lambda cell, name=name: cell["condition"] == name) for name in CONDITIONS]
     for name, chosen in parts:
         here = [cell for cell in cells if chosen(cell) and not cell["misstated"]]

@@ -13,10 +13,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.nature.arm import Arm
-from sim.nature.cell import Cell
-from sim.nature.effect import Effect, Rows, rows_of
-from sim.nature.measuring import Gross, equilibrium
+from sim.nature.arm import NatureArm
+from sim.nature.cell import NatureCell
+from sim.nature.effect import Mechanism, TableRows, rows_of
+from sim.nature.measuring import GrossVisit, equilibrium
 from sim.nature.strength import added, efficiency_slopes
 from sim.offline import PlannedVisit, gravity_columns
 
@@ -27,7 +27,7 @@ STEP_RAD = 1e-5
 NO_CURVE = 1e-6
 
 
-def load_std(cell: Cell, visits: Sequence[PlannedVisit], gross: Sequence[Gross]) -> Floats:
+def load_std(cell: NatureCell, visits: Sequence[PlannedVisit], gross: Sequence[GrossVisit]) -> Floats:
     """Standard deviation of mass [kg] and centre x, y, z [m] (4,) that these visits of a cell allow."""
     arm, rows = cell.arm, rows_of(visits)
     still = np.zeros_like(rows.q_rad)
@@ -57,7 +57,7 @@ def centre_std(covariance: Floats, load: Floats) -> Floats:
     return np.sqrt(np.diag(jacobian @ covariance @ jacobian.T))
 
 
-def _design(arm: Arm, rows: Rows, effects: Sequence[Effect], tau: Floats) -> tuple[Floats, Floats]:
+def _design(arm: NatureArm, rows: TableRows, effects: Sequence[Mechanism], tau: Floats) -> tuple[Floats, Floats]:
     """Columns (visits, 6, p), the load's four first, and the prior precision (p,) of each, 0 where there is none."""
     q, time_s, loaded = rows.q_rad[0::2], rows.time_s[0::2], rows.loaded[0::2]
     each = np.eye(6)
@@ -82,7 +82,7 @@ def _design(arm: Arm, rows: Rows, effects: Sequence[Effect], tau: Floats) -> tup
     return np.concatenate([part for part, _ in parts], axis=2), np.concatenate([std for _, std in parts]) ** -2.0
 
 
-def _weights(arm: Arm, rows: Rows, effects: Sequence[Effect], tau: Floats) -> Floats:
+def _weights(arm: NatureArm, rows: TableRows, effects: Sequence[Mechanism], tau: Floats) -> Floats:
     """Inverse covariance (visits, 6, 6) of the half-sums: friction, noise, rounding, and the pose that is not met."""
     time_s = rows.time_s[0::2]
     cold = arm.friction.coulomb_nm * arm.friction.cold(time_s)

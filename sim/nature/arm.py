@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sim.draw import GRAVITY, arm_geometry, draw_load, rated_torque_nm
 from sim.nature.friction import Friction, draw_friction
-from sim.nature.levels import Levels
+from sim.nature.levels import Harshness
 from sim.plant import Payload
 from sim.urdf import SimBody, SimChain, write_chain
 
@@ -43,7 +43,7 @@ class Stated:
 
 
 @dataclass(frozen=True, slots=True)
-class Arm:
+class NatureArm:
     """One arm with everything ordinary.
 
     Attributes
@@ -91,7 +91,7 @@ class Arm:
         return self.tool.mass_kg * np.append(1.0, self.tool.com_m)
 
 
-def draw_arm(levels: Levels, rng: np.random.Generator) -> tuple[Arm, Stated]:
+def draw_arm(levels: Harshness, rng: np.random.Generator) -> tuple[NatureArm, Stated]:
     """Draw an arm and what is stated of it; everything random comes from `rng`."""
     payload_kg = float(np.exp(rng.uniform(np.log(8.0), np.log(250.0))))
     chain = arm_geometry(payload_kg, rng)
@@ -111,7 +111,7 @@ def draw_arm(levels: Levels, rng: np.random.Generator) -> tuple[Arm, Stated]:
     # four amplitudes of the same standard deviation: RMS of the sum is sqrt(2) of it
     cogging_std = cogging_rms / np.sqrt(2.0)
     gear_ratio = np.round(rng.uniform(50.0, 200.0, 6))
-    arm = Arm(
+    arm = NatureArm(
         chain=chain,
         links=cad + _cad_errors(links_std, levels, rng),
         links_std=links_std,
@@ -161,7 +161,7 @@ def cad_scale(chain: SimChain) -> Array:
     return scale
 
 
-def _cad_errors(links_std: Array, levels: Levels, rng: np.random.Generator) -> Array:
+def _cad_errors(links_std: Array, levels: Harshness, rng: np.random.Generator) -> Array:
     """Errors (24,) of standard deviation `links_std` in all; outliers are whole links, as a forgotten motor is."""
     share = levels.cad_outliers[0]
     width = np.where(rng.random(6) < share, 2.5, 1.0) / np.sqrt(1.0 + share * (2.5**2 - 1.0))

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.draw import informative_poses
-from sim.nature.arm import Arm, Stated, draw_arm
+from sim.nature.arm import NatureArm, Stated, draw_arm
 from sim.nature.assembly import ASSEMBLY
 from sim.nature.drives import DRIVES
-from sim.nature.effect import Effect, Rows, rows_of
+from sim.nature.effect import Mechanism, TableRows, rows_of
 from sim.nature.levels import CONDITIONS, levels_of
-from sim.nature.measuring import Gross, measure
+from sim.nature.measuring import GrossVisit, measure
 from sim.nature.springs import SPRINGS, Maker
 from sim.nature.strange import STRANGE
 from sim.nature.strength import Absorbing, absorbing, strength
@@ -37,7 +37,7 @@ CLASH = ({"gas_balancer", "coil_balancer"}, {"offset_sensor", "one_way_drag"}, {
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
+class NatureCell:
     """One cell.
 
     Attributes
@@ -51,15 +51,15 @@ class Cell:
     seed: int
     condition: str
     kind: str
-    arm: Arm
+    arm: NatureArm
     stated: Stated
     visits: tuple[PlannedVisit, ...]
-    effects: tuple[Effect, ...]
+    effects: tuple[Mechanism, ...]
     strengths: tuple[float, ...]
 
     def measure(
         self, visits: Sequence[PlannedVisit], stream: int = 0
-    ) -> tuple[dict[str, NDArray[Any]], tuple[Gross, ...]]:
+    ) -> tuple[dict[str, NDArray[Any]], tuple[GrossVisit, ...]]:
         """Columns of a measured table, and which visits went wrong; `stream` makes later recordings differ."""
         rng = np.random.default_rng([self.seed, CONDITIONS.index(self.condition), 7, stream])
         return measure(self.arm, visits, self.effects, rng)
@@ -70,7 +70,7 @@ class Cell:
         return informative_poses(self.arm.chain, self.arm.floor_nm, self.arm.links_std, count, rng)
 
 
-def draw_cell(seed: int, condition: str, kind: str = ORDINARY) -> Cell:
+def draw_cell(seed: int, condition: str, kind: str = ORDINARY) -> NatureCell:
     """Cell of a seed under a condition.
 
     Raises
@@ -89,10 +89,10 @@ def draw_cell(seed: int, condition: str, kind: str = ORDINARY) -> Cell:
         effect, size = scaled(arm, rows, maker, taken, rng)
         effects.append(effect)
         strengths.append(size)
-    return Cell(seed, condition, kind, arm, stated, visits, tuple(effects), tuple(strengths))
+    return NatureCell(seed, condition, kind, arm, stated, visits, tuple(effects), tuple(strengths))
 
 
-def draw_effect_cell(seed: int) -> Cell:
+def draw_effect_cell(seed: int) -> NatureCell:
     """Cell with something beyond the ordinary."""
     condition, kind = drawn_kind(seed)
     return draw_cell(seed, condition, kind)
@@ -119,10 +119,12 @@ def _mechanisms(kind: str, rng: np.random.Generator) -> list[Maker]:
     return [table[name] for name in chosen]
 
 
-def scaled(arm: Arm, rows: Rows, maker: Maker, taken: Absorbing, rng: np.random.Generator) -> tuple[Effect, float]:
+def scaled(
+    arm: NatureArm, rows: TableRows, maker: Maker, taken: Absorbing, rng: np.random.Generator
+) -> tuple[Mechanism, float]:
     """An effect near a strength of 1.5 to 20, every factor as likely, as far as its physical limits let it."""
     wanted = float(np.exp(rng.uniform(np.log(LEAST_STRENGTH), np.log(MOST_STRENGTH))))
-    best: tuple[Effect, float] | None = None
+    best: tuple[Mechanism, float] | None = None
     for _ in range(TRIES):
         build, (least, most) = maker(arm, rows, rng)
         if least == most:

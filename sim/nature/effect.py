@@ -20,7 +20,7 @@ HALL_K = 293.0
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class TableRows:
     """Sides of visits in the order that they were taken.
 
     Attributes
@@ -44,10 +44,10 @@ class Rows:
         return np.stack([before, values(self.q_rad)], axis=1)
 
 
-def rows_of(visits: Sequence[PlannedVisit]) -> Rows:
+def rows_of(visits: Sequence[PlannedVisit]) -> TableRows:
     """Each visit from below and from above, in the order given."""
     both = [(visit, side) for visit in visits for side in (0, 1)]
-    return Rows(
+    return TableRows(
         pose=np.array([visit.pose for visit, _ in both]),
         loaded=np.array([visit.load != "none" for visit, _ in both]),
         time_s=np.array([visit.time_s + SIDE_S * side for visit, side in both]),
@@ -67,11 +67,11 @@ def play(corners: Array, width: float) -> Array:
 
 
 #: (rows, torque (n, 6) [Nm]) -> (n, 6).
-Torque = Callable[[Rows, Array], Array]
+Torque = Callable[[TableRows, Array], Array]
 
 
 @dataclass(frozen=True, slots=True)
-class Effect:
+class Mechanism:
     """One mechanism in one arm; what it does not act on is None.
 
     Attributes
@@ -95,9 +95,9 @@ class Effect:
     size: float
     on_joint: Torque | None = None
     on_angle: Torque | None = None
-    on_friction: Callable[[Rows, Array, Array], tuple[Array, Array]] | None = None
+    on_friction: Callable[[TableRows, Array, Array], tuple[Array, Array]] | None = None
     on_reading: Torque | None = None
-    on_load: Callable[[Rows], Array] | None = None
+    on_load: Callable[[TableRows], Array] | None = None
     links: Array | None = None
     gravity_m_s2: Array | None = None
     wired: Callable[[dict[str, NDArray[np.float64]]], dict[str, NDArray[np.float64]]] | None = None

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.nature.levels import Levels
+from sim.nature.levels import Harshness
 
 Array = NDArray[np.float64]
 
@@ -102,7 +102,7 @@ class Friction:
         return 2.0 * np.exp(-way) - 1.0, self.tail_share * normal / np.sqrt(chi)
 
 
-def draw_friction(rated_nm: Array, levels: Levels, rng: np.random.Generator) -> Friction:
+def draw_friction(rated_nm: Array, levels: Harshness, rng: np.random.Generator) -> Friction:
     """Friction of the gears of an arm of rated torques (6,)."""
     efficiency = rng.uniform(*levels.efficiency, 6)
     split_std = float(rng.uniform(*levels.efficiency_split))

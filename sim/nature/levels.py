@@ -8,7 +8,7 @@ Span = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Levels:
+class Harshness:
     """Ranges that the ordinary is drawn from; a span is (least, most), uniform unless something else is said.
 
     Attributes
@@ -47,7 +47,7 @@ class Levels:
     cad_outliers: Span = (0.0, 0.0)
 
 
-MILD = Levels()
+MILD = Harshness()
 #: What each condition raises, and how far.
 RAISED = {
     "base": {},
@@ -65,7 +65,7 @@ RAISED = {
 CONDITIONS = (*RAISED, "all")
 
 
-def levels_of(condition: str) -> Levels:
+def levels_of(condition: str) -> Harshness:
     """Levels of a condition; ``all`` has everything half way between mild and harsh.
 
     Raises

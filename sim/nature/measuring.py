@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.nature.arm import Arm
-from sim.nature.effect import Effect, Rows, rows_of
+from sim.nature.arm import NatureArm
+from sim.nature.effect import Mechanism, TableRows, rows_of
 from sim.offline import PlannedVisit, gravity_columns
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ GROSS_WAYS = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, -1.0]])
 
 
 @dataclass(frozen=True, slots=True)
-class Gross:
+class GrossVisit:
     """A visit that went wrong on one axis: its place among the visits, axis from 1, size in bands of that axis."""
 
     visit: int
@@ -44,13 +44,13 @@ class Stops:
     noise_nm: Array
 
 
-def quiet(arm: Arm, rows: Rows) -> Stops:
+def quiet(arm: NatureArm, rows: TableRows) -> Stops:
     """Every stop alike and no noise."""
     nothing = np.zeros_like(rows.q_rad)
     return Stops(nothing + arm.friction.mean_left, nothing, nothing, nothing)
 
 
-def chance(arm: Arm, rows: Rows, rng: np.random.Generator) -> Stops:
+def chance(arm: NatureArm, rows: TableRows, rng: np.random.Generator) -> Stops:
     """What chance does to visits that are measured from both sides."""
     visits = len(rows.time_s) // 2
     left, scatter = (part.reshape(-1, 6) for part in arm.friction.stops(visits, rng))
@@ -59,7 +59,7 @@ def chance(arm: Arm, rows: Rows, rng: np.random.Generator) -> Stops:
     return Stops(left, scatter, angle, noise)
 
 
-def equilibrium(arm: Arm, rows: Rows, effects: Sequence[Effect], angle_rad: Array) -> tuple[Array, Array]:
+def equilibrium(arm: NatureArm, rows: TableRows, effects: Sequence[Mechanism], angle_rad: Array) -> tuple[Array, Array]:
     """Torque that the gears transmit (n, 6) [Nm] and true link angles (n, 6) [rad]."""
     gravity, links = arm.gravity_m_s2, arm.links
     load = np.where(rows.loaded[:, None], arm.load, 0.0)
@@ -85,7 +85,7 @@ def equilibrium(arm: Arm, rows: Rows, effects: Sequence[Effect], angle_rad: Arra
     return tau, q
 
 
-def reported_nm(arm: Arm, rows: Rows, effects: Sequence[Effect], stops: Stops) -> tuple[Array, Array]:
+def reported_nm(arm: NatureArm, rows: TableRows, effects: Sequence[Mechanism], stops: Stops) -> tuple[Array, Array]:
     """What the drives report (n, 6) [Nm], joint side, and the torque the gears transmit (n, 6)."""
     tau, _ = equilibrium(arm, rows, effects, stops.angle_rad)
     band = arm.friction.band_nm(tau, rows.time_s)
@@ -103,14 +103,16 @@ def reported_nm(arm: Arm, rows: Rows, effects: Sequence[Effect], stops: Stops) -
     return seen + stops.noise_nm, tau
 
 
-def cogging_nm(arm: Arm, q_rad: Array) -> Array:
+def cogging_nm(arm: NatureArm, q_rad: Array) -> Array:
     """Torque (n, 6) [Nm] that follows the motor's angle, once and twice a turn."""
     turn = arm.gear_ratio * q_rad
     waves = np.stack([np.sin(turn), np.cos(turn), np.sin(2.0 * turn), np.cos(2.0 * turn)], axis=2)
     return np.einsum("nac,ac->na", waves, arm.cogging_nm)
 
 
-def draw_gross(arm: Arm, visits: Sequence[PlannedVisit], rng: np.random.Generator) -> tuple[tuple[Gross, ...], Array]:
+def draw_gross(
+    arm: NatureArm, visits: Sequence[PlannedVisit], rng: np.random.Generator
+) -> tuple[tuple[GrossVisit, ...], Array]:
     """Visits that go wrong, and what that adds to the rows (2 visits, 6) [Nm]: a cable caught, a brake, a touch."""
     added, found = np.zeros((len(visits), 2, 6)), []
     for number, wrong in enumerate(rng.random(len(visits)) < arm.friction.gross_share):
@@ -121,13 +123,13 @@ def draw_gross(arm: Arm, visits: Sequence[PlannedVisit], rng: np.random.Generato
         way = GROSS_WAYS[rng.integers(len(GROSS_WAYS))] * rng.choice([-1.0, 1.0])
         band = float(arm.friction.band_nm(np.zeros((1, 6)), np.array([visits[number].time_s]))[0, axis])
         added[number, :, axis] = bands * band * way
-        found.append(Gross(number, visits[number].pose, visits[number].load, axis + 1, bands))
+        found.append(GrossVisit(number, visits[number].pose, visits[number].load, axis + 1, bands))
     return tuple(found), added.reshape(-1, 6)
 
 
 def measure(
-    arm: Arm, visits: Sequence[PlannedVisit], effects: Sequence[Effect], rng: np.random.Generator
-) -> tuple[dict[str, NDArray[Any]], tuple[Gross, ...]]:
+    arm: NatureArm, visits: Sequence[PlannedVisit], effects: Sequence[Mechanism], rng: np.random.Generator
+) -> tuple[dict[str, NDArray[Any]], tuple[GrossVisit, ...]]:
     """Columns of a measured table as `sim.offline.measure` gives them, and which visits went wrong."""
     rows = rows_of(visits)
     gross, added = draw_gross(arm, visits, rng)

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.nature.arm import Arm
-from sim.nature.effect import Effect, Rows, rows_of
+from sim.nature.arm import NatureArm
+from sim.nature.effect import Mechanism, TableRows, rows_of
 from sim.nature.measuring import quiet, reported_nm
 from sim.offline import PlannedVisit, gravity_columns
 
@@ -38,7 +38,7 @@ def halves(tau_nm: Array, declared_efficiency: Array) -> Halves:
     return Halves((up + down) / 2.0, (up - down) / 2.0)
 
 
-def added(arm: Arm, rows: Rows, effect: Effect) -> Halves:
+def added(arm: NatureArm, rows: TableRows, effect: Mechanism) -> Halves:
     """What an effect adds to the halves, by every stop alike and without noise."""
     stops, eta = quiet(arm, rows), arm.friction.declared_efficiency
     with_ = halves(reported_nm(arm, rows, (effect,), stops)[0], eta)
@@ -46,7 +46,7 @@ def added(arm: Arm, rows: Rows, effect: Effect) -> Halves:
     return Halves(with_.half_sum_nm - without.half_sum_nm, with_.half_difference_nm - without.half_difference_nm)
 
 
-def efficiency_slopes(arm: Arm, rows: Rows) -> tuple[Array, Array]:
+def efficiency_slopes(arm: NatureArm, rows: TableRows) -> tuple[Array, Array]:
     """Change of the half-sums (visits, 6) [Nm] with the efficiency of each axis, and with half its split by direction.
 
     Beyond the band it is near a constant by the sign of the torque; within, both sides drive.
@@ -88,7 +88,7 @@ class Absorbing:
         return Absorbing(basis, self.floor_nm)
 
 
-def absorbing(arm: Arm, visits: Sequence[PlannedVisit]) -> Absorbing:
+def absorbing(arm: NatureArm, visits: Sequence[PlannedVisit]) -> Absorbing:
     """What the visits of an arm can put into its links, its load and its nuisances."""
     rows = rows_of(visits)
     _, tau = reported_nm(arm, rows, (), quiet(arm, rows))
@@ -112,7 +112,7 @@ def absorbing(arm: Arm, visits: Sequence[PlannedVisit]) -> Absorbing:
     return Absorbing(np.linalg.qr(stacked)[0], arm.floor_nm)
 
 
-def strength(arm: Arm, rows: Rows, effect: Effect, taken: Absorbing) -> float:
+def strength(arm: NatureArm, rows: TableRows, effect: Mechanism, taken: Absorbing) -> float:
     """Strength of an effect as the text of the module defines it; infinite for a mistake of wiring."""
     if effect.wired is not None:
         return float("inf")
@@ -123,7 +123,7 @@ def strength(arm: Arm, rows: Rows, effect: Effect, taken: Absorbing) -> float:
 
 
 def strengths_beside(
-    arm: Arm, visits: Sequence[PlannedVisit], rows: Rows, effects: Sequence[Effect]
+    arm: NatureArm, visits: Sequence[PlannedVisit], rows: TableRows, effects: Sequence[Mechanism]
 ) -> tuple[float, ...]:
     """Strength of each effect beyond what the others of the same arm could take over as well."""
     taken = absorbing(arm, visits)

@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.nature.arm import Arm
-from sim.nature.effect import Effect, Rows
+from sim.nature.arm import NatureArm
+from sim.nature.effect import Mechanism, TableRows
 from sim.nature.springs import Build, Maker
 
 Columns = dict[str, NDArray[Any]]
 
 
-def turned_sign(arm: Arm, rows: Rows, rng: np.random.Generator) -> tuple[Build, tuple[float, float]]:
+def turned_sign(arm: NatureArm, rows: TableRows, rng: np.random.Generator) -> tuple[Build, tuple[float, float]]:
     """The torque of one axis comes with the wrong sign."""
     axis = int(rng.integers(1, 6))
 
@@ -23,10 +23,10 @@ def turned_sign(arm: Arm, rows: Rows, rng: np.random.Generator) -> tuple[Build, 
         tau[:, axis] *= -1.0
         return columns | {"tau_nm": tau}
 
-    return lambda size: Effect("turned_sign", (axis + 1,), size, wired=wired), (1.0, 1.0)
+    return lambda size: Mechanism("turned_sign", (axis + 1,), size, wired=wired), (1.0, 1.0)
 
 
-def exchanged_cables(arm: Arm, rows: Rows, rng: np.random.Generator) -> tuple[Build, tuple[float, float]]:
+def exchanged_cables(arm: NatureArm, rows: TableRows, rng: np.random.Generator) -> tuple[Build, tuple[float, float]]:
     """Two drives are bolted to each other's joints: positions and torques stand in each other's columns."""
     first, second = sorted(int(axis) for axis in rng.choice(np.arange(1, 6), 2, replace=False))
 
@@ -37,10 +37,10 @@ def exchanged_cables(arm: Arm, rows: Rows, rng: np.random.Generator) -> tuple[Bu
             name: values[:, order] for name, values in columns.items() if np.ndim(values) == 2 and name != "dir"
         }
 
-    return lambda size: Effect("exchanged_cables", (first + 1, second + 1), size, wired=wired), (1.0, 1.0)
+    return lambda size: Mechanism("exchanged_cables", (first + 1, second + 1), size, wired=wired), (1.0, 1.0)
 
 
-def rms_for_peak(arm: Arm, rows: Rows, rng: np.random.Generator) -> tuple[Build, tuple[float, float]]:
+def rms_for_peak(arm: NatureArm, rows: TableRows, rng: np.random.Generator) -> tuple[Build, tuple[float, float]]:
     """The drive of one axis reports peak where rms is expected, or the other way round."""
     axis, factor = int(rng.integers(1, 6)), float(rng.choice([np.sqrt(2.0), np.sqrt(0.5)]))
 
@@ -50,7 +50,7 @@ def rms_for_peak(arm: Arm, rows: Rows, rng: np.random.Generator) -> tuple[Build,
         std[:, axis] *= factor
         return columns | {"tau_nm": tau, "tau_std_nm": std}
 
-    return lambda size: Effect("rms_for_peak", (axis + 1,), size, wired=wired), (1.0, 1.0)
+    return lambda size: Mechanism("rms_for_peak", (axis + 1,), size, wired=wired), (1.0, 1.0)
 
 
 WIRING: dict[str, Maker] = {

@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Knowledge:
+class MovingKnowledge:
     """What is known beside the rows.
 
     Attributes
@@ -57,14 +57,14 @@ class Choice:
     as_read: MovingProblem
 
 
-def problem_of(motion: MovingRows, trust: float | None, knowledge: Knowledge) -> MovingProblem:
+def problem_of(motion: MovingRows, trust: float | None, knowledge: MovingKnowledge) -> MovingProblem:
     """The problem of rows under a trust of the CAD values, without effects."""
     splits = choosing(motion, MOVING.blocks, frozenset(knowledge.known) | {BARE_LABEL})
     base = baseline(motion, trust, knowledge.known, knowledge.usual)
     return with_noise_of(MovingProblem(motion, base, MovingNoise(*np.ones((2, motion.axes))), splits), (), None)
 
 
-def choose(motion: MovingRows, knowledge: Knowledge) -> Choice:
+def choose(motion: MovingRows, knowledge: MovingKnowledge) -> Choice:
     """The mistakes, the trust and the effects that the rows want, those that are given left out of everything."""
     problem = as_read = problem_of(motion, knowledge.trust, knowledge)
     mistakes = find_mistakes(problem, knowledge.allowed, knowledge.refuted)
@@ -78,14 +78,14 @@ def choose(motion: MovingRows, knowledge: Knowledge) -> Choice:
     return Choice(problem, state, tuple(mistakes), as_read)
 
 
-def plain_choice(motion: MovingRows, trust: float | None, knowledge: Knowledge) -> Choice:
+def plain_choice(motion: MovingRows, trust: float | None, knowledge: MovingKnowledge) -> Choice:
     """The choice of no effect at all."""
     problem = problem_of(motion, trust, knowledge)
     return Choice(problem, state_of(problem, ()), (), problem)
 
 
 def _under(
-    trust: float | None, problem: MovingProblem, state: MovingState, knowledge: Knowledge
+    trust: float | None, problem: MovingProblem, state: MovingState, knowledge: MovingKnowledge
 ) -> tuple[MovingProblem, MovingState]:
     """The choice under another trust: effects that are not needed go; all is open where the links are worth nothing."""
     if trust is None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.table import Table
-from gateway.diagnose.moving.choice import Choice, Knowledge, choose, plain_choice, problem_of
+from gateway.diagnose.moving.choice import Choice, MovingKnowledge, choose, plain_choice, problem_of
 from gateway.diagnose.moving.deflection import elastic_joints
 from gateway.diagnose.moving.fit import MovingProblem
 from gateway.diagnose.moving.judge import Judges
@@ -62,7 +62,7 @@ def diagnose_motion(table: Table, robot: Robot, options: DiagnoseOptions) -> Res
     motion = _foretold(motion, known)
     trust, free = _trust(robot, options.inertials)
     usual = ordinary(motion, gain_stds(options.gain_std, motion.axes))
-    knowledge = Knowledge(_allowed(options), trust, free, known, usual)
+    knowledge = MovingKnowledge(_allowed(options), trust, free, known, usual)
     if (~motion.given).sum() < MOVING.fewest_rows or motion.duration_s < MOVING.shortest_s:
         problem = problem_of(motion, trust, knowledge)
         return too_little(problem, state_of(problem, ()))
@@ -85,7 +85,7 @@ def diagnose_motion(table: Table, robot: Robot, options: DiagnoseOptions) -> Res
     return result_of(replace(outcome, wound=wound))
 
 
-def _judged(motion: MovingRows, knowledge: Knowledge) -> tuple[Choice, Judges]:
+def _judged(motion: MovingRows, knowledge: MovingKnowledge) -> tuple[Choice, Judges]:
     """The model that all rows choose which may, and those by which it is judged."""
     found = choose(motion, knowledge)
     if motion.given.any():
@@ -94,7 +94,7 @@ def _judged(motion: MovingRows, knowledge: Knowledge) -> tuple[Choice, Judges]:
     return found, Judges(tuple(choose(part, near) for part in judging(motion, MOVING.judged_blocks)))
 
 
-def _outcome(found: Choice, judges: Judges, knowledge: Knowledge) -> MovingOutcome:
+def _outcome(found: Choice, judges: Judges, knowledge: MovingKnowledge) -> MovingOutcome:
     """The effects that their odds and the rows that judge bear out, and the others."""
     problem, state = found.problem, found.state
     chosen = [
@@ -131,7 +131,7 @@ def _outcome(found: Choice, judges: Judges, knowledge: Knowledge) -> MovingOutco
     )
 
 
-def _told(problem: MovingProblem, state: MovingState, knowledge: Knowledge) -> tuple[MovingProblem, MovingState]:
+def _told(problem: MovingProblem, state: MovingState, knowledge: MovingKnowledge) -> tuple[MovingProblem, MovingState]:
     """The model that the answer is read from: a drawing that the rows do not contradict is no better than usual."""
     trust = problem.base.trust
     if not knowledge.free or trust is None or trust >= MOVING.usual_trust:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sim.nature.cell import NAMED, draw_cell, draw_effect_cell
-from sim.nature.effect import Effect, play, rows_of
+from sim.nature.effect import Mechanism, play, rows_of
 from sim.nature.measuring import equilibrium, quiet, reported_nm
 from sim.nature.springs import draw_linkage
 from sim.nature.strange import STRANGE, pulled
@@ -149,7 +149,7 @@ def test_strength_of_friction_is_the_swing_of_the_half_differences(cell):
     arm = replace(arm, friction=lossless)
     count = len(cell.visits)
     uneven = 1.0 - (2.0 * np.ceil(count / 2) / count - 1.0) ** 2
-    reached = strength(arm, rows, Effect("test", (3,), 1.0, on_friction=rub), absorbing(arm, cell.visits))
+    reached = strength(arm, rows, Mechanism("test", (3,), 1.0, on_friction=rub), absorbing(arm, cell.visits))
     assert reached == pytest.approx(3.0 * np.sqrt(uneven), rel=1e-6)
 
 

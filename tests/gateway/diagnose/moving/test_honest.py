@@ -9,7 +9,7 @@ import pytest
 
 from gateway.data.rows import concatenate
 from gateway.diagnose import DiagnoseOptions, diagnose
-from gateway.diagnose.moving.choice import Knowledge, problem_of
+from gateway.diagnose.moving.choice import MovingKnowledge, problem_of
 from gateway.diagnose.moving.fit import fit
 from gateway.diagnose.moving.mistakes import find_mistakes
 from gateway.diagnose.moving.parameters import at_edge
@@ -27,7 +27,7 @@ LOADS = {"none": None, "a": (2.0, 0.02, -0.01, 0.08), "b": (5.0, -0.03, 0.02, 0.
 
 def problem(table, robot, trust=0.05):
     motion = prepare(table, None, robot, GRAVITY)
-    return problem_of(motion, trust, Knowledge(frozenset(LIBRARY), trust, False, {}, ordinary(motion)))
+    return problem_of(motion, trust, MovingKnowledge(frozenset(LIBRARY), trust, False, {}, ordinary(motion)))
 
 
 def parted(seed, world, at_s=18.0, **keys):
