@@ -11,13 +11,13 @@ from benchmarks.rigs.tables import simulated_table
 from gateway.diagnose import DiagnoseOptions, diagnose
 from gateway.model.robot import robot_from_urdf
 from gateway.result.result import Result
-from sim.nature.cell import Cell, draw_cell
+from sim.nature.cell import NatureCell, draw_cell
 from tests.resting_arm import Bench, effect, found
 
 SEEDS = range(7000, 7020)
 
 
-def diagnosed(cell: Cell) -> Result:
+def diagnosed(cell: NatureCell) -> Result:
     """The first recording of an arm, with what its owner states."""
     stated = cell.stated
     options = DiagnoseOptions(
