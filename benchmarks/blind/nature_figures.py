@@ -198,7 +198,8 @@ def falsely_named(cells: Sequence[NatureCell]) -> list[tuple[str, str, int]]:
 
 
 def by_condition(cells: Sequence[NatureCell]) -> list[list[str]]:
-    """Rows of a table: condition, coverage of the four and width by both methods, named, gross found, thrown out."""
+    """Rows of a table: condition, how many were estimated and diagnosed, coverage of the four and width by both methods,
+    named, gross visits found, good ones thrown out."""
     rows = []
     parts: list[tuple[str, Callable[[NatureCell], bool]]] = [("pooled", lambda cell: not cell["misstated"])]
     parts += [(name, lambda cell, name=name: cell["condition"] == name) for name in CONDITIONS]
@@ -206,13 +207,14 @@ def by_condition(cells: Sequence[NatureCell]) -> list[list[str]]:
         here = [cell for cell in cells if chosen(cell) and not cell["misstated"]]
         if not here:
             continue
-        row = [name, str(len(here))]
+        asked = [cell for cell in here if cell["verdict"]]
+        row = [name, f"{len(here)}, {len(asked)}"]
         for method in METHODS:
             shares = [covered(here, method, number) for number in range(4)]
             row.append(" ".join(_percent(values) for values in shares))
             row.append(f"{middle(widths(here, method))['value']:.2f}")
-        row.append(_percent(_named([cell for cell in here if cell["verdict"]])))
-        row += [_percent([v for cell in here for v in count(cell)]) for count in (_found, _thrown)]
+        row.append(_percent(_named(asked)))
+        row += [_percent([v for cell in asked for v in count(cell)]) for count in (_found, _thrown)]
         rows.append(row)
     return rows
 
