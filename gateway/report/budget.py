@@ -25,6 +25,9 @@ NUISANCE_WORDS: Final = {
     "gain": ("gain of the torque", "%", 100.0),
     "bias_nm": ("bias by direction", "Nm", 1.0),
     "load_friction": ("losses over torque", "%", 100.0),
+    "one_efficiency": ("of these, as of one efficiency both ways", "%", 100.0),
+    "cold_fast": ("more friction when cold, fading in 10 min", "%", 100.0),
+    "cold_slow": ("more friction when cold, fading in 40 min", "%", 100.0),
 }
 WIDTH: Final = 470.0
 _BAR, _ROW, _TOP, _LEFT = 22.0, 52.0, 22.0, 8.0

@@ -85,7 +85,11 @@ def decide(search: Search, chosen: Fit) -> Decision:
         near = _rivals(search, whole)
     after = search.fitted([term for term in whole.terms if term.name != UNNAMED], whole)
     proven = tuple(term for term in after.terms if strong(search, whole, term) and term.label in _key(search, whole)[0])
-    rivals = tuple(rival for rival in near if rival.odds < REST.sure_odds and not rival.holds)
+    rivals = tuple(
+        rival
+        for rival in near
+        if rival.odds < REST.sure_odds and not rival.holds and _instead(search, whole, rival.fit)
+    )
     structure_p = misfit(problem, whole)
     odds, runner_up = _odds(search, after, whole)
     if any(not _key(search, rival.fit)[0] for rival in rivals):
@@ -233,6 +237,16 @@ def _key(search: Search, hypothesis: Fit) -> Key:
     # a constant that drifts is off where it begins: that is no second mistake
     drifting = {("torque_constant_scale", term.joints) for term in named if term.name == "thermal_drift"}
     return shown - drifting, len(named) < len(hypothesis.terms)
+
+
+def _instead(search: Search, whole: Fit, rival: Fit) -> bool:
+    """Whether two hypotheses explain the same thing: both together say no more than the better one."""
+    own = {term.label for term in whole.terms}
+    more = [term for term in rival.terms if term.label not in own]
+    if not whole.terms or not more or any(term.name == UNNAMED for term in (*whole.terms, *more)):
+        return True
+    together = search.fitted((*whole.terms, *more), whole)
+    return search.score(together) <= max(search.score(whole), search.score(rival))
 
 
 def _holds_less(search: Search, hypothesis: Fit, whole: Fit) -> bool:
