@@ -198,8 +198,11 @@ def falsely_named(cells: Sequence[NatureCell]) -> list[tuple[str, str, int]]:
 
 
 def by_condition(cells: Sequence[NatureCell]) -> list[list[str]]:
-    """Rows of a table: condition, how many were estimated and diagnosed, coverage of the four and width by both methods,
-    named, gross visits found, good ones thrown out."""
+    """Rows of a table, a condition each.
+
+    How many were estimated and diagnosed, coverage of the four and width by both methods, named, gross visits found,
+    good ones thrown out.
+    """
     rows = []
     parts: list[tuple[str, Callable[[NatureCell], bool]]] = [("pooled", lambda cell: not cell["misstated"])]
     parts += [(name, lambda cell, name=name: cell["condition"] == name) for name in CONDITIONS]

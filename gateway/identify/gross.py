@@ -137,7 +137,7 @@ def gross_findings(gross: Gross, aside: Sequence[SetAside]) -> tuple[Finding, ..
         where = "; ".join(_of_visit(visit, aside) for visit in dict.fromkeys((a.load, a.pose) for a in aside))
         out.append(
             Finding(
-                "warn", "set aside", f"{len(aside)} gross torque{'s are' if len(aside) > 1 else ' is'} in no fit: {where}",
+                "warn", "set aside", f"{_torques(len(aside))} in no fit: {where}",
                 "look what touched or held the arm there; `record` these poses again",
             )
         )  # fmt: skip
