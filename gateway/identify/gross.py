@@ -170,3 +170,7 @@ def _of_visit(visit: tuple[str, int | None], aside: Sequence[SetAside]) -> str:
     bands = [each.bands for each in here if np.isfinite(each.bands)]
     by = "" if not bands else f" by {min(bands):.1f}" + (f" to {max(bands):.1f}" if len(bands) > 1 else "") + " bands"
     return f"pose {pose} under {load}, {axes}{by}"
+
+
+def _torques(count: int) -> str:
+    return "1 gross torque is" if count == 1 else f"{count} gross torques are"
