@@ -1,0 +1,43 @@
+"""Which hypotheses are rivals of each other: those that explain the same thing, and only those."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from benchmarks.blind.nature import diagnose_options
+from benchmarks.rigs.tables import simulated_table
+from gateway.diagnose import diagnose
+from gateway.diagnose.rest.decide import _instead
+from gateway.model.effects.joint_zero_offset import JointZeroOffset
+from gateway.model.robot import robot_from_urdf
+from sim.nature.cell import draw_effect_cell
+
+FIRST, SECOND = JointZeroOffset(1), JointZeroOffset(2)
+
+
+@pytest.mark.parametrize(("together", "rivals"), [(4.0, False), (2.5, True)])
+def test_two_effects_are_rivals_unless_both_together_say_more(together: float, rivals: bool) -> None:
+    scores = {(FIRST,): 3.0, (SECOND,): 2.8, (FIRST, SECOND): together}
+    search = SimpleNamespace(
+        fitted=lambda terms, start: SimpleNamespace(terms=tuple(terms)), score=lambda fit: scores[fit.terms]
+    )
+    whole, rival = SimpleNamespace(terms=(FIRST,)), SimpleNamespace(terms=(SECOND,))
+    assert _instead(search, whole, rival) is rivals  # type: ignore[arg-type]
+
+
+def test_a_smaller_set_is_the_rival_of_a_larger_one() -> None:
+    whole, rival = SimpleNamespace(terms=(FIRST, SECOND)), SimpleNamespace(terms=(FIRST,))
+    assert _instead(SimpleNamespace(), whole, rival)  # type: ignore[arg-type]
+
+
+def test_a_constant_that_drifts_is_no_wrong_constant_besides() -> None:
+    """Magnets that weaken as they warm up are off from the first visit on, since the constant was stated cold."""
+    cell = draw_effect_cell(25)
+    assert [(effect.mechanism, effect.joints) for effect in cell.effects] == [("weak_magnets", (2,))]
+    columns, _ = cell.measure(cell.visits)
+    result = diagnose(
+        simulated_table(columns, "drifts"), robot_from_urdf(cell.stated.urdf, "drifts"), diagnose_options(cell)
+    )
+    assert [(effect.name, effect.joints) for effect in result.effects] == [("thermal_drift", (2,))]
