@@ -18,6 +18,10 @@ from gateway.model.motion import PER_BODY, Mask, Modelled, MovingRows, structura
 from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
+#: Values [-] below which no correlation is told.
+LEAST_SERIES = 8
+#: Correlation [-] at which its sum ends.
+FADED = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,12 +69,12 @@ def counting_share(series: Floats) -> float:
     """Independent values per value of a correlated series (n,): 1 / (1 + 2 sum of autocorrelation to its end)."""
     centred = series - series.mean()
     power = float(centred @ centred)
-    if power <= 0 or len(series) < 8:
+    if power <= 0 or len(series) < LEAST_SERIES:
         return 1.0
     size = 1 << (2 * len(series) - 1).bit_length()
     spectrum = np.abs(np.fft.rfft(centred, size)) ** 2
     correlation = np.fft.irfft(spectrum, size)[: len(series) // 2] / power
-    below = np.flatnonzero(correlation < 0.05)
+    below = np.flatnonzero(correlation < FADED)
     stop = int(below[0]) if len(below) else len(correlation)
     return float(1.0 / (1.0 + 2.0 * correlation[1:stop].sum()))
 

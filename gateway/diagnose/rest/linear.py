@@ -15,6 +15,7 @@ from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+#: Step [share of a band, or Nm] of the numerical derivatives.
 _STEP = 1e-3
 
 

@@ -82,7 +82,7 @@ def test_losses_that_nobody_sees_move_nothing_and_widen():
 def test_the_bias_is_a_tenth_of_the_band():
     prior = nuisance_prior(np.array([0.02]), np.array([30.0]), np.array([0.0]))
     assert prior.bias_std_nm[0] == pytest.approx(3.0)
-    assert prior.mean.tolist() == [0.0, 0.0, 0.05]
+    assert (prior.gain.tolist(), prior.load_friction.tolist()) == ([0.0], [0.05])
 
 
 def test_what_friction_holds_is_counted():
