@@ -28,6 +28,8 @@ from gateway.model.unnamed import UNNAMED
 Floats = NDArray[np.float64]
 #: Draws of poses [-] that a limit is read from; more change it by less than a hundredth.
 DRAWS = 400
+#: Factor [-] by which readings of one axis may be off, and its noise floor with them.
+MOST_FACTOR = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,12 +123,15 @@ def _bands(problem: RestProblem, result: Fit) -> Floats:
 def held_ratio(problem: RestProblem, now: Fit, changed: RestProblem, undone: Fit) -> tuple[float, float]:
     """RMS on left-out poses with a mistake undone over that as the data were read, and its upper 95 % limit.
 
-    Pooled over all axes, each reading in units of the noise floor that it has by itself. A friction band below zero
+    Pooled over all axes, each reading in units of its noise floor. A friction band below zero
     foretells nothing, since friction cannot be: its rows are judged without it. The limit is one-sided, by poses drawn
     with replacement: of a few poses one often holds most of the squares, which says nothing of the others.
     """
     poses = np.unique(problem.rows.pose)
-    squares = [_squares_by_pose(problem, now, poses), _squares_by_pose(changed, undone, poses)]
+    squares = [
+        _squares_by_pose(problem, now, poses, _as_read(now, undone)),
+        _squares_by_pose(changed, undone, poses, undone.noise.start),
+    ]
     before, after = (float(values.sum()) for values in squares)
     if before <= 0:
         return 1.0, np.inf
@@ -137,11 +142,20 @@ def held_ratio(problem: RestProblem, now: Fit, changed: RestProblem, undone: Fit
     return float(np.sqrt(after / before)), float(np.sqrt(upper))
 
 
-def _squares_by_pose(problem: RestProblem, result: Fit, poses: NDArray[np.int_]) -> Floats:
-    """Sum of squares (poses,) of the left-out residuals in units of the floor that the sides of visits show."""
+def _as_read(now: Fit, undone: Fit) -> Floats:
+    """Noise floor (groups,) of the data as they were read: their own, as far as a factor between drives can explain it.
+
+    Sides that are read with the wrong sign, and through a gear's efficiency the wrong way, scatter as no friction does:
+    in units of that scatter nothing would look wrong.
+    """
+    return np.clip(now.noise.start, undone.noise.start / MOST_FACTOR, undone.noise.start * MOST_FACTOR)
+
+
+def _squares_by_pose(problem: RestProblem, result: Fit, poses: NDArray[np.int_], floor: Floats) -> Floats:
+    """Sum of squares (poses,) of the left-out residuals over a floor (groups,)."""
     impossible = np.where(determined_bands(problem), np.minimum(result.band, 0.0), 0.0)
     residual = left_out(problem, result) + result.design[:, problem.band_part] @ impossible
-    scaled = residual / result.noise.start[problem.group]
+    scaled = residual / floor[problem.group]
     of_pose = np.searchsorted(poses, pose_of_rows(problem))
     return np.asarray(np.bincount(of_pose, weights=scaled**2, minlength=len(poses)), dtype=float)
 
@@ -214,10 +228,11 @@ def find_mistakes(
 
 
 def unseen_ratio(read: Unseen, plain: Fit, undone: Unseen, fitted: Fit) -> float:
-    """RMS on given rows with mistakes undone over that as they were read, each in units of its own noise floor."""
+    """RMS on given rows with mistakes undone over that as they were read, each in units of its noise floor."""
+    floors = fitted.noise.start, _as_read(plain, fitted)
     squares = [
-        float(np.sum((predicted(held, each) / each.noise.start[held.problem.group[held.mask]]) ** 2))
-        for held, each in ((undone, fitted), (read, plain))
+        float(np.sum((predicted(held, each) / floor[held.problem.group[held.mask]]) ** 2))
+        for held, each, floor in zip((undone, read), (fitted, plain), floors, strict=True)
     ]
     return float(np.sqrt(squares[0] / squares[1])) if squares[1] > 0 else 1.0
 
