@@ -9,7 +9,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
@@ -396,6 +396,11 @@ def parse_cell(text: str, where: str) -> Cell:
         raise ConfigError(f"{where}: not valid TOML: {error}") from error
     except ValidationError as error:
         raise ConfigError(f"{where}: {problems_in_words(error)}") from error
+
+
+def cell_schema() -> dict[str, Any]:
+    """JSON schema of the cell file."""
+    return Cell.model_json_schema()
 
 
 def load_cell(path: Path) -> LoadedCell:
