@@ -217,15 +217,11 @@ def _counts(device: Device, answers: Answers) -> tuple[str, ...]:
     if answers.counts_per_revolution is not None:
         source = answers.position_source or answers.torque_source or "assumed, answered without a source"
         return (f"counts_per_revolution = {_constant(answers.counts_per_revolution, source)}",)
-    objects = [(address, device.type_of(*address)) for address in COUNTS]
-    named = [
-        f"{key} = {_object(address, kind)}"
-        for key, (address, kind) in zip(("object", "per"), objects, strict=True)
-        if kind
-    ]
-    if objects[0][1] is not None:
+    whole, per = (device.type_of(*address) for address in COUNTS)
+    if whole is not None:
+        named = f"object = {_object(COUNTS[0], whole)}" + ("" if per is None else f", per = {_object(COUNTS[1], per)}")
         note = "# Read from the drive each time; `check` fails where 0x6091 or 0x6092 scale the position once more."
-        return note, f"counts_per_revolution = {{ {', '.join(named)} }}"
+        return note, f"counts_per_revolution = {{ {named} }}"
     return (f"counts_per_revolution = {_constant(COUNTS_ASSUMED, 'assumed, not answered: counts_per_revolution')}",)
 
 

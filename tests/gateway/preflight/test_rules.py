@@ -293,10 +293,9 @@ def test_a_profile_that_reads_and_does_not_move_fails_by_name(old, new, says):
 
 
 def test_a_basis_that_is_stated_goes_before_the_words_of_the_source():
-    text = PROFILE.text.replace(
-        'source = "CiA 402-2, 0x6077; filter assumed"', 'source = "assumed"\nbasis = "measured"'
-    )
-    assert parse_profile(text, "p.toml").obstacles == ()
+    text = PROFILE.text.replace('source = "CiA 402-2, 0x6077; filter assumed"', 'source = "assumed"')
+    assert parse_profile(text, "p.toml").obstacles
+    assert parse_profile(text.replace("[torque]", '[torque]\nbasis = "measured"', 1), "p.toml").obstacles == ()
 
 
 def test_a_resolution_that_one_object_holds_is_of_one_revolution():
