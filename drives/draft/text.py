@@ -217,7 +217,7 @@ def _counts(device: Device, answers: Answers) -> tuple[str, ...]:
     if answers.counts_per_revolution is not None:
         source = answers.position_source or answers.torque_source or "assumed, answered without a source"
         return (f"counts_per_revolution = {_constant(answers.counts_per_revolution, source)}",)
-    whole, per = (device.type_of(*address) for address in COUNTS)
+    whole, per = device.type_of(*COUNTS[0]), device.type_of(*COUNTS[1])
     if whole is not None:
         named = f"object = {_object(COUNTS[0], whole)}" + ("" if per is None else f", per = {_object(COUNTS[1], per)}")
         note = "# Read from the drive each time; `check` fails where 0x6091 or 0x6092 scale the position once more."
