@@ -117,7 +117,8 @@ def read_sheet(path: Path) -> Sheet:
             warnings.simplefilter("ignore", DeprecationWarning)
             dictionary = import_eds(StringIO(_decoded(path.read_bytes())), node_id=1)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, ConfigParserError) as error:
-        what = f"data sheet {path} cannot be read: {' '.join(str(error).split())}"
+        reason = " ".join(str(error).replace("'<???>'", path.name).split())
+        what = f"data sheet {path} cannot be read: {reason}"
         raise ProfileError(what, advice="give an EDS or DCF (CiA 306) as the maker of the drive delivers it") from error
     entries: dict[tuple[int, int], ODVariable] = {}
     for index, thing in dictionary.items():
@@ -165,7 +166,8 @@ def _wanted(profile: DriveProfile) -> Iterator[tuple[ObjectReference, bool]]:
     counts = profile.position.counts_per_revolution
     if isinstance(counts, CountsFromObjects):
         yield counts.object, False
-        yield counts.per, False
+        if counts.per is not None:
+            yield counts.per, False
 
 
 def _rated(rated: Rated | None) -> Iterator[tuple[ObjectReference, bool]]:

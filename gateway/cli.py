@@ -53,7 +53,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "learn": ("pair", "Two arms: status of what was learned, learning off and on, forget it."),
     "pair-report": ("pair", "Two arms: one HTML page, force along the path and convergence."),
     "cell": ("cell", "Cell files: new, schema."),
-    "profiles": ("handover", "Drive profiles: list, show, schema."),
+    "profiles": ("profiles", "Drive profiles: list, show, schema; new drafts one from an EDS."),
 }
 
 

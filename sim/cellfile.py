@@ -241,7 +241,7 @@ def _constant(entry: Table) -> float:
 
 
 def read_profile(name: str, folder: Path) -> Table:
-    """Parse a drive profile: by name from the packaged ones, else a TOML file relative to the cell's folder.
+    """Parse a drive profile: by name from the packaged ones, else a TOML file beside the cell, its suffix given or not.
 
     Raises
     ------
@@ -250,7 +250,8 @@ def read_profile(name: str, folder: Path) -> Table:
     packaged = resources.files("drives").joinpath("profiles", f"{name}.toml")
     if not name.endswith(".toml") and packaged.is_file():
         return tomllib.loads(packaged.read_text(encoding="utf-8"))
-    return read_toml(folder / name)
+    beside = folder / f"{name}.toml"
+    return read_toml(beside if beside.is_file() else folder / name)
 
 
 def read_payloads(path: Path) -> dict[str, Payload]:

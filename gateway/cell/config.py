@@ -126,7 +126,7 @@ class AxisConfig(Strict):
     """
 
     node_id: int = Field(ge=1, le=127, description="CANopen node id of the drive")
-    profile: str = Field(description="a profile of the package, or a TOML file beside the cell")
+    profile: str = Field(description="a profile of the package, or the name of a TOML file beside the cell")
     torque_constant_nm_per_a: TorqueConstant = Field(
         description="of the motor, per ampere of the kind that the profile states (rms or peak)"
     )

@@ -45,7 +45,7 @@ def cell_schema() -> None:
 @click.option("--offline", is_flag=True, help="Look at no bus: EDS and DCF files and answers alone.")
 @click.option("--eds", multiple=True, metavar="FILE", help="EDS or DCF: one per axis from the base on, or one for all.")
 @click.option("--answers", type=FILE, help="Answer file (TOML): nobody is asked.")
-@click.option("--set", "pairs", multiple=True, metavar="KEY=VALUE", help="One answer, as in an answer file.")
+@click.option("--answer", "typed", multiple=True, metavar="KEY=VALUE", help="One answer; before the file's.")
 @click.option("--save-answers", type=FILE, help="Write the answers of this run as answer file.")
 @click.option(
     "--listen", "listen_s", type=click.FloatRange(0.05, 60.0), default=1.0, show_default=True, help="Seconds."
@@ -60,7 +60,7 @@ def cell_new(
     offline: bool,
     eds: Sequence[str],
     answers: Path | None,
-    pairs: Sequence[str],
+    typed: Sequence[str],
     save_answers: Path | None,
     listen_s: float,
     force: bool,
@@ -79,7 +79,7 @@ def cell_new(
 
     _refuse_existing([output, *([] if save_answers is None else [save_answers])], force)
     given = {} if answers is None else read_answers(answers)
-    given |= _options({"robot": robot, "bus": bus, "offline": offline or None, "eds": list(eds) or None}, pairs)
+    given |= _options({"robot": robot, "bus": bus, "offline": offline or None, "eds": list(eds) or None}, typed)
     said = Answers(given, str(answers or "answers"), None if answers is not None else _ask)
     session = session_of()
     try:
@@ -114,8 +114,8 @@ def _options(named: dict[str, Any], pairs: Sequence[str]) -> dict[str, Given]:
     for pair in pairs:
         key, equals, text = pair.partition("=")
         if not equals or key.strip() not in questions.KEYS:
-            raise click.UsageError(f"--set '{pair}': write KEY=VALUE with one of {', '.join(questions.KEYS)}")
-        found[key.strip()] = Given(typed(text), f"--set {key.strip()}", here)
+            raise click.UsageError(f"--answer '{pair}': write KEY=VALUE with one of {', '.join(questions.KEYS)}")
+        found[key.strip()] = Given(typed(text), f"--answer {key.strip()}", here)
     return found
 
 
@@ -145,7 +145,7 @@ def _typed_line(question: Question, default: str | None) -> str:
     except click.Abort as error:
         if sys.stdin.isatty():
             raise
-        advice = f"write it into an answer file (--answers FILE), or --set {question.key}=VALUE"
+        advice = f"write it into an answer file (--answers FILE), or --answer {question.key}=VALUE"
         raise ConfigError(f"{question.key}: nobody answered; {advice}") from error
 
 

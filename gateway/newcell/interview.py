@@ -9,7 +9,7 @@ from typing import Protocol
 
 from drives.bus_spec import BusSpec
 from drives.profile import DriveProfile
-from drives.profile_file import load_profile
+from drives.profile_file import find_profile
 from gateway.cell.config import DhTable
 from gateway.errors import ConfigError
 from gateway.model.robot import Robot, robot_from_dh, robot_from_urdf
@@ -99,7 +99,11 @@ def interview(answers: Answers, eyes: Eyes, name: str, tell: Callable[[str], Non
     _gears(answers, axes)
     axes = Axes(axes.nodes, axes.profiles, answers.value(questions.GEAR_RATIO))
     _limits(answers, robot, axes)
-    remarks = (*_strangers(on_bus, in_files, answers.value(questions.NODES)), *_own_gears(nodes))
+    remarks = (
+        *_strangers(on_bus, in_files, answers.value(questions.NODES)),
+        *_own_gears(nodes),
+        *_obstacles(axes.profiles),
+    )
     return Draft(answers, robot, urdf, spec, nodes, tuple(axes.profiles), remarks, looked)
 
 
@@ -171,7 +175,7 @@ def _drives(
     _alone(ids)
     nodes = of_axes(ids, on_bus, in_files)
     answers.settle([(questions.PROFILE, offers.profile_names(nodes))], robot.axes)
-    profiles = [load_profile(name) for name in answers.value(questions.PROFILE)]
+    profiles = [find_profile(name, Path()) for name in answers.value(questions.PROFILE)]
     if eyes is not None:
         present = {node.node_id for node in on_bus}
         wanted = {node_id: addresses([profiles[axis]]) for axis, node_id in enumerate(ids) if node_id in present}
@@ -246,6 +250,12 @@ def _strangers(on_bus: Sequence[SeenNode], in_files: Sequence[SeenNode], ids: Se
                 words = what.replace("_", " ")
                 remarks.append(f"{sheet.name} is of another device: {words} 0x{stated:X}, {node.name} has 0x{live:X}")
     return remarks
+
+
+def _obstacles(profiles: Sequence[DriveProfile]) -> list[str]:
+    """Profiles that are read and refuse motion."""
+    told = {profile.name: profile.obstacles for profile in profiles}
+    return [f"profile {name} refuses motion: {obstacle}" for name, found in told.items() for obstacle in found]
 
 
 def _own_gears(nodes: Sequence[SeenNode | None]) -> list[str]:

@@ -114,7 +114,7 @@ def counts_per_turn(profile: DriveProfile, node: SeenNode) -> float | None:
     if isinstance(counts, Constant):
         return counts.value
     turn = _scaled(node, counts.object, 1.0)
-    per = _scaled(node, counts.per, 1.0)
+    per = 1.0 if counts.per is None else _scaled(node, counts.per, 1.0)
     return None if turn is None or per is None else turn / per
 
 
@@ -129,7 +129,8 @@ def addresses(profiles: Sequence[DriveProfile]) -> dict[Address, str]:
         counts = profile.position.counts_per_revolution
         if not isinstance(counts, Constant):
             for entry in (counts.object, counts.per):
-                found[entry.index, entry.subindex] = entry.type
+                if entry is not None:
+                    found[entry.index, entry.subindex] = entry.type
     return found
 
 

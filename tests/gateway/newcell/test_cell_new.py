@@ -124,11 +124,11 @@ def test_a_person_is_asked_for_what_cannot_be_read_and_asked_again(folder):
 def test_nobody_at_the_terminal_is_told_how_to_answer(folder):
     done = new(folder, "--robot", folder / "arm.urdf", "--offline", input="")
     assert done.exit_code == 3
-    assert "bus: nobody answered; write it into an answer file (--answers FILE), or --set bus=VALUE" in done.stderr
+    assert "bus: nobody answered; write it into an answer file (--answers FILE), or --answer bus=VALUE" in done.stderr
 
 
 def test_an_option_goes_before_the_file(folder):
-    done = with_answers(folder, ENOUGH, "--set", "gear_ratio=-80", "--set", "poses={ count = 5 }")
+    done = with_answers(folder, ENOUGH, "--answer", "gear_ratio=-80", "--answer", "poses={ count = 5 }")
     assert done.exit_code == 0, done.output
     assert axes_of(folder).axis[0].gear_ratio.value == -80
     assert load_cell(folder / "cell.toml").cell.poses.count == 5
