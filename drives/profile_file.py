@@ -45,6 +45,21 @@ def load_profile(name_or_path: str | Path) -> DriveProfile:
     return parse_profile(text, str(path), path.parent)
 
 
+def find_profile(name: str, folder: Path) -> DriveProfile:
+    """A profile as a cell names it: one of the package, else a file in a folder, with or without `.toml`.
+
+    Raises
+    ------
+    ProfileError
+        As `load_profile`.
+    """
+    if name in list_profiles():
+        return load_profile(name)
+    path = (folder / name).resolve()
+    with_suffix = path.with_name(f"{path.name}.toml")
+    return load_profile(with_suffix if with_suffix.is_file() else path)
+
+
 def parse_profile(text: str, where: str, folder: Path = PROFILE_FOLDER) -> DriveProfile:
     """Validate the text of a profile.
 
@@ -83,5 +98,6 @@ def _table(path: KeyPath) -> str:
 
 
 def profile_schema() -> dict[str, Any]:
-    """JSON schema of the profile file."""
-    return DriveProfile.model_json_schema()
+    """JSON schema of the profile file, as editors read it."""
+    schema = DriveProfile.model_json_schema()
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "servo-gateway drive profile"}

@@ -40,6 +40,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "scan": ("bus", "Who is on the bus: identity, firmware, NMT state, matching profile."),
     "check": ("bus", "Pre-flight check of a cell: drives against profile and cell file."),
     "restore": ("bus", "Put back what the write ledger holds."),
+    "move": ("goto", "Go home, to where loads are hung, or to joint angles: slowly, asked, inside every limit."),
     "plan": ("measure", "Choose rest poses: limits, duration, expected uncertainty (needs no bus)."),
     "record": ("measure", "Measure the rest poses under one load into RUN.h5."),
     "commission": ("guided", "All of it, guided: from the check to the report."),
@@ -52,7 +53,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "run-pair": ("pair", "Two arms: carry the part along the path, learning from force."),
     "learn": ("pair", "Two arms: status of what was learned, learning off and on, forget it."),
     "pair-report": ("pair", "Two arms: one HTML page, force along the path and convergence."),
-    "profiles": ("handover", "Drive profiles: list, show, schema."),
+    "cell": ("cell", "Cell files: new, schema."),
+    "profiles": ("profiles", "Drive profiles: list, show, schema; new drafts one from an EDS."),
 }
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -131,7 +131,7 @@ class AxisConfig(Strict):
     """
 
     node_id: int = Field(ge=1, le=127, description="CANopen node id of the drive")
-    profile: str = Field(description="a profile of the package, or a TOML file beside the cell")
+    profile: str = Field(description="a profile of the package, or the name of a TOML file beside the cell")
     torque_constant_nm_per_a: TorqueConstant = Field(
         description="of the motor, per ampere of the kind that the profile states (rms or peak)"
     )
@@ -280,6 +280,14 @@ class ArmConfig(Strict):
     start_rad: tuple[Finite, ...] | None = Field(
         default=None, description="joint angles at which an arm of a pair grips the part: start of the path"
     )
+    home_rad: tuple[Finite, ...] | None = Field(
+        default=None,
+        description="joint angles that `move --to home` goes to; the middle of the joint ranges if absent",
+    )
+    loading_rad: tuple[Finite, ...] | None = Field(
+        default=None,
+        description="joint angles at which a person hangs a load: `move --to loading`, and `commission` goes there",
+    )
     axis: tuple[AxisConfig, ...] = Field(description="two to eight of them, usually six, from the base on")
 
     @model_validator(mode="after")
@@ -300,6 +308,8 @@ class ArmConfig(Strict):
                     f"arm '{self.name}': {name} has {length} numbers and the arm {axes} [[arm.axis]] tables; one per"
                     " axis is needed",
                 )
+        for name in ("home_rad", "loading_rad"):
+            self._check_inside(name, getattr(self, name) or ())
         ids = [axis.node_id for axis in self.axis]
         for number, node in enumerate(ids):
             if node in ids[:number]:
@@ -330,14 +340,25 @@ class ArmConfig(Strict):
                 for key, what in plausible.lengths(name, getattr(self.dh, name)):
                     yield ("dh", *key), what
 
+    def _check_inside(self, name: str, q_rad: tuple[float, ...]) -> None:
+        """Refuse a posture outside the joint ranges."""
+        for joint, (value, axis) in enumerate(zip(q_rad, self.axis, strict=False), start=1):
+            low, high = axis.position_limit_rad
+            if not low <= value <= high:
+                raise ValueError(
+                    f"arm '{self.name}': {name} puts joint {joint} at {value:g} rad, outside its position_limit_rad"
+                    f" [{low:g}, {high:g}]"
+                )
+
     def _lengths(self) -> Iterator[tuple[str, int]]:
         """Keys that hold a number per axis, and how many they hold."""
         if self.dh is not None:
             yield from ((name, len(getattr(self.dh, name))) for name in ("alpha_rad", "a_m", "d_m", "theta_offset_rad"))
         if isinstance(self.link_radius_m, tuple):
             yield "link_radius_m", len(self.link_radius_m)
-        if self.start_rad is not None:
-            yield "start_rad", len(self.start_rad)
+        for name in ("start_rad", "home_rad", "loading_rad"):
+            if getattr(self, name) is not None:
+                yield name, len(getattr(self, name))
 
 
 class PosesConfig(Strict):
@@ -452,6 +473,11 @@ def _place(text: str, path: KeyPath) -> str:
     arm = [f"arm {path[1] + 1}"] if arms > 1 else []
     joint = [f"J{path[3] + 1}"] if len(path) > 3 and path[2] == "axis" and isinstance(path[3], int) else []
     return " ".join([*arm, *joint])
+
+
+def cell_schema() -> dict[str, Any]:
+    """JSON schema of the cell file."""
+    return Cell.model_json_schema()
 
 
 def load_cell(path: Path) -> LoadedCell:
