@@ -10,6 +10,7 @@ import numpy as np
 from gateway.cell.axes import FEWEST_AXES, MOST_AXES
 from gateway.cell.conversion import AxisConversion
 from gateway.data.csv_text import CsvColumns, read_columns
+from gateway.data.labels import LONGEST, label_refused
 from gateway.data.rows import MOVING, Table, concatenate, without_duplicates
 from gateway.errors import InputError
 
@@ -82,8 +83,10 @@ def _label(columns: CsvColumns, name: str, default: str) -> np.ndarray:
         return np.full(n_rows, default)
     cells = [cell.strip() for cell in columns.values[name]]
     for row, cell in enumerate(cells):
-        if not cell or not cell.isprintable() or len(cell) > 200:
+        if not cell or not cell.isprintable() or len(cell) > LONGEST:
             raise InputError(f"{columns.where(row)}: {name}: a label is needed, of printable characters")
+        if name == "load" and (wrong := label_refused(cell)):
+            raise InputError(f"{columns.where(row)}: load '{cell}' {wrong}")
     return np.array(cells)
 
 
