@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from pydantic import ValidationError
 
@@ -15,6 +15,8 @@ from drives.toml_text import parse_toml
 from drives.validation import problems_in_words
 
 PROFILE_FOLDER = Path(__file__).parent / "profiles"
+#: The profile of a drive that keeps to the standard, whoever made it.
+GENERIC: Final = "generic-cia402"
 
 
 def list_profiles() -> list[str]:
