@@ -113,6 +113,11 @@ def read_strict(text: str, model: type[Model]) -> Model:
         raise Unfit(problems) from error
 
 
+def problems_of(model: type[BaseModel], data: dict[str, Any], error: ValidationError) -> list[str]:
+    """What is wrong in values that come from no file, and what to write."""
+    return [what for _, what in _all(model, data, error)]
+
+
 def _validated(model: type[Model], data: dict[str, Any]) -> Model:
     """As JSON: there a list may stand for a tuple, and still neither a text nor a truth for a number."""
     return model.model_validate_json(json.dumps(data, default=str), strict=True)
