@@ -10,6 +10,7 @@ from pathlib import Path
 from drives.bus import Bus, BusSpec, open_bus
 from drives.eds import Sheet, read_sheet
 from drives.errors import SdoAbort
+from drives.objects import SIZE_BYTES, DataType
 from drives.probe import matching_profiles, scan
 from drives.sdo import SdoClient
 from drives.values import Identity
@@ -105,11 +106,18 @@ def _node_in(path: Path, sheet: Sheet) -> SeenNode:
     )
     values: dict[Address, Read] = {}
     for address, entry in sheet.entries.items():
-        if isinstance(entry.value, int):
-            values[address] = Read(entry.value, f"read from {path.name}, 0x{address[0]:04X}")
-        elif isinstance(entry.default, int):
-            values[address] = Read(entry.default, f"{ASSUMED}: default of {path.name}, 0x{address[0]:04X}")
+        kind = sheet.type_of(*address)
+        for value, origin in ((entry.value, "read from"), (entry.default, f"{ASSUMED}: default of")):
+            if kind is not None and isinstance(value, int):
+                values[address] = Read(_signed(value, kind), f"{origin} {path.name}, 0x{address[0]:04X}")
+                break
     return SeenNode(node_id, identity, values, matching_profiles(identity), path.name)
+
+
+def _signed(value: int, kind: DataType) -> int:
+    """A number below zero that the file spells as its two's complement."""
+    bits = 8 * SIZE_BYTES[kind]
+    return value - (1 << bits) if kind.startswith("i") and value >> (bits - 1) == 1 else value
 
 
 def _node_id(path: Path) -> int | None:
