@@ -119,7 +119,8 @@ def test_from_urdf_and_data_sheets_to_the_load(newcomer, tmp_path):
 
     her.types("profiles", "new", "--eds", sheets[0], "--answers", drive_answers, "-o", tmp_path / "my-drive.toml")
     files = [word for sheet in sheets for word in ("--eds", sheet)]
-    said = her.types("cell", "new", "--bus", her.drives.bus, *files, "--answers", arm_answers, "-o", her.cell)
+    more = ("--answers", arm_answers, "--answer", f"profile={tmp_path / 'my-drive.toml'}")
+    said = her.types("cell", "new", "--bus", her.drives.bus, *files, *more, "-o", her.cell)
     assert "assumed" in said
     her.types("check", her.cell)
     her.types("check", her.cell, *LOCKSTEP, "--prove-stop", "--move", "--yes")
