@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Any
-
-from pydantic import ValidationError
 
 from drives.eds import check_eds
 from drives.errors import ProfileError
 from drives.profile import DriveProfile
-from drives.toml_text import parse_toml
-from drives.validation import problems_in_words
+from drives.toml_lines import KeyPath
+from drives.validation import Unfit, read_strict
 
 PROFILE_FOLDER = Path(__file__).parent / "profiles"
 
@@ -81,17 +78,23 @@ def parse_profile(text: str, where: str, folder: Path = PROFILE_FOLDER) -> Drive
         Every problem of the file at once.
     """
     try:
-        profile = DriveProfile.model_validate(parse_toml(text))
-    except tomllib.TOMLDecodeError as error:
-        raise ProfileError(f"{where}: not valid TOML: {error}", advice="correct the file") from error
-    except ValidationError as error:
+        profile = read_strict(text, DriveProfile)
+    except Unfit as error:
         advice = "see docs/how-to/drive-profiles.md, or `servo-gateway profiles schema`"
-        raise ProfileError(f"{where}: {problems_in_words(error)}", advice=advice) from error
+        told = error.told(where, _table)
+        refused = ProfileError("; ".join(told), advice=advice)
+        refused.lines = (*told[:-1], f"{told[-1]}; {advice}")
+        raise refused from error
     object.__setattr__(profile, "_text", text)
     object.__setattr__(profile, "_folder", folder)
     if profile.eds_path is not None:
         check_eds(profile, profile.eds_path)
     return profile
+
+
+def _table(path: KeyPath) -> str:
+    """`[torque.rated]` of a path into a profile; nothing at the top of the file."""
+    return f"[{'.'.join(map(str, path[:-1]))}]" if len(path) > 1 else ""
 
 
 def profile_schema() -> dict[str, Any]:

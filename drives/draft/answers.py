@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,8 +9,7 @@ from pydantic import Field, ValidationError
 
 from drives.errors import ProfileError
 from drives.profile_parts import Positive, is_assumed
-from drives.toml_text import parse_toml
-from drives.validation import Strict, problems_in_words
+from drives.validation import Strict, Unfit, problems_of, read_strict
 
 Text = Annotated[str, Field(min_length=1)]
 ObjectText = Annotated[str, Field(pattern=r"^0x[0-9A-Fa-f]{4}(:[0-9A-Fa-f]{2})?$")]
@@ -73,12 +71,11 @@ def read_answers(path: Path) -> Answers:
         It cannot be read, is not TOML, or holds an answer that is none; all of it at once.
     """
     try:
-        values = parse_toml(path.read_text(encoding="utf-8"))
+        return read_strict(path.read_text(encoding="utf-8"), Answers)
     except (OSError, UnicodeDecodeError) as error:
         raise ProfileError(f"answer file {path} cannot be read: {error}", advice="check its path") from error
-    except tomllib.TOMLDecodeError as error:
-        raise ProfileError(f"{path}: not valid TOML: {error}", advice="correct the file") from error
-    return _validated(values, str(path))
+    except Unfit as error:
+        raise ProfileError("; ".join(error.told(str(path))), advice=ADVICE) from error
 
 
 def with_answers(answers: Answers, more: dict[str, str]) -> Answers:
@@ -89,14 +86,11 @@ def with_answers(answers: Answers, more: dict[str, str]) -> Answers:
     ProfileError
         No such question, or no such answer.
     """
-    return _validated(answers.model_dump(exclude_none=True) | more, "answer")
-
-
-def _validated(values: dict[str, Any], where: str) -> Answers:
+    values: dict[str, Any] = answers.model_dump(exclude_none=True) | more
     try:
         return Answers.model_validate(values)
     except ValidationError as error:
-        raise ProfileError(f"{where}: {problems_in_words(error)}", advice=ADVICE) from error
+        raise ProfileError(f"answer: {'; '.join(problems_of(Answers, values, error))}", advice=ADVICE) from error
 
 
 def address_of(text: str) -> tuple[int, int]:

@@ -92,7 +92,8 @@ def follow(
     moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is nobody near it?")
     override = replace(context.override(arm, trace), feedforward=True)
     try:
-        with stoppable(moving) as options, open_arm(context.loaded, override, arm.name) as opened:
+        opening = open_arm(context.loaded, override, arm.name)
+        with context.way_on(), stoppable(moving) as options, opening as opened:
             options = ensure_proven(opened, context.stop_proof(arm), session.note, options)
             with session.progress(prepared.duration_s, "follow") as bar:
                 job = drive(opened, prepared, lambda what, done: bar.set(done, prepared.duration_s, what), options)

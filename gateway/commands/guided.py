@@ -68,7 +68,7 @@ def commission(
     if not resume:
         _set_aside(recording, session_of())
     try:
-        with stoppable(moving) as options:
+        with context.way_on(), stoppable(moving) as options:
             job = Job(context, arm, labels, recording, options)
             result = run(job, _Terminal(session_of(), context.loaded.cell.name, moving))
     except (GatewayError, DriveError, KeyboardInterrupt) as error:

@@ -123,7 +123,8 @@ def record(
         show_plan(chosen)
     first = "" if context.stop_proof(arm).exists() else " At first its drives lose the heartbeat on purpose."
     moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is nobody near it?")
-    with stoppable(moving) as options, open_arm(context.loaded, context.override(arm, trace), arm.name) as opened:
+    opening = open_arm(context.loaded, context.override(arm, trace), arm.name)
+    with context.way_on(), stoppable(moving) as options, opening as opened:
         options = ensure_proven(opened, context.stop_proof(arm), session.note, options)
         request = RecordRequest(label, output, resume)
         summary = recording_with_progress(session, opened, chosen, request, options)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -99,6 +100,17 @@ def confirm(question: str, *, yes: bool) -> None:
     """Ask before anything moves; no answer means no."""
     if not yes:
         click.confirm(question, abort=True, err=True)
+
+
+def joint_angles(text: str) -> tuple[float, ...]:
+    """Joint angles [rad] of `J1,J2,..`; anything else is a usage error."""
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = (math.nan,)
+    if not all(map(math.isfinite, values)):
+        raise click.BadParameter(f"'{text}': give joint angles in rad, one per axis, such as 0,-0.5,1.2,0,0.4,0")
+    return values
 
 
 def one_of(names: Sequence[str]) -> click.Choice[str]:
