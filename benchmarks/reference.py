@@ -19,6 +19,8 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
+from drives.draft.answers import Answers
+from drives.draft.questions import QUESTIONS
 from drives.profile import DriveProfile
 from gateway.cell.config import Cell
 from gateway.cli import main as program
@@ -233,6 +235,30 @@ def _schema(model: type) -> str:
     return json_text(schema_of(model))
 
 
+# ------------------------------------------------------------------------------------------------- questions of a draft
+
+
+def answers_page() -> str:
+    """What `profiles new` asks, and how to find out."""
+    lines = [
+        "# Questions of a profile draft",
+        "",
+        "What an EDS or DCF cannot say, as `servo-gateway profiles new` asks it at a terminal, takes it with",
+        "`--answer KEY=VALUE`, or reads it from a file with `--answers FILE` (TOML, one key each). Whatever is left",
+        "out stays open; with an open question about the torque the drive is read and not moved.",
+        "",
+        "| key | answer | value |",
+        "|---|---|---|",
+        *(
+            f"| `{key}` | {info.description} | {kind_in_words(info.annotation)} |"
+            for key, info in Answers.model_fields.items()
+        ),
+    ]
+    for question in QUESTIONS:
+        lines += ["", f"## `{question.key}`", "", question.asks, "", *(f"- {way}" for way in question.ways)]
+    return "\n".join(lines) + "\n"
+
+
 PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "reference/cell-file.md": lambda: keys_page(
         "Cell file",
@@ -245,6 +271,7 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
         "TOML, one file a drive model. How to write one: [drive models](../how-to/drive-profiles.md).",
         DriveProfile,
     ),
+    "reference/profile-answers.md": answers_page,
     "reference/commands.md": commands_page,
     "reference/effects.md": effects_page,
     "reference/thresholds.md": thresholds_page,

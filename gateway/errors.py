@@ -13,11 +13,24 @@ GatewayError (1)
 Bus and drive errors (4) are `drives.errors.DriveError`.
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Self
+
 
 class GatewayError(Exception):
-    """Base: one paragraph that says what, where, and what to do."""
+    """Base: one paragraph that says what, where, and what to do; `lines` where a file has several problems."""
 
     exit_code = 1
+    lines: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, lines: Sequence[str]) -> Self:
+        """An error that is told in lines, one a problem."""
+        error = cls("; ".join(lines))
+        error.lines = tuple(lines)
+        return error
 
 
 class ConfigError(GatewayError, ValueError):

@@ -107,7 +107,7 @@ def addresses(profile: DriveProfile) -> dict[Address, str]:
     references += [each.object for each in rated if each is not None and each.object is not None]
     counts = profile.position.counts_per_revolution
     if isinstance(counts, CountsFromObjects):
-        references += [counts.object, counts.per]
+        references += [counts.object] if counts.per is None else [counts.object, counts.per]
     references += [condition.object for condition in conditions(profile)]
     return wanted | {(reference.index, reference.subindex): reference.type for reference in references}
 

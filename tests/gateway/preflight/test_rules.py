@@ -270,3 +270,37 @@ def test_bus_load_counts_a_measuring_device():
     bits = 6 * (135 + 135 + 115) + 55 + 3 * 135 + 115
     assert f"planned {100 * bits / 4000:.0f} %" in item.what
     assert item.severity == "fail"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('source = "CiA 402-2, 0x6077; filter assumed"', 'source = "assumed"', "0x6077:00"),
+        ('source = "CiA 402-2, 0x6076 in mNm"', 'source = "assumed: mNm"', "0x6077:00"),
+        ("[torque]", '[torque]\nbasis = "assumed"', "0x6077:00"),
+        ("[torque]", 'no_motion = ["no brake"]\n[torque]', "no brake"),
+    ],
+)
+def test_a_profile_that_reads_and_does_not_move_fails_by_name(old, new, says):
+    head, _, tail = PROFILE.text.partition("[torque]")
+    text = f"{new.partition('[torque]')[0]}{head}[torque]{tail}" if "no_motion" in new else PROFILE.text
+    text = text if "no_motion" in new else text.replace(old, new, 1)
+    profile = parse_profile(text, "p.toml")
+    (found,) = worst(judge_settings(axis(profile=profile), readings()))
+    assert "refuses motion" in found.what
+    assert says in found.what
+    assert found.advice
+
+
+def test_a_basis_that_is_stated_goes_before_the_words_of_the_source():
+    text = PROFILE.text.replace('source = "CiA 402-2, 0x6077; filter assumed"', 'source = "assumed"')
+    assert parse_profile(text, "p.toml").obstacles
+    assert parse_profile(text.replace("[torque]", '[torque]\nbasis = "measured"', 1), "p.toml").obstacles == ()
+
+
+def test_a_resolution_that_one_object_holds_is_of_one_revolution():
+    text = PROFILE.text.replace(', per = { index = 0x608F, subindex = 2, type = "u32" }', "")
+    profile = parse_profile(text, "p.toml")
+    assert (0x608F, 2) in addresses(PROFILE)
+    assert not worst(judge_axis(axis(profile=profile), readings(encoder_revolutions=None)))
+    assert worst(judge_axis(axis(), readings(encoder_revolutions=None)))
