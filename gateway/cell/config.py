@@ -205,6 +205,8 @@ class HoldToRun(Strict):
 
 
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+#: `false` where a thing is not there; 0 stays the number.
+No = Annotated[bool, Field(strict=True)]
 
 
 class ArmConfig(Strict):
@@ -223,7 +225,22 @@ class ArmConfig(Strict):
     flange_xyz_m: Vector3 | None = Field(default=None, description="flange in link_6; absent: results in link_6 alone")
     flange_rpy_rad: Vector3 = Field(default=(0.0, 0.0, 0.0), description="its turn, roll, pitch, yaw")
     keep_out: tuple[KeepOut, ...] = Field(
-        default=(), description="boxes that the arm stays out of, floor and column too"
+        default=(), description="boxes that the arm stays out of, beside floor, wall and column"
+    )
+    floor_m: Finite | No | None = Field(
+        default=None,
+        description="height of the floor over the base's origin, against gravity; false: there is none; absent: 0 is "
+        "assumed, or what the shoulder leaves room for",
+    )
+    wall: No | None = Field(
+        default=None,
+        description="the surface across axis 1 that the base is bolted to; absent: assumed where the base leans by "
+        "more than 45 degrees, as on a wall or a ceiling",
+    )
+    column_radius_m: Positive | No | None = Field(
+        default=None,
+        description="radius of the column about axis 1, from the floor up to below axis 2; false: there is none; "
+        "absent: the base's collision geometry in the URDF, else 0.1 x reach is assumed",
     )
     max_load_kg: Positive | None = Field(
         default=None,
@@ -239,7 +256,12 @@ class ArmConfig(Strict):
         default=None, description="its centre of gravity in link_6; the flange if absent"
     )
     load_points_m: tuple[Vector3, ...] = Field(
-        default=(), description="points of the load in link_6, such as its corners, that stay out of keep_out"
+        default=(), description="points of the load in link_6, such as its corners, instead of load_size_m"
+    )
+    load_size_m: tuple[Positive, Positive, Positive] | None = Field(
+        default=None,
+        description="box that the load fits in, standing on the middle of the flange: along x, y and z of the flange; "
+        "absent: a ball as thick as the last link is assumed",
     )
     link_radius_m: Positive | tuple[Positive, ...] | None = Field(
         default=None,
@@ -285,6 +307,11 @@ class ArmConfig(Strict):
             raise ValueError(f"arm '{self.name}': node id {twice[0]} is given to more than one axis")
         if self.rated_load_kg is not None and self.rated_load_kg.value <= 0:
             raise ValueError(f"arm '{self.name}': rated_load_kg must be positive")
+        for name in ("floor_m", "column_radius_m"):
+            if getattr(self, name) is True:
+                raise ValueError(f"arm '{self.name}': {name} is a number in m, or false where there is none")
+        if self.load_size_m is not None and self.load_points_m:
+            raise ValueError(f"arm '{self.name}': give load_size_m or load_points_m, not both")
         if (self.robot is None) == (self.dh is None):
             raise ValueError(f"arm '{self.name}' needs either robot = \"FILE.urdf\" or [arm.dh], not both")
         if self.coupling is not None:
