@@ -10,7 +10,6 @@ from pathlib import Path
 from drives.bus import Bus, BusSpec, open_bus
 from drives.eds import Sheet, read_sheet
 from drives.errors import BusError, SdoAbort
-from drives.guard import refuse_foreign
 from drives.objects import SIZE_BYTES, DataType
 from drives.probe import matching_profiles, scan
 from drives.sdo import SdoClient
@@ -38,7 +37,6 @@ class BusEyes:
     def nodes(self, spec: BusSpec) -> tuple[SeenNode, ...]:
         """Drives on a bus."""
         with open_bus(spec) as bus:
-            refuse_foreign(bus, self._listen_s)
             found = nodes_on(bus, self._listen_s)
         if not found:
             advice = "check power, wiring and bit rate; without a bus write offline = true, or --offline"
