@@ -56,7 +56,7 @@ def destination(config: ArmConfig, workspace: Workspace, to: str | Sequence[floa
     ConfigError
         The cell file does not say where that is.
     PlanRefused
-        The arm may not stand there, or another number of angles than the arm has axes.
+        The arm may not stand there.
     """
     if to == HOME:
         found = _home(config, workspace)
@@ -69,11 +69,6 @@ def destination(config: ArmConfig, workspace: Workspace, to: str | Sequence[floa
         found = Destination("where loads are hung", config.loading_rad)
     else:
         found = Destination("the posture that was asked for", tuple(float(value) for value in to))
-    if len(found.q_rad) != len(config.axis):
-        raise PlanRefused(
-            f"{len(found.q_rad)} joint angles were given and arm '{config.name}' has {len(config.axis)} axes; give "
-            "one per axis, in rad, from the base on"
-        )
     reason = workspace.why_not(np.array(found.q_rad))
     if reason is not None:
         raise PlanRefused(f"arm '{config.name}' may not stand at {found}: {reason}; choose another posture")

@@ -12,6 +12,7 @@ import click
 
 from drives.files import replace_file
 from gateway.commands.console import Session, findings_table
+from gateway.commands.goto import announce, go_with_progress
 from gateway.commands.measure import arm_option, show_plan
 from gateway.commands.moving import MoveChoice, move_options, stoppable
 from gateway.commands.options import (
@@ -26,6 +27,7 @@ from gateway.commands.outcome import fail_on_findings, show_result
 from gateway.errors import GatewayError
 
 if TYPE_CHECKING:
+    from gateway.acquire.goto import Destination
     from gateway.acquire.plan import Plan
     from gateway.acquire.session import RecordRequest
     from gateway.motion.opening import OpenArm
@@ -112,6 +114,12 @@ class _Terminal:
         """Show the plan and ask."""
         show_plan(plan)
         self.moving.ask(f"Arm '{plan.arm}' of cell '{self.cell}' will move. Is nobody near it?")
+
+    def bring(self, opened: OpenArm, target: Destination, options: MoveOptions) -> None:
+        """Say where the arm goes, ask, and go there."""
+        announce(self.session, opened, target, options)
+        self.moving.ask(f"Arm '{opened.config.name}' of cell '{self.cell}' will move. Is nobody near it?")
+        go_with_progress(self.session, opened, target, options)
 
     def hang(self, label: str) -> None:
         """Ask for a load; a line on stdin says that it hangs."""
