@@ -29,17 +29,21 @@ def profiles() -> None:
 
 
 @profiles.command("list")
+@json_option
 @common
-def profiles_list() -> None:
+def profiles_list(json_out: str | None) -> None:
     """Name, description and measured torque of every profile."""
     from drives.profile_file import list_profiles, load_profile
     from gateway.commands.console import grid
 
-    rows = []
+    columns = ["name", "description", "torque", "nature"]
+    rows: list[list[str]] = []
     for name in list_profiles():
         profile = load_profile(name)
         rows.append([name, profile.description, profile.torque.kind, profile.torque.nature])
-    session_of().show(grid("drive profiles", ["name", "description", "torque", "nature"], rows, left=4))
+    if json_out:
+        write_json(json_out, {"schema": 1, "profiles": [dict(zip(columns, row, strict=True)) for row in rows]})
+    session_of().show(grid("drive profiles", columns, rows, left=4))
 
 
 @profiles.command("show")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from pathlib import Path
 
 import numpy as np
@@ -202,14 +203,27 @@ def write_csv(table: Table, path: Path) -> None:
     InputError
         The file cannot be written.
     """
-    columns = _columns_to_write(table)
     try:
         with path.open("w", encoding="utf-8", newline="") as stream:
-            writer = csv.writer(stream)
-            writer.writerow(columns)
-            writer.writerows(zip(*columns.values(), strict=True))
+            stream.write(csv_of(table))
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def csv_of(table: Table) -> str:
+    """Text of a table, as `read_csv` reads it: joint torques, only the columns that hold something.
+
+    Raises
+    ------
+    InputError
+        An axis was measured in some rows only.
+    """
+    columns = _columns_to_write(table)
+    stream = io.StringIO(newline="")
+    writer = csv.writer(stream)
+    writer.writerow(columns)
+    writer.writerows(zip(*columns.values(), strict=True))
+    return stream.getvalue()
 
 
 def _columns_to_write(table: Table) -> dict[str, list[object]]:
