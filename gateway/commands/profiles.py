@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from drives.files import replace_file
-from gateway.commands.options import common, json_option, session_of, write_json
+from gateway.commands.bus import DEFAULT_BUS
+from gateway.commands.options import common, json_option, output_option, session_of, write_json
 from gateway.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -31,15 +32,17 @@ def profiles() -> None:
 @profiles.command("list")
 @common
 def profiles_list() -> None:
-    """Name, description and measured torque of every profile."""
+    """Name, description and torque of every profile, and whether its drives are moved."""
     from drives.profile_file import list_profiles, load_profile
     from gateway.commands.console import grid
 
     rows = []
     for name in list_profiles():
         profile = load_profile(name)
-        rows.append([name, profile.description, profile.torque.kind, profile.torque.nature])
-    session_of().show(grid("drive profiles", ["name", "description", "torque", "nature"], rows, left=4))
+        moved = "read only" if profile.obstacles else "moved"
+        rows.append([name, profile.description, profile.torque.kind, profile.torque.nature, moved])
+    columns = ["name", "description", "torque", "nature", "moved"]
+    session_of().show(grid("drive profiles", columns, rows, left=len(columns)))
 
 
 @profiles.command("show")
@@ -64,12 +67,11 @@ def profiles_schema() -> None:
 @profiles.command("new")
 @click.option("--eds", required=True, metavar="FILE", type=FILE, help="EDS or DCF of the drive.")
 @click.option("--from-drive", "node_id", metavar="NODE", type=click.IntRange(1, 127), help="Ask this drive as well.")
-@click.option("--bus", "bus_spec", metavar="SPEC", help="Bus of that drive.")
+@click.option("--bus", "bus_spec", metavar="SPEC", help=f"Bus of that drive; {DEFAULT_BUS} if omitted.")
 @click.option("--answers", "answer_file", metavar="FILE", type=FILE, help="Answers as TOML, one key each.")
 @click.option("--answer", "typed", metavar="KEY=VALUE", multiple=True, help="One answer; before the file's.")
 @click.option("--name", metavar="NAME", help="Of the profile; the name of the output file if omitted.")
-@click.option("-o", "--output", required=True, metavar="PROFILE.toml", type=FILE, help="Draft to write.")
-@click.option("--force", is_flag=True, help="Replace the output if it is there.")
+@output_option("-o", "--output", required=True, metavar="PROFILE.toml", help="Draft to write.")
 @json_option
 @common
 def profiles_new(
@@ -80,7 +82,6 @@ def profiles_new(
     typed: tuple[str, ...],
     name: str | None,
     output: Path,
-    force: bool,
     json_out: str | None,
 ) -> None:
     """Draft a profile from an EDS or DCF; what it cannot tell is asked at a terminal, or answered by --answer.
@@ -94,20 +95,18 @@ def profiles_new(
     from drives.draft.text import draft, profile_name
     from drives.profile_file import list_profiles, parse_profile
 
-    if (node_id is None) != (bus_spec is None):
-        raise click.UsageError("--from-drive NODE and --bus SPEC belong together.")
+    if node_id is None and bus_spec is not None:
+        raise click.UsageError("--bus SPEC belongs to --from-drive NODE.")
     if output.suffix != ".toml":
         raise click.UsageError(f"-o {output}: the name of a profile's file ends with .toml.")
     if output.stem in list_profiles():
         raise ConfigError(
             f"{output}: a profile of the package has this name, and cells would get that one: choose another"
         )
-    if output.exists() and not force:
-        raise ConfigError(f"{output} is there already; choose another name, or replace it with --force")
     answers = with_answers(read_answers(answer_file) if answer_file else Answers(), _typed(typed))
     device = device_of_sheet(eds)
-    if node_id is not None and bus_spec is not None:
-        device = _ask_drive(device, node_id, bus_spec)
+    if node_id is not None:
+        device = _ask_drive(device, node_id, bus_spec or DEFAULT_BUS)
     if _at_terminal():
         answers = _ask(device, answers)
     text = draft(device, answers, name or profile_name(output.stem))
