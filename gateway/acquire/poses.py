@@ -29,6 +29,8 @@ LINK_WEIGHT = 0.1
 SWEEPS = 4
 #: Distance to the joint limits beyond the approach offset.
 LIMIT_MARGIN_RAD = 0.02
+#: Postures that are looked at for what stands against most of them.
+MOST_LOOKED_AT = 3000
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,12 +97,10 @@ def feasible_postures(workspace: Workspace, request: PoseRequest, random: np.ran
     """
     middle, half = (workspace.upper_rad + workspace.lower_rad) / 2, (workspace.upper_rad - workspace.lower_rad) / 2
     half = np.minimum(half, np.pi)
-    offset = request.approach_offset_rad
     drawn, found, n_found = [], [], 0
     for _ in range(DRAWS):
         q = middle + half * random.uniform(-1, 1, (CANDIDATES, workspace.robot.axes))
-        good = workspace.feasible(q, request.margin_rad, workspace.rest_share)
-        good[good] = workspace.path_clear(q[good] + offset, q[good] - offset)
+        good = can_be_measured(workspace, request, q)
         drawn.append(q)
         found.append(q[good])
         n_found += int(good.sum())
@@ -109,14 +109,24 @@ def feasible_postures(workspace: Workspace, request: PoseRequest, random: np.ran
     needed = request.count + request.validation
     if n_found < 4 * needed:
         everything = np.concatenate(drawn)
-        against = workspace.violations(everything, request.margin_rad, workspace.rest_share)
+        looked_at = everything[:MOST_LOOKED_AT]
+        against = workspace.violations(looked_at, request.margin_rad, workspace.rest_share)
         reasons = [(float(mask.mean()), words) for words, mask in against]
         worst = "; ".join(f"{share:.0%} {words}" for share, words in sorted(reasons, reverse=True)[:3])
         raise PlanRefused(
             f"{n_found} of {len(everything)} random postures are feasible, at least {4 * needed} are needed to choose "
-            f"{needed} poses: {worst}. Widen the limits or the keep_out boxes, or ask for fewer poses"
+            f"{needed} poses: {worst}. Widen the limits, say in the cell what "
+            "is assumed (floor_m, wall, column_radius_m, link_radius_m, load_size_m), or ask for fewer poses"
         )
     return np.concatenate(found)[:CANDIDATES]
+
+
+def can_be_measured(workspace: Workspace, request: PoseRequest, q_rad: np.ndarray) -> np.ndarray:
+    """Postures (n,) of (n, N) at which the arm may rest, and to which it may come from both sides."""
+    good = workspace.feasible(q_rad, request.margin_rad, workspace.rest_share)
+    offset = request.approach_offset_rad
+    good[good] = workspace.path_clear(q_rad[good] + offset, q_rad[good] - offset)
+    return good
 
 
 def _d_optimal(workspace: Workspace, candidates: np.ndarray, count: int, noise_nm: np.ndarray) -> list[int]:
