@@ -14,9 +14,9 @@ from typing import Protocol
 
 import numpy as np
 
+from gateway.acquire.asking import postures_to_ask
 from gateway.acquire.goto import LOADING, Destination, destination, plan_way
 from gateway.acquire.plan import SIDES, Plan, check_plan, plan_poses
-from gateway.acquire.poses import PoseRequest, feasible_postures
 from gateway.acquire.session import RecordRequest, make_plan, open_arm
 from gateway.analyse.complete import complete
 from gateway.analyse.given import (
@@ -48,9 +48,6 @@ from gateway.motion.workspace import workspace_of
 from gateway.preflight.look_over import require_passed
 from gateway.preflight.rules import CheckItem
 from gateway.result.result import Result
-
-# Postures among which the diagnosis may ask for further poses.
-CHOICE = 160
 
 
 class Dialogue(Protocol):
@@ -136,7 +133,13 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
         about, table = robot.data()
         seen, _ = split_validation(table)
         dialogue.say(f"diagnosis of {len(np.unique(seen.pose))} poses under {len(np.unique(seen.load))} loads")
-        result, _ = close_loop(seen, about.model, _options(about, opened), robot.measure_poses, robot.validation_rad)
+        result, _ = close_loop(
+            seen,
+            about.model,
+            DiagnoseOptions(pose_choice=postures_to_ask(about), **diagnose_arguments(about)),
+            robot.measure_poses,
+            robot.validation_rad,
+        )
         about, table = robot.data()
     if not result.effects:
         plain = estimate_run(split_validation(table)[0], about.model, estimate_options(about))
@@ -148,13 +151,6 @@ def _check(job: Job, dialogue: Dialogue) -> None:
     items = job.context.check(job.arm)
     dialogue.checked(items)
     require_passed(items, "check failed, nothing has moved")
-
-
-def _options(about: Given, opened: OpenArm) -> DiagnoseOptions:
-    poses = opened.loaded.cell.poses
-    request = PoseRequest(poses.count, 0, poses.approach_offset_rad, poses.seed)
-    choice = feasible_postures(opened.workspace, request, np.random.default_rng(poses.seed))
-    return DiagnoseOptions(pose_choice=choice[:CHOICE], **diagnose_arguments(about))
 
 
 class _Robot:
