@@ -30,18 +30,21 @@ def profiles() -> None:
 
 
 @profiles.command("list")
+@json_option
 @common
-def profiles_list() -> None:
+def profiles_list(json_out: str | None) -> None:
     """Name, description and torque of every profile, and whether its drives are moved."""
     from drives.profile_file import list_profiles, load_profile
     from gateway.commands.console import grid
 
-    rows = []
+    columns = ["name", "description", "torque", "nature", "moved"]
+    rows: list[list[str]] = []
     for name in list_profiles():
         profile = load_profile(name)
         moved = "read only" if profile.obstacles else "moved"
         rows.append([name, profile.description, profile.torque.kind, profile.torque.nature, moved])
-    columns = ["name", "description", "torque", "nature", "moved"]
+    if json_out:
+        write_json(json_out, {"schema": 1, "profiles": [dict(zip(columns, row, strict=True)) for row in rows]})
     session_of().show(grid("drive profiles", columns, rows, left=len(columns)))
 
 
