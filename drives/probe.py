@@ -13,7 +13,7 @@ from drives.bus import SDO_ANSWER_BASE, SDO_REQUEST_BASE, Bus
 from drives.errors import DriveError
 from drives.heartbeat import HeartbeatWatch, NmtState
 from drives.listening import FREE_S, refuse_foreign
-from drives.profile_file import list_profiles, load_profile
+from drives.profile_file import GENERIC, list_profiles, load_profile
 from drives.sdo import SdoClient
 from drives.values import Identity
 
@@ -131,9 +131,17 @@ def _look_at(bus: Bus, node_id: int, devices: int, state: NmtState | None) -> Sc
 
 
 def matching_profiles(identity: Identity) -> tuple[str, ...]:
-    """Names of the packaged profiles that fit a device: those that name its vendor first, then the generic ones."""
+    """Names of the packaged profiles that fit a device: those that name its vendor first, then the generic one.
+
+    A profile of a make whose vendor id is not known fits nobody by itself: an engineer names it.
+    """
     if not identity.is_drive:
         return ()
-    fitting = [profile for name in list_profiles() if not identity.mismatches(profile := load_profile(name))]
+    fitting = [
+        profile
+        for name in list_profiles()
+        if not identity.mismatches(profile := load_profile(name))
+        and (profile.identity.vendor_id is not None or name == GENERIC)
+    ]
     fitting.sort(key=lambda profile: (profile.identity.vendor_id is None, profile.name))
     return tuple(profile.name for profile in fitting)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from drives.eds import check_eds
 from drives.errors import ProfileError
@@ -12,6 +12,8 @@ from drives.toml_lines import KeyPath
 from drives.validation import Unfit, read_strict
 
 PROFILE_FOLDER = Path(__file__).parent / "profiles"
+#: The profile of a drive that keeps to the standard, whoever made it.
+GENERIC: Final = "generic-cia402"
 
 
 def list_profiles() -> list[str]:

@@ -186,7 +186,38 @@ class Velocity(Strict):
     """The velocity object, motor side."""
 
     object: ObjectReference = Field(description="where the value is")
-    unit_rad_s: Constant = Field(description="speed of the motor that one bit means")
+    unit_rad_s: Constant | None = Field(default=None, description="speed of the motor that one bit means")
+    unit_counts_s: Constant | None = Field(
+        default=None, description="instead of it: position counts per second that one bit means"
+    )
+    ramp_counts_s2: Constant | None = Field(
+        default=None,
+        description="counts/s2 that one bit of 0x6084 and 0x6085 means; absent: the velocity's unit per second",
+    )
+
+    def rad_s(self, counts_per_revolution: float | None) -> float | None:
+        """Speed of the motor that one bit means [rad/s]; None where that needs the counts of a revolution."""
+        if self.unit_rad_s is not None:
+            return self.unit_rad_s.value
+        return _turned_rad(self.unit_counts_s, counts_per_revolution)
+
+    def ramp_rad_s2(self, counts_per_revolution: float | None) -> float | None:
+        """Deceleration of the motor that one bit means [rad/s2]; None where that needs the counts of a revolution."""
+        if self.ramp_counts_s2 is None:
+            return self.rad_s(counts_per_revolution)
+        return _turned_rad(self.ramp_counts_s2, counts_per_revolution)
+
+    @model_validator(mode="after")
+    def _one_unit(self) -> Velocity:
+        if (self.unit_rad_s is None) == (self.unit_counts_s is None):
+            raise ValueError("give either unit_rad_s or unit_counts_s")
+        return self
+
+
+def _turned_rad(counts: Constant | None, counts_per_revolution: float | None) -> float | None:
+    if counts is None or not counts_per_revolution:
+        return None
+    return counts.value * 2.0 * math.pi / counts_per_revolution
 
 
 class CountsFromObjects(Strict):

@@ -94,7 +94,7 @@ def motor_scale(profile: DriveProfile, constants: Constants, torque_constant_nm_
     return MotorScale(
         torque_nm=torque,
         current_a=current,
-        velocity_rad_s=None if profile.velocity is None else profile.velocity.unit_rad_s.value,
+        velocity_rad_s=None if profile.velocity is None else profile.velocity.rad_s(turn),
         count_rad=2.0 * math.pi / turn,
         offset_nm=_offset_nm(profile, constants, torque, torque_constant_nm_per_a),
     )

@@ -13,7 +13,7 @@ from drives.bus import Bus
 from drives.eds import Sheet, read_sheet
 from drives.errors import IdentityMismatch, SdoAbort
 from drives.finding import LISTEN_S, nmt_states, require_one
-from drives.guard import refuse_foreign
+from drives.listening import refuse_foreign
 from drives.objects import OBJECTS, DataType, object_name
 from drives.probe import probe
 from drives.sdo import SdoClient

@@ -12,7 +12,7 @@ import click
 
 from drives.files import replace_file
 from gateway.commands.console import findings_table, grid
-from gateway.commands.options import common, json_option, session_of, write_json
+from gateway.commands.options import common, json_option, output_option, session_of, write_json
 from gateway.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -46,12 +46,11 @@ def cell_schema() -> None:
 @click.option("--eds", multiple=True, metavar="FILE", help="EDS or DCF: one per axis from the base on, or one for all.")
 @click.option("--answers", type=FILE, help="Answer file (TOML): nobody is asked.")
 @click.option("--answer", "typed", multiple=True, metavar="KEY=VALUE", help="One answer; before the file's.")
-@click.option("--save-answers", type=FILE, help="Write the answers of this run as answer file.")
+@output_option("--save-answers", metavar="FILE", help="Write the answers of this run as answer file.")
 @click.option(
     "--listen", "listen_s", type=click.FloatRange(0.05, 60.0), default=1.0, show_default=True, help="Seconds."
 )
-@click.option("--force", is_flag=True, help="Replace files that are there.")
-@click.option("-o", "--output", required=True, metavar="CELL", type=FILE, help="Cell file to write.")
+@output_option("-o", "--output", required=True, metavar="CELL", help="Cell file to write.")
 @json_option
 @common
 def cell_new(
@@ -63,7 +62,6 @@ def cell_new(
     typed: Sequence[str],
     save_answers: Path | None,
     listen_s: float,
-    force: bool,
     output: Path,
     json_out: str | None,
 ) -> None:
@@ -77,7 +75,6 @@ def cell_new(
     from gateway.newcell.reading import BusEyes
     from gateway.newcell.text import left_over
 
-    _refuse_existing([output, *([] if save_answers is None else [save_answers])], force)
     given = {} if answers is None else read_answers(answers)
     given |= _options({"robot": robot, "bus": bus, "offline": offline or None, "eds": list(eds) or None}, typed)
     said = Answers(given, str(answers or "answers"), None if answers is not None else _ask)
@@ -95,12 +92,6 @@ def cell_new(
     from gateway.preflight.look_over import require_passed
 
     require_passed(items, f"{output} is written, and the drives do not pass")
-
-
-def _refuse_existing(paths: Sequence[Path], force: bool) -> None:
-    there = [str(path) for path in paths if path.exists()]
-    if there and not force:
-        raise ConfigError(f"{', '.join(there)} is there already: give another name, or --force to replace it")
 
 
 def _options(named: dict[str, Any], pairs: Sequence[str]) -> dict[str, Given]:

@@ -19,6 +19,7 @@ from gateway.commands.options import (
     bus_option,
     cell_argument,
     common,
+    load_option,
     session_of,
     write_json,
 )
@@ -36,9 +37,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @cell_argument
-@click.option(
-    "--load", "labels", multiple=True, metavar="LABEL", default=("load",), help="Load to ask for; repeatable."
-)
+@load_option("labels", "Load to ask for; repeatable.", multiple=True, default=("load",))
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("out"), show_default=True)
 @click.option("--resume", is_flag=True, help="Go on with OUT/run.h5 instead of starting a new one.")
 @arm_option
@@ -68,7 +67,8 @@ def commission(
     out.mkdir(parents=True, exist_ok=True)
     recording = out / "run.h5"
     if not resume:
-        _set_aside(recording, session_of())
+        for path in (recording, out / "result.json", out / "report.html"):
+            _set_aside(path, session_of())
     try:
         with context.way_on(), stoppable(moving) as options:
             job = Job(context, arm, labels, recording, options)
@@ -85,12 +85,13 @@ def commission(
 
 
 def _set_aside(path: Path, session: Session) -> None:
-    """Keep an earlier recording under another name."""
+    """Keep a file of an earlier job under another name."""
     if not path.exists():
         return
-    number = next(index for index in range(1, 10_000) if not path.with_suffix(f".{index}.h5").exists())
-    path.rename(path.with_suffix(f".{number}.h5"))
-    session.note(f"{path} is kept as {path.with_suffix(f'.{number}.h5')}")
+    names = (path.with_suffix(f".{number}{path.suffix}") for number in range(1, 10_000))
+    kept = next(name for name in names if not name.exists())
+    path.rename(kept)
+    session.note(f"{path} is kept as {kept}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from drives.files import replace_file
-from gateway.commands.options import common, one_of, session_of
+from gateway.commands.options import common, one_of, output_option, session_of
 from gateway.result.export import FORMATS
 
 RESULT = click.Path(path_type=Path, dir_okay=False)
@@ -15,7 +15,7 @@ RESULT = click.Path(path_type=Path, dir_okay=False)
 
 @click.command()
 @click.argument("result", metavar="OUT.json", type=RESULT)
-@click.option("-o", "--output", required=True, metavar="REPORT.html", type=RESULT, help="Page to write.")
+@output_option("-o", "--output", required=True, metavar="REPORT.html", help="Page to write.")
 @common
 def report(result: Path, output: Path) -> None:
     """One HTML page from a result: it opens offline and prints on paper."""
@@ -30,7 +30,7 @@ def report(result: Path, output: Path) -> None:
 @click.argument("result", metavar="OUT.json", type=RESULT)
 @click.option("--format", "fmt", required=True, type=one_of(list(FORMATS)), help="Syntax to write.")
 @click.option("--load", "label", metavar="LABEL", help="Only this load.")
-@click.option("-o", "--output", metavar="FILE", type=RESULT, help="File to write; stdout if omitted.")
+@output_option("-o", "--output", metavar="FILE", help="File to write; stdout if omitted.")
 @common
 def export(result: Path, fmt: str, label: str | None, output: Path | None) -> None:
     """The load as URDF, JSON, or in the load syntax of a robot controller."""

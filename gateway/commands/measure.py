@@ -17,9 +17,12 @@ from gateway.commands.options import (
     common,
     joint_angles,
     json_option,
+    load_option,
     session_of,
+    trace_option,
     write_json,
 )
+from gateway.errors import InputError
 
 if TYPE_CHECKING:
     from gateway.acquire.plan import Plan
@@ -92,12 +95,17 @@ def plan_as_json(chosen: Plan) -> dict[str, Any]:
 
 @click.command()
 @cell_argument
-@click.option("--load", "label", required=True, metavar="LABEL", help="What hangs on the flange; none = bare.")
-@click.option("-o", "--output", required=True, metavar="RUN.h5", type=click.Path(path_type=Path, dir_okay=False))
-@click.option("--resume", is_flag=True, help="Go on with RUN.h5: measure only what is missing under this load.")
+@load_option("label", "What hangs on the flange; none = bare.", required=True)
 @click.option(
-    "--trace", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), help="Frame log (.blf, .log)."
+    "-o",
+    "--output",
+    required=True,
+    metavar="RUN.h5",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Recording to write; one that is there is never replaced.",
 )
+@click.option("--resume", is_flag=True, help="Go on with RUN.h5: measure only what is missing under this load.")
+@trace_option
 @click.option(
     "--pose",
     "poses",
@@ -181,12 +189,15 @@ def _plan_for(loaded: LoadedCell, arm: ArmConfig, wanted: _Wanted) -> Plan:
     from gateway.acquire.asking import Asked, asked_by, plan_asked
     from gateway.acquire.session import make_plan, plan_of_recording
     from gateway.data.recording.reader import read
+    from gateway.data.recording.writer import NOT_REPLACED
 
     if wanted.poses and wanted.result is not None:
         raise click.UsageError("--pose and --next both say which poses: give one of them")
     if any(len(q_rad) != len(arm.axis) for q_rad in wanted.poses):
         raise click.UsageError(f"--pose: arm '{arm.name}' has {len(arm.axis)} axes, one joint angle each is needed")
-    earlier = read(wanted.output) if wanted.output.exists() and wanted.resume else None
+    if wanted.output.exists() and not wanted.resume:
+        raise InputError(f"{wanted.output} exists; {NOT_REPLACED}")
+    earlier = read(wanted.output) if wanted.output.exists() else None
     if wanted.result is not None:
         return plan_asked(loaded, arm, asked_by(wanted.result, loaded, arm), earlier)
     if wanted.poses:

@@ -17,6 +17,7 @@ from gateway.commands.options import (
     common,
     json_option,
     one_of,
+    output_option,
     session_of,
     write_json,
 )
@@ -249,7 +250,7 @@ def _function_row(one: FunctionOrigin) -> list[str]:
 
 @click.command()
 @cell_argument
-@click.option("-o", "--output", required=True, metavar="REPORT.html", type=click.Path(path_type=Path, dir_okay=False))
+@output_option("-o", "--output", required=True, metavar="REPORT.html", help="Page to write.")
 @store_option
 @common
 def pair_report(cell: Path, output: Path, store: Path | None) -> None:

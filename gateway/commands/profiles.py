@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from drives.files import replace_file
-from gateway.commands.options import common, json_option, session_of, write_json
+from gateway.commands.options import common, json_option, output_option, session_of, write_json
 from gateway.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -68,8 +68,7 @@ def profiles_schema() -> None:
 @click.option("--answers", "answer_file", metavar="FILE", type=FILE, help="Answers as TOML, one key each.")
 @click.option("--answer", "typed", metavar="KEY=VALUE", multiple=True, help="One answer; before the file's.")
 @click.option("--name", metavar="NAME", help="Of the profile; the name of the output file if omitted.")
-@click.option("-o", "--output", required=True, metavar="PROFILE.toml", type=FILE, help="Draft to write.")
-@click.option("--force", is_flag=True, help="Replace the output if it is there.")
+@output_option("-o", "--output", required=True, metavar="PROFILE.toml", help="Draft to write.")
 @json_option
 @common
 def profiles_new(
@@ -80,7 +79,6 @@ def profiles_new(
     typed: tuple[str, ...],
     name: str | None,
     output: Path,
-    force: bool,
     json_out: str | None,
 ) -> None:
     """Draft a profile from an EDS or DCF; what it cannot tell is asked at a terminal, or answered by --answer.
@@ -102,8 +100,6 @@ def profiles_new(
         raise ConfigError(
             f"{output}: a profile of the package has this name, and cells would get that one: choose another"
         )
-    if output.exists() and not force:
-        raise ConfigError(f"{output} is there already; choose another name, or replace it with --force")
     answers = with_answers(read_answers(answer_file) if answer_file else Answers(), _typed(typed))
     device = device_of_sheet(eds)
     if node_id is not None and bus_spec is not None:

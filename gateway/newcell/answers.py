@@ -6,7 +6,6 @@ from as `{ value = 101, source = "data sheet p. 4" }`.
 
 from __future__ import annotations
 
-import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,11 +13,13 @@ from pathlib import Path
 from typing import Any, Final, cast
 
 from drives.profile_file import list_profiles
-from drives.toml_text import parse_toml
+from drives.toml_lines import key_lines
+from drives.toml_text import parse_toml, toml_string
 from gateway.errors import ConfigError
 from gateway.newcell import questions
 from gateway.newcell.forms import SOURCE, VALUE
 from gateway.newcell.questions import Question
+from gateway.newcell.slips import slips
 
 ASSUMED: Final = "assumed"
 #: In the place of a URDF: the arm is described by Denavit-Hartenberg rows.
@@ -97,7 +98,7 @@ class Answers:
                 continue
             self.taken[question.key] = answer
         if problems:
-            raise ConfigError("; ".join(problems))
+            raise ConfigError.of(problems)
 
     def value(self, question: Question) -> Any:
         """Value of a question that was settled."""
@@ -127,6 +128,9 @@ class Answers:
         except ValueError as error:
             where = f"{given.where}: " if given.where else ""
             raise ValueError(f"{where}{question.key} {error}: {question.asks}") from error
+        gears = self.taken.get(questions.GEAR_RATIO.key)
+        for slip in slips(question.key, answer, gears.value if gears is not None else ()):
+            raise ValueError(f"{given.where}: {slip}" if given.where else slip)
         if question.key in questions.FILES:
             answer = _placed(answer, given.folder)
         return Answer(answer, source)
@@ -155,18 +159,13 @@ def read_answers(path: Path) -> dict[str, Given]:
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: not valid TOML: {error}; correct the file") from error
     known = questions.KEYS
-    strange = [key for key in table if key not in known]
+    lines = key_lines(text)
+    strange = [f"{path} line {lines[key,]}: {key} answers no question" for key in table if key not in known]
     if strange:
-        places = ", ".join(f"{key} (line {_line(text, key)})" for key in strange)
-        raise ConfigError(f"{path}: {places} answers no question; the questions are {', '.join(known)}")
+        strange[-1] += f"; the questions are {', '.join(known)}"
+        raise ConfigError.of(strange)
     folder = path.resolve().parent
-    return {key: Given(value, f"{path} line {_line(text, key)}", folder) for key, value in table.items()}
-
-
-def _line(text: str, key: str) -> int:
-    """Line on which a key or its table stands."""
-    found = re.search(rf"^[ \t]*\[?[ \t]*[\"']?{re.escape(key)}[\"']?[ \t]*[\]=.]", text, re.MULTILINE)
-    return 1 if found is None else text.count("\n", 0, found.start()) + 1
+    return {key: Given(value, f"{path} line {lines[key,]}", folder) for key, value in table.items()}
 
 
 def answers_text(answers: Answers, files: Callable[[str], str]) -> str:
@@ -208,7 +207,7 @@ def toml_value(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+        return toml_string(value)
     if isinstance(value, float | int):
         return f"{value:.12g}"
     if isinstance(value, Mapping):

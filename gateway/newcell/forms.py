@@ -128,6 +128,12 @@ def numbers(rule: Rule = ANY) -> Form:
     return Form(read)
 
 
+def node_ids() -> Form:
+    """A list with the node id of each axis."""
+    read = numbers(NODE_ID).read
+    return Form(lambda value, axes: tuple(int(part) for part in read(value, axes)))
+
+
 def per_axis(rule: Rule = ANY) -> Form:
     """A number for all axes, or one for each."""
     return Form(lambda value, axes: tuple(_kept(part, rule) for part in _parts(value, axes)))

@@ -171,7 +171,7 @@ def _drives(
     spec, on_bus, in_files = seen
     order = offers.stored_order(in_files, robot.axes) or offers.node_order(on_bus, robot.axes)
     answers.settle([(questions.NODES, order)], robot.axes)
-    ids = [int(node) for node in answers.value(questions.NODES)]
+    ids: tuple[int, ...] = answers.value(questions.NODES)
     _alone(ids)
     nodes = of_axes(ids, on_bus, in_files)
     answers.settle([(questions.PROFILE, offers.profile_names(nodes))], robot.axes)

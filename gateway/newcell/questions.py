@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Final
 
 from gateway.newcell.forms import (
-    NODE_ID,
     NOT_ZERO,
     POSITIVE,
     SHARE,
@@ -14,6 +13,7 @@ from gateway.newcell.forms import (
     Form,
     choice,
     flag,
+    node_ids,
     number_or_none,
     numbers,
     one_number,
@@ -79,7 +79,7 @@ NODES: Final = Question(
     "nodes",
     "node ids from the base to the flange",
     "DIP switch or label of each drive; `check --move` sees an order that is wrong",
-    numbers(NODE_ID),
+    node_ids(),
 )
 PROFILE: Final = Question(
     "profile",

@@ -9,7 +9,8 @@ from pathlib import Path
 
 from drives.bus import Bus, BusSpec, open_bus
 from drives.eds import Sheet, read_sheet
-from drives.errors import SdoAbort
+from drives.errors import BusError, SdoAbort
+from drives.objects import SIZE_BYTES, DataType
 from drives.probe import matching_profiles, scan
 from drives.sdo import SdoClient
 from drives.values import Identity
@@ -36,7 +37,11 @@ class BusEyes:
     def nodes(self, spec: BusSpec) -> tuple[SeenNode, ...]:
         """Drives on a bus."""
         with open_bus(spec) as bus:
-            return nodes_on(bus, self._listen_s)
+            found = nodes_on(bus, self._listen_s)
+        if not found:
+            advice = "check power, wiring and bit rate; without a bus write offline = true, or --offline"
+            raise BusError(f"{spec}: no drive answered", advice=advice)
+        return found
 
     def values(self, spec: BusSpec, wanted: Mapping[int, Mapping[Address, str]]) -> dict[int, dict[Address, Read]]:
         """Objects of some nodes."""
@@ -105,11 +110,18 @@ def _node_in(path: Path, sheet: Sheet) -> SeenNode:
     )
     values: dict[Address, Read] = {}
     for address, entry in sheet.entries.items():
-        if isinstance(entry.value, int):
-            values[address] = Read(entry.value, f"read from {path.name}, 0x{address[0]:04X}")
-        elif isinstance(entry.default, int):
-            values[address] = Read(entry.default, f"{ASSUMED}: default of {path.name}, 0x{address[0]:04X}")
+        kind = sheet.type_of(*address)
+        for value, origin in ((entry.value, "read from"), (entry.default, f"{ASSUMED}: default of")):
+            if kind is not None and isinstance(value, int):
+                values[address] = Read(_signed(value, kind), f"{origin} {path.name}, 0x{address[0]:04X}")
+                break
     return SeenNode(node_id, identity, values, matching_profiles(identity), path.name)
+
+
+def _signed(value: int, kind: DataType) -> int:
+    """A number below zero that the file spells as its two's complement."""
+    bits = 8 * SIZE_BYTES[kind]
+    return value - (1 << bits) if kind.startswith("i") and value >> (bits - 1) == 1 else value
 
 
 def _node_id(path: Path) -> int | None:

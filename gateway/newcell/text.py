@@ -143,7 +143,7 @@ def _axis(draft: Draft, axis: int, files: Callable[[str], str]) -> list[str]:
     lines = [
         "[[arm.axis]]",
         f"# J{axis + 1}, {draft.robot.joint_names[axis]}: {_device(draft.nodes[axis])}",
-        f"node_id = {int(answers.value(questions.NODES)[axis])}",
+        f"node_id = {answers.value(questions.NODES)[axis]}",
     ]
     profile = answers.taken[questions.PROFILE.key]
     name = profile.value[axis]

@@ -221,11 +221,12 @@ class RestDiagnosis:
         held = self._held(found, holdout)
         decision, findings = self._confirmed(decision, held, problem)
         judge = Judge.of(search, decision, held)
-        if contradicted(search, decision, judge):
+        shown = proven(search, decision, judge)
+        if contradicted(decision, shown):
             decision = replace(decision, verdict="unexplained", after=decision.before, proven=(), rivals=())
-            judge = Judge.of(search, decision, held)
+            judge, shown = Judge.of(search, decision, held), []
         effects = [entry for mistake in found.mistakes for entry in mistake_effect(mistake, found.gained)]
-        effects += proven(search, decision, judge)
+        effects += shown
         seen_by_encoder = elastic_joints(problem, decision.after) if "joint_elasticity" in self.options.allowed else []
         by_direction = (
             friction_by_direction(problem, decision.after) if "static_friction" in self.options.allowed else []

@@ -138,7 +138,7 @@ def test_nothing_is_replaced_unasked(folder):
     (folder / "cell.toml").write_text("mine", encoding="utf-8")
     done = with_answers(folder, ENOUGH)
     assert done.exit_code == 3
-    assert "is there already" in done.stderr
+    assert "is not replaced" in done.stderr
     assert "--force" in done.stderr
     assert (folder / "cell.toml").read_text(encoding="utf-8") == "mine"
     assert with_answers(folder, ENOUGH, "--force").exit_code == 0
@@ -149,8 +149,12 @@ def test_nothing_is_replaced_unasked(folder):
     [
         ("gear_ratio = 100\n", "", "gear_ratio is missing: gear ratio, motor turns per joint turn"),
         ("gear_ratio = 100", "gear_ratio = [100, 100]", "answers.toml line 6: gear_ratio has 2 values and the arm 6"),
-        ("gear_ratio = 100", "gear_ration = 100", "gear_ration (line 6) answers no question"),
+        ("gear_ratio = 100", "gear_ration = 100", "answers.toml line 6: gear_ration answers no question"),
         ("gear_ratio = 100", "gear_ratio = 100\ngear_efficiency = 80", "line 7: gear_efficiency holds 80"),
+        ("gear_ratio = 100", "gear_ratio = 0.01", "line 6: gear_ratio must not be 0.01"),
+        ("gear_ratio = 100", "gear_ratio = 100\nposition_limit_rad = [-170, 170]", "these are degrees"),
+        ("gear_ratio = 100", "gear_ratio = 100\ntorque_constant_nm_per_a = 120", "line 7: torque_constant_nm_per_a"),
+        ("gear_ratio = 100", "gear_ratio = 100\nflange_xyz_m = [0, 0, 80]", "these are millimetres"),
         ("11, 12, 13", "11, 11, 13", "node id 11 is given to more than one axis"),
         ('"generic-cia402"', '"nobody"', "nobody' cannot be read"),
         ('"arm.urdf"', '"none.urdf"', "none.urdf: cannot be read"),

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from gateway.newcell import questions
-from gateway.newcell.forms import NODE_ID, SHARE, number_or_none, numbers, pairs, per_axis, place, typed, words
+from gateway.newcell.forms import SHARE, node_ids, number_or_none, pairs, per_axis, place, typed, words
 
 
 @pytest.mark.parametrize(
@@ -39,7 +39,7 @@ def test_one_value_counts_for_all_axes():
 def test_one_value_for_each_axis():
     assert per_axis().read([1, 2, 3], 3) == (1.0, 2.0, 3.0)
     assert pairs().read([[-1, 2], [0, 1]], 2) == ((-1.0, 2.0), (0.0, 1.0))
-    assert numbers(NODE_ID).read([11, 12], 2) == (11.0, 12.0)
+    assert [type(part) for part in node_ids().read([11, 12], 2)] == [int, int]
     assert place(floor=(0, 0, -9.8)).read("floor", 2) == (0, 0, -9.8)
     assert number_or_none().read("none", 2) is None
 
@@ -52,9 +52,9 @@ def test_one_value_for_each_axis():
         (per_axis(), math.nan, "which is no number"),
         (per_axis(SHARE), 80, "holds 80, which is not in 0 to 1"),
         (per_axis(), True, "which is no number"),
-        (numbers(NODE_ID), 5, "has 1 numbers and the arm 3 axes"),
-        (numbers(NODE_ID), [1, 2, 128], "holds 128, which is no node id"),
-        (numbers(NODE_ID), [1, 2, 2.5], "holds 2.5, which is no node id"),
+        (node_ids(), 5, "has 1 numbers and the arm 3 axes"),
+        (node_ids(), [1, 2, 128], "holds 128, which is no node id"),
+        (node_ids(), [1, 2, 2.5], "holds 2.5, which is no node id"),
         (pairs(), [[-1, 1]], "neither a pair"),
         (pairs(), [2, 1], "of which the first is not below the second"),
         (place(floor=(0, 0, -9.8)), "wall", "no list of three numbers or no `floor`"),
