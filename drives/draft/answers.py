@@ -29,6 +29,9 @@ class Answers(Strict):
     torque_nature: Literal["measured", "demand"] | None = Field(
         default=None, description="whether it is what flows or what is asked for"
     )
+    rated_object: ObjectText | None = Field(
+        default=None, description="object of the rated torque or current, where it is not 0x6076 or 0x6075"
+    )
     rated_unit: Positive | None = Field(
         default=None, description="Nm per bit of 0x6076, or A per bit of 0x6075: 0.001 by the standard"
     )
