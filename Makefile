@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.stamp
 
-.PHONY: venv demo test lint docs bench blind blind-nature vcan chaos soak mutants pair pair-full follow clean
+.PHONY: venv demo test lint docs bench blind blind-nature vcan chaos soak mutants pair pair-full follow pages clean
 
 venv: $(STAMP)
 
@@ -63,6 +63,10 @@ pair: venv
 
 pair-full: venv
 	$(BIN)/python -m benchmarks.pair --full --out out/pair-full
+
+# Every report page in a headless Chromium, wide, narrow and on paper; apt-get install chromium chromium-driver poppler-utils.
+pages: venv
+	$(BIN)/python -m benchmarks.pages --out out/pages
 
 clean:
 	rm -rf $(VENV) out

@@ -233,10 +233,17 @@ class ArmConfig(Strict):
         default=None, description="its centre of gravity in link_6; the flange if absent"
     )
     rated_load_kg: SourcedNumber | None = Field(
-        default=None, description="load the arm is rated for: what feedforward assumes as long as none is entered"
+        default=None,
+        description="load the arm is rated for: a heavier one fails, feedforward assumes it as long as none is entered",
     )
     rated_load_com_m: Vector3 | None = Field(
         default=None, description="its centre of gravity in link_6; the flange if absent"
+    )
+    rated_reach_m: SourcedNumber | None = Field(
+        default=None, description="furthest from the flange that a load's centre of gravity may lie"
+    )
+    rated_moment_nm: SourcedNumber | None = Field(
+        default=None, description="largest weight moment about the flange, mass x 9.80665 x that distance"
     )
     load_points_m: tuple[Vector3, ...] = Field(
         default=(), description="points of the load in link_6, such as its corners, that stay out of keep_out"
@@ -283,8 +290,12 @@ class ArmConfig(Strict):
         twice = sorted({node for node in ids if ids.count(node) > 1})
         if twice:
             raise ValueError(f"arm '{self.name}': node id {twice[0]} is given to more than one axis")
-        if self.rated_load_kg is not None and self.rated_load_kg.value <= 0:
-            raise ValueError(f"arm '{self.name}': rated_load_kg must be positive")
+        for key in ("rated_load_kg", "rated_reach_m", "rated_moment_nm"):
+            rated: SourcedNumber | None = getattr(self, key)
+            if rated is not None and rated.value <= 0:
+                raise ValueError(f"arm '{self.name}': {key} must be positive")
+            if rated is not None and key != "rated_load_kg" and self.flange_xyz_m is None:
+                raise ValueError(f"arm '{self.name}': {key} counts from the flange; give flange_xyz_m too")
         if (self.robot is None) == (self.dh is None):
             raise ValueError(f"arm '{self.name}' needs either robot = \"FILE.urdf\" or [arm.dh], not both")
         if self.coupling is not None:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from drives.files import replace_file
 from gateway.commands.options import common, one_of, session_of, write_json
 from gateway.result.export import FORMATS
+
+if TYPE_CHECKING:
+    from gateway.result.result import Result
 
 RESULT = click.Path(path_type=Path, dir_okay=False)
 
@@ -20,9 +24,8 @@ RESULT = click.Path(path_type=Path, dir_okay=False)
 def report(result: Path, output: Path) -> None:
     """One HTML page from a result: it opens offline and prints on paper."""
     from gateway.report.render import render
-    from gateway.result.result import read_result
 
-    replace_file(output, render(read_result(result)))
+    replace_file(output, render(_whole(result)))
     session_of().show(f"report: {output}")
 
 
@@ -35,14 +38,23 @@ def report(result: Path, output: Path) -> None:
 def export(result: Path, fmt: str, label: str | None, output: Path | None) -> None:
     """The load as URDF, JSON, or in the load syntax of a robot controller."""
     from gateway.result.export import export as export_text
-    from gateway.result.result import read_result
 
-    text = export_text(read_result(result), fmt, label)
+    text = export_text(_whole(result), fmt, label)
     if output is None:
         click.echo(text, nl=False)
     else:
         replace_file(output, text)
         session_of().show(f"{fmt}: {output}")
+
+
+def _whole(path: Path) -> Result:
+    """A result that was not edited; one of before there were checksums is taken, and named."""
+    from gateway.result.result import read_result
+
+    result = read_result(path)
+    if result.sha256 is None:
+        session_of().note(f"{path}: carries no sha256: whether it was edited since cannot be told")
+    return result
 
 
 @click.group()

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from drives.files import replace_file
 from gateway.commands.console import Session
+
+if TYPE_CHECKING:
+    from gateway.result.acceptance import Expected
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -49,6 +52,36 @@ def _json_target(ctx: click.Context, _param: click.Parameter, value: str | None)
 json_option = click.option(
     "--json", "json_out", metavar="OUT", callback=_json_target, help="Write the result as JSON; - for stdout."
 )
+
+
+operator_option = click.option("--operator", metavar="NAME", help="Who measures: stands in the report, to be signed.")
+
+
+def _expected(_ctx: click.Context, _param: click.Parameter, value: tuple[str, ...]) -> tuple[Expected, ...]:
+    from gateway.result.acceptance import parse_expected
+
+    return tuple(parse_expected(text) for text in value)
+
+
+def accept_options(function: Function) -> Function:
+    """Add the options of ACCEPT."""
+    function = click.option(
+        "--junit",
+        "junit_file",
+        metavar="FILE",
+        type=click.Path(path_type=Path, dir_okay=False),
+        help="Write pass and fail as JUnit XML.",
+    )(function)
+    return click.option(
+        "--expect",
+        "expected",
+        multiple=True,
+        metavar="LABEL=MASS,TOLERANCE",
+        callback=_expected,
+        help="What a load weighs, and how far it may be off: kg; repeatable. Pass, fail or cannot tell.",
+    )(function)
+
+
 bus_option = click.option(
     "--bus",
     "bus_spec",
