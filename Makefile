@@ -3,17 +3,28 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.stamp
+SIM_STAMP := $(VENV)/.sim-stamp
+PYTHON_OF_VENV := test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || python3 -m venv $(VENV)
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .PHONY: venv demo test lint docs bench blind blind-nature vcan chaos soak mutants pair pair-full follow pages clean
 
 venv: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt
-	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || python3 -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[sim,dev]"
+	$(PYTHON_OF_VENV)
+	@echo "installing gateway, simulator and test tools into $(VENV): one to three minutes, 1.5 GB"
+	$(INSTALL) -e ".[sim,dev]"
 	touch $(STAMP)
 
-demo: venv
+# What the demo needs and no more: half a minute to two, 0.6 GB.
+$(SIM_STAMP): pyproject.toml constraints.txt
+	$(PYTHON_OF_VENV)
+	@echo "installing gateway and simulator into $(VENV): one to two minutes, 0.6 GB"
+	$(INSTALL) -e ".[sim]"
+	touch $(SIM_STAMP)
+
+demo: $(if $(wildcard $(STAMP)),$(STAMP),$(SIM_STAMP))
 	$(BIN)/python -m sim.demo --out out/demo
 
 test: venv
@@ -27,7 +38,7 @@ lint: venv
 
 # The documentation as pages, in out/docs; a link that leads nowhere fails.
 docs: venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[docs]"
+	$(INSTALL) -e ".[docs]"
 	$(BIN)/python -m benchmarks.reference
 	$(BIN)/python -m mkdocs build --quiet
 

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gateway.data.rest_pose import RestPose
+from gateway.errors import PlanRefused
+from gateway.motion.places import angles
 from gateway.motion.workspace import Workspace
 
 VIA_SEED = 7
@@ -65,6 +67,25 @@ def find_route(
         reached.append(pose)
         at = pose
     return Route(tuple(legs), tuple(pose for i, pose in enumerate(poses) if i not in reached))
+
+
+def way_to(workspace: Workspace, start_rad: np.ndarray, end_rad: np.ndarray) -> list[np.ndarray]:
+    """Points of a checked way, the end included: straight where that is free, else over one point in between.
+
+    Raises
+    ------
+    PlanRefused
+        No such way was found; says what the straight one meets.
+    """
+    route = find_route(workspace, [RestPose(1, tuple(end_rad.tolist()), "fit")], start_rad, 0.0)
+    if not route.legs:
+        met = workspace.why_not_path(np.array([start_rad, end_rad]))
+        raise PlanRefused(
+            f"no way that keeps the limits leads from {angles(start_rad)} to {angles(end_rad)}: straight there, {met}, "
+            "and no posture was found over which it would be free; go there in steps, by postures of your own choice "
+            "(servo-gateway move CELL --to J1,J2,..), or open the keep_out boxes"
+        )
+    return [*(np.array(point) for point in route.legs[0].via_rad), end_rad]
 
 
 def _paths(

@@ -1,7 +1,8 @@
 """The whole job, guided: check, bare arm, each load, diagnosis, back to the robot, fresh poses, result and report.
 
-The drives are in their brakes whenever a person is asked for something. Everything measured is in one file, which is
-whole after each visit.
+Where the cell says where loads are hung, the arm goes there before a person is asked to hang one. The drives are in
+their brakes whenever a person is asked for something. Everything measured is in one file, which is whole after each
+visit.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
+from gateway.acquire.goto import LOADING, Destination, destination, plan_way
 from gateway.acquire.plan import SIDES, Plan, check_plan, plan_poses
 from gateway.acquire.poses import PoseRequest, feasible_postures
 from gateway.acquire.session import RecordRequest, make_plan, open_arm
@@ -29,6 +31,7 @@ from gateway.analyse.given import (
 from gateway.cell.config import ArmConfig
 from gateway.check.proofs import ensure_proven
 from gateway.commands.cell_context import CellContext
+from gateway.commands.moving import SLOW_PERCENT
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import ArmRecording
 from gateway.data.rest_pose import RestPose
@@ -38,8 +41,10 @@ from gateway.diagnose.loop import close_loop
 from gateway.errors import PlanRefused
 from gateway.estimate import run as estimate_run
 from gateway.identify.loads import BARE_LABEL
+from gateway.model.arm_model import arm_robot
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
+from gateway.motion.workspace import workspace_of
 from gateway.preflight.look_over import require_passed
 from gateway.preflight.rules import CheckItem
 from gateway.result.result import Result
@@ -57,6 +62,10 @@ class Dialogue(Protocol):
 
     def planned(self, plan: Plan) -> None:
         """Poses are chosen; ask whether the arm may move."""
+        ...
+
+    def bring(self, opened: OpenArm, target: Destination, options: MoveOptions) -> None:
+        """Say where the arm goes, ask, and go there."""
         ...
 
     def hang(self, label: str) -> None:
@@ -118,6 +127,8 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
         As the parts; the arm stands, what was measured is kept.
     """
     _check(job, dialogue)
+    if job.arm.loading_rad is not None:  # a posture that is refused is told before an hour of measuring, not after it
+        destination(job.arm, workspace_of(job.arm, arm_robot(job.context.loaded, job.arm)), LOADING)
     plan = make_plan(job.context.loaded, arm=job.arm.name)
     dialogue.planned(plan)
     with open_arm(job.context.loaded, job.context.override(job.arm), job.arm.name) as opened:
@@ -172,9 +183,25 @@ class _Robot:
         self._load = label
         missing = self._missing(self._fit)
         if label != BARE_LABEL and (missing or label == self._job.labels[-1]):
+            self._go_loading()
             self._dialogue.hang(label)
         if missing:
             self._record(self._fit)
+
+    def _go_loading(self) -> None:
+        """Go where loads are hung, slowly, if the cell says where; the load hangs where the arm stands else."""
+        opened, job = self._opened, self._job
+        if opened.config.loading_rad is None:
+            return
+        target = destination(opened.config, opened.workspace, LOADING)
+        try:
+            plan_way(opened, target)
+        except PlanRefused as refused:
+            self._dialogue.say(f"the arm stays where it is, and the load is hung there: {refused}")
+            return
+        slow = replace(job.options, override=min(job.options.override, SLOW_PERCENT / 100.0))
+        self._dialogue.bring(opened, target, slow)
+        self._job = replace(job, options=replace(job.options, first_done=None))
 
     def measure_poses(self, q_rad: np.ndarray) -> Table:
         """Measure poses (k, N) [rad] under the load that hangs now: validation poses, or new ones to fit from."""

@@ -15,9 +15,12 @@ from gateway.commands.options import (
     cell_argument,
     common,
     json_option,
+    load_option,
     session_of,
+    trace_option,
     write_json,
 )
+from gateway.errors import InputError
 
 if TYPE_CHECKING:
     from gateway.acquire.plan import Plan
@@ -85,12 +88,17 @@ def plan_as_json(chosen: Plan) -> dict[str, Any]:
 
 @click.command()
 @cell_argument
-@click.option("--load", "label", required=True, metavar="LABEL", help="What hangs on the flange; none = bare.")
-@click.option("-o", "--output", required=True, metavar="RUN.h5", type=click.Path(path_type=Path, dir_okay=False))
-@click.option("--resume", is_flag=True, help="Go on with RUN.h5: measure only what is missing under this load.")
+@load_option("label", "What hangs on the flange; none = bare.", required=True)
 @click.option(
-    "--trace", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), help="Frame log (.blf, .log)."
+    "-o",
+    "--output",
+    required=True,
+    metavar="RUN.h5",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Recording to write; one that is there is never replaced.",
 )
+@click.option("--resume", is_flag=True, help="Go on with RUN.h5: measure only what is missing under this load.")
+@trace_option
 @arm_option
 @bus_option
 @move_options
@@ -123,7 +131,8 @@ def record(
         show_plan(chosen)
     first = "" if context.stop_proof(arm).exists() else " At first its drives lose the heartbeat on purpose."
     moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is nobody near it?")
-    with stoppable(moving) as options, open_arm(context.loaded, context.override(arm, trace), arm.name) as opened:
+    opening = open_arm(context.loaded, context.override(arm, trace), arm.name)
+    with context.way_on(), stoppable(moving) as options, opening as opened:
         options = ensure_proven(opened, context.stop_proof(arm), session.note, options)
         request = RecordRequest(label, output, resume)
         summary = recording_with_progress(session, opened, chosen, request, options)
@@ -135,7 +144,10 @@ def _plan_for(loaded: Any, output: Path, resume: bool, arm: str) -> Plan:
     """Poses of the file that is gone on with, else those of the cell."""
     from gateway.acquire.session import make_plan, plan_of_recording
     from gateway.data.recording.reader import read
+    from gateway.data.recording.writer import NOT_REPLACED
 
     if output.exists() and resume:
         return plan_of_recording(loaded, read(output), arm)
+    if output.exists():
+        raise InputError(f"{output} exists; {NOT_REPLACED}")
     return make_plan(loaded, arm=arm)

@@ -179,7 +179,19 @@ def test_measured_runs_fit_and_every_axis_has_its_residual(measured_data, name):
 def test_a_load_is_accepted_or_not_or_cannot_be_told(table, tmp_path, command):
     """The tool weighs 4 kg; exact constants and links, so that the interval is some grams."""
     path, page = table(), tmp_path / "accept.xml"
-    words = [command, path, "--robot", URDF, "--inertials", "exact", "--torque-gain", "exact", "--junit", page]
+    words = [
+        command,
+        path,
+        "--robot",
+        URDF,
+        "--inertials",
+        "exact",
+        "--torque-gain",
+        "exact",
+        "--junit",
+        page,
+        "--force",
+    ]
     for expected, code, outcome in (("4.0,0.3", 0, "pass"), ("4.5,0.3", 7, "fail"), ("3.993,0.005", 7, "cannot tell")):
         done = run(*words, "--expect", f"tool={expected}", "--json", "-")
         assert done.exit_code == code, done.output
