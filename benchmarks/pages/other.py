@@ -59,11 +59,12 @@ def run(name="C8", **along):
     )  # fmt: skip
 
 
-def forces(name="C8"):
+def forces(name="C8", origin=None):
     return render_pair(
         "pair",
         Limited(FORCE, 40.0, "as estimated"),
         [run(name, first_n=(0.0, 0.0), last_n=(0.0, -12.0), first_size_n=(0.0, 60.0), last_size_n=(0.0, 20.0))],
+        origin,
     )
 
 

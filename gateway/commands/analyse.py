@@ -102,7 +102,7 @@ def estimate(
     operator: str | None,
     json_out: str | None,
 ) -> None:
-    """Mass and centre of gravity of every unknown load, with standard deviations and what cannot be told."""
+    """Mass and centre of gravity of every unknown load, with 95 % intervals and what cannot be told."""
     from dataclasses import replace
 
     from gateway.analyse.accept import accept, check_against_data

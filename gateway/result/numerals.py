@@ -10,6 +10,8 @@ from gateway.result.interval import PLUS_MINUS, half_width
 MINUS: Final = "\N{MINUS SIGN}"
 _SUPERSCRIPT: Final = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079")
 _TIMES_TEN: Final = "\N{NO-BREAK SPACE}\N{MULTIPLICATION SIGN}\N{NO-BREAK SPACE}10"
+#: From here on a half width has more than two digits before the point.
+_TWO_DIGITS: Final = 100.0
 #: Powers of ten between which a number is written out.
 _LEAST_POWER: Final = -4
 _MOST_POWER: Final = 7
@@ -59,13 +61,14 @@ def rounded(value: float) -> str:
 
 
 def plus_minus(value: float, half_width: float) -> tuple[str, str]:
-    """Value and half width of its interval with matching decimals; an empty half width where it is unknown."""
+    """Value and half width of its interval, by two digits of the half width; an empty one where it is unknown."""
     if not known(value):
         return "unknown", ""
     if not known(half_width):
         return significant(value, 4), ""
     digits = min(decimals(half_width), 6)
-    return plain(value, digits), plain(half_width, digits)
+    tens = 1 - math.floor(math.log10(half_width)) if half_width >= _TWO_DIGITS else digits
+    return plain(round(value, tens), digits), plain(round(half_width, tens), digits)
 
 
 def interval_text(value: float, half: float) -> str:

@@ -253,8 +253,8 @@ EFFECT: Final = Effect(
     drawn=True,
     told={
         "stiffness_n_m": "stiffness of the spring, if it has the size below",
-        "reach_m": "size it is stated for: root of the squares of its two distances from axis 2",
-        "lever_ratio": "twice the product of these distances over the square of the size",
+        "reach_m": "size it is stated for: √(a² + b²), a and b how far from axis 2 it is hooked to link and base",
+        "lever_ratio": "2 a b / (a² + b²) of these distances",
         "phase_rad": "angle of axis 2 at which the spring is shortest",
         "free_length_m": "length of the unloaded spring, if it has that size",
         "gas_stroke": "full stroke of the rod over the length of the gas column",

@@ -3,13 +3,17 @@
 import html.parser
 import json
 import re
+from dataclasses import replace
 
 import pytest
 
 from benchmarks.pages.other import comparison, forces, gaps, run
-from gateway.report.follow import headline, render_follow
+from gateway.commands.console import Session
+from gateway.commands.follow import _show
+from gateway.report.follow import figure_rows, headline, render_follow
 from gateway.report.pair import FORCE, Limited, render_pair
 from gateway.report.render import render
+from gateway.result.origin import FileOrigin, Origin, drives_of
 from gateway.result.result import from_json
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
@@ -70,6 +74,29 @@ def test_a_number_that_is_not_known_is_never_shown(page):
 
 def test_the_headline_of_a_comparison_goes_from_setting_to_setting():
     assert headline(comparison()) == "Peak following error: J2 16.7 > 1.67 > 0.167 mrad; J3 16.7 > 1.67 > 0.167 mrad"
+
+
+def test_terminal_and_page_say_the_same_figures(capsys):
+    compared = comparison()
+    _show(compared, Session())
+    said = capsys.readouterr().out
+    page = render_follow(compared)
+    for _, settings in figure_rows(compared):
+        for _, _, cells in settings:
+            assert " ".join(cells) in " ".join(said.split())
+            assert all(f">{text}</td>" in page for text in cells)
+    assert figure_rows(compared)[0][1][2][2] == ["0.157", "0.167", "0.167", "0.176", "0.228", "0.317"]
+
+
+def test_a_page_says_where_it_comes_from():
+    drives = drives_of([{"node_id": 11, "vendor_id": 0x2A, "serial_number": 7788, "software_version": "2.10\x00"}])
+    files = (FileOrigin("out/<run>.h5", "ab" * 32),)
+    origin = Origin("2026-03-02 14:05 UTC", "servo-gateway 9.9", drives, files, "A. Person")
+    for page in (render_follow(replace(comparison(), origin=origin)), forces(origin=origin)):
+        for text in ("2026-03-02 14:05 UTC", "servo-gateway 9.9", "ab" * 32, "out/&lt;run&gt;.h5", "measured by"):
+            assert text in page
+    page = render_follow(replace(comparison(), origin=origin))
+    assert all(text in page for text in (">7788</td>", ">2.10</td>", ">0x2A</td>", "<b>A. Person</b>"))
 
 
 def test_a_comparison_has_three_drawings_an_axis_on_one_scale():
