@@ -309,7 +309,7 @@ class ArmConfig(Strict):
                     " axis is needed",
                 )
         for name in ("home_rad", "loading_rad"):
-            self._check_inside(name, getattr(self, name) or ())
+            yield from self._outside(name, getattr(self, name) or ())
         ids = [axis.node_id for axis in self.axis]
         for number, node in enumerate(ids):
             if node in ids[:number]:
@@ -331,7 +331,8 @@ class ArmConfig(Strict):
             yield from plausible.angles(name, getattr(self, name), plausible.LARGEST_TURN_RAD)
         for name in ("flange_xyz_m", "base_xyz_m", "tool_xyz_m", "rated_load_com_m", "max_load_com_m"):
             yield from plausible.lengths(name, getattr(self, name))
-        yield from plausible.angles("start_rad", self.start_rad or ())
+        for name in ("start_rad", "home_rad", "loading_rad"):
+            yield from plausible.angles(name, getattr(self, name) or ())
         if self.dh is not None:
             for name in ("alpha_rad", "theta_offset_rad"):
                 for key, what in plausible.angles(name, getattr(self.dh, name), plausible.LARGEST_TURN_RAD):
@@ -340,15 +341,13 @@ class ArmConfig(Strict):
                 for key, what in plausible.lengths(name, getattr(self.dh, name)):
                     yield ("dh", *key), what
 
-    def _check_inside(self, name: str, q_rad: tuple[float, ...]) -> None:
-        """Refuse a posture outside the joint ranges."""
+    def _outside(self, name: str, q_rad: tuple[float, ...]) -> plausible.Found:
+        """Joint angles of a posture outside the joint ranges."""
         for joint, (value, axis) in enumerate(zip(q_rad, self.axis, strict=False), start=1):
             low, high = axis.position_limit_rad
             if not low <= value <= high:
-                raise ValueError(
-                    f"arm '{self.name}': {name} puts joint {joint} at {value:g} rad, outside its position_limit_rad"
-                    f" [{low:g}, {high:g}]"
-                )
+                where = f"outside its position_limit_rad [{low:g}, {high:g}]"
+                yield (name, joint - 1), f"arm '{self.name}': {name} puts joint {joint} at {value:g} rad, {where}"
 
     def _lengths(self) -> Iterator[tuple[str, int]]:
         """Keys that hold a number per axis, and how many they hold."""
