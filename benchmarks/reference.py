@@ -19,6 +19,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from benchmarks.reference_drives import answers_page, drives_page
+from benchmarks.reference_newcell import cell_answers_page
 from benchmarks.toml_words import kind_in_words
 from drives.profile import DriveProfile
 from gateway.cell.config import Cell
@@ -227,6 +228,7 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
     ),
     "reference/drives.md": drives_page,
     "reference/profile-answers.md": answers_page,
+    "reference/cell-answers.md": cell_answers_page,
     "reference/commands.md": commands_page,
     "reference/effects.md": effects_page,
     "reference/thresholds.md": thresholds_page,

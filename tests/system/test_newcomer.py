@@ -123,7 +123,7 @@ def test_from_urdf_and_data_sheets_to_the_load(newcomer, tmp_path):
     said = her.types("cell", "new", "--bus", her.drives.bus, *files, *more, "-o", her.cell)
     assert "assumed" in said
     her.types("check", her.cell, *LOCKSTEP)
-    her.types("check", her.cell, *LOCKSTEP, "--prove-stop", "--move", "--yes")
+    her.types("check", her.cell, *LOCKSTEP, "--prove-stop", "--yes")
     load = her.measures()
 
     inside(load, OWN / "bench" / "payload.toml")
