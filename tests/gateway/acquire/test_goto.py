@@ -16,6 +16,7 @@ from gateway.check.stop import slow_motion
 from gateway.errors import ConfigError, LimitExceeded, PlanRefused, WrongPlace
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
 from gateway.motion.stream import MoveOptions
+from tests.around import among_boxes
 
 TARGET = (0.3, -0.2, 0.4, 0.5, -0.4, 0.6)
 PERIOD_S = 0.01
@@ -26,7 +27,7 @@ LEFT, RIGHT = (-1.2, -0.2, 0.4, 0.0, 0.0, 0.0), (1.2, -0.2, 0.4, 0.0, 0.0, 0.0)
 
 def post(workspace):
     """A post in front of the arm, in the way of a turn of joint 1 from one side to the other."""
-    return replace(workspace, boxes_m=np.array([[[0.45, -0.05, -0.5], [0.6, 0.05, 0.95]]]))
+    return among_boxes(workspace, np.array([[[0.45, -0.05, -0.5], [0.6, 0.05, 0.95]]]))
 
 
 @pytest.fixture
@@ -70,7 +71,7 @@ def test_home_that_nobody_gave_is_the_middle_of_the_joint_ranges_and_said_to_be(
     found = destination(nobody, workspace, "home")
     assert found.q_rad == pytest.approx([(low + high) / 2 for low, high in (a.position_limit_rad for a in config.axis)])
     assert "home_rad is not given" in str(found)
-    wall = replace(workspace, boxes_m=np.array([[[-2.0, -2.0, 0.0], [2.0, 2.0, 2.0]]]))
+    wall = among_boxes(workspace, np.array([[[-2.0, -2.0, 0.0], [2.0, 2.0, 2.0]]]))
     with pytest.raises(ConfigError, match=r"middle of the joint ranges.*keep_out box 1.*write home_rad"):
         destination(nobody, wall, "home")
 
@@ -82,7 +83,7 @@ def test_a_place_for_loads_that_nobody_gave_is_asked_for(config, workspace):
 
 @pytest.mark.parametrize(
     ("posture", "says"),
-    [((9.0, 0, 0, 0, 0, 0), "joint 1 outside"), ((1.2, 1.4, 0.4, 0.0, 0.4, 0.0), "in keep_out box 2")],
+    [((9.0, 0, 0, 0, 0, 0), "joint 1 outside"), ((1.2, 1.4, 0.4, 0.0, 0.4, 0.0), "in the floor")],
 )
 def test_a_posture_where_the_arm_may_not_stand_is_refused_with_what_it_would_touch(config, workspace, posture, says):
     with pytest.raises(PlanRefused, match=says):
@@ -113,7 +114,7 @@ def test_a_way_that_is_not_free_goes_round_and_says_what_it_would_touch(opened, 
 
 
 def test_where_no_way_is_found_it_says_what_the_straight_one_meets(opened, fake, workspace):
-    wall = replace(workspace, boxes_m=np.array([[[0.25, -0.02, -2.0], [3.0, 0.02, 3.0]]]))
+    wall = among_boxes(workspace, np.array([[[0.25, -0.02, -2.0], [3.0, 0.02, 3.0]]]))
     pinned = replace(wall, lower_rad=np.array([-1.3, -0.25, 0.35, -0.1, -0.1, -0.1]))
     pinned = replace(pinned, upper_rad=np.array([1.3, -0.15, 0.45, 0.1, 0.1, 0.1]))
     stand(fake, LEFT)

@@ -13,6 +13,7 @@ from gateway.acquire.plan import VisitSettings
 from gateway.commands.commission import Job, _Robot
 from gateway.data.rest_pose import RestPose
 from gateway.motion.stream import MoveOptions
+from tests.around import among_boxes
 
 LOADING = (0.3, 0.5, 0.6, 0.0, 0.4, 0.0)
 POSE = RestPose(1, (-0.3, 0.1, 0.1, 0.1, 0.1, 0.1), "fit")
@@ -73,7 +74,7 @@ def test_without_such_a_place_the_load_is_hung_where_the_arm_stands(robot):
 
 
 def test_a_way_that_is_not_free_is_told_and_ends_nothing(robot, workspace, fake):
-    wall = replace(workspace, boxes_m=np.array([[[0.4, 0.15, -2.0], [3.0, 0.17, 3.0]]]))
+    wall = among_boxes(workspace, np.array([[[0.4, 0.15, -2.0], [3.0, 0.17, 3.0]]]))
     tight = replace(wall, lower_rad=np.array([-0.7, -0.1, -0.1, -0.7, -0.7, -0.7]), upper_rad=np.full(6, 0.7))
     made, person = robot((0.6, 0.5, 0.6, 0.0, 0.4, 0.0), room=tight)
     made.measure_load("a")
