@@ -20,11 +20,13 @@ from sim.urdf import FEWEST_AXES, MOST_AXES, SimBody, SimChain, UrdfError
 Array = NDArray[np.float64]
 
 #: Radius of the first and of the last link, share of the length of the arm.
-FIRST_RADIUS, LAST_RADIUS = 0.06, 0.03
+FIRST_RADIUS, LAST_RADIUS = 0.08, 0.05
+#: No link is thinner: a motor has to go into it.
+LEAST_RADIUS_M = 0.04
 #: Length of the last link where no flange says it, share of the length of the arm.
 LAST_LENGTH = 0.05
-#: Mass over volume of a link: a hollow casting with motor and gear in it.
-DENSITY_KG_M3 = 1200.0
+#: Mass over volume of a link: aluminium and steel, with some air.
+DENSITY_KG_M3 = 2500.0
 #: What the links take of a torque limit at most, however the arm is stretched.
 LINKS_SHARE = 0.3
 #: Shorter than any arm.
@@ -104,7 +106,7 @@ def _links(placement: Array, flange_m: Array, torque_nm: Array) -> tuple[SimBody
     length = max(sum(float(np.linalg.norm(step)) for step in steps), LEAST_LENGTH_M)
     if not flange_m.any():
         steps[-1] = np.array([0.0, 0.0, LAST_LENGTH * length])
-    radii = np.linspace(FIRST_RADIUS, LAST_RADIUS, len(steps)) * length
+    radii = np.maximum(np.linspace(FIRST_RADIUS, LAST_RADIUS, len(steps)) * length, LEAST_RADIUS_M)
     bodies = [_cylinder(step, radius) for step, radius in zip(steps, radii, strict=True)]
     share = min(1.0, LINKS_SHARE / _heaviest_share(bodies, steps, torque_nm))
     return tuple(SimBody(share * body.mass_kg, body.com_m, share * body.inertia_kg_m2) for body in bodies)

@@ -29,6 +29,8 @@ LINK_WEIGHT = 0.1
 SWEEPS = 4
 #: Distance to the joint limits beyond the approach offset.
 LIMIT_MARGIN_RAD = 0.02
+#: Postures that are looked at for what stands against most of them.
+MOST_LOOKED_AT = 3000
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,12 +109,14 @@ def feasible_postures(workspace: Workspace, request: PoseRequest, random: np.ran
     needed = request.count + request.validation
     if n_found < 4 * needed:
         everything = np.concatenate(drawn)
-        against = workspace.violations(everything, request.margin_rad, workspace.rest_share)
+        looked_at = everything[:MOST_LOOKED_AT]
+        against = workspace.violations(looked_at, request.margin_rad, workspace.rest_share)
         reasons = [(float(mask.mean()), words) for words, mask in against]
         worst = "; ".join(f"{share:.0%} {words}" for share, words in sorted(reasons, reverse=True)[:3])
         raise PlanRefused(
             f"{n_found} of {len(everything)} random postures are feasible, at least {4 * needed} are needed to choose "
-            f"{needed} poses: {worst}. Widen the limits or the keep_out boxes, or ask for fewer poses"
+            f"{needed} poses: {worst}. Widen the limits, say in the cell what "
+            "is assumed (floor_m, wall, column_radius_m, link_radius_m, load_size_m), or ask for fewer poses"
         )
     return np.concatenate(found)[:CANDIDATES]
 

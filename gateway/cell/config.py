@@ -221,6 +221,8 @@ class HoldToRun(Strict):
 
 
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+#: `false` where a thing is not there; 0 stays the number.
+No = Annotated[bool, Field(strict=True)]
 
 
 class ArmConfig(Strict):
@@ -239,7 +241,22 @@ class ArmConfig(Strict):
     flange_xyz_m: Vector3 | None = Field(default=None, description="flange in link_6; absent: results in link_6 alone")
     flange_rpy_rad: Vector3 = Field(default=(0.0, 0.0, 0.0), description="its turn, roll, pitch, yaw")
     keep_out: tuple[KeepOut, ...] = Field(
-        default=(), description="boxes that the arm stays out of, floor and column too"
+        default=(), description="boxes that the arm stays out of, beside floor, wall and column"
+    )
+    floor_m: Finite | No | None = Field(
+        default=None,
+        description="height of the floor over the base's origin, against gravity; false: there is none; absent: 0 is "
+        "assumed, or what the shoulder leaves room for",
+    )
+    wall: No | None = Field(
+        default=None,
+        description="the surface across axis 1 that the base is bolted to; absent: assumed where the base leans by "
+        "more than 45 degrees, as on a wall or a ceiling",
+    )
+    column_radius_m: Positive | No | None = Field(
+        default=None,
+        description="radius of the column about axis 1, from the floor up to below axis 2; false: there is none; "
+        "absent: the base's collision geometry in the URDF, else 0.1 x reach is assumed",
     )
     max_load_kg: Positive | None = Field(
         default=None,
@@ -255,7 +272,12 @@ class ArmConfig(Strict):
         default=None, description="its centre of gravity in link_6; the flange if absent"
     )
     load_points_m: tuple[Vector3, ...] = Field(
-        default=(), description="points of the load in link_6, such as its corners, that stay out of keep_out"
+        default=(), description="points of the load in link_6, such as its corners, instead of load_size_m"
+    )
+    load_size_m: tuple[Positive, Positive, Positive] | None = Field(
+        default=None,
+        description="box that the load fits in, standing on the middle of the flange: along x, y and z of the flange; "
+        "absent: a ball as thick as the last link is assumed",
     )
     link_radius_m: Positive | tuple[Positive, ...] | None = Field(
         default=None,
@@ -292,7 +314,7 @@ class ArmConfig(Strict):
 
     @model_validator(mode="after")
     def _consistent(self) -> ArmConfig:
-        refuse([*self._slips(), *self._units()])
+        refuse([*self._slips(), *self._space(), *self._units()])
         return self
 
     def _slips(self) -> plausible.Found:
@@ -308,8 +330,6 @@ class ArmConfig(Strict):
                     f"arm '{self.name}': {name} has {length} numbers and the arm {axes} [[arm.axis]] tables; one per"
                     " axis is needed",
                 )
-        for name in ("home_rad", "loading_rad"):
-            yield from self._outside(name, getattr(self, name) or ())
         ids = [axis.node_id for axis in self.axis]
         for number, node in enumerate(ids):
             if node in ids[:number]:
@@ -323,6 +343,16 @@ class ArmConfig(Strict):
             matrix = np.array(self.coupling, dtype=float) if len({*map(len, self.coupling)}) == 1 else np.zeros(0)
             if matrix.shape != (axes, axes) or abs(np.linalg.det(matrix)) < 1e-6:
                 yield ("coupling",), f"arm '{self.name}': coupling must be an invertible {axes} x {axes} matrix"
+
+    def _space(self) -> plausible.Found:
+        """Postures and things that stand around the arm."""
+        for name in ("home_rad", "loading_rad"):
+            yield from self._outside(name, getattr(self, name) or ())
+        for name in ("floor_m", "column_radius_m"):
+            if getattr(self, name) is True:
+                yield (name,), f"arm '{self.name}': {name} is a number in m, or false where there is none"
+        if self.load_size_m is not None and self.load_points_m:
+            yield ("load_points_m",), f"arm '{self.name}': give load_size_m or load_points_m, not both"
 
     def _units(self) -> plausible.Found:
         """Numbers that can only be in another unit."""
@@ -342,12 +372,12 @@ class ArmConfig(Strict):
                     yield ("dh", *key), what
 
     def _outside(self, name: str, q_rad: tuple[float, ...]) -> plausible.Found:
-        """Joint angles of a posture outside the joint ranges."""
+        """Joints of a posture that lie outside their ranges."""
         for joint, (value, axis) in enumerate(zip(q_rad, self.axis, strict=False), start=1):
             low, high = axis.position_limit_rad
             if not low <= value <= high:
-                where = f"outside its position_limit_rad [{low:g}, {high:g}]"
-                yield (name, joint - 1), f"arm '{self.name}': {name} puts joint {joint} at {value:g} rad, {where}"
+                what = f"joint {joint} at {value:g} rad is outside its position_limit_rad [{low:g}, {high:g}]"
+                yield (name,), f"arm '{self.name}': {name} puts {what}"
 
     def _lengths(self) -> Iterator[tuple[str, int]]:
         """Keys that hold a number per axis, and how many they hold."""

@@ -170,7 +170,7 @@ def _checked(output: Path, draft: Draft) -> list[CheckItem]:
     (arm,) = context.arms
     arm_robot(context.loaded, arm)
     context.profiles(arm)
-    return context.check(arm) if draft.looked else [context.bus_load(arm)]
+    return [context.bus_load(arm), *(context.check_drives(arm) if draft.looked else ())]
 
 
 def _show(output: Path, said: Answers, left: Sequence[Left], items: Sequence[CheckItem]) -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from gateway.cell.axes import MOST_AXES
+from gateway.cell.plausible import LARGEST_ANGLE_RAD
 from gateway.errors import InputError
 
 AXES = range(1, MOST_AXES + 1)
@@ -37,6 +38,7 @@ PATTERNS = (
     "temp{}_c",
 )
 AXIS_OF = {pattern.format(axis): axis for pattern in PATTERNS for axis in AXES}
+ANGLES = frozenset(f"{kind}{axis}_rad" for kind in ("q", "q2nd") for axis in AXES)
 KNOWN = frozenset({"run", "load", "pose", "time_s", "n", *AXIS_OF})
 
 #: Lines of a file by their numbers, as cells; empty ones are left out.
@@ -75,9 +77,20 @@ def read_columns(path: Path) -> CsvColumns:
     Raises
     ------
     InputError
-        File unreadable, header or row malformed, column unknown or given twice, cell that is not a finite number.
+        File unreadable, header or row malformed, column unknown or given twice, cell that is not a finite number,
+        angle that can only be degrees.
     """
-    return _opened(path, KNOWN)
+    columns = _opened(path, KNOWN)
+    for name in sorted(ANGLES & set(columns.values)):
+        values = columns.values[name]
+        far = np.abs(values) > LARGEST_ANGLE_RAD
+        if far.any():
+            row = int(np.argmax(far))
+            raise InputError(
+                f"{columns.where(row)}: {name} = {values[row]:g} is beyond {LARGEST_ANGLE_RAD:.4g} rad: these"
+                f" are degrees; write {math.radians(values[row]):.6g}, and every angle of the table in radians"
+            )
+    return columns
 
 
 def read_path_columns(path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> CsvColumns:

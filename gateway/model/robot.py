@@ -69,6 +69,8 @@ class Robot:
     link_names, joint_names : tuples of N str
     shapes : tuple of N tuples of LinkShape
         What the source gives of each link's body; empty where it gives none.
+    base_shapes : tuple of LinkShape
+        The same of what stands still below joint 1, in the base frame.
     source : str
         File the arm was read from: names of meshes start beside it.
     """
@@ -86,6 +88,7 @@ class Robot:
     link_names: tuple[str, ...]
     joint_names: tuple[str, ...]
     shapes: tuple[tuple[LinkShape, ...], ...]
+    base_shapes: tuple[LinkShape, ...] = ()
     flange: Floats | None = None
     source: str = ""
 
@@ -205,6 +208,7 @@ def robot_from_urdf(text: str, where: str) -> Robot:
         link_names=tuple(link.name for link in chain.links),
         joint_names=tuple(joint.name for joint in chain.joints),
         shapes=tuple(_shapes(link) for link in chain.links),
+        base_shapes=tuple(LinkShape(_chained(placed.poses), placed.shape, True) for placed in chain.base_shapes),
         source=where,
     )
 

@@ -65,11 +65,12 @@ class MovedLink:
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """Turning joints from the root to the end, and the link each of them moves."""
+    """Turning joints from the root to the end, the link each of them moves, and the shapes of what stands still."""
 
     name: str
     joints: tuple[Joint, ...]
     links: tuple[MovedLink, ...]
+    base_shapes: tuple[PlacedShape, ...]
 
 
 def read_chain(text: str, where: str) -> Chain:
@@ -98,6 +99,7 @@ def _walk(
 ) -> Chain:
     chain_joints: list[Joint] = []
     chain_links: list[MovedLink] = []
+    base_shapes: list[PlacedShape] = []
     current: str | None = root
     while current is not None:
         fixed: list[tuple[tuple[Pose, ...], Inertial]] = []
@@ -122,12 +124,14 @@ def _walk(
                 f"{where}: joints '{onward[0].name}' and '{onward[1].name}' both turn on link '{current}';"
                 " the arm must be one chain, fix the joints that do not belong to it"
             )
-        if current != root:
+        if current == root:
+            base_shapes = own_shapes + fixed_shapes
+        else:
             own = _inertial(links[current], current, where)
             chain_links.append(MovedLink(current, own, tuple(fixed), tuple(own_shapes), tuple(fixed_shapes)))
         chain_joints += onward
         current = onward[0].child if onward else None
-    return Chain(name, tuple(chain_joints), tuple(chain_links))
+    return Chain(name, tuple(chain_joints), tuple(chain_links), tuple(base_shapes))
 
 
 def _parse(text: str, where: str) -> ET.Element:

@@ -1,17 +1,19 @@
-"""How thick an arm is: its moving links and its load as capsules, and where each radius comes from."""
+"""How thick an arm is: its base, its links and its load as convex bodies, and where the size of each comes from."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.cell.config import ArmConfig
-from gateway.model.capsule import Capsule, capsule_of
+from gateway.model.capsule import Capsule
+from gateway.model.kinematics import link_frames
 from gateway.model.mesh import MeshError
-from gateway.model.robot import Robot, reach_m
+from gateway.model.robot import LinkShape, Robot, reach_m
+from gateway.model.solid import Solid, solid_box, solid_capsule, solid_of
 
 Floats = NDArray[np.float64]
 
@@ -19,83 +21,114 @@ Floats = NDArray[np.float64]
 #: links of 0.10 to 0.15 m in diameter, those of the 165 kg class (2.7 m) of 0.25 to 0.35 m.
 ASSUMED_SHARE = 0.05
 GEOMETRY = "collision geometry of the URDF"
+#: Link of what stands still.
+BASE = -1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """Bodies that belong together.
+
+    Attributes
+    ----------
+    name : str
+        "base", "column", "link 3", "load".
+    link : int
+        Link, from 0, that it moves with; `BASE` = it stands still.
+    solids : tuple of Solid
+        In that link's frame, of what stands still in the base frame.
+    source : str
+        Its size and where that comes from.
+    known : bool
+        Whether the shape is that of the URDF or of the cell, nothing of it assumed.
+    """
+
+    name: str
+    link: int
+    solids: tuple[Solid, ...]
+    source: str
+    known: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """Capsules that move with the arm.
+    """Everything of the arm that may touch something; one row per body.
 
     Attributes
     ----------
-    part : tuple of k str
-        What each capsule belongs to: "link 3", "load".
+    parts : tuple of Part
+    solids : tuple of k Solid
+        Those of all parts, in order.
+    part : int array of shape (k,)
+        Row in `parts` that each belongs to.
     link : int array of shape (k,)
-        Link, from 0, that it moves with.
+        Link, from 0, that it moves with; `BASE` = it stands still.
     start_m, end_m : arrays of shape (k, 3)
-        Ends of its segment in that link's frame.
+        Segment of the capsule around each.
     radius_m : array of shape (k,)
-    source : tuple of str
-        Per part, in the order of `parts`: its radius and where that comes from.
+        Radius of that capsule.
     """
 
-    part: tuple[str, ...]
+    parts: tuple[Part, ...]
+    solids: tuple[Solid, ...]
+    part: NDArray[np.intp]
     link: NDArray[np.intp]
     start_m: Floats
     end_m: Floats
     radius_m: Floats
-    source: tuple[str, ...]
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """Every part once, in order."""
-        return tuple(dict.fromkeys(self.part))
 
     def segments_m(self, frames: Floats) -> Floats:
-        """Ends (n, k, 2, 3) [m] of the segments in the base frame, from link frames (n, N, 4, 4)."""
-        of_link = frames[:, self.link]
+        """Ends (n, k, 2, 3) [m] of the segments in the base frame, from frames (n, N + 1, 4, 4), the base's first."""
+        of_link = frames[:, self.link + 1]
         ends = np.stack([self.start_m, self.end_m], axis=1)
         return np.matmul(ends, of_link[:, :, :3, :3].transpose(0, 1, 3, 2)) + of_link[:, :, None, :3, 3]
 
     def levers_m(self, robot: Robot) -> Floats:
-        """Farthest (k, N) [m] that a segment's points may lie from each joint axis, in any posture; 0 beyond the link.
+        """Farthest (k, N) [m] that a body's points may lie from each joint axis, in any posture; 0 beyond the link.
 
-        No point of a segment moves farther than these times the joints' turns.
+        No point moves farther than these times the joints' turns; a ball about a point turns into itself.
         """
         steps = np.linalg.norm(robot.placement[:, :3, 3], axis=1)
-        ends = np.stack([self.start_m, self.end_m], axis=1)
         lever = np.zeros((len(self.link), robot.axes))
-        for row, link in enumerate(self.link):
-            length = float(np.linalg.norm(ends[row], axis=1).max())
+        for row, (link, solid) in enumerate(zip(self.link, self.solids, strict=True)):
+            if link == BASE:
+                continue
+            length = float(np.linalg.norm(solid.points_m, axis=1).max())
             for joint in range(link):
                 lever[row, joint] = steps[joint + 1 : link + 1].sum() + length
-            lever[row, link] = np.linalg.norm(np.cross(robot.axis[link], ends[row]), axis=1).max()
+            lever[row, link] = np.linalg.norm(np.cross(robot.axis[link], solid.points_m), axis=1).max()
         return lever
 
 
-def body_of(arm: ArmConfig, robot: Robot) -> Body:
-    """Body of a configured arm beyond link 1; base and link 1 cannot be moved out of a box and are left out.
+def standing_and_moving(robot: Robot, q_rad: Floats) -> Floats:
+    """Frames (n, N + 1, 4, 4) of the base and of every link in the base frame [m], at postures (n, N)."""
+    base = np.broadcast_to(np.eye(4), (len(q_rad), 1, 4, 4))
+    return np.concatenate([base, link_frames(robot, q_rad)], axis=1)
+
+
+def body_of_parts(parts: Sequence[Part]) -> Body:
+    """The rows of these parts."""
+    solids = [solid for part in parts for solid in part.solids]
+    rows = [row for row, part in enumerate(parts) for _ in part.solids]
+    return Body(
+        parts=tuple(parts),
+        solids=tuple(solids),
+        part=np.array(rows, dtype=np.intp),
+        link=np.array([parts[row].link for row in rows], dtype=np.intp),
+        start_m=np.array([solid.around.start_m for solid in solids]).reshape(-1, 3),
+        end_m=np.array([solid.around.end_m for solid in solids]).reshape(-1, 3),
+        radius_m=np.array([solid.around.radius_m for solid in solids]),
+    )
+
+
+def moving_parts(arm: ArmConfig, robot: Robot) -> list[Part]:
+    """Links and load of a configured arm.
 
     A link is what the URDF's collision geometry says; where that says nothing, or cannot be read, a capsule from the
     link's joint to the next one with the radius of `arm.link_radius_m`, else with an assumed one. Of link 2 such a
     capsule begins a radius away from its joint: the shoulder itself is carried by link 1.
     """
-    parts: list[tuple[str, int, Capsule]] = []
-    source: list[str] = []
-    for link in range(1, robot.axes):
-        capsules, words = _link(arm, robot, link)
-        parts += [(f"link {link + 1}", link, capsule) for capsule in capsules]
-        source.append(words)
-    capsules, words = _load(arm, robot)
-    parts += [("load", robot.axes - 1, capsule) for capsule in capsules]
-    source.append(words)
-    return Body(
-        part=tuple(part for part, _, _ in parts),
-        link=np.array([link for _, link, _ in parts], dtype=np.intp),
-        start_m=np.array([capsule.start_m for _, _, capsule in parts]),
-        end_m=np.array([capsule.end_m for _, _, capsule in parts]),
-        radius_m=np.array([capsule.radius_m for _, _, capsule in parts]),
-        source=tuple(source),
-    )
+    return [*(_link(arm, robot, link) for link in range(robot.axes)), _load(arm, robot)]
 
 
 def stated_radius_m(arm: ArmConfig, robot: Robot, link: int) -> tuple[float, str]:
@@ -107,50 +140,58 @@ def stated_radius_m(arm: ArmConfig, robot: Robot, link: int) -> tuple[float, str
     return radius, f"{radius:g} m, arm.link_radius_m"
 
 
-def _link(arm: ArmConfig, robot: Robot, link: int) -> tuple[list[Capsule], str]:
-    capsules: list[Capsule] = []
+def solids_of(shapes: Sequence[LinkShape], source: str) -> tuple[list[Solid], list[str]]:
+    """Bodies of the shapes that can be read, and why others cannot."""
+    solids: list[Solid] = []
     unusable: list[str] = []
-    for body in robot.shapes[link]:
+    for shape in shapes:
         try:
-            capsules.append(capsule_of(body, robot.source))
+            solids.append(solid_of(shape, source))
         except MeshError as error:
             unusable.append(str(error))
+    return solids, unusable
+
+
+def _link(arm: ArmConfig, robot: Robot, link: int) -> Part:
+    name = f"link {link + 1}"
+    solids, unusable = solids_of(robot.shapes[link], robot.source)
     if any(body.own for body in robot.shapes[link]) and not unusable:
-        return capsules, GEOMETRY
+        return Part(name, link, tuple(solids), GEOMETRY, known=True)
     radius, words = stated_radius_m(arm, robot, link)
-    capsules.append(_bone(robot, link, radius))
-    return capsules, f"{words} ({'; '.join(unusable)})" if unusable else words
+    words = f"{words} ({'; '.join(unusable)})" if unusable else words
+    return Part(name, link, (*solids, solid_capsule(_bone(robot, link, radius))), words, known=False)
 
 
 def _bone(robot: Robot, link: int, radius_m: float) -> Capsule:
     """Capsule from a link's joint to the next one, of the last link to the flange."""
     start = np.zeros(3)
-    end = robot.placement[link + 1, :3, 3] if link + 1 < robot.axes else _flange_m(robot)
+    end = robot.placement[link + 1, :3, 3] if link + 1 < robot.axes else _flange(robot)[:3, 3]
     length = float(np.linalg.norm(end))
     if link == 1 and length > 0.0:
         start = min(radius_m / length, 1.0) * end
     return Capsule(start, end, radius_m)
 
 
-def _flange_m(robot: Robot) -> Floats:
-    return np.zeros(3) if robot.flange is None else robot.flange[:3, 3]
+def _flange(robot: Robot) -> Floats:
+    return np.eye(4) if robot.flange is None else robot.flange
 
 
-def _load(arm: ArmConfig, robot: Robot) -> tuple[list[Capsule], str]:
-    """From the flange to every point of the load; without such points the flange alone."""
-    flange = _flange_m(robot)
+def _load(arm: ArmConfig, robot: Robot) -> Part:
+    """The stated box, or from the flange to every stated point, else a ball that stands on the flange."""
+    last, flange = robot.axes - 1, _flange(robot)
+    if arm.load_size_m is not None:
+        pose = flange.copy()
+        pose[:3, 3] += arm.load_size_m[2] / 2 * flange[:3, 2]
+        return Part("load", last, (solid_box(np.array(arm.load_size_m), pose),), "arm.load_size_m", known=True)
     if arm.load_radius_m is not None:
         radius, words = arm.load_radius_m, f"{arm.load_radius_m:g} m, arm.load_radius_m"
     elif arm.load_points_m:
-        radius, words = stated_radius_m(arm, robot, robot.axes - 1)
+        radius, words = stated_radius_m(arm, robot, last)
         words = f"as link {robot.axes}: {words}; give arm.load_radius_m"
     else:
-        radius, words = 0.0, "not stated, only the flange is kept out; give arm.load_points_m"
-    return list(_star(flange, arm.load_points_m, radius)), words
-
-
-def _star(flange: Floats, points: tuple[tuple[float, float, float], ...], radius_m: float) -> Iterator[Capsule]:
-    if not points:
-        yield Capsule(flange, flange, radius_m)
-    for point in points:
-        yield Capsule(flange, np.array(point), radius_m)
+        radius = stated_radius_m(arm, robot, last)[0]
+        words = f"a ball of {2 * radius:.3f} m on the flange, assumed; give arm.load_size_m"
+    middle = flange[:3, 3] + (0.0 if robot.flange is None else radius) * flange[:3, 2]
+    stars = [Capsule(flange[:3, 3], np.array(point), radius) for point in arm.load_points_m]
+    solids = tuple(solid_capsule(capsule) for capsule in stars or [Capsule(middle, middle, radius)])
+    return Part("load", last, solids, words, known=arm.load_radius_m is not None)

@@ -1,4 +1,4 @@
-"""Where the arm may stand and move: joint limits, keep-out boxes, torque limits. Pure and vectorised."""
+"""Where the arm may stand and move: joint limits, what it may touch, torque limits. Pure and vectorised."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from gateway.cell.config import ArmConfig
 from gateway.errors import ConfigError, PlanRefused
 from gateway.model.regressor import LOAD_COLUMNS, gravity_regressor
 from gateway.model.robot import Robot
-from gateway.motion.body import Body, body_of
-from gateway.motion.keep_out import PATH_RESOLUTION_M, blocked_at, clearance_m
+from gateway.motion.clearance import PATH_RESOLUTION_M, Space, space_of
 from gateway.motion.places import angles, fine_places, path_points, postures_at
 
 #: Share of each torque limit that holding the arm may take; bare at rest poses, the rest is left to an unknown load.
@@ -27,7 +26,7 @@ BAND_SHARE = 0.013
 #: Speed of that way: this share of the speed limit, and no more than this.
 INWARD_SHARE = 0.1
 INWARD_SPEED_RAD_S = 0.05
-TOO_CLOSE = f"the arm passes a keep_out box closer than {500 * PATH_RESOLUTION_M:g} mm"
+TOO_CLOSE = f"the arm passes something closer than {500 * PATH_RESOLUTION_M:g} mm"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,12 +62,10 @@ class Workspace:
         Joint-side limit of what the motors give, gear losses not included.
     efficiency : array of shape (N,)
     following_error_rad : array of shape (N,)
-    boxes_m : array of shape (k, 2, 3)
-        Lower and upper corners of the keep-out boxes, base frame.
     points_m : array of shape (p, 3)
         Points in the last link: the flange and the points of the load.
-    body : Body
-        Links beyond the first and load, as thick as they are: they stay out of the boxes.
+    space : Space
+        Links and load as thick as they are, and what they may not touch.
     links : array of shape (4 N,) or None
         Mass and first moment of every link; None = not known, torque is then not checked.
     max_load : array of shape (4,) or None
@@ -85,9 +82,8 @@ class Workspace:
     torque_nm: np.ndarray
     efficiency: np.ndarray
     following_error_rad: np.ndarray
-    boxes_m: np.ndarray
     points_m: np.ndarray
-    body: Body
+    space: Space
     links: np.ndarray | None
     max_load: np.ndarray | None
 
@@ -112,10 +108,18 @@ class Workspace:
         Returns
         -------
         list of (words, bool array of shape (n,))
-            One entry per joint limit, part of the arm and box, and torque limit.
+            One entry per joint limit, two things that may touch, and torque limit.
         """
+        return [
+            *self._outside(q_rad, margin_rad),
+            *self.space.touches(q_rad),
+            *self._overloaded(q_rad, torque_share),
+        ]
+
+    def _outside(self, q_rad: np.ndarray, margin_rad: float) -> list[tuple[str, np.ndarray]]:
+        """Words and masks (n,) for every joint limit."""
         outside = ~((q_rad >= self.lower_rad + margin_rad) & (q_rad <= self.upper_rad - margin_rad))
-        found = [
+        return [
             (
                 f"joint {i + 1} outside [{self.lower_rad[i]:.3f}, {self.upper_rad[i]:.3f}] rad"
                 + (f" less {margin_rad:.3f} rad for the approach" if margin_rad else ""),
@@ -123,29 +127,22 @@ class Workspace:
             )
             for i in range(self.robot.axes)
         ]
-        found += self._in_boxes(q_rad)
-        torque = self.holding_torque(q_rad)
-        if torque is not None:
-            usable = self.torque_nm * torque_share
-            words = "holding torque of joint {} above {:.0%} of its limit"
-            found += [(words.format(i + 1, torque_share), torque[:, i] > usable[i]) for i in range(len(usable))]
-        return found
 
-    def _in_boxes(self, q_rad: np.ndarray) -> list[tuple[str, np.ndarray]]:
-        """Words and masks (n,) for every part of the arm and box."""
-        inside = clearance_m(self.robot, self.body, self.boxes_m, q_rad) <= 0.0
-        found = []
-        for part, source in zip(self.body.parts, self.body.source, strict=True):
-            capsules = [row for row, name in enumerate(self.body.part) if name == part]
-            of_part = np.any(inside[:, capsules], axis=1)
-            found += [
-                (f"{part} in keep_out box {box + 1} ({source})", of_part[:, box]) for box in range(inside.shape[2])
-            ]
-        return found
+    def _overloaded(self, q_rad: np.ndarray, torque_share: float) -> list[tuple[str, np.ndarray]]:
+        """Words and masks (n,) for every torque limit."""
+        torque = self.holding_torque(q_rad)
+        if torque is None:
+            return []
+        usable = self.torque_nm * torque_share
+        words = "holding torque of joint {} above {:.0%} of its limit"
+        return [(words.format(i + 1, torque_share), torque[:, i] > usable[i]) for i in range(len(usable))]
 
     def feasible(self, q_rad: np.ndarray, margin_rad: float = 0.0, torque_share: float = TORQUE_SHARE) -> np.ndarray:
         """Whether the arm may be there: bool array of shape (n,)."""
-        return ~np.any([mask for _, mask in self.violations(q_rad, margin_rad, torque_share)], axis=0)
+        found = [*self._outside(q_rad, margin_rad), *self._overloaded(q_rad, torque_share)]
+        good = ~np.any([mask for _, mask in found], axis=0)
+        good[good] = ~self.space.touching(q_rad[good])
+        return good
 
     def why_not(self, q_rad: np.ndarray, torque_share: float = TORQUE_SHARE) -> str | None:
         """First thing that stands against one posture (N,); None = feasible."""
@@ -165,14 +162,13 @@ class Workspace:
     def path_clear(self, start_rad: np.ndarray, end_rad: np.ndarray) -> np.ndarray:
         """Whether straight joint motions from start (n, N) to end (n, N) stay feasible: bool array of shape (n,).
 
-        Boxes and joint limits all along; the holding torque at points `PATH_STEP_RAD` apart.
+        What may touch and joint limits all along; the holding torque at points `PATH_STEP_RAD` apart.
         """
         clear = ~(self._out_of_range(start_rad) | self._out_of_range(end_rad))
-        rows = np.flatnonzero(clear)
-        blocked = blocked_at(self.robot, self.body, self.boxes_m, start_rad[rows], end_rad[rows])
-        clear[rows] = np.isnan(blocked)
         if self.links is not None:
             self._refuse_torque(clear, start_rad, end_rad)
+        rows = np.flatnonzero(clear)
+        clear[rows] = np.isnan(self.space.blocked_at(start_rad[rows], end_rad[rows]))
         return clear
 
     def _out_of_range(self, q_rad: np.ndarray) -> np.ndarray:
@@ -194,7 +190,7 @@ class Workspace:
     def refused_on(self, way_rad: np.ndarray) -> Refusal | None:
         """First thing that stands against a way of postures (n, N) with straight joint motions between them.
 
-        Boxes and joint limits are checked all along, the holding torque at points `PATH_STEP_RAD` apart.
+        What may touch and joint limits are checked all along, the holding torque at points `PATH_STEP_RAD` apart.
         """
         broken = ~np.isfinite(way_rad).all(axis=1)
         if broken.any():
@@ -212,7 +208,7 @@ class Workspace:
                 first = float(places[begin + int(np.argmax(bad))])
                 break
         last = int(min(np.ceil(first), len(way_rad) - 1))
-        meets = blocked_at(self.robot, self.body, self.boxes_m, way_rad[:last], way_rad[1 : last + 1])
+        meets = self.space.blocked_at(way_rad[:last], way_rad[1 : last + 1])
         if not np.isnan(meets).all():
             row = int(np.argmax(~np.isnan(meets)))
             first = min(first, row + float(meets[row]))
@@ -234,7 +230,7 @@ class Workspace:
         Raises
         ------
         PlanRefused
-            A joint is too far outside, or a box or a torque limit stands against the way.
+            A joint is too far outside, or something that is touched or a torque limit stands against the way.
         """
         if not self._out_of_range(q_rad[None])[0]:
             return None
@@ -299,9 +295,8 @@ def workspace_of(arm: ArmConfig, robot: Robot) -> Workspace:
         torque_nm=np.array([axis.torque_limit_nm for axis in arm.axis]),
         efficiency=np.array([axis.gear_efficiency.value for axis in arm.axis]),
         following_error_rad=np.array([axis.following_error_limit_rad for axis in arm.axis]),
-        boxes_m=np.array([(box.min_m, box.max_m) for box in arm.keep_out]).reshape(-1, 2, 3),
         points_m=np.vstack([flange, *arm.load_points_m]),
-        body=body_of(arm, robot),
+        space=space_of(arm, robot, lower, upper),
         links=moments if known else None,
         max_load=None if arm.max_load_kg is None else arm.max_load_kg * np.concatenate([[1.0], load_com]),
     )

@@ -122,7 +122,7 @@ def test_from_urdf_and_data_sheets_to_the_load(newcomer, tmp_path):
     more = ("--answers", arm_answers, "--answer", f"profile={tmp_path / 'my-drive.toml'}")
     said = her.types("cell", "new", "--bus", her.drives.bus, *files, *more, "-o", her.cell)
     assert "assumed" in said
-    her.types("check", her.cell)
+    her.types("check", her.cell, *LOCKSTEP)
     her.types("check", her.cell, *LOCKSTEP, "--prove-stop", "--move", "--yes")
     load = her.measures()
 
@@ -153,7 +153,7 @@ def test_a_dcf_for_each_node_gives_the_cell_without_a_bus(newcomer, tmp_path):
     stored, seen = (load_cell(path).cell.arm[0] for path in (her.cell, tmp_path / "seen.toml"))
     assert [axis.node_id for axis in stored.axis] == [11, 12, 13, 14, 15, 16]
     assert stored == seen
-    her.types("check", her.cell)
+    her.types("check", her.cell, *LOCKSTEP)
 
 
 #: Rows of an arm like those of the tests before, and what its maker's manual says.
@@ -183,7 +183,7 @@ def test_from_rows_without_a_data_sheet_to_the_load(newcomer, tmp_path):
     her = newcomer(rows_on_the_bench(tmp_path), OWN / "bench" / "payload.toml")
     text = answers(known("answers.toml"), "robot", "profile", "flange_xyz_m") + ROWS + 'profile = "drive.toml"\n'
     her.types("cell", "new", "--bus", her.drives.bus, "--answers", her.writes("answers.toml", text), "-o", her.cell)
-    her.types("check", her.cell)
+    her.types("check", her.cell, *LOCKSTEP)
     inside(her.measures(), OWN / "bench" / "payload.toml")
     assert her.commands <= MOST_COMMANDS
     assert her.answers <= MOST_ANSWERS

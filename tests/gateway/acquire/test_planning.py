@@ -35,6 +35,7 @@ from gateway.model.arm_model import robot_text
 from gateway.model.information import payload_information
 from gateway.model.kinematics import flange_frames
 from gateway.motion.places import path_points
+from tests.around import among_boxes
 
 
 def load_information(workspace, q_rad: np.ndarray, noise_nm: np.ndarray) -> np.ndarray:
@@ -121,7 +122,7 @@ def test_poses_are_feasible_apart_and_reproducible(workspace, poses):
 
 
 def test_too_little_room_says_why(workspace):
-    shut = replace(workspace, boxes_m=np.array([[[-9.0, -9.0, -9.0], [9.0, 9.0, 9.0]]]))
+    shut = among_boxes(workspace, np.array([[[-9.0, -9.0, -9.0], [9.0, 9.0, 9.0]]]))
     with pytest.raises(PlanRefused, match="0 of .* random postures are feasible.*100% link . in keep_out box 1"):
         choose_poses(shut, REQUEST, assumed_noise_nm(workspace))
 
@@ -163,7 +164,7 @@ def test_a_start_out_of_bounds_is_refused(plan, workspace):
     start = np.array(workspace.upper_rad) + 0.5
     with pytest.raises(PlanRefused, match=r"arm 'main' stands at .*joint 1 is 0.500 rad outside"):
         plan_from(plan, workspace, start)
-    boxed = replace(workspace, boxes_m=np.array([[[-9.0, -9.0, -9.0], [9.0, 9.0, 9.0]]]))
+    boxed = among_boxes(workspace, np.array([[[-9.0, -9.0, -9.0], [9.0, 9.0, 9.0]]]))
     with pytest.raises(PlanRefused, match=r"arm 'main' stands at .*keep_out box 1.*; move it clear"):
         plan_from(plan, boxed, np.zeros(6))
 
@@ -242,7 +243,7 @@ def test_broken_plans_are_refused(plan, workspace):
 def box_between(workspace, start: np.ndarray, end: np.ndarray):
     """A box of 10 cm where the flange would pass halfway."""
     middle = flange_frames(workspace.robot, (start + end)[None] / 2)[0, :3, 3]
-    return replace(workspace, boxes_m=np.array([[middle - 0.05, middle + 0.05]]), links=None)
+    return replace(among_boxes(workspace, np.array([[middle - 0.05, middle + 0.05]])), links=None)
 
 
 def test_a_blocked_path_goes_over_a_point_in_between(workspace):

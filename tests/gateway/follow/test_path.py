@@ -14,6 +14,7 @@ from gateway.follow.path import check_path, read_path
 from gateway.model.arm_model import arm_robot
 from gateway.model.kinematics import flange_frames
 from gateway.motion.workspace import workspace_of
+from tests.around import NO_BOX, among_boxes
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 PERIOD_S = 0.01
@@ -138,9 +139,8 @@ def test_a_box_between_two_set_points_is_met(tmp_path, workspace):
     q_rad = path.motions[0].q_rad
     row = int(np.argmax(np.diff(q_rad[:, 0])))
     centre = flange_frames(workspace.robot, q_rad[row : row + 2].mean(axis=0)[None])[0, :3, 3]
-    thin = replace(workspace.body, radius_m=np.zeros(len(workspace.body.link)))
-    boxed = replace(workspace, body=thin, boxes_m=np.array([[centre - 0.01, centre + 0.01]]))
+    boxed = among_boxes(workspace, np.array([[centre - 0.01, centre + 0.01]]), radius_m=0.0)
     assert boxed.feasible(q_rad).all()
-    check_path(path, workspace)
+    check_path(path, among_boxes(workspace, NO_BOX))
     with pytest.raises(PlanRefused, match=r"at \d\.\d\d s, .*keep_out box 1"):
         check_path(path, boxed)

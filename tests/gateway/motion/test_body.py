@@ -10,7 +10,7 @@ from gateway.model.arm_model import arm_robot, robot_from_text, robot_text
 from gateway.model.capsule import capsule_around
 from gateway.model.mesh import MeshError, find_mesh, read_vertices
 from gateway.model.robot import reach_m, robot_from_urdf
-from gateway.motion.body import body_of
+from gateway.motion.body import body_of_parts, moving_parts
 from gateway.motion.workspace import workspace_of
 
 ASIDE = '<origin xyz="0.1 0.2 0.3" rpy="0.4 -0.5 0.6"/>'
@@ -38,8 +38,16 @@ def outside_by(capsules: list, points: np.ndarray) -> float:
     return float(gap.max())
 
 
-def capsules_of(body, part: str) -> list:
-    rows = [row for row, name in enumerate(body.part) if name == part]
+def body_of(arm, robot):
+    return body_of_parts(moving_parts(arm, robot))
+
+
+def source_of(body, name: str) -> str:
+    return next(part.source for part in body.parts if part.name == name)
+
+
+def capsules_of(body, name: str) -> list:
+    rows = [row for row, part in enumerate(body.part) if body.parts[part].name == name]
     return [(body.start_m[row], body.end_m[row], body.radius_m[row]) for row in rows]
 
 
@@ -82,8 +90,8 @@ def test_shapes_lie_inside_their_capsules(small_cell, shape, surface, radius_m):
     assert len(capsules) == 1
     assert outside_by(capsules, placed(surface)) < 1e-9
     assert capsules[0][2] == pytest.approx(radius_m)
-    assert body.source[body.parts.index("link 4")] == "collision geometry of the URDF"
-    assert "assumed" in body.source[body.parts.index("link 3")]
+    assert source_of(body, "link 4") == "collision geometry of the URDF"
+    assert "assumed" in source_of(body, "link 3")
 
 
 def test_what_is_fixed_to_a_link_moves_with_it(small_cell):
@@ -99,7 +107,7 @@ def test_what_is_fixed_to_a_link_moves_with_it(small_cell):
     assert len(capsules) == 2
     assert capsules[0][0] == pytest.approx([0, 0, 0.4])
     assert capsules[0][2] == 0.07
-    assert "assumed" in body.source[body.parts.index("link 6")]
+    assert "assumed" in source_of(body, "link 6")
 
 
 def binary_stl(triangles: np.ndarray) -> bytes:
@@ -135,7 +143,7 @@ def test_meshes_are_read_and_lie_inside_their_capsules(small_cell, tmp_path, nam
     assert outside_by(capsules, placed(points)) < 1e-6
     across = np.linalg.norm(points[:, 1:], axis=1).max()
     assert capsules[0][2] < 1.25 * across
-    assert body.source[body.parts.index("link 4")] == "collision geometry of the URDF"
+    assert source_of(body, "link 4") == "collision geometry of the URDF"
 
 
 @pytest.mark.parametrize(
@@ -158,7 +166,7 @@ def test_a_mesh_that_cannot_be_read_is_not_guessed(small_cell, tmp_path, name, d
     arm = arm_of(small_cell, link_radius_m=0.08)
     body = body_of(arm, robot_from_text(arm, text, str(tmp_path / "robot.urdf")))
     assert [radius for _, _, radius in capsules_of(body, "link 4")] == [0.08]
-    assert body.source[body.parts.index("link 4")].startswith(f"0.08 m, arm.link_radius_m ({words[:8]}")
+    assert source_of(body, "link 4").startswith(f"0.08 m, arm.link_radius_m ({words[:8]}")
 
 
 def test_meshes_of_a_package_are_found_above_the_urdf(tmp_path):
@@ -181,8 +189,8 @@ def test_few_and_flat_points_have_a_capsule(points):
 def test_an_unknown_shape_leaves_the_stated_radius(small_cell):
     arm = arm_of(small_cell)
     body = body_of(arm, robot_from_text(arm, with_shape(small_cell, 4, "<torus/>"), "robot.urdf"))
-    assert "assumed" in body.source[body.parts.index("link 4")]
-    assert "<torus> is not known" in body.source[body.parts.index("link 4")]
+    assert "assumed" in source_of(body, "link 4")
+    assert "<torus> is not known" in source_of(body, "link 4")
 
 
 @pytest.mark.parametrize("shape", ['<sphere radius="0"/>', '<box size="1 -1 1"/>', '<cylinder radius="1"/>'])
@@ -195,8 +203,8 @@ def test_stated_radii_go_from_joint_to_joint(small_cell):
     arm = arm_of(small_cell, link_radius_m=(0.2, 0.11, 0.1, 0.09, 0.08, 0.07))
     robot = arm_robot(small_cell, arm)
     body = body_of(arm, robot)
-    assert body.parts == ("link 2", "link 3", "link 4", "link 5", "link 6", "load")
-    assert body.radius_m.tolist() == [0.11, 0.1, 0.09, 0.08, 0.07, 0.0]
+    assert [part.name for part in body.parts] == [*(f"link {number}" for number in range(1, 7)), "load"]
+    assert body.radius_m.tolist() == [0.2, 0.11, 0.1, 0.09, 0.08, 0.07, 0.07]
     for link in range(2, 5):
         ((start, end, _),) = capsules_of(body, f"link {link + 1}")
         assert start.tolist() == [0, 0, 0]
@@ -208,14 +216,24 @@ def test_stated_radii_go_from_joint_to_joint(small_cell):
 
 
 def test_what_is_assumed_is_said(small_cell):
-    arm = arm_of(small_cell)
+    arm = arm_of(small_cell, floor_m=None, column_radius_m=None)
     workspace = workspace_of(arm, arm_robot(small_cell, arm))
-    body = workspace.body
-    assert len(body.source) == len(body.parts) == 6
-    assert (body.parts[0], body.parts[-1]) == ("link 2", "load")
-    assert body.source[0].startswith("0.066 m, assumed: 0.05 x reach")
-    assert workspace.body.radius_m[0] == pytest.approx(0.05 * reach_m(workspace.robot))
-    assert body.source[-1].startswith("not stated, only the flange")
+    body = workspace.space.body
+    radius_m = 0.05 * reach_m(workspace.robot)
+    assert source_of(body, "link 1").startswith("0.066 m, assumed: 0.05 x reach; give arm.link_radius_m")
+    assert capsules_of(body, "link 1")[0][2] == pytest.approx(radius_m)
+    assert source_of(body, "load") == "a ball of 0.132 m on the flange, assumed; give arm.load_size_m"
+    assert (
+        source_of(body, "column") == "radius 0.132 m, assumed; give arm.column_radius_m, or false where there is none"
+    )
+    assert [plane.source for plane in workspace.space.planes] == [
+        "0.000 m, assumed; give arm.floor_m, or false where there is none"
+    ]
+    ((start, end, thick),) = capsules_of(body, "load")
+    flange = workspace.robot.flange
+    assert start == pytest.approx(flange[:3, 3] + radius_m * flange[:3, 2])
+    assert (end == start).all()
+    assert thick == pytest.approx(radius_m)
 
 
 def test_a_load_has_points_and_thickness(small_cell):

@@ -138,7 +138,7 @@ def test_nothing_is_replaced_unasked(folder):
     (folder / "cell.toml").write_text("mine", encoding="utf-8")
     done = with_answers(folder, ENOUGH)
     assert done.exit_code == 3
-    assert "is not replaced" in done.stderr
+    assert "exists and is not replaced" in done.stderr
     assert "--force" in done.stderr
     assert (folder / "cell.toml").read_text(encoding="utf-8") == "mine"
     assert with_answers(folder, ENOUGH, "--force").exit_code == 0

@@ -1,16 +1,20 @@
 """Distances to keep-out boxes against brute force, against coal, and all along ways."""
 
-import time
 from dataclasses import replace
 
 import coal
 import numpy as np
 import pytest
 
+from gateway.model.arm_model import arm_robot
+from gateway.model.capsule import Capsule
 from gateway.model.kinematics import link_frames
-from gateway.motion.keep_out import PATH_RESOLUTION_M, blocked_at, clearance_m, segment_box_distance
-
-NO_BOX = np.empty((0, 2, 3))
+from gateway.model.solid import solid_capsule
+from gateway.motion.body import Body, body_of_parts, standing_and_moving
+from gateway.motion.clearance import PATH_RESOLUTION_M, Space, space_between
+from gateway.motion.distances import segment_box_distance, segment_segment_distance
+from gateway.motion.workspace import workspace_of
+from tests.around import NO_BOX, among_boxes
 
 
 def drawn(random: np.random.Generator, count: int) -> tuple[np.ndarray, ...]:
@@ -68,97 +72,110 @@ def test_a_cube_of_100_mm_on_a_link_is_seen(large_cell, link, share):
     for centre in (origin + share * (onward - origin), origin + share * (onward - origin) + aside):
         if link == 1 and share < 0.3:
             continue  # the shoulder is carried by link 1
-        boxed = replace(workspace, boxes_m=cube(centre, 0.1), links=None)
+        boxed = replace(among_boxes(workspace, cube(centre, 0.1)), links=None)
         assert f"link {link + 1} in keep_out box 1" in str([w for w, mask in boxed.violations(q_rad[None]) if mask[0]])
         assert not boxed.feasible(q_rad[None])[0]
 
 
 def of(cell, **changed):
-    from gateway.model.arm_model import arm_robot
-    from gateway.motion.workspace import workspace_of
-
     arm = cell.cell.arm[0].model_copy(update=changed)
     return workspace_of(arm, arm_robot(cell, arm))
 
 
+def every_gap(space: Space, q_rad: np.ndarray, enough_m: float = 0.0) -> np.ndarray:
+    """Distances (n, p) of all pairs."""
+    count = len(space.pairs.kind)
+    posture, pair = np.repeat(np.arange(len(q_rad)), count), np.tile(np.arange(count), len(q_rad))
+    return space.gaps_m(q_rad, posture, pair, np.full(len(pair), enough_m)).reshape(len(q_rad), count)
+
+
 def test_touching_is_outside_and_thickness_counts(workspace):
-    body = workspace.body
+    body = workspace.space.body
     q_rad = np.zeros((1, 6))
-    segment = body.segments_m(link_frames(workspace.robot, q_rad))[0, body.part.index("link 3")]
-    top = segment[:, 2].max() + body.radius_m[body.part.index("link 3")]
-    alone = replace(
-        body,
-        part=("link 3",),
-        link=np.array([2]),
-        **{name: getattr(body, name)[[body.part.index("link 3")]] for name in ("start_m", "end_m", "radius_m")},
-        source=("",),
-    )
+    (part,) = (part for part in body.parts if part.name == "link 3")
+    segment = link_frames(workspace.robot, q_rad)[0, 2, :3, :3] @ body_of_parts([part]).end_m[0]
+    origin = link_frames(workspace.robot, q_rad)[0, 2, :3, 3]
+    top = max(origin[2], (origin + segment)[2]) + part.solids[0].radius_m
+    alone = replace(workspace.space, body=body_of_parts([part]))
+    limits = (workspace.lower_rad, workspace.upper_rad)
     for lift, clear in ((0.0, True), (-1e-4, False)):
         box = np.array([[[-2, -2, top + lift], [2, 2, top + 1]]])
-        assert (clearance_m(workspace.robot, alone, box, q_rad) > 0).all() == clear
+        assert space_between(workspace.robot, alone.body, box, (), limits).touching(q_rad)[0] != clear
     far = np.array([[[-2, -2, top + 0.3], [2, 2, top + 1]]])
-    assert clearance_m(workspace.robot, alone, far, q_rad, np.full((1, 1), 9.0)) == pytest.approx(0.3, abs=1e-5)
+    space = space_between(workspace.robot, alone.body, far, (), limits)
+    assert every_gap(space, q_rad, 9.0) == pytest.approx(0.3, abs=1e-5)
+
+
+def test_distance_of_segments_is_that_of_the_nearest_of_many_points():
+    random = np.random.default_rng(3)
+    first, other = random.uniform(-1, 1, (2, 500, 2, 3))
+    other[::5, 1] = other[::5, 0] + 0.7 * (first[::5, 1] - first[::5, 0])  # level with each other
+    first[::7, 1], other[::11, 1] = first[::7, 0], other[::11, 0]
+    share = np.linspace(0, 1, 301)
+    found = segment_segment_distance(first, other)
+    for row in range(len(first)):
+        one = first[row, 0] + share[:, None] * (first[row, 1] - first[row, 0])
+        two = other[row, 0] + share[:, None] * (other[row, 1] - other[row, 0])
+        brute = np.linalg.norm(one[:, None] - two, axis=2).min()
+        assert found[row] <= brute + 1e-12
+        assert brute - found[row] < 0.012
+
+
+def strange_body(random: np.random.Generator) -> Body:
+    """Three capsules a link, anywhere in it, on the body's own parts."""
+    return [
+        Capsule(random.uniform(-0.4, 0.4, 3), random.uniform(-0.4, 0.4, 3), float(random.uniform(0.01, 0.1)))
+        for _ in range(3)
+    ]
 
 
 def test_a_clearance_that_is_enough_is_never_above_the_true_one(workspace):
     """Capsules that begin anywhere in their link; what is not clear by enough is exact."""
     random = np.random.default_rng(8)
-    link = np.repeat(np.arange(6), 3)
-    start, end = random.uniform(-0.4, 0.4, (2, len(link), 3))
-    body = replace(
-        workspace.body,
-        part=tuple(f"part {number}" for number in range(len(link))),
-        link=link,
-        start_m=start,
-        end_m=end,
-        radius_m=random.uniform(0.0, 0.1, len(link)),
-        source=("",) * len(link),
+    moving = [part for part in workspace.space.body.parts if part.name.startswith("link")]
+    body = body_of_parts(
+        [replace(part, solids=tuple(solid_capsule(each) for each in strange_body(random))) for part in moving]
     )
     low = random.uniform(-1.0, 1.0, (6, 3))
     boxes = np.stack([low, low + random.uniform(0.05, 0.5, (6, 3))], axis=1)
+    space = space_between(workspace.robot, body, boxes, (), (workspace.lower_rad, workspace.upper_rad))
     q_rad = random.uniform(workspace.lower_rad, workspace.upper_rad, (40, 6))
-    segments = body.segments_m(link_frames(workspace.robot, q_rad))
-    exact = (
-        np.stack(
-            [
-                segment_box_distance(
-                    *segments.reshape(-1, 2, 3).swapaxes(0, 1), *(np.tile(each, (720, 1)) for each in box)
-                )
-                for box in boxes
-            ],
-            axis=1,
-        ).reshape(40, len(link), 6)
-        - body.radius_m[:, None]
-    )
-    enough = random.uniform(0.0, 0.3, (40, len(link)))
-    found = clearance_m(workspace.robot, body, boxes, q_rad, enough)
-    free = exact > 0.0
-    near = free & (found <= enough[:, :, None])
-    assert (found <= np.maximum(exact, 0.0) + 1e-5).all()
+    exact, found = every_gap(space, q_rad, np.inf), every_gap(space, q_rad, 0.2)
+    near = found <= 0.2
+    assert (found <= exact + 1e-12).all()
     assert near.any()
-    assert (found > enough[:, :, None]).any()
-    assert found[near] == pytest.approx(exact[near], abs=1e-5)
+    assert not near.all()
+    assert found[near] == pytest.approx(exact[near], abs=1e-12)
+    segments = body.segments_m(standing_and_moving(workspace.robot, q_rad))
+    boxed = space.pairs.kind == 1
+    for column in np.flatnonzero(boxed)[::7]:
+        ends = segments[:, space.pairs.first[column]]
+        box = np.tile(boxes[space.pairs.other[column]], (40, 1, 1))
+        oracle = segment_box_distance(ends[:, 0], ends[:, 1], box[:, 0], box[:, 1])
+        oracle -= body.radius_m[space.pairs.first[column]]
+        assert exact[:, column] == pytest.approx(oracle, abs=1e-5)
 
 
 def test_no_point_of_the_arm_moves_farther_than_its_levers_say(workspace):
     random = np.random.default_rng(4)
     q_rad = random.uniform(workspace.lower_rad, workspace.upper_rad, (4000, 6))
     step = 1e-4 * random.normal(size=q_rad.shape)
-    body, levers = workspace.body, workspace.body.levers_m(workspace.robot)
-    before, after = (body.segments_m(link_frames(workspace.robot, q)) for q in (q_rad, q_rad + step))
+    body, robot = workspace.space.body, workspace.robot
+    moving = body.link >= 0
+    levers = body.levers_m(robot)[moving]
+    before, after = (body.segments_m(standing_and_moving(robot, q))[:, moving] for q in (q_rad, q_rad + step))
     moved = np.linalg.norm(after - before, axis=3).max(axis=2)
     allowed = np.abs(step) @ levers.T
     assert (moved <= allowed * (1 + 1e-3)).all()
     assert (moved / allowed).max() > 0.8
-    assert (levers[body.part.index("link 3"), 3:] == 0).all()
+    assert (levers[body.link[moving] == 2, 3:] == 0).all()
 
 
 def test_a_thin_plate_between_two_postures_blocks_the_way(workspace):
     """5 mm of plate, thin links: postures 0.05 rad apart pass it by."""
     start, end = np.array([-0.5, 1.0, 0, 0, 0, 0]), np.array([0.5, 1.0, 0, 0, 0, 0])
-    thin = replace(workspace.body, radius_m=np.zeros(len(workspace.body.link)))
     plate = np.array([[[0.9, 0.0105, 0.0], [1.4, 0.0155, 1.4]]])
-    free = replace(workspace, body=thin, links=None, boxes_m=plate)
+    free = replace(among_boxes(workspace, plate, radius_m=0.0), links=None)
     sampled = start + np.linspace(0, 1, 41)[:, None] * (end - start)
     assert free.feasible(sampled).all()
     assert not free.path_clear(start[None], end[None])[0]
@@ -169,41 +186,33 @@ def test_a_thin_plate_between_two_postures_blocks_the_way(workspace):
 
 
 def test_ways_are_clear_exactly_where_fine_sampling_is(workspace):
-    """Against 4000 samples a way; a way closer than the resolution may be refused."""
+    """Against 1000 samples a way, of boxes, floor, column and the arm itself; a closer way may be refused."""
     random = np.random.default_rng(5)
     boxes = np.array([[[0.3, 0.2, 0.0], [0.4, 0.5, 0.9]], [[-0.6, -0.4, 0.5], [-0.4, 0.0, 0.8]]])
+    own = workspace.space
+    space = space_between(own.robot, own.body, boxes, own.planes, (workspace.lower_rad, workspace.upper_rad))
     start, end = random.uniform(workspace.lower_rad, workspace.upper_rad, (2, 150, 6))
-    found = blocked_at(workspace.robot, workspace.body, boxes, start, end)
-    share = np.linspace(0, 1, 4001)[:, None]
+    found = space.blocked_at(start, end)
+    share = np.linspace(0, 1, 1001)[:, None]
     for row in range(len(start)):
         way = start[row] + share * (end[row] - start[row])
-        nearest = clearance_m(workspace.robot, workspace.body, boxes, way).min()
         if np.isnan(found[row]):
-            assert nearest > 0
+            assert not space.touching(way).any()
         else:
-            assert nearest <= PATH_RESOLUTION_M
             at = start[row] + found[row] * (end[row] - start[row])
-            assert clearance_m(workspace.robot, workspace.body, boxes, at[None]).min() <= PATH_RESOLUTION_M
+            assert every_gap(space, at[None], 1.0).min() <= PATH_RESOLUTION_M
     assert 20 < np.isnan(found).sum() < 130
 
 
 def test_nothing_to_meet_is_clear(workspace):
-    assert np.isnan(blocked_at(workspace.robot, workspace.body, NO_BOX, np.zeros((3, 6)), np.ones((3, 6)))).all()
-    assert blocked_at(workspace.robot, workspace.body, NO_BOX, np.empty((0, 6)), np.empty((0, 6))).shape == (0,)
+    free = among_boxes(workspace, NO_BOX).space
+    assert np.isnan(free.blocked_at(np.zeros((3, 6)), np.ones((3, 6)))).all()
+    assert free.blocked_at(np.empty((0, 6)), np.empty((0, 6))).shape == (0,)
 
 
 def test_an_arm_that_stands_is_judged_where_it_stands(workspace):
     q_rad = np.zeros((1, 6))
-    free = np.array([[[5.0, 5, 5], [6, 6, 6]]])
-    assert np.isnan(blocked_at(workspace.robot, workspace.body, free, q_rad, q_rad))[0]
-    everywhere = np.array([[[-5.0, -5, -5], [6, 6, 6]]])
-    assert blocked_at(workspace.robot, workspace.body, everywhere, q_rad, q_rad)[0] == 0
-
-
-def test_many_ways_take_little_time(workspace):
-    """A plan over 28 poses checks some 760 ways; a tenth of a second on an idle machine."""
-    random = np.random.default_rng(6)
-    start, end = random.uniform(workspace.lower_rad, workspace.upper_rad, (2, 760, 6))
-    begun = time.process_time()
-    blocked_at(workspace.robot, workspace.body, workspace.boxes_m, start, end)
-    assert time.process_time() - begun < 2.0
+    free = among_boxes(workspace, np.array([[[5.0, 5, 5], [6, 6, 6]]])).space
+    assert np.isnan(free.blocked_at(q_rad, q_rad))[0]
+    everywhere = among_boxes(workspace, np.array([[[-5.0, -5, -5], [6, 6, 6]]])).space
+    assert everywhere.blocked_at(q_rad, q_rad)[0] == 0

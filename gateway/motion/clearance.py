@@ -1,0 +1,335 @@
+"""What of an arm may touch what, how far apart they are, and whether they stay apart all along a way.
+
+A way is proven clear, not sampled: between two postures no point of a body moves farther against another than the joint
+steps between the two times its levers, so that a stretch whose two ends are apart by more than that in sum is clear
+everywhere; any other stretch is halved (as in conservative advancement, Mirtich 1996, section 2.3).
+
+Distances are taken between the capsules around the bodies, all at once, and between the bodies themselves (FCL) only
+where that does not settle it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.cell.config import ArmConfig
+from gateway.model.robot import Robot, reach_m
+from gateway.motion.body import BASE, Body, body_of_parts, moving_parts, standing_and_moving
+from gateway.motion.distances import segment_box_distance, segment_segment_distance
+from gateway.motion.exact import TOLERANCE_M, Exact
+from gateway.motion.surroundings import Plane, surroundings_of
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+#: A stretch of a way along which no body moves farther against another is not halved again; it is blocked unless it is
+#: proven clear, so that a way that passes something closer than half of this is refused.
+PATH_RESOLUTION_M = 0.002
+#: Postures at which two bodies are looked at that may touch wherever the joints stand.
+SAMPLES = 200
+#: Share of those at which assumed bodies touch that are then taken to be too thick to tell anything.
+ALWAYS = 0.95
+_SEED = 11
+#: Rows that are worked on at once.
+_BLOCK = 200_000
+#: Kinds of what something may touch.
+SOLID, BOX, PLANE = range(3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pairs:
+    """What may touch what: a table of p rows.
+
+    Attributes
+    ----------
+    kind : int array of shape (p,)
+        What the other is: a body, a box or a plane.
+    first, other : int arrays of shape (p,)
+        Row of the body that moves; row of the other body, box or plane.
+    lever_m : array of shape (p, N)
+        Farthest that a point of the first may lie from each joint axis that moves it against the other.
+    """
+
+    kind: Rows
+    first: Rows
+    other: Rows
+    lever_m: Floats
+
+    def only(self, rows: NDArray[np.bool_]) -> Pairs:
+        """Some of the rows."""
+        return Pairs(self.kind[rows], self.first[rows], self.other[rows], self.lever_m[rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Space:
+    """An arm's bodies, what stands around them, and which of them are kept apart.
+
+    Attributes
+    ----------
+    robot : Robot
+    body : Body
+    boxes_m : array of shape (b, 2, 3)
+        Lower and upper corners.
+    planes : tuple of Plane
+    pairs : Pairs
+    unchecked : tuple of str
+        What is not kept apart since it touches wherever the joints stand.
+    exact : Exact
+        Distances of the bodies themselves.
+    """
+
+    robot: Robot
+    body: Body
+    boxes_m: Floats
+    planes: tuple[Plane, ...]
+    pairs: Pairs
+    unchecked: tuple[str, ...]
+    exact: Exact
+
+    def gaps_m(self, q_rad: Floats, posture: Rows, pair: Rows, enough_m: Floats) -> Floats:
+        """Distances (m,) [m] of pairs at postures, 0 or less where they touch.
+
+        Parameters
+        ----------
+        q_rad : array of shape (n, N)
+        posture, pair : int arrays of shape (m,)
+            Rows of `q_rad` and of the table of pairs.
+        enough_m : array of shape (m,)
+            Where a lower bound is above this, the bound is given.
+        """
+        frames = standing_and_moving(self.robot, q_rad)
+        segments = self.body.segments_m(frames)
+        out = np.empty(len(pair))
+        for kind, distance in ((SOLID, self._solids), (BOX, self._boxes), (PLANE, self._planes)):
+            rows = np.flatnonzero(self.pairs.kind[pair] == kind)
+            if len(rows):
+                which = pair[rows]
+                at = _Items(posture[rows], self.pairs.first[which], self.pairs.other[which], enough_m[rows])
+                out[rows] = distance(frames, segments, at)
+        return out
+
+    def _solids(self, frames: Floats, segments: Floats, at: _Items) -> Floats:
+        first, other = segments[at.posture, at.first], segments[at.posture, at.other]
+        thick = self.body.radius_m[at.first] + self.body.radius_m[at.other]
+        half = (
+            np.linalg.norm(first[:, 1] - first[:, 0], axis=1) + np.linalg.norm(other[:, 1] - other[:, 0], axis=1)
+        ) / 2
+        found = np.linalg.norm(first.mean(axis=1) - other.mean(axis=1), axis=1) - half - thick
+        near = np.flatnonzero(found <= at.enough_m)
+        found[near] = segment_segment_distance(first[near], other[near]) - thick[near]
+        plain = self.exact.plain[at.first] & self.exact.plain[at.other]
+        for row in np.flatnonzero((found <= at.enough_m) & ~plain):
+            placed = frames[at.posture[row]]
+            found[row] = self.exact.solids_m(placed, at.first[row], at.other[row])
+        return found
+
+    def _boxes(self, frames: Floats, segments: Floats, at: _Items) -> Floats:
+        low, high = self.boxes_m[at.other, 0] + TOLERANCE_M, self.boxes_m[at.other, 1] - TOLERANCE_M
+        first, thick = segments[at.posture, at.first], self.body.radius_m[at.first]
+        middle = first.mean(axis=1)
+        half = _length(first) / 2
+        found = np.linalg.norm(middle - np.clip(middle, low, high), axis=1) - half - thick
+        near = np.flatnonzero(found <= at.enough_m)
+        found[near] = segment_box_distance(first[near, 0], first[near, 1], low[near], high[near]) - thick[near]
+        for row in np.flatnonzero((found <= at.enough_m) & ~self.exact.plain[at.first]):
+            found[row] = self.exact.box_m(frames[at.posture[row]], at.first[row], at.other[row])
+        return found
+
+    def _planes(self, frames: Floats, segments: Floats, at: _Items) -> Floats:
+        normals = np.array([plane.normal for plane in self.planes])[at.other]
+        heights = np.array([plane.height_m for plane in self.planes])[at.other]
+        first = segments[at.posture, at.first]
+        lowest = np.einsum("mej,mj->me", first, normals).min(axis=1)
+        found = lowest - heights - self.body.radius_m[at.first]
+        near = (found <= at.enough_m) & ~self.exact.plain[at.first]
+        for solid in np.unique(at.first[near]):
+            rows = np.flatnonzero(near & (at.first == solid))
+            frame = frames[at.posture[rows], self.body.link[solid] + 1]
+            body = self.body.solids[solid]
+            turned = np.einsum("mji,mj->mi", frame[:, :3, :3], normals[rows])
+            origin = np.einsum("mj,mj->m", frame[:, :3, 3], normals[rows])
+            found[rows] = (body.points_m @ turned.T).min(axis=0) + origin - heights[rows] - body.radius_m
+        return found
+
+    def touching(self, q_rad: Floats) -> NDArray[np.bool_]:
+        """Whether anything touches at postures (n, N): bool array of shape (n,)."""
+        found = np.zeros(len(q_rad), dtype=bool)
+        count = max(len(self.pairs.kind), 1)
+        for begin in range(0, len(q_rad), max(_BLOCK // count, 1)):
+            part = q_rad[begin : begin + max(_BLOCK // count, 1)]
+            found[begin : begin + len(part)] = (self._all_gaps(part) <= 0.0).any(axis=1)
+        return found
+
+    def _all_gaps(self, q_rad: Floats) -> Floats:
+        """Distances (n, p), bounds where they are above 0."""
+        count = len(self.pairs.kind)
+        posture, pair = np.repeat(np.arange(len(q_rad)), count), np.tile(np.arange(count), len(q_rad))
+        return self.gaps_m(q_rad, posture, pair, np.zeros(len(pair))).reshape(len(q_rad), count)
+
+    def touches(self, q_rad: Floats) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+        """What touches what, in words, and at which of the postures (n, N): bool arrays of shape (n,)."""
+        touching = self._all_gaps(q_rad) <= 0.0
+        words = [self._words(row) for row in range(len(self.pairs.kind))]
+        for each in dict.fromkeys(words):
+            of_pair = [row for row, other in enumerate(words) if other == each]
+            yield each, np.asarray(np.any(touching[:, of_pair], axis=1), dtype=bool)
+
+    def name_of(self, pair: int) -> str:
+        """The two of a pair: "link 6 and link 4"."""
+        other = int(self.pairs.other[pair])
+        names = {BOX: f"keep_out box {other + 1}", PLANE: "", SOLID: ""}
+        if self.pairs.kind[pair] == PLANE:
+            names[PLANE] = f"the {self.planes[other].name}"
+        elif self.pairs.kind[pair] == SOLID:
+            names[SOLID] = _the(self.body.parts[self.body.part[other]].name)
+        return f"{self.body.parts[self.body.part[self.pairs.first[pair]]].name} and {names[int(self.pairs.kind[pair])]}"
+
+    def _words(self, pair: int) -> str:
+        kind, other = self.pairs.kind[pair], int(self.pairs.other[pair])
+        part = self.body.parts[self.body.part[self.pairs.first[pair]]]
+        if kind == BOX:
+            return f"{part.name} in keep_out box {other + 1} ({part.source})"
+        if kind == PLANE:
+            plane = self.planes[other]
+            return f"{part.name} ({part.source}) in the {plane.name} ({plane.source})"
+        second = self.body.parts[self.body.part[other]]
+        return f"{part.name} ({part.source}) touches {_the(second.name)} ({second.source})"
+
+    def blocked_at(self, start_rad: Floats, end_rad: Floats) -> Floats:
+        """Where straight joint motions meet something, or cannot be proven to miss it: share of the way, NaN = clear.
+
+        Parameters
+        ----------
+        start_rad, end_rad : arrays of shape (n, N)
+
+        Returns
+        -------
+        array of shape (n,)
+            A place on the way that is not clear; not always the first.
+        """
+        found = np.full(len(start_rad), np.nan)
+        block = max(_BLOCK // max(len(self.pairs.kind), 1), 1)
+        for begin in range(0, len(start_rad), block):
+            rows = slice(begin, begin + block)
+            found[rows] = self._blocked(start_rad[rows], end_rad[rows])
+        return found
+
+    def _blocked(self, start_rad: Floats, end_rad: Floats) -> Floats:
+        found = np.full(len(start_rad), np.nan)
+        turn = end_rad - start_rad
+        path = np.abs(turn) @ self.pairs.lever_m.T
+        way, pair = (index.ravel() for index in np.indices(path.shape))
+        low, high = np.zeros(len(way)), np.ones(len(way))
+
+        def gaps(todo: tuple[Rows, Rows], at: Floats, enough_m: Floats) -> Floats:
+            places, posture = np.unique(todo[0] + 0.5 * at, return_inverse=True)
+            of_way = places.astype(np.intp)
+            q_rad = start_rad[of_way] + (2.0 * (places - of_way))[:, None] * turn[of_way]
+            return self.gaps_m(q_rad, posture, todo[1], enough_m)
+
+        step = path[way, pair]
+        before, after = gaps((way, pair), low, step / 2), gaps((way, pair), high, step / 2)
+        found[way[after <= 0.0]] = 1.0
+        found[way[before <= 0.0]] = 0.0
+        while True:
+            doubtful = before + after <= step
+            stuck = doubtful & (step <= PATH_RESOLUTION_M)
+            found[way[stuck]] = low[stuck]
+            left = np.flatnonzero(doubtful & np.isnan(found[way]))
+            if not len(left):
+                return found
+            way, pair, step = way[left], pair[left], step[left]
+            low, high, before, after = low[left], high[left], before[left], after[left]
+            middle = (low + high) / 2
+            between = gaps((way, pair), middle, step / 2)
+            found[way[between <= 0.0]] = middle[between <= 0.0]
+            way, pair, step = np.concatenate([way, way]), np.concatenate([pair, pair]), np.concatenate([step, step]) / 2
+            low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
+            before, after = np.concatenate([before, between]), np.concatenate([between, after])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Items:
+    """Pairs of one kind at postures, all arrays of shape (m,)."""
+
+    posture: Rows
+    first: Rows
+    other: Rows
+    enough_m: Floats
+
+
+def _length(segments: Floats) -> Floats:
+    """Lengths (m,) [m] of segments (m, 2, 3)."""
+    return np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
+
+
+def _the(name: str) -> str:
+    return f"the {name}" if name in ("base", "column", "load") else name
+
+
+def space_of(arm: ArmConfig, robot: Robot, lower_rad: Floats, upper_rad: Floats) -> Space:
+    """What a configured arm may touch inside its joint range.
+
+    Kept apart are: links and load from planes, boxes, base and column, and from one another where at least one link
+    lies between. Neighbours touch at their joint and are left out. So are bodies that touch wherever the joints stand
+    (at all of `SAMPLES` postures; where one of them is assumed, at `ALWAYS` of them): links about one point, link 1 and
+    what it turns in. Planes and boxes are never left out for a link beyond the first.
+    """
+    around = surroundings_of(arm, robot)
+    body = body_of_parts([*around.standing, *moving_parts(arm, robot)])
+    return space_between(robot, body, around.boxes_m, around.planes, (lower_rad, upper_rad))
+
+
+def space_between(
+    robot: Robot, body: Body, boxes_m: Floats, planes: tuple[Plane, ...], range_rad: tuple[Floats, Floats]
+) -> Space:
+    """As `space_of`, of given bodies, boxes (b, 2, 3) and planes; lower and upper ends (N,) of the joint range."""
+    everything = _all_pairs(body, robot, len(boxes_m), len(planes))
+    exact = Exact(body, boxes_m, 2.0 * reach_m(robot) + float(np.linalg.norm(body.end_m, axis=1).max()) + 1.0)
+    space = Space(robot, body, boxes_m, planes, everything, (), exact)
+    always = _always(space, *range_rad)
+    names = dict.fromkeys(space.name_of(int(row)) for row in np.flatnonzero(always))
+    return replace(space, pairs=everything.only(~always), unchecked=tuple(names))
+
+
+def _all_pairs(body: Body, robot: Robot, boxes: int, planes: int) -> Pairs:
+    levers = body.levers_m(robot)
+    joints = np.arange(robot.axes)
+    rows: list[tuple[int, int, int, Floats]] = []
+    for first, link in enumerate(body.link):
+        if link == BASE:
+            continue
+        rows += [(BOX, first, box, levers[first]) for box in range(boxes)]
+        rows += [(PLANE, first, plane, levers[first]) for plane in range(planes)]
+        for other, before in enumerate(body.link):
+            if before + 2 <= link:
+                rows.append((SOLID, first, other, np.where(joints > before, levers[first], 0.0)))
+    return Pairs(
+        kind=np.array([row[0] for row in rows], dtype=np.intp),
+        first=np.array([row[1] for row in rows], dtype=np.intp),
+        other=np.array([row[2] for row in rows], dtype=np.intp),
+        lever_m=np.array([row[3] for row in rows]).reshape(-1, robot.axes),
+    )
+
+
+def _always(space: Space, lower_rad: Floats, upper_rad: Floats) -> NDArray[np.bool_]:
+    """Pairs (p,) that touch wherever the joints stand."""
+    pairs, body = space.pairs, space.body
+    middle, half = (upper_rad + lower_rad) / 2, np.minimum((upper_rad - lower_rad) / 2, np.pi)
+    q_rad = middle + half * np.random.default_rng(_SEED).uniform(-1, 1, (SAMPLES, space.robot.axes))
+    known = np.array([part.known for part in body.parts], dtype=bool)[body.part]
+    between = pairs.kind == SOLID
+    left_out = between | (body.link[pairs.first] == 0)
+    certain = known[pairs.first] & (~between | known[np.where(between, pairs.other, 0)])
+    most_clear = np.where(certain, 0, int((1.0 - ALWAYS) * SAMPLES))
+    clear = np.zeros(len(pairs.kind), dtype=int)
+    for begin in range(0, SAMPLES, 20):
+        doubtful = np.flatnonzero(left_out & (clear <= most_clear))
+        posture, pair = np.repeat(np.arange(20), len(doubtful)), np.tile(doubtful, 20)
+        gaps = space.gaps_m(q_rad[begin : begin + 20], posture, pair, np.zeros(len(pair)))
+        np.add.at(clear, pair[gaps > 0.0], 1)
+    return left_out & (clear <= most_clear)

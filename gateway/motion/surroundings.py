@@ -1,0 +1,154 @@
+"""What stands around an arm: floor, wall, column and boxes, as the cell says or as is assumed where it says nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.cell.config import ArmConfig
+from gateway.model.kinematics import link_frames
+from gateway.model.robot import LinkShape, Robot, reach_m, transform
+from gateway.model.solid import Solid, solid_of
+from gateway.model.urdf_shapes import Cylinder
+from gateway.motion.body import BASE, GEOMETRY, Part, solids_of, stated_radius_m
+
+Floats = NDArray[np.float64]
+
+#: A base that leans farther than this from upright is bolted to a wall or a ceiling.
+WALL_ANGLE_RAD = np.pi / 4
+#: One that leans farther than this hangs: a floor at the height of its base would leave no room for the arm.
+HANGING_ANGLE_RAD = np.radians(100.0)
+#: Room that is left below the shoulder's axis, in radii of a link, where floor, wall or column are assumed: a link as
+#: thick as assumed may then lie level, and 30 degrees lower.
+SHOULDER_ROOM = 2.0
+#: A shoulder that lies off the base's origin by less, as a share of the reach, does not tell which way the arm points.
+LEAST_SHARE = 0.01
+#: Radius of a column that nothing is known of, as a share of the reach: bases of the 10 kg class (reach 1.3 m) are 0.25
+#: to 0.35 m wide, those of the 165 kg class (2.7 m) 0.5 to 0.9 m.
+COLUMN_SHARE = 0.1
+#: Directions of the first joint at which the shoulder's height is looked at.
+_TURNS = 72
+
+
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """Endless surface; the arm stays where `normal . x` is above `height_m`.
+
+    Attributes
+    ----------
+    name : str
+        "floor" or "wall".
+    normal : tuple of 3 floats
+        Unit vector in the base frame, away from it.
+    height_m : float
+    source : str
+        Its place and where that comes from.
+    """
+
+    name: str
+    normal: tuple[float, float, float]
+    height_m: float
+    source: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surroundings:
+    """What does not move: planes, boxes (b, 2, 3) [m] by lower and upper corner, and the arm's own base and column."""
+
+    planes: tuple[Plane, ...]
+    boxes_m: Floats
+    standing: tuple[Part, ...]
+
+
+def surroundings_of(arm: ArmConfig, robot: Robot) -> Surroundings:
+    """What a configured arm has around it."""
+    planes = tuple(_planes(arm, robot))
+    floor = next((plane.height_m for plane in planes if plane.name == "floor"), None)
+    return Surroundings(
+        planes=planes,
+        boxes_m=np.array([(box.min_m, box.max_m) for box in arm.keep_out]).reshape(-1, 2, 3),
+        standing=tuple(_standing(arm, robot, floor)),
+    )
+
+
+def upward(arm: ArmConfig, robot: Robot) -> Floats:
+    """Unit vector (3,) against gravity in the base frame; along axis 1 where there is none."""
+    gravity = np.array(arm.gravity_m_s2)
+    size = float(np.linalg.norm(gravity))
+    return -gravity / size if size > 0.0 else outward(robot)
+
+
+def outward(robot: Robot) -> Floats:
+    """Unit vector (3,) along axis 1, from the base to the arm."""
+    axis = robot.placement[0, :3, :3] @ robot.axis[0]
+    heights = link_frames(robot, np.zeros((1, robot.axes)))[0, 1:, :3, 3] @ axis
+    told_by = heights[0] if abs(heights[0]) > LEAST_SHARE * reach_m(robot) else heights[np.argmax(np.abs(heights))]
+    return -axis if told_by < 0.0 else axis
+
+
+def _lean_rad(arm: ArmConfig, robot: Robot) -> float:
+    return float(np.arccos(np.clip(upward(arm, robot) @ outward(robot), -1.0, 1.0)))
+
+
+def _shoulder_m(robot: Robot, direction: Floats) -> float:
+    """Largest height [m] of joint 2 along a direction, over all turns of joint 1."""
+    q_rad = np.zeros((_TURNS, robot.axes))
+    q_rad[:, 0] = np.linspace(-np.pi, np.pi, _TURNS)
+    return float((link_frames(robot, q_rad)[:, 1, :3, 3] @ direction).max())
+
+
+def _assumed_height_m(arm: ArmConfig, robot: Robot, direction: Floats) -> float:
+    """0, the base's origin, or lower where the shoulder needs room."""
+    room = SHOULDER_ROOM * stated_radius_m(arm, robot, 1)[0]
+    return min(0.0, _shoulder_m(robot, direction) - room)
+
+
+def _planes(arm: ArmConfig, robot: Robot) -> Iterator[Plane]:
+    up, out, lean = upward(arm, robot), outward(robot), _lean_rad(arm, robot)
+    if arm.floor_m is None and lean > HANGING_ANGLE_RAD:
+        height = -reach_m(robot)
+        yield _plane("floor", up, height, f"{height:.3f} m, assumed: a reach below a base that hangs; give arm.floor_m")
+    elif arm.floor_m is None:
+        height = _assumed_height_m(arm, robot, up)
+        yield _plane("floor", up, height, f"{height:.3f} m, assumed; give arm.floor_m, or false where there is none")
+    elif not isinstance(arm.floor_m, bool):
+        yield _plane("floor", up, arm.floor_m, f"{arm.floor_m:g} m, arm.floor_m")
+    if arm.wall or (arm.wall is None and lean > WALL_ANGLE_RAD):
+        words = "arm.wall" if arm.wall else "assumed: the base leans; give arm.wall"
+        yield _plane("wall", out, _assumed_height_m(arm, robot, out), words)
+
+
+def _plane(name: str, normal: Floats, height_m: float, source: str) -> Plane:
+    return Plane(name, (float(normal[0]), float(normal[1]), float(normal[2])), height_m, source)
+
+
+def _standing(arm: ArmConfig, robot: Robot, floor_m: float | None) -> Iterator[Part]:
+    """The base's own geometry and the column that carries the arm."""
+    solids, unusable = solids_of(robot.base_shapes, robot.source)
+    if solids:
+        yield Part("base", BASE, tuple(solids), GEOMETRY, known=not unusable)
+    if arm.column_radius_m is False:
+        return
+    out = outward(robot)
+    lean = _lean_rad(arm, robot)
+    bottom = 0.0 if floor_m is None or lean > WALL_ANGLE_RAD else min(0.0, floor_m / np.cos(lean))
+    if arm.column_radius_m is None:
+        radius = COLUMN_SHARE * reach_m(robot)
+        words = f"radius {radius:.3f} m, assumed; give arm.column_radius_m, or false where there is none"
+    else:
+        radius, words = float(arm.column_radius_m), f"radius {arm.column_radius_m:g} m, arm.column_radius_m"
+    shoulder = _shoulder_m(robot, out) - SHOULDER_ROOM * stated_radius_m(arm, robot, 1)[0]
+    top = min(0.0, shoulder) if solids and arm.column_radius_m is None else shoulder
+    if top - bottom > 1e-3:
+        yield Part("column", BASE, (_upright(out, bottom, top, radius),), words, known=arm.column_radius_m is not None)
+
+
+def _upright(axis: Floats, bottom_m: float, top_m: float, radius_m: float) -> Solid:
+    """A cylinder about an axis (3,) through the base's origin."""
+    across: Floats = np.linalg.svd(axis[None])[2][1]
+    turned: Floats = np.column_stack([across, np.cross(axis, across), axis])
+    pose = transform(turned, (bottom_m + top_m) / 2 * axis)
+    return solid_of(LinkShape(pose, Cylinder(radius_m, top_m - bottom_m), True), "")
