@@ -29,9 +29,9 @@ from gateway.model.arm_model import arm_robot
 from gateway.motion.workspace import workspace_of
 
 CELLS = 200
-POSES = 10
+POSES = 6
 #: The first so many cells are planned with 24 poses, and timed.
-TIMED, TIMED_POSES = 20, 24
+TIMED, TIMED_POSES = 10, 24
 
 
 def main(argv: list[str]) -> int:
