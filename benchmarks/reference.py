@@ -7,18 +7,19 @@ from __future__ import annotations
 
 import argparse
 import sys
-import types
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import click
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
+from benchmarks.reference_drives import answers_page, drives_page
+from benchmarks.toml_words import kind_in_words
 from drives.profile import DriveProfile
 from gateway.cell.config import Cell
 from gateway.cli import main as program
@@ -90,27 +91,6 @@ def _models_in(kind: Any) -> Iterator[tuple[type[BaseModel], str]]:
     for argument in arguments:
         for model, inner in _models_in(argument):
             yield model, suffix + inner
-
-
-def kind_in_words(kind: Any) -> str:
-    """What a value has to be."""
-    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
-    if origin is typing.Annotated:
-        return kind_in_words(arguments[0])
-    if origin is Literal:
-        return " or ".join(f"`{each!r}`".replace("'", '"') for each in arguments)
-    if origin in (types.UnionType, typing.Union):
-        return " or ".join(kind_in_words(each) for each in arguments if each is not type(None))
-    if origin is tuple:
-        if len(arguments) == 2 and arguments[1] is Ellipsis:
-            return f"list: {kind_in_words(arguments[0])}"
-        return f"{len(arguments)} x {kind_in_words(arguments[0])}"
-    if origin is dict:
-        return f"by name: {kind_in_words(arguments[1])}"
-    if isinstance(kind, type) and issubclass(kind, BaseModel):
-        fields = [key for key, info in kind.model_fields.items() if info.is_required()]
-        return f"table ({', '.join(fields)})" if len(kind.model_fields) <= 3 else "table"
-    return {int: "integer", float: "number", str: "text", bool: "true or false"}[kind]
 
 
 def _absent(info: FieldInfo) -> str:
@@ -245,6 +225,8 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
         "TOML, one file a drive model. How to write one: [drive models](../how-to/drive-profiles.md).",
         DriveProfile,
     ),
+    "reference/drives.md": drives_page,
+    "reference/profile-answers.md": answers_page,
     "reference/commands.md": commands_page,
     "reference/effects.md": effects_page,
     "reference/thresholds.md": thresholds_page,

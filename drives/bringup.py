@@ -141,8 +141,8 @@ def read_constants(access: ObjectAccess) -> Constants:
     profile = access.profile
     counts = profile.position.counts_per_revolution
     if isinstance(counts, CountsFromObjects):
-        per = access.read(counts.per)
-        if per == 0:
+        per = 1 if counts.per is None else access.read(counts.per)
+        if counts.per is not None and per == 0:
             access.refuse(counts.per, "is 0", "set the encoder resolution in the drive")
         turn = access.read(counts.object) / per
     else:

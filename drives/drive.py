@@ -22,6 +22,9 @@ from drives.values import AxisSetup, DriveCommand, DriveReading, Identity
 __all__ = ["AxisSetup", "Cia402Drive", "DriveCommand", "DriveReading", "Identity"]
 
 _I16_MAX: Final = 0x7FFF
+#: An axis that is held outside its limits stays held where a target leads further out by no more than this: a way
+#: inwards begins at the position that was read, which is not to the count the one that is held.
+HAIR_REVOLUTIONS: Final = 1e-3
 
 
 class Cia402Drive:
@@ -53,6 +56,7 @@ class Cia402Drive:
         self._frame = bus.prepare(self._rpdo.cob_id, COMMAND.size)
         self._offset_plan = offset_plan(self.node_id) if setup.feedforward else None
         self._offset_frame = None if self._offset_plan is None else bus.prepare(self._offset_plan.cob_id, OFFSET.size)
+        self._held_count = 0
         self._staged = (0, 0, 0)
         self._sync_period_s = 0.0
         self._max_step_count = 0.0
@@ -242,6 +246,8 @@ class Cia402Drive:
             velocity = self._velocity(command.velocity_offset_rad_s) if command.velocity_offset_rad_s else 0
         except (ValueError, OverflowError) as error:
             raise CommandRefused(f"{command} is no target: {error}", node=self.node_id) from error
+        if self.target_count == self._held_count and abs(count - self.target_count) <= self._hair_count:
+            count = self._no_further_out(count)
         if not self._lowest <= count <= self._highest and not self._inward(count):
             what = f"target {count} counts is outside {self._lowest} .. {self._highest}"
             advice = "stay inside the limits of the axis; from outside it moves only inwards"
@@ -252,6 +258,18 @@ class Cia402Drive:
             advice = f"the limit is {self.setup.max_motor_speed_rad_s:.1f} rad/s at the motor"
             raise CommandRefused(what, node=self.node_id, index=0x607A, advice=advice)
         self._staged = (count, offset, velocity)
+
+    @property
+    def _hair_count(self) -> float:
+        """By how much the position that is read may differ from the one that is held, in counts."""
+        return abs((self._scale or self.scale).revolutions(HAIR_REVOLUTIONS))
+
+    def _no_further_out(self, count: int) -> int:
+        """A target, or where the axis is held, if it is held outside its limits and the target leads further out."""
+        held = self.target_count
+        if held > self._highest:
+            return min(count, held)
+        return max(count, held) if held < self._lowest else count
 
     def _inward(self, count: int) -> bool:
         """Whether a target outside the limits does not lead further out than the present one."""
@@ -281,6 +299,7 @@ class Cia402Drive:
 
     def hold(self, position_count: int) -> None:
         """Keep a position, without offsets, for the next frame."""
+        self._held_count = position_count
         self._staged = (position_count, 0, 0)
 
     def frame(self, controlword: int) -> Frame:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from configparser import Error as ConfigParserError
+from dataclasses import dataclass, replace
+from io import StringIO
 from pathlib import Path
 from typing import Final
 
@@ -12,11 +14,11 @@ from canopen.objectdictionary import ODVariable, datatypes
 from canopen.objectdictionary.eds import import_eds
 
 from drives.errors import ProfileError
-from drives.objects import OBJECTS
+from drives.objects import OBJECTS, DataType
 from drives.pdo import VELOCITY_OFFSET
 from drives.profile import CountsFromObjects, DriveProfile, ObjectReference, Rated
 
-_TYPES: Final = {
+_TYPES: Final[dict[DataType, int]] = {
     "u8": datatypes.UNSIGNED8,
     "i8": datatypes.INTEGER8,
     "u16": datatypes.UNSIGNED16,
@@ -24,6 +26,7 @@ _TYPES: Final = {
     "u32": datatypes.UNSIGNED32,
     "i32": datatypes.INTEGER32,
 }
+_NAMES: Final[dict[int | None, DataType]] = {code: name for name, code in _TYPES.items()}
 _MAX_BYTES: Final = 4_000_000
 _MAPPED: Final = ("controlword", "statusword", "target_position", "torque_offset")
 _SET: Final = ("mode", "mode_display", "abort_connection_option", "consumer_heartbeat")
@@ -37,38 +40,106 @@ def check_eds(profile: DriveProfile, path: Path) -> None:
     ProfileError
         The file cannot be read, or lacks objects, or has them with another type or not for PDOs; all of it at once.
     """
-    found = _read(profile, path)
-    problems = []
-    for reference, mapped in _wanted(profile):
-        where = f"{reference.index:04X}:{reference.subindex:02X}"
-        entry = found.get((reference.index, reference.subindex))
-        if entry is None:
-            problems.append(f"{where} is not in it")
-        elif entry.data_type != _TYPES[reference.type]:
-            problems.append(f"{where} is not of type {reference.type}")
-        elif mapped and not entry.pdo_mappable:
-            problems.append(f"{where} cannot be mapped to a PDO")
+    try:
+        sheet = read_sheet(path)
+    except ProfileError as error:
+        what = f"profile {profile.name}: {error.what}"
+        raise ProfileError(what, advice="put the file beside the profile, or remove the key eds") from error
+    problems = contradictions(profile, sheet)
     if problems:
         advice = "correct the profile, or name the data sheet of this firmware"
         what = f"profile {profile.name} and {path.name} contradict each other: {'; '.join(problems)}"
         raise ProfileError(what, advice=advice)
 
 
-def _read(profile: DriveProfile, path: Path) -> dict[tuple[int, int], ODVariable]:
+def contradictions(profile: DriveProfile, sheet: Sheet) -> list[str]:
+    """What the master uses by a profile, and a data sheet does not have, or has otherwise: in words."""
+    problems = []
+    for reference, mapped in _wanted(profile):
+        where = f"{reference.index:04X}:{reference.subindex:02X}"
+        entry = sheet.entries.get((reference.index, reference.subindex))
+        if entry is None:
+            problems.append(f"{where} is not in it")
+        elif entry.data_type != _TYPES[reference.type]:
+            problems.append(f"{where} is not of type {reference.type}")
+        elif mapped and not entry.pdo_mappable:
+            problems.append(f"{where} cannot be mapped to a PDO")
+    return problems
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """What an EDS or DCF says of a device.
+
+    Attributes
+    ----------
+    name : str
+        Of the file.
+    vendor_name, product_name : str
+        "" where the file does not say.
+    vendor_id, product_code, revision : int or None
+        Of 0x1018, else of the section DeviceInfo; a 0 says nothing.
+    entries : mapping of (index, subindex) to ODVariable
+    """
+
+    name: str
+    vendor_name: str
+    product_name: str
+    vendor_id: int | None
+    product_code: int | None
+    revision: int | None
+    entries: Mapping[tuple[int, int], ODVariable]
+
+    def type_of(self, index: int, subindex: int = 0) -> DataType | None:
+        """Type of an object as profiles name it; None where the sheet has no such object, or one of another kind."""
+        entry = self.entries.get((index, subindex))
+        return None if entry is None else _NAMES.get(entry.data_type)
+
+    def value_of(self, index: int, subindex: int = 0) -> int | None:
+        """Value that a DCF stores for an object, else its default; None where the file gives none."""
+        entry = self.entries.get((index, subindex))
+        values = () if entry is None else (entry.value, entry.default)
+        return next((value for value in values if isinstance(value, int)), None)
+
+
+def read_sheet(path: Path) -> Sheet:
+    """Read an EDS or DCF.
+
+    Raises
+    ------
+    ProfileError
+        The file cannot be read, or is none.
+    """
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise ValueError("it is larger than any data sheet")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)
-            dictionary = import_eds(str(path), node_id=1)
+            dictionary = import_eds(StringIO(_decoded(path.read_bytes())), node_id=1)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, ConfigParserError) as error:
-        what = f"profile {profile.name}: data sheet {path} cannot be read: {error}"
-        raise ProfileError(what, advice="put the file beside the profile, or remove the key eds") from error
+        reason = " ".join(str(error).replace("'<???>'", path.name).split())
+        what = f"data sheet {path} cannot be read: {reason}"
+        raise ProfileError(what, advice="give an EDS or DCF (CiA 306) as the maker of the drive delivers it") from error
     entries: dict[tuple[int, int], ODVariable] = {}
     for index, thing in dictionary.items():
         members = [thing] if isinstance(thing, ODVariable) else thing.values()
         entries |= {(index, member.subindex): member for member in members}
-    return entries
+    about = dictionary.device_information
+    sheet = Sheet(path.name, about.vendor_name or "", about.product_name or "", None, None, None, entries)
+    return replace(
+        sheet,
+        vendor_id=sheet.value_of(0x1018, 1) or about.vendor_number or None,
+        product_code=sheet.value_of(0x1018, 2) or about.product_number or None,
+        revision=sheet.value_of(0x1018, 3) or about.revision_number or None,
+    )
+
+
+def _decoded(content: bytes) -> str:
+    """Text of a file whose encoding nobody states."""
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("latin-1")
 
 
 def _wanted(profile: DriveProfile) -> Iterator[tuple[ObjectReference, bool]]:
@@ -95,7 +166,8 @@ def _wanted(profile: DriveProfile) -> Iterator[tuple[ObjectReference, bool]]:
     counts = profile.position.counts_per_revolution
     if isinstance(counts, CountsFromObjects):
         yield counts.object, False
-        yield counts.per, False
+        if counts.per is not None:
+            yield counts.per, False
 
 
 def _rated(rated: Rated | None) -> Iterator[tuple[ObjectReference, bool]]:

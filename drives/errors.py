@@ -171,9 +171,10 @@ class MasterStalled(DriveError):  # noqa: N818 - reads as what happened
 
 
 class ProfileError(DriveError, ValueError):
-    """A drive profile that cannot be used."""
+    """A drive profile that cannot be used; `lines` where its file has several problems."""
 
     exit_code = 3
+    lines: tuple[str, ...] = ()
 
 
 class SeveralFailures(DriveError):  # noqa: N818 - reads as what happened

@@ -25,10 +25,11 @@ from drives.errors import (
     raise_failures,
 )
 from drives.exchange import Pacing, SyncExchange, Timing
-from drives.guard import Guard, Limits, refuse_foreign
-from drives.heartbeat import HeartbeatProducer, HeartbeatWatch
+from drives.guard import Guard, Limits
+from drives.heartbeat import MASTER_NODE_ID, HeartbeatProducer, HeartbeatWatch
 from drives.instrument import Instrument, InstrumentSetup
 from drives.ledger import WriteLedger
+from drives.listening import refuse_foreign
 from drives.reactions import DRIVE_RULES
 from drives.statistics import GroupStatistics, group_statistics
 
@@ -99,7 +100,7 @@ class DriveSetup:
         setups: Sequence[AxisSetup],
         sync_period_s: float,
         pacing: Pacing = "lockstep",
-        master_node_id: int = 127,
+        master_node_id: int = MASTER_NODE_ID,
         options: GroupOptions | None = None,
     ) -> None:
         self.options = options or GroupOptions()
@@ -152,10 +153,10 @@ class DriveSetup:
         ConfigurationRefused
             Lockstep, or a network as the bus, with a node that is no simulator; emergency messages that are off.
         ForeignMaster
-            Somebody else sends SYNC or NMT commands.
+            Somebody else leads the bus; nothing was sent.
         """
         self._forget()
-        refuse_foreign(self._bus, max(_LISTEN_S, 3.0 * self.timing.period_s))
+        refuse_foreign(self._bus, max(_LISTEN_S, 3.0 * self.timing.period_s), self._master_node_id)
         timeout_s = max(setup.profile.sdo.timeout_s for setup in self.setups)
         answers = finding.count_answers(self._bus, [setup.node_id for setup in self.setups], timeout_s)
         self.drives = tuple(Cia402Drive(self._bus, setup, self.ledger) for setup in self.setups)

@@ -12,7 +12,6 @@ from drives.epoch import Epoch
 from drives.errors import (
     DriveError,
     DriveFault,
-    ForeignMaster,
     SeveralFailures,
     raise_failures,
 )
@@ -22,7 +21,6 @@ from drives.reactions import DRIVE_RULES
 from drives.symptoms import Symptoms
 
 _EVERY: Final = 16
-_MASTER_ONLY: Final = ((SYNC_ID, "SYNC"), (NMT_ID, "NMT commands"))
 _SECOND: Final = frozenset({SYNC_ID, NMT_ID})
 
 
@@ -163,20 +161,3 @@ class Guard:
 def _left_enabled(node_id: int, statusword: int) -> DriveError:
     what = f"left OPERATION ENABLED: {describe(statusword)}"
     return DRIVE_RULES["left_enabled"].raised(what, node=node_id, index=0x6041, code=statusword)
-
-
-def refuse_foreign(bus: Bus, listen_s: float) -> None:
-    """Listen before anything is sent.
-
-    Raises
-    ------
-    ForeignMaster
-        Somebody else sends SYNC or NMT commands.
-    """
-    bus.drain()
-    before = dict(bus.foreign)
-    bus.listen(listen_s)
-    for can_id, what in _MASTER_ONLY:
-        if bus.foreign[can_id] > before.get(can_id, 0):
-            advice = "stop the other master before this one takes the drives"
-            raise ForeignMaster(f"another master sends {what} on {bus.spec}", advice=advice)

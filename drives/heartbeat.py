@@ -12,6 +12,9 @@ from typing import Final
 
 from drives.bus import HEARTBEAT_BASE, NMT_ID, Bus
 
+#: Node id with which a master sends its heartbeat.
+MASTER_NODE_ID: Final = 127
+
 
 class NmtCommand(IntEnum):
     """NMT command specifiers."""

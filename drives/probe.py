@@ -12,7 +12,8 @@ from drives.bringup import read_identity
 from drives.bus import SDO_ANSWER_BASE, SDO_REQUEST_BASE, Bus
 from drives.errors import DriveError
 from drives.heartbeat import HeartbeatWatch, NmtState
-from drives.profile_file import list_profiles, load_profile
+from drives.listening import FREE_S, refuse_foreign
+from drives.profile_file import GENERIC, list_profiles, load_profile
 from drives.sdo import SdoClient
 from drives.values import Identity
 
@@ -92,7 +93,7 @@ class ScanResult:
 
 
 def scan(bus: Bus, node_ids: Iterable[int] = range(1, 128), listen_s: float = 0.5) -> tuple[ScanResult, ...]:
-    """Find every node, without changing anything on it.
+    """Find every node, without changing anything on it; first of all, nothing is sent and a master is listened for.
 
     Parameters
     ----------
@@ -101,10 +102,16 @@ def scan(bus: Bus, node_ids: Iterable[int] = range(1, 128), listen_s: float = 0.
         Ids to ask.
     listen_s : float
         How long to listen for heartbeats and slow answers.
+
+    Raises
+    ------
+    ForeignMaster
+        A master is at work: what is asked beside it stops its arm.
     """
     wanted = tuple(node_ids)
     watch = HeartbeatWatch(bus, wanted, [None] * len(wanted))
     try:
+        refuse_foreign(bus, max(listen_s, FREE_S))
         found = {node_id: number for node_id, number in probe(bus, wanted, listen_s).items() if number}
         bus.listen(max(0.0, listen_s - _QUIET_S))
         return tuple(_look_at(bus, node_id, number, watch.states[node_id]) for node_id, number in found.items())
@@ -124,9 +131,17 @@ def _look_at(bus: Bus, node_id: int, devices: int, state: NmtState | None) -> Sc
 
 
 def matching_profiles(identity: Identity) -> tuple[str, ...]:
-    """Names of the packaged profiles that fit a device: those that name its vendor first, then the generic ones."""
+    """Names of the packaged profiles that fit a device: those that name its vendor first, then the generic one.
+
+    A profile of a make whose vendor id is not known fits nobody by itself: an engineer names it.
+    """
     if not identity.is_drive:
         return ()
-    fitting = [profile for name in list_profiles() if not identity.mismatches(profile := load_profile(name))]
+    fitting = [
+        profile
+        for name in list_profiles()
+        if not identity.mismatches(profile := load_profile(name))
+        and (profile.identity.vendor_id is not None or name == GENERIC)
+    ]
     fitting.sort(key=lambda profile: (profile.identity.vendor_id is None, profile.name))
     return tuple(profile.name for profile in fitting)

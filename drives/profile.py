@@ -12,6 +12,7 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from drives.objects import RPDO_COMMUNICATION, RPDO_MAPPING, TPDO_COMMUNICATION, TPDO_MAPPING
 from drives.profile_parts import (
+    NEEDED_WRITES,
     Constant,
     CountsFromObjects,
     EmcyEntry,
@@ -30,6 +31,7 @@ from drives.profile_parts import (
     TorqueOffsetWord,
     Velocity,
     Write,
+    is_assumed,
 )
 from drives.validation import Strict
 
@@ -57,6 +59,9 @@ class DriveProfile(Strict):
     source: Source
     eds: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*\.eds$")] | None = Field(
         default=None, description="data sheet in the same folder; every object that is used is looked up in it"
+    )
+    no_motion: tuple[Annotated[str, Field(min_length=1)], ...] = Field(
+        default=(), description="why drives of this model are read and not moved, such as an object that they lack"
     )
     identity: ExpectedIdentity = Field(default=ExpectedIdentity(), description="what 0x1018 must say")
     torque: Signal = Field(description="the measured torque, or the current that it follows from")
@@ -98,18 +103,39 @@ class DriveProfile(Strict):
         """Whether the measured torque is a current times the torque constant of the cell file."""
         return self.torque.is_current
 
+    @property
+    def obstacles(self) -> tuple[str, ...]:
+        """Why a drive of this profile is read and not moved, each with what to do; empty = it is moved."""
+        found = list(self.no_motion)
+        if self.torque.assumed:
+            where = f"0x{self.torque.object.index:04X}:{self.torque.object.subindex:02X}"
+            found.append(
+                f"what one bit of the torque ({where}) is, is assumed: find it out on the drive or in its manual, "
+                "then write it to [torque] with source and basis"
+            )
+        counts = self.position.counts_per_revolution
+        if isinstance(counts, Constant) and is_assumed(counts.source):
+            found.append(
+                f"{counts.value:g} counts per motor revolution are assumed: write what is mounted to [position] "
+                "with its source"
+            )
+        return tuple(found)
+
     def emcy_entry(self, code: int) -> EmcyEntry | None:
         """The entry of an emergency code, None if the profile does not know it."""
         return next((entry for entry in self.emcy if entry.code == code), None)
 
     @model_validator(mode="after")
     def _consistent(self) -> DriveProfile:
+        missing = [f"0x{index:04X}" for index in NEEDED_WRITES if index not in self.write.allow]
+        if missing and not self.no_motion:
+            raise ValueError(f"write.allow lacks {', '.join(missing)}, which bringing the drive up needs")
         if self.current is not None and not self.current.is_current:
             raise ValueError("current: kind permille_rated_torque is not a current")
         if self.heartbeat.producer_ms is not None and 0x1017 not in self.write.allow:
             raise ValueError("heartbeat.producer_ms needs 0x1017 in write.allow")
         second = TPDO_COMMUNICATION + 1 in self.write.allow and TPDO_MAPPING + 1 in self.write.allow
-        if (self.current is not None or self.torque.object.size_bits > 16) and not second:
+        if (self.current is not None or self.torque.object.size_bits > 16) and not (second or self.no_motion):
             raise ValueError("a second TPDO is needed: write.allow lacks 0x1801 and 0x1A01")
         if self.feedforward is not None:
             self._check_feedforward()

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
-from typing import Any
-
-from pydantic import ValidationError
+from typing import Any, Final
 
 from drives.eds import check_eds
 from drives.errors import ProfileError
 from drives.profile import DriveProfile
-from drives.toml_text import parse_toml
-from drives.validation import problems_in_words
+from drives.toml_lines import KeyPath
+from drives.validation import Unfit, read_strict
 
 PROFILE_FOLDER = Path(__file__).parent / "profiles"
+#: The profile of a drive that keeps to the standard, whoever made it.
+GENERIC: Final = "generic-cia402"
 
 
 def list_profiles() -> list[str]:
@@ -48,6 +47,21 @@ def load_profile(name_or_path: str | Path) -> DriveProfile:
     return parse_profile(text, str(path), path.parent)
 
 
+def find_profile(name: str, folder: Path) -> DriveProfile:
+    """A profile as a cell names it: one of the package, else a file in a folder, with or without `.toml`.
+
+    Raises
+    ------
+    ProfileError
+        As `load_profile`.
+    """
+    if name in list_profiles():
+        return load_profile(name)
+    path = (folder / name).resolve()
+    with_suffix = path.with_name(f"{path.name}.toml")
+    return load_profile(with_suffix if with_suffix.is_file() else path)
+
+
 def parse_profile(text: str, where: str, folder: Path = PROFILE_FOLDER) -> DriveProfile:
     """Validate the text of a profile.
 
@@ -66,12 +80,13 @@ def parse_profile(text: str, where: str, folder: Path = PROFILE_FOLDER) -> Drive
         Every problem of the file at once.
     """
     try:
-        profile = DriveProfile.model_validate(parse_toml(text))
-    except tomllib.TOMLDecodeError as error:
-        raise ProfileError(f"{where}: not valid TOML: {error}", advice="correct the file") from error
-    except ValidationError as error:
+        profile = read_strict(text, DriveProfile)
+    except Unfit as error:
         advice = "see docs/how-to/drive-profiles.md, or `servo-gateway profiles schema`"
-        raise ProfileError(f"{where}: {problems_in_words(error)}", advice=advice) from error
+        told = error.told(where, _table)
+        refused = ProfileError("; ".join(told), advice=advice)
+        refused.lines = (*told[:-1], f"{told[-1]}; {advice}")
+        raise refused from error
     object.__setattr__(profile, "_text", text)
     object.__setattr__(profile, "_folder", folder)
     if profile.eds_path is not None:
@@ -79,6 +94,12 @@ def parse_profile(text: str, where: str, folder: Path = PROFILE_FOLDER) -> Drive
     return profile
 
 
+def _table(path: KeyPath) -> str:
+    """`[torque.rated]` of a path into a profile; nothing at the top of the file."""
+    return f"[{'.'.join(map(str, path[:-1]))}]" if len(path) > 1 else ""
+
+
 def profile_schema() -> dict[str, Any]:
-    """JSON schema of the profile file."""
-    return DriveProfile.model_json_schema()
+    """JSON schema of the profile file, as editors read it."""
+    schema = DriveProfile.model_json_schema()
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "servo-gateway drive profile"}

@@ -11,12 +11,14 @@ from drives.objects import RPDO_COMMUNICATION, RPDO_MAPPING, SIZE_BYTES, TPDO_CO
 from drives.validation import Strict
 
 Source = Annotated[str, Field(min_length=1, description="where the number comes from: datasheet page, read, assumed")]
+#: What an arithmetic rests upon.
+Basis = Literal["standard", "manual", "measured", "code", "assumed"]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 #: Objects that no profile may allow: storing and restoring parameters is never the master's business.
 _FORBIDDEN_WRITES = {0x1010: "storing parameters", 0x1011: "restoring factory parameters"}
 #: Objects that the master writes on every drive.
-_NEEDED_WRITES = (
+NEEDED_WRITES = (
     0x1016,
     RPDO_COMMUNICATION,
     RPDO_MAPPING,
@@ -28,6 +30,11 @@ _NEEDED_WRITES = (
     0x607A,
     0x60B2,
 )
+
+
+def is_assumed(source: str) -> bool:
+    """Whether a source says of itself that there is none."""
+    return source.strip().lower().startswith("assumed")
 
 
 class Constant(Strict):
@@ -92,6 +99,11 @@ class Signal(Strict):
     signed: bool = Field(description="must fit the object's type")
     filter_s: float = Field(ge=0, description="time constant of the drive's own filter on this value")
     source: Source
+    basis: Basis | None = Field(
+        default=None,
+        description="what the arithmetic rests upon: CiA 402, the maker's manual, a trial on the drive, public code, "
+        "or nothing: `assumed` is read and not moved. Absent: it is assumed where `source` begins with that word",
+    )
     rated: Rated | None = Field(default=None, description="what 1000 per mille stand for")
     internal_unit_a: Constant | None = Field(default=None, description="ampere per unit, kind internal_unit")
     current_reference: Literal["rms", "peak"] | None = Field(default=None, description="what the drive's ampere is")
@@ -105,6 +117,14 @@ class Signal(Strict):
         return self.kind != "permille_rated_torque"
 
     @property
+    def assumed(self) -> bool:
+        """Whether nobody knows what one bit is."""
+        if self.basis is not None:
+            return self.basis == "assumed"
+        parts = (self.rated, self.internal_unit_a)
+        return is_assumed(self.source) or any(part is not None and is_assumed(part.source) for part in parts)
+
+    @property
     def current_factor(self) -> float:
         """Ampere of the torque constant per ampere of the drive: 1, sqrt(2) or 1/sqrt(2)."""
         if self.current_reference == self.torque_constant_per:
@@ -113,12 +133,12 @@ class Signal(Strict):
 
     @model_validator(mode="after")
     def _complete(self) -> Signal:
-        if self.kind.startswith("permille") and self.rated is None:
+        if self.kind.startswith("permille") and self.rated is None and not self.assumed:
             raise ValueError(f"kind {self.kind} needs [..rated]: the value that 1000 per mille stands for")
-        if (self.kind == "internal_unit") != (self.internal_unit_a is not None):
+        if (self.kind == "internal_unit") != (self.internal_unit_a is not None) and not self.assumed:
             raise ValueError("internal_unit_a belongs to kind internal_unit, and is needed there")
         references = (self.current_reference, self.torque_constant_per)
-        if self.is_current and None in references:
+        if self.is_current and None in references and not self.assumed:
             raise ValueError("a current needs current_reference and torque_constant_per (rms or peak)")
         if self.signed != self.object.type.startswith("i"):
             raise ValueError(f"signed = {self.signed} does not fit the object type {self.object.type}")
@@ -166,14 +186,47 @@ class Velocity(Strict):
     """The velocity object, motor side."""
 
     object: ObjectReference = Field(description="where the value is")
-    unit_rad_s: Constant = Field(description="speed of the motor that one bit means")
+    unit_rad_s: Constant | None = Field(default=None, description="speed of the motor that one bit means")
+    unit_counts_s: Constant | None = Field(
+        default=None, description="instead of it: position counts per second that one bit means"
+    )
+    ramp_counts_s2: Constant | None = Field(
+        default=None,
+        description="counts/s2 that one bit of 0x6084 and 0x6085 means; absent: the velocity's unit per second",
+    )
+
+    def rad_s(self, counts_per_revolution: float | None) -> float | None:
+        """Speed of the motor that one bit means [rad/s]; None where that needs the counts of a revolution."""
+        if self.unit_rad_s is not None:
+            return self.unit_rad_s.value
+        return _turned_rad(self.unit_counts_s, counts_per_revolution)
+
+    def ramp_rad_s2(self, counts_per_revolution: float | None) -> float | None:
+        """Deceleration of the motor that one bit means [rad/s2]; None where that needs the counts of a revolution."""
+        if self.ramp_counts_s2 is None:
+            return self.rad_s(counts_per_revolution)
+        return _turned_rad(self.ramp_counts_s2, counts_per_revolution)
+
+    @model_validator(mode="after")
+    def _one_unit(self) -> Velocity:
+        if (self.unit_rad_s is None) == (self.unit_counts_s is None):
+            raise ValueError("give either unit_rad_s or unit_counts_s")
+        return self
+
+
+def _turned_rad(counts: Constant | None, counts_per_revolution: float | None) -> float | None:
+    if counts is None or not counts_per_revolution:
+        return None
+    return counts.value * 2.0 * math.pi / counts_per_revolution
 
 
 class CountsFromObjects(Strict):
     """Encoder resolution read from the drive: object / per."""
 
     object: ObjectReference = Field(description="counts, such as 0x608F:01")
-    per: ObjectReference = Field(description="in so many motor revolutions, such as 0x608F:02")
+    per: ObjectReference | None = Field(
+        default=None, description="in so many motor revolutions, such as 0x608F:02; absent: in one"
+    )
 
 
 class Position(Strict):
@@ -236,9 +289,6 @@ class Write(Strict):
         for index, meaning in _FORBIDDEN_WRITES.items():
             if index in self.allow:
                 raise ValueError(f"allow must not hold 0x{index:04X}: {meaning} is left to the engineer")
-        missing = [f"0x{index:04X}" for index in _NEEDED_WRITES if index not in self.allow]
-        if missing:
-            raise ValueError(f"allow lacks {', '.join(missing)}, which bringing the drive up needs")
         return self
 
 

@@ -94,7 +94,7 @@ def motor_scale(profile: DriveProfile, constants: Constants, torque_constant_nm_
     return MotorScale(
         torque_nm=torque,
         current_a=current,
-        velocity_rad_s=None if profile.velocity is None else profile.velocity.unit_rad_s.value,
+        velocity_rad_s=None if profile.velocity is None else profile.velocity.rad_s(turn),
         count_rad=2.0 * math.pi / turn,
         offset_nm=_offset_nm(profile, constants, torque, torque_constant_nm_per_a),
     )
@@ -102,6 +102,9 @@ def motor_scale(profile: DriveProfile, constants: Constants, torque_constant_nm_
 
 def _ampere_per_bit(profile: DriveProfile, what: str, signal: Signal, rated: float | None) -> float:
     """Nm per bit of a torque, A (of the torque constant) per bit of a current."""
+    if signal.is_current and None in (signal.current_reference, signal.torque_constant_per):
+        advice = "give current_reference and torque_constant_per in the profile; nothing is assumed in their place"
+        raise ProfileError(f"profile {profile.name}: {what} is a current, rms or peak is not known", advice=advice)
     if signal.kind == "internal_unit":
         if signal.internal_unit_a is None:
             raise ProfileError(f"{profile.name}: {what}.internal_unit_a is missing")

@@ -6,6 +6,7 @@ once per open bracket, and lets the interpreter's own errors through; no honest 
 
 from __future__ import annotations
 
+import json
 import re
 import tomllib
 from typing import Any, Final
@@ -32,3 +33,8 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise
     except (ValueError, OverflowError, RecursionError) as error:
         raise tomllib.TOMLDecodeError(str(error) or type(error).__name__) from error
+
+
+def toml_string(text: str) -> str:
+    """A text as a TOML string on one line."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -1,8 +1,30 @@
-"""Files that people write, read through pydantic: what their tables have in common, and problems in words."""
+"""Files that people write in TOML, read through pydantic: what their tables have in common, and every problem in words.
+
+A problem names its line, its key and what to write there. All problems of a file are told at once: what is wrong is
+replaced for the moment by something that fits, so that the checks of whole tables find what else is wrong.
+"""
 
 from __future__ import annotations
 
+import copy
+import json
+import tomllib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, TypeVar
+
 from pydantic import BaseModel, ConfigDict, ValidationError
+
+from drives.toml_lines import KeyPath, key_lines, line_of
+from drives.toml_text import parse_toml
+from drives.toml_words import field_at, in_words, stand_in
+
+#: Times that what was found is replaced to find more.
+_ROUNDS: Final = 4
+#: Lines of a message.
+_MOST_LINES: Final = 10
+
+Model = TypeVar("Model", bound=BaseModel)
 
 
 class Strict(BaseModel):
@@ -11,15 +33,166 @@ class Strict(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-def problems_in_words(error: ValidationError) -> str:
-    """Every problem with its key: `arm.0.name: is missing; ..`."""
-    lines = []
-    for problem in error.errors(include_url=False):
-        key = ".".join(str(part) for part in problem["loc"]) or "file"
-        message = problem["msg"].removeprefix("Value error, ")
-        if problem["type"] == "extra_forbidden":
-            message = "unknown key; remove it or correct its spelling (units are part of the name)"
-        elif problem["type"] == "missing":
-            message = "is missing; nothing is assumed in its place"
-        lines.append(f"{key}: {message}")
-    return "; ".join(lines)
+class Refused(ValueError):  # noqa: N818 - reads as what a validator does
+    """What the validator of a table has found.
+
+    Parameters
+    ----------
+    found : (path, str) pairs
+        Key, from that table on, and what is wrong with it and what to write.
+    """
+
+    def __init__(self, *found: tuple[KeyPath, str]) -> None:
+        self.found = found
+        super().__init__("; ".join(what for _, what in found))
+
+
+def refuse(found: Sequence[tuple[KeyPath, str]]) -> None:
+    """Raise what was found, if anything was."""
+    if found:
+        raise Refused(*found)
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One thing that is wrong in a file; `line` from 1, `what` says what to write too."""
+
+    path: KeyPath
+    line: int
+    what: str
+
+
+class Unfit(ValueError):  # noqa: N818 - reads as what the file is
+    """A file that cannot be used, with all its problems in the order of their lines."""
+
+    def __init__(self, problems: Sequence[Problem]) -> None:
+        self.problems = tuple(sorted(problems, key=lambda problem: problem.line))
+        super().__init__("; ".join(f"line {problem.line}: {problem.what}" for problem in self.problems))
+
+    def told(self, where: str, place: Callable[[KeyPath], str] = lambda path: "") -> tuple[str, ...]:
+        """A line of text per problem, ten at most: `cell.toml line 31, J1: what`; the last holds what is left.
+
+        Parameters
+        ----------
+        where : str
+            The file.
+        place : callable
+            What a reader calls the table of a path, such as J1; empty where the line says it all.
+        """
+        same: dict[str, list[Problem]] = {}
+        for problem in self.problems:
+            same.setdefault(problem.what, []).append(problem)
+        texts = []
+        for what, problems in same.items():
+            lines = list(dict.fromkeys(str(problem.line) for problem in problems))
+            places = list(dict.fromkeys(name for problem in problems if (name := place(problem.path))))
+            at = f"line {lines[0]}" if len(lines) == 1 else f"lines {', '.join(lines)}"
+            texts.append(f"{where} {', '.join([at, *places])}: {what}")
+        if len(texts) > _MOST_LINES:
+            texts[_MOST_LINES - 1 :] = ["; ".join(texts[_MOST_LINES - 1 :])]
+        return tuple(texts)
+
+
+def read_strict(text: str, model: type[Model]) -> Model:
+    """A file of one model from its TOML text.
+
+    Raises
+    ------
+    Unfit
+        With every problem of the file.
+    """
+    try:
+        data = parse_toml(text)
+    except tomllib.TOMLDecodeError as error:
+        raise Unfit([_not_toml(text, str(error))]) from error
+    try:
+        return _validated(model, data)
+    except ValidationError as error:
+        lines = key_lines(text)
+        problems = [Problem(path, line_of(lines, path), what) for path, what in _all(model, data, error)]
+        raise Unfit(problems) from error
+
+
+def problems_of(model: type[BaseModel], data: dict[str, Any], error: ValidationError) -> list[str]:
+    """What is wrong in values that come from no file, and what to write."""
+    return [what for _, what in _all(model, data, error)]
+
+
+def _validated(model: type[Model], data: dict[str, Any]) -> Model:
+    """As JSON: there a list may stand for a tuple, and still neither a text nor a truth for a number."""
+    return model.model_validate_json(json.dumps(data, default=str), strict=True)
+
+
+def _not_toml(text: str, message: str) -> Problem:
+    """The parser says its line in the message: `(at line 3, column 5)`, `(at end of document)`."""
+    what, _, at = message.rpartition(" (at ")
+    number = at.removeprefix("line ").partition(",")[0]
+    line = int(number) if number.isdigit() else max(1, len(text.splitlines()))
+    return Problem((), line, f"not valid TOML: {what or message}; correct that line (KEY = VALUE, texts in quotes)")
+
+
+def _all(model: type[BaseModel], data: dict[str, Any], error: ValidationError) -> list[tuple[KeyPath, str]]:
+    mended = copy.deepcopy(data)
+    found: dict[tuple[KeyPath, str], None] = {}
+    touched: set[KeyPath] = set()
+    for _ in range(_ROUNDS):
+        new = [each for each in _problems(model, data, error) if each not in found and not _follows(each[0], touched)]
+        if not new:
+            break
+        found |= dict.fromkeys(new)
+        touched |= {path for path, _ in new}
+        for path, _ in new:
+            _mend(model, mended, path)
+        try:
+            _validated(model, mended)
+        except ValidationError as again:
+            error = again
+        else:
+            break
+    return list(found)
+
+
+def _follows(path: KeyPath, touched: set[KeyPath]) -> bool:
+    """Whether a problem may come from what was put in: there, or of a whole table around it."""
+    return any(path[: len(each)] == each or each[: len(path)] == path for each in touched)
+
+
+def _problems(model: type[BaseModel], data: dict[str, Any], error: ValidationError) -> Iterator[tuple[KeyPath, str]]:
+    """Path and words of each problem; several kinds that a value may have give one, of the kind that came furthest."""
+    seen: set[KeyPath] = set()
+    for detail in sorted(error.errors(include_url=False), key=lambda each: -len(each["loc"])):
+        cause = detail.get("ctx", {}).get("error")
+        if isinstance(cause, Refused):
+            seen.add(tuple(detail["loc"]))
+            yield from (((*detail["loc"], *path), what) for path, what in cause.found)
+            continue
+        path = field_at(model, detail["loc"]).path
+        if detail["type"] == "extra_forbidden":
+            path = detail["loc"]
+        # elements that are wrong are not counted as there
+        among_others = detail["type"] == "too_short" and any(each[: len(path)] == path for each in seen)
+        if path not in seen and not among_others:
+            seen.add(path)
+            yield path, in_words(model, data, path, detail)
+
+
+def _mend(model: type[BaseModel], data: dict[str, Any], path: KeyPath) -> None:
+    """Leave out what is not needed, put something that fits where something is."""
+    table: Any = data
+    try:
+        for part in path[:-1]:
+            table = table[part]
+    except (KeyError, IndexError, TypeError):
+        return
+    last: Any = path[-1] if path else None
+    place = field_at(model, path)
+    if isinstance(table, list) and isinstance(last, int):
+        if last < len(table):
+            table[last] = stand_in(place.kind, place.info)
+        else:
+            _mend(model, data, path[:-1])
+    elif isinstance(table, dict) and isinstance(last, str):
+        if place.path == path and (place.info is None or place.info.is_required()):
+            table[last] = stand_in(place.kind, place.info)
+        else:
+            table.pop(last, None)

@@ -40,6 +40,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "scan": ("bus", "Who is on the bus: identity, firmware, NMT state, matching profile."),
     "check": ("bus", "Pre-flight check of a cell: drives against profile and cell file."),
     "restore": ("bus", "Put back what the write ledger holds."),
+    "move": ("goto", "Go home, to where loads are hung, or to joint angles: slowly, asked, inside every limit."),
     "plan": ("measure", "Choose rest poses: limits, duration, expected uncertainty (needs no bus)."),
     "record": ("measure", "Measure the rest poses under one load into RUN.h5."),
     "commission": ("guided", "All of it, guided: from the check to the report."),
@@ -52,7 +53,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "run-pair": ("pair", "Two arms: carry the part along the path, learning from force."),
     "learn": ("pair", "Two arms: status of what was learned, learning off and on, forget it."),
     "pair-report": ("pair", "Two arms: one HTML page, force along the path and convergence."),
-    "profiles": ("handover", "Drive profiles: list, show, schema."),
+    "cell": ("cell", "Cell files: new, schema."),
+    "profiles": ("profiles", "Drive profiles: list, show, schema; new drafts one from an EDS."),
 }
 
 
@@ -167,7 +169,7 @@ def report_error(error: BaseException) -> int:
         return error.exit_code
     code = getattr(error, "exit_code", None)
     if isinstance(code, int):
-        _say(f"error: {paragraph(error)}")
+        _say(f"error: {_told(error)}")
         return code
     if isinstance(error, OSError) and error.errno in NO_SPACE:
         _say(f"error: {error.filename or 'a file'}: {paragraph(error)}; free some space or choose another folder")
@@ -185,6 +187,12 @@ def _say(text: str) -> None:
         click.echo(text, err=True)
     except (OSError, AttributeError):
         _let_go_of_terminal()
+
+
+def _told(error: BaseException) -> str:
+    """One paragraph; a line per problem where a file has several."""
+    lines = getattr(error, "lines", ())
+    return "\n".join([*lines, *getattr(error, "__notes__", [])]) if lines else paragraph(error)
 
 
 def paragraph(error: BaseException) -> str:

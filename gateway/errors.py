@@ -4,6 +4,7 @@ GatewayError (1)
 +-- ConfigError (3)     cell, robot or profile file: what, where (file:key), what to do
 +-- InputError (3)      measured table, recording, result file: file:line
 +-- PlanRefused (5)     nothing moved, or motion was stopped, and why
+|   +-- WrongPlace          it cannot begin where the arm stands; `servo-gateway move` leads away from there
 |   +-- LimitExceeded       position, speed, torque or following error left its limit; the arm was stopped
 |   +-- PoseNeverSettles    a pose did not come to rest in time (also TimeoutError)
 +-- DataUnusable (6)    rank, too few poses, nothing to hold out
@@ -12,11 +13,24 @@ GatewayError (1)
 Bus and drive errors (4) are `drives.errors.DriveError`.
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Self
+
 
 class GatewayError(Exception):
-    """Base: one paragraph that says what, where, and what to do."""
+    """Base: one paragraph that says what, where, and what to do; `lines` where a file has several problems."""
 
     exit_code = 1
+    lines: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, lines: Sequence[str]) -> Self:
+        """An error that is told in lines, one a problem."""
+        error = cls("; ".join(lines))
+        error.lines = tuple(lines)
+        return error
 
 
 class ConfigError(GatewayError, ValueError):
@@ -35,6 +49,15 @@ class PlanRefused(GatewayError):  # noqa: N818 - reads as what happened
     """A motion that is not allowed, or that had to be stopped."""
 
     exit_code = 5
+
+
+class WrongPlace(PlanRefused):
+    """What is asked for cannot begin where the arm stands; `to` says where `servo-gateway move` may bring it."""
+
+    def __init__(self, message: str, arm: str, to: str = "home") -> None:
+        super().__init__(message)
+        self.arm = arm
+        self.to = to
 
 
 class LimitExceeded(PlanRefused):

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.dh import chain_of_rows
 from sim.plant import Payload
 from sim.urdf import SimChain, UrdfError, read_chain
 
@@ -71,7 +72,7 @@ class AxisSpec:
 class ArmSpec:
     """One arm: its chain, its axes, and how it stands in gravity.
 
-    `start_rad` is where an arm of a pair grips the part.
+    `start_rad` is where an arm of a pair grips the part; `assumed_links` says that nobody stated masses and shapes.
     """
 
     name: str
@@ -81,6 +82,7 @@ class ArmSpec:
     coupling: Array
     axes: tuple[AxisSpec, ...]
     start_rad: tuple[float, ...] | None = None
+    assumed_links: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,16 +183,7 @@ def _scalar(text: str) -> str | int | float | bool:
 
 def _arm(entry: Table, path: Path) -> ArmSpec:
     name = str(entry["name"])
-    if "robot" not in entry:
-        raise CellFileError(
-            f"{path}: arm '{name}' names no robot; the simulator needs robot = \"FILE.urdf\" with all inertials."
-        )
-    robot = path.resolve().parent / str(entry["robot"])
-    try:
-        text = robot.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise CellFileError(f"{robot}: cannot be read: {error}. Correct the robot key of {path}.") from error
-    axes, chain = len(entry["axis"]), read_chain(text, str(robot))
+    axes, chain = len(entry["axis"]), _chain(entry, name, path)
     if axes != len(chain.axis):
         raise CellFileError(
             f"{path}: arm '{name}' has {axes} [[arm.axis]] tables, its robot {len(chain.axis)} joints; give one each."
@@ -203,7 +196,23 @@ def _arm(entry: Table, path: Path) -> ArmSpec:
         coupling=np.array(entry.get("coupling", np.eye(axes)), dtype=float),
         axes=tuple(_axis(axis, path) for axis in entry["axis"]),
         start_rad=tuple(float(value) for value in entry["start_rad"]) if "start_rad" in entry else None,
+        assumed_links="robot" not in entry,
     )
+
+
+def _chain(entry: Table, name: str, path: Path) -> SimChain:
+    """Joints and links: of the URDF, or of the Denavit-Hartenberg rows with links of a stated shape."""
+    if "robot" not in entry:
+        if "dh" not in entry:
+            raise CellFileError(f"{path}: arm '{name}' names no robot; give robot = \"FILE.urdf\" or [arm.dh].")
+        limits = np.array([axis["torque_limit_nm"] for axis in entry["axis"]], dtype=float)
+        return chain_of_rows(entry["dh"], name, entry.get("flange_xyz_m", (0.0, 0.0, 0.0)), limits)
+    robot = path.resolve().parent / str(entry["robot"])
+    try:
+        text = robot.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise CellFileError(f"{robot}: cannot be read: {error}. Correct the robot key of {path}.") from error
+    return read_chain(text, str(robot))
 
 
 def _axis(entry: Table, path: Path) -> AxisSpec:
@@ -232,7 +241,7 @@ def _constant(entry: Table) -> float:
 
 
 def read_profile(name: str, folder: Path) -> Table:
-    """Parse a drive profile: by name from the packaged ones, else a TOML file relative to the cell's folder.
+    """Parse a drive profile: by name from the packaged ones, else a TOML file beside the cell, its suffix given or not.
 
     Raises
     ------
@@ -241,7 +250,8 @@ def read_profile(name: str, folder: Path) -> Table:
     packaged = resources.files("drives").joinpath("profiles", f"{name}.toml")
     if not name.endswith(".toml") and packaged.is_file():
         return tomllib.loads(packaged.read_text(encoding="utf-8"))
-    return read_toml(folder / name)
+    beside = folder / f"{name}.toml"
+    return read_toml(beside if beside.is_file() else folder / name)
 
 
 def read_payloads(path: Path) -> dict[str, Payload]:

@@ -154,7 +154,7 @@ def _motion_objects(drive: DescribedDrive) -> None:
     store.parameter((0x6080, 0), "u32", round(3.0 * speed * 30.0 / math.pi))
     store.parameter((0x6081, 0), "u32", max(1, round(0.5 * speed * bits)))
     for index, seconds in ((0x6083, 1.0), (0x6084, 1.0), (0x6085, 0.1)):
-        store.parameter((index, 0), "u32", max(1, round(speed / seconds * bits)))
+        store.parameter((index, 0), "u32", max(1, round(speed / seconds * (units.ramp_bits or bits))))
     store.parameter((0x6086, 0), "i16", 0, _one_of(0))
     store.constant((0x6091, 0), "u8", 2)
     store.constant((0x6091, 1), "u32", 1)

@@ -339,8 +339,13 @@ class FakeDrive:
         return self._speed_word(self.axis.servo.reference_step_rad * 1000.0)
 
     def joint_speed(self, word: int) -> float:
-        """Magnitude at the gear output [rad/s] of an unsigned speed or acceleration word."""
+        """Magnitude at the gear output [rad/s] of an unsigned speed word."""
         return word / (self.units.velocity.bits_per_unit * abs(self.spec.gear_ratio))
+
+    def joint_ramp(self, word: int) -> float:
+        """Magnitude at the gear output [rad/s2] of an unsigned acceleration word."""
+        bits = self.units.ramp_bits or self.units.velocity.bits_per_unit
+        return word / (bits * abs(self.spec.gear_ratio))
 
     def take_velocity_offset(self, value: int) -> None:
         """0x60B1."""

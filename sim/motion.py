@@ -53,7 +53,11 @@ class MovingDrive(Protocol):
         ...
 
     def joint_speed(self, word: int) -> float:
-        """Magnitude at the gear output [rad/s] of a speed or acceleration word."""
+        """Magnitude at the gear output [rad/s] of a speed word."""
+        ...
+
+    def joint_ramp(self, word: int) -> float:
+        """Magnitude at the gear output [rad/s2] of an acceleration word."""
         ...
 
     def following_error_counts(self) -> int:
@@ -271,7 +275,8 @@ class DriveMotion:
         drive = self._drive
         goal = drive.axis.servo.reference_rad if self._pp_goal is None else self._pp_goal
         way = goal - drive.axis.servo.reference_rad
-        top, up, down = (drive.joint_speed(drive.store.number((index, 0))) for index in (0x6081, 0x6083, 0x6084))
+        top = drive.joint_speed(drive.store.number((0x6081, 0)))
+        up, down = (drive.joint_ramp(drive.store.number((index, 0))) for index in (0x6083, 0x6084))
         speed = min(top, abs(self._speed) + up * seconds, math.sqrt(2.0 * down * abs(way)))
         travel = math.copysign(min(speed * seconds, abs(way)), way)
         return way if abs(way - travel) < 1e-9 else travel
@@ -279,7 +284,7 @@ class DriveMotion:
     def _ramp_down(self, seconds: float, index: int) -> float:
         """Stop on the deceleration of an object; when the reference stands, the automaton is told."""
         drive = self._drive
-        rate = drive.joint_speed(drive.store.number((index, 0)))
+        rate = drive.joint_ramp(drive.store.number((index, 0)))
         slower = max(abs(self._speed) - rate * seconds, 0.0)
         travel = math.copysign(0.5 * (abs(self._speed) + slower) * seconds, self._speed)
         self._speed = math.copysign(slower, self._speed)

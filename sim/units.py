@@ -8,53 +8,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from sim.cellfile import AxisSpec, CellFileError
+from sim.makes import as_its_make_counts
+from sim.words import Address, DriveUnits, Word
 
 Table = Mapping[str, Any]
-Address = tuple[int, int]
 
 #: Peak over rated torque of the simulated motors.
 OVERLOAD = 3.0
 #: Power-on value of 0x6072 and 0x6073: a quarter above the peak that the cell allows.
 MAX_TORQUE_PER_MILLE = 3750
 COUNTS_PER_REVOLUTION = 131072
-
-
-@dataclass(frozen=True, slots=True)
-class Word:
-    """An object that shows a measured quantity: raw = quantity x `bits_per_unit`."""
-
-    address: Address
-    type: str
-    bits_per_unit: float
-
-
-@dataclass(frozen=True, slots=True)
-class DriveUnits:
-    """Scales of one drive, motor side.
-
-    Attributes
-    ----------
-    rated_torque_nm : of the motor [Nm]
-    rated_current_a : of the motor, in the ampere the torque constant refers to [A]
-    torque, current : objects that the profile names for them; bits per Nm of reported torque
-    velocity : object and bits per rad/s
-    counts_per_rad : of the motor
-    offset_nm_per_bit : what one bit of 0x60B2 and 0x6071 demands [Nm]
-    constants : objects the drive shows for its ratings and resolution, raw
-    """
-
-    rated_torque_nm: float
-    rated_current_a: float
-    torque: Word
-    current: Word | None
-    velocity: Word
-    counts_per_rad: float
-    offset_nm_per_bit: float
-    constants: Mapping[Address, tuple[str, int]]
 
 
 def drive_units(axis: AxisSpec) -> DriveUnits:
@@ -66,7 +32,7 @@ def drive_units(axis: AxisSpec) -> DriveUnits:
     """
     profile = axis.profile
     try:
-        return _units(axis, profile)
+        return as_its_make_counts(str(profile.get("name")), axis, _units(axis, profile))
     except (KeyError, TypeError) as error:
         raise CellFileError(
             f"drive profile '{profile.get('name')}': {error} is missing or of the wrong kind."
@@ -112,6 +78,8 @@ def _signal(signal: Table, kt: float, torque_nm: float, constants: dict[Address,
 def _bits_per_nm(signal: Table, kt: float, torque_nm: float, constants: dict[Address, tuple[str, int]]) -> float:
     """Bits of a torque or current word per Nm of motor torque."""
     kind = str(signal["kind"])
+    if "rated" not in signal and kind.startswith("permille"):
+        return 1000.0 / torque_nm  # the drive knows its motor, the profile does not say where
     if kind == "permille_rated_torque":
         return 1000.0 / _rated(signal["rated"], torque_nm, constants)
     ampere = drive_ampere_per_nm(signal, kt)
@@ -126,7 +94,7 @@ def _bits_per_nm(signal: Table, kt: float, torque_nm: float, constants: dict[Add
 
 def drive_ampere_per_nm(signal: Table, kt: float) -> float:
     """Ampere, as the drive counts it, per Nm of motor torque; sine currents, peak = sqrt(2) rms."""
-    drive, motor = signal["current_reference"], signal["torque_constant_per"]
+    drive, motor = signal.get("current_reference"), signal.get("torque_constant_per")
     factor = {("peak", "rms"): math.sqrt(2.0), ("rms", "peak"): 1.0 / math.sqrt(2.0)}.get((drive, motor), 1.0)
     return factor / kt
 
@@ -148,6 +116,8 @@ def _counts(entry: Table, constants: dict[Address, tuple[str, int]]) -> float:
         constants[(0x608F, 2)] = ("u32", 1)
         return counts
     for key, raw in (("object", COUNTS_PER_REVOLUTION), ("per", 1)):
+        if key not in entry:
+            continue
         target = entry[key]
         constants[(int(target["index"]), int(target.get("subindex", 0)))] = (str(target["type"]), raw)
     return float(COUNTS_PER_REVOLUTION)
@@ -159,4 +129,7 @@ def _velocity(profile: Table, counts: float) -> Word:
         return Word((0x606C, 0), "i32", counts / (2.0 * math.pi))
     target = entry["object"]
     address = (int(target["index"]), int(target.get("subindex", 0)))
+    if "unit_counts_s" in entry:
+        per_bit = float(entry["unit_counts_s"]["value"])
+        return Word(address, str(target["type"]), counts / (2.0 * math.pi * per_bit))
     return Word(address, str(target["type"]), 1.0 / float(entry["unit_rad_s"]["value"]))

@@ -20,7 +20,7 @@ from drives.profile_file import load_profile
 from drives.values import AxisSetup
 
 #: Statusword, position and torque in one TPDO of eight bytes, as the wire limit assumes.
-PROFILE = "beckhoff-ax8000"
+PROFILE = "maxon-epos4"
 ROUNDS = 7
 
 

@@ -92,6 +92,7 @@ def report(cells: list[dict], over_bus: list[dict], out: Path) -> int:
     from rich.table import Table as RichTable
 
     from benchmarks.blind.figures import bus_figures, confusion, figures, there_and_said, weakest
+    from benchmarks.blind.shares import figure_table
     from benchmarks.blind.strict_figures import strict_figures
 
     console = Console(width=150)
@@ -110,13 +111,7 @@ def report(cells: list[dict], over_bus: list[dict], out: Path) -> int:
             runs.add_row(str(cell["seed"]), cell["cell"], *there_and_said(cell), f"{cell['time_s']:.0f}")
         console.print(runs)
     result = figures(cells) | strict_figures(cells) | bus_figures(over_bus)
-    table = RichTable("figure", "value", "95 % interval", "unit", "goal", "met")
-    for name, figure in result.items():
-        low, high = figure["interval"]
-        met = {True: "yes", False: "MISSED", None: "no cells"}[figure["met"]]
-        value, interval = f"{figure['value']:.4g}", f"{low:.4g} .. {high:.4g}"
-        table.add_row(name, value, interval, figure["unit"], figure["goal"], met)
-    console.print(table)
+    console.print(figure_table(result))
     confused = [{"there": there, "said": said, "cells": count} for there, said, count in rows]
     summary = {"figures": result, "confusion": confused, "bus": over_bus}
     (out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")

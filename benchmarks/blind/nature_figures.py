@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
+from benchmarks.blind.figures import Cell
 from benchmarks.blind.mechanisms import MECHANISMS
+from benchmarks.blind.scores import Scores
 from benchmarks.blind.shares import Figures, middle, reached, share
-from benchmarks.blind.strict import LEAST, STRONG, Said, There, kind, misnamed, right, there
+from benchmarks.blind.strict import LEAST, STRONG, There, kind, there
 from sim.nature.levels import CONDITIONS
-
-NatureCell = dict
 
 QUANTITIES = ("mass", "x", "y", "z")
 METHODS = {"estimated": "estimate", "diagnosed": "diagnose"}
@@ -20,29 +20,27 @@ METHODS = {"estimated": "estimate", "diagnosed": "diagnose"}
 GROSS_BANDS = 4.0
 
 
-def truth(cell: NatureCell) -> tuple[There, ...]:
+def truth(cell: Cell) -> tuple[There, ...]:
     """What is there, by the table of right names."""
     return tuple(there(MECHANISMS[name], joints, size) for name, joints, size in cell["truth"])
 
 
-def said(cell: NatureCell) -> Said:
-    """What was said."""
-    return Said(tuple((name, tuple(joints)) for name, joints in cell["found"]), cell["verdict"])
+NATURE = Scores(truth)
 
 
-def covered(cells: Iterable[NatureCell], method: str, quantity: int | None = None) -> list[float]:
+def covered(cells: Iterable[Cell], method: str, quantity: int | None = None) -> list[float]:
     """Whether intervals hold the truth, of one quantity or of all four; those that were not given are left out."""
     which = slice(None) if quantity is None else slice(quantity, quantity + 1)
     values = [value for cell in cells if cell[method] for value in cell[method]["inside"][which]]
     return [value for value in values if np.isfinite(value)]
 
 
-def widths(cells: Iterable[NatureCell], method: str) -> list[float]:
+def widths(cells: Iterable[Cell], method: str) -> list[float]:
     """Widths over the oracle's, all four quantities."""
     return [value for cell in cells if cell[method] for value in cell[method]["width"]]
 
 
-def ordinary_figures(cells: Sequence[NatureCell]) -> Figures:
+def ordinary_figures(cells: Sequence[Cell]) -> Figures:
     """Figures of the cells with nothing beyond the ordinary, pooled and by condition."""
     out: Figures = {}
     good = [cell for cell in cells if not cell["misstated"]]
@@ -68,7 +66,7 @@ def ordinary_figures(cells: Sequence[NatureCell]) -> Figures:
     return out
 
 
-def _of_condition(cells: Sequence[NatureCell]) -> Figures:
+def _of_condition(cells: Sequence[Cell]) -> Figures:
     out: Figures = {}
     for method, word in METHODS.items():
         for number, name in enumerate(QUANTITIES):
@@ -78,60 +76,50 @@ def _of_condition(cells: Sequence[NatureCell]) -> Figures:
     return out
 
 
-def _named(cells: Iterable[NatureCell]) -> list[float]:
+def _named(cells: Iterable[Cell]) -> list[float]:
     return [float(bool(cell["found"])) for cell in cells]
 
 
-def _refused(cell: NatureCell, word: str) -> float:
+def _refused(cell: Cell, word: str) -> float:
     return float(any(text.startswith(word) for text in cell["refused"]))
 
 
-def effect_figures(cells: Sequence[NatureCell]) -> Figures:
+def effect_figures(cells: Sequence[Cell]) -> Figures:
     """Figures of the cells with something beyond the ordinary."""
     named = [cell for cell in cells if cell["kind"] in ("one", "several") and not cell["misstated"]]
     misstated = [cell for cell in cells if cell["kind"] in ("one", "several") and cell["misstated"]]
     strange = [cell for cell in cells if cell["kind"] == "strange"]
-    by_kind: dict[str, list[NatureCell]] = {"strong": [], "weak": [], "several": [], "below": []}
-    for cell in named:
-        by_kind[kind(truth(cell))].append(cell)
-    strong = [cell for cell in by_kind["several"] if all(t.strength >= STRONG for t in truth(cell) if t.counts)]
+    by_kind = NATURE.by_kind(named)
+    strong = NATURE.all_strong(by_kind["several"])
     clear = [cell for cell in by_kind["several"] if min(cell["beside"]) >= STRONG]
     wired = [cell for cell in cells if cell["kind"] == "wiring"]
     off = [cell for cell in strange if _size(cell) >= LEAST]
     loads = [cell for cell in named if not any(name == "slipping_load" for name, _, _ in cell["truth"])]
     return {
-        f"right, one effect of strength >= {STRONG:g}": share(_right(by_kind["strong"]), ">= 0.97"),
-        f"right, one effect of strength {LEAST:g} to {STRONG:g}": share(_right(by_kind["weak"]), ">= 0.9"),
-        f"right, two or more effects, each of strength >= {LEAST:g}": share(_right(by_kind["several"]), ">= 0.9"),
-        f"right, two or more effects, each of strength >= {STRONG:g}": share(_right(strong), ">= 0.9"),
-        f"right, two or more effects, each of strength >= {STRONG:g} beyond the others too": share(_right(clear)),
-        f"right or silent, below {LEAST:g}": share([1.0 - value for value in _misnamed(by_kind["below"])]),
-        "right, priors misstated": share(_right([c for c in misstated if kind(truth(c)) != "below"])),
-        "something named that is not there": share(_misnamed(named)),
-        "off-library given a library name": share(_misnamed(off), "<= 0.05"),
+        f"right, one effect of strength >= {STRONG:g}": share(NATURE.right(by_kind["strong"]), ">= 0.97"),
+        f"right, one effect of strength {LEAST:g} to {STRONG:g}": share(NATURE.right(by_kind["weak"]), ">= 0.9"),
+        f"right, two or more effects, each of strength >= {LEAST:g}": share(NATURE.right(by_kind["several"]), ">= 0.9"),
+        f"right, two or more effects, each of strength >= {STRONG:g}": share(NATURE.right(strong), ">= 0.9"),
+        f"right, two or more effects, each of strength >= {STRONG:g} beyond the others too": share(NATURE.right(clear)),
+        f"right or silent, below {LEAST:g}": share([1.0 - value for value in NATURE.misnamed(by_kind["below"])]),
+        "right, priors misstated": share(NATURE.right([c for c in misstated if kind(truth(c)) != "below"])),
+        "something named that is not there": share(NATURE.misnamed(named)),
+        "off-library given a library name": share(NATURE.misnamed(off), "<= 0.05"),
         f"off-library given a library name, below {LEAST:g}": share(
-            _misnamed([cell for cell in strange if _size(cell) < LEAST])
+            NATURE.misnamed([cell for cell in strange if _size(cell) < LEAST])
         ),
-        "wiring mistakes named": share(_right(wired)),
+        "wiring mistakes named": share(NATURE.right(wired)),
         "beyond the ordinary: 95 % intervals hold the truth": share(covered(loads, "diagnosed")),
         "beyond the ordinary: width over the oracle's": middle(widths(named, "diagnosed"), "<= 1.15"),
         "beyond the ordinary: refused": share([float(bool(cell["refused"])) for cell in cells]),
     }
 
 
-def _size(cell: NatureCell) -> float:
+def _size(cell: Cell) -> float:
     return max(size for _, _, size in cell["truth"])
 
 
-def _right(cells: Iterable[NatureCell]) -> list[float]:
-    return [float(right(truth(cell), said(cell))) for cell in cells]
-
-
-def _misnamed(cells: Iterable[NatureCell]) -> list[float]:
-    return [float(misnamed(truth(cell), said(cell))) for cell in cells]
-
-
-def gross_figures(cells: Sequence[NatureCell]) -> Figures:
+def gross_figures(cells: Sequence[Cell]) -> Figures:
     """Gross visits found, and good ones thrown out, of all cells that were diagnosed."""
     asked = [cell for cell in cells if cell["verdict"] and cell["kind"] != "wiring"]
     found = [value for cell in asked for value in _found(cell)]
@@ -142,19 +130,19 @@ def gross_figures(cells: Sequence[NatureCell]) -> Figures:
     }
 
 
-def _found(cell: NatureCell) -> list[float]:
+def _found(cell: Cell) -> list[float]:
     aside = {(pose, load, joint) for pose, load, joint, _ in cell["set_aside"]}
     return [float((pose, load, joint) in aside) for pose, load, joint, bands in cell["gross"] if bands >= GROSS_BANDS]
 
 
-def _thrown(cell: NatureCell) -> list[float]:
+def _thrown(cell: Cell) -> list[float]:
     """Whether a visit that went well was set aside on any axis; of visits of one pose and load, once."""
     gross = {(pose, load) for pose, load, _, _ in cell["gross"]}
     aside = {(pose, load) for pose, load, _, _ in cell["set_aside"]}
     return [float((pose, load) in aside) for pose, load in {(p, name) for p, name in cell["visits"]} - gross]
 
 
-def time_figures(timed: Sequence[NatureCell]) -> Figures:
+def time_figures(timed: Sequence[Cell]) -> Figures:
     """Median and largest time of a diagnosis."""
     times = [cell["time_s"] for cell in timed]
     if not times:
@@ -173,7 +161,7 @@ def time_figures(timed: Sequence[NatureCell]) -> Figures:
     }
 
 
-def confusion(cells: Sequence[NatureCell]) -> list[tuple[str, str, int]]:
+def confusion(cells: Sequence[Cell]) -> list[tuple[str, str, int]]:
     """(what is there, what was said, how often) of the cells with one effect, strange ones and wiring mistakes."""
     counter: Counter = Counter()
     for cell in cells:
@@ -184,27 +172,27 @@ def confusion(cells: Sequence[NatureCell]) -> list[tuple[str, str, int]]:
     return [(name, words, count) for (name, words), count in sorted(counter.items())]
 
 
-def _words(cell: NatureCell) -> str:
-    if right(truth(cell), said(cell)):
+def _words(cell: Cell) -> str:
+    if NATURE.is_right(cell):
         return "right"
     names = " + ".join(sorted({name for name, _ in cell["found"]}))
     return f"{names} ({cell['verdict']})" if names else str(cell["verdict"] or "refused")
 
 
-def falsely_named(cells: Sequence[NatureCell]) -> list[tuple[str, str, int]]:
+def falsely_named(cells: Sequence[Cell]) -> list[tuple[str, str, int]]:
     """(condition, what was named, how often) of the cells with only the ordinary."""
     counter = Counter((cell["condition"], _words(cell)) for cell in cells if cell["found"])
     return [(condition, words, count) for (condition, words), count in sorted(counter.items())]
 
 
-def by_condition(cells: Sequence[NatureCell]) -> list[list[str]]:
+def by_condition(cells: Sequence[Cell]) -> list[list[str]]:
     """Rows of a table, a condition each.
 
     How many were estimated and diagnosed, coverage of the four and width by both methods, named, gross visits found,
     good ones thrown out.
     """
     rows = []
-    parts: list[tuple[str, Callable[[NatureCell], bool]]] = [("pooled", lambda cell: not cell["misstated"])]
+    parts: list[tuple[str, Callable[[Cell], bool]]] = [("pooled", lambda cell: not cell["misstated"])]
     parts += [(name, lambda cell, name=name: cell["condition"] == name) for name in CONDITIONS]
     for name, chosen in parts:
         here = [cell for cell in cells if chosen(cell) and not cell["misstated"]]

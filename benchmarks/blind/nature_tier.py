@@ -55,7 +55,7 @@ def report(ordinary: list[dict], effects: list[dict], timed: list[dict], out: Pa
     from rich.table import Table
 
     from benchmarks.blind import nature_figures as figures
-    from benchmarks.blind.shares import Figures
+    from benchmarks.blind.shares import Figures, figure_table
 
     console = Console(width=160)
     conditions = Table(
@@ -77,17 +77,6 @@ def report(ordinary: list[dict], effects: list[dict], timed: list[dict], out: Pa
     found: Figures = figures.ordinary_figures(ordinary) if ordinary else {}
     found |= figures.effect_figures(effects) if effects else {}
     found |= figures.gross_figures([*ordinary, *effects]) | figures.time_figures(timed)
-    _print(console, found)
+    console.print(figure_table(found))
     (out / "summary.json").write_text(json.dumps({"figures": found}, indent=1) + "\n", encoding="utf-8")
     return 0 if all(entry["met"] is not False for entry in found.values()) else 1
-
-
-def _print(console: Any, found: dict[str, dict]) -> None:
-    from rich.table import Table
-
-    table = Table("figure", "value", "95 % interval", "unit", "goal", "met")
-    for name, entry in found.items():
-        low, high = entry["interval"]
-        met = {True: "yes", False: "MISSED", None: "none"}[entry["met"]]
-        table.add_row(name, f"{entry['value']:.4g}", f"{low:.4g} .. {high:.4g}", entry["unit"], entry["goal"], met)
-    console.print(table)

@@ -33,6 +33,8 @@ Floats = NDArray[np.float64]
 POSES = 120
 #: Standard deviation of what every arm has: known beforehand to a share, it takes up no effect.
 NOT_THERE = 1e-9
+#: Least torque, Nm, that rows are measured by: an axis that carries nothing has but the noise of the readings (1e-9).
+CARRIES_NM = 0.01
 UNSEEN, NOTHING, RANK, NEAR = 1e-4, 1e-7, 1e-4, 0.995
 
 
@@ -54,7 +56,7 @@ def alike(seed: int, poses: int = POSES) -> Alike:
         np.sqrt(np.mean(problem.target[problem.group == g] ** 2)) if (problem.group == g).any() else 1.0
         for g in range(18)
     ]
-    weight = 1.0 / np.maximum(np.array(size), 1e-9)[problem.group, None]
+    weight = 1.0 / np.maximum(np.array(size), CARRIES_NM)[problem.group, None]
     common = common_columns(problem, nothing.setting, nothing.links, nothing.loads, nothing.band) * weight
     basis = _basis(common[:, : problem.nuisance_part.start], 1e-8)
     left: dict[Label, Floats] = {}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from rich.table import Table
 
 from benchmarks.blind.figures import bootstrap, clopper_pearson
 
@@ -35,6 +36,17 @@ def middle(values: Sequence[float], goal: str = "printed", unit: str = "median o
         "goal": goal,
         "met": reached(value, goal) if known else None,
     }
+
+
+def figure_table(figures: Figures) -> Table:
+    """Every figure with its interval and goal, a row each."""
+    table = Table("figure", "value", "95 % interval", "unit", "goal", "met")
+    for name, figure in figures.items():
+        low, high = figure["interval"]
+        met = {True: "yes", False: "MISSED", None: "no cells"}[figure["met"]]
+        value, interval = f"{figure['value']:.4g}", f"{low:.4g} .. {high:.4g}"
+        table.add_row(name, value, interval, figure["unit"], figure["goal"], met)
+    return table
 
 
 def reached(value: float, goal: str) -> bool:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
+from benchmarks.blind.figures import Cell
+from benchmarks.blind.scores import Scores
 from benchmarks.blind.shares import Figures, share
-from benchmarks.blind.strict import LEAST, STRONG, Said, There, kind, misnamed, right, there
-
-Cell = dict
+from benchmarks.blind.strict import LEAST, STRONG, There, there
 
 MISTAKES = ("sign_reversed", "axes_swapped", "current_rms_peak")
 
@@ -17,9 +17,7 @@ def truth(cell: Cell) -> tuple[There, ...]:
     return tuple(there((name,), joints, size) for name, joints, size in cell["beyond"])
 
 
-def said(cell: Cell) -> Said:
-    """What was said."""
-    return Said(tuple((name, tuple(joints)) for name, joints in cell["found"]), cell["verdict"])
+STRICT = Scores(truth)
 
 
 def strict_figures(cells: Sequence[Cell]) -> Figures:
@@ -28,30 +26,18 @@ def strict_figures(cells: Sequence[Cell]) -> Figures:
     drawn = {id(cell) for cell in wired}
     off = [c for c in cells if c["kind"] == "off" and any(effect.counts for effect in truth(c))]
     plain = [cell for cell in cells if id(cell) not in drawn and cell["kind"] != "off" and cell["beyond"]]
-    by_kind: dict[str, list[Cell]] = {"strong": [], "weak": [], "several": [], "below": []}
-    for cell in plain:
-        by_kind[kind(truth(cell))].append(cell)
-    strong = [cell for cell in by_kind["several"] if all(t.strength >= STRONG for t in truth(cell) if t.counts)]
+    by_kind = STRICT.by_kind(plain)
+    strong, below = STRICT.all_strong(by_kind["several"]), STRICT.misnamed(by_kind["below"])
     return {
-        f"strict: right, one effect of strength >= {STRONG:g}": share(_right(by_kind["strong"]), ">= 0.979"),
-        f"strict: right, one effect of strength {LEAST:g} to {STRONG:g}": share(_right(by_kind["weak"])),
-        f"strict: right, two effects, each of strength >= {STRONG:g}": share(_right(strong), ">= 0.926"),
-        f"strict: right, two effects, each of strength >= {LEAST:g}": share(_right(by_kind["several"])),
-        f"strict: right or silent, below {LEAST:g}": share(
-            [float(not misnamed(truth(cell), said(cell))) for cell in by_kind["below"]]
-        ),
-        "strict: something named that is not there": share(_misnamed([*plain, *off])),
-        "strict: off-library given a library name": share(_misnamed(off), "<= 0.05"),
-        "strict: wiring mistakes named": share(_right(wired)),
+        f"strict: right, one effect of strength >= {STRONG:g}": share(STRICT.right(by_kind["strong"]), ">= 0.979"),
+        f"strict: right, one effect of strength {LEAST:g} to {STRONG:g}": share(STRICT.right(by_kind["weak"])),
+        f"strict: right, two effects, each of strength >= {STRONG:g}": share(STRICT.right(strong), ">= 0.926"),
+        f"strict: right, two effects, each of strength >= {LEAST:g}": share(STRICT.right(by_kind["several"])),
+        f"strict: right or silent, below {LEAST:g}": share([1.0 - value for value in below]),
+        "strict: something named that is not there": share(STRICT.misnamed([*plain, *off])),
+        "strict: off-library given a library name": share(STRICT.misnamed(off), "<= 0.05"),
+        "strict: wiring mistakes named": share(STRICT.right(wired)),
         "strict: something named where nothing is": share(
             [float(bool(cell["found"])) for cell in cells if not cell["beyond"]], "<= 0.02"
         ),
     }
-
-
-def _right(cells: Iterable[Cell]) -> list[float]:
-    return [float(right(truth(cell), said(cell))) for cell in cells]
-
-
-def _misnamed(cells: Iterable[Cell]) -> list[float]:
-    return [float(misnamed(truth(cell), said(cell))) for cell in cells]

@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gateway.acquire.route import Leg, Route, find_route
+from gateway.acquire.route import Leg, Route, find_route, way_to
+from gateway.acquire.standing import inside_from
 from gateway.data.rest_pose import RestPose
-from gateway.errors import PlanRefused
+from gateway.errors import PlanRefused, WrongPlace
 from gateway.motion.places import angles
 from gateway.motion.trajectory import MotionLimits, straight
 from gateway.motion.workspace import Workspace
@@ -187,10 +188,11 @@ def plan_from(plan: Plan, workspace: Workspace, start_rad: np.ndarray, done: Seq
     passed = np.array([step.q_rad for step in plan.steps if isinstance(step, MoveTo)]).reshape(-1, len(begin_rad))
     route = _route(workspace, poses, begin_rad, plan.settings.approach_offset_rad, passed)
     if route.unreachable:
-        raise PlanRefused(
+        raise WrongPlace(
             f"no path that keeps the limits leads from {angles(begin_rad)} to pose {route.unreachable[0].number} at "
             f"{angles(route.unreachable[0].q_rad)}; move the arm elsewhere, or say in the cell what is assumed "
-            "around it (floor_m, wall, column_radius_m, link_radius_m, load_size_m)"
+            "around it (floor_m, wall, column_radius_m, link_radius_m, load_size_m)",
+            plan.arm,
         )
     steps = (*inwards, *_steps(route.legs, plan.settings, missing))
     started = replace(plan, start_rad=tuple(float(value) for value in start_rad), steps=steps)
@@ -205,17 +207,38 @@ def inward_steps(workspace: Workspace, start_rad: np.ndarray, arm: str) -> tuple
     PlanRefused
         The arm stands where it may not stand, and cannot be brought inwards.
     """
-    where = f"arm '{arm}' stands at {angles(start_rad)}"
-    try:
-        inside = workspace.inward_way(start_rad)
-    except PlanRefused as refused:
-        raise PlanRefused(f"{where}: {refused}") from refused
-    reason = workspace.why_not(start_rad if inside is None else inside)
-    if reason is not None:
-        raise PlanRefused(
-            f"{where}: {reason}; move it clear by hand or jog it with the drive's own tool, then start again"
-        )
+    inside = inside_from(workspace, start_rad, arm)
     return () if inside is None else (MoveInwards(tuple(inside.tolist())),)
+
+
+def plan_to(
+    arm: str, workspace: Workspace, start_rad: np.ndarray, end_rad: np.ndarray, settings: VisitSettings
+) -> Plan:
+    """Plan from where the arm stands to a posture, where nothing is measured.
+
+    An arm that stands outside its joint range moves back into it first, slowly.
+
+    Parameters
+    ----------
+    arm : str
+    workspace : Workspace
+    start_rad, end_rad : arrays of shape (N,)
+    settings : VisitSettings
+
+    Raises
+    ------
+    PlanRefused
+        The arm may not stand at one of the two, or no checked way leads from one to the other.
+    """
+    inwards = inward_steps(workspace, start_rad, arm)
+    begin_rad = np.array(inwards[-1].q_rad) if inwards else start_rad
+    reason = workspace.why_not(end_rad)
+    if reason is not None:
+        raise PlanRefused(f"arm '{arm}' may not stand at {angles(end_rad)}: {reason}; choose another posture")
+    points = way_to(workspace, begin_rad, end_rad)
+    steps = (*inwards, *(MoveTo(tuple(point.tolist())) for point in points))
+    plan = Plan(arm, (), settings, tuple(start_rad.tolist()), steps, 0.0)
+    return replace(plan, duration_s=sum(step_durations(plan, workspace)))
 
 
 def _steps(legs: Sequence[Leg], settings: VisitSettings, missing: Mapping[int, tuple[int, ...]]) -> Iterator[Step]:

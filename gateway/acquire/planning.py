@@ -21,6 +21,7 @@ from gateway.errors import PlanRefused
 from gateway.model.arm_model import arm_named, arm_robot
 from gateway.model.information import expected_std, payload_information
 from gateway.model.regressor import load_regressor
+from gateway.motion.places import angles
 from gateway.motion.workspace import BAND_SHARE, Workspace, workspace_of
 
 #: Other choices that are tried if no path leads to some chosen pose.
@@ -67,13 +68,14 @@ def make_plan(loaded: LoadedCell, n_poses: int | None = None, seed: int | None =
             "one posture never gives all of a load: the part of its centre of gravity along gravity is in no axis "
             "torque; plan two poses at least, ten are usual"
         )
-    joined: np.ndarray | None = None
+    joined = np.empty((0, workspace.robot.axes))
     for choice in range(CHOICES):
         seeded = replace(request, seed=request.seed + choice * SEED_STEP)
         chosen = choose_poses(workspace.roomy(), seeded, assumed_noise_nm(workspace), joined)
         plan, unreachable = plan_poses(config.name, workspace, chosen, visit_settings(loaded, config), joined)
         if not unreachable:
-            return _checked(plan, workspace)
+            check_plan(plan, workspace)
+            return _expected(plan, workspace)
         joined = _more_joined(joined, plan)
     raise PlanRefused(
         f"arm '{config.name}': no path that keeps the limits joins the chosen poses; narrow the joint limits to the "
@@ -82,30 +84,44 @@ def make_plan(loaded: LoadedCell, n_poses: int | None = None, seed: int | None =
     )
 
 
-def _more_joined(joined: np.ndarray | None, plan: Plan) -> np.ndarray:
+def _more_joined(joined: np.ndarray, plan: Plan) -> np.ndarray:
     """Postures (k, N) between which ways are known, with those that a plan passes."""
     passed = np.array([step.q_rad for step in plan.steps if isinstance(step, MoveTo | Approach)])
-    return passed if joined is None else np.vstack([joined, passed])
+    return np.vstack([joined, passed])
 
 
 def plan_of_poses(loaded: LoadedCell, config: ArmConfig, workspace: Workspace, poses: Sequence[RestPose]) -> Plan:
-    """Plan over given poses, such as those of a file or of an earlier recording.
+    """Plan over given poses that a load shall be told from, such as those of a file or of an earlier recording.
 
     Raises
     ------
     PlanRefused
         A pose is not feasible or out of reach, or the poses do not tell mass and centre of gravity apart.
     """
+    return _expected(plan_of_any(loaded, config, workspace, poses), workspace)
+
+
+def plan_of_any(loaded: LoadedCell, config: ArmConfig, workspace: Workspace, poses: Sequence[RestPose]) -> Plan:
+    """Plan over given poses, which may be one alone or say little of a load.
+
+    Raises
+    ------
+    PlanRefused
+        A pose is not feasible or out of reach.
+    """
     if not poses:
         raise PlanRefused(f"arm '{config.name}': no poses to measure")
+    for pose in poses:
+        reason = workspace.why_not(np.array(pose.q_rad), workspace.rest_share)
+        if reason is not None:
+            raise PlanRefused(f"arm '{config.name}', pose {pose.number}: {reason}, at {angles(pose.q_rad)}")
     plan, unreachable = plan_poses(config.name, workspace, poses, visit_settings(loaded, config))
     if unreachable:
         pose = unreachable[0]
-        reason = workspace.why_not(np.array(pose.q_rad), workspace.rest_share)
-        raise PlanRefused(
-            f"arm '{config.name}', pose {pose.number}: {reason or 'no path that keeps the limits leads there'}"
-        )
-    return _checked(plan, workspace)
+        where = angles(pose.q_rad)
+        raise PlanRefused(f"arm '{config.name}', pose {pose.number}: no path that keeps the limits leads to {where}")
+    check_plan(plan, workspace)
+    return plan
 
 
 def visit_settings(loaded: LoadedCell, config: ArmConfig) -> VisitSettings:
@@ -120,8 +136,7 @@ def visit_settings(loaded: LoadedCell, config: ArmConfig) -> VisitSettings:
     )
 
 
-def _checked(plan: Plan, workspace: Workspace) -> Plan:
-    check_plan(plan, workspace)
+def _expected(plan: Plan, workspace: Workspace) -> Plan:
     noise_nm = assumed_noise_nm(workspace)
     fit = [pose for pose in plan.poses if pose.purpose == "fit"]
     return replace(plan, expectation=expectation(workspace, fit, noise_nm, ASSUMED))

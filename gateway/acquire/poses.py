@@ -84,7 +84,7 @@ def choose_poses(
     """
     random = np.random.default_rng(request.seed)
     candidates = feasible_postures(workspace, request, random)
-    if joined_rad is not None:
+    if joined_rad is not None and len(joined_rad):
         candidates = _joined_to(workspace, candidates, joined_rad, request)
     chosen = _d_optimal(workspace, candidates, request.count, noise_nm)
     validation = _apart(candidates, chosen, request.validation)
@@ -105,12 +105,10 @@ def feasible_postures(workspace: Workspace, request: PoseRequest, random: np.ran
     """
     middle, half = (workspace.upper_rad + workspace.lower_rad) / 2, (workspace.upper_rad - workspace.lower_rad) / 2
     half = np.minimum(half, np.pi)
-    offset = request.approach_offset_rad
     drawn, found, n_found = [], [], 0
     for _ in range(DRAWS):
         q = middle + half * random.uniform(-1, 1, (CANDIDATES, workspace.robot.axes))
-        good = workspace.feasible(q, request.margin_rad, workspace.rest_share)
-        good[good] = workspace.path_clear(q[good] + offset, q[good] - offset)
+        good = can_be_measured(workspace, request, q)
         drawn.append(q)
         found.append(q[good])
         n_found += int(good.sum())
@@ -150,6 +148,14 @@ def _joined_to(
             "load_size_m)"
         )
     return found
+
+
+def can_be_measured(workspace: Workspace, request: PoseRequest, q_rad: np.ndarray) -> np.ndarray:
+    """Postures (n,) of (n, N) at which the arm may rest, and to which it may come from both sides."""
+    good = workspace.feasible(q_rad, request.margin_rad, workspace.rest_share)
+    offset = request.approach_offset_rad
+    good[good] = workspace.path_clear(q_rad[good] + offset, q_rad[good] - offset)
+    return good
 
 
 def _d_optimal(workspace: Workspace, candidates: np.ndarray, count: int, noise_nm: np.ndarray) -> list[int]:

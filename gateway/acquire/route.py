@@ -11,6 +11,8 @@ from scipy.sparse.csgraph import connected_components
 
 from gateway.acquire.roadmap import find_ways, via_points
 from gateway.data.rest_pose import RestPose
+from gateway.errors import PlanRefused
+from gateway.motion.places import angles
 from gateway.motion.workspace import Workspace
 
 #: Postures that a way may pass; the larger number is drawn where a pose was not reached over the smaller.
@@ -53,7 +55,8 @@ def find_route(
         Where the arm stands; None = anywhere.
     approach_offset_rad : float
     known_rad : array of shape (k, N), optional
-        Postures that ways are known to lead over, beside random ones.
+        Postures that ways are known to lead over, beside random ones. None: no other poses can be chosen in place of
+        one that is not reached, and more random postures are drawn.
     """
     if not poses:
         return Route((), ())
@@ -61,7 +64,8 @@ def find_route(
     entries = q + approach_offset_rad
     exits = q if start_rad is None else np.vstack([q, start_rad])
     known = np.empty((0, q.shape[1])) if known_rad is None else known_rad
-    cost, via = _paths(workspace, exits, entries, known)
+    counts = VIA_POINTS if known_rad is None or start_rad is not None else VIA_POINTS[:1]
+    cost, via = _paths(workspace, exits, entries, (known, counts))
     if start_rad is None:
         apart = ~_joined(cost)
         cost[apart], cost[:, apart] = np.inf, np.inf
@@ -83,10 +87,34 @@ def _joined(cost: np.ndarray) -> np.ndarray:
     return of_pose == np.argmax(np.bincount(of_pose))
 
 
+def way_to(workspace: Workspace, start_rad: np.ndarray, end_rad: np.ndarray) -> list[np.ndarray]:
+    """Points of a checked way, the end included: straight where that is free, else over points in between.
+
+    Raises
+    ------
+    PlanRefused
+        No such way was found; says what the straight one meets.
+    """
+    route = find_route(workspace, [RestPose(1, tuple(end_rad.tolist()), "fit")], start_rad, 0.0)
+    if not route.legs:
+        met = workspace.why_not_path(np.array([start_rad, end_rad]))
+        raise PlanRefused(
+            f"no way that keeps the limits leads from {angles(start_rad)} to {angles(end_rad)}: straight there, {met}, "
+            "and no posture was found over which it would be free; go there in steps, by postures of your own choice "
+            "(servo-gateway move CELL --to J1,J2,..), or say in the cell what is assumed (floor_m, wall, "
+            "column_radius_m, link_radius_m, load_size_m)"
+        )
+    return [*(np.array(point) for point in route.legs[0].via_rad), end_rad]
+
+
 def _paths(
-    workspace: Workspace, exits: np.ndarray, entries: np.ndarray, known: np.ndarray
+    workspace: Workspace, exits: np.ndarray, entries: np.ndarray, over: tuple[np.ndarray, tuple[int, ...]]
 ) -> tuple[np.ndarray, list[list[tuple[tuple[float, ...], ...]]]]:
-    """Travel time (exits, entries), infinite where no path was found, and the points to pass."""
+    """Travel time (exits, entries), infinite where no path was found, and the points to pass.
+
+    Ways lead over known postures (k, N) and random ones, of which the next number is drawn while a pose is not reached.
+    """
+    known, counts = over
     cost = workspace.travel_time(exits[:, None], entries[None])
     via: list[list[tuple[tuple[float, ...], ...]]] = [[() for _ in entries] for _ in exits]
     pairs = [(a, b) for a in range(len(exits)) for b in range(len(entries)) if a != b]
@@ -94,7 +122,7 @@ def _paths(
     blocked = [pair for pair, is_clear in zip(pairs, clear, strict=True) if not is_clear]
     for a, b in blocked:
         cost[a, b] = np.inf
-    for count in VIA_POINTS if blocked else ():
+    for count in counts if blocked else ():
         points = np.vstack([known, via_points(workspace, count)])
         if not len(points):
             break
@@ -104,9 +132,17 @@ def _paths(
             cost[a, b] = workspace.travel_time(whole[:-1], whole[1:]).sum()
             via[a][b] = tuple(tuple(point.tolist()) for point in way)
         blocked = [pair for pair in blocked if pair not in found]
-        if not blocked or (np.isfinite(cost).any(axis=0).all() and np.isfinite(cost[: len(entries)]).any(axis=1).all()):
+        if _all_reached(cost):
             break
     return cost, via
+
+
+def _all_reached(cost: np.ndarray) -> bool:
+    """Whether a path leads to every pose from elsewhere, and on from every pose where there are others."""
+    others = np.isfinite(cost)
+    np.fill_diagonal(others, val=False)
+    count = cost.shape[1]
+    return bool(others.any(axis=0).all() and (count == 1 or others[:count].any(axis=1).all()))
 
 
 def _short_order(cost: np.ndarray, first: np.ndarray) -> list[int]:

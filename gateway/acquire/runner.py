@@ -51,8 +51,30 @@ def run_plan(station: VisitStation, request: RunRequest) -> None:
     check_plan(request.plan, station.workspace)
     plan = plan_from(request.plan, station.workspace, station.arm.where(), request.done)
     check_plan(plan, station.workspace)
+    _execute(station, plan, request.load)
+
+
+def run_way(station: VisitStation, plan: Plan) -> None:
+    """Run a plan that only goes somewhere, as it stands; the brakes are on afterwards, and after any error.
+
+    Parameters
+    ----------
+    station : VisitStation
+    plan : Plan
+        Of `plan_to`, from where the arm stands.
+
+    Raises
+    ------
+    PlanRefused, LimitExceeded, DriveError, KeyboardInterrupt
+        As `run_plan`.
+    """
+    check_plan(plan, station.workspace)
+    _execute(station, plan, "")
+
+
+def _execute(station: VisitStation, plan: Plan, load: str) -> None:
     state = StateKeeper(plan.arm, lambda new: station.tell(StateChanged(new)))
-    run = Run(station, plan, request.load, state)
+    run = Run(station, plan, load, state)
     station.options.desk.watch(run.disk)
     try:
         with powered(Stream(_moved(station, run))) as stream:

@@ -11,7 +11,7 @@ import numpy as np
 
 from drives.errors import ProfileError
 from drives.profile import DriveProfile
-from drives.profile_file import load_profile, parse_profile
+from drives.profile_file import find_profile, parse_profile
 from gateway.cell.config import REPORTED_STD_PERCENT, ArmConfig, AxisConfig, LoadedCell, load_cell
 from gateway.cell.conversion import AxisConversion
 from gateway.data.reading import is_recording, read_data
@@ -181,7 +181,7 @@ def profile_of(recordings: Sequence[Recording], loaded: LoadedCell | None) -> Ca
     def find(name: str) -> DriveProfile:
         if name in texts:
             return parse_profile(texts[name], name)
-        return load_profile(folder / name if name.endswith(".toml") else name)
+        return find_profile(name, folder)
 
     return find
 

@@ -6,16 +6,17 @@ constant without its source too: nothing is ever filled in with 1.0.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
-from drives.toml_text import parse_toml
-from drives.validation import Strict, problems_in_words
+from drives.toml_lines import KeyPath, key_lines
+from drives.validation import Refused, Strict, Unfit, read_strict, refuse
+from gateway.cell import plausible
 from gateway.cell.axes import FEWEST_AXES, MOST_AXES
 from gateway.cell.config_pair import DistanceConfig, PairConfig
 from gateway.cell.quantities import Finite, Positive, Vector3
@@ -58,9 +59,12 @@ class TorqueConstant(SourcedNumber):
     @model_validator(mode="after")
     def _says_something(self) -> TorqueConstant:
         if (self.std_percent or 0.0) >= _LEAST_KNOWN_PERCENT:
-            raise ValueError(
-                f"a torque constant known to {self.std_percent:g} % says nothing of a mass: state less than"
-                f" {_LEAST_KNOWN_PERCENT:g} %, or weigh a load and give it as --known"
+            raise Refused(
+                (
+                    ("std_percent",),
+                    f"a torque constant known to {self.std_percent:g} % says nothing of a mass: state less than"
+                    f" {_LEAST_KNOWN_PERCENT:g} %, or weigh a load and give it as --known",
+                )
             )
         return self
 
@@ -96,7 +100,8 @@ class KeepOut(Strict):
     @model_validator(mode="after")
     def _ordered(self) -> KeepOut:
         if not all(low < high for low, high in zip(self.min_m, self.max_m, strict=True)):
-            raise ValueError(f"keep_out: every component of min_m {self.min_m} must lie below max_m {self.max_m}")
+            what = f"keep_out: every component of min_m {self.min_m} must lie below max_m {self.max_m}"
+            raise Refused((("min_m",), what))
         return self
 
 
@@ -126,7 +131,7 @@ class AxisConfig(Strict):
     """
 
     node_id: int = Field(ge=1, le=127, description="CANopen node id of the drive")
-    profile: str = Field(description="a profile of the package, or a TOML file beside the cell")
+    profile: str = Field(description="a profile of the package, or the name of a TOML file beside the cell")
     torque_constant_nm_per_a: TorqueConstant = Field(
         description="of the motor, per ampere of the kind that the profile states (rms or peak)"
     )
@@ -163,18 +168,27 @@ class AxisConfig(Strict):
 
     @model_validator(mode="after")
     def _plausible(self) -> AxisConfig:
+        refuse([*self._slips()])
+        return self
+
+    def _slips(self) -> plausible.Found:
         low, high = self.position_limit_rad
         if not low < high:
-            raise ValueError(f"position_limit_rad: lower limit {low} is not below upper limit {high}")
-        if self.gear_ratio.value == 0 or self.torque_constant_nm_per_a.value <= 0:
-            raise ValueError("gear_ratio must not be 0 and torque_constant_nm_per_a must be positive")
-        if not 0 < self.gear_efficiency.value <= 1:
-            raise ValueError(f"gear_efficiency must lie in (0, 1], got {self.gear_efficiency.value}")
+            what = f"position_limit_rad: lower limit {low} is not below upper limit {high}: write the lower one first"
+            yield ("position_limit_rad",), what
+        yield from plausible.angles("position_limit_rad", self.position_limit_rad)
+        yield from plausible.angles("zero_offset_rad", (self.zero_offset_rad,))
+        yield from plausible.angles(
+            "following_error_limit_rad", (self.following_error_limit_rad,), plausible.LARGEST_FOLLOWING_RAD
+        )
+        yield from plausible.speed("speed_limit_rad_s", self.speed_limit_rad_s)
+        yield from plausible.ratio(self.gear_ratio.value)
+        yield from plausible.torque_constant(self.torque_constant_nm_per_a.value, self.gear_ratio.value)
+        yield from plausible.efficiency(self.gear_efficiency.value)
         for name in ("rotor_inertia_kg_m2", "coulomb_nm", "viscous_nm_s_rad"):
             constant = getattr(self, name)
             if constant is not None and constant.value < 0:
-                raise ValueError(f"{name} must not be negative; leave it out if it is not known")
-        return self
+                yield (name,), f"{name} must not be negative; leave it out if it is not known"
 
 
 class ObjectKey(Strict):
@@ -198,9 +212,11 @@ class HoldToRun(Strict):
     @model_validator(mode="after")
     def _can_be_released(self) -> HoldToRun:
         if self.good & ~self.mask:
-            raise ValueError(f"hold_to_run: good {self.good:#x} has bits outside mask {self.mask:#x}: it is never met")
+            what = f"hold_to_run: good {self.good:#x} has bits outside mask {self.mask:#x}: it is never met"
+            raise Refused((("good",), what))
         if self.good == 0:
-            raise ValueError("hold_to_run: good is 0, which a broken wire looks like too; wire the input to be 1 held")
+            what = "hold_to_run: good is 0, which a broken wire looks like too; wire the input to be 1 held"
+            raise Refused((("good",), what))
         return self
 
 
@@ -286,39 +302,81 @@ class ArmConfig(Strict):
     start_rad: tuple[Finite, ...] | None = Field(
         default=None, description="joint angles at which an arm of a pair grips the part: start of the path"
     )
+    home_rad: tuple[Finite, ...] | None = Field(
+        default=None,
+        description="joint angles that `move --to home` goes to; the middle of the joint ranges if absent",
+    )
+    loading_rad: tuple[Finite, ...] | None = Field(
+        default=None,
+        description="joint angles at which a person hangs a load: `move --to loading`, and `commission` goes there",
+    )
     axis: tuple[AxisConfig, ...] = Field(description="two to eight of them, usually six, from the base on")
 
     @model_validator(mode="after")
     def _consistent(self) -> ArmConfig:
+        refuse([*self._slips(), *self._space(), *self._units()])
+        return self
+
+    def _slips(self) -> plausible.Found:
         axes = len(self.axis)
         if not FEWEST_AXES <= axes <= MOST_AXES:
-            raise ValueError(
-                f"arm '{self.name}' has {axes} [[arm.axis]] tables, {FEWEST_AXES} to {MOST_AXES} are handled"
-            )
+            what = f"arm '{self.name}' has {axes} [[arm.axis]] tables, {FEWEST_AXES} to {MOST_AXES} are handled"
+            yield ("axis",), what
+            return
         for name, length in self._lengths():
             if length != axes:
-                raise ValueError(
+                yield (
+                    (name,) if name in ArmConfig.model_fields else ("dh", name),
                     f"arm '{self.name}': {name} has {length} numbers and the arm {axes} [[arm.axis]] tables; one per"
-                    " axis is needed"
+                    " axis is needed",
                 )
         ids = [axis.node_id for axis in self.axis]
-        twice = sorted({node for node in ids if ids.count(node) > 1})
-        if twice:
-            raise ValueError(f"arm '{self.name}': node id {twice[0]} is given to more than one axis")
+        for number, node in enumerate(ids):
+            if node in ids[:number]:
+                what = f"arm '{self.name}': node id {node} is given to more than one axis: write the one of its drive"
+                yield ("axis", number, "node_id"), what
         if self.rated_load_kg is not None and self.rated_load_kg.value <= 0:
-            raise ValueError(f"arm '{self.name}': rated_load_kg must be positive")
+            yield ("rated_load_kg",), f"arm '{self.name}': rated_load_kg must be positive"
+        if (self.robot is None) == (self.dh is None):
+            yield (), f"arm '{self.name}' needs either robot = \"FILE.urdf\" or [arm.dh], not both"
+        if self.coupling is not None:
+            matrix = np.array(self.coupling, dtype=float) if len({*map(len, self.coupling)}) == 1 else np.zeros(0)
+            if matrix.shape != (axes, axes) or abs(np.linalg.det(matrix)) < 1e-6:
+                yield ("coupling",), f"arm '{self.name}': coupling must be an invertible {axes} x {axes} matrix"
+
+    def _space(self) -> plausible.Found:
+        """Postures and things that stand around the arm."""
+        for name in ("home_rad", "loading_rad"):
+            yield from self._outside(name, getattr(self, name) or ())
         for name in ("floor_m", "column_radius_m"):
             if getattr(self, name) is True:
-                raise ValueError(f"arm '{self.name}': {name} is a number in m, or false where there is none")
+                yield (name,), f"arm '{self.name}': {name} is a number in m, or false where there is none"
         if self.load_size_m is not None and self.load_points_m:
-            raise ValueError(f"arm '{self.name}': give load_size_m or load_points_m, not both")
-        if (self.robot is None) == (self.dh is None):
-            raise ValueError(f"arm '{self.name}' needs either robot = \"FILE.urdf\" or [arm.dh], not both")
-        if self.coupling is not None:
-            matrix = np.array(self.coupling, dtype=float)
-            if matrix.shape != (axes, axes) or abs(np.linalg.det(matrix)) < 1e-6:
-                raise ValueError(f"arm '{self.name}': coupling must be an invertible {axes} x {axes} matrix")
-        return self
+            yield ("load_points_m",), f"arm '{self.name}': give load_size_m or load_points_m, not both"
+
+    def _units(self) -> plausible.Found:
+        """Numbers that can only be in another unit."""
+        yield from plausible.gravity(self.gravity_m_s2)
+        for name in ("flange_rpy_rad", "base_rpy_rad", "tool_rpy_rad"):
+            yield from plausible.angles(name, getattr(self, name), plausible.LARGEST_TURN_RAD)
+        for name in ("flange_xyz_m", "base_xyz_m", "tool_xyz_m", "rated_load_com_m", "max_load_com_m"):
+            yield from plausible.lengths(name, getattr(self, name))
+        yield from plausible.angles("start_rad", self.start_rad or ())
+        if self.dh is not None:
+            for name in ("alpha_rad", "theta_offset_rad"):
+                for key, what in plausible.angles(name, getattr(self.dh, name), plausible.LARGEST_TURN_RAD):
+                    yield ("dh", *key), what
+            for name in ("a_m", "d_m"):
+                for key, what in plausible.lengths(name, getattr(self.dh, name)):
+                    yield ("dh", *key), what
+
+    def _outside(self, name: str, q_rad: tuple[float, ...]) -> plausible.Found:
+        """Joints of a posture that lie outside their ranges."""
+        for joint, (value, axis) in enumerate(zip(q_rad, self.axis, strict=False), start=1):
+            low, high = axis.position_limit_rad
+            if not low <= value <= high:
+                what = f"joint {joint} at {value:g} rad is outside its position_limit_rad [{low:g}, {high:g}]"
+                yield (name,), f"arm '{self.name}': {name} puts {what}"
 
     def _lengths(self) -> Iterator[tuple[str, int]]:
         """Keys that hold a number per axis, and how many they hold."""
@@ -326,8 +384,9 @@ class ArmConfig(Strict):
             yield from ((name, len(getattr(self.dh, name))) for name in ("alpha_rad", "a_m", "d_m", "theta_offset_rad"))
         if isinstance(self.link_radius_m, tuple):
             yield "link_radius_m", len(self.link_radius_m)
-        if self.start_rad is not None:
-            yield "start_rad", len(self.start_rad)
+        for name in ("start_rad", "home_rad", "loading_rad"):
+            if getattr(self, name) is not None:
+                yield name, len(getattr(self, name))
 
 
 class PosesConfig(Strict):
@@ -354,20 +413,25 @@ class Cell(Strict):
 
     @model_validator(mode="after")
     def _consistent(self) -> Cell:
-        names = [arm.name for arm in self.arm]
-        if len(set(names)) != len(names):
-            raise ValueError("two arms have the same name")
-        taken: set[tuple[str, int]] = set()
-        for arm in self.arm:
-            if arm.bus not in self.bus:
-                raise ValueError(f"arm '{arm.name}' names bus '{arm.bus}', but there is no [bus.{arm.bus}]")
-            for axis in arm.axis:
-                if (arm.bus, axis.node_id) in taken:
-                    raise ValueError(f"bus '{arm.bus}': node id {axis.node_id} is used by two arms")
-                taken.add((arm.bus, axis.node_id))
+        refuse([*self._slips()])
         if self.pair is not None:
             _check_pair(self.pair, self)
         return self
+
+    def _slips(self) -> plausible.Found:
+        names = [arm.name for arm in self.arm]
+        taken: dict[tuple[str, int], str] = {}
+        for number, arm in enumerate(self.arm):
+            if arm.name in names[:number]:
+                yield ("arm", number, "name"), f"two arms have the same name '{arm.name}': write another one"
+            if arm.bus not in self.bus:
+                known = " or ".join(f'"{name}"' for name in self.bus)
+                what = f"arm '{arm.name}' names bus '{arm.bus}', but there is no [bus.{arm.bus}]: write bus = {known}"
+                yield ("arm", number, "bus"), what
+            for joint, axis in enumerate(arm.axis):
+                if taken.setdefault((arm.bus, axis.node_id), arm.name) != arm.name:
+                    what = f"bus '{arm.bus}': node id {axis.node_id} is used by two arms"
+                    yield ("arm", number, "axis", joint, "node_id"), what
 
 
 #: Two arms that carry one part are led by the inverse of a hand's six directions.
@@ -416,13 +480,32 @@ class LoadedCell(Strict):
 
 
 def parse_cell(text: str, where: str) -> Cell:
-    """Validate the text of a cell file; every problem is named at once."""
+    """Validate the text of a cell file.
+
+    Raises
+    ------
+    ConfigError
+        With every problem of the file: line, joint, what is wrong, what to write.
+    """
     try:
-        return Cell.model_validate(parse_toml(text))
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{where}: not valid TOML: {error}") from error
-    except ValidationError as error:
-        raise ConfigError(f"{where}: {problems_in_words(error)}") from error
+        return read_strict(text, Cell)
+    except Unfit as error:
+        raise ConfigError.of(error.told(where, partial(_place, text))) from error
+
+
+def _place(text: str, path: KeyPath) -> str:
+    """J1 of a path into the cell; with the arm where there are several."""
+    if len(path) < 2 or path[0] != "arm" or not isinstance(path[1], int):
+        return ""
+    arms = sum(1 for each in key_lines(text) if len(each) == 2 and each[0] == "arm")
+    arm = [f"arm {path[1] + 1}"] if arms > 1 else []
+    joint = [f"J{path[3] + 1}"] if len(path) > 3 and path[2] == "axis" and isinstance(path[3], int) else []
+    return " ".join([*arm, *joint])
+
+
+def cell_schema() -> dict[str, Any]:
+    """JSON schema of the cell file."""
+    return Cell.model_json_schema()
 
 
 def load_cell(path: Path) -> LoadedCell:

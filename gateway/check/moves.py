@@ -19,12 +19,13 @@ from gateway.acquire.plan import Plan, VisitSettings, plan_poses
 from gateway.acquire.planning import reference_load
 from gateway.acquire.run import Shelf, VisitStation
 from gateway.acquire.runner import RunRequest, run_plan
+from gateway.acquire.standing import refuse_start
 from gateway.check.torque import Scales, judge_torque
 from gateway.check.wiring import Moves, WiredArm, Wiring
 from gateway.check.wiring_judge import Verdict, WiringView, judge_wiring
 from gateway.data.rest_pose import RestPose
 from gateway.data.visit import Visit
-from gateway.errors import LimitExceeded, PlanRefused
+from gateway.errors import LimitExceeded, WrongPlace
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import Workspace
@@ -71,19 +72,19 @@ def plan_moves(arm: str, workspace: Workspace, start_rad: np.ndarray, period_s: 
 
     Raises
     ------
+    WrongPlace
+        An axis has no room to either side, or the arm stands outside its joint range.
     PlanRefused
-        An axis has no room to either side.
+        The arm stands where it may not stand.
     """
-    reason = workspace.why_not(start_rad)
-    if reason is not None:
-        raise PlanRefused(f"arm '{arm}' stands where it may not move: {reason}; move it clear by hand")
+    refuse_start(workspace, start_rad, arm)
     inward = np.where(start_rad > (workspace.lower_rad + workspace.upper_rad) / 2, -1.0, 1.0)
     poses = [RestPose(1, _tuple(start_rad), "fit")]
     for joint in range(workspace.robot.axes):
         poses.append(RestPose(joint + 2, _displaced(arm, workspace, start_rad, joint, float(inward[joint])), "fit"))
     plan, unreachable = plan_poses(arm, workspace, poses, _settings(period_s))
     if unreachable:
-        raise PlanRefused(f"arm '{arm}': no free way to the small moves; bring it to a posture with more room")
+        raise WrongPlace(f"arm '{arm}': no free way to the small moves; bring it to a posture with more room", arm)
     return plan
 
 
@@ -96,9 +97,10 @@ def _displaced(arm: str, workspace: Workspace, start_rad: np.ndarray, joint: int
         ends = np.array([target + APPROACH_RAD, target - APPROACH_RAD])
         if workspace.path_clear(np.array([start_rad, start_rad]), ends).all():
             return _tuple(target)
-    raise PlanRefused(
+    raise WrongPlace(
         f"arm '{arm}', joint {joint + 1}: no room for {size} rad to either side; bring the arm to a "
-        "posture away from limits and keep_out boxes"
+        "posture away from limits and from what it may touch",
+        arm,
     )
 
 

@@ -15,6 +15,7 @@ from drives.errors import DriveError
 from drives.objects import OBJECTS
 from drives.proof import StopTrace
 from gateway.acquire.plan import approach_limits
+from gateway.acquire.standing import inside_from, widened
 from gateway.errors import PlanRefused
 from gateway.motion.arms import Arms
 from gateway.motion.opening import OpenArm
@@ -81,6 +82,8 @@ class StopProof:
 def slow_motion(arm: str, workspace: Workspace, start_rad: np.ndarray, consumer_s: float, period_s: float) -> Motion:
     """A slow motion of all joints that lasts longer than the heartbeat time, inside all limits.
 
+    A joint that stands outside its range turns towards it.
+
     Parameters
     ----------
     arm : str
@@ -96,11 +99,10 @@ def slow_motion(arm: str, workspace: Workspace, start_rad: np.ndarray, consumer_
     Raises
     ------
     PlanRefused
-        The arm has no room around it.
+        The arm stands where it may not stand, or has no room around it.
     """
-    reason = workspace.why_not(start_rad)
-    if reason is not None:
-        raise PlanRefused(f"arm '{arm}' stands where it may not move: {reason}; move it clear by hand")
+    if inside_from(workspace, start_rad, arm) is not None:
+        workspace = widened(workspace, start_rad)
     lasts_s = consumer_s + 2.0 * BEYOND_S
     speed = min(SPEED_RAD_S, TRAVEL_RAD / lasts_s, float(workspace.speed_rad_s.min()))
     for scale in (1.0, 0.5):
@@ -110,7 +112,8 @@ def slow_motion(arm: str, workspace: Workspace, start_rad: np.ndarray, consumer_
                 return straight(start_rad, target, approach_limits(workspace, scale * speed), period_s)
     raise PlanRefused(
         f"arm '{arm}' has no room for {speed * lasts_s:.2f} rad on every joint where it stands; "
-        "bring it to a free posture, away from limits and keep_out boxes"
+        "bring it to a free posture with the drive's own tool, away from limits and from what it may touch: the stop "
+        "of its drives is proven before anything else moves"
     )
 
 
@@ -130,7 +133,8 @@ def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof
 
     A drive that answers the lost heartbeat with a fault of the communication class is reset afterwards, since the
     person who asked for the proof asked for that fault; any other fault stays. Where the loss of the master has not
-    stopped every drive as stated, nothing moves any more.
+    stopped every drive as stated, nothing moves any more. An arm that was found outside its joint range does not go
+    back there.
 
     Parameters
     ----------
@@ -156,7 +160,8 @@ def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof
     with _moving_slowly(opened, options, _slowly_from(opened, opened.arm.where())) as rest:
         stopped = opened.group.prove_quick_stop(rest)
     proof = replace(proof, items=(*proof.items, *_quick_stop_items(opened, stopped)), quick_stop=stopped)
-    go_slowly(opened, options, start_rad)
+    if opened.workspace.inward_way(start_rad) is None:
+        go_slowly(opened, options, start_rad)
     return proof
 
 

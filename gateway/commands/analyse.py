@@ -97,13 +97,14 @@ def estimate(
     """Mass and centre of gravity of every unknown load, with standard deviations and what cannot be told."""
     from dataclasses import replace
 
+    from gateway.acquire.asking import postures_to_ask
     from gateway.analyse.complete import complete
     from gateway.analyse.given import estimate_options, given, read_rows
     from gateway.estimate import run
 
     about = given(model_request(robot, cell_file, inertials, known, bare, arm_name, torque_gain), data)
     table = read_rows(data, about)
-    options = estimate_options(about)
+    options = replace(estimate_options(about), pose_choice=postures_to_ask(about))
     if method == "coefficient":
         wanted = _Coefficient(axis, lever, gear_ratio, gear_efficiency, rated_torque)
         options = replace(options, coefficient=wanted.of(about))
@@ -181,6 +182,7 @@ def diagnose(
     json_out: str | None,
 ) -> None:
     """What the model lacks, judged on data that no fit has seen; or that nothing is missing, or undecided."""
+    from gateway.acquire.asking import postures_to_ask
     from gateway.analyse.complete import complete
     from gateway.analyse.given import diagnose_arguments, given, read_rows, split_validation
     from gateway.diagnose import DiagnoseOptions
@@ -190,7 +192,9 @@ def diagnose(
     about = given(request, [*data, *holdout])
     table = read_rows(data, about)
     seen, unseen = (table, read_rows(holdout, about)) if holdout else split_validation(table)
-    options = DiagnoseOptions(holdout=unseen, only=only, without=without, **diagnose_arguments(about))
+    choice = postures_to_ask(about)
+    arguments = diagnose_arguments(about)
+    options = DiagnoseOptions(holdout=unseen, only=only, without=without, pose_choice=choice, **arguments)
     with session_of().working("diagnosis"):
         result = run(seen, about.model, options)
     _hand_over(complete(result, about, table, [*data, *holdout]), json_out)

@@ -169,7 +169,8 @@ def _in_motion(
     items: list[CheckItem] = []
     seen: list[dict[str, Any]] = []
     path = context.stop_proof(arm)
-    with stoppable(moving) as options, open_arm(context.loaded, context.override(arm), arm.name) as opened:
+    opening = open_arm(context.loaded, context.override(arm), arm.name)
+    with context.way_on(), stoppable(moving) as options, opening as opened:
         options = with_held_input(opened, options)
         if wanted.prove_stop or proven_on(path, opened) is None:
             proof = prove(opened, options)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shlex
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from drives.bus import Bus, BusSpec, open_bus
@@ -16,8 +17,10 @@ from drives.ledger import WriteLedger
 from drives.profile import DriveProfile
 from gateway.cell.buses import bus_specs
 from gateway.cell.config import ArmConfig, LoadedCell, load_cell, with_pacing
+from gateway.errors import WrongPlace
 from gateway.motion.opening import BusOverride, axis_setups
 from gateway.pair.gap import instruments_on
+from gateway.preflight.limits import MOVE_HOME
 from gateway.preflight.look_over import check_arm, judge_bus_load
 from gateway.preflight.machine import judge_surroundings
 from gateway.preflight.rules import CheckItem
@@ -34,11 +37,14 @@ class CellContext:
         The cell file.
     specs : mapping
         Bus of every name in the cell, as the command line has it.
+    options : tuple of str
+        Bus and pacing as they were typed, for a command that is shown.
     """
 
     loaded: LoadedCell
     path: Path
     specs: Mapping[str, BusSpec]
+    options: tuple[str, ...] = ()
 
     @property
     def arms(self) -> tuple[ArmConfig, ...]:
@@ -84,7 +90,9 @@ class CellContext:
         """Pre-flight check of an arm: what its drives are reached by, and the drives themselves; nothing is written."""
         items = self.surroundings(arm)
         with self.open_bus(arm) as bus:
-            return items + check_arm(bus, arm, self.profiles(arm), WriteLedger(self.ledger(arm)))
+            items += check_arm(bus, arm, self.profiles(arm), WriteLedger(self.ledger(arm)))
+        typed = self.move_command(arm.name, "home")
+        return [replace(item, advice=item.advice.replace(MOVE_HOME, typed)) for item in items]
 
     def stop_proof(self, arm: ArmConfig) -> Path:
         """Where the proof is kept that the drives of an arm stop on loss of the master."""
@@ -100,6 +108,20 @@ class CellContext:
     def override(self, arm: ArmConfig, trace: Path | None = None) -> BusOverride:
         """What differs from the cell file on the bus of an arm."""
         return BusOverride(spec=self.bus_spec(arm), trace=trace, ledger=self.ledger(arm))
+
+    @contextmanager
+    def way_on(self) -> Generator[None]:
+        """What is refused because of where an arm stands says by which command it goes elsewhere."""
+        try:
+            yield
+        except WrongPlace as error:
+            error.add_note(f"The way on, it asks first: {self.move_command(error.arm, error.to)}")
+            raise
+
+    def move_command(self, arm: str, to: str) -> str:
+        """What a person types to bring an arm somewhere."""
+        named = ["--arm", arm] if len(self.arms) > 1 else []
+        return shlex.join(["servo-gateway", "move", str(self.path), *named, *self.options, "--to", to])
 
     @contextmanager
     def connected(self, arm: ArmConfig) -> Generator[DriveGroup]:
@@ -137,4 +159,10 @@ def open_cell(path: Path, bus_spec: str | None, pacing: str | None = None) -> Ce
         The SPEC is not understood.
     """
     loaded = with_pacing(load_cell(path), pacing)
-    return CellContext(loaded, path, bus_specs(loaded.cell, bus_spec))
+    return CellContext(loaded, path, bus_specs(loaded.cell, bus_spec), typed_options(bus_spec, pacing))
+
+
+def typed_options(bus_spec: str | None, pacing: str | None) -> tuple[str, ...]:
+    """Bus and pacing as words of a command line; what was not typed is left out."""
+    typed = (("--bus", bus_spec), ("--pacing", pacing))
+    return tuple(word for name, value in typed if value is not None for word in (name, value))

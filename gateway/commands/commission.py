@@ -1,7 +1,8 @@
 """The whole job, guided: check, bare arm, each load, diagnosis, back to the robot, fresh poses, result and report.
 
-The drives are in their brakes whenever a person is asked for something. Everything measured is in one file, which is
-whole after each visit.
+Where the cell says where loads are hung, the arm goes there before a person is asked to hang one. The drives are in
+their brakes whenever a person is asked for something. Everything measured is in one file, which is whole after each
+visit.
 """
 
 from __future__ import annotations
@@ -13,8 +14,9 @@ from typing import Protocol
 
 import numpy as np
 
+from gateway.acquire.asking import postures_to_ask
+from gateway.acquire.goto import LOADING, Destination, destination, plan_way
 from gateway.acquire.plan import SIDES, Plan, check_plan, plan_poses
-from gateway.acquire.poses import PoseRequest, feasible_postures
 from gateway.acquire.session import RecordRequest, make_plan, open_arm
 from gateway.analyse.complete import complete
 from gateway.analyse.given import (
@@ -29,6 +31,7 @@ from gateway.analyse.given import (
 from gateway.cell.config import ArmConfig
 from gateway.check.proofs import ensure_proven
 from gateway.commands.cell_context import CellContext
+from gateway.commands.moving import SLOW_PERCENT
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import ArmRecording
 from gateway.data.rest_pose import RestPose
@@ -38,14 +41,13 @@ from gateway.diagnose.loop import close_loop
 from gateway.errors import PlanRefused
 from gateway.estimate import run as estimate_run
 from gateway.identify.loads import BARE_LABEL
+from gateway.model.arm_model import arm_robot
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
+from gateway.motion.workspace import workspace_of
 from gateway.preflight.look_over import require_passed
 from gateway.preflight.rules import CheckItem
 from gateway.result.result import Result
-
-# Postures among which the diagnosis may ask for further poses.
-CHOICE = 160
 
 
 class Dialogue(Protocol):
@@ -57,6 +59,10 @@ class Dialogue(Protocol):
 
     def planned(self, plan: Plan) -> None:
         """Poses are chosen; ask whether the arm may move."""
+        ...
+
+    def bring(self, opened: OpenArm, target: Destination, options: MoveOptions) -> None:
+        """Say where the arm goes, ask, and go there."""
         ...
 
     def hang(self, label: str) -> None:
@@ -115,6 +121,8 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
         As the parts; the arm stands, what was measured is kept.
     """
     _check(job, dialogue)
+    if job.arm.loading_rad is not None:  # a posture that is refused is told before an hour of measuring, not after it
+        destination(job.arm, workspace_of(job.arm, arm_robot(job.context.loaded, job.arm)), LOADING)
     plan = make_plan(job.context.loaded, arm=job.arm.name)
     dialogue.planned(plan)
     with open_arm(job.context.loaded, job.context.override(job.arm), job.arm.name) as opened:
@@ -125,7 +133,13 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
         about, table = robot.data()
         seen, _ = split_validation(table)
         dialogue.say(f"diagnosis of {len(np.unique(seen.pose))} poses under {len(np.unique(seen.load))} loads")
-        result, _ = close_loop(seen, about.model, _options(about, opened), robot.measure_poses, robot.validation_rad)
+        result, _ = close_loop(
+            seen,
+            about.model,
+            DiagnoseOptions(pose_choice=postures_to_ask(about), **diagnose_arguments(about)),
+            robot.measure_poses,
+            robot.validation_rad,
+        )
         about, table = robot.data()
     if not result.effects:
         plain = estimate_run(split_validation(table)[0], about.model, estimate_options(about))
@@ -137,13 +151,6 @@ def _check(job: Job, dialogue: Dialogue) -> None:
     items = job.context.check(job.arm)
     dialogue.checked(items)
     require_passed(items, "check failed, nothing has moved")
-
-
-def _options(about: Given, opened: OpenArm) -> DiagnoseOptions:
-    poses = opened.loaded.cell.poses
-    request = PoseRequest(poses.count, 0, poses.approach_offset_rad, poses.seed)
-    choice = feasible_postures(opened.workspace, request, np.random.default_rng(poses.seed))
-    return DiagnoseOptions(pose_choice=choice[:CHOICE], **diagnose_arguments(about))
 
 
 class _Robot:
@@ -169,9 +176,25 @@ class _Robot:
         self._load = label
         missing = self._missing(self._fit)
         if label != BARE_LABEL and (missing or label == self._job.labels[-1]):
+            self._go_loading()
             self._dialogue.hang(label)
         if missing:
             self._record(self._fit)
+
+    def _go_loading(self) -> None:
+        """Go where loads are hung, slowly, if the cell says where; the load hangs where the arm stands else."""
+        opened, job = self._opened, self._job
+        if opened.config.loading_rad is None:
+            return
+        target = destination(opened.config, opened.workspace, LOADING)
+        try:
+            plan_way(opened, target)
+        except PlanRefused as refused:
+            self._dialogue.say(f"the arm stays where it is, and the load is hung there: {refused}")
+            return
+        slow = replace(job.options, override=min(job.options.override, SLOW_PERCENT / 100.0))
+        self._dialogue.bring(opened, target, slow)
+        self._job = replace(job, options=replace(job.options, first_done=None))
 
     def measure_poses(self, q_rad: np.ndarray) -> Table:
         """Measure poses (k, N) [rad] under the load that hangs now: validation poses, or new ones to fit from."""
@@ -211,7 +234,7 @@ class _Robot:
         if unreachable:
             raise PlanRefused(
                 f"arm '{opened.config.name}': no path that keeps the limits leads to pose {unreachable[0].number}; "
-                "open the keep_out boxes or narrow the joint limits"
+                "narrow the joint limits, or say in the cell what is assumed around the arm"
             )
         check_plan(plan, opened.workspace)
         request = RecordRequest(self._load, self._job.recording, resume=True)

@@ -44,10 +44,13 @@ class Session:
         -1 errors only, 0 normal, 1 and more details.
     data_on_stdout : bool
         True when stdout carries JSON, so that tables go to stderr.
+    replaces : bool
+        True when files that are there may be replaced.
     """
 
     verbosity: int = 0
     data_on_stdout: bool = False
+    replaces: bool = False
     _consoles: dict[bool, Console] = field(default_factory=dict)
 
     def console(self, *, err: bool = False) -> Console:

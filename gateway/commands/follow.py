@@ -16,7 +16,9 @@ from gateway.commands.options import (
     cell_argument,
     common,
     json_option,
+    output_option,
     session_of,
+    trace_option,
     write_json,
 )
 from gateway.commands.outcome import fail_on_findings
@@ -42,8 +44,8 @@ QUANTITIES = (
 @click.option("--path", "path_file", required=True, metavar="FILE", type=FILE, help="Path: joint waypoints or timed.")
 @click.option("--load", "load_file", metavar="RESULT.json", type=FILE, help="Identified load: a result of estimate.")
 @click.option("--label", metavar="LABEL", help="Which load of the result, if it holds several.")
-@click.option("--report", "report_file", metavar="REPORT.html", type=FILE, help="Page with the settings side by side.")
-@click.option("--trace", metavar="FILE", type=FILE, help="Frame log (.blf, .log).")
+@output_option("--report", "report_file", metavar="REPORT.html", help="Page with the settings side by side.")
+@trace_option
 @arm_option
 @bus_option
 @json_option
@@ -92,7 +94,8 @@ def follow(
     moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is nobody near it?")
     override = replace(context.override(arm, trace), feedforward=True)
     try:
-        with stoppable(moving) as options, open_arm(context.loaded, override, arm.name) as opened:
+        opening = open_arm(context.loaded, override, arm.name)
+        with context.way_on(), stoppable(moving) as options, opening as opened:
             options = ensure_proven(opened, context.stop_proof(arm), session.note, options)
             with session.progress(prepared.duration_s, "follow") as bar:
                 job = drive(opened, prepared, lambda what, done: bar.set(done, prepared.duration_s, what), options)

@@ -12,12 +12,14 @@ import click
 
 from drives.files import replace_file
 from gateway.commands.console import Session, findings_table
+from gateway.commands.goto import announce, go_with_progress
 from gateway.commands.measure import arm_option, show_plan
 from gateway.commands.moving import MoveChoice, move_options, stoppable
 from gateway.commands.options import (
     bus_option,
     cell_argument,
     common,
+    load_option,
     session_of,
     write_json,
 )
@@ -25,6 +27,7 @@ from gateway.commands.outcome import fail_on_findings, show_result
 from gateway.errors import GatewayError
 
 if TYPE_CHECKING:
+    from gateway.acquire.goto import Destination
     from gateway.acquire.plan import Plan
     from gateway.acquire.session import RecordRequest
     from gateway.motion.opening import OpenArm
@@ -34,9 +37,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @cell_argument
-@click.option(
-    "--load", "labels", multiple=True, metavar="LABEL", default=("load",), help="Load to ask for; repeatable."
-)
+@load_option("labels", "Load to ask for; repeatable.", multiple=True, default=("load",))
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("out"), show_default=True)
 @click.option("--resume", is_flag=True, help="Go on with OUT/run.h5 instead of starting a new one.")
 @arm_option
@@ -66,9 +67,10 @@ def commission(
     out.mkdir(parents=True, exist_ok=True)
     recording = out / "run.h5"
     if not resume:
-        _set_aside(recording, session_of())
+        for path in (recording, out / "result.json", out / "report.html"):
+            _set_aside(path, session_of())
     try:
-        with stoppable(moving) as options:
+        with context.way_on(), stoppable(moving) as options:
             job = Job(context, arm, labels, recording, options)
             result = run(job, _Terminal(session_of(), context.loaded.cell.name, moving))
     except (GatewayError, DriveError, KeyboardInterrupt) as error:
@@ -83,12 +85,13 @@ def commission(
 
 
 def _set_aside(path: Path, session: Session) -> None:
-    """Keep an earlier recording under another name."""
+    """Keep a file of an earlier job under another name."""
     if not path.exists():
         return
-    number = next(index for index in range(1, 10_000) if not path.with_suffix(f".{index}.h5").exists())
-    path.rename(path.with_suffix(f".{number}.h5"))
-    session.note(f"{path} is kept as {path.with_suffix(f'.{number}.h5')}")
+    names = (path.with_suffix(f".{number}{path.suffix}") for number in range(1, 10_000))
+    kept = next(name for name in names if not name.exists())
+    path.rename(kept)
+    session.note(f"{path} is kept as {kept}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +114,12 @@ class _Terminal:
         """Show the plan and ask."""
         show_plan(plan)
         self.moving.ask(f"Arm '{plan.arm}' of cell '{self.cell}' will move. Is nobody near it?")
+
+    def bring(self, opened: OpenArm, target: Destination, options: MoveOptions) -> None:
+        """Say where the arm goes, ask, and go there."""
+        announce(self.session, opened, target, options)
+        self.moving.ask(f"Arm '{opened.config.name}' of cell '{self.cell}' will move. Is nobody near it?")
+        go_with_progress(self.session, opened, target, options)
 
     def hang(self, label: str) -> None:
         """Ask for a load; a line on stdin says that it hangs."""

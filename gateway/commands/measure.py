@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,13 +15,18 @@ from gateway.commands.options import (
     bus_option,
     cell_argument,
     common,
+    joint_angles,
     json_option,
+    load_option,
     session_of,
+    trace_option,
     write_json,
 )
+from gateway.errors import InputError
 
 if TYPE_CHECKING:
     from gateway.acquire.plan import Plan
+    from gateway.cell.config import ArmConfig, LoadedCell
 
 arm_option = click.option("--arm", "arm_name", metavar="NAME", help="Arm, if the cell has several.")
 
@@ -41,6 +47,10 @@ def plan(cell: Path, n_poses: int | None, seed: int | None, arm_name: str | None
     show_plan(chosen)
     if json_out:
         write_json(json_out, plan_as_json(chosen))
+
+
+def _postures(_ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]) -> tuple[tuple[float, ...], ...]:
+    return tuple(joint_angles(value) for value in values)
 
 
 def show_plan(chosen: Plan) -> None:
@@ -85,11 +95,31 @@ def plan_as_json(chosen: Plan) -> dict[str, Any]:
 
 @click.command()
 @cell_argument
-@click.option("--load", "label", required=True, metavar="LABEL", help="What hangs on the flange; none = bare.")
-@click.option("-o", "--output", required=True, metavar="RUN.h5", type=click.Path(path_type=Path, dir_okay=False))
-@click.option("--resume", is_flag=True, help="Go on with RUN.h5: measure only what is missing under this load.")
+@load_option("label", "What hangs on the flange; none = bare.", required=True)
 @click.option(
-    "--trace", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), help="Frame log (.blf, .log)."
+    "-o",
+    "--output",
+    required=True,
+    metavar="RUN.h5",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Recording to write; one that is there is never replaced.",
+)
+@click.option("--resume", is_flag=True, help="Go on with RUN.h5: measure only what is missing under this load.")
+@trace_option
+@click.option(
+    "--pose",
+    "poses",
+    multiple=True,
+    callback=_postures,
+    metavar="J1,J2,...",
+    help="Measure this pose [rad] instead of those of the cell; repeatable.",
+)
+@click.option(
+    "--next",
+    "result",
+    metavar="RESULT.json",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Measure the poses that a result of this arm asks for.",
 )
 @arm_option
 @bus_option
@@ -101,6 +131,8 @@ def record(
     output: Path,
     resume: bool,
     trace: Path | None,
+    poses: tuple[tuple[float, ...], ...],
+    result: Path | None,
     arm_name: str | None,
     bus_spec: str | None,
     moving: MoveChoice,
@@ -117,13 +149,14 @@ def record(
 
     context = open_cell(cell, bus_spec, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
-    chosen = _plan_for(context.loaded, output, resume, arm.name)
+    chosen = _plan_for(context.loaded, arm, _Wanted(output, resume, poses, result))
     session = session_of()
     if not moving.yes:
         show_plan(chosen)
     first = "" if context.stop_proof(arm).exists() else " At first its drives lose the heartbeat on purpose."
     moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is nobody near it?")
-    with stoppable(moving) as options, open_arm(context.loaded, context.override(arm, trace), arm.name) as opened:
+    opening = open_arm(context.loaded, context.override(arm, trace), arm.name)
+    with context.way_on(), stoppable(moving) as options, opening as opened:
         options = ensure_proven(opened, context.stop_proof(arm), session.note, options)
         request = RecordRequest(label, output, resume)
         summary = recording_with_progress(session, opened, chosen, request, options)
@@ -131,11 +164,42 @@ def record(
     session.show(axis_table("friction band [Nm], median over the poses", {"band": summary.friction_band_nm}))
 
 
-def _plan_for(loaded: Any, output: Path, resume: bool, arm: str) -> Plan:
-    """Poses of the file that is gone on with, else those of the cell."""
+@dataclass(frozen=True, slots=True)
+class _Wanted:
+    """Which poses are to be measured, and into what.
+
+    Attributes
+    ----------
+    output : Path
+    resume : bool
+    poses : tuple of tuples of floats
+        Joint angles that were typed.
+    result : Path or None
+        Whose `next` asks for poses.
+    """
+
+    output: Path
+    resume: bool
+    poses: tuple[tuple[float, ...], ...]
+    result: Path | None
+
+
+def _plan_for(loaded: LoadedCell, arm: ArmConfig, wanted: _Wanted) -> Plan:
+    """Poses that are asked for, else those of the file that is gone on with, else those of the cell."""
+    from gateway.acquire.asking import Asked, asked_by, plan_asked
     from gateway.acquire.session import make_plan, plan_of_recording
     from gateway.data.recording.reader import read
+    from gateway.data.recording.writer import NOT_REPLACED
 
-    if output.exists() and resume:
-        return plan_of_recording(loaded, read(output), arm)
-    return make_plan(loaded, arm=arm)
+    if wanted.poses and wanted.result is not None:
+        raise click.UsageError("--pose and --next both say which poses: give one of them")
+    if any(len(q_rad) != len(arm.axis) for q_rad in wanted.poses):
+        raise click.UsageError(f"--pose: arm '{arm.name}' has {len(arm.axis)} axes, one joint angle each is needed")
+    if wanted.output.exists() and not wanted.resume:
+        raise InputError(f"{wanted.output} exists; {NOT_REPLACED}")
+    earlier = read(wanted.output) if wanted.output.exists() else None
+    if wanted.result is not None:
+        return plan_asked(loaded, arm, asked_by(wanted.result, loaded, arm), earlier)
+    if wanted.poses:
+        return plan_asked(loaded, arm, Asked(wanted.poses), earlier)
+    return make_plan(loaded, arm=arm.name) if earlier is None else plan_of_recording(loaded, earlier, arm.name)

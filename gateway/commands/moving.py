@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -13,6 +13,10 @@ from gateway.commands.options import Function, confirm, one_of, session_of
 
 if TYPE_CHECKING:
     from gateway.motion.stream import MoveOptions
+
+#: Speed override [%] of what only goes somewhere: a person may stand nearer to it than to a measurement.
+SLOW_PERCENT: Final = 10
+FULL_PERCENT: Final = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +50,16 @@ def move_options(function: Function) -> Function:
 
     A terminal that goes away ends it as a person does, also before anything has moved.
     """
+    return _with_move(function, FULL_PERCENT)
+
+
+def slow_move_options(function: Function) -> Function:
+    """As `move_options`, slow unless the person asks for more."""
+    return _with_move(function, SLOW_PERCENT)
+
+
+def _with_move(function: Function, percent: int) -> Function:
+    """Add the options; `percent` is the override that holds where none is given."""
 
     def gathered(*arguments: Any, override: int, hold_to_run: bool, yes: bool, pacing: str | None, **named: Any) -> Any:
         from gateway.motion.stops import CLOSED, StoppedByPerson, output_closed
@@ -71,7 +85,7 @@ def move_options(function: Function) -> Function:
         click.option(
             "--override",
             type=click.IntRange(1, 100),
-            default=100,
+            default=percent,
             show_default=True,
             metavar="PERCENT",
             help="Speed override.",

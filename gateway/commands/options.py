@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -11,6 +12,8 @@ import click
 
 from drives.files import replace_file
 from gateway.commands.console import Session
+from gateway.data.labels import label_refused
+from gateway.errors import InputError
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -40,15 +43,81 @@ def common(function: Function) -> Function:
     )
 
 
-def _json_target(ctx: click.Context, _param: click.Parameter, value: str | None) -> str | None:
-    if value == "-":
-        session_of(ctx).data_on_stdout = True
+def _forced(ctx: click.Context, _param: click.Parameter, value: bool) -> None:
+    session_of(ctx).replaces = value
+
+
+def new_file(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
+    """A file to write: one that is there is not replaced unasked.
+
+    Raises
+    ------
+    InputError
+    """
+    if value is not None and value.is_file() and not session_of(ctx).replaces:
+        raise InputError(f"{value} exists and is not replaced: name another file for {param.opts[0]}, or give --force")
     return value
 
 
-json_option = click.option(
-    "--json", "json_out", metavar="OUT", callback=_json_target, help="Write the result as JSON; - for stdout."
+def writes(*options: Callable[[Function], Function]) -> Callable[[Function], Function]:
+    """Add options that name files to write, and --force, once a command."""
+
+    def added(function: Function) -> Function:
+        for option in reversed(options):
+            function = option(function)
+        known = getattr(function, "__click_params__", [])
+        return function if any("--force" in each.opts for each in known) else _force(function)
+
+    return added
+
+
+_force = click.option(
+    "--force",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_forced,
+    help="Replace files that are there already.",
 )
+
+
+def output_option(*names: str, metavar: str, help: str, required: bool = False) -> Callable[[Function], Function]:
+    """A file that is written, with --force."""
+    kind = click.Path(path_type=Path, dir_okay=False)
+    return writes(click.option(*names, type=kind, metavar=metavar, required=required, callback=new_file, help=help))
+
+
+def _json_target(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
+    if value == "-":
+        session_of(ctx).data_on_stdout = True
+    elif value is not None:
+        new_file(ctx, param, Path(value))
+    return value
+
+
+json_option = writes(
+    click.option(
+        "--json", "json_out", metavar="OUT", callback=_json_target, help="Write the result as JSON; - for stdout."
+    )
+)
+trace_option = output_option("--trace", metavar="FILE", help="Frame log (.blf, .log).")
+
+
+def _label(_ctx: click.Context, _param: click.Parameter, value: str | tuple[str, ...]) -> str | tuple[str, ...]:
+    """Labels of loads; what can only mean the bare arm is a usage error."""
+    labels = (value,) if isinstance(value, str) else value
+    for label in labels:
+        wrong = label_refused(label)
+        if wrong:
+            raise click.BadParameter(f"'{label}' {wrong}")
+    return value
+
+
+def load_option(name: str, help: str, **settings: Any) -> Callable[[Function], Function]:
+    """--load: what hangs on the flange while it is measured."""
+    return click.option("--load", name, metavar="LABEL", callback=_label, help=help, **settings)
+
+
 bus_option = click.option(
     "--bus",
     "bus_spec",
@@ -99,6 +168,17 @@ def confirm(question: str, *, yes: bool) -> None:
     """Ask before anything moves; no answer means no."""
     if not yes:
         click.confirm(question, abort=True, err=True)
+
+
+def joint_angles(text: str) -> tuple[float, ...]:
+    """Joint angles [rad] of `J1,J2,..`; anything else is a usage error."""
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = (math.nan,)
+    if not all(map(math.isfinite, values)):
+        raise click.BadParameter(f"'{text}': give joint angles in rad, one per axis, such as 0,-0.5,1.2,0,0.4,0")
+    return values
 
 
 def one_of(names: Sequence[str]) -> click.Choice[str]:

@@ -17,6 +17,7 @@ from gateway.commands.options import (
     common,
     json_option,
     one_of,
+    output_option,
     session_of,
     write_json,
 )
@@ -48,11 +49,11 @@ def _open(
     return pair, PairStore(pair, folder or cell.with_suffix(".pair"))
 
 
-def _context(cell: Path, pair: PairCell) -> CellContext:
-    from gateway.commands.cell_context import CellContext
+def _context(cell: Path, pair: PairCell, bus_spec: str | None, pacing: str | None) -> CellContext:
+    from gateway.commands.cell_context import CellContext, typed_options
 
     specs = {arm.config.bus: spec for arm, spec in zip(pair.arms, pair.specs, strict=True)}
-    return CellContext(pair.loaded, cell, specs)
+    return CellContext(pair.loaded, cell, specs, typed_options(bus_spec, pacing))
 
 
 def _ledgers(context: CellContext, pair: PairCell) -> tuple[Path, Path]:
@@ -102,8 +103,8 @@ def teach(
     lesson = open_lesson(pair, kept, resume)
     session = session_of()
     _ask(pair, f"move slowly along the path, to {pair.config.knots - len(lesson.points)} points", moving)
-    context = _context(cell, pair)
-    with stoppable(moving) as options, open_link(pair, _ledgers(context, pair)) as link:
+    context = _context(cell, pair, bus_spec, moving.pacing)
+    with context.way_on(), stoppable(moving) as options, open_link(pair, _ledgers(context, pair)) as link:
         options = _proven(context, link, options)
         function = teach_pair(
             link,
@@ -163,8 +164,8 @@ def run_pair(
     session = session_of()
     session.note(f"{row.name}, {row.text}; function: {origin}; learning {'off' if kept.frozen else 'on'}", level=1)
     _ask(pair, f"run {cycles} cycles at speed {at:g}", moving)
-    context = _context(cell, pair)
-    with stoppable(moving) as options, open_link(pair, _ledgers(context, pair)) as link:
+    context = _context(cell, pair, bus_spec, moving.pacing)
+    with context.way_on(), stoppable(moving) as options, open_link(pair, _ledgers(context, pair)) as link:
         options = _proven(context, link, options)
         result = run(
             link,
@@ -249,7 +250,7 @@ def _function_row(one: FunctionOrigin) -> list[str]:
 
 @click.command()
 @cell_argument
-@click.option("-o", "--output", required=True, metavar="REPORT.html", type=click.Path(path_type=Path, dir_okay=False))
+@output_option("-o", "--output", required=True, metavar="REPORT.html", help="Page to write.")
 @store_option
 @common
 def pair_report(cell: Path, output: Path, store: Path | None) -> None:

@@ -43,9 +43,9 @@ Estimator = Callable[[Table, Robot, EstimateOptions], Estimate]
 
 def _of_visits(function: Callable[[Visits, Robot, EstimateOptions], Estimate]) -> Estimator:
     def with_table(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
-        sound, aside, findings = without_gross(_visits(table, options), robot, options.gravity_m_s2)
+        sound, aside = without_gross(_visits(table, options), robot, options.gravity_m_s2)
         found = function(sound, robot, options)
-        return replace(found, set_aside=aside, findings=(*findings, *found.findings))
+        return replace(found, set_aside=aside.entries, findings=(*aside.findings, *found.findings))
 
     return with_table
 

@@ -26,7 +26,7 @@ def next_pose(load: LoadEstimate, robot: Robot, sigma_nm: Floats, options: Estim
     ----------
     load : LoadEstimate
     robot : Robot
-        Its joint limits bound the postures; keep-out boxes and torque limits are the planner's.
+        Its joint limits bound the postures where the options give none to choose from.
     sigma_nm : array of shape (N,)
         Noise floor per axis, NaN = not measured.
     options : EstimateOptions
@@ -34,12 +34,12 @@ def next_pose(load: LoadEstimate, robot: Robot, sigma_nm: Floats, options: Estim
     Returns
     -------
     NextMeasurement or None
-        None where nothing is known about the load or no axis tells anything.
+        None where nothing is known about the load, no axis tells anything, or there is no pose to choose.
     """
     now = _with_unknown(load)
-    if now is None or not np.isfinite(sigma_nm).any():
+    q = candidates(robot) if options.pose_choice is None else options.pose_choice
+    if now is None or not np.isfinite(sigma_nm).any() or not len(q):
         return None
-    q = candidates(robot)
     gain = payload_information(robot, q, sigma_nm, options.gravity_m_s2)
     size = np.sqrt(np.diag(now))
     before = np.linalg.inv(now / np.outer(size, size))

@@ -20,9 +20,8 @@ from gateway.estimate.estimate import Estimate, FittedRows
 from gateway.estimate.moving_columns import Columns, MovingSetup, fast_rows, moving_columns
 from gateway.estimate.moving_ordinary import Settled, settle
 from gateway.estimate.options import EstimateOptions
-from gateway.identify.budget import CONSTANTS, FRICTION, LINKS
+from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, budget_by_priors
 from gateway.identify.load_estimate import LoadEstimate, load_from_moment, without_guesses
-from gateway.identify.shares import shares
 from gateway.identify.solve import Solution, determined, solve
 from gateway.identify.spread import by_blocks, wider
 from gateway.model.robot import Robot, reach_m
@@ -215,7 +214,7 @@ def _load(
         FRICTION: columns.friction,
     }
     lead, precision = settled.free.covariance[first], columns.prior.std**-2.0
-    budget = shares(lead, precision, sources, float(covariance[first, first])) if found[0] else {}
+    budget = budget_by_priors(lead, precision, sources, float(covariance[first, first])) if found[0] else {}
     return replace(without_guesses(load, longest_m), budget=budget)
 
 

@@ -6,6 +6,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gateway.errors import InputError
 from gateway.identify.links import parse_inertials
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
@@ -46,6 +49,7 @@ class EstimateOptions:
         Needed by that method alone.
     hull_radius_m : float or None
         A centre of mass further from the last link is reported; 0.4 of the arm's length if not given.
+    pose_choice : (k, N) poses that may be asked for; None = any within the robot's joint limits
     """
 
     inertials: str = "ignore"
@@ -56,6 +60,7 @@ class EstimateOptions:
     efficiency: tuple[float, ...] = (1.0,)
     coefficient: Coefficient | None = None
     hull_radius_m: float | None = None
+    pose_choice: NDArray[np.float64] | None = field(default=None, compare=False)
 
     @property
     def trust(self) -> float:

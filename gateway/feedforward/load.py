@@ -131,6 +131,16 @@ def check_origin(result: Result, loaded: LoadedCell, arm: ArmConfig, robot: Robo
     InputError
         It was identified elsewhere; says where.
     """
+    elsewhere = other_origin(result, loaded, arm, robot)
+    if elsewhere:
+        raise InputError(
+            f"{where}: was identified on {elsewhere}: the load of another arm stands in another frame; identify it on "
+            "this one"
+        )
+
+
+def other_origin(result: Result, loaded: LoadedCell, arm: ArmConfig, robot: Robot) -> str:
+    """In which a result was made elsewhere: "cell 'a', not on 'b'"; empty where nothing says so."""
     about = result.data or Drawn()
     for what, have, want in (
         ("robot", result.robot, robot.name),
@@ -138,10 +148,8 @@ def check_origin(result: Result, loaded: LoadedCell, arm: ArmConfig, robot: Robo
         ("arm", about.arm, arm.name),
     ):
         if have is not None and have != want:
-            raise InputError(
-                f"{where}: was identified on {what} '{have}', not on '{want}': the load of another arm stands in "
-                "another frame; identify it on this one"
-            )
+            return f"{what} '{have}', not on '{want}'"
+    return ""
 
 
 def rated_load(arm: ArmConfig, robot: Robot) -> FeedLoad:

@@ -14,17 +14,16 @@ as a spline of fifth order that starts and ends at rest; the points must lie clo
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 from scipy.interpolate import make_interp_spline
 
-from drives.toml_text import parse_toml
+from drives.validation import Strict, Unfit, read_strict
 from gateway.data.csv_text import read_path_columns
 from gateway.errors import InputError, PlanRefused
 from gateway.motion.places import angles
@@ -49,10 +48,11 @@ Six = tuple[float, float, float, float, float, float]
 Share = Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)]
 
 
-class _Waypoints(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+class _Waypoints(Strict):
     name: str | None = None
-    waypoints_rad: tuple[Six, ...] = Field(min_length=2, max_length=MOST_WAYPOINTS)
+    waypoints_rad: tuple[Six, ...] = Field(
+        min_length=2, max_length=MOST_WAYPOINTS, description="places that the arm goes through, six angles each"
+    )
     speed_share: Share = 1.0
     dwell_s: float = Field(default=0.4, ge=0, le=10)
     repeat: int = Field(default=1, ge=1, le=100)
@@ -128,13 +128,9 @@ def _refuse_far(points: np.ndarray, where: str) -> None:
 
 def _read_toml(text: str, file: Path) -> _Waypoints:
     try:
-        return _Waypoints.model_validate(parse_toml(text))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{file}: not valid TOML: {error}") from error
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        key = ".".join(str(part) for part in first["loc"]) or "file"
-        raise InputError(f"{file}: {key}: {first['msg']}; a path has waypoints_rad, six angles each") from error
+        return read_strict(text, _Waypoints)
+    except Unfit as error:
+        raise InputError.of(error.told(str(file))) from error
 
 
 def _read_csv(file: Path) -> tuple[np.ndarray | None, np.ndarray]:

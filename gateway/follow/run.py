@@ -11,16 +11,14 @@ import numpy as np
 from drives.errors import DriveError
 from drives.exchange import Pacing
 from gateway.acquire.plan import travel_limits
-from gateway.acquire.route import find_route
-from gateway.data.rest_pose import RestPose
-from gateway.errors import PlanRefused
+from gateway.acquire.route import way_to
+from gateway.acquire.standing import refuse_start
 from gateway.follow.fed_arm import FedArm
 from gateway.follow.path import FollowPath, check_path
 from gateway.follow.settings import Setting
 from gateway.follow.track import Recorder, Track
 from gateway.motion.arm import Arm
 from gateway.motion.arms import Arms
-from gateway.motion.places import angles
 from gateway.motion.power import powered
 from gateway.motion.state import StateKeeper
 from gateway.motion.stream import MoveOptions, Station, Stream
@@ -80,30 +78,12 @@ def follow(station: FollowStation, path: FollowPath, settings: Sequence[Setting]
     """
     check_path(path, station.workspace)
     lead = _lead(station.workspace, path.start_rad)
-    ways = [way(station.workspace, station.arm.where(), lead), way(station.workspace, path.end_rad, lead)]
+    start_rad = station.arm.where()
+    refuse_start(station.workspace, start_rad, station.arm.name)
+    ways = [way_to(station.workspace, begin, lead) for begin in (start_rad, path.end_rad)]
     run = _Run(station, path)
     with run.under_power():
         return tuple(run.drive(setting, ways[min(number, 1)], number) for number, setting in enumerate(settings))
-
-
-def way(workspace: Workspace, start_rad: np.ndarray, end_rad: np.ndarray) -> list[np.ndarray]:
-    """Points of a checked way, the end included.
-
-    Raises
-    ------
-    PlanRefused
-        The arm stands where it may not stand, or no such way was found.
-    """
-    reason = workspace.why_not(start_rad)
-    if reason is not None:
-        raise PlanRefused(f"the arm stands at {angles(start_rad)}: {reason}; move it clear with the drives' own tool")
-    route = find_route(workspace, [RestPose(1, tuple(end_rad.tolist()), "fit")], start_rad, 0.0)
-    if not route.legs:
-        raise PlanRefused(
-            f"no way that keeps the limits leads from {angles(start_rad)} to the start of the path at "
-            f"{angles(end_rad)}; move the arm elsewhere or open the keep_out boxes"
-        )
-    return [*(np.array(point) for point in route.legs[0].via_rad), end_rad]
 
 
 def _lead(workspace: Workspace, start_rad: np.ndarray) -> np.ndarray:

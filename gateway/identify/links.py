@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.errors import ConfigError
+from gateway.identify.trust import prior_share
 from gateway.model.motion import PER_BODY
 from gateway.model.robot import Robot, link_lengths_m
 
@@ -37,11 +38,8 @@ def parse_inertials(text: str) -> float:
         return 0.0
     if text == "ignore":
         return math.inf
-    try:
-        share = float(text.removeprefix("prior:")) if text.startswith("prior:") else math.nan
-    except ValueError:
-        share = math.nan
-    if not (math.isfinite(share) and share > 0):
+    share = prior_share(text)
+    if share is None:
         raise ConfigError(f"inertials '{text}': use exact, ignore, or prior:S with S > 0, such as prior:0.05")
     return share
 

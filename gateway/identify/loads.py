@@ -8,14 +8,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.data.labels import BARE_LABEL
 from gateway.errors import InputError
 from gateway.identify.links import PER_LINK_AT_REST
 from gateway.result.result import Bare
 
 Floats = NDArray[np.float64]
 
-#: Label of rows without a load.
-BARE_LABEL: Final = "none"
 #: What a stored identification knows better than this share of what it knows least, it knows that well.
 _SUREST: Final = 1e-12
 #: Standard deviation [kg, kg m] below which nothing is known: heavier rows drown the measured ones in rounding.

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gateway.errors import ConfigError
+from gateway.identify.trust import prior_share
 
 Floats = NDArray[np.float64]
 
@@ -89,16 +90,13 @@ def parse_torque_gain(text: str) -> float:
     """
     if text == "exact":
         return 0.0
-    try:
-        share = float(text.removeprefix("prior:")) if text.startswith("prior:") else np.nan
-    except ValueError:
-        share = np.nan
-    if not (np.isfinite(share) and 0 < share < _MOST_GAIN_STD):
+    share = prior_share(text)
+    if share is None or share >= _MOST_GAIN_STD:
         raise ConfigError(
             f"--torque-gain {text}: use exact, or prior:S with the relative standard deviation of the torque "
             f"constants, 0 < S < {_MOST_GAIN_STD:g}, such as prior:0.03"
         )
-    return float(share)
+    return share
 
 
 def losses(difference_nm: Floats, torque_nm: Floats) -> tuple[Floats, Floats]:

@@ -11,7 +11,7 @@ from drives.profile import DriveProfile
 from gateway.cell.config import ArmConfig
 from gateway.cell.conversion import AxisConversion
 from gateway.preflight.coasting import quick_stop_ramp
-from gateway.preflight.rules import Readings
+from gateway.preflight.rules import Readings, counts_per_revolution
 
 #: A target at a joint's limit is rounded to counts: so far beyond it the drive still takes it [rad, joint].
 ROUNDING_RAD: Final = 1e-4
@@ -61,8 +61,9 @@ def quick_stop_rad_s2(
     """
     motor: list[float] = []
     for profile, objects in zip(profiles, readings, strict=True):
-        raw = quick_stop_ramp(objects)[1]
-        if not raw or profile.velocity is None:
+        raw, velocity = quick_stop_ramp(objects)[1], profile.velocity
+        unit_rad_s2 = None if velocity is None else velocity.ramp_rad_s2(counts_per_revolution(profile, objects))
+        if not raw or unit_rad_s2 is None:
             return None
-        motor.append(raw * profile.velocity.unit_rad_s.value)
+        motor.append(raw * unit_rad_s2)
     return AxisConversion.from_arm(arm).joint_bound(np.array(motor))

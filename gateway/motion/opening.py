@@ -13,10 +13,11 @@ from drives.bringup import read_constants
 from drives.bus import BusSpec, open_bus
 from drives.drive import AxisSetup, DriveCommand, Identity
 from drives.epoch import Epoch
+from drives.errors import ProfileError
 from drives.group import DriveGroup, GroupOptions
 from drives.instrument import InstrumentSetup
 from drives.profile import DriveProfile
-from drives.profile_file import list_profiles, load_profile
+from drives.profile_file import find_profile
 from drives.scaling import Constants
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.cell.conversion import AxisConversion
@@ -136,7 +137,7 @@ def axis_setups(loaded: LoadedCell, config: ArmConfig) -> tuple[AxisSetup, ...]:
     return tuple(
         AxisSetup(
             axis.node_id,
-            _profile(loaded, axis.profile),
+            find_profile(axis.profile, loaded.folder),
             axis.torque_constant_nm_per_a.value,
             float(speed),
             position_limit_rad=limit,
@@ -158,8 +159,23 @@ def _limit_torques(group: DriveGroup, config: ArmConfig, workspace: Workspace, f
         drive.setup = replace(drive.setup, torque_limit_nm=limit_nm)
 
 
-def _profile(loaded: LoadedCell, name: str) -> DriveProfile:
-    return load_profile(name if name in list_profiles() else loaded.path(name))
+def _refuse_obstacles(setups: Sequence[AxisSetup]) -> None:
+    """See that every drive may be moved by what its profile knows of it, before anything is sent.
+
+    Raises
+    ------
+    ProfileError
+    """
+    joints: dict[DriveProfile, list[str]] = {}
+    for joint, setup in enumerate(setups, start=1):
+        if setup.profile.obstacles:
+            joints.setdefault(setup.profile, []).append(f"J{joint}")
+    if joints:
+        what = "; ".join(
+            f"{', '.join(axes)}: profile {profile.name} refuses motion: {'; '.join(profile.obstacles)}"
+            for profile, axes in joints.items()
+        )
+        raise ProfileError(what, advice="`scan` and `check` read such drives; nothing was sent to them")
 
 
 @contextmanager
@@ -179,6 +195,8 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
     ------
     ConfigError
         Robot or cell cannot be used.
+    ProfileError
+        A drive that its profile reads and does not move.
     DriveError
         Bus or drives: missing, twice, of another kind, in fault; all drives' failures at once.
     FindingFailed
@@ -188,7 +206,9 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
     config = arm_named(loaded, arm)
     text = robot_text(loaded, config)
     workspace = workspace_of(config, robot_from_text(config, text, robot_place(loaded, config)))
-    setups = tuple(replace(setup, feedforward=override.feedforward) for setup in axis_setups(loaded, config))
+    setups = axis_setups(loaded, config)
+    _refuse_obstacles(setups)
+    setups = tuple(replace(setup, feedforward=override.feedforward) for setup in setups)
     bus_config = loaded.cell.bus[config.bus]
     spec = override.spec or BusSpec(
         bus_config.interface, bus_config.channel, bus_config.bitrate_bit_s, dict(bus_config.options)

@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from gateway.data.sample import ArmSample
-from gateway.errors import LimitExceeded, PlanRefused
+from gateway.errors import LimitExceeded, PlanRefused, WrongPlace
 from gateway.motion.places import angles
 from gateway.motion.stops import StopKind
 from gateway.motion.stream import MoveOptions, Stream
@@ -263,16 +263,18 @@ def refuse_elsewhere(cell: PairCell, where: Sequence[Floats]) -> None:
 
     Raises
     ------
-    PlanRefused
+    WrongPlace
         An arm stands elsewhere.
     """
     for arm, q in zip(cell.arms, where, strict=True):
         away = np.abs(q - arm.start_rad)
         if away.max() > START_TOLERANCE_RAD:
             joint = int(np.argmax(away))
-            raise PlanRefused(
+            raise WrongPlace(
                 f"arm '{arm.config.name}': joint {joint + 1} stands at {q[joint]:.4f} rad, the part is gripped at"
-                f" {arm.start_rad[joint]:.4f} rad; bring both arms to the start of the path first"
+                f" {arm.start_rad[joint]:.4f} rad; bring both arms to the start of the path first, without the part",
+                arm.config.name,
+                ",".join(f"{value:g}" for value in arm.start_rad),
             )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Final
 
 from drives.objects import OBJECTS
-from gateway.preflight.rules import Axis, CheckItem, Lines, Readings, value_of
+from gateway.preflight.rules import Axis, CheckItem, Lines, Readings, counts_per_revolution, value_of
 
 #: Time from the cell's speed limit to rest [s] above which a quick stop is refused, and told.
 TOO_LONG_S: Final = 1.0
@@ -118,13 +118,15 @@ def _ramp(lines: Lines, readings: Readings) -> None:
     if raw == 0:
         lines.add("fail", address, "0: the quick stop has no ramp", "set the deceleration in the drive")
         return
-    if velocity is None:
+    counts = counts_per_revolution(lines.axis.profile, readings)
+    unit_rad_s2 = None if velocity is None else velocity.ramp_rad_s2(counts)
+    if unit_rad_s2 is None:
         what = f"{raw}: how long a quick stop takes is not known, the profile has no [velocity]"
         lines.add("info", address, what)
         return
     config = lines.axis.config
     speed_rad_s = config.speed_limit_rad_s * abs(config.gear_ratio.value)
-    ramp_s = speed_rad_s / (raw * velocity.unit_rad_s.value)
+    ramp_s = speed_rad_s / (raw * unit_rad_s2)
     what = f"{ramp_s:.2g} s from {config.speed_limit_rad_s:g} rad/s to rest, if its unit is the velocity's per second"
     if ramp_s > LONG_S:
         advice = f"raise it in the drive: more than {TOO_LONG_S:g} s is refused; or lower speed_limit_rad_s"

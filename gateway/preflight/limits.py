@@ -14,6 +14,8 @@ from gateway.preflight.rules import Axis, CheckItem, Lines, Readings, counts_per
 
 #: A following error window wider than so many of the cell's limits protects nothing.
 WIDE: Final = 4.0
+#: Brings a joint inside its range; who knows the cell file writes its name for CELL.
+MOVE_HOME: Final = "servo-gateway move CELL --to home"
 
 
 def judge_limits(axis: Axis, arm: ArmConfig, readings: Readings) -> list[CheckItem]:
@@ -39,7 +41,8 @@ def judge_place(axis: Axis, arm: ArmConfig, readings: Readings) -> list[CheckIte
         q_rad = _joint_rad(arm, axis.joint, position / turn)
         inside = low <= q_rad <= high
         what = f"stands at {q_rad:.3f} rad, limits {low:g} to {high:g} rad"
-        advice = "" if inside else "bring the joint inside its limits, or correct zero_offset_rad and position_sign"
+        way_in = f"bring the joint inside its limits ({MOVE_HOME}), or correct zero_offset_rad and position_sign"
+        advice = "" if inside else way_in
         lines.add("ok" if inside else "fail", OBJECTS["position"].address, what, advice)
     return lines.items
 

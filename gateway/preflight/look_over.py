@@ -16,6 +16,7 @@ from drives.group import DriveGroup
 from drives.heartbeat import NmtState
 from drives.instrument import InstrumentSetup
 from drives.ledger import WriteLedger
+from drives.listening import FREE_S, refuse_foreign
 from drives.objects import OBJECTS, object_name
 from drives.pdo import rpdo_plan, tpdo_plans
 from drives.probe import probe
@@ -106,7 +107,7 @@ def addresses(profile: DriveProfile) -> dict[Address, str]:
     references += [each.object for each in rated if each is not None and each.object is not None]
     counts = profile.position.counts_per_revolution
     if isinstance(counts, CountsFromObjects):
-        references += [counts.object, counts.per]
+        references += [counts.object] if counts.per is None else [counts.object, counts.per]
     references += [condition.object for condition in conditions(profile)]
     return wanted | {(reference.index, reference.subindex): reference.type for reference in references}
 
@@ -181,8 +182,14 @@ def check_arm(
         Of the axes, in order.
     ledger : WriteLedger, optional
         What the gateway wrote itself.
+
+    Raises
+    ------
+    ForeignMaster
+        A master is at work: what is asked beside it stops its arm.
     """
     ledger = ledger or WriteLedger()
+    refuse_foreign(bus, FREE_S)
     answers = probe(bus, [config.node_id for config in arm.axis])
     silent = [node_id for node_id, number in answers.items() if number == 0]
     states = nmt_states(bus, silent, LISTEN_S) if silent else {}

@@ -107,7 +107,7 @@ def judge_state(axis: Axis, readings: Readings) -> list[CheckItem]:
 
 def judge_settings(axis: Axis, readings: Readings) -> list[CheckItem]:
     """How the drive is set up: what nobody else would refuse; parameters as `judge_axis`."""
-    return _judged(axis, readings, (_mode, _torque_object, _torque_limits, _scaling, _offsets, _watchdog))
+    return _judged(axis, readings, (_obstacles, _mode, _torque_object, _torque_limits, _scaling, _offsets, _watchdog))
 
 
 def _judged(axis: Axis, readings: Readings, rules: Sequence[Callable[[Lines, Readings], None]]) -> list[CheckItem]:
@@ -209,8 +209,18 @@ def _torque_object(lines: Lines, readings: Readings) -> None:
         lines.add("fail", address, what, "name the drive's measured torque or current in the profile")
     elif readings.get(address) is None:
         lines.add("fail", address, "the drive does not have the torque object", "use another profile")
+    elif torque.assumed:
+        lines.add("warn", address, f"assumed, {torque.kind.replace('_', ' ')} ({torque.source})")
     else:
         lines.add("ok", address, f"measured, {torque.kind.replace('_', ' ')} ({torque.source})")
+
+
+def _obstacles(lines: Lines, readings: Readings) -> None:
+    del readings
+    profile = lines.axis.profile
+    for obstacle in profile.obstacles:
+        what, _, advice = obstacle.partition(": ")
+        lines.add("fail", None, f"profile {profile.name} refuses motion: {what}", advice or "use another drive")
 
 
 def _rated(lines: Lines, readings: Readings) -> None:
@@ -349,7 +359,7 @@ def counts_per_revolution(profile: DriveProfile, readings: Readings) -> float | 
     if isinstance(counts, Constant):
         return counts.value
     increments = readings.get((counts.object.index, counts.object.subindex))
-    turns = readings.get((counts.per.index, counts.per.subindex))
+    turns = 1 if counts.per is None else readings.get((counts.per.index, counts.per.subindex))
     if not isinstance(increments, int) or not isinstance(turns, int) or increments <= 0 or turns <= 0:
         return None
     return increments / turns

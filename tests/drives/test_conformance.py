@@ -30,7 +30,13 @@ def cell(tmp_path, request):
     return request.param, tmp_path / "cell.toml"
 
 
-@pytest.mark.parametrize("cell", list_profiles(), indirect=True)
+def is_known(name):
+    """Whether the arithmetic of a profile is whole; it may still be refused for an encoder that nobody has named."""
+    profile = load_profile(name)
+    return not (profile.torque.assumed or profile.no_motion)
+
+
+@pytest.mark.parametrize("cell", [name for name in list_profiles() if is_known(name)], indirect=True)
 def test_a_drive_of_every_profile_is_enabled_moved_and_read(cell):
     name, path = cell
     profile = load_profile(name)
@@ -64,7 +70,12 @@ def test_a_drive_of_every_profile_is_enabled_moved_and_read(cell):
             assert moved == pytest.approx([100 * step for step in steps], abs=0.05)
             for fake, drive, reading in zip(unit.drives, drives, epochs[-1].readings, strict=True):
                 true_nm = fake.reading_nm / (fake.spec.torque_sign * fake.spec.gear_ratio)
-                assert reading.torque_nm == pytest.approx(true_nm, abs=0.51 * drive.scale.torque_nm)
+                # half a bit, and what the drive rounds off when it shows its rated torque in mNm
+                rounding_nm = 0.51 * drive.scale.torque_nm + 2e-3 * abs(true_nm)
+                assert reading.torque_nm == pytest.approx(true_nm, abs=rounding_nm)
+                if reading.current_a is not None:
+                    true_a = true_nm / fake.spec.torque_constant_nm_per_a
+                    assert reading.current_a == pytest.approx(true_a, rel=1e-3, abs=0.51 * drive.scale.current_a)
             group.disable()
             statistics = group.statistics
             assert (statistics.incomplete, statistics.late, sum(statistics.foreign.values())) == (0, 0, 0)

@@ -71,6 +71,24 @@ def test_an_axis_found_outside_moves_only_inwards(bus, slave, generic, found, si
             group.exchange([DriveCommand(side * 101 * COUNT_RAD)])
 
 
+@pytest.mark.parametrize(("found", "side"), [(5000, 1), (-5000, -1)])
+def test_an_axis_held_outside_stays_where_it_is_when_a_way_inwards_begins_a_hair_further_out(
+    bus, slave, generic, found, side
+):
+    """What is read while it is held differs by some counts from what it was told to hold."""
+    slave.position = found
+    with ready(bus, generic, position_limit_rad=(-100 * COUNT_RAD, 100 * COUNT_RAD)) as group:
+        group.enable()
+        group.exchange([DriveCommand((found + 3 * side) * COUNT_RAD)])
+        assert group.drives[0].target_count == found
+        with pytest.raises(CommandRefused, match="moves only inwards"):
+            group.exchange([DriveCommand((found + 200 * side) * COUNT_RAD)])
+        group.exchange([DriveCommand((found - 2 * side) * COUNT_RAD)])
+        assert group.drives[0].target_count == found - 2 * side
+        with pytest.raises(CommandRefused, match="moves only inwards"):
+            group.exchange([DriveCommand((found - side) * COUNT_RAD)])
+
+
 @pytest.mark.parametrize("limit", [(1.0, 1.0), (2.0, 1.0), (math.nan, 1.0), (0.0, math.inf)])
 def test_limits_that_are_none_are_refused(generic, limit):
     with pytest.raises(ProfileError, match="not in order"):

@@ -128,8 +128,8 @@ def test_a_drive_without_the_object_is_refused_before_it_is_enabled(bus, add_sla
 
 
 def test_a_profile_without_feedforward_is_refused():
-    with pytest.raises(ProfileError, match=r"beckhoff-el72x1 has no \[feedforward\]"):
-        AxisSetup(1, load_profile("beckhoff-el72x1"), 0.5, MAX_RAD_S, feedforward=True)
+    with pytest.raises(ProfileError, match=r"kollmorgen-akd-x00606 has no \[feedforward\]"):
+        AxisSetup(1, load_profile("kollmorgen-akd-x00606"), 0.5, MAX_RAD_S, feedforward=True)
 
 
 @pytest.mark.parametrize(

@@ -63,7 +63,9 @@ def test_a_rate_that_does_not_fit_is_refused_with_the_one_that_does(bus, add_sla
 
 
 def test_a_torque_of_32_bits_opens_the_second_frame():
-    plans, roles = tpdo_plans(load_profile("maxon-epos4"), 4)
+    profile = load_profile("maxon-epos4")
+    wide = profile.torque.model_copy(update={"object": ObjectReference(index=0x30D1, subindex=2, type="i32")})
+    plans, roles = tpdo_plans(profile.model_copy(update={"torque": wide}), 4)
     assert [plan.cob_id for plan in plans] == [0x184, 0x284]
     assert [plan.size_bytes for plan in plans] == [6, 8]
     assert roles == ("statusword", "position", "torque", "velocity")
@@ -71,8 +73,8 @@ def test_a_torque_of_32_bits_opens_the_second_frame():
 
 
 def test_a_profile_without_current_needs_one_frame():
-    plans, roles = tpdo_plans(load_profile("beckhoff-ax8000"), 1)
-    assert [entry.mapping for entry in plans[0].entries] == [0x60410010, 0x60640020, 0x32410910]
+    plans, roles = tpdo_plans(load_profile("kinco-fd123"), 1)
+    assert [entry.mapping for entry in plans[0].entries] == [0x60410010, 0x60640020, 0x60780010]
     assert len(plans) == 1
     assert roles == ("statusword", "position", "torque")
 
@@ -309,7 +311,7 @@ def test_a_probe_waits_for_a_second_device_no_longer_than_it_may_take_and_listen
 
 def test_a_scan_finds_everybody_and_changes_nothing(bus, make_slave):
     first, second = make_slave(2), make_slave(90)
-    second.values[0x1018, 1] = 0xFB
+    second.values[0x1018, 1], second.values[0x1018, 3] = 0xFB, 0x01700000
     wire = bus._adapter
     first.heartbeat()
     results = scan(bus, listen_s=0.2)

@@ -172,3 +172,22 @@ def test_measured_runs_fit_and_every_axis_has_its_residual(measured_data, name):
     assert done.exit_code == 0, done.output
     assert all(value is not None and value > 0 for value in json.loads(done.stdout)["after"]["rms_nm"])
     assert "residual" in done.stderr
+
+
+@pytest.mark.parametrize("command", ["estimate", "diagnose"])
+def test_what_is_to_be_measured_next_keeps_the_limits_of_the_cell(table, tmp_path, command):
+    """The robot could go further: joint 1 may turn from 0.5 to 0.9 rad here, and was at other angles before."""
+    text = (URDF.parent / "cell.toml").read_text(encoding="utf-8")
+    kept = [line for line in text.splitlines() if not line.startswith(("home_rad", "loading_rad"))]
+    cell = tmp_path / "cell.toml"
+    cell.write_text("\n".join(kept).replace("[-2.8, 2.8]", "[0.5, 0.9]", 1), encoding="utf-8")
+    (tmp_path / "robot.urdf").write_text(URDF.read_text(encoding="utf-8"), encoding="utf-8")
+    few = table(poses=np.random.default_rng(4).uniform(-1.2, 1.2, (3, 6)))
+    asked = {}
+    for name, model in {"cell": ("--cell", cell), "robot": ("--robot", URDF)}.items():
+        done = run(command, few, *model, "--json", "-")
+        poses = [pose for entry in json.loads(done.stdout)["next"] for pose in entry.get("poses_rad", [])]
+        assert poses, done.output
+        asked[name] = np.array(poses)
+    assert ((asked["cell"][:, 0] > 0.5) & (asked["cell"][:, 0] < 0.9)).all()
+    assert not ((asked["robot"][:, 0] > 0.5) & (asked["robot"][:, 0] < 0.9)).all()

@@ -103,15 +103,25 @@ def test_each_profile_states_its_torque_as_its_manual_does(arm_of):
     assert torque * generic.torque.bits_per_unit == pytest.approx(torque / rated * 1000)
     assert generic.current is not None
     assert torque * generic.current.bits_per_unit == pytest.approx(torque / kt / (rated / kt) * 1000, rel=1e-3)
-    demand_only = drive_units(axis_with(arm, "beckhoff-ax8000"))
-    assert demand_only.torque.address == (0x3241, 9)
-    peak = drive_units(axis_with(arm, "beckhoff-el72x1"))
-    rated_peak_a = peak.constants[0x6075, 0][1] * 1e-3
-    assert rated_peak_a == pytest.approx(rated / kt * math.sqrt(2), rel=1e-3)
-    # the manual's formula M = 6077/1000 x I_rated/sqrt(2) x Kt
-    raw = torque * peak.torque.bits_per_unit
-    assert raw / 1000 * rated_peak_a / math.sqrt(2) * kt == pytest.approx(torque)
-    milliampere = drive_units(axis_with(arm, "maxon-epos4"))
-    assert torque * milliampere.torque.bits_per_unit == pytest.approx(1000 * torque / kt)
-    assert milliampere.constants[0x6076, 0][1] == pytest.approx(rated * 1e6)
-    assert 1000 * milliampere.offset_nm_per_bit == pytest.approx(rated)
+    uncounted = drive_units(axis_with(arm, "nanotec"))
+    assert torque * uncounted.torque.bits_per_unit == pytest.approx(torque / rated * 1000, rel=1e-3)
+
+
+def test_known_makes_count_as_their_manuals_say(arm_of):
+    """Motor torque of 7 Nm on axis 2 of the large arm: Kt 1.81 Nm/A, rated 23.875 Nm at 13.1906 A."""
+    arm, torque, kt, rated = arm_of("large"), 7.0, 1.81, 23.875
+    epos = drive_units(axis_with(arm, "maxon-epos4"))
+    nominal_ma, constant_unm = epos.constants[0x3001, 1][1], epos.constants[0x3001, 5][1]
+    assert (nominal_ma, constant_unm) == (13191, 1_810_000)
+    assert epos.constants[0x6076, 0][1] == pytest.approx(23.8757e6, rel=1e-5)
+    assert torque * epos.torque.bits_per_unit == pytest.approx(1000 * torque / 23.8757, rel=1e-4)
+    emcl = drive_units(axis_with(arm, "novanta-emcl"))
+    assert emcl.constants[0x6075, 0][1] == pytest.approx(13190.6 * math.sqrt(2), abs=1)
+    assert emcl.current is not None
+    assert torque * emcl.current.bits_per_unit == pytest.approx(1000 * torque / rated, rel=1e-4)
+    kinco = drive_units(axis_with(arm, "kinco-fd123"))
+    assert torque * kinco.torque.bits_per_unit == pytest.approx(torque / kt * 1.414 * 2048 / 45)
+    # 100 rpm at 65536 counts are 1789570 units (manual), twice as many at 131072
+    assert 100 * math.tau / 60 * kinco.velocity.bits_per_unit == pytest.approx(2 * 1789570, rel=1e-6)
+    akd = drive_units(axis_with(arm, "kollmorgen-akd-x00606"))
+    assert torque * akd.torque.bits_per_unit == pytest.approx(torque / kt / 6.0 * 1000)

@@ -77,6 +77,11 @@ class Drives:
     def hang(self) -> Callable[[str], None]:
         return self.handle.hang
 
+    def stand_rad(self) -> list[float]:
+        """Joint angles of the simulated arm [rad]."""
+        (arm,) = self.handle.simulation.arms
+        return list(arm.world._q)
+
     def stand_still(self) -> bool:
         """No drive is energised: every joint is in its brake."""
         (arm,) = self.handle.simulation.arms
@@ -130,7 +135,7 @@ class Hands:
 
     def __init__(self, drives, capsys, hangs):
         self.drives, self.capsys, self.hangs = drives, capsys, hangs
-        self.asked, self.said = [], ""
+        self.asked, self.said, self.stood_rad = [], "", []
 
     def readline(self):
         if not self.hangs:
@@ -139,6 +144,7 @@ class Hands:
         label = self.said.rsplit("HANG LOAD ", 1)[1].split()[0]
         assert self.drives.stand_still()
         self.asked.append(label)
+        self.stood_rad.append(self.drives.stand_rad())
         self.drives.hang(label)
         return "\n"
 

@@ -8,12 +8,14 @@ import signal
 import subprocess
 import sys
 
+import can
 import pytest
 
 from gateway.data.recording.reader import read
 from sim.serve import running
 
 pytestmark = pytest.mark.system
+BEAT = can.Message(arbitration_id=0x77F, data=b"\x05", is_extended_id=False)
 
 
 def test_scan_and_check_of_a_healthy_cell(place, gateway, serve):
@@ -96,3 +98,24 @@ def test_ctrl_c_stops_the_arm_and_keeps_the_data(place, number):
     recording = read(place.run)
     assert recording.exit_status == "abort"
     assert sum(visit.complete for visit in recording.arms[0].visits) >= 2
+
+
+@pytest.mark.parametrize("frame", [can.Message(arbitration_id=0x80, is_extended_id=False), BEAT])
+def test_scan_and_check_beside_a_running_master_send_nothing(place, gateway, serve, frame):
+    drives = serve()
+    channel = drives.bus.removeprefix("virtual:")
+    with can.Bus(interface="virtual", channel=channel) as master:
+        beating = master.send_periodic(frame, 0.02)
+        with can.Bus(interface="virtual", channel=channel) as ear:
+            for words in (("scan", "--listen", 0.1), ("check", place.cell)):
+                done = gateway(*words, "--bus", drives.bus)
+                assert done.exit_code == 4, done.output
+                assert "another master is at work" in done.stderr
+                assert "nothing was sent" in done.stderr
+            beating.stop()
+            heard = set()
+            while (message := ear.recv(0.0)) is not None:
+                heard.add(message.arbitration_id)
+        assert not [can_id for can_id in heard if 0x600 < can_id <= 0x67F or can_id == 0]
+        assert frame.arbitration_id in heard
+    assert gateway("scan", "--bus", drives.bus, "--listen", 0.1).exit_code == 0

@@ -7,6 +7,7 @@ import json
 import pytest
 
 pytestmark = pytest.mark.system
+LOADING_RAD = (0.0, 0.5, 0.6, 0.0, 0.4, 0.0)
 TRUTH_KG, TRUTH_COM_M = 6.0, (0.02, 0.01, 0.10)
 
 
@@ -15,6 +16,7 @@ def test_the_whole_job_and_what_follows_from_it(place, serve, commission, gatewa
     code, result, hands, output = commission(drives)
     assert code == 0, output.err
     assert hands.asked == ["load"]
+    assert hands.stood_rad[0] == pytest.approx(LOADING_RAD, abs=2e-3), "where the cell says that loads are hung"
     assert drives.stand_still()
     (load,) = result["loads"]
     assert result["verdict"] == "none_needed"

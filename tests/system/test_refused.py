@@ -23,7 +23,7 @@ def complains(done, code, *says):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (("gear_efficiency", "gear_efficency"), ["arm.0.axis.0.gear_efficency", "unknown key"]),
+        (("gear_efficiency", "gear_efficency"), ["J1: gear_efficency", "unknown key"]),
         (("flange_xyz_m", "flange_xyz_mm"), ["flange_xyz_mm", "units are part of the name"]),
         (('gear_ratio = { value = 120, source = "datasheet p. 7" }\n', ""), ["gear_ratio", "is missing"]),
         (("value = 120, source", "value = 0, source"), ["gear_ratio must not be 0"]),

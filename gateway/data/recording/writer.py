@@ -24,6 +24,8 @@ from gateway.errors import InputError
 
 #: Puts a content in the place of a file, whole or not at all; raises InputError.
 Write = Callable[[Path, bytes], None]
+#: What to do where a recording would be replaced.
+NOT_REPLACED = "go on with it by --resume, or choose another name"
 UNFINISHED = "not finished: still running, or killed"
 
 #: dataset -> (field of Visit, unit)
@@ -123,7 +125,7 @@ class RecordingWriter:
         self.path = path
         self._write = write or write_recording
         if earlier is None and path.exists():
-            raise InputError(f"{path} exists; go on with it by --resume, or choose another name")
+            raise InputError(f"{path} exists; {NOT_REPLACED}")
         self._file = h5py.File("in-memory", "w", driver="core", backing_store=False)
         if earlier is not None:
             if earlier.cell_text != header.cell:

@@ -17,9 +17,9 @@ from gateway.diagnose.moving.fit import MovingFit, MovingProblem, fit, usual_of
 from gateway.diagnose.moving.splits import blocks
 from gateway.diagnose.moving.state import MovingState
 from gateway.diagnose.moving.thresholds import MOVING
+from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, budget_by_priors
 from gateway.identify.load_estimate import known_load, load_directions, load_from_moment, load_result, unknown_load
 from gateway.identify.loads import BARE_LABEL
-from gateway.identify.shares import shares
 from gateway.identify.spread import jackknife, wider
 from gateway.model.effects.velocity_friction import Stribeck
 from gateway.result.result import LoadResult, NuisanceResult
@@ -64,11 +64,11 @@ def _budget(full: MovingFit, mass: int, variance: float) -> dict[str, float]:
     base = full.base
     first = min((part.start for part in base.loads.values()), default=base.carried)
     sources = {
-        "constants": base.gain,
-        "links": np.arange(first),
-        "friction": np.concatenate([base.friction.ravel(), base.loss]),
+        CONSTANTS: base.gain,
+        LINKS: np.arange(first),
+        FRICTION: np.concatenate([base.friction.ravel(), base.loss]),
     }
-    return shares(full.spread[: len(base.mean), mass], base.precision, sources, variance)
+    return budget_by_priors(full.spread[: len(base.mean), mass], base.precision, sources, variance)
 
 
 def spread_of(problem: MovingProblem, state: MovingState, where: NDArray[np.int_]) -> Floats:

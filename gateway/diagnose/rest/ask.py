@@ -37,7 +37,11 @@ def questions(
     """
     fits = [decision.whole, *(rival.fit for rival in decision.near[:4])]
     choice = pose_choice(problem.rows, options)
-    if len(np.unique(problem.rows.pose)) < REST.least_poses:
+    few = len(np.unique(problem.rows.pose)) < REST.least_poses
+    if not len(choice):
+        what = "widen the limits of the cell: no pose inside them can be measured"
+        return (NextMeasurement(what=what, tells_apart=_names(fits)),) if few or len(fits) > 1 else ()
+    if few:
         return (_measure(choice, _far_apart(problem.rows, choice), ()),)
     if len(fits) < 2:
         return ()

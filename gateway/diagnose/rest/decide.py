@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,16 +24,23 @@ from gateway.result.result import Verdict
 
 Floats = NDArray[np.float64]
 
-Key = tuple[frozenset[Label], bool]
+
+class Key(NamedTuple):
+    """Names of the strong effects of a hypothesis, and whether it holds a shape without a name."""
+
+    names: frozenset[Label]
+    unnamed: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rival:
     """A set of effects that explains the data about as well as the chosen one.
 
-    `odds` of the chosen set against it; `fit` its best member; `holds` whether it holds the chosen set and more.
+    `key` is the set; `odds` of the chosen one against it; `fit` its best member; `holds` whether it holds the chosen
+    set and more.
     """
 
+    key: Key
     fit: Fit
     odds: float
     holds: bool
@@ -79,12 +87,14 @@ def decide(search: Search, chosen: Fit) -> Decision:
     problem = search.problem
     before = search.fitted(())
     whole = _seen_to_help(search, _without_ordinary(search, _without_weak(search, chosen)))
-    near = _rivals(search, whole)
-    while smaller := [rival for rival in near if rival.odds < REST.sure_odds and _holds_less(search, rival.fit, whole)]:
+    own = _key(search, whole)
+    near = _rivals(search, whole, own)
+    while smaller := [rival for rival in near if rival.odds < REST.sure_odds and _holds_less(rival.key, own)]:
         whole = _seen_to_help(search, _without_ordinary(search, smaller[0].fit))
-        near = _rivals(search, whole)
+        own = _key(search, whole)
+        near = _rivals(search, whole, own)
     after = search.fitted([term for term in whole.terms if term.name != UNNAMED], whole)
-    proven = tuple(term for term in after.terms if strong(search, whole, term) and term.label in _key(search, whole)[0])
+    proven = tuple(term for term in after.terms if term.label in own.names)
     rivals = tuple(
         rival
         for rival in near
@@ -92,7 +102,7 @@ def decide(search: Search, chosen: Fit) -> Decision:
     )
     structure_p = misfit(problem, whole)
     odds, runner_up = _odds(search, after, whole)
-    if any(not _key(search, rival.fit)[0] for rival in rivals):
+    if any(not rival.key.names for rival in rivals):
         # what a shape without a name says as well has no name
         after, proven = before, ()
     verdict = _verdict(search, whole, proven, rivals, structure_p)
@@ -109,7 +119,7 @@ def _verdict(
     left = unnamed or structure_p < REST.structure_p
     if not proven:
         return "unexplained" if left else "none_needed"
-    if any(_key(search, rival.fit)[0] for rival in rivals):
+    if any(rival.key.names for rival in rivals):
         return "undecided"
     return "improved" if left else "explained"
 
@@ -184,14 +194,19 @@ def beyond_ordinary(problem: RestProblem, hypothesis: Fit, term: Term) -> bool:
         size = float(np.linalg.norm(hypothesis.theta[position][: term.count])) / np.sqrt(2.0)
         unsure = float(np.sqrt(np.diag(hypothesis.covariance)[at : at + term.count].mean() / 2.0))
         return size - TWO_SIDED_95 * unsure > REST.cogging * float(hypothesis.noise.std[term.joints[0] - 1])
-    places = problem.taken_over([term])
-    if term.takes_over == "gain" and not term.joints:
-        places = problem.nuisance_part.start + np.arange(problem.axes)  # of all axes, as little known as each
+    places = _ordinary_places(problem, term)
     if not len(places):
         return True
     away = abs(float(hypothesis.theta[position][0] - problem.common_mean[places[0]]))
     unsure = TWO_SIDED_95 * float(np.sqrt(max(hypothesis.covariance[at, at], 0.0)))
     return away - unsure > ORDINARY_STD * float(problem.common_std[places].max())
+
+
+def _ordinary_places(problem: RestProblem, term: Term) -> NDArray[np.int_]:
+    """Places among the common parameters of what every arm has and an effect is too much of."""
+    if term.takes_over == "gain" and not term.joints:
+        return problem.nuisance_part.start + np.arange(problem.axes)  # of all axes, as little known as each
+    return problem.taken_over([term])
 
 
 def _seen_to_help(search: Search, chosen: Fit) -> Fit:
@@ -224,19 +239,18 @@ def strong(search: Search, hypothesis: Fit, term: Term) -> bool:
     """Whether the data, and not the prior on the links alone, show an effect that goes beyond what every arm has."""
     if term.name == UNNAMED:
         return True
-    if len(search.problem.taken_over([term])) or (term.takes_over == "gain" and not term.joints):
+    if len(_ordinary_places(search.problem, term)):
         return beyond_ordinary(search.problem, hypothesis, term)
     least = REST.least_link_strength if term.name == "link_mass" else REST.least_strength
     return strength(search, hypothesis, term) >= least
 
 
 def _key(search: Search, hypothesis: Fit) -> Key:
-    """Names of the strong effects of a hypothesis, and whether it holds a shape without a name."""
     named = [term for term in hypothesis.terms if term.name != UNNAMED]
     shown = frozenset(term.label for term in named if strong(search, hypothesis, term))
     # a constant that drifts is off where it begins: that is no second mistake
     drifting = {("torque_constant_scale", term.joints) for term in named if term.name == "thermal_drift"}
-    return shown - drifting, len(named) < len(hypothesis.terms)
+    return Key(shown - drifting, len(named) < len(hypothesis.terms))
 
 
 def _instead(search: Search, whole: Fit, rival: Fit) -> bool:
@@ -249,29 +263,26 @@ def _instead(search: Search, whole: Fit, rival: Fit) -> bool:
     return search.score(together) <= max(search.score(whole), search.score(rival))
 
 
-def _holds_less(search: Search, hypothesis: Fit, whole: Fit) -> bool:
-    """Whether a hypothesis names some of the effects of another, and nothing else."""
-    names, unnamed = _key(search, hypothesis)
-    own, own_unnamed = _key(search, whole)
-    return names < own and unnamed <= own_unnamed
+def _holds_less(key: Key, own: Key) -> bool:
+    """Whether a set names some of the effects of another, and nothing else."""
+    return key.names < own.names and key.unnamed <= own.unnamed
 
 
-def _rivals(search: Search, whole: Fit) -> tuple[Rival, ...]:
+def _rivals(search: Search, whole: Fit, own: Key) -> tuple[Rival, ...]:
     """Sets of names by the sum of the evidence of their shapes; larger ones only where they gain something."""
     level = search.score(whole) - math.log(REST.ask_odds) - REST.needed
     groups: dict[Key, list[Fit]] = {}
     for hypothesis in search.pool.values():
         if search.score(hypothesis) >= level:
             groups.setdefault(_key(search, hypothesis), []).append(hypothesis)
-    own, own_unnamed = _key(search, whole)
     total = {key: _log_sum([search.score(member) for member in members]) for key, members in groups.items()}
-    reference = max(total[(own, own_unnamed)], search.score(whole))
+    reference = max(total[own], search.score(whole))
     out = []
-    for (names, unnamed), members in groups.items():
-        contains = names >= own and unnamed >= own_unnamed
-        odds = math.exp(min(reference - total[(names, unnamed)], 50.0))
-        if (names, unnamed) != (own, own_unnamed) and odds <= (REST.hint_odds if contains else REST.ask_odds):
-            out.append(Rival(search.best(members), odds, contains))
+    for key, members in groups.items():
+        contains = key.names >= own.names and key.unnamed >= own.unnamed
+        odds = math.exp(min(reference - total[key], 50.0))
+        if key != own and odds <= (REST.hint_odds if contains else REST.ask_odds):
+            out.append(Rival(key, search.best(members), odds, contains))
     return tuple(sorted(out, key=lambda rival: rival.odds))
 
 

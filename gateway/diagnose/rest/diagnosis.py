@@ -45,11 +45,12 @@ from gateway.diagnose.rest.pictures import DrawnVisits, pictures
 from gateway.diagnose.rest.problem import Knowledge, build_problem, first_noise, settled_noise
 from gateway.diagnose.rest.remarks import at_the_edge, corrected_links, limits, refused_loads
 from gateway.diagnose.rest.ripple import ripple_remarks, with_ripple
-from gateway.diagnose.rest.rows import Aside, joined, rest_rows, set_gross_aside
+from gateway.diagnose.rest.rows import joined, rest_rows, set_gross_aside, sound
 from gateway.diagnose.rest.search import Search, run
 from gateway.diagnose.rest.structure import structure_seen_nm
 from gateway.diagnose.rest.thresholds import REST
 from gateway.errors import DataUnusable
+from gateway.identify.aside import Aside
 from gateway.identify.links import default_inertials, parse_inertials
 from gateway.identify.loads import BARE_LABEL
 from gateway.model.effect import RestSetup
@@ -127,7 +128,7 @@ class RestDiagnosis:
 
     def problem(self, table: Table, aside: Aside) -> RestProblem:
         """Rows of a table as a problem, without what was set aside."""
-        return build_problem(self.robot, aside.sound(rest_rows(table, self.options.efficiency)), self.knowledge)
+        return build_problem(self.robot, sound(rest_rows(table, self.options.efficiency), aside), self.knowledge)
 
     def search(self, table: Table) -> Found:
         """Fit the hypotheses, with commissioning mistakes undone where that is what the data ask for."""
@@ -183,7 +184,7 @@ class RestDiagnosis:
             raise DataUnusable("the hold-out carries no load that is in the data: nothing to judge on")
         rows = joined([seen, unseen])
         aside = self.aside(rows)
-        both = build_problem(self.robot, aside.sound(rows), self.knowledge)
+        both = build_problem(self.robot, sound(rows, aside), self.knowledge)
         return Unseen(both, both.visit >= len(seen), aside.among(len(seen)))
 
     def _upheld(self, found: Found, holdout: Table | None) -> Found:
@@ -220,11 +221,12 @@ class RestDiagnosis:
         held = self._held(found, holdout)
         decision, findings = self._confirmed(decision, held, problem)
         judge = Judge.of(search, decision, held)
-        if contradicted(search, decision, judge):
+        shown = proven(search, decision, judge)
+        if contradicted(decision, shown):
             decision = replace(decision, verdict="unexplained", after=decision.before, proven=(), rivals=())
-            judge = Judge.of(search, decision, held)
+            judge, shown = Judge.of(search, decision, held), []
         effects = [entry for mistake in found.mistakes for entry in mistake_effect(mistake, found.gained)]
-        effects += proven(search, decision, judge)
+        effects += shown
         seen_by_encoder = elastic_joints(problem, decision.after) if "joint_elasticity" in self.options.allowed else []
         by_direction = (
             friction_by_direction(problem, decision.after) if "static_friction" in self.options.allowed else []

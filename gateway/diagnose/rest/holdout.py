@@ -48,12 +48,8 @@ def foretold_poses(problem: RestProblem, fit: Fit) -> tuple[Floats, Floats]:
     out, density = np.empty_like(scaled), []
     for number in np.unique(pose):
         rows = np.flatnonzero(pose == number)
-        part = fit.orthogonal[rows]
-        size, turned = np.linalg.eigh(np.eye(len(rows)) - part @ part.T)
-        free = size > LEAST_FREE
-        seen = (turned.T @ scaled[rows])[free] / size[free]
-        out[rows] = turned[:, free] @ seen
-        told = float(np.sum(np.log(size[free]))) - float(scaled[rows] @ out[rows])
+        out[rows], free = _not_in_fit(scaled[rows], fit.orthogonal[rows])
+        told = float(np.sum(np.log(free))) - float(scaled[rows] @ out[rows])
         density.append(0.5 * told - float(np.sum(np.log(std[rows]))))
     return std * out, np.array(density)
 
@@ -83,16 +79,22 @@ def left_out_with(problem: RestProblem, fit: Fit, view: Screen, index: int) -> F
     factor = np.linalg.cholesky(matrix)
     added: Floats = np.asarray(np.linalg.solve(factor, columns.T).T, dtype=float)
     residual: Floats = fit.residual / std - added @ np.linalg.solve(factor, view.score[part])
-    return std * _left_out(pose_of_rows(problem), residual, np.hstack([fit.orthogonal, added]))
-
-
-def _left_out(pose: NDArray[np.int_], residual: Floats, basis: Floats) -> Floats:
+    basis, pose = np.hstack([fit.orthogonal, added]), pose_of_rows(problem)
     out = np.empty_like(residual)
     for number in np.unique(pose):
         rows = np.flatnonzero(pose == number)
-        part = basis[rows]
-        out[rows] = np.linalg.lstsq(np.eye(len(rows)) - part @ part.T, residual[rows], rcond=1e-9)[0]
-    return out
+        out[rows], _ = _not_in_fit(residual[rows], basis[rows])
+    return std * out
+
+
+def _not_in_fit(scaled: Floats, basis: Floats) -> tuple[Floats, Floats]:
+    """Weighted residual (k,) of rows once they are not in the fit, from that with them and their basis (k, p).
+
+    The other is how much of their own noise the fit has not taken up, in each direction where that is anything.
+    """
+    size, turned = np.linalg.eigh(np.eye(len(scaled)) - basis @ basis.T)
+    free = size > LEAST_FREE
+    return turned[:, free] @ ((turned.T @ scaled)[free] / size[free]), size[free]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.rest.ordinary import COLD, KINDS, Ordinary, ordinary_setting, raised
+from gateway.diagnose.rest.ordinary import COLD, KINDS, Ordinary, fades, ordinary_setting, raised
 from gateway.diagnose.rest.thresholds import REST
 from gateway.model.rest import AlteredModel, Model, RestRows
 from gateway.model.term import Term
@@ -245,13 +245,14 @@ def _axis_columns(
     """
     model, axes = problem.model, problem.axes
     base = model.readings(setting, torque, band)
+    fading = fades(problem.rows)
     own = np.arange(axes)
     coupled = bool(np.any(setting.coupling != np.eye(axes)))
     for place, kind in enumerate(("", *KINDS)):
         for moved in np.eye(axes) if coupled else np.ones((1, axes)):
             step = _STEP * (1.0 + np.abs(band)) if kind in ("", "bias") else np.full(axes, _STEP)
             if kind:
-                shifted = model.readings(raised(setting, kind, step * moved, problem.rows), torque, band)
+                shifted = model.readings(raised(setting, kind, step * moved, fading), torque, band)
             else:
                 shifted = model.readings(setting, torque, band + step * moved)
             for out, new, old in (

@@ -90,8 +90,8 @@ def ordinary_setting(rows: RestRows, value: Floats) -> AlteredModel:
     )
 
 
-def raised(setting: AlteredModel, kind: str, step: Floats, rows: RestRows) -> AlteredModel:
-    """The setting with one kind of ordinary parameter raised by `step` (N,)."""
+def raised(setting: AlteredModel, kind: str, step: Floats, fading: Sequence[Floats]) -> AlteredModel:
+    """The setting with one kind of ordinary parameter raised by `step` (N,); `fading` as `fades` has it."""
     if kind == "gain":
         return replace(setting, gain=setting.gain * (1.0 + step))
     if kind == "bias":
@@ -100,8 +100,8 @@ def raised(setting: AlteredModel, kind: str, step: Floats, rows: RestRows) -> Al
         return replace(setting, load_friction=setting.load_friction + step)
     if kind == "one_efficiency":
         return replace(setting, one_efficiency=setting.one_efficiency + step)
-    fading = fades(rows)[KINDS.index(kind) - KINDS.index("cold_fast")]
-    return replace(setting, band_gain=setting.band_gain + fading[:, None] * step)
+    left = fading[COLD.index(kind)]
+    return replace(setting, band_gain=setting.band_gain + left[:, None] * step)
 
 
 def fades(rows: RestRows) -> tuple[Floats, Floats]:

@@ -110,11 +110,11 @@ def proven(search: Search, decision: Decision, judge: Judge) -> list[EffectResul
     return out
 
 
-def contradicted(search: Search, decision: Decision, judge: Judge) -> bool:
-    """Whether structure is left, and unseen rows are met no better with any of the effects than without it."""
-    if decision.verdict != "improved" or not decision.proven:
+def contradicted(decision: Decision, effects: Sequence[EffectResult]) -> bool:
+    """Whether structure is left, and unseen rows are met no better with any of its effects than without it."""
+    if decision.verdict != "improved" or not effects:
         return False
-    return all(effect.evidence.holdout_rms_ratio >= 1.0 for effect in proven(search, decision, judge))
+    return all(effect.evidence.holdout_rms_ratio >= 1.0 for effect in effects)
 
 
 def _with_shapes(effect: EffectResult, search: Search, after: Fit) -> EffectResult:

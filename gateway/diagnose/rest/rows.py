@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.table import Table
+from gateway.identify.aside import Aside, gross_aside
 from gateway.identify.deviations import RestHalves
-from gateway.identify.gross import find_gross, gross_findings, set_aside
 from gateway.model.regressor import gravity_regressor
 from gateway.model.rest import RestRows
 from gateway.model.robot import Robot
 from gateway.model.visits import pair_visits
-from gateway.result.result import Finding, SetAside
 
 Floats = NDArray[np.float64]
 
@@ -51,30 +50,6 @@ def rest_rows(table: Table, given: Floats | None) -> RestRows:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Aside:
-    """Gross torques that are in no fit: where they stand (n, N), as the result lists them, and what to say of them."""
-
-    mask: NDArray[np.bool_]
-    entries: tuple[SetAside, ...] = ()
-    findings: tuple[Finding, ...] = ()
-
-    def among(self, first: int) -> tuple[SetAside, ...]:
-        """The entries of visits from the `first` on."""
-        visits = np.argwhere(self.mask)[:, 0]
-        return tuple(entry for entry, visit in zip(self.entries, visits, strict=True) if visit >= first)
-
-    def sound(self, rows: RestRows) -> RestRows:
-        """The rows with these torques unmeasured."""
-        if not self.mask.any():
-            return rows
-        return replace(
-            rows,
-            sum_nm=np.where(self.mask, np.nan, rows.sum_nm),
-            difference_nm=np.where(self.mask, np.nan, rows.difference_nm),
-        )
-
-
 def set_gross_aside(rows: RestRows, robot: Robot, gravity_m_s2: Floats) -> Aside:
     """Gross torques of rest visits, from the visits alone."""
     halves = RestHalves(
@@ -87,9 +62,14 @@ def set_gross_aside(rows: RestRows, robot: Robot, gravity_m_s2: Floats) -> Aside
         side=rows.side,
         floor_nm=rows.sample_std_nm,
     )
-    gross = find_gross(halves)
-    entries = set_aside(gross, rows.run.tolist(), rows.load.tolist(), rows.pose.tolist())
-    return Aside(gross.mask(rows.sum_nm.shape), entries, gross_findings(gross, entries))
+    return gross_aside(halves, rows.run, rows.pose)
+
+
+def sound(rows: RestRows, aside: Aside) -> RestRows:
+    """The visits with what was set aside unmeasured."""
+    if not aside.mask.any():
+        return rows
+    return replace(rows, sum_nm=aside.sound(rows.sum_nm), difference_nm=aside.sound(rows.difference_nm))
 
 
 def joined(parts: list[RestRows]) -> RestRows:

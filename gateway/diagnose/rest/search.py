@@ -55,8 +55,8 @@ class Search:
     def __post_init__(self) -> None:
         places = len({term.label for term in self.named})
         for term in self.named:
-            own = REST.over_prior if len(self.problem.taken_over([term])) else places
-            self.prior[term] = -np.log(own) - np.log(term_shapes(term, self.named))
+            held_down = bool(len(self.problem.taken_over([term])))
+            self.prior[term] = -np.log(1 if held_down else places) - np.log(term_shapes(term, self.named))
         for term in self.unnamed:
             self.prior[term] = -np.log(len(self.unnamed)) - REST.rare
 

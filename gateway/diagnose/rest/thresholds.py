@@ -84,9 +84,6 @@ class RestThresholds:
         8, "", "effects of one hypothesis", "an end to the search, well beyond what its gains let it reach"
     )
     needed: float = threshold(3.0, "log odds", "what an effect has to gain to stay", "log of 20, as sure odds")
-    over_prior: float = threshold(
-        1.0, "odds", "against what goes beyond an ordinary parameter, whose prior holds it down already", BLIND
-    )
     implausible: float = threshold(8.0, "log odds", "against an effect that its mechanism cannot do", BLIND)
     rare: float = threshold(2.0, "log odds", "against a shape without a name beside the effects with one", BLIND)
     # prior and noise

@@ -132,7 +132,7 @@ def test_sensors_that_fail_and_a_gap_outside_its_range_stop_both_arms(
         ('bus = "right"\nnode_id = 21', 'bus = "middle"\nnode_id = 21', "none of the pair's"),
         ("node_id = 21", "node_id = 3", "is a drive's"),
         ("lsb_m = 1e-6", "lsb_m = 1e-6\nlsb_mm = 1e-3", "unknown key"),
-        ("lsb_m = 1e-6", "", "lsb_m: is missing"),
+        ("lsb_m = 1e-6", "", "lsb_m is missing"),
         ("range_m = [0.005, 0.035]", "range_m = [0.025, 0.035]", "gap_m of channel 1 lies outside"),
         ("subindex = 2", "subindex = 1", "subindex has the same entry twice"),
         ("beam = [0, 0, 1]", "beam = [0, 0, 0]", "no direction"),

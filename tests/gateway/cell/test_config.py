@@ -1,6 +1,7 @@
 """The cell file: complete ones load, and everything else is refused by file and key."""
 
 import copy
+import re
 import tomllib
 from pathlib import Path
 
@@ -61,15 +62,15 @@ AXIS = ("arm", 0, "axis", 2)
     ("place", "key", "value", "message"),
     [
         ((), "colour", "red", "colour: unknown key"),
-        (AXIS, "gear_ration", 100, "arm.0.axis.2.gear_ration: unknown key"),
+        (AXIS, "gear_ration", 100, "J3: gear_ration: unknown key (units are part of the name): write gear_ratio"),
         (AXIS, "speed_limit_deg_s", 30, "speed_limit_deg_s: unknown key"),
-        (AXIS, "gear_ratio", None, "arm.0.axis.2.gear_ratio: is missing"),
-        (AXIS, "torque_constant_nm_per_a", None, "torque_constant_nm_per_a: is missing"),
-        (AXIS, "position_limit_rad", None, "position_limit_rad: is missing"),
-        (AXIS, "speed_limit_rad_s", None, "speed_limit_rad_s: is missing"),
-        (AXIS, "torque_limit_nm", None, "torque_limit_nm: is missing"),
-        (AXIS, "gear_ratio", {"value": 100}, "gear_ratio.source: is missing"),
-        (AXIS, "gear_ratio", {"value": 100, "source": ""}, "gear_ratio.source"),
+        (AXIS, "gear_ratio", None, 'write gear_ratio = { value = NUMBER, source = "..." }'),
+        (AXIS, "torque_constant_nm_per_a", None, "torque_constant_nm_per_a is missing"),
+        (AXIS, "position_limit_rad", None, "position_limit_rad is missing"),
+        (AXIS, "speed_limit_rad_s", None, "speed_limit_rad_s is missing (of the joint; nothing moves faster): write"),
+        (AXIS, "torque_limit_nm", None, "torque_limit_nm is missing"),
+        (AXIS, "gear_ratio", {"value": 100}, 'source is missing: write gear_ratio = { value = 100, source = "..." }'),
+        (AXIS, "gear_ratio", {"value": 100, "source": ""}, 'J3: gear_ratio: source = "" is too short'),
         (AXIS, "gear_ratio", {"value": 0, "source": "x"}, "gear_ratio must not be 0"),
         (AXIS, "gear_efficiency", {"value": 1.2, "source": "x"}, "gear_efficiency must lie in"),
         (AXIS, "position_limit_rad", [1.0, -1.0], "lower limit 1.0 is not below"),
@@ -91,14 +92,14 @@ AXIS = ("arm", 0, "axis", 2)
         (("arm", 0), "load_radius_m", -0.1, "load_radius_m"),
         (("arm", 0), "hold_to_run", HOLD | {"good": 5}, "bits outside mask 0x4"),
         (("arm", 0), "hold_to_run", HOLD | {"good": 0}, "a broken wire looks like"),
-        (("arm", 0), "hold_to_run", HOLD | {"node_id": 0}, "hold_to_run.node_id"),
-        (("arm", 0), "hold_to_run", HOLD | {"object": {"index": 0xFD}}, "hold_to_run.object.index"),
-        (("arm", 0), "hold_to_run", HOLD | {"key": "space"}, "hold_to_run.key: unknown key"),
+        (("arm", 0), "hold_to_run", HOLD | {"node_id": 0}, "node_id = 0 must be at least 1: write node_id = INTEGER"),
+        (("arm", 0), "hold_to_run", HOLD | {"object": {"index": 0xFD}}, "object: index = 253 must be at least 4096"),
+        (("arm", 0), "hold_to_run", HOLD | {"key": "space"}, "key: unknown key"),
         (("bus", "a"), "allow_real_drive", "perhaps", "allow_real_drive"),
         (("bus", "a"), "pacing", "fast", "pacing"),
         (("bus", "a"), "sync_period_s", -0.01, "sync_period_s"),
-        (("poses",), "count", 1, "poses.count"),
-        (("poses",), "samples", 3, "poses.samples"),
+        (("poses",), "count", 1, "count = 1 must be at least 2"),
+        (("poses",), "samples", 3, "samples = 3 must be at least 10"),
     ],
 )
 def test_mistakes_are_named(cell, place, key, value, message):
@@ -109,7 +110,7 @@ def test_mistakes_are_named(cell, place, key, value, message):
         table[key] = value
     with pytest.raises(ConfigError) as refused:
         parse_cell(as_toml(cell), "cell.toml")
-    assert str(refused.value).startswith("cell.toml: ")
+    assert re.match(r"cell\.toml line \d+(, J\d)?: ", str(refused.value))
     assert message in str(refused.value)
     assert refused.value.exit_code == 3
 
@@ -117,8 +118,17 @@ def test_mistakes_are_named(cell, place, key, value, message):
 def test_every_mistake_is_named_at_once(cell):
     del cell["arm"][0]["axis"][0]["gear_ratio"]
     del cell["arm"][0]["axis"][5]["torque_limit_nm"]
-    with pytest.raises(ConfigError, match=r"axis\.0\.gear_ratio: is missing.*axis\.5\.torque_limit_nm: is missing"):
+    del cell["bus"]["a"]["channel"]
+    cell["arm"][0]["axis"][3]["node_id"] = 1
+    with pytest.raises(ConfigError) as refused:
         parse_cell(as_toml(cell), "cell.toml")
+    told = [line.partition(": ")[2].split(" (")[0] for line in refused.value.lines]
+    assert {text.split(": write")[0] for text in told} == {
+        "channel is missing",
+        "gear_ratio is missing",
+        "arm 'main': node id 1 is given to more than one axis",
+        "torque_limit_nm is missing",
+    }
 
 
 @pytest.mark.parametrize("axes", [1, 9])

@@ -26,4 +26,5 @@ def test_a_torque_constant_that_is_not_used_says_so():
     arm = load_cell(EXAMPLES / "small" / "cell.toml").cell.arm[0]
     tree = provenance(arm, [load_profile("generic-cia402")] * 6)
     assert "not used" in tree["J1"]["torque_constant"]["source"]
-    assert "not used" not in provenance(arm, [load_profile("beckhoff-el72x1")] * 6)["J1"]["torque_constant"]["source"]
+    tree = provenance(arm, [load_profile("kollmorgen-akd-x00606")] * 6)
+    assert "not used" not in tree["J1"]["torque_constant"]["source"]

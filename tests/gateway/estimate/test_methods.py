@@ -83,6 +83,21 @@ def test_column_a_of_the_paper_comes_out_and_column_b_is_refused(measured_data):
 
 
 @pytest.mark.data
+def test_the_mass_of_column_a_is_told_to_be_as_right_as_a_lever_that_was_computed_from_it(measured_data):
+    """`k = 168 dtau_a / (9.81 * 21 kg)` in every row, also beyond the 2.50 m that the arm reaches from axis 2."""
+    table = qh165(measured_data)
+    result = run(table, None, EstimateOptions(coefficient=COEFFICIENT), "coefficient")
+    motor, lever = table.motor_torque_nm[:, 1], table.extra["x_k2_m"]
+    load, bare = (table.load == name for name in ("a", "none"))
+    assert list(table.pose[load]) == list(table.pose[bare])
+    back = (motor[load] - motor[bare]) * 168 / (9.81 * 21)
+    np.testing.assert_allclose(lever[load], back, atol=0.01)
+    assert (np.abs(lever[load]) > 2.50).sum() == 3
+    (told,) = [each.what for each in result.findings if "lever" in each.what and each.severity == "info"]
+    assert told == "the mass is as right as the lever column x_k2_m: an error of the lever is not in the uncertainty"
+
+
+@pytest.mark.data
 def test_column_b_does_not_come_near_its_stated_mass(measured_data):
     options = EstimateOptions(coefficient=COEFFICIENT, known={"b": (70.0, 0.0, 0.0, 0.0)})
     result = run(qh165(measured_data), None, options, "coefficient")

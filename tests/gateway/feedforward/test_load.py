@@ -99,8 +99,8 @@ def test_what_is_not_given_is_left_out_and_said_so(large):
 
 
 def test_a_profile_without_the_objects_is_refused_and_its_axes_named(large):
-    profiles = [load_profile("generic-cia402")] * 5 + [load_profile("beckhoff-ax8000")]
-    with pytest.raises(ConfigError, match=r"axis 6 \(node 6, beckhoff-ax8000\)"):
+    profiles = [load_profile("generic-cia402")] * 5 + [load_profile("kollmorgen-akd-x00606")]
+    with pytest.raises(ConfigError, match=r"axis 6 \(node 6, kollmorgen-akd-x00606\)"):
         axis_terms(large.cell.arm[0], profiles, None)
 
 

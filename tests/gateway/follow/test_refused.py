@@ -62,9 +62,9 @@ def test_a_load_that_may_not_be_fed_is_refused(cell, result, code, words):
 
 
 def test_a_profile_without_the_objects_is_refused(cell):
-    change(cell, 'profile = "generic-cia402"', 'profile = "beckhoff-ax8000"')
+    change(cell, 'profile = "generic-cia402"', 'profile = "kollmorgen-akd-x00606"')
     told = run(cell, RESULT, "--yes")
-    assert (told.exit_code, "axis 1 (node 1, beckhoff-ax8000)" in told.output) == (3, True)
+    assert (told.exit_code, "axis 1 (node 1, kollmorgen-akd-x00606)" in told.output) == (3, True)
 
 
 def test_a_cell_that_does_not_say_what_the_arm_may_carry_is_refused(cell):

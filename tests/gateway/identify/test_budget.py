@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gateway.identify.budget import Sources, budget_of
+from gateway.identify.budget import Sources, budget_by_priors, budget_of
 from gateway.identify.solve import Prior, solve
 
 
@@ -60,3 +60,18 @@ def test_the_order_does_not_matter():
 def test_nothing_has_no_budget():
     design, weight, prior = problem()
     assert budget_of(design, weight, prior, np.zeros((4, 4)), np.ones(4), SOURCES) == {}
+
+
+def test_shares_of_a_variance_are_those_of_the_linear_model():
+    """Rows with unit noise and two priors: each source alone moves the estimate by its own part."""
+    rng = np.random.default_rng(3)
+    design, precision = rng.normal(size=(30, 3)), np.array([0.0, 4.0, 25.0])
+    covariance = np.linalg.inv(design.T @ design + np.diag(precision))
+    found = budget_by_priors(
+        covariance[0], precision, {"one": np.array([1]), "two": np.array([2])}, float(covariance[0, 0])
+    )
+    noise = covariance[0] @ design.T @ design @ covariance[0]
+    assert found["noise"] == pytest.approx(noise / covariance[0, 0])
+    assert found["one"] == pytest.approx(covariance[0, 1] ** 2 * 4.0 / covariance[0, 0])
+    assert sum(found.values()) == pytest.approx(1.0)
+    assert budget_by_priors(covariance[0], precision, {}, float("nan")) == {}

@@ -1,11 +1,10 @@
-"""Spread from parts of the data, and shares of a variance, against what they are by definition."""
+"""Spread from parts of the data against what it is by definition."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from gateway.identify.shares import shares
 from gateway.identify.spread import by_blocks, jackknife, wider
 
 
@@ -40,16 +39,3 @@ def test_a_jackknife_over_means_is_their_variance():
     parts = np.random.default_rng(2).normal(size=(8, 2))
     without = (parts.sum(axis=0) - parts) / 7.0
     assert np.diag(jackknife(without)) == pytest.approx(parts.var(axis=0, ddof=1) / 8.0)
-
-
-def test_shares_of_a_variance_are_those_of_the_linear_model():
-    """Rows with unit noise and two priors: each source alone moves the estimate by its own part."""
-    rng = np.random.default_rng(3)
-    design, precision = rng.normal(size=(30, 3)), np.array([0.0, 4.0, 25.0])
-    covariance = np.linalg.inv(design.T @ design + np.diag(precision))
-    found = shares(covariance[0], precision, {"one": np.array([1]), "two": np.array([2])}, float(covariance[0, 0]))
-    noise = covariance[0] @ design.T @ design @ covariance[0]
-    assert found["noise"] == pytest.approx(noise / covariance[0, 0])
-    assert found["one"] == pytest.approx(covariance[0, 1] ** 2 * 4.0 / covariance[0, 0])
-    assert sum(found.values()) == pytest.approx(1.0)
-    assert shares(covariance[0], precision, {}, float("nan")) == {}

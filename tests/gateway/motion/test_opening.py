@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from types import SimpleNamespace
 
 import numpy as np
@@ -137,3 +138,30 @@ def test_the_bus_is_that_of_the_cell_unless_another_one_is_given(small_cell, mon
     bus = small_cell.cell.bus[small_cell.cell.arm[0].bus]
     own = BusSpec(bus.interface, bus.channel, bus.bitrate_bit_s, dict(bus.options))
     assert asked == [(given or own, None)]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("[torque]\n", '[torque]\nbasis = "assumed"\n', "what one bit of the torque"),
+        ('name = "generic-cia402"', 'name = "generic-cia402"\nno_motion = ["no 0x1016: it is deaf"]', "no 0x1016"),
+    ],
+)
+def test_a_drive_that_is_read_and_not_moved_is_refused_before_the_bus_is_opened(
+    small_cell, tmp_path, monkeypatch, old, new, says
+):
+    config = small_cell.cell.arm[0]
+    text = axis_setups(small_cell, config)[0].profile.text.replace('eds = "generic-cia402.eds"\n', "")
+    (tmp_path / "mine.toml").write_text(text.replace('basis = "standard"\n', "").replace(old, new, 1))
+    shutil.copy(small_cell.folder / config.robot, tmp_path / config.robot)
+    axes = tuple(
+        axis.model_copy(update={"profile": "mine"}) if joint in (2, 5) else axis
+        for joint, axis in enumerate(config.axis, start=1)
+    )
+    cell = small_cell.cell.model_copy(update={"arm": (config.model_copy(update={"axis": axes}),)})
+    monkeypatch.setattr(opening, "open_bus", lambda *_: pytest.fail("the bus was opened"))
+    loaded = LoadedCell(cell=cell, text=small_cell.text, folder=tmp_path)
+    with pytest.raises(ProfileError, match=says) as caught, opening.open_arm(loaded):
+        pass
+    assert "J2, J5: profile generic-cia402 refuses motion" in str(caught.value)
+    assert caught.value.exit_code == 3

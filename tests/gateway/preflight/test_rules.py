@@ -196,9 +196,9 @@ def identity(**changes):
 
 
 def test_identity_against_the_profile():
-    beckhoff = load_profile("beckhoff-el72x1")
-    assert not worst(judge_identity(axis(profile=beckhoff), identity()))
-    wrong = worst(judge_identity(axis(profile=beckhoff), identity(vendor_id=9)))
+    elmo = load_profile("elmo-gold")
+    assert not worst(judge_identity(axis(profile=elmo), identity(vendor_id=0x9A)))
+    wrong = worst(judge_identity(axis(profile=elmo), identity(vendor_id=9)))
     assert len(wrong) == 1
     assert "vendor id" in wrong[0].what
     assert worst(judge_identity(axis(), identity(device_type=0x00030191)))
@@ -270,3 +270,40 @@ def test_bus_load_counts_a_measuring_device():
     bits = 6 * (135 + 135 + 115) + 55 + 3 * 135 + 115
     assert f"planned {100 * bits / 4000:.0f} %" in item.what
     assert item.severity == "fail"
+
+
+#: The profile without a word of what its arithmetic rests upon.
+SILENT = PROFILE.text.replace('basis = "standard"\n', "")
+TORQUE_SOURCE, RATED_SOURCE = 'source = "CiA 402-2, 0x6077; filter assumed"', 'source = "CiA 402-2, 0x6076 in mNm"'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        (TORQUE_SOURCE, 'source = "assumed"', "0x6077:00"),
+        (RATED_SOURCE, 'source = "Assumed: mNm"', "0x6077:00"),
+        ("[torque]", '[torque]\nbasis = "assumed"', "0x6077:00"),
+        ("name = ", 'no_motion = ["no brake"]\nname = ', "no brake"),
+    ],
+)
+def test_a_profile_that_reads_and_does_not_move_fails_by_name(old, new, says):
+    profile = parse_profile(SILENT.replace(old, new, 1), "p.toml")
+    (found,) = worst(judge_settings(axis(profile=profile), readings()))
+    assert "refuses motion" in found.what
+    assert says in found.what
+    assert found.advice
+
+
+def test_a_basis_that_is_stated_goes_before_the_words_of_the_source():
+    text = SILENT.replace(TORQUE_SOURCE, 'source = "assumed"')
+    assert parse_profile(text, "p.toml").obstacles
+    assert parse_profile(text.replace("[torque]", '[torque]\nbasis = "measured"', 1), "p.toml").obstacles == ()
+    assert parse_profile(SILENT, "p.toml").obstacles == ()
+
+
+def test_a_resolution_that_one_object_holds_is_of_one_revolution():
+    text = PROFILE.text.replace(', per = { index = 0x608F, subindex = 2, type = "u32" }', "")
+    profile = parse_profile(text, "p.toml")
+    assert (0x608F, 2) in addresses(PROFILE)
+    assert not worst(judge_axis(axis(profile=profile), readings(encoder_revolutions=None)))
+    assert worst(judge_axis(axis(), readings(encoder_revolutions=None)))

@@ -163,8 +163,8 @@ def test_one_rated_torque_off_alone_is_no_swap(factor):
 
 
 def test_models_in_each_others_place():
-    profiles = {2: load_profile("beckhoff-el72x1"), 3: load_profile("maxon-epos4")}
-    makers = {2: identity(2, 7), 3: identity(0xFB, 7)}
+    profiles = {2: load_profile("kollmorgen-akd-x00606"), 3: load_profile("elmo-gold")}
+    makers = {2: identity(0x6A, 7), 3: identity(0x9A, 7)}
     right = [makers.get(joint, identity(9)) for joint in range(1, 7)]
     plain = [values | made_none() for values in in_order(range(1, 7), rated_torque=None)]
     assert judge_places(arm(), seen(plain, profiles, right)) == []

@@ -1,0 +1,99 @@
+"""What an engineer knows of a drive and its data sheet does not say: answers, one key each."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError
+
+from drives.errors import ProfileError
+from drives.profile_parts import Positive, is_assumed
+from drives.validation import Strict, Unfit, problems_of, read_strict
+
+Text = Annotated[str, Field(min_length=1)]
+ObjectText = Annotated[str, Field(pattern=r"^0x[0-9A-Fa-f]{4}(:[0-9A-Fa-f]{2})?$")]
+
+ADVICE = "docs/reference/profile-answers.md lists questions and answers"
+
+
+class Answers(Strict):
+    """Answers to the questions of a profile draft; whatever is left out stays open."""
+
+    torque_object: ObjectText | None = Field(
+        default=None, description="object of the measured torque or current, such as 0x6077 or 0x30D1:02"
+    )
+    torque_kind: Literal["permille_rated_torque", "permille_rated_current", "milliampere", "internal_unit"] | None = (
+        Field(default=None, description="what one bit of it is")
+    )
+    torque_nature: Literal["measured", "demand"] | None = Field(
+        default=None, description="whether it is what flows or what is asked for"
+    )
+    rated_unit: Positive | None = Field(
+        default=None, description="Nm per bit of 0x6076, or A per bit of 0x6075: 0.001 by the standard"
+    )
+    rated_value: Positive | None = Field(
+        default=None, description="Nm or A that 1000 per mille stand for, where the drive does not show it"
+    )
+    internal_unit_a: Positive | None = Field(default=None, description="A per bit, kind internal_unit")
+    current_reference: Literal["rms", "peak"] | None = Field(default=None, description="what the drive's ampere is")
+    torque_constant_per: Literal["rms", "peak"] | None = Field(
+        default=None, description="which ampere the torque constant of the cell file refers to"
+    )
+    torque_source: Text | None = Field(
+        default=None, description="where these answers come from: manual and page, or `measured`"
+    )
+    counts_object: ObjectText | None = Field(
+        default=None, description="object that holds the position counts of one motor revolution"
+    )
+    counts_per_revolution: Positive | None = Field(
+        default=None, description="of 0x6064 and the motor, where no object holds them"
+    )
+    position_source: Text | None = Field(default=None, description="where the counts come from")
+    velocity_unit_rad_s: Positive | None = Field(default=None, description="motor speed that one bit of 0x606C is")
+    velocity_source: Text | None = Field(default=None, description="where that comes from")
+    lost_heartbeat: Literal["quick stop", "disable voltage"] | None = Field(
+        default=None, description="what stops the drive when the master's heartbeat is lost (0x6007)"
+    )
+
+    @property
+    def torque_is_sourced(self) -> bool:
+        """Whether somebody says where the torque arithmetic comes from."""
+        return self.torque_source is not None and not is_assumed(self.torque_source)
+
+
+def read_answers(path: Path) -> Answers:
+    """Read an answer file (TOML).
+
+    Raises
+    ------
+    ProfileError
+        It cannot be read, is not TOML, or holds an answer that is none; all of it at once.
+    """
+    try:
+        return read_strict(path.read_text(encoding="utf-8"), Answers)
+    except (OSError, UnicodeDecodeError) as error:
+        raise ProfileError(f"answer file {path} cannot be read: {error}", advice="check its path") from error
+    except Unfit as error:
+        raise ProfileError("; ".join(error.told(str(path))), advice=ADVICE) from error
+
+
+def with_answers(answers: Answers, more: dict[str, str]) -> Answers:
+    """Further answers as they are typed; they replace earlier ones.
+
+    Raises
+    ------
+    ProfileError
+        No such question, or no such answer.
+    """
+    values: dict[str, Any] = answers.model_dump(exclude_none=True) | more
+    try:
+        return Answers.model_validate(values)
+    except ValidationError as error:
+        raise ProfileError(f"answer: {'; '.join(problems_of(Answers, values, error))}", advice=ADVICE) from error
+
+
+def address_of(text: str) -> tuple[int, int]:
+    """Index and subindex of `0x30D1:02`."""
+    index, _, subindex = text.partition(":")
+    return int(index, 16), int(subindex or "0", 16)

@@ -1,0 +1,159 @@
+"""What is known of a drive before its profile is written: its data sheet, and its answers where it can be asked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from drives.abort import ABSENT
+from drives.bringup import read_identity
+from drives.bus import Bus
+from drives.eds import Sheet, read_sheet
+from drives.errors import IdentityMismatch, SdoAbort
+from drives.finding import LISTEN_S, nmt_states, require_one
+from drives.listening import refuse_foreign
+from drives.objects import OBJECTS, DataType, object_name
+from drives.probe import probe
+from drives.sdo import SdoClient
+from drives.values import Identity
+
+Address = tuple[int, int]
+
+#: Read from a drive, if it is there: what a data sheet leaves open or may have otherwise than this firmware.
+ASKED: Final = tuple(
+    OBJECTS[name].address
+    for name in (
+        "abort_connection_option",
+        "consumer_heartbeat",
+        "mode_display",
+        "rated_current",
+        "rated_torque",
+        "torque",
+        "target_position",
+        "encoder_increments",
+        "encoder_revolutions",
+        "torque_offset",
+        "supported_modes",
+    )
+) + ((0x60A9, 0),)
+
+
+@dataclass(frozen=True, slots=True)
+class Device:
+    """A drive as far as it is known.
+
+    Attributes
+    ----------
+    sheet : Sheet
+    identity : Identity or None
+        Of the drive that was asked; None = only the sheet was read.
+    live : mapping of (index, subindex) to int or None
+        What the drive answered; None = it does not have the object.
+    """
+
+    sheet: Sheet
+    identity: Identity | None = None
+    live: Mapping[Address, int | None] = field(default_factory=dict)
+
+    def has(self, index: int, subindex: int = 0) -> bool:
+        """Whether the sheet has an object, and the drive does not deny it."""
+        address = (index, subindex)
+        return address in self.sheet.entries and not (address in self.live and self.live[address] is None)
+
+    def type_of(self, index: int, subindex: int = 0) -> DataType | None:
+        """Type of an object; None where it is not there, or of a kind that is no number."""
+        return self.sheet.type_of(index, subindex) if self.has(index, subindex) else None
+
+    def value_of(self, index: int, subindex: int = 0) -> tuple[int, str] | None:
+        """A value and where it comes from: the drive before the sheet; None where neither tells."""
+        value = self.live.get((index, subindex))
+        if value is not None and self.identity is not None:
+            return value, f"{object_name(index, subindex)} read from node {self.identity.node_id}"
+        value = self.sheet.value_of(index, subindex)
+        return None if value is None else (value, f"{object_name(index, subindex)} in {self.sheet.name}")
+
+    @property
+    def vendor_id(self) -> int | None:
+        """0x1018:01."""
+        return self.sheet.vendor_id if self.identity is None else self.identity.vendor_id
+
+    @property
+    def product_code(self) -> int | None:
+        """0x1018:02."""
+        return self.sheet.product_code if self.identity is None else self.identity.product_code
+
+    @property
+    def revision(self) -> int | None:
+        """0x1018:03."""
+        return self.sheet.revision if self.identity is None else self.identity.revision
+
+
+def device_of_sheet(path: Path) -> Device:
+    """A drive of which only the data sheet is at hand.
+
+    Raises
+    ------
+    ProfileError
+        The file cannot be read.
+    """
+    return Device(read_sheet(path))
+
+
+def ask_drive(bus: Bus, node_id: int, device: Device) -> Device:
+    """Ask a drive for what its data sheet leaves open. Nothing is written, and nothing is sent beside a running master.
+
+    Parameters
+    ----------
+    bus : Bus
+    node_id : int
+    device : Device
+        What its sheet says.
+
+    Raises
+    ------
+    ForeignMaster
+        Another master is at work on this bus.
+    NodeMissing, DuplicateNode
+        Nobody answers at this node id, or more than one.
+    IdentityMismatch
+        The sheet is that of another drive.
+    SdoError
+        The drive stops answering.
+    """
+    refuse_foreign(bus, LISTEN_S)
+    state = nmt_states(bus, (node_id,), 0.0)[node_id]
+    require_one(node_id, probe(bus, (node_id,))[node_id], state)
+    sdo = SdoClient(bus, node_id)
+    try:
+        identity = read_identity(sdo)
+        _require_same(identity, device.sheet)
+        return Device(device.sheet, identity, {address: _answer(sdo, device.sheet, address) for address in ASKED})
+    finally:
+        sdo.close()
+
+
+def _answer(sdo: SdoClient, sheet: Sheet, address: Address) -> int | None:
+    kind = sheet.type_of(*address)
+    if kind is None:
+        return None
+    try:
+        return sdo.read(*address, kind)
+    except SdoAbort as abort:
+        if abort.code in ABSENT:
+            return None
+        raise
+
+
+def _require_same(identity: Identity, sheet: Sheet) -> None:
+    pairs = (("vendor id", sheet.vendor_id, identity.vendor_id), ("product", sheet.product_code, identity.product_code))
+    odd = [
+        f"{what} {have:#x} instead of {said:#x}"
+        for what, said, have in pairs
+        if said is not None and have is not None and said != have
+    ]
+    if odd:
+        what = f"is another drive than {sheet.name} describes: {', '.join(odd)}"
+        advice = "give the EDS of this drive, or the node id of the drive that the EDS is of"
+        raise IdentityMismatch(what, node=identity.node_id, index=0x1018, subindex=1, advice=advice)

@@ -1,0 +1,215 @@
+"""What an EDS cannot answer, and how an engineer finds out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from typing import Final
+
+from drives.draft.answers import Answers, address_of
+from drives.draft.device import Address, Device
+from drives.draft.units import velocity_unit_rad_s
+
+TORQUE: Final = (0x6077, 0)
+CURRENT: Final = (0x6078, 0)
+RATED: Final = {"permille_rated_torque": (0x6076, 0), "permille_rated_current": (0x6075, 0)}
+COUNTS: Final = ((0x608F, 1), (0x608F, 2))
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """One question.
+
+    Attributes
+    ----------
+    key : str
+        Of the answer file.
+    asks : str
+    ways : tuple of str
+        How to find out.
+    """
+
+    key: str
+    asks: str
+    ways: tuple[str, ...]
+
+
+def torque_address(device: Device, answers: Answers) -> Address | None:
+    """Where the measured torque stands: as answered, else 0x6077, else 0x6078; None = the sheet has neither."""
+    if answers.torque_object is not None:
+        return address_of(answers.torque_object)
+    return next((address for address in (TORQUE, CURRENT) if device.has(*address)), None)
+
+
+def is_current(answers: Answers) -> bool:
+    """Whether the torque is known to be a current."""
+    return answers.torque_kind not in (None, "permille_rated_torque")
+
+
+def rated_address(device: Device, answers: Answers) -> Address | None:
+    """Object that holds what 1000 per mille stand for; None = there is none."""
+    address = RATED.get(answers.torque_kind or "permille_rated_torque")
+    return address if address is not None and device.has(*address) else None
+
+
+def _asks_unit(device: Device, answers: Answers) -> bool:
+    return answers.rated_value is None and rated_address(device, answers) is not None
+
+
+def _asks_value(device: Device, answers: Answers) -> bool:
+    permille = answers.torque_kind is None or answers.torque_kind in RATED
+    return permille and rated_address(device, answers) is None
+
+
+def _asks_counts(device: Device, answers: Answers) -> bool:
+    return answers.counts_object is None and not device.has(*COUNTS[0])
+
+
+Wanted = Callable[[Device, Answers], bool]
+
+_TABLE: Final[tuple[tuple[Question, Wanted], ...]] = (
+    (
+        Question(
+            "torque_object",
+            "Which object holds the torque or current that is measured? The data sheet has neither 0x6077 nor 0x6078.",
+            ("the manual's list of objects: look for `torque actual value` and `current actual value`",),
+        ),
+        lambda device, answers: torque_address(device, answers) is None,
+    ),
+    (
+        Question(
+            "torque_kind",
+            "What does it count in: per mille of the rated torque, per mille of the rated current, mA, or a unit of "
+            "the drive's own? (permille_rated_torque, permille_rated_current, milliampere, internal_unit)",
+            (
+                "the manual's page on the object: what 1000 stands for",
+                "on the drive: halve 0x6075 while it is disabled and hold the same load: a word that doubles is per "
+                "mille of the rated current. Put 0x6075 back",
+                "on the drive: a known weight on a known lever, word and torque side by side",
+            ),
+        ),
+        lambda device, answers: True,
+    ),
+    (
+        Question(
+            "torque_nature",
+            "Is it what flows in the motor, or what the controller asks for? (measured, demand)",
+            (
+                "the manual: `actual` values of some drives are the input of the torque controller",
+                "on the drive: compare it with 0x6074; a measured value has noise that the demand has not",
+            ),
+        ),
+        lambda device, answers: True,
+    ),
+    (
+        Question(
+            "rated_unit",
+            "How much is one bit of the rated value, 0x6076 in Nm or 0x6075 in A? (0.001 by CiA 402)",
+            (
+                "compare it with the motor's plate: 1.27 Nm shown as 1270 is 0.001, as 1270000 it is 0.000001",
+                "the manual's page on 0x6076 or 0x6075",
+            ),
+        ),
+        _asks_unit,
+    ),
+    (
+        Question(
+            "rated_value",
+            "How many Nm (or A) do 1000 per mille stand for? The data sheet has no object that holds it.",
+            (
+                "the motor's plate, if the manual says `rated torque of the motor`",
+                "the drive's data sheet, if it is a current of the drive and not of the motor",
+            ),
+        ),
+        _asks_value,
+    ),
+    (
+        Question(
+            "internal_unit_a",
+            "How many A is one bit?",
+            ("the manual's chapter on internal units: often twice the drive's peak current over its range of numbers",),
+        ),
+        lambda device, answers: answers.torque_kind == "internal_unit",
+    ),
+    (
+        Question(
+            "current_reference",
+            "Is the drive's ampere a root mean square or a peak value? (rms, peak)",
+            (
+                "the manual's page on 0x6075 or on the motor's parameters: `Arms`, `amplitude`, `peak of the sine`",
+                "on the drive: a current clamp on one phase of a motor that turns slowly: its peak is what the drive "
+                "says (peak) or 1.414 times that (rms)",
+            ),
+        ),
+        lambda device, answers: is_current(answers),
+    ),
+    (
+        Question(
+            "torque_constant_per",
+            "Does the motor's torque constant refer to rms or to peak ampere? (rms, peak)",
+            (
+                "the motor's data sheet: rated torque over rated current is the constant per ampere of that current",
+                "`Arms` beside the constant means rms; constants of direct current motors are per peak",
+            ),
+        ),
+        lambda device, answers: is_current(answers),
+    ),
+    (
+        Question(
+            "torque_source",
+            "Where do these answers come from? (manual and page, or `measured`)",
+            ("without a source the drive is read and not moved",),
+        ),
+        lambda device, answers: True,
+    ),
+    (
+        Question(
+            "counts_per_revolution",
+            "How many counts of 0x6064 are one revolution of the motor?",
+            (
+                "the encoder's data sheet: lines times four, or two to the number of bits; and the drive's own scaling",
+                "on the drive: turn the shaft once by hand and read 0x6064 before and after",
+                "an object of the drive that holds it: answer counts_object instead",
+            ),
+        ),
+        _asks_counts,
+    ),
+    (
+        Question(
+            "velocity_unit_rad_s",
+            "How many rad/s of the motor is one bit of 0x606C? (1 rpm is 0.10471975511965977; left open: not read)",
+            (
+                "the manual's page on 0x606C or 0x60A9",
+                "on the drive: turn the shaft at a known speed",
+            ),
+        ),
+        lambda device, answers: device.has(0x606C) and velocity_unit_rad_s(device) is None,
+    ),
+    (
+        Question(
+            "lost_heartbeat",
+            "What shall stop the drive when the master's heartbeat is lost? (quick stop, disable voltage)",
+            (
+                "the manual's page on 0x6007: some drives take 2 (disable voltage) and refuse 3 (quick stop)",
+                "`servo-gateway check CELL --prove-stop` tries it, and nothing else moves before it has passed",
+            ),
+        ),
+        lambda device, answers: True,
+    ),
+)
+
+
+#: All of them, in the order in which they are put.
+QUESTIONS: Final = tuple(question for question, _ in _TABLE)
+
+
+def open_questions(device: Device, answers: Answers) -> tuple[Question, ...]:
+    """Questions that matter for this drive and are not answered."""
+    return tuple(
+        question for question, wanted in _TABLE if getattr(answers, question.key) is None and wanted(device, answers)
+    )
+
+
+def next_question(device: Device, answers: Answers, asked: Collection[str]) -> Question | None:
+    """The first open one that was not asked yet."""
+    return next((each for each in open_questions(device, answers) if each.key not in asked), None)

@@ -1,0 +1,250 @@
+"""What a key of a TOML file may hold, in words and as it is written; what is wrong with what it holds."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from drives.toml_lines import KeyPath
+
+#: Fields of a table that is written within braces.
+_SHORT: Final = 3
+#: Least likeness of a key that is suggested, and the most keys that are listed instead.
+_NEAR: Final = 0.6
+_LISTED: Final = 10
+#: Longest text of a value that is shown.
+_SHOWN: Final = 40
+
+_LIMITS: Final = {
+    "greater_than": ("gt", "must be more than"),
+    "greater_than_equal": ("ge", "must be at least"),
+    "less_than": ("lt", "must be less than"),
+    "less_than_equal": ("le", "must be at most"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a path leads in a model: as far as the model knows it, what may stand there, and its field."""
+
+    path: KeyPath
+    kind: Any
+    info: FieldInfo | None
+
+
+def field_at(model: type[BaseModel], path: KeyPath) -> Place:
+    """Follow a path; what pydantic adds to it, the alternatives of a union, ends it."""
+    kind: Any = model
+    info: FieldInfo | None = None
+    for length, part in enumerate(path):
+        inner, inside = _inside(kind, part)
+        if inner is None:
+            return Place(path[:length], kind, info)
+        kind, info = inner, inside or info
+    return Place(path, kind, info)
+
+
+def _inside(kind: Any, part: str | int) -> tuple[Any, FieldInfo | None]:
+    for each in _alternatives(kind):
+        origin, arguments = typing.get_origin(each), typing.get_args(each)
+        if isinstance(each, type) and issubclass(each, BaseModel):
+            if part in each.model_fields:
+                info = each.model_fields[str(part)]
+                return info.annotation, info
+        elif origin is tuple and isinstance(part, int):
+            many = len(arguments) == 2 and arguments[1] is Ellipsis
+            if many or part < len(arguments):
+                return arguments[0 if many else part], None
+        elif origin is dict and isinstance(part, str):
+            return arguments[1], None
+    return None, None
+
+
+def _alternatives(kind: Any) -> list[Any]:
+    """The kinds that a value may have, without None and without what only bounds it."""
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin is typing.Annotated:
+        return _alternatives(arguments[0])
+    if origin in (types.UnionType, typing.Union):
+        return [each for argument in arguments if argument is not type(None) for each in _alternatives(argument)]
+    return [kind]
+
+
+def written(kind: Any, given: Any = None) -> str:
+    """How a value of a kind is written, with what was given as far as it fits: `{ value = 101, source = "..." }`."""
+    first = _alternatives(kind)[0]
+    origin, arguments = typing.get_origin(first), typing.get_args(first)
+    if isinstance(first, type) and issubclass(first, BaseModel):
+        return _table(first, given)
+    if origin is Literal:
+        return " or ".join(json.dumps(argument) for argument in arguments)
+    if origin is tuple:
+        many = len(arguments) == 2 and arguments[1] is Ellipsis
+        parts = [written(argument) for argument in (arguments[:1] if many else arguments)]
+        return f"[{', '.join([*parts, '...'] if many else parts)}]"
+    if origin is dict:
+        return f"{{ NAME = {written(arguments[1])} }}"
+    return {int: "INTEGER", float: "NUMBER", bool: "true", str: '"..."'}.get(first, '"..."')
+
+
+def _table(model: type[BaseModel], given: Any) -> str:
+    values = given if isinstance(given, Mapping) else {}
+    cells = []
+    for key, info in model.model_fields.items():
+        if not info.is_required() and key not in values:
+            continue
+        value = values.get(key)
+        if value is None and not cells and isinstance(given, int | float | str):
+            value = given
+        cells.append(f"{key} = {written(info.annotation) if value is None else _shown(value)}")
+    return f"{{ {', '.join(cells)} }}"
+
+
+def _is_short(kind: Any) -> bool:
+    """Whether a kind is a table that is written within braces."""
+    first = _alternatives(kind)[0]
+    return isinstance(first, type) and issubclass(first, BaseModel) and len(first.model_fields) <= _SHORT
+
+
+def _is_table(kind: Any) -> bool:
+    """Whether a kind is written under a header of its own."""
+    first = _alternatives(kind)[0]
+    if typing.get_origin(first) in (tuple, dict):
+        return _is_table(typing.get_args(first)[-1 if typing.get_origin(first) is dict else 0])
+    return isinstance(first, type) and issubclass(first, BaseModel) and not _is_short(first)
+
+
+def _header(path: KeyPath, kind: Any) -> str:
+    """`[[arm.axis]]` of a path."""
+    name = ".".join(str(part) for part in path if isinstance(part, str))
+    origin = typing.get_origin(_alternatives(kind)[0])
+    return f"[[{name}]]" if origin is tuple else f"[{name}.NAME]" if origin is dict else f"[{name}]"
+
+
+def _shown(value: Any) -> str:
+    text = "{ .. }" if isinstance(value, dict) else json.dumps(value, default=str, ensure_ascii=False)
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}.."
+
+
+def in_words(model: type[BaseModel], data: Mapping[str, Any], path: KeyPath, detail: Mapping[str, Any]) -> str:
+    """One problem: the key, what is wrong with it, what to write."""
+    kind = detail["type"]
+    if kind == "missing" and isinstance(path[-1], int):
+        path = path[:-1]
+        kind = "too_short"
+        detail = {"type": kind, "ctx": {"min_length": len(typing.get_args(field_at(model, path).kind))}}
+    key = str(path[-1]) if path else "file"
+    if kind == "extra_forbidden":
+        return _unknown(model, path)
+    if kind == "value_error":
+        return str(detail["msg"]).removeprefix("Value error, ")
+    place, above = field_at(model, path), field_at(model, path[:-1])
+    owner = ""
+    if path[:-1] and _is_short(above.kind) and isinstance(path[-1], str):
+        name = next(str(part) for part in reversed(path[:-1]) if isinstance(part, str))
+        if kind == "missing":
+            return f"{name}: {key} is missing: write {name} = {written(above.kind, _given(data, path[:-1]))}"
+        owner = f"{name}: "
+    if isinstance(path[-1] if path else "", int):
+        key = "".join(f"[{part}]" if isinstance(part, int) else part for part in _tail(path))
+    if kind == "missing":
+        return f"{key} is missing{_meaning(place.info)}: write {_assignment(path, place.kind, None)}"
+    if kind == "string_pattern_mismatch" and place.info is not None:
+        form = place.info.description or "see the reference"
+        return f"{key} = {_shown(_given(data, path))} is of no known form: {form}"
+    given = _given(data, path)
+    wrong = f"{key} = {_shown(given)} {_wrong(detail, place.kind)}"
+    return f"{owner}{wrong}: write {_assignment(_tail(path), place.kind, given)}"
+
+
+def _tail(path: KeyPath) -> KeyPath:
+    """The last key with the indices behind it."""
+    start = max((number for number, part in enumerate(path) if isinstance(part, str)), default=0)
+    return path[start:]
+
+
+def _assignment(path: KeyPath, kind: Any, given: Any) -> str:
+    if _is_table(kind):
+        return f"a table {_header(path, kind)}"
+    if isinstance(path[-1], int):
+        return written(kind, given)
+    return f"{path[-1]} = {written(kind, given)}"
+
+
+def _given(data: Mapping[str, Any], path: KeyPath) -> Any:
+    value: Any = data
+    for part in path:
+        try:
+            value = value[part]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return value
+
+
+def _meaning(info: FieldInfo | None) -> str:
+    return f" ({info.description})" if info is not None and info.description else ""
+
+
+def _unknown(model: type[BaseModel], path: KeyPath) -> str:
+    key = str(path[-1])
+    above = [each for each in _alternatives(field_at(model, path[:-1]).kind) if isinstance(each, type)]
+    known = [name for each in above if issubclass(each, BaseModel) for name in each.model_fields]
+    near = difflib.get_close_matches(key, known, n=1, cutoff=_NEAR)
+    listed = f", or write one of {', '.join(known)}" if len(known) <= _LISTED else "; the reference lists what is known"
+    advice = f"write {near[0]}" if near else f"remove it{listed}"
+    return f"{key}: unknown key (units are part of the name): {advice}"
+
+
+def _wrong(detail: Mapping[str, Any], kind: Any) -> str:
+    problem, ctx = detail["type"], detail.get("ctx", {})
+    if problem in _LIMITS:
+        key, words = _LIMITS[problem]
+        return f"{words} {ctx[key]:g}"
+    if problem in ("too_short", "string_too_short"):
+        return f"is too short, at least {ctx.get('min_length', 1)} are needed"
+    if problem == "too_long":
+        return f"is too long, at most {ctx['max_length']} may stand there"
+    if problem == "finite_number":
+        return "is no finite number"
+    if problem == "literal_error":
+        return "is no word that is known"
+    return f"is no {' and no '.join(dict.fromkeys(map(_name, _alternatives(kind))))}"
+
+
+def _name(kind: Any) -> str:
+    origin = typing.get_origin(kind)
+    if origin is tuple:
+        return "list"
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        return "table"
+    if origin is Literal:
+        return "word that is known"
+    return {int: "integer", float: "number", bool: "true or false", str: "text in quotes"}.get(kind, "table")
+
+
+def stand_in(kind: Any, info: FieldInfo | None) -> Any:
+    """Something that fits, to look further: it is never used."""
+    first = _alternatives(kind)[0]
+    origin, arguments = typing.get_origin(first), typing.get_args(first)
+    if isinstance(first, type) and issubclass(first, BaseModel):
+        fields = first.model_fields.items()
+        return {key: stand_in(each.annotation, each) for key, each in fields if each.is_required()}
+    if origin is Literal:
+        return arguments[0]
+    if origin is tuple:
+        many = len(arguments) == 2 and arguments[1] is Ellipsis
+        return [stand_in(arguments[0], None)] * 2 if many else [*range(1 - len(arguments), 1)]
+    if origin is dict:
+        return {"a": stand_in(arguments[1], None)}
+    if first is int:
+        # the largest that is allowed: hardly another axis has that node id
+        return next((each.le for each in (info.metadata if info else ()) if hasattr(each, "le")), 1)
+    return {float: 1.0, bool: False}.get(first, "exact")

@@ -1,0 +1,125 @@
+"""Poses that are asked for: by a person, or by a result as what to measure next; and what a result may ask for."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from gateway.acquire.plan import Plan
+from gateway.acquire.planning import plan_of_any
+from gateway.acquire.poses import PoseRequest, can_be_measured
+from gateway.analyse.given import Given
+from gateway.cell.config import ArmConfig, LoadedCell
+from gateway.data.recording.recorded import Recording
+from gateway.data.rest_pose import RestPose
+from gateway.errors import InputError
+from gateway.feedforward.load import other_origin
+from gateway.model.arm_model import arm_robot
+from gateway.motion.workspace import workspace_of
+from gateway.result.result import read_result
+
+#: Postures that a result may choose among, drawn so many at once and so often at most.
+CHOICE: Final = 160
+_AT_ONCE: Final = 400
+_DRAWS: Final = 25
+#: Postures of one number differ by no more than this [rad].
+_SAME_RAD: Final = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """Poses that are asked for.
+
+    Attributes
+    ----------
+    q_rad : tuple of tuples of floats, one per axis
+    taken : tuple of int
+        Numbers that stand for other poses in what was measured before.
+    """
+
+    q_rad: tuple[tuple[float, ...], ...]
+    taken: tuple[int, ...] = ()
+
+
+def asked_by(path: Path, loaded: LoadedCell, config: ArmConfig) -> Asked:
+    """What a result asks for under `next`, with numbers beyond those of the poses that it was made from.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, was made with another robot, cell or arm, or asks for no pose.
+    """
+    result = read_result(path)
+    elsewhere = other_origin(result, loaded, config, arm_robot(loaded, config))
+    if elsewhere:
+        raise InputError(f"{path}: was made on {elsewhere}: its poses are none of this arm; name the cell it is of")
+    poses = dict.fromkeys(tuple(q_rad) for entry in result.next for q_rad in entry.poses_rad)
+    if not poses:
+        wants = "; ".join(entry.what for entry in result.next) or "nothing more"
+        raise InputError(f"{path}: asks for no pose under `next`, but for: {wants}; there is nothing to measure by it")
+    if any(len(q_rad) != len(config.axis) for q_rad in poses):
+        raise InputError(f"{path}: its poses are not of {len(config.axis)} axes as arm '{config.name}' is")
+    taken = () if result.data is None else tuple(sorted({pose.pose for pose in result.data.poses if pose.pose >= 0}))
+    return Asked(tuple(poses), taken)
+
+
+def plan_asked(loaded: LoadedCell, config: ArmConfig, asked: Asked, earlier: Recording | None) -> Plan:
+    """Plan over what is asked for; a posture that the recording holds keeps its number, any other gets a new one.
+
+    Parameters
+    ----------
+    loaded : LoadedCell
+    config : ArmConfig
+    asked : Asked
+    earlier : Recording or None
+        That is gone on with.
+
+    Raises
+    ------
+    PlanRefused
+        A pose is outside the limits, in a box, or out of reach.
+    """
+    stored = None if earlier is None else earlier.arm(config.name)
+    known = () if stored is None else stored.poses
+    poses = _numbered(asked.q_rad, known, {*asked.taken, *(pose.number for pose in known)})
+    return plan_of_any(loaded, config, workspace_of(config, arm_robot(loaded, config)), poses)
+
+
+def _numbered(
+    asked: Sequence[tuple[float, ...]], known: Sequence[RestPose], taken: Collection[int]
+) -> tuple[RestPose, ...]:
+    number = max(taken, default=0)
+    poses: dict[int, RestPose] = {}
+    for q_rad in dict.fromkeys(asked):
+        pose = next((each for each in known if np.abs(np.subtract(each.q_rad, q_rad)).max() <= _SAME_RAD), None)
+        if pose is None:
+            number += 1
+            pose = RestPose(number, q_rad, "fit")
+        poses.setdefault(pose.number, pose)
+    return tuple(poses.values())
+
+
+def postures_to_ask(about: Given) -> np.ndarray | None:
+    """Postures (k, N) [rad] that a result may ask for: inside the limits of the cell, clear, come to from both sides.
+
+    None where no cell is known; none at all where a thousand draws find none.
+    """
+    if about.arm is None or about.robot is None:
+        return None
+    cell = about.recordings[0].cell if about.loaded is None else about.loaded.cell
+    workspace = workspace_of(about.arm, about.robot)
+    request = PoseRequest(cell.poses.count, 0, cell.poses.approach_offset_rad, cell.poses.seed)
+    random = np.random.default_rng(request.seed)
+    middle = (workspace.upper_rad + workspace.lower_rad) / 2
+    half = np.minimum((workspace.upper_rad - workspace.lower_rad) / 2, np.pi)
+    found = np.empty((0, workspace.robot.axes))
+    for _ in range(_DRAWS):
+        q_rad = middle + half * random.uniform(-1, 1, (_AT_ONCE, workspace.robot.axes))
+        found = np.vstack([found, q_rad[can_be_measured(workspace, request, q_rad)]])
+        if len(found) >= CHOICE:
+            break
+    return found[:CHOICE]

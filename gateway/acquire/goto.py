@@ -1,0 +1,155 @@
+"""Getting there: from where an arm stands to home, to where loads are hung, or to joint angles, over a checked way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from gateway.acquire.events import Listener
+from gateway.acquire.plan import MoveInwards, MoveTo, Plan, plan_to
+from gateway.acquire.planning import visit_settings
+from gateway.acquire.run import Shelf, VisitStation
+from gateway.acquire.runner import run_way
+from gateway.cell.config import ArmConfig
+from gateway.errors import ConfigError, PlanRefused
+from gateway.motion.opening import OpenArm
+from gateway.motion.places import angles
+from gateway.motion.stream import MoveOptions
+from gateway.motion.workspace import Workspace
+
+HOME: Final = "home"
+LOADING: Final = "loading"
+
+
+@dataclass(frozen=True, slots=True)
+class Destination:
+    """A posture to go to.
+
+    Attributes
+    ----------
+    what : str
+        In words: "home", or "loading".
+    q_rad : tuple of floats, one per axis
+    """
+
+    what: str
+    q_rad: tuple[float, ...]
+
+    def __str__(self) -> str:
+        return f"{self.what}, {angles(self.q_rad)}"
+
+
+def destination(config: ArmConfig, workspace: Workspace, to: str | Sequence[float]) -> Destination:
+    """The posture that is meant by a name or by joint angles.
+
+    Parameters
+    ----------
+    config : ArmConfig
+    workspace : Workspace
+    to : "home", "loading", or joint angles [rad], one per axis
+
+    Raises
+    ------
+    ConfigError
+        The cell file does not say where that is.
+    PlanRefused
+        The arm may not stand there.
+    """
+    if to == HOME:
+        found = _home(config, workspace)
+    elif to == LOADING:
+        if config.loading_rad is None:
+            raise ConfigError(
+                f"arm '{config.name}': loading_rad is missing in the cell file: the joint angles at which a person "
+                "hangs a load, such as loading_rad = [0.0, 0.4, ..]; or go to joint angles: --to J1,J2,.."
+            )
+        found = Destination("where loads are hung", config.loading_rad)
+    else:
+        found = Destination("the posture that was asked for", tuple(float(value) for value in to))
+    reason = workspace.why_not(np.array(found.q_rad))
+    if reason is not None:
+        raise PlanRefused(f"arm '{config.name}' may not stand at {found}: {reason}; choose another posture")
+    return found
+
+
+def _home(config: ArmConfig, workspace: Workspace) -> Destination:
+    """As the cell says; else the middle of the joint ranges, which the planner tries first as a posture in between."""
+    if config.home_rad is not None:
+        return Destination(HOME, config.home_rad)
+    middle = (workspace.lower_rad + workspace.upper_rad) / 2
+    reason = workspace.why_not(middle)
+    if reason is not None:
+        raise ConfigError(
+            f"arm '{config.name}': home_rad is missing in the cell file, and the middle of the joint ranges, "
+            f"{angles(middle)}, is no place to stand: {reason}; write home_rad = [..], one joint angle per axis"
+        )
+    return Destination(f"{HOME} (the middle of the joint ranges, as home_rad is not given)", tuple(middle.tolist()))
+
+
+def plan_way(opened: OpenArm, target: Destination) -> Plan:
+    """Plan of the way from where the arm stands; nothing moves.
+
+    Raises
+    ------
+    PlanRefused
+        The arm stands where nothing may begin, or no way that keeps all limits leads to the target.
+    """
+    config, workspace = opened.config, opened.workspace
+    settings = visit_settings(opened.loaded, config)
+    return plan_to(config.name, workspace, opened.arm.where(), np.array(target.q_rad), settings)
+
+
+def remarks(plan: Plan, workspace: Workspace) -> tuple[str, ...]:
+    """What a person should know of a way before it is driven: that it begins inwards, and why it is not straight."""
+    said: list[str] = []
+    start = np.array(plan.start_rad)
+    for step in plan.steps:
+        if isinstance(step, MoveInwards):
+            joints = np.flatnonzero(np.abs(np.array(step.q_rad) - start) > 0) + 1
+            which = ", ".join(str(joint) for joint in joints)
+            said.append(
+                f"joint {which} stands outside its range: it first moves inwards, slowly, to {angles(step.q_rad)}"
+            )
+            start = np.array(step.q_rad)
+    points = [step.q_rad for step in plan.steps if isinstance(step, MoveTo)]
+    if len(points) > 1:
+        met = workspace.why_not_path(np.array([start, points[-1]]))
+        over = ", then ".join(angles(point) for point in points[:-1])
+        said.append(f"straight there, the arm would not keep its limits: {met}; it goes over {over}")
+    return tuple(said)
+
+
+def go(
+    opened: OpenArm, target: Destination, listeners: Sequence[Listener] = (), options: MoveOptions | None = None
+) -> Plan:
+    """Bring the arm from where it stands to a posture; it is in its brakes before and after.
+
+    Parameters
+    ----------
+    opened : OpenArm
+        Connected and configured, in its brakes; the stop on loss of the master is proven.
+    target : Destination
+    listeners : sequence of Listener
+    options : MoveOptions, optional
+
+    Returns
+    -------
+    Plan
+        That was driven.
+
+    Raises
+    ------
+    PlanRefused
+        As `plan_way`; nothing was enabled.
+    LimitExceeded, DriveError, KeyboardInterrupt
+        The arm was stopped, and is in its brakes.
+    """
+    plan = plan_way(opened, target)
+    pacing = opened.group.timing.pacing
+    run_way(
+        VisitStation(opened.arm, opened.workspace, Shelf(), tuple(listeners), options or MoveOptions(), pacing), plan
+    )
+    return plan

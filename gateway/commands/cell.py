@@ -1,0 +1,198 @@
+"""cell: the file that describes an arm with its drives, and how a stranger's arm gets one."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from drives.files import replace_file
+from gateway.commands.console import findings_table, grid
+from gateway.commands.options import common, json_option, output_option, session_of, write_json
+from gateway.errors import ConfigError
+
+if TYPE_CHECKING:
+    from gateway.newcell.answers import Answer, Answers, Given
+    from gateway.newcell.interview import Draft
+    from gateway.newcell.questions import Question
+    from gateway.newcell.text import Left
+    from gateway.preflight.rules import CheckItem
+
+FILE = click.Path(path_type=Path, dir_okay=False)
+
+
+@click.group()
+def cell() -> None:
+    """Cell files: an arm, its drives, and what stands between them."""
+
+
+@cell.command("schema")
+@common
+def cell_schema() -> None:
+    """JSON schema of a cell file, for editors."""
+    from gateway.cell.config import cell_schema as schema
+
+    write_json("-", schema())
+
+
+@cell.command("new")
+@click.option("--robot", help="URDF of the arm, or dh: Denavit-Hartenberg rows are asked for.")
+@click.option("--bus", metavar="SPEC", help="Bus of the drives; node ids, ratings and limits are read from them.")
+@click.option("--offline", is_flag=True, help="Look at no bus: EDS and DCF files and answers alone.")
+@click.option("--eds", multiple=True, metavar="FILE", help="EDS or DCF: one per axis from the base on, or one for all.")
+@click.option("--answers", type=FILE, help="Answer file (TOML): nobody is asked.")
+@click.option("--answer", "typed", multiple=True, metavar="KEY=VALUE", help="One answer; before the file's.")
+@output_option("--save-answers", metavar="FILE", help="Write the answers of this run as answer file.")
+@click.option(
+    "--listen", "listen_s", type=click.FloatRange(0.05, 60.0), default=1.0, show_default=True, help="Seconds."
+)
+@output_option("-o", "--output", required=True, metavar="CELL", help="Cell file to write.")
+@json_option
+@common
+def cell_new(
+    robot: str | None,
+    bus: str | None,
+    offline: bool,
+    eds: Sequence[str],
+    answers: Path | None,
+    typed: Sequence[str],
+    save_answers: Path | None,
+    listen_s: float,
+    output: Path,
+    json_out: str | None,
+) -> None:
+    """A cell file for an arm that has none: asks for what cannot be read, marks what is assumed.
+
+    Joint limits come from the URDF; node ids, profiles, ratings and limits from the drives, or from EDS and DCF files.
+    Nothing is written to a drive and nothing moves.
+    """
+    from gateway.newcell.answers import Answers, read_answers
+    from gateway.newcell.interview import interview
+    from gateway.newcell.reading import BusEyes
+    from gateway.newcell.text import left_over
+
+    given = {} if answers is None else read_answers(answers)
+    given |= _options({"robot": robot, "bus": bus, "offline": offline or None, "eds": list(eds) or None}, typed)
+    said = Answers(given, str(answers or "answers"), None if answers is not None else _ask)
+    session = session_of()
+    try:
+        draft = interview(said, BusEyes(listen_s), output.stem, session.note)
+    finally:
+        if save_answers is not None and said.said:  # nobody types them twice because a drive did not answer
+            _save(said, save_answers)
+    _write(draft, output)
+    left, items = left_over(draft), _checked(output, draft)
+    _show(output, said, left, items)
+    if json_out:
+        write_json(json_out, _as_json(output, said, left, items))
+    from gateway.preflight.look_over import require_passed
+
+    require_passed(items, f"{output} is written, and the drives do not pass")
+
+
+def _options(named: dict[str, Any], pairs: Sequence[str]) -> dict[str, Given]:
+    """Answers of the command line; names of files start at the working folder."""
+    from gateway.newcell import questions
+    from gateway.newcell.answers import Given
+    from gateway.newcell.forms import typed
+
+    here = Path.cwd()
+    found = {key: Given(value, f"--{key}", here) for key, value in named.items() if value is not None}
+    for pair in pairs:
+        key, equals, text = pair.partition("=")
+        if not equals or key.strip() not in questions.KEYS:
+            raise click.UsageError(f"--answer '{pair}': write KEY=VALUE with one of {', '.join(questions.KEYS)}")
+        found[key.strip()] = Given(typed(text), f"--answer {key.strip()}", here)
+    return found
+
+
+def _ask(question: Question, offer: Answer | None, read: Callable[[Any], Answer]) -> Answer | None:
+    """Ask at the terminal until the answer has the right form; Enter takes what is offered."""
+    from gateway.newcell.forms import typed
+    from gateway.newcell.text import short
+
+    click.echo(f"\n{question.asks}\n  {question.how}", err=True)
+    if offer is not None:
+        click.echo(f"  Enter: {short(offer.value)} ({offer.source})", err=True)
+    while True:
+        line = _typed_line(question, "" if offer is not None else None)
+        if not line.strip() and offer is not None:
+            return None
+        value, _, source = line.partition(";")
+        try:
+            return read({"value": typed(value), "source": source.strip()} if source.strip() else typed(value))
+        except ValueError as error:
+            click.echo(f"  {error}", err=True)
+
+
+def _typed_line(question: Question, default: str | None) -> str:
+    """A line of the terminal; where nobody is there, how the answer is given otherwise."""
+    try:
+        return click.prompt(f"  {question.key}", default=default, show_default=False, err=True)
+    except click.Abort as error:
+        if sys.stdin.isatty():
+            raise
+        advice = f"write it into an answer file (--answers FILE), or --answer {question.key}=VALUE"
+        raise ConfigError(f"{question.key}: nobody answered; {advice}") from error
+
+
+def _named_from(folder: Path) -> Callable[[str], str]:
+    """Path of a file -> its name from a folder."""
+    return lambda name: os.path.relpath(Path(name).resolve(), folder.resolve())
+
+
+def _write(draft: Draft, output: Path) -> None:
+    """Write the cell, once the strict reader has taken it."""
+    from gateway.cell.config import parse_cell
+    from gateway.newcell.text import cell_text
+
+    text = cell_text(draft, _named_from(output.parent))
+    parse_cell(text, str(output))
+    replace_file(output, text)
+
+
+def _save(said: Answers, path: Path) -> None:
+    from gateway.newcell.answers import answers_text
+
+    replace_file(path, answers_text(said, _named_from(path.parent)))
+
+
+def _checked(output: Path, draft: Draft) -> list[CheckItem]:
+    """The pre-flight check as far as it can be done: of the drives where there is a bus, else of the files alone."""
+    from gateway.commands.cell_context import open_cell
+    from gateway.model.arm_model import arm_robot
+
+    context = open_cell(output, None)
+    (arm,) = context.arms
+    arm_robot(context.loaded, arm)
+    context.profiles(arm)
+    return context.check(arm) if draft.looked else [context.bus_load(arm)]
+
+
+def _show(output: Path, said: Answers, left: Sequence[Left], items: Sequence[CheckItem]) -> None:
+    session = session_of()
+    told = [item for item in items if item.severity in ("warn", "fail")]
+    if told:
+        session.show(findings_table(told, "what the drives say to it"))
+    guesses = [entry for entry in left if entry.key]
+    if guesses:
+        rows = [[entry.key, entry.value, entry.why, entry.how] for entry in guesses]
+        session.show(grid("assumed, to be found out", ["key", "value", "why", "how to find out"], rows, left=4))
+    for entry in left:
+        if not entry.key:
+            session.show(f"to do: {entry.why}")
+    session.show(f"{output}: {len(said.said)} answers, {len(guesses)} keys assumed; next: servo-gateway check {output}")
+
+
+def _as_json(output: Path, said: Answers, left: Sequence[Left], items: Sequence[CheckItem]) -> dict[str, Any]:
+    return {
+        "schema": 1,
+        "cell": str(output),
+        "answers": len(said.said),
+        "left": [{"key": entry.key, "value": entry.value, "why": entry.why, "how": entry.how} for entry in left],
+        "findings": [item.as_json() for item in items],
+    }

@@ -1,0 +1,94 @@
+"""move: bring an arm to a posture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from gateway.commands.measure import arm_option
+from gateway.commands.moving import MoveChoice, slow_move_options, stoppable
+from gateway.commands.options import bus_option, cell_argument, common, joint_angles, session_of
+
+if TYPE_CHECKING:
+    from gateway.acquire.goto import Destination
+    from gateway.commands.console import Session
+    from gateway.motion.opening import OpenArm
+    from gateway.motion.stream import MoveOptions
+
+NAMES = ("home", "loading")
+
+
+def _to(_ctx: click.Context, _param: click.Parameter, value: str) -> str | tuple[float, ...]:
+    """A name, or joint angles."""
+    return value if value in NAMES else joint_angles(value)
+
+
+@click.command()
+@cell_argument
+@click.option(
+    "--to",
+    "to",
+    required=True,
+    callback=_to,
+    metavar="home|loading|J1,J2,...",
+    help="home_rad or loading_rad of the cell file, or joint angles [rad].",
+)
+@arm_option
+@bus_option
+@slow_move_options
+@common
+def move(
+    cell: Path, to: str | tuple[float, ...], arm_name: str | None, bus_spec: str | None, moving: MoveChoice
+) -> None:
+    """Bring the arm to a posture: slowly, over a way that is checked all along, once a person has agreed.
+
+    An arm that stands outside its joint range first moves inwards. The first time with these drives, it is proven
+    before anything else that they stop when the master is gone.
+    """
+    from gateway.acquire.goto import destination
+    from gateway.check.proofs import ensure_proven
+    from gateway.commands.cell_context import open_cell
+    from gateway.model.arm_model import arm_named, arm_robot
+    from gateway.motion.opening import open_arm
+    from gateway.motion.workspace import workspace_of
+
+    context = open_cell(cell, bus_spec, moving.pacing)
+    arm = arm_named(context.loaded, arm_name)
+    if not isinstance(to, str) and len(to) != len(arm.axis):
+        raise click.UsageError(f"--to: {len(to)} joint angles, and arm '{arm.name}' has {len(arm.axis)} axes")
+    target = destination(arm, workspace_of(arm, arm_robot(context.loaded, arm)), to)
+    session = session_of()
+    proof = context.stop_proof(arm)
+    with stoppable(moving) as options, open_arm(context.loaded, context.override(arm), arm.name) as opened:
+        announce(session, opened, target, options)
+        first = "" if proof.exists() else " At first its drives lose the heartbeat on purpose."
+        moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is nobody near it?")
+        options = ensure_proven(opened, proof, session.note, options)
+        go_with_progress(session, opened, target, options)
+    session.show(f"arm '{arm.name}' is in its brakes at {target}")
+
+
+def announce(session: Session, opened: OpenArm, target: Destination, options: MoveOptions) -> None:
+    """Say where the arm stands, where it goes, over what, and how long that takes."""
+    from gateway.acquire.goto import plan_way, remarks
+    from gateway.motion.places import angles
+
+    plan = plan_way(opened, target)
+    lasts_s = plan.duration_s / options.override
+    session.note(
+        f"arm '{plan.arm}' goes from {angles(plan.start_rad or ())} to {target}, at {100 * options.override:.0f} % of "
+        f"its speed, in about {lasts_s:.0f} s"
+    )
+    for remark in remarks(plan, opened.workspace):
+        session.note(remark)
+
+
+def go_with_progress(session: Session, opened: OpenArm, target: Destination, options: MoveOptions) -> None:
+    """Go there and show how far it is; raises as `gateway.acquire.goto.go`."""
+    from gateway.acquire.goto import go, plan_way
+    from gateway.commands.progress import ProgressListener
+
+    with session.progress(plan_way(opened, target).duration_s / options.override, "move") as bar:
+        go(opened, target, (ProgressListener(session, bar),), options)

@@ -1,0 +1,186 @@
+"""profiles: what each drive model's numbers mean, and a draft for one that is not there yet."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from drives.files import replace_file
+from gateway.commands.options import common, json_option, output_option, session_of, write_json
+from gateway.errors import ConfigError
+
+if TYPE_CHECKING:
+    from drives.draft.answers import Answers
+    from drives.draft.device import Device
+    from drives.draft.questions import Question
+    from drives.profile import DriveProfile
+
+FILE = click.Path(path_type=Path, dir_okay=False)
+#: How many ways to find out are printed with a question that stays open.
+WAYS_SHOWN = 1
+
+
+@click.group()
+def profiles() -> None:
+    """Drive profiles: what each drive model's numbers mean."""
+
+
+@profiles.command("list")
+@common
+def profiles_list() -> None:
+    """Name, description and measured torque of every profile."""
+    from drives.profile_file import list_profiles, load_profile
+    from gateway.commands.console import grid
+
+    rows = []
+    for name in list_profiles():
+        profile = load_profile(name)
+        rows.append([name, profile.description, profile.torque.kind, profile.torque.nature])
+    session_of().show(grid("drive profiles", ["name", "description", "torque", "nature"], rows, left=4))
+
+
+@profiles.command("show")
+@click.argument("name")
+@common
+def profiles_show(name: str) -> None:
+    """The TOML text of one profile (a name of the list, or a file)."""
+    from drives.profile_file import load_profile
+
+    click.echo(load_profile(name).text, nl=False)
+
+
+@profiles.command("schema")
+@common
+def profiles_schema() -> None:
+    """JSON schema of a profile."""
+    from drives.profile_file import profile_schema
+
+    write_json("-", profile_schema())
+
+
+@profiles.command("new")
+@click.option("--eds", required=True, metavar="FILE", type=FILE, help="EDS or DCF of the drive.")
+@click.option("--from-drive", "node_id", metavar="NODE", type=click.IntRange(1, 127), help="Ask this drive as well.")
+@click.option("--bus", "bus_spec", metavar="SPEC", help="Bus of that drive.")
+@click.option("--answers", "answer_file", metavar="FILE", type=FILE, help="Answers as TOML, one key each.")
+@click.option("--answer", "typed", metavar="KEY=VALUE", multiple=True, help="One answer; before the file's.")
+@click.option("--name", metavar="NAME", help="Of the profile; the name of the output file if omitted.")
+@output_option("-o", "--output", required=True, metavar="PROFILE.toml", help="Draft to write.")
+@json_option
+@common
+def profiles_new(
+    eds: Path,
+    node_id: int | None,
+    bus_spec: str | None,
+    answer_file: Path | None,
+    typed: tuple[str, ...],
+    name: str | None,
+    output: Path,
+    json_out: str | None,
+) -> None:
+    """Draft a profile from an EDS or DCF; what it cannot tell is asked at a terminal, or answered by --answer.
+
+    A draft with open questions about the torque is read by every command, and refuses motion. A drive that is asked
+    is only read: listened to first, and left alone where another master is at work.
+    """
+    from drives.draft.answers import Answers, read_answers, with_answers
+    from drives.draft.device import device_of_sheet
+    from drives.draft.questions import open_questions
+    from drives.draft.text import draft, profile_name
+    from drives.profile_file import list_profiles, parse_profile
+
+    if (node_id is None) != (bus_spec is None):
+        raise click.UsageError("--from-drive NODE and --bus SPEC belong together.")
+    if output.suffix != ".toml":
+        raise click.UsageError(f"-o {output}: the name of a profile's file ends with .toml.")
+    if output.stem in list_profiles():
+        raise ConfigError(
+            f"{output}: a profile of the package has this name, and cells would get that one: choose another"
+        )
+    answers = with_answers(read_answers(answer_file) if answer_file else Answers(), _typed(typed))
+    device = device_of_sheet(eds)
+    if node_id is not None and bus_spec is not None:
+        device = _ask_drive(device, node_id, bus_spec)
+    if _at_terminal():
+        answers = _ask(device, answers)
+    text = draft(device, answers, name or profile_name(output.stem))
+    profile = parse_profile(text, str(output), output.parent)
+    replace_file(output, text)
+    _tell(output, profile, open_questions(device, answers))
+    if json_out:
+        write_json(json_out, _as_json(output, profile, open_questions(device, answers)))
+
+
+def _at_terminal() -> bool:
+    """Whether there is somebody to ask."""
+    return sys.stdin.isatty()
+
+
+def _typed(pairs: tuple[str, ...]) -> dict[str, str]:
+    """Answers of the command line.
+
+    Raises
+    ------
+    click.UsageError
+        One without an equals sign.
+    """
+    split = [pair.partition("=") for pair in pairs]
+    odd = [pair for pair, (_, equals, _) in zip(pairs, split, strict=True) if not equals]
+    if odd:
+        raise click.UsageError(f"--answer {odd[0]}: write KEY=VALUE.")
+    return {key.strip(): value.strip() for key, _, value in split}
+
+
+def _ask_drive(device: Device, node_id: int, bus_spec: str) -> Device:
+    from drives.bus import BusSpec, open_bus
+    from drives.draft.device import ask_drive
+
+    with open_bus(BusSpec.parse(bus_spec)) as bus:
+        return ask_drive(bus, node_id, device)
+
+
+def _ask(device: Device, answers: Answers) -> Answers:
+    """Put the open questions, one after another; Enter leaves one open."""
+    from drives.draft.answers import with_answers
+    from drives.draft.questions import next_question
+    from drives.errors import ProfileError
+
+    asked: set[str] = set()
+    while (question := next_question(device, answers, asked)) is not None:
+        session_of().note(f"\n{question.asks}")
+        for way in question.ways:
+            session_of().note(f"  - {way}")
+        text = click.prompt(question.key, default="", show_default=False, err=True).strip()
+        try:
+            answers = with_answers(answers, {question.key: text} if text else {})
+        except ProfileError as error:
+            session_of().note(str(error))
+            continue
+        asked.add(question.key)
+    return answers
+
+
+def _tell(output: Path, profile: DriveProfile, left: tuple[Question, ...]) -> None:
+    session = session_of()
+    session.show(f"draft: {output}")
+    for question in left:
+        session.show(f"open: {question.key}: {question.asks}")
+        for way in question.ways[:WAYS_SHOWN]:
+            session.show(f"      {way}")
+    for obstacle in profile.obstacles:
+        session.show(f"refuses motion: {obstacle}")
+    if not profile.obstacles:
+        session.show(f'next: name it in the cell file, profile = "{output.stem}", then servo-gateway check CELL')
+
+
+def _as_json(output: Path, profile: DriveProfile, left: tuple[Question, ...]) -> dict[str, object]:
+    return {
+        "schema": 1,
+        "profile": str(output),
+        "name": profile.name,
+        "open": [{"key": question.key, "asks": question.asks, "ways": list(question.ways)} for question in left],
+        "obstacles": list(profile.obstacles),
+    }

@@ -1,0 +1,216 @@
+"""Answers of options, of an answer file, of a person: who gave which, what was offered instead, what is missing.
+
+An answer file is TOML: one key a question (`questions.ALL`), a value for all axes or a list, and where a constant comes
+from as `{ value = 101, source = "data sheet p. 4" }`.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, cast
+
+from drives.profile_file import list_profiles
+from drives.toml_lines import key_lines
+from drives.toml_text import parse_toml, toml_string
+from gateway.errors import ConfigError
+from gateway.newcell import questions
+from gateway.newcell.forms import SOURCE, VALUE
+from gateway.newcell.questions import Question
+from gateway.newcell.slips import slips
+
+ASSUMED: Final = "assumed"
+#: In the place of a URDF: the arm is described by Denavit-Hartenberg rows.
+DH: Final = "dh"
+UNSOURCED: Final = "stated, source not given"
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A value in the form of its question, and where it comes from; a source that begins with `assumed` is a guess."""
+
+    value: Any
+    source: str
+
+    @property
+    def guessed(self) -> bool:
+        """Nobody said so, and nothing was read."""
+        return self.source.startswith(ASSUMED)
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """An answer as it was written: value of TOML, where it stands, and the folder its file names start at."""
+
+    value: Any
+    where: str
+    folder: Path
+
+
+#: Asks a person: question, what is offered, number of axes -> what was typed, None = the offer is taken.
+Ask = Callable[[Question, Answer | None, Callable[[Any], Answer]], Answer | None]
+
+
+class Answers:
+    """Everything that was answered so far.
+
+    Parameters
+    ----------
+    given : mapping
+        Key -> what options and answer file say.
+    missing_in : str
+        Where an answer that nobody gave has to be written.
+    ask : callable, optional
+        Asks a person for what was not given; None = nobody is asked, offers are taken.
+
+    Attributes
+    ----------
+    taken : dict
+        Key -> the answer, offers included, in the order of the questions.
+    said : dict
+        Key -> the answers among them that somebody gave.
+    """
+
+    def __init__(self, given: Mapping[str, Given], missing_in: str, ask: Ask | None = None) -> None:
+        self._given, self._missing_in, self._ask = dict(given), missing_in, ask
+        self.taken: dict[str, Answer] = {}
+        self.said: dict[str, Answer] = {}
+
+    def settle(self, wanted: Sequence[tuple[Question, Answer | None]], axes: int = 0) -> None:
+        """Settle some questions, each with what is offered where nobody answers.
+
+        Raises
+        ------
+        ConfigError
+            Answers that have not the right form, or are missing; all of them at once.
+        """
+        problems: list[str] = []
+        for question, offer in wanted:
+            try:
+                answer = self._answer(question, offer, axes)
+            except ValueError as error:
+                problems.append(str(error))
+                continue
+            if answer is None:
+                problems.append(f"{self._missing_in}: {question.key} is missing: {question.asks} ({question.how})")
+                continue
+            self.taken[question.key] = answer
+        if problems:
+            raise ConfigError.of(problems)
+
+    def value(self, question: Question) -> Any:
+        """Value of a question that was settled."""
+        return self.taken[question.key].value
+
+    def _answer(self, question: Question, offer: Answer | None, axes: int) -> Answer | None:
+        given = self._given.get(question.key)
+        if given is not None:
+            answer = self._read(question, given, axes)
+        elif self._ask is None or (offer is not None and not offer.guessed):
+            return offer
+        else:
+            here = Path.cwd()
+            asked = self._ask(question, offer, lambda value: self._read(question, Given(value, "", here), axes))
+            if asked is None:
+                return offer
+            answer = asked
+        self.said[question.key] = answer
+        return answer
+
+    def _read(self, question: Question, given: Given, axes: int) -> Answer:
+        value, source = given.value, UNSOURCED
+        if isinstance(value, dict) and set(cast("dict[str, Any]", value)) == {VALUE, SOURCE}:
+            value, source = value[VALUE], str(cast("dict[str, Any]", value)[SOURCE])
+        try:
+            answer = question.form.read(value, axes)
+        except ValueError as error:
+            where = f"{given.where}: " if given.where else ""
+            raise ValueError(f"{where}{question.key} {error}: {question.asks}") from error
+        gears = self.taken.get(questions.GEAR_RATIO.key)
+        for slip in slips(question.key, answer, gears.value if gears is not None else ()):
+            raise ValueError(f"{given.where}: {slip}" if given.where else slip)
+        if question.key in questions.FILES:
+            answer = _placed(answer, given.folder)
+        return Answer(answer, source)
+
+
+def _placed(value: Any, folder: Path) -> Any:
+    """Names of files from the folder that they were written in; names of profiles and `dh` stay."""
+    if isinstance(value, tuple):
+        return tuple(_placed(part, folder) for part in cast("tuple[str, ...]", value))
+    return value if value == DH or value in list_profiles() else str(folder / value)
+
+
+def read_answers(path: Path) -> dict[str, Given]:
+    """Answers of a file.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be read, is no TOML, or has keys that no question has; all of them at once.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+        table = parse_toml(text)
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}; give an answer file") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: not valid TOML: {error}; correct the file") from error
+    known = questions.KEYS
+    lines = key_lines(text)
+    strange = [f"{path} line {lines[key,]}: {key} answers no question" for key in table if key not in known]
+    if strange:
+        strange[-1] += f"; the questions are {', '.join(known)}"
+        raise ConfigError.of(strange)
+    folder = path.resolve().parent
+    return {key: Given(value, f"{path} line {lines[key,]}", folder) for key, value in table.items()}
+
+
+def answers_text(answers: Answers, files: Callable[[str], str]) -> str:
+    """The answers of a run as answer file: what was said as it stands, what was taken unsaid as a remark.
+
+    Parameters
+    ----------
+    answers : Answers
+    files : callable
+        Path of a file -> its name from that folder.
+    """
+    lines = ["# Answers of `servo-gateway cell new`; what nobody answered is a remark."]
+    for key, answer in answers.taken.items():
+        value = _renamed(answer.value, files) if key in questions.FILES else answer.value
+        if key in questions.FOR_ALL and all(part == value[0] for part in value):
+            value = value[0]
+        if key in answers.said:
+            lines.append(f"{key} = {_written(value, answer.source)}")
+        else:
+            lines.append(f"# {key} = {toml_value(value)}   # {answer.source}")
+    return "\n".join(lines) + "\n"
+
+
+def _renamed(value: Any, files: Callable[[str], str]) -> Any:
+    if isinstance(value, tuple):
+        return tuple(_renamed(part, files) for part in cast("tuple[str, ...]", value))
+    return value if value == DH or value in list_profiles() else files(value)
+
+
+def _written(value: Any, source: str) -> str:
+    text = toml_value(value)
+    return text if source == UNSOURCED else f"{{ {VALUE} = {text}, {SOURCE} = {toml_value(source)} }}"
+
+
+def toml_value(value: Any) -> str:
+    """A value as TOML writes it; equal numbers of a list stay a list."""
+    if value is None or value == ():
+        return '"none"'
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return toml_string(value)
+    if isinstance(value, float | int):
+        return f"{value:.12g}"
+    if isinstance(value, Mapping):
+        inside = ", ".join(f"{key} = {toml_value(part)}" for key, part in cast("Mapping[str, Any]", value).items())
+        return f"{{ {inside} }}"
+    return "[" + ", ".join(toml_value(part) for part in value) + "]"

@@ -1,0 +1,204 @@
+"""What an answer may look like: typed in a line, or a value of an answer file, for all axes at once or for each."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, cast
+
+from drives.toml_text import parse_toml
+
+#: What is in the value's place of an answer file that says where a constant comes from.
+VALUE, SOURCE = "value", "source"
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """How an answer is read.
+
+    Attributes
+    ----------
+    read : callable
+        (value of TOML, number of axes; 0 = not known yet) -> the answer; raises ValueError in words.
+    """
+
+    read: Callable[[Any, int], Any]
+
+
+def typed(line: str) -> Any:
+    """Value of a typed line: as TOML has it, `1, 2, 3` as a list, anything else as text."""
+    line = line.strip()
+    for text in (line, f"[{line}]"):
+        try:
+            return parse_toml(f"x = {text}")["x"]
+        except (tomllib.TOMLDecodeError, KeyError):
+            continue
+    return [part.strip() for part in line.split(",")] if "," in line else line
+
+
+def text() -> Form:
+    """A word, a name, a path."""
+
+    def read(value: Any, axes: int) -> str:
+        del axes
+        if isinstance(value, list):  # INTERFACE:CHANNEL,key=value
+            value = ",".join(str(part) for part in cast("list[Any]", value))
+        if not isinstance(value, str) or not value.strip():
+            raise ValueError("is no text")
+        return value.strip()
+
+    return Form(read)
+
+
+def choice(*options: str) -> Form:
+    """One of some words."""
+
+    def read(value: Any, axes: int) -> str:
+        del axes
+        if value not in options:
+            raise ValueError(f"is none of {', '.join(options)}")
+        return str(value)
+
+    return Form(read)
+
+
+def flag() -> Form:
+    """True or false."""
+
+    def read(value: Any, axes: int) -> bool:
+        del axes
+        if not isinstance(value, bool):
+            raise ValueError("is neither true nor false")
+        return value
+
+    return Form(read)
+
+
+def table() -> Form:
+    """A table of an answer file."""
+
+    def read(value: Any, axes: int) -> Mapping[str, Any]:
+        del axes
+        if not isinstance(value, dict):
+            raise ValueError("is no table")
+        return cast("Mapping[str, Any]", value)
+
+    return Form(read)
+
+
+def words() -> Form:
+    """A text for all, or one per axis."""
+
+    def read(value: Any, axes: int) -> tuple[str, ...]:
+        parts = _parts(value, axes)
+        if not parts or not all(isinstance(part, str) and part for part in parts):
+            raise ValueError("is neither a text nor a list of texts")
+        return tuple(parts)
+
+    return Form(read)
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """What a number has to keep to, and what is said of one that does not."""
+
+    holds: Callable[[float], bool]
+    otherwise: str
+
+
+ANY: Final = Rule(math.isfinite, "not finite")
+POSITIVE: Final = Rule(lambda value: value > 0, "not above 0")
+NOT_ZERO: Final = Rule(lambda value: value != 0, "no ratio")
+SHARE: Final = Rule(lambda value: 0 < value <= 1, "not in 0 to 1")
+SIGN: Final = Rule(lambda value: value in (-1, 1), "neither 1 nor -1")
+NODE_ID: Final = Rule(lambda value: value == round(value) and 1 <= value <= 127, "no node id, 1 to 127")
+
+
+def numbers(rule: Rule = ANY) -> Form:
+    """A list with one number for each axis."""
+
+    def read(value: Any, axes: int) -> tuple[float, ...]:
+        parts = cast("list[Any]", value) if isinstance(value, list) else [value]
+        if axes and len(parts) != axes:
+            raise ValueError(f"has {len(parts)} numbers and the arm {axes} axes; one for each is needed")
+        return tuple(_kept(part, rule) for part in parts)
+
+    return Form(read)
+
+
+def node_ids() -> Form:
+    """A list with the node id of each axis."""
+    read = numbers(NODE_ID).read
+    return Form(lambda value, axes: tuple(int(part) for part in read(value, axes)))
+
+
+def per_axis(rule: Rule = ANY) -> Form:
+    """A number for all axes, or one for each."""
+    return Form(lambda value, axes: tuple(_kept(part, rule) for part in _parts(value, axes)))
+
+
+def _kept(value: Any, rule: Rule) -> float:
+    number = _number(value)
+    if not rule.holds(number):
+        raise ValueError(f"holds {number:g}, which is {rule.otherwise}")
+    return number
+
+
+def pairs() -> Form:
+    """Lowest and highest for all axes, or for each."""
+
+    def read(value: Any, axes: int) -> tuple[tuple[float, float], ...]:
+        rows = cast("list[Any]", value) if isinstance(value, list) else []
+        if len(rows) == 2 and not any(isinstance(row, list) for row in rows):
+            rows = [rows] * max(axes, 1)
+        if not rows or (axes and len(rows) != axes) or not all(isinstance(row, list) and len(row) == 2 for row in rows):
+            raise ValueError("is neither a pair [low, high] nor one for each axis, [[low, high], ...]")
+        found = tuple((_number(low), _number(high)) for low, high in rows)
+        for low, high in found:
+            if not low < high:
+                raise ValueError(f"holds [{low:g}, {high:g}], of which the first is not below the second")
+        return found
+
+    return Form(read)
+
+
+def place(**named: tuple[float, ...]) -> Form:
+    """Three numbers, or a word that stands for them."""
+
+    def read(value: Any, axes: int) -> tuple[float, ...]:
+        del axes
+        if isinstance(value, str) and value in named:
+            return named[value]
+        if not isinstance(value, list) or len(cast("list[Any]", value)) != 3:
+            raise ValueError(" or ".join(["is no list of three numbers", *(f"no `{word}`" for word in named)]))
+        return tuple(_number(part) for part in cast("list[Any]", value))
+
+    return Form(read)
+
+
+def one_number(rule: Rule = ANY) -> Form:
+    """A single number."""
+    return Form(lambda value, axes: _kept(value, rule))
+
+
+def number_or_none(rule: Rule = ANY) -> Form:
+    """A single number, or `none`."""
+    return Form(lambda value, axes: None if value == "none" else _kept(value, rule))
+
+
+def _parts(value: Any, axes: int) -> list[Any]:
+    """One part per axis; a single value, or a list of one, counts for all."""
+    parts = cast("list[Any]", value) if isinstance(value, list) else [value]
+    if len(parts) == 1:
+        parts = parts * max(axes, 1)
+    if axes and len(parts) != axes:
+        raise ValueError(f"has {len(parts)} values and the arm {axes} axes; write one for all or one for each")
+    return parts
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"holds {value!r}, which is no number")
+    return float(value)

@@ -1,0 +1,269 @@
+"""The order of the job: which arm, which bus, which drives, what stands between motor and joint, what it may do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from drives.bus_spec import BusSpec
+from drives.profile import DriveProfile
+from drives.profile_file import find_profile
+from gateway.cell.config import DhTable
+from gateway.errors import ConfigError
+from gateway.model.robot import Robot, robot_from_dh, robot_from_urdf
+from gateway.newcell import offers, questions
+from gateway.newcell.answers import ASSUMED, DH, Answer, Answers
+from gateway.newcell.nodes import Address, Read, SeenNode, addresses, of_axes
+from gateway.newcell.offers import Axes
+
+DEFAULT_BUS = "socketcan:can0"
+
+
+class Eyes(Protocol):
+    """Looks at drives and files of drives."""
+
+    def nodes(self, spec: BusSpec) -> tuple[SeenNode, ...]:
+        """Drives on a bus."""
+        ...
+
+    def values(self, spec: BusSpec, wanted: Mapping[int, Mapping[Address, str]]) -> dict[int, dict[Address, Read]]:
+        """Objects of some nodes."""
+        ...
+
+    def files(self, paths: Sequence[Path]) -> tuple[SeenNode, ...]:
+        """Devices of EDS and DCF files."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """Everything that a cell file says, before it is text.
+
+    Attributes
+    ----------
+    answers : Answers
+    robot : Robot
+    urdf : str or None
+        Path of the URDF; None = Denavit-Hartenberg rows.
+    bus : BusSpec
+    nodes : list of SeenNode or None
+        Device of each axis; None = not seen.
+    profiles : tuple of DriveProfile
+    remarks : tuple of str
+        What was seen and does not fit together.
+    looked : bool
+        The bus was looked at.
+    """
+
+    answers: Answers
+    robot: Robot
+    urdf: str | None
+    bus: BusSpec
+    nodes: list[SeenNode | None]
+    profiles: tuple[DriveProfile, ...]
+    remarks: tuple[str, ...]
+    looked: bool
+
+
+def interview(answers: Answers, eyes: Eyes, name: str, tell: Callable[[str], None]) -> Draft:
+    """Settle everything that a cell file needs.
+
+    Parameters
+    ----------
+    answers : Answers
+    eyes : Eyes
+    name : str
+        Of the cell, where nobody gives another.
+    tell : callable
+        Called with what was found, while it goes on.
+
+    Raises
+    ------
+    ConfigError
+        An answer of the wrong form or a missing one, a robot or profile that cannot be used.
+    DriveError
+        Bus or drive.
+    """
+    answers.settle([(questions.NAME, Answer(name, "name of the file")), (questions.ROBOT, None)])
+    robot, urdf = _robot(answers, name)
+    tell(f"{robot.name}: {robot.axes} axes")
+    spec = _bus(answers)
+    looked = not answers.value(questions.OFFLINE)
+    on_bus = eyes.nodes(spec) if looked else ()
+    in_files = eyes.files([Path(path) for path in answers.value(questions.EDS)])
+    for node in (*on_bus, *in_files):
+        tell(f"{node.name}: {_who(node)}")
+    axes, nodes = _drives(answers, robot, eyes if looked else None, (spec, on_bus, in_files))
+    _gears(answers, axes)
+    axes = Axes(axes.nodes, axes.profiles, answers.value(questions.GEAR_RATIO))
+    _limits(answers, robot, axes)
+    remarks = (
+        *_strangers(on_bus, in_files, answers.value(questions.NODES)),
+        *_own_gears(nodes),
+        *_obstacles(axes.profiles),
+    )
+    return Draft(answers, robot, urdf, spec, nodes, tuple(axes.profiles), remarks, looked)
+
+
+def _who(node: SeenNode) -> str:
+    who = node.identity
+    numbers = ", ".join(
+        f"{what} 0x{value:X}"
+        for what, value in (("vendor", who.vendor_id), ("product", who.product_code), ("serial", who.serial_number))
+        if value is not None
+    )
+    fits = ", ".join(node.profiles) or "none"
+    return f"{who.name or 'drive'} ({numbers}); profiles that fit: {fits}"
+
+
+def _robot(answers: Answers, name: str) -> tuple[Robot, str | None]:
+    """Robot model and the path of its URDF."""
+    said = answers.value(questions.ROBOT)
+    if said == DH:
+        answers.settle([(question, None) for question in (questions.DH_CONVENTION, *questions.DH_ROWS)])
+        return robot_from_dh(dh_table(answers), name), None
+    path = Path(said)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}; name a URDF, or write dh for its rows") from error
+    return robot_from_urdf(text, str(path)), str(path.resolve())
+
+
+def dh_table(answers: Answers) -> DhTable:
+    """Denavit-Hartenberg rows that were answered; columns of different length are refused.
+
+    Raises
+    ------
+    ConfigError
+    """
+    columns = {question.key.removeprefix("dh_"): answers.value(question) for question in questions.DH_ROWS}
+    lengths = {len(column) for column in columns.values()}
+    if len(lengths) != 1:
+        counts = ", ".join(f"dh_{key} {len(column)}" for key, column in columns.items())
+        raise ConfigError(f"Denavit-Hartenberg rows of different length ({counts}): write one number per axis in each")
+    return DhTable.model_validate({"convention": answers.value(questions.DH_CONVENTION), **columns})
+
+
+def _bus(answers: Answers) -> BusSpec:
+    answers.settle(
+        [
+            (questions.OFFLINE, Answer(False, "the bus is looked at")),
+            (questions.EDS, Answer((), "none given")),
+            (questions.BUS, Answer(DEFAULT_BUS, f"{ASSUMED}: the first adapter")),
+            (questions.SYNC_PERIOD, Answer(0.01, "six drives at 1 Mbit/s")),
+            (questions.PACING, Answer("real", "by the clock")),
+            (questions.POSES, Answer({}, "as the cell file has them")),
+        ]
+    )
+    return BusSpec.parse(answers.value(questions.BUS))
+
+
+def _drives(
+    answers: Answers,
+    robot: Robot,
+    eyes: Eyes | None,
+    seen: tuple[BusSpec, Sequence[SeenNode], Sequence[SeenNode]],
+) -> tuple[Axes, list[SeenNode | None]]:
+    """Node ids, profiles, and what the devices say of themselves."""
+    spec, on_bus, in_files = seen
+    order = offers.stored_order(in_files, robot.axes) or offers.node_order(on_bus, robot.axes)
+    answers.settle([(questions.NODES, order)], robot.axes)
+    ids: tuple[int, ...] = answers.value(questions.NODES)
+    _alone(ids)
+    nodes = of_axes(ids, on_bus, in_files)
+    answers.settle([(questions.PROFILE, offers.profile_names(nodes))], robot.axes)
+    profiles = [find_profile(name, Path()) for name in answers.value(questions.PROFILE)]
+    if eyes is not None:
+        present = {node.node_id for node in on_bus}
+        wanted = {node_id: addresses([profiles[axis]]) for axis, node_id in enumerate(ids) if node_id in present}
+        values = eyes.values(spec, wanted)
+        live = [_with_values(node, values.get(node.node_id or 0, {})) for node in on_bus]
+        nodes = of_axes(ids, live, in_files)
+    return Axes(nodes, profiles), nodes
+
+
+def _alone(ids: Sequence[int]) -> None:
+    twice = sorted({node for node in ids if ids.count(node) > 1})
+    if twice:
+        raise ConfigError(f"nodes: node id {twice[0]} is given to more than one axis; each drive has its own")
+
+
+def _with_values(node: SeenNode, values: Mapping[Address, Read]) -> SeenNode:
+    return SeenNode(node.node_id, node.identity, values, node.profiles, node.name)
+
+
+def _gears(answers: Answers, axes: Axes) -> None:
+    """What stands between motor and joint."""
+    count = len(axes.profiles)
+    constant = offers.torque_constant(axes)
+    if constant is None and not any(profile.needs_torque_constant for profile in axes.profiles):
+        constant = offers.everywhere(1.0, count, "not used, the drives report torque")
+    answers.settle(
+        [
+            (questions.GEAR_RATIO, offers.gear_ratio(axes)),
+            (questions.GEAR_EFFICIENCY, offers.everywhere(offers.GEAR_EFFICIENCY, count, "an ordinary robot gear")),
+            (questions.TORQUE_CONSTANT, constant),
+            (questions.POSITION_SIGN, offers.everywhere(1, count, "drive and joint turn alike")),
+            (questions.TORQUE_SIGN, offers.everywhere(1, count, "drive and joint turn alike")),
+            (questions.ZERO_OFFSET, offers.everywhere(0.0, count, "the drives' zero is the robot's")),
+        ],
+        count,
+    )
+
+
+def _limits(answers: Answers, robot: Robot, axes: Axes) -> None:
+    """What the arm may do, how it stands, what it carries."""
+    sign, zero_rad = answers.value(questions.POSITION_SIGN), answers.value(questions.ZERO_OFFSET)
+    answers.settle(
+        [
+            (questions.POSITION_LIMIT, offers.position_limits(robot, axes, sign, zero_rad)),
+            (questions.SPEED_LIMIT, offers.speed_limits(robot, axes)),
+            (questions.TORQUE_LIMIT, offers.torque_limits(robot, axes)),
+            (questions.INERTIALS, offers.inertials(robot)),
+            (questions.MOUNTING, Answer((0.0, 0.0, -9.80665), f"{ASSUMED}: it stands on the floor")),
+            (questions.FLANGE, Answer((), f"{ASSUMED}: results in the last link alone")),
+            (questions.FLANGE_TURN, Answer((0.0, 0.0, 0.0), "not turned")),
+            (questions.MAX_LOAD, Answer(None, f"{ASSUMED}: half of each torque limit is kept for it")),
+        ],
+        robot.axes,
+    )
+
+
+def _strangers(on_bus: Sequence[SeenNode], in_files: Sequence[SeenNode], ids: Sequence[int]) -> list[str]:
+    """Nodes that are wanted and absent, or there and not wanted; files of another device."""
+    remarks: list[str] = []
+    if on_bus:
+        there = {node.node_id for node in on_bus}
+        remarks += [
+            f"node {node}: nobody answers; check power, node id and cabling" for node in ids if node not in there
+        ]
+        remarks += [f"{node.name}: on the bus, and no axis of this arm" for node in on_bus if node.node_id not in ids]
+    for node, sheet in zip(of_axes(ids, on_bus, ()), of_axes(ids, (), in_files), strict=True):
+        if node is None or sheet is None:
+            continue
+        for what in ("vendor_id", "product_code"):
+            live, stated = getattr(node.identity, what), getattr(sheet.identity, what)
+            if None not in (live, stated) and live != stated:
+                words = what.replace("_", " ")
+                remarks.append(f"{sheet.name} is of another device: {words} 0x{stated:X}, {node.name} has 0x{live:X}")
+    return remarks
+
+
+def _obstacles(profiles: Sequence[DriveProfile]) -> list[str]:
+    """Profiles that are read and refuse motion."""
+    told = {profile.name: profile.obstacles for profile in profiles}
+    return [f"profile {name} refuses motion: {obstacle}" for name, found in told.items() for obstacle in found]
+
+
+def _own_gears(nodes: Sequence[SeenNode | None]) -> list[str]:
+    """Drives that divide by a gear ratio of their own: `check` refuses them."""
+    remarks: list[str] = []
+    for node in nodes:
+        motor = None if node is None else node.read("gear_motor_revolutions")
+        shaft = None if node is None else node.read("gear_shaft_revolutions")
+        if node is not None and motor is not None and shaft is not None and motor.value != shaft.value:
+            remarks.append(f"{node.name}: 0x6091 is {motor.value}:{shaft.value}; set it to 1:1, the cell has the ratio")
+    return remarks

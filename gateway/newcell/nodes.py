@@ -1,0 +1,150 @@
+"""What a drive, or the file of its device, says of itself: values with their origin, and what follows from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from drives.objects import OBJECTS
+from drives.profile import Constant, DriveProfile, ObjectReference, Signal
+from drives.values import Identity
+
+Address = tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Read:
+    """Value of an object and where it was read."""
+
+    value: int
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class SeenNode:
+    """One device.
+
+    Attributes
+    ----------
+    node_id : int or None
+        None = a file that names none.
+    identity : Identity
+    values : mapping of (index, subindex) to Read
+    profiles : tuple of str
+        Packaged profiles that fit, those that name its maker first.
+    name : str
+        How messages call it: `node 11`, `j1.eds`.
+    """
+
+    node_id: int | None
+    identity: Identity
+    values: Mapping[Address, Read]
+    profiles: tuple[str, ...]
+    name: str
+
+    def read(self, name: str) -> Read | None:
+        """Value of a standard object."""
+        return self.values.get(OBJECTS[name].address)
+
+
+def of_axes(nodes: Sequence[int], on_bus: Sequence[SeenNode], in_files: Sequence[SeenNode]) -> list[SeenNode | None]:
+    """What is known of the device of each axis; what the bus says goes before what a file says.
+
+    A file belongs to an axis by its node id, else by its place in a list of as many files as axes, else it is the only
+    one.
+    """
+    by_id = {node.node_id: node for node in on_bus}
+    found: list[SeenNode | None] = []
+    for axis, node_id in enumerate(nodes):
+        live, sheet = by_id.get(node_id), _file_of(axis, node_id, len(nodes), in_files)
+        if live is not None and sheet is not None:
+            values = {**sheet.values, **live.values}
+            found.append(replace(live, values=values))
+        else:
+            found.append(live or sheet)
+    return found
+
+
+def _file_of(axis: int, node_id: int, axes: int, in_files: Sequence[SeenNode]) -> SeenNode | None:
+    stated = [sheet for sheet in in_files if sheet.node_id is not None]
+    for sheet in stated:
+        if sheet.node_id == node_id:
+            return sheet
+    if stated or not in_files:
+        return None
+    if len(in_files) == axes:
+        return in_files[axis]
+    return in_files[0] if len(in_files) == 1 else None
+
+
+def rated_torque_nm(profile: DriveProfile, node: SeenNode) -> float | None:
+    """Rated torque [Nm] by the profile's arithmetic; None where the profile has none or the device does not say."""
+    rated = [
+        signal.rated
+        for signal in (profile.torque, profile.torque_offset)
+        if signal is not None and signal.kind == "permille_rated_torque"
+    ]
+    for each in rated:
+        if each is not None:
+            value = each.value if each.object is None else _scaled(node, each.object, each.unit)
+            if value:
+                return value
+    return None
+
+
+def rated_current_a(profile: DriveProfile, node: SeenNode) -> float | None:
+    """Rated current [A], in the ampere that the torque constant refers to; None as `rated_torque_nm`."""
+    for signal in (profile.torque, profile.current):
+        if isinstance(signal, Signal) and signal.kind == "permille_rated_current" and signal.rated is not None:
+            rated = signal.rated
+            value = rated.value if rated.object is None else _scaled(node, rated.object, rated.unit)
+            if value:
+                return value * signal.current_factor
+    return None
+
+
+def _scaled(node: SeenNode, where: ObjectReference, unit: float | None) -> float | None:
+    read = node.values.get((where.index, where.subindex))
+    return None if read is None or unit is None or read.value <= 0 else read.value * unit
+
+
+def counts_per_turn(profile: DriveProfile, node: SeenNode) -> float | None:
+    """Position counts of one motor revolution; None where the device does not say."""
+    counts = profile.position.counts_per_revolution
+    if isinstance(counts, Constant):
+        return counts.value
+    turn = _scaled(node, counts.object, 1.0)
+    per = 1.0 if counts.per is None else _scaled(node, counts.per, 1.0)
+    return None if turn is None or per is None else turn / per
+
+
+def addresses(profiles: Sequence[DriveProfile]) -> dict[Address, str]:
+    """Objects that are worth reading, with their types: the standard's, and those that profiles name."""
+    found = {OBJECTS[name].address: OBJECTS[name].type for name in STANDARD}
+    for profile in profiles:
+        for part in (profile.torque, profile.current, profile.torque_offset):
+            rated = None if part is None else part.rated
+            if rated is not None and rated.object is not None:
+                found[rated.object.index, rated.object.subindex] = rated.object.type
+        counts = profile.position.counts_per_revolution
+        if not isinstance(counts, Constant):
+            for entry in (counts.object, counts.per):
+                if entry is not None:
+                    found[entry.index, entry.subindex] = entry.type
+    return found
+
+
+STANDARD = (
+    "rated_current",
+    "rated_torque",
+    "max_torque",
+    "home_offset",
+    "polarity",
+    "position_limit_min",
+    "position_limit_max",
+    "max_motor_speed",
+    "encoder_increments",
+    "encoder_revolutions",
+    "gear_motor_revolutions",
+    "gear_shaft_revolutions",
+)

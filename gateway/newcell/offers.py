@@ -1,0 +1,181 @@
+"""What is offered where nobody answers: read from the arm's description or its drives, else a guess that says so."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drives.profile import DriveProfile
+from gateway.identify.links import default_inertials
+from gateway.model.robot import Robot
+from gateway.newcell.answers import ASSUMED, Answer
+from gateway.newcell.nodes import SeenNode, counts_per_turn, rated_current_a, rated_torque_nm
+
+#: Of a gear whose data sheet nobody has read: harmonic and cycloidal gears at their rated torque have 0.65 to 0.9.
+GEAR_EFFICIENCY = 0.8
+#: Slow enough for an arm that moves for the first time [rad/s].
+FIRST_SPEED_RAD_S = 0.5
+#: 0x607E: the sign of positions is turned round in the drive.
+_POSITION_REVERSED = 0x80
+
+
+@dataclass(frozen=True, slots=True)
+class Axes:
+    """The axes as far as they are known: device and profile of each, gear ratios."""
+
+    nodes: Sequence[SeenNode | None]
+    profiles: Sequence[DriveProfile]
+    ratio: Sequence[float] = ()
+
+
+def node_order(seen: Sequence[SeenNode], axes: int) -> Answer | None:
+    """Node ids in ascending order, where there are as many as axes."""
+    ids = sorted(node.node_id for node in seen if node.node_id is not None)
+    return Answer(tuple(ids), f"{ASSUMED}: ascending from the base") if len(ids) == axes else None
+
+
+def stored_order(in_files: Sequence[SeenNode], axes: int) -> Answer | None:
+    """Node ids of the DCF files, in the order of the files."""
+    ids = tuple(node.node_id for node in in_files if node.node_id is not None)
+    names = ", ".join(node.name for node in in_files)
+    return Answer(ids, f"read from {names}") if len(ids) == len(in_files) == axes else None
+
+
+def profile_names(nodes: Sequence[SeenNode | None]) -> Answer | None:
+    """Profile of each device: read where it names maker and product, a guess where only a general one fits."""
+    if any(node is None or not node.profiles for node in nodes):
+        return None
+    names = tuple(node.profiles[0] for node in nodes if node is not None)
+    sure = all(node is not None and node.identity.vendor_id is not None and _names_maker(node) for node in nodes)
+    return Answer(names, "read from drive, 0x1018" if sure else f"{ASSUMED}: no profile names this maker")
+
+
+def _names_maker(node: SeenNode) -> bool:
+    return not node.profiles[0].startswith("generic")
+
+
+def gear_ratio(axes: Axes) -> Answer | None:
+    """Ratio that the drives themselves reckon with (0x6091), where it is not 1:1."""
+    ratios: list[float] = []
+    for node in axes.nodes:
+        motor = None if node is None else node.read("gear_motor_revolutions")
+        shaft = None if node is None else node.read("gear_shaft_revolutions")
+        if motor is None or shaft is None or shaft.value <= 0 or motor.value == shaft.value:
+            return None
+        ratios.append(motor.value / shaft.value)
+    return Answer(tuple(ratios), "read from drive, 0x6091")
+
+
+def torque_constant(axes: Axes) -> Answer | None:
+    """Rated torque over rated current: right as far as both are of the motor, which an engineer has to know."""
+    found: list[float] = []
+    for node, profile in zip(axes.nodes, axes.profiles, strict=True):
+        torque = None if node is None else rated_torque_nm(profile, node)
+        current = None if node is None else rated_current_a(profile, node)
+        if torque is None or current is None:
+            return None
+        found.append(torque / current)
+    return Answer(tuple(found), f"{ASSUMED}: rated torque over rated current of the drive")
+
+
+def position_limits(robot: Robot, axes: Axes, sign: Sequence[float], zero_rad: Sequence[float]) -> Answer | None:
+    """Ranges of the URDF, narrowed by those that the drives keep; None where neither gives an axis one."""
+    found: list[tuple[float, float]] = []
+    sources: list[str] = []
+    for joint in range(robot.axes):
+        low, high = float(robot.lower_rad[joint]), float(robot.upper_rad[joint])
+        own = _drive_range_rad(axes, joint, sign[joint], zero_rad[joint])
+        narrowed = (low, high) if own is None else (max(low, own[0]), min(high, own[1]))
+        if not narrowed[0] < narrowed[1]:
+            narrowed, own = (low, high), None
+        if not (math.isfinite(narrowed[0]) and math.isfinite(narrowed[1])):
+            return None
+        found.append(narrowed)
+        sources.append("URDF" if own is None or narrowed == (low, high) else "URDF and drive, 0x607D")
+    source = "URDF and drive, 0x607D" if "URDF and drive, 0x607D" in sources else "URDF"
+    return Answer(tuple(found), source)
+
+
+def _drive_range_rad(axes: Axes, joint: int, sign: float, zero_rad: float) -> tuple[float, float] | None:
+    """Joint range that the drive keeps (0x607D); None where it has none or its meaning is not certain."""
+    node, profile, ratio = axes.nodes[joint], axes.profiles[joint], axes.ratio[joint]
+    low, high = (None, None) if node is None else (node.read("position_limit_min"), node.read("position_limit_max"))
+    if node is None or low is None or high is None or not low.value < high.value:
+        return None
+    if low.source.startswith(ASSUMED) or _shifted(node):
+        return None
+    counts = counts_per_turn(profile, node)
+    if counts is None:
+        return None
+    ends = [zero_rad + sign / ratio * 2.0 * math.pi * end.value / counts for end in (low, high)]
+    # inside the drive's own range, so that a stop which begins at the limit ends before the drive faults
+    margin = min(0.05, 0.01 * abs(ends[1] - ends[0]))
+    return _rounded(min(ends) + margin), _rounded(max(ends) - margin)
+
+
+def _shifted(node: SeenNode) -> bool:
+    home, polarity = node.read("home_offset"), node.read("polarity")
+    return bool(home and home.value) or bool(polarity and polarity.value & _POSITION_REVERSED)
+
+
+def speed_limits(robot: Robot, axes: Axes) -> Answer:
+    """Slow for a first motion, and not beyond what robot and motors allow."""
+    found: list[float] = []
+    for joint in range(robot.axes):
+        bounds = [FIRST_SPEED_RAD_S]
+        if math.isfinite(robot.velocity_rad_s[joint]):
+            bounds.append(float(robot.velocity_rad_s[joint]))
+        node = axes.nodes[joint]
+        motor = None if node is None else node.read("max_motor_speed")
+        if motor is not None and motor.value > 0:
+            bounds.append(_rounded(motor.value * math.pi / 30.0 / abs(axes.ratio[joint])))
+        found.append(min(bounds))
+    return Answer(tuple(found), f"{ASSUMED}: slow for a first motion, at most {FIRST_SPEED_RAD_S:g} rad/s")
+
+
+def torque_limits(robot: Robot, axes: Axes) -> Answer | None:
+    """Efforts of the URDF, at most what the drives give (0x6072); without efforts what the drives give."""
+    found: list[float] = []
+    for joint in range(robot.axes):
+        bounds = [float(robot.effort_nm[joint])] if math.isfinite(robot.effort_nm[joint]) else []
+        most = _drive_torque_nm(axes, joint)
+        if most is not None:
+            bounds.append(most)
+        if not bounds:
+            return None
+        found.append(min(bounds))
+    if np.isfinite(robot.effort_nm).all():
+        return Answer(tuple(found), "URDF" if tuple(found) == tuple(robot.effort_nm) else "URDF and drive, 0x6072")
+    return Answer(tuple(found), f"{ASSUMED}: what the drive allows (0x6076, 0x6072) times the gear ratio")
+
+
+def _drive_torque_nm(axes: Axes, joint: int) -> float | None:
+    """Torque at the joint that the drive allows: rated torque x 0x6072 x gear ratio."""
+    node, profile = axes.nodes[joint], axes.profiles[joint]
+    limit = None if node is None else node.read("max_torque")
+    rated = None if node is None else rated_torque_nm(profile, node)
+    if limit is None or rated is None or limit.value <= 0:
+        return None
+    return _rounded(rated * limit.value / 1000.0 * abs(axes.ratio[joint]))
+
+
+def _rounded(value: float) -> float:
+    """To four digits, towards zero: never beyond what it was reckoned from."""
+    if value == 0.0:
+        return value
+    step = 10.0 ** (math.floor(math.log10(abs(value))) - 3)
+    return math.trunc(value / step) * step
+
+
+def inertials(robot: Robot) -> Answer:
+    """Trust of the description's masses."""
+    what = default_inertials(robot)
+    return Answer(what, "no masses in the description" if what == "ignore" else f"{ASSUMED}: masses of a maker's URDF")
+
+
+def everywhere(value: object, axes: int, why: str) -> Answer:
+    """The same guess for all axes."""
+    return Answer((value,) * axes, f"{ASSUMED}: {why}")

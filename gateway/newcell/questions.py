@@ -1,0 +1,235 @@
+"""What a cell file needs and nobody can read: each question with its form, and how an engineer finds the answer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from gateway.newcell.forms import (
+    NOT_ZERO,
+    POSITIVE,
+    SHARE,
+    SIGN,
+    Form,
+    choice,
+    flag,
+    node_ids,
+    number_or_none,
+    numbers,
+    one_number,
+    pairs,
+    per_axis,
+    place,
+    table,
+    text,
+    words,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """One thing to be known.
+
+    Attributes
+    ----------
+    key : str
+        In answer files.
+    asks : str
+        What is asked.
+    how : str
+        Where the answer stands, or how it is found out.
+    form : Form
+        What an answer looks like.
+    """
+
+    key: str
+    asks: str
+    how: str
+    form: Form
+
+
+ROBOT: Final = Question(
+    "robot",
+    "URDF of the arm, or dh for Denavit-Hartenberg rows",
+    "the maker's ROS package has a URDF (`xacro robot.urdf.xacro > robot.urdf`); the rows stand in the manual",
+    text(),
+)
+DH_CONVENTION: Final = Question(
+    "dh_convention",
+    "convention of the rows: modified (Craig) or standard (Paul)",
+    "modified where alpha and a of a row belong to the link before its joint, standard where to the one behind it",
+    choice("modified", "standard"),
+)
+DH_ROWS: Final = tuple(
+    Question(f"dh_{column}", f"{what}, base to flange", "the table of link parameters in the manual", numbers())
+    for column, what in (
+        ("alpha_rad", "twists alpha [rad]"),
+        ("a_m", "lengths a [m]"),
+        ("d_m", "offsets d [m]"),
+        ("theta_offset_rad", "angles theta [rad] at q = 0"),
+    )
+)
+BUS: Final = Question(
+    "bus",
+    "bus of the drives, INTERFACE:CHANNEL[,key=value], such as socketcan:can0 or pcan:PCAN_USBBUS1,bitrate=500000",
+    "python-can's name of the adapter; the bit rate is set in the drives",
+    text(),
+)
+NODES: Final = Question(
+    "nodes",
+    "node ids from the base to the flange",
+    "DIP switch or label of each drive; `check --move` sees an order that is wrong",
+    node_ids(),
+)
+PROFILE: Final = Question(
+    "profile",
+    "drive profile: a name of `profiles list` or a TOML file, one for all or one per axis",
+    "`servo-gateway profiles list`; for a drive that is not there `servo-gateway profiles new --eds FILE -o FILE.toml`",
+    words(),
+)
+GEAR_RATIO: Final = Question(
+    "gear_ratio",
+    "gear ratio, motor turns per joint turn, negative where it turns the sense; one for all or one per axis",
+    "data sheet or plate of the gear; `check --move` compares it with gravity and the drives' speeds",
+    per_axis(NOT_ZERO),
+)
+GEAR_EFFICIENCY: Final = Question(
+    "gear_efficiency",
+    "gear efficiency, 0 to 1; one for all or one per axis",
+    "data sheet of the gear at the torques of the arm",
+    per_axis(SHARE),
+)
+TORQUE_CONSTANT: Final = Question(
+    "torque_constant_nm_per_a",
+    "torque constant of the motor [Nm/A], per ampere (rms or peak) as the profile states; one for all or one per axis",
+    "data sheet of the motor; for peak amperes it is the rms value over 1.414",
+    per_axis(POSITIVE),
+)
+POSITION_SIGN: Final = Question(
+    "position_sign",
+    "sign of the drives' position against the joint, 1 or -1; one for all or one per axis",
+    "`check --move` says which are turned round",
+    per_axis(SIGN),
+)
+TORQUE_SIGN: Final = Question(
+    "torque_sign",
+    "sign of the drives' torque against the joint, 1 or -1; one for all or one per axis",
+    "`check --move` says which are turned round",
+    per_axis(SIGN),
+)
+ZERO_OFFSET: Final = Question(
+    "zero_offset_rad",
+    "joint angle [rad] at which each drive's position is zero; one for all or one per axis",
+    "the calibration sheet of the arm, or the angle shown by its old controller while the drives show zero",
+    per_axis(),
+)
+POSITION_LIMIT: Final = Question(
+    "position_limit_rad",
+    "lowest and highest joint angle [rad]; one pair for all or one per axis, such as [[-2.9, 2.9], [-1.5, 2.0]]",
+    "the manual's working range, a little inside the hard stops",
+    pairs(),
+)
+SPEED_LIMIT: Final = Question(
+    "speed_limit_rad_s",
+    "fastest that each joint may turn [rad/s]; one for all or one per axis",
+    "slow is enough: a load is measured at rest",
+    per_axis(POSITIVE),
+)
+TORQUE_LIMIT: Final = Question(
+    "torque_limit_nm",
+    "largest torque at each joint [Nm]; one for all or one per axis",
+    "data sheet of the gear, or rated torque of the motor times gear ratio",
+    per_axis(POSITIVE),
+)
+INERTIALS: Final = Question(
+    "inertials",
+    "trust of the URDF's masses: exact, ignore, or prior:S with S their relative deviation",
+    "prior:0.05 for a maker's own URDF, ignore for masses of unknown origin",
+    text(),
+)
+MOUNTING: Final = Question(
+    "mounting",
+    "how the arm is mounted: floor, ceiling, or gravity in its base frame [m/s2], such as [9.80665, 0, 0] on a wall",
+    "the base frame is that of the robot's drawing; z points away from the base plate",
+    place(floor=(0.0, 0.0, -9.80665), ceiling=(0.0, 0.0, 9.80665)),
+)
+FLANGE: Final = Question(
+    "flange_xyz_m",
+    "flange in the last link, x, y, z [m], or none",
+    "the drawing of the wrist; without it results are in the last link alone",
+    place(none=()),
+)
+FLANGE_TURN: Final = Question(
+    "flange_rpy_rad", "turn of the flange in the last link [rad]", "the drawing of the wrist", place()
+)
+MAX_LOAD: Final = Question(
+    "max_load_kg",
+    "heaviest load that will hang on the flange [kg], or none",
+    "data sheet of the arm; without it half of each torque limit is kept for the load",
+    number_or_none(POSITIVE),
+)
+NAME: Final = Question("name", "name of the cell", "", text())
+SYNC_PERIOD: Final = Question(
+    "sync_period_s",
+    "time from SYNC to SYNC [s]",
+    "0.01 suits six drives at 1 Mbit/s; `check` reckons the load of the bus",
+    one_number(POSITIVE),
+)
+PACING: Final = Question("pacing", "real, or lockstep on the simulator", "", choice("real", "lockstep"))
+OFFLINE: Final = Question("offline", "true: no bus is looked at", "", flag())
+EDS: Final = Question(
+    "eds", "EDS or DCF files, one per axis or one for all", "the maker of the drive delivers it", words()
+)
+POSES: Final = Question("poses", "the table [poses] of the cell", "", table())
+
+#: Every key that an answer file may hold.
+ALL: Final = (
+    NAME,
+    ROBOT,
+    DH_CONVENTION,
+    *DH_ROWS,
+    BUS,
+    OFFLINE,
+    EDS,
+    SYNC_PERIOD,
+    PACING,
+    NODES,
+    PROFILE,
+    GEAR_RATIO,
+    GEAR_EFFICIENCY,
+    TORQUE_CONSTANT,
+    POSITION_SIGN,
+    TORQUE_SIGN,
+    ZERO_OFFSET,
+    POSITION_LIMIT,
+    SPEED_LIMIT,
+    TORQUE_LIMIT,
+    INERTIALS,
+    MOUNTING,
+    FLANGE,
+    FLANGE_TURN,
+    MAX_LOAD,
+    POSES,
+)
+#: Answers that may be one for all axes.
+FOR_ALL: Final = tuple(
+    question.key
+    for question in (
+        PROFILE,
+        GEAR_RATIO,
+        GEAR_EFFICIENCY,
+        TORQUE_CONSTANT,
+        POSITION_SIGN,
+        TORQUE_SIGN,
+        ZERO_OFFSET,
+        POSITION_LIMIT,
+        SPEED_LIMIT,
+        TORQUE_LIMIT,
+    )
+)
+#: Answers that are names of files.
+FILES: Final = (ROBOT.key, EDS.key, PROFILE.key)
+
+
+#: Their keys, in order.
+KEYS: Final = tuple(question.key for question in ALL)

@@ -1,0 +1,138 @@
+"""The one place of this room that talks to drives and reads their files; nothing is written to a drive."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from configparser import Error as ConfigParserError
+from configparser import RawConfigParser
+from pathlib import Path
+
+from drives.bus import Bus, BusSpec, open_bus
+from drives.eds import Sheet, read_sheet
+from drives.errors import BusError, SdoAbort
+from drives.objects import SIZE_BYTES, DataType
+from drives.probe import matching_profiles, scan
+from drives.sdo import SdoClient
+from drives.values import Identity
+from gateway.newcell.answers import ASSUMED
+from gateway.newcell.nodes import Address, Read, SeenNode
+
+#: Section of a DCF that says which node a file was stored for, as CiA 306 spells it and as it is spelled otherwise.
+_COMMISSIONING = ("DeviceComissioning", "DeviceCommissioning")
+_DRIVE = 0x0192
+
+
+class BusEyes:
+    """Looks at drives on their bus and at files of drives; nothing is written.
+
+    Parameters
+    ----------
+    listen_s : float
+        How long a drive may take to answer [s].
+    """
+
+    def __init__(self, listen_s: float) -> None:
+        self._listen_s = listen_s
+
+    def nodes(self, spec: BusSpec) -> tuple[SeenNode, ...]:
+        """Drives on a bus."""
+        with open_bus(spec) as bus:
+            found = nodes_on(bus, self._listen_s)
+        if not found:
+            advice = "check power, wiring and bit rate; without a bus write offline = true, or --offline"
+            raise BusError(f"{spec}: no drive answered", advice=advice)
+        return found
+
+    def values(self, spec: BusSpec, wanted: Mapping[int, Mapping[Address, str]]) -> dict[int, dict[Address, Read]]:
+        """Objects of some nodes."""
+        with open_bus(spec) as bus:
+            return {node_id: values_of(bus, node_id, addresses) for node_id, addresses in wanted.items()}
+
+    def files(self, paths: Sequence[Path]) -> tuple[SeenNode, ...]:
+        """Devices of EDS and DCF files."""
+        return nodes_in(paths)
+
+
+def nodes_on(bus: Bus, listen_s: float) -> tuple[SeenNode, ...]:
+    """Drives on a bus, by node id; two devices at one id count as nobody."""
+    return tuple(
+        SeenNode(found.identity.node_id, found.identity, {}, found.profiles, f"node {found.identity.node_id}")
+        for found in scan(bus, listen_s=listen_s)
+        if found.devices == 1 and found.identity.is_drive
+    )
+
+
+def values_of(bus: Bus, node_id: int, addresses: Mapping[Address, str]) -> dict[Address, Read]:
+    """Objects of a node; what it does not have is left out.
+
+    Raises
+    ------
+    SdoError
+        It does not answer, or breaks the protocol.
+    """
+    sdo, found = SdoClient(bus, node_id), dict[Address, Read]()
+    try:
+        for (index, subindex), kind in addresses.items():
+            try:
+                value = sdo.read(index, subindex, kind)
+            except SdoAbort:
+                continue
+            found[index, subindex] = Read(value, f"read from drive, 0x{index:04X}")
+    finally:
+        sdo.close()
+    return found
+
+
+def nodes_in(files: Sequence[Path]) -> tuple[SeenNode, ...]:
+    """Devices of EDS and DCF files, in the order of the files.
+
+    Raises
+    ------
+    ProfileError
+        A file cannot be read, or is none.
+    """
+    return tuple(_node_in(path, read_sheet(path)) for path in files)
+
+
+def _node_in(path: Path, sheet: Sheet) -> SeenNode:
+    node_id = _node_id(path)
+    kind = sheet.value_of(0x1000)
+    identity = Identity(
+        node_id=node_id or 0,
+        device_type=_DRIVE if kind is None else kind,
+        vendor_id=sheet.vendor_id,
+        product_code=sheet.product_code,
+        revision=sheet.revision,
+        serial_number=None,
+        name=sheet.product_name or None,
+        hardware_version=None,
+        software_version=None,
+    )
+    values: dict[Address, Read] = {}
+    for address, entry in sheet.entries.items():
+        kind = sheet.type_of(*address)
+        for value, origin in ((entry.value, "read from"), (entry.default, f"{ASSUMED}: default of")):
+            if kind is not None and isinstance(value, int):
+                values[address] = Read(_signed(value, kind), f"{origin} {path.name}, 0x{address[0]:04X}")
+                break
+    return SeenNode(node_id, identity, values, matching_profiles(identity), path.name)
+
+
+def _signed(value: int, kind: DataType) -> int:
+    """A number below zero that the file spells as its two's complement."""
+    bits = 8 * SIZE_BYTES[kind]
+    return value - (1 << bits) if kind.startswith("i") and value >> (bits - 1) == 1 else value
+
+
+def _node_id(path: Path) -> int | None:
+    """Node id that a DCF was stored for; None where it is an EDS."""
+    parser = RawConfigParser(inline_comment_prefixes=(";",))
+    try:
+        parser.read_string(path.read_bytes().decode("utf-8-sig", errors="replace"))
+        for section in _COMMISSIONING:
+            text = parser.get(section, "NodeID", fallback=None)
+            if text:
+                return int(text, 0) or None
+    except (ConfigParserError, ValueError):
+        return None
+    return None

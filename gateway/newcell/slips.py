@@ -1,0 +1,46 @@
+"""Answers that can only be slips of units: what the cell file refuses is refused where it was typed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import chain
+from typing import Any, Final
+
+from gateway.cell import plausible
+from gateway.cell.plausible import Found
+from gateway.newcell import questions
+
+Check = Callable[[Any], Iterable[Found]]
+
+_CHECKS: Final[Mapping[str, Check]] = {
+    questions.GEAR_RATIO.key: lambda values: map(plausible.ratio, values),
+    questions.POSITION_LIMIT.key: lambda values: (plausible.angles("position_limit_rad", pair) for pair in values),
+    questions.ZERO_OFFSET.key: lambda values: [plausible.angles("zero_offset_rad", values)],
+    questions.SPEED_LIMIT.key: lambda values: (plausible.speed("speed_limit_rad_s", value) for value in values),
+    questions.FLANGE.key: lambda values: [plausible.lengths("flange_xyz_m", values)],
+    questions.FLANGE_TURN.key: lambda values: [plausible.angles("flange_rpy_rad", values, plausible.LARGEST_TURN_RAD)],
+    questions.MOUNTING.key: lambda values: [plausible.gravity(values)],
+    "dh_alpha_rad": lambda values: [plausible.angles("dh_alpha_rad", values)],
+    "dh_theta_offset_rad": lambda values: [plausible.angles("dh_theta_offset_rad", values)],
+    "dh_a_m": lambda values: [plausible.lengths("dh_a_m", values)],
+    "dh_d_m": lambda values: [plausible.lengths("dh_d_m", values)],
+}
+
+
+def slips(key: str, value: Any, ratio: Iterable[float]) -> Iterator[str]:
+    """What is wrong with an answer, and what to write instead; nothing where it may be right.
+
+    Parameters
+    ----------
+    key : str
+        Of the question.
+    value
+        In the form of the question.
+    ratio : iterable of float
+        Gear ratios, as far as they are known: a torque constant is judged by them.
+    """
+    if key == questions.TORQUE_CONSTANT.key:
+        found = [plausible.torque_constant(each, gear) for each, gear in zip(value, ratio, strict=False)]
+    else:
+        found = _CHECKS[key](value) if key in _CHECKS else []
+    yield from (message for _, message in chain.from_iterable(found))

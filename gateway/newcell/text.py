@@ -1,0 +1,179 @@
+"""A draft as a commented cell file, and what is left to find out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+from drives.profile_file import list_profiles
+from gateway.newcell import questions
+from gateway.newcell.answers import UNSOURCED, Answer, toml_value
+from gateway.newcell.interview import Draft, dh_table
+from gateway.newcell.nodes import SeenNode
+
+ARM: Final = "main"
+BUS: Final = "a"
+#: Keys of an axis that carry their source as a table; the others have it as a remark.
+_SOURCED: Final = (questions.TORQUE_CONSTANT, questions.GEAR_RATIO, questions.GEAR_EFFICIENCY)
+_PLAIN: Final = (
+    questions.POSITION_SIGN,
+    questions.TORQUE_SIGN,
+    questions.ZERO_OFFSET,
+    questions.POSITION_LIMIT,
+    questions.SPEED_LIMIT,
+    questions.TORQUE_LIMIT,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Left:
+    """Something that nobody has said yet.
+
+    Attributes
+    ----------
+    key : str
+        In the cell file; "" for what concerns the drives.
+    value : str
+        What the cell says for now.
+    why : str
+        Where that comes from.
+    how : str
+        How it is found out.
+    """
+
+    key: str
+    value: str
+    why: str
+    how: str
+
+
+def left_over(draft: Draft) -> tuple[Left, ...]:
+    """Every guess of a draft, and what was seen that does not fit together."""
+    found: list[Left] = []
+    for question in questions.ALL:
+        answer = draft.answers.taken.get(question.key)
+        if answer is not None and answer.guessed:
+            found.append(Left(question.key, short(answer.value), answer.source, question.how))
+    found += [Left("", "", remark, "") for remark in draft.remarks]
+    return tuple(found)
+
+
+def short(value: Any) -> str:
+    """A value for a table; the same for all axes once."""
+    if isinstance(value, tuple) and value and all(part == value[0] for part in value):
+        return toml_value(value[0])
+    if isinstance(value, tuple):
+        return ", ".join(short(part) if isinstance(part, tuple) else _rounded(part) for part in value) or "none"
+    return "none" if value is None else toml_value(value)
+
+
+def _rounded(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else toml_value(value)
+
+
+def cell_text(draft: Draft, files: Callable[[str], str]) -> str:
+    """Text of the cell file.
+
+    Parameters
+    ----------
+    draft : Draft
+    files : callable
+        Path of a file -> its name from the folder of the cell.
+    """
+    lines = [
+        f"# Cell of {draft.robot.name}, drafted by `servo-gateway cell new`. What is `assumed` nobody has said yet: it",
+        "# is a guess that moves the result or the arm. `servo-gateway check` compares the file with the drives.",
+        f"name = {toml_value(draft.answers.value(questions.NAME))}",
+        "",
+        *_bus(draft),
+        "",
+        *_arm(draft, files),
+    ]
+    for axis in range(draft.robot.axes):
+        lines += ["", *_axis(draft, axis, files)]
+    poses = draft.answers.value(questions.POSES)
+    lines += ["", "[poses]", *(f"{key} = {toml_value(value)}" for key, value in poses.items())]
+    if not poses:
+        lines += ["# count, samples, speed: docs/reference/cell-file.md; what is not written has its default"]
+    return "\n".join(lines) + "\n"
+
+
+def _bus(draft: Draft) -> list[str]:
+    spec, answers = draft.bus, draft.answers
+    lines = [
+        f"[bus.{BUS}]",
+        f"interface = {toml_value(spec.interface)}",
+        f"channel = {toml_value(spec.channel)}",
+        f"bitrate_bit_s = {spec.bitrate_bit_s}",
+        f"sync_period_s = {toml_value(answers.value(questions.SYNC_PERIOD))}",
+        f"pacing = {toml_value(answers.value(questions.PACING))}",
+    ]
+    if spec.options:
+        lines.append(f"options = {toml_value(dict(spec.options))}")
+    return lines
+
+
+def _arm(draft: Draft, files: Callable[[str], str]) -> list[str]:
+    answers = draft.answers
+    lines = ["[[arm]]", f"name = {toml_value(ARM)}", f"bus = {toml_value(BUS)}"]
+    if draft.urdf is not None:
+        lines.append(f"robot = {toml_value(files(draft.urdf))}")
+    lines.append(_line("inertials", answers.taken[questions.INERTIALS.key]))
+    lines.append(_line("gravity_m_s2", answers.taken[questions.MOUNTING.key]))
+    flange, turn = answers.taken[questions.FLANGE.key], answers.value(questions.FLANGE_TURN)
+    if flange.value:
+        lines.append(_line("flange_xyz_m", flange))
+        lines.append(f"flange_rpy_rad = {toml_value(turn)}")
+    else:
+        lines.append(f"# flange_xyz_m = [0, 0, 0.1]   # {flange.source}")
+    load = answers.taken[questions.MAX_LOAD.key]
+    lines.append(f"# max_load_kg = 5   # {load.source}" if load.value is None else _line("max_load_kg", load))
+    if draft.urdf is None:
+        rows = dh_table(answers)
+        lines += ["", "[arm.dh]", f"convention = {toml_value(rows.convention)}"]
+        lines += [
+            f"{key} = {toml_value(getattr(rows, key))}" for key in ("alpha_rad", "a_m", "d_m", "theta_offset_rad")
+        ]
+    return lines
+
+
+def _axis(draft: Draft, axis: int, files: Callable[[str], str]) -> list[str]:
+    answers = draft.answers
+    lines = [
+        "[[arm.axis]]",
+        f"# J{axis + 1}, {draft.robot.joint_names[axis]}: {_device(draft.nodes[axis])}",
+        f"node_id = {answers.value(questions.NODES)[axis]}",
+    ]
+    profile = answers.taken[questions.PROFILE.key]
+    name = profile.value[axis]
+    shown = name if name in list_profiles() else files(name)
+    lines.append(f"profile = {toml_value(shown)}{_remark(profile)}")
+    for question in _SOURCED:
+        answer = answers.taken[question.key]
+        value = toml_value(answer.value[axis])
+        lines.append(f"{question.key} = {{ value = {value}, source = {toml_value(answer.source)} }}")
+    lines += [_line(question.key, _of_axis(answers.taken[question.key], axis)) for question in _PLAIN]
+    return lines
+
+
+def _of_axis(answer: Answer, axis: int) -> Answer:
+    return Answer(answer.value[axis], answer.source)
+
+
+def _line(key: str, answer: Answer) -> str:
+    return f"{key} = {toml_value(answer.value)}{_remark(answer)}"
+
+
+def _remark(answer: Answer) -> str:
+    return "" if answer.source == UNSOURCED else f"   # {answer.source}"
+
+
+def _device(node: SeenNode | None) -> str:
+    if node is None:
+        return "no drive was looked at"
+    who = node.identity
+    parts = [who.name or "drive"]
+    parts += [f"serial 0x{who.serial_number:X}"] if who.serial_number is not None else []
+    parts += [f"firmware {who.software_version}"] if who.software_version else []
+    return ", ".join([node.name, *parts])

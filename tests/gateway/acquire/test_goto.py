@@ -1,0 +1,221 @@
+"""Going somewhere: named postures, a way that is checked all along, and every end of it in the brakes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from drives.errors import DriveFault
+from gateway.acquire.goto import Destination, destination, go, plan_way, remarks
+from gateway.acquire.plan import MoveInwards, MoveTo, inward_steps
+from gateway.acquire.standing import refuse_start, way_out, widened
+from gateway.check.stop import slow_motion
+from gateway.errors import ConfigError, LimitExceeded, PlanRefused, WrongPlace
+from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
+from gateway.motion.stream import MoveOptions
+from tests.around import among_boxes
+
+TARGET = (0.3, -0.2, 0.4, 0.5, -0.4, 0.6)
+PERIOD_S = 0.01
+#: Set points come back in counts of the drives.
+COUNTS_RAD = 1e-4
+LEFT, RIGHT = (-1.2, -0.2, 0.4, 0.0, 0.0, 0.0), (1.2, -0.2, 0.4, 0.0, 0.0, 0.0)
+
+
+def post(workspace):
+    """A post in front of the arm, in the way of a turn of joint 1 from one side to the other."""
+    return among_boxes(workspace, np.array([[[0.45, -0.05, -0.5], [0.6, 0.05, 0.95]]]))
+
+
+@pytest.fixture
+def config(small_cell):
+    return small_cell.cell.arm[0]
+
+
+@pytest.fixture
+def opened(small_cell, config, arm, workspace):
+    def make(pacing="lockstep", room=workspace):
+        return SimpleNamespace(
+            loaded=small_cell,
+            config=config,
+            workspace=room,
+            arm=arm,
+            group=SimpleNamespace(timing=SimpleNamespace(pacing=pacing, period_s=PERIOD_S)),
+        )
+
+    return make
+
+
+def stand(fake, q_rad) -> None:
+    fake.q_rad = fake.target_rad = np.array(q_rad, dtype=float)
+
+
+def to(q_rad) -> Destination:
+    return Destination("there", tuple(q_rad))
+
+
+# --------------------------------------------------------------------------------------------------- named postures
+
+
+def test_home_and_loading_are_those_of_the_cell(config, workspace):
+    named = config.model_copy(update={"home_rad": TARGET, "loading_rad": RIGHT})
+    assert destination(named, workspace, "home").q_rad == TARGET
+    assert destination(named, workspace, "loading").q_rad == RIGHT
+
+
+def test_home_that_nobody_gave_is_the_middle_of_the_joint_ranges_and_said_to_be(config, workspace):
+    nobody = config.model_copy(update={"home_rad": None})
+    found = destination(nobody, workspace, "home")
+    assert found.q_rad == pytest.approx([(low + high) / 2 for low, high in (a.position_limit_rad for a in config.axis)])
+    assert "home_rad is not given" in str(found)
+    wall = among_boxes(workspace, np.array([[[-2.0, -2.0, 0.0], [2.0, 2.0, 2.0]]]))
+    with pytest.raises(ConfigError, match=r"middle of the joint ranges.*keep_out box 1.*write home_rad"):
+        destination(nobody, wall, "home")
+
+
+def test_a_place_for_loads_that_nobody_gave_is_asked_for(config, workspace):
+    with pytest.raises(ConfigError, match="loading_rad is missing"):
+        destination(config.model_copy(update={"loading_rad": None}), workspace, "loading")
+
+
+@pytest.mark.parametrize(
+    ("posture", "says"),
+    [((9.0, 0, 0, 0, 0, 0), "joint 1 outside"), ((1.2, 1.4, 0.4, 0.0, 0.4, 0.0), "in keep_out box 2")],
+)
+def test_a_posture_where_the_arm_may_not_stand_is_refused_with_what_it_would_touch(config, workspace, posture, says):
+    with pytest.raises(PlanRefused, match=says):
+        destination(config, workspace, posture)
+
+
+# ------------------------------------------------------------------------------------------------------------- ways
+
+
+def test_a_free_way_is_straight(opened, fake, workspace):
+    plan = plan_way(opened(), to(TARGET))
+    assert plan.steps == (MoveTo(TARGET),)
+    assert remarks(plan, workspace) == ()
+
+
+def test_a_way_that_is_not_free_goes_round_and_says_what_it_would_touch(opened, fake, workspace):
+    room = post(workspace)
+    stand(fake, LEFT)
+    plan = plan_way(opened(room=room), to(RIGHT))
+    assert len(plan.steps) == 2
+    ends = [np.array(LEFT), *(np.array(step.q_rad) for step in plan.steps)]
+    for begin, end in zip(ends, ends[1:], strict=False):
+        share = np.linspace(0.0, 1.0, 400)[:, None]
+        assert room.feasible((1 - share) * begin + share * end).all()
+    (said,) = remarks(plan, room)
+    assert "in keep_out box 1" in said
+    assert "it goes over" in said
+
+
+def test_where_no_way_is_found_it_says_what_the_straight_one_meets(opened, fake, workspace):
+    wall = among_boxes(workspace, np.array([[[0.25, -0.02, -2.0], [3.0, 0.02, 3.0]]]))
+    pinned = replace(wall, lower_rad=np.array([-1.3, -0.25, 0.35, -0.1, -0.1, -0.1]))
+    pinned = replace(pinned, upper_rad=np.array([1.3, -0.15, 0.45, 0.1, 0.1, 0.1]))
+    stand(fake, LEFT)
+    with pytest.raises(PlanRefused, match=r"straight there, at .*in keep_out box 1.*of your own choice"):
+        plan_way(opened(room=pinned), to(RIGHT))
+    assert fake.log == []
+
+
+@pytest.mark.parametrize("pacing", ["lockstep", "real"])
+def test_the_arm_comes_from_outside_its_range_inwards_and_goes_on(opened, fake, workspace, pacing):
+    stand(fake, (0.0, 0.2, 0.1, workspace.upper_rad[3] + 0.1, 0.3, 0.0))
+    plan = go(opened(pacing), to(TARGET))
+    assert isinstance(plan.steps[0], MoveInwards)
+    assert "joint 4 stands outside its range: it first moves inwards" in remarks(plan, workspace)[0]
+    path = np.array(fake.path)
+    assert (np.diff(path[:, 3]) <= COUNTS_RAD).all(), "never outwards"
+    assert path[-1] == pytest.approx(TARGET, abs=COUNTS_RAD)
+    assert fake.log == ["enable", "disable"]
+
+
+def test_an_arm_inside_a_box_is_not_moved_and_the_way_out_is_named(opened, fake, workspace):
+    stand(fake, (0.0, -0.2, 0.4, 0.0, 0.0, 0.0))
+    room = post(workspace)
+    with pytest.raises(
+        PlanRefused, match=r"in keep_out box 1.*move it clear by hand.*joint [1-6] by [+-].*no command moves it"
+    ) as refused:
+        go(opened(room=room), to(LEFT))
+    assert not isinstance(refused.value, WrongPlace), "no command leads out of there"
+    assert fake.log == []
+    said = way_out(room, fake.q_rad)
+    joint, turn = int(said.split("joint ")[1][0]), float(said.split(" by ")[1].split(" rad")[0])
+    turned = fake.q_rad.copy()
+    turned[joint - 1] += turn
+    assert room.why_not(turned) is None
+    less = fake.q_rad.copy()
+    less[joint - 1] += turn * (1 - 0.02 / abs(turn))
+    assert room.why_not(less) is not None, "the shortest"
+
+
+# ---------------------------------------------------------------------------------------------------- motion and ends
+
+
+@pytest.mark.parametrize("pacing", ["lockstep", "real"])
+def test_it_goes_there_at_its_share_of_the_speed_and_ends_in_the_brakes(opened, fake, workspace, pacing):
+    told = []
+    go(opened(pacing), to(TARGET), (told.append,), MoveOptions(override=0.3))
+    path = np.array(fake.path)
+    assert path[-1] == pytest.approx(TARGET, abs=COUNTS_RAD)
+    speed = np.abs(np.diff(path, axis=0)).max(axis=0) / PERIOD_S
+    assert (speed <= 0.3 * workspace.speed_rad_s + 2 * COUNTS_RAD / PERIOD_S).all()
+    assert fake.log == ["enable", "disable"]
+    assert workspace.feasible(path).all()
+    assert told
+
+
+@pytest.mark.parametrize("pacing", ["lockstep", "real"])
+def test_a_lost_drive_ends_it_as_everywhere_else(opened, fake, pacing):
+    fake.fault_at = 60
+    with pytest.raises(DriveFault):
+        go(opened(pacing), to(TARGET))
+    assert fake.log == ["enable", "quick stop", "disable"]
+
+
+@pytest.mark.parametrize("pacing", ["lockstep", "real"])
+def test_a_person_stops_it_along_its_way(opened, fake, pacing):
+    def asked():
+        if fake.sync_index < 80:
+            return None
+        return StopRequest(StopKind.ALONG_PATH, StoppedByPerson("a person"))
+
+    with pytest.raises(StoppedByPerson):
+        go(opened(pacing), to(TARGET), (), MoveOptions(StopDesk(asked)))
+    assert fake.log == ["enable", "disable"]
+    way = np.array(TARGET)
+    share = fake.q_rad / way
+    assert share.min() > 0.0
+    assert share.max() < 1.0
+    assert share == pytest.approx(share.mean(), abs=1e-3), "on the line"
+
+
+def test_contact_on_the_way_stops_it(opened, fake, workspace):
+    fake.contact_nm = {90: 1.2 * workspace.torque_nm[2]}
+    with pytest.raises(LimitExceeded, match="joint 3 needs"):
+        go(opened(), to(TARGET))
+    assert fake.log == ["enable", "quick stop", "disable"]
+
+
+# ------------------------------------------------------------------------------------- where something may begin
+
+
+def test_what_goes_to_either_side_does_not_begin_outside_the_range(workspace):
+    outside = np.array([0.0, 0.2, 0.1, workspace.upper_rad[3] + 0.1, 0.3, 0.0])
+    with pytest.raises(WrongPlace, match="joint 4 outside") as refused:
+        refuse_start(workspace, outside, "main")
+    assert (refused.value.arm, refused.value.to) == ("main", "home")
+    refuse_start(workspace, np.array(TARGET), "main")
+
+
+def test_the_stop_is_proven_on_the_way_inwards(workspace):
+    outside = np.array([0.0, 0.2, 0.1, workspace.upper_rad[3] + 0.1, 0.3, 0.0])
+    motion = slow_motion("main", workspace, outside, 0.5, PERIOD_S)
+    assert (np.diff(motion.q_rad[:, 3]) < 0).all()
+    assert widened(workspace, outside).feasible(motion.q_rad).all()
+    assert len(inward_steps(workspace, motion.q_rad[-1], "main")) == 1, "still outside, and further in"

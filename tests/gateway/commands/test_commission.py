@@ -1,0 +1,83 @@
+"""Before a load is hung, the arm goes where loads are hung, if the cell says where and the way is free."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gateway.acquire.plan import VisitSettings
+from gateway.commands.commission import Job, _Robot
+from gateway.data.rest_pose import RestPose
+from gateway.motion.stream import MoveOptions
+from tests.around import among_boxes
+
+LOADING = (0.3, 0.5, 0.6, 0.0, 0.4, 0.0)
+POSE = RestPose(1, (-0.3, 0.1, 0.1, 0.1, 0.1, 0.1), "fit")
+
+
+@dataclass
+class Listener:
+    """A person who agrees, and what was done with the arm, in order."""
+
+    done: list[str] = field(default_factory=list)
+    overrides: list[float] = field(default_factory=list)
+
+    def bring(self, _opened, target, options) -> None:
+        self.done.append(str(target))
+        self.overrides.append(options.override)
+
+    def hang(self, label) -> None:
+        self.done.append(f"hang {label}")
+
+    def measure(self, *_arguments) -> None:
+        self.done.append("measure")
+
+    def say(self, text) -> None:
+        self.done.append(text)
+
+
+@pytest.fixture
+def robot(small_cell, workspace, arm, tmp_path):
+    def make(loading, override=1.0, room=workspace) -> tuple[Any, Listener]:
+        config = small_cell.cell.arm[0].model_copy(update={"loading_rad": loading})
+        timing = SimpleNamespace(pacing="lockstep", period_s=0.01)
+        opened: Any = SimpleNamespace(
+            loaded=small_cell, config=config, workspace=room, arm=arm, group=SimpleNamespace(timing=timing)
+        )
+        context: Any = None
+        job = Job(context, config, ("a", "b"), tmp_path / "run.h5", MoveOptions(override=override))
+        listener: Any = Listener()
+        plan: Any = SimpleNamespace(poses=(POSE,), settings=VisitSettings(0.03, 0.05, 2.0, 40, 0.01))
+        return _Robot(job, listener, opened, plan), listener
+
+    return make
+
+
+@pytest.mark.parametrize(("override", "slow"), [(1.0, 0.1), (0.05, 0.05)])
+def test_it_goes_there_slowly_before_each_load_and_not_before_the_bare_arm(robot, override, slow):
+    made, person = robot(LOADING, override)
+    for label in ("none", "a", "b"):
+        made.measure_load(label)
+    there = "where loads are hung, [0.300, 0.500, 0.600, 0.000, 0.400, 0.000] rad"
+    assert person.done == ["measure", there, "hang a", "measure", there, "hang b", "measure"]
+    assert person.overrides == [slow, slow]
+
+
+def test_without_such_a_place_the_load_is_hung_where_the_arm_stands(robot):
+    made, person = robot(None)
+    made.measure_load("a")
+    assert person.done == ["hang a", "measure"]
+
+
+def test_a_way_that_is_not_free_is_told_and_ends_nothing(robot, workspace, fake):
+    wall = among_boxes(workspace, np.array([[[0.4, 0.15, -2.0], [3.0, 0.17, 3.0]]]))
+    tight = replace(wall, lower_rad=np.array([-0.7, -0.1, -0.1, -0.7, -0.7, -0.7]), upper_rad=np.full(6, 0.7))
+    made, person = robot((0.6, 0.5, 0.6, 0.0, 0.4, 0.0), room=tight)
+    made.measure_load("a")
+    assert "the arm stays where it is, and the load is hung there: no way" in person.done[0]
+    assert person.done[1:] == ["hang a", "measure"]
+    assert fake.log == []

@@ -1,0 +1,201 @@
+"""`cell new` without a bus: what is asked, what is offered, what the cell says, what is refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from gateway.cell.config import load_cell
+from gateway.cli import main
+from gateway.model.arm_model import arm_robot
+
+OWN = Path(__file__).parents[3] / "examples" / "own"
+FOUR = Path(__file__).parents[2] / "cells" / "four"
+#: An answer file that leaves nothing out which has to be said.
+ENOUGH = """offline = true
+bus = "socketcan:can0"
+robot = "arm.urdf"
+nodes = [11, 12, 13, 14, 15, 16]
+profile = "generic-cia402"
+gear_ratio = 100
+"""
+DH = """offline = true
+robot = "dh"
+dh_convention = "modified"
+dh_alpha_rad = [0, 1.5708, 0]
+dh_a_m = [0, 0.1, 0.4]
+dh_d_m = [0.3, 0, 0]
+dh_theta_offset_rad = [0, 0, 0]
+nodes = [1, 2, 3]
+profile = "generic-cia402"
+gear_ratio = 100
+position_limit_rad = [[-2.5, 2.5], [-1.5, 1.5], [-2, 2]]
+torque_limit_nm = [200, 200, 100]
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setenv("COLUMNS", "300")
+    shutil.copy(OWN / "arm.urdf", tmp_path / "arm.urdf")
+    return tmp_path
+
+
+def new(folder, *more, **options):
+    words = ["cell", "new", "-o", folder / "cell.toml", *more]
+    return CliRunner().invoke(main, [str(word) for word in words], **options)
+
+
+def with_answers(folder, text, *more):
+    (folder / "answers.toml").write_text(text, encoding="utf-8")
+    return new(folder, "--answers", folder / "answers.toml", *more)
+
+
+def axes_of(folder):
+    (arm,) = load_cell(folder / "cell.toml").cell.arm
+    return arm
+
+
+def test_what_nobody_said_is_assumed_and_named(folder):
+    done = with_answers(folder, ENOUGH, "--json", folder / "out.json")
+    assert done.exit_code == 0, done.output
+    arm = axes_of(folder)
+    assert [axis.node_id for axis in arm.axis] == [11, 12, 13, 14, 15, 16]
+    assert {axis.gear_ratio.value for axis in arm.axis} == {100}
+    assert {axis.gear_efficiency.source for axis in arm.axis} == {"assumed: an ordinary robot gear"}
+    left = {entry["key"]: entry for entry in json.loads((folder / "out.json").read_text())["left"]}
+    for key in ("gear_efficiency", "position_sign", "torque_sign", "zero_offset_rad", "speed_limit_rad_s", "mounting"):
+        assert left[key]["why"].startswith("assumed")
+        assert left[key]["how"]
+        assert key in done.output
+    assert not {"gear_ratio", "nodes", "position_limit_rad", "torque_limit_nm"} & set(left)
+    text = (folder / "cell.toml").read_text(encoding="utf-8")
+    assert "speed_limit_rad_s = 0.5   # assumed: slow for a first motion" in text
+    assert "# J1, turret: no drive was looked at" in text
+
+
+def test_joint_limits_are_those_of_the_urdf(folder):
+    assert with_answers(folder, ENOUGH).exit_code == 0
+    arm = axes_of(folder)
+    assert arm.axis[1].position_limit_rad == (-1.6, 1.9)
+    assert arm.axis[0].torque_limit_nm == 140
+    assert arm_robot(load_cell(folder / "cell.toml"), arm).joint_names[2] == "elbow"
+
+
+def test_rows_without_urdf(folder):
+    assert with_answers(folder, DH).exit_code == 0
+    arm = axes_of(folder)
+    assert arm.dh is not None
+    assert arm.dh.a_m == (0, 0.1, 0.4)
+    assert arm.inertials == "ignore"
+    assert arm_robot(load_cell(folder / "cell.toml"), arm).axes == 3
+
+
+def test_the_answers_of_a_run_give_the_same_cell_again(folder):
+    sourced = ENOUGH.replace("gear_ratio = 100", 'gear_ratio = { value = 100, source = "plate" }\nmounting = "ceiling"')
+    assert with_answers(folder, sourced, "--save-answers", folder / "said" / "saved.toml").exit_code == 0
+    first = (folder / "cell.toml").read_text(encoding="utf-8")
+    assert 'source = "plate"' in first
+    assert "gravity_m_s2 = [0, 0, 9.80665]" in first
+    again = new(folder, "--answers", folder / "said" / "saved.toml", "--force")
+    assert again.exit_code == 0, again.output
+    assert (folder / "cell.toml").read_text(encoding="utf-8") == first
+
+
+def test_a_person_is_asked_for_what_cannot_be_read_and_asked_again(folder):
+    lines = ["1, 2, 3, 4, 5", "11, 12, 13, 14, 15, 16", "generic-cia402", "many", "101; plate", "", "0.12", *[""] * 9]
+    done = new(folder, "--robot", folder / "arm.urdf", "--bus", "socketcan:can0", "--offline", input="\n".join(lines))
+    assert done.exit_code == 0, done.output
+    assert "has 5 numbers and the arm 6 axes" in done.stderr
+    assert "holds 'many', which is no number" in done.stderr
+    arm = axes_of(folder)
+    assert arm.axis[0].gear_ratio.value == 101
+    assert arm.axis[0].gear_ratio.source == "plate"
+    assert arm.axis[5].torque_constant_nm_per_a.value == 0.12
+    assert "position_limit_rad" not in done.stderr
+    assert done.stderr.count("Enter: ") <= 12
+
+
+def test_nobody_at_the_terminal_is_told_how_to_answer(folder):
+    done = new(folder, "--robot", folder / "arm.urdf", "--offline", input="")
+    assert done.exit_code == 3
+    assert "bus: nobody answered; write it into an answer file (--answers FILE), or --answer bus=VALUE" in done.stderr
+
+
+def test_an_option_goes_before_the_file(folder):
+    done = with_answers(folder, ENOUGH, "--answer", "gear_ratio=-80", "--answer", "poses={ count = 5 }")
+    assert done.exit_code == 0, done.output
+    assert axes_of(folder).axis[0].gear_ratio.value == -80
+    assert load_cell(folder / "cell.toml").cell.poses.count == 5
+
+
+def test_nothing_is_replaced_unasked(folder):
+    (folder / "cell.toml").write_text("mine", encoding="utf-8")
+    done = with_answers(folder, ENOUGH)
+    assert done.exit_code == 3
+    assert "is not replaced" in done.stderr
+    assert "--force" in done.stderr
+    assert (folder / "cell.toml").read_text(encoding="utf-8") == "mine"
+    assert with_answers(folder, ENOUGH, "--force").exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new_", "words"),
+    [
+        ("gear_ratio = 100\n", "", "gear_ratio is missing: gear ratio, motor turns per joint turn"),
+        ("gear_ratio = 100", "gear_ratio = [100, 100]", "answers.toml line 6: gear_ratio has 2 values and the arm 6"),
+        ("gear_ratio = 100", "gear_ration = 100", "answers.toml line 6: gear_ration answers no question"),
+        ("gear_ratio = 100", "gear_ratio = 100\ngear_efficiency = 80", "line 7: gear_efficiency holds 80"),
+        ("gear_ratio = 100", "gear_ratio = 0.01", "line 6: gear_ratio must not be 0.01"),
+        ("gear_ratio = 100", "gear_ratio = 100\nposition_limit_rad = [-170, 170]", "these are degrees"),
+        ("gear_ratio = 100", "gear_ratio = 100\ntorque_constant_nm_per_a = 120", "line 7: torque_constant_nm_per_a"),
+        ("gear_ratio = 100", "gear_ratio = 100\nflange_xyz_m = [0, 0, 80]", "these are millimetres"),
+        ("11, 12, 13", "11, 11, 13", "node id 11 is given to more than one axis"),
+        ('"generic-cia402"', '"nobody"', "nobody' cannot be read"),
+        ('"arm.urdf"', '"none.urdf"', "none.urdf: cannot be read"),
+        ('"arm.urdf"', '"dh"', "dh_alpha_rad is missing"),
+        ("offline = true", "offline = 1", "line 1: offline is neither true nor false"),
+        ("offline = true", 'offline = true\neds = "none.eds"', "none.eds"),
+        ("offline = true", "offline = ", "not valid TOML"),
+    ],
+)
+def test_an_answer_that_cannot_be_used_is_named_and_nothing_is_written(folder, old, new_, words):
+    assert old in ENOUGH
+    done = with_answers(folder, ENOUGH.replace(old, new_))
+    assert done.exit_code == 3, done.output
+    assert words in done.stderr
+    assert len(done.stderr.splitlines()) <= 10
+    assert not (folder / "cell.toml").exists()
+
+
+def test_all_that_is_wrong_is_said_at_once(folder):
+    text = ENOUGH.replace("gear_ratio = 100", "gear_efficiency = 2\nposition_sign = 0")
+    done = with_answers(folder, text)
+    assert done.exit_code == 3
+    for words in ("gear_ratio is missing", "gear_efficiency holds 2", "position_sign holds 0"):
+        assert words in done.stderr
+
+
+def test_rows_of_different_length_are_counted(folder):
+    done = with_answers(folder, DH.replace("dh_a_m = [0, 0.1, 0.4]", "dh_a_m = [0, 0.1]"))
+    assert done.exit_code == 3
+    assert "dh_a_m 2" in done.stderr
+
+
+def test_the_schema_knows_every_cell_of_the_examples(folder):
+    jsonschema = pytest.importorskip("jsonschema")
+    import tomllib
+
+    done = CliRunner().invoke(main, ["cell", "schema"])
+    schema = json.loads(done.stdout)
+    for path in sorted(OWN.parent.glob("*/*.toml")):
+        text = path.read_text(encoding="utf-8")
+        if "[[arm]]" in text:
+            jsonschema.validate(tomllib.loads(text), schema)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(tomllib.loads((FOUR / "cell.toml").read_text()) | {"arms": 1}, schema)

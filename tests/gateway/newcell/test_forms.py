@@ -1,0 +1,70 @@
+"""What a typed line and a value of an answer file may look like."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from gateway.newcell import questions
+from gateway.newcell.forms import SHARE, node_ids, number_or_none, pairs, per_axis, place, typed, words
+
+
+@pytest.mark.parametrize(
+    ("line", "value"),
+    [
+        ("101", 101),
+        ("0.8", 0.8),
+        ("[1, 2]", [1, 2]),
+        ("1, -1, 1", [1, -1, 1]),
+        ("[[-1, 1], [0, 2.5]]", [[-1, 1], [0, 2.5]]),
+        ("floor", "floor"),
+        ("socketcan:can0", "socketcan:can0"),
+        ("a.toml, b.toml", ["a.toml", "b.toml"]),
+        ("true", True),
+        ("0x0B, 12", [11, 12]),
+    ],
+)
+def test_a_typed_line_is_what_toml_makes_of_it_or_text(line, value):
+    assert typed(line) == value
+
+
+def test_one_value_counts_for_all_axes():
+    assert per_axis().read(101, 3) == (101.0, 101.0, 101.0)
+    assert per_axis().read([101], 2) == (101.0, 101.0)
+    assert pairs().read([-1, 2], 2) == ((-1.0, 2.0), (-1.0, 2.0))
+    assert words().read("a", 2) == ("a", "a")
+
+
+def test_one_value_for_each_axis():
+    assert per_axis().read([1, 2, 3], 3) == (1.0, 2.0, 3.0)
+    assert pairs().read([[-1, 2], [0, 1]], 2) == ((-1.0, 2.0), (0.0, 1.0))
+    assert [type(part) for part in node_ids().read([11, 12], 2)] == [int, int]
+    assert place(floor=(0, 0, -9.8)).read("floor", 2) == (0, 0, -9.8)
+    assert number_or_none().read("none", 2) is None
+
+
+@pytest.mark.parametrize(
+    ("form", "value", "words"),
+    [
+        (per_axis(), [1, 2], "has 2 values and the arm 3 axes"),
+        (per_axis(), "many", "holds 'many', which is no number"),
+        (per_axis(), math.nan, "which is no number"),
+        (per_axis(SHARE), 80, "holds 80, which is not in 0 to 1"),
+        (per_axis(), True, "which is no number"),
+        (node_ids(), 5, "has 1 numbers and the arm 3 axes"),
+        (node_ids(), [1, 2, 128], "holds 128, which is no node id"),
+        (node_ids(), [1, 2, 2.5], "holds 2.5, which is no node id"),
+        (pairs(), [[-1, 1]], "neither a pair"),
+        (pairs(), [2, 1], "of which the first is not below the second"),
+        (place(floor=(0, 0, -9.8)), "wall", "no list of three numbers or no `floor`"),
+        (words(), 3, "neither a text nor a list of texts"),
+    ],
+)
+def test_a_form_that_is_not_kept_is_said_in_words(form, value, words):
+    with pytest.raises(ValueError, match=words):
+        form.read(value, 3)
+
+
+def test_every_question_has_a_key_of_its_own():
+    assert len(set(questions.KEYS)) == len(questions.KEYS)

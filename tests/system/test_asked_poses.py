@@ -1,0 +1,63 @@
+"""record --pose and --next: what was asked for is measured, from both sides, under numbers that stay."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+pytestmark = pytest.mark.system
+
+POSE, OTHER = "0.1,-0.1,0.1,0.1,-0.1,0.1", "0.15,-0.05,0.15,0.05,-0.15,0.2"
+
+
+def record(gateway, place, drives, *more):
+    return gateway("record", place.cell, "--bus", drives.bus, "--load", "none", "-o", place.run, "--yes", *more)
+
+
+def visits(place):
+    (arm,) = place.recording().arms
+    return sorted((visit.pose, visit.approach) for visit in arm.visits if visit.complete)
+
+
+def asking(place, cell="small", poses=(OTHER,)):
+    """A result that asks for poses."""
+    path = place.folder / f"{cell}-{len(poses)}.json"
+    wanted = [[float(value) for value in pose.split(",")] for pose in poses]
+    seen = [{"pose": 4, "load": "none", "q_rad": [0.0] * 6}]
+    body = {
+        "schema": 1,
+        "robot": "compact10",
+        "loads": [],
+        "next": [{"what": "measure", "poses_rad": wanted}],
+        "data": {"cell": cell, "arm": "main", "poses": seen},
+    }
+    path.write_text(json.dumps(body), encoding="utf-8")
+    return path
+
+
+def test_a_pose_and_what_a_result_asks_for_are_measured(place, gateway, serve):
+    drives = serve()
+    done = record(gateway, place, drives, "--pose", POSE)
+    assert done.exit_code == 0, done.output
+    assert visits(place) == [(1, -1), (1, 1)]
+    more = record(gateway, place, drives, "--next", asking(place), "--resume")
+    assert more.exit_code == 0, more.output
+    assert visits(place) == [(1, -1), (1, 1), (5, -1), (5, 1)]
+    (arm,) = place.recording().arms
+    assert {pose.number: pose.q_rad for pose in arm.poses}[5] == pytest.approx((0.15, -0.05, 0.15, 0.05, -0.15, 0.2))
+    assert drives.stand_still()
+
+
+def test_what_cannot_be_meant_is_refused_before_the_bus_is_opened(place, gateway):
+    nobody = ("record", place.cell, "--bus", "virtual:nobody", "--load", "none", "-o", place.run, "--yes")
+    for more, code, says in (
+        (("--pose", "0.1,0.2"), 2, "has 6 axes"),
+        (("--pose", POSE, "--next", asking(place)), 2, "give one of them"),
+        (("--next", asking(place, cell="other")), 3, "was made on cell 'other', not on 'small'"),
+        (("--next", asking(place, poses=())), 3, "asks for no pose"),
+        (("--pose", "0,0,0,0,2.5,0"), 5, "joint 5 outside"),
+    ):
+        done = gateway(*nobody, *more)
+        assert done.exit_code == code, done.output
+        assert says in " ".join(done.output.split())
