@@ -7,7 +7,7 @@ SIM_STAMP := $(VENV)/.sim-stamp
 PYTHON_OF_VENV := test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || python3 -m venv $(VENV)
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: venv demo test lint docs bench blind blind-nature vcan chaos soak mutants pair pair-full follow clean
+.PHONY: venv demo test lint docs bench blind blind-nature vcan chaos soak mutants pair pair-full follow space pages clean
 
 venv: $(STAMP)
 
@@ -68,12 +68,20 @@ mutants: venv
 follow: venv
 	$(BIN)/python -m benchmarks.follow --out out/follow
 
+# 200 random cells, every planned way looked at by PyBullet: half an hour on an idle machine.
+space: venv
+	$(BIN)/python -m benchmarks.space --out out/space
+
 # Two arms: the numpy tier and two seeds over PyBullet and twelve CAN drives; all rows on ten seeds, with verdicts.
 pair: venv
 	$(BIN)/python -m benchmarks.pair --out out/pair
 
 pair-full: venv
 	$(BIN)/python -m benchmarks.pair --full --out out/pair-full
+
+# Every report page in a headless Chromium, wide, narrow and on paper; apt-get install chromium chromium-driver poppler-utils.
+pages: venv
+	$(BIN)/python -m benchmarks.pages --out out/pages
 
 clean:
 	rm -rf $(VENV) out

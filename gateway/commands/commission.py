@@ -91,6 +91,8 @@ class Job:
     recording : Path
         Where everything measured goes; a file that is there is gone on with.
     options : MoveOptions
+    operator : str or None
+        Who measures.
     """
 
     context: CellContext
@@ -98,6 +100,7 @@ class Job:
     labels: tuple[str, ...]
     recording: Path
     options: MoveOptions = field(default_factory=MoveOptions)
+    operator: str | None = None
 
 
 def commission(job: Job, dialogue: Dialogue) -> Result:
@@ -144,7 +147,7 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
     if not result.effects:
         plain = estimate_run(split_validation(table)[0], about.model, estimate_options(about))
         result = replace(result, method=plain.method, parameters=plain.parameters, bare=plain.bare)
-    return complete(result, about, table, [job.recording])
+    return complete(result, about, table, [job.recording], job.operator)
 
 
 def _check(job: Job, dialogue: Dialogue) -> None:
@@ -234,7 +237,7 @@ class _Robot:
         if unreachable:
             raise PlanRefused(
                 f"arm '{opened.config.name}': no path that keeps the limits leads to pose {unreachable[0].number}; "
-                "open the keep_out boxes or narrow the joint limits"
+                "narrow the joint limits, or say in the cell what is assumed around the arm"
             )
         check_plan(plan, opened.workspace)
         request = RecordRequest(self._load, self._job.recording, resume=True)

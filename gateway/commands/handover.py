@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -10,6 +11,9 @@ from drives.files import replace_file
 from gateway.commands.measure import arm_option
 from gateway.commands.options import common, json_option, one_of, output_option, session_of, write_json
 from gateway.result.export import FORMATS
+
+if TYPE_CHECKING:
+    from gateway.result.result import Result
 
 #: Format of a recording.
 TABLE = "csv"
@@ -24,9 +28,8 @@ RESULT = click.Path(path_type=Path, dir_okay=False)
 def report(result: Path, output: Path, json_out: str | None) -> None:
     """One HTML page from a result: it opens offline and prints on paper."""
     from gateway.report.render import render
-    from gateway.result.result import read_result
 
-    held = read_result(result)
+    held = _whole(result)
     replace_file(output, render(held))
     if json_out:
         write_json(json_out, {"schema": 1, "report": str(output), "robot": held.robot, "verdict": held.verdict})
@@ -47,11 +50,10 @@ def export(result: Path, fmt: str, label: str | None, arm_name: str | None, outp
     """
     from gateway.data.reading import is_recording
     from gateway.result.export import export as export_text
-    from gateway.result.result import read_result
 
     if is_recording(result) != (fmt == TABLE):
         raise click.UsageError(f"--format {TABLE} is of a recording (.h5), every other format of a result (.json)")
-    text = _table(result, arm_name, label) if fmt == TABLE else export_text(read_result(result), fmt, label)
+    text = _table(result, arm_name, label) if fmt == TABLE else export_text(_whole(result), fmt, label)
     if output is None:
         click.echo(text, nl=False)
     else:
@@ -75,3 +77,13 @@ def _table(path: Path, arm_name: str | None, label: str | None) -> str:
             raise InputError(f"{path}: load '{label}' is not in it; it holds {', '.join(recording.loads)}")
         table = table.take(table.load == label)
     return csv_of(table)
+
+
+def _whole(path: Path) -> Result:
+    """A result that was not edited; one of before there were checksums is taken, and named."""
+    from gateway.result.result import read_result
+
+    result = read_result(path)
+    if result.sha256 is None:
+        session_of().note(f"{path}: carries no sha256: whether it was edited since cannot be told")
+    return result

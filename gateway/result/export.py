@@ -22,6 +22,7 @@ from xml.sax.saxutils import quoteattr
 
 from gateway.cell.plausible import LARGEST_LEVER_M
 from gateway.errors import ConfigError, DataUnusable
+from gateway.result.interval import SAID, half_width
 
 if TYPE_CHECKING:
     from gateway.result.drawn import Spread
@@ -155,11 +156,11 @@ def _identifier(label: str) -> str:
 def _accuracy(load: ExportLoad) -> str:
     mass = f"{load.mass_kg:.3f} kg"
     if math.isfinite(load.mass_std_kg):
-        mass += f" +- {load.mass_std_kg:.3f} kg"
+        mass += f" +- {half_width(load.mass_std_kg):.3f} kg"
     if load.com_std_m is None:
-        return f"{mass} (one standard deviation)"
-    x, y, z = (1000 * value for value in load.com_std_m)
-    return f"{mass}, centre of gravity +- {x:.1f} {y:.1f} {z:.1f} mm (one standard deviation)"
+        return f"{mass} ({SAID})"
+    x, y, z = (1000 * half_width(value) for value in load.com_std_m)
+    return f"{mass}, centre of gravity +- {x:.1f} {y:.1f} {z:.1f} mm ({SAID})"
 
 
 def to_urdf(loads: Sequence[ExportLoad], robot: str) -> str:
@@ -273,8 +274,9 @@ def _remark(text: str) -> str:
 
 
 def _short_accuracy(load: ExportLoad) -> str:
-    std = "" if math.isnan(load.mass_std_kg) else f" +- {load.mass_std_kg:.3f}"
-    return f"{load.mass_kg:.3f}{std} kg"
+    half = "" if math.isnan(load.mass_std_kg) else f" +- {half_width(load.mass_std_kg):.3f}"
+    # a remark holds no percent sign
+    return f"{load.mass_kg:.3f}{half} kg ({SAID.replace('%', 'pct')})"
 
 
 def to_yaskawa(loads: Sequence[ExportLoad], robot: str) -> str:
