@@ -376,7 +376,8 @@ class ArmConfig(Strict):
             yield from plausible.angles(name, getattr(self, name), plausible.LARGEST_TURN_RAD)
         for name in ("flange_xyz_m", "base_xyz_m", "tool_xyz_m", "rated_load_com_m", "max_load_com_m"):
             yield from plausible.lengths(name, getattr(self, name))
-        yield from plausible.angles("start_rad", self.start_rad or ())
+        for name in ("start_rad", "home_rad", "loading_rad"):
+            yield from plausible.angles(name, getattr(self, name) or ())
         if self.dh is not None:
             for name in ("alpha_rad", "theta_offset_rad"):
                 for key, what in plausible.angles(name, getattr(self.dh, name), plausible.LARGEST_TURN_RAD):
@@ -391,7 +392,7 @@ class ArmConfig(Strict):
             low, high = axis.position_limit_rad
             if not low <= value <= high:
                 what = f"joint {joint} at {value:g} rad is outside its position_limit_rad [{low:g}, {high:g}]"
-                yield (name,), f"arm '{self.name}': {name} puts {what}"
+                yield (name, joint - 1), f"arm '{self.name}': {name} puts {what}"
 
     def _lengths(self) -> Iterator[tuple[str, int]]:
         """Keys that hold a number per axis, and how many they hold."""

@@ -152,8 +152,7 @@ def _question(context: CellContext, arm: ArmConfig, wanted: _Wanted) -> str:
         text += ", and its drives lose the master's heartbeat on purpose (a fault they answer with is reset)"
     if wanted.brakes:
         text += ", and each axis in turn is left to its brake"
-    held = " Are both grippers open?" if context.loaded.cell.pair is not None else ""
-    return f"{text}.{held} Is nobody near it, and the emergency stop at hand?"
+    return f"{text}.{context.grippers} Is nobody near it, and the emergency stop at hand?"
 
 
 def _in_motion(

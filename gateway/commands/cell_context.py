@@ -51,6 +51,11 @@ class CellContext:
         """Arms of the cell."""
         return self.loaded.cell.arm
 
+    @property
+    def grippers(self) -> str:
+        """What is asked besides before one arm of a pair moves alone; empty for any other arm."""
+        return "" if self.loaded.cell.pair is None else " Are both grippers open?"
+
     def bus_spec(self, arm: ArmConfig) -> BusSpec:
         """The bus of an arm."""
         return self.specs[arm.bus]

@@ -23,23 +23,48 @@ BLOCK_ROWS = 2048
 
 TEXT = frozenset({"run", "load"})
 BLANK_ALLOWED = frozenset({"pose", "time_s", *(f"qd{i}_rad_s" for i in AXES), *(f"qdd{i}_rad_s2" for i in AXES)})
-PATTERNS = (
-    "q{}_rad",
-    "qd{}_rad_s",
-    "qdd{}_rad_s2",
-    "dir{}",
-    "tau{}_nm",
-    "taum{}_nm",
-    "i{}_a",
-    "tau{}_std_nm",
-    "taum{}_std_nm",
-    "i{}_std_a",
-    "q2nd{}_rad",
-    "temp{}_c",
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column of the measured table, or one an axis: name with `{}` for the axis, unit, when needed, meaning."""
+
+    name: str
+    unit: str
+    needed: str
+    meaning: str
+
+
+#: Every column that has a meaning, in the order in which it is explained.
+COLUMNS = (
+    Column("run", "", "no", "recording that the row comes from; the name of the file if absent"),
+    Column("load", "", "no", "label of what is on the flange; `none` = bare, the default"),
+    Column("pose", "", "rest rows", "integer; the same number under two loads is the same pose"),
+    Column("time_s", "s", "moving rows", "at rest optional: start of the visit"),
+    Column("q{}_rad", "rad", "yes", "joint position in the convention of the robot model"),
+    Column("qd{}_rad_s", "rad/s", "moving rows", "joint speed; absent: at rest"),
+    Column("qdd{}_rad_s2", "rad/s2", "moving rows", "joint acceleration"),
+    Column("dir{}", "-1, 0, 1", "no", "sign of the joint's last motion before it came to rest; 0: unknown"),
+    Column(
+        "tau{}_nm",
+        "Nm",
+        "one of three",
+        "torque of the actuator on the joint's side, positive in the direction of positive q; ratio applied, efficiency"
+        " not, nothing subtracted",
+    ),
+    Column("taum{}_nm", "Nm", "one of three", "torque on the motor's side; ratio, efficiency, sign come from the cell"),
+    Column("i{}_a", "A", "one of three", "motor current; needs `--cell` for torque constant, ratio and sign"),
+    Column("tau{}_std_nm", "Nm", "no", "standard deviation of the samples that were averaged"),
+    Column("taum{}_std_nm", "Nm", "no", "the same of `taum{}_nm`"),
+    Column("i{}_std_a", "A", "no", "the same of `i{}_a`"),
+    Column("n", "", "no", "how many samples were averaged"),
+    Column("q2nd{}_rad", "rad", "no", "encoder on the link's side"),
+    Column("temp{}_c", "deg C", "no", "temperature of motor or drive"),
 )
+PATTERNS = tuple(column.name for column in COLUMNS if "{}" in column.name)
 AXIS_OF = {pattern.format(axis): axis for pattern in PATTERNS for axis in AXES}
 ANGLES = frozenset(f"{kind}{axis}_rad" for kind in ("q", "q2nd") for axis in AXES)
-KNOWN = frozenset({"run", "load", "pose", "time_s", "n", *AXIS_OF})
+KNOWN = frozenset({*(column.name for column in COLUMNS if "{}" not in column.name), *AXIS_OF})
 
 #: Lines of a file by their numbers, as cells; empty ones are left out.
 Lines = Iterator[tuple[int, list[str]]]
