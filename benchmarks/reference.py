@@ -20,6 +20,7 @@ from pydantic_core import PydanticUndefined
 
 from benchmarks.reference_drives import answers_page, drives_page
 from benchmarks.reference_files import exit_codes_page, recording_page, table_page
+from benchmarks.reference_newcell import cell_answers_page
 from benchmarks.toml_words import kind_in_words
 from drives.profile import DriveProfile
 from gateway.cell.config import Cell
@@ -228,6 +229,7 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
     ),
     "reference/drives.md": drives_page,
     "reference/profile-answers.md": answers_page,
+    "reference/cell-answers.md": cell_answers_page,
     "reference/commands.md": commands_page,
     "reference/measured-table.md": table_page,
     "reference/recording.md": recording_page,

@@ -27,8 +27,8 @@ EXIT_CODES: Final[Mapping[int, str]] = {
     4: "bus or drive",
     5: "plan refused, or motion stopped",
     6: "the data cannot answer: rank, too few poses, nothing to hold out",
-    7: "finished with a failing finding: a load refused, not accepted, or perhaps not hung, a commissioning mistake found,"
-    " a failed check",
+    7: "finished with a failing finding: a load refused, not accepted, or perhaps not hung, a commissioning mistake"
+    " found, a failed check",
     130: "stopped by a person, a signal or a closed terminal; the arm is in its brakes, what was finished is kept",
 }
 
