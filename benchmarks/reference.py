@@ -19,6 +19,8 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from benchmarks.reference_drives import answers_page, drives_page
+from benchmarks.reference_files import exit_codes_page, recording_page, table_page
+from benchmarks.reference_newcell import cell_answers_page
 from benchmarks.toml_words import kind_in_words
 from drives.profile import DriveProfile
 from gateway.cell.config import Cell
@@ -227,7 +229,11 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
     ),
     "reference/drives.md": drives_page,
     "reference/profile-answers.md": answers_page,
+    "reference/cell-answers.md": cell_answers_page,
     "reference/commands.md": commands_page,
+    "reference/measured-table.md": table_page,
+    "reference/recording.md": recording_page,
+    "reference/exit-codes.md": exit_codes_page,
     "reference/effects.md": effects_page,
     "reference/thresholds.md": thresholds_page,
     "reference/result.schema.json": lambda: json_text(json_schema()),

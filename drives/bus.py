@@ -33,6 +33,23 @@ HEARTBEAT_BASE: Final = 0x700
 #: Interfaces on which every frame that is sent comes back, with nothing to tell it from a stranger's.
 _ECHOING: Final = frozenset({"udp_multicast"})
 _WITHOUT_BITRATE: Final = frozenset({"virtual", "udp_multicast", "socketcan"})
+#: What an interface needs beside python-can, by its documentation (python-can, "CAN interface modules").
+_NEEDS: Final = {
+    "slcan": "it needs a Python package: pip install pyserial",
+    "serial": "it needs a Python package: pip install pyserial",
+    "robotell": "it needs a Python package: pip install pyserial",
+    "seeedstudio": "it needs a Python package: pip install pyserial",
+    "gs_usb": "it needs Python packages: pip install gs_usb pyusb",
+    "cantact": "it needs a Python package: pip install cantact",
+    "canalystii": "it needs a Python package: pip install canalystii",
+    "nixnet": "it needs the driver NI-XNET and a Python package: pip install nixnet",
+    "usb2can": "it needs the driver of the USB2CAN adapter (usb2can.dll)",
+    "kvaser": "it needs Kvaser's driver with CANlib (canlib32, libcanlib)",
+    "pcan": "it needs PEAK's driver with PCAN-Basic (libpcanbasic)",
+    "ixxat": "it needs Ixxat's driver VCI",
+    "vector": "it needs Vector's XL driver library",
+    "nican": "it needs the driver NI-CAN",
+}
 _ADVICE: Final = {
     "socketcan": "bring it up: ip link set {channel} txqueuelen 1000 up type can bitrate {bitrate_bit_s}",
     "udp_multicast": "needs msgpack and a multicast address such as 239.74.163.2,port=43113",
@@ -50,6 +67,8 @@ _ODD_AT_ONCE: Final = 64
 _DRAIN_S: Final = 0.05
 #: Interfaces whose frames carry this computer's wall clock, taken when a frame came in (on virtual: was sent).
 _STAMPING: Final = frozenset({"socketcan", "udp_multicast", "virtual"})
+
+_OPENING_FAILS: Final = (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError)
 
 Handler = Callable[[int, bytes | bytearray, float], None]
 
@@ -390,10 +409,13 @@ def open_bus(spec: BusSpec, trace: Path | None = None) -> Bus:
         arguments.setdefault("fd", False)
     try:
         adapter = can.Bus(interface=spec.interface, channel=spec.channel, **arguments)
-    except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
-        advice = _ADVICE.get(spec.interface, "check the name of the interface, its driver and its options")
-        advice = advice.format(channel=spec.channel, bitrate_bit_s=spec.bitrate_bit_s)
-        raise BusError(f"bus {spec} cannot be opened: {error}", advice=advice) from error
+    except (*_OPENING_FAILS, NameError, AttributeError) as error:
+        # an interface whose driver is not installed fails where its library is first used
+        missing = isinstance(error, NameError | AttributeError | ImportError)
+        needs = _NEEDS.get(spec.interface, "check the name of the interface, its driver and its options")
+        advice = _ADVICE.get(spec.interface, needs).format(channel=spec.channel, bitrate_bit_s=spec.bitrate_bit_s)
+        what = "its driver or package is not installed" if missing else " ".join(str(error).split())
+        raise BusError(f"bus {spec} cannot be opened: {what}", advice=advice) from error
     try:
         return Bus(adapter, spec, trace)
     except (OSError, ValueError, can.CanError) as error:

@@ -176,6 +176,13 @@ class ProfileError(DriveError, ValueError):
     exit_code = 3
     lines: tuple[str, ...] = ()
 
+    @classmethod
+    def of(cls, lines: Sequence[str], advice: str) -> ProfileError:
+        """An error that is told in lines, one a problem, the advice behind the last."""
+        error = cls("; ".join(lines), advice=advice)
+        error.lines = (*lines[:-1], f"{lines[-1]}; {advice}")
+        return error
+
 
 class SeveralFailures(DriveError):  # noqa: N818 - reads as what happened
     """Every drive's failure at once.

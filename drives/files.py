@@ -30,9 +30,10 @@ def replace_file(path: Path, content: bytes | str) -> None:
             stream.flush()
             os.fsync(stream.fileno())
         os.replace(temporary, path)
-    except OSError:
+    except OSError as error:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+        error.filename = str(path)  # the name that was asked for; a full disk comes without any
         raise
     folder = os.open(path.parent, os.O_RDONLY)
     try:

@@ -55,7 +55,7 @@ def refuse(found: Sequence[tuple[KeyPath, str]]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One thing that is wrong in a file; `line` from 1, `what` says what to write too."""
+    """One thing that is wrong in a file; `line` from 1, 0 of what stands in none; `what` says what to write too."""
 
     path: KeyPath
     line: int
@@ -84,10 +84,10 @@ class Unfit(ValueError):  # noqa: N818 - reads as what the file is
             same.setdefault(problem.what, []).append(problem)
         texts = []
         for what, problems in same.items():
-            lines = list(dict.fromkeys(str(problem.line) for problem in problems))
+            lines = list(dict.fromkeys(str(problem.line) for problem in problems if problem.line))
             places = list(dict.fromkeys(name for problem in problems if (name := place(problem.path))))
-            at = f"line {lines[0]}" if len(lines) == 1 else f"lines {', '.join(lines)}"
-            texts.append(f"{where} {', '.join([at, *places])}: {what}")
+            at = [f"line{'s' if len(lines) > 1 else ''} {', '.join(lines)}"] if lines else []
+            texts.append(f"{' '.join([where, ', '.join([*at, *places])]).strip()}: {what}")
         if len(texts) > _MOST_LINES:
             texts[_MOST_LINES - 1 :] = ["; ".join(texts[_MOST_LINES - 1 :])]
         return tuple(texts)
@@ -104,7 +104,7 @@ def read_strict(text: str, model: type[Model]) -> Model:
     try:
         data = parse_toml(text)
     except tomllib.TOMLDecodeError as error:
-        raise Unfit([_not_toml(text, str(error))]) from error
+        raise not_toml(text, error) from error
     try:
         return _validated(model, data)
     except ValidationError as error:
@@ -113,9 +113,18 @@ def read_strict(text: str, model: type[Model]) -> Model:
         raise Unfit(problems) from error
 
 
-def problems_of(model: type[BaseModel], data: dict[str, Any], error: ValidationError) -> list[str]:
-    """What is wrong in values that come from no file, and what to write."""
-    return [what for _, what in _all(model, data, error)]
+def fitted(model: type[Model], values: dict[str, Any]) -> Model:
+    """A table from values that were typed, numbers as text too.
+
+    Raises
+    ------
+    Unfit
+        With every problem, none of which has a line.
+    """
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        raise Unfit([Problem(path, 0, what) for path, what in _problems(model, values, error)]) from error
 
 
 def _validated(model: type[Model], data: dict[str, Any]) -> Model:
@@ -123,12 +132,14 @@ def _validated(model: type[Model], data: dict[str, Any]) -> Model:
     return model.model_validate_json(json.dumps(data, default=str), strict=True)
 
 
-def _not_toml(text: str, message: str) -> Problem:
+def not_toml(text: str, error: tomllib.TOMLDecodeError) -> Unfit:
     """The parser says its line in the message: `(at line 3, column 5)`, `(at end of document)`."""
+    message = str(error)
     what, _, at = message.rpartition(" (at ")
     number = at.removeprefix("line ").partition(",")[0]
     line = int(number) if number.isdigit() else max(1, len(text.splitlines()))
-    return Problem((), line, f"not valid TOML: {what or message}; correct that line (KEY = VALUE, texts in quotes)")
+    wrong = f"not valid TOML: {what or message}; correct that line (KEY = VALUE, texts in quotes)"
+    return Unfit([Problem((), line, wrong)])
 
 
 def _all(model: type[BaseModel], data: dict[str, Any], error: ValidationError) -> list[tuple[KeyPath, str]]:

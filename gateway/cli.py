@@ -54,6 +54,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "learn": ("pair", "Two arms: status of what was learned, learning off and on, forget it."),
     "pair-report": ("pair", "Two arms: one HTML page, force along the path and convergence."),
     "cell": ("cell", "Cell files: new, schema."),
+    "completion": ("completion", "Completion of commands and options for bash, zsh or fish."),
     "profiles": ("profiles", "Drive profiles: list, show, schema; new drafts one from an EDS."),
 }
 

@@ -15,8 +15,22 @@ Bus and drive errors (4) are `drives.errors.DriveError`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Self
+from collections.abc import Mapping, Sequence
+from typing import Final, Self
+
+#: What each exit code of the command line means.
+EXIT_CODES: Final[Mapping[int, str]] = {
+    0: "done, a proven physical effect included",
+    1: "a defect of the program; the message names a log file: please report it",
+    2: "usage: an option or argument that is none",
+    3: "a configuration or input file that cannot be used, a file that is there already, a full disk",
+    4: "bus or drive",
+    5: "plan refused, or motion stopped",
+    6: "the data cannot answer: rank, too few poses, nothing to hold out",
+    7: "finished with a failing finding: a load refused, not accepted, or perhaps not hung, a commissioning mistake"
+    " found, a failed check",
+    130: "stopped by a person, a signal or a closed terminal; the arm is in its brakes, what was finished is kept",
+}
 
 
 class GatewayError(Exception):

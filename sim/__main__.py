@@ -13,6 +13,7 @@ FILE_ERROR, BUS_ERROR = 3, 4
 
 
 @click.group()
+@click.version_option(package_name="servo-gateway", prog_name="servo-sim")
 def main() -> None:
     """Simulated arms and drives on a CAN bus."""
 

@@ -14,12 +14,13 @@ from canopen.sdo.exceptions import SdoAbortedError
 
 from sim.cellfile import AxisSpec
 from sim.drive_objects import MODES, fill
+from sim.makes import as_made
 from sim.motion import DriveMotion
 from sim.motor import MotorAxis
 from sim.node import OPERATIONAL, SlaveNode
 from sim.objects import VALUE_RANGE, ObjectStore
 from sim.pdo import DISABLED, EVENT_TYPES, Pdo, due
-from sim.quirks import FLOODING, Conduct, Quirks
+from sim.quirks import FLOODING, Conduct
 from sim.states import Automaton, PdsState
 from sim.units import MAX_TORQUE_PER_MILLE, DriveUnits, Word, drive_units
 
@@ -71,7 +72,7 @@ class FakeDrive:
         self.counts_per_joint_rad = site.spec.position_sign * site.spec.gear_ratio * self.units.counts_per_rad
         self.reading_nm = 0.0
         self.automaton = Automaton()
-        self.quirks = Quirks()
+        self.quirks = as_made(self.spec.profile)
         self._conduct = Conduct(self)
         self._time_s = 0.0
         self.motion = DriveMotion(self)
@@ -86,6 +87,7 @@ class FakeDrive:
         self.node.on_nmt = self._nmt_changed
         self.node.on_reset = self.reset
         self._mend()
+        self.take_quirks()
         self.take_max_torque(MAX_TORQUE_PER_MILLE)
         self.automaton.power_up()
 
@@ -116,7 +118,7 @@ class FakeDrive:
 
     def repair(self) -> None:
         """Take everything away that is wrong with the drive, then start it anew; its boot-up is the caller's."""
-        self.quirks = Quirks()
+        self.quirks = as_made(self.spec.profile)
         self._mend()
         self.reset()
 

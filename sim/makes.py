@@ -7,10 +7,12 @@ and the loop test over all profiles shows it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 from sim.cellfile import AxisSpec
+from sim.quirks import Quirks
 from sim.words import DriveUnits, Word
 
 Make = Callable[[AxisSpec, DriveUnits], DriveUnits]
@@ -95,6 +97,23 @@ def ipos8010(axis: AxisSpec, units: DriveUnits) -> DriveUnits:
     """Technosoft iPOS8010: 65520 units span from minus to plus the peak current of 20 A."""
     bits = 65520.0 / 40.0 / axis.torque_constant_nm_per_a
     return replace(units, torque=Word((0x6077, 0), "i16", bits))
+
+
+#: What drives of known makes do not have: objects, by the data sheets that the profiles name.
+LACKING: dict[str, frozenset[int]] = {
+    "novanta-eve-net-c": frozenset({0x1016}),
+    "pilz-prbt": frozenset({0x6007}),
+    "schunk-lwa4p": frozenset({0x6007}),
+}
+#: Modes (0x6502) of those that lack one: the PRBT has 1, 2 and 7.
+SUPPORTED_MODES = {"pilz-prbt": 0x43}
+
+
+def as_made(profile: Mapping[str, Any]) -> Quirks:
+    """In what a new drive of a profile differs from one that has everything."""
+    name = str(profile.get("name"))
+    modes = SUPPORTED_MODES.get(name)
+    return Quirks(without_data=LACKING.get(name, frozenset()), values={} if modes is None else {(0x6502, 0): modes})
 
 
 #: Name of the profile -> how its make counts.

@@ -94,7 +94,7 @@ def _bits_per_nm(signal: Table, kt: float, torque_nm: float, constants: dict[Add
 
 def drive_ampere_per_nm(signal: Table, kt: float) -> float:
     """Ampere, as the drive counts it, per Nm of motor torque; sine currents, peak = sqrt(2) rms."""
-    drive, motor = signal.get("current_reference"), signal.get("torque_constant_per")
+    drive, motor = (str(signal.get(key)) for key in ("current_reference", "torque_constant_per"))
     factor = {("peak", "rms"): math.sqrt(2.0), ("rms", "peak"): 1.0 / math.sqrt(2.0)}.get((drive, motor), 1.0)
     return factor / kt
 

@@ -103,14 +103,16 @@ def identify(place: Place, handle: RunningSimulation) -> None:
         told = command("record", place.cell, "--load", label, "-o", run, "--bus", handle.bus, "--yes", "-q")
         assert told.exit_code == 0, told.output
     runs = [place.folder / "none.h5", place.folder / f"{LABEL}.h5"]
-    told = command("estimate", *runs, "--cell", place.cell, "--json", place.result, "-q")
+    told = command("estimate", *runs, "--cell", place.cell, "--json", place.result, "--force", "-q")
     assert told.exit_code == 0, told.output
 
 
 def follow_command(place: Place, handle: RunningSimulation, load: Path, out: Path, *options: object) -> Result:
     """`servo-gateway follow` with JSON and report."""
     files = ["--path", place.path, "--load", load, "--json", out.with_suffix(".json")]
-    return command("follow", place.cell, *files, "--report", out, "--bus", handle.bus, "--yes", "-q", *options)
+    return command(
+        "follow", place.cell, *files, "--report", out, "--bus", handle.bus, "--yes", "--force", "-q", *options
+    )
 
 
 class VelocityAlone(FeedforwardLaw):

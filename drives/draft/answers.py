@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from drives.errors import ProfileError
 from drives.profile_parts import Positive, is_assumed
-from drives.validation import Strict, Unfit, problems_of, read_strict
+from drives.validation import Strict, Unfit, fitted, read_strict
 
 Text = Annotated[str, Field(min_length=1)]
 ObjectText = Annotated[str, Field(pattern=r"^0x[0-9A-Fa-f]{4}(:[0-9A-Fa-f]{2})?$")]
@@ -28,6 +28,9 @@ class Answers(Strict):
     )
     torque_nature: Literal["measured", "demand"] | None = Field(
         default=None, description="whether it is what flows or what is asked for"
+    )
+    rated_object: ObjectText | None = Field(
+        default=None, description="object of the rated torque or current, where it is not 0x6076 or 0x6075"
     )
     rated_unit: Positive | None = Field(
         default=None, description="Nm per bit of 0x6076, or A per bit of 0x6075: 0.001 by the standard"
@@ -72,10 +75,12 @@ def read_answers(path: Path) -> Answers:
     """
     try:
         return read_strict(path.read_text(encoding="utf-8"), Answers)
-    except (OSError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise ProfileError(f"answer file {path} cannot be read: {error}", advice="save it as UTF-8") from error
+    except OSError as error:
         raise ProfileError(f"answer file {path} cannot be read: {error}", advice="check its path") from error
     except Unfit as error:
-        raise ProfileError("; ".join(error.told(str(path))), advice=ADVICE) from error
+        raise ProfileError.of(error.told(str(path)), ADVICE) from error
 
 
 def with_answers(answers: Answers, more: dict[str, str]) -> Answers:
@@ -86,11 +91,10 @@ def with_answers(answers: Answers, more: dict[str, str]) -> Answers:
     ProfileError
         No such question, or no such answer.
     """
-    values: dict[str, Any] = answers.model_dump(exclude_none=True) | more
     try:
-        return Answers.model_validate(values)
-    except ValidationError as error:
-        raise ProfileError(f"answer: {'; '.join(problems_of(Answers, values, error))}", advice=ADVICE) from error
+        return fitted(Answers, answers.model_dump(exclude_none=True) | more)
+    except Unfit as error:
+        raise ProfileError.of(error.told("answer"), ADVICE) from error
 
 
 def address_of(text: str) -> tuple[int, int]:

@@ -48,7 +48,10 @@ def is_current(answers: Answers) -> bool:
 
 def rated_address(device: Device, answers: Answers) -> Address | None:
     """Object that holds what 1000 per mille stand for; None = there is none."""
-    address = RATED.get(answers.torque_kind or "permille_rated_torque")
+    kind = answers.torque_kind or "permille_rated_torque"
+    if answers.rated_object is not None and kind in RATED:
+        return address_of(answers.rated_object)
+    address = RATED.get(kind)
     return address if address is not None and device.has(*address) else None
 
 
@@ -119,6 +122,7 @@ _TABLE: Final[tuple[tuple[Question, Wanted], ...]] = (
             (
                 "the motor's plate, if the manual says `rated torque of the motor`",
                 "the drive's data sheet, if it is a current of the drive and not of the motor",
+                "an object of the make's own that holds it: answer rated_object and rated_unit instead",
             ),
         ),
         _asks_value,

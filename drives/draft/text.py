@@ -177,6 +177,9 @@ def _rated(device: Device, answers: Answers, source: str) -> list[str]:
         return ["", "[torque.rated]", f"value = {answers.rated_value!r}", f"source = {toml_string(source)}"]
     address = rated_address(device, answers)
     kind = None if address is None else device.type_of(*address)
+    if answers.rated_object is not None and kind is None:
+        advice = "answer rated_object with an object of the data sheet that is a number"
+        raise ProfileError(f"{device.sheet.name} has no number at {answers.rated_object}", advice=advice)
     if address is None or kind is None:
         return ["", "# [torque.rated]: the data sheet has no object for it, and no value was answered"]
     shown = device.value_of(*address)

@@ -6,7 +6,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +29,7 @@ from gateway.model.arm_model import arm_named, arm_robot
 from gateway.motion.opening import BusOverride, OpenArm, open_arm
 from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import workspace_of
+from gateway.result.origin import software
 
 __all__ = [
     "BusOverride",
@@ -201,10 +201,6 @@ def _all_poses(plan: Plan, earlier: Recording | None) -> tuple[RestPose, ...]:
 
 
 def _header(opened: OpenArm) -> RecordingHeader:
-    try:
-        number = version("servo-gateway")
-    except PackageNotFoundError:
-        number = "not installed"
     return RecordingHeader(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         cell=opened.loaded.text,
@@ -212,7 +208,7 @@ def _header(opened: OpenArm) -> RecordingHeader:
             axis.profile: profile.text for axis, profile in zip(opened.config.axis, opened.profiles, strict=True)
         },
         robot=opened.robot_text,
-        software=f"servo-gateway {number}",
+        software=software(),
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +15,13 @@ from gateway.data.reading import is_recording
 from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.data.table import Table
 from gateway.report.collect import drawn_poses, flange_spread
+from gateway.result.acceptance import not_hung
 from gateway.result.drawn import Drawn, DrawnPose, DrawnSource
+from gateway.result.origin import DriveOrigin, drives_of, file_sha256, in_words, software
 from gateway.result.result import Finding, Result
 
 
-def complete(result: Result, about: Given, table: Table, paths: Sequence[Path]) -> Result:
+def complete(result: Result, about: Given, table: Table, paths: Sequence[Path], operator: str | None = None) -> Result:
     """Add what a reader of the result file needs beside the numbers.
 
     Parameters
@@ -33,6 +34,8 @@ def complete(result: Result, about: Given, table: Table, paths: Sequence[Path]) 
         All rows that were read.
     paths : sequence of Path
         The data files.
+    operator : str, optional
+        Who measured.
 
     Returns
     -------
@@ -44,14 +47,16 @@ def complete(result: Result, about: Given, table: Table, paths: Sequence[Path]) 
     constants = _provenance(about)
     return replace(
         result,
-        findings=(*result.findings, *_corrected(about)),
+        findings=(*result.findings, *_corrected(about), *not_hung(result.loads)),
         provenance={**constants, **result.provenance},
         data=replace(
             drawn,
-            created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-            software=_software(),
+            created=in_words(datetime.now(UTC)),
+            software=software(),
             cell=about.loaded.cell.name if about.loaded is not None else _cell_of(about.recordings),
             arm=None if about.arm is None else about.arm.name,
+            operator=operator,
+            drives=_drives(about),
             sources=tuple(_source(path, about.recordings, table) for path in paths),
             role=roles,
             poses=_poses(result, about, roles),
@@ -80,11 +85,10 @@ def _roles(result: Result) -> tuple[str, ...]:
     return () if result.rows is None else ("fit",) * len(result.rows.load)
 
 
-def _software() -> str:
-    try:
-        return f"servo-gateway {version('servo-gateway')}"
-    except PackageNotFoundError:
-        return "servo-gateway, not installed"
+def _drives(about: Given) -> tuple[DriveOrigin, ...]:
+    """Drives of the first recording: a later one of other drives has been refused."""
+    recorded = _recorded_arm(about.recordings, None if about.arm is None else about.arm.name)
+    return drives_of(recorded[0][1].identities) if recorded else ()
 
 
 def _cell_of(recordings: Sequence[Recording]) -> str | None:
@@ -94,9 +98,9 @@ def _cell_of(recordings: Sequence[Recording]) -> str | None:
 def _source(path: Path, recordings: Sequence[Recording], table: Table) -> DrawnSource:
     count = sum(name == str(path) for name in table.file)
     if not is_recording(path):
-        return DrawnSource(str(path), "measured table", count)
+        return DrawnSource(str(path), "measured table", count, sha256=file_sha256(path))
     recording = next(item for item in recordings if item.path == path)
-    return DrawnSource(str(path), "recording", count, recording.exit_status, recording.created)
+    return DrawnSource(str(path), "recording", count, recording.exit_status, recording.created, file_sha256(path))
 
 
 def _recorded_arm(recordings: Sequence[Recording], name: str | None) -> list[tuple[Recording, ArmRecording]]:

@@ -266,10 +266,17 @@ class ArmConfig(Strict):
         default=None, description="its centre of gravity in link_6; the flange if absent"
     )
     rated_load_kg: SourcedNumber | None = Field(
-        default=None, description="load the arm is rated for: what feedforward assumes as long as none is entered"
+        default=None,
+        description="load the arm is rated for: a heavier one fails, feedforward assumes it as long as none is entered",
     )
     rated_load_com_m: Vector3 | None = Field(
         default=None, description="its centre of gravity in link_6; the flange if absent"
+    )
+    rated_reach_m: SourcedNumber | None = Field(
+        default=None, description="furthest from the flange that a load's centre of gravity may lie"
+    )
+    rated_moment_nm: SourcedNumber | None = Field(
+        default=None, description="largest weight moment about the flange, mass x 9.80665 x that distance"
     )
     load_points_m: tuple[Vector3, ...] = Field(
         default=(), description="points of the load in link_6, such as its corners, instead of load_size_m"
@@ -335,14 +342,22 @@ class ArmConfig(Strict):
             if node in ids[:number]:
                 what = f"arm '{self.name}': node id {node} is given to more than one axis: write the one of its drive"
                 yield ("axis", number, "node_id"), what
-        if self.rated_load_kg is not None and self.rated_load_kg.value <= 0:
-            yield ("rated_load_kg",), f"arm '{self.name}': rated_load_kg must be positive"
+        yield from self._ratings()
         if (self.robot is None) == (self.dh is None):
             yield (), f"arm '{self.name}' needs either robot = \"FILE.urdf\" or [arm.dh], not both"
         if self.coupling is not None:
             matrix = np.array(self.coupling, dtype=float) if len({*map(len, self.coupling)}) == 1 else np.zeros(0)
             if matrix.shape != (axes, axes) or abs(np.linalg.det(matrix)) < 1e-6:
                 yield ("coupling",), f"arm '{self.name}': coupling must be an invertible {axes} x {axes} matrix"
+
+    def _ratings(self) -> plausible.Found:
+        """What the arm is rated for."""
+        for key in ("rated_load_kg", "rated_reach_m", "rated_moment_nm"):
+            rated: SourcedNumber | None = getattr(self, key)
+            if rated is not None and rated.value <= 0:
+                yield (key,), f"arm '{self.name}': {key} must be positive"
+            if rated is not None and key != "rated_load_kg" and self.flange_xyz_m is None:
+                yield (key,), f"arm '{self.name}': {key} counts from the flange: write flange_xyz_m too"
 
     def _space(self) -> plausible.Found:
         """Postures and things that stand around the arm."""
@@ -361,7 +376,8 @@ class ArmConfig(Strict):
             yield from plausible.angles(name, getattr(self, name), plausible.LARGEST_TURN_RAD)
         for name in ("flange_xyz_m", "base_xyz_m", "tool_xyz_m", "rated_load_com_m", "max_load_com_m"):
             yield from plausible.lengths(name, getattr(self, name))
-        yield from plausible.angles("start_rad", self.start_rad or ())
+        for name in ("start_rad", "home_rad", "loading_rad"):
+            yield from plausible.angles(name, getattr(self, name) or ())
         if self.dh is not None:
             for name in ("alpha_rad", "theta_offset_rad"):
                 for key, what in plausible.angles(name, getattr(self.dh, name), plausible.LARGEST_TURN_RAD):
@@ -376,7 +392,7 @@ class ArmConfig(Strict):
             low, high = axis.position_limit_rad
             if not low <= value <= high:
                 what = f"joint {joint} at {value:g} rad is outside its position_limit_rad [{low:g}, {high:g}]"
-                yield (name,), f"arm '{self.name}': {name} puts {what}"
+                yield (name, joint - 1), f"arm '{self.name}': {name} puts {what}"
 
     def _lengths(self) -> Iterator[tuple[str, int]]:
         """Keys that hold a number per axis, and how many they hold."""

@@ -21,6 +21,8 @@ LARGEST_SPEED_RAD_S: Final = 20.0
 LARGEST_FOLLOWING_RAD: Final = math.pi / 2
 #: Larger than any arm of this kind [m].
 LARGEST_LENGTH_M: Final = 20.0
+#: From the last joint to the centre of gravity of any load [m].
+LARGEST_LEVER_M: Final = 5.0
 #: Motor turns a joint turn: from a direct drive to a gear of four planetary stages of 10.
 RATIOS: Final = (1.0, 10_000.0)
 #: [Nm/A]: from a motor as thick as a finger to the largest servo motors; those without a gear turn slower.

@@ -31,6 +31,8 @@ from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import Workspace
 from gateway.preflight.look_over import LOAD_LIMIT_PERCENT
 from gateway.preflight.rules import Axis, CheckItem
+from gateway.result.interval import SAID
+from gateway.result.numerals import with_interval
 
 #: Displacement of an axis [rad] of the first three at least, and of the last three beyond them: the wrist sees little
 #: gravity and reaches little.
@@ -266,7 +268,7 @@ def _seen(joint: int, node_ids: Sequence[int], view: WiringView) -> CheckItem:
         parts = [f"friction of {view.band_nm:.2g} Nm is too small to show the sense of the torque"]
     missing = []
     if view.ratio_seen:
-        parts.append(f"gear ratio {view.ratio:.2f} +- {view.ratio_std:.2f} of the cell's")
+        parts.append(f"gear ratio {with_interval(view.ratio, view.ratio_std)} ({SAID}) of the cell's")
     else:
         missing.append("gear ratio")
     if not view.sign_seen:

@@ -11,18 +11,21 @@ import click
 from gateway.cell.axes import MOST_AXES
 from gateway.commands.measure import arm_option
 from gateway.commands.options import (
+    accept_options,
     common,
     data_argument,
     json_option,
     model_options,
+    operator_option,
     session_of,
     write_json,
 )
-from gateway.commands.outcome import fail_on_findings, show_result
+from gateway.commands.outcome import fail_on_findings, show_result, write_junit
 
 if TYPE_CHECKING:
     from gateway.analyse.given import Given, ModelRequest
     from gateway.estimate import Coefficient
+    from gateway.result.acceptance import Expected
     from gateway.result.result import Result
 
 
@@ -75,6 +78,8 @@ def _method(_ctx: click.Context, _param: click.Parameter, value: str) -> str:
     "--rated-torque", type=click.FloatRange(0, min_open=True), metavar="NM", help="coefficient: of the motor."
 )
 @arm_option
+@accept_options
+@operator_option
 @json_option
 @common
 def estimate(
@@ -92,33 +97,41 @@ def estimate(
     gear_efficiency: float | None,
     rated_torque: float | None,
     arm_name: str | None,
+    expected: tuple[Expected, ...],
+    junit_file: Path | None,
+    operator: str | None,
     json_out: str | None,
 ) -> None:
-    """Mass and centre of gravity of every unknown load, with standard deviations and what cannot be told."""
+    """Mass and centre of gravity of every unknown load, with 95 % intervals and what cannot be told."""
     from dataclasses import replace
 
     from gateway.acquire.asking import postures_to_ask
+    from gateway.analyse.accept import accept, check_against_data
     from gateway.analyse.complete import complete
     from gateway.analyse.given import estimate_options, given, read_rows
     from gateway.estimate import run
 
     about = given(model_request(robot, cell_file, inertials, known, bare, arm_name, torque_gain), data)
     table = read_rows(data, about)
+    check_against_data(expected, [table], about)
     options = replace(estimate_options(about), pose_choice=postures_to_ask(about))
     if method == "coefficient":
         wanted = _Coefficient(axis, lever, gear_ratio, gear_efficiency, rated_torque)
         options = replace(options, coefficient=wanted.of(about))
     with session_of().working("estimation"):
         result = run(table, about.robot, options, method)
-    _hand_over(complete(result, about, table, data), json_out)
+    result = accept(complete(result, about, table, data, operator), expected, about.arm)
+    _hand_over(result, json_out, junit_file)
 
 
-def _hand_over(result: Result, json_out: str | None) -> None:
+def _hand_over(result: Result, json_out: str | None, junit_file: Path | None) -> None:
     """Write and show; a failing finding ends the command."""
     from gateway.result.result import to_dict
 
     if json_out:
         write_json(json_out, to_dict(result))
+    if junit_file is not None:
+        write_junit(junit_file, result)
     show_result(result, session_of())
     fail_on_findings(result.findings)
 
@@ -165,6 +178,8 @@ def _names(_ctx: click.Context, _param: click.Parameter, value: str | None) -> f
 @click.option("--only", callback=_names, metavar="EFFECT,..", help="Try these effects alone.")
 @click.option("--without", callback=_names, metavar="EFFECT,..", help="Do not try these effects.")
 @arm_option
+@accept_options
+@operator_option
 @json_option
 @common
 def diagnose(
@@ -179,10 +194,14 @@ def diagnose(
     only: frozenset[str],
     without: frozenset[str],
     arm_name: str | None,
+    expected: tuple[Expected, ...],
+    junit_file: Path | None,
+    operator: str | None,
     json_out: str | None,
 ) -> None:
     """What the model lacks, judged on data that no fit has seen; or that nothing is missing, or undecided."""
     from gateway.acquire.asking import postures_to_ask
+    from gateway.analyse.accept import accept, check_against_data
     from gateway.analyse.complete import complete
     from gateway.analyse.given import diagnose_arguments, given, read_rows, split_validation
     from gateway.diagnose import DiagnoseOptions
@@ -191,10 +210,12 @@ def diagnose(
     request = model_request(robot, cell_file, inertials, known, bare, arm_name, torque_gain)
     about = given(request, [*data, *holdout])
     table = read_rows(data, about)
+    check_against_data(expected, [table], about)
     seen, unseen = (table, read_rows(holdout, about)) if holdout else split_validation(table)
     choice = postures_to_ask(about)
     arguments = diagnose_arguments(about)
     options = DiagnoseOptions(holdout=unseen, only=only, without=without, pose_choice=choice, **arguments)
     with session_of().working("diagnosis"):
         result = run(seen, about.model, options)
-    _hand_over(complete(result, about, table, [*data, *holdout]), json_out)
+    result = accept(complete(result, about, table, [*data, *holdout], operator), expected, about.arm)
+    _hand_over(result, json_out, junit_file)

@@ -152,8 +152,7 @@ def _question(context: CellContext, arm: ArmConfig, wanted: _Wanted) -> str:
         text += ", and its drives lose the master's heartbeat on purpose (a fault they answer with is reset)"
     if wanted.brakes:
         text += ", and each axis in turn is left to its brake"
-    held = " Are both grippers open?" if context.loaded.cell.pair is not None else ""
-    return f"{text}.{held} Is nobody near it, and the emergency stop at hand?"
+    return f"{text}.{context.grippers} Is nobody near it, and the emergency stop at hand?"
 
 
 def _in_motion(
@@ -212,18 +211,23 @@ def _count(lines: Sequence[CheckItem]) -> str:
 @click.command()
 @cell_argument
 @bus_option
+@json_option
 @common
-def restore(cell: Path, bus_spec: str | None) -> None:
+def restore(cell: Path, bus_spec: str | None, json_out: str | None) -> None:
     """Put back what the write ledger holds; the drives must stand still and be disabled."""
     from gateway.commands.cell_context import open_cell
 
     context = open_cell(cell, bus_spec)
+    arms: list[dict[str, Any]] = []
     for arm in context.arms:
         with context.connected(arm) as group:
             entries = group.ledger.entries
             group.restore()
+        arms.append({"arm": arm.name, "put_back": [str(entry) for entry in entries]})
         for entry in entries:
             session_of().note(f"put back: {entry}", level=1)
         session_of().show(
             f"arm {arm.name}: {len(entries)} objects put back" if entries else f"arm {arm.name}: nothing to put back"
         )
+    if json_out:
+        write_json(json_out, {"schema": 1, "cell": context.loaded.cell.name, "arms": arms})

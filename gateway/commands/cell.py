@@ -151,7 +151,13 @@ def _write(draft: Draft, output: Path) -> None:
     from gateway.newcell.text import cell_text
 
     text = cell_text(draft, _named_from(output.parent))
-    parse_cell(text, str(output))
+    try:
+        parse_cell(text, str(output))
+    except ConfigError as error:
+        told = error.lines or (str(error),)
+        raise ConfigError.of(
+            [*told, "nothing was written: the lines are those of the draft, correct the answers"]
+        ) from error
     replace_file(output, text)
 
 
@@ -170,7 +176,7 @@ def _checked(output: Path, draft: Draft) -> list[CheckItem]:
     (arm,) = context.arms
     arm_robot(context.loaded, arm)
     context.profiles(arm)
-    return context.check(arm) if draft.looked else [context.bus_load(arm)]
+    return [context.bus_load(arm), *(context.check_drives(arm) if draft.looked else ())]
 
 
 def _show(output: Path, said: Answers, left: Sequence[Left], items: Sequence[CheckItem]) -> None:

@@ -51,6 +51,11 @@ class CellContext:
         """Arms of the cell."""
         return self.loaded.cell.arm
 
+    @property
+    def grippers(self) -> str:
+        """What is asked besides before one arm of a pair moves alone; empty for any other arm."""
+        return "" if self.loaded.cell.pair is None else " Are both grippers open?"
+
     def bus_spec(self, arm: ArmConfig) -> BusSpec:
         """The bus of an arm."""
         return self.specs[arm.bus]
@@ -88,9 +93,12 @@ class CellContext:
 
     def check(self, arm: ArmConfig) -> list[CheckItem]:
         """Pre-flight check of an arm: what its drives are reached by, and the drives themselves; nothing is written."""
-        items = self.surroundings(arm)
+        return self.surroundings(arm) + self.check_drives(arm)
+
+    def check_drives(self, arm: ArmConfig) -> list[CheckItem]:
+        """What the drives of an arm say to profile and cell; the computer is not judged, nothing is written."""
         with self.open_bus(arm) as bus:
-            items += check_arm(bus, arm, self.profiles(arm), WriteLedger(self.ledger(arm)))
+            items = check_arm(bus, arm, self.profiles(arm), WriteLedger(self.ledger(arm)))
         typed = self.move_command(arm.name, "home")
         return [replace(item, advice=item.advice.replace(MOVE_HOME, typed)) for item in items]
 

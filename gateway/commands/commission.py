@@ -91,6 +91,8 @@ class Job:
     recording : Path
         Where everything measured goes; a file that is there is gone on with.
     options : MoveOptions
+    operator : str or None
+        Who measures.
     """
 
     context: CellContext
@@ -98,6 +100,7 @@ class Job:
     labels: tuple[str, ...]
     recording: Path
     options: MoveOptions = field(default_factory=MoveOptions)
+    operator: str | None = None
 
 
 def commission(job: Job, dialogue: Dialogue) -> Result:
@@ -144,7 +147,7 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
     if not result.effects:
         plain = estimate_run(split_validation(table)[0], about.model, estimate_options(about))
         result = replace(result, method=plain.method, parameters=plain.parameters, bare=plain.bare)
-    return complete(result, about, table, [job.recording])
+    return complete(result, about, table, [job.recording], job.operator)
 
 
 def _check(job: Job, dialogue: Dialogue) -> None:

@@ -19,6 +19,9 @@ from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextC
 from rich.table import Table
 from rich.text import Text
 
+from gateway.result.interval import SAID
+from gateway.result.numerals import with_interval
+
 if TYPE_CHECKING:
     from gateway.result.result import Result
 
@@ -152,7 +155,7 @@ def axis_names(axes: int) -> list[str]:
 
 
 def load_table(result: Result) -> Table:
-    """Mass and centre of gravity of each load, one standard deviation behind each number."""
+    """Mass and centre of gravity of each load, half of its 95 % interval behind each number."""
     turned = {} if result.data is None else result.data.flange
     rows = []
     for load in result.loads:
@@ -163,28 +166,25 @@ def load_table(result: Result) -> Table:
         rows.append(
             [
                 load.label,
-                _plus_minus(load.mass_kg, load.mass_std_kg, 1.0, 3),
+                _with_interval(load.mass_kg, load.mass_std_kg, 1.0),
                 _vector(load.com_m, load.com_std_m),
                 _vector(load.com_flange_m, None if in_flange is None else in_flange.com_std_m),
             ]
         )
     frame = result.loads[0].frame if result.loads else "link_6"
     columns = ["load", "mass [kg]", f"centre of gravity in {frame} [mm]", "in the flange frame [mm]"]
-    return grid("load: value ± one standard deviation", columns, rows, left=4)
+    return grid(f"load: value ± half of the {SAID} interval", columns, rows, left=4)
 
 
-def _plus_minus(value: float, std: float, scale: float, digits: int) -> str:
-    if math.isnan(value):
-        return "not identifiable"
-    text = f"{scale * value:.{digits}f}"
-    return text if math.isnan(std) else f"{text} ± {scale * std:.{digits}f}"
+def _with_interval(value: float, std: float, factor: float) -> str:
+    return "not identifiable" if math.isnan(value) else with_interval(value, std, factor)
 
 
 def _vector(values: Sequence[float] | None, stds: Sequence[float] | None) -> str:
     if values is None:
         return "-"
     spread = (math.nan,) * len(values) if stds is None else stds
-    return "  ".join(_plus_minus(value, std, 1000.0, 1) for value, std in zip(values, spread, strict=True))
+    return "  ".join(_with_interval(value, std, 1000.0) for value, std in zip(values, spread, strict=True))
 
 
 def axis_table(title: str, lines: Mapping[str, Sequence[float]]) -> Table:

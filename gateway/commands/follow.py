@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from drives.files import replace_file
-from gateway.commands.console import Session, axis_names, findings_table, grid, number
+from gateway.commands.console import Session, axis_names, findings_table, grid
 from gateway.commands.measure import arm_option
 from gateway.commands.moving import MoveChoice, move_options, stoppable
 from gateway.commands.options import (
@@ -16,6 +17,7 @@ from gateway.commands.options import (
     cell_argument,
     common,
     json_option,
+    operator_option,
     output_option,
     session_of,
     trace_option,
@@ -31,12 +33,6 @@ if TYPE_CHECKING:
 FILE = click.Path(path_type=Path, dir_okay=False)
 #: A path, its law and its page have so many columns.
 FOLLOWED_AXES = 6
-QUANTITIES = (
-    ("peak error [mrad]", "peak_rad", 1000.0),
-    ("rms error [mrad]", "rms_rad", 1000.0),
-    ("lag [ms]", "lag_s", 1000.0),
-    ("overshoot [mrad]", "overshoot_rad", 1000.0),
-)
 
 
 @click.command()
@@ -47,6 +43,7 @@ QUANTITIES = (
 @output_option("--report", "report_file", metavar="REPORT.html", help="Page with the settings side by side.")
 @trace_option
 @arm_option
+@operator_option
 @bus_option
 @json_option
 @move_options
@@ -59,6 +56,7 @@ def follow(
     report_file: Path | None,
     trace: Path | None,
     arm_name: str | None,
+    operator: str | None,
     bus_spec: str | None,
     json_out: str | None,
     moving: MoveChoice,
@@ -70,7 +68,7 @@ def follow(
     FILE is TOML (waypoints_rad = [[q1, .., q6], ..], optional name, speed_share, dwell_s, repeat) or CSV
     (q1_rad .. q6_rad: waypoints; with time_s: a timed path through the points).
     """
-    from dataclasses import replace
+    from dataclasses import asdict, replace
 
     from gateway.check.proofs import ensure_proven
     from gateway.commands.cell_context import open_cell
@@ -79,6 +77,7 @@ def follow(
     from gateway.model.arm_model import arm_named
     from gateway.motion.opening import open_arm
     from gateway.report.follow import render_follow
+    from gateway.result.origin import Origin, drives_of, files_of, in_words, software
     from gateway.result.values import plain_values
 
     context = open_cell(cell, bus_spec, moving.pacing)
@@ -96,6 +95,7 @@ def follow(
     try:
         opening = open_arm(context.loaded, override, arm.name)
         with context.way_on(), stoppable(moving) as options, opening as opened:
+            identities = [asdict(identity) for identity in opened.identities]
             options = ensure_proven(opened, context.stop_proof(arm), session.note, options)
             with session.progress(prepared.duration_s, "follow") as bar:
                 job = drive(opened, prepared, lambda what, done: bar.set(done, prepared.duration_s, what), options)
@@ -103,7 +103,9 @@ def follow(
         for note in getattr(stopped, "__notes__", []):
             session.note(note)
         raise
-    result = result_of(job)
+    files = files_of(file for file in (cell, path_file, load_file) if file is not None)
+    origin = Origin(in_words(datetime.now(UTC)), software(), drives_of(identities), files, operator)
+    result = replace(result_of(job), origin=origin)
     if json_out:
         write_json(json_out, plain_values(result))
     if report_file:
@@ -125,11 +127,10 @@ def _announce(prepared: Prepared, session: Session) -> None:
 
 
 def _show(result: FollowResult, session: Session) -> None:
-    for title, key, scale in QUANTITIES:
-        rows = [
-            [setting.name, *(number(scale * value, 3) for value in getattr(setting, key))]
-            for setting in result.settings
-        ]
+    from gateway.report.follow import figure_rows
+
+    for title, settings in figure_rows(result):
+        rows = [[name, *cells] for name, _, cells in settings]
         session.show(grid(title, ["setting", *axis_names(FOLLOWED_AXES)], rows))
     if result.computing_s is not None:
         median, p99 = 1e6 * result.computing_s.median, 1e6 * result.computing_s.p99

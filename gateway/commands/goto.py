@@ -63,8 +63,8 @@ def move(
     proof = context.stop_proof(arm)
     with stoppable(moving) as options, open_arm(context.loaded, context.override(arm), arm.name) as opened:
         announce(session, opened, target, options)
-        first = "" if proof.exists() else " At first its drives lose the heartbeat on purpose."
-        moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is nobody near it?")
+        besides = ("" if proof.exists() else " At first its drives lose the heartbeat on purpose.") + context.grippers
+        moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{besides} Is nobody near it?")
         options = ensure_proven(opened, proof, session.note, options)
         go_with_progress(session, opened, target, options)
     session.show(f"arm '{arm.name}' is in its brakes at {target}")

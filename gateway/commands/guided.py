@@ -16,14 +16,16 @@ from gateway.commands.goto import announce, go_with_progress
 from gateway.commands.measure import arm_option, show_plan
 from gateway.commands.moving import MoveChoice, move_options, stoppable
 from gateway.commands.options import (
+    accept_options,
     bus_option,
     cell_argument,
     common,
     load_option,
+    operator_option,
     session_of,
     write_json,
 )
-from gateway.commands.outcome import fail_on_findings, show_result
+from gateway.commands.outcome import fail_on_findings, show_result, write_junit
 from gateway.errors import GatewayError
 
 if TYPE_CHECKING:
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
     from gateway.motion.opening import OpenArm
     from gateway.motion.stream import MoveOptions
     from gateway.preflight.rules import CheckItem
+    from gateway.result.acceptance import Expected
 
 
 @click.command()
@@ -41,6 +44,8 @@ if TYPE_CHECKING:
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("out"), show_default=True)
 @click.option("--resume", is_flag=True, help="Go on with OUT/run.h5 instead of starting a new one.")
 @arm_option
+@accept_options
+@operator_option
 @bus_option
 @move_options
 @common
@@ -50,18 +55,24 @@ def commission(
     out: Path,
     resume: bool,
     arm_name: str | None,
+    expected: tuple[Expected, ...],
+    junit_file: Path | None,
+    operator: str | None,
     bus_spec: str | None,
     moving: MoveChoice,
 ) -> None:
     """All of it, guided: check, bare arm, each load, diagnosis, fresh poses, report. The arm moves."""
     from drives.errors import DriveError
+    from gateway.analyse.accept import accept
     from gateway.commands.cell_context import open_cell
     from gateway.commands.commission import Job
     from gateway.commands.commission import commission as run
     from gateway.model.arm_model import arm_named
     from gateway.report.render import render
+    from gateway.result.acceptance import check_expected
     from gateway.result.result import to_dict
 
+    check_expected(expected, labels)
     context = open_cell(cell, bus_spec, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
     out.mkdir(parents=True, exist_ok=True)
@@ -71,14 +82,17 @@ def commission(
             _set_aside(path, session_of())
     try:
         with context.way_on(), stoppable(moving) as options:
-            job = Job(context, arm, labels, recording, options)
+            job = Job(context, arm, labels, recording, options, operator)
             result = run(job, _Terminal(session_of(), context.loaded.cell.name, moving))
     except (GatewayError, DriveError, KeyboardInterrupt) as error:
         if recording.exists():
             error.add_note(f"What was measured is in {recording}; go on with commission --resume.")
         raise
+    result = accept(result, expected, arm)
     write_json(str(out / "result.json"), to_dict(result))
     replace_file(out / "report.html", render(result))
+    if junit_file is not None:
+        write_junit(junit_file, result)
     show_result(result, session_of())
     session_of().show(f"report: {out / 'report.html'}")
     fail_on_findings(result.findings)

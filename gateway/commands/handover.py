@@ -3,43 +3,87 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from drives.files import replace_file
-from gateway.commands.options import common, one_of, output_option, session_of
+from gateway.commands.measure import arm_option
+from gateway.commands.options import common, json_option, one_of, output_option, session_of, write_json
 from gateway.result.export import FORMATS
 
+if TYPE_CHECKING:
+    from gateway.result.result import Result
+
+#: Format of a recording.
+TABLE = "csv"
 RESULT = click.Path(path_type=Path, dir_okay=False)
 
 
 @click.command()
 @click.argument("result", metavar="OUT.json", type=RESULT)
 @output_option("-o", "--output", required=True, metavar="REPORT.html", help="Page to write.")
+@json_option
 @common
-def report(result: Path, output: Path) -> None:
+def report(result: Path, output: Path, json_out: str | None) -> None:
     """One HTML page from a result: it opens offline and prints on paper."""
     from gateway.report.render import render
-    from gateway.result.result import read_result
 
-    replace_file(output, render(read_result(result)))
+    held = _whole(result)
+    replace_file(output, render(held))
+    if json_out:
+        write_json(json_out, {"schema": 1, "report": str(output), "robot": held.robot, "verdict": held.verdict})
     session_of().show(f"report: {output}")
 
 
 @click.command()
-@click.argument("result", metavar="OUT.json", type=RESULT)
-@click.option("--format", "fmt", required=True, type=one_of(list(FORMATS)), help="Syntax to write.")
+@click.argument("result", metavar="OUT.json|RUN.h5", type=RESULT)
+@click.option("--format", "fmt", required=True, type=one_of([*FORMATS, TABLE]), help="Syntax to write; csv of RUN.h5.")
 @click.option("--load", "label", metavar="LABEL", help="Only this load.")
+@arm_option
 @output_option("-o", "--output", metavar="FILE", help="File to write; stdout if omitted.")
 @common
-def export(result: Path, fmt: str, label: str | None, output: Path | None) -> None:
-    """The load as URDF, JSON, or in the load syntax of a robot controller."""
-    from gateway.result.export import export as export_text
-    from gateway.result.result import read_result
+def export(result: Path, fmt: str, label: str | None, arm_name: str | None, output: Path | None) -> None:
+    """The load as URDF, JSON, or in the load syntax of a robot controller; a recording as measured table (csv).
 
-    text = export_text(read_result(result), fmt, label)
+    The table has the columns that `estimate` and `diagnose` read: two rows a pose, torque on the side of the joint.
+    """
+    from gateway.data.reading import is_recording
+    from gateway.result.export import export as export_text
+
+    if is_recording(result) != (fmt == TABLE):
+        raise click.UsageError(f"--format {TABLE} is of a recording (.h5), every other format of a result (.json)")
+    text = _table(result, arm_name, label) if fmt == TABLE else export_text(_whole(result), fmt, label)
     if output is None:
         click.echo(text, nl=False)
     else:
         replace_file(output, text)
         session_of().show(f"{fmt}: {output}")
+
+
+def _table(path: Path, arm_name: str | None, label: str | None) -> str:
+    """Text of the measured table of one arm, under one load or all."""
+    from gateway.data.recording.reader import read
+    from gateway.data.table import csv_of
+    from gateway.errors import InputError
+
+    recording = read(path)
+    names = [arm.name for arm in recording.arms]
+    if arm_name not in (None, *names) or (arm_name is None and len(names) > 1):
+        raise InputError(f"{path}: holds the arms {', '.join(names) or 'none'}: name one of them by --arm")
+    table = recording.table(arm_name)
+    if label is not None:
+        if label not in recording.loads:
+            raise InputError(f"{path}: load '{label}' is not in it; it holds {', '.join(recording.loads)}")
+        table = table.take(table.load == label)
+    return csv_of(table)
+
+
+def _whole(path: Path) -> Result:
+    """A result that was not edited; one of before there were checksums is taken, and named."""
+    from gateway.result.result import read_result
+
+    result = read_result(path)
+    if result.sha256 is None:
+        session_of().note(f"{path}: carries no sha256: whether it was edited since cannot be told")
+    return result

@@ -138,6 +138,7 @@ def plan_as_json(chosen: Plan) -> dict[str, Any]:
 )
 @arm_option
 @bus_option
+@json_option
 @move_options
 @common
 def record(
@@ -150,6 +151,7 @@ def record(
     result: Path | None,
     arm_name: str | None,
     bus_spec: str | None,
+    json_out: str | None,
     moving: MoveChoice,
 ) -> None:
     """Measure the rest poses under one load. The arm moves; Ctrl-C stops it along its way and keeps what was measured.
@@ -161,6 +163,7 @@ def record(
     from gateway.commands.cell_context import open_cell
     from gateway.commands.progress import recording_with_progress
     from gateway.model.arm_model import arm_named
+    from gateway.result.values import plain_values
 
     context = open_cell(cell, bus_spec, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
@@ -175,6 +178,8 @@ def record(
         options = ensure_proven(opened, context.stop_proof(arm), session.note, options)
         request = RecordRequest(label, output, resume)
         summary = recording_with_progress(session, opened, chosen, request, options)
+    if json_out:
+        write_json(json_out, {"schema": 1, "arm": arm.name, **plain_values(summary), "path": str(output)})
     session.show(f"{output}: {summary.visits} visits under load {label}, {summary.skipped} were there already")
     session.show(axis_table("friction band [Nm], median over the poses", {"band": summary.friction_band_nm}))
 

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -14,6 +14,9 @@ from drives.files import replace_file
 from gateway.commands.console import Session
 from gateway.data.labels import label_refused
 from gateway.errors import InputError
+
+if TYPE_CHECKING:
+    from gateway.result.acceptance import Expected
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -116,6 +119,30 @@ def _label(_ctx: click.Context, _param: click.Parameter, value: str | tuple[str,
 def load_option(name: str, help: str, **settings: Any) -> Callable[[Function], Function]:
     """--load: what hangs on the flange while it is measured."""
     return click.option("--load", name, metavar="LABEL", callback=_label, help=help, **settings)
+
+
+operator_option = click.option("--operator", metavar="NAME", help="Who measures: stands in the report, to be signed.")
+
+
+def _expected(_ctx: click.Context, _param: click.Parameter, value: tuple[str, ...]) -> tuple[Expected, ...]:
+    from gateway.result.acceptance import parse_expected
+
+    return tuple(parse_expected(text) for text in value)
+
+
+def accept_options(function: Function) -> Function:
+    """Add the options of ACCEPT."""
+    function = output_option("--junit", "junit_file", metavar="FILE", help="Write pass and fail as JUnit XML.")(
+        function
+    )
+    return click.option(
+        "--expect",
+        "expected",
+        multiple=True,
+        metavar="LABEL=MASS,TOLERANCE",
+        callback=_expected,
+        help="What a load weighs, and how far it may be off: kg; repeatable. Pass, fail or cannot tell.",
+    )(function)
 
 
 bus_option = click.option(

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from drives.files import replace_file
 from gateway.commands.console import Session, axis_names, axis_table, findings_table, grid, load_table, number
 from gateway.errors import FindingFailed
+from gateway.result.interval import SAID
 
 if TYPE_CHECKING:
     from gateway.result.result import Finding, LoadResult, NextMeasurement, Result
 
 # Up to this many poses are listed, more are counted.
 LISTED_POSES = 6
+ACCEPTANCE_COLUMNS = ("load", "measured", "allowed", "outcome")
 
 
 def show_result(result: Result, session: Session) -> None:
@@ -29,6 +34,7 @@ def show_result(result: Result, session: Session) -> None:
         session.show(f"verdict: {result.verdict}. {verdict_sentence(result)}")
     for item in result.next:
         _show_next(item, session)
+    _show_acceptance(result, session)
     if result.findings:
         session.show(findings_table(result.findings))
 
@@ -57,13 +63,31 @@ def _show_residuals(result: Result, session: Session) -> None:
 def _show_next(item: NextMeasurement, session: Session) -> None:
     told = f", tells apart {', '.join(item.tells_apart)}" if item.tells_apart else ""
     known = math.isfinite(item.reduction)
-    gain = f", standard deviation then about {100 * item.reduction:.0f} % of now" if known else ""
+    gain = f", interval then about {100 * item.reduction:.0f} % as wide as now" if known else ""
     session.show(f"next: {item.what}{told}{gain}")
     if item.poses_rad and len(item.poses_rad) <= LISTED_POSES:
         rows = [
             [str(count), *(f"{math.degrees(q):.1f}" for q in q_rad)] for count, q_rad in enumerate(item.poses_rad, 1)
         ]
         session.show(grid("poses to measure [deg]", ["", *axis_names(len(item.poses_rad[0]))], rows))
+
+
+def _show_acceptance(result: Result, session: Session) -> None:
+    from gateway.result.acceptance import IN_WORDS, asked_for, measured
+
+    if result.acceptance:
+        rows = [
+            [row.load, f"{row.what} {measured(row)}", asked_for(row), IN_WORDS[row.outcome]]
+            for row in result.acceptance
+        ]
+        session.show(grid(f"acceptance: value ± half of the {SAID} interval", ACCEPTANCE_COLUMNS, rows, left=4))
+
+
+def write_junit(path: Path, result: Result) -> None:
+    """Write what passed and what failed for a build server."""
+    from gateway.result.junit import junit
+
+    replace_file(path, junit(result, datetime.now(UTC)))
 
 
 def fail_on_findings(findings: Sequence[Finding]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -257,6 +258,7 @@ def pair_report(cell: Path, output: Path, store: Path | None) -> None:
     """One HTML page: force or gap along the path for every embodiment that was run, learning points, convergence."""
     from gateway.errors import DataUnusable
     from gateway.report.pair import FORCE, GAP, Limited, render_pair
+    from gateway.result.origin import Origin, files_of, in_words, software
 
     pair, kept = _open(cell, None, store)
     if pair.gap is None:
@@ -266,5 +268,6 @@ def pair_report(cell: Path, output: Path, store: Path | None) -> None:
     runs = [run for run in kept.runs() if bound.what.last(run)]
     if not runs:
         raise DataUnusable(f"{kept.folder}: holds no run; run-pair first")
-    replace_file(output, render_pair(pair.loaded.cell.name, bound, runs))
+    origin = Origin(in_words(datetime.now(UTC)), software(), files=files_of((cell, *kept.run_files())))
+    replace_file(output, render_pair(pair.loaded.cell.name, bound, runs, origin))
     session_of().show(f"{output}: {len(runs)} embodiments")

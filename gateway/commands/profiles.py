@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from drives.files import replace_file
+from gateway.commands.bus import DEFAULT_BUS
 from gateway.commands.options import common, json_option, output_option, session_of, write_json
 from gateway.errors import ConfigError
 
@@ -29,17 +30,22 @@ def profiles() -> None:
 
 
 @profiles.command("list")
+@json_option
 @common
-def profiles_list() -> None:
-    """Name, description and measured torque of every profile."""
+def profiles_list(json_out: str | None) -> None:
+    """Name, description and torque of every profile, and whether its drives are moved."""
     from drives.profile_file import list_profiles, load_profile
     from gateway.commands.console import grid
 
-    rows = []
+    columns = ["name", "description", "torque", "nature", "moved"]
+    rows: list[list[str]] = []
     for name in list_profiles():
         profile = load_profile(name)
-        rows.append([name, profile.description, profile.torque.kind, profile.torque.nature])
-    session_of().show(grid("drive profiles", ["name", "description", "torque", "nature"], rows, left=4))
+        moved = "read only" if profile.obstacles else "moved"
+        rows.append([name, profile.description, profile.torque.kind, profile.torque.nature, moved])
+    if json_out:
+        write_json(json_out, {"schema": 1, "profiles": [dict(zip(columns, row, strict=True)) for row in rows]})
+    session_of().show(grid("drive profiles", columns, rows, left=len(columns)))
 
 
 @profiles.command("show")
@@ -64,7 +70,7 @@ def profiles_schema() -> None:
 @profiles.command("new")
 @click.option("--eds", required=True, metavar="FILE", type=FILE, help="EDS or DCF of the drive.")
 @click.option("--from-drive", "node_id", metavar="NODE", type=click.IntRange(1, 127), help="Ask this drive as well.")
-@click.option("--bus", "bus_spec", metavar="SPEC", help="Bus of that drive.")
+@click.option("--bus", "bus_spec", metavar="SPEC", help=f"Bus of that drive; {DEFAULT_BUS} if omitted.")
 @click.option("--answers", "answer_file", metavar="FILE", type=FILE, help="Answers as TOML, one key each.")
 @click.option("--answer", "typed", metavar="KEY=VALUE", multiple=True, help="One answer; before the file's.")
 @click.option("--name", metavar="NAME", help="Of the profile; the name of the output file if omitted.")
@@ -92,8 +98,8 @@ def profiles_new(
     from drives.draft.text import draft, profile_name
     from drives.profile_file import list_profiles, parse_profile
 
-    if (node_id is None) != (bus_spec is None):
-        raise click.UsageError("--from-drive NODE and --bus SPEC belong together.")
+    if node_id is None and bus_spec is not None:
+        raise click.UsageError("--bus SPEC belongs to --from-drive NODE.")
     if output.suffix != ".toml":
         raise click.UsageError(f"-o {output}: the name of a profile's file ends with .toml.")
     if output.stem in list_profiles():
@@ -102,8 +108,8 @@ def profiles_new(
         )
     answers = with_answers(read_answers(answer_file) if answer_file else Answers(), _typed(typed))
     device = device_of_sheet(eds)
-    if node_id is not None and bus_spec is not None:
-        device = _ask_drive(device, node_id, bus_spec)
+    if node_id is not None:
+        device = _ask_drive(device, node_id, bus_spec or DEFAULT_BUS)
     if _at_terminal():
         answers = _ask(device, answers)
     text = draft(device, answers, name or profile_name(output.stem))

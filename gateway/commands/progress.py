@@ -43,7 +43,8 @@ class ProgressListener:
         elif isinstance(event, StateChanged):
             self._session.note(str(event.state), level=2)
         else:
-            self._session.note(f"stopped: {event.reason}")
+            # what is raised says it too, last, where it is still on the screen
+            self._session.note(f"stopped: {event.reason}", level=1)
 
 
 def recording_with_progress(

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from gateway.cell.axes import MOST_AXES
+from gateway.cell.plausible import LARGEST_ANGLE_RAD
 from gateway.errors import InputError
 
 AXES = range(1, MOST_AXES + 1)
@@ -22,22 +23,48 @@ BLOCK_ROWS = 2048
 
 TEXT = frozenset({"run", "load"})
 BLANK_ALLOWED = frozenset({"pose", "time_s", *(f"qd{i}_rad_s" for i in AXES), *(f"qdd{i}_rad_s2" for i in AXES)})
-PATTERNS = (
-    "q{}_rad",
-    "qd{}_rad_s",
-    "qdd{}_rad_s2",
-    "dir{}",
-    "tau{}_nm",
-    "taum{}_nm",
-    "i{}_a",
-    "tau{}_std_nm",
-    "taum{}_std_nm",
-    "i{}_std_a",
-    "q2nd{}_rad",
-    "temp{}_c",
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column of the measured table, or one an axis: name with `{}` for the axis, unit, when needed, meaning."""
+
+    name: str
+    unit: str
+    needed: str
+    meaning: str
+
+
+#: Every column that has a meaning, in the order in which it is explained.
+COLUMNS = (
+    Column("run", "", "no", "recording that the row comes from; the name of the file if absent"),
+    Column("load", "", "no", "label of what is on the flange; `none` = bare, the default"),
+    Column("pose", "", "rest rows", "integer; the same number under two loads is the same pose"),
+    Column("time_s", "s", "moving rows", "at rest optional: start of the visit"),
+    Column("q{}_rad", "rad", "yes", "joint position in the convention of the robot model"),
+    Column("qd{}_rad_s", "rad/s", "moving rows", "joint speed; absent: at rest"),
+    Column("qdd{}_rad_s2", "rad/s2", "moving rows", "joint acceleration"),
+    Column("dir{}", "-1, 0, 1", "no", "sign of the joint's last motion before it came to rest; 0: unknown"),
+    Column(
+        "tau{}_nm",
+        "Nm",
+        "one of three",
+        "torque of the actuator on the joint's side, positive in the direction of positive q; ratio applied, efficiency"
+        " not, nothing subtracted",
+    ),
+    Column("taum{}_nm", "Nm", "one of three", "torque on the motor's side; ratio, efficiency, sign come from the cell"),
+    Column("i{}_a", "A", "one of three", "motor current; needs `--cell` for torque constant, ratio and sign"),
+    Column("tau{}_std_nm", "Nm", "no", "standard deviation of the samples that were averaged"),
+    Column("taum{}_std_nm", "Nm", "no", "the same of `taum{}_nm`"),
+    Column("i{}_std_a", "A", "no", "the same of `i{}_a`"),
+    Column("n", "", "no", "how many samples were averaged"),
+    Column("q2nd{}_rad", "rad", "no", "encoder on the link's side"),
+    Column("temp{}_c", "deg C", "no", "temperature of motor or drive"),
 )
+PATTERNS = tuple(column.name for column in COLUMNS if "{}" in column.name)
 AXIS_OF = {pattern.format(axis): axis for pattern in PATTERNS for axis in AXES}
-KNOWN = frozenset({"run", "load", "pose", "time_s", "n", *AXIS_OF})
+ANGLES = frozenset(f"{kind}{axis}_rad" for kind in ("q", "q2nd") for axis in AXES)
+KNOWN = frozenset({*(column.name for column in COLUMNS if "{}" not in column.name), *AXIS_OF})
 
 #: Lines of a file by their numbers, as cells; empty ones are left out.
 Lines = Iterator[tuple[int, list[str]]]
@@ -75,9 +102,20 @@ def read_columns(path: Path) -> CsvColumns:
     Raises
     ------
     InputError
-        File unreadable, header or row malformed, column unknown or given twice, cell that is not a finite number.
+        File unreadable, header or row malformed, column unknown or given twice, cell that is not a finite number,
+        angle that can only be degrees.
     """
-    return _opened(path, KNOWN)
+    columns = _opened(path, KNOWN)
+    for name in sorted(ANGLES & set(columns.values)):
+        values = columns.values[name]
+        far = np.abs(values) > LARGEST_ANGLE_RAD
+        if far.any():
+            row = int(np.argmax(far))
+            raise InputError(
+                f"{columns.where(row)}: {name} = {values[row]:g} is beyond {LARGEST_ANGLE_RAD:.4g} rad: these"
+                f" are degrees; write {math.radians(values[row]):.6g}, and every angle of the table in radians"
+            )
+    return columns
 
 
 def read_path_columns(path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> CsvColumns:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from gateway.cell.axes import FEWEST_AXES, MOST_AXES
 from gateway.cell.conversion import AxisConversion
 from gateway.data.csv_text import CsvColumns, read_columns
+from gateway.data.labels import LONGEST, label_refused
 from gateway.data.rows import MOVING, Table, concatenate, without_duplicates
 from gateway.errors import InputError
 
@@ -82,8 +84,10 @@ def _label(columns: CsvColumns, name: str, default: str) -> np.ndarray:
         return np.full(n_rows, default)
     cells = [cell.strip() for cell in columns.values[name]]
     for row, cell in enumerate(cells):
-        if not cell or not cell.isprintable() or len(cell) > 200:
+        if not cell or not cell.isprintable() or len(cell) > LONGEST:
             raise InputError(f"{columns.where(row)}: {name}: a label is needed, of printable characters")
+        if name == "load" and (wrong := label_refused(cell)):
+            raise InputError(f"{columns.where(row)}: load '{cell}' {wrong}")
     return np.array(cells)
 
 
@@ -199,14 +203,27 @@ def write_csv(table: Table, path: Path) -> None:
     InputError
         The file cannot be written.
     """
-    columns = _columns_to_write(table)
     try:
         with path.open("w", encoding="utf-8", newline="") as stream:
-            writer = csv.writer(stream)
-            writer.writerow(columns)
-            writer.writerows(zip(*columns.values(), strict=True))
+            stream.write(csv_of(table))
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def csv_of(table: Table) -> str:
+    """Text of a table, as `read_csv` reads it: joint torques, only the columns that hold something.
+
+    Raises
+    ------
+    InputError
+        An axis was measured in some rows only.
+    """
+    columns = _columns_to_write(table)
+    stream = io.StringIO(newline="")
+    writer = csv.writer(stream)
+    writer.writerow(columns)
+    writer.writerows(zip(*columns.values(), strict=True))
+    return stream.getvalue()
 
 
 def _columns_to_write(table: Table) -> dict[str, list[object]]:

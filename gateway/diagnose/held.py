@@ -11,9 +11,6 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-#: Half width of the interval that holds 95 %, in standard deviations.
-TWO_SIDED_95 = 1.96
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Held:

@@ -1,4 +1,4 @@
-"""Whether an estimate can be a body at all: agreement of the poses, positive mass, centre of mass within reach."""
+"""Whether an estimate can be a body at all: agreement of the poses, centre of mass within reach."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from gateway.identify.load_estimate import LoadEstimate
 from gateway.model.robot import Robot, reach_m
+from gateway.result.interval import half_width, holds_zero
 from gateway.result.result import Finding
 
 #: Residual over the noise of other rows above which a load's data are refused.
@@ -41,17 +42,10 @@ def hull_radius_m(robot: Robot, given_m: float | None) -> float:
 def physical_findings(load: LoadEstimate, frame: str, radius_m: float) -> list[Finding]:
     """What is physically doubtful about a load given in the frame of that name; nothing is clamped."""
     where, out = f"load {load.label}", []
-    if np.isfinite(load.mass_kg) and load.mass_kg <= 0:
-        out.append(
-            Finding("warn", where, f"the mass comes out as {load.mass_kg:.3g} kg, which no body has",
-                    "check signs and torque constants, and whether the model lacks an effect (diagnose)")
-        )  # fmt: skip
-    elif np.isfinite(load.mass_kg) and load.mass_kg < 1.96 * load.mass_std_kg:
-        out.append(
-            Finding("info", where, "the mass cannot be told from zero", "measure more poses, or from both sides")
-        )
+    if holds_zero(load.mass_kg, load.mass_std_kg):
+        return out  # nothing has no centre
     distance = float(np.linalg.norm(load.com_m))
-    slack = 1.96 * float(np.linalg.norm(load.com_std_m)) if np.isfinite(load.com_std_m).all() else 0.0
+    slack = half_width(float(np.linalg.norm(load.com_std_m))) if np.isfinite(load.com_std_m).all() else 0.0
     if np.isfinite(distance) and distance > radius_m:
         sure = "" if distance - slack > radius_m else ", though within its uncertainty it may lie inside"
         out.append(

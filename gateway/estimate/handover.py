@@ -15,6 +15,7 @@ from gateway.estimate.options import EstimateOptions
 from gateway.identify.load_estimate import LoadEstimate, load_result
 from gateway.identify.nuisance import LOAD_FRICTION, LOAD_FRICTION_STD, ORDINARY_STD, efficiency_of
 from gateway.model.robot import Robot
+from gateway.result.acceptance import no_body
 from gateway.result.result import Finding, FitSummary, Parameter, Result, Rows
 
 Floats = NDArray[np.float64]
@@ -78,6 +79,7 @@ def _findings(estimate: Estimate, robot: Robot | None, options: EstimateOptions)
             continue
         if load.unidentifiable and estimate.method != "coefficient":
             out.append(Finding("warn", where, _why_open(estimate, load), _what_to_do(estimate, robot)))
+        out += no_body([load_result(load, robot)])
         if robot is not None:
             out += physical_findings(load, robot.last_link, hull_radius_m(robot, options.hull_radius_m))
     if estimate.rows is not None and estimate.method in ("joint", "difference", "posture"):

@@ -129,6 +129,11 @@ def refuse_other_bare(bare: Bare, robot: Robot, gravity_m_s2: Sequence[float]) -
     ------
     InputError
     """
+    if bare.robot != robot.name:
+        raise InputError(
+            f"--bare: it identified robot '{bare.robot}', and this is robot '{robot.name}'; use the bare run of the"
+            " same arm"
+        )
     base = rest_base(robot, tuple(gravity_m_s2))
     combination = np.asarray(bare.combination, dtype=float)
     same = combination.shape == base.combination.shape and np.allclose(combination, base.combination, atol=1e-4)

@@ -28,6 +28,8 @@ from gateway.result.follow import (
     TorqueCurve,
     TrendCloud,
 )
+from gateway.result.interval import SAID
+from gateway.result.numerals import with_interval
 from gateway.result.result import Finding
 from gateway.result.values import matrix, numbers
 
@@ -116,8 +118,8 @@ def _load_finding(job: Comparison) -> list[Finding]:
     trend = job.trend.told
     asked = (1.0 + trend.scale) * fed.mass_kg
     said = (
-        f"{100 * trend.scale:+.1f} +- {100 * trend.scale_std:.1f} % of its torque is left in the residual: the torque "
-        f"asks for {asked:.2f} kg, {fed.mass_kg:.2f} kg was fed"
+        f"{with_interval(trend.scale, trend.scale_std, 100)} % of its torque ({SAID}) is left in the residual: the "
+        f"torque asks for {asked:.2f} kg, {fed.mass_kg:.2f} kg was fed"
     )
     proven = abs(trend.scale) > SIGMAS * trend.scale_std
     if not proven or abs(trend.scale) < NOTED_SHARE:
@@ -201,8 +203,12 @@ def _spread_over(count: int, most: int) -> NDArray[np.int_]:
 
 
 def _chosen(track: Track) -> NDArray[np.int_]:
-    """Rows of a curve: of every short stretch the row with the largest error of any axis, in units of its peak."""
+    """Rows of a curve: of every short stretch the row with the largest error of any axis, and the peak of every axis.
+
+    Errors are compared in units of their axis's peak; the peaks stand in the table too, and in the curve as large.
+    """
     error = np.abs(np.nan_to_num(track.error_rad))
     size = (error / np.maximum(error.max(axis=0), 1e-12)).max(axis=1)
     edges = np.unique(np.linspace(0, len(size), min(CURVE_POINTS, len(size)) + 1).astype(int))
-    return np.array([low + int(np.argmax(size[low:high])) for low, high in zip(edges[:-1], edges[1:], strict=True)])
+    largest = [low + int(np.argmax(size[low:high])) for low, high in zip(edges[:-1], edges[1:], strict=True)]
+    return np.union1d(largest, error.argmax(axis=0))

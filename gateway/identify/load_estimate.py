@@ -8,7 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.robot import Robot
+from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
+from gateway.model.robot import Robot, reach_m
+from gateway.result.interval import holds_zero
 from gateway.result.result import LoadResult
 
 Floats = NDArray[np.float64]
@@ -130,6 +132,25 @@ def without_guesses(load: LoadEstimate, longest_m: float) -> LoadEstimate:
             name for name, out in zip(LOAD_PARTS, gone, strict=True) if out or name in load.unidentifiable
         ),
     )
+
+
+def next_to_nothing(mass_kg: float, std_kg: float, robot: Robot, torque_nm: Floats, share: float) -> bool:
+    """Whether the data tell that hardly anything hangs there, rather than tell nothing of a mass.
+
+    Parameters
+    ----------
+    mass_kg, std_kg : float
+        Mass as fitted, negative ones too, and its standard deviation.
+    robot : Robot
+        Of which the length is known.
+    torque_nm : array of shape (n, N)
+        Measured, NaN where not.
+    share : float
+        Of the largest torque: up to what the standard deviation may weigh at full reach.
+    """
+    known = np.abs(torque_nm[np.isfinite(torque_nm)])
+    weight_nm = std_kg * float(np.linalg.norm(STANDARD_GRAVITY_M_S2)) * reach_m(robot)
+    return holds_zero(mass_kg, std_kg) and bool(weight_nm <= share * known.max(initial=0.0))
 
 
 def unknown_load(label: str) -> LoadEstimate:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final
 
@@ -81,6 +81,7 @@ class Effect:
     drawn : whether a wrong drawing of the links can imitate it
     friction : whether it is friction, which has many shapes in any gear
     mistake : what is wrong and what to do, of a commissioning mistake
+    told : words for parameters whose key does not say what they are
     """
 
     name: str
@@ -94,6 +95,7 @@ class Effect:
     drawn: bool = False
     friction: bool = False
     mistake: tuple[str, str] | None = None
+    told: Mapping[str, str] = field(default_factory=dict)
 
 
 def measured_axes(rows: RestRows) -> list[int]:

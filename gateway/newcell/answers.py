@@ -15,6 +15,7 @@ from typing import Any, Final, cast
 from drives.profile_file import list_profiles
 from drives.toml_lines import key_lines
 from drives.toml_text import parse_toml, toml_string
+from drives.validation import not_toml
 from gateway.errors import ConfigError
 from gateway.newcell import questions
 from gateway.newcell.forms import SOURCE, VALUE
@@ -153,11 +154,12 @@ def read_answers(path: Path) -> dict[str, Given]:
     """
     try:
         text = path.read_text(encoding="utf-8")
-        table = parse_toml(text)
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}; give an answer file") from error
+    try:
+        table = parse_toml(text)
     except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: not valid TOML: {error}; correct the file") from error
+        raise ConfigError.of(not_toml(text, error).told(str(path))) from error
     known = questions.KEYS
     lines = key_lines(text)
     strange = [f"{path} line {lines[key,]}: {key} answers no question" for key in table if key not in known]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -48,6 +49,18 @@ def text() -> Form:
         if not isinstance(value, str) or not value.strip():
             raise ValueError("is no text")
         return value.strip()
+
+    return Form(read)
+
+
+def pattern(spelled: str, otherwise: str) -> Form:
+    """A text that a regular expression describes."""
+
+    def read(value: Any, axes: int) -> str:
+        del axes
+        if not isinstance(value, str) or re.fullmatch(spelled, value) is None:
+            raise ValueError(f"is {value!r}, which is {otherwise}")
+        return value
 
     return Form(read)
 

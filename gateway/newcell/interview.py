@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
 from drives.bus_spec import BusSpec
+from drives.eds import contradictions
 from drives.profile import DriveProfile
 from drives.profile_file import find_profile
 from gateway.cell.config import DhTable
@@ -103,6 +104,7 @@ def interview(answers: Answers, eyes: Eyes, name: str, tell: Callable[[str], Non
         *_strangers(on_bus, in_files, answers.value(questions.NODES)),
         *_own_gears(nodes),
         *_obstacles(axes.profiles),
+        *_contradicted(nodes, axes.profiles),
     )
     return Draft(answers, robot, urdf, spec, nodes, tuple(axes.profiles), remarks, looked)
 
@@ -192,7 +194,7 @@ def _alone(ids: Sequence[int]) -> None:
 
 
 def _with_values(node: SeenNode, values: Mapping[Address, Read]) -> SeenNode:
-    return SeenNode(node.node_id, node.identity, values, node.profiles, node.name)
+    return replace(node, values=values)
 
 
 def _gears(answers: Answers, axes: Axes) -> None:
@@ -256,6 +258,18 @@ def _obstacles(profiles: Sequence[DriveProfile]) -> list[str]:
     """Profiles that are read and refuse motion."""
     told = {profile.name: profile.obstacles for profile in profiles}
     return [f"profile {name} refuses motion: {obstacle}" for name, found in told.items() for obstacle in found]
+
+
+def _contradicted(nodes: Sequence[SeenNode | None], profiles: Sequence[DriveProfile]) -> list[str]:
+    """Profiles that count on what the data sheet of their drive does not have, once a pair."""
+    told: dict[tuple[str, str], str] = {}
+    for node, profile in zip(nodes, profiles, strict=True):
+        if node is not None and node.sheet is not None:
+            problems = contradictions(profile, node.sheet)
+            if problems:
+                what = f"profile {profile.name} and {node.sheet.name} contradict each other: {'; '.join(problems)}"
+                told[profile.name, node.sheet.name] = what
+    return list(told.values())
 
 
 def _own_gears(nodes: Sequence[SeenNode | None]) -> list[str]:

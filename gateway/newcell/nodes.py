@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from drives.eds import Sheet
 from drives.objects import OBJECTS
 from drives.profile import Constant, DriveProfile, ObjectReference, Signal
 from drives.values import Identity
@@ -34,6 +35,8 @@ class SeenNode:
         Packaged profiles that fit, those that name its maker first.
     name : str
         How messages call it: `node 11`, `j1.eds`.
+    sheet : Sheet or None
+        Its EDS or DCF, where one was given.
     """
 
     node_id: int | None
@@ -41,6 +44,7 @@ class SeenNode:
     values: Mapping[Address, Read]
     profiles: tuple[str, ...]
     name: str
+    sheet: Sheet | None = None
 
     def read(self, name: str) -> Read | None:
         """Value of a standard object."""
@@ -59,7 +63,7 @@ def of_axes(nodes: Sequence[int], on_bus: Sequence[SeenNode], in_files: Sequence
         live, sheet = by_id.get(node_id), _file_of(axis, node_id, len(nodes), in_files)
         if live is not None and sheet is not None:
             values = {**sheet.values, **live.values}
-            found.append(replace(live, values=values))
+            found.append(replace(live, values=values, sheet=sheet.sheet))
         else:
             found.append(live or sheet)
     return found

@@ -18,6 +18,7 @@ from gateway.newcell.forms import (
     numbers,
     one_number,
     pairs,
+    pattern,
     per_axis,
     place,
     table,
@@ -145,7 +146,7 @@ INERTIALS: Final = Question(
     "inertials",
     "trust of the URDF's masses: exact, ignore, or prior:S with S their relative deviation",
     "prior:0.05 for a maker's own URDF, ignore for masses of unknown origin",
-    text(),
+    pattern(r"exact|ignore|prior:\d*\.?\d+", "none of exact, ignore, prior:S such as prior:0.1"),
 )
 MOUNTING: Final = Question(
     "mounting",

@@ -115,7 +115,7 @@ def _node_in(path: Path, sheet: Sheet) -> SeenNode:
             if kind is not None and isinstance(value, int):
                 values[address] = Read(_signed(value, kind), f"{origin} {path.name}, 0x{address[0]:04X}")
                 break
-    return SeenNode(node_id, identity, values, matching_profiles(identity), path.name)
+    return SeenNode(node_id, identity, values, matching_profiles(identity), path.name, sheet)
 
 
 def _signed(value: int, kind: DataType) -> int:

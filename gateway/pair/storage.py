@@ -114,6 +114,10 @@ class PairStore:
         """Keep a run for the report."""
         self.write(f"run-{run.name}.json", json.dumps(plain_values(run), allow_nan=False) + "\n")
 
+    def run_files(self) -> list[Path]:
+        """Files of the stored runs, in the order of their names."""
+        return sorted(self.folder.glob("run-*.json"))
+
     def runs(self) -> list[PairRunResult]:
         """Stored runs with at least one cycle, for the report.
 
@@ -122,7 +126,7 @@ class PairStore:
         InputError
             One of them is damaged.
         """
-        found = [_read(PairRunResult, path) for path in sorted(self.folder.glob("run-*.json"))]
+        found = [_read(PairRunResult, path) for path in self.run_files()]
         return [run for run in found if run.cycles]
 
 
@@ -161,10 +165,14 @@ def run_result(cell: PairCell, run: PairRun, cycles: Sequence[PairCycle], statis
 
 
 def _forces(cell: PairCell, path: PairPath, cycles: Sequence[PairCycle]) -> dict[str, Numbers]:
-    """Force along the line between the grippers in the first and the last cycle [N]."""
+    """Force in the first and the last cycle [N]: along the line between the grippers, and its whole size."""
     along = line_of_grippers(cell, path)
-    first, last = (np.sum(cycle.force[:, :3] * along, axis=1) for cycle in (cycles[0], cycles[-1]))
-    return {"first_n": numbers(np.round(first, 2)), "last_n": numbers(np.round(last, 2))}
+    drawn: dict[str, Numbers] = {}
+    for name, cycle in (("first", cycles[0]), ("last", cycles[-1])):
+        force = cycle.force[:, :3]
+        drawn[f"{name}_n"] = numbers(np.round(np.sum(force * along, axis=1), 2))
+        drawn[f"{name}_size_n"] = numbers(np.round(np.linalg.norm(force, axis=1), 2))
+    return drawn
 
 
 def _gaps(cycles: Sequence[PairCycle]) -> dict[str, Numbers]:

@@ -11,6 +11,8 @@ from markupsafe import Markup
 
 from gateway.report import words
 from gateway.report.svg import Panel
+from gateway.result.interval import PLUS_MINUS, SAID, half_width
+from gateway.result.numerals import with_interval
 from gateway.result.result import LoadResult, NuisanceResult, Result, SetAside
 
 #: Source -> what the page calls it.
@@ -37,10 +39,10 @@ _ROOM: Final = 0.1
 
 @dataclass(frozen=True, slots=True)
 class BudgetRow:
-    """One load in words: per source its share [%] and the standard deviation [kg] that it alone would leave."""
+    """One load in words: half width of its 95 % interval [kg]; per source the share [%], and the half width alone."""
 
     label: str
-    std: str
+    half: str
     parts: tuple[tuple[str, str, str], ...]
 
 
@@ -70,8 +72,7 @@ def _percent(budget: Mapping[str, float], name: str) -> str:
 
 
 def _bar(panel: Panel, load: LoadResult, top: float) -> None:
-    std = words.plain(load.mass_std_kg, words.decimals(load.mass_std_kg))
-    title = f"{words.load(load.label)}: standard deviation {std} kg"
+    title = f"{words.load(load.label)}: {PLUS_MINUS} {_half(load.mass_std_kg)} kg ({SAID})"
     panel.text(_LEFT, top + 4.0, title, "tick name")
     start = 0.0
     for name in SOURCE_WORDS:
@@ -91,12 +92,15 @@ def budget_rows(result: Result) -> list[BudgetRow]:
     return [
         BudgetRow(
             load.label,
-            words.plain(load.mass_std_kg, words.decimals(load.mass_std_kg)),
+            _half(load.mass_std_kg),
             tuple(
                 (
                     name,
                     f"{100 * share:.0f}",
-                    words.plain(math.sqrt(max(share, 0.0)) * load.mass_std_kg, words.decimals(load.mass_std_kg)),
+                    words.plain(
+                        half_width(math.sqrt(max(share, 0.0)) * load.mass_std_kg),
+                        words.decimals(half_width(load.mass_std_kg)),
+                    ),
                 )
                 for name, share in ((key, load.budget.get(key, 0.0)) for key in SOURCE_WORDS)
             ),
@@ -105,10 +109,15 @@ def budget_rows(result: Result) -> list[BudgetRow]:
     ]
 
 
-def nuisance_rows(result: Result) -> list[tuple[str, str, list[str]]]:
-    """What every arm has: words, unit, and value with standard deviation of every axis."""
+def _half(std: float) -> str:
+    half = half_width(std)
+    return words.plain(half, words.decimals(half))
+
+
+def nuisance_rows(result: Result) -> list[tuple[str, list[str]]]:
+    """What every arm has: words with the unit, and value with its 95 % interval of every axis."""
     return [
-        (*_said(key)[:2], _cells(nuisance, _said(key)[2]))
+        ("{} [{}]".format(*_said(key)[:2]), _cells(nuisance, _said(key)[2]))
         for key, nuisance in result.nuisance.items()
         if any(map(words.known, nuisance.value))
     ]
@@ -122,14 +131,11 @@ def _said(key: str) -> tuple[str, str, float]:
 
 
 def _cells(nuisance: NuisanceResult, factor: float) -> list[str]:
-    return [_cell(value * factor, std * factor) for value, std in zip(nuisance.value, nuisance.std, strict=True)]
+    return [_cell(value, std, factor) for value, std in zip(nuisance.value, nuisance.std, strict=True)]
 
 
-def _cell(value: float, std: float) -> str:
-    if not words.known(value):
-        return words.plain(value)
-    shown, half = words.plus_minus(value, std)
-    return f"{shown} \N{PLUS-MINUS SIGN} {half}" if half else shown
+def _cell(value: float, std: float, factor: float) -> str:
+    return with_interval(value, std, factor) if words.known(value) else words.plain(value)
 
 
 def aside_rows(entries: Sequence[SetAside]) -> list[tuple[str, str, str, str, str, str]]:

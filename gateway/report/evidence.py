@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 from markupsafe import Markup
 
 from gateway.report import words
@@ -13,6 +14,7 @@ from gateway.report.rows import cell, measured_axes
 from gateway.report.svg import Panel, limits, tick_text
 from gateway.report.view import Candidate
 from gateway.result.drawn import Curve
+from gateway.result.interval import half_width
 from gateway.result.result import LoadResult, Result, Rows
 
 MOST_CANDIDATES = 14
@@ -90,7 +92,7 @@ def per_pose_figure(result: Result, classes: Mapping[str, str]) -> Markup | None
 
 
 def _per_pose(panel: Panel, load: LoadResult, names: Sequence[str], kind: str) -> None:
-    mass, half = load.mass_kg, words.TWO_SIDED_95 * load.mass_std_kg
+    mass, half = load.mass_kg, half_width(load.mass_std_kg)
     if words.known(mass) and words.known(half):
         panel.box(panel.x_range, (mass - half, mass + half), f"between {kind}")
         panel.segment((panel.x_range[0], mass), (panel.x_range[1], mass), f"whisker {kind}")
@@ -130,7 +132,8 @@ def friction_figure(result: Result) -> Markup | None:
         panel.text(LEFT - 8, panel.y(row) + 4, words.axis(axis + 1), "name end")
         for value in values:
             panel.dot(math.log10(value), row, "dot faint", f"{value:.3g} Nm", 4.0)
-        middle = sorted(values)[len(values) // 2]
+        stated = cell((result.friction_band_nm,), 0, axis)
+        middle = stated if stated > 0 else float(np.median(values))
         panel.segment((math.log10(middle), row - 0.3), (math.log10(middle), row + 0.3), "median")
         panel.text(panel.width - 104, panel.y(row) + 4, f"{words.significant(middle)} Nm", "name")
     return panel.svg("Friction band of every axis")

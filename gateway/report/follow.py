@@ -8,30 +8,44 @@ from collections.abc import Sequence
 from markupsafe import Markup
 
 from gateway.report import words
-from gateway.report.page import Head, page
+from gateway.report.page import Head, drive_rows, made, page
 from gateway.report.svg import Panel, limits
 from gateway.result.follow import IDENTIFIED, MAXIMUM, OFF, ErrorCurve, FollowResult, TorqueCurve, TrendCloud
+from gateway.result.interval import SAID
+from gateway.result.numerals import with_interval
 
 NAMES = {OFF: "off", MAXIMUM: "maximum load assumed", IDENTIFIED: "identified load"}
 #: Axes that are named in the headline: those that lift.
 HEADLINE_AXES = (1, 2)
 MRAD = 1000.0
+#: Words and unit of a figure, its key, factor to the unit.
+QUANTITIES = (
+    ("peak error [mrad]", "peak_rad", MRAD),
+    ("rms error [mrad]", "rms_rad", MRAD),
+    ("lag [ms]", "lag_s", 1000.0),
+    ("overshoot [mrad]", "overshoot_rad", MRAD),
+)
 WIDTH, HEIGHT = 330.0, 170.0
 
 
 def render_follow(result: FollowResult) -> str:
     """HTML text of the page on a comparison."""
     path = f"{result.path.name}, {result.path.duration_s:.1f} s"
-    about = (("robot", result.robot), ("cell", result.cell), ("arm", result.arm), ("path", path))
+    about = (("robot", result.robot), ("cell", result.cell), ("arm", result.arm), ("path", path), *made(result.origin))
     trend = result.trend if result.trend is not None and math.isfinite(result.trend.scale) else None
     return page(
         "follow.html.j2",
         Head(f"Feedforward: {result.robot}", "Feedforward report", about),
         result=result,
+        interval=with_interval,
         names=[(setting.name, NAMES.get(setting.name, setting.name)) for setting in result.settings],
         status="bad" if any(item.severity == "fail" for item in result.findings) else "good",
         headline=headline(result),
         figures=figure_rows(result),
+        axis_names=[words.axis(axis + 1) for axis in _axes(result)],
+        fed=_fed(result),
+        sources=_sources(result),
+        drive_rows=[] if result.origin is None else drive_rows(result.origin.drives),
         bars=_bars(result),
         curves=_curves(result),
         zoom=_zoom(result),
@@ -53,16 +67,48 @@ def headline(result: FollowResult) -> str:
     return "Peak following error: " + "; ".join(parts)
 
 
-def figure_rows(result: FollowResult) -> list[tuple[str, list[tuple[str, str]]]]:
-    """Rows of the table of figures: name of the axis; setting and text of every quantity."""
-    columns = [
-        (setting.name, scale, getattr(setting, key))
-        for key, scale in (("peak_rad", MRAD), ("rms_rad", MRAD), ("lag_s", 1000.0), ("overshoot_rad", MRAD))
-        for setting in result.settings
-    ]
+def figure_rows(result: FollowResult) -> list[tuple[str, list[tuple[str, str, list[str]]]]]:
+    """Tables of figures: quantity; of every setting its name, its words, and a number an axis, as at the terminal."""
     return [
-        (words.axis(axis + 1), [(name, words.rounded(scale * values[axis])) for name, scale, values in columns])
-        for axis in _axes(result)
+        (
+            said,
+            [
+                (setting.name, NAMES.get(setting.name, setting.name), _numbers(getattr(setting, key), factor))
+                for setting in result.settings
+            ],
+        )
+        for said, key, factor in QUANTITIES
+    ]
+
+
+def _numbers(values: Sequence[float], factor: float) -> list[str]:
+    return [words.rounded(factor * value) for value in values]
+
+
+def _fed(result: FollowResult) -> list[tuple[str, ...]]:
+    """What each setting fed."""
+    rows = []
+    for setting in result.settings:
+        load = setting.load
+        if load is None:
+            rows.append((setting.name, words.plain(None), words.plain(None), "no offsets", words.plain(None)))
+            continue
+        mass = interval_of(load.mass_kg, load.mass_std_kg)
+        com = " ".join(words.rounded(MRAD * value) for value in load.com_m)
+        rows.append((setting.name, mass, com, load.source, load.inertia_source))
+    return rows
+
+
+def interval_of(value: float, std: float) -> str:
+    """A number with its 95 % interval, where it has one."""
+    return f"{with_interval(value, std)} ({SAID})" if std > 0 else words.rounded(value)
+
+
+def _sources(result: FollowResult) -> list[tuple[str, ...]]:
+    """Where the terms of each axis come from."""
+    return [
+        (words.axis(joint), axis.rotor_inertia, axis.gear_losses, axis.coulomb, axis.viscous, axis.velocity_share)
+        for joint, axis in enumerate(result.model.axes, start=1)
     ]
 
 

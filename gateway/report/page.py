@@ -11,6 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from gateway.report import words
+from gateway.result.origin import DriveOrigin, Origin
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,6 +21,37 @@ class Head:
     title: str
     heading: str
     about: Sequence[tuple[str, str | None]]
+
+
+def made(origin: Origin | None) -> tuple[tuple[str, str | None], ...]:
+    """What a head says of when and by which program."""
+    return () if origin is None else (("", origin.created), ("", origin.software))
+
+
+def drive_rows(drives: Sequence[DriveOrigin]) -> list[tuple[str, ...]]:
+    """Drives in words, a row each; a dash for what a drive does not tell."""
+    return [
+        (
+            words.axis(drive.joint),
+            str(drive.node_id),
+            *(
+                words.plain(None) if text is None else text
+                for text in (
+                    drive.name,
+                    _codes(drive),
+                    None if drive.serial_number is None else str(drive.serial_number),
+                    drive.software_version,
+                    drive.hardware_version,
+                )
+            ),
+        )
+        for drive in drives
+    ]
+
+
+def _codes(drive: DriveOrigin) -> str | None:
+    codes = [f"0x{code:X}" for code in (drive.vendor_id, drive.product_code) if code is not None]
+    return ", ".join(codes) or None
 
 
 def page(template: str, head: Head, **values: Any) -> str:

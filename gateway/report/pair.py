@@ -7,15 +7,16 @@ keeps a gap by distance sensors has the gap's deviation in place of the force.
 
 from __future__ import annotations
 
-import datetime as dt
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from gateway.report.page import Head, page
+from gateway.report import words
+from gateway.report.page import Head, made, page
 from gateway.report.svg import Panel, Point, limits
+from gateway.result.origin import Origin
 from gateway.result.pair import CycleSummary, PairRunResult
 from gateway.result.values import Numbers
 
@@ -27,10 +28,13 @@ MOST_POINTS = 500
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """What is drawn: how to read it, unit and factor to it, digits, words; whether it is always drawn to its limit."""
+    """What is drawn: how to read it, unit and factor to it, digits, words; whether it is always drawn to its limit, and
+    whether it has a sign and a limit on either side. `part` is drawn beside it, thin and without a limit.
+    """
 
     first: Callable[[PairRunResult], Numbers]
     last: Callable[[PairRunResult], Numbers]
+    part: Callable[[PairRunResult], Numbers]
     largest: Callable[[CycleSummary], float]
     unit: str
     factor: float
@@ -41,25 +45,30 @@ class Quantity:
     of_what: str
     below: str
     to_limit: bool
+    sided: bool
 
 
 FORCE = Quantity(
-    first=lambda run: run.first_n,
-    last=lambda run: run.last_n,
+    first=lambda run: run.first_size_n,
+    last=lambda run: run.last_size_n,
+    part=lambda run: run.last_n,
     largest=lambda cycle: cycle.force_n,
     unit="N",
     factor=1.0,
     digits=0,
-    axis="Fx [N]",
+    axis="force [N]",
     title="Force",
     error="force",
     of_what="force inside the part",
-    below="Force along the line between the grippers, positive where the part is pulled.",
+    below="Size of the whole force, which the limit is on. Thin grey: its part along the line between the grippers in "
+    "the last cycle, positive where the workpiece is pulled.",
     to_limit=True,
+    sided=False,
 )
 GAP = Quantity(
     first=lambda run: run.first_m,
     last=lambda run: run.last_m,
+    part=lambda run: (),
     largest=lambda cycle: cycle.gap_m,
     unit="mm",
     factor=1e3,
@@ -70,6 +79,7 @@ GAP = Quantity(
     of_what="deviation of the gap from the demanded one",
     below="Of all sensors the one that is furthest off.",
     to_limit=False,
+    sided=True,
 )
 
 
@@ -93,15 +103,16 @@ class RunView:
 
     run: PairRunResult
     along: tuple[list[float], list[float]]
+    part: list[float]
     largest: list[float]
 
     @property
     def kept(self) -> list[float]:
         """Known values along the path."""
-        return [value for values in self.along for value in values if math.isfinite(value)]
+        return [value for values in (*self.along, self.part) for value in values if math.isfinite(value)]
 
 
-def render_pair(cell: str, bound: Limited, runs: Sequence[PairRunResult]) -> str:
+def render_pair(cell: str, bound: Limited, runs: Sequence[PairRunResult], origin: Origin | None = None) -> str:
     """HTML text of the page on a pair.
 
     Parameters
@@ -111,18 +122,21 @@ def render_pair(cell: str, bound: Limited, runs: Sequence[PairRunResult]) -> str
     bound : Limited
     runs : sequence of PairRunResult
         With at least one cycle each.
+    origin : Origin, optional
+        When and by which program the page is made, and the files of the runs.
     """
     views = [_view(run, bound.what) for run in runs]
     several = [view for view in views if len(view.largest) > 1] or views
-    date = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
     return page(
         "pair.html.j2",
-        Head("Two arms, one workpiece", f"Two arms, one workpiece: {cell}", (("", date),)),
+        Head("Two arms, one workpiece", "Two arms, one workpiece", (("cell", cell), *made(origin))),
+        origin=origin,
         what=bound.what,
         status="good" if any(view.largest[-1] < bound.limit for view in views) else "bad",
         headline=_headline(views, bound),
         limit=f"{bound.limit:g}",
         source=bound.source,
+        columns=_columns(bound.what),
         table=[_row(view, bound) for view in views],
         along=[(_caption(view, bound), _along(view, bound)) for view in views],
         convergence=[
@@ -134,22 +148,30 @@ def render_pair(cell: str, bound: Limited, runs: Sequence[PairRunResult]) -> str
 
 
 def _view(run: PairRunResult, what: Quantity) -> RunView:
-    first, last = ([what.factor * value for value in values] for values in (what.first(run), what.last(run)))
-    return RunView(run, (first, last), [what.factor * what.largest(cycle) for cycle in run.cycles])
+    first, last, part = (
+        [what.factor * value for value in values] for values in (what.first(run), what.last(run), what.part(run))
+    )
+    return RunView(run, (first, last), part, [what.factor * what.largest(cycle) for cycle in run.cycles])
 
 
 def _headline(views: Sequence[RunView], bound: Limited) -> str:
     """The way of running it that ends with the least."""
     best = min(views, key=lambda view: view.largest[-1] if math.isfinite(view.largest[-1]) else math.inf)
-    size = f"{best.largest[-1]:.{bound.what.digits}f} {bound.what.unit}"
+    size = f"{words.plain(best.largest[-1], bound.what.digits)} {bound.what.unit}"
     return f"{best.run.name}: largest {bound.what.error} {size} in the last cycle"
+
+
+def _columns(what: Quantity) -> list[str]:
+    moment = ["last cycle [Nm]"] if what is FORCE else []
+    cycles = [f"{which} cycle [{what.unit}]" for which in ("first", "last")]
+    return ["run", "what it is", "speed", "cycles", *cycles, *moment, "learning points", "inside the limit"]
 
 
 def _row(view: RunView, bound: Limited) -> list[str]:
     """Texts of the table: name, words, and numbers."""
     run, what = view.run, bound.what
-    sizes = [f"{value:.{what.digits}f}" for value in (view.largest[0], view.largest[-1])]
-    moment = [f"{run.cycles[-1].moment_nm:.1f}"] if what is FORCE else []
+    sizes = [words.plain(value, what.digits) for value in (view.largest[0], view.largest[-1])]
+    moment = [words.plain(run.cycles[-1].moment_nm, 1)] if what is FORCE else []
     kept = "yes" if view.largest[-1] < bound.limit else "no"
     return [
         run.name,
@@ -167,7 +189,7 @@ def _caption(view: RunView, bound: Limited) -> Markup:
     run, what = view.run, bound.what
     figure = FIGURES.get(run.name)
     named = f" ({figure} of the patent)" if figure else ""
-    worst = f"{view.largest[-1]:.{what.digits}f} {what.unit}"
+    worst = f"{words.plain(view.largest[-1], what.digits)} {what.unit}"
     return Markup("<b>{}</b> {}{}, speed {:g}: largest {} {}").format(
         run.name, run.text, named, run.speed, what.error, worst
     )
@@ -177,20 +199,24 @@ def _along(view: RunView, bound: Limited) -> Markup:
     run, what, limit, known = view.run, bound.what, bound.limit, view.kept
     x_mm = [1e3 * value for value in run.x_m]
     # a gap stays far inside its range: drawn to the range's scale nothing of it would be seen
-    to_limit = what.to_limit or max(map(abs, known), default=0.0) > 0.5 * limit
-    frame = (-1.2 * limit, 1.2 * limit) if to_limit else (0.0,)
+    sized = bool(view.along[1])
+    to_limit = sized and (what.to_limit or max(map(abs, known), default=0.0) > 0.5 * limit)
+    sides = (-limit, limit) if what.sided else (limit,)
+    frame = tuple(1.2 * side for side in sides) + (0.0,) if to_limit else (0.0,)
     panel = Panel(WIDTH, HEIGHT, (run.s_m[0], run.s_m[-1]), limits(known, include=frame))
     low, high = panel.y_range
     if to_limit:
         panel.box(panel.x_range, (limit, high), "over")
-        panel.box(panel.x_range, (low, -limit), "over")
+        if what.sided:
+            panel.box(panel.x_range, (low, -limit), "over")
     panel.y_axis(what.axis)
     panel.x_axis(f"way along the path [m]; gripper X {min(x_mm):.0f} to {max(x_mm):.0f} mm")
-    for side in (-limit, limit) if to_limit else ():
+    for side in sides if to_limit else ():
         panel.segment((run.s_m[0], side), (run.s_m[-1], side), "limit")
     first, last = view.along
-    if first and len(run.cycles) > 1:
+    if len(run.cycles) > 1:
         panel.polyline(_thinned(run.s_m, first), "before-line")
+    panel.polyline(_thinned(run.s_m, view.part), "part-line")
     panel.polyline(_thinned(run.s_m, last), "force")
     for knot in run.knots_s_m:
         panel.dot(knot, 0.0, "knot", f"learning point at {knot:.3f} m", 2.6)
@@ -198,8 +224,10 @@ def _along(view: RunView, bound: Limited) -> Markup:
 
 
 def _thinned(x: Sequence[float], y: Sequence[float]) -> list[Point]:
-    step = max(1, len(y) // MOST_POINTS)
-    return list(zip(x[::step], y[::step], strict=True))
+    """Points evenly along the way, and the largest, which the table names; none where nothing was measured."""
+    rows = set(range(0, len(y), max(1, len(y) // MOST_POINTS)))
+    rows |= {max(range(len(y)), key=lambda row: abs(y[row]) if math.isfinite(y[row]) else 0.0)} if y else set()
+    return [(x[row], y[row]) for row in sorted(rows)]
 
 
 def _convergence(views: Sequence[RunView], bound: Limited) -> Markup:

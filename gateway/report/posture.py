@@ -10,10 +10,11 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from gateway.report import words
-from gateway.report.centre import earlier
+from gateway.report.centre import centre, earlier
 from gateway.report.rows import DENSE, cell, measured_axes
 from gateway.report.svg import Panel, limits
 from gateway.result.drawn import Drawn
+from gateway.result.interval import half_width
 from gateway.result.result import UNKNOWN_THREE, LoadResult, Result, Rows
 from gateway.result.values import Matrix
 
@@ -124,7 +125,13 @@ def _mark(panel: Panel, place: tuple[float, float], side: int, kind: str) -> Non
 def load_change_figure(result: Result) -> Markup | None:
     """Mass and centre of gravity of every load before and after, in half widths of the final 95 % interval."""
     several = len(result.loads) > 1
-    entries = [entry for load in result.loads for entry in _changes(load, earlier(result, load), several)]
+    pairs = [(load, earlier(result, load)) for load in result.loads]
+    entries = [
+        entry
+        for load, before in pairs
+        if before is not None
+        for entry in _changes(load.label if several else "", _quantities(load, result), _quantities(before))
+    ]
     if not entries:
         return None
     reach = [v for _, at, half, _ in entries for v in (at - half, at + half)]
@@ -145,26 +152,24 @@ def load_change_figure(result: Result) -> Markup | None:
     return panel.svg("Mass and centre of gravity before and after")
 
 
-def _changes(load: LoadResult, before: LoadResult | None, named: bool) -> list[tuple[str, float, float, str]]:
-    """(name, place of the value before, its half width, text) per quantity; lengths in the frame of the last link."""
-    if before is None:
-        return []
+def _changes(
+    label: str, final: Sequence[tuple[float, float]], before: Sequence[tuple[float, float]]
+) -> list[tuple[str, float, float, str]]:
+    """(name, place of the value before, its half width, text) per quantity; `label` where there are several loads."""
     entries = []
-    for (name, unit, factor), (value, std), (old, old_std) in zip(
-        QUANTITIES, _quantities(load), _quantities(before), strict=True
-    ):
+    for (name, unit, factor), (value, std), (old, old_std) in zip(QUANTITIES, final, before, strict=True):
         if not all(map(math.isfinite, (value, std, old))) or std <= 0:
             continue
-        scale = words.TWO_SIDED_95 * std
+        scale = half_width(std)
         half = old_std / std if math.isfinite(old_std) else 0.0
         digits = words.decimals(factor * scale)
         text = f"{words.plain(factor * old, digits)} → {words.plain(factor * value, digits)} {unit}"
-        title = f"{load.label} {name}" if named else name
-        entries.append((title, (old - value) / scale, half, text))
+        entries.append((f"{label} {name}".strip(), (old - value) / scale, half, text))
     return entries
 
 
-def _quantities(load: LoadResult) -> list[tuple[float, float]]:
-    """Value and standard deviation of each of `QUANTITIES`; NaN where not known."""
-    com, std = load.com_m or UNKNOWN_THREE, load.com_std_m or UNKNOWN_THREE
+def _quantities(load: LoadResult, result: Result | None = None) -> list[tuple[float, float]]:
+    """Value and standard deviation of each of `QUANTITIES`, in the frame that the page shows; NaN where not known."""
+    shown = centre(load, result)
+    com, std = (UNKNOWN_THREE, UNKNOWN_THREE) if shown is None else (shown.com_m, shown.std_m)
     return [(load.mass_kg, load.mass_std_kg), *zip(com, std, strict=True)]

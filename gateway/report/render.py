@@ -10,16 +10,21 @@ from markupsafe import Markup
 
 from gateway.report import budget, evidence, figures, posture, space, words
 from gateway.report.centre import centre, earlier
-from gateway.report.page import Head, page
+from gateway.report.page import Head, drive_rows, page
 from gateway.report.view import View, view
+from gateway.result.acceptance import acceptance_findings
 from gateway.result.drawn import FRESH, Curve, Drawn
-from gateway.result.result import EffectResult, Result
+from gateway.result.result import EffectResult, Finding, Result, to_dict
+from gateway.result.values import Matrix
+
+#: Whole numbers up to here are written out.
+_COUNTS = 1e12
 
 
 def render(result: Result) -> str:
     """HTML text of the report on a result; what the result does not hold is left out."""
     shown, data = view(result), result.data or Drawn()
-    about = (("robot", result.robot), ("cell", data.cell), ("arm", data.arm), ("", data.created))
+    about = (("robot", result.robot), ("cell", data.cell), ("arm", data.arm), ("", data.created), ("", data.software))
     return page(
         "report.html.j2",
         Head(f"Load identification: {result.robot}", "Load identification report", about),
@@ -27,11 +32,20 @@ def render(result: Result) -> str:
         data=data,
         view=shown,
         residual_known=any(words.known(axis.fit) or words.known(axis.after) for axis in shown.axes),
-        degrees=lambda q: words.plain(math.degrees(q), 1),
+        residual_rows=_residual_rows(shown),
+        posed=_posed,
         cellular=_cellular,
+        failing=_failing(result),
+        checksum=result.sha256 or to_dict(result)["sha256"],
         **_figures(result, data, shown),
         **_tables(result, data),
     )
+
+
+def _failing(result: Result) -> list[Finding]:
+    """Failing findings that stand at the top; acceptance has its own lines there."""
+    told = set(acceptance_findings(result.acceptance))
+    return [finding for finding in result.findings if finding.severity == "fail" and finding not in told]
 
 
 def _figures(result: Result, data: Drawn, shown: View) -> dict[str, Any]:
@@ -94,6 +108,7 @@ def _tables(result: Result, data: Drawn) -> dict[str, Any]:
     return {
         "bus_columns": list(dict.fromkeys(name for row in data.bus for name in row)),
         "provenance": _provenance(result.provenance),
+        "drive_rows": drive_rows(data.drives),
         "budget_rows": budget.budget_rows(result),
         "source_words": budget.SOURCE_WORDS,
         "nuisances": budget.nuisance_rows(result),
@@ -103,6 +118,22 @@ def _tables(result: Result, data: Drawn) -> dict[str, Any]:
         "has_floor": any(map(words.known, result.noise_floor_nm)),
         "has_before_rows": bool(data.model_before_nm),
     }
+
+
+def _residual_rows(shown: View) -> list[tuple[str, list[str]]]:
+    """What is left of every axis, and what it is held against."""
+    after = "after, held out" if shown.has_before else "held out" if shown.held_out else "residual"
+    rows = [("before, held out", "before")] if shown.has_before else []
+    rows += [(after, "after"), ("in the fit", "fit"), ("noise floor", "floor"), ("friction band", "band")]
+    return [(said, [words.significant(getattr(axis, name)) for axis in shown.axes]) for said, name in rows]
+
+
+def _posed(poses_rad: Matrix) -> list[tuple[str, list[str]]]:
+    """Poses in degrees."""
+    return [
+        (f"pose {number}", [words.plain(math.degrees(q), 1) for q in pose])
+        for number, pose in enumerate(poses_rad, start=1)
+    ]
 
 
 def _provenance(tree: Mapping[str, Any]) -> list[tuple[str, str, str, str, str]]:
@@ -128,7 +159,8 @@ def _cellular(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        return words.significant(value, 5)
+        # a count stays a count
+        return words.plain(value, 0) if value.is_integer() and abs(value) < _COUNTS else words.significant(value, 5)
     if isinstance(value, list | tuple):
         return ", ".join(_cellular(item) for item in value) or "none"
     return "" if value is None else str(value)

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 from gateway.report import words
 from gateway.report.quality import AxisQuality
+from gateway.result.acceptance import CANNOT_TELL, FAIL, IN_WORDS, asked_for, measured, open_findings
+from gateway.result.interval import SAID, half_width, holds_zero
 from gateway.result.result import LoadResult, Result
 
 HELD_OUT = {
@@ -18,9 +20,16 @@ NEAR_FLOOR = 1.3
 
 
 def status(result: Result) -> str:
-    """`bad` with a failing finding or a refused load, `good` when nothing is left open, else `open`."""
-    if result.failed or any(load.refused for load in result.loads):
+    """`bad` with a failing finding or a refused load, `good` when nothing is left open, else `open`.
+
+    A load that may not have been hung, or of which the data cannot tell whether it is accepted, is open.
+    """
+    failing = {finding for finding in result.findings if finding.severity == "fail"}
+    unsure = open_findings(result)
+    if failing - unsure or any(load.refused for load in result.loads):
         return "bad"
+    if failing or unsure:
+        return "open"
     return "good" if result.verdict in ("none_needed", "explained") else "open"
 
 
@@ -32,13 +41,37 @@ def headline(result: Result) -> str:
         if loads:
             return "The load was refused" if any(load.refused for load in loads) else "No load could be found"
         return "The bare arm, no load on the flange"
-    parts = []
-    for load in good:
-        value, half = mass(load)
-        parts.append(f"{value} kg" + (f" ± {half} kg" if half else "") + (f" ({load.label})" if len(loads) > 1 else ""))
+    hung = [_sized(load, loads) for load in good if not not_felt(load)]
+    missed = [_sized(load, loads) for load in good if not_felt(load)]
     refused = [load.label for load in loads if load.refused]
-    rest = f"; {words.listing(refused)} refused" if refused else ""
-    return f"{words.listing(parts)} on the flange{rest}"
+    parts = [f"{words.listing(hung)} on the flange"] if hung else []
+    parts += [f"{words.listing(missed)}: was {'it' if len(missed) == 1 else 'each'} hung?"] if missed else []
+    parts += [f"{words.listing(refused)} refused"] if refused else []
+    return "; ".join(parts)
+
+
+def _sized(load: LoadResult, loads: Sequence[LoadResult]) -> str:
+    value, half = mass(load)
+    size = f"{value} ± {half} kg ({SAID})" if half else f"{value} kg"
+    return f"{size} of {words.load(load.label)}" if len(loads) > 1 else size
+
+
+def not_felt(load: LoadResult) -> bool:
+    """Whether the mass cannot be told from nothing, although the load was announced."""
+    return holds_zero(load.mass_kg, load.mass_std_kg)
+
+
+def acceptance_sentences(result: Result) -> list[tuple[str, str, str]]:
+    """Whether each load is accepted: kind of a tag, what it says, and the sentence behind it."""
+    tags = {FAIL: "fail", CANNOT_TELL: "warn"}
+    return [
+        (
+            tags.get(row.outcome, "pass"),
+            IN_WORDS[row.outcome],
+            f"{words.load(row.load)}: {row.what} {measured(row)} ({SAID}), allowed {asked_for(row)}.",
+        )
+        for row in result.acceptance
+    ]
 
 
 def verdict_sentence(result: Result) -> str:
@@ -47,6 +80,8 @@ def verdict_sentence(result: Result) -> str:
     names = words.listing(found)
     held_out = HELD_OUT.get(result.holdout_kind or "", "data kept out of the fit")
     verdict = result.verdict
+    if verdict == "none_needed" and any(map(not_felt, result.loads)):
+        return f"The arm moved as if nothing hung on it; nothing else is missing: on {held_out} only noise is left."
     if verdict == "none_needed":
         return f"Nothing is missing from the model: on {held_out} only measurement noise is left."
     if verdict == "explained":
@@ -95,4 +130,4 @@ def held_out_known(result: Result) -> bool:
 
 def mass(load: LoadResult) -> tuple[str, str]:
     """Mass and half width of its 95 % interval, kg, as text."""
-    return words.plus_minus(load.mass_kg, words.TWO_SIDED_95 * load.mass_std_kg)
+    return words.plus_minus(load.mass_kg, half_width(load.mass_std_kg))

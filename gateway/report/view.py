@@ -9,6 +9,7 @@ from itertools import zip_longest
 from gateway.report import sentences, words
 from gateway.report.centre import Centre, centre, earlier
 from gateway.report.quality import AxisQuality
+from gateway.result.interval import half_width
 from gateway.result.result import UNKNOWN_THREE, EffectResult, Evidence, LoadResult, Result
 
 UNKNOWNS = {
@@ -47,7 +48,7 @@ class LoadView:
 
 @dataclass(frozen=True, slots=True)
 class EffectView:
-    """An effect that was found, with its parameters as (name, value, std, unit)."""
+    """An effect that was found, with its parameters as (name, value, half width of the 95 % interval, unit)."""
 
     name: str
     joints: tuple[int, ...]
@@ -73,6 +74,7 @@ class View:
     headline: str
     verdict: str
     quality: str
+    acceptance: tuple[tuple[str, str, str], ...]
     loads: tuple[LoadView, ...]
     axes: tuple[AxisQuality, ...]
     effects: tuple[EffectView, ...]
@@ -89,6 +91,7 @@ def view(result: Result) -> View:
         headline=sentences.headline(result),
         verdict=sentences.verdict_sentence(result),
         quality=sentences.quality_sentence(axes, result),
+        acceptance=tuple(sentences.acceptance_sentences(result)),
         loads=tuple(_load(result, load) for load in result.loads),
         axes=axes,
         effects=tuple(_effect(effect) for effect in result.effects),
@@ -111,7 +114,7 @@ def _load(result: Result, load: LoadResult) -> LoadView:
     before = earlier(result, load)
     mass, half = sentences.mass(load)
     was = sentences.mass(before) if before is not None and words.known(before.mass_kg) else ("", "")
-    spread = words.TWO_SIDED_95 * load.mass_std_kg
+    spread = half_width(load.mass_std_kg)
     interval = ""
     if words.known(load.mass_kg) and words.known(spread):
         digits = words.decimals(spread)
@@ -135,7 +138,7 @@ def _components(shown: Centre, before: Centre | None) -> tuple[ComponentView, ..
     views = []
     old_m = UNKNOWN_THREE if before is None else before.com_m
     for name, value, std, old in zip("xyz", shown.com_m, shown.std_m, old_m, strict=True):
-        text, half = words.plus_minus(1000 * value, 1000 * words.TWO_SIDED_95 * std)
+        text, half = words.plus_minus(1000 * value, 1000 * half_width(std))
         views.append(ComponentView(name, text, half, words.plain(1000 * old, 1) if words.known(old) else ""))
     return tuple(views)
 
@@ -143,10 +146,12 @@ def _components(shown: Centre, before: Centre | None) -> tuple[ComponentView, ..
 def _effect(effect: EffectResult) -> EffectView:
     parameters = []
     for key, value in effect.parameters.items():
-        name, unit = words.parameter(key)
+        name, unit = words.parameter_of(effect.name, key)
         std = effect.std.get(key)
-        spread = words.significant(std, 2) if words.known(std) else ""
-        parameters.append((name, words.significant(value, 4), spread, unit))
+        text, half = words.significant(value, 4), ""
+        if std is not None and words.known(std):
+            text, half = words.plus_minus(value, half_width(std))
+        parameters.append((name, text, half, unit))
     return EffectView(
         name=effect.name,
         joints=effect.joints,

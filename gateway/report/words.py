@@ -1,15 +1,16 @@
-"""Numbers with their uncertainty, and names of effects and axes, in words."""
+"""The words of the page: numbers as the house writes them, names of effects and axes."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from gateway.model.effects import LIBRARY
+from gateway.result.numerals import decimals, known, plain, plus_minus, rounded, significant
 
-MINUS = "\N{MINUS SIGN}"
-# two-sided 95 % quantile of the normal distribution
-TWO_SIDED_95 = 1.96
+__all__ = (
+    "axes", "axis", "decimals", "effect", "effect_on", "effects_on", "known", "listing", "load", "parameter", "plain",
+    "plus_minus", "rounded", "short", "significant",
+)  # fmt: skip
 
 UNITS: tuple[tuple[str, str], ...] = (
     ("_nm_s05_rad05", "Nm (s/rad)^0.5"),
@@ -29,50 +30,6 @@ UNITS: tuple[tuple[str, str], ...] = (
     ("_s", "s"),
     ("_n", "N"),
 )
-
-
-def known(value: float | None) -> bool:
-    """Whether there is a number."""
-    return value is not None and math.isfinite(value)
-
-
-def decimals(uncertainty: float) -> int:
-    """Decimals that show two significant digits of an uncertainty."""
-    if not uncertainty > 0 or not math.isfinite(uncertainty):
-        return 2
-    return max(0, 1 - math.floor(math.log10(uncertainty)))
-
-
-def plain(value: float | None, digits: int = 2) -> str:
-    """A number with fixed decimals, a real minus sign, or a dash where there is none."""
-    if value is None or not math.isfinite(value):
-        return "\N{EN DASH}"
-    text = f"{value:.{digits}f}"
-    return text.replace("-", MINUS) if float(text) != 0 else text.lstrip("-")
-
-
-def significant(value: float | None, digits: int = 3) -> str:
-    """A number with significant digits, scientific where it is very large or small."""
-    if value is None or not math.isfinite(value):
-        return "\N{EN DASH}"
-    return f"{value:.{digits}g}".replace("-", MINUS)
-
-
-def rounded(value: float) -> str:
-    """A number with three significant digits, none behind the third decimal and no exponent; a dash where unknown."""
-    if not math.isfinite(value) or value == 0:
-        return plain(value, 0)
-    return plain(value, max(0, min(3, 2 - math.floor(math.log10(abs(value))))))
-
-
-def plus_minus(value: float, half_width: float) -> tuple[str, str]:
-    """Value and half width of its interval with matching decimals; an empty half width where it is unknown."""
-    if not known(value):
-        return "unknown", ""
-    if not known(half_width):
-        return significant(value, 4), ""
-    digits = min(decimals(half_width), 6)
-    return plain(value, digits), plain(half_width, digits)
 
 
 def axis(joint: int) -> str:
@@ -126,6 +83,13 @@ def parameter(name: str) -> tuple[str, str]:
         if name == suffix.lstrip("_"):
             return name.replace("_", " "), unit
     return name.replace("_", " "), ""
+
+
+def parameter_of(effect_name: str, key: str) -> tuple[str, str]:
+    """What a parameter of an effect is, in words, and its unit."""
+    name, unit = parameter(key)
+    told = LIBRARY[effect_name].told if effect_name in LIBRARY else {}
+    return told.get(key, name), unit
 
 
 def listing(items: Sequence[str], last: str = "and") -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from gateway.result.origin import DriveOrigin
 from gateway.result.values import NAN, SILENT, Matrix, Number, Numbers, Vector, check_lengths
 
 #: Role of a visit that no fit has seen because it was measured afterwards.
@@ -16,13 +17,14 @@ FRESH = "fresh"
 
 @dataclass(frozen=True, slots=True)
 class DrawnSource:
-    """A file that was read: `kind` in words, how many rows or visits it gave, how the recording ended."""
+    """A file that was read: `kind` in words, how many rows or visits it gave, how the recording ended, its checksum."""
 
     file: str
     kind: str
     visits: int
     exit_status: str | None = field(default=None, metadata=SILENT)
     created: str | None = field(default=None, metadata=SILENT)
+    sha256: str | None = field(default=None, metadata=SILENT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,13 +80,15 @@ class Drawn:
     `model_before_nm` (n, axes): what the model said of each row before the effects were added; `band_model_nm` and
     `band_model_before_nm`: of half the difference of the two sides of a visit (`band_nm` of the rows is what was
     measured of it). `role` is one word per row: "fit", "held out" or "fresh". `bus`: a line of counters per recorded
-    arm, named in words. `flange`: by the label of the load.
+    arm, named in words. `drives`: that answered when it was recorded. `flange`: by the label of the load.
     """
 
     created: str | None = field(default=None, metadata=SILENT)
     software: str | None = field(default=None, metadata=SILENT)
     cell: str | None = field(default=None, metadata=SILENT)
     arm: str | None = field(default=None, metadata=SILENT)
+    operator: str | None = field(default=None, metadata=SILENT)
+    drives: tuple[DriveOrigin, ...] = field(default=(), metadata=SILENT)
     sources: tuple[DrawnSource, ...] = ()
     role: tuple[str, ...] = ()
     poses: tuple[DrawnPose, ...] = ()

@@ -20,7 +20,9 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
+from gateway.cell.plausible import LARGEST_LEVER_M
 from gateway.errors import ConfigError, DataUnusable
+from gateway.result.interval import SAID, half_width
 
 if TYPE_CHECKING:
     from gateway.result.drawn import Spread
@@ -118,6 +120,17 @@ def _checked(load: LoadResult, com: Vector, std: Vector | None, frame: str) -> E
             f"load '{load.label}': the centre of gravity is not complete ({_unidentifiable(load)}); measure the poses "
             "that the result names under `next`"
         )
+    far = max(map(abs, com))
+    if not load.mass_kg > 0:
+        raise DataUnusable(
+            f"load '{load.label}' has a mass of {load.mass_kg:g} kg: no load weighs that, and a controller that is told"
+            " so lets the arm fall; check signs and the bare run with diagnose, then measure again"
+        )
+    if far > LARGEST_LEVER_M:
+        raise DataUnusable(
+            f"load '{load.label}': its centre of gravity lies {far:.3g} m off, beyond {LARGEST_LEVER_M:g} m: so"
+            " light a load does not say where it is; measure it again, or enter it by hand"
+        )
     known = std is not None and all(map(math.isfinite, std))
     return ExportLoad(_one_line(load.label), load.mass_kg, load.mass_std_kg, com, std if known else None, frame)
 
@@ -143,34 +156,39 @@ def _identifier(label: str) -> str:
 def _accuracy(load: ExportLoad) -> str:
     mass = f"{load.mass_kg:.3f} kg"
     if math.isfinite(load.mass_std_kg):
-        mass += f" +- {load.mass_std_kg:.3f} kg"
+        mass += f" +- {half_width(load.mass_std_kg):.3f} kg"
     if load.com_std_m is None:
-        return f"{mass} (one standard deviation)"
-    x, y, z = (1000 * value for value in load.com_std_m)
-    return f"{mass}, centre of gravity +- {x:.1f} {y:.1f} {z:.1f} mm (one standard deviation)"
+        return f"{mass} ({SAID})"
+    x, y, z = (1000 * half_width(value) for value in load.com_std_m)
+    return f"{mass}, centre of gravity +- {x:.1f} {y:.1f} {z:.1f} mm ({SAID})"
 
 
 def to_urdf(loads: Sequence[ExportLoad], robot: str) -> str:
-    """Link and fixed joint per load; the inertial's frame is that of the parent link."""
+    """Link and fixed joint per load below the frame that it is given in; no inertia, which is not known."""
     parts = [
         '<?xml version="1.0"?>',
         f"<!-- loads identified on {_comment(robot)} -->",
         f"<robot name={quoteattr(robot)}>",
     ]
+    for frame in dict.fromkeys(load.frame for load in loads):
+        parts += [
+            f"  <!-- {_comment(frame)}: give this link and the parents below the name that it has in your robot -->",
+            f"  <link name={quoteattr(frame)}/>",
+        ]
     for load in loads:
         name = f"load_{_identifier(load.label)}"
         xyz = " ".join(_number(value, 6) for value in load.com_m)
         parts += [
-            f"  <!-- {_comment(load.label)}: {_accuracy(load)}; {INERTIA_NOTE}: written as zero, a point mass -->",
+            f"  <!-- {_comment(load.label)}: {_accuracy(load)}; {INERTIA_NOTE} -->",
             f'  <link name="{name}">',
             "    <inertial>",
             f'      <origin xyz="{xyz}" rpy="0 0 0"/>',
             f'      <mass value="{_number(load.mass_kg, 6)}"/>',
-            '      <inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/>',
+            "      <!-- add <inertia> from CAD, which readers of URDF ask for: zero would be wrong -->",
             "    </inertial>",
             "  </link>",
             f'  <joint name="{name}_joint" type="fixed">',
-            f'    <parent link="{load.frame}"/>',
+            f"    <parent link={quoteattr(load.frame)}/>",
             f'    <child link="{name}"/>',
             '    <origin xyz="0 0 0" rpy="0 0 0"/>',
             "  </joint>",
@@ -256,8 +274,9 @@ def _remark(text: str) -> str:
 
 
 def _short_accuracy(load: ExportLoad) -> str:
-    std = "" if math.isnan(load.mass_std_kg) else f" +- {load.mass_std_kg:.3f}"
-    return f"{load.mass_kg:.3f}{std} kg"
+    half = "" if math.isnan(load.mass_std_kg) else f" +- {half_width(load.mass_std_kg):.3f}"
+    # a remark holds no percent sign
+    return f"{load.mass_kg:.3f}{half} kg ({SAID.replace('%', 'pct')})"
 
 
 def to_yaskawa(loads: Sequence[ExportLoad], robot: str) -> str:

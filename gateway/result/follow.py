@@ -10,8 +10,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from gateway.result.origin import Origin
 from gateway.result.result import Finding
 from gateway.result.values import (
+    SILENT,
     Matrix,
     Number,
     Numbers,
@@ -188,6 +190,7 @@ class FollowResult:
     computing_s: ComputingTime | None
     left_out_syncs: int
     findings: tuple[Finding, ...]
+    origin: Origin | None = field(default=None, metadata=SILENT)
     series: FollowSeries = field(default_factory=lambda: FollowSeries({}))
 
     def setting(self, name: str) -> FollowedSetting | None:

@@ -130,6 +130,7 @@ class PairRunResult:
     speed : speed setting
     s_m, x_m : way and position of the master's gripper in the world, per command
     first_n, last_n : force along the line between the grippers in the first and the last cycle
+    first_size_n, last_size_n : size of the whole force, which the limit is on; absent in runs of before
     first_m, last_m : in their place where a gap is kept: the distance that is furthest off, by how much
     knots_s_m : ways of the function's knots
     learning_s, evaluation_s : longest learning step, mean evaluation of the controller
@@ -142,6 +143,8 @@ class PairRunResult:
     x_m: _Knowns
     first_n: tuple[_Value, ...] = field(default=(), metadata=SILENT)
     last_n: tuple[_Value, ...] = field(default=(), metadata=SILENT)
+    first_size_n: tuple[_Value, ...] = field(default=(), metadata=SILENT)
+    last_size_n: tuple[_Value, ...] = field(default=(), metadata=SILENT)
     first_m: tuple[_Value, ...] = field(default=(), metadata=SILENT)
     last_m: tuple[_Value, ...] = field(default=(), metadata=SILENT)
     knots_s_m: _Knowns
@@ -157,6 +160,7 @@ class PairRunResult:
         if len(self.x_m) != len(self.s_m):
             raise ValueError(f"x_m: {len(self.s_m)} numbers are needed as in s_m, got {len(self.x_m)}")
         check_lengths(s_m=self.s_m, first_n=self.first_n, last_n=self.last_n, first_m=self.first_m, last_m=self.last_m)
+        check_lengths(s_m=self.s_m, first_size_n=self.first_size_n, last_size_n=self.last_size_n)
 
 
 # -- taught points and functions ---------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 from gateway.errors import InputError
 from gateway.result.drawn import Drawn
+from gateway.result.seal import refuse_edited, sealed
 from gateway.result.values import (
     NAN,
     SILENT,
@@ -39,6 +40,7 @@ UNKNOWN_THREE = (NAN,) * 3
 Verdict = Literal["none_needed", "explained", "improved", "unexplained", "undecided"]
 HoldoutKind = Literal["fresh", "given", "blocks"]
 Severity = Literal["info", "warn", "fail"]
+Outcome = Literal["pass", "fail", "cannot tell"]
 #: Columns [m, hx, hy, hz] of each link.
 PER_LINK = 4
 #: Larger than any mass, place or variance of an arm; beyond it the arithmetic overflows.
@@ -153,6 +155,26 @@ class Finding:
 
 
 @dataclass(frozen=True, slots=True)
+class Acceptance:
+    """A load held against what it was said to be, or against the rating of the arm.
+
+    `what` is `mass`, or `rated mass`, `rated reach`, `rated moment`; `value` in `unit` with `half_width`, that of its
+    95 % interval. An expectation has `expected` and `tolerance`, a rating has `most`.
+    """
+
+    load: str
+    what: str
+    unit: str
+    value: Number
+    half_width: Number
+    outcome: Outcome
+    source: str
+    expected: Number = field(default=NAN, metadata=SILENT)
+    tolerance: Number = field(default=NAN, metadata=SILENT)
+    most: Number = field(default=NAN, metadata=SILENT)
+
+
+@dataclass(frozen=True, slots=True)
 class Parameter:
     """An estimated quantity beside the loads: link parameters, friction, offsets."""
 
@@ -212,7 +234,10 @@ class Bare:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """The whole result file. `loads` is the final answer and equals `after.loads`."""
+    """The whole result file. `loads` is the final answer and equals `after.loads`.
+
+    `sha256` is what the file said that this was read from; what is written carries its own.
+    """
 
     robot: str
     loads: tuple[LoadResult, ...] = ()
@@ -226,6 +251,7 @@ class Result:
     rejected: tuple[Rejected, ...] = ()
     next: tuple[NextMeasurement, ...] = ()
     findings: tuple[Finding, ...] = ()
+    acceptance: tuple[Acceptance, ...] = field(default=(), metadata=SILENT)
     nuisance: Mapping[str, NuisanceResult] = field(default_factory=dict, metadata=SILENT)
     set_aside: tuple[SetAside, ...] = field(default=(), metadata=SILENT)
     provenance: Mapping[str, Any] = field(default_factory=dict)
@@ -236,6 +262,7 @@ class Result:
     bare: Bare | None = field(default=None, metadata=SILENT)
     data: Drawn | None = field(default=None, metadata=SILENT)
     schema: int = SCHEMA
+    sha256: str | None = field(default=None, metadata=SILENT)
     extra: Mapping[str, Any] = field(default_factory=dict, metadata=SILENT)
 
     @property
@@ -245,10 +272,11 @@ class Result:
 
 
 def to_dict(result: Result) -> dict[str, Any]:
-    """Plain dictionaries, lists and numbers of a result; NaN and infinity become None."""
+    """Plain dictionaries, lists and numbers of a result, with their checksum; NaN and infinity become None."""
     plain = plain_values(result)
     extra = plain.pop("extra", {})
-    return {"schema": plain.pop("schema")} | plain | {key: value for key, value in extra.items() if key not in plain}
+    plain = {"schema": plain.pop("schema")} | plain | {key: value for key, value in extra.items() if key not in plain}
+    return sealed(plain)
 
 
 def to_json(result: Result) -> str:
@@ -270,7 +298,10 @@ def from_json(text: str, where: str = "result") -> Result:
     InputError
         Not JSON, another schema, a key that is missing or of the wrong kind: named with its path.
     """
-    data = json_object(text, where)
+    return _from_object(json_object(text, where), where)
+
+
+def _from_object(data: dict[str, Any], where: str) -> Result:
     check_kind(data, SCHEMA, None, where)
     known = {item.name for item in dataclasses.fields(Result)} - {"extra"}
     extra = {key: value for key, value in data.items() if key not in known}
@@ -282,14 +313,17 @@ def from_json(text: str, where: str = "result") -> Result:
 
 
 def read_result(path: Path) -> Result:
-    """A result from disk.
+    """A result from disk, as it was written.
 
     Raises
     ------
     InputError
-        It cannot be read, or as `from_json`.
+        It cannot be read, as `from_json`, or it was edited since.
     """
-    return from_json(text_of(path, "name the JSON that `estimate --json` wrote"), str(path))
+    data = json_object(text_of(path, "name the JSON that `estimate --json` wrote"), str(path))
+    result = _from_object(data, str(path))
+    refuse_edited(data, str(path))
+    return result
 
 
 def json_schema() -> dict[str, Any]:

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drives.errors import ProfileError
+from drives.probe import matching_profiles
 from drives.profile_file import PROFILE_FOLDER, list_profiles, load_profile, parse_profile, profile_schema
 from drives.scaling import Constants, motor_scale
 from drives.toml_text import parse_toml
@@ -383,3 +384,10 @@ def test_a_key_of_very_many_parts_is_refused(parts, fine):
 def test_what_the_interpreter_cannot_hold_is_no_toml(text):
     with pytest.raises(tomllib.TOMLDecodeError):
         parse_toml(text)
+
+
+def test_a_drive_is_offered_the_profiles_of_its_vendor_and_the_generic_one_alone():
+    """Profiles of makes whose vendor id is not known would fit every drive: they are named by an engineer."""
+    assert matching_profiles(identity(vendor_id=0x9A)) == ("elmo-gold", "generic-cia402")
+    assert matching_profiles(identity(vendor_id=0x7777)) == ("generic-cia402",)
+    assert matching_profiles(identity(vendor_id=0xFB, revision=0x01100000)) == ("generic-cia402",)

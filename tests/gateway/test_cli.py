@@ -140,7 +140,7 @@ def test_quiet_says_nothing(tmp_path):
     source.write_text(json.dumps(RESULT))
     done = run("report", source, "-o", tmp_path / "r.html", "-q")
     assert (done.exit_code, done.output) == (0, "")
-    done = run("-q", "report", source, "-o", tmp_path / "r.html")
+    done = run("-q", "report", source, "-o", tmp_path / "r.html", "--force")
     assert (done.exit_code, done.output) == (0, "")
 
 

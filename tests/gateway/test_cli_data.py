@@ -1,6 +1,7 @@
 """estimate and diagnose from the command line: measured_data and measured data, bad input, exit codes."""
 
 import json
+import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
@@ -28,14 +29,14 @@ def table(tmp_path):
     rng = np.random.default_rng(4)
     poses = rng.uniform(-1.2, 1.2, (8, 6))
 
-    def write(name="rows.csv", poses=poses, loads=("none", "tool"), change=lambda line: line):
+    def write(name="rows.csv", poses=poses, loads=("none", "tool"), change=lambda line: line, rng=rng):
         bodies = np.concatenate([robot.mass_kg[:, None], robot.mass_kg[:, None] * robot.com_m], axis=1)
         mass, *com = TOOL
         names = [pattern.format(joint) for pattern in ("q{}_rad", "dir{}", "tau{}_nm") for joint in range(1, 7)]
         lines = [",".join(["load", "pose", *names])]
         for load in loads:
             carried = bodies.copy()
-            if load != "none":
+            if load.strip() != "none":
                 carried[5] += mass * np.array([1.0, *com])
             torque = gravity_regressor(robot, poses) @ carried.ravel()
             for number, (q, tau) in enumerate(zip(poses, torque, strict=True), start=1):
@@ -191,3 +192,65 @@ def test_what_is_to_be_measured_next_keeps_the_limits_of_the_cell(table, tmp_pat
         asked[name] = np.array(poses)
     assert ((asked["cell"][:, 0] > 0.5) & (asked["cell"][:, 0] < 0.9)).all()
     assert not ((asked["robot"][:, 0] > 0.5) & (asked["robot"][:, 0] < 0.9)).all()
+
+
+@pytest.mark.parametrize("command", ["estimate", "diagnose"])
+def test_a_load_is_accepted_or_not_or_cannot_be_told(table, tmp_path, command):
+    """The tool weighs 4 kg; exact constants and links, so that the interval is some grams."""
+    path, page = table(), tmp_path / "accept.xml"
+    words = [
+        command,
+        path,
+        "--robot",
+        URDF,
+        "--inertials",
+        "exact",
+        "--torque-gain",
+        "exact",
+        "--junit",
+        page,
+        "--force",
+    ]
+    for expected, code, outcome in (("4.0,0.3", 0, "pass"), ("4.5,0.3", 7, "fail"), ("3.993,0.005", 7, "cannot tell")):
+        done = run(*words, "--expect", f"tool={expected}", "--json", "-")
+        assert done.exit_code == code, done.output
+        (row,) = json.loads(done.stdout)["acceptance"]
+        assert (row["outcome"], row["load"], row["unit"]) == (outcome, "tool", "kg")
+        assert outcome in done.stderr
+        failures = ElementTree.parse(page).getroot().findall(".//failure")
+        assert [failure.get("type") for failure in failures] == ([outcome] if code else [])
+
+
+def test_what_is_expected_has_to_be_in_the_data(table):
+    path = table()
+    complains(run("estimate", path, "--robot", URDF, "--expect", "toll=4,1"), 3, "toll", "tool")
+    complains(run("estimate", path, "--robot", URDF, "--expect", "tool=4"), 3, "LABEL=MASS,TOLERANCE")
+    complains(
+        run("estimate", path, "--robot", URDF, "--known", "tool=4,0,0,0", "--expect", "tool=4,1"), 3, "hold: none"
+    )
+
+
+@pytest.mark.parametrize(
+    ("command", "seed", "says", "status"),
+    [
+        ("estimate", 1, "kg: was it hung?", "open"),
+        ("diagnose", 1, "kg: was it hung?", "open"),
+        ("diagnose", 5, "kg: was it hung?", "open"),
+        ("estimate", 4, "which no body has", "bad"),
+        ("diagnose", 4, "the data ask for a mass of -0.01", "bad"),
+    ],
+)
+def test_a_load_that_was_not_hung_is_asked_for(table, tmp_path, command, seed, says, status):
+    """Rows of the bare arm under the label of a load; noise that leaves the interval about 0, or below it."""
+    out, page = tmp_path / "out.json", tmp_path / "page.html"
+    path = table(
+        "bare.csv",
+        loads=("none", "none "),
+        change=lambda line: line.replace("none ,", "tool,"),
+        rng=np.random.default_rng(seed),
+    )
+    done = run(command, path, "--robot", URDF, "--json", out)
+    assert done.exit_code == 7, done.output
+    assert says in done.stderr
+    assert run("report", out, "-o", page).exit_code == 0
+    assert f'class="verdict {status}"' in page.read_text(encoding="utf-8")

@@ -125,3 +125,10 @@ def test_known_makes_count_as_their_manuals_say(arm_of):
     assert 100 * math.tau / 60 * kinco.velocity.bits_per_unit == pytest.approx(2 * 1789570, rel=1e-6)
     akd = drive_units(axis_with(arm, "kollmorgen-akd-x00606"))
     assert torque * akd.torque.bits_per_unit == pytest.approx(torque / kt / 6.0 * 1000)
+
+
+def test_a_profile_beside_the_cell_is_found_with_and_without_its_suffix(tmp_path):
+    (tmp_path / "mine.toml").write_text('name = "mine"', encoding="utf-8")
+    assert read_profile("mine", tmp_path) == read_profile("mine.toml", tmp_path) == {"name": "mine"}
+    with pytest.raises(CellFileError, match="other"):
+        read_profile("other", tmp_path)

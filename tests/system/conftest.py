@@ -131,10 +131,10 @@ def serve(place) -> Iterator[Callable[..., Drives]]:
 
 
 class Hands:
-    """Stands in for stdin: hangs the load that was asked for, then presses Enter."""
+    """Stands in for stdin: hangs the load that was asked for, or forgets it, then presses Enter."""
 
-    def __init__(self, drives, capsys, hangs):
-        self.drives, self.capsys, self.hangs = drives, capsys, hangs
+    def __init__(self, drives, capsys, hangs, forgets):
+        self.drives, self.capsys, self.hangs, self.forgets = drives, capsys, hangs, forgets
         self.asked, self.said, self.stood_rad = [], "", []
 
     def readline(self):
@@ -145,7 +145,8 @@ class Hands:
         assert self.drives.stand_still()
         self.asked.append(label)
         self.stood_rad.append(self.drives.stand_rad())
-        self.drives.hang(label)
+        if not self.forgets:
+            self.drives.hang(label)
         return "\n"
 
     def isatty(self):
@@ -156,8 +157,8 @@ class Hands:
 def commission(place, monkeypatch, capsys):
     """Run `commission` in this process and return exit code, result and what was said."""
 
-    def run(drives, *more, hangs=True):
-        hands = Hands(drives, capsys, hangs)
+    def run(drives, *more, hangs=True, forgets=False):
+        hands = Hands(drives, capsys, hangs, forgets)
         monkeypatch.setattr(sys, "stdin", hands)
         arguments = ["commission", place.cell, "--bus", drives.bus, "--yes", "--out", place.folder / "out", *more]
         with pytest.raises(SystemExit) as left:

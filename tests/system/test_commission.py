@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 
 import pytest
@@ -13,8 +14,11 @@ TRUTH_KG, TRUTH_COM_M = 6.0, (0.02, 0.01, 0.10)
 
 def test_the_whole_job_and_what_follows_from_it(place, serve, commission, gateway):
     drives = serve()
-    code, result, hands, output = commission(drives)
+    more = ("--expect", "load=6.0,0.6", "--operator", "A. Person", "--junit", place.folder / "accept.xml")
+    code, result, hands, output = commission(drives, *more)
     assert code == 0, output.err
+    assert [(row["what"], row["outcome"]) for row in result["acceptance"]] == [("mass", "pass"), ("rated mass", "pass")]
+    assert 'failures="0"' in (place.folder / "accept.xml").read_text()
     assert hands.asked == ["load"]
     assert hands.stood_rad[0] == pytest.approx(LOADING_RAD, abs=2e-3), "where the cell says that loads are hung"
     assert drives.stand_still()
@@ -25,7 +29,11 @@ def test_the_whole_job_and_what_follows_from_it(place, serve, commission, gatewa
     for value, std, truth in zip(load["com_m"], load["com_std_m"], TRUTH_COM_M, strict=True):
         assert abs(value - truth) < 4 * std
     out = place.folder / "out"
+    assert [drive["node_id"] for drive in result["data"]["drives"]] == [1, 2, 3, 4, 5, 6]
     page = (out / "report.html").read_text()
+    source = hashlib.sha256((out / "run.h5").read_bytes()).hexdigest()
+    for text in (source, "A. Person", "serial number", result["sha256"]):
+        assert text in page
     for text in ("Is the model good?", "pose 5, fresh", "datasheet p. 7", "SYNC cycles", "assumed"):
         assert text in page
 
@@ -40,6 +48,18 @@ def test_the_whole_job_and_what_follows_from_it(place, serve, commission, gatewa
     assert back.exit_code == 0, back.output
     assert "objects put back" in back.stdout
     assert "nothing to put back" in gateway("restore", place.cell, "--bus", drives.bus).stdout
+
+
+def test_a_load_that_was_forgotten_is_asked_for_and_never_green(place, serve, commission, gateway):
+    code, result, _, output = commission(serve(), "--expect", "load=6.0,0.2", forgets=True)
+    assert code == 7
+    assert "kg: was it hung?" in output.out
+    (load,) = result["loads"]
+    assert abs(load["mass_kg"]) < 1.96 * load["mass_std_kg"]
+    assert [row["outcome"] for row in result["acceptance"] if row["what"] == "mass"] == ["fail"]
+    page = (place.folder / "out" / "report.html").read_text()
+    assert 'class="verdict good"' not in page
+    assert "was it hung?" in page
 
 
 def test_the_check_stops_the_job_before_anything_moves(place, serve, commission):

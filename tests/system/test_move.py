@@ -59,7 +59,7 @@ def test_there_and_home_again_after_the_proof(place, gateway, serve):
         ("up", 2, "give joint angles in rad"),
         ("nan,0,0,0,0,0", 2, "give joint angles in rad"),
         ("90,0,0,0,0,0", 5, "joint 1 outside [-2.800, 2.800] rad"),
-        ("1.2,1.4,0.4,0,0.4,0", 5, "link 3 in keep_out box 2"),
+        ("-1.2,1.3,1.0,0,0.4,0", 5, "link 5 in keep_out box 1"),
     ],
 )
 def test_a_posture_that_cannot_be_meant_is_refused_before_the_bus_is_opened(place, gateway, to, code, says):

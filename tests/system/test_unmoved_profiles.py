@@ -45,3 +45,7 @@ def test_scan_and_check_read_such_a_drive(name, place, serve, gateway):
     refused = [each for each in findings if each["severity"] == "fail" and "refuses motion" in each["what"]]
     assert {each["where"].split()[0] for each in refused} == {f"J{joint}" for joint in range(1, 7)}
     assert all(each["advice"] for each in refused)
+    # the drive itself says so as well, where it is that it lacks something
+    said = " ".join(each["what"] for each in findings if each["severity"] == "fail" and each not in refused)
+    lacking = ("no cyclic synchronous position mode", "the drive would not notice that the master is gone")
+    assert [words in said for words in lacking] == [name == "pilz-prbt"] * 2

@@ -75,9 +75,14 @@ def bind(recording: Recording, cell: Cell, arm: ArmConfig) -> Bound:
     Raises
     ------
     InputError
-        The recording holds no such arm, or its drives were wired otherwise, or the torque cannot be worked out with
-        another torque constant because the file does not hold what was read from the drives.
+        The recording was made with another cell, holds no such arm, or its drives were wired otherwise, or the torque
+        cannot be worked out with another torque constant because the file does not hold what was read from the drives.
     """
+    if recording.cell.name != cell.name:
+        raise InputError(
+            f"{recording.path}: was recorded with cell '{recording.cell.name}', this is cell '{cell.name}'; name the"
+            " cell that it was made with, or none: the recording carries its own"
+        )
     part = recording.arm(arm.name)
     if part is None:
         held = ", ".join(f"'{each.name}'" for each in recording.arms) or "none"

@@ -18,7 +18,14 @@ from gateway.diagnose.moving.splits import blocks
 from gateway.diagnose.moving.state import MovingState
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, budget_by_priors
-from gateway.identify.load_estimate import known_load, load_directions, load_from_moment, load_result, unknown_load
+from gateway.identify.load_estimate import (
+    known_load,
+    load_directions,
+    load_from_moment,
+    load_result,
+    next_to_nothing,
+    unknown_load,
+)
 from gateway.identify.loads import BARE_LABEL
 from gateway.identify.spread import jackknife, wider
 from gateway.model.effects.velocity_friction import Stribeck
@@ -52,9 +59,11 @@ def _load(
     covariance = spread_of(problem, state, where)
     turn = load_directions(moment)
     std = np.sqrt(np.diag(turn @ covariance @ turn.T))
-    if not moment[0] > 0 or std[0] > MOVING.loose_mass * moment[0]:
+    torque_nm = problem.motion.tau_nm
+    nothing = next_to_nothing(float(moment[0]), float(std[0]), robot, torque_nm, MOVING.next_to_nothing)
+    if not nothing and (not moment[0] > 0 or std[0] > MOVING.loose_mass * moment[0]):
         return load_result(unknown_load(label), robot)
-    found = np.concatenate([[True], std[1:] <= MOVING.loose_com_m])
+    found = np.concatenate([[True], np.full(3, not nothing) & (std[1:] <= MOVING.loose_com_m)])
     load = load_result(load_from_moment(label, moment, covariance, np.ones(4), found), robot)
     return replace(load, budget=_budget(state.full, int(where[0]), float(covariance[0, 0])))
 

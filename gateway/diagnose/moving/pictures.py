@@ -11,7 +11,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.held import TWO_SIDED_95
 from gateway.diagnose.moving.fit import MovingProblem
 from gateway.diagnose.moving.loads import spread_of
 from gateway.diagnose.moving.state import MovingState
@@ -19,6 +18,7 @@ from gateway.model.effect import Over
 from gateway.model.effects import LIBRARY
 from gateway.model.term import Term
 from gateway.result.drawn import Curve, Drawn
+from gateway.result.interval import TWO_SIDED_95
 from gateway.result.values import matrix, numbers
 
 Floats = NDArray[np.float64]

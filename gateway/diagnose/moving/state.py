@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.held import TWO_SIDED_95, Held
+from gateway.diagnose.held import Held
 from gateway.diagnose.moving.fit import MovingFit, MovingProblem, fit, usual_of
 from gateway.diagnose.moving.noise import noise_of, scaled_to
 from gateway.diagnose.moving.trial import Trial, demand, held_out, judge
 from gateway.identify.nuisance import ORDINARY_STD
 from gateway.model.term import Label, Term
+from gateway.result.interval import TWO_SIDED_95
 
 Floats = NDArray[np.float64]
 

@@ -122,6 +122,7 @@ class MovingThresholds:
     loose_mass: float = threshold(
         0.5, "", "relative standard deviation at which a mass is unknown", "a load that may be half or double is none"
     )
+    next_to_nothing: float = threshold(0.05, "", "as at rest: up to here a mass about 0 is told", "as at rest")
     loose_com_m: float = threshold(
         0.3,
         "m",

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.held import TWO_SIDED_95
 from gateway.diagnose.rest.holdout import chosen_by_others, gained_by_pose
 from gateway.diagnose.rest.linear import Fit, RestProblem, modelled, with_terms
 from gateway.diagnose.rest.screen import projector
@@ -20,6 +19,7 @@ from gateway.diagnose.rest.thresholds import REST
 from gateway.identify.nuisance import ORDINARY_STD
 from gateway.model.term import Label, Term
 from gateway.model.unnamed import UNNAMED
+from gateway.result.interval import TWO_SIDED_95
 from gateway.result.result import Verdict
 
 Floats = NDArray[np.float64]

@@ -13,7 +13,14 @@ from gateway.diagnose.rest.linear import Fit, RestProblem
 from gateway.diagnose.rest.ordinary import KINDS
 from gateway.diagnose.rest.thresholds import REST
 from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, NOISE, Sources, budget_of
-from gateway.identify.load_estimate import load_directions, load_from_moment, load_result, refused_load, unknown_load
+from gateway.identify.load_estimate import (
+    load_directions,
+    load_from_moment,
+    load_result,
+    next_to_nothing,
+    refused_load,
+    unknown_load,
+)
 from gateway.identify.solve import Prior
 from gateway.model.robot import Robot
 from gateway.result.result import LoadResult, NuisanceResult
@@ -50,10 +57,11 @@ def _load(problem: RestProblem, fit: Fit, robot: Robot, index: int, by_shape: Fl
     if mass + REST.against_mass * std[0] < 0:
         reason = f"the data ask for a mass of {mass:.3g} kg (standard deviation {std[0]:.2g} kg)"
         return load_result(refused_load(label, reason), robot)
-    if std[0] > REST.blind_mass * max(abs(mass), 1e-3) or mass <= 0:
+    nothing = next_to_nothing(mass, float(std[0]), robot, problem.rows.sum_nm, REST.next_to_nothing)
+    if not nothing and (std[0] > REST.blind_mass * max(abs(mass), 1e-3) or mass <= 0):
         return load_result(unknown_load(label), robot)
-    found = np.concatenate([[True], std[1:] <= REST.blind_m])
-    per_pose = _per_pose(problem, fit, index)
+    found = np.concatenate([[True], np.full(3, not nothing) & (std[1:] <= REST.blind_m)])
+    per_pose = {} if nothing else _per_pose(problem, fit, index)
     load = load_from_moment(label, moment, covariance, np.full(4, widening), found, per_pose)
     return replace(load_result(load, robot), budget=_budget(problem, fit, part.start))
 

@@ -15,7 +15,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.held import TWO_SIDED_95
 from gateway.diagnose.rest.decide import Decision
 from gateway.diagnose.rest.holdout import Unseen
 from gateway.diagnose.rest.linear import Fit, RestProblem, visit_loads, with_terms
@@ -24,6 +23,7 @@ from gateway.model.effects import LIBRARY
 from gateway.model.rest import Model, Prediction, RestRows
 from gateway.model.term import Term
 from gateway.result.drawn import Curve, Drawn
+from gateway.result.interval import TWO_SIDED_95
 from gateway.result.result import Rows
 from gateway.result.values import Matrix, matrix, numbers
 

@@ -196,6 +196,12 @@ class RestThresholds:
     blind_mass: float = threshold(
         0.5, "", "relative standard deviation at which a mass is unknown", "a load that may be half or double is none"
     )
+    next_to_nothing: float = threshold(
+        0.05,
+        "",
+        "weight at full reach of a mass's standard deviation, over the largest torque: up to here a mass about 0 is told",
+        "a load that the arm hardly carries beside itself",
+    )
     blind_m: float = threshold(
         0.5, "m", "standard deviation at which a coordinate of the centre is unknown", "the size of a large load"
     )

@@ -251,4 +251,13 @@ EFFECT: Final = Effect(
     at_rest=_at_rest,
     in_motion=_in_motion,
     drawn=True,
+    told={
+        "stiffness_n_m": "stiffness of the spring, if it has the size below",
+        "reach_m": "size it is stated for: √(a² + b²), a and b how far from axis 2 it is hooked to link and base",
+        "lever_ratio": "2 a b / (a² + b²) of these distances",
+        "phase_rad": "angle of axis 2 at which the spring is shortest",
+        "free_length_m": "length of the unloaded spring, if it has that size",
+        "gas_stroke": "full stroke of the rod over the length of the gas column",
+        "amplitude_nm": "largest torque on axis 2",
+    },
 )

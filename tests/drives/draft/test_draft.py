@@ -125,6 +125,15 @@ def test_counts_stand_in_an_object_of_the_make(device):
         profile_of(device(text), **TORQUE, counts_object="0x3001")
 
 
+def test_a_rated_current_stands_in_an_object_of_the_make(device):
+    text = STRANGE + "\n[203B]\nParameterName=r\nObjectType=0x7\nDataType=0x0007\nAccessType=ro\nPDOMapping=0\n"
+    answers = CURRENT | {"rated_object": "0x203B", "counts_per_revolution": 4096}
+    profile = profile_of(device(text), **answers)
+    assert (profile.torque.rated.object.index, profile.torque.rated.unit, profile.obstacles) == (0x203B, 0.001, ())
+    with pytest.raises(ProfileError, match="0x203C"):
+        profile_of(device(text), **answers | {"rated_object": "0x203C"})
+
+
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [

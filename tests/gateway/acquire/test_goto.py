@@ -12,11 +12,13 @@ from drives.errors import DriveFault
 from gateway.acquire.goto import Destination, destination, go, plan_way, remarks
 from gateway.acquire.plan import MoveInwards, MoveTo, inward_steps
 from gateway.acquire.standing import refuse_start, way_out, widened
+from gateway.cell.config import KeepOut
 from gateway.check.stop import slow_motion
 from gateway.errors import ConfigError, LimitExceeded, PlanRefused, WrongPlace
+from gateway.model.arm_model import arm_robot
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
 from gateway.motion.stream import MoveOptions
-from tests.around import among_boxes
+from gateway.motion.workspace import workspace_of
 
 TARGET = (0.3, -0.2, 0.4, 0.5, -0.4, 0.6)
 PERIOD_S = 0.01
@@ -25,9 +27,16 @@ COUNTS_RAD = 1e-4
 LEFT, RIGHT = (-1.2, -0.2, 0.4, 0.0, 0.0, 0.0), (1.2, -0.2, 0.4, 0.0, 0.0, 0.0)
 
 
-def post(workspace):
+def with_box(cell, low_m, high_m):
+    """The workspace of a cell with one keep-out box instead of its own."""
+    box = KeepOut(min_m=low_m, max_m=high_m)
+    config = cell.cell.arm[0].model_copy(update={"keep_out": (box,)})
+    return workspace_of(config, arm_robot(cell, config))
+
+
+def post(cell):
     """A post in front of the arm, in the way of a turn of joint 1 from one side to the other."""
-    return among_boxes(workspace, np.array([[[0.45, -0.05, -0.5], [0.6, 0.05, 0.95]]]))
+    return with_box(cell, (0.45, -0.05, -0.5), (0.6, 0.05, 0.95))
 
 
 @pytest.fixture
@@ -66,12 +75,12 @@ def test_home_and_loading_are_those_of_the_cell(config, workspace):
     assert destination(named, workspace, "loading").q_rad == RIGHT
 
 
-def test_home_that_nobody_gave_is_the_middle_of_the_joint_ranges_and_said_to_be(config, workspace):
+def test_home_that_nobody_gave_is_the_middle_of_the_joint_ranges_and_said_to_be(small_cell, config, workspace):
     nobody = config.model_copy(update={"home_rad": None})
     found = destination(nobody, workspace, "home")
     assert found.q_rad == pytest.approx([(low + high) / 2 for low, high in (a.position_limit_rad for a in config.axis)])
     assert "home_rad is not given" in str(found)
-    wall = among_boxes(workspace, np.array([[[-2.0, -2.0, 0.0], [2.0, 2.0, 2.0]]]))
+    wall = with_box(small_cell, (-2.0, -2.0, 0.0), (2.0, 2.0, 2.0))
     with pytest.raises(ConfigError, match=r"middle of the joint ranges.*keep_out box 1.*write home_rad"):
         destination(nobody, wall, "home")
 
@@ -83,7 +92,7 @@ def test_a_place_for_loads_that_nobody_gave_is_asked_for(config, workspace):
 
 @pytest.mark.parametrize(
     ("posture", "says"),
-    [((9.0, 0, 0, 0, 0, 0), "joint 1 outside"), ((1.2, 1.4, 0.4, 0.0, 0.4, 0.0), "in keep_out box 2")],
+    [((9.0, 0, 0, 0, 0, 0), "joint 1 outside"), ((-1.2, 1.3, 1.0, 0.0, 0.4, 0.0), "in keep_out box 1")],
 )
 def test_a_posture_where_the_arm_may_not_stand_is_refused_with_what_it_would_touch(config, workspace, posture, says):
     with pytest.raises(PlanRefused, match=says):
@@ -99,8 +108,8 @@ def test_a_free_way_is_straight(opened, fake, workspace):
     assert remarks(plan, workspace) == ()
 
 
-def test_a_way_that_is_not_free_goes_round_and_says_what_it_would_touch(opened, fake, workspace):
-    room = post(workspace)
+def test_a_way_that_is_not_free_goes_round_and_says_what_it_would_touch(small_cell, opened, fake):
+    room = post(small_cell)
     stand(fake, LEFT)
     plan = plan_way(opened(room=room), to(RIGHT))
     assert len(plan.steps) == 2
@@ -113,8 +122,8 @@ def test_a_way_that_is_not_free_goes_round_and_says_what_it_would_touch(opened, 
     assert "it goes over" in said
 
 
-def test_where_no_way_is_found_it_says_what_the_straight_one_meets(opened, fake, workspace):
-    wall = among_boxes(workspace, np.array([[[0.25, -0.02, -2.0], [3.0, 0.02, 3.0]]]))
+def test_where_no_way_is_found_it_says_what_the_straight_one_meets(small_cell, opened, fake):
+    wall = with_box(small_cell, (0.25, -0.02, -2.0), (3.0, 0.02, 3.0))
     pinned = replace(wall, lower_rad=np.array([-1.3, -0.25, 0.35, -0.1, -0.1, -0.1]))
     pinned = replace(pinned, upper_rad=np.array([1.3, -0.15, 0.45, 0.1, 0.1, 0.1]))
     stand(fake, LEFT)
@@ -135,9 +144,9 @@ def test_the_arm_comes_from_outside_its_range_inwards_and_goes_on(opened, fake, 
     assert fake.log == ["enable", "disable"]
 
 
-def test_an_arm_inside_a_box_is_not_moved_and_the_way_out_is_named(opened, fake, workspace):
+def test_an_arm_inside_a_box_is_not_moved_and_the_way_out_is_named(small_cell, opened, fake):
     stand(fake, (0.0, -0.2, 0.4, 0.0, 0.0, 0.0))
-    room = post(workspace)
+    room = post(small_cell)
     with pytest.raises(
         PlanRefused, match=r"in keep_out box 1.*move it clear by hand.*joint [1-6] by [+-].*no command moves it"
     ) as refused:

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from gateway.acquire.plan import VisitSettings
+from gateway.cell.config import KeepOut
 from gateway.commands.commission import Job, _Robot
 from gateway.data.rest_pose import RestPose
+from gateway.model.arm_model import arm_robot
 from gateway.motion.stream import MoveOptions
-from tests.around import among_boxes
+from gateway.motion.workspace import workspace_of
 
 LOADING = (0.3, 0.5, 0.6, 0.0, 0.4, 0.0)
 POSE = RestPose(1, (-0.3, 0.1, 0.1, 0.1, 0.1, 0.1), "fit")
@@ -73,9 +75,11 @@ def test_without_such_a_place_the_load_is_hung_where_the_arm_stands(robot):
     assert person.done == ["hang a", "measure"]
 
 
-def test_a_way_that_is_not_free_is_told_and_ends_nothing(robot, workspace, fake):
-    wall = among_boxes(workspace, np.array([[[0.4, 0.15, -2.0], [3.0, 0.17, 3.0]]]))
-    tight = replace(wall, lower_rad=np.array([-0.7, -0.1, -0.1, -0.7, -0.7, -0.7]), upper_rad=np.full(6, 0.7))
+def test_a_way_that_is_not_free_is_told_and_ends_nothing(small_cell, robot, fake):
+    wall = KeepOut(min_m=(0.4, 0.15, -2.0), max_m=(3.0, 0.17, 3.0))
+    config = small_cell.cell.arm[0].model_copy(update={"keep_out": (wall,)})
+    walled = workspace_of(config, arm_robot(small_cell, config))
+    tight = replace(walled, lower_rad=np.array([-0.7, -0.1, -0.1, -0.7, -0.7, -0.7]), upper_rad=np.full(6, 0.7))
     made, person = robot((0.6, 0.5, 0.6, 0.0, 0.4, 0.0), room=tight)
     made.measure_load("a")
     assert "the arm stays where it is, and the load is hung there: no way" in person.done[0]

@@ -138,7 +138,7 @@ def test_nothing_is_replaced_unasked(folder):
     (folder / "cell.toml").write_text("mine", encoding="utf-8")
     done = with_answers(folder, ENOUGH)
     assert done.exit_code == 3
-    assert "is not replaced" in done.stderr
+    assert "exists and is not replaced" in done.stderr
     assert "--force" in done.stderr
     assert (folder / "cell.toml").read_text(encoding="utf-8") == "mine"
     assert with_answers(folder, ENOUGH, "--force").exit_code == 0
@@ -155,6 +155,8 @@ def test_nothing_is_replaced_unasked(folder):
         ("gear_ratio = 100", "gear_ratio = 100\nposition_limit_rad = [-170, 170]", "these are degrees"),
         ("gear_ratio = 100", "gear_ratio = 100\ntorque_constant_nm_per_a = 120", "line 7: torque_constant_nm_per_a"),
         ("gear_ratio = 100", "gear_ratio = 100\nflange_xyz_m = [0, 0, 80]", "these are millimetres"),
+        ("gear_ratio = 100", 'gear_ratio = 100\ninertials = "good"', "line 7: inertials is 'good'"),
+        ("gear_ratio = 100", "gear_ratio = 100\nposes = { count = 1 }", "nothing was written"),
         ("11, 12, 13", "11, 11, 13", "node id 11 is given to more than one axis"),
         ('"generic-cia402"', '"nobody"', "nobody' cannot be read"),
         ('"arm.urdf"', '"none.urdf"', "none.urdf: cannot be read"),

@@ -131,6 +131,19 @@ def test_what_is_missing_or_does_not_fit_is_said():
     assert draft.nodes[5].name == "x.eds"
 
 
+def test_a_profile_that_its_data_sheet_contradicts_is_said(tmp_path):
+    text = (OWN / "drive.eds").read_text(encoding="utf-8")
+    head, rest = text.split("[6007]\n", 1)
+    (tmp_path / "x.eds").write_text(head + rest[rest.index("[") :], encoding="utf-8")
+    sheets = nodes_in([tmp_path / "x.eds", OWN / "drive.eds"])
+    for sheet, expected in zip(sheets, ([True], []), strict=True):
+        draft = asked(Bench(six(), [sheet]), profile=str(OWN / "bench" / "drive.toml"), torque_constant_nm_per_a=0.1)
+        remarks = [remark for remark in draft.remarks if "contradict" in remark]
+        assert [
+            "bench-drive and x.eds contradict each other: 6007:00 is not in it" in each for each in remarks
+        ] == expected
+
+
 def test_a_gear_that_all_drives_reckon_with_is_offered():
     gears = STANDARD | {(0x6091, 1): 50, (0x6091, 2): 1}
     said = {"robot": str(OWN / "arm.urdf"), "bus": "virtual:x"}

@@ -156,15 +156,23 @@ def summary(cell, path, force, gaps=None):
     return PairCycle(found, force, np.zeros((len(path), 0)) if gaps is None else gaps, 0.0, 0.0)
 
 
+def across(along: np.ndarray) -> np.ndarray:
+    """Unit vectors (M, 3) square to the given ones."""
+    out = np.cross(along, [0.0, 0.0, 1.0])
+    return out / np.linalg.norm(out, axis=1, keepdims=True)
+
+
 def test_a_run_for_the_report_shows_force_along_the_line_of_the_first_and_the_last_cycle(cell):
     path = cell.path(2.0)
     along = line_of_grippers(cell, path)
     force = np.zeros((len(path), 6))
-    force[:, :3] = 12.345 * along
+    force[:, :3] = 12.345 * along + 5.0 * across(along)
     cycles = [summary(cell, path, force), summary(cell, path, 7 * force), summary(cell, path, -2 * force)]
     body = run_result(cell, run_of(cell, path, "A"), cycles, STATISTICS)
     assert body.first_n == pytest.approx([12.345] * len(path), abs=0.006)
     assert set(body.last_n) == {-24.69}
+    assert body.first_size_n == pytest.approx([np.hypot(12.345, 5.0)] * len(path), abs=0.006)
+    assert body.last_size_n == pytest.approx([2 * np.hypot(12.345, 5.0)] * len(path), abs=0.006)
     assert body.x_m[0] == pytest.approx((cell.arms[0].world_from_base @ path.commands[0])[0, 3])
     assert (body.speed, len(body.cycles)) == (2.0, 3)
     assert np.isnan(body.cycles[0].force_n)

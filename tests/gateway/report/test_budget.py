@@ -40,8 +40,9 @@ def test_bars_of_several_loads_stand_apart():
 
 def test_parts_add_up_in_squares():
     (row,) = budget_rows(Result("r", (LOAD,)))
-    assert row.std == "0.50"
-    assert [part[2] for part in row.parts] == ["0.40", "0.10", "0.00", "0.28"]
+    # 1.96 * 0.5, and the roots of the shares of it
+    assert row.half == "0.98"
+    assert [part[2] for part in row.parts] == ["0.78", "0.20", "0.00", "0.55"]
 
 
 @pytest.mark.parametrize(
@@ -51,13 +52,13 @@ def test_no_picture_where_nothing_is_known(load):
     assert budget_figure(Result("r", (load,))) is None
 
 
-def test_nuisances_carry_their_unit_and_deviation():
+def test_nuisances_carry_their_unit_and_interval():
     result = Result(
         "r", nuisance={"gain": NuisanceResult((0.012, NAN), (0.02, NAN)), "other_nm": NuisanceResult((1.0,), (0.5,))}
     )
     assert nuisance_rows(result) == [
-        ("gain of the torque", "%", ["1.2 \N{PLUS-MINUS SIGN} 2.0", "\N{EN DASH}"]),
-        ("other", "Nm", ["1.00 \N{PLUS-MINUS SIGN} 0.50"]),
+        ("gain of the torque [%]", ["1.2 \N{PLUS-MINUS SIGN} 3.9", "\N{EN DASH}"]),
+        ("other [Nm]", ["1.00 \N{PLUS-MINUS SIGN} 0.98"]),
     ]
 
 

@@ -2,33 +2,21 @@
 
 import html.parser
 import json
-import math
 import re
+from dataclasses import replace
 
 import pytest
 
-from gateway.report.follow import headline, render_follow
-from gateway.report.pair import FORCE, GAP, Limited, render_pair
+from benchmarks.pages.other import comparison, forces, gaps, run
+from gateway.commands.console import Session
+from gateway.commands.follow import _show
+from gateway.report.follow import figure_rows, headline, render_follow
+from gateway.report.pair import FORCE, Limited, render_pair
 from gateway.report.render import render
-from gateway.result.follow import (
-    AxisSources,
-    ErrorCurve,
-    FedLoad,
-    FedModel,
-    FedTrend,
-    FollowedPath,
-    FollowedSetting,
-    FollowResult,
-    FollowSeries,
-    PeakRatio,
-    TorqueCurve,
-    TrendCloud,
-)
-from gateway.result.pair import CycleSummary, PairRunResult
+from gateway.result.origin import FileOrigin, Origin, drives_of
 from gateway.result.result import from_json
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
-SIX = (0.0157, 0.0167, 0.0167, 0.0176, 0.0228, 0.0317)
 EVIL = "<script>alert(1)</script>"
 
 
@@ -48,49 +36,6 @@ class Balanced(html.parser.HTMLParser):
         assert self.open.pop() == tag
 
 
-def comparison(robot="qh165"):
-    load = FedLoad("tool", 69.9, 0.1, (0.05, -0.02, 0.22), "link_6", ((1.0, 0.0, 0.0),) * 3, "r.json", "assumed")
-    scaled = {"off": 1.0, "maximum": 0.1, "identified": 0.01}
-    return FollowResult(
-        robot=robot,
-        cell="large",
-        arm="main",
-        path=FollowedPath("swing", "path.toml", 7.7, 0.004),
-        settings=tuple(
-            FollowedSetting(name, None if name == "off" else load, *(tuple(k * v for v in SIX),) * 4)
-            for name, k in scaled.items()
-        ),
-        ratio=PeakRatio({}, None),
-        trend=FedTrend(0.2, 0.01, 83.0, 1.0, (0.05, -0.02, 0.22), (0.01, 0.01, 0.01), SIX),
-        model=FedModel("robot model", (AxisSources("assumed", "assumed", "assumed", "assumed", "1"),) * 6),
-        computing_s=None,
-        left_out_syncs=0,
-        findings=(),
-        series=FollowSeries(
-            {name: ErrorCurve((0.0, 1.0, 2.0), ((0.0, math.nan, k * 0.01),) * 6) for name, k in scaled.items()},
-            (TorqueCurve(2, (0.0, 1.0), (3.0, math.nan), (3.0, 4.0)),),
-            (TrendCloud(2, (700.0, 900.0), (140.0, 180.0)),),
-        ),
-    )
-
-
-def run(name="C8", **along):
-    cycles = tuple(
-        CycleSummary(cycle=number, knots=9 + number, force_n=60.0 / number, moment_nm=2.0, gap_m=3e-4 / number)
-        for number in (1, 2, 3)
-    )
-    return PairRunResult(
-        name=name, text="learned on the run", speed=1.5, s_m=(0.0, 0.5), x_m=(0.7, 0.9), knots_s_m=(0.0,),
-        cycles=cycles, **along,
-    )  # fmt: skip
-
-
-def forces(name="C8"):
-    return render_pair(
-        "pair", Limited(FORCE, 40.0, "as estimated"), [run(name, first_n=(0.0, 60.0), last_n=(0.0, 20.0))]
-    )
-
-
 @pytest.fixture(scope="module", params=["result", "comparison", "force", "gap"])
 def page(request, full_result):
     if request.param == "result":
@@ -99,7 +44,7 @@ def page(request, full_result):
         return render_follow(comparison())
     if request.param == "force":
         return forces()
-    return render_pair("gap", Limited(GAP, 1e-3, "as measured"), [run(first_m=(0.0, 3e-4), last_m=(0.0, math.nan))])
+    return gaps()
 
 
 def test_a_page_is_one_small_file_that_fetches_nothing(page):
@@ -131,6 +76,29 @@ def test_the_headline_of_a_comparison_goes_from_setting_to_setting():
     assert headline(comparison()) == "Peak following error: J2 16.7 > 1.67 > 0.167 mrad; J3 16.7 > 1.67 > 0.167 mrad"
 
 
+def test_terminal_and_page_say_the_same_figures(capsys):
+    compared = comparison()
+    _show(compared, Session())
+    said = capsys.readouterr().out
+    page = render_follow(compared)
+    for _, settings in figure_rows(compared):
+        for _, _, cells in settings:
+            assert " ".join(cells) in " ".join(said.split())
+            assert all(f">{text}</td>" in page for text in cells)
+    assert figure_rows(compared)[0][1][2][2] == ["0.157", "0.167", "0.167", "0.176", "0.228", "0.317"]
+
+
+def test_a_page_says_where_it_comes_from():
+    drives = drives_of([{"node_id": 11, "vendor_id": 0x2A, "serial_number": 7788, "software_version": "2.10\x00"}])
+    files = (FileOrigin("out/<run>.h5", "ab" * 32),)
+    origin = Origin("2026-03-02 14:05 UTC", "servo-gateway 9.9", drives, files, "A. Person")
+    for page in (render_follow(replace(comparison(), origin=origin)), forces(origin=origin)):
+        for text in ("2026-03-02 14:05 UTC", "servo-gateway 9.9", "ab" * 32, "out/&lt;run&gt;.h5", "measured by"):
+            assert text in page
+    page = render_follow(replace(comparison(), origin=origin))
+    assert all(text in page for text in (">7788</td>", ">2.10</td>", ">0x2A</td>", "<b>A. Person</b>"))
+
+
 def test_a_comparison_has_three_drawings_an_axis_on_one_scale():
     page = render_follow(comparison())
     assert page.count('class="three"') == 6
@@ -142,9 +110,34 @@ def test_words_from_the_data_stay_words():
     assert "<script" not in forces(EVIL)
 
 
+def heights(page, kind):
+    """Vertical places of the polylines of a class, of the drawing of the first run."""
+    return [
+        [float(place.split(",")[1]) for place in points.split()]
+        for points in re.findall(rf'<polyline class="{kind}" points="([^"]+)"', page)
+    ]
+
+
+def test_what_is_drawn_against_the_limit_of_the_whole_force_is_the_whole_force():
+    """0 to 20 N in the last cycle, to 60 N in the first, the limit at 40 N: all on one scale."""
+    page = forces()
+    (last,), (first,), (part,) = (heights(page, kind) for kind in ("force", "before-line", "part-line"))
+    (limit,) = re.findall(r'<line class="limit" x1="[\d.]+" y1="([\d.]+)"', page)[:1]
+    assert (last[0] - float(limit)) / (last[0] - last[1]) == pytest.approx(40 / 20, rel=0.01)
+    assert (first[0] - first[1]) / (last[0] - last[1]) == pytest.approx(60 / 20, rel=0.01)
+    assert (part[0] - part[1]) / (last[0] - last[1]) == pytest.approx(-12 / 20, rel=0.01)
+
+
+def test_a_run_of_before_has_its_part_drawn_without_a_limit():
+    old = render_pair("p", Limited(FORCE, 40.0, "as estimated"), [run(first_n=(0.0, 60.0), last_n=(0.0, 20.0))])
+    along = old[old.index("along the path</h2>") : old.index("<h2>Convergence")]
+    assert "part-line" in along
+    assert 'class="limit"' not in along
+
+
 def test_a_pair_whose_last_cycle_is_inside_the_limit_is_good():
     page = forces()
     assert 'class="verdict good"' in page
     assert "C8: largest force 20 N in the last cycle" in page
-    for text in ("Fx [N]", "way along the path [m]", "largest force [N]", "figure 19"):
+    for text in ("force [N]", "way along the path [m]", "largest force [N]", "figure 19"):
         assert text in page

@@ -6,6 +6,7 @@ import math
 import pytest
 
 from gateway.report.view import view
+from gateway.result.acceptance import Expected, accepted
 from gateway.result.result import from_json
 
 
@@ -16,7 +17,9 @@ def read(body):
 
 def test_the_first_screen_answers_what_how_sure_how_good_and_what_was_wrong(result):
     shown = view(read(result))
-    assert shown.headline == "25.03 kg ± 0.22 kg (tool) and 71.22 kg ± 0.31 kg (tool+part) on the flange"
+    assert shown.headline == (
+        "25.03 ± 0.22 kg (95 %) of load “tool” and 71.22 ± 0.31 kg (95 %) of load “tool+part” on the flange"
+    )
     assert shown.verdict.startswith("The model lacked a balancer spring on J2.")
     assert "1.1 times the noise floor on the worst axis, J1" in shown.quality
     assert shown.status == "good"
@@ -75,7 +78,7 @@ def test_a_refused_load_turns_the_page_red(result):
     result["loads"][1] |= {"mass_kg": None, "refused": "rows 9 and 10 have the wrong sign"}
     shown = view(read(result))
     assert shown.status == "bad"
-    assert shown.headline == "25.03 kg ± 0.22 kg (tool) on the flange; tool+part refused"
+    assert shown.headline == "25.03 ± 0.22 kg (95 %) of load “tool” on the flange; tool+part refused"
     assert shown.loads[1].refused.startswith("rows 9")
 
 
@@ -86,6 +89,28 @@ def test_an_axis_that_was_not_measured_stays_unknown(result):
     assert math.isnan(shown.axes[0].after)
     assert math.isnan(shown.axes[0].ratio_after)
     assert "worst axis, J5" in shown.quality
+
+
+def test_a_load_that_may_not_hang_is_asked_for_and_never_green(result):
+    result |= {"verdict": "none_needed", "effects": [], "loads": [result["loads"][0]]}
+    result["loads"][0] |= {"mass_kg": 0.004, "mass_std_kg": 0.006}
+    shown = view(read(result))
+    assert shown.headline == "0.004 ± 0.012 kg (95 %): was it hung?"
+    assert shown.verdict.startswith("The arm moved as if nothing hung on it")
+    assert shown.status == "open"
+    result["loads"][0] |= {"mass_kg": 0.013}
+    assert view(read(result)).status == "good"
+
+
+@pytest.mark.parametrize(("tolerance", "status", "says"), [(0.3, "good", "pass"), (0.2, "open", "cannot tell")])
+def test_what_the_data_cannot_tell_is_amber(result, tolerance, status, says):
+    """25.03 kg, known to 0.216 kg."""
+    judged = accepted(read(result), [Expected("tool", 25.0, tolerance)], ())
+    shown = view(judged)
+    assert shown.status == status
+    assert says in shown.acceptance[0][1]
+    assert "25.03 ± 0.22 kg (95 %)" in shown.acceptance[0][2]
+    assert view(accepted(read(result), [Expected("tool", 24.0, tolerance)], ())).status == "bad"
 
 
 def test_a_component_that_is_not_identifiable_is_unknown_not_zero(result):
@@ -105,7 +130,8 @@ def test_candidates_chosen_first_then_by_their_held_out_error(result):
 
 def test_parameters_carry_their_unit(result):
     effect = view(read(result)).effects[0]
-    assert effect.parameters[0] == ("stiffness", "8.421e+04", "1.9e+03", "N/m")
+    # 84210, 1.96 * 1900
+    assert effect.parameters[0] == ("stiffness of the spring, if it has the size below", "84200", "3700", "N/m")
     assert effect.parameters[1][3] == "m"
     assert "next best explanation: a wrong torque constant" in effect.evidence[-1]
 

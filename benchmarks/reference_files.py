@@ -1,0 +1,133 @@
+"""Pages of the reference about what the program reads, leaves and answers: table, recording, exit codes."""
+
+from __future__ import annotations
+
+import textwrap
+
+from drives.errors import DriveError
+from gateway.cell.axes import FEWEST_AXES, MOST_AXES
+from gateway.data.csv_text import BLANK_ALLOWED, COLUMNS, Column
+from gateway.data.recording.reader import SCHEMA, STATUSES
+from gateway.data.recording.writer import VALUES, WORDS
+from gateway.errors import EXIT_CODES, GatewayError
+
+
+def _paragraph(text: str) -> str:
+    return textwrap.fill(text, 118, break_on_hyphens=False)
+
+
+def table_page() -> str:
+    """Columns of the measured table."""
+    lines = [
+        "# Measured table (CSV)",
+        "",
+        _paragraph(
+            "UTF-8, comma, header; one row per visit of a rest pose, or per instant of a moving run. The order of the"
+            " columns is free. `servo-gateway export RUN.h5 --format csv` writes one."
+        ),
+        "",
+        "| column | unit | needed | may be empty | meaning |",
+        "|---|---|---|---|---|",
+        *(f"| {_column(each)} | {each.unit} | {each.needed} | {_blank(each)} | {_meaning(each)} |" for each in COLUMNS),
+        "| `x_...` | | no | no | anything else, such as the lever column of `--method coefficient` |",
+        "",
+        _paragraph(
+            f"N is the number of axes, {FEWEST_AXES} to {MOST_AXES}: the highest number that a column names is how many"
+            " the table is of, and a table of another number than the robot's is refused, with both. A cell of two arms"
+            " needs `--arm`: motor torques and currents are converted with the constants of that arm."
+        ),
+        "",
+        _paragraph(
+            "Axes without a column of torque or current were not measured. Any other column is refused by name. A cell"
+            " that is empty where a value is needed or is not a finite number, an angle that can only be degrees, and a"
+            " row that stands twice with different values are refused with file and line. Nothing is ever filled in."
+        ),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _column(column: Column) -> str:
+    first, last = (column.name.format(axis) for axis in ("1", "N"))
+    return f"`{first}`" if first == last else f"`{first}` .. `{last}`"
+
+
+def _meaning(column: Column) -> str:
+    return column.meaning.format("1")
+
+
+def _blank(column: Column) -> str:
+    return "yes" if column.name.format(1) in BLANK_ALLOWED else "no"
+
+
+def exit_codes_page() -> str:
+    """What each exit code means, and which errors end with it."""
+    lines = ["# Exit codes", "", "| exit code | when | errors |", "|---|---|---|"]
+    errors = {code: [] for code in EXIT_CODES} | _errors()
+    lines += [
+        f"| {code} | {when} | {', '.join(f'`{name}`' for name in errors.get(code, []))} |"
+        for code, when in EXIT_CODES.items()
+    ]
+    lines += [
+        "",
+        _paragraph(
+            "Errors are one paragraph on stderr: what, where (file and line, or node and object), what to do. A file"
+            " with several problems gets a line for each, ten at most. Results that `--json -` writes go to stdout and"
+            " are not mixed with messages."
+        ),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _errors() -> dict[int, list[str]]:
+    found: dict[int, list[str]] = {}
+    waiting: list[type[Exception]] = [GatewayError, DriveError]
+    while waiting:
+        error = waiting.pop(0)
+        found.setdefault(getattr(error, "exit_code", 1), []).append(error.__name__)
+        waiting += [
+            each for each in error.__subclasses__() if each.__module__.startswith(("gateway.errors", "drives.errors"))
+        ]
+    return {code: sorted(names) for code, names in found.items()}
+
+
+def recording_page() -> str:
+    """What a recording holds."""
+    lines = [
+        "# Recording (HDF5)",
+        "",
+        _paragraph(
+            f"`run.h5`, schema {SCHEMA}. Written whole after each visit, under another name, synced, then renamed: what"
+            " is on disk is the last whole file, with a checksum at its end. It carries its cell, so that data of"
+            " another cell, arm, robot or set of drives are refused; a constant that was corrected since is used and"
+            " named."
+        ),
+        "",
+        "| attribute of the file | what it is |",
+        "|---|---|",
+        "| `schema`, `created`, `software` | version of this layout; date; program and version |",
+        "| `cell`, `profiles`, `robot` | text of the cell file, of each drive profile (JSON by name), of the URDF |",
+        f"| `exit_status`, `reason` | {', '.join(f'`{word}`' for word in STATUSES)}; and why |",
+        "",
+        "| attribute of `/arms/NAME` | what it is (JSON) |",
+        "|---|---|",
+        "| `constants`, `identities` | what was read from each drive; vendor, product, revision, serial number |",
+        "| `ledger` | every object that was written, with what it held before |",
+        "| `bus_statistics` | SYNCs, late and incomplete ones |",
+        "",
+        _paragraph(
+            "One group a visit, `/arms/NAME/visits/0007`, with the attributes `load`, `pose`, `purpose`, `approach`"
+            " (-1, 1), `complete`, `incomplete_epochs`, and these datasets of shape (samples, axes), each with its"
+            " `unit`:"
+        ),
+        "",
+        "| dataset | unit |",
+        "|---|---|",
+        *(f"| `{name}` | {unit} |" for name, (_, unit) in (WORDS | VALUES).items()),
+        "| `sync_index`, `time_s` (samples,) | count, s |",
+        "",
+        _paragraph(
+            "A word that the drives do not send is left out. `servo-gateway export RUN.h5 --format csv` gives the means"
+            " as [measured table](measured-table.md)."
+        ),
+    ]
+    return "\n".join(lines) + "\n"

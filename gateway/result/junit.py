@@ -1,0 +1,108 @@
+"""Acceptance as a JUnit file, which every build server reads.
+
+A test case per load that was announced (was it hung?), per expectation and rating, and per further failing finding; a
+load that fails and one of which the data cannot tell are both failures, of different `type`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Final
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+from gateway.result.acceptance import PASS, acceptance_findings, asked_for, measured, not_hung
+from gateway.result.interval import SAID
+from gateway.result.numerals import with_interval
+from gateway.result.result import Finding, Result
+
+NAME: Final = "servo-gateway"
+#: Checks take no time that would be worth telling.
+_NO_TIME: Final = "0.000"
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One test case: `kind` and `why` of its failure, both empty where it passed."""
+
+    group: str
+    name: str
+    kind: str = ""
+    why: str = ""
+
+
+def cases(result: Result) -> tuple[Case, ...]:
+    """All test cases of a result."""
+    return tuple(_cases(result))
+
+
+def _cases(result: Result) -> Iterator[Case]:
+    told: set[Finding] = set()
+    for load in result.loads:
+        doubts = not_hung([load])
+        told.update(doubts)
+        found = f"{with_interval(load.mass_kg, load.mass_std_kg)} kg ({SAID})"
+        yield _case(f"load {load.label}", f"was hung: {found}", "not hung", doubts)
+    for row in result.acceptance:
+        failed = acceptance_findings([row])
+        told.update(failed)
+        name = f"{row.what} {measured(row)} ({SAID}), allowed: {asked_for(row)}"
+        yield _case(f"load {row.load}", name, PASS if row.outcome == PASS else row.outcome, failed)
+    for finding in result.findings:
+        if finding.severity == "fail" and finding not in told:
+            yield _case(finding.where, finding.what, "finding", (finding,))
+
+
+def _case(group: str, name: str, kind: str, failed: tuple[Finding, ...]) -> Case:
+    if not failed:
+        return Case(group, name)
+    return Case(group, name, kind, "; ".join(f"{each.what}; {each.advice}" for each in failed))
+
+
+def junit(result: Result, moment: datetime) -> str:
+    """Text of the JUnit file.
+
+    Parameters
+    ----------
+    result : Result
+        With its acceptance.
+    moment : datetime
+        Of the analysis.
+    """
+    found = cases(result)
+    failures = str(sum(bool(case.kind) for case in found))
+    counts = {"tests": str(len(found)), "failures": failures, "errors": "0", "time": _NO_TIME}
+    root = Element("testsuites", {"name": NAME, **counts})
+    suite = SubElement(
+        root,
+        "testsuite",
+        {
+            "name": _text(f"{NAME} {result.robot}".strip()),
+            "package": NAME,
+            "id": "0",
+            "hostname": "localhost",
+            "timestamp": moment.strftime("%Y-%m-%dT%H:%M:%S"),
+            "skipped": "0",
+            **counts,
+        },
+    )
+    SubElement(suite, "properties")
+    for case in found:
+        line = SubElement(
+            suite, "testcase", {"classname": _text(case.group), "name": _text(case.name), "time": _NO_TIME}
+        )
+        if case.kind:
+            failure = SubElement(line, "failure", {"type": case.kind, "message": _text(case.why)})
+            failure.text = _text(case.why)
+    SubElement(suite, "system-out")
+    SubElement(suite, "system-err")
+    indent(root)
+    return tostring(root, encoding="unicode", xml_declaration=False, short_empty_elements=True).join(
+        ('<?xml version="1.0" encoding="UTF-8"?>\n', "\n")
+    )
+
+
+def _text(text: str) -> str:
+    """What XML can hold: a label may carry characters that no XML file may."""
+    return "".join(character if character.isprintable() else " " for character in text)

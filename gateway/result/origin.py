@@ -1,0 +1,115 @@
+"""Where a result comes from: by which program, when, on which drives, of which files."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from gateway.errors import InputError
+from gateway.result.values import SILENT
+
+PROGRAM = "servo-gateway"
+
+
+@dataclass(frozen=True, slots=True)
+class DriveOrigin:
+    """A drive that answered: what it says of itself, None where it does not."""
+
+    joint: int
+    node_id: int
+    name: str | None = field(default=None, metadata=SILENT)
+    vendor_id: int | None = field(default=None, metadata=SILENT)
+    product_code: int | None = field(default=None, metadata=SILENT)
+    serial_number: int | None = field(default=None, metadata=SILENT)
+    hardware_version: str | None = field(default=None, metadata=SILENT)
+    software_version: str | None = field(default=None, metadata=SILENT)
+
+
+@dataclass(frozen=True, slots=True)
+class FileOrigin:
+    """A file that was read, and the checksum of its bytes."""
+
+    file: str
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """When and by which program, on which drives, of which files; who measured, where it was said."""
+
+    created: str
+    software: str
+    drives: tuple[DriveOrigin, ...] = field(default=(), metadata=SILENT)
+    files: tuple[FileOrigin, ...] = field(default=(), metadata=SILENT)
+    operator: str | None = field(default=None, metadata=SILENT)
+
+
+def software() -> str:
+    """This program and its version."""
+    try:
+        return f"{PROGRAM} {version(PROGRAM)}"
+    except PackageNotFoundError:
+        return f"{PROGRAM} not installed"
+
+
+def in_words(moment: datetime) -> str:
+    """A moment (UTC) as the pages show it."""
+    return moment.strftime("%Y-%m-%d %H:%M UTC")
+
+
+def file_sha256(path: Path) -> str:
+    """Checksum of a file's bytes.
+
+    Raises
+    ------
+    InputError
+        It cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
+
+
+def files_of(paths: Iterable[Path]) -> tuple[FileOrigin, ...]:
+    """Files with their checksums.
+
+    Raises
+    ------
+    InputError
+        One of them cannot be read.
+    """
+    return tuple(FileOrigin(str(path), file_sha256(path)) for path in paths)
+
+
+def drives_of(identities: Sequence[Mapping[str, Any]]) -> tuple[DriveOrigin, ...]:
+    """Drives as a recording holds them, one per axis; what is of another kind than a drive tells is left out."""
+    found: list[DriveOrigin] = []
+    for joint, said in enumerate(identities, start=1):
+        found.append(
+            DriveOrigin(
+                joint=joint,
+                node_id=_whole(said.get("node_id")) or 0,
+                name=_text(said.get("name")),
+                vendor_id=_whole(said.get("vendor_id")),
+                product_code=_whole(said.get("product_code")),
+                serial_number=_whole(said.get("serial_number")),
+                hardware_version=_text(said.get("hardware_version")),
+                software_version=_text(said.get("software_version")),
+            )
+        )
+    return tuple(found)
+
+
+def _whole(value: Any) -> int | None:
+    return value if isinstance(value, int) else None
+
+
+def _text(value: Any) -> str | None:
+    return "".join(filter(str.isprintable, value)).strip() or None if isinstance(value, str) else None

@@ -1,0 +1,14 @@
+"""Every kind of wrong input: where, what, what to do, the exit code, nothing lost, ten lines at most."""
+
+import pytest
+
+from tests.wrong_inputs import KINDS, Kind, wrong
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+def test_a_wrong_input_is_answered(kind: Kind) -> None:
+    assert not wrong(kind)
+
+
+def test_there_are_as_many_kinds_as_are_promised_and_none_twice() -> None:
+    assert len({kind.name for kind in KINDS}) == len(KINDS) >= 80

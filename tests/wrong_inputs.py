@@ -1,0 +1,599 @@
+"""Kinds of wrong input, each with what the program has to say: where, what, what to do, with which exit code.
+
+python -m tests.wrong_inputs: how many of them are answered as they should be.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import re
+import shutil
+import sys
+import tempfile
+import uuid
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from unittest import mock
+
+from click.testing import CliRunner
+
+from drives.profile_file import load_profile
+from gateway.cell.config import load_cell
+from gateway.cli import main as program
+from gateway.data.recording.writer import RecordingWriter
+from tests.visits import ARM_HEADER, header_of, visit
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+MOST_LINES = 10
+HEADER = "load,pose," + ",".join(f"q{axis}_rad" for axis in range(1, 7)) + ",tau2_nm"
+ROW = "none,1,0.1,0.2,0.3,0.4,0.5,0.6,12.5"
+RESULT = {"schema": 1, "robot": "r", "loads": [{"label": "a", "mass_kg": 2.0, "com_m": [0, 0, 0.1]}]}
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of wrong input.
+
+    Attributes
+    ----------
+    name : str
+    arguments : tuple of str
+        Command line; `make` has written what it names.
+    code : int
+    says : tuple of str
+        Regular expressions, each found in what is told.
+    make : callable
+        Writes files into the working folder.
+    during : callable
+        What is broken while the command runs.
+    """
+
+    name: str
+    arguments: tuple[str, ...]
+    code: int
+    says: tuple[str, ...]
+    make: Callable[[Path], object] = lambda folder: None
+    during: Callable[[], object] = mock.DEFAULT
+
+
+# -- files that are written for a kind ---------------------------------------------------------------------------------
+
+
+def cell(*changes: tuple[str, str], name: str = "cell.toml") -> Callable[[Path], object]:
+    """The small cell with its robot, changed."""
+
+    def make(folder: Path) -> None:
+        text = (EXAMPLES / "small" / "cell.toml").read_text(encoding="utf-8")
+        for old, new in changes:
+            assert old in text, old
+            text = text.replace(old, new, 1)
+        (folder / name).write_text(text, encoding="utf-8")
+        shutil.copy(EXAMPLES / "small" / "robot.urdf", folder)
+
+    return make
+
+
+def text(content: str | bytes, name: str) -> Callable[[Path], object]:
+    """A file."""
+
+    def make(folder: Path) -> None:
+        (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+
+    return make
+
+
+def table(*rows: str, header: str = HEADER) -> Callable[[Path], object]:
+    """A measured table beside the small robot."""
+    return together(text("\n".join([header, *(rows or (ROW,))]) + "\n", "t.csv"), cell())
+
+
+def together(*makes: Callable[[Path], object]) -> Callable[[Path], object]:
+    """All of these files."""
+
+    def make(folder: Path) -> None:
+        for each in makes:
+            each(folder)
+
+    return make
+
+
+def recording(folder: Path, name: str = "run.h5", serial: int = 0) -> Path:
+    """A recording of two poses of the bare small arm."""
+    writer = RecordingWriter(folder / name, header_of(load_cell(EXAMPLES / "small" / "cell.toml")), None)
+    serials = [{"node_id": node, "serial_number": serial + node} for node in range(1, 7)] if serial else []
+    writer.begin(replace(ARM_HEADER, identities=serials))
+    for pose in (1, 2):
+        for side in (-1, 1):
+            writer.add("main", visit(pose, side, seed=serial, start_s=pose + 0.5 * side))
+    writer.finish("main", "success", "", {})
+    writer.close()
+    return folder / name
+
+
+def cut(folder: Path) -> None:
+    path = recording(folder)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def flipped(folder: Path) -> None:
+    path = recording(folder)
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    path.write_bytes(bytes(content))
+
+
+def result(change: dict[str, object] | None = None, **load: object) -> Callable[[Path], object]:
+    """A result file."""
+    body = RESULT | {"loads": [RESULT["loads"][0] | load]} | (change or {})  # type: ignore[index]
+    return text(json.dumps(body), "out.json")
+
+
+def profile(old: str, new: str) -> Callable[[Path], object]:
+    """A profile of one's own with a mistake."""
+    content = load_profile("generic-cia402").text
+    assert old in content, old
+    return text(content.replace(old, new, 1), "mine.toml")
+
+
+@contextmanager
+def full_disk() -> Generator[None]:
+    """No room for what is written."""
+
+    def full(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with mock.patch("os.fsync", full):
+        yield
+
+
+# -- the table ---------------------------------------------------------------------------------------------------------
+
+PLAN = ("plan", "cell.toml")
+ESTIMATE = ("estimate", "t.csv", "--robot", "robot.urdf")
+LINE = r"cell\.toml line \d+"
+AXIS = r"cell\.toml line \d+, J1: "
+RATIO = '{ value = 120, source = "datasheet p. 7" }'
+LIMIT = "position_limit_rad = [-2.8, 2.8]"
+
+CELLS = [
+    ("a number for a constant", (RATIO, "101"), AXIS, 'write gear_ratio = { value = 101, source = "..." }'),
+    ("a constant without source", (', source = "datasheet p. 7"', ""), AXIS, "source is missing: write gear_ratio ="),
+    ("an empty source", ('"datasheet p. 7"', '""'), AXIS, 'write source = "..."'),
+    ("a missing key", (f"gear_ratio = {RATIO}\n", ""), AXIS, "gear_ratio is missing .*: write gear_ratio ="),
+    ("a misspelt key", ("gear_efficiency", "gear_efficency"), AXIS, "unknown key .*: write gear_efficiency"),
+    ("a key in another unit", (LIMIT, "position_limit_deg = [-160, 160]"), AXIS, "write position_limit_rad"),
+    ("limits in degrees", (LIMIT, "position_limit_rad = [-180, 180]"), AXIS, r"degrees: write .*\[-3.142, 3.142\]"),
+    ("limits the wrong way round", (LIMIT, "position_limit_rad = [2.8, -2.8]"), AXIS, "write the lower one first"),
+    ("one limit", (LIMIT, "position_limit_rad = [2.8]"), AXIS, r"write position_limit_rad = \[NUMBER, NUMBER\]"),
+    ("a limit that is none", (LIMIT, "position_limit_rad = [nan, 2.8]"), AXIS, "no finite number"),
+    ("a speed in degrees", ("speed_limit_rad_s = 0.8", "speed_limit_rad_s = 60"), AXIS, "degrees a second: write"),
+    ("a speed of nothing", ("speed_limit_rad_s = 0.8", "speed_limit_rad_s = 0"), AXIS, "must be more than 0: write"),
+    ("a number in quotes", ("torque_limit_nm = 420", 'torque_limit_nm = "420"'), AXIS, "is no number: write"),
+    ("a truth for a number", ("node_id = 1", "node_id = true"), AXIS, "is no integer: write node_id = INTEGER"),
+    ("a node id that cannot be", ("node_id = 1", "node_id = 200"), AXIS, "must be at most 127"),
+    ("a node id twice", ("node_id = 1", "node_id = 2"), r"line \d+, J2: ", "node id 2 is given to more than one axis"),
+    ("a constant of 120 Nm/A", ("value = 0.31", "value = 120"), AXIS, "0.001 to 10; in mNm/A\\? write value = 0.12"),
+    ("a constant below zero", ("value = 0.31", "value = -0.31"), AXIS, "torque_constant_nm_per_a must be positive"),
+    ("a ratio upside down", ("value = 120", "value = 0.00833"), AXIS, "between 1 and 10000; upside down\\? write"),
+    ("a ratio of nothing", ("value = 120", "value = 0"), AXIS, "gear_ratio must not be 0"),
+    ("an efficiency in percent", ("value = 0.85", "value = 85"), AXIS, "in percent\\? write value = 0.85"),
+    ("a sign that is none", ("position_sign = 1", "position_sign = 0"), AXIS, "write position_sign = 1 or -1"),
+    ("a zero offset in degrees", ("zero_offset_rad = 0.0", "zero_offset_rad = 90"), AXIS, "write .* = 1.571"),
+    ("a flange in millimetres", ("[0, 0, 0.02]", "[0, 0, 200]"), LINE, r"millimetres: write .*\[0, 0, 0.2\]"),
+    ("a flange in degrees", ("0.5235987755982988", "30"), LINE, "degrees: write flange_rpy_rad = .*0.5236"),
+    ("gravity in g", ("-9.80665", "-1"), LINE, r"gravity_m_s2: .* write \[0, 0, -9.80665\]"),
+    ("a box inside out", ("min_m = [-0.12", "min_m = [0.5"), LINE, "must lie below max_m"),
+    ("a bus that is not there", ('bus = "a"', 'bus = "b"'), LINE, r'no \[bus.b\]: write bus = "a"'),
+    ("a pacing that is none", ('pacing = "real"', 'pacing = "fast"'), LINE, 'write pacing = "lockstep" or "real"'),
+    ("trust of unknown form", ('"prior:0.05"', '"prior"'), LINE, "inertials = .* exact, ignore, prior:S"),
+    ("no robot", ('robot = "robot.urdf"\n', ""), LINE, r'either robot = "FILE.urdf" or \[arm.dh\]'),
+    (
+        "a robot that is not there",
+        ("robot.urdf", "nowhere.urdf"),
+        "nowhere.urdf: cannot be read",
+        "correct the key robot",
+    ),
+    ("no TOML", ("[poses]", "[poses"), LINE, "not valid TOML: .*; correct that line"),
+    ("poses that are not there", ("[poses]", '[poses]\nfile = "p.csv"'), "p.csv: cannot be read", "p.csv"),
+]
+
+TABLES = [
+    ("a header without rows", table("", header=HEADER), r"t\.csv:1: the table has a header but no row"),
+    ("a NaN", table(ROW.replace("0.1", "nan")), r"t\.csv:2: q1_rad: 'nan' is not a finite number; .*correct or remove"),
+    ("an infinite number", table(ROW.replace("12.5", "inf")), r"t\.csv:2: tau2_nm: 'inf' is not a finite number"),
+    ("a word for a number", table(ROW.replace("12.5", "much")), r"t\.csv:2: tau2_nm: 'much' is not a finite number"),
+    ("an empty cell", table(ROW.replace("12.5", "")), r"t\.csv:2: tau2_nm: is empty; .*correct or remove"),
+    ("degrees", table(ROW, ROW.replace("none,1,0.1", "none,2,90")), r"t\.csv:3: q1_rad = 90 .*degrees; write 1.5708"),
+    ("an unknown column", table(header=HEADER.replace("tau2_nm", "torque")), r"t\.csv:1: unknown column 'torque'; own"),
+    ("a column twice", table(header=HEADER.replace("q2_rad", "q1_rad")), r"t\.csv:1: column 'q1_rad' is given twice"),
+    ("a missing column", table(header=HEADER.replace("q2_rad", "x_q")), r"t\.csv:1: column 'q2_rad' is missing"),
+    ("no torque", table(header=HEADER.replace("tau2_nm", "x_tau")), r"t\.csv:1: no torque or current column"),
+    ("currents without a cell", table(header=HEADER.replace("tau2_nm", "i2_a")), r"t\.csv:1: .*give --cell"),
+    ("semicolons", table(ROW.replace(",", ";"), header=HEADER.replace(",", ";")), r"t\.csv:1: .*must be a comma"),
+    ("a row that is too short", table("none,1,0.1"), r"t\.csv:2: 3 cells where the header names 9 columns"),
+    ("rows that contradict", table(ROW, ROW.replace("12.5", "99")), r"t\.csv:3: .*t\.csv:2"),
+    ("a pose that is no number", table(ROW.replace("none,1,", "none,1.5,")), r"t\.csv:2: pose: 1.5 is not an integer"),
+    (
+        "a label that means bare",
+        table(ROW.replace("none", "None")),
+        r"t\.csv:2: load 'None' means the bare arm: write none",
+    ),
+    ("an empty label", table(ROW.replace("none", "")), r"t\.csv:2: load: a label is needed"),
+    ("an empty file", together(text("", "t.csv"), cell()), r"t\.csv:1: the file is empty; a header line"),
+    ("bytes that are no text", together(text(b"load,\xff\xfe\n", "t.csv"), cell()), r"t\.csv: not UTF-8 text.*save"),
+    ("a recording by another name", together(text(b"\x89HDF\r\n\x1a\n" * 9, "t.csv"), cell()), r"t\.csv"),
+    (
+        "a table of other axes",
+        together(table("none,1,0.1,0.2,1", header="load,pose,q1_rad,q2_rad,tau1_nm")),
+        "2 axes.*name",
+    ),
+    ("a table that is not there", cell(), r"t\.csv: cannot be read: No such file"),
+    ("a folder for a table", together(cell(), lambda folder: (folder / "t.csv").mkdir()), "t.csv.*is a directory"),
+]
+
+KINDS: list[Kind] = [
+    *(Kind(f"cell: {name}", PLAN, 3, (where, say), cell(change)) for name, change, where, say in CELLS),
+    *(Kind(f"table: {name}", ESTIMATE, 2 if "folder" in name else 3, (says,), make) for name, make, says in TABLES),
+    Kind(
+        "cell: a profile that is not there",
+        ("check", "cell.toml", "--bus", f"virtual:{uuid.uuid4().hex}"),
+        3,
+        ("nobody' cannot be read", "one of .*generic-cia402"),
+        cell(('"generic-cia402"', '"nobody"')),
+    ),
+    Kind("cell: not there", ("plan", "no.toml"), 3, (r"no\.toml: cannot be read",)),
+    Kind("cell: bytes", PLAN, 3, (r"cell\.toml: cannot be read.*utf-8",), text(b"\xff\xfe\x00", "cell.toml")),
+    Kind("cell: a folder", PLAN, 2, ("is a directory",), lambda folder: (folder / "cell.toml").mkdir()),
+    Kind(
+        "cell: several mistakes",
+        PLAN,
+        3,
+        (r"line 9: pacing", r"J1: gear_ratio", r"J4: torque_limit"),
+        cell(('"real"', '"fast"'), (RATIO, "101"), ("torque_limit_nm = 70", "torque_limit_nm = -70")),
+    ),
+    Kind("robot: no XML", PLAN, 3, (r"robot\.urdf",), together(cell(), text("<robot", "robot.urdf"))),
+    Kind("robot: no joints", PLAN, 3, (r"robot\.urdf",), together(cell(), text('<robot name="a"/>', "robot.urdf"))),
+    Kind(
+        "profile: unknown key",
+        ("profiles", "show", "./mine.toml"),
+        3,
+        (r"mine\.toml line \d+, \[torque\]: .*write filter_s",),
+        profile("filter_s = 0.001", "filter_z = 1"),
+    ),
+    Kind(
+        "profile: wrong word",
+        ("profiles", "show", "./mine.toml"),
+        3,
+        (r'line \d+, \[torque.object\]: .*write type = "u8"',),
+        profile('type = "i16"', 'type = "i24"'),
+    ),
+    Kind(
+        "profile: no TOML",
+        ("profiles", "show", "./mine.toml"),
+        3,
+        (r"mine\.toml line 1: not valid TOML",),
+        text("name = ", "mine.toml"),
+    ),
+    Kind("recording: not there", ("estimate", "run.h5"), 3, (r"run\.h5: there is no such file",)),
+    Kind("recording: cut off", ("estimate", "run.h5"), 3, (r"run\.h5",), cut),
+    Kind("recording: a bit turned", ("estimate", "run.h5"), 3, (r"run\.h5",), flipped),
+    Kind("recording: text", ("estimate", "run.h5"), 3, (r"run\.h5",), text("hello", "run.h5")),
+    Kind("recording: empty", ("estimate", "run.h5"), 3, (r"run\.h5",), text("", "run.h5")),
+    Kind(
+        "recording: of another cell",
+        ("estimate", "run.h5", "--cell", "cell.toml"),
+        3,
+        (r"run\.h5: was recorded with cell 'small', this is cell 'other'; name the cell",),
+        together(recording, cell(('name = "small"', 'name = "other"'))),
+    ),
+    Kind(
+        "recording: of another arm",
+        ("estimate", "run.h5", "--cell", "cell.toml"),
+        3,
+        (r"run\.h5: holds no arm 'left' but 'main'; name",),
+        together(recording, cell(('name = "main"', 'name = "left"'))),
+    ),
+    Kind(
+        "recording: wired otherwise",
+        ("estimate", "run.h5", "--cell", "cell.toml"),
+        3,
+        (r"run\.h5: J1 was recorded with node_id 1, the cell says 9; name",),
+        together(recording, cell(("node_id = 1", "node_id = 9"))),
+    ),
+    Kind(
+        "recording: of another robot",
+        ("estimate", "run.h5", "--robot", str(EXAMPLES / "large" / "robot.urdf")),
+        3,
+        (r"run\.h5: was recorded with robot .*name",),
+        recording,
+    ),
+    Kind(
+        "recording: other drives",
+        ("estimate", "run.h5", "b.h5"),
+        3,
+        (r"b\.h5: J1 has the drive with serial number",),
+        lambda folder: (recording(folder, serial=100), recording(folder, "b.h5", serial=200)),
+    ),
+    Kind(
+        "data: of no known kind",
+        ("estimate", "t.txt"),
+        3,
+        (r"t\.txt: neither a recording \(\.h5\) nor",),
+        text("x", "t.txt"),
+    ),
+    Kind("option: no robot", ("estimate", "t.csv"), 3, ("give --robot R.urdf or --cell CELL",), table()),
+    Kind(
+        "option: a known load in millimetres",
+        (*ESTIMATE, "--known", "a=2,0,0,110"),
+        3,
+        ("write a=2,0,0,0.11",),
+        table(),
+    ),
+    Kind(
+        "option: a known load below zero",
+        (*ESTIMATE, "--known", "a=-2,0,0,0.1"),
+        3,
+        ("--known a=-2.*expected",),
+        table(),
+    ),
+    Kind(
+        "option: a known load that is not there",
+        (*ESTIMATE, "--known", "a=2,0,0,0.1"),
+        3,
+        ("--known a: no row carries",),
+        table(),
+    ),
+    Kind(
+        "option: a method that is none", (*ESTIMATE, "--method", "magic"), 2, ("'magic' is no method; choose",), table()
+    ),
+    Kind(
+        "option: an effect that is none",
+        ("diagnose", "t.csv", "--only", "ghost"),
+        2,
+        ("'ghost' is no effect; known are",),
+        table(),
+    ),
+    Kind(
+        "option: a bare file that is not there",
+        (*ESTIMATE, "--bare", "b.json"),
+        3,
+        (r"b\.json: cannot be read",),
+        table(),
+    ),
+    Kind(
+        "option: an empty load",
+        ("record", "cell.toml", "--load", "", "-o", "r.h5"),
+        2,
+        ("'' is no label: write",),
+        cell(),
+    ),
+    Kind(
+        "option: a load called bare",
+        ("record", "cell.toml", "--load", "bare", "-o", "r.h5"),
+        2,
+        ("'bare' means the bare arm: write none",),
+        cell(),
+    ),
+    Kind(
+        "option: two arms, none named",
+        ("estimate", "t.csv", "--cell", str(EXAMPLES / "pair" / "cell.toml")),
+        3,
+        ("no arm was named; it has .*: name one by --arm",),
+        table(),
+    ),
+    Kind(
+        "option: an arm that is not there",
+        ("plan", "cell.toml", "--arm", "third"),
+        3,
+        ("there is no arm 'third'; it has main",),
+        cell(),
+    ),
+    Kind("result: not there", ("report", "out.json", "-o", "r.html"), 3, (r"out\.json: cannot be read",)),
+    Kind(
+        "result: no JSON",
+        ("report", "out.json", "-o", "r.html"),
+        3,
+        (r"out\.json:1: not valid JSON",),
+        text("{", "out.json"),
+    ),
+    Kind(
+        "result: another version",
+        ("report", "out.json", "-o", "r.html"),
+        3,
+        (r"out\.json: schema: this version reads",),
+        result({"schema": 9}),
+    ),
+    Kind(
+        "result: a word for a mass",
+        ("report", "out.json", "-o", "r.html"),
+        3,
+        (r"out\.json: loads\[0\]\.mass_kg: expected a number",),
+        result(mass_kg="two"),
+    ),
+    Kind(
+        "result: a mass below zero",
+        ("export", "out.json", "--format", "json"),
+        6,
+        ("load 'a' has a mass of -6 kg: .*measure again",),
+        result(mass_kg=-6.0),
+    ),
+    Kind(
+        "result: a place far away",
+        ("export", "out.json", "--format", "json"),
+        6,
+        ("110 m off, beyond 5 m: .*measure it again",),
+        result(com_m=[0, 0, 110.0]),
+    ),
+    Kind(
+        "result: a load that is not there",
+        ("export", "out.json", "--format", "json", "--load", "b"),
+        3,
+        ("load 'b' is not in the result; it holds: a",),
+        result(),
+    ),
+    Kind(
+        "result: no flange for a controller",
+        ("export", "out.json", "--format", "ur"),
+        3,
+        ("add flange_xyz_m",),
+        result(),
+    ),
+    Kind(
+        "output: a page that is there",
+        ("report", "out.json", "-o", "r.html"),
+        3,
+        (r"r\.html exists and is not replaced: .*--force",),
+        together(result(), text("mine", "r.html")),
+    ),
+    Kind(
+        "output: JSON that is there",
+        (*ESTIMATE, "--json", "o.json"),
+        3,
+        (r"o\.json exists and is not replaced: .*--force",),
+        together(table(), text("mine", "o.json")),
+    ),
+    Kind(
+        "output: a recording that is there",
+        ("record", "cell.toml", "--load", "none", "-o", "r.h5", "--yes"),
+        3,
+        (r"r\.h5 exists; go on with it by --resume, or choose another name",),
+        together(cell(), text("mine", "r.h5")),
+    ),
+    Kind(
+        "output: a cell that is there",
+        ("cell", "new", "-o", "cell.toml"),
+        3,
+        (r"cell\.toml exists and is not replaced",),
+        cell(),
+    ),
+    Kind(
+        "output: below a file",
+        ("report", "out.json", "-o", "out.json/r.html"),
+        3,
+        (r"out\.json: .*check the path",),
+        result(),
+    ),
+    Kind(
+        "disk: full, report",
+        ("report", "out.json", "-o", "r.html"),
+        3,
+        (r"r\.html: .*No space left.*free some space",),
+        result(),
+        full_disk,
+    ),
+    Kind(
+        "disk: full, export",
+        ("export", "out.json", "--format", "json", "-o", "o.json"),
+        3,
+        (r"o\.json: .*No space left.*free",),
+        result(),
+        full_disk,
+    ),
+    Kind(
+        "answers: unknown key",
+        ("cell", "new", "--answers", "a.toml", "-o", "c.toml"),
+        3,
+        (r"line 1: colour answers no question",),
+        text("colour = 3\n", "a.toml"),
+    ),
+    Kind(
+        "answers: no TOML",
+        ("cell", "new", "--answers", "a.toml", "-o", "c.toml"),
+        3,
+        (r"a\.toml line 2: not valid TOML",),
+        text("# a\nratio = \n", "a.toml"),
+    ),
+    Kind("EDS: not there", ("profiles", "new", "--eds", "no.eds", "-o", "p.toml"), 3, (r"no\.eds",)),
+    Kind("EDS: no EDS", ("profiles", "new", "--eds", "x.eds", "-o", "p.toml"), 3, (r"x\.eds",), text("hello", "x.eds")),
+    *(
+        Kind(
+            f"bus: {interface} without its driver",
+            ("scan", "--bus", f"{interface}:0"),
+            4,
+            (f"bus {interface}:0.* cannot be opened", say),
+        )
+        for interface, say in (
+            ("kvaser", "Kvaser's driver"),
+            ("slcan", "pip install pyserial"),
+            ("pcan", "PCAN-Basic"),
+            ("gs_usb", "pip install gs_usb"),
+            ("ixxat", "Ixxat's driver"),
+            ("nonsense", "check the name of the interface"),
+        )
+    ),
+    Kind("bus: no SPEC", ("scan", "--bus", "can0"), 4, ("can0", "INTERFACE:CHANNEL")),
+    Kind(
+        "bus: nobody there",
+        ("scan", "--bus", f"virtual:{uuid.uuid4().hex}", "--listen", "0.05"),
+        4,
+        ("nobody answered; check power, wiring, termination and bit rate",),
+    ),
+    Kind(
+        "bus: one that the cell does not have",
+        ("check", "cell.toml", "--bus", "z=virtual:x"),
+        3,
+        ("the cell has no bus 'z'; give NAME=SPEC;NAME=SPEC with a",),
+        cell(),
+    ),
+]
+
+
+# -- how it is judged --------------------------------------------------------------------------------------------------
+
+
+def _files(folder: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and "state" not in path.parts
+    }
+
+
+def complaints(kind: Kind, folder: Path) -> list[str]:
+    """Run a kind in an empty folder: what is not as it should be."""
+    kind.make(folder)
+    before, here = _files(folder), Path.cwd()
+    os.chdir(folder)
+    try:
+        with mock.patch.dict(os.environ, XDG_STATE_HOME=str(folder / "state")):
+            if kind.during is mock.DEFAULT:
+                done = CliRunner().invoke(program, kind.arguments)
+            else:
+                with kind.during():  # type: ignore[attr-defined]
+                    done = CliRunner().invoke(program, kind.arguments)
+    finally:
+        os.chdir(here)
+    told = done.stderr
+    return [
+        *([] if done.exit_code == kind.code else [f"exit code {done.exit_code}, not {kind.code}"]),
+        *(f"does not say {say!r}" for say in kind.says if not re.search(say, told, re.DOTALL)),
+        *(f"says {word!r}" for word in ("defect", "Traceback", "pydantic", "Input should") if word in done.output),
+        *([f"{len(told.splitlines())} lines"] if len(told.splitlines()) > MOST_LINES else []),
+        *([] if _files(folder) == before else ["files are lost, changed or left over"]),
+        *([told] if told else ["says nothing"]),
+    ]
+
+
+def wrong(kind: Kind) -> list[str]:
+    """Complaints about a kind, run in a folder of its own; the last one is what it said. Empty if there are none."""
+    with tempfile.TemporaryDirectory() as folder:
+        found = complaints(kind, Path(folder))
+    return found if len(found) > 1 or found == ["says nothing"] else []
+
+
+def main(names: Sequence[str]) -> int:
+    """Print which kinds are not answered as they should be, and how many are; exit 1 unless all are."""
+    kinds = [kind for kind in KINDS if not names or any(name in kind.name for name in names)]
+    failed = {kind.name: found for kind in kinds if (found := wrong(kind))}
+    for name, found in failed.items():
+        sys.stdout.write(f"{name}: {'; '.join(found)}\n")
+    sys.stdout.write(f"wrong inputs answered as they should be: {len(kinds) - len(failed)} of {len(kinds)} kinds\n")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
