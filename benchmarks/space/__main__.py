@@ -59,10 +59,9 @@ def figures_of(cells: list[dict]) -> dict[str, dict]:
     planned = [cell for cell in cells if "refused" not in cell]
     seconds = [cell["seconds"] for cell in planned if cell["poses"] >= TIMED_POSES]
     touching = sum(bool(cell["touches"]) for cell in planned)
-    share = len(planned) / len(cells)
     found = {
         "cells": figure(len(cells), f">= {CELLS}"),
-        "cells planned, of 200": figure(share * CELLS, ">= 190"),
+        "cells planned": figure(len(planned), ">= 190"),
         "planned cells whose poses or ways touch something": figure(touching, "<= 0"),
         "postures looked at": figure(sum(cell["postures"] for cell in planned), ">= 1"),
     }
