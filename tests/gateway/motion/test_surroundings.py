@@ -7,7 +7,8 @@ import coal
 import numpy as np
 import pytest
 
-from gateway.acquire.plan import inward_steps
+from gateway.acquire.plan import Approach, MoveTo, inward_steps
+from gateway.acquire.planning import make_plan
 from gateway.acquire.route import find_route
 from gateway.cell.config import KeepOut, load_cell, parse_cell
 from gateway.data.rest_pose import RestPose
@@ -241,3 +242,18 @@ def test_the_base_of_the_urdf_is_in_the_way(small_cell):
     around = surroundings_of(arm, robot_from_text(arm, text, "robot.urdf"))
     assert [part.name for part in around.standing] == ["base"]
     assert around.standing[0].solids[0].points_m == pytest.approx(CORNERS * [1, 1, 0.2])
+
+
+def test_an_example_without_boxes_is_planned_clear_of_floor_and_column(small_cell):
+    """The middle of the wrist, all along the planned way: heights and distances to axis 1 worked out here."""
+    arm = small_cell.cell.arm[0].model_copy(update=NOTHING)
+    cell = small_cell.model_copy(update={"cell": small_cell.cell.model_copy(update={"arm": (arm,)})})
+    robot = arm_robot(cell, arm)
+    corners = np.array([step.q_rad for step in make_plan(cell, n_poses=4).steps if isinstance(step, MoveTo | Approach)])
+    share = np.linspace(0, 1, 200)[:, None]
+    way = np.vstack([a + share * (b - a) for a, b in itertools.pairwise(corners)])
+    wrist = link_frames(robot, way)[:, 4, :3, 3]
+    thick = 0.05 * reach_m(robot)
+    assert wrist[:, 2].min() > thick
+    low = wrist[:, 2] < 0.26  # the shoulder lies at 0.4 m, the column ends two radii below it
+    assert (np.hypot(wrist[low, 0], wrist[low, 1]) > 0.1 * reach_m(robot) + thick - 1e-9).all()
