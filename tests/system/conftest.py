@@ -138,13 +138,13 @@ class Hands:
         self.asked, self.said, self.stood_rad = [], "", []
 
     def readline(self):
+        self.stood_rad.append(self.drives.stand_rad())
         if not self.hangs:
             return ""
         self.said += self.capsys.readouterr().out
         label = self.said.rsplit("HANG LOAD ", 1)[1].split()[0]
         assert self.drives.stand_still()
         self.asked.append(label)
-        self.stood_rad.append(self.drives.stand_rad())
         self.drives.hang(label)
         return "\n"
 
