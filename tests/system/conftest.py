@@ -135,7 +135,7 @@ class Hands:
 
     def __init__(self, drives, capsys, hangs, forgets):
         self.drives, self.capsys, self.hangs, self.forgets = drives, capsys, hangs, forgets
-        self.asked, self.said, self.stood_rad = [], "", []
+        self.asked, self.said = [], ""
 
     def readline(self):
         if not self.hangs:
@@ -144,7 +144,6 @@ class Hands:
         label = self.said.rsplit("HANG LOAD ", 1)[1].split()[0]
         assert self.drives.stand_still()
         self.asked.append(label)
-        self.stood_rad.append(self.drives.stand_rad())
         if not self.forgets:
             self.drives.hang(label)
         return "\n"
