@@ -162,6 +162,9 @@ def report_error(error: BaseException) -> int:
     if isinstance(error, SystemExit):
         return error.code if isinstance(error.code, int) else 1
     if isinstance(error, click.Abort | KeyboardInterrupt):
+        if isinstance(error, click.Abort) and str(error):
+            _say(str(error))
+            return CTRL_C
         why = str(error) if isinstance(error, StoppedByPerson) else "stopped"
         _say(f"{why}: the arm stands in its brakes, what was measured is kept")
         return CTRL_C
@@ -197,10 +200,13 @@ def _told(error: BaseException) -> str:
 
 
 def paragraph(error: BaseException) -> str:
-    """The message of an error and of its notes on one line."""
-    text = str(error) or type(error).__name__
-    notes = getattr(error, "__notes__", [])
-    return " ".join(" ".join([text, *notes]).split())
+    """The message of an error and of its notes on one line; what was said already is not said again."""
+    text = " ".join((str(error) or type(error).__name__).split())
+    for note in getattr(error, "__notes__", []):
+        said = " ".join(note.split())
+        if said not in text:
+            text = f"{text} {said}"
+    return text
 
 
 def _defect(error: BaseException) -> str:

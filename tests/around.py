@@ -34,4 +34,4 @@ def among_boxes(workspace: Workspace, boxes_m: np.ndarray, radius_m: float | Non
     limits = (workspace.lower_rad, workspace.upper_rad)
     space = space_between(workspace.robot, body, boxes_m, (), limits)
     rows = (space.pairs.kind == BOX) & (body.link[space.pairs.first] > 0)
-    return replace(workspace, space=replace(space, pairs=space.pairs.only(rows)))
+    return replace(workspace, space=replace(space, pairs=space.pairs.only(rows), narrow=space.narrow[rows]))

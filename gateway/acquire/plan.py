@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gateway.acquire.route import Leg, find_route, way_to
+from gateway.acquire.route import Leg, Route, find_route, way_to
 from gateway.acquire.standing import inside_from
 from gateway.data.rest_pose import RestPose
 from gateway.errors import PlanRefused, WrongPlace
@@ -136,13 +136,32 @@ class Plan:
 
 
 def plan_poses(
-    arm: str, workspace: Workspace, poses: Sequence[RestPose], settings: VisitSettings
+    arm: str,
+    workspace: Workspace,
+    poses: Sequence[RestPose],
+    settings: VisitSettings,
+    known_rad: np.ndarray | None = None,
 ) -> tuple[Plan, tuple[RestPose, ...]]:
-    """Plan over all poses from anywhere, and the poses that no checked path reaches."""
-    route = find_route(workspace, poses, None, settings.approach_offset_rad)
+    """Plan over all poses from anywhere, and the poses that no checked path reaches.
+
+    Ways may lead over known postures (k, N), beside random ones.
+    """
+    route = _route(workspace, poses, None, settings.approach_offset_rad, known_rad)
     steps = tuple(_steps(route.legs, settings, {}))
     plan = Plan(arm, tuple(poses), settings, None, steps, 0.0)
     return replace(plan, duration_s=sum(step_durations(plan, workspace))), route.unreachable
+
+
+def _route(
+    workspace: Workspace,
+    poses: Sequence[RestPose],
+    start_rad: np.ndarray | None,
+    offset_rad: float,
+    known_rad: np.ndarray | None,
+) -> Route:
+    """Route with room beside the ways, else one that only keeps clear."""
+    route = find_route(workspace.roomy(), poses, start_rad, offset_rad, known_rad)
+    return find_route(workspace, poses, start_rad, offset_rad, known_rad) if route.unreachable else route
 
 
 def plan_from(plan: Plan, workspace: Workspace, start_rad: np.ndarray, done: Sequence[tuple[int, int]] = ()) -> Plan:
@@ -166,11 +185,13 @@ def plan_from(plan: Plan, workspace: Workspace, start_rad: np.ndarray, done: Seq
     begin_rad = np.array(inwards[-1].q_rad) if inwards else start_rad
     missing = {pose.number: tuple(side for side in SIDES if (pose.number, side) not in done) for pose in plan.poses}
     poses = [pose for pose in plan.poses if missing[pose.number]]
-    route = find_route(workspace, poses, begin_rad, plan.settings.approach_offset_rad)
+    passed = np.array([step.q_rad for step in plan.steps if isinstance(step, MoveTo)]).reshape(-1, len(begin_rad))
+    route = _route(workspace, poses, begin_rad, plan.settings.approach_offset_rad, passed)
     if route.unreachable:
         raise WrongPlace(
             f"no path that keeps the limits leads from {angles(begin_rad)} to pose {route.unreachable[0].number} at "
-            f"{angles(route.unreachable[0].q_rad)}; move the arm elsewhere or open the keep_out boxes",
+            f"{angles(route.unreachable[0].q_rad)}; move the arm elsewhere, or say in the cell what is assumed "
+            "around it (floor_m, wall, column_radius_m, link_radius_m, load_size_m)",
             plan.arm,
         )
     steps = (*inwards, *_steps(route.legs, plan.settings, missing))

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gateway.acquire.plan import Expectation, Plan, VisitSettings, check_plan, plan_poses
+from gateway.acquire.plan import Approach, Expectation, MoveTo, Plan, VisitSettings, check_plan, plan_poses
 from gateway.acquire.poses import (
     LEFT_SHARE,
     PoseRequest,
@@ -68,18 +68,26 @@ def make_plan(loaded: LoadedCell, n_poses: int | None = None, seed: int | None =
             "one posture never gives all of a load: the part of its centre of gravity along gravity is in no axis "
             "torque; plan two poses at least, ten are usual"
         )
+    joined = np.empty((0, workspace.robot.axes))
     for choice in range(CHOICES):
-        chosen = choose_poses(
-            workspace, replace(request, seed=request.seed + choice * SEED_STEP), assumed_noise_nm(workspace)
-        )
-        plan, unreachable = plan_poses(config.name, workspace, chosen, visit_settings(loaded, config))
+        seeded = replace(request, seed=request.seed + choice * SEED_STEP)
+        chosen = choose_poses(workspace.roomy(), seeded, assumed_noise_nm(workspace), joined)
+        plan, unreachable = plan_poses(config.name, workspace, chosen, visit_settings(loaded, config), joined)
         if not unreachable:
             check_plan(plan, workspace)
             return _expected(plan, workspace)
+        joined = _more_joined(joined, plan)
     raise PlanRefused(
-        f"arm '{config.name}': no path that keeps the limits joins the chosen poses; open the keep_out boxes or narrow "
-        "the joint limits to the part of the cell the arm can reach"
+        f"arm '{config.name}': no path that keeps the limits joins the chosen poses; narrow the joint limits to the "
+        "part of the cell the arm can reach, or say in the cell what is assumed (floor_m, wall, column_radius_m, "
+        "link_radius_m, load_size_m)"
     )
+
+
+def _more_joined(joined: np.ndarray, plan: Plan) -> np.ndarray:
+    """Postures (k, N) between which ways are known, with those that a plan passes."""
+    passed = np.array([step.q_rad for step in plan.steps if isinstance(step, MoveTo | Approach)])
+    return np.vstack([joined, passed])
 
 
 def plan_of_poses(loaded: LoadedCell, config: ArmConfig, workspace: Workspace, poses: Sequence[RestPose]) -> Plan:

@@ -27,6 +27,8 @@ DRAWS = 60
 DISTANCE_RAD = 0.3
 LINK_WEIGHT = 0.1
 SWEEPS = 4
+#: Postures with known ways that a candidate is tried to be joined to.
+NEAREST = 3
 #: Distance to the joint limits beyond the approach offset.
 LIMIT_MARGIN_RAD = 0.02
 #: Postures that are looked at for what stands against most of them.
@@ -61,7 +63,9 @@ def assumed_noise_nm(workspace: Workspace) -> np.ndarray:
     return BAND_SHARE * LEFT_SHARE * workspace.torque_nm
 
 
-def choose_poses(workspace: Workspace, request: PoseRequest, noise_nm: np.ndarray) -> tuple[RestPose, ...]:
+def choose_poses(
+    workspace: Workspace, request: PoseRequest, noise_nm: np.ndarray, joined_rad: np.ndarray | None = None
+) -> tuple[RestPose, ...]:
     """Poses to fit from, D-optimal, numbered from 1, then validation poses drawn at random.
 
     Parameters
@@ -70,6 +74,8 @@ def choose_poses(workspace: Workspace, request: PoseRequest, noise_nm: np.ndarra
     request : PoseRequest
     noise_nm : array of shape (N,)
         Standard deviation of a two-sided joint torque.
+    joined_rad : array of shape (k, N), optional
+        Postures between which ways are known: only such poses are chosen as a straight way joins to one of them.
 
     Raises
     ------
@@ -78,6 +84,8 @@ def choose_poses(workspace: Workspace, request: PoseRequest, noise_nm: np.ndarra
     """
     random = np.random.default_rng(request.seed)
     candidates = feasible_postures(workspace, request, random)
+    if joined_rad is not None and len(joined_rad):
+        candidates = _joined_to(workspace, candidates, joined_rad, request)
     chosen = _d_optimal(workspace, candidates, request.count, noise_nm)
     validation = _apart(candidates, chosen, request.validation)
     poses = [RestPose(i, tuple(candidates[row]), "fit") for i, row in enumerate(chosen, start=1)]
@@ -121,6 +129,27 @@ def feasible_postures(workspace: Workspace, request: PoseRequest, random: np.ran
     return np.concatenate(found)[:CANDIDATES]
 
 
+def _joined_to(
+    workspace: Workspace, candidates: np.ndarray, joined_rad: np.ndarray, request: PoseRequest
+) -> np.ndarray:
+    """Candidates (m, N) with a straight way to their approach from one of the `NEAREST` of some postures, and back."""
+    time_s = workspace.travel_time(candidates[:, None], joined_rad[None])
+    nearest = joined_rad[np.argsort(time_s, axis=1)[:, :NEAREST]]
+    tried = nearest.shape[1]
+    near, pose = nearest.reshape(-1, nearest.shape[2]), np.repeat(candidates, tried, axis=0)
+    clear = workspace.path_clear(near, pose + request.approach_offset_rad) & workspace.path_clear(pose, near)
+    found = candidates[clear.reshape(-1, tried).any(axis=1)]
+    needed = request.count + request.validation
+    if len(found) < 2 * needed:
+        raise PlanRefused(
+            f"{len(found)} of {len(candidates)} feasible postures are joined to one another by a free way, at least "
+            f"{2 * needed} are needed to choose {needed} poses: narrow the joint limits to the part of the cell that "
+            "the arm can reach, or say in the cell what is assumed (floor_m, wall, column_radius_m, link_radius_m, "
+            "load_size_m)"
+        )
+    return found
+
+
 def can_be_measured(workspace: Workspace, request: PoseRequest, q_rad: np.ndarray) -> np.ndarray:
     """Postures (n,) of (n, N) at which the arm may rest, and to which it may come from both sides."""
     good = workspace.feasible(q_rad, request.margin_rad, workspace.rest_share)
@@ -158,7 +187,9 @@ def _gain(designs: tuple[tuple[np.ndarray, float], ...], chosen: list[int]) -> n
     for rows, weight in designs:
         information = 1e-4 * np.eye(rows.shape[2]) + np.einsum("nij,nik->jk", rows[chosen], rows[chosen])
         spread = rows @ np.linalg.solve(information, rows.transpose(0, 2, 1))
-        total += weight * np.linalg.slogdet(np.eye(rows.shape[1]) + spread)[1]
+        # positive definite: its triangle tells the determinant in a third of the time of an elimination
+        triangle = np.linalg.cholesky(np.eye(rows.shape[1]) + spread)
+        total += 2.0 * weight * np.log(np.diagonal(triangle, axis1=1, axis2=2)).sum(axis=1)
     return total
 
 

@@ -6,17 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
+from gateway.acquire.roadmap import find_ways, via_points
 from gateway.data.rest_pose import RestPose
 from gateway.errors import PlanRefused
 from gateway.motion.places import angles
 from gateway.motion.workspace import Workspace
 
-VIA_SEED = 7
-VIA_POINTS = 200
-VIA_TRIED = 40
-#: Points that are checked together.
-VIA_AT_ONCE = 8
+#: Postures that a way may pass; the larger number is drawn where a pose was not reached over the smaller.
+VIA_POINTS = (150, 450)
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +36,16 @@ class Route:
 
 
 def find_route(
-    workspace: Workspace, poses: Sequence[RestPose], start_rad: np.ndarray | None, approach_offset_rad: float
+    workspace: Workspace,
+    poses: Sequence[RestPose],
+    start_rad: np.ndarray | None,
+    approach_offset_rad: float,
+    known_rad: np.ndarray | None = None,
 ) -> Route:
     """Order the poses for short travel over paths that stay feasible.
 
     A path leads from where the last visit ends (the pose itself) to where the next begins (the pose plus the approach
-    offset on every joint), straight in joint space or over one point in between.
+    offset on every joint), straight in joint space or over points in between.
 
     Parameters
     ----------
@@ -50,14 +54,22 @@ def find_route(
     start_rad : array of shape (N,) or None
         Where the arm stands; None = anywhere.
     approach_offset_rad : float
+    known_rad : array of shape (k, N), optional
+        Postures that ways are known to lead over, beside random ones. None: no other poses can be chosen in place of
+        one that is not reached, and more random postures are drawn.
     """
     if not poses:
         return Route((), ())
     q = np.array([pose.q_rad for pose in poses])
     entries = q + approach_offset_rad
     exits = q if start_rad is None else np.vstack([q, start_rad])
-    cost, via = _paths(workspace, exits, entries)
-    first = np.zeros(len(q)) if start_rad is None else cost[-1]
+    known = np.empty((0, q.shape[1])) if known_rad is None else known_rad
+    counts = VIA_POINTS if known_rad is None or start_rad is not None else VIA_POINTS[:1]
+    cost, via = _paths(workspace, exits, entries, (known, counts))
+    if start_rad is None:
+        apart = ~_joined(cost)
+        cost[apart], cost[:, apart] = np.inf, np.inf
+    first = np.where(np.isfinite(cost).any(axis=0), 0.0, np.inf) if start_rad is None else cost[-1]
     order = _short_order(cost[: len(q)], first)
     legs, reached, at = [], [], None if start_rad is None else len(q)
     for pose in order:
@@ -69,8 +81,14 @@ def find_route(
     return Route(tuple(legs), tuple(pose for i, pose in enumerate(poses) if i not in reached))
 
 
+def _joined(cost: np.ndarray) -> np.ndarray:
+    """The largest set of poses that can be come to from one another: bool array (n,)."""
+    _, of_pose = connected_components(csr_array(np.isfinite(cost)), connection="strong")
+    return of_pose == np.argmax(np.bincount(of_pose))
+
+
 def way_to(workspace: Workspace, start_rad: np.ndarray, end_rad: np.ndarray) -> list[np.ndarray]:
-    """Points of a checked way, the end included: straight where that is free, else over one point in between.
+    """Points of a checked way, the end included: straight where that is free, else over points in between.
 
     Raises
     ------
@@ -83,53 +101,48 @@ def way_to(workspace: Workspace, start_rad: np.ndarray, end_rad: np.ndarray) -> 
         raise PlanRefused(
             f"no way that keeps the limits leads from {angles(start_rad)} to {angles(end_rad)}: straight there, {met}, "
             "and no posture was found over which it would be free; go there in steps, by postures of your own choice "
-            "(servo-gateway move CELL --to J1,J2,..), or open the keep_out boxes"
+            "(servo-gateway move CELL --to J1,J2,..), or say in the cell what is assumed (floor_m, wall, "
+            "column_radius_m, link_radius_m, load_size_m)"
         )
     return [*(np.array(point) for point in route.legs[0].via_rad), end_rad]
 
 
 def _paths(
-    workspace: Workspace, exits: np.ndarray, entries: np.ndarray
+    workspace: Workspace, exits: np.ndarray, entries: np.ndarray, over: tuple[np.ndarray, tuple[int, ...]]
 ) -> tuple[np.ndarray, list[list[tuple[tuple[float, ...], ...]]]]:
-    """Travel time (exits, entries), infinite where no path was found, and the points to pass."""
+    """Travel time (exits, entries), infinite where no path was found, and the points to pass.
+
+    Ways lead over known postures (k, N) and random ones, of which the next number is drawn while a pose is not reached.
+    """
+    known, counts = over
     cost = workspace.travel_time(exits[:, None], entries[None])
     via: list[list[tuple[tuple[float, ...], ...]]] = [[() for _ in entries] for _ in exits]
     pairs = [(a, b) for a in range(len(exits)) for b in range(len(entries)) if a != b]
     clear = workspace.path_clear(exits[[a for a, _ in pairs]], entries[[b for _, b in pairs]])
-    points = _via_points(workspace) if not clear.all() else np.empty((0, workspace.robot.axes))
-    for (a, b), is_clear in zip(pairs, clear, strict=True):
-        if not is_clear:
-            point = _one_point_between(workspace, exits[a], entries[b], points)
-            cost[a, b] = np.inf
-            if point is not None:
-                cost[a, b] = workspace.travel_time(np.array([exits[a], point]), np.array([point, entries[b]])).sum()
-                via[a][b] = (tuple(point.tolist()),)
+    blocked = [pair for pair, is_clear in zip(pairs, clear, strict=True) if not is_clear]
+    for a, b in blocked:
+        cost[a, b] = np.inf
+    for count in counts if blocked else ():
+        points = np.vstack([known, via_points(workspace, count)])
+        if not len(points):
+            break
+        found = find_ways(workspace, points, exits, entries, blocked)
+        for (a, b), way in found.items():
+            whole = np.vstack([exits[a], way, entries[b]])
+            cost[a, b] = workspace.travel_time(whole[:-1], whole[1:]).sum()
+            via[a][b] = tuple(tuple(point.tolist()) for point in way)
+        blocked = [pair for pair in blocked if pair not in found]
+        if _all_reached(cost):
+            break
     return cost, via
 
 
-def _via_points(workspace: Workspace) -> np.ndarray:
-    random = np.random.default_rng(VIA_SEED)
-    q = random.uniform(workspace.lower_rad, workspace.upper_rad, (4 * VIA_POINTS, workspace.robot.axes))
-    q = np.vstack([(workspace.lower_rad + workspace.upper_rad) / 2, q])
-    return q[workspace.feasible(q)][:VIA_POINTS]
-
-
-def _one_point_between(
-    workspace: Workspace, start_rad: np.ndarray, end_rad: np.ndarray, points: np.ndarray
-) -> np.ndarray | None:
-    """The point over which both halves are clear and the way is shortest."""
-    if not len(points):
-        return None
-    time_s = workspace.travel_time(start_rad, points) + workspace.travel_time(points, end_rad)
-    nearest = points[np.argsort(time_s)[:VIA_TRIED]]
-    for begin in range(0, len(nearest), VIA_AT_ONCE):
-        tried = nearest[begin : begin + VIA_AT_ONCE]
-        begins = np.vstack([np.broadcast_to(start_rad, tried.shape), tried])
-        ends = np.vstack([tried, np.broadcast_to(end_rad, tried.shape)])
-        clear = workspace.path_clear(begins, ends).reshape(2, -1).all(axis=0)
-        if clear.any():
-            return tried[int(np.argmax(clear))]
-    return None
+def _all_reached(cost: np.ndarray) -> bool:
+    """Whether a path leads to every pose from elsewhere, and on from every pose where there are others."""
+    others = np.isfinite(cost)
+    np.fill_diagonal(others, val=False)
+    count = cost.shape[1]
+    return bool(others.any(axis=0).all() and (count == 1 or others[:count].any(axis=1).all()))
 
 
 def _short_order(cost: np.ndarray, first: np.ndarray) -> list[int]:

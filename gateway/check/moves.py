@@ -101,7 +101,7 @@ def _displaced(arm: str, workspace: Workspace, start_rad: np.ndarray, joint: int
             return _tuple(target)
     raise WrongPlace(
         f"arm '{arm}', joint {joint + 1}: no room for {size} rad to either side; bring the arm to a "
-        "posture away from limits and keep_out boxes",
+        "posture away from limits and from what it may touch",
         arm,
     )
 

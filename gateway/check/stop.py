@@ -112,8 +112,8 @@ def slow_motion(arm: str, workspace: Workspace, start_rad: np.ndarray, consumer_
                 return straight(start_rad, target, approach_limits(workspace, scale * speed), period_s)
     raise PlanRefused(
         f"arm '{arm}' has no room for {speed * lasts_s:.2f} rad on every joint where it stands; "
-        "bring it to a free posture with the drive's own tool, away from limits and keep_out boxes: the stop of its "
-        "drives is proven before anything else moves"
+        "bring it to a free posture with the drive's own tool, away from limits and from what it may touch: the stop "
+        "of its drives is proven before anything else moves"
     )
 
 

@@ -237,7 +237,7 @@ class _Robot:
         if unreachable:
             raise PlanRefused(
                 f"arm '{opened.config.name}': no path that keeps the limits leads to pose {unreachable[0].number}; "
-                "open the keep_out boxes or narrow the joint limits"
+                "narrow the joint limits, or say in the cell what is assumed around the arm"
             )
         check_plan(plan, opened.workspace)
         request = RecordRequest(self._load, self._job.recording, resume=True)

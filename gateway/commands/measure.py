@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from drives.files import replace_file
 from gateway.commands.console import axis_names, axis_table, grid
 from gateway.commands.moving import MoveChoice, move_options, stoppable
 from gateway.commands.options import (
@@ -18,6 +19,7 @@ from gateway.commands.options import (
     joint_angles,
     json_option,
     load_option,
+    output_option,
     session_of,
     trace_option,
     write_json,
@@ -35,16 +37,29 @@ arm_option = click.option("--arm", "arm_name", metavar="NAME", help="Arm, if the
 @cell_argument
 @click.option("--poses", "n_poses", type=click.IntRange(min=1), metavar="N", help="Poses to fit from.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the random candidates.")
+@output_option("--view", metavar="PAGE.html", help="Write a page that draws poses, ways and boxes.")
 @arm_option
 @json_option
 @common
-def plan(cell: Path, n_poses: int | None, seed: int | None, arm_name: str | None, json_out: str | None) -> None:
+def plan(
+    cell: Path, n_poses: int | None, seed: int | None, view: Path | None, arm_name: str | None, json_out: str | None
+) -> None:
     """Choose rest poses: limits, duration, expected uncertainty. Needs no bus."""
     from gateway.acquire.planning import make_plan
     from gateway.cell.config import load_cell
+    from gateway.commands.plan_view import space_in_words, view_of_plan
+    from gateway.model.arm_model import arm_named, arm_robot
+    from gateway.motion.workspace import workspace_of
 
-    chosen = make_plan(load_cell(cell), n_poses, seed, arm_name)
+    loaded = load_cell(cell)
+    chosen = make_plan(loaded, n_poses, seed, arm_name)
     show_plan(chosen)
+    config = arm_named(loaded, arm_name)
+    workspace = workspace_of(config, arm_robot(loaded, config))
+    session_of().show("\n  ".join(["kept apart:", *space_in_words(workspace)]))
+    if view is not None:
+        replace_file(view, view_of_plan(chosen, workspace))
+        session_of().show(f"{view}: poses, ways and boxes")
     if json_out:
         write_json(json_out, plan_as_json(chosen))
 

@@ -191,10 +191,26 @@ def write_json(target: str, payload: Mapping[str, Any]) -> None:
         replace_file(Path(target), text)
 
 
+#: What is said where a person does not agree.
+NOT_AGREED = "not agreed to: nothing has moved, nothing was written"
+
+
 def confirm(question: str, *, yes: bool) -> None:
-    """Ask before anything moves; no answer means no."""
-    if not yes:
-        click.confirm(question, abort=True, err=True)
+    """Ask before anything moves; no answer means no.
+
+    Raises
+    ------
+    click.Abort
+        It says that nothing has moved.
+    """
+    if yes:
+        return
+    try:
+        agreed = click.confirm(question, err=True)
+    except click.Abort:
+        agreed = False
+    if not agreed:
+        raise click.Abort(NOT_AGREED)
 
 
 def joint_angles(text: str) -> tuple[float, ...]:

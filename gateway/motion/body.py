@@ -23,6 +23,8 @@ ASSUMED_SHARE = 0.05
 GEOMETRY = "collision geometry of the URDF"
 #: Link of what stands still.
 BASE = -1
+#: Name of the part that hangs on the flange.
+LOAD = "load"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,7 +184,7 @@ def _load(arm: ArmConfig, robot: Robot) -> Part:
     if arm.load_size_m is not None:
         pose = flange.copy()
         pose[:3, 3] += arm.load_size_m[2] / 2 * flange[:3, 2]
-        return Part("load", last, (solid_box(np.array(arm.load_size_m), pose),), "arm.load_size_m", known=True)
+        return Part(LOAD, last, (solid_box(np.array(arm.load_size_m), pose),), "arm.load_size_m", known=True)
     if arm.load_radius_m is not None:
         radius, words = arm.load_radius_m, f"{arm.load_radius_m:g} m, arm.load_radius_m"
     elif arm.load_points_m:
@@ -194,4 +196,4 @@ def _load(arm: ArmConfig, robot: Robot) -> Part:
     middle = flange[:3, 3] + (0.0 if robot.flange is None else radius) * flange[:3, 2]
     stars = [Capsule(flange[:3, 3], np.array(point), radius) for point in arm.load_points_m]
     solids = tuple(solid_capsule(capsule) for capsule in stars or [Capsule(middle, middle, radius)])
-    return Part("load", last, solids, words, known=arm.load_radius_m is not None)
+    return Part(LOAD, last, solids, words, known=arm.load_radius_m is not None)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gateway.cell.config import ArmConfig
 from gateway.model.robot import Robot, reach_m
-from gateway.motion.body import BASE, Body, body_of_parts, moving_parts, standing_and_moving
+from gateway.motion.body import BASE, LOAD, Body, body_of_parts, moving_parts, standing_and_moving
 from gateway.motion.distances import segment_box_distance, segment_segment_distance
 from gateway.motion.exact import TOLERANCE_M, Exact
 from gateway.motion.surroundings import Plane, surroundings_of
@@ -29,6 +29,10 @@ Rows = NDArray[np.intp]
 #: A stretch of a way along which no body moves farther against another is not halved again; it is blocked unless it is
 #: proven clear, so that a way that passes something closer than half of this is refused.
 PATH_RESOLUTION_M = 0.002
+#: Bodies whose capsules are farther apart than this are not looked at closer: it is cheaper to halve the stretch.
+CLOSE_M = 0.03
+#: What is planned keeps apart by this in addition, where two bodies are ever farther apart than that.
+ROOM_M = 0.005
 #: Postures at which two bodies are looked at that may touch wherever the joints stand.
 SAMPLES = 200
 #: Share of those at which assumed bodies touch that are then taken to be too thick to tell anything.
@@ -52,16 +56,19 @@ class Pairs:
         Row of the body that moves; row of the other body, box or plane.
     lever_m : array of shape (p, N)
         Farthest that a point of the first may lie from each joint axis that moves it against the other.
+    room_m : array of shape (p,)
+        What is taken off each distance.
     """
 
     kind: Rows
     first: Rows
     other: Rows
     lever_m: Floats
+    room_m: Floats
 
     def only(self, rows: NDArray[np.bool_]) -> Pairs:
         """Some of the rows."""
-        return Pairs(self.kind[rows], self.first[rows], self.other[rows], self.lever_m[rows])
+        return Pairs(self.kind[rows], self.first[rows], self.other[rows], self.lever_m[rows], self.room_m[rows])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,6 +83,8 @@ class Space:
         Lower and upper corners.
     planes : tuple of Plane
     pairs : Pairs
+    narrow : bool array of shape (p,)
+        Pairs that are never farther apart than `ROOM_M`.
     unchecked : tuple of str
         What is not kept apart since it touches wherever the joints stand.
     exact : Exact
@@ -87,11 +96,16 @@ class Space:
     boxes_m: Floats
     planes: tuple[Plane, ...]
     pairs: Pairs
+    narrow: NDArray[np.bool_]
     unchecked: tuple[str, ...]
     exact: Exact
 
+    def roomy(self) -> Space:
+        """The same with `ROOM_M` to be left between what can be that far apart."""
+        return replace(self, pairs=replace(self.pairs, room_m=np.where(self.narrow, 0.0, ROOM_M)))
+
     def gaps_m(self, q_rad: Floats, posture: Rows, pair: Rows, enough_m: Floats) -> Floats:
-        """Distances (m,) [m] of pairs at postures, 0 or less where they touch.
+        """Distances (m,) [m] of pairs at postures, less the room to be left; 0 or less where they touch.
 
         Parameters
         ----------
@@ -99,7 +113,7 @@ class Space:
         posture, pair : int arrays of shape (m,)
             Rows of `q_rad` and of the table of pairs.
         enough_m : array of shape (m,)
-            Where a lower bound is above this, the bound is given.
+            Where a lower bound is above this, or above `CLOSE_M`, the bound is given.
         """
         frames = standing_and_moving(self.robot, q_rad)
         segments = self.body.segments_m(frames)
@@ -108,8 +122,9 @@ class Space:
             rows = np.flatnonzero(self.pairs.kind[pair] == kind)
             if len(rows):
                 which = pair[rows]
-                at = _Items(posture[rows], self.pairs.first[which], self.pairs.other[which], enough_m[rows])
-                out[rows] = distance(frames, segments, at)
+                room = self.pairs.room_m[which]
+                at = _Items(posture[rows], self.pairs.first[which], self.pairs.other[which], enough_m[rows] + room)
+                out[rows] = distance(frames, segments, at) - room
         return out
 
     def _solids(self, frames: Floats, segments: Floats, at: _Items) -> Floats:
@@ -122,7 +137,7 @@ class Space:
         near = np.flatnonzero(found <= at.enough_m)
         found[near] = segment_segment_distance(first[near], other[near]) - thick[near]
         plain = self.exact.plain[at.first] & self.exact.plain[at.other]
-        for row in np.flatnonzero((found <= at.enough_m) & ~plain):
+        for row in np.flatnonzero((found <= np.minimum(at.enough_m, CLOSE_M)) & ~plain):
             placed = frames[at.posture[row]]
             found[row] = self.exact.solids_m(placed, at.first[row], at.other[row])
         return found
@@ -135,7 +150,7 @@ class Space:
         found = np.linalg.norm(middle - np.clip(middle, low, high), axis=1) - half - thick
         near = np.flatnonzero(found <= at.enough_m)
         found[near] = segment_box_distance(first[near, 0], first[near, 1], low[near], high[near]) - thick[near]
-        for row in np.flatnonzero((found <= at.enough_m) & ~self.exact.plain[at.first]):
+        for row in np.flatnonzero((found <= np.minimum(at.enough_m, CLOSE_M)) & ~self.exact.plain[at.first]):
             found[row] = self.exact.box_m(frames[at.posture[row]], at.first[row], at.other[row])
         return found
 
@@ -290,10 +305,11 @@ def space_between(
     """As `space_of`, of given bodies, boxes (b, 2, 3) and planes; lower and upper ends (N,) of the joint range."""
     everything = _all_pairs(body, robot, len(boxes_m), len(planes))
     exact = Exact(body, boxes_m, 2.0 * reach_m(robot) + float(np.linalg.norm(body.end_m, axis=1).max()) + 1.0)
-    space = Space(robot, body, boxes_m, planes, everything, (), exact)
+    space = Space(robot, body, boxes_m, planes, everything, np.zeros(len(everything.kind), dtype=bool), (), exact)
     always = _always(space, *range_rad)
     names = dict.fromkeys(space.name_of(int(row)) for row in np.flatnonzero(always))
-    return replace(space, pairs=everything.only(~always), unchecked=tuple(names))
+    space = replace(space, pairs=everything.only(~always), narrow=space.narrow[~always], unchecked=tuple(names))
+    return replace(space, narrow=_always(space.roomy(), *range_rad))
 
 
 def _all_pairs(body: Body, robot: Robot, boxes: int, planes: int) -> Pairs:
@@ -305,14 +321,17 @@ def _all_pairs(body: Body, robot: Robot, boxes: int, planes: int) -> Pairs:
             continue
         rows += [(BOX, first, box, levers[first]) for box in range(boxes)]
         rows += [(PLANE, first, plane, levers[first]) for plane in range(planes)]
+        # a load turns against the link before the last, that carries it, as the last link does
+        neighbour = link if body.parts[body.part[first]].name == LOAD else link - 1
         for other, before in enumerate(body.link):
-            if before + 2 <= link:
+            if before < neighbour:
                 rows.append((SOLID, first, other, np.where(joints > before, levers[first], 0.0)))
     return Pairs(
         kind=np.array([row[0] for row in rows], dtype=np.intp),
         first=np.array([row[1] for row in rows], dtype=np.intp),
         other=np.array([row[2] for row in rows], dtype=np.intp),
         lever_m=np.array([row[3] for row in rows]).reshape(-1, robot.axes),
+        room_m=np.zeros(len(rows)),
     )
 
 

@@ -92,6 +92,10 @@ class Workspace:
         """Share of the torque limits that rest poses may use."""
         return TORQUE_SHARE_BARE if self.max_load is None else TORQUE_SHARE
 
+    def roomy(self) -> Workspace:
+        """The same with some room to be left between what may touch: what is planned, not what is refused."""
+        return replace(self, space=self.space.roomy())
+
     def violations(
         self, q_rad: np.ndarray, margin_rad: float = 0.0, torque_share: float = TORQUE_SHARE
     ) -> list[tuple[str, np.ndarray]]:

@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from gateway import cli
+from gateway.cli import paragraph
 from gateway.errors import ConfigError, DataUnusable, FindingFailed, GatewayError, InputError, PlanRefused
 from gateway.motion.stops import StoppedByPerson
 
@@ -98,6 +99,13 @@ def test_a_message_of_several_lines_becomes_one_paragraph_with_its_notes(monkeyp
 
     monkeypatch.setattr(cli.LadderGroup, "get_command", lambda *_: broken)
     assert run("scan").stderr == "error: line one line two and a note\n"
+
+
+def test_what_an_error_says_already_is_not_said_again_by_its_notes():
+    error = ConfigError("node 3: gone; while stopping: node 3: no answer")
+    for note in ("while stopping: node 3: no answer", "while stopping: node 3:  no answer", "at SYNC 5", "at SYNC 5"):
+        error.add_note(note)
+    assert paragraph(error) == "node 3: gone; while stopping: node 3: no answer at SYNC 5"
 
 
 def test_a_defect_is_one_paragraph_and_its_details_are_in_a_file(monkeypatch):

@@ -78,11 +78,6 @@ def bind(recording: Recording, cell: Cell, arm: ArmConfig) -> Bound:
         The recording was made with another cell, holds no such arm, or its drives were wired otherwise, or the torque
         cannot be worked out with another torque constant because the file does not hold what was read from the drives.
     """
-    if recording.cell.name != cell.name:
-        raise InputError(
-            f"{recording.path}: was recorded with cell '{recording.cell.name}', this is cell '{cell.name}'; name the"
-            " cell that it was made with, or none: the recording carries its own"
-        )
     part = recording.arm(arm.name)
     if part is None:
         held = ", ".join(f"'{each.name}'" for each in recording.arms) or "none"
@@ -94,6 +89,11 @@ def bind(recording: Recording, cell: Cell, arm: ArmConfig) -> Bound:
         raise InputError(
             f"{recording.path}: was recorded with an arm of {len(before.axis)} axes, the cell's '{arm.name}' has"
             f" {len(arm.axis)}; name the cell that it was made with"
+        )
+    if recording.cell.name != cell.name:
+        raise InputError(
+            f"{recording.path}: was recorded with cell '{recording.cell.name}', this is cell '{cell.name}'; name the"
+            " cell that it was made with, or none: the recording carries its own"
         )
     _refuse_wired_otherwise(recording, before, arm)
     corrections = tuple(_corrections(before, arm))

@@ -271,3 +271,10 @@ def test_torque_constants_are_trusted_as_the_cell_says(cell_at, record):
 def test_a_table_without_a_cell_states_no_constants():
     robot = EXAMPLES / "large" / "robot.urdf"
     assert given(ModelRequest(robot=robot), []).gain_std is None
+
+
+def test_a_recording_of_another_cell_is_refused_and_both_are_named(cell_at, record):
+    path = record(cell_at("first"))
+    other = cell_at("other", lambda text: text.replace('name = "small"', 'name = "other"', 1))
+    with pytest.raises(InputError, match=r"run\.h5: was recorded with cell 'small', this is cell 'other'; name"):
+        given(ModelRequest(cell=other), [path])

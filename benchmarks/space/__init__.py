@@ -1,0 +1,1 @@
+"""Random cells: every planned way against an independent collision checker."""

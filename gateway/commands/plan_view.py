@@ -1,0 +1,46 @@
+"""What a plan keeps apart, in words, and the page that draws it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from gateway.acquire.plan import Plan
+    from gateway.motion.workspace import Workspace
+
+
+def space_in_words(workspace: Workspace) -> list[str]:
+    """Floor, wall, column, links, load and boxes, each with where its size comes from; then what is not checked."""
+    space = workspace.space
+    lines = [f"{plane.name}: {plane.source}" for plane in space.planes]
+    lines += [f"{part.name}: {part.source}" for part in space.body.parts]
+    lines += [f"boxes of keep_out: {len(space.boxes_m)}"]
+    if space.unchecked:
+        lines.append(f"not checked, they touch wherever the joints stand: {'; '.join(space.unchecked)}")
+    return lines
+
+
+def view_of_plan(plan: Plan, workspace: Workspace) -> str:
+    """HTML text of a page with poses, ways and boxes."""
+    from gateway.acquire.plan import Approach, MoveTo
+    from gateway.model.kinematics import flange_frames, link_frames
+    from gateway.motion.places import fine_places, postures_at
+    from gateway.report.plan import plan_page
+    from gateway.result.drawn import DrawnPose
+
+    q_rad = np.array([pose.q_rad for pose in plan.poses])
+    joints, flange = link_frames(workspace.robot, q_rad)[:, :, :3, 3], flange_frames(workspace.robot, q_rad)[:, :3, 3]
+    poses = [
+        DrawnPose(
+            pose=pose.number,
+            load="none",
+            q_rad=pose.q_rad,
+            points_m=tuple((float(x), float(y), float(z)) for x, y, z in [*joints[row], flange[row]]),
+        )
+        for row, pose in enumerate(plan.poses)
+    ]
+    corners = np.array([step.q_rad for step in plan.steps if isinstance(step, MoveTo | Approach)])
+    way = flange_frames(workspace.robot, postures_at(corners, fine_places(corners)))[:, :3, 3]
+    return plan_page(plan.arm, poses, way.tolist(), workspace.space.boxes_m.tolist(), space_in_words(workspace))

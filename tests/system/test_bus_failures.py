@@ -1,0 +1,35 @@
+"""A bus that fails while the arm moves: told in ten lines at most, the cause first, nothing twice."""
+
+import re
+
+import pytest
+
+pytestmark = pytest.mark.system
+
+KILLED = "".join(f'[[fault]]\nkind = "node_killed"\nnode = {node}\nat_sync = 2500\n' for node in range(1, 7))
+SILENT = '[[fault]]\nkind = "node_killed"\nnode = 3\nat_sync = 2500\n'
+
+
+@pytest.mark.parametrize(("fault", "named"), [(KILLED, "nodes 1 to 6"), (SILENT, "node 3")])
+def test_a_failure_is_told_once_and_shortly(place, gateway, serve, fault, named):
+    drives = serve(fault=fault)
+    done = gateway("record", place.cell, "--load", "none", "-o", place.run, "--bus", drives.bus, "--yes", "-q")
+    assert done.exit_code == 4, done.output
+    lines = done.stderr.splitlines()
+    assert lines[0].startswith("error: ")
+    assert len(lines) <= 10
+    assert named in done.stderr
+    assert len(done.stderr) < 10 * 140
+    told = [part.strip() for part in re.split(r"[;,]|\(\d\)|: ", done.stderr) if len(part) > 30]
+    assert len(told) == len(set(told)), told
+    assert "defect" not in done.stderr
+    assert drives.stand_still()
+
+
+def test_nothing_was_kept_where_nobody_agreed(place, gateway, serve):
+    drives = serve()
+    done = gateway("record", place.cell, "--load", "none", "-o", place.run, "--bus", drives.bus, input="n\n")
+    assert done.exit_code == 130
+    assert "nothing has moved" in done.stderr
+    assert "is kept" not in done.stderr
+    assert not place.run.exists()
