@@ -11,7 +11,7 @@ from benchmarks.pages.other import comparison, forces, gaps
 from benchmarks.pages.result import full_result
 from gateway.report.follow import render_follow
 from gateway.report.render import render
-from gateway.result.acceptance import Expected, Rated, accepted, not_hung
+from gateway.result.acceptance import Expected, Rating, accepted, not_hung
 from gateway.result.result import NuisanceResult, Result, SetAside, from_json, read_result
 
 SIX = (0.012, -0.031, 0.004, 0.02, -0.011, 0.007)
@@ -43,7 +43,7 @@ def _with_effects() -> Result:
         set_aside=(SetAside("out/run.h5", "tool", 2, 8.4, pose=7, reason="as if a brake had held"),),
     )
     expected = [Expected("tool", 25.0, 0.5), Expected("tool+part", 71.5, 0.3)]
-    return accepted(found, expected, [Rated("mass", 60.0, "rated load, datasheet p. 2")])
+    return accepted(found, expected, [Rating("mass", 60.0, "rated load, datasheet p. 2")])
 
 
 def _estimated(found: Result) -> Result:

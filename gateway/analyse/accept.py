@@ -8,11 +8,11 @@ from gateway.analyse.given import Given
 from gateway.cell.config import ArmConfig
 from gateway.data.table import Table
 from gateway.identify.loads import unknown_labels
-from gateway.result.acceptance import Expected, Rated, accepted, check_expected
+from gateway.result.acceptance import Expected, Rating, accepted, check_expected
 from gateway.result.result import Result
 
 
-def ratings(arm: ArmConfig | None) -> tuple[Rated, ...]:
+def ratings(arm: ArmConfig | None) -> tuple[Rating, ...]:
     """What the cell says that the arm is rated for; nothing without a cell."""
     if arm is None:
         return ()
@@ -22,7 +22,9 @@ def ratings(arm: ArmConfig | None) -> tuple[Rated, ...]:
         "moment": ("rated moment", arm.rated_moment_nm),
     }
     return tuple(
-        Rated(what, rated.value, f"{name}, {rated.source}") for what, (name, rated) in said.items() if rated is not None
+        Rating(what, rated.value, f"{name}, {rated.source}")
+        for what, (name, rated) in said.items()
+        if rated is not None
     )
 
 

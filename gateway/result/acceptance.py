@@ -42,7 +42,7 @@ class Expected:
 
 
 @dataclass(frozen=True, slots=True)
-class Rated:
+class Rating:
     """The most that an arm is rated for: `what` of `QUANTITIES`, the number in its unit, where it comes from."""
 
     what: str
@@ -88,7 +88,7 @@ def check_expected(expected: Sequence[Expected], labels: Iterable[str]) -> None:
             raise InputError(f"{OPTION} {label}: is given twice; give one mass and one tolerance")
 
 
-def accepted(result: Result, expected: Sequence[Expected], ratings: Sequence[Rated]) -> Result:
+def accepted(result: Result, expected: Sequence[Expected], ratings: Sequence[Rating]) -> Result:
     """The result with its loads held against what was expected and against the rating, and what is to be said of it.
 
     Parameters
@@ -96,7 +96,7 @@ def accepted(result: Result, expected: Sequence[Expected], ratings: Sequence[Rat
     result : Result
         Completed: the frame of the flange is in `data`.
     expected : sequence of Expected
-    ratings : sequence of Rated
+    ratings : sequence of Rating
         A load without a mass is held against none.
     """
     loads = {load.label: load for load in result.loads}
@@ -129,7 +129,7 @@ def _as_expected(load: LoadResult, expected: Expected) -> Acceptance:
     )
 
 
-def _as_rated(load: LoadResult, rated: Rated, value: float, std: float) -> Acceptance:
+def _as_rated(load: LoadResult, rated: Rating, value: float, std: float) -> Acceptance:
     half = half_width(std)
     outcome = outcome_of(value, half, rated.most)
     return Acceptance(

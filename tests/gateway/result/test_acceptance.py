@@ -13,7 +13,7 @@ import pytest
 from gateway.errors import InputError
 from gateway.result.acceptance import (
     Expected,
-    Rated,
+    Rating,
     accepted,
     check_expected,
     no_body,
@@ -83,14 +83,14 @@ def test_a_load_without_a_mass_is_never_accepted(mass_kg, refused):
 
 @pytest.mark.parametrize(("most", "outcome"), [(6.16, "pass"), (6.0, "cannot tell"), (5.94, "fail")])
 def test_a_mass_above_the_rating_fails(most, outcome):
-    judged = accepted(RESULT, (), [Rated("mass", most, "rated load, datasheet p. 1")])
+    judged = accepted(RESULT, (), [Rating("mass", most, "rated load, datasheet p. 1")])
     assert [(row.what, row.outcome, row.most) for row in judged.acceptance] == [("rated mass", outcome, most)]
     assert "at most" in judged.findings[0].what if judged.failed else outcome == "pass"
 
 
 def test_reach_and_moment_count_from_the_flange():
     """The centre lies 0.05 m off; 6.05 kg there weigh 6.05 * 9.80665 * 0.05 Nm. Errors add up in squares."""
-    judged = accepted(RESULT, (), [Rated("reach", 0.06, "p. 1"), Rated("moment", 2.0, "p. 1")])
+    judged = accepted(RESULT, (), [Rating("reach", 0.06, "p. 1"), Rating("moment", 2.0, "p. 1")])
     reach, moment = judged.acceptance
     assert (reach.value, reach.unit, reach.outcome) == (pytest.approx(0.05), "m", "pass")
     assert reach.half_width == pytest.approx(1.96 * 0.001)
@@ -100,7 +100,7 @@ def test_reach_and_moment_count_from_the_flange():
 
 
 def test_reach_cannot_be_told_without_the_flange():
-    judged = accepted(replace(RESULT, data=None), (), [Rated("reach", 0.06, "p. 1"), Rated("mass", 10.0, "p. 1")])
+    judged = accepted(replace(RESULT, data=None), (), [Rating("reach", 0.06, "p. 1"), Rating("mass", 10.0, "p. 1")])
     assert [row.outcome for row in judged.acceptance] == ["cannot tell", "pass"]
 
 
