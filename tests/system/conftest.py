@@ -77,11 +77,6 @@ class Drives:
     def hang(self) -> Callable[[str], None]:
         return self.handle.hang
 
-    def stand_rad(self) -> list[float]:
-        """Joint angles of the simulated arm [rad]."""
-        (arm,) = self.handle.simulation.arms
-        return list(arm.world._q)
-
     def stand_still(self) -> bool:
         """No drive is energised: every joint is in its brake."""
         (arm,) = self.handle.simulation.arms
