@@ -34,7 +34,7 @@ FLOORS: Final = (
     ("motion",),
     ("acquire",),
     ("check",),
-    ("follow", "pair"),
+    ("follow", "pair", "newcell"),
     ("commands",),
     ("cli",),
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from benchmarks.toml_words import kind_in_words
-from drives.draft.answers import Answers
+from drives.draft.answers import ProfileAnswers
 from drives.draft.questions import QUESTIONS
 from drives.profile import DriveProfile, Signal
 from drives.profile_file import list_profiles, load_profile
@@ -24,7 +24,7 @@ def answers_page() -> str:
         "|---|---|---|",
         *(
             f"| `{key}` | {info.description} | {kind_in_words(info.annotation)} |"
-            for key, info in Answers.model_fields.items()
+            for key, info in ProfileAnswers.model_fields.items()
         ),
     ]
     for question in QUESTIONS:

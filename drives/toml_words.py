@@ -32,7 +32,7 @@ _LIMITS: Final = {
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class FieldPlace:
     """Where a path leads in a model: as far as the model knows it, what may stand there, and its field."""
 
     path: KeyPath
@@ -40,16 +40,16 @@ class Place:
     info: FieldInfo | None
 
 
-def field_at(model: type[BaseModel], path: KeyPath) -> Place:
+def field_at(model: type[BaseModel], path: KeyPath) -> FieldPlace:
     """Follow a path; what pydantic adds to it, the alternatives of a union, ends it."""
     kind: Any = model
     info: FieldInfo | None = None
     for length, part in enumerate(path):
         inner, inside = _inside(kind, part)
         if inner is None:
-            return Place(path[:length], kind, info)
+            return FieldPlace(path[:length], kind, info)
         kind, info = inner, inside or info
-    return Place(path, kind, info)
+    return FieldPlace(path, kind, info)
 
 
 def _inside(kind: Any, part: str | int) -> tuple[Any, FieldInfo | None]:

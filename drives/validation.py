@@ -54,7 +54,7 @@ def refuse(found: Sequence[tuple[KeyPath, str]]) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class Problem:
+class FileProblem:
     """One thing that is wrong in a file; `line` from 1, 0 of what stands in none; `what` says what to write too."""
 
     path: KeyPath
@@ -65,7 +65,7 @@ class Problem:
 class Unfit(ValueError):  # noqa: N818 - reads as what the file is
     """A file that cannot be used, with all its problems in the order of their lines."""
 
-    def __init__(self, problems: Sequence[Problem]) -> None:
+    def __init__(self, problems: Sequence[FileProblem]) -> None:
         self.problems = tuple(sorted(problems, key=lambda problem: problem.line))
         super().__init__("; ".join(f"line {problem.line}: {problem.what}" for problem in self.problems))
 
@@ -79,7 +79,7 @@ class Unfit(ValueError):  # noqa: N818 - reads as what the file is
         place : callable
             What a reader calls the table of a path, such as J1; empty where the line says it all.
         """
-        same: dict[str, list[Problem]] = {}
+        same: dict[str, list[FileProblem]] = {}
         for problem in self.problems:
             same.setdefault(problem.what, []).append(problem)
         texts = []
@@ -109,7 +109,7 @@ def read_strict(text: str, model: type[Model]) -> Model:
         return _validated(model, data)
     except ValidationError as error:
         lines = key_lines(text)
-        problems = [Problem(path, line_of(lines, path), what) for path, what in _all(model, data, error)]
+        problems = [FileProblem(path, line_of(lines, path), what) for path, what in _all(model, data, error)]
         raise Unfit(problems) from error
 
 
@@ -124,7 +124,7 @@ def fitted(model: type[Model], values: dict[str, Any]) -> Model:
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        raise Unfit([Problem(path, 0, what) for path, what in _problems(model, values, error)]) from error
+        raise Unfit([FileProblem(path, 0, what) for path, what in _problems(model, values, error)]) from error
 
 
 def _validated(model: type[Model], data: dict[str, Any]) -> Model:
@@ -139,7 +139,7 @@ def not_toml(text: str, error: tomllib.TOMLDecodeError) -> Unfit:
     number = at.removeprefix("line ").partition(",")[0]
     line = int(number) if number.isdigit() else max(1, len(text.splitlines()))
     wrong = f"not valid TOML: {what or message}; correct that line (KEY = VALUE, texts in quotes)"
-    return Unfit([Problem((), line, wrong)])
+    return Unfit([FileProblem((), line, wrong)])
 
 
 def _all(model: type[BaseModel], data: dict[str, Any], error: ValidationError) -> list[tuple[KeyPath, str]]:

@@ -17,7 +17,7 @@ ObjectText = Annotated[str, Field(pattern=r"^0x[0-9A-Fa-f]{4}(:[0-9A-Fa-f]{2})?$
 ADVICE = "docs/reference/profile-answers.md lists questions and answers"
 
 
-class Answers(Strict):
+class ProfileAnswers(Strict):
     """Answers to the questions of a profile draft; whatever is left out stays open."""
 
     torque_object: ObjectText | None = Field(
@@ -65,7 +65,7 @@ class Answers(Strict):
         return self.torque_source is not None and not is_assumed(self.torque_source)
 
 
-def read_answers(path: Path) -> Answers:
+def read_answers(path: Path) -> ProfileAnswers:
     """Read an answer file (TOML).
 
     Raises
@@ -74,7 +74,7 @@ def read_answers(path: Path) -> Answers:
         It cannot be read, is not TOML, or holds an answer that is none; all of it at once.
     """
     try:
-        return read_strict(path.read_text(encoding="utf-8"), Answers)
+        return read_strict(path.read_text(encoding="utf-8"), ProfileAnswers)
     except UnicodeDecodeError as error:
         raise ProfileError(f"answer file {path} cannot be read: {error}", advice="save it as UTF-8") from error
     except OSError as error:
@@ -83,7 +83,7 @@ def read_answers(path: Path) -> Answers:
         raise ProfileError.of(error.told(str(path)), ADVICE) from error
 
 
-def with_answers(answers: Answers, more: dict[str, str]) -> Answers:
+def with_answers(answers: ProfileAnswers, more: dict[str, str]) -> ProfileAnswers:
     """Further answers as they are typed; they replace earlier ones.
 
     Raises
@@ -92,7 +92,7 @@ def with_answers(answers: Answers, more: dict[str, str]) -> Answers:
         No such question, or no such answer.
     """
     try:
-        return fitted(Answers, answers.model_dump(exclude_none=True) | more)
+        return fitted(ProfileAnswers, answers.model_dump(exclude_none=True) | more)
     except Unfit as error:
         raise ProfileError.of(error.told("answer"), ADVICE) from error
 

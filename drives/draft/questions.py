@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Final
 
-from drives.draft.answers import Answers, address_of
+from drives.draft.answers import ProfileAnswers, address_of
 from drives.draft.device import Address, Device
 from drives.draft.units import velocity_unit_rad_s
 
@@ -34,19 +34,19 @@ class Question:
     ways: tuple[str, ...]
 
 
-def torque_address(device: Device, answers: Answers) -> Address | None:
+def torque_address(device: Device, answers: ProfileAnswers) -> Address | None:
     """Where the measured torque stands: as answered, else 0x6077, else 0x6078; None = the sheet has neither."""
     if answers.torque_object is not None:
         return address_of(answers.torque_object)
     return next((address for address in (TORQUE, CURRENT) if device.has(*address)), None)
 
 
-def is_current(answers: Answers) -> bool:
+def is_current(answers: ProfileAnswers) -> bool:
     """Whether the torque is known to be a current."""
     return answers.torque_kind not in (None, "permille_rated_torque")
 
 
-def rated_address(device: Device, answers: Answers) -> Address | None:
+def rated_address(device: Device, answers: ProfileAnswers) -> Address | None:
     """Object that holds what 1000 per mille stand for; None = there is none."""
     kind = answers.torque_kind or "permille_rated_torque"
     if answers.rated_object is not None and kind in RATED:
@@ -55,20 +55,20 @@ def rated_address(device: Device, answers: Answers) -> Address | None:
     return address if address is not None and device.has(*address) else None
 
 
-def _asks_unit(device: Device, answers: Answers) -> bool:
+def _asks_unit(device: Device, answers: ProfileAnswers) -> bool:
     return answers.rated_value is None and rated_address(device, answers) is not None
 
 
-def _asks_value(device: Device, answers: Answers) -> bool:
+def _asks_value(device: Device, answers: ProfileAnswers) -> bool:
     permille = answers.torque_kind is None or answers.torque_kind in RATED
     return permille and rated_address(device, answers) is None
 
 
-def _asks_counts(device: Device, answers: Answers) -> bool:
+def _asks_counts(device: Device, answers: ProfileAnswers) -> bool:
     return answers.counts_object is None and not device.has(*COUNTS[0])
 
 
-Wanted = Callable[[Device, Answers], bool]
+Wanted = Callable[[Device, ProfileAnswers], bool]
 
 _TABLE: Final[tuple[tuple[Question, Wanted], ...]] = (
     (
@@ -207,13 +207,13 @@ _TABLE: Final[tuple[tuple[Question, Wanted], ...]] = (
 QUESTIONS: Final = tuple(question for question, _ in _TABLE)
 
 
-def open_questions(device: Device, answers: Answers) -> tuple[Question, ...]:
+def open_questions(device: Device, answers: ProfileAnswers) -> tuple[Question, ...]:
     """Questions that matter for this drive and are not answered."""
     return tuple(
         question for question, wanted in _TABLE if getattr(answers, question.key) is None and wanted(device, answers)
     )
 
 
-def next_question(device: Device, answers: Answers, asked: Collection[str]) -> Question | None:
+def next_question(device: Device, answers: ProfileAnswers, asked: Collection[str]) -> Question | None:
     """The first open one that was not asked yet."""
     return next((each for each in open_questions(device, answers) if each.key not in asked), None)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Final
 
 from drives.cia402 import Mode, mode_supported
-from drives.draft.answers import Answers, address_of
+from drives.draft.answers import ProfileAnswers, address_of
 from drives.draft.device import Address, Device
 from drives.draft.questions import COUNTS, RATED, is_current, open_questions, rated_address, torque_address
 from drives.draft.units import velocity_unit_rad_s
@@ -25,13 +25,13 @@ COUNTS_ASSUMED: Final = 65536
 _ABORT_CONNECTION: Final = {"quick stop": 3, "disable voltage": 2}
 
 
-def draft(device: Device, answers: Answers, name: str) -> str:
+def draft(device: Device, answers: ProfileAnswers, name: str) -> str:
     """Text of a profile.
 
     Parameters
     ----------
     device : Device
-    answers : Answers
+    answers : ProfileAnswers
     name : str
         Of the profile.
 
@@ -50,7 +50,7 @@ def draft(device: Device, answers: Answers, name: str) -> str:
     return _text(device, answers, name, (*_reasons(device), *found)) if found else text
 
 
-def _text(device: Device, answers: Answers, name: str, no_motion: Iterable[str]) -> str:
+def _text(device: Device, answers: ProfileAnswers, name: str, no_motion: Iterable[str]) -> str:
     sections = (
         _head(device, answers, name, tuple(no_motion)),
         _identity(device),
@@ -83,7 +83,7 @@ def _reasons(device: Device) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _head(device: Device, answers: Answers, name: str, no_motion: tuple[str, ...]) -> str:
+def _head(device: Device, answers: ProfileAnswers, name: str, no_motion: tuple[str, ...]) -> str:
     sheet = device.sheet
     lines = [
         "# Draft of a drive profile: check every line that says `assumed`. Keys: docs/reference/drive-profile.md.",
@@ -122,7 +122,7 @@ def _identity(device: Device) -> str:
     return "\n".join(("# 0x1018. revision_min: older firmware may count otherwise.", "[identity]", *lines)) + "\n"
 
 
-def _torque(device: Device, answers: Answers) -> str:
+def _torque(device: Device, answers: ProfileAnswers) -> str:
     address = torque_address(device, answers)
     if address is None:
         advice = "answer torque_object, such as torque_object=0x30D1:02"
@@ -154,7 +154,7 @@ def _torque(device: Device, answers: Answers) -> str:
     return "\n".join([*lines, *_rated(device, answers, source)]) + "\n"
 
 
-def _missing_for_torque(device: Device, answers: Answers) -> list[str]:
+def _missing_for_torque(device: Device, answers: ProfileAnswers) -> list[str]:
     """Keys without which the torque arithmetic is a guess."""
     about = {
         "torque_kind", "torque_nature", "rated_unit", "rated_value", "internal_unit_a", "current_reference",
@@ -164,13 +164,13 @@ def _missing_for_torque(device: Device, answers: Answers) -> list[str]:
     return missing if missing or answers.torque_is_sourced else ["torque_source"]
 
 
-def _basis(answers: Answers, missing: list[str]) -> str:
+def _basis(answers: ProfileAnswers, missing: list[str]) -> str:
     if missing:
         return "assumed"
     return "measured" if (answers.torque_source or "").strip().lower().startswith("measured") else "manual"
 
 
-def _rated(device: Device, answers: Answers, source: str) -> list[str]:
+def _rated(device: Device, answers: ProfileAnswers, source: str) -> list[str]:
     if (answers.torque_kind or "permille_rated_torque") not in RATED:
         return []
     if answers.rated_value is not None:
@@ -194,7 +194,7 @@ def _rated(device: Device, answers: Answers, source: str) -> list[str]:
     return lines
 
 
-def _velocity(device: Device, answers: Answers) -> str:
+def _velocity(device: Device, answers: ProfileAnswers) -> str:
     kind = device.type_of(0x606C)
     told = velocity_unit_rad_s(device)
     if answers.velocity_unit_rad_s is not None:
@@ -205,11 +205,11 @@ def _velocity(device: Device, answers: Answers) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _position(device: Device, answers: Answers) -> str:
+def _position(device: Device, answers: ProfileAnswers) -> str:
     return "\n".join(("[position]", f"object = {_object((0x6064, 0), 'i32')}", *_counts(device, answers))) + "\n"
 
 
-def _counts(device: Device, answers: Answers) -> tuple[str, ...]:
+def _counts(device: Device, answers: ProfileAnswers) -> tuple[str, ...]:
     if answers.counts_object is not None:
         address = address_of(answers.counts_object)
         kind = device.type_of(*address)
@@ -241,7 +241,7 @@ slow_timeout_s = 3.0
 """
 
 
-def _heartbeat(device: Device, answers: Answers) -> str:
+def _heartbeat(device: Device, answers: ProfileAnswers) -> str:
     answer = answers.lost_heartbeat
     said = "as answered" if answer else "assumed: quick stop"
     lines = [

@@ -16,9 +16,9 @@ from gateway.commands.options import common, json_option, output_option, session
 from gateway.errors import ConfigError
 
 if TYPE_CHECKING:
-    from gateway.newcell.answers import Answer, Answers, Given
+    from gateway.newcell.answers import Answer, CellAnswers, GivenAnswer
     from gateway.newcell.interview import Draft
-    from gateway.newcell.questions import Question
+    from gateway.newcell.questions import CellQuestion
     from gateway.newcell.text import Left
     from gateway.preflight.rules import CheckItem
 
@@ -70,14 +70,14 @@ def cell_new(
     Joint limits come from the URDF; node ids, profiles, ratings and limits from the drives, or from EDS and DCF files.
     Nothing is written to a drive and nothing moves.
     """
-    from gateway.newcell.answers import Answers, read_answers
+    from gateway.newcell.answers import CellAnswers, read_answers
     from gateway.newcell.interview import interview
     from gateway.newcell.reading import BusEyes
     from gateway.newcell.text import left_over
 
     given = {} if answers is None else read_answers(answers)
     given |= _options({"robot": robot, "bus": bus, "offline": offline or None, "eds": list(eds) or None}, typed)
-    said = Answers(given, str(answers or "answers"), None if answers is not None else _ask)
+    said = CellAnswers(given, str(answers or "answers"), None if answers is not None else _ask)
     session = session_of()
     try:
         draft = interview(said, BusEyes(listen_s), output.stem, session.note)
@@ -94,23 +94,23 @@ def cell_new(
     require_passed(items, f"{output} is written, and the drives do not pass")
 
 
-def _options(named: dict[str, Any], pairs: Sequence[str]) -> dict[str, Given]:
+def _options(named: dict[str, Any], pairs: Sequence[str]) -> dict[str, GivenAnswer]:
     """Answers of the command line; names of files start at the working folder."""
     from gateway.newcell import questions
-    from gateway.newcell.answers import Given
+    from gateway.newcell.answers import GivenAnswer
     from gateway.newcell.forms import typed
 
     here = Path.cwd()
-    found = {key: Given(value, f"--{key}", here) for key, value in named.items() if value is not None}
+    found = {key: GivenAnswer(value, f"--{key}", here) for key, value in named.items() if value is not None}
     for pair in pairs:
         key, equals, text = pair.partition("=")
         if not equals or key.strip() not in questions.KEYS:
             raise click.UsageError(f"--answer '{pair}': write KEY=VALUE with one of {', '.join(questions.KEYS)}")
-        found[key.strip()] = Given(typed(text), f"--answer {key.strip()}", here)
+        found[key.strip()] = GivenAnswer(typed(text), f"--answer {key.strip()}", here)
     return found
 
 
-def _ask(question: Question, offer: Answer | None, read: Callable[[Any], Answer]) -> Answer | None:
+def _ask(question: CellQuestion, offer: Answer | None, read: Callable[[Any], Answer]) -> Answer | None:
     """Ask at the terminal until the answer has the right form; Enter takes what is offered."""
     from gateway.newcell.forms import typed
     from gateway.newcell.text import short
@@ -129,7 +129,7 @@ def _ask(question: Question, offer: Answer | None, read: Callable[[Any], Answer]
             click.echo(f"  {error}", err=True)
 
 
-def _typed_line(question: Question, default: str | None) -> str:
+def _typed_line(question: CellQuestion, default: str | None) -> str:
     """A line of the terminal; where nobody is there, how the answer is given otherwise."""
     try:
         return click.prompt(f"  {question.key}", default=default, show_default=False, err=True)
@@ -161,7 +161,7 @@ def _write(draft: Draft, output: Path) -> None:
     replace_file(output, text)
 
 
-def _save(said: Answers, path: Path) -> None:
+def _save(said: CellAnswers, path: Path) -> None:
     from gateway.newcell.answers import answers_text
 
     replace_file(path, answers_text(said, _named_from(path.parent)))
@@ -179,7 +179,7 @@ def _checked(output: Path, draft: Draft) -> list[CheckItem]:
     return [context.bus_load(arm), *(context.check_drives(arm) if draft.looked else ())]
 
 
-def _show(output: Path, said: Answers, left: Sequence[Left], items: Sequence[CheckItem]) -> None:
+def _show(output: Path, said: CellAnswers, left: Sequence[Left], items: Sequence[CheckItem]) -> None:
     session = session_of()
     told = [item for item in items if item.severity in ("warn", "fail")]
     if told:
@@ -194,7 +194,7 @@ def _show(output: Path, said: Answers, left: Sequence[Left], items: Sequence[Che
     session.show(f"{output}: {len(said.said)} answers, {len(guesses)} keys assumed; next: servo-gateway check {output}")
 
 
-def _as_json(output: Path, said: Answers, left: Sequence[Left], items: Sequence[CheckItem]) -> dict[str, Any]:
+def _as_json(output: Path, said: CellAnswers, left: Sequence[Left], items: Sequence[CheckItem]) -> dict[str, Any]:
     return {
         "schema": 1,
         "cell": str(output),

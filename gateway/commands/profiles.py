@@ -14,7 +14,7 @@ from gateway.commands.options import common, json_option, output_option, session
 from gateway.errors import ConfigError
 
 if TYPE_CHECKING:
-    from drives.draft.answers import Answers
+    from drives.draft.answers import ProfileAnswers
     from drives.draft.device import Device
     from drives.draft.questions import Question
     from drives.profile import DriveProfile
@@ -92,7 +92,7 @@ def profiles_new(
     A draft with open questions about the torque is read by every command, and refuses motion. A drive that is asked
     is only read: listened to first, and left alone where another master is at work.
     """
-    from drives.draft.answers import Answers, read_answers, with_answers
+    from drives.draft.answers import ProfileAnswers, read_answers, with_answers
     from drives.draft.device import device_of_sheet
     from drives.draft.questions import open_questions
     from drives.draft.text import draft, profile_name
@@ -106,7 +106,7 @@ def profiles_new(
         raise ConfigError(
             f"{output}: a profile of the package has this name, and cells would get that one: choose another"
         )
-    answers = with_answers(read_answers(answer_file) if answer_file else Answers(), _typed(typed))
+    answers = with_answers(read_answers(answer_file) if answer_file else ProfileAnswers(), _typed(typed))
     device = device_of_sheet(eds)
     if node_id is not None:
         device = _ask_drive(device, node_id, bus_spec or DEFAULT_BUS)
@@ -148,7 +148,7 @@ def _ask_drive(device: Device, node_id: int, bus_spec: str) -> Device:
         return ask_drive(bus, node_id, device)
 
 
-def _ask(device: Device, answers: Answers) -> Answers:
+def _ask(device: Device, answers: ProfileAnswers) -> ProfileAnswers:
     """Put the open questions, one after another; Enter leaves one open."""
     from drives.draft.answers import with_answers
     from drives.draft.questions import next_question

@@ -19,7 +19,7 @@ from drives.validation import not_toml
 from gateway.errors import ConfigError
 from gateway.newcell import questions
 from gateway.newcell.forms import SOURCE, VALUE
-from gateway.newcell.questions import Question
+from gateway.newcell.questions import CellQuestion
 from gateway.newcell.slips import slips
 
 ASSUMED: Final = "assumed"
@@ -42,7 +42,7 @@ class Answer:
 
 
 @dataclass(frozen=True, slots=True)
-class Given:
+class GivenAnswer:
     """An answer as it was written: value of TOML, where it stands, and the folder its file names start at."""
 
     value: Any
@@ -51,10 +51,10 @@ class Given:
 
 
 #: Asks a person: question, what is offered, number of axes -> what was typed, None = the offer is taken.
-Ask = Callable[[Question, Answer | None, Callable[[Any], Answer]], Answer | None]
+Ask = Callable[[CellQuestion, Answer | None, Callable[[Any], Answer]], Answer | None]
 
 
-class Answers:
+class CellAnswers:
     """Everything that was answered so far.
 
     Parameters
@@ -74,18 +74,18 @@ class Answers:
         Key -> the answers among them that somebody gave.
     """
 
-    def __init__(self, given: Mapping[str, Given], missing_in: str, ask: Ask | None = None) -> None:
+    def __init__(self, given: Mapping[str, GivenAnswer], missing_in: str, ask: Ask | None = None) -> None:
         self._given, self._missing_in, self._ask = dict(given), missing_in, ask
         self.taken: dict[str, Answer] = {}
         self.said: dict[str, Answer] = {}
 
-    def settle(self, wanted: Sequence[tuple[Question, Answer | None]], axes: int = 0) -> None:
+    def settle(self, wanted: Sequence[tuple[CellQuestion, Answer | None]], axes: int = 0) -> None:
         """Settle some questions, each with what is offered where nobody answers.
 
         Raises
         ------
         ConfigError
-            Answers that have not the right form, or are missing; all of them at once.
+            CellAnswers that have not the right form, or are missing; all of them at once.
         """
         problems: list[str] = []
         for question, offer in wanted:
@@ -101,11 +101,11 @@ class Answers:
         if problems:
             raise ConfigError.of(problems)
 
-    def value(self, question: Question) -> Any:
+    def value(self, question: CellQuestion) -> Any:
         """Value of a question that was settled."""
         return self.taken[question.key].value
 
-    def _answer(self, question: Question, offer: Answer | None, axes: int) -> Answer | None:
+    def _answer(self, question: CellQuestion, offer: Answer | None, axes: int) -> Answer | None:
         given = self._given.get(question.key)
         if given is not None:
             answer = self._read(question, given, axes)
@@ -113,14 +113,14 @@ class Answers:
             return offer
         else:
             here = Path.cwd()
-            asked = self._ask(question, offer, lambda value: self._read(question, Given(value, "", here), axes))
+            asked = self._ask(question, offer, lambda value: self._read(question, GivenAnswer(value, "", here), axes))
             if asked is None:
                 return offer
             answer = asked
         self.said[question.key] = answer
         return answer
 
-    def _read(self, question: Question, given: Given, axes: int) -> Answer:
+    def _read(self, question: CellQuestion, given: GivenAnswer, axes: int) -> Answer:
         value, source = given.value, UNSOURCED
         if isinstance(value, dict) and set(cast("dict[str, Any]", value)) == {VALUE, SOURCE}:
             value, source = value[VALUE], str(cast("dict[str, Any]", value)[SOURCE])
@@ -144,7 +144,7 @@ def _placed(value: Any, folder: Path) -> Any:
     return value if value == DH or value in list_profiles() else str(folder / value)
 
 
-def read_answers(path: Path) -> dict[str, Given]:
+def read_answers(path: Path) -> dict[str, GivenAnswer]:
     """Answers of a file.
 
     Raises
@@ -167,15 +167,15 @@ def read_answers(path: Path) -> dict[str, Given]:
         strange[-1] += f"; the questions are {', '.join(known)}"
         raise ConfigError.of(strange)
     folder = path.resolve().parent
-    return {key: Given(value, f"{path} line {lines[key,]}", folder) for key, value in table.items()}
+    return {key: GivenAnswer(value, f"{path} line {lines[key,]}", folder) for key, value in table.items()}
 
 
-def answers_text(answers: Answers, files: Callable[[str], str]) -> str:
+def answers_text(answers: CellAnswers, files: Callable[[str], str]) -> str:
     """The answers of a run as answer file: what was said as it stands, what was taken unsaid as a remark.
 
     Parameters
     ----------
-    answers : Answers
+    answers : CellAnswers
     files : callable
         Path of a file -> its name from that folder.
     """

@@ -114,22 +114,22 @@ def words() -> Form:
 
 
 @dataclass(frozen=True, slots=True)
-class Rule:
+class FormRule:
     """What a number has to keep to, and what is said of one that does not."""
 
     holds: Callable[[float], bool]
     otherwise: str
 
 
-ANY: Final = Rule(math.isfinite, "not finite")
-POSITIVE: Final = Rule(lambda value: value > 0, "not above 0")
-NOT_ZERO: Final = Rule(lambda value: value != 0, "no ratio")
-SHARE: Final = Rule(lambda value: 0 < value <= 1, "not in 0 to 1")
-SIGN: Final = Rule(lambda value: value in (-1, 1), "neither 1 nor -1")
-NODE_ID: Final = Rule(lambda value: value == round(value) and 1 <= value <= 127, "no node id, 1 to 127")
+ANY: Final = FormRule(math.isfinite, "not finite")
+POSITIVE: Final = FormRule(lambda value: value > 0, "not above 0")
+NOT_ZERO: Final = FormRule(lambda value: value != 0, "no ratio")
+SHARE: Final = FormRule(lambda value: 0 < value <= 1, "not in 0 to 1")
+SIGN: Final = FormRule(lambda value: value in (-1, 1), "neither 1 nor -1")
+NODE_ID: Final = FormRule(lambda value: value == round(value) and 1 <= value <= 127, "no node id, 1 to 127")
 
 
-def numbers(rule: Rule = ANY) -> Form:
+def numbers(rule: FormRule = ANY) -> Form:
     """A list with one number for each axis."""
 
     def read(value: Any, axes: int) -> tuple[float, ...]:
@@ -147,12 +147,12 @@ def node_ids() -> Form:
     return Form(lambda value, axes: tuple(int(part) for part in read(value, axes)))
 
 
-def per_axis(rule: Rule = ANY) -> Form:
+def per_axis(rule: FormRule = ANY) -> Form:
     """A number for all axes, or one for each."""
     return Form(lambda value, axes: tuple(_kept(part, rule) for part in _parts(value, axes)))
 
 
-def _kept(value: Any, rule: Rule) -> float:
+def _kept(value: Any, rule: FormRule) -> float:
     number = _number(value)
     if not rule.holds(number):
         raise ValueError(f"holds {number:g}, which is {rule.otherwise}")
@@ -191,12 +191,12 @@ def place(**named: tuple[float, ...]) -> Form:
     return Form(read)
 
 
-def one_number(rule: Rule = ANY) -> Form:
+def one_number(rule: FormRule = ANY) -> Form:
     """A single number."""
     return Form(lambda value, axes: _kept(value, rule))
 
 
-def number_or_none(rule: Rule = ANY) -> Form:
+def number_or_none(rule: FormRule = ANY) -> Form:
     """A single number, or `none`."""
     return Form(lambda value, axes: None if value == "none" else _kept(value, rule))
 

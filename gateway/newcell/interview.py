@@ -15,7 +15,7 @@ from gateway.cell.config import DhTable
 from gateway.errors import ConfigError
 from gateway.model.robot import Robot, robot_from_dh, robot_from_urdf
 from gateway.newcell import offers, questions
-from gateway.newcell.answers import ASSUMED, DH, Answer, Answers
+from gateway.newcell.answers import ASSUMED, DH, Answer, CellAnswers
 from gateway.newcell.nodes import Address, Read, SeenNode, addresses, of_axes
 from gateway.newcell.offers import Axes
 
@@ -44,7 +44,7 @@ class Draft:
 
     Attributes
     ----------
-    answers : Answers
+    answers : CellAnswers
     robot : Robot
     urdf : str or None
         Path of the URDF; None = Denavit-Hartenberg rows.
@@ -58,7 +58,7 @@ class Draft:
         The bus was looked at.
     """
 
-    answers: Answers
+    answers: CellAnswers
     robot: Robot
     urdf: str | None
     bus: BusSpec
@@ -68,12 +68,12 @@ class Draft:
     looked: bool
 
 
-def interview(answers: Answers, eyes: Eyes, name: str, tell: Callable[[str], None]) -> Draft:
+def interview(answers: CellAnswers, eyes: Eyes, name: str, tell: Callable[[str], None]) -> Draft:
     """Settle everything that a cell file needs.
 
     Parameters
     ----------
-    answers : Answers
+    answers : CellAnswers
     eyes : Eyes
     name : str
         Of the cell, where nobody gives another.
@@ -120,7 +120,7 @@ def _who(node: SeenNode) -> str:
     return f"{who.name or 'drive'} ({numbers}); profiles that fit: {fits}"
 
 
-def _robot(answers: Answers, name: str) -> tuple[Robot, str | None]:
+def _robot(answers: CellAnswers, name: str) -> tuple[Robot, str | None]:
     """Robot model and the path of its URDF."""
     said = answers.value(questions.ROBOT)
     if said == DH:
@@ -134,7 +134,7 @@ def _robot(answers: Answers, name: str) -> tuple[Robot, str | None]:
     return robot_from_urdf(text, str(path)), str(path.resolve())
 
 
-def dh_table(answers: Answers) -> DhTable:
+def dh_table(answers: CellAnswers) -> DhTable:
     """Denavit-Hartenberg rows that were answered; columns of different length are refused.
 
     Raises
@@ -149,7 +149,7 @@ def dh_table(answers: Answers) -> DhTable:
     return DhTable.model_validate({"convention": answers.value(questions.DH_CONVENTION), **columns})
 
 
-def _bus(answers: Answers) -> BusSpec:
+def _bus(answers: CellAnswers) -> BusSpec:
     answers.settle(
         [
             (questions.OFFLINE, Answer(False, "the bus is looked at")),
@@ -164,7 +164,7 @@ def _bus(answers: Answers) -> BusSpec:
 
 
 def _drives(
-    answers: Answers,
+    answers: CellAnswers,
     robot: Robot,
     eyes: Eyes | None,
     seen: tuple[BusSpec, Sequence[SeenNode], Sequence[SeenNode]],
@@ -197,7 +197,7 @@ def _with_values(node: SeenNode, values: Mapping[Address, Read]) -> SeenNode:
     return replace(node, values=values)
 
 
-def _gears(answers: Answers, axes: Axes) -> None:
+def _gears(answers: CellAnswers, axes: Axes) -> None:
     """What stands between motor and joint."""
     count = len(axes.profiles)
     constant = offers.torque_constant(axes)
@@ -216,7 +216,7 @@ def _gears(answers: Answers, axes: Axes) -> None:
     )
 
 
-def _limits(answers: Answers, robot: Robot, axes: Axes) -> None:
+def _limits(answers: CellAnswers, robot: Robot, axes: Axes) -> None:
     """What the arm may do, how it stands, what it carries."""
     sign, zero_rad = answers.value(questions.POSITION_SIGN), answers.value(questions.ZERO_OFFSET)
     answers.settle(

@@ -28,7 +28,7 @@ from gateway.newcell.forms import (
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class CellQuestion:
     """One thing to be known.
 
     Attributes
@@ -49,20 +49,20 @@ class Question:
     form: Form
 
 
-ROBOT: Final = Question(
+ROBOT: Final = CellQuestion(
     "robot",
     "URDF of the arm, or dh for Denavit-Hartenberg rows",
     "the maker's ROS package has a URDF (`xacro robot.urdf.xacro > robot.urdf`); the rows stand in the manual",
     text(),
 )
-DH_CONVENTION: Final = Question(
+DH_CONVENTION: Final = CellQuestion(
     "dh_convention",
     "convention of the rows: modified (Craig) or standard (Paul)",
     "modified where alpha and a of a row belong to the link before its joint, standard where to the one behind it",
     choice("modified", "standard"),
 )
 DH_ROWS: Final = tuple(
-    Question(f"dh_{column}", f"{what}, base to flange", "the table of link parameters in the manual", numbers())
+    CellQuestion(f"dh_{column}", f"{what}, base to flange", "the table of link parameters in the manual", numbers())
     for column, what in (
         ("alpha_rad", "twists alpha [rad]"),
         ("a_m", "lengths a [m]"),
@@ -70,118 +70,118 @@ DH_ROWS: Final = tuple(
         ("theta_offset_rad", "angles theta [rad] at q = 0"),
     )
 )
-BUS: Final = Question(
+BUS: Final = CellQuestion(
     "bus",
     "bus of the drives, INTERFACE:CHANNEL[,key=value], such as socketcan:can0 or pcan:PCAN_USBBUS1,bitrate=500000",
     "python-can's name of the adapter; the bit rate is set in the drives",
     text(),
 )
-NODES: Final = Question(
+NODES: Final = CellQuestion(
     "nodes",
     "node ids from the base to the flange",
     "DIP switch or label of each drive; `check --move` sees an order that is wrong",
     node_ids(),
 )
-PROFILE: Final = Question(
+PROFILE: Final = CellQuestion(
     "profile",
     "drive profile: a name of `profiles list` or a TOML file, one for all or one per axis",
     "`servo-gateway profiles list`; for a drive that is not there `servo-gateway profiles new --eds FILE -o FILE.toml`",
     words(),
 )
-GEAR_RATIO: Final = Question(
+GEAR_RATIO: Final = CellQuestion(
     "gear_ratio",
     "gear ratio, motor turns per joint turn, negative where it turns the sense; one for all or one per axis",
     "data sheet or plate of the gear; `check --move` compares it with gravity and the drives' speeds",
     per_axis(NOT_ZERO),
 )
-GEAR_EFFICIENCY: Final = Question(
+GEAR_EFFICIENCY: Final = CellQuestion(
     "gear_efficiency",
     "gear efficiency, 0 to 1; one for all or one per axis",
     "data sheet of the gear at the torques of the arm",
     per_axis(SHARE),
 )
-TORQUE_CONSTANT: Final = Question(
+TORQUE_CONSTANT: Final = CellQuestion(
     "torque_constant_nm_per_a",
     "torque constant of the motor [Nm/A], per ampere (rms or peak) as the profile states; one for all or one per axis",
     "data sheet of the motor; for peak amperes it is the rms value over 1.414",
     per_axis(POSITIVE),
 )
-POSITION_SIGN: Final = Question(
+POSITION_SIGN: Final = CellQuestion(
     "position_sign",
     "sign of the drives' position against the joint, 1 or -1; one for all or one per axis",
     "`check --move` says which are turned round",
     per_axis(SIGN),
 )
-TORQUE_SIGN: Final = Question(
+TORQUE_SIGN: Final = CellQuestion(
     "torque_sign",
     "sign of the drives' torque against the joint, 1 or -1; one for all or one per axis",
     "`check --move` says which are turned round",
     per_axis(SIGN),
 )
-ZERO_OFFSET: Final = Question(
+ZERO_OFFSET: Final = CellQuestion(
     "zero_offset_rad",
     "joint angle [rad] at which each drive's position is zero; one for all or one per axis",
     "the calibration sheet of the arm, or the angle shown by its old controller while the drives show zero",
     per_axis(),
 )
-POSITION_LIMIT: Final = Question(
+POSITION_LIMIT: Final = CellQuestion(
     "position_limit_rad",
     "lowest and highest joint angle [rad]; one pair for all or one per axis, such as [[-2.9, 2.9], [-1.5, 2.0]]",
     "the manual's working range, a little inside the hard stops",
     pairs(),
 )
-SPEED_LIMIT: Final = Question(
+SPEED_LIMIT: Final = CellQuestion(
     "speed_limit_rad_s",
     "fastest that each joint may turn [rad/s]; one for all or one per axis",
     "slow is enough: a load is measured at rest",
     per_axis(POSITIVE),
 )
-TORQUE_LIMIT: Final = Question(
+TORQUE_LIMIT: Final = CellQuestion(
     "torque_limit_nm",
     "largest torque at each joint [Nm]; one for all or one per axis",
     "data sheet of the gear, or rated torque of the motor times gear ratio",
     per_axis(POSITIVE),
 )
-INERTIALS: Final = Question(
+INERTIALS: Final = CellQuestion(
     "inertials",
     "trust of the URDF's masses: exact, ignore, or prior:S with S their relative deviation",
     "prior:0.05 for a maker's own URDF, ignore for masses of unknown origin",
     pattern(r"exact|ignore|prior:\d*\.?\d+", "none of exact, ignore, prior:S such as prior:0.1"),
 )
-MOUNTING: Final = Question(
+MOUNTING: Final = CellQuestion(
     "mounting",
     "how the arm is mounted: floor, ceiling, or gravity in its base frame [m/s2], such as [9.80665, 0, 0] on a wall",
     "the base frame is that of the robot's drawing; z points away from the base plate",
     place(floor=(0.0, 0.0, -9.80665), ceiling=(0.0, 0.0, 9.80665)),
 )
-FLANGE: Final = Question(
+FLANGE: Final = CellQuestion(
     "flange_xyz_m",
     "flange in the last link, x, y, z [m], or none",
     "the drawing of the wrist; without it results are in the last link alone",
     place(none=()),
 )
-FLANGE_TURN: Final = Question(
+FLANGE_TURN: Final = CellQuestion(
     "flange_rpy_rad", "turn of the flange in the last link [rad]", "the drawing of the wrist", place()
 )
-MAX_LOAD: Final = Question(
+MAX_LOAD: Final = CellQuestion(
     "max_load_kg",
     "heaviest load that will hang on the flange [kg], or none",
     "data sheet of the arm; without it half of each torque limit is kept for the load",
     number_or_none(POSITIVE),
 )
-NAME: Final = Question("name", "name of the cell", "", text())
-SYNC_PERIOD: Final = Question(
+NAME: Final = CellQuestion("name", "name of the cell", "", text())
+SYNC_PERIOD: Final = CellQuestion(
     "sync_period_s",
     "time from SYNC to SYNC [s]",
     "0.01 suits six drives at 1 Mbit/s; `check` reckons the load of the bus",
     one_number(POSITIVE),
 )
-PACING: Final = Question("pacing", "real, or lockstep on the simulator", "", choice("real", "lockstep"))
-OFFLINE: Final = Question("offline", "true: no bus is looked at", "", flag())
-EDS: Final = Question(
+PACING: Final = CellQuestion("pacing", "real, or lockstep on the simulator", "", choice("real", "lockstep"))
+OFFLINE: Final = CellQuestion("offline", "true: no bus is looked at", "", flag())
+EDS: Final = CellQuestion(
     "eds", "EDS or DCF files, one per axis or one for all", "the maker of the drive delivers it", words()
 )
-POSES: Final = Question("poses", "the table [poses] of the cell", "", table())
+POSES: Final = CellQuestion("poses", "the table [poses] of the cell", "", table())
 
 #: Every key that an answer file may hold.
 ALL: Final = (

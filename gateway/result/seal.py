@@ -32,8 +32,8 @@ def checksum(plain: Mapping[str, Any]) -> str:
 
 
 def sealed(plain: Mapping[str, Any]) -> dict[str, Any]:
-    """The same values with their checksum."""
-    return {**plain, KEY: checksum(plain)}
+    """The same values with their checksum, which comes last."""
+    return {key: value for key, value in plain.items() if key != KEY} | {KEY: checksum(plain)}
 
 
 def refuse_edited(plain: Mapping[str, Any], where: str) -> None:

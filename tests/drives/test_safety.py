@@ -69,7 +69,7 @@ def test_a_drive_is_enabled_only_while_its_safety_chain_is_closed(bus, make_slav
     [
         ("good = 0x1\n", "good = 0x4\n", "does not look at"),
         ("mask = 0x3\n", "mask = 0x10003\n", "wider than the object"),
-        ("mask = 0x3\n", "mask = 0\n", "greater than 0"),
+        ("mask = 0x3\n", "mask = 0\n", "must be more than 0"),
         ('what = "STO"\n', "", "what"),
         ('what = "STO"\n', 'what = "STO"\nwhen = 1\n', "when"),
     ],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drives.draft.answers import Answers, address_of, read_answers, with_answers
+from drives.draft.answers import ProfileAnswers, address_of, read_answers, with_answers
 from drives.draft.device import Device, device_of_sheet
 from drives.draft.questions import QUESTIONS, next_question, open_questions
 from drives.draft.text import draft, profile_name
@@ -51,7 +51,7 @@ def device(tmp_path):
 
 
 def profile_of(device, **answers):
-    return parse_profile(draft(device, Answers.model_validate(answers), "mine"), "mine.toml")
+    return parse_profile(draft(device, ProfileAnswers.model_validate(answers), "mine"), "mine.toml")
 
 
 def test_a_draft_of_a_sheet_alone_reads_and_refuses_motion(device):
@@ -98,7 +98,7 @@ def test_one_answer_short_is_not_enough(device, left_out):
     profile = profile_of(device(), **answers)
     assert profile.torque.assumed
     assert profile.obstacles
-    assert left_out in {question.key for question in open_questions(device(), Answers.model_validate(answers))}
+    assert left_out in {question.key for question in open_questions(device(), ProfileAnswers.model_validate(answers))}
 
 
 def test_a_source_that_says_assumed_is_none(device):
@@ -180,16 +180,16 @@ def test_what_the_drive_says_goes_before_its_sheet(device):
 
 def test_a_sheet_without_torque_is_asked_for_one(device):
     text = GENERIC.replace("[6077]", "[5077]").replace("[6078]", "[5078]")
-    assert "torque_object" in {question.key for question in open_questions(device(text), Answers())}
+    assert "torque_object" in {question.key for question in open_questions(device(text), ProfileAnswers())}
     with pytest.raises(ProfileError, match="torque_object"):
-        draft(device(text), Answers(), "mine")
+        draft(device(text), ProfileAnswers(), "mine")
     answers = TORQUE | {"torque_object": "0x5077:00"}
     assert profile_of(device(text), **answers).torque.object.index == 0x5077
 
 
 def test_questions_follow_from_answers_and_end(device):
     asked: list[str] = []
-    answers = Answers()
+    answers = ProfileAnswers()
     given = {key: str(value) for key, value in CURRENT.items()}
     while (question := next_question(device(), answers, asked)) is not None:
         asked.append(question.key)
@@ -248,7 +248,7 @@ def test_small_things():
 
 
 def test_a_profile_beside_the_cell_is_found_with_and_without_its_suffix(tmp_path, device):
-    text = draft(device(), Answers(), "mine")
+    text = draft(device(), ProfileAnswers(), "mine")
     (tmp_path / "mine.toml").write_text(text)
     assert find_profile("mine", tmp_path).text == find_profile("mine.toml", tmp_path).text == text
     assert find_profile("maxon-epos4", tmp_path).name == "maxon-epos4"

@@ -11,7 +11,7 @@ import pytest
 from drives.values import Identity
 from gateway.errors import ConfigError
 from gateway.newcell import questions
-from gateway.newcell.answers import Answers, Given
+from gateway.newcell.answers import CellAnswers, GivenAnswer
 from gateway.newcell.interview import interview
 from gateway.newcell.nodes import Read, SeenNode
 from gateway.newcell.reading import nodes_in
@@ -58,7 +58,7 @@ class Bench:
 def asked(bench, **answers):
     """Draft of the arm of the examples with some answers."""
     given = {"robot": str(OWN / "arm.urdf"), "bus": "virtual:x", "gear_ratio": 100} | answers
-    said = Answers({key: Given(value, key, Path()) for key, value in given.items()}, "answers")
+    said = CellAnswers({key: GivenAnswer(value, key, Path()) for key, value in given.items()}, "answers")
     return interview(said, bench, "cell", lambda text: None)
 
 
@@ -147,7 +147,7 @@ def test_a_profile_that_its_data_sheet_contradicts_is_said(tmp_path):
 def test_a_gear_that_all_drives_reckon_with_is_offered():
     gears = STANDARD | {(0x6091, 1): 50, (0x6091, 2): 1}
     said = {"robot": str(OWN / "arm.urdf"), "bus": "virtual:x"}
-    answers = Answers({key: Given(value, key, Path()) for key, value in said.items()}, "answers")
+    answers = CellAnswers({key: GivenAnswer(value, key, Path()) for key, value in said.items()}, "answers")
     draft = interview(answers, Bench(six(gears)), "cell", lambda text: None)
     assert draft.answers.value(questions.GEAR_RATIO) == (50,) * 6
 
