@@ -95,6 +95,8 @@ class Expectation:
     noise_nm : tuple of floats, one per axis
         Standard deviation of a two-sided joint torque that was put in.
     noise_source : str
+    gain_std : tuple of floats, one per axis
+        Relative standard deviation of the torque constants that was put in.
     """
 
     mass_std_kg: float
@@ -102,6 +104,7 @@ class Expectation:
     reference_load_kg: float
     noise_nm: tuple[float, ...]
     noise_source: str
+    gain_std: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,10 +16,11 @@ from gateway.acquire.poses import (
     choose_poses,
     read_poses,
 )
+from gateway.analyse.given import constants_std, profile_of
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.errors import PlanRefused
 from gateway.model.arm_model import arm_named, arm_robot
-from gateway.model.information import expected_std, payload_information
+from gateway.model.information import expected_std, information_under_gains, payload_information
 from gateway.model.regressor import load_regressor
 from gateway.motion.places import angles
 from gateway.motion.workspace import BAND_SHARE, Workspace, workspace_of
@@ -75,7 +76,7 @@ def make_plan(loaded: LoadedCell, n_poses: int | None = None, seed: int | None =
         plan, unreachable = plan_poses(config.name, workspace, chosen, visit_settings(loaded, config), joined)
         if not unreachable:
             check_plan(plan, workspace)
-            return _expected(plan, workspace)
+            return _expected(plan, workspace, constants_std(config, profile_of((), loaded)))
         joined = _more_joined(joined, plan)
     raise PlanRefused(
         f"arm '{config.name}': no path that keeps the limits joins the chosen poses; narrow the joint limits to the "
@@ -98,7 +99,8 @@ def plan_of_poses(loaded: LoadedCell, config: ArmConfig, workspace: Workspace, p
     PlanRefused
         A pose is not feasible or out of reach, or the poses do not tell mass and centre of gravity apart.
     """
-    return _expected(plan_of_any(loaded, config, workspace, poses), workspace)
+    plan = plan_of_any(loaded, config, workspace, poses)
+    return _expected(plan, workspace, constants_std(config, profile_of((), loaded)))
 
 
 def plan_of_any(loaded: LoadedCell, config: ArmConfig, workspace: Workspace, poses: Sequence[RestPose]) -> Plan:
@@ -136,14 +138,18 @@ def visit_settings(loaded: LoadedCell, config: ArmConfig) -> VisitSettings:
     )
 
 
-def _expected(plan: Plan, workspace: Workspace) -> Plan:
+def _expected(plan: Plan, workspace: Workspace, gain_std: Sequence[float]) -> Plan:
     noise_nm = assumed_noise_nm(workspace)
     fit = [pose for pose in plan.poses if pose.purpose == "fit"]
-    return replace(plan, expectation=expectation(workspace, fit, noise_nm, ASSUMED))
+    return replace(plan, expectation=expectation(workspace, fit, noise_nm, ASSUMED, gain_std))
 
 
 def expectation(
-    workspace: Workspace, poses: Sequence[RestPose], noise_nm: np.ndarray, noise_source: str
+    workspace: Workspace,
+    poses: Sequence[RestPose],
+    noise_nm: np.ndarray,
+    noise_source: str,
+    gain_std: Sequence[float],
 ) -> Expectation:
     """Standard deviations that measuring a load against the bare arm at these poses promises (Cramer-Rao bound).
 
@@ -154,6 +160,9 @@ def expectation(
     noise_nm : array of shape (N,)
         Standard deviation of a two-sided joint torque.
     noise_source : str
+    gain_std : sequence of N floats
+        Relative standard deviation of the torque constants. What known links tell of them is left out: an arm whose
+        links are well known does better.
 
     Raises
     ------
@@ -161,8 +170,11 @@ def expectation(
         The poses do not tell mass and centre of gravity apart.
     """
     q_rad = np.array([pose.q_rad for pose in poses]).reshape(-1, workspace.robot.axes)
-    information = payload_information(workspace.robot, q_rad, noise_nm, workspace.gravity_m_s2).sum(axis=0)
+    # an axis by itself: the noise of the others is infinite
+    alone = [np.where(np.arange(len(noise_nm)) == axis, noise_nm, np.inf) for axis in range(len(noise_nm))]
+    each = [payload_information(workspace.robot, q_rad, one, workspace.gravity_m_s2).sum(axis=0) for one in alone]
     mass_kg, com_m = reference_load(workspace, q_rad)
+    information = information_under_gains(each, mass_kg * np.append(1.0, com_m), gain_std)
     mass_std_kg, com_std_m = expected_std(information, mass_kg, com_m)
     if not np.isfinite([mass_std_kg, *com_std_m]).all():
         raise PlanRefused(
@@ -175,6 +187,7 @@ def expectation(
         reference_load_kg=mass_kg,
         noise_nm=tuple(noise_nm.tolist()),
         noise_source=noise_source,
+        gain_std=tuple(gain_std),
     )
 
 

@@ -151,7 +151,12 @@ def _gain_std(
     """As asked for, else of the cell's constants, where the drive does not report torque by constants of its own."""
     if request.gain_std is not None:
         return (request.gain_std,) * axes
-    return None if arm is None else tuple(_constant_std(axis, profile) for axis in arm.axis)
+    return None if arm is None else constants_std(arm, profile)
+
+
+def constants_std(arm: ArmConfig, profile: Callable[[str], DriveProfile]) -> tuple[float, ...]:
+    """Relative standard deviations of the torque constants of an arm, or of what its drives use instead."""
+    return tuple(_constant_std(axis, profile) for axis in arm.axis)
 
 
 def _constant_std(axis: AxisConfig, profile: Callable[[str], DriveProfile]) -> float:

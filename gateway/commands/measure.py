@@ -86,6 +86,8 @@ def show_plan(chosen: Plan) -> None:
             f"mass {expected.mass_std_kg:.3g} kg, centre of gravity {x:.2g} {y:.2g} {z:.2g} mm"
         )
         session.show(axis_table(f"noise put in [Nm], {expected.noise_source}", {"std": expected.noise_nm}))
+        percent = [100.0 * std for std in expected.gain_std]
+        session.show(axis_table("torque constants put in [%], std_percent of the cell", {"std": percent}))
 
 
 def plan_as_json(chosen: Plan) -> dict[str, Any]:
@@ -104,6 +106,7 @@ def plan_as_json(chosen: Plan) -> dict[str, Any]:
             "reference_load_kg": expected.reference_load_kg,
             "noise_nm": list(expected.noise_nm),
             "noise_source": expected.noise_source,
+            "gain_std": list(expected.gain_std),
         },
     }
 

@@ -38,6 +38,32 @@ def payload_information(
     return np.matmul(rows.transpose(0, 2, 1), rows) / 2.0
 
 
+def information_under_gains(information: ArrayLike, load: ArrayLike, gain_std: ArrayLike) -> Floats:
+    """What is left of summed information when every axis's torque constant is known to a share only.
+
+    An axis whose constant is wrong by `g` is wrong by `g L load` at every pose alike: to the covariance of its rows
+    comes `s^2 (L load)(L load)'`, and by Sherman and Morrison `A` becomes
+    `A - s^2 (A load)(A load)' / (1 + s^2 load' A load)`.
+
+    Parameters
+    ----------
+    information : array of shape (N, 4, 4)
+        Of the rows of one axis each, over all poses.
+    load : array of shape (4,)
+        Mass [kg] and first moment [kg m].
+    gain_std : array of shape (N,)
+        Relative standard deviation of the torque constants.
+
+    Returns
+    -------
+    array of shape (4, 4)
+    """
+    each, load, variance = np.asarray(information), np.asarray(load), np.asarray(gain_std) ** 2
+    torque = each @ load
+    lost = variance / (1.0 + variance * (torque @ load))
+    return (each - lost[:, None, None] * torque[:, :, None] * torque[:, None, :]).sum(axis=0)
+
+
 def expected_std(information: ArrayLike, mass_kg: float, com_m: ArrayLike) -> tuple[float, Floats]:
     """Standard deviation of mass [kg] and centre of mass (3,) [m] that summed information (4, 4) promises.
 
