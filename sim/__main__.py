@@ -40,8 +40,12 @@ def serve(
     unbuffered: bool,
 ) -> None:
     """Serve the drives of CELL until Ctrl-C. On stdin: payload LABEL | none, grip open | closed, quit."""
-    from sim.serve import ServeOptions, SimulationBusError
-    from sim.serve import serve as run
+    try:
+        from sim.serve import ServeOptions, SimulationBusError
+        from sim.serve import serve as run
+    except ModuleNotFoundError as error:
+        print(f"servo-sim: {error.name} is not installed: pip install 'servo-gateway[sim]'", file=sys.stderr)
+        sys.exit(FILE_ERROR)
 
     if undeclared is not None and seed is not None:
         raise click.UsageError("--undeclared and --seed exclude each other.")

@@ -15,6 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 from drives.profile_file import list_profiles
+from sim.__main__ import main as sim_command
 from sim.build_errors import with_build_errors
 from sim.cellfile import CellFileError
 from sim.demo import comparison
@@ -32,6 +33,16 @@ def serve(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "sim", "serve", *words], capture_output=True, text=True, timeout=30, check=False
     )
+
+
+def test_without_the_physics_it_says_what_to_install(monkeypatch):
+    """An installation for use alone has no pybullet."""
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    for name in [name for name in sys.modules if name.startswith("sim.")]:
+        monkeypatch.delitem(sys.modules, name)
+    done = CliRunner().invoke(sim_command, ["serve", str(SMALL)])
+    assert done.exit_code == 3
+    assert "pybullet is not installed: pip install 'servo-gateway[sim]'" in done.stderr
 
 
 def test_a_process_of_its_own_answers_hangs_loads_and_writes_the_truth(tmp_path):
