@@ -12,7 +12,16 @@ import click
 
 from drives.files import replace_file
 from gateway.commands.console import findings_table, grid
-from gateway.commands.options import common, json_option, output_option, session_of, write_json
+from gateway.commands.measure import arm_option
+from gateway.commands.options import (
+    cell_argument,
+    common,
+    json_option,
+    output_option,
+    refuse_to_replace,
+    session_of,
+    write_json,
+)
 from gateway.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -37,6 +46,27 @@ def cell_schema() -> None:
     from gateway.cell.config import cell_schema as schema
 
     write_json("-", schema())
+
+
+@cell.command("view")
+@cell_argument
+@arm_option
+@output_option("-o", "--output", metavar="PAGE.html", help="Page to write; beside the cell if omitted.")
+@common
+def cell_view(cell: Path, arm_name: str | None, output: Path | None) -> None:
+    """Draw the arm at its named postures, the boxes around it, and say what is assumed. Needs no bus."""
+    from gateway.cell.config import load_cell
+    from gateway.commands.plan_view import space_in_words, view_of_cell
+    from gateway.model.arm_model import arm_named, arm_robot
+    from gateway.motion.workspace import workspace_of
+
+    loaded = load_cell(cell)
+    config = arm_named(loaded, arm_name)
+    workspace = workspace_of(config, arm_robot(loaded, config))
+    target, session = output or cell.with_suffix(".html"), session_of()
+    refuse_to_replace(target, "-o", session)
+    replace_file(target, view_of_cell(config, workspace))
+    session.show("\n  ".join([f"arm '{config.name}': {target}", *space_in_words(workspace)]))
 
 
 @cell.command("new")

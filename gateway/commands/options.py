@@ -57,9 +57,20 @@ def new_file(ctx: click.Context, param: click.Parameter, value: Path | None) -> 
     ------
     InputError
     """
-    if value is not None and value.is_file() and not session_of(ctx).replaces:
-        raise InputError(f"{value} exists and is not replaced: name another file for {param.opts[0]}, or give --force")
+    if value is not None:
+        refuse_to_replace(value, param.opts[0], session_of(ctx))
     return value
+
+
+def refuse_to_replace(path: Path, option: str, session: Session) -> None:
+    """A file that is there is not replaced unasked.
+
+    Raises
+    ------
+    InputError
+    """
+    if path.is_file() and not session.replaces:
+        raise InputError(f"{path} exists and is not replaced: name another file for {option}, or give --force")
 
 
 def writes(*options: Callable[[Function], Function]) -> Callable[[Function], Function]:

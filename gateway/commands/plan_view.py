@@ -1,4 +1,4 @@
-"""What a plan keeps apart, in words, and the page that draws it."""
+"""What is kept apart around an arm, in words, and the pages that draw a plan or a cell."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from gateway.acquire.plan import Plan
+    from gateway.cell.config import ArmConfig
     from gateway.motion.workspace import Workspace
 
 
@@ -44,3 +45,20 @@ def view_of_plan(plan: Plan, workspace: Workspace) -> str:
     corners = np.array([step.q_rad for step in plan.steps if isinstance(step, MoveTo | Approach)])
     way = flange_frames(workspace.robot, postures_at(corners, fine_places(corners)))[:, :3, 3]
     return plan_page(plan.arm, poses, way.tolist(), workspace.space.boxes_m.tolist(), space_in_words(workspace))
+
+
+def view_of_cell(config: ArmConfig, workspace: Workspace) -> str:
+    """HTML text of a page with the arm where the cell names a posture, and all joints at zero."""
+    from gateway.model.kinematics import flange_frames, link_frames
+    from gateway.report.plan import cell_page
+
+    named = {"all joints at 0": (0.0,) * workspace.robot.axes, "home": config.home_rad, "loading": config.loading_rad}
+    postures = []
+    for name, q_rad in named.items():
+        if q_rad is not None:
+            at = np.array([q_rad])
+            points = np.vstack(
+                [link_frames(workspace.robot, at)[0, :, :3, 3], flange_frames(workspace.robot, at)[:, :3, 3]]
+            )
+            postures.append((name, [(0.0, 0.0, 0.0), *points.tolist()]))
+    return cell_page(config.name, postures, workspace.space.boxes_m.tolist(), space_in_words(workspace))

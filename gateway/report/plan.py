@@ -1,7 +1,8 @@
-"""The page of a plan: poses, way of the flange and boxes in space, and what is kept apart."""
+"""Pages of what stands in space: poses and way of a plan, or the arm of a cell, among the boxes of its cell."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from markupsafe import Markup
@@ -12,6 +13,13 @@ from gateway.result.drawn import DrawnPose
 
 Vector = Sequence[float]
 WIDTH, MARGIN = 900.0, 14.0
+WAY = (
+    "The line is the way of the flange's middle over all poses, in the order of visiting; grey are the boxes of "
+    "keep_out; the cross at the base points along x, y and z."
+)
+ARM = (
+    "Lines are the arm from its base to the flange; grey are the boxes of keep_out; the cross points along x, y and z."
+)
 
 
 def plan_page(
@@ -34,7 +42,35 @@ def plan_page(
         What is kept apart and what is assumed, a line each.
     """
     head = Head(f"Plan: {title}", "Plan of the rest poses", (("arm", title), ("poses", str(len(poses)))))
-    return page("plan.html.j2", head, arms=space.pose_figures(poses, {}), way=_way(way_m, boxes_m), said=list(said))
+    return page(
+        "plan.html.j2",
+        head,
+        heading="Way of the flange",
+        lead=WAY,
+        scene=_scene([("", way_m)], boxes_m),
+        arms=space.pose_figures(poses, {}),
+        said=list(said),
+    )
+
+
+def cell_page(
+    title: str,
+    postures: Sequence[tuple[str, Sequence[Vector]]],
+    boxes_m: Sequence[Sequence[Vector]],
+    said: Sequence[str],
+) -> str:
+    """HTML text of the arm of a cell.
+
+    Parameters
+    ----------
+    title : str
+    postures : sequence of (name, points)
+        Places of the joints and the flange, base frame.
+    boxes_m, said
+        As of a plan.
+    """
+    head = Head(f"Cell: {title}", "The arm and what stands around it", (("arm", title),))
+    return page("plan.html.j2", head, heading="Postures", lead=ARM, scene=_scene(postures, boxes_m), arms=[], said=said)
 
 
 def edges(low: Vector, high: Vector) -> list[tuple[Vector, Vector]]:
@@ -43,23 +79,46 @@ def edges(low: Vector, high: Vector) -> list[tuple[Vector, Vector]]:
     return [(corners[a], corners[a | 1 << axis]) for a in range(8) for axis in range(3) if not a >> axis & 1]
 
 
-def _way(way_m: Sequence[Vector], boxes_m: Sequence[Sequence[Vector]]) -> Markup:
-    """Way and boxes; boxes are cut off a little beyond what the arm reaches."""
-    far = 1.15 * max(max(abs(value) for value in point) for point in way_m)
+def _round_length_m(far_m: float) -> float:
+    """The largest of 1, 2 and 5 times a power of ten that is at most a third of what is shown."""
+    power = 10.0 ** math.floor(math.log10(far_m / 3.0))
+    return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= far_m / 3.0)
+
+
+def _scene(lines_m: Sequence[tuple[str, Sequence[Vector]]], boxes_m: Sequence[Sequence[Vector]]) -> Markup:
+    """Named lines, boxes and a cross of known length; boxes are cut off a little beyond what the arm reaches."""
+    far = 1.15 * max(max(abs(value) for value in point) for _, points in lines_m for point in points)
     near = [[[min(max(value, -far), far) for value in corner] for corner in box] for box in boxes_m]
-    flat = [space.project(point) for point in way_m]
-    lines = [tuple(space.project(end) for end in edge) for low, high in near for edge in edges(low, high)]
-    every = [*flat, *(end for line in lines for end in line), space.project((0.0, 0.0, 0.0))]
+    rings = [tuple(space.project(end) for end in edge) for low, high in near for edge in edges(low, high)]
+    flat = [(name, [space.project(point) for point in points]) for name, points in lines_m]
+    length = _round_length_m(far)
+    origin = space.project((0.0, 0.0, 0.0))
+    tips = [space.project([length * (axis == other) for other in range(3)]) for axis in range(3)]
+    every = [origin, *tips, *(end for ring in rings for end in ring), *(at for _, points in flat for at in points)]
     xs, ys = [x for x, _ in every], [y for _, y in every]
     scale = (WIDTH - 2 * MARGIN) / (max(xs) - min(xs) or 1.0)
     height = scale * (max(ys) - min(ys)) + 2 * MARGIN
 
-    def at(point: tuple[float, float]) -> str:
-        return f"{MARGIN + scale * (point[0] - min(xs)):.1f},{height - MARGIN - scale * (point[1] - min(ys)):.1f}"
+    def place(point: tuple[float, float]) -> tuple[float, float]:
+        return MARGIN + scale * (point[0] - min(xs)), height - MARGIN - scale * (point[1] - min(ys))
 
-    parts = [f'<polyline class="ring" points="{at(first)} {at(last)}"/>' for first, last in lines]
-    parts.append(f'<polyline fill="none" stroke="#0a63c2" stroke-width="1.2" points="{" ".join(map(at, flat))}"/>')
-    x, y = at(space.project((0.0, 0.0, 0.0))).split(",")
-    parts.append(f'<circle class="joint" cx="{x}" cy="{y}" r="5"><title>base</title></circle>')
-    label = 'role="img" aria-label="Way of the flange and boxes"'
-    return Markup(f'<svg viewBox="0 0 {WIDTH:g} {height:.0f}" {label}>{"".join(parts)}</svg>')
+    def at(point: tuple[float, float]) -> str:
+        return "{:.1f},{:.1f}".format(*place(point))
+
+    def label(text: str, point: tuple[float, float]) -> Markup:
+        x, y = place(point)
+        return Markup('<text class="tick" x="{:.1f}" y="{:.1f}">{}</text>').format(x + 4, y - 4, text)
+
+    parts = [Markup('<polyline class="ring" points="{} {}"/>').format(at(first), at(last)) for first, last in rings]
+    for name, points in flat:
+        line = '<polyline fill="none" stroke="#0a63c2" stroke-width="1.2" points="{}"/>'
+        parts += [Markup(line).format(" ".join(map(at, points))), label(name, points[-1])]
+    for name, tip in zip("xyz", tips, strict=True):
+        parts.append(Markup('<polyline fill="none" stroke="#444c56" points="{} {}"/>').format(at(origin), at(tip)))
+        parts.append(label(f"{name} {length:g} m", tip))
+    x, y = place(origin)
+    parts.append(
+        Markup('<circle class="joint" cx="{:.1f}" cy="{:.1f}" r="5"><title>base</title></circle>').format(x, y)
+    )
+    told = 'role="img" aria-label="Lines in space among the boxes of the cell"'
+    return Markup(f'<svg viewBox="0 0 {WIDTH:g} {height:.0f}" {told}>{Markup("").join(parts)}</svg>')

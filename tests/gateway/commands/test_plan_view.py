@@ -1,11 +1,13 @@
 """plan --view: a page that opens offline; what is assumed around the arm is said in the terminal and on the page."""
 
+import shutil
 from pathlib import Path
 
+import pytest
 from click.testing import CliRunner
 
 from gateway.cli import main
-from gateway.report.plan import edges
+from gateway.report.plan import _round_length_m, edges
 
 EXAMPLE = Path("examples/small/cell.toml")
 
@@ -23,6 +25,25 @@ def test_a_plan_is_drawn_and_says_what_it_assumes(tmp_path):
         assert "floor: -0.02 m, arm.floor_m" in text
         assert "load: a ball of 0.132 m on the flange, assumed; give arm.load_size_m" in text
         assert "link 6 and link 4" in text
+
+
+def test_a_cell_is_drawn_where_its_file_names_a_posture(tmp_path):
+    folder = tmp_path / "small"
+    shutil.copytree(EXAMPLE.parent, folder)
+    told = CliRunner().invoke(main, ["cell", "view", str(folder / "cell.toml")])
+    assert told.exit_code == 0, told.output
+    page = (folder / "cell.html").read_text(encoding="utf-8")
+    for name in ("all joints at 0", "home", "loading", "z 0.2 m"):
+        assert f">{name}</text>" in page
+    assert "floor: -0.02 m, arm.floor_m" in page
+    assert "column: radius 0.12 m" in " ".join(told.output.split())
+    again = CliRunner().invoke(main, ["cell", "view", str(folder / "cell.toml")])
+    assert (again.exit_code, (folder / "cell.html").read_text(encoding="utf-8")) == (3, page)
+
+
+@pytest.mark.parametrize(("far_m", "length_m"), [(0.29, 0.05), (1.5, 0.5), (1.51, 0.5), (3.0, 1.0), (6.1, 2.0)])
+def test_the_cross_has_a_round_length_of_at_most_a_third(far_m, length_m):
+    assert _round_length_m(far_m) == pytest.approx(length_m)
 
 
 def test_a_box_has_twelve_edges_of_its_own_length():
