@@ -265,7 +265,7 @@ def pair_report(cell: Path, output: Path, store: Path | None) -> None:
         bound = Limited(FORCE, pair.config.force.limit_n, "as estimated from the motors' torques")
     else:
         bound = Limited(GAP, pair.gap.limit_m, "as the distance sensors measured it")
-    runs = [run for run in kept.runs() if bound.what.last(run)]
+    runs = [run for run in kept.runs() if bool(run.last_n) == (pair.gap is None)]
     if not runs:
         raise DataUnusable(f"{kept.folder}: holds no run; run-pair first")
     origin = Origin(in_words(datetime.now(UTC)), software(), files=files_of((cell, *kept.run_files())))
