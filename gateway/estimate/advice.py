@@ -22,6 +22,8 @@ _UNKNOWN_KG = 1e3
 def next_pose(load: LoadEstimate, robot: Robot, sigma_nm: Floats, options: EstimateOptions) -> NextMeasurement | None:
     """The rest pose that shrinks the uncertainty of a load most, bare and loaded (D-optimal over random postures).
 
+    What the torque constants leave open is the same at every pose: that share of the variance stays as it is.
+
     Parameters
     ----------
     load : LoadEstimate
@@ -36,7 +38,8 @@ def next_pose(load: LoadEstimate, robot: Robot, sigma_nm: Floats, options: Estim
     NextMeasurement or None
         None where nothing is known about the load, no axis tells anything, or there is no pose to choose.
     """
-    now = _with_unknown(load)
+    stays = load.budget.get(CONSTANTS, 0.0)
+    now = _with_unknown(load, 1.0 - stays)
     q = candidates(robot) if options.pose_choice is None else options.pose_choice
     if now is None or not np.isfinite(sigma_nm).any() or not len(q):
         return None
@@ -49,7 +52,7 @@ def next_pose(load: LoadEstimate, robot: Robot, sigma_nm: Floats, options: Estim
     return NextMeasurement(
         what=f"measure this pose bare and with load {load.label}, from both sides",
         poses_rad=(tuple(round(float(angle), 6) for angle in q[best]),),
-        reduction=float(np.exp(-value[best] / 8.0)),
+        reduction=float(np.sqrt(stays + (1.0 - stays) * np.exp(-value[best] / 4.0))),
     )
 
 
@@ -90,13 +93,13 @@ def candidates(robot: Robot) -> Floats:
     return np.random.default_rng(_SEED).uniform(low, high, size=(_CANDIDATES, robot.axes))
 
 
-def _with_unknown(load: LoadEstimate) -> Floats | None:
-    """Covariance (4, 4) of [m, h] with a wide prior on what the data left open."""
+def _with_unknown(load: LoadEstimate, share: float) -> Floats | None:
+    """This share of the covariance (4, 4) of [m, h], with a wide prior on what the data left open."""
     if load.refused is not None or not np.isfinite(load.covariance).all():
         return None
     wide = np.diag([_UNKNOWN_KG, *[0.3 * _UNKNOWN_KG] * 3]) ** 2
     open_ = np.array([name in load.unidentifiable for name in ("mass_kg", "com_x_m", "com_y_m", "com_z_m")])
-    return load.covariance + np.where(np.outer(open_, open_), wide, 0.0) + 1e-12 * np.eye(4)
+    return share * load.covariance + np.where(np.outer(open_, open_), wide, 0.0) + 1e-12 * np.eye(4)
 
 
 def wrist_in_words(robot: Robot) -> str:

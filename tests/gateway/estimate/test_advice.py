@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from gateway.estimate import EstimateOptions, advice
-from gateway.estimate.advice import cost_of_missing_axes
+from gateway.estimate.advice import cost_of_missing_axes, next_pose
+from gateway.identify.budget import CONSTANTS
 from gateway.model.regressor import load_regressor
 
 SIGMA = np.array([2.0, 3.0, 2.0, 1.0, 0.5, 0.4])
@@ -28,6 +31,30 @@ def test_cost_is_the_ratio_of_the_standard_deviations(arm, poses, missing):
     cost = cost_of_missing_axes(arm.robot, poses, sigma, EstimateOptions())
     assert cost == pytest.approx(mass_std(arm.robot, poses, sigma) / mass_std(arm.robot, poses, full), rel=1e-6)
     assert cost >= 1.0
+
+
+@pytest.mark.parametrize("constants", [0.0, 0.4, 0.9])
+def test_no_pose_takes_away_what_the_constants_leave_open(arm, constants):
+    """The share of the noise falls as if there were nothing else, that of the constants stays."""
+    load = SimpleNamespace(
+        label="tool",
+        refused=None,
+        covariance=np.diag([0.1, 0.01, 0.01, 0.02]) ** 2 / (1.0 - constants),
+        unidentifiable=(),
+        budget={CONSTANTS: constants, "noise": 1.0 - constants},
+    )
+    alone = next_pose(without_constants(load), arm.robot, SIGMA, EstimateOptions())
+    found = next_pose(load, arm.robot, SIGMA, EstimateOptions())
+    assert found.poses_rad == alone.poses_rad
+    assert found.reduction == pytest.approx(np.sqrt(constants + (1.0 - constants) * alone.reduction**2))
+    assert alone.reduction < 1.0
+
+
+def without_constants(load):
+    """The same load with the covariance that is not of the constants, and nothing else."""
+    share = 1.0 - load.budget[CONSTANTS]
+    rest = {"covariance": share * load.covariance, "budget": {}}
+    return SimpleNamespace(**vars(load) | rest)
 
 
 def test_cost_is_infinite_where_the_mass_is_open(arm, poses):

@@ -52,14 +52,15 @@ def test_what_lumps_with_the_load_is_named_and_nothing_else(arm):
 def test_what_a_load_leaves_open_may_be_as_large_as_a_load_nobody_knows():
     """Mass up to a load nobody knows, moments up to that 0.3 m away; what is known stays as it is."""
     known = SimpleNamespace(refused=None, covariance=np.diag([1.0, 2.0, 3.0, 4.0]), unidentifiable=())
-    assert advice._with_unknown(known) == pytest.approx(known.covariance, abs=1e-9)  # type: ignore[arg-type]
+    assert advice._with_unknown(known, 1.0) == pytest.approx(known.covariance, abs=1e-9)  # type: ignore[arg-type]
     half = SimpleNamespace(refused=None, covariance=known.covariance, unidentifiable=("com_y_m",))
     wide = (0.3 * advice._UNKNOWN_KG) ** 2
-    assert np.diag(advice._with_unknown(half)) == pytest.approx([1.0, 2.0, 3.0 + wide, 4.0])  # type: ignore[arg-type]
+    assert np.diag(advice._with_unknown(half, 1.0)) == pytest.approx([1.0, 2.0, 3.0 + wide, 4.0])  # type: ignore[arg-type]
     mass = SimpleNamespace(refused=None, covariance=known.covariance, unidentifiable=("mass_kg",))
-    assert advice._with_unknown(mass)[0, 0] == pytest.approx(1.0 + advice._UNKNOWN_KG**2)  # type: ignore[arg-type, index]
+    assert advice._with_unknown(mass, 1.0)[0, 0] == pytest.approx(1.0 + advice._UNKNOWN_KG**2)  # type: ignore[arg-type, index]
+    assert advice._with_unknown(mass, 0.25)[0, 0] == pytest.approx(0.25 + advice._UNKNOWN_KG**2)  # type: ignore[arg-type, index]
     refused = SimpleNamespace(refused="too few", covariance=known.covariance, unidentifiable=())
-    assert advice._with_unknown(refused) is None  # type: ignore[arg-type]
+    assert advice._with_unknown(refused, 1.0) is None  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("times", "said"), [(0.9, False), (1.1, True)])
