@@ -13,7 +13,15 @@ DEAF = '[[fault]]\nkind = "heartbeat_ignored"\nnode = {}\n'
 
 def check(gateway, place, drives, *more, cell=None, **options):
     done = gateway(
-        "check", cell or place.cell, "--bus", drives.bus, "--json", place.folder / "check.json", *more, **options
+        "check",
+        cell or place.cell,
+        "--bus",
+        drives.bus,
+        "--force",
+        "--json",
+        place.folder / "check.json",
+        *more,
+        **options,
     )
     path = place.folder / "check.json"
     body = json.loads(path.read_text()) if path.exists() else {"findings": []}
