@@ -54,7 +54,7 @@ def test_the_whole_job_and_what_follows_from_it(place, serve, commission, gatewa
 def test_a_load_that_was_forgotten_is_asked_for_and_never_green(place, serve, commission, gateway):
     code, result, _, output = commission(serve(), "--expect", "load=6.0,0.2", forgets=True)
     assert code == 7
-    assert "kg: was it hung?" in output.out
+    assert "kg: was it hung?" in output.err
     (load,) = result["loads"]
     assert abs(load["mass_kg"]) < 1.96 * load["mass_std_kg"]
     assert [row["outcome"] for row in result["acceptance"] if row["what"] == "mass"] == ["fail"]
