@@ -11,7 +11,7 @@ import numpy as np
 
 from gateway.acquire.plan import Plan
 from gateway.acquire.planning import plan_of_any
-from gateway.acquire.poses import PoseRequest, can_be_measured
+from gateway.acquire.poses import PoseRequest, can_be_measured, draw_postures
 from gateway.analyse.given import Given
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.data.recording.recorded import Recording
@@ -114,11 +114,9 @@ def postures_to_ask(about: Given) -> np.ndarray | None:
     workspace = workspace_of(about.arm, about.robot)
     request = PoseRequest(cell.poses.count, 0, cell.poses.approach_offset_rad, cell.poses.seed)
     random = np.random.default_rng(request.seed)
-    middle = (workspace.upper_rad + workspace.lower_rad) / 2
-    half = np.minimum((workspace.upper_rad - workspace.lower_rad) / 2, np.pi)
     found = np.empty((0, workspace.robot.axes))
     for _ in range(_DRAWS):
-        q_rad = middle + half * random.uniform(-1, 1, (_AT_ONCE, workspace.robot.axes))
+        q_rad = draw_postures(workspace, random, _AT_ONCE)
         found = np.vstack([found, q_rad[can_be_measured(workspace, request, q_rad)]])
         if len(found) >= CHOICE:
             break

@@ -20,7 +20,7 @@ from gateway.analyse.given import constants_std, profile_of
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.errors import PlanRefused
 from gateway.model.arm_model import arm_named, arm_robot
-from gateway.model.information import expected_std, information_under_gains, payload_information
+from gateway.model.information import axis_information, expected_std, information_under_gains
 from gateway.model.regressor import load_regressor
 from gateway.motion.places import angles
 from gateway.motion.workspace import BAND_SHARE, Workspace, workspace_of
@@ -76,7 +76,7 @@ def make_plan(loaded: LoadedCell, n_poses: int | None = None, seed: int | None =
         plan, unreachable = plan_poses(config.name, workspace, chosen, visit_settings(loaded, config), joined)
         if not unreachable:
             check_plan(plan, workspace)
-            return _expected(plan, workspace, constants_std(config, profile_of((), loaded)))
+            return _expected(plan, loaded, config, workspace)
         joined = _more_joined(joined, plan)
     raise PlanRefused(
         f"arm '{config.name}': no path that keeps the limits joins the chosen poses; narrow the joint limits to the "
@@ -99,8 +99,7 @@ def plan_of_poses(loaded: LoadedCell, config: ArmConfig, workspace: Workspace, p
     PlanRefused
         A pose is not feasible or out of reach, or the poses do not tell mass and centre of gravity apart.
     """
-    plan = plan_of_any(loaded, config, workspace, poses)
-    return _expected(plan, workspace, constants_std(config, profile_of((), loaded)))
+    return _expected(plan_of_any(loaded, config, workspace, poses), loaded, config, workspace)
 
 
 def plan_of_any(loaded: LoadedCell, config: ArmConfig, workspace: Workspace, poses: Sequence[RestPose]) -> Plan:
@@ -138,8 +137,9 @@ def visit_settings(loaded: LoadedCell, config: ArmConfig) -> VisitSettings:
     )
 
 
-def _expected(plan: Plan, workspace: Workspace, gain_std: Sequence[float]) -> Plan:
+def _expected(plan: Plan, loaded: LoadedCell, config: ArmConfig, workspace: Workspace) -> Plan:
     noise_nm = assumed_noise_nm(workspace)
+    gain_std = constants_std(config, profile_of((), loaded))
     fit = [pose for pose in plan.poses if pose.purpose == "fit"]
     return replace(plan, expectation=expectation(workspace, fit, noise_nm, ASSUMED, gain_std))
 
@@ -170,9 +170,7 @@ def expectation(
         The poses do not tell mass and centre of gravity apart.
     """
     q_rad = np.array([pose.q_rad for pose in poses]).reshape(-1, workspace.robot.axes)
-    # an axis by itself: the noise of the others is infinite
-    alone = [np.where(np.arange(len(noise_nm)) == axis, noise_nm, np.inf) for axis in range(len(noise_nm))]
-    each = [payload_information(workspace.robot, q_rad, one, workspace.gravity_m_s2).sum(axis=0) for one in alone]
+    each = axis_information(workspace.robot, q_rad, noise_nm, workspace.gravity_m_s2)
     mass_kg, com_m = reference_load(workspace, q_rad)
     information = information_under_gains(each, mass_kg * np.append(1.0, com_m), gain_std)
     mass_std_kg, com_std_m = expected_std(information, mass_kg, com_m)

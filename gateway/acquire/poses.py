@@ -95,6 +95,12 @@ def choose_poses(
     return tuple(poses)
 
 
+def draw_postures(workspace: Workspace, random: np.random.Generator, count: int) -> np.ndarray:
+    """Random postures (count, N) [rad] inside the joint limits, no joint more than half a turn off its middle."""
+    middle, half = (workspace.upper_rad + workspace.lower_rad) / 2, (workspace.upper_rad - workspace.lower_rad) / 2
+    return middle + np.minimum(half, np.pi) * random.uniform(-1, 1, (count, workspace.robot.axes))
+
+
 def feasible_postures(workspace: Workspace, request: PoseRequest, random: np.random.Generator) -> np.ndarray:
     """Random postures (n, N) whose approach from both sides is feasible; full turns of a joint are drawn once.
 
@@ -103,11 +109,9 @@ def feasible_postures(workspace: Workspace, request: PoseRequest, random: np.ran
     PlanRefused
         Fewer than four times the poses asked for.
     """
-    middle, half = (workspace.upper_rad + workspace.lower_rad) / 2, (workspace.upper_rad - workspace.lower_rad) / 2
-    half = np.minimum(half, np.pi)
     drawn, found, n_found = [], [], 0
     for _ in range(DRAWS):
-        q = middle + half * random.uniform(-1, 1, (CANDIDATES, workspace.robot.axes))
+        q = draw_postures(workspace, random, CANDIDATES)
         good = can_be_measured(workspace, request, q)
         drawn.append(q)
         found.append(q[good])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,19 +27,18 @@ def space_in_words(workspace: Workspace) -> list[str]:
 def view_of_plan(plan: Plan, workspace: Workspace) -> str:
     """HTML text of a page with poses, ways and boxes."""
     from gateway.acquire.plan import Approach, MoveTo
-    from gateway.model.kinematics import flange_frames, link_frames
+    from gateway.model.kinematics import flange_frames
     from gateway.motion.places import fine_places, postures_at
     from gateway.report.plan import plan_page
     from gateway.result.drawn import DrawnPose
 
-    q_rad = np.array([pose.q_rad for pose in plan.poses])
-    joints, flange = link_frames(workspace.robot, q_rad)[:, :, :3, 3], flange_frames(workspace.robot, q_rad)[:, :3, 3]
+    points = _points(workspace, [pose.q_rad for pose in plan.poses])
     poses = [
         DrawnPose(
             pose=pose.number,
             load="none",
             q_rad=pose.q_rad,
-            points_m=tuple((float(x), float(y), float(z)) for x, y, z in [*joints[row], flange[row]]),
+            points_m=tuple((float(x), float(y), float(z)) for x, y, z in points[row]),
         )
         for row, pose in enumerate(plan.poses)
     ]
@@ -49,16 +49,21 @@ def view_of_plan(plan: Plan, workspace: Workspace) -> str:
 
 def view_of_cell(config: ArmConfig, workspace: Workspace) -> str:
     """HTML text of a page with the arm where the cell names a posture, and all joints at zero."""
-    from gateway.model.kinematics import flange_frames, link_frames
     from gateway.report.plan import cell_page
 
     named = {"all joints at 0": (0.0,) * workspace.robot.axes, "home": config.home_rad, "loading": config.loading_rad}
-    postures = []
-    for name, q_rad in named.items():
-        if q_rad is not None:
-            at = np.array([q_rad])
-            points = np.vstack(
-                [link_frames(workspace.robot, at)[0, :, :3, 3], flange_frames(workspace.robot, at)[:, :3, 3]]
-            )
-            postures.append((name, [(0.0, 0.0, 0.0), *points.tolist()]))
+    known = {name: q_rad for name, q_rad in named.items() if q_rad is not None}
+    points = _points(workspace, list(known.values())).tolist()
+    postures = [(name, [(0.0, 0.0, 0.0), *at]) for name, at in zip(known, points, strict=True)]
     return cell_page(config.name, postures, workspace.space.boxes_m.tolist(), space_in_words(workspace))
+
+
+def _points(workspace: Workspace, postures: Sequence[Sequence[float]]) -> np.ndarray:
+    """Places of joints and flange (n, N + 1, 3) [m] at postures, base frame."""
+    from gateway.model.kinematics import flange_frames, link_frames
+
+    q_rad = np.array(postures)
+    return np.concatenate(
+        [link_frames(workspace.robot, q_rad)[:, :, :3, 3], flange_frames(workspace.robot, q_rad)[:, None, :3, 3]],
+        axis=1,
+    )

@@ -32,10 +32,26 @@ def payload_information(
     array of shape (n, 4, 4)
         1/kg^2, 1/(kg kg m), 1/(kg m)^2.
     """
+    rows = _weighted_rows(robot, q_rad, sigma_nm, gravity_m_s2)
+    return np.matmul(rows.transpose(0, 2, 1), rows) / 2.0
+
+
+def axis_information(
+    robot: Robot, q_rad: ArrayLike, sigma_nm: ArrayLike, gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2
+) -> Floats:
+    """Fisher information of all poses together, of the rows of each axis by itself: array of shape (N, 4, 4).
+
+    Parameters and units are those of `payload_information`.
+    """
+    rows = _weighted_rows(robot, q_rad, sigma_nm, gravity_m_s2)
+    return np.einsum("nij,nik->ijk", rows, rows) / 2.0
+
+
+def _weighted_rows(robot: Robot, q_rad: ArrayLike, sigma_nm: ArrayLike, gravity_m_s2: ArrayLike) -> Floats:
+    """Rows (n, N, 4) of the load over their standard deviation; zeros where an axis is not measured."""
     sigma = np.asarray(sigma_nm, dtype=float)
     inverse = np.where(np.isfinite(sigma), 1.0 / np.where(np.isfinite(sigma), sigma, 1.0), 0.0)
-    rows = load_regressor(robot, q_rad, gravity_m_s2) * inverse[:, None]
-    return np.matmul(rows.transpose(0, 2, 1), rows) / 2.0
+    return load_regressor(robot, q_rad, gravity_m_s2) * inverse[:, None]
 
 
 def information_under_gains(information: ArrayLike, load: ArrayLike, gain_std: ArrayLike) -> Floats:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Final, cast
 
 from drives.profile_file import list_profiles
+from drives.profile_parts import is_assumed
 from drives.toml_lines import key_lines
 from drives.toml_text import parse_toml, toml_string
 from drives.validation import not_toml
@@ -38,7 +39,7 @@ class Answer:
     @property
     def guessed(self) -> bool:
         """Nobody said so, and nothing was read."""
-        return self.source.startswith(ASSUMED)
+        return is_assumed(self.source)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +86,7 @@ class CellAnswers:
         Raises
         ------
         ConfigError
-            CellAnswers that have not the right form, or are missing; all of them at once.
+            Answers that have not the right form, or are missing; all of them at once.
         """
         problems: list[str] = []
         for question, offer in wanted:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drives.profile import DriveProfile
+from drives.profile_parts import is_assumed
 from gateway.identify.links import default_inertials
 from gateway.model.robot import Robot
 from gateway.newcell.answers import ASSUMED, Answer
@@ -105,7 +106,7 @@ def _drive_range_rad(axes: Axes, joint: int, sign: float, zero_rad: float) -> tu
     low, high = (None, None) if node is None else (node.read("position_limit_min"), node.read("position_limit_max"))
     if node is None or low is None or high is None or not low.value < high.value:
         return None
-    if low.source.startswith(ASSUMED) or _shifted(node):
+    if is_assumed(low.source) or _shifted(node):
         return None
     counts = counts_per_turn(profile, node)
     if counts is None:
