@@ -122,34 +122,24 @@ def remarks(plan: Plan, workspace: Workspace) -> tuple[str, ...]:
     return tuple(said)
 
 
-def go(
-    opened: OpenArm, target: Destination, listeners: Sequence[Listener] = (), options: MoveOptions | None = None
-) -> Plan:
+def go(opened: OpenArm, plan: Plan, listeners: Sequence[Listener] = (), options: MoveOptions | None = None) -> None:
     """Bring the arm from where it stands to a posture; it is in its brakes before and after.
 
     Parameters
     ----------
     opened : OpenArm
         Connected and configured, in its brakes; the stop on loss of the master is proven.
-    target : Destination
+    plan : Plan
+        Of `plan_way`, from where the arm stands.
     listeners : sequence of Listener
     options : MoveOptions, optional
 
-    Returns
-    -------
-    Plan
-        That was driven.
-
     Raises
     ------
-    PlanRefused
-        As `plan_way`; nothing was enabled.
     LimitExceeded, DriveError, KeyboardInterrupt
         The arm was stopped, and is in its brakes.
     """
-    plan = plan_way(opened, target)
     pacing = opened.group.timing.pacing
     run_way(
         VisitStation(opened.arm, opened.workspace, Shelf(), tuple(listeners), options or MoveOptions(), pacing), plan
     )
-    return plan

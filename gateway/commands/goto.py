@@ -86,9 +86,10 @@ def announce(session: Session, opened: OpenArm, target: Destination, options: Mo
 
 
 def go_with_progress(session: Session, opened: OpenArm, target: Destination, options: MoveOptions) -> None:
-    """Go there and show how far it is; raises as `gateway.acquire.goto.go`."""
+    """Go there and show how far it is; raises as `plan_way` and `go` of `gateway.acquire.goto`."""
     from gateway.acquire.goto import go, plan_way
     from gateway.commands.progress import ProgressListener
 
-    with session.progress(plan_way(opened, target).duration_s / options.override, "move") as bar:
-        go(opened, target, (ProgressListener(session, bar),), options)
+    plan = plan_way(opened, target)
+    with session.progress(plan.duration_s / options.override, "move") as bar:
+        go(opened, plan, (ProgressListener(session, bar),), options)

@@ -39,6 +39,13 @@ def post(cell):
     return with_box(cell, (0.45, -0.05, -0.5), (0.6, 0.05, 0.95))
 
 
+def went(arm, target, *more):
+    """Plan the way and go; the plan that was driven."""
+    plan = plan_way(arm, target)
+    go(arm, plan, *more)
+    return plan
+
+
 @pytest.fixture
 def config(small_cell):
     return small_cell.cell.arm[0]
@@ -135,7 +142,7 @@ def test_where_no_way_is_found_it_says_what_the_straight_one_meets(small_cell, o
 @pytest.mark.parametrize("pacing", ["lockstep", "real"])
 def test_the_arm_comes_from_outside_its_range_inwards_and_goes_on(opened, fake, workspace, pacing):
     stand(fake, (0.0, 0.2, 0.1, workspace.upper_rad[3] + 0.1, 0.3, 0.0))
-    plan = go(opened(pacing), to(TARGET))
+    plan = went(opened(pacing), to(TARGET))
     assert isinstance(plan.steps[0], MoveInwards)
     assert "joint 4 stands outside its range: it first moves inwards" in remarks(plan, workspace)[0]
     path = np.array(fake.path)
@@ -150,7 +157,7 @@ def test_an_arm_inside_a_box_is_not_moved_and_the_way_out_is_named(small_cell, o
     with pytest.raises(
         PlanRefused, match=r"in keep_out box 1.*move it clear by hand.*joint [1-6] by [+-].*no command moves it"
     ) as refused:
-        go(opened(room=room), to(LEFT))
+        went(opened(room=room), to(LEFT))
     assert not isinstance(refused.value, WrongPlace), "no command leads out of there"
     assert fake.log == []
     said = way_out(room, fake.q_rad)
@@ -169,7 +176,7 @@ def test_an_arm_inside_a_box_is_not_moved_and_the_way_out_is_named(small_cell, o
 @pytest.mark.parametrize("pacing", ["lockstep", "real"])
 def test_it_goes_there_at_its_share_of_the_speed_and_ends_in_the_brakes(opened, fake, workspace, pacing):
     told = []
-    go(opened(pacing), to(TARGET), (told.append,), MoveOptions(override=0.3))
+    went(opened(pacing), to(TARGET), (told.append,), MoveOptions(override=0.3))
     path = np.array(fake.path)
     assert path[-1] == pytest.approx(TARGET, abs=COUNTS_RAD)
     speed = np.abs(np.diff(path, axis=0)).max(axis=0) / PERIOD_S
@@ -183,7 +190,7 @@ def test_it_goes_there_at_its_share_of_the_speed_and_ends_in_the_brakes(opened, 
 def test_a_lost_drive_ends_it_as_everywhere_else(opened, fake, pacing):
     fake.fault_at = 60
     with pytest.raises(DriveFault):
-        go(opened(pacing), to(TARGET))
+        went(opened(pacing), to(TARGET))
     assert fake.log == ["enable", "quick stop", "disable"]
 
 
@@ -195,7 +202,7 @@ def test_a_person_stops_it_along_its_way(opened, fake, pacing):
         return StopRequest(StopKind.ALONG_PATH, StoppedByPerson("a person"))
 
     with pytest.raises(StoppedByPerson):
-        go(opened(pacing), to(TARGET), (), MoveOptions(StopDesk(asked)))
+        went(opened(pacing), to(TARGET), (), MoveOptions(StopDesk(asked)))
     assert fake.log == ["enable", "disable"]
     way = np.array(TARGET)
     share = fake.q_rad / way
@@ -207,7 +214,7 @@ def test_a_person_stops_it_along_its_way(opened, fake, pacing):
 def test_contact_on_the_way_stops_it(opened, fake, workspace):
     fake.contact_nm = {90: 1.2 * workspace.torque_nm[2]}
     with pytest.raises(LimitExceeded, match="joint 3 needs"):
-        go(opened(), to(TARGET))
+        went(opened(), to(TARGET))
     assert fake.log == ["enable", "quick stop", "disable"]
 
 
