@@ -32,6 +32,7 @@ FLOORS: Final = (
     ("analyse",),
     ("preflight",),
     ("motion",),
+    ("excite",),
     ("acquire",),
     ("check",),
     ("follow", "pair", "newcell"),

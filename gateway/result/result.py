@@ -53,7 +53,8 @@ class LoadResult:
 
     `com_m`, `com_std_m` [m] in `frame`, that of the last link; `correlation` of [mass, x, y, z]; `per_pose_mass_kg`
     keyed by the pose number; `budget` the share of the mass's variance by source, `constants`, `links`, `friction` and
-    `noise`, sum 1. A refused load keeps NaN everywhere and says why in `refused`.
+    `noise`, sum 1. `inertia_kg_m2` [Ixx, Iyy, Izz, Ixy, Ixz, Iyz] about the centre of gravity, axes of `frame`; null
+    and named in `unidentifiable` where nothing moved. A refused load keeps NaN everywhere and says why in `refused`.
     """
 
     label: str
@@ -67,6 +68,8 @@ class LoadResult:
     unidentifiable: tuple[str, ...] = ()
     per_pose_mass_kg: Mapping[str, Number] = field(default_factory=dict)
     budget: Mapping[str, Number] = field(default_factory=dict, metadata=SILENT)
+    inertia_kg_m2: Numbers | None = field(default=None, metadata=SILENT)
+    inertia_std_kg_m2: Numbers | None = field(default=None, metadata=SILENT)
     refused: str | None = field(default=None, metadata=SILENT)
 
 
@@ -233,6 +236,33 @@ class Bare:
 
 
 @dataclass(frozen=True, slots=True)
+class AxisMotion:
+    """What motion tells of one axis, at the gear output; NaN where it does not.
+
+    Friction is (coulomb_nm + load_friction |tau| + (breakaway_nm - coulomb_nm) exp(-(qd / stribeck_rad_s)^2)) sign(qd)
+    + viscous_nm_s_rad qd; `stribeck_rad_s` is NaN where no Stribeck curve shows, and that term is not there then.
+    `delay_s` is by how much the torque that is reported lags behind the position. `speed_rad_s` is the fastest that the
+    axis was driven at.
+    """
+
+    joint: int
+    coulomb_nm: Number = NAN
+    coulomb_std_nm: Number = NAN
+    viscous_nm_s_rad: Number = NAN
+    viscous_std_nm_s_rad: Number = NAN
+    breakaway_nm: Number = NAN
+    breakaway_std_nm: Number = NAN
+    stribeck_rad_s: Number = NAN
+    load_friction: Number = NAN
+    load_friction_std: Number = NAN
+    rotor_inertia_kg_m2: Number = NAN
+    rotor_inertia_std_kg_m2: Number = NAN
+    delay_s: Number = NAN
+    delay_std_s: Number = NAN
+    speed_rad_s: Number = NAN
+
+
+@dataclass(frozen=True, slots=True)
 class Result:
     """The whole result file. `loads` is the final answer and equals `after.loads`.
 
@@ -260,6 +290,7 @@ class Result:
     quality: Mapping[str, Any] = field(default_factory=dict)
     rows: Rows | None = field(default=None, metadata=SILENT)
     bare: Bare | None = field(default=None, metadata=SILENT)
+    motion: tuple[AxisMotion, ...] = field(default=(), metadata=SILENT)
     data: Drawn | None = field(default=None, metadata=SILENT)
     schema: int = SCHEMA
     sha256: str | None = field(default=None, metadata=SILENT)

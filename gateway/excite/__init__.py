@@ -1,0 +1,1 @@
+"""Motions that are driven to learn an arm and its load: periodic series of all joints, sweeps of one joint."""
