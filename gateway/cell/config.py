@@ -296,6 +296,11 @@ class ArmConfig(Strict):
         description="thickness of the load about the lines from the flange to load_points_m, 0 where these are its "
         "corners; as the last link if absent",
     )
+    load_acceleration_m_s2: Positive | None = Field(
+        default=None,
+        description="largest acceleration of the load's centre of gravity, without gravity, that its gripper holds it "
+        "at; absent: the arm's own limits alone",
+    )
     hold_to_run: HoldToRun | None = Field(
         default=None, description="digital input that has to be held for motion; no enabling device of a standard"
     )

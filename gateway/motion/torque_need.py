@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from itertools import product
 
 import numpy as np
@@ -45,14 +45,13 @@ def needed_torque_nm(workspace: Workspace, arm: ArmConfig, decel_rad_s2: Floats)
     array of shape (N,) or None
         None where the links, a rotor's inertia or the load that the arm may carry are not known.
     """
-    bodies = _bodies(workspace, arm)
+    loads = loads_that_may_hang(workspace, arm)
+    bodies = links_with_loads(workspace, arm, loads) if loads else None
     rotors = [axis.rotor_inertia_kg_m2 for axis in arm.axis]
     if bodies is None or None in rotors:
         return None
     rotor = np.array([0.0 if inertia is None else inertia.value for inertia in rotors])
-    friction = np.array(
-        [BAND_SHARE * axis.torque_limit_nm if axis.coulomb_nm is None else axis.coulomb_nm.value for axis in arm.axis]
-    )
+    friction = dry_friction_nm(arm)
 
     def gravity_nm(q_rad: Floats) -> Floats:
         still = np.zeros_like(q_rad)
@@ -72,10 +71,16 @@ def needed_torque_nm(workspace: Workspace, arm: ArmConfig, decel_rad_s2: Floats)
     return RESERVE * (sum(largest, friction) + rotor * decel_rad_s2)
 
 
-def _bodies(workspace: Workspace, arm: ArmConfig) -> Floats | None:
-    """Link parameters (10 N, loads) bare and with every load the cell names; None where links or load are not known."""
-    loads = list(_loads(workspace, arm))
-    if workspace.links is None or not loads:
+def dry_friction_nm(arm: ArmConfig) -> Floats:
+    """Coulomb friction (N,) [Nm] of the joints: the cell's, else a band as it is assumed before any was seen."""
+    return np.array(
+        [BAND_SHARE * axis.torque_limit_nm if axis.coulomb_nm is None else axis.coulomb_nm.value for axis in arm.axis]
+    )
+
+
+def links_with_loads(workspace: Workspace, arm: ArmConfig, loads: Sequence[FeedLoad]) -> Floats | None:
+    """Link parameters (10 N, 1 + loads) bare and with each load; None where the links are not known."""
+    if workspace.links is None:
         return None
     try:
         links = drawn_parameters(workspace.robot, arm)
@@ -88,13 +93,13 @@ def _bodies(workspace: Workspace, arm: ArmConfig) -> Floats | None:
     return np.column_stack(carried)
 
 
-def _loads(workspace: Workspace, arm: ArmConfig) -> Iterator[FeedLoad]:
+def loads_that_may_hang(workspace: Workspace, arm: ArmConfig) -> tuple[FeedLoad, ...]:
     """The rated and the heaviest load, as far as given: solid bodies with their centre of gravity in the last link."""
-    if arm.rated_load_kg is not None:
-        yield rated_load(arm, workspace.robot)
+    loads = [] if arm.rated_load_kg is None else [rated_load(arm, workspace.robot)]
     if workspace.max_load is not None:
         com_m = workspace.max_load[1:] / workspace.max_load[0]
-        yield assumed_load("heaviest", float(workspace.max_load[0]), com_m, "max_load_kg of the cell file")
+        loads.append(assumed_load("heaviest", float(workspace.max_load[0]), com_m, "max_load_kg of the cell file"))
+    return tuple(loads)
 
 
 def _largest(torque_nm: Callable[[Floats], Floats], lower_rad: Floats, upper_rad: Floats) -> Floats:
