@@ -1,7 +1,7 @@
 """What a motion promises to tell of a load: expected standard deviations, before anything has moved.
 
 Bare and loaded along the same motion: the difference of both removes links and friction, and has twice the variance.
-What stays beside the load's ten numbers has its prior: torque constants, and losses in proportion to the torque. TorqueNoise
+What stays beside the load's ten numbers has its prior: torque constants, and losses in proportion to the torque. Noise
 hangs together in time, so that so many rows make one independent one (Cramer-Rao bound; Swevers et al., 1997).
 """
 

@@ -128,7 +128,7 @@ class MovingLimits:
         )
 
     def _torque_nm(self, states: States, rigid: Floats | None) -> Floats:
-        """Largest motor torque (n, N) [Nm, at the joint], bare or with any of the loads; 0 where links are not known."""
+        """Largest motor torque (n, N) [Nm, at the joint], bare or with a load; 0 where links are not known."""
         if self.bodies is None:
             return np.zeros_like(states.q_rad)
         if rigid is None:

@@ -101,7 +101,7 @@ def _check_request(request: MovingRequest) -> None:
 
 
 def noise_of(loaded: LoadedCell, config: ArmConfig, workspace: Workspace) -> TorqueNoise:
-    """TorqueNoise that is assumed of an arm before any was measured, and how far its torque constants are trusted."""
+    """Noise that is assumed of an arm before any was measured, and how far its torque constants are trusted."""
     gain_std = np.maximum(constants_std(config, profile_of((), loaded)), 1e-9)
     return TorqueNoise(assumed_noise_nm(workspace), CORRELATION_S, NOISE_SOURCE, gain_std)
 
