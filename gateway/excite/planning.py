@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,8 +16,9 @@ from gateway.excite.design import INSTANTS, Members, fitted, random_members, row
 from gateway.excite.excitation import Excitation, MovingPlan
 from gateway.excite.expected import CORRELATION_S, LoadModel, TorqueNoise
 from gateway.excite.family import Family
-from gateway.excite.limits import HELD, PLANNED, MovingLimits, States, moving_limits
+from gateway.excite.limits import PLANNED, MovingLimits, States, moving_limits
 from gateway.excite.plan_file import read_moving_plan
+from gateway.feedforward.identified import AxisConstants, axis_constants, read_identified
 from gateway.feedforward.load import FeedLoad, assumed_load
 from gateway.model.arm_model import arm_named, arm_robot
 from gateway.motion.assumed import NOISE_SOURCE, assumed_noise_nm, reference_load
@@ -84,9 +86,11 @@ def make_moving_plan(loaded: LoadedCell, arm: str | None, request: MovingRequest
     """
     _check_request(request)
     config = arm_named(loaded, arm)
-    workspace = workspace_of(config, arm_robot(loaded, config))
-    plan = _series_plan(loaded, config, workspace, request)
-    check_moving_plan(plan, workspace, config)
+    robot = arm_robot(loaded, config)
+    workspace = workspace_of(config, robot)
+    known = axis_constants(config, read_identified(loaded, config, robot))
+    plan = _series_plan(loaded, config, workspace, known, request)
+    check_moving_plan(plan, workspace, config, known)
     return plan
 
 
@@ -106,9 +110,11 @@ def noise_of(loaded: LoadedCell, config: ArmConfig, workspace: Workspace) -> Tor
     return TorqueNoise(assumed_noise_nm(workspace), CORRELATION_S, NOISE_SOURCE, gain_std)
 
 
-def _series_plan(loaded: LoadedCell, config: ArmConfig, workspace: Workspace, request: MovingRequest) -> MovingPlan:
+def _series_plan(
+    loaded: LoadedCell, config: ArmConfig, workspace: Workspace, known: Sequence[AxisConstants], request: MovingRequest
+) -> MovingPlan:
     random = np.random.default_rng(request.seed)
-    limits = moving_limits(config, workspace.roomy(), PLANNED, request.load)
+    limits = moving_limits(config, workspace.roomy(), known, PLANNED, request.load)
     starts = start_postures(limits, _known_postures(config, workspace), random)
     load = request.load or assumed_load("reference", *reference_load(workspace, starts), "assumed")
     links = links_with_loads(workspace, config, ())
@@ -135,7 +141,9 @@ def _known_postures(config: ArmConfig, workspace: Workspace) -> list[Floats]:
     return [(workspace.lower_rad + workspace.upper_rad) / 2, *(np.array(each) for each in named if each is not None)]
 
 
-def check_moving_plan(plan: MovingPlan, workspace: Workspace, config: ArmConfig) -> None:
+def check_moving_plan(
+    plan: MovingPlan, workspace: Workspace, config: ArmConfig, known: Sequence[AxisConstants] = ()
+) -> None:
     """Refuse a plan that breaks a limit anywhere.
 
     Parameters
@@ -143,13 +151,16 @@ def check_moving_plan(plan: MovingPlan, workspace: Workspace, config: ArmConfig)
     plan : MovingPlan
     workspace : Workspace
     config : ArmConfig
-        Loads, rotors, friction, and what the load may be accelerated with.
+        Loads, and what they may be accelerated with; rotors and friction where nothing else is known of them.
+    known : sequence of AxisConstants, one per axis, optional
+        Rotors and friction; those of the cell file if left out.
 
     Raises
     ------
     PlanRefused
         Names excitation, limit and instant.
     """
+    limits = moving_limits(config, workspace, known or axis_constants(config, None))
     for excitation in plan.excitations:
         where = f"arm '{plan.arm}', motion '{excitation.name}'"
         start = np.asarray(excitation.start_rad)
@@ -159,7 +170,7 @@ def check_moving_plan(plan: MovingPlan, workspace: Workspace, config: ArmConfig)
         if reason is not None:
             raise PlanRefused(f"{where}: starts at {angles(start)}: {reason}")
         states = states_of(excitation, CHECKED_S)
-        _check_shares(moving_limits(config, workspace, HELD), states, where)
+        _check_shares(limits, states, where)
         reason = workspace.why_not_path(np.vstack([start, states.q_rad]))
         if reason is not None:
             raise PlanRefused(f"{where}: {reason}")
