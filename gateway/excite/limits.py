@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.cell.config import ArmConfig
+from gateway.excite.excitation import Excitation
 from gateway.feedforward.identified import AxisConstants
 from gateway.feedforward.load import FeedLoad
 from gateway.model.kinematics import joint_axes_origins, link_frames
@@ -52,6 +53,13 @@ class States:
     qd_rad_s: Floats
     qdd_rad_s2: Floats
     jerk_rad_s3: Floats
+
+
+def states_of(excitation: Excitation, step_s: float) -> States:
+    """One period as it is driven, a row every `step_s`; jerk from the accelerations."""
+    motion = excitation.motion(step_s)
+    before = np.vstack([np.zeros_like(motion.qdd_rad_s2[:1]), motion.qdd_rad_s2[:-1]])
+    return States(motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2, (motion.qdd_rad_s2 - before) / step_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

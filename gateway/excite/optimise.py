@@ -6,7 +6,6 @@ motion in the end. Slopes are differences, all of them worked out at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,37 +13,45 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from gateway.excite.design import Members, rows_of
+from gateway.excite.expected import Asked, promise
 from gateway.excite.family import Family
-from gateway.excite.limits import MovingLimits, States
+from gateway.excite.limits import MovingLimits
 from gateway.motion.clearance import CLOSE_M
 
 Floats = NDArray[np.float64]
-#: Mean logarithm (m,) of the standard deviations that several motions promise, from their states and full rows.
-Score = Callable[[States, Floats, int], Floats]
 
 #: What a share of a limit above 1, and a distance below `CLOSE_M` as a share of it, weigh, squared, at one instant.
 LIMIT_WEIGHT, TOUCH_WEIGHT = 100.0, 3.0
+#: Share of what rest poses may take of the torque that the start of a motion takes.
+START_SHARE = 0.97
+#: Turn of a joint over which the change of a distance is seen [rad].
+_TURN_RAD = 1e-4
 #: Step of a difference, in the scaled numbers.
 _STEP = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Aim:
-    """What is to be made small.
+    """What is to be made small: the mean logarithm of the standard deviations, and what limits and distances add.
 
     Attributes
     ----------
     family : Family
     limits : MovingLimits
-    score : Score
-    scale_rad : array of shape (N,)
-        Size of the free numbers of each joint.
+    asked : tuple of Asked
+    duration_s : float
+        Of all periods.
     """
 
     family: Family
     limits: MovingLimits
-    score: Score
-    scale_rad: Floats
+    asked: tuple[Asked, ...]
+    duration_s: float
+
+    @property
+    def scale_rad(self) -> Floats:
+        """Size (N,) of the numbers of each joint: how far it comes in a twentieth of a period."""
+        return self.limits.speed_rad_s * self.family.period_s / 20.0
 
     def numbers(self, member: Members) -> Floats:
         """Scaled numbers ((1 + F) N,) of the one member."""
@@ -63,11 +70,20 @@ class Aim:
         return float(values[0] + close), (values[1:] - values[0]) / _STEP + slope
 
     def values(self, members: Members) -> Floats:
-        """Score and limits (m,), without what may touch."""
+        """Promise and limits (m,), without what may touch."""
         states, rigid = rows_of(self.limits, self.family, members)
         over = np.maximum(self.limits.shares(states, rigid) - 1.0, 0.0)
-        beyond = (over**2).sum(axis=1).reshape(len(members), -1).sum(axis=1)
-        return self.score(states, rigid, len(members)) + LIMIT_WEIGHT * beyond
+        beyond = (over**2).sum(axis=1).reshape(len(members), -1).sum(axis=1) + self._heavy(members.start_rad)
+        return promise(self.asked, states, rigid, len(members), self.duration_s) + LIMIT_WEIGHT * beyond
+
+    def _heavy(self, start_rad: Floats) -> Floats:
+        """How far (m,) holding the start (m, N) takes more torque than rest may, squared."""
+        workspace = self.limits.workspace
+        torque = workspace.holding_torque(start_rad)
+        if torque is None:
+            return np.zeros(len(start_rad))
+        share = torque / (START_SHARE * workspace.rest_share * workspace.torque_nm)
+        return (np.maximum(share - 1.0, 0.0) ** 2).sum(axis=1)
 
     def _closeness(self, member: Members) -> tuple[float, Floats]:
         """What is too close along one motion, and its slope by the scaled numbers."""
@@ -89,10 +105,6 @@ class Aim:
         np.add.at(of_posture, posture, (-2.0 * TOUCH_WEIGHT / CLOSE_M) * short[:, None] * rate)
         slope = np.vstack([of_posture.sum(axis=0), self.family.shapes[0].T @ of_posture]) * self.scale_rad
         return TOUCH_WEIGHT * float(short @ short), slope.ravel()
-
-
-#: Turn of a joint over which the change of a distance is seen [rad].
-_TURN_RAD = 1e-4
 
 
 def improved(aim: Aim, member: Members, steps: int) -> tuple[Members, float]:
