@@ -16,11 +16,13 @@ from gateway.excite.design import Members, rows_of
 from gateway.excite.expected import Asked, promise
 from gateway.excite.family import Family
 from gateway.excite.limits import MovingLimits
-from gateway.motion.clearance import CLOSE_M
+from gateway.motion.clearance import CLOSE_M, ROOM_M
 
 Floats = NDArray[np.float64]
 
-#: What a share of a limit above 1, and a distance below `CLOSE_M` as a share of it, weigh, squared, at one instant.
+#: Distance from which something is felt [m]: where distances are those of the bodies, and none jumps.
+FELT_M = CLOSE_M - ROOM_M
+#: What a share of a limit above 1, and a distance below `FELT_M` as a share of it, weigh, squared, at one instant.
 LIMIT_WEIGHT, TOUCH_WEIGHT = 100.0, 3.0
 #: Share of what rest poses may take of the torque that the start of a motion takes.
 START_SHARE = 0.97
@@ -91,18 +93,19 @@ class Aim:
         q_rad = self.family.states(member.start_rad, member.free).q_rad
         count = len(space.pairs.kind)
         posture, pair = np.repeat(np.arange(len(q_rad)), count), np.tile(np.arange(count), len(q_rad))
-        gap = space.gaps_m(q_rad, posture, pair, np.full(len(pair), CLOSE_M))
-        near = np.flatnonzero(gap < CLOSE_M)
+        gap = space.gaps_m(q_rad, posture, pair, np.full(len(pair), FELT_M))
+        near = np.flatnonzero(gap < FELT_M)
         if not len(near):
             return 0.0, np.zeros((1 + self.family.free) * axes)
         posture, pair = posture[near], pair[near]
-        short = 1.0 - gap[near] / CLOSE_M
+        short = 1.0 - gap[near] / FELT_M
         moved = q_rad[posture][:, None] + _TURN_RAD * np.eye(axes)
         at = np.arange(len(near) * axes)
-        there = space.gaps_m(moved.reshape(-1, axes), at, np.repeat(pair, axes), np.full(len(at), 2.0 * CLOSE_M))
-        rate = (there.reshape(-1, axes) - gap[near, None]) / _TURN_RAD
+        there = space.gaps_m(moved.reshape(-1, axes), at, np.repeat(pair, axes), np.full(len(at), FELT_M))
+        lever = space.pairs.lever_m[pair]
+        rate = np.clip((there.reshape(-1, axes) - gap[near, None]) / _TURN_RAD, -lever, lever)
         of_posture = np.zeros_like(q_rad)
-        np.add.at(of_posture, posture, (-2.0 * TOUCH_WEIGHT / CLOSE_M) * short[:, None] * rate)
+        np.add.at(of_posture, posture, (-2.0 * TOUCH_WEIGHT / FELT_M) * short[:, None] * rate)
         slope = np.vstack([of_posture.sum(axis=0), self.family.shapes[0].T @ of_posture]) * self.scale_rad
         return TOUCH_WEIGHT * float(short @ short), slope.ravel()
 
