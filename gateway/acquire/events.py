@@ -74,6 +74,15 @@ class PoseDone:
 
 
 @dataclass(frozen=True, slots=True)
+class Narrowed:
+    """A load that is measured until it is known well enough was estimated anew; `text` says how far it is known."""
+
+    load: str
+    poses: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
 class Stopped:
     """The run ended before its plan did."""
 
@@ -87,5 +96,5 @@ class StateChanged:
     state: CellState
 
 
-Event = StateChanged | Started | Progress | SampleRepeated | VisitDone | PoseDone | Stopped
+Event = StateChanged | Started | Progress | SampleRepeated | VisitDone | PoseDone | Narrowed | Stopped
 Listener = Callable[[Event], None]
