@@ -65,7 +65,7 @@ def search_of(
     arm : ArmConfig
     request : UntilRequest
     apart_rad : array of shape (k, N)
-        Postures that are kept for judging.
+        Postures that are kept for judging; where there are any, the rows measured there are left out.
 
     Raises
     ------
@@ -84,7 +84,9 @@ def search_of(
     measured = stored is not None and any(visit.complete for visit in stored.visits)
     paths = [request.path] if measured else []
     about = given(ModelRequest(cell=request.cell, arm=arm.name, bare=request.bare, known=request.known), paths)
-    table = split_validation(read_rows(paths, about))[0] if measured else None
+    table = read_rows(paths, about) if measured else None
+    if table is not None and len(apart_rad):
+        table = split_validation(table)[0]
     options = estimate_options(about)
     _refuse_unknown_arm(request, table, options)
     poses = loaded.cell.poses
