@@ -199,11 +199,12 @@ def draw_load(label: str, payload_kg: float, rng: np.random.Generator) -> Payloa
 
 
 def rated_torque_nm(chain: SimChain, masses: Array, coms: Array, load: Payload, rng: np.random.Generator) -> Array:
-    """Rated torque per axis: the largest static torque over the joint space with the load, and margin."""
-    plant = nominal_plant(masses, coms, np.tile(np.eye(3), (6, 1, 1)), payload=load)
-    q = rng.uniform(chain.lower_rad, chain.upper_rad, (60, 6))
+    """Rated torque per axis (N,): the largest static torque over the joint space with the load, and margin."""
+    axes = len(masses)
+    plant = nominal_plant(masses, coms, np.tile(np.eye(3), (axes, 1, 1)), payload=load)
+    q = rng.uniform(chain.lower_rad, chain.upper_rad, (60, axes))
     largest = np.abs(statics(chain, plant, q)).max(axis=0)
-    largest[0] = largest[1]
+    largest[0] = largest[:2].max()
     return 1.3 * np.maximum(largest, 0.02 * largest.max())
 
 

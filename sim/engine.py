@@ -7,6 +7,7 @@ import sys
 import tempfile
 from collections.abc import Generator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 
@@ -26,6 +27,9 @@ def _quietly() -> Any:
 
 bullet = _quietly()
 
+#: Attempts at building the links of an arm, and how much further out their centres of gravity are in each.
+NUDGES, NUDGE = 12, 1e-11
+
 
 @contextmanager
 def unsaid_if_raised() -> Generator[None]:
@@ -40,3 +44,25 @@ def unsaid_if_raised() -> Generator[None]:
             os.close(kept)
         said.seek(0)
         os.write(1, said.read())
+
+
+def load_arm(text: str, client: int) -> int:
+    """Body of an arm of a URDF, bolted down, without any damping; inertias as the file has them."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "arm.urdf"
+        path.write_text(text, encoding="utf-8")
+        flags = bullet.URDF_USE_INERTIA_FROM_FILE
+        body = bullet.loadURDF(str(path), useFixedBase=True, flags=flags, physicsClientId=client)
+    for joint in range(-1, bullet.getNumJoints(body, physicsClientId=client)):
+        bullet.changeDynamics(body, joint, linearDamping=0, angularDamping=0, jointDamping=0, physicsClientId=client)
+    return body
+
+
+def usable(body: int, q_rad: list[float], client: int) -> bool:
+    """Whether the engine can do inverse dynamics with an arm; what it prints if not is dropped."""
+    try:
+        with unsaid_if_raised():
+            bullet.calculateMassMatrix(body, q_rad, physicsClientId=client)
+    except (bullet.error, SystemError):  # the one is raised from the other
+        return False
+    return True

@@ -7,16 +7,14 @@ between motor and gear output, and is exact at rest. The coupling is numerical: 
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.cellfile import ArmSpec
-from sim.engine import bullet, unsaid_if_raised
+from sim.engine import NUDGE, NUDGES, bullet, load_arm, usable
 from sim.friction import JointFriction
 from sim.motor import MotorAxis
 from sim.plant import Payload, Plant
@@ -29,8 +27,6 @@ Array = NDArray[np.float64]
 
 #: Milliseconds after which springs, drift and payload shift are looked at again.
 REFRESH_TICKS = 20
-#: Attempts at building the links, and how much further out their centres of gravity are in each.
-NUDGES, NUDGE = 12, 1e-11
 #: Displacement of the payload after which the links are built anew [m].
 SHIFT_M = 1e-4
 
@@ -79,18 +75,9 @@ class ArmWorld:
         """
         for attempt in range(NUDGES):
             self._build(1.0 + attempt * NUDGE)
-            if self._usable():
+            if usable(self._body, self._q, self._client):
                 return
         raise UrdfError("PyBullet refuses the inertias of the arm")
-
-    def _usable(self) -> bool:
-        """Whether the engine can do inverse dynamics with the links; what it prints if not is dropped."""
-        try:
-            with unsaid_if_raised():
-                bullet.calculateMassMatrix(self._body, self._q, physicsClientId=self._client)
-        except (bullet.error, SystemError):  # the one is raised from the other
-            return False
-        return True
 
     def _build(self, stretch: float) -> None:
         """Build the links, their centres of gravity stretched by a factor.
@@ -102,16 +89,8 @@ class ArmWorld:
         bullet.setTimeStep(TICK_S, physicsClientId=self._client)
         self._loaded = self._now.payload
         text = write_chain(physical_chain(self._chain, replace(self._now, link_com_m=self._now.link_com_m * stretch)))
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "arm.urdf"
-            path.write_text(text, encoding="utf-8")
-            flags = bullet.URDF_USE_INERTIA_FROM_FILE
-            self._body = bullet.loadURDF(str(path), useFixedBase=True, flags=flags, physicsClientId=self._client)
+        self._body = load_arm(text, self._client)
         joints = list(range(len(self._q)))
-        for joint in (-1, *joints):
-            bullet.changeDynamics(
-                self._body, joint, linearDamping=0, angularDamping=0, jointDamping=0, physicsClientId=self._client
-            )
         bullet.setJointMotorControlArray(
             self._body, joints, bullet.VELOCITY_CONTROL, forces=[0.0] * len(joints), physicsClientId=self._client
         )

@@ -22,7 +22,7 @@ CREEP_SHAPE = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Friction:
-    """What the gears of one arm lose; arrays (6,) unless something else is said.
+    """What the gears of one arm lose; arrays (N,) unless something else is said.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class Friction:
     driving, driven : residual efficiency where the motor drives, where it is driven back
     efficiency_std, split_std : standard deviations over arms of their mean, and of half their difference
     declared_efficiency : what the owner states; the true one is that times the residual
-    warm_share, warm_s : (2, 6) and (2,) excess of the cold band, and time constants
+    warm_share, warm_s : (2, N) and (2,) excess of the cold band, and time constants
     creep : mean way back over the presliding length
     tail_freedom, tail_share, side_correlation : scatter of the band from stop to stop, Student's
     gross_share : share of the visits that go wrong on one axis
@@ -59,66 +59,68 @@ class Friction:
 
     @property
     def left_std(self) -> Array:
-        """Standard deviation (6,) of the share of the kinetic level that a joint stands on."""
+        """Standard deviation (N,) of the share of the kinetic level that a joint stands on."""
         # of 2 exp(-s) - 1 for a gamma-distributed s of shape k and mean c
         first = (1.0 + self.creep / CREEP_SHAPE) ** -CREEP_SHAPE
         second = (1.0 + 2.0 * self.creep / CREEP_SHAPE) ** -CREEP_SHAPE
         return 2.0 * np.sqrt(second - first**2)
 
     def half_sum_std_nm(self, band_nm: Array, cold_nm: Array) -> Array:
-        """Standard deviation of half the sum of both sides, for bands and cold unloaded bands of any shape (..., 6)."""
+        """Standard deviation of half the sum of both sides, for bands and cold unloaded bands of any shape (..., N)."""
         scatter = self.tail_share * cold_nm * np.sqrt(1.0 + self.side_correlation)
         return np.hypot(self.left_std * band_nm, scatter) / np.sqrt(2.0)
 
     @property
     def mean_left(self) -> Array:
-        """Mean share (6,) of the kinetic level that a joint stands on."""
+        """Mean share (N,) of the kinetic level that a joint stands on."""
         return 2.0 * (1.0 + self.creep / CREEP_SHAPE) ** -CREEP_SHAPE - 1.0
 
     def band_nm(self, tau_nm: Array, time_s: Array) -> Array:
-        """Kinetic friction (n, 6) at transmitted torques (n, 6) and times (n,)."""
+        """Kinetic friction (n, N) at transmitted torques (n, N) and times (n,)."""
         load = self.load_loss * self.rated_nm * (np.abs(tau_nm) / self.rated_nm) ** self.load_power
         return self.coulomb_nm * self.cold(time_s) + load
 
     def cold(self, time_s: Array) -> Array:
-        """Factor (n, 6) on the unloaded band at times (n,)."""
+        """Factor (n, N) on the unloaded band at times (n,)."""
         fading = np.exp(-np.asarray(time_s)[:, None] / self.warm_s)
         return 1.0 + fading @ self.warm_share
 
     def motor_nm(self, behind_nm: Array, direction: Array) -> Array:
-        """Motor torque (n, 6), joint side, of the torque behind the gear after motion in `direction` (n,)."""
-        drives = behind_nm * direction[:, None] > 0
+        """Motor torque (n, N), joint side, of the torque behind the gear in motion in `direction` (n,) or (n, N)."""
+        drives = behind_nm * direction.reshape(len(behind_nm), -1) > 0
         forth, back = self.declared_efficiency * self.driving, self.declared_efficiency * self.driven
         return np.where(drives, behind_nm / forth, behind_nm * back)
 
     def stops(self, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Where joints stand after `count` visits: share left of the kinetic level and scatter, (count, 2, 6) each."""
-        way = rng.gamma(CREEP_SHAPE, self.creep / CREEP_SHAPE, (count, 2, 6))
+        """Where joints stand after `count` visits: share left of the kinetic level and scatter, (count, 2, N) each."""
+        axes = len(self.coulomb_nm)
+        way = rng.gamma(CREEP_SHAPE, self.creep / CREEP_SHAPE, (count, 2, axes))
         rho = self.side_correlation
-        normal = rng.standard_normal((count, 2, 6))
+        normal = rng.standard_normal((count, 2, axes))
         normal[:, 1] = rho * normal[:, 0] + np.sqrt(1.0 - rho**2) * normal[:, 1]
         # one chi-square for both sides of a visit: a rough stop is rough from both sides
-        chi = rng.chisquare(self.tail_freedom, (count, 1, 6)) / (self.tail_freedom - 2.0)
+        chi = rng.chisquare(self.tail_freedom, (count, 1, axes)) / (self.tail_freedom - 2.0)
         return 2.0 * np.exp(-way) - 1.0, self.tail_share * normal / np.sqrt(chi)
 
 
 def draw_friction(rated_nm: Array, levels: Harshness, rng: np.random.Generator) -> Friction:
-    """Friction of the gears of an arm of rated torques (6,)."""
-    efficiency = rng.uniform(*levels.efficiency, 6)
+    """Friction of the gears of an arm of rated torques (N,)."""
+    axes = len(rated_nm)
+    efficiency = rng.uniform(*levels.efficiency, axes)
     split_std = float(rng.uniform(*levels.efficiency_split))
-    split = split_std * rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), 6)
+    split = split_std * rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), axes)
     driving, driven = np.minimum(efficiency + split, 1.0), np.minimum(efficiency - split, 1.0)
-    size = rng.uniform(*levels.bias_share, 6)
+    size = rng.uniform(*levels.bias_share, axes)
     low, high = levels.bias_share
-    warm = rng.uniform(*levels.warm_share, 6) * np.array([[1.0], [0.0]])
-    fast = rng.uniform(0.2, 0.8, 6)
-    declared = np.ones(6) if rng.random() < 0.5 else np.round(rng.uniform(0.82, 0.96, 6), 3)
+    warm = rng.uniform(*levels.warm_share, axes) * np.array([[1.0], [0.0]])
+    fast = rng.uniform(0.2, 0.8, axes)
+    declared = np.ones(axes) if rng.random() < 0.5 else np.round(rng.uniform(0.82, 0.96, axes), 3)
     return Friction(
-        coulomb_nm=rated_nm * np.exp(rng.uniform(np.log(0.012), np.log(0.06), 6)),
-        bias_share=size * rng.choice([-1.0, 1.0], 6),
+        coulomb_nm=rated_nm * np.exp(rng.uniform(np.log(0.012), np.log(0.06), axes)),
+        bias_share=size * rng.choice([-1.0, 1.0], axes),
         bias_std=float(np.sqrt((low**2 + low * high + high**2) / 3.0)),
-        load_loss=rng.uniform(*levels.load_loss, 6),
-        load_power=rng.uniform(0.85, 1.15, 6),
+        load_loss=rng.uniform(*levels.load_loss, axes),
+        load_power=rng.uniform(0.85, 1.15, axes),
         rated_nm=rated_nm,
         driving=driving,
         driven=driven,
@@ -127,9 +129,9 @@ def draw_friction(rated_nm: Array, levels: Harshness, rng: np.random.Generator) 
         declared_efficiency=declared,
         warm_share=np.vstack([warm[0] * fast, warm[0] * (1.0 - fast)]),
         warm_s=np.array([rng.uniform(90.0, 400.0), rng.uniform(900.0, 3600.0)]),
-        creep=rng.uniform(0.04, 0.16, 6),
+        creep=rng.uniform(0.04, 0.16, axes),
         tail_freedom=float(rng.uniform(*levels.tail_freedom)),
-        tail_share=rng.uniform(*levels.tail_share, 6),
+        tail_share=rng.uniform(*levels.tail_share, axes),
         side_correlation=float(rng.uniform(*levels.side_correlation) * rng.choice([-1.0, 1.0])),
         gross_share=float(rng.uniform(*levels.gross_share)),
     )

@@ -1,0 +1,55 @@
+"""Loads, friction and rotors from motion: random arms offline, cells over the bus; every figure with its goal.
+
+python -m benchmarks.moving [--seeds dev|test] [--cells N] [--tiers known,stated,ratios] [--out out/moving] [--jobs N]
+
+Development seeds are 0 to 9999, test seeds 40000 and on; the test seeds are run once for the published table and never
+tuned on. Of each tier so many cells are run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+
+FIRST = {"dev": 0, "test": 40000}
+
+
+def main(argv: list[str]) -> int:
+    """Exit 1 when a goal is missed."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.moving", description=__doc__)
+    parser.add_argument("--seeds", choices=sorted(FIRST), default="dev")
+    parser.add_argument("--cells", type=int, default=1000, help="arms and loads of each tier")
+    parser.add_argument("--first", type=int, default=0, help="skip so many cells")
+    parser.add_argument("--tiers", default="known,stated,ratios", help="by what is known of the torque constants")
+    parser.add_argument("--out", type=Path, default=Path("out/moving"))
+    parser.add_argument("--jobs", type=int, default=2)
+    arguments = parser.parse_args(argv)
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    return _run(arguments)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from rich.console import Console
+
+    from benchmarks.blind.__main__ import run
+    from benchmarks.blind.shares import figure_table
+    from benchmarks.moving.cells import run_cell
+    from benchmarks.moving.figures import figures
+
+    first = FIRST[arguments.seeds] + arguments.first
+    tiers = arguments.tiers.split(",")
+    tasks = [(seed, tier) for seed in range(first, first + arguments.cells) for tier in tiers]
+    cells = run(run_cell, tasks, arguments.jobs, arguments.out / "cells.jsonl")
+    found = figures(cells)
+    Console(width=150).print(figure_table(found))
+    (arguments.out / "summary.json").write_text(json.dumps({"figures": found}, indent=1) + "\n", encoding="utf-8")
+    return 0 if all(entry["met"] is not False for entry in found.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,103 @@
+"""What a result says of an arm and its load, and what is there: errors, standard deviations, widths."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.result.result import AxisMotion, LoadResult, Result
+from sim.nature.moving_arm import MovingArm
+
+Floats = NDArray[np.float64]
+
+LOAD_NAMES = ("mass", "com x", "com y", "com z", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
+AXIS_NAMES = ("coulomb_nm", "viscous_nm_s_rad", "rotor_inertia_kg_m2", "load_friction", "delay_s")
+#: Places of the six numbers in an inertia tensor.
+_SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+
+
+def load_truth(arm: MovingArm) -> Floats:
+    """Mass, centre of gravity and inertia about it of the tool (10,), as `LOAD_NAMES`."""
+    tool = arm.tool
+    return np.array([tool.mass_kg, *tool.com_m, *(tool.inertia_kg_m2[place] for place in _SIX)])
+
+
+def axis_truth(arm: MovingArm, start_s: Mapping[str, float]) -> dict[str, Floats]:
+    """What motion ought to tell of every axis (N,), at the time of the runs."""
+    cold = arm.friction.cold(np.array(list(start_s.values()))).mean(axis=0)
+    return {
+        "coulomb_nm": arm.friction.coulomb_nm * cold,
+        "viscous_nm_s_rad": arm.viscous_nm_s_rad * cold,
+        "rotor_inertia_kg_m2": arm.rotor_inertia_kg_m2,
+        "load_friction": arm.friction.load_loss,
+        "delay_s": arm.delay_s,
+    }
+
+
+def tensor(six: Any) -> Floats:
+    """Inertia tensor (3, 3) of six numbers [Ixx, Iyy, Izz, Ixy, Ixz, Iyz]."""
+    out = np.zeros((3, 3))
+    for value, (row, column) in zip(six, _SIX, strict=True):
+        out[row, column] = out[column, row] = value
+    return out
+
+
+def possible(load: LoadResult) -> bool:
+    """Whether a rigid body can have the inertia that was reported; a load without one is no claim."""
+    if load.inertia_kg_m2 is None or not np.isfinite(load.inertia_kg_m2).all():
+        return True
+    moments = np.linalg.eigvalsh(tensor(load.inertia_kg_m2))
+    return bool(moments[0] > 0.0 and moments[0] + moments[1] >= moments[2] * (1.0 - 1e-9))
+
+
+def score(arm: MovingArm, result: Result | None, oracle: Mapping[str, Floats], start_s: Mapping[str, float]) -> dict:
+    """What is kept of one cell.
+
+    `load`: value, standard deviation (NaN = not given), truth and the oracle's standard deviation of `LOAD_NAMES`;
+    `axes`: the same of every axis by its quantity. `impossible`: loads with an inertia that no body has.
+    """
+    load = _load_said(result)
+    truth, axes = load_truth(arm), axis_truth(arm, start_s)
+    said = {} if result is None else {item.joint: item for item in result.motion}
+    count = len(arm.rated_nm)
+    return {
+        "load": {"value": load[0], "std": load[1], "truth": truth.tolist(), "oracle": oracle["load"].tolist()},
+        "largest_kg_m2": float(np.linalg.eigvalsh(arm.tool.inertia_kg_m2)[-1]),
+        "axes": {
+            name: {
+                "value": _axis_values(said, name, count),
+                "std": _axis_values(said, _std_name(name), count),
+                "truth": axes[name].tolist(),
+                "oracle": oracle[name].tolist(),
+            }
+            for name in AXIS_NAMES
+        },
+        "impossible": 0 if result is None else sum(not possible(item) for item in result.loads),
+    }
+
+
+def _std_name(name: str) -> str:
+    """Name of the standard deviation in the result."""
+    for unit in ("_nm_s_rad", "_kg_m2", "_nm", "_s"):
+        if name.endswith(unit):
+            return f"{name.removesuffix(unit)}_std{unit}"
+    return f"{name}_std"
+
+
+def _axis_values(said: Mapping[int, AxisMotion], name: str, axes: int) -> list[float]:
+    return [float(getattr(said[axis + 1], name)) if axis + 1 in said else float("nan") for axis in range(axes)]
+
+
+def _load_said(result: Result | None) -> tuple[list[float], list[float]]:
+    nothing = [float("nan")] * len(LOAD_NAMES)
+    loads = [] if result is None else [load for load in result.loads if load.refused is None]
+    if not loads:
+        return nothing, nothing
+    load = loads[0]
+    three, six = [float("nan")] * 3, [float("nan")] * 6
+    value = [load.mass_kg, *(load.com_m or three), *(load.inertia_kg_m2 or six)]
+    std = [load.mass_std_kg, *(load.com_std_m or three), *(load.inertia_std_kg_m2 or six)]
+    return [float(number) for number in value], [float(number) for number in std]

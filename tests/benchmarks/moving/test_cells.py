@@ -1,0 +1,148 @@
+"""Cells of moving loads: truth and oracle agree with each other, and figures say what the cells say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from benchmarks.moving.cells import draw_cell
+from benchmarks.moving.excitations import USED, random_series
+from benchmarks.moving.figures import figures
+from benchmarks.moving.oracle import about_centre, oracle_std
+from benchmarks.moving.scores import LOAD_NAMES, load_truth, possible, score, tensor
+from gateway.result.result import AxisMotion, LoadResult, Result
+from sim.inverse import InverseDynamics
+from sim.nature.levels import MILD
+from sim.nature.moving import PeriodicMotion
+from sim.nature.moving_arm import MovingArm, draw_moving_arm
+
+SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+
+
+@dataclass(frozen=True)
+class Few:
+    """A cell of few samples."""
+
+    arm: MovingArm
+    motion: PeriodicMotion
+    start_s: dict[str, float]
+    link_std: float = 0.03
+
+
+@pytest.fixture(scope="module")
+def few() -> Few:
+    rng = np.random.default_rng(8)
+    arm, _ = draw_moving_arm(MILD, rng)
+    series = random_series(arm, 8.0, 2, rng)
+    return Few(arm, PeriodicMotion(series.at, 8.0, 2, 20.0, 10), {"none": 3000.0, "tool": 3200.0})
+
+
+def test_a_drawn_series_keeps_every_limit_and_ends_at_rest():
+    rng = np.random.default_rng(4)
+    arm, _ = draw_moving_arm(MILD, rng)
+    series = random_series(arm, 10.0, 2, rng)
+    times = np.linspace(0.0, 10.0, 901)
+    q, qd, qdd, _ = series.at(times)
+    chain = arm.chain
+    assert (q >= chain.lower_rad).all()
+    assert (q <= chain.upper_rad).all()
+    assert (np.abs(qd) <= chain.velocity_rad_s).all()
+    with InverseDynamics(arm.carrying("tool"), arm.gravity_m_s2) as dynamics:
+        torque = dynamics.torque_nm(q, qd, qdd) + arm.rotor_inertia_kg_m2 * qdd
+    share = (np.abs(torque) / chain.effort_nm).max()
+    assert 0.3 < share < (1.0 + USED) / 2.0
+    for edge in (0, -1):
+        np.testing.assert_allclose(q[edge], series.start_rad, atol=1e-9)
+        np.testing.assert_allclose(qd[edge], 0.0, atol=1e-9)
+        np.testing.assert_allclose(qdd[edge], 0.0, atol=1e-9)
+
+
+def test_the_oracle_needs_four_times_the_periods_for_half_the_noise(few):
+    """With no scatter of friction, four times the periods are half the noise: the same standard deviation."""
+    even = replace(few.arm, friction=replace(few.arm.friction, tail_share=np.zeros(6)), resolution_nm=np.zeros(6))
+    once = oracle_std(replace(few, arm=replace(even, noise_nm=0.5 * even.noise_nm)))
+    often = oracle_std(replace(few, arm=even, motion=replace(few.motion, periods=8)))
+    np.testing.assert_allclose(once["load"], often["load"], rtol=1e-6)
+    noisy = oracle_std(replace(few, arm=even))
+    assert (noisy["load"] > once["load"]).all()
+
+
+def test_the_oracle_knows_a_mass_no_better_than_its_torque_constants(few):
+    exact = replace(few, arm=replace(few.arm, gain_std=np.zeros(6)), link_std=1.0)
+    rough = replace(exact, arm=replace(few.arm, gain_std=np.full(6, 0.05)))
+    mass = few.arm.tool.mass_kg
+    low, high = (float(oracle_std(cell)["load"][0]) / mass for cell in (exact, rough))
+    assert low < 0.02 < 0.05 / np.sqrt(6.0) < high < 0.05
+
+
+def test_the_inertia_about_the_centre_comes_back(few):
+    tool = few.arm.tool
+    mass, com = tool.mass_kg, tool.com_m
+    about = tool.inertia_kg_m2 + mass * (com @ com * np.eye(3) - np.outer(com, com))
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = about
+    parameters = np.array([mass, *(mass * com), xx, xy, yy, xz, yz, zz])
+    np.testing.assert_allclose(about_centre(parameters), load_truth(few.arm))
+
+
+def test_rows_of_a_cell_are_bare_and_loaded_periods():
+    cell = draw_cell(1, "stated", periods=2, rate_hz=20.0)
+    table = cell.table()
+    assert sorted(set(table.run)) == ["none-1", "none-2", "tool-1", "tool-2"]
+    assert table.moving.all()
+    assert len(set(table.extra["x_excitation"])) == 1
+    assert cell.options.gain_std == tuple(cell.arm.gain_std)
+    assert draw_cell(1, "known", periods=2).options.gain_std == (0.0,) * 6
+    assert draw_cell(1, "ratios", periods=2).options.gain_std is None
+
+
+def said(few: Few, off: float) -> dict:
+    """Score of a result that is `off` standard deviations of 1 % away in everything."""
+    tool, truth = few.arm.tool, load_truth(few.arm)
+    std = 0.01 * np.abs(truth)
+    value = truth + off * std
+    load = LoadResult(
+        "tool", float(value[0]), float(std[0]), tuple(value[1:4]), tuple(std[1:4]),
+        inertia_kg_m2=tuple(value[4:]), inertia_std_kg_m2=tuple(std[4:]),
+    )  # fmt: skip
+    axes = tuple(
+        AxisMotion(k + 1, coulomb_nm=float(true) * (1.0 + 0.01 * off), coulomb_std_nm=0.01 * float(true))
+        for k, true in enumerate(few.arm.friction.coulomb_nm * few.arm.friction.cold(np.array([3100.0]))[0])
+    )
+    result = Result("drawn", loads=(load,), motion=axes)
+    oracle = {"load": std} | {
+        name: np.ones(6)
+        for name in ("coulomb_nm", "viscous_nm_s_rad", "rotor_inertia_kg_m2", "load_friction", "delay_s")
+    }
+    assert tool.mass_kg == truth[0]
+    return {"seed": 0, "tier": "known", "refused": ""} | score(few.arm, result, oracle, few.start_s)
+
+
+def test_figures_say_how_far_off_the_results_are(few):
+    found = figures([said(few, 0.4)] * 3)
+    assert found["gain known: median error of the mass"]["value"] == pytest.approx(0.4)
+    assert found["gain known: median error of the mass"]["met"]
+    assert found["gain known: 95 % intervals that hold the truth, Iyz"]["value"] == 1.0
+    assert found["gain known: Coulomb friction: median error"]["value"] == pytest.approx(0.4, abs=0.05)
+    assert found["gain known: standard deviation over the oracle's, inertia"]["value"] == pytest.approx(1.0)
+    assert "gain known: viscous friction: median error" not in found
+    wrong = figures([said(few, 3.0)] * 3)
+    assert wrong["gain known: 95 % intervals that hold the truth, mass"]["value"] == 0.0
+    assert not wrong["gain known: median error of the mass"]["met"]
+    assert wrong["gain known: predicted over real standard deviation, mass"]["value"] == pytest.approx(0.6745 / 3.0)
+
+
+def test_an_inertia_that_no_body_has_is_counted(few):
+    good = LoadResult("tool", inertia_kg_m2=(1.0, 1.0, 1.5, 0.0, 0.0, 0.0))
+    assert possible(good)
+    assert not possible(replace(good, inertia_kg_m2=(1.0, 1.0, 2.5, 0.0, 0.0, 0.0)))
+    assert not possible(replace(good, inertia_kg_m2=(1.0, 1.0, 1.5, 1.2, 0.0, 0.0)))
+    assert possible(replace(good, inertia_kg_m2=None))
+    assert np.array_equal(tensor(range(6)), [[0, 3, 4], [3, 1, 5], [4, 5, 2]])
+    bad = replace(good, inertia_kg_m2=(1.0, 1.0, 2.5, 0.0, 0.0, 0.0))
+    oracle = {"load": np.ones(10)} | {name: np.ones(6) for name in said(few, 0.0)["axes"]}
+    cell = {"seed": 0, "tier": "known", "refused": ""}
+    assert score(few.arm, Result("r", loads=(bad,)), oracle, few.start_s)["impossible"] == 1
+    assert len(LOAD_NAMES) == 4 + len(SIX)
+    assert figures([cell | score(few.arm, None, oracle, few.start_s)])["impossible inertias reported"]["met"]
