@@ -40,6 +40,12 @@ FOLLOWED_AXES = 6
 @click.option("--path", "path_file", required=True, metavar="FILE", type=FILE, help="Path: joint waypoints or timed.")
 @click.option("--load", "load_file", metavar="RESULT.json", type=FILE, help="Identified load: a result of estimate.")
 @click.option("--label", metavar="LABEL", help="Which load of the result, if it holds several.")
+@click.option(
+    "--identified",
+    metavar="RESULT.json",
+    type=FILE,
+    help="Friction and rotor inertia, in place of the cell's `identified`; else of --load, where it holds them.",
+)
 @output_option("--report", "report_file", metavar="REPORT.html", help="Page with the settings side by side.")
 @trace_option
 @arm_option
@@ -53,6 +59,7 @@ def follow(
     path_file: Path,
     load_file: Path | None,
     label: str | None,
+    identified: Path | None,
     report_file: Path | None,
     trace: Path | None,
     arm_name: str | None,
@@ -72,6 +79,7 @@ def follow(
 
     from gateway.check.proofs import ensure_proven
     from gateway.commands.cell_context import open_cell
+    from gateway.feedforward.identified import with_identified
     from gateway.follow.comparison import result_of
     from gateway.follow.job import FollowRequest, drive, prepare
     from gateway.model.arm_model import arm_named
@@ -82,6 +90,8 @@ def follow(
 
     context = open_cell(cell, bus_spec, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
+    context = replace(context, loaded=with_identified(context.loaded, arm.name, identified))
+    arm = arm_named(context.loaded, arm.name)
     if len(arm.axis) != FOLLOWED_AXES:
         raise ConfigError(
             f"arm '{arm.name}' has {len(arm.axis)} axes: a path is followed by arms of {FOLLOWED_AXES} axes only"
@@ -103,7 +113,8 @@ def follow(
         for note in getattr(stopped, "__notes__", []):
             session.note(note)
         raise
-    files = files_of(file for file in (cell, path_file, load_file) if file is not None)
+    used = None if arm.identified is None else context.loaded.path(arm.identified)
+    files = files_of(file for file in (cell, path_file, load_file, used) if file is not None)
     origin = Origin(in_words(datetime.now(UTC)), software(), drives_of(identities), files, operator)
     result = replace(result_of(job), origin=origin)
     if json_out:
@@ -117,6 +128,9 @@ def follow(
 
 
 def _announce(prepared: Prepared, session: Session) -> None:
+    """Path and settings, and what is used otherwise than the cell says."""
+    from gateway.feedforward.identified import notes_of
+
     path = prepared.path
     names = ", ".join(setting.name for setting in prepared.settings)
     session.note(f"path {path.name}: {path.duration_s:.1f} s under each of the settings {names}")
@@ -124,6 +138,8 @@ def _announce(prepared: Prepared, session: Session) -> None:
         if setting.load is not None:
             com = " ".join(f"{1000 * value:.0f}" for value in setting.load.com_m)
             session.note(f"{setting.name}: {setting.load.mass_kg:.2f} kg at {com} mm in link_6 ({setting.load.source})")
+    for joints, note in notes_of([axis.notes for axis in prepared.model.sources]):
+        session.note(f"{joints}: {note}")
 
 
 def _show(result: FollowResult, session: Session) -> None:

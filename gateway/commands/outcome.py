@@ -12,6 +12,7 @@ from drives.files import replace_file
 from gateway.commands.console import Session, axis_names, axis_table, findings_table, grid, load_table, number
 from gateway.errors import FindingFailed
 from gateway.result.interval import SAID
+from gateway.result.names import INERTIA_WHOLE
 
 if TYPE_CHECKING:
     from gateway.result.result import Finding, LoadResult, NextMeasurement, Result
@@ -42,8 +43,9 @@ def show_result(result: Result, session: Session) -> None:
 def _show_load(load: LoadResult, session: Session) -> None:
     if load.refused:
         return
-    if load.unidentifiable:
-        session.show(f"load {load.label}: cannot be told from these data: {', '.join(load.unidentifiable)}")
+    open_ = [name for name in load.unidentifiable if name != INERTIA_WHOLE]  # at rest nobody expects it
+    if open_:
+        session.show(f"load {load.label}: cannot be told from these data: {', '.join(open_)}")
     if load.per_pose_mass_kg and session.verbosity > 0:
         rows = [[pose, number(mass, 3)] for pose, mass in load.per_pose_mass_kg.items()]
         session.show(grid(f"load {load.label}: mass by each pose alone [kg]", ["pose", "mass"], rows))

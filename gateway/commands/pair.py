@@ -73,7 +73,10 @@ def _proven(context: CellContext, link: PairLink, options: MoveOptions) -> MoveO
     return options
 
 
-def _ask(pair: PairCell, what: str, moving: MoveChoice) -> None:
+def _ask(pair: PairCell, what: str, moving: MoveChoice, session: Session) -> None:
+    for arm in pair.arms:
+        for line in arm.said:
+            session.note(f"arm '{arm.config.name}', {line}")
     first, second = (arm.config.name for arm in pair.arms)
     held = "with the part gripped" if pair.gap is None else f"with '{second}' clear of the part"
     moving.ask(
@@ -103,7 +106,7 @@ def teach(
     pair, kept = _open(cell, bus_spec, store, moving.pacing)
     lesson = open_lesson(pair, kept, resume)
     session = session_of()
-    _ask(pair, f"move slowly along the path, to {pair.config.knots - len(lesson.points)} points", moving)
+    _ask(pair, f"move slowly along the path, to {pair.config.knots - len(lesson.points)} points", moving, session)
     context = _context(cell, pair, bus_spec, moving.pacing)
     with context.way_on(), stoppable(moving) as options, open_link(pair, _ledgers(context, pair)) as link:
         options = _proven(context, link, options)
@@ -164,7 +167,7 @@ def run_pair(
     _, origin = first_function(pair, kept, row, at)
     session = session_of()
     session.note(f"{row.name}, {row.text}; function: {origin}; learning {'off' if kept.frozen else 'on'}", level=1)
-    _ask(pair, f"run {cycles} cycles at speed {at:g}", moving)
+    _ask(pair, f"run {cycles} cycles at speed {at:g}", moving, session)
     context = _context(cell, pair, bus_spec, moving.pacing)
     with context.way_on(), stoppable(moving) as options, open_link(pair, _ledgers(context, pair)) as link:
         options = _proven(context, link, options)

@@ -42,6 +42,12 @@ def hull_radius_m(robot: Robot, given_m: float | None) -> float:
 def physical_findings(load: LoadEstimate, frame: str, radius_m: float) -> list[Finding]:
     """What is physically doubtful about a load given in the frame of that name; nothing is clamped."""
     where, out = f"load {load.label}", []
+    if load.inertia is not None and not load.inertia.free:
+        out.append(
+            Finding("info", where,
+                    "the free fit gives an inertia that no body has; given is the nearest body within the uncertainty",
+                    "turn the wrist faster, about more than one axis, where the inertia matters")
+        )  # fmt: skip
     if holds_zero(load.mass_kg, load.mass_std_kg):
         return out  # nothing has no centre
     distance = float(np.linalg.norm(load.com_m))

@@ -21,10 +21,12 @@ from gateway.estimate.moving_columns import Columns, MovingSetup, fast_rows, mov
 from gateway.estimate.moving_ordinary import Settled, settle
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, budget_by_priors
+from gateway.identify.inertia import LoadInertia, load_inertia, nearest_body
 from gateway.identify.load_estimate import LoadEstimate, load_from_moment, without_guesses
 from gateway.identify.solve import Solution, determined, solve
 from gateway.identify.spread import by_blocks, wider
 from gateway.model.robot import Robot, reach_m
+from gateway.result.interval import holds_zero
 from gateway.result.result import Finding, NuisanceResult
 
 Floats = NDArray[np.float64]
@@ -207,7 +209,10 @@ def _load(
     directions[:, part] = np.eye(4)
     found = determined(solution, directions)
     found[1:] &= found[0]
-    load = load_from_moment(label, solution.value[part], covariance[part, part], np.ones(4), found)
+    moment, inertia = solution.value[part], None
+    if columns.inertia and found[0]:
+        moment, inertia = _body(solution.value[first : first + 10], covariance[first : first + 10, first : first + 10])
+    load = load_from_moment(label, moment, covariance[part, part], np.ones(4), found)
     sources = {
         CONSTANTS: columns.ordinary.get("gain", np.zeros(0, dtype=int)),
         LINKS: columns.links,
@@ -215,7 +220,15 @@ def _load(
     }
     lead, precision = settled.free.covariance[first], columns.prior.std**-2.0
     budget = budget_by_priors(lead, precision, sources, float(covariance[first, first])) if found[0] else {}
-    return replace(without_guesses(load, longest_m), budget=budget)
+    return replace(without_guesses(load, longest_m), budget=budget, inertia=inertia)
+
+
+def _body(ten: Floats, covariance: Floats) -> tuple[Floats, LoadInertia | None]:
+    """[m, h] (4,) and inertia of a load from its ten parameters; what weighs nothing has none."""
+    if not ten[0] > 0 or holds_zero(float(ten[0]), float(np.sqrt(covariance[0, 0]))):
+        return ten[:4], None
+    body = nearest_body(ten, covariance)
+    return body.ten[:4], load_inertia(body, covariance)
 
 
 def _coulomb(columns: Columns, solution: Solution, axes: int) -> Floats:

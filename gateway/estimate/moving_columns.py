@@ -91,6 +91,11 @@ class Columns:
     sign: Floats
 
     @property
+    def inertia(self) -> bool:
+        """Whether loads have all ten columns, not mass and first moment alone."""
+        return any(name.startswith(INERTIA_NAMES[0]) for name in self.names)
+
+    @property
     def links(self) -> Ints:
         """Columns of the links."""
         return np.arange(min(self.loads.values(), default=self.bodies))

@@ -1,6 +1,7 @@
 """From the motion of an instant to what each drive is given beside its position: motor side, plain floats.
 
-    f = A^-T tau(q, q', q'') + coulomb s + viscous theta'       torque at the gear outputs
+    t = A^-T tau(q, q', q'')                                    torque at the gear outputs
+    f = t + (coulomb + load |t| + onset exp(-(theta'/v)^2)) s + viscous theta'
     u = f / eta where the motor drives, f eta where it is driven back (in between as s passes zero) + J theta''
     torque offset = st u / N,   velocity offset = (1 - share) sp N theta'
 
@@ -47,6 +48,10 @@ class AxisTerms:
         Part of the commanded velocity that the drive feeds forward itself.
     limit_nm : float
         Largest torque offset, motor side.
+    load_friction : float
+        Part of the torque at the gear output that is lost beside the efficiency.
+    onset_nm, stribeck_rad_s : float
+        By how much friction at the onset of motion exceeds Coulomb friction, and the speed over which that falls off.
     """
 
     ratio: float
@@ -58,6 +63,9 @@ class AxisTerms:
     viscous_nm_s_rad: float
     velocity_share: float
     limit_nm: float
+    load_friction: float = 0.0
+    onset_nm: float = 0.0
+    stribeck_rad_s: float = 1.0
 
 
 class FeedforwardLaw:
@@ -88,6 +96,9 @@ class FeedforwardLaw:
                 1.0 - axis.efficiency,
                 axis.rotor_kg_m2,
                 axis.torque_sign / axis.ratio,
+                axis.load_friction,
+                axis.onset_nm,
+                1.0 / axis.stribeck_rad_s,
             )
             for axis in axes
         )
@@ -130,8 +141,11 @@ class FeedforwardLaw:
             rates, gains = (self._coupling @ qd).tolist(), (self._coupling @ qdd).tolist()
         out = []
         for force, rate, gain, side, axis in zip(torque, rates, gains, sense, self._axes, strict=True):
-            coulomb, viscous, more, less, rotor, to_motor = axis
-            force += coulomb * side + viscous * rate
+            coulomb, viscous, more, less, rotor, to_motor, load, onset, slow = axis
+            if onset:
+                share = slow * rate
+                coulomb += onset * math.exp(-share * share)
+            force += (coulomb + load * abs(force)) * side + viscous * rate
             driving = side if force > 0.0 else -side
             force += force * driving * (more if driving > 0.0 else less)
             out.append((force + rotor * gain) * to_motor)

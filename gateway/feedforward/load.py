@@ -1,12 +1,14 @@
 """The load that the feedforward reckons with: identified, or the most the arm may carry.
 
-Rest poses reveal mass and centre of gravity, not the load's own inertia (JP3698770B2 neglects it). It is estimated as
-that of a solid cube of `CUBE_DENSITY_KG_M3` and said to be assumed, unless the result brings one.
+Rest poses reveal mass and centre of gravity, not the load's own inertia (JP3698770B2 neglects it): motion does. Where
+the result brings none, or not all of it, it is taken as that of a solid cube of `CUBE_DENSITY_KG_M3` and said so.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,8 @@ Floats = NDArray[np.float64]
 #: Between a hollow aluminium gripper and solid steel, assumed.
 CUBE_DENSITY_KG_M3 = 3000.0
 FRAME = "link_6"
+#: What rounding in a file may take from the triangle inequality of principal inertias.
+ROUNDED = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +112,34 @@ def identified_load(result: Result, label: str | None, where: str) -> FeedLoad:
         )
     source = f"{where}, load {chosen.label}"
     load = assumed_load(chosen.label, chosen.mass_kg, com, source)
-    return replace(load, mass_std_kg=chosen.mass_std_kg)
+    return replace(
+        _with_own_inertia(load, chosen, sourced("identified", result, where)), mass_std_kg=chosen.mass_std_kg
+    )
+
+
+def _with_own_inertia(load: FeedLoad, chosen: LoadResult, source: str) -> FeedLoad:
+    """The load with the inertia that was identified, where all of it was and a body can have it."""
+    if chosen.inertia_kg_m2 is None:
+        return load
+    if not np.isfinite(chosen.inertia_kg_m2).all():
+        return replace(load, inertia_source=f"{load.inertia_source}, since motion told only a part of it")
+    inertia = inertia_matrix(chosen.inertia_kg_m2)
+    principal = np.linalg.eigvalsh(inertia)
+    if not (principal[0] >= 0.0 and principal[0] + principal[1] >= (1.0 - ROUNDED) * principal[2]):
+        return replace(load, inertia_source=f"{load.inertia_source}, since no body has the one in {source}")
+    return replace(load, inertia_kg_m2=inertia, inertia_source=source)
+
+
+def inertia_matrix(values: Sequence[float]) -> Floats:
+    """Inertia (3, 3) of [Ixx, Iyy, Izz, Ixy, Ixz, Iyz], the order of a result."""
+    xx, yy, zz, xy, xz, yz = values
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def sourced(what: str, result: Result, where: str) -> str:
+    """`identified, result.json of 2026-11-22 20:31 UTC`."""
+    created = None if result.data is None else result.data.created
+    return f"{what}, {Path(where).name}" + (f" of {created}" if created else "")
 
 
 def _chosen(result: Result, label: str | None, where: str) -> LoadResult:

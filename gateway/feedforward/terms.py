@@ -10,6 +10,7 @@ import numpy as np
 from drives.profile import DriveProfile
 from gateway.cell.config import ArmConfig, AxisConfig
 from gateway.errors import ConfigError
+from gateway.feedforward.identified import AxisConstants, Identified, Known, axis_constants
 from gateway.feedforward.law import AxisTerms
 from gateway.result.follow import AxisSources
 from gateway.result.result import Result
@@ -20,21 +21,24 @@ LEFT_OUT = "not included: not given"
 
 
 def axis_terms(
-    arm: ArmConfig, profiles: Sequence[DriveProfile], result: Result | None
+    arm: ArmConfig, profiles: Sequence[DriveProfile], result: Result | None, identified: Identified | None = None
 ) -> tuple[tuple[AxisTerms, ...], tuple[AxisSources, ...]]:
-    """Terms of every axis from cell, profiles and, for friction the cell does not give, the rest poses' band.
+    """Terms of every axis: what was identified in motion, else the cell's, else for friction the rest poses' band.
 
     Parameters
     ----------
     arm : ArmConfig
     profiles : sequence of DriveProfile, one per axis
     result : Result or None
-        Its friction band stands for Coulomb friction.
+        Its friction band stands for Coulomb friction that was neither identified nor typed.
+    identified : Identified, optional
 
     Raises
     ------
     ConfigError
         A profile without the objects; every such axis is named.
+    InputError
+        What was identified contradicts what was typed.
     """
     without = [
         f"axis {number} (node {axis.node_id}, {profile.name})"
@@ -46,46 +50,55 @@ def axis_terms(
             f"arm '{arm.name}': the profile of {', '.join(without)} has no [feedforward]: it is not known that "
             "the drive takes 0x60B1 and 0x60B2, and how; see docs/how-to/drive-profiles.md"
         )
+    known = axis_constants(arm, identified)
     pairs = [
-        _axis(axis, profile, _band(result, number))
-        for number, (axis, profile) in enumerate(zip(arm.axis, profiles, strict=True))
+        _axis(axis, profile, constants, _band(result, number))
+        for number, (axis, profile, constants) in enumerate(zip(arm.axis, profiles, known, strict=True))
     ]
     return tuple(terms for terms, _ in pairs), tuple(sources for _, sources in pairs)
 
 
-def _band(result: Result | None, number: int) -> float | None:
+def _band(result: Result | None, number: int) -> Known | None:
     if result is None or len(result.friction_band_nm) <= number:
         return None
     band = result.friction_band_nm[number]
-    return float(band) if np.isfinite(band) and band >= 0 else None
+    known = np.isfinite(band) and band >= 0
+    return Known(float(band), "friction band of the rest poses") if known else None
 
 
-def _axis(axis: AxisConfig, profile: DriveProfile, band_nm: float | None) -> tuple[AxisTerms, AxisSources]:
+def _axis(
+    axis: AxisConfig, profile: DriveProfile, known: AxisConstants, band: Known | None
+) -> tuple[AxisTerms, AxisSources]:
     share = profile.feedforward.velocity_share if profile.feedforward is not None else None
-    ratio, rotor = axis.gear_ratio.value, axis.rotor_inertia_kg_m2
-    coulomb, viscous = axis.coulomb_nm, axis.viscous_nm_s_rad
-    coulomb_from = LEFT_OUT if band_nm is None else "friction band of the rest poses"
+    ratio, nothing = axis.gear_ratio.value, Known(0.0, LEFT_OUT)
+    rotor, viscous = known.rotor_kg_m2 or nothing, known.viscous_nm_s_rad or nothing
+    coulomb = known.coulomb_nm or band or nothing
     terms = AxisTerms(
         ratio=ratio,
         position_sign=float(axis.position_sign),
         torque_sign=float(axis.torque_sign),
         efficiency=axis.gear_efficiency.value,
-        rotor_kg_m2=0.0 if rotor is None else rotor.value,
-        coulomb_nm=(band_nm or 0.0) if coulomb is None else coulomb.value,
-        viscous_nm_s_rad=0.0 if viscous is None else viscous.value,
+        rotor_kg_m2=rotor.value,
+        coulomb_nm=coulomb.value,
+        viscous_nm_s_rad=viscous.value,
         velocity_share=1.0 if share is None else share.value,
         limit_nm=LIMIT_SHARE * axis.torque_limit_nm / abs(ratio),
+        load_friction=known.load_friction,
     )
+    lost, shape = axis.gear_efficiency.source, ""
+    if known.load_friction:
+        lost += f", and {100 * known.load_friction:.2g} % of the torque: {coulomb.source}"
+    if np.isfinite(known.breakaway_nm):
+        onset_nm = known.breakaway_nm - coulomb.value
+        terms = replace(terms, onset_nm=onset_nm, stribeck_rad_s=known.stribeck_rad_s)
+        shape = f", with {known.breakaway_nm:.4g} Nm at the onset of motion"
     sources = AxisSources(
-        gear_losses=axis.gear_efficiency.source,
-        rotor_inertia=LEFT_OUT if rotor is None else rotor.source,
-        coulomb=coulomb_from if coulomb is None else coulomb.source,
-        viscous=LEFT_OUT if viscous is None else viscous.source,
+        gear_losses=lost,
+        rotor_inertia=rotor.source,
+        coulomb=coulomb.source + shape,
+        viscous=viscous.source,
         velocity_share=f"{terms.velocity_share:g}: {'' if share is None else share.source}",
+        notes=known.notes,
     )
-    named = {
-        "rotor inertia": sources.rotor_inertia,
-        "Coulomb friction": sources.coulomb,
-        "viscous friction": sources.viscous,
-    }
-    return terms, replace(sources, missing=tuple(name for name, source in named.items() if source == LEFT_OUT))
+    named = {"rotor inertia": rotor, "Coulomb friction": coulomb, "viscous friction": viscous}
+    return terms, replace(sources, missing=tuple(name for name, one in named.items() if one is nothing))

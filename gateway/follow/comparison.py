@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.feedforward.identified import notes_of
 from gateway.feedforward.load import FRAME, FeedLoad
 from gateway.follow.job import Comparison
 from gateway.follow.settings import FeedModel
@@ -151,13 +152,16 @@ def _missing(model: FeedModel) -> list[Finding]:
         "viscous friction": "viscous_nm_s_rad",
     }
     return [
-        Finding(
-            "info",
-            ", ".join(f"J{axis}" for axis in axes),
-            f"{name} is not in the offset: it is not given",
-            f"give {keys[name]} of these axes in the cell file",
-        )
-        for name, axes in lacking.items()
+        *(Finding("info", joints, note) for joints, note in notes_of([source.notes for source in model.sources])),
+        *(
+            Finding(
+                "info",
+                ", ".join(f"J{axis}" for axis in axes),
+                f"{name} is not in the offset: it is neither identified nor typed",
+                f"identify it (record --moving, estimate), or give {keys[name]} of these axes in the cell file",
+            )
+            for name, axes in lacking.items()
+        ),
     ]
 
 

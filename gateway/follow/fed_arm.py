@@ -56,7 +56,7 @@ class FedArm(Arm):
     """
 
     def __init__(self, arm: Arm, period_s: float, ramp_s: float) -> None:
-        super().__init__(arm.name, arm.drives, arm.axes)
+        super().__init__(arm.name, arm.drives, arm.axes, arm.known)
         self.ramp = Ramp(period_s, ramp_s)
         self.recorder: Recorder | None = None
         self._law: FeedforwardLaw | None = None

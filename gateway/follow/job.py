@@ -7,6 +7,7 @@ from pathlib import Path
 
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.errors import DataUnusable
+from gateway.feedforward.identified import checked, read_identified
 from gateway.feedforward.load import check_origin, identified_load
 from gateway.follow.path import FollowPath, check_path, read_path
 from gateway.follow.run import FollowStation, Tell, follow
@@ -86,7 +87,7 @@ def prepare(loaded: LoadedCell, arm: ArmConfig, request: FollowRequest) -> Prepa
     ConfigError
         A profile without the objects, links that are not known, no rated load.
     InputError
-        A file that cannot be used, a load of another robot, cell, arm or frame.
+        A file that cannot be used, a load of another robot, cell, arm or frame, or constants that contradict.
     DataUnusable
         No identified load.
     PlanRefused
@@ -97,7 +98,10 @@ def prepare(loaded: LoadedCell, arm: ArmConfig, request: FollowRequest) -> Prepa
     result, where = _result(request)
     check_origin(result, loaded, arm, robot, where)
     load = identified_load(result, request.label, where)
-    model = feed_model(arm, robot, profiles, result)
+    identified = read_identified(loaded, arm, robot)
+    if identified is None and result.motion:
+        identified = checked(result, where, robot.axes)
+    model = feed_model(arm, robot, profiles, result, identified)
     settings = three_settings(arm, model, load)
     workspace = workspace_of(arm, robot)
     path = read_path(request.path, workspace, loaded.cell.bus[arm.bus].sync_period_s)

@@ -12,6 +12,7 @@ from drives.profile import DriveProfile
 from gateway.cell.config import ArmConfig
 from gateway.errors import PlanRefused
 from gateway.feedforward.dynamics import ArmDynamics
+from gateway.feedforward.identified import Identified
 from gateway.feedforward.law import AxisTerms, FeedforwardLaw
 from gateway.feedforward.load import FeedLoad, rated_load
 from gateway.feedforward.parameters import corrected_parameters, drawn_parameters
@@ -64,19 +65,27 @@ class FeedModel:
         return FeedforwardLaw(ArmDynamics(self.robot, parameters, self.gravity_m_s2), self.axes, self.coupling)
 
 
-def feed_model(arm: ArmConfig, robot: Robot, profiles: Sequence[DriveProfile], result: Result) -> FeedModel:
+def feed_model(
+    arm: ArmConfig,
+    robot: Robot,
+    profiles: Sequence[DriveProfile],
+    result: Result,
+    identified: Identified | None = None,
+) -> FeedModel:
     """Model of an arm: the drawing's links, corrected by the bare identification of the result where there is one.
 
     Raises
     ------
     ConfigError
         Links that are not known, or a profile without the objects.
+    InputError
+        What was identified contradicts what was typed.
     """
     gravity = np.array(arm.gravity_m_s2)
     drawn = drawn_parameters(robot, arm)
     links = None if result.bare is None else corrected_parameters(robot, drawn, result.bare, gravity)
     source = "robot model" if links is None else "robot model, corrected to the torque that was identified bare"
-    axes, sources = axis_terms(arm, profiles, result)
+    axes, sources = axis_terms(arm, profiles, result, identified)
     return FeedModel(
         robot=robot,
         gravity_m_s2=gravity,

@@ -80,7 +80,7 @@ def load_trend(track: Track, model: FeedModel, load: FeedLoad) -> Trend | None:
     used &= np.abs(np.gradient(np.sign(rates), axis=0)) == 0
     if used.sum() < LEAST_ROWS:
         return None
-    behind, friction = _behind_gears(track, model, rates, accelerations)
+    behind, friction = _behind_gears(track, model, (rates, accelerations), arm + own)
     residual = np.where(used, behind - friction - arm - own, 0.0)
     sense = np.sign(rates)
     kinds = [np.ones_like(rates), sense, rates, sense * np.abs(arm + own), accelerations]
@@ -105,16 +105,23 @@ def load_trend(track: Track, model: FeedModel, load: FeedLoad) -> Trend | None:
     )
 
 
-def _behind_gears(track: Track, model: FeedModel, rates: Floats, accelerations: Floats) -> tuple[Floats, Floats]:
-    """Measured torque behind the gears and friction as fed (n, 6) [Nm]."""
+def _behind_gears(
+    track: Track, model: FeedModel, motion: tuple[Floats, Floats], carried: Floats
+) -> tuple[Floats, Floats]:
+    """Measured torque behind the gears and friction as fed (n, 6) [Nm], of velocity, acceleration and torque there."""
+    rates, accelerations = motion
     ratio = np.array([axis.torque_sign * axis.ratio for axis in model.axes])
     rotor = np.array([axis.rotor_kg_m2 for axis in model.axes])
     efficiency = np.array([axis.efficiency for axis in model.axes])
     coulomb = np.array([axis.coulomb_nm for axis in model.axes])
     viscous = np.array([axis.viscous_nm_s_rad for axis in model.axes])
+    load = np.array([axis.load_friction for axis in model.axes])
+    onset = np.array([axis.onset_nm for axis in model.axes])
+    slow = np.array([axis.stribeck_rad_s for axis in model.axes])
     fed = np.nan_to_num(track.torque_nm) * ratio - rotor * accelerations
     behind = fed * efficiency ** np.sign(fed * rates)
-    return behind, coulomb * np.sign(rates) + viscous * rates
+    dry = coulomb + load * np.abs(carried) + onset * np.exp(-((rates / slow) ** 2))
+    return behind, dry * np.sign(rates) + viscous * rates
 
 
 class _Problem:

@@ -8,9 +8,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.identify.inertia import LoadInertia
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
 from gateway.model.robot import Robot, reach_m
 from gateway.result.interval import holds_zero
+from gateway.result.names import INERTIA_WHOLE
 from gateway.result.result import LoadResult
 
 Floats = NDArray[np.float64]
@@ -35,6 +37,9 @@ class LoadEstimate:
     covariance : array of shape (4, 4)
         Of [m, hx, hy, hz], as far as the data determine it.
     unidentifiable : tuple of str
+        Of mass and centre of gravity.
+    inertia : LoadInertia or None
+        None where nothing moved.
     per_pose_mass_kg : mapping of pose number to mass
     budget : mapping of source to its share of the mass's variance, sum 1
     refused : str or None
@@ -52,6 +57,7 @@ class LoadEstimate:
     per_pose_mass_kg: Mapping[str, float] = field(default_factory=dict)
     budget: Mapping[str, float] = field(default_factory=dict)
     refused: str | None = None
+    inertia: LoadInertia | None = None
 
     @property
     def moment(self) -> Floats:
@@ -170,6 +176,10 @@ def load_result(load: LoadEstimate, robot: Robot | None) -> LoadResult:
     known = np.isfinite(load.com_m)
     flange = None if robot is None else robot.flange
     told = load.refused is None and np.isfinite(load.mass_kg)
+    inertia = load.inertia if told else None
+    open_: tuple[str, ...] = ()  # without its mass nothing of a load is told, and the mass is named
+    if told:
+        open_ = (INERTIA_WHOLE,) if inertia is None else inertia.unidentifiable
     return LoadResult(
         label=load.label,
         mass_kg=float(load.mass_kg),
@@ -179,11 +189,18 @@ def load_result(load: LoadEstimate, robot: Robot | None) -> LoadResult:
         frame="link_6" if robot is None else robot.last_link,
         com_flange_m=None if flange is None or not known.all() else tuple(in_flange(load.com_m, flange).tolist()),
         correlation=tuple(tuple(row) for row in load.correlation.tolist()) if told else None,
-        unidentifiable=load.unidentifiable,
+        unidentifiable=(*load.unidentifiable, *open_),
         per_pose_mass_kg=dict(load.per_pose_mass_kg),
         budget=dict(load.budget),
+        inertia_kg_m2=None if inertia is None else _some(inertia.value_kg_m2),
+        inertia_std_kg_m2=None if inertia is None else _some(inertia.std_kg_m2),
         refused=load.refused,
     )
+
+
+def _some(values: Floats) -> tuple[float, ...] | None:
+    """Numbers of which at least one is known."""
+    return tuple(values.tolist()) if np.isfinite(values).any() else None
 
 
 def in_flange(point_m: Floats, flange: Floats) -> Floats:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.data.periods import PHASE_S, excitation_runs, noise_between_periods
 from gateway.data.table import Table
 from gateway.errors import DataUnusable
 from gateway.model.regressor import regressor
@@ -37,7 +38,10 @@ class MovingRows:
     time_s : array of shape (n,)
         Since the start of the row's own run.
     run : int array of shape (n,)
-        Number of the run; rows of one run follow each other in time.
+        Number of the run; rows of one run follow each other in time. All periods of one excitation under one load are
+        one run.
+    phase_s : array of shape (n,)
+        Time since the start of the row's period; where nothing repeats, `time_s`.
     load : str array of shape (n,)
     given : bool array of shape (n,)
         Row of the hold-out the user gave: no fit sees it.
@@ -56,12 +60,15 @@ class MovingRows:
         `q_rad` is the angle of the link.
     temperature_c : array of shape (n, N)
         NaN where absent.
+    floor_nm : array of shape (N,)
+        Noise of a torque reading by what differs between periods of one excitation; NaN where nothing repeats.
     """
 
     robot: Robot
     gravity_m_s2: Floats
     time_s: Floats
     run: NDArray[np.int_]
+    phase_s: Floats
     load: NDArray[np.str_]
     given: Mask
     q_rad: Floats
@@ -74,6 +81,7 @@ class MovingRows:
     rigid: Floats
     wind_up_rad: Floats
     temperature_c: Floats
+    floor_nm: Floats
     _derivatives: dict[tuple[str, int], Floats] = field(init=False, repr=False, default_factory=dict)
 
     def __len__(self) -> int:
@@ -170,6 +178,7 @@ def prepare(table: Table, given: Table | None, robot: Robot, gravity_m_s2: Float
     time = fields.pop("time_s").copy()
     for number in np.unique(run):
         time[run == number] -= time[run == number].min()
+    in_period = np.concatenate([part.extra.get(PHASE_S, np.full(len(part), np.nan)) for part in parts])[keep]
     speed = np.abs(fields["qd_rad_s"][~is_given]).max(axis=0)
     judged = np.isfinite(tau) & (np.abs(fields["qd_rad_s"]) > np.maximum(SLOW * speed, STANDSTILL_RAD_S))
     if not judged[~is_given].any():
@@ -178,6 +187,7 @@ def prepare(table: Table, given: Table | None, robot: Robot, gravity_m_s2: Float
         robot=robot,
         gravity_m_s2=np.asarray(gravity_m_s2, dtype=float),
         time_s=time,
+        phase_s=np.where(np.isfinite(in_period), in_period, time),
         run=run,
         given=is_given,
         tau_nm=np.nan_to_num(tau),
@@ -185,15 +195,18 @@ def prepare(table: Table, given: Table | None, robot: Robot, gravity_m_s2: Float
         sign=smooth_sign(fields["qd_rad_s"], speed),
         speed_rad_s=speed,
         wind_up_rad=wind_up,
+        floor_nm=noise_between_periods(fitted),
         rigid=_rigid(robot, fields["q_rad"], fields["qd_rad_s"], fields["qdd_rad_s2"], gravity_m_s2),
         **fields,
     )
 
 
 def _in_time_order(table: Table) -> tuple[Table, NDArray[np.int_]]:
-    """Moving rows by run and time, and the number of each row's run."""
+    """Moving rows by run and time, and the number of each row's run; all periods of an excitation are one."""
     moving = table.take(table.moving)
-    names = np.char.add(np.char.add(np.asarray(moving.file, dtype=str), "\x00"), moving.run.astype(str))
+    repeated = excitation_runs(moving)
+    own = np.where(repeated >= 0, np.char.add("\x00", repeated.astype(str)), moving.run.astype(str))
+    names = np.char.add(np.char.add(np.asarray(moving.file, dtype=str), "\x00"), own)
     _, first, run = np.unique(names, return_index=True, return_inverse=True)
     run = np.argsort(np.argsort(first))[run]
     order = np.lexsort((moving.time_s, run))

@@ -11,6 +11,7 @@ from drives.drive import DriveCommand
 from drives.epoch import Epoch
 from gateway.cell.conversion import AxisConversion
 from gateway.data.sample import ArmSample
+from gateway.feedforward.identified import AxisConstants
 
 
 class ArmDrives(Protocol):
@@ -66,10 +67,15 @@ class Arm:
     drives : ArmDrives
         Connected and configured.
     axes : AxisConversion
+    known : tuple of AxisConstants, optional
+        Rotors and friction, where they are known.
     """
 
-    def __init__(self, name: str, drives: ArmDrives, axes: AxisConversion) -> None:
+    def __init__(
+        self, name: str, drives: ArmDrives, axes: AxisConversion, known: tuple[AxisConstants, ...] = ()
+    ) -> None:
         self.name = name
+        self.known = known
         self.axes = axes
         self.drives = drives
         self._to_joint = np.diag(axes.position_sign / axes.ratio) @ np.linalg.inv(axes.coupling).T

@@ -21,6 +21,7 @@ from drives.profile_file import find_profile
 from drives.scaling import Constants
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.cell.conversion import AxisConversion
+from gateway.feedforward.identified import AxisConstants, axis_constants, read_identified
 from gateway.model.arm_model import arm_named, robot_from_text, robot_place, robot_text
 from gateway.motion.arm import Arm
 from gateway.motion.drive_limits import motor_ranges_rad, motor_torques_nm, quick_stop_rad_s2
@@ -146,14 +147,16 @@ def axis_setups(loaded: LoadedCell, config: ArmConfig) -> tuple[AxisSetup, ...]:
     )
 
 
-def _limit_torques(group: DriveGroup, config: ArmConfig, workspace: Workspace, found: Preflight) -> None:
+def _limit_torques(
+    group: DriveGroup, config: ArmConfig, workspace: Workspace, found: Preflight, known: tuple[AxisConstants, ...]
+) -> None:
     """Let each drive give no more torque than the arm can need, where links, load and ramps are known.
 
     A motion may accelerate harder than the quick stop brakes: the larger of both counts.
     """
     ramp = quick_stop_rad_s2(config, [setup.profile for setup in group.setups], found.readings)
     hardest = None if ramp is None else np.maximum(ramp, workspace.acceleration_rad_s2)
-    needed_nm = None if hardest is None else needed_torque_nm(workspace, config, hardest)
+    needed_nm = None if hardest is None else needed_torque_nm(workspace, config, hardest, known)
     limits = motor_torques_nm(AxisConversion.from_arm(config), needed_nm)
     for drive, limit_nm in zip(group.drives, limits, strict=True):
         drive.setup = replace(drive.setup, torque_limit_nm=limit_nm)
@@ -195,6 +198,8 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
     ------
     ConfigError
         Robot or cell cannot be used.
+    InputError
+        What the cell says was identified is of another arm, or contradicts it.
     ProfileError
         A drive that its profile reads and does not move.
     DriveError
@@ -205,7 +210,9 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
     override = override or BusOverride()
     config = arm_named(loaded, arm)
     text = robot_text(loaded, config)
-    workspace = workspace_of(config, robot_from_text(config, text, robot_place(loaded, config)))
+    robot = robot_from_text(config, text, robot_place(loaded, config))
+    workspace = workspace_of(config, robot)
+    known = axis_constants(config, read_identified(loaded, config, robot))
     setups = axis_setups(loaded, config)
     _refuse_obstacles(setups)
     setups = tuple(replace(setup, feedforward=override.feedforward) for setup in setups)
@@ -225,7 +232,7 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
         identities = group.connect()
         found = look_over(config, group, identities)
         require_passed(found.refusing, "check failed, nothing has moved")
-        _limit_torques(group, config, workspace, found)
+        _limit_torques(group, config, workspace, found, known)
         group.configure()
         yield OpenArm(
             loaded=loaded,
@@ -234,7 +241,7 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
             workspace=workspace,
             profiles=tuple(setup.profile for setup in setups),
             group=group,
-            arm=Arm(config.name, _GroupDrives(group), AxisConversion.from_arm(config)),
+            arm=Arm(config.name, _GroupDrives(group), AxisConversion.from_arm(config), known),
             identities=identities,
             constants=tuple(read_constants(access) for access in group.access),
             preflight=found.items,

@@ -8,8 +8,9 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.cell.config import ArmConfig
+from gateway.cell.config import ArmConfig, AxisConfig
 from gateway.errors import ConfigError
+from gateway.feedforward.identified import AxisConstants, axis_constants
 from gateway.feedforward.load import FeedLoad, assumed_load, rated_load
 from gateway.feedforward.parameters import drawn_parameters
 from gateway.model.regressor import regressor
@@ -25,7 +26,9 @@ POSTURES, STARTS, ANGLES, SWEEPS, NARROWER = 1500, 3, 24, 4, 5
 SEED = 11
 
 
-def needed_torque_nm(workspace: Workspace, arm: ArmConfig, decel_rad_s2: Floats) -> Floats | None:
+def needed_torque_nm(
+    workspace: Workspace, arm: ArmConfig, decel_rad_s2: Floats, known: tuple[AxisConstants, ...] = ()
+) -> Floats | None:
     """Torque (N,) [Nm, joint side, gear losses included] that every axis needs at most, with a reserve.
 
     1.3 x (largest gravity torque over the joint range, bare and with the rated and the heaviest load, over the gear's
@@ -36,9 +39,11 @@ def needed_torque_nm(workspace: Workspace, arm: ArmConfig, decel_rad_s2: Floats)
     ----------
     workspace : Workspace
     arm : ArmConfig
-        Loads, rotors and friction.
+        Loads, and rotors and friction where nothing else is known of them.
     decel_rad_s2 : array of shape (N,)
         Ramps of the quick stop at the joints.
+    known : tuple of AxisConstants, one per axis, optional
+        Rotors and friction; those of the arm if left out.
 
     Returns
     -------
@@ -46,18 +51,18 @@ def needed_torque_nm(workspace: Workspace, arm: ArmConfig, decel_rad_s2: Floats)
         None where the links, a rotor's inertia or the load that the arm may carry are not known.
     """
     bodies = _bodies(workspace, arm)
-    rotors = [axis.rotor_inertia_kg_m2 for axis in arm.axis]
+    known = known or axis_constants(arm, None)
+    rotors = [axis.rotor_kg_m2 for axis in known]
     if bodies is None or None in rotors:
         return None
     rotor = np.array([0.0 if inertia is None else inertia.value for inertia in rotors])
-    friction = np.array(
-        [BAND_SHARE * axis.torque_limit_nm if axis.coulomb_nm is None else axis.coulomb_nm.value for axis in arm.axis]
-    )
+    lost = np.array([axis.load_friction for axis in known])
+    friction = np.array([_friction_nm(*both) for both in zip(known, arm.axis, strict=True)])
 
     def gravity_nm(q_rad: Floats) -> Floats:
         still = np.zeros_like(q_rad)
         rows = regressor(workspace.robot, q_rad, still, still, workspace.gravity_m_s2)
-        return np.abs(rows @ bodies).max(axis=2) / workspace.efficiency
+        return np.abs(rows @ bodies).max(axis=2) * (1.0 + lost) / workspace.efficiency
 
     def stopping_nm(q_rad: Floats) -> Floats:
         still, total = np.zeros_like(q_rad), np.zeros((*q_rad.shape, bodies.shape[1]))
@@ -70,6 +75,13 @@ def needed_torque_nm(workspace: Workspace, arm: ArmConfig, decel_rad_s2: Floats)
     half = np.minimum((workspace.upper_rad - workspace.lower_rad) / 2, np.pi)
     largest = [_largest(torque, middle - half, middle + half) for torque in (gravity_nm, stopping_nm)]
     return RESERVE * (sum(largest, friction) + rotor * decel_rad_s2)
+
+
+def _friction_nm(known: AxisConstants, axis: AxisConfig) -> float:
+    """Dry friction of an axis [Nm], the most that is known of it; that of the onset of motion where it is larger."""
+    if known.coulomb_nm is None:
+        return BAND_SHARE * axis.torque_limit_nm
+    return float(np.fmax(known.coulomb_nm.value, known.breakaway_nm))
 
 
 def _bodies(workspace: Workspace, arm: ArmConfig) -> Floats | None:

@@ -13,6 +13,7 @@ from gateway.cell.buses import bus_specs
 from gateway.cell.config import ArmConfig, LoadedCell, PairConfig, load_cell, with_pacing
 from gateway.data.csv_text import read_path_columns
 from gateway.errors import ConfigError, InputError
+from gateway.feedforward.identified import AxisConstants, Known, axis_constants, notes_of, read_identified
 from gateway.model.arm_model import arm_robot
 from gateway.model.regressor import regressor
 from gateway.model.robot import Robot, rotation_rpy, transform
@@ -23,6 +24,17 @@ from gateway.pair.relation import relation, slave_command
 from gateway.pair.transform import Floats
 
 COLUMNS = ("time_s", "x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
+#: Constants of an axis, by key of the cell and as a person is told of them: names in `AxisConstants`.
+CONSTANTS = {
+    "rotor_inertia_kg_m2": "rotor_kg_m2",
+    "coulomb_nm": "coulomb_nm",
+    "viscous_nm_s_rad": "viscous_nm_s_rad",
+}
+TOLD = {
+    "rotor inertia": "rotor_kg_m2",
+    "Coulomb friction": "coulomb_nm",
+    "viscous friction": "viscous_nm_s_rad",
+}
 #: Largest number of a path.
 FARTHEST = 1e6
 
@@ -43,6 +55,8 @@ class PairArm:
     rotor_kg_m2, coulomb_nm, viscous_nm_s_rad : arrays of shape (6,)
     links : array of shape (60,)
         Inertial parameters of the links, gripper included, part not.
+    known : tuple of AxisConstants
+        Rotors and friction with their sources.
     """
 
     config: ArmConfig
@@ -54,11 +68,27 @@ class PairArm:
     coulomb_nm: Floats
     viscous_nm_s_rad: Floats
     links: Floats
+    known: tuple[AxisConstants, ...] = ()
 
     @property
     def start_rad(self) -> Floats:
         """Joint angles (6,) at which the part is gripped [rad]."""
         return np.array(self.config.start_rad or (0.0,) * 6)
+
+    @property
+    def said(self) -> tuple[str, ...]:
+        """Where rotors and friction come from, and what has to be said of them: a line each."""
+        sources: dict[str, list[str]] = {}
+        for axis in self.known:
+            for name, attribute in TOLD.items():
+                known: Known | None = getattr(axis, attribute)
+                if known is not None and name not in sources.setdefault(known.source, []):
+                    sources[known.source].append(name)
+        notes = notes_of([axis.notes for axis in self.known])
+        return (
+            *(f"{', '.join(names)}: {source}" for source, names in sources.items()),
+            *(f"{joints}: {note}" for joints, note in notes),
+        )
 
     def model_torque(self, q_rad: Floats, qd_rad_s: Floats, qdd_rad_s2: Floats) -> Floats:
         """Actuator torque (n, 6) [Nm] of a free motion, rotors included, friction not."""
@@ -191,13 +221,15 @@ def _arm(loaded: LoadedCell, config: ArmConfig, grasp: Floats) -> PairArm:
             f"arm '{config.name}': the mass of link {unknown} is not known, and force from torque needs every link:"
             " give <inertial> in the URDF, or commission the arm first"
         )
+    known = axis_constants(config, read_identified(loaded, config, robot))
     constants = []
-    for key in ("rotor_inertia_kg_m2", "coulomb_nm", "viscous_nm_s_rad"):
-        values = [getattr(axis, key) for axis in config.axis]
+    for key, attribute in CONSTANTS.items():
+        values = [getattr(axis, attribute) for axis in known]
         if None in values:
             where = values.index(None) + 1
             raise ConfigError(
-                f"arm '{config.name}', axis {where}: {key} is missing; force from torque needs it, nothing is assumed"
+                f"arm '{config.name}', axis {where}: {key} is missing; force from torque needs it, nothing is assumed:"
+                " give it, or name under `identified` a result of record --moving that holds it"
             )
         constants.append(np.array([value.value for value in values]))
     return PairArm(
@@ -208,6 +240,7 @@ def _arm(loaded: LoadedCell, config: ArmConfig, grasp: Floats) -> PairArm:
         grasp,
         *constants,
         links=_links(robot),
+        known=known,
     )
 
 

@@ -10,6 +10,7 @@ from gateway.report import sentences, words
 from gateway.report.centre import Centre, centre, earlier
 from gateway.report.quality import AxisQuality
 from gateway.result.interval import half_width
+from gateway.result.names import INERTIA_PARTS, INERTIA_WHOLE
 from gateway.result.result import UNKNOWN_THREE, EffectResult, Evidence, LoadResult, Result
 
 UNKNOWNS = {
@@ -17,7 +18,8 @@ UNKNOWNS = {
     "com_x_m": "centre of gravity along x",
     "com_y_m": "centre of gravity along y",
     "com_z_m": "centre of gravity along z",
-}
+    INERTIA_WHOLE: "inertia",
+} | {name: f"moment of inertia {name.split('_')[1]}" for name in INERTIA_PARTS}
 
 
 @dataclass(frozen=True, slots=True)

@@ -96,7 +96,10 @@ class FedTrend:
 
 @dataclass(frozen=True, slots=True)
 class AxisSources:
-    """Where each term of an axis comes from, in words; `missing` are the terms that are left out."""
+    """Where each term of an axis comes from, in words; `missing` are the terms that are left out.
+
+    `notes`: what was identified and is not used, or differs from what the cell says.
+    """
 
     gear_losses: str
     rotor_inertia: str
@@ -104,6 +107,7 @@ class AxisSources:
     viscous: str
     velocity_share: str
     missing: tuple[str, ...] = ()
+    notes: tuple[str, ...] = field(default=(), metadata=SILENT)
 
 
 @dataclass(frozen=True, slots=True)

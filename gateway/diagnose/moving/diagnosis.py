@@ -1,7 +1,8 @@
 """Diagnosis of moving runs: what the model lacks, chosen by some rows and judged on others that chose nothing.
 
-The noise floor of a moving run is unknown, so the best verdict is `improved`. Errors are those of rows in which the
-axis moves (friction at a standstill is a set); how many those are stands in the provenance.
+The noise floor of a moving run is unknown unless its motion repeats; elsewhere the best verdict is `improved`. Errors
+are those of rows in which the axis moves (friction at a standstill is a set); how many those are stands in the
+provenance.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""The result file of a diagnosis of moving runs."""
+"""The result file of a diagnosis of moving runs.
+
+What differs between two periods of the same motion is the noise floor; where nothing repeats it is unknown, and the
+best verdict is `improved`.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +17,11 @@ from gateway.diagnose.moving.pictures import pictures
 from gateway.diagnose.moving.ratio import held_ratio
 from gateway.diagnose.moving.remarks import (
     MovingOutcome,
+    above_floor,
     does_not_carry,
     edge_findings,
     faults,
+    floor_known,
     remarks,
     richer,
     rms_of,
@@ -44,6 +50,7 @@ ROWS_KEPT = 600
 HELD_OUT = {
     "given": "rows that were given, and chose nothing",
     "blocks": "blocks of time of the same runs, each judged by a choice without it; they say little about another run",
+    "phases": "parts of the period, held out of every period, each judged by a choice without it",
 }
 
 
@@ -70,7 +77,7 @@ def result_of(outcome: MovingOutcome) -> Result:
         before=_summary(before, outcome.held_before, loads_of(problem, outcome.before, outcome.known)),
         after=_summary(after, outcome.held_after, loads),
         holdout_kind="given" if problem.motion.given.any() else "blocks",
-        noise_floor_nm=_unknown(problem),
+        noise_floor_nm=listed(problem.motion.floor_nm),
         friction_band_nm=listed(friction_level(problem, after)),
         rejected=_rejected(outcome),
         next=(*(tell_apart(item) for item in doubtful), *richer(outcome, bool(effects))),
@@ -151,9 +158,11 @@ def _mistakes(outcome: MovingOutcome) -> tuple[EffectResult, ...]:
 def _verdict(outcome: MovingOutcome, undecided: bool, any_effect: bool) -> Verdict:
     if undecided:
         return "undecided"
+    # a shape without a cause that is smaller than the noise is told, and changes no verdict
+    left = bool(above_floor(outcome)) if floor_known(outcome) else bool(outcome.structure)
     if any_effect:
-        return "improved"
-    if outcome.structure:
+        return "explained" if floor_known(outcome) and not left else "improved"
+    if left:
         return "unexplained"
     return "undecided" if does_not_carry(outcome) else "none_needed"
 
@@ -175,11 +184,16 @@ def _provenance(problem: MovingProblem, outcome: MovingOutcome) -> dict[str, obj
         "rows": len(motion),
         "rows_judged": [int(x) for x in motion.judged.sum(axis=0)],
         "holdout_blocks": len(outcome.judges.choices),
-        "held_out": HELD_OUT["given" if motion.given.any() else "blocks"],
+        "held_out": HELD_OUT["given" if motion.given.any() else _blocks(problem)],
         "inertials": "ignore" if trust is None else f"prior:{trust:g}",
         "rows_that_count": listed(problem.noise.share * motion.judged.sum(axis=0)),
         "candidates_tried": _tried(outcome),
     }
+
+
+def _blocks(problem: MovingProblem) -> str:
+    """What a block of time is."""
+    return "phases" if np.isfinite(problem.motion.floor_nm).any() else "blocks"
 
 
 def _axis_ratios(outcome: MovingOutcome) -> list[tuple[float, float, float]]:

@@ -66,6 +66,25 @@ def does_not_carry(outcome: MovingOutcome) -> bool:
     return bool(there.any() and np.median(held[there] / fitted[there]) > MOVING.overfitted)
 
 
+def above_floor(outcome: MovingOutcome) -> Mapping[int, float]:
+    """Axes (from 0) whose held-out RMS is more than what differs between periods, with the ratio of both.
+
+    Empty where nothing repeats: the noise is unknown there.
+    """
+    problem, held = outcome.problem, outcome.held_after
+    floor = problem.motion.floor_nm
+    rows = np.maximum(problem.noise.share * held.counted.sum(axis=0), 1.0)
+    allowed = MOVING.near_floor + 2.0 / np.sqrt(2.0 * rows)
+    ratio = np.divide(held.rms_nm, floor, out=np.full_like(floor, np.nan), where=floor > 0)
+    return {int(axis): float(ratio[axis]) for axis in np.flatnonzero(ratio > allowed)}
+
+
+def floor_known(outcome: MovingOutcome) -> bool:
+    """Whether the noise of every axis that is judged is known from motion that repeats."""
+    motion = outcome.problem.motion
+    return bool(np.isfinite(motion.floor_nm[motion.measured]).all())
+
+
 def _where(item: Chosen) -> str:
     return ", ".join(f"J{joint}" for joint in item.terms[0].joints) or "the arm"
 
@@ -107,6 +126,15 @@ def remarks(outcome: MovingOutcome) -> tuple[Finding, ...]:
     found += [
         Finding("info", f"J{axis + 1}", f"the residual still hangs on the motion (held-out ratio {ratio:.2f})")
         for axis, ratio in outcome.structure.items()
+    ]
+    found += [
+        Finding(
+            "info",
+            f"J{axis + 1}",
+            f"the error on unseen motion is {ratio:.2f} times what differs between two periods of the same motion: the"
+            " model lacks something there that repeats",
+        )
+        for axis, ratio in above_floor(outcome).items()
     ]
     found += [Finding("info", _where(item), f"{_why_not(item)}: not believed") for item in outcome.unproven]
     found += [

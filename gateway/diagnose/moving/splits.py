@@ -1,5 +1,8 @@
 """Which rows choose a model and which rows judge it.
 
+Where a motion repeats, a block of time is a part of the period, held out of all periods at once: a period says nothing
+new of a model that has seen another one.
+
 Blocks of time inside every run, pooled over the runs, choose; where there are several runs, those whose load hangs in
 another run too are held out whole, because blocks of one run say little about another. Rows that were given judge, or
 outer blocks inside every run, each judged by a model that was chosen without it.
@@ -63,13 +66,14 @@ def _pieces(motion: MovingRows, number: int, count: int) -> Iterator[tuple[Mask,
     """Rows of each block of a run that may be fitted, and those with the rows near to it."""
     mine = (motion.run == number) & ~motion.given
     rows = np.flatnonzero(mine)
-    gap = min(GAP_S, GAP_SHARE * float(np.ptp(motion.time_s[rows]))) if len(rows) else 0.0
+    rows = rows[np.argsort(motion.phase_s[rows], kind="stable")]
+    gap = min(GAP_S, GAP_SHARE * float(np.ptp(motion.phase_s[rows]))) if len(rows) else 0.0
     for part in np.array_split(rows, count):
         test = np.zeros(len(motion), dtype=bool)
         test[part] = True
         if len(part):
-            first, last = motion.time_s[part[[0, -1]]]
-            near = mine & (motion.time_s >= first - gap) & (motion.time_s <= last + gap)
+            first, last = motion.phase_s[part[[0, -1]]]
+            near = mine & (motion.phase_s >= first - gap) & (motion.phase_s <= last + gap)
             yield test, near | test
         else:
             yield test, test

@@ -78,6 +78,12 @@ class MovingThresholds:
         "probability that it does so by chance",
         "one false alarm in a thousand, over seven shapes and six axes one in twenty",
     )
+    near_floor: float = threshold(
+        1.41,
+        "",
+        "held-out RMS over the noise between periods up to which it is noise, beside two of its standard deviations",
+        "what repeats is as large as the noise: friction next to standstill, which no model foretells, reaches 1.35",
+    )
     overfitted: float = threshold(
         2.0,
         "",

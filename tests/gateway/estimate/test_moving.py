@@ -1,6 +1,9 @@
 """Moving runs: pinocchio's dynamics come back, and the measured runs give the figures published with them."""
 
+from dataclasses import replace
+
 import numpy as np
+import pinocchio
 import pytest
 
 from gateway.data.rows import concatenate
@@ -172,3 +175,34 @@ def test_measured_run_of_a_kr300(measured_data):
     assert load.mass_std_kg > 10  # and the interval says how little that means
     said = run(table, robot, EstimateOptions(inertials="exact")).findings
     assert any("diagnose" in finding.advice for finding in said)
+
+
+#: Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of gravity [kg m2], of a body: a plate, turned.
+INERTIA = np.array([0.11, 0.08, 0.15, 0.01, -0.02, 0.015])
+
+
+def with_inertia(arm, q, qd, qdd, tau):
+    """Torque with the inertia of the load beside its mass."""
+    xx, yy, zz, xy, xz, yz = INERTIA
+    body = pinocchio.Inertia(0.0, np.zeros(3), np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+    _, com = TOOL[0], np.array(TOOL[1:])
+    model = arm.model()
+    for joint in range(1, 7):
+        model.inertias[joint] = pinocchio.Inertia.Zero()
+    model.appendBodyToJoint(6, body, pinocchio.SE3(np.eye(3), com))
+    model.gravity.linear = np.zeros(3)
+    data = model.createData()
+    return tau + np.array([pinocchio.rnea(model, data, *row).copy() for row in zip(q, qd, qdd, strict=True)])
+
+
+def test_all_ten_parameters_of_a_load_come_back_without_noise(arm, table_of):
+    bare, loaded = moving_table(arm, table_of), moving_table(arm, table_of, "tool", TOOL, seed=1)
+    loaded = replace(loaded, tau_nm=with_inertia(arm, loaded.q_rad, loaded.qd_rad_s, loaded.qdd_rad_s2, loaded.tau_nm))
+    bare = replace(bare, tau_nm=bare.tau_nm - OFFSET)
+    options = EstimateOptions(inertials="ignore", gain_std=(0.0,) * 6)
+    load = run(concatenate([bare, loaded]), arm.robot, options).loads[0]
+    assert load.mass_kg == pytest.approx(TOOL[0], rel=1e-4)
+    np.testing.assert_allclose(load.com_m, TOOL[1:], atol=1e-4)
+    np.testing.assert_allclose(load.inertia_kg_m2, INERTIA, atol=2e-3)
+    assert load.unidentifiable == ()
+    assert all(std < 0.01 for std in load.inertia_std_kg_m2)

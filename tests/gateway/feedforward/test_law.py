@@ -51,6 +51,19 @@ def test_both_offsets_by_formula(law, qh165, parameters):
     np.testing.assert_allclose(velocity, -0.2 * 100.0 * rates, rtol=1e-12)
 
 
+def test_friction_of_the_load_and_at_the_onset_of_motion_by_formula(qh165, parameters):
+    law = FeedforwardLaw(
+        ArmDynamics(qh165, parameters), [terms(load_friction=0.05, onset_nm=12.0, stribeck_rad_s=0.3)] * 6
+    )
+    rigid = regressor(qh165, [Q], [QD], [QDD])[0] @ parameters
+    rates = np.array(QD)
+    dry = 40.0 + 0.05 * np.abs(rigid) + 12.0 * np.exp(-((rates / 0.3) ** 2))
+    output = rigid + dry * np.sign(rates) + 50.0 * rates
+    motor = np.where(output * rates > 0, output / 0.8, output * 0.8) + 30.0 * np.array(QDD)
+    _, torque = law.offsets(Q, QD, QDD, np.sign(QD).tolist())
+    np.testing.assert_allclose(torque, motor / 100.0, rtol=1e-12)
+
+
 def test_at_rest_and_with_no_motion_known_the_offset_is_gravity_over_a_loss_free_gear(law, qh165, parameters):
     rest = [0.0] * 6
     rigid = regressor(qh165, [Q], [rest], [rest])[0] @ parameters

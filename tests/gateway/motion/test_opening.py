@@ -99,12 +99,12 @@ def test_a_drive_gives_no_more_torque_than_the_harder_of_motion_and_quick_stop_n
     config = small_cell.cell.arm[0]
     ramp = workspace.acceleration_rad_s2 * (3.0 if harder == "ramp" else 0.3)
     monkeypatch.setattr(opening, "quick_stop_rad_s2", lambda *_: ramp)
-    monkeypatch.setattr(opening, "needed_torque_nm", lambda _space, _config, hardest: 10.0 * hardest)
+    monkeypatch.setattr(opening, "needed_torque_nm", lambda _space, _config, hardest, _known: 10.0 * hardest)
     group = Group()
     group.setups = axis_setups(small_cell, config)  # type: ignore[attr-defined]
     for drive, setup in zip(group.drives, group.setups, strict=True):  # type: ignore[attr-defined]
         drive.setup = setup
-    opening._limit_torques(group, config, workspace, SimpleNamespace(readings=()))  # type: ignore[arg-type]
+    opening._limit_torques(group, config, workspace, SimpleNamespace(readings=()), ())  # type: ignore[arg-type]
     ratio = np.abs(AxisConversion.from_arm(config).ratio)
     expected = 10.0 * np.maximum(ramp, workspace.acceleration_rad_s2) / ratio
     assert [drive.setup.torque_limit_nm for drive in group.drives] == pytest.approx(expected.tolist())
@@ -117,7 +117,7 @@ def test_where_a_ramp_is_not_known_no_torque_is_limited(small_cell, workspace, m
     group.setups = axis_setups(small_cell, config)  # type: ignore[attr-defined]
     for drive, setup in zip(group.drives, group.setups, strict=True):  # type: ignore[attr-defined]
         drive.setup = setup
-    opening._limit_torques(group, config, workspace, SimpleNamespace(readings=()))  # type: ignore[arg-type]
+    opening._limit_torques(group, config, workspace, SimpleNamespace(readings=()), ())  # type: ignore[arg-type]
     assert [drive.setup.torque_limit_nm for drive in group.drives] == [None] * 6
 
 

@@ -1,0 +1,71 @@
+"""Motion that is driven again and again: which rows repeat which, and what scatters from period to period.
+
+What differs between two periods of one excitation under one load is noise: the motion, the arm and all that the model
+lacks are the same in both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.data.rows import Table
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int_]
+Mask = NDArray[np.bool_]
+
+#: Columns of a table that say which excitation a row belongs to (a number), which period, and the time in it [s].
+EXCITATION, PERIOD, PHASE_S = "x_excitation", "x_period", "x_phase_s"
+#: Periods from which on their scatter is told.
+FEWEST = 2
+
+
+def repeats(table: Table) -> Mask:
+    """Rows (n,) that belong to a period of an excitation."""
+    columns = [table.extra.get(name, np.full(len(table), np.nan)) for name in (EXCITATION, PERIOD, PHASE_S)]
+    return np.asarray(table.moving & np.isfinite(columns).all(axis=0))
+
+
+def excitation_runs(table: Table) -> Ints:
+    """Number (n,) of the excitation and load that a row was measured with, in one file; -1 where nothing repeats."""
+    rows = np.flatnonzero(repeats(table))
+    out = np.full(len(table), -1)
+    if not len(rows):
+        return out
+    keys = [(table.file[row], str(table.load[row]), float(table.extra[EXCITATION][row])) for row in rows]
+    number = {key: place for place, key in enumerate(dict.fromkeys(keys))}
+    out[rows] = [number[key] for key in keys]
+    return out
+
+
+def noise_between_periods(table: Table) -> Floats:
+    """Standard deviation (N,) [Nm] of one torque reading, from what differs between periods; NaN where nothing repeats.
+
+    Of each period its mean square distance from the mean of all, the median over the periods, so that a period in which
+    somebody touched the arm does not count; pooled over excitations and loads.
+    """
+    squares, counts = np.zeros((2, table.axes))
+    for torque in _stacks(table):
+        count = len(torque)
+        spread = torque - torque.mean(axis=0)
+        each = np.mean(spread**2, axis=1) * count / (count - 1)
+        squares += np.nan_to_num(np.median(each, axis=0) * torque.shape[1])
+        counts += np.where(np.isfinite(each).all(axis=0), torque.shape[1], 0)
+    return np.sqrt(np.divide(squares, counts, out=np.full(table.axes, np.nan), where=counts > 0))
+
+
+def _stacks(table: Table) -> Iterator[Floats]:
+    """Torque (periods, rows, N) of every excitation under one load that was driven at least twice, row by row."""
+    runs = excitation_runs(table)
+    for number in range(runs.max(initial=-1) + 1):
+        mine = np.flatnonzero(runs == number)
+        period = table.extra[PERIOD][mine]
+        parts = [mine[period == value] for value in np.unique(period)]
+        parts = [part[np.argsort(table.extra[PHASE_S][part], kind="stable")] for part in parts]
+        length = int(np.median([len(part) for part in parts]))
+        whole = [part for part in parts if len(part) == length]
+        if len(whole) >= FEWEST:
+            yield table.tau_nm[np.array(whole)]

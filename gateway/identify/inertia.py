@@ -1,0 +1,180 @@
+"""The inertia of a load from its ten fitted parameters: about its centre of gravity, and never one that no body has.
+
+A body's pseudo-inertia `J = [[S, h], [h', m]]`, `S = tr(I) / 2 E - I` the second moments of its mass, is positive
+definite (Wensing et al. 2018). A free fit need not be one: then the nearest body in the metric of the covariance is
+given, which lies no further from any body, the true one among them, than the free fit does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from gateway.result.names import INERTIA_PARTS, INERTIA_WHOLE
+
+Floats = NDArray[np.float64]
+
+#: Where each of `INERTIA_PARTS` stands in a (3, 3) tensor.
+_ROW, _COLUMN = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
+#: Least root of second moment over mass [m]: no load is thinner.
+_THINNEST_M: Final = 1e-3
+#: Standard deviation, over the largest principal moment, up to which a moment is told.
+_TOLD: Final = 0.5
+#: The same, as a radius of gyration [m]: what is known to be less than that of a small load is told too.
+_SMALL_M: Final = 0.05
+_SAME: Final = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadInertia:
+    """Inertia of a load about its centre of gravity.
+
+    Attributes
+    ----------
+    value_kg_m2, std_kg_m2 : arrays of shape (6,)
+        As `INERTIA_PARTS`; NaN where the data do not tell.
+    free : bool
+        The free fit was a body; False: this is the nearest one.
+    """
+
+    value_kg_m2: Floats
+    std_kg_m2: Floats
+    free: bool = True
+
+    @property
+    def unidentifiable(self) -> tuple[str, ...]:
+        """What the data do not tell: moments by name, or the whole."""
+        open_ = np.isnan(self.value_kg_m2)
+        if open_.all():
+            return (INERTIA_WHOLE,)
+        return tuple(name for name, out in zip(INERTIA_PARTS, open_, strict=True) if out)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedBody:
+    """A body in the link's frame: `ten` (10,) [m, h, Ixx, Ixy, Ixz, Iyy, Iyz, Izz], and whether the free fit was it."""
+
+    ten: Floats
+    free: bool
+
+
+def tensor_of(six: Floats) -> Floats:
+    """Tensor (3, 3) of [xx, xy, xz, yy, yz, zz]."""
+    out = np.zeros((3, 3))
+    out[np.triu_indices(3)] = six
+    return out + np.triu(out, 1).T
+
+
+def central_tensor(ten: Floats) -> Floats:
+    """Inertia (3, 3) about the centre of gravity of a body (10,) whose own is about the link's origin."""
+    mass, first = ten[0], ten[1:4]
+    return tensor_of(ten[4:]) - (first @ first * np.eye(3) - np.outer(first, first)) / mass
+
+
+def second_moments(ten: Floats) -> Floats:
+    """Second moments of mass (3, 3) about the centre of gravity; a body's are positive definite."""
+    tensor = central_tensor(ten)
+    return 0.5 * np.trace(tensor) * np.eye(3) - tensor
+
+
+def is_body(ten: Floats) -> bool:
+    """Whether ten parameters are those of a body: its pseudo-inertia is positive definite."""
+    if not (np.isfinite(ten).all() and ten[0] > 0):
+        return False
+    return bool(np.linalg.eigvalsh(second_moments(ten))[0] >= ten[0] * _THINNEST_M**2 * (1.0 - _SAME))
+
+
+def nearest_body(ten: Floats, covariance: Floats) -> FittedBody:
+    """The body nearest to ten free parameters (10,) of positive mass, in the metric of their covariance (10, 10).
+
+    The unknowns are mass, centre of gravity and a triangular root of the second moments over the mass, so that every
+    step is a body.
+    """
+    if is_body(ten):
+        return FittedBody(ten, True)
+    whiten = _whitening(covariance)
+    start = _start(ten)
+    found = least_squares(
+        lambda unknown: whiten @ (_body(unknown, ten[0]) - ten),
+        start,
+        jac=lambda unknown: whiten @ _body_directions(unknown, ten[0]),  # pyright: ignore[reportArgumentType]
+        x_scale="jac",
+        max_nfev=100,
+    )
+    return FittedBody(_body(found.x, ten[0]), False)
+
+
+def _whitening(covariance: Floats) -> Floats:
+    std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    size, vectors = np.linalg.eigh(covariance / std / std[:, None])
+    return (vectors / np.sqrt(np.maximum(size, 1e-10 * size[-1]))).T / std
+
+
+def _start(ten: Floats) -> Floats:
+    """Unknowns of a body close by: negative second moments cut off."""
+    size, vectors = np.linalg.eigh(second_moments(ten) / ten[0])
+    thick = (vectors * np.maximum(size, (10.0 * _THINNEST_M) ** 2)) @ vectors.T
+    root = np.linalg.cholesky(thick)
+    return np.concatenate([[0.0], ten[1:4] / ten[0], root[np.tril_indices(3)]])
+
+
+def _body(unknown: Floats, mass_kg: float) -> Floats:
+    """Ten parameters of [log of mass over `mass_kg`, centre of gravity (3), triangular root (6)]."""
+    mass, com = mass_kg * np.exp(np.clip(unknown[0], -5.0, 5.0)), unknown[1:4]
+    root = np.zeros((3, 3))
+    root[np.tril_indices(3)] = unknown[4:]
+    second = mass * (root @ root.T + _THINNEST_M**2 * np.eye(3) + np.outer(com, com))
+    tensor = np.trace(second) * np.eye(3) - second
+    return np.concatenate([[mass], mass * com, tensor[np.triu_indices(3)]])
+
+
+def _body_directions(unknown: Floats, mass_kg: float) -> Floats:
+    """Derivatives (10, 10) of `_body`."""
+    mass, com = mass_kg * np.exp(np.clip(unknown[0], -5.0, 5.0)), unknown[1:4]
+    root, rows, columns = np.zeros((3, 3)), *np.tril_indices(3)
+    root[rows, columns] = unknown[4:]
+    half = np.zeros((9, 3, 3))  # changes of the second moments, without their mirror images
+    half[np.arange(3), np.arange(3)] = com
+    half[3 + np.arange(6), rows] = root[:, columns].T
+    second = mass * (half + half.transpose(0, 2, 1))
+    tensor = np.trace(second, axis1=1, axis2=2)[:, None, None] * np.eye(3) - second
+    out = np.zeros((10, 10))
+    out[:, 0] = _body(unknown, mass_kg)
+    out[1:4, 1:4] = mass * np.eye(3)
+    out[4:, 1:] = tensor[:, *np.triu_indices(3)].T
+    return out
+
+
+def central_directions(ten: Floats) -> Floats:
+    """Derivatives (6, 10) of `INERTIA_PARTS` by the ten parameters."""
+    mass, first = ten[0], ten[1:4]
+    out = np.zeros((6, 10))
+    out[:, 0] = (first @ first * np.eye(3) - np.outer(first, first))[_ROW, _COLUMN] / mass**2
+    for k in range(3):
+        unit = np.eye(3)[k]
+        change = 2.0 * first[k] * np.eye(3) - np.outer(unit, first) - np.outer(first, unit)
+        out[:, 1 + k] = -change[_ROW, _COLUMN] / mass
+    out[np.arange(6), 4 + np.array([0, 3, 5, 1, 2, 4])] = 1.0
+    return out
+
+
+def load_inertia(body: FittedBody, covariance: Floats) -> LoadInertia:
+    """Inertia about the centre of gravity; moments that are hardly known stay open.
+
+    Parameters
+    ----------
+    body : FittedBody
+    covariance : array of shape (10, 10)
+        Of the free fit.
+    """
+    tensor = central_tensor(body.ten)
+    turn = central_directions(body.ten)
+    std = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", turn, covariance, turn), 0.0))
+    largest = float(np.linalg.eigvalsh(tensor)[-1])
+    told = std <= max(_TOLD * largest, body.ten[0] * _SMALL_M**2)
+    value = tensor[_ROW, _COLUMN]
+    return LoadInertia(np.where(told, value, np.nan), np.where(told, std, np.nan), body.free)
