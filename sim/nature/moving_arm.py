@@ -91,7 +91,7 @@ class MovingArm:
 class StatedMoving:
     """What the owner hands over.
 
-    CAD's URDF with its trust, standard deviations (N,) of the torque constants, declared efficiencies (N,) of the gears.
+    CAD's URDF with its trust, standard deviations (N,) of the torque constants, efficiencies (N,) of the gears.
     """
 
     urdf: str
