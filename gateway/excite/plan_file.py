@@ -83,9 +83,7 @@ def _sweep_of(held: _Sweep, where: str) -> Sweep:
     if not 1 <= held.joint <= len(held.start_rad):
         raise InputError(f"{where}: joint: {held.joint} is none of {len(held.start_rad)}")
     if not held.speeds_rad_s or len(held.speeds_rad_s) != len(held.ends_rad):
-        raise InputError(
-            f"{where}: speeds_rad_s and ends_rad: one end for each of the speeds is needed"
-        )
+        raise InputError(f"{where}: speeds_rad_s and ends_rad: one end for each of the speeds is needed")
     start, ends = np.array(held.start_rad), np.array(held.ends_rad)
     if (ends == start[held.joint - 1]).any():
         raise InputError(f"{where}: ends_rad: a stroke ends where it begins")

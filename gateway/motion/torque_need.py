@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.cell.config import ArmConfig
+from gateway.cell.config import ArmConfig, AxisConfig
 from gateway.errors import ConfigError
 from gateway.feedforward.identified import AxisConstants, axis_constants
 from gateway.feedforward.load import FeedLoad, assumed_load, rated_load
@@ -79,15 +79,17 @@ def needed_torque_nm(
 
 
 def dry_friction_nm(arm: ArmConfig, known: Sequence[AxisConstants]) -> Floats:
-    """Dry friction (N,) [Nm], the most that is known of it; that of the onset of motion where it is larger."""
-    return np.array(
-        [
-            BAND_SHARE * axis.torque_limit_nm
-            if constants.coulomb_nm is None
-            else np.fmax(constants.coulomb_nm.value, constants.breakaway_nm)
-            for constants, axis in zip(known, arm.axis, strict=True)
-        ]
-    )
+    """Dry friction (N,) [Nm] of the joints, the most that is known of it, that of the onset of motion included.
+
+    A band as it is assumed before any was seen where nothing is known.
+    """
+    return np.array([_dry_nm(*both) for both in zip(known, arm.axis, strict=True)])
+
+
+def _dry_nm(known: AxisConstants, axis: AxisConfig) -> float:
+    if known.coulomb_nm is None:
+        return BAND_SHARE * axis.torque_limit_nm
+    return float(np.fmax(known.coulomb_nm.value, known.breakaway_nm))
 
 
 def links_with_loads(workspace: Workspace, arm: ArmConfig, loads: Sequence[FeedLoad]) -> Floats | None:
