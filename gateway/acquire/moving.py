@@ -88,7 +88,7 @@ def record_moving(
             pacing = opened.group.timing.pacing
             store = QueuedStore(queue, plan.arm, pacing)
             station = VisitStation(opened.arm, opened.workspace, store, (tally, *listeners), options, pacing)
-            settings = visit_settings(opened.loaded, opened.config)
+            settings = replace(visit_settings(opened.loaded, opened.config), period_s=opened.group.timing.period_s)
             legs = legs_from(station, opened.config, opened.arm.where(), passes, settings)
             missed = run_legs(station, legs, request.load)
         statistics = plain(asdict(opened.group.statistics))
