@@ -57,16 +57,16 @@ class Leg:
 def legs_from(
     station: VisitStation, config: ArmConfig, start_rad: np.ndarray, passes: Sequence[Pass], settings: VisitSettings
 ) -> tuple[Leg, ...]:
-    """Ways and passes from where the arm stands, each of them checked; nothing moves.
+    """Ways and passes from where the arm stands; nothing moves. `check_moving_plan` has passed the excitations.
 
     Raises
     ------
     PlanRefused
-        A pass leaves a limit, or no way that keeps the limits leads to its start.
+        The samples of a pass would not tell what was driven, or no way that keeps the limits leads to its start.
     """
     legs, at = [], start_rad
     for one in passes:
-        check_pass(config.name, one, station.workspace)
+        check_pass(config.name, one, station.workspace.robot.axes)
         way = plan_to(config.name, station.workspace, at, one.excitation.start_rad, settings)
         legs.append(Leg(way, one, free_torque_nm(station.workspace, config, one.motion)))
         at = one.excitation.start_rad

@@ -19,6 +19,7 @@ from gateway.errors import InputError, LimitExceeded, PlanRefused
 from gateway.excite.excitation import MovingPlan, fingerprint
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
 from gateway.motion.stream import MoveOptions
+from gateway.motion.trajectory import Motion
 from tests.excitations import HOME_RAD, swing
 
 PERIOD_S = 0.01
@@ -35,6 +36,21 @@ class Store(Shelf):
         if self.full_after is not None and len(self.periods) >= self.full_after:
             return InputError("run.h5: cannot be written: No space left on device")
         return None
+
+
+class Unrested:
+    """A series whose last set point is that of the one before."""
+
+    def __init__(self, series) -> None:
+        self.series = series
+
+    def __getattr__(self, name):
+        return getattr(self.series, name)
+
+    def motion(self, sync_period_s):
+        whole = self.series.motion(sync_period_s)
+        q, qd, qdd = (values[:-1] for values in (whole.q_rad, whole.qd_rad_s, whole.qdd_rad_s2))
+        return Motion(q, qd, qdd, sync_period_s)
 
 
 @pytest.fixture
@@ -227,21 +243,13 @@ def test_time_left_falls_to_zero(drive, events):
     assert progress[-1] == 0.0
 
 
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        ({"share": 1.3}, "limit is"),
-        ({"period_s": 0.2, "share": 0.5}, "20 SYNCs in a period of 3 harmonics are too few, 24 are needed"),
-    ],
-)
-def test_what_breaks_a_limit_or_cannot_be_told_is_refused(drive, workspace, fake, change, says):
-    with pytest.raises(PlanRefused, match=says):
-        drive(what=MovingPlan("main", (swing(workspace, **change),), {}))
+def test_samples_that_do_not_tell_the_harmonics_are_refused(drive, workspace, fake):
+    with pytest.raises(PlanRefused, match="20 SYNCs in a period of 3 harmonics are too few, 24 are needed"):
+        drive(what=MovingPlan("main", (swing(workspace, period_s=0.2),), {}))
     assert fake.log == []
 
 
-def test_a_way_that_leaves_the_joint_range_is_refused(drive, workspace, fake):
-    outside = replace(swing(workspace), start_rad=workspace.upper_rad - 0.001)
-    with pytest.raises(PlanRefused, match="outside"):
-        drive(what=MovingPlan("main", (outside,), {}))
+def test_periods_that_do_not_follow_one_another_are_refused(drive, workspace, fake):
+    with pytest.raises(PlanRefused, match="'load': does not end at rest where it began"):
+        drive(what=MovingPlan("main", (Unrested(swing(workspace)),), {}))
     assert fake.log == []
