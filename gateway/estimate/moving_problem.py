@@ -1,0 +1,178 @@
+"""Rows of a moving run as a problem to solve: axis by axis an orthogonal basis, so that a solution costs no pass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.data.rows import Table
+from gateway.estimate.gains import GainRows
+from gateway.estimate.moving_columns import Columns
+from gateway.estimate.moving_time import Stretches
+from gateway.identify.solve import NOTHING, Prior, Solution, solve
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int_]
+Mask = NDArray[np.bool_]
+
+#: Rows that are factorised at a time.
+_CHUNK: Final = 4096
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AxisRows:
+    """Used rows of one axis.
+
+    `rows` (k,) among all; `there` (c,) the columns that reach the axis; `basis` (k, m) orthonormal; `factor` (m, c + 2)
+    those columns, the known torque and the measured one in that basis.
+    """
+
+    rows: Ints
+    there: Ints
+    basis: Floats
+    factor: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Still:
+    """Rest rows beside the moving ones: their columns, and one over the standard deviation (r,) of each."""
+
+    rows: GainRows
+    weight: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovingProblem:
+    """Moving rows with their columns.
+
+    Attributes
+    ----------
+    columns : Columns
+    tau_nm, qd_rad_s : arrays of shape (n, N)
+    used : bool array of shape (n, N)
+    stretches : Stretches
+    axes : tuple of N AxisRows
+    still : Still or None
+    """
+
+    columns: Columns
+    tau_nm: Floats
+    qd_rad_s: Floats
+    used: Mask
+    stretches: Stretches
+    axes: tuple[AxisRows, ...]
+    still: Still | None = None
+
+    @staticmethod
+    def of(columns: Columns, moving: Table, used: Mask, still: Still | None = None) -> MovingProblem:
+        """The problem of a table's rows at `used` (n, N)."""
+        axes = tuple(_axis_rows(columns, moving.tau_nm, used, axis) for axis in range(moving.axes))
+        stretches = Stretches.of(np.asarray(moving.run).astype(str), moving.time_s)
+        return MovingProblem(columns, moving.tau_nm, moving.qd_rad_s, used, stretches, axes, still)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class About:
+    """What the rows say about a solution (p,): torque of the bodies, of all, and the columns made of them.
+
+    `torque_nm` (n, N) of the bodies, known ones too; `local` name -> (n, N) column of each axis's own parameter;
+    `moved_nm` (n, N) what a delay changes beyond its column; `model_nm` (n, N) all that is modelled.
+    """
+
+    value: Floats
+    torque_nm: Floats
+    local: dict[str, Floats]
+    moved_nm: Floats
+    model_nm: Floats
+
+
+def _axis_rows(columns: Columns, tau_nm: Floats, used: Mask, axis: int) -> AxisRows:
+    rows = np.flatnonzero(used[:, axis])
+    size = np.abs(columns.design[:, axis]).max(axis=0, initial=0.0)
+    there = np.flatnonzero(size > NOTHING * size.max(initial=0.0))
+    stacked = np.column_stack([columns.design[rows, axis][:, there], columns.known_nm[rows, axis], tau_nm[rows, axis]])
+    basis, factor = np.linalg.qr(stacked)
+    return AxisRows(rows, there, basis, factor)
+
+
+def about(problem: MovingProblem, value: Floats) -> About:
+    """Linearise about a solution (p,)."""
+    columns, axes = problem.columns, problem.tau_nm.shape[1]
+    none = np.zeros(axes)
+    part = {name: value[index] for name, index in columns.ordinary.items()}
+    bodies = columns.design[:, :, : columns.bodies] @ value[: columns.bodies]
+    own = columns.design[:, :, columns.bodies :] @ value[columns.bodies :]
+    torque = bodies + columns.known_nm
+    whole = (1.0 + part.get("gain", none)) * torque
+    local = {"gain": torque}
+    lost, sign, moved = np.abs(torque), columns.sign, np.zeros_like(torque)
+    if "delay" in columns.ordinary:
+        delay = part["delay"]
+        level = columns.dry(value)
+        smooth = whole + own - level * columns.sign
+        earlier, change = problem.stretches.earlier(smooth, delay)
+        speed, _ = problem.stretches.earlier(problem.qd_rad_s, delay)
+        lost, _ = problem.stretches.earlier(lost, delay)
+        sign = np.tanh(speed / columns.smooth_rad_s)
+        moved = earlier - smooth + level * (sign - columns.sign) + delay * change
+        local["delay"] = -change
+    local["load_friction"] = lost * sign
+    local = {name: local[name] for name in columns.ordinary}
+    model = whole + own + moved
+    for name in ("load_friction", "delay"):
+        if name in local:
+            model = model + part[name] * local[name]
+    return About(value, torque, local, moved, model)
+
+
+def solved(problem: MovingProblem, here: About | None, sigma_nm: Floats, prior: Prior) -> Solution:
+    """Solve the problem linearised about a solution (None: without what every arm has), each axis by its `sigma_nm`."""
+    count = len(problem.columns.names)
+    parts = [_of_axis(problem, axis, here) for axis in range(len(problem.axes))]
+    weight = [np.full(len(target), 1.0 / sigma_nm[axis]) for axis, (_, target) in enumerate(parts)]
+    if problem.still is not None:
+        value = np.zeros(count) if here is None else here.value
+        parts.append(problem.still.rows.about(value))
+        weight.append(problem.still.weight)
+    design, target = (np.concatenate(items) for items in zip(*parts, strict=True))
+    return solve(design, target, np.concatenate(weight), prior)
+
+
+def _of_axis(problem: MovingProblem, axis: int, here: About | None) -> tuple[Floats, Floats]:
+    """Columns (m, p) and target (m,) of one axis in its basis, and in that of what stands outside of it."""
+    columns, mine = problem.columns, problem.axes[axis]
+    body = mine.there < columns.bodies
+    inside, known, measured = mine.factor[:, :-2].copy(), mine.factor[:, -2], mine.factor[:, -1]
+    if here is None:
+        design = np.zeros((len(inside), len(columns.names)))
+        design[:, mine.there] = inside
+        return design, measured - known
+    gain = here.value[columns.ordinary["gain"][axis]] if "gain" in columns.ordinary else 0.0
+    bodies = inside[:, body] @ here.value[mine.there[body]]
+    inside[:, body] *= 1.0 + gain
+    others = [name for name in columns.ordinary if name != "gain"]
+    outside = np.column_stack([here.local[name][mine.rows, axis] for name in others] + [here.moved_nm[mine.rows, axis]])
+    within = mine.basis.T @ outside
+    beyond = np.linalg.qr(outside - mine.basis @ within, mode="r")
+    design = np.zeros((len(inside) + len(beyond), len(columns.names)))
+    design[: len(inside), mine.there] = inside
+    if "gain" in columns.ordinary:
+        design[: len(inside), columns.ordinary["gain"][axis]] = bodies + known
+    for k, name in enumerate(others):
+        design[:, columns.ordinary[name][axis]] = np.concatenate([within[:, k], beyond[:, k]])
+    target = np.concatenate([measured - known + gain * bodies - within[:, -1], -beyond[:, -1]])
+    return design, target
+
+
+def axis_columns(problem: MovingProblem, here: About, axis: int) -> Floats:
+    """Columns (k, p) of the used rows of one axis about a solution."""
+    columns, rows = problem.columns, problem.axes[axis].rows
+    out = columns.design[rows, axis]
+    if "gain" in columns.ordinary:
+        out[:, : columns.bodies] *= 1.0 + here.value[columns.ordinary["gain"][axis]]
+    for name, index in columns.ordinary.items():
+        out[:, index[axis]] = here.local[name][rows, axis]
+    return out
