@@ -34,6 +34,8 @@ Mask = NDArray[np.bool_]
 
 _REWEIGHTS = 12
 _SETTLED = 1e-3
+#: Times that the parts are weighed anew by what the whole model leaves of them: free links take up too much.
+_WEIGHED_ANEW = 2
 
 
 def estimate_moving(
@@ -83,10 +85,15 @@ def _fit(periods: Periods, robot: Robot, options: EstimateOptions, motion: Movin
             f"{int(used.sum())} usable torque values in motion are fewer than the {columns.design.shape[2]} unknowns;"
             " record a longer run that moves all axes"
         )
-    scale_nm = _weights(moving, robot, options, motion, used)
-    problem = MovingProblem.of(columns, moving, used)
+    scale_nm = _weights(periods, robot, options, motion, used)
+    problem = MovingProblem.of(columns, moving, used, periods.contrasts)
+    run = np.asarray(moving.run)
     settled = settle(problem, scale_nm)
-    spread = spread_of(problem, settled, scale_nm, np.asarray(moving.run), periods.scatter)
+    spread = spread_of(problem, settled, scale_nm, run, periods.scatter)
+    for _ in range(_WEIGHED_ANEW * bool(motion.ordinary)):
+        scale_nm = spread.scale_nm
+        settled = settle(problem, scale_nm)
+        spread = spread_of(problem, settled, scale_nm, run, periods.scatter)
     return _estimate(MovingFit(problem, settled, spread), moving, robot)
 
 
@@ -96,7 +103,7 @@ def _without_slipped(periods: Periods, options: EstimateOptions) -> tuple[Period
     if not gone:
         return periods, ()
     kept = ~np.isin(np.asarray(periods.mean.load), list(gone))
-    sound = replace(periods, mean=periods.mean.take(kept), group=periods.group[kept])
+    sound = replace(periods, mean=periods.mean.take(kept), excitation=periods.excitation[kept])
     return sound, tuple(refused_load(label, why) for label, why in gone.items())
 
 
@@ -106,12 +113,13 @@ def sound_options(options: EstimateOptions, table: Table) -> EstimateOptions:
     return replace(options, known={label: value for label, value in options.known.items() if label in present})
 
 
-def _weights(moving: Table, robot: Robot, options: EstimateOptions, motion: MovingSetup, used: Mask) -> Floats:
-    """Standard deviation (N,) by which each axis is weighted: its residual in a fit with free link parameters."""
+def _weights(periods: Periods, robot: Robot, options: EstimateOptions, motion: MovingSetup, used: Mask) -> Floats:
+    """Standard deviation by which each part is weighted: its residual in a fit with free link parameters."""
+    moving = periods.mean
     plain = replace(motion, ordinary=())
     trust = options.inertials if motion.passes is not None else "ignore"
     columns = moving_columns(moving, robot, replace(options, inertials=trust), plain)
-    problem = MovingProblem.of(columns, moving, used)
+    problem = MovingProblem.of(columns, moving, used, periods.contrasts)
     solution, sigma = _reweighted(problem, motion.passes or _REWEIGHTS)
     if not motion.ordinary:
         return sigma
@@ -124,7 +132,7 @@ def _reweighted(problem: MovingProblem, passes: int) -> tuple[Solution, Floats]:
     """Solution with every axis weighted by its residual (N,) in the pass before; the first weights are one."""
     target = np.where(problem.used, problem.tau_nm - problem.columns.known_nm, 0.0)
     least = 1e-6 * max(float(np.sqrt((target**2).sum() / max(int(problem.used.sum()), 1))), 1e-12)
-    sigma = np.ones(len(problem.axes))
+    sigma = np.ones(len(problem.parts))
     solution = solved(problem, None, sigma, problem.columns.prior)
     for _ in range(passes - 1):
         new = np.maximum(_residual_rms(problem, solution), least)
@@ -136,11 +144,10 @@ def _reweighted(problem: MovingProblem, passes: int) -> tuple[Solution, Floats]:
 
 
 def _residual_rms(problem: MovingProblem, solution: Solution) -> Floats:
-    """Root mean square (N,) of the residual of each axis; 1 where it has none. The basis keeps lengths."""
-    ends = np.cumsum([len(mine.factor) for mine in problem.axes])[:-1]
-    parts = np.split(solution.residual, ends)
-    counts = [len(mine.rows) for mine in problem.axes]
-    return np.array([np.linalg.norm(p) / np.sqrt(n) if n else 1.0 for p, n in zip(parts, counts, strict=True)])
+    """Root mean square of the residual of each part. The basis keeps lengths."""
+    ends = np.cumsum([len(part.factor) for part in problem.parts])[:-1]
+    lengths = [float(np.linalg.norm(left)) for left in np.split(solution.residual, ends)]
+    return np.array(lengths) / np.sqrt([len(part.rows) for part in problem.parts])
 
 
 def _estimate(fit: MovingFit, moving: Table, robot: Robot) -> Estimate:

@@ -114,7 +114,7 @@ def nuisances(fit: MovingFit) -> dict[str, NuisanceResult]:
 
 def axis_motions(fit: MovingFit, qd_rad_s: Floats) -> tuple[AxisMotion, ...]:
     """What motion tells of every axis that moved and was measured."""
-    moved = [axis for axis, mine in enumerate(fit.problem.axes) if len(mine.rows)]
+    moved = sorted({part.axis for part in fit.problem.parts})
     return tuple(_axis_motion(fit, axis, np.abs(qd_rad_s[:, axis])) for axis in moved)
 
 

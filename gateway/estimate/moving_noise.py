@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.estimate.moving_ordinary import Settled
-from gateway.estimate.moving_problem import MovingProblem, axis_columns
+from gateway.estimate.moving_problem import MovingProblem, part_columns
 from gateway.identify.spread import by_blocks, wider
 
 Floats = NDArray[np.float64]
@@ -46,10 +46,13 @@ class Scatter:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spread:
-    """Covariance (p, p) of a fit; standard deviation (N,) [Nm] of its rows; whether the model lacks nothing (N,)."""
+    """Covariance (p, p) of a fit; standard deviation (N,) [Nm] of the rows of each axis; that of each part's rows as if
+    they were independent; parts whose residual is noise alone.
+    """
 
     covariance: Floats
     std_nm: Floats
+    scale_nm: Floats
     noise_alone: NDArray[np.bool_]
 
 
@@ -63,47 +66,47 @@ def spread_of(
     axes at once. Of each parameter the wider of both.
     """
     left = problem.tau_nm - settled.here.model_nm
-    axes, covariance = len(problem.axes), settled.free.covariance
-    size, times, alone = np.zeros(axes), np.ones(axes), np.zeros(axes, dtype=bool)
-    working, rows, pulls = np.zeros(covariance.shape), [], []
-    real = np.zeros(covariance.shape)
-    for axis, mine in enumerate(problem.axes):
-        if not len(mine.rows):
-            continue
-        own = left[mine.rows, axis]
-        rows_nm = axis_columns(problem, settled.here, axis) / sigma_nm[axis]
+    count, covariance = len(problem.parts), settled.free.covariance
+    size, times, alone = np.zeros(count), np.ones(count), np.zeros(count, dtype=bool)
+    working, real = np.zeros((2, *covariance.shape))
+    pulls = []
+    for k, part in enumerate(problem.parts):
+        own, stated = problem.turned(left[:, part.axis], part), float(scatter.std_nm[part.axis])
+        rows_nm = part_columns(problem, settled.here, part) / sigma_nm[k]
         through = rows_nm @ covariance
         taken = float(np.einsum("ij,ij->", through, rows_nm))
-        times[axis] = correlation_time(own, run[mine.rows])
-        kept = 1.0 - min(times[axis] * taken / len(own), _MOST_TAKEN)
-        size[axis] = np.sqrt(float(own @ own) / len(own) / kept)
-        if np.isfinite(scatter.std_nm[axis]) and size[axis] ** 2 < _NOISE_ALONE * scatter.std_nm[axis] ** 2:
-            size[axis], times[axis], alone[axis] = scatter.std_nm[axis], scatter.times[axis], True
+        times[k] = correlation_time(own, run[part.rows])
+        size[k] = np.sqrt(float(own @ own) / len(own) / (1.0 - min(times[k] * taken / len(own), _MOST_TAKEN)))
+        if np.isfinite(stated) and size[k] ** 2 < _NOISE_ALONE * stated**2:
+            size[k], times[k], alone[k] = stated, scatter.times[part.axis], True
         square = through.T @ through
         working += square
-        real += square * (size[axis] / sigma_nm[axis]) ** 2 * times[axis]
-        rows.append(mine.rows)
-        pulls.append(through * (own / sigma_nm[axis])[:, None])
+        real += square * (size[k] / sigma_nm[k]) ** 2 * times[k]
+        pulls.append(through * (own / sigma_nm[k])[:, None])
     if problem.still is not None:  # rest rows have their own noise, and it is in their weight
-        count = len(problem.columns.names)
         design, _ = problem.still.rows.about(settled.here.value)
-        through = (design * problem.still.weight[:, None]) @ covariance.reshape(count, count)
+        through = (design * problem.still.weight[:, None]) @ covariance
         working += through.T @ through
         real += through.T @ through
     by_prior = covariance - working
-    if not all(alone[axis] or not len(problem.axes[axis].rows) for axis in range(axes)):
-        pulled = by_blocks(np.concatenate(pulls), np.concatenate(rows), run, _LONG * float(times.max()))
-        real = wider(real, pulled)
-    return Spread(real + by_prior, np.where(size > 0, size, np.nan), alone)
+    if not alone.all():
+        rows = np.concatenate([part.rows for part in problem.parts])
+        real = wider(real, by_blocks(np.concatenate(pulls), rows, run, _LONG * float(times.max())))
+    return Spread(real + by_prior, by_axis(problem, size), size * np.sqrt(times), alone)
+
+
+def by_axis(problem: MovingProblem, values: Floats) -> Floats:
+    """Largest (N,) of what the parts of each axis have; NaN where it has none."""
+    out = np.full(problem.tau_nm.shape[1], np.nan)
+    for part, value in zip(problem.parts, values, strict=True):
+        out[part.axis] = np.fmax(out[part.axis], value)
+    return out
 
 
 def correlation_times(problem: MovingProblem, left_nm: Floats, run: NDArray[Any]) -> Floats:
-    """How many rows make one independent one on each axis (N,); 1 where there are none."""
+    """How many rows make one independent one in each part."""
     return np.array(
-        [
-            correlation_time(left_nm[mine.rows, axis], run[mine.rows]) if len(mine.rows) else 1.0
-            for axis, mine in enumerate(problem.axes)
-        ]
+        [correlation_time(problem.turned(left_nm[:, part.axis], part), run[part.rows]) for part in problem.parts]
     )
 
 

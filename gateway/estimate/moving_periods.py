@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from typing import Final
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from gateway.data.periods import EXCITATION, PERIOD, PHASE_S, repeats
 from gateway.data.rows import Table, concatenate
 from gateway.estimate.moving_noise import Scatter, correlation_time
+from gateway.estimate.moving_problem import Contrasts
 from gateway.identify.robust import median
 from gateway.result.result import Finding, SetAside
 
@@ -52,8 +54,10 @@ class Periods:
         One row per phase of each load and excitation; rows of no period as they were.
     scatter : Scatter
         Noise of the rows of `mean`.
-    group : int array of shape (n,)
-        Which rows of `mean` are one period; -1 = of none.
+    excitation : array of shape (n,)
+        What the rows of `mean` are of; NaN = of none.
+    step_s : float
+        Time between two phases.
     set_aside : tuple of SetAside
     findings : tuple of Finding
     slipped : load -> why its rows cannot be of one body
@@ -61,10 +65,25 @@ class Periods:
 
     mean: Table
     scatter: Scatter
-    group: Ints
+    excitation: Floats
+    step_s: float = np.nan
     set_aside: tuple[SetAside, ...] = ()
     findings: tuple[Finding, ...] = ()
     slipped: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def contrasts(self) -> Contrasts:
+        """Rows of several loads at the same phases of one excitation."""
+        out, load, place = [], np.asarray(self.mean.load), np.rint(self.mean.time_s / self.step_s)
+        for excitation in np.unique(self.excitation[np.isfinite(self.excitation)]):
+            mine = np.flatnonzero(self.excitation == excitation)
+            labels = np.unique(load[mine])
+            each = [mine[load[mine] == label] for label in labels]
+            shared = reduce(np.intersect1d, [place[rows] for rows in each])
+            if len(labels) > 1 and len(shared):
+                found = [np.intersect1d(place[rows], shared, return_indices=True)[1] for rows in each]
+                out.append(np.array([rows[at] for rows, at in zip(each, found, strict=True)]))
+        return Contrasts(tuple(out))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +106,7 @@ def averaged(moving: Table, judged: Mask) -> Periods:
     """
     periodic = repeats(moving)
     if not periodic.any():
-        return Periods(moving, Scatter.none(moving.axes), np.full(len(moving), -1))
+        return Periods(moving, Scatter.none(moving.axes), np.full(len(moving), np.nan))
     keys = [np.where(periodic, moving.extra[name], np.nan) for name in (EXCITATION, PERIOD, PHASE_S)]
     tables, groups, aside, findings, residuals, slipped = [], [], [], [], [], {}
     for label, excitation in dict.fromkeys(
@@ -95,6 +114,7 @@ def averaged(moving: Table, judged: Mask) -> Periods:
     ):
         mine = np.flatnonzero(periodic & (moving.load == label) & (keys[0] == excitation))
         group = _group(mine, moving, keys[1][mine], keys[2][mine])
+        step_s = group.step_s
         slip = _slip(moving, group, judged)
         if slip is not None:
             slipped.setdefault(label, slip)
@@ -102,7 +122,7 @@ def averaged(moving: Table, judged: Mask) -> Periods:
         aside += entries
         mean, left = _mean(moving, group, sound, (judged, keys[2], f"mean period {len(groups) + 1}, {label}"))
         tables.append(mean)
-        groups.append(np.full(len(mean), len(groups)))
+        groups.append(np.full(len(mean), excitation if len(group.rows) > 1 else np.nan))
         residuals.append(left)
         if len(group.rows) < 2:
             findings.append(_one_period(label))
@@ -111,7 +131,8 @@ def averaged(moving: Table, judged: Mask) -> Periods:
     return Periods(
         concatenate([*tables, rest]) if len(rest) else concatenate(tables),
         _scatter(residuals, moving.axes),
-        np.concatenate([*groups, np.full(len(rest), -1)]),
+        np.concatenate([*groups, np.full(len(rest), np.nan)]),
+        step_s,
         tuple(aside),
         tuple(findings),
         slipped,

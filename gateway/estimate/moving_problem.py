@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,18 +17,55 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 Mask = NDArray[np.bool_]
 
-#: Rows that are factorised at a time.
-_CHUNK: Final = 4096
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contrasts:
+    """Rows of several loads at the same phase of one motion, turned into their mean and what tells them apart.
+
+    What the model lacks of the arm is in all of them alike, and in their mean alone: the differences know the loads by
+    far the best, and have a weight of their own (`methods.md` 10).
+
+    Attributes
+    ----------
+    rows : tuple of int arrays of shape (loads, n)
+    """
+
+    rows: tuple[Ints, ...] = ()
+
+    def turned(self, values: Floats, used: Mask) -> Floats:
+        """Values (n, ...) of one axis, turned where all loads of a phase are `used` (n,)."""
+        out = values.copy()
+        for rows in self.rows:
+            here = rows[:, used[rows].all(axis=0)]
+            out[here] = np.tensordot(_orthonormal(len(rows)), values[here], axes=1)
+        return out
+
+    def apart(self, used: Mask) -> Mask:
+        """Which turned rows (n,) of one axis are differences."""
+        out = np.zeros(len(used), dtype=bool)
+        for rows in self.rows:
+            out[rows[1:, used[rows].all(axis=0)]] = True
+        return out
+
+
+def _orthonormal(count: int) -> Floats:
+    """Rows (count, count) of unit length at right angles, the first of equal numbers (Helmert)."""
+    out = np.zeros((count, count))
+    out[0] = 1.0
+    for k in range(1, count):
+        out[k, :k], out[k, k] = 1.0, -k
+    return out / np.linalg.norm(out, axis=1)[:, None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AxisRows:
-    """Used rows of one axis.
+    """Used rows of one axis, or those of them that are differences.
 
     `rows` (k,) among all; `there` (c,) the columns that reach the axis; `basis` (k, m) orthonormal; `factor` (m, c + 2)
     those columns, the known torque and the measured one in that basis.
     """
 
+    axis: int
     rows: Ints
     there: Ints
     basis: Floats
@@ -54,7 +90,9 @@ class MovingProblem:
     tau_nm, qd_rad_s : arrays of shape (n, N)
     used : bool array of shape (n, N)
     stretches : Stretches
-    axes : tuple of N AxisRows
+    parts : tuple of AxisRows
+        One an axis, two where there are differences; each has its own noise.
+    contrasts : Contrasts
     still : Still or None
     """
 
@@ -63,15 +101,26 @@ class MovingProblem:
     qd_rad_s: Floats
     used: Mask
     stretches: Stretches
-    axes: tuple[AxisRows, ...]
+    parts: tuple[AxisRows, ...]
+    contrasts: Contrasts
     still: Still | None = None
 
     @staticmethod
-    def of(columns: Columns, moving: Table, used: Mask, still: Still | None = None) -> MovingProblem:
+    def of(
+        columns: Columns, moving: Table, used: Mask, contrasts: Contrasts, still: Still | None = None
+    ) -> MovingProblem:
         """The problem of a table's rows at `used` (n, N)."""
-        axes = tuple(_axis_rows(columns, moving.tau_nm, used, axis) for axis in range(moving.axes))
+        parts = [
+            part
+            for axis in range(moving.axes)
+            for part in _axis_rows(columns, moving.tau_nm[:, axis], used[:, axis], axis, contrasts)
+        ]
         stretches = Stretches.of(np.asarray(moving.run).astype(str), moving.time_s)
-        return MovingProblem(columns, moving.tau_nm, moving.qd_rad_s, used, stretches, axes, still)
+        return MovingProblem(columns, moving.tau_nm, moving.qd_rad_s, used, stretches, tuple(parts), contrasts, still)
+
+    def turned(self, values: Floats, part: AxisRows) -> Floats:
+        """Values (n, ...) of an axis as the rows (k, ...) of a part have them."""
+        return self.contrasts.turned(values, self.used[:, part.axis])[part.rows]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,13 +138,18 @@ class About:
     model_nm: Floats
 
 
-def _axis_rows(columns: Columns, tau_nm: Floats, used: Mask, axis: int) -> AxisRows:
-    rows = np.flatnonzero(used[:, axis])
-    size = np.abs(columns.design[:, axis]).max(axis=0, initial=0.0)
+def _axis_rows(columns: Columns, tau_nm: Floats, used: Mask, axis: int, contrasts: Contrasts) -> list[AxisRows]:
+    design = columns.design[:, axis]
+    size = np.abs(design).max(axis=0, initial=0.0)
     there = np.flatnonzero(size > NOTHING * size.max(initial=0.0))
-    stacked = np.column_stack([columns.design[rows, axis][:, there], columns.known_nm[rows, axis], tau_nm[rows, axis]])
-    basis, factor = np.linalg.qr(stacked)
-    return AxisRows(rows, there, basis, factor)
+    stacked = np.column_stack([design[:, there], columns.known_nm[:, axis], tau_nm])
+    stacked, apart = contrasts.turned(stacked, used), contrasts.apart(used)
+    out = []
+    for kind in (used & ~apart, apart):
+        rows = np.flatnonzero(kind)
+        if len(rows):
+            out.append(AxisRows(axis, rows, there, *np.linalg.qr(stacked[rows])))
+    return out
 
 
 def about(problem: MovingProblem, value: Floats) -> About:
@@ -129,10 +183,10 @@ def about(problem: MovingProblem, value: Floats) -> About:
 
 
 def solved(problem: MovingProblem, here: About | None, sigma_nm: Floats, prior: Prior) -> Solution:
-    """Solve the problem linearised about a solution (None: without what every arm has), each axis by its `sigma_nm`."""
+    """Solve the problem linearised about a solution (None: without what every arm has), each part by its `sigma_nm`."""
     count = len(problem.columns.names)
-    parts = [_of_axis(problem, axis, here) for axis in range(len(problem.axes))]
-    weight = [np.full(len(target), 1.0 / sigma_nm[axis]) for axis, (_, target) in enumerate(parts)]
+    parts = [_of_part(problem, part, here) for part in problem.parts]
+    weight = [np.full(len(target), 1.0 / sigma) for sigma, (_, target) in zip(sigma_nm, parts, strict=True)]
     if problem.still is not None:
         value = np.zeros(count) if here is None else here.value
         parts.append(problem.still.rows.about(value))
@@ -141,9 +195,9 @@ def solved(problem: MovingProblem, here: About | None, sigma_nm: Floats, prior: 
     return solve(design, target, np.concatenate(weight), prior)
 
 
-def _of_axis(problem: MovingProblem, axis: int, here: About | None) -> tuple[Floats, Floats]:
-    """Columns (m, p) and target (m,) of one axis in its basis, and in that of what stands outside of it."""
-    columns, mine = problem.columns, problem.axes[axis]
+def _of_part(problem: MovingProblem, mine: AxisRows, here: About | None) -> tuple[Floats, Floats]:
+    """Columns (m, p) and target (m,) of one part in its basis, and in that of what stands outside of it."""
+    columns, axis = problem.columns, mine.axis
     body = mine.there < columns.bodies
     inside, known, measured = mine.factor[:, :-2].copy(), mine.factor[:, -2], mine.factor[:, -1]
     if here is None:
@@ -154,7 +208,8 @@ def _of_axis(problem: MovingProblem, axis: int, here: About | None) -> tuple[Flo
     bodies = inside[:, body] @ here.value[mine.there[body]]
     inside[:, body] *= 1.0 + gain
     others = [name for name in columns.ordinary if name != "gain"]
-    outside = np.column_stack([here.local[name][mine.rows, axis] for name in others] + [here.moved_nm[mine.rows, axis]])
+    outside = np.column_stack([*(here.local[name][:, axis] for name in others), here.moved_nm[:, axis]])
+    outside = problem.turned(outside, mine)
     within = mine.basis.T @ outside
     beyond = np.linalg.qr(outside - mine.basis @ within, mode="r")
     design = np.zeros((len(inside) + len(beyond), len(columns.names)))
@@ -167,12 +222,12 @@ def _of_axis(problem: MovingProblem, axis: int, here: About | None) -> tuple[Flo
     return design, target
 
 
-def axis_columns(problem: MovingProblem, here: About, axis: int) -> Floats:
-    """Columns (k, p) of the used rows of one axis about a solution."""
-    columns, rows = problem.columns, problem.axes[axis].rows
-    out = columns.design[rows, axis]
+def part_columns(problem: MovingProblem, here: About, part: AxisRows) -> Floats:
+    """Columns (k, p) of the rows of one part about a solution."""
+    columns, axis = problem.columns, part.axis
+    out = problem.turned(columns.design[:, axis], part)
     if "gain" in columns.ordinary:
         out[:, : columns.bodies] *= 1.0 + here.value[columns.ordinary["gain"][axis]]
     for name, index in columns.ordinary.items():
-        out[:, index[axis]] = here.local[name][rows, axis]
+        out[:, index[axis]] = problem.turned(here.local[name][:, axis], part)
     return out
