@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 from gateway.data.rows import Table
 from gateway.errors import DataUnusable
 from gateway.estimate.estimate import Estimate
-from gateway.estimate.moving_columns import MovingSetup, fast_rows, moving_columns
+from gateway.estimate.moving_columns import Columns, MovingSetup, fast_rows, held_to_friction, moving_columns
 from gateway.estimate.moving_describe import MovingFit, axis_motions, described_load, fitted_rows, nuisances
 from gateway.estimate.moving_noise import correlation_times, spread_of
 from gateway.estimate.moving_ordinary import settle
 from gateway.estimate.moving_periods import Periods, averaged
 from gateway.estimate.moving_problem import MovingProblem, about, solved
+from gateway.estimate.moving_stribeck import stribeck_speeds
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.load_estimate import LoadEstimate, refused_load
 from gateway.identify.loads import BARE_LABEL
@@ -34,8 +35,11 @@ Mask = NDArray[np.bool_]
 
 _REWEIGHTS = 12
 _SETTLED = 1e-3
+_LEAST_SHARE = 1e-3
 #: Times that the parts are weighed anew by what the whole model leaves of them: free links take up too much.
 _WEIGHED_ANEW = 2
+#: Times by which that may change a weight: beyond, priors keep a fit from what the rows say, or count for nothing.
+_MOST_ANEW = 10.0
 
 
 def estimate_moving(
@@ -85,16 +89,28 @@ def _fit(periods: Periods, robot: Robot, options: EstimateOptions, motion: Movin
             f"{int(used.sum())} usable torque values in motion are fewer than the {columns.design.shape[2]} unknowns;"
             " record a longer run that moves all axes"
         )
-    scale_nm = _weights(periods, robot, options, motion, used)
-    problem = MovingProblem.of(columns, moving, used, periods.contrasts)
-    run = np.asarray(moving.run)
+    scale_nm, level_nm = _weights(periods, robot, options, motion, used)
+    if "uneven_friction" not in motion.ordinary:
+        return _estimate(_solved(columns, periods, used, scale_nm), moving, robot)
+    fit = _solved(held_to_friction(columns, level_nm), periods, used, scale_nm)
+    falls = stribeck_speeds(fit.problem, fit.settled, fit.spread)
+    if np.isfinite(falls).any():
+        columns = moving_columns(moving, robot, options, replace(motion, stribeck_rad_s=falls))
+        fit = _solved(held_to_friction(columns, level_nm), periods, used, scale_nm)
+    return _estimate(fit, moving, robot)
+
+
+def _solved(columns: Columns, periods: Periods, used: Mask, scale_nm: Floats) -> MovingFit:
+    """Settle, weigh the parts anew by what the whole model leaves of them, and settle again."""
+    run = np.asarray(periods.mean.run)
+    problem = MovingProblem.of(columns, periods.mean, used, periods.contrasts)
     settled = settle(problem, scale_nm)
     spread = spread_of(problem, settled, scale_nm, run, periods.scatter)
-    for _ in range(_WEIGHED_ANEW * bool(motion.ordinary)):
-        scale_nm = spread.scale_nm
-        settled = settle(problem, scale_nm)
-        spread = spread_of(problem, settled, scale_nm, run, periods.scatter)
-    return _estimate(MovingFit(problem, settled, spread), moving, robot)
+    for _ in range(_WEIGHED_ANEW * bool(columns.ordinary)):
+        anew_nm = np.clip(spread.scale_nm, scale_nm / _MOST_ANEW, _MOST_ANEW * scale_nm)
+        settled = settle(problem, anew_nm)
+        spread = spread_of(problem, settled, anew_nm, run, periods.scatter)
+    return MovingFit(problem, settled, spread)
 
 
 def _without_slipped(periods: Periods, options: EstimateOptions) -> tuple[Periods, tuple[LoadEstimate, ...]]:
@@ -113,19 +129,24 @@ def sound_options(options: EstimateOptions, table: Table) -> EstimateOptions:
     return replace(options, known={label: value for label, value in options.known.items() if label in present})
 
 
-def _weights(periods: Periods, robot: Robot, options: EstimateOptions, motion: MovingSetup, used: Mask) -> Floats:
-    """Standard deviation by which each part is weighted: its residual in a fit with free link parameters."""
+def _weights(
+    periods: Periods, robot: Robot, options: EstimateOptions, motion: MovingSetup, used: Mask
+) -> tuple[Floats, Floats]:
+    """Standard deviation by which each part is weighted, its residual in a fit with free link parameters; and the
+    Coulomb friction (N,) of that fit.
+    """
     moving = periods.mean
-    plain = replace(motion, ordinary=())
+    plain = replace(motion, ordinary=tuple(name for name in motion.ordinary if name == "load_inertia"))
     trust = options.inertials if motion.passes is not None else "ignore"
     columns = moving_columns(moving, robot, replace(options, inertials=trust), plain)
     problem = MovingProblem.of(columns, moving, used, periods.contrasts)
     solution, sigma = _reweighted(problem, motion.passes or _REWEIGHTS)
+    level_nm = np.maximum(np.abs(columns.dry(solution.value)), _LEAST_SHARE * sigma.max())
     if not motion.ordinary:
-        return sigma
+        return sigma, level_nm
     # a prior is weighed against rows that are as good as they are independent
     left = moving.tau_nm - about(problem, solution.value).model_nm
-    return sigma * np.sqrt(correlation_times(problem, left, np.asarray(moving.run)))
+    return sigma * np.sqrt(correlation_times(problem, left, np.asarray(moving.run))), level_nm
 
 
 def _reweighted(problem: MovingProblem, passes: int) -> tuple[Solution, Floats]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from gateway.estimate.options import EstimateOptions
 from gateway.estimate.problem import LOAD_NAMES, LOAD_UNITS
 from gateway.identify.links import PER_LINK_MOVING, body_parameters, link_prior
 from gateway.identify.loads import unknown_labels
-from gateway.identify.nuisance import gain_stds, nuisance_prior
+from gateway.identify.nuisance import BIAS_SHARE, gain_stds, nuisance_prior
 from gateway.identify.solve import Prior
 from gateway.model.base import BaseSet, base_parameters, moving_base
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
@@ -25,10 +25,12 @@ Mask = NDArray[np.bool_]
 
 FRICTION = ("coulomb", "viscous", "rotor_inertia", "offset")
 #: What every arm has beside: the reading's gain, a loss in proportion to the torque, a reading that lags behind the
-#: position, and loads that are no points.
-ORDINARY = ("gain", "load_friction", "delay", "load_inertia")
+#: position, friction that differs by direction and near standstill, and loads that are no points.
+ORDINARY = ("gain", "load_friction", "delay", "uneven_friction", "load_inertia")
 NUISANCES = ORDINARY[:2]
 _LOCAL = ORDINARY[:3]
+#: Speed [rad/s] over which friction falls to its Coulomb level where none shows, and the share of that level by which.
+_FALLS_RAD_S, _FALL_SHARE = 0.05, 0.3
 #: Standard deviation [s] of a delay of which nothing is known: filters of a drive, a few SYNCs.
 _DELAY_S = 0.02
 #: Radius of gyration of a load [m], and its six numbers among a body's ten.
@@ -168,9 +170,11 @@ def moving_columns(moving: Table, robot: Robot, options: EstimateOptions, motion
             names += [f"{name}[{label}]" for name in INERTIA_NAMES]
             units += ["kg m2"] * len(INERTIA_NAMES)
     bodies = len(names)
-    stribeck = motion.stribeck_rad_s or (np.nan,) * robot.axes
+    uneven = "uneven_friction" in motion.ordinary
+    stribeck = np.asarray(motion.stribeck_rad_s or (np.nan,) * robot.axes, dtype=float)
+    stribeck = np.where(np.isnan(stribeck), _FALLS_RAD_S, stribeck) if uneven else stribeck
     falls = np.flatnonzero(np.isfinite(stribeck))
-    shapes = motion.friction or (FRICTION[:3] if loads else FRICTION)
+    shapes = motion.friction or (FRICTION if uneven or not loads else FRICTION[:3])
     parts.append(_friction_columns(moving, shapes, motion.smooth_rad_s))
     names += [f"{name}[J{axis + 1}]" for axis in range(robot.axes) for name in shapes]
     units += [FRICTION_UNITS[FRICTION.index(name)] for _ in range(robot.axes) for name in shapes]
@@ -192,7 +196,7 @@ def moving_columns(moving: Table, robot: Robot, options: EstimateOptions, motion
             prior.std[first + 4 : first + 10] = heaviest * _GYRATION_M**2
     return Columns(
         np.concatenate(parts, axis=2), known, prior, tuple(names), tuple(units), loads, bodies, ordinary,
-        np.tanh(moving.qd_rad_s / motion.smooth_rad_s), motion.smooth_rad_s, tuple(stribeck),
+        np.tanh(moving.qd_rad_s / motion.smooth_rad_s), motion.smooth_rad_s, tuple(stribeck.tolist()),
     )  # fmt: skip
 
 
@@ -208,6 +212,21 @@ def _prior(links: tuple[Floats, Floats], count: int, ordinary: dict[str, Ints], 
         else:
             prior.mean[index], prior.std[index] = getattr(usual, name), getattr(usual, f"{name}_std")
     return prior
+
+
+def held_to_friction(columns: Columns, level_nm: Floats) -> Columns:
+    """The columns with what is a share of the Coulomb friction (N,) held to that.
+
+    A fall towards standstill; and a constant torque where a load is unknown, because a free one swallows gravity.
+    """
+    std = columns.prior.std.copy()
+    for k, name in enumerate(columns.names):
+        kind, _, axis = name.partition("[J")
+        if kind == "stribeck":
+            std[k] = _FALL_SHARE * level_nm[int(axis[:-1]) - 1]
+        elif kind == "offset" and columns.loads:
+            std[k] = BIAS_SHARE * level_nm[int(axis[:-1]) - 1]
+    return replace(columns, prior=replace(columns.prior, std=std))
 
 
 def _free_base(robot: Robot, options: EstimateOptions, free: Ints) -> BaseSet:

@@ -24,6 +24,8 @@ Floats = NDArray[np.float64]
 
 #: Standard deviation over that of the prior, beyond which the rows say nothing of a quantity.
 _UNTOLD = 0.7
+#: Standard deviations of a friction that falls with speed.
+_SHOWS = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,11 +132,12 @@ def _axis_motion(fit: MovingFit, axis: int, speed_rad_s: Floats) -> AxisMotion:
 
     coulomb, viscous, rotor = told("coulomb"), told("viscous"), told("rotor_inertia")
     loss, delay, more = told("load_friction"), told("delay"), told("stribeck")
+    falls = more[0] > _SHOWS * more[1]
     breakaway, breakaway_std = np.nan, np.nan
-    if np.isfinite(more[0]):
+    if falls:
         both = [place[f"coulomb[J{axis + 1}]"], place[f"stribeck[J{axis + 1}]"]]
         breakaway = coulomb[0] + more[0]
-        breakaway_std = float(np.sqrt(fit.spread.covariance[np.ix_(both, both)].sum()))
+        breakaway_std = float(np.sqrt(max(fit.spread.covariance[np.ix_(both, both)].sum(), 0.0)))
     return AxisMotion(
         joint=axis + 1,
         coulomb_nm=coulomb[0],
@@ -143,7 +146,7 @@ def _axis_motion(fit: MovingFit, axis: int, speed_rad_s: Floats) -> AxisMotion:
         viscous_std_nm_s_rad=viscous[1],
         breakaway_nm=breakaway,
         breakaway_std_nm=breakaway_std,
-        stribeck_rad_s=columns.stribeck_rad_s[axis] if np.isfinite(more[0]) else np.nan,
+        stribeck_rad_s=columns.stribeck_rad_s[axis] if falls else np.nan,
         load_friction=loss[0],
         load_friction_std=loss[1],
         rotor_inertia_kg_m2=rotor[0],

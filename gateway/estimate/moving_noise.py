@@ -91,8 +91,23 @@ def spread_of(
     by_prior = covariance - working
     if not alone.all():
         rows = np.concatenate([part.rows for part in problem.parts])
+        real = wider(real, _by_strokes(problem, pulls))
         real = wider(real, by_blocks(np.concatenate(pulls), rows, run, _LONG * float(times.max())))
     return Spread(real + by_prior, by_axis(problem, size), size * np.sqrt(times), alone)
+
+
+def _by_strokes(problem: MovingProblem, pulls: list[Floats]) -> Floats:
+    """Covariance (p, p) of what each part's rows (k, p) pull, those of one stroke together.
+
+    Friction is another from stroke to stroke, and what is off in it pulls one way as long as the axis goes one way.
+    """
+    out = np.zeros((pulls[0].shape[1],) * 2)
+    for part, pull in zip(problem.parts, pulls, strict=True):
+        sign = np.sign(problem.qd_rad_s[part.rows, part.axis])
+        begins = np.flatnonzero((np.diff(sign, prepend=0.0) != 0) | (np.diff(part.rows, prepend=-1) != 1))
+        sums = np.add.reduceat(pull, begins, axis=0)
+        out += sums.T @ sums * (len(begins) / max(len(begins) - 1, 1))
+    return out
 
 
 def by_axis(problem: MovingProblem, values: Floats) -> Floats:
