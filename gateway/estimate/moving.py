@@ -8,6 +8,7 @@ it: with no repeated motion the noise floor of a moving run is unknown.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,12 +24,13 @@ from gateway.estimate.moving_ordinary import settle
 from gateway.estimate.moving_periods import Periods, averaged
 from gateway.estimate.moving_problem import MovingProblem, about, solved
 from gateway.estimate.moving_stribeck import stribeck_speeds
+from gateway.estimate.moving_time import Stretches
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.load_estimate import LoadEstimate, refused_load
 from gateway.identify.loads import BARE_LABEL
 from gateway.identify.solve import Solution
 from gateway.model.robot import Robot, reach_m
-from gateway.result.result import Finding
+from gateway.result.result import AxisMotion, Finding
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -36,6 +38,10 @@ Mask = NDArray[np.bool_]
 _REWEIGHTS = 12
 _SETTLED = 1e-3
 _LEAST_SHARE = 1e-3
+#: Share of its way by which an axis may go otherwise than its speed says.
+_MISMATCH = 0.5
+#: Delay [s] beyond which a drive is late.
+_LATE_S = 0.02
 #: Times that the parts are weighed anew by what the whole model leaves of them: free links take up too much.
 _WEIGHED_ANEW = 2
 #: Times by which that may change a weight: beyond, priors keep a fit from what the rows say, or count for nothing.
@@ -66,6 +72,7 @@ def estimate_moving(
     moving = table.take(table.moving)
     if not len(moving):
         raise DataUnusable("the data hold no moving rows")
+    _check_speeds(moving)
     periods = averaged(moving, np.isfinite(moving.tau_nm) & fast_rows(moving.qd_rad_s, robot, motion))
     sound, refused = _without_slipped(periods, options)
     if not len(sound.mean):
@@ -100,6 +107,36 @@ def _fit(periods: Periods, robot: Robot, options: EstimateOptions, motion: Movin
     return _estimate(fit, moving, robot)
 
 
+def _check_speeds(moving: Table) -> None:
+    """Refuse speeds that are not those of the positions: rows too far apart, or another unit.
+
+    Raises
+    ------
+    DataUnusable
+    """
+    off = Stretches.of(np.asarray(moving.run), moving.time_s).mismatch(moving.q_rad, moving.qd_rad_s)
+    axis = int(np.argmax(off))
+    if off[axis] > _MISMATCH:
+        raise DataUnusable(
+            f"J{axis + 1}: from row to row its position goes otherwise than its speed says, by"
+            f" {100 * off[axis]:.0f} % of the way: the motion was sampled too slowly, or the speed is in another unit;"
+            " record at 100 Hz or more, speeds in rad/s"
+        )
+
+
+def _late(motions: Sequence[AxisMotion]) -> list[Finding]:
+    """Axes whose torque lags more than filters of a drive do."""
+    return [
+        Finding(
+            "warn", f"J{one.joint}",
+            f"its drive reports the torque {1000 * one.delay_s:.0f} ms late; the fit allows for it",
+            "see the torque filter of the drive and the order of its PDOs, since a watch on contact is as late",
+        )
+        for one in motions
+        if one.delay_s > _LATE_S
+    ]  # fmt: skip
+
+
 def _solved(columns: Columns, periods: Periods, used: Mask, scale_nm: Floats) -> MovingFit:
     """Settle, weigh the parts anew by what the whole model leaves of them, and settle again."""
     run = np.asarray(periods.mean.run)
@@ -108,7 +145,7 @@ def _solved(columns: Columns, periods: Periods, used: Mask, scale_nm: Floats) ->
     spread = spread_of(problem, settled, scale_nm, run, periods.scatter)
     for _ in range(_WEIGHED_ANEW * bool(columns.ordinary)):
         anew_nm = np.clip(spread.scale_nm, scale_nm / _MOST_ANEW, _MOST_ANEW * scale_nm)
-        settled = settle(problem, anew_nm)
+        settled = settle(problem, anew_nm, settled.here)
         spread = spread_of(problem, settled, anew_nm, run, periods.scatter)
     return MovingFit(problem, settled, spread)
 
@@ -192,7 +229,7 @@ def _estimate(fit: MovingFit, moving: Table, robot: Robot) -> Estimate:
         rank=solution.rank,
         condition=solution.condition,
         lumped=tuple(name for name, good in zip(columns.names, found, strict=True) if not good),
-        findings=(_limits(),),
+        findings=(*_late(motions), _limits()),
         nuisance=nuisances(fit),
         motion=motions,
         quality={"rows": int(fit.problem.used.sum()), "parameters": len(columns.names)},

@@ -16,7 +16,7 @@ from gateway.identify.solve import Prior, Solution
 Floats = NDArray[np.float64]
 
 _STEPS: Final = 12
-_SETTLED: Final = 1e-7
+_SETTLED: Final = 1e-6
 #: Standard deviation of a parameter at its limit.
 _HELD: Final = 1e-7
 
@@ -30,18 +30,18 @@ class Settled:
     free: Solution
 
 
-def settle(problem: MovingProblem, sigma_nm: Floats) -> Settled:
-    """Fit, each axis with its standard deviation (N,).
+def settle(problem: MovingProblem, sigma_nm: Floats, start: About | None = None) -> Settled:
+    """Fit, each part with its standard deviation, from a solution near by if there is one.
 
     A gain multiplies what the bodies give, known ones too. No gain and no loss goes beyond what is ordinary: what wants
     it further is something that the model lacks, and must not pass for a gain.
     """
     columns = problem.columns
     prior, used = columns.prior, problem.used
-    solution = solved(problem, None, sigma_nm, prior)
-    if not columns.ordinary:
-        return Settled(about(problem, solution.value), solution, solution)
+    solution = solved(problem, start, sigma_nm, prior)
     here = about(problem, solution.value)
+    if not columns.ordinary:
+        return Settled(here, solution, solution)
     for _ in range(_STEPS):
         before = here.model_nm[used]
         solution = solved(problem, here, sigma_nm, columns.prior)

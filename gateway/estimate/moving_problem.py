@@ -167,9 +167,8 @@ def about(problem: MovingProblem, value: Floats) -> About:
         delay = part["delay"]
         level = columns.dry(value)
         smooth = whole + own - level * columns.sign
-        earlier, change = problem.stretches.earlier(smooth, delay)
-        speed, _ = problem.stretches.earlier(problem.qd_rad_s, delay)
-        lost, _ = problem.stretches.earlier(lost, delay)
+        then, changes = problem.stretches.earlier(np.hstack([smooth, problem.qd_rad_s, lost]), np.tile(delay, 3))
+        (earlier, speed, lost), change = np.split(then, 3, axis=1), changes[:, :axes]
         sign = np.tanh(speed / columns.smooth_rad_s)
         moved = earlier - smooth + level * (sign - columns.sign) + delay * change
         local["delay"] = -change

@@ -39,10 +39,15 @@ class Stretches:
             parts += [(rows, time[rows]) for rows in np.split(mine, cut) if len(rows) >= _FEWEST]
         return Stretches(tuple(parts))
 
-    @property
-    def step_s(self) -> float:
-        """Usual time between two rows [s]; NaN where there is no stretch."""
-        return float(np.median([np.median(np.diff(time)) for _, time in self.parts])) if self.parts else np.nan
+    def mismatch(self, q_rad: Floats, qd_rad_s: Floats) -> Floats:
+        """How far positions (n, N) go otherwise than their speeds say, over how far they go: (N,)."""
+        square, way = np.zeros((2, q_rad.shape[1]))
+        for rows, time in self.parts:
+            step = np.diff(q_rad[rows], axis=0)
+            said = (qd_rad_s[rows][1:] + qd_rad_s[rows][:-1]) / 2.0 * np.diff(time)[:, None]
+            square += ((step - said) ** 2).sum(axis=0)
+            way += (step**2).sum(axis=0)
+        return np.sqrt(square / np.where(way > 0, way, np.inf))
 
     def earlier(self, values: Floats, delay_s: ArrayLike) -> tuple[Floats, Floats]:
         """Values (n, N) by `delay_s` (N,) earlier, and how they changed then [1/s].
@@ -52,9 +57,12 @@ class Stretches:
         out, change = values.copy(), np.zeros_like(values)
         delays = np.broadcast_to(np.asarray(delay_s, dtype=float), values.shape[1:])
         for rows, time in self.parts:
+            power = CubicSpline(time, values[rows]).c  # (4, pieces, N), highest first
             for axis, delay in enumerate(delays):
-                curve = CubicSpline(time, values[rows, axis])
                 when = np.clip(time - delay, time[0], time[-1])
-                out[rows, axis] = curve(when)
-                change[rows, axis] = curve(when, 1)
+                piece = np.clip(np.searchsorted(time, when, side="right") - 1, 0, len(time) - 2)
+                cubic, square, line, start = power[:, piece, axis]
+                past = when - time[piece]
+                out[rows, axis] = ((cubic * past + square) * past + line) * past + start
+                change[rows, axis] = (3.0 * cubic * past + 2.0 * square) * past + line
         return out, change
