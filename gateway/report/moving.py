@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.report import words
+from gateway.result.inertia import COLUMN, ROW, tensor_of
 from gateway.result.interval import half_width
 from gateway.result.numerals import interval_text, with_interval
 from gateway.result.result import AxisMotion, LoadResult, Result, Rows
@@ -17,8 +18,6 @@ from gateway.result.result import AxisMotion, LoadResult, Result, Rows
 Floats = NDArray[np.float64]
 
 PARTS = ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
-#: Where each of them stands in a (3, 3) tensor.
-ROW, COLUMN = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
 #: Points of a friction curve, and measured rows that are drawn with it.
 CURVE_POINTS, MOST_POINTS = 81, 300
 #: Share of the fastest speed below which friction has no clear sense: such rows are not drawn.
@@ -86,9 +85,7 @@ def _principal(value: Floats, std: Floats) -> tuple[str, ...]:
     """Principal values, the largest first, with their intervals in first order; empty where a moment is not known."""
     if not np.isfinite(value).all():
         return ()
-    tensor = np.zeros((3, 3))
-    tensor[ROW, COLUMN] = tensor[COLUMN, ROW] = value
-    size, turn = np.linalg.eigh(tensor)
+    size, turn = np.linalg.eigh(tensor_of(value.tolist()))
     slope = turn[ROW] * turn[COLUMN] * np.where(ROW == COLUMN, 1.0, 2.0)[:, None]
     spread = np.sqrt(np.sum((slope * std[:, None]) ** 2, axis=0))
     return tuple(with_interval(float(size[k]), float(spread[k])) for k in (2, 1, 0))
