@@ -32,6 +32,7 @@ from gateway.acquire.plan import (
     travel_limits,
 )
 from gateway.acquire.settle import SettleTest
+from gateway.data.period import Measured, Period
 from gateway.data.sample import ArmSample
 from gateway.data.visit import Visit, VisitLabel, visit_from_samples
 from gateway.errors import GatewayError, PlanRefused, PoseNeverSettles
@@ -58,18 +59,18 @@ SINK_RAD = ARM_RULES["sinks"].limit
 
 
 class VisitStore(Protocol):
-    """Where visits go; nothing here may keep the motion loop waiting but `flush`."""
+    """Where visits and periods go; nothing here may keep the motion loop waiting but `flush`."""
 
-    def add(self, arm: str, visit: Visit) -> Visit:
-        """Take a visit; returns it with its number."""
+    def add(self, arm: str, visit: Measured) -> Measured:
+        """Take a visit or a period; returns it with its number."""
         ...
 
-    def written(self) -> Sequence[Visit]:
-        """Visits that have been kept for good since this was asked last."""
+    def written(self) -> Sequence[Visit | Period]:
+        """What has been kept for good since this was asked last."""
         ...
 
     def trouble(self) -> GatewayError | None:
-        """Why no more visits should be measured: a disk that is full or too slow."""
+        """Why nothing more should be measured: a disk that is full or too slow."""
         ...
 
     def flush(self) -> None:
@@ -84,21 +85,27 @@ class VisitStore(Protocol):
 
 
 class Shelf:
-    """Visits in memory."""
+    """Visits and periods in memory."""
 
     def __init__(self) -> None:
         self.visits: list[Visit] = []
-        self._told = 0
+        self.periods: list[Period] = []
+        self._untold: list[Visit | Period] = []
 
-    def add(self, arm: str, visit: Visit) -> Visit:
-        """Keep a visit."""
+    def add(self, arm: str, visit: Measured) -> Measured:
+        """Keep a visit or a period."""
         del arm
-        self.visits.append(replace(visit, number=len(self.visits) + 1))
-        return self.visits[-1]
+        kept = replace(visit, number=len(self.visits) + len(self.periods) + 1)
+        if isinstance(kept, Period):
+            self.periods.append(kept)
+        else:
+            self.visits.append(kept)
+        self._untold.append(kept)
+        return kept
 
-    def written(self) -> Sequence[Visit]:
+    def written(self) -> Sequence[Visit | Period]:
         """What was added since."""
-        since, self._told = self.visits[self._told :], len(self.visits)
+        since, self._untold = self._untold, []
         return since
 
     def trouble(self) -> None:
@@ -159,10 +166,9 @@ class Run:
         self._store = station.store
         self._tell = station.tell
         self._period_s = plan.settings.period_s
-        durations = step_durations(plan, self._workspace)
-        if station.options.first_done is not None:
-            durations[:1] = [duration / FIRST_SHARE for duration in durations[:1]]
-        self._ends = [0.0, *accumulate(durations)]
+        self._first = FIRST_SHARE if station.options.first_done is not None else 1.0
+        self._ends = self._timed(plan, 0.0)
+        self._further_s = 0.0
         self._slower = 1.0 / station.options.override
         self._step = -1
         self._settle_s: dict[int, float] = {}
@@ -177,21 +183,41 @@ class Run:
         ------
         PlanRefused
         """
-        planned = np.array(self.plan.start_rad)
-        sunk = np.abs(stream.q_rad[0] - planned)
-        if not sunk.max() <= SINK_RAD:
-            joint = int(np.argmax(np.nan_to_num(sunk, nan=np.inf))) + 1
-            raise PlanRefused(
-                f"arm '{self.plan.arm}', joint {joint} moved by {sunk[joint - 1]:.3f} rad while its brake opened; "
-                f"{ARM_RULES['sinks'].advice}"
-            )
+        refuse_sunk(self.plan, stream)
 
     def execute(self, stream: Stream) -> None:
         """All steps."""
+        self.begin(stream, len(self.plan.visits), 0.0)
+        self.steps()
+        self.end()
+
+    def begin(self, stream: Stream, visits: int, further_s: float) -> None:
+        """Tell that a run begins, of so many visits and with so much time expected beyond the plan [s]."""
         self.check_start(stream)
-        self._stream = stream
-        self._tell(Started(self.plan.arm, self._load, len(self.plan.visits), self._slower * self._ends[-1]))
+        self._stream, self._further_s = stream, further_s
+        self._tell(Started(self.plan.arm, self._load, visits, self._slower * (self._ends[-1] + further_s)))
         stream.take_over()
+
+    def go_on(self, plan: Plan, further_s: float) -> None:
+        """All steps of another plan, from where the arm stands now; so much time is expected beyond it [s]."""
+        self._ends = self._timed(plan, self._ends[-1])
+        self.plan, self._step, self._further_s = plan, -1, further_s
+        self.steps()
+
+    def end(self) -> None:
+        """Tell that all is done."""
+        self._tell(Progress(len(self.plan.steps), len(self.plan.steps), "done", self._slower * self._ends[-1], 0.0))
+
+    def _timed(self, plan: Plan, begin_s: float) -> list[float]:
+        """When every step of a plan ends, from its begin on; the very first is slow with drives that never moved."""
+        durations = step_durations(plan, self._workspace)
+        durations[:1] = [duration / self._first for duration in durations[:1]]
+        self._first = 1.0
+        return list(accumulate(durations, initial=begin_s))
+
+    def steps(self) -> None:
+        """The steps of the plan."""
+        stream = self._stream
         for number, step in enumerate(self.plan.steps):
             self._step = number
             self.state.enter(PHASES[type(step)], stream.sync_index)
@@ -205,7 +231,6 @@ class Run:
                 self._settle(step)
             else:
                 self._sample(step)
-        self._tell(Progress(len(self.plan.steps), len(self.plan.steps), "done", self._slower * self._ends[-1], 0.0))
 
     def disk(self) -> StopRequest | None:
         """Tell of the visits that are on disk by now; a wish to stop where the disk does not keep up.
@@ -213,7 +238,8 @@ class Run:
         The motion loop asks at every SYNC.
         """
         for visit in self._store.written():
-            self._announce(visit)
+            if isinstance(visit, Visit):
+                self._announce(visit)
         trouble = self._store.trouble()
         return None if trouble is None else StopRequest(StopKind.ALONG_PATH, trouble)
 
@@ -297,10 +323,21 @@ class Run:
 
     def report(self, what: str, row: int, rows: int) -> None:
         """Where the run stands, told by the motion loop now and then."""
-        begin, end = (self._ends[self._step], self._ends[self._step + 1]) if self._step >= 0 else (0.0, 0.0)
+        begin, end = (self._ends[self._step], self._ends[self._step + 1]) if self._step >= 0 else self._ends[:1] * 2
         elapsed = begin + (end - begin) * max(row, 0) / rows
-        left = self._slower * (self._ends[-1] - elapsed)
+        left = self._slower * (self._ends[-1] - elapsed + self._further_s)
         self._tell(Progress(self._step + 1, len(self.plan.steps), what, self._slower * elapsed, left))
+
+
+def refuse_sunk(plan: Plan, stream: Stream) -> None:
+    """As `Run.check_start`."""
+    sunk = np.abs(stream.q_rad[0] - np.array(plan.start_rad))
+    if not sunk.max() <= SINK_RAD:
+        joint = int(np.argmax(np.nan_to_num(sunk, nan=np.inf))) + 1
+        raise PlanRefused(
+            f"arm '{plan.arm}', joint {joint} moved by {sunk[joint - 1]:.3f} rad while its brake opened; "
+            f"{ARM_RULES['sinks'].advice}"
+        )
 
 
 def with_half_sums(arm: Arm, first: Visit, second: Visit) -> Visit:

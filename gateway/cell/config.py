@@ -301,6 +301,11 @@ class ArmConfig(Strict):
         description="result file beside the cell, of `estimate`, `diagnose` or `commission` of this arm in motion: its"
         " friction and rotor inertia are taken before those of the axes",
     )
+    load_acceleration_m_s2: Positive | None = Field(
+        default=None,
+        description="largest acceleration of the load's centre of gravity, without gravity, that its gripper holds it "
+        "at; absent: the arm's own limits alone",
+    )
     hold_to_run: HoldToRun | None = Field(
         default=None, description="digital input that has to be held for motion; no enabling device of a standard"
     )
