@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gateway.acquire.events import Event, PoseDone, Progress, SampleRepeated, Started, StateChanged, VisitDone
+from gateway.acquire.events import Event, Narrowed, PoseDone, Progress, SampleRepeated, Started, StateChanged, VisitDone
 from gateway.acquire.plan import Plan
 from gateway.acquire.session import RecordingSummary, RecordRequest, record
 from gateway.commands.console import Bar, Session
@@ -40,6 +40,8 @@ class ProgressListener:
         elif isinstance(event, SampleRepeated):
             axes = ", ".join(f"J{axis}" for axis in event.axes)
             self._session.note(f"SYNC {event.sync_index} was not answered by {axes}; sampled again")
+        elif isinstance(event, Narrowed):
+            self._session.note(f"load {event.load}, {event.text}")
         elif isinstance(event, StateChanged):
             self._session.note(str(event.state), level=2)
         else:
