@@ -213,8 +213,7 @@ class DriveMotion:
         seconds = ticks * TICK_S
         self.feed_torque()
         travel = travel_rad + self._hunting(seconds)
-        even = max(self._period_s() / TICK_S, ticks) if self._drive.mode == CSP else ticks
-        self._drive.axis.servo.lead(travel / ticks, even)
+        self._drive.axis.servo.reference_step_rad = travel / ticks
         return travel / seconds
 
     def target_set(self) -> None:

@@ -1,9 +1,7 @@
 """Cascaded loops of one simulated drive, 1 kHz: position P, velocity PI with feedforward, current loop of first order.
 
 All quantities stand on the gear output ("joint side" of a motor): angles are motor angle over ratio, torques motor
-torque times ratio. One call is one millisecond. The position reference goes in straight lines from set point to set
-point; the speed that is fed forward does not jump there but changes evenly in between, as that of a drive does which
-interpolates: a step of speed at every set point would be a saw tooth of torque in step with the SYNC.
+torque times ratio. One call is one millisecond.
 """
 
 from __future__ import annotations
@@ -11,8 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 TICK_S = 0.001
-#: Steps of the reference that differ by less are the same [rad].
-SAME_RAD = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +49,6 @@ class ServoLoop:
     """
 
     __slots__ = (
-        "_fed_change_rad",
-        "_fed_left",
-        "_fed_rad",
         "_integral_nm",
         "_ki",
         "_lag",
@@ -86,20 +79,7 @@ class ServoLoop:
         """Power off: no torque, the reference stands where the axis stands."""
         self.reference_rad, self.reference_step_rad = position_rad, 0.0
         self.error_rad = self.demand_nm = self.u_nm = self._integral_nm = 0.0
-        self._fed_rad = self._fed_change_rad = self._fed_left = 0.0
         self.limited = False
-
-    def lead(self, step_rad: float, ticks: float) -> None:
-        """Move the reference by `step_rad` every millisecond from now on.
-
-        The speed that is fed forward gets within `ticks` milliseconds to where the last change of the step leads to:
-        at an even acceleration it is that of the reference, without a lag. It does not lead beyond standstill.
-        """
-        change = step_rad - self.reference_step_rad
-        if self._fed_left <= 0.0 or abs(change) > SAME_RAD:
-            goal = step_rad + 0.5 * change if step_rad else 0.0
-            self._fed_change_rad, self._fed_left = (goal - self._fed_rad) / ticks, ticks
-        self.reference_step_rad = step_rad
 
     def torque(self, position_rad: float, speed_rad_s: float) -> float:
         """Motor torque after one millisecond [Nm, gear output]."""
@@ -113,10 +93,7 @@ class ServoLoop:
             demand = self.offset_nm
             hold = True
         else:
-            if self._fed_left > 0.0:
-                self._fed_rad += self._fed_change_rad
-                self._fed_left -= 1.0
-            speed = gains.position_1_s * error + gains.feedforward * self._fed_rad / TICK_S + self.offset_rad_s
+            speed = gains.position_1_s * error + gains.feedforward * step / TICK_S + self.offset_rad_s
             if speed > self.max_rad_s:
                 speed = self.max_rad_s
             elif speed < -self.max_rad_s:

@@ -50,10 +50,10 @@ def drive_to(world: ArmWorld, q: np.ndarray, seconds: float) -> None:
         share = k / steps
         goal = start + (q - start) * share**3 * (10 - 15 * share + 6 * share**2)
         for axis, target in zip(world.axes, goal.tolist(), strict=True):
-            axis.servo.lead((target - axis.servo.reference_rad) / 10, 10)
+            axis.servo.reference_step_rad = (target - axis.servo.reference_rad) / 10
         world.advance(10)
     for axis in world.axes:
-        axis.servo.lead(0.0, 10)
+        axis.servo.reference_step_rad = 0.0
 
 
 LOADS = {
@@ -224,7 +224,7 @@ def test_motor_torque_in_motion_is_dynamics_rotor_friction_and_gear(name, arm_of
         turn = 2.0 * np.pi * (tick + 4) / 1000.0 / period_s
         goal = start + 0.4 * speed * period_s / (2.0 * np.pi) * (1.0 - np.cos(turn))
         for axis, target in zip(world.axes, goal.tolist(), strict=True):
-            axis.servo.lead((target - axis.servo.reference_rad) / 4, 4)
+            axis.servo.reference_step_rad = (target - axis.servo.reference_rad) / 4
         for _ in range(4):
             world.advance(1)
             rows.append([world.q_rad, [axis.servo.u_nm for axis in world.axes]])
@@ -247,26 +247,3 @@ def test_motor_torque_in_motion_is_dynamics_rotor_friction_and_gear(name, arm_of
     scale = np.sqrt((expected**2).mean(axis=0))
     assert (np.sqrt(((motor - expected) ** 2).mean(axis=0)) < 0.01 * scale).all()
     assert (np.abs(plant.rotor_inertia_kg_m2 * qdd).max(axis=0) > 0.02 * scale).all()
-
-
-def test_a_torque_that_is_read_at_every_set_point_is_that_of_the_time_between(world_of):
-    """A drive's torque does not swing in step with the SYNC: a master that reads at it sees the mean."""
-    world = world_of("small", zero_offset_rad=np.zeros(6))
-    release(world)
-    start = np.array([axis.position_rad for axis in world.axes])
-    read, between = [], []
-    for tick in range(0, 2000, 10):
-        goal = start + 0.15 * (1.0 - np.cos(2.0 * np.pi * (tick + 10) / 2000.0))
-        for axis, target in zip(world.axes, goal.tolist(), strict=True):
-            axis.servo.lead((target - axis.servo.reference_rad) / 10, 10)
-        torques = []
-        for _ in range(10):
-            world.advance(1)
-            torques.append([axis.servo.u_nm for axis in world.axes])
-        read.append(torques[-1])
-        between.append(np.mean(torques, axis=0))
-    turning = slice(20, None)
-    accelerates = np.cos(2.0 * np.pi * np.arange(10, 2010, 10) / 2000.0)[turning]
-    rotor = world.plant.rotor_inertia_kg_m2 * 0.15 * np.pi**2
-    off = (np.array(read) - between)[turning].T @ accelerates / (accelerates @ accelerates)
-    assert (np.abs(off) < 0.1 * rotor).all()
