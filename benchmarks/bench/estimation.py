@@ -15,13 +15,14 @@ import numpy as np
 import pinocchio
 from numpy.typing import NDArray
 
-from gateway.acquire.poses import PoseRequest, assumed_noise_nm, choose_poses
+from gateway.acquire.poses import PoseRequest, choose_poses
 from gateway.cell.config import load_cell
 from gateway.data.rows import Table
 from gateway.estimate import ESTIMATORS, EstimateOptions
 from gateway.identify.load_estimate import LoadEstimate
 from gateway.model.arm_model import arm_robot
 from gateway.model.robot import Robot, robot_from_urdf
+from gateway.motion.assumed import assumed_noise_nm
 from gateway.motion.workspace import workspace_of
 from sim import draw
 from sim.cellfile import read_cell

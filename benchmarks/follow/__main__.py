@@ -44,6 +44,7 @@ def main(argv: list[str]) -> int:
         jobs = [("large", seed) for seed in arguments.seeds] + [("small", arguments.seeds[0])]
         results: dict[str, list[FollowResult]] = {"large": [], "small": []}
         wrong: list[FollowResult] = []
+        untyped: list[FollowResult] = []
         for number, (example, seed) in enumerate(jobs, start=1):
             print(f"{number}/{len(jobs)}: {example} arm, build errors {seed}", file=sys.stderr, flush=True)
             place = rig.set_up(Path(folder) / f"{example}-{seed}", example)
@@ -54,12 +55,13 @@ def main(argv: list[str]) -> int:
                 assert told.exit_code == 0, told.output
                 results[example].append(read_follow(report.with_suffix(".json")))
                 wrong += _wrong(place, handle)
+                untyped.append(_nothing_typed(place, handle, seed))
                 if number == 1:
                     figures |= _told_otherwise(place, handle)
                     figures |= _computing(place)
         first = f"{jobs[0][0]}-{jobs[0][1]}"
         shutil.copy(arguments.out / f"{first}.html", arguments.out / "report.html")
-    figures = _following(results) | _loads(results, wrong) | figures
+    figures = _following(results) | _untyped(untyped) | _loads(results, wrong) | figures
     (arguments.out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n")
     show(figures)
     return 0 if all(item["met"] is not False for item in figures.values()) else 1
@@ -87,6 +89,26 @@ def _following(results: dict[str, list[FollowResult]]) -> dict[str, dict]:
 
 def _words(setting: str) -> str:
     return "without" if setting == "off" else "maximum load"
+
+
+def _nothing_typed(place: rig.Place, handle: Any, seed: int) -> FollowResult:
+    """The path with a cell in which no rotor and no friction is typed, and all of it identified."""
+    cell, result = rig.nothing_typed(place, seed)
+    return rig.followed(handle, cell, FollowRequest(place.path, result), "off", "maximum", "identified")
+
+
+def _untyped(several: list[FollowResult]) -> dict[str, dict]:
+    found: dict[str, dict] = {}
+    for other, goal in (("off", "<= 0.01"), ("maximum", "<= 0.25")):
+        ratio = [
+            float(item["identified"][axis] / item[other][axis]) for item in map(peaks, several) for axis in WATCHED
+        ]
+        name = f"nothing typed, all identified: axes 2 and 3, identified load over {_words(other)}"
+        found[name] = figure(max(ratio), goal, interval=(min(ratio), max(ratio)))
+    worst = [float((item["identified"] / item["off"]).max()) for item in map(peaks, several)]
+    name = "nothing typed, all identified: worst axis, identified load over without"
+    found[name] = figure(max(worst), "<= 1", interval=(min(worst), max(worst)))
+    return found
 
 
 def _wrong(place: rig.Place, handle: Any) -> list[FollowResult]:

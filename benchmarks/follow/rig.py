@@ -16,7 +16,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from click.testing import CliRunner, Result
+from numpy.typing import NDArray
 
 from benchmarks.rigs.pacing import in_lockstep
 from gateway.cli import main
@@ -29,8 +31,12 @@ from gateway.follow.settings import Setting
 from gateway.model.arm_model import arm_named
 from gateway.motion.opening import open_arm
 from gateway.result.follow import FollowResult
-from gateway.result.result import read_result, to_json
+from gateway.result.result import AxisMotion, read_result, to_json
+from sim.cellfile import read_cell, read_payloads
+from sim.nominal import plant_of
 from sim.serve import RunningSimulation, running
+
+Floats = NDArray[np.float64]
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 LABEL = "load"
@@ -65,6 +71,66 @@ class Place:
         changed = replace(result, loads=loads, after=replace(result.after, loads=loads))
         (self.folder / f"{name}.json").write_text(to_json(changed))
         return self.folder / f"{name}.json"
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What the simulator obeys, as far as motion tells it: per axis, and of the load about its centre of gravity."""
+
+    rotor_kg_m2: Floats
+    coulomb_nm: Floats
+    viscous_nm_s_rad: Floats
+    inertia_kg_m2: Floats
+
+
+def truth(place: Place) -> Truth:
+    """From the files that the simulator reads."""
+    plant = plant_of(read_cell(place.cell).arms[0])
+    load = read_payloads(place.folder / "payload.toml")[LABEL]
+    return Truth(plant.rotor_inertia_kg_m2, plant.coulomb_nm, plant.viscous_nm_s_rad, np.asarray(load.inertia_kg_m2))
+
+
+def nothing_typed(place: Place, seed: int) -> tuple[Path, Path]:
+    """The cell without rotors and friction, and the result with them as motion tells them: true values with errors.
+
+    Standard deviations of 2 % of a rotor, 1.5 % of Coulomb and 2.5 % of viscous friction, 5 % of the largest principal
+    inertia of the load; errors are drawn from them.
+    """
+    random, true, told = np.random.default_rng(seed), truth(place), read_result(place.result)
+
+    def drawn(values: Floats, share: float) -> tuple[Floats, Floats]:
+        std = np.asarray(share * np.abs(values))
+        return values + std * random.normal(size=values.shape), std
+
+    sizes = [
+        drawn(values, share)
+        for values, share in ((true.rotor_kg_m2, 0.02), (true.coulomb_nm, 0.015), (true.viscous_nm_s_rad, 0.025))
+    ]
+    motion = tuple(
+        AxisMotion(
+            joint,
+            rotor_inertia_kg_m2=rotor,
+            rotor_inertia_std_kg_m2=rotor_std,
+            coulomb_nm=coulomb,
+            coulomb_std_nm=coulomb_std,
+            viscous_nm_s_rad=viscous,
+            viscous_std_nm_s_rad=viscous_std,
+        )
+        for joint, (rotor, rotor_std, coulomb, coulomb_std, viscous, viscous_std) in enumerate(
+            np.column_stack([part for size in sizes for part in size]).tolist(), start=1
+        )
+    )
+    own = true.inertia_kg_m2[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
+    std = np.full(6, 0.05 * np.linalg.eigvalsh(true.inertia_kg_m2)[-1])
+    inertia, spread = (tuple(values.tolist()) for values in (own + std * random.normal(size=6), std))
+    loads = tuple(replace(load, inertia_kg_m2=inertia, inertia_std_kg_m2=spread) for load in told.loads)
+    result = place.folder / "moving.json"
+    changed = replace(told, motion=motion, loads=loads, after=replace(told.after, loads=loads))
+    result.write_text(to_json(changed))
+    cell = place.told("untyped", r"(?m)^(rotor_inertia_kg_m2|coulomb_nm|viscous_nm_s_rad) = .*\n", "")
+    text = cell.read_text().replace("[[arm]]\n", f'[[arm]]\nidentified = "{result.name}"\n', 1)
+    cell.write_text(text)
+    return cell, result
 
 
 def set_up(folder: Path, example: str) -> Place:
@@ -108,7 +174,7 @@ def identify(place: Place, handle: RunningSimulation) -> None:
 
 
 def follow_command(place: Place, handle: RunningSimulation, load: Path, out: Path, *options: object) -> Result:
-    """`servo-gateway follow` with JSON and report."""
+    """`servo-gateway follow` with JSON and report, of the place's own cell."""
     files = ["--path", place.path, "--load", load, "--json", out.with_suffix(".json")]
     return command(
         "follow", place.cell, *files, "--report", out, "--bus", handle.bus, "--yes", "--force", "-q", *options

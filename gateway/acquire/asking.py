@@ -11,7 +11,7 @@ import numpy as np
 
 from gateway.acquire.plan import Plan
 from gateway.acquire.planning import plan_of_any
-from gateway.acquire.poses import PoseRequest, can_be_measured, draw_postures
+from gateway.acquire.poses import PoseRequest, can_be_measured
 from gateway.analyse.given import Given
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.data.recording.recorded import Recording
@@ -116,7 +116,7 @@ def postures_to_ask(about: Given) -> np.ndarray | None:
     random = np.random.default_rng(request.seed)
     found = np.empty((0, workspace.robot.axes))
     for _ in range(_DRAWS):
-        q_rad = draw_postures(workspace, random, _AT_ONCE)
+        q_rad = workspace.draw(random, _AT_ONCE)
         found = np.vstack([found, q_rad[can_be_measured(workspace, request, q_rad)]])
         if len(found) >= CHOICE:
             break

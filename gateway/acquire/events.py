@@ -74,6 +74,33 @@ class PoseDone:
 
 
 @dataclass(frozen=True, slots=True)
+class PeriodDone:
+    """One period of an excitation is driven and on disk.
+
+    Attributes
+    ----------
+    name : str
+        Of the excitation.
+    period : int
+        Which of its periods, from 1.
+    speed : float
+        Share of the full speed.
+    complete : bool
+        Every SYNC of it was answered.
+    incomplete_epochs : int
+        SYNCs that were not.
+    """
+
+    number: int
+    name: str
+    period: int
+    load: str
+    speed: float
+    complete: bool
+    incomplete_epochs: int
+
+
+@dataclass(frozen=True, slots=True)
 class Narrowed:
     """A load that is measured until it is known well enough was estimated anew; `text` says how far it is known."""
 
@@ -96,5 +123,5 @@ class StateChanged:
     state: CellState
 
 
-Event = StateChanged | Started | Progress | SampleRepeated | VisitDone | PoseDone | Narrowed | Stopped
+Event = StateChanged | Started | Progress | SampleRepeated | VisitDone | PoseDone | PeriodDone | Narrowed | Stopped
 Listener = Callable[[Event], None]

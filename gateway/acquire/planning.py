@@ -8,29 +8,19 @@ from dataclasses import replace
 import numpy as np
 
 from gateway.acquire.plan import Approach, Expectation, MoveTo, Plan, VisitSettings, check_plan, plan_poses
-from gateway.acquire.poses import (
-    LEFT_SHARE,
-    PoseRequest,
-    RestPose,
-    assumed_noise_nm,
-    choose_poses,
-    read_poses,
-)
+from gateway.acquire.poses import PoseRequest, RestPose, choose_poses, read_poses
 from gateway.analyse.given import constants_std, profile_of
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.errors import PlanRefused
 from gateway.model.arm_model import arm_named, arm_robot
 from gateway.model.information import axis_information, expected_std, information_under_gains
-from gateway.model.regressor import load_regressor
+from gateway.motion.assumed import NOISE_SOURCE, assumed_noise_nm, reference_load
 from gateway.motion.places import angles
-from gateway.motion.workspace import BAND_SHARE, Workspace, workspace_of
+from gateway.motion.workspace import Workspace, workspace_of
 
 #: Other choices that are tried if no path leads to some chosen pose.
 CHOICES = 5
 SEED_STEP = 1000
-#: Share of the heaviest possible load that the expected uncertainty refers to, if the cell names none.
-REFERENCE_SHARE = 0.5
-ASSUMED = f"assumed: {LEFT_SHARE:.0%} of a friction band of {BAND_SHARE:.1%} of each torque limit"
 
 
 def make_plan(loaded: LoadedCell, n_poses: int | None = None, seed: int | None = None, arm: str | None = None) -> Plan:
@@ -141,7 +131,7 @@ def _expected(plan: Plan, loaded: LoadedCell, config: ArmConfig, workspace: Work
     noise_nm = assumed_noise_nm(workspace)
     gain_std = constants_std(config, profile_of((), loaded))
     fit = [pose for pose in plan.poses if pose.purpose == "fit"]
-    return replace(plan, expectation=expectation(workspace, fit, noise_nm, ASSUMED, gain_std))
+    return replace(plan, expectation=expectation(workspace, fit, noise_nm, NOISE_SOURCE, gain_std))
 
 
 def expectation(
@@ -187,14 +177,3 @@ def expectation(
         noise_source=noise_source,
         gain_std=tuple(gain_std),
     )
-
-
-def reference_load(workspace: Workspace, q_rad: np.ndarray) -> tuple[float, np.ndarray]:
-    """The cell's heaviest load, else half of what the free share of the torque limits carries at the flange."""
-    if workspace.max_load is not None:
-        return float(workspace.max_load[0]), workspace.max_load[1:] / workspace.max_load[0]
-    com_m = workspace.points_m[0]
-    per_kg = np.abs(load_regressor(workspace.robot, q_rad, workspace.gravity_m_s2) @ np.append(1.0, com_m))
-    free_nm = (1.0 - workspace.rest_share) * workspace.torque_nm
-    largest = np.maximum(per_kg.max(axis=0), 1e-9 * per_kg.max())
-    return float(REFERENCE_SHARE * (free_nm / largest).min()), com_m

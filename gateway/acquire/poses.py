@@ -17,10 +17,7 @@ from gateway.data.csv_text import read_columns
 from gateway.data.rest_pose import RestPose
 from gateway.errors import InputError, PlanRefused
 from gateway.model.regressor import LOAD_COLUMNS, gravity_regressor
-from gateway.motion.workspace import BAND_SHARE, Workspace
-
-#: What a two-sided approach leaves of the friction band, until a recording has measured it.
-LEFT_SHARE = 0.2
+from gateway.motion.workspace import Workspace
 
 CANDIDATES = 1500
 DRAWS = 60
@@ -58,11 +55,6 @@ class PoseRequest:
         return self.approach_offset_rad + LIMIT_MARGIN_RAD
 
 
-def assumed_noise_nm(workspace: Workspace) -> np.ndarray:
-    """Standard deviation (N,) of a two-sided joint torque before any was measured: a share of the torque limit."""
-    return BAND_SHARE * LEFT_SHARE * workspace.torque_nm
-
-
 def choose_poses(
     workspace: Workspace, request: PoseRequest, noise_nm: np.ndarray, joined_rad: np.ndarray | None = None
 ) -> tuple[RestPose, ...]:
@@ -95,12 +87,6 @@ def choose_poses(
     return tuple(poses)
 
 
-def draw_postures(workspace: Workspace, random: np.random.Generator, count: int) -> np.ndarray:
-    """Random postures (count, N) [rad] inside the joint limits, no joint more than half a turn off its middle."""
-    middle, half = (workspace.upper_rad + workspace.lower_rad) / 2, (workspace.upper_rad - workspace.lower_rad) / 2
-    return middle + np.minimum(half, np.pi) * random.uniform(-1, 1, (count, workspace.robot.axes))
-
-
 def feasible_postures(workspace: Workspace, request: PoseRequest, random: np.random.Generator) -> np.ndarray:
     """Random postures (n, N) whose approach from both sides is feasible; full turns of a joint are drawn once.
 
@@ -111,7 +97,7 @@ def feasible_postures(workspace: Workspace, request: PoseRequest, random: np.ran
     """
     drawn, found, n_found = [], [], 0
     for _ in range(DRAWS):
-        q = draw_postures(workspace, random, CANDIDATES)
+        q = workspace.draw(random, CANDIDATES)
         good = can_be_measured(workspace, request, q)
         drawn.append(q)
         found.append(q[good])

@@ -32,6 +32,7 @@ from gateway.acquire.plan import (
     travel_limits,
 )
 from gateway.acquire.settle import SettleTest
+from gateway.data.period import Measured, Period
 from gateway.data.sample import ArmSample
 from gateway.data.visit import Visit, VisitLabel, visit_from_samples
 from gateway.errors import GatewayError, PlanRefused, PoseNeverSettles
@@ -58,18 +59,18 @@ SINK_RAD = ARM_RULES["sinks"].limit
 
 
 class VisitStore(Protocol):
-    """Where visits go; nothing here may keep the motion loop waiting but `flush`."""
+    """Where visits and periods go; nothing here may keep the motion loop waiting but `flush`."""
 
-    def add(self, arm: str, visit: Visit) -> Visit:
-        """Take a visit; returns it with its number."""
+    def add(self, arm: str, visit: Measured) -> Measured:
+        """Take a visit or a period; returns it with its number."""
         ...
 
-    def written(self) -> Sequence[Visit]:
-        """Visits that have been kept for good since this was asked last."""
+    def written(self) -> Sequence[Visit | Period]:
+        """What has been kept for good since this was asked last."""
         ...
 
     def trouble(self) -> GatewayError | None:
-        """Why no more visits should be measured: a disk that is full or too slow."""
+        """Why nothing more should be measured: a disk that is full or too slow."""
         ...
 
     def flush(self) -> None:
@@ -84,21 +85,27 @@ class VisitStore(Protocol):
 
 
 class Shelf:
-    """Visits in memory."""
+    """Visits and periods in memory."""
 
     def __init__(self) -> None:
         self.visits: list[Visit] = []
-        self._told = 0
+        self.periods: list[Period] = []
+        self._untold: list[Visit | Period] = []
 
-    def add(self, arm: str, visit: Visit) -> Visit:
-        """Keep a visit."""
+    def add(self, arm: str, visit: Measured) -> Measured:
+        """Keep a visit or a period."""
         del arm
-        self.visits.append(replace(visit, number=len(self.visits) + 1))
-        return self.visits[-1]
+        kept = replace(visit, number=len(self.visits) + len(self.periods) + 1)
+        if isinstance(kept, Period):
+            self.periods.append(kept)
+        else:
+            self.visits.append(kept)
+        self._untold.append(kept)
+        return kept
 
-    def written(self) -> Sequence[Visit]:
+    def written(self) -> Sequence[Visit | Period]:
         """What was added since."""
-        since, self._told = self.visits[self._told :], len(self.visits)
+        since, self._untold = self._untold, []
         return since
 
     def trouble(self) -> None:
@@ -176,14 +183,7 @@ class Run:
         ------
         PlanRefused
         """
-        planned = np.array(self.plan.start_rad)
-        sunk = np.abs(stream.q_rad[0] - planned)
-        if not sunk.max() <= SINK_RAD:
-            joint = int(np.argmax(np.nan_to_num(sunk, nan=np.inf))) + 1
-            raise PlanRefused(
-                f"arm '{self.plan.arm}', joint {joint} moved by {sunk[joint - 1]:.3f} rad while its brake opened; "
-                f"{ARM_RULES['sinks'].advice}"
-            )
+        refuse_sunk(self.plan, stream)
 
     def execute(self, stream: Stream) -> None:
         """All steps."""
@@ -238,7 +238,8 @@ class Run:
         The motion loop asks at every SYNC.
         """
         for visit in self._store.written():
-            self._announce(visit)
+            if isinstance(visit, Visit):
+                self._announce(visit)
         trouble = self._store.trouble()
         return None if trouble is None else StopRequest(StopKind.ALONG_PATH, trouble)
 
@@ -326,6 +327,17 @@ class Run:
         elapsed = begin + (end - begin) * max(row, 0) / rows
         left = self._slower * (self._ends[-1] - elapsed + self._further_s)
         self._tell(Progress(self._step + 1, len(self.plan.steps), what, self._slower * elapsed, left))
+
+
+def refuse_sunk(plan: Plan, stream: Stream) -> None:
+    """As `Run.check_start`."""
+    sunk = np.abs(stream.q_rad[0] - np.array(plan.start_rad))
+    if not sunk.max() <= SINK_RAD:
+        joint = int(np.argmax(np.nan_to_num(sunk, nan=np.inf))) + 1
+        raise PlanRefused(
+            f"arm '{plan.arm}', joint {joint} moved by {sunk[joint - 1]:.3f} rad while its brake opened; "
+            f"{ARM_RULES['sinks'].advice}"
+        )
 
 
 def with_half_sums(arm: Arm, first: Visit, second: Visit) -> Visit:

@@ -19,6 +19,7 @@ from gateway.acquire.planning import make_plan, plan_of_poses
 from gateway.acquire.run import VisitStation
 from gateway.acquire.runner import RunRequest, run_plan
 from gateway.cell.config import LoadedCell
+from gateway.data.period import Measured, Period
 from gateway.data.recording.queue import VisitQueue
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import Recording
@@ -161,13 +162,13 @@ class Kept:
     def station(self, listeners: Sequence[Listener], options: MoveOptions | None) -> VisitStation:
         """Where a run finds the arm, and where its visits go."""
         opened, pacing = self._opened, self._opened.group.timing.pacing
-        store = _Queued(self._queue, opened.config.name, pacing)
+        store = QueuedStore(self._queue, opened.config.name, pacing)
         heard = (self._tally, *listeners)
         return VisitStation(opened.arm, opened.workspace, store, heard, options or MoveOptions(), pacing)
 
     def finish(self) -> None:
         """Store that the run has ended well."""
-        self._statistics = _plain(asdict(self._opened.group.statistics))
+        self._statistics = plain(asdict(self._opened.group.statistics))
         self._queue.finish(self._opened.config.name, "success", self.reason, self._statistics)
 
     def summary(self, load: str, skipped: int) -> RecordingSummary:
@@ -201,25 +202,26 @@ def keeping(opened: OpenArm, path: Path, poses: tuple[RestPose, ...], earlier: R
     InputError
         As `VisitQueue`.
     """
-    writer = VisitQueue(path, _header(opened), _arm_header(opened, poses), earlier)
+    writer = VisitQueue(path, recording_header(opened), arm_header(opened, poses), earlier)
     try:
         kept = Kept(opened, writer)
         yield kept
         kept.finish()
     except BaseException as error:
-        _finish_broken(writer, opened, opened.config.name, error)
+        finish_broken(writer, opened, opened.config.name, error)
         raise
     finally:
         writer.close()
 
 
-def _finish_broken(writer: VisitQueue, opened: OpenArm, arm: str, error: BaseException) -> None:
+def finish_broken(writer: VisitQueue, opened: OpenArm, arm: str, error: BaseException) -> None:
+    """Store why a run ended before its time, if it has measured anything; what goes wrong with that is noted."""
     if not writer.visits:
         return
     status = "abort" if isinstance(error, KeyboardInterrupt) else "fail"
     reason = str(error) or "stopped by a person"
     try:
-        writer.finish(arm, status, reason, _plain(asdict(opened.group.statistics)))
+        writer.finish(arm, status, reason, plain(asdict(opened.group.statistics)))
     except GatewayError as failed:
         error.add_note(str(failed))
 
@@ -244,7 +246,8 @@ def _all_poses(plan: Plan, earlier: Recording | None) -> tuple[RestPose, ...]:
     return tuple(poses[number] for number in sorted(poses))
 
 
-def _header(opened: OpenArm) -> RecordingHeader:
+def recording_header(opened: OpenArm) -> RecordingHeader:
+    """What a recording says once of its cell, drives' profiles, robot and software."""
     return RecordingHeader(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         cell=opened.loaded.text,
@@ -256,33 +259,37 @@ def _header(opened: OpenArm) -> RecordingHeader:
     )
 
 
-def _arm_header(opened: OpenArm, poses: tuple[RestPose, ...]) -> ArmHeader:
+def arm_header(
+    opened: OpenArm, poses: tuple[RestPose, ...], excitations: dict[int, dict[str, Any]] | None = None
+) -> ArmHeader:
+    """What a recording says once of an arm: what it is to hold, and what its drives are."""
     return ArmHeader(
         name=opened.config.name,
         poses=poses,
         constants=opened.constants,
-        identities=[_plain(asdict(identity)) for identity in opened.identities],
-        ledger=[_plain(asdict(entry)) for entry in opened.group.ledger.entries],
+        identities=[plain(asdict(identity)) for identity in opened.identities],
+        ledger=[plain(asdict(entry)) for entry in opened.group.ledger.entries],
+        excitations=excitations or {},
     )
 
 
-class _Queued:
+class QueuedStore:
     """A recording's queue as the store of a run; in lockstep, where no arm waits for it, the disk sets the pace."""
 
     def __init__(self, queue: VisitQueue, arm: str, pacing: Pacing) -> None:
         self._queue, self._arm, self._patient = queue, arm, pacing == "lockstep"
-        self._seen: list[Visit] = []
+        self._seen: list[Visit | Period] = []
 
-    def add(self, arm: str, visit: Visit) -> Visit:
-        """Take a visit."""
+    def add(self, arm: str, visit: Measured) -> Measured:
+        """Take a visit or a period."""
         stored = self._queue.add(arm, visit)
         while self._patient and self._queue.waiting and self._queue.failed is None:
             time.sleep(PAUSE_S)
             self._seen += self._queue.written()
         return stored
 
-    def written(self) -> Sequence[Visit]:
-        """Visits that are on disk by now."""
+    def written(self) -> Sequence[Visit | Period]:
+        """Visits and periods that are on disk by now."""
         seen, self._seen = self._seen, []
         return (*seen, *self._queue.written())
 
@@ -320,10 +327,10 @@ class _Tally:
         return tuple(np.median(self._bands, axis=0).tolist()) if self._bands else (float("nan"),) * self._axes
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """The same as JSON can hold it."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     return value if value is None or isinstance(value, bool | int | float | str) else str(value)

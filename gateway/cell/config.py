@@ -301,6 +301,11 @@ class ArmConfig(Strict):
         description="result file beside the cell, of `estimate`, `diagnose` or `commission` of this arm in motion: its"
         " friction and rotor inertia are taken before those of the axes",
     )
+    load_acceleration_m_s2: Positive | None = Field(
+        default=None,
+        description="largest acceleration of the load's centre of gravity, without gravity, that its gripper holds it "
+        "at; absent: the arm's own limits alone",
+    )
     hold_to_run: HoldToRun | None = Field(
         default=None, description="digital input that has to be held for motion; no enabling device of a standard"
     )
@@ -536,6 +541,14 @@ def load_cell(path: Path) -> LoadedCell:
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from error
     return LoadedCell(cell=parse_cell(text, str(path)), text=text, folder=path.resolve().parent)
+
+
+def with_sync_period(loaded: LoadedCell, bus: str, sync_period_s: float) -> LoadedCell:
+    """The same cell with another time from SYNC to SYNC on one bus."""
+    cell = loaded.cell
+    buses = dict(cell.bus)
+    buses[bus] = buses[bus].model_copy(update={"sync_period_s": sync_period_s})
+    return loaded.model_copy(update={"cell": cell.model_copy(update={"bus": buses})})
 
 
 def with_pacing(loaded: LoadedCell, pacing: str | None) -> LoadedCell:

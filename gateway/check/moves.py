@@ -16,7 +16,6 @@ from drives.busload import cycle_bits_worst, load_percent
 from drives.witness import TorqueWitness, TorqueWords
 from gateway.acquire.events import Listener
 from gateway.acquire.plan import Plan, VisitSettings, plan_poses
-from gateway.acquire.planning import reference_load
 from gateway.acquire.run import Shelf, VisitStation
 from gateway.acquire.runner import RunRequest, run_plan
 from gateway.acquire.standing import refuse_start
@@ -26,6 +25,7 @@ from gateway.check.wiring_judge import Verdict, WiringView, judge_wiring
 from gateway.data.rest_pose import RestPose
 from gateway.data.visit import Visit
 from gateway.errors import LimitExceeded, WrongPlace
+from gateway.motion.assumed import reference_load
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import Workspace

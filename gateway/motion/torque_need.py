@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from itertools import product
 
 import numpy as np
@@ -50,19 +50,20 @@ def needed_torque_nm(
     array of shape (N,) or None
         None where the links, a rotor's inertia or the load that the arm may carry are not known.
     """
-    bodies = _bodies(workspace, arm)
+    loads = loads_that_may_hang(workspace, arm)
+    bodies = links_with_loads(workspace, arm, loads) if loads else None
     known = known or axis_constants(arm, None)
     rotors = [axis.rotor_kg_m2 for axis in known]
     if bodies is None or None in rotors:
         return None
     rotor = np.array([0.0 if inertia is None else inertia.value for inertia in rotors])
-    lost = np.array([axis.load_friction for axis in known])
-    friction = np.array([_friction_nm(*both) for both in zip(known, arm.axis, strict=True)])
+    lost = np.maximum(1.0 / workspace.efficiency, [1.0 + axis.load_friction for axis in known])
+    friction = dry_friction_nm(arm, known)
 
     def gravity_nm(q_rad: Floats) -> Floats:
         still = np.zeros_like(q_rad)
         rows = regressor(workspace.robot, q_rad, still, still, workspace.gravity_m_s2)
-        return np.abs(rows @ bodies).max(axis=2) * (1.0 + lost) / workspace.efficiency
+        return np.abs(rows @ bodies).max(axis=2) * lost
 
     def stopping_nm(q_rad: Floats) -> Floats:
         still, total = np.zeros_like(q_rad), np.zeros((*q_rad.shape, bodies.shape[1]))
@@ -77,17 +78,23 @@ def needed_torque_nm(
     return RESERVE * (sum(largest, friction) + rotor * decel_rad_s2)
 
 
-def _friction_nm(known: AxisConstants, axis: AxisConfig) -> float:
-    """Dry friction of an axis [Nm], the most that is known of it; that of the onset of motion where it is larger."""
+def dry_friction_nm(arm: ArmConfig, known: Sequence[AxisConstants]) -> Floats:
+    """Dry friction (N,) [Nm] of the joints, the most that is known of it, that of the onset of motion included.
+
+    A band as it is assumed before any was seen where nothing is known.
+    """
+    return np.array([_dry_nm(*both) for both in zip(known, arm.axis, strict=True)])
+
+
+def _dry_nm(known: AxisConstants, axis: AxisConfig) -> float:
     if known.coulomb_nm is None:
         return BAND_SHARE * axis.torque_limit_nm
     return float(np.fmax(known.coulomb_nm.value, known.breakaway_nm))
 
 
-def _bodies(workspace: Workspace, arm: ArmConfig) -> Floats | None:
-    """Link parameters (10 N, loads) bare and with every load the cell names; None where links or load are not known."""
-    loads = list(_loads(workspace, arm))
-    if workspace.links is None or not loads:
+def links_with_loads(workspace: Workspace, arm: ArmConfig, loads: Sequence[FeedLoad]) -> Floats | None:
+    """Link parameters (10 N, 1 + loads) bare and with each load; None where the links are not known."""
+    if workspace.links is None:
         return None
     try:
         links = drawn_parameters(workspace.robot, arm)
@@ -100,13 +107,13 @@ def _bodies(workspace: Workspace, arm: ArmConfig) -> Floats | None:
     return np.column_stack(carried)
 
 
-def _loads(workspace: Workspace, arm: ArmConfig) -> Iterator[FeedLoad]:
+def loads_that_may_hang(workspace: Workspace, arm: ArmConfig) -> tuple[FeedLoad, ...]:
     """The rated and the heaviest load, as far as given: solid bodies with their centre of gravity in the last link."""
-    if arm.rated_load_kg is not None:
-        yield rated_load(arm, workspace.robot)
+    loads = [] if arm.rated_load_kg is None else [rated_load(arm, workspace.robot)]
     if workspace.max_load is not None:
         com_m = workspace.max_load[1:] / workspace.max_load[0]
-        yield assumed_load("heaviest", float(workspace.max_load[0]), com_m, "max_load_kg of the cell file")
+        loads.append(assumed_load("heaviest", float(workspace.max_load[0]), com_m, "max_load_kg of the cell file"))
+    return tuple(loads)
 
 
 def _largest(torque_nm: Callable[[Floats], Floats], lower_rad: Floats, upper_rad: Floats) -> Floats:

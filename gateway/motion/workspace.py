@@ -96,6 +96,11 @@ class Workspace:
         """The same with some room to be left between what may touch: what is planned, not what is refused."""
         return replace(self, space=self.space.roomy())
 
+    def draw(self, random: np.random.Generator, count: int) -> np.ndarray:
+        """Random postures (count, N) [rad] inside the joint limits, no joint more than half a turn off its middle."""
+        middle, half = (self.upper_rad + self.lower_rad) / 2, (self.upper_rad - self.lower_rad) / 2
+        return middle + np.minimum(half, np.pi) * random.uniform(-1, 1, (count, self.robot.axes))
+
     def violations(
         self, q_rad: np.ndarray, margin_rad: float = 0.0, torque_share: float = TORQUE_SHARE
     ) -> list[tuple[str, np.ndarray]]:

@@ -36,8 +36,14 @@ def sealed(plain: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in plain.items() if key != KEY} | {KEY: checksum(plain)}
 
 
-def refuse_edited(plain: Mapping[str, Any], where: str) -> None:
+#: What writes a result again.
+FROM_DATA: Final = "from the data (servo-gateway estimate DATA --json OUT.json)"
+
+
+def refuse_edited(plain: Mapping[str, Any], where: str, again: str = FROM_DATA) -> None:
     """Refuse what was changed since it was written; a file of before there were checksums carries none and is taken.
+
+    `again` says from what, or with which command, the file is written again.
 
     Raises
     ------
@@ -49,5 +55,5 @@ def refuse_edited(plain: Mapping[str, Any], where: str) -> None:
     if plain[KEY] != checksum(plain):
         raise InputError(
             f"{where}: was edited: its {KEY} is that of other values, so nobody has measured what it says; write it"
-            " again from the data (servo-gateway estimate DATA --json OUT.json)"
+            f" again {again}"
         )

@@ -17,8 +17,8 @@ from drives.profile_file import parse_profile
 from drives.scaling import Constants, motor_scale
 from gateway.cell.config import ArmConfig, AxisConfig, Cell
 from gateway.cell.conversion import AxisConversion
+from gateway.data.period import Measured
 from gateway.data.recording.recorded import ArmRecording, Recording, arm_config
-from gateway.data.visit import Visit
 from gateway.errors import InputError
 
 
@@ -102,7 +102,9 @@ def bind(recording: Recording, cell: Cell, arm: ArmConfig) -> Bound:
     scale = _torque_scale(recording, part, (before, arm), corrections)
     old, new = AxisConversion.from_arm(before), AxisConversion.from_arm(arm)
     visits = tuple(_converted(visit, scale, old, new) for visit in part.visits)
-    return Bound(replace(recording, arms=(replace(part, visits=visits),), cell=cell), corrections)
+    periods = tuple(_converted(period, scale, old, new) for period in part.periods)
+    bound = replace(part, visits=visits, periods=periods)
+    return Bound(replace(recording, arms=(bound,), cell=cell), corrections)
 
 
 def _refuse_wired_otherwise(recording: Recording, before: ArmConfig, after: ArmConfig) -> None:
@@ -195,7 +197,7 @@ def torque_units(
     return np.array(units)
 
 
-def _converted(visit: Visit, scale: np.ndarray, old: AxisConversion, new: AxisConversion) -> Visit:
+def _converted(visit: Measured, scale: np.ndarray, old: AxisConversion, new: AxisConversion) -> Measured:
     motor_nm = visit.motor_torque_nm * scale
     return replace(
         visit,

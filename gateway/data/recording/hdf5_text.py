@@ -100,6 +100,13 @@ class Place:
             raise self.refuse(f"@{name}", f"is {type(value).__name__}, an integer expected")
         return int(value)
 
+    def number(self, name: str) -> float:
+        """A finite number as attribute."""
+        value = self._attribute(name, None)
+        if not isinstance(value, int | float | np.integer | np.floating) or not np.isfinite(value):
+            raise self.refuse(f"@{name}", "is no finite number")
+        return float(value)
+
     def numbers(self, name: str, count: int, default: np.ndarray | None = None) -> np.ndarray:
         """An attribute of `count` finite numbers."""
         value = np.asarray(self._attribute(name, default))

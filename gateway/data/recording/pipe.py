@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gateway.data.period import Period
 from gateway.data.recording.recorded import Recording
 from gateway.data.recording.writer import ArmHeader, RecordingHeader, Write
 from gateway.data.visit import Visit
@@ -44,10 +45,10 @@ class Start:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Keep:
-    """To the writer: a visit that has its number."""
+    """To the writer: a visit or a period that has its number."""
 
     arm: str
-    visit: Visit
+    visit: Visit | Period
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from gateway.data.period import Measured, Period
 from gateway.data.recording.pipe import Failed, Finish, Finished, Keep, Ready, Start, WriterProcess, Written, framed
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import Recording
@@ -30,7 +31,7 @@ def _silent(waiting: int) -> None:
 
 
 class VisitQueue:
-    """Takes visits in the motion loop and has them written by a process of its own; for one thread.
+    """Takes visits and periods in the motion loop and has them written by a process of its own; for one thread.
 
     The process is started here, before there is power, and ended by `close`. It outlives a master that is killed until
     it has written what it was given.
@@ -76,8 +77,8 @@ class VisitQueue:
         self._start = Start(path, header, arm, earlier, write)
         self._capacity = capacity
         self._numbering = Numbering(earlier)
-        self._waiting: dict[int, tuple[Visit, bytes]] = {}
-        self._written: list[Visit] = []
+        self._waiting: dict[int, tuple[Visit | Period, bytes]] = {}
+        self._written: list[Visit | Period] = []
         self._questions = 0
         self._answer: Finished | None = None
         self._process = self._started(self._start)
@@ -92,12 +93,12 @@ class VisitQueue:
         """Whether the loop is to stop: so many visits are not on disk yet."""
         return len(self._waiting) >= self._capacity
 
-    def add(self, arm: str, visit: Visit) -> Visit:
-        """Take a visit in; never waits.
+    def add(self, arm: str, visit: Measured) -> Measured:
+        """Take a visit or a period in; never waits.
 
         Returns
         -------
-        Visit
+        Visit or Period
             With its number; its time runs on from the visits before.
 
         Raises
@@ -117,8 +118,8 @@ class VisitQueue:
         self.visits += 1
         return stored
 
-    def written(self) -> tuple[Visit, ...]:
-        """Visits that have reached the disk since the last call, in their order; never waits."""
+    def written(self) -> tuple[Visit | Period, ...]:
+        """Visits and periods that have reached the disk since the last call, in their order; never waits."""
         self._listen()
         visits, self._written = tuple(self._written), []
         return visits
@@ -201,7 +202,9 @@ class VisitQueue:
         """Start the process anew, with what it took with it: it was killed."""
         self._process.end()
         earlier = read(self.path) if self.path.exists() else None
-        there = set() if earlier is None else {visit.number for arm in earlier.arms for visit in arm.visits}
+        there = (
+            set() if earlier is None else {each.number for arm in earlier.arms for each in (*arm.visits, *arm.periods)}
+        )
         for number in there.intersection(self._waiting):
             self._written.append(self._waiting.pop(number)[0])
         self._process = self._started(replace(self._start, earlier=earlier))

@@ -16,22 +16,22 @@ from drives.scaling import Constants
 from gateway.cell.config import ArmConfig, parse_cell
 from gateway.data.recording.binding import torque_units
 from gateway.data.recording.hdf5_text import Place, open_recording
+from gateway.data.recording.period_reader import read_excitations, read_periods
 from gateway.data.recording.recorded import SIDES, ArmRecording, Recording, arm_config
+from gateway.data.recording.samples import read_samples
 from gateway.data.recording.seal import refuse_damaged
 from gateway.data.rest_pose import Purpose, RestPose
-from gateway.data.visit import NO_WORD, Visit
+from gateway.data.visit import Visit
 from gateway.errors import ConfigError, InputError
 
 __all__ = ["SCHEMA", "ArmRecording", "Recording", "read"]
 
 SCHEMA = 1
 STATUSES = ("success", "abort", "fail")
-#: Relative difference between a stored torque and the one that follows from its raw word.
-SAME_TORQUE = 1e-6
 
 
 def read(path: Path) -> Recording:
-    """Read a recording; one that was killed is read up to its last finished visit.
+    """Read a recording; one that was killed is read up to its last finished visit or period.
 
     Raises
     ------
@@ -85,6 +85,7 @@ def _arm(place: Place, config: ArmConfig, profiles: dict[str, str]) -> ArmRecord
     if constants and len(constants) != axes:
         raise place.refuse("@constants", f"constants of {axes} drives expected")
     units = torque_units(config, profiles, constants, place.where()) if constants else None
+    excitations = read_excitations(place)
     visits = place.inside("visits")
     read_visits = [_visit(visits.inside(name), _number(visits, name), axes, units) for name in visits.names()]
     measured = tuple(sorted(read_visits, key=lambda visit: visit.number))
@@ -96,6 +97,8 @@ def _arm(place: Place, config: ArmConfig, profiles: dict[str, str]) -> ArmRecord
         identities=place.document("identities", list, []),
         ledger=place.document("ledger", list, []),
         bus_statistics=place.document("bus_statistics", dict, {}),
+        periods=read_periods(place, axes, units, excitations),
+        excitations=excitations,
     )
 
 
@@ -136,15 +139,6 @@ def _number(visits: Place, name: str) -> int:
 
 
 def _visit(place: Place, number: int, axes: int, torque_unit_nm: np.ndarray | None) -> Visit:
-    def words(name: str) -> np.ndarray:
-        return place.array(name, axes, "iu").astype(np.int64)
-
-    torque_word, stored_nm = words("torque_permille"), _finite(place, "motor_torque_nm", axes)
-    shape = torque_word.shape
-    motor_nm = stored_nm if torque_unit_nm is None else torque_word * torque_unit_nm
-    if motor_nm.shape != stored_nm.shape or not np.allclose(motor_nm, stored_nm, rtol=SAME_TORQUE, atol=1e-12):
-        raise place.refuse("motor_torque_nm", "does not follow from torque_permille and the constants of the file")
-    absent = np.full(shape, NO_WORD, dtype=np.int64)
     visit = Visit(
         number=number,
         load=place.text("load"),
@@ -155,38 +149,10 @@ def _visit(place: Place, number: int, axes: int, torque_unit_nm: np.ndarray | No
         incomplete_epochs=place.integer("incomplete_epochs", 0),
         direction=np.sign(place.numbers("direction", axes, np.zeros(axes))).astype(np.int8),
         target_rad=place.numbers("target_rad", axes, np.zeros(axes)),
-        statusword=words("statusword"),
-        position_count=words("position_count"),
-        torque_word=torque_word,
-        current_word=words("current_permille") if place.has("current_permille") else absent,
-        velocity_word=words("velocity_word") if place.has("velocity_word") else absent,
-        q_rad=_finite(place, "q_rad", axes),
-        motor_torque_nm=motor_nm,
-        joint_torque_nm=_finite(place, "joint_torque_nm", axes),
-        motor_current_a=place.array("motor_current_a", axes, "f") if place.has("motor_current_a") else absent * np.nan,
-        sync_index=place.array("sync_index", None, "iu").astype(np.int64),
-        time_s=_finite(place, "time_s", None),
+        **read_samples(place, axes, torque_unit_nm),
         gravity_nm=place.numbers("gravity_nm", axes) if "gravity_nm" in place.group.attrs else None,
         friction_band_nm=place.numbers("friction_band_nm", axes) if "friction_band_nm" in place.group.attrs else None,
     )
-    return _consistent(place, visit, shape[0])
-
-
-def _finite(place: Place, name: str, columns: int | None) -> np.ndarray:
-    values = place.array(name, columns, "f").astype(float)
-    if not np.isfinite(values).all():
-        raise place.refuse(name, "holds a value that is not finite")
-    return values
-
-
-def _consistent(place: Place, visit: Visit, n_samples: int) -> Visit:
-    for name in ("statusword", "position_count", "current_word", "q_rad", "joint_torque_nm", "sync_index", "time_s"):
-        if len(getattr(visit, name)) != n_samples:
-            raise place.refuse(name, f"has {len(getattr(visit, name))} samples, torque_permille has {n_samples}")
-    if n_samples == 0:
-        raise place.refuse("", "holds no sample")
-    if (np.diff(visit.sync_index) <= 0).any():
-        raise place.refuse("sync_index", "does not grow")
     if visit.purpose not in ("fit", "validation") or visit.approach not in SIDES or not visit.load:
         raise place.refuse("", "load, purpose or approach is not what a visit has")
     return visit

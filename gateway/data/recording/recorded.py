@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,8 @@ import numpy as np
 from drives.scaling import Constants
 from gateway.cell.config import ArmConfig, Cell
 from gateway.cell.conversion import AxisConversion
+from gateway.data.period import Period, harmonics_of
+from gateway.data.recording.moving_rows import period_rows, torque_delay_s
 from gateway.data.rest_pose import RestPose
 from gateway.data.rows import Table, concatenate
 from gateway.data.visit import Visit
@@ -30,6 +32,10 @@ class ArmRecording:
         That the recording is to hold.
     visits : tuple of Visit
         In the order of measuring.
+    periods : tuple of Period
+        In the order of measuring.
+    excitations : dict of int to dict
+        What the periods were driven by, by fingerprint, as plain values.
     constants : tuple of Constants
         What was read from the drives; empty if the file does not say.
     identities, ledger : lists of dict
@@ -44,6 +50,8 @@ class ArmRecording:
     identities: list[Any]
     ledger: list[Any]
     bus_statistics: dict[str, Any]
+    periods: tuple[Period, ...] = ()
+    excitations: dict[int, dict[str, Any]] = field(default_factory=dict)
 
     def done(self, load: str) -> tuple[tuple[int, int], ...]:
         """(pose, approach) of the complete visits under a load."""
@@ -53,6 +61,12 @@ class ArmRecording:
         """(pose, approach) that the poses ask for and that no complete visit under this load holds."""
         done = set(self.done(load))
         return tuple((pose.number, side) for pose in self.poses for side in SIDES if (pose.number, side) not in done)
+
+    def driven(self, load: str) -> frozenset[tuple[int, float, int]]:
+        """(excitation, speed, period) of the complete periods under a load."""
+        return frozenset(
+            (each.excitation, each.speed, each.period) for each in self.periods if each.complete and each.load == load
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,10 +103,12 @@ class Recording:
     @property
     def loads(self) -> tuple[str, ...]:
         """Labels of the loads, in the order of measuring."""
-        return tuple(dict.fromkeys(visit.load for arm in self.arms for visit in arm.visits))
+        return tuple(dict.fromkeys(each.load for arm in self.arms for each in (*arm.visits, *arm.periods)))
 
     def table(self, arm: str | None = None) -> Table:
-        """Means over the samples of every complete visit: two rows per pose, one per side of approach.
+        """Measured rows: two per pose and load at rest, one per side of approach; one per SYNC of a complete period.
+
+        A visit's row holds the means over its samples.
 
         Parameters
         ----------
@@ -102,13 +118,33 @@ class Recording:
         Raises
         ------
         InputError
-            No complete visit.
+            No complete visit or period.
         """
-        parts = [self._arm_table(part) for part in self.arms if arm in (None, part.name)]
-        parts = [part for part in parts if len(part)]
+        chosen = [part for part in self.arms if arm in (None, part.name)]
+        parts = [part for part in map(self._arm_table, chosen) if len(part)]
+        parts += [rows for part in chosen for rows in self._moving_rows(part)]
         if not parts:
-            raise InputError(f"{self.path}: holds no complete visit; measure again, or finish it by record --resume")
+            raise InputError(
+                f"{self.path}: holds no complete visit and no complete period; measure again, or finish it by record "
+                "--resume"
+            )
         return concatenate(parts)
+
+    def _moving_rows(self, arm: ArmRecording) -> list[Table]:
+        config = arm_config(self.cell, arm.name, str(self.path))
+        axes = AxisConversion.from_arm(config)
+        late_s = torque_delay_s(config, self.profiles, str(self.path)) if arm.periods else 0.0
+        return [
+            period_rows(
+                each,
+                axes.joint_torque(each.motor_torque_nm),
+                self.path,
+                harmonics_of(arm.excitations[each.excitation]),
+                late_s,
+            )
+            for each in arm.periods
+            if each.complete
+        ]
 
     def _arm_table(self, arm: ArmRecording) -> Table:
         visits = [visit for visit in arm.visits if visit.complete]

@@ -1,4 +1,4 @@
-"""Writer of a recording: after each visit the whole file is written under a temporary name, synced and renamed.
+"""Writer of a recording: after each visit or period the whole file is written under a temporary name, synced, renamed.
 
 The file is built in memory; what is on disk is always a whole file, the last one or the one before.
 """
@@ -16,6 +16,7 @@ import numpy as np
 
 from drives.files import replace_file
 from drives.scaling import Constants
+from gateway.data.period import Measured, Period
 from gateway.data.recording.reader import SCHEMA, Recording
 from gateway.data.recording.seal import sealed
 from gateway.data.rest_pose import RestPose
@@ -28,7 +29,7 @@ Write = Callable[[Path, bytes], None]
 NOT_REPLACED = "go on with it by --resume, or choose another name"
 UNFINISHED = "not finished: still running, or killed"
 
-#: dataset -> (field of Visit, unit)
+#: dataset -> (field of Visit and of Period, unit)
 WORDS = {
     "statusword": ("statusword", "bits of 0x6041"),
     "position_count": ("position_count", "encoder counts"),
@@ -56,6 +57,8 @@ class ArmHeader:
         What was read from the drives.
     identities, ledger : lists of dict
         Who the drives are; every object that was written, with its old value.
+    excitations : dict of int to dict
+        By their fingerprints: what the periods were driven by, as plain values.
     """
 
     name: str
@@ -63,6 +66,7 @@ class ArmHeader:
     constants: tuple[Constants, ...]
     identities: list[dict[str, Any]] = field(default_factory=list)
     ledger: list[dict[str, Any]] = field(default_factory=list)
+    excitations: dict[int, dict[str, Any]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +81,7 @@ class RecordingHeader:
 
 
 class Numbering:
-    """Numbers visits on from those of a file and lets their time run on.
+    """Numbers visits and periods on from those of a file and lets their time run on.
 
     Parameters
     ----------
@@ -86,13 +90,13 @@ class Numbering:
     """
 
     def __init__(self, earlier: Recording | None) -> None:
-        visits = [] if earlier is None else [visit for arm in earlier.arms for visit in arm.visits]
-        self._number = max((visit.number for visit in visits), default=0)
-        self._last_s = max((float(visit.time_s[-1]) for visit in visits), default=-np.inf)
+        stored = [] if earlier is None else [each for arm in earlier.arms for each in (*arm.visits, *arm.periods)]
+        self._number = max((each.number for each in stored), default=0)
+        self._last_s = max((float(each.time_s[-1]) for each in stored), default=-np.inf)
         self._shift_s: float | None = None
 
-    def next(self, visit: Visit) -> Visit:
-        """The visit as it is stored, with its number."""
+    def next(self, visit: Measured) -> Measured:
+        """The visit or the period as it is stored, with its number."""
         if self._shift_s is None:
             period_s = float(np.diff(visit.time_s).min()) if len(visit) > 1 else 1.0
             late = self._last_s + period_s - float(visit.time_s[0])
@@ -102,7 +106,7 @@ class Numbering:
 
 
 class RecordingWriter:
-    """Adds visits to one file; `visits` counts them.
+    """Adds visits and periods to one file; `visits` counts both.
 
     Parameters
     ----------
@@ -134,7 +138,7 @@ class RecordingWriter:
             with h5py.File(path, "r") as source:
                 source.copy("arms", self._file)
             if _stored(self._file.require_group("arms")) != {
-                (arm.name, visit.number) for arm in earlier.arms for visit in arm.visits
+                (arm.name, each.number) for arm in earlier.arms for each in (*arm.visits, *arm.periods)
             }:
                 self._file.close()
                 raise InputError(f"{path} was still being written by an earlier run; go on with it once more")
@@ -148,9 +152,13 @@ class RecordingWriter:
         self._numbering = Numbering(earlier)
 
     def begin(self, header: ArmHeader) -> None:
-        """Store what belongs to an arm; an arm that is there already keeps its visits."""
+        """Store what belongs to an arm; an arm that is there already keeps its visits and periods."""
         arm = self._arms.require_group(header.name)
         arm.require_group("visits")
+        if header.excitations:
+            known = arm.require_group("excitations")
+            for number, plain in header.excitations.items():
+                known.attrs[str(number)] = json.dumps(plain)
         arm.attrs["constants"] = json.dumps([asdict(constants) for constants in header.constants])
         arm.attrs["identities"] = json.dumps(header.identities)
         arm.attrs["ledger"] = json.dumps(header.ledger)
@@ -163,12 +171,12 @@ class RecordingWriter:
         arm["pose_number"] = np.array([pose.number for pose in header.poses], dtype=np.int64)
         arm["pose_validation"] = np.array([pose.purpose == "validation" for pose in header.poses], dtype=np.int8)
 
-    def add(self, arm: str, visit: Visit) -> Visit:
-        """Store a visit and write the file.
+    def add(self, arm: str, visit: Measured) -> Measured:
+        """Store a visit or a period and write the file.
 
         Returns
         -------
-        Visit
+        Visit or Period
             With its number; its time runs on from the visits before.
 
         Raises
@@ -180,15 +188,18 @@ class RecordingWriter:
         self.store(arm, stored)
         return stored
 
-    def store(self, arm: str, visit: Visit) -> None:
-        """Store a visit that has its number and write the file.
+    def store(self, arm: str, visit: Visit | Period) -> None:
+        """Store a visit or a period that has its number and write the file.
 
         Raises
         ------
         InputError
             The file cannot be written; the one before is still there, and the next write holds this visit too.
         """
-        _write_visit(self._arms.require_group(f"{arm}/visits").create_group(f"{visit.number:04d}"), visit)
+        if isinstance(visit, Period):
+            _write_period(self._arms.require_group(f"{arm}/periods").create_group(f"{visit.number:04d}"), visit)
+        else:
+            _write_visit(self._arms.require_group(f"{arm}/visits").create_group(f"{visit.number:04d}"), visit)
         self._save("abort", UNFINISHED)
         self.visits += 1
 
@@ -232,9 +243,9 @@ def write_recording(path: Path, content: bytes) -> None:
 
 
 def _stored(arms: h5py.Group) -> set[tuple[str, int]]:
-    """Arm and number of every visit."""
-    names = [str(arm) for arm in arms]
-    return {(arm, int(str(number))) for arm in names for number in arms.require_group(f"{arm}/visits")}
+    """Arm and number of every visit and period."""
+    groups = [(str(arm), f"{arm}/{kind}") for arm in arms for kind in ("visits", "periods")]
+    return {(arm, int(str(number))) for arm, group in groups if group in arms for number in arms.require_group(group)}
 
 
 def _write_visit(group: h5py.Group, visit: Visit) -> None:
@@ -250,6 +261,17 @@ def _write_visit(group: h5py.Group, visit: Visit) -> None:
     }
     if visit.gravity_nm is not None and visit.friction_band_nm is not None:
         attributes |= {"gravity_nm": visit.gravity_nm, "friction_band_nm": visit.friction_band_nm}
+    _write_samples(group, attributes, visit)
+
+
+def _write_period(group: h5py.Group, period: Period) -> None:
+    names = ("load", "excitation", "name", "kind", "joint", "period", "period_s", "speed", "complete")
+    attributes = {name: getattr(period, name) for name in (*names, "incomplete_epochs")}
+    _write_samples(group, attributes, period)
+    _dataset(group, "target_rad", period.target_rad, "rad, sent with this SYNC, due at the next")
+
+
+def _write_samples(group: h5py.Group, attributes: dict[str, Any], visit: Visit | Period) -> None:
     for name, value in attributes.items():
         group.attrs[name] = value
     for name, (source, unit) in WORDS.items():

@@ -24,7 +24,6 @@ from gateway.acquire.poses import (
     DISTANCE_RAD,
     PoseRequest,
     RestPose,
-    assumed_noise_nm,
     choose_poses,
     feasible_postures,
     read_poses,
@@ -34,6 +33,7 @@ from gateway.errors import InputError, PlanRefused
 from gateway.model.arm_model import robot_text
 from gateway.model.information import payload_information
 from gateway.model.kinematics import flange_frames
+from gateway.motion.assumed import assumed_noise_nm
 from gateway.motion.places import path_points
 from tests.around import among_boxes
 

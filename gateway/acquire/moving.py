@@ -1,0 +1,184 @@
+"""Record a moving plan: excitations driven period by period, every SYNC kept. Brakes are on before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from gateway.acquire.events import Event, Listener, PeriodDone, StateChanged, Stopped
+from gateway.acquire.moving_run import Leg, MovingRun, legs_from
+from gateway.acquire.passes import passes_of
+from gateway.acquire.planning import visit_settings
+from gateway.acquire.run import VisitStation
+from gateway.acquire.session import QueuedStore, RecordRequest, arm_header, finish_broken, plain, recording_header
+from gateway.data.recording.queue import VisitQueue
+from gateway.data.recording.reader import read
+from gateway.errors import GatewayError, InputError
+from gateway.excite.excitation import MovingPlan, fingerprint
+from gateway.excite.planning import check_moving_plan
+from gateway.motion.arms import Arms
+from gateway.motion.opening import OpenArm
+from gateway.motion.power import powered
+from gateway.motion.state import StateKeeper
+from gateway.motion.stream import MoveOptions, Station, Stream
+
+
+@dataclass(frozen=True, slots=True)
+class MovingSummary:
+    """What a run has added to a recording.
+
+    Attributes
+    ----------
+    path : Path
+    load : str
+    periods : int
+        New periods in which every SYNC was answered.
+    skipped : int
+        Periods that were there already.
+    incomplete_epochs : int
+        SYNCs that were not answered; their periods were driven again.
+    missed : tuple of (str, int)
+        Excitation and number of the periods that lack a SYNC though they were driven twice.
+    statistics : dict
+        Of the bus.
+    """
+
+    path: Path
+    load: str
+    periods: int
+    skipped: int
+    incomplete_epochs: int
+    missed: tuple[tuple[str, int], ...]
+    statistics: dict[str, Any]
+
+
+def record_moving(
+    opened: OpenArm,
+    plan: MovingPlan,
+    request: RecordRequest,
+    listeners: Sequence[Listener] = (),
+    options: MoveOptions | None = None,
+) -> MovingSummary:
+    """Drive a moving plan under one load; the arm stays in its brakes if nothing is missing.
+
+    Whoever asks the desk of `options` for a stop stops the arm; the periods that were driven are kept.
+
+    Raises
+    ------
+    InputError
+        The file exists and is not to be gone on with, or belongs to another cell.
+    PlanRefused
+        A motion leaves a limit, or no way leads to its start; nothing was enabled.
+    LimitExceeded, DriveError, KeyboardInterrupt
+        The arm was stopped.
+    """
+    if plan.arm != opened.config.name:
+        raise InputError(f"the plan is one of arm '{plan.arm}', this is arm '{opened.config.name}'; plan for this arm")
+    check_moving_plan(plan, opened.workspace, opened.config)
+    options = options or MoveOptions()
+    earlier = read(request.path) if request.resume and request.path.exists() else None
+    stored = None if earlier is None else earlier.arm(plan.arm)
+    driven = frozenset[tuple[int, float, int]]() if stored is None else stored.driven(request.load)
+    passes = passes_of(plan, request.load, driven, options.override, opened.group.timing.period_s)
+    header = arm_header(opened, () if stored is None else stored.poses, excitations_of(plan))
+    queue = VisitQueue(request.path, recording_header(opened), header, earlier)
+    tally, missed = _Tally(), ()
+    try:
+        if passes:
+            pacing = opened.group.timing.pacing
+            store = QueuedStore(queue, plan.arm, pacing)
+            station = VisitStation(opened.arm, opened.workspace, store, (tally, *listeners), options, pacing)
+            settings = replace(visit_settings(opened.loaded, opened.config), period_s=opened.group.timing.period_s)
+            legs = legs_from(station, opened.config, opened.arm.where(), passes, settings)
+            missed = run_legs(station, legs, request.load)
+        statistics = plain(asdict(opened.group.statistics))
+        queue.finish(plan.arm, "success", "all periods driven", statistics)
+    except BaseException as error:
+        finish_broken(queue, opened, plan.arm, error)
+        raise
+    finally:
+        queue.close()
+    wanted = sum(excitation.periods for excitation in plan.excitations)
+    return MovingSummary(
+        path=request.path,
+        load=request.load,
+        periods=tally.periods,
+        skipped=wanted - sum(len(one.periods) for one in passes if one.speed == options.override),
+        incomplete_epochs=tally.incomplete,
+        missed=missed,
+        statistics=statistics,
+    )
+
+
+def run_legs(station: VisitStation, legs: Sequence[Leg], load: str) -> tuple[tuple[str, int], ...]:
+    """Drive legs from where the arm stands; on return, and after any error, the brakes are on and periods on disk.
+
+    Returns
+    -------
+    tuple of (str, int)
+        Excitation and number of the periods that lack a SYNC though they were driven twice.
+
+    Raises
+    ------
+    LimitExceeded, DriveError, InputError, KeyboardInterrupt
+        The arm was stopped.
+    """
+    arm = legs[0].way.arm
+    state = StateKeeper(arm, lambda new: station.tell(StateChanged(new)))
+    run = MovingRun(station, legs, load, state)
+    station.options.desk.watch(run.disk)
+    try:
+        with powered(Stream(_moved(station, run, legs[0].way.settings.period_s))) as stream:
+            run.execute(stream)
+    except BaseException as error:
+        _keep_the_rest(station, run, arm, error)
+        raise
+    finally:
+        station.options.desk.forget(run.disk)
+    station.store.flush()
+    run.disk()
+    return run.missed
+
+
+def _moved(station: VisitStation, run: MovingRun, period_s: float) -> Station:
+    return Station(
+        arms=Arms((station.arm,), station.pacing),
+        workspaces=(station.workspace,),
+        period_s=period_s,
+        state=run.state,
+        # what is driven has been made slow already
+        options=replace(station.options, override=1.0),
+        report=run.report,
+    )
+
+
+def _keep_the_rest(station: VisitStation, run: MovingRun, arm: str, failure: BaseException) -> None:
+    """The arm stands: store what a broken period has, tell why the run ended."""
+    try:
+        if run.broken is not None:
+            station.store.add(arm, run.broken)
+        station.store.flush()
+    except GatewayError as error:
+        if error is not failure:
+            failure.add_note(str(error))
+    run.disk()
+    station.tell(Stopped(str(failure) or type(failure).__name__))
+
+
+class _Tally:
+    """Counts what a run adds."""
+
+    def __init__(self) -> None:
+        self.periods = self.incomplete = 0
+
+    def __call__(self, event: Event) -> None:
+        if isinstance(event, PeriodDone):
+            self.periods += event.complete
+            self.incomplete += event.incomplete_epochs
+
+
+def excitations_of(plan: MovingPlan) -> dict[int, dict[str, Any]]:
+    """Excitations of a plan by fingerprint, as plain values."""
+    return {fingerprint(excitation): excitation.plain() for excitation in plan.excitations}

@@ -1,0 +1,235 @@
+"""One run of one moving plan under power: to the start, all periods without a stop, on to the next excitation."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from gateway.acquire.events import PeriodDone, Progress, Started
+from gateway.acquire.passes import Pass, PeriodsWay, check_pass, free_torque_nm, slowed
+from gateway.acquire.plan import (
+    MoveInwards,
+    MoveTo,
+    Plan,
+    VisitSettings,
+    inward_limits,
+    plan_to,
+    step_durations,
+    travel_limits,
+)
+from gateway.acquire.run import VisitStation, refuse_sunk
+from gateway.cell.config import ArmConfig
+from gateway.data.period import Period, PeriodLog
+from gateway.data.sample import ArmSample
+from gateway.motion.state import Phase, StateKeeper
+from gateway.motion.stops import StopKind, StopRequest
+from gateway.motion.stream import FIRST_SHARE, Stream
+from gateway.motion.trajectory import MotionLimits, straight
+
+#: Rest before each pass: what the servos lag behind is made up for, the first period begins as the others do [s].
+REST_S: Final = 0.3
+#: A way that is longer counts as the first motion with these drives [rad].
+FAR_RAD: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Leg:
+    """A pass and the way to where it starts.
+
+    Attributes
+    ----------
+    way : Plan
+        Of `plan_to`.
+    driven : Pass
+    modelled_nm : array of shape (n, N) or None
+        Torque of the free motion of one period.
+    """
+
+    way: Plan
+    driven: Pass
+    modelled_nm: np.ndarray | None
+
+
+def legs_from(
+    station: VisitStation, config: ArmConfig, start_rad: np.ndarray, passes: Sequence[Pass], settings: VisitSettings
+) -> tuple[Leg, ...]:
+    """Ways and passes from where the arm stands; nothing moves. `check_moving_plan` has passed the excitations.
+
+    Raises
+    ------
+    PlanRefused
+        The samples of a pass would not tell what was driven, or no way that keeps the limits leads to its start.
+    """
+    legs, at = [], start_rad
+    for one in passes:
+        check_pass(config.name, one, station.workspace.robot.axes)
+        way = plan_to(config.name, station.workspace, at, one.excitation.start_rad, settings)
+        legs.append(Leg(way, one, free_torque_nm(station.workspace, config, one.motion)))
+        at = one.excitation.start_rad
+    return tuple(legs)
+
+
+class MovingRun:
+    """One run under power; `broken` is the period that an error has cut short.
+
+    Parameters
+    ----------
+    station : VisitStation
+        Its speed override is taken here: ways and passes are made slower, the stream drives them as they are.
+    legs : tuple of Leg
+        From where the arm stands.
+    load : str
+    state : StateKeeper
+
+    Attributes
+    ----------
+    missed : tuple of (str, int)
+        Excitation and number of the periods that lack a SYNC though they were driven twice.
+    """
+
+    def __init__(self, station: VisitStation, legs: Sequence[Leg], load: str, state: StateKeeper) -> None:
+        self.broken: Period | None = None
+        self.missed: tuple[tuple[str, int], ...] = ()
+        self.state = state
+        self._legs, self._load = tuple(legs), load
+        self._station, self._store, self._tell = station, station.store, station.tell
+        self._speed = station.options.override
+        self._period_s = legs[0].way.settings.period_s
+        self._first = station.options.first_done is not None
+        self._gone_rad = 0.0
+        self._incomplete: list[int] = []
+        self._elapsed_s = self._now_s = 0.0
+        self._ahead_s = deque(self._durations())
+        self._steps = len(self._ahead_s)
+
+    def _durations(self) -> list[float]:
+        """Time of every motion and every rest, as planned."""
+        out: list[float] = []
+        for leg in self._legs:
+            out += [second / self._speed for second in step_durations(leg.way, self._station.workspace)]
+            out += [REST_S, leg.driven.duration_s]
+        out[0] /= FIRST_SHARE if self._first else 1.0
+        return out
+
+    def execute(self, stream: Stream) -> None:
+        """All legs."""
+        refuse_sunk(self._legs[0].way, stream)
+        self._stream = stream
+        periods = sum(len(leg.driven.periods) for leg in self._legs)
+        self._tell(Started(self._legs[0].way.arm, self._load, periods, sum(self._ahead_s)))
+        stream.take_over()
+        for leg in self._legs:
+            self.state.enter(Phase.MOVING, stream.sync_index)
+            self._go(leg.way)
+            self._try(leg.driven)
+            self.state.enter(Phase.SAMPLING, stream.sync_index)
+            self._drive(leg, leg.driven.periods)
+            if self._incomplete:
+                again = tuple(self._incomplete)
+                self._ahead_s.extendleft([len(again) * leg.driven.motion.duration_s, REST_S])
+                self._steps += 2
+                self._drive(leg, again)
+            self.missed += tuple((leg.driven.excitation.name, period) for period in self._incomplete)
+        self._tell(Progress(self._steps, self._steps, "done", self._elapsed_s + self._now_s, 0.0))
+
+    def disk(self) -> StopRequest | None:
+        """Tell of the periods that are on disk by now; a wish to stop where the disk does not keep up.
+
+        The motion loop asks at every SYNC.
+        """
+        for period in self._store.written():
+            if isinstance(period, Period):
+                self._announce(period)
+        trouble = self._store.trouble()
+        return None if trouble is None else StopRequest(StopKind.ALONG_PATH, trouble)
+
+    def report(self, what: str, row: int, rows: int) -> None:
+        """Where the run stands, told by the motion loop now and then."""
+        done_s = self._now_s * max(row, 0) / rows
+        left_s = self._now_s - done_s + sum(self._ahead_s)
+        self._tell(Progress(self._steps - len(self._ahead_s), self._steps, what, self._elapsed_s + done_s, left_s))
+
+    def _next(self) -> None:
+        """The motion or the rest that comes next begins."""
+        self._elapsed_s += self._now_s
+        self._now_s = self._ahead_s.popleft()
+
+    def _go(self, way: Plan) -> None:
+        workspace = self._station.workspace
+        for step in way.steps:
+            if not isinstance(step, MoveTo | MoveInwards):
+                raise TypeError("a way to a start only goes there")
+            self._next()
+            inwards = isinstance(step, MoveInwards)
+            limits = _slowed(inward_limits(workspace) if inwards else travel_limits(workspace), self._speed)
+            what = "move back into the joint range" if inwards else "move to the start"
+            target, (at,) = np.array(step.q_rad), self._stream.q_rad
+            self._gone_rad += float(np.abs(target - at).max())
+            self._stream.move([straight(at, target, limits, self._period_s)], what)
+
+    def _try(self, driven: Pass) -> None:
+        """The first motion with these drives is slow; where the way was none to speak of, a period is driven slowly."""
+        if not self._first or self._gone_rad > FAR_RAD:
+            return
+        self._first = False
+        share = FIRST_SHARE if self._stream.first_moved else 1.0  # the stream slows down what comes first
+        motion = slowed(driven.excitation, share * driven.speed, self._period_s)
+        self._ahead_s.appendleft(motion.duration_s * share / FIRST_SHARE)
+        self._steps += 1
+        self._next()
+        self._stream.move([motion], f"try '{driven.excitation.name}' at {FIRST_SHARE:.0%}")
+
+    def _drive(self, leg: Leg, periods: tuple[int, ...]) -> None:
+        """So many periods without a stop; those that lack a SYNC are noted."""
+        self._incomplete = []
+        driven, store = leg.driven, self._store
+        count, axes = driven.motion.q_rad.shape
+        what = f"drive '{driven.excitation.name}'" + (f" at {driven.speed:.0%}" if driven.speed != 1.0 else "")
+        log: PeriodLog | None = None
+
+        def taken(row: int, place: int, sample: ArmSample, target_rad: np.ndarray) -> None:
+            nonlocal log
+            if row == 0 or log is None:
+                log = PeriodLog(driven.label(self._load, periods[place]), count, axes)
+            log.add(sample, target_rad)
+            if row < count - 1:
+                return
+            if log.incomplete_epochs:
+                self._incomplete.append(periods[place])
+            if len(log):
+                store.add(leg.way.arm, log.period())
+            log = None
+
+        self._next()
+        self._stream.stand(REST_S, "rest before it moves")
+        self._next()
+        way = PeriodsWay(self._stream.q_rad[0], driven.motion, len(periods), leg.modelled_nm, taken)
+        try:
+            self._stream.drive(way, what)
+        except BaseException:
+            self.broken = log.period() if log is not None and len(log) else None
+            raise
+
+    def _announce(self, period: Period) -> None:
+        self._tell(
+            PeriodDone(
+                number=period.number,
+                name=period.name,
+                period=period.period,
+                load=period.load,
+                speed=period.speed,
+                complete=period.complete,
+                incomplete_epochs=period.incomplete_epochs,
+            )
+        )
+
+
+def _slowed(limits: MotionLimits, speed: float) -> MotionLimits:
+    """Limits of the same way, driven at a share of its speed."""
+    return MotionLimits(
+        speed * limits.speed_rad_s, speed**2 * limits.acceleration_rad_s2, speed**3 * limits.jerk_rad_s3
+    )

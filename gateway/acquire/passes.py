@@ -1,0 +1,181 @@
+"""Excitations as they are driven: periods one after the other without a stop, at a share of their speed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.cell.config import ArmConfig
+from gateway.data.labels import BARE_LABEL
+from gateway.data.period import PeriodLabel, harmonics_of, why_aliased
+from gateway.data.sample import ArmSample
+from gateway.errors import ConfigError, PlanRefused
+from gateway.excite.excitation import Excitation, MovingPlan, fingerprint
+from gateway.feedforward.parameters import drawn_parameters
+from gateway.model.regressor import regressor
+from gateway.motion.trajectory import Motion
+from gateway.motion.way import MotionWay, PerArm
+from gateway.motion.workspace import Workspace
+
+Floats = NDArray[np.float64]
+
+#: Share of its speed at which the first excitation is driven once when a load hangs on the flange for the first time.
+TRIED_SPEED: Final = 0.25
+#: How far rounding may go [rad, rad/s].
+HAIR: Final = 1e-6
+#: Speed at which dry friction has come to its full size [rad/s].
+SMOOTH_RAD_S: Final = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pass:
+    """Periods of one excitation that are driven without a stop between them.
+
+    Attributes
+    ----------
+    excitation : Excitation
+    speed : float
+        Share of its speed.
+    periods : tuple of int
+        Their numbers, from 1.
+    motion : Motion
+        Of one period, at that speed.
+    """
+
+    excitation: Excitation
+    speed: float
+    periods: tuple[int, ...]
+    motion: Motion
+
+    @property
+    def duration_s(self) -> float:
+        """All periods."""
+        return len(self.periods) * self.motion.duration_s
+
+    def label(self, load: str, period: int) -> PeriodLabel:
+        """What one of its periods is called under a load."""
+        it = self.excitation
+        return PeriodLabel(
+            load, fingerprint(it), it.name, it.kind, it.joint, period, self.speed, self.motion.duration_s
+        )
+
+
+def slowed(excitation: Excitation, speed: float, sync_period_s: float) -> Motion:
+    """One period at a share of its speed: the same way, sampled more finely; a whole number of SYNCs."""
+    motion = excitation.motion(speed * sync_period_s)
+    return Motion(motion.q_rad, speed * motion.qd_rad_s, speed**2 * motion.qdd_rad_s2, sync_period_s)
+
+
+def passes_of(
+    plan: MovingPlan,
+    load: str,
+    driven: frozenset[tuple[int, float, int]],
+    speed: float,
+    sync_period_s: float,
+) -> tuple[Pass, ...]:
+    """What is to be driven under a load, without what was driven already.
+
+    Parameters
+    ----------
+    plan : MovingPlan
+    load : str
+        Under another one than `none`, the first excitation is tried once at `TRIED_SPEED` of the speed before.
+    driven : set of (fingerprint, speed, period)
+        Complete periods under this load.
+    speed : float
+        Share of the planned speed.
+    sync_period_s : float
+    """
+    passes = []
+    tried = TRIED_SPEED * speed
+    if load != BARE_LABEL and not any(way == fingerprint(plan.excitations[0]) for way, _, _ in driven):
+        first = plan.excitations[0]
+        passes.append(Pass(first, tried, (1,), slowed(first, tried, sync_period_s)))
+    for excitation in plan.excitations:
+        way = fingerprint(excitation)
+        missing = tuple(k for k in range(1, excitation.periods + 1) if (way, speed, k) not in driven)
+        if missing:
+            passes.append(Pass(excitation, speed, missing, slowed(excitation, speed, sync_period_s)))
+    return tuple(passes)
+
+
+def check_pass(arm: str, one: Pass, axes: int) -> None:
+    """Refuse a motion whose periods do not follow one another, or whose samples would not tell what was driven.
+
+    Whether the arm may drive it is `check_moving_plan`'s part.
+
+    Raises
+    ------
+    PlanRefused
+    """
+    name, motion = f"arm '{arm}', motion '{one.excitation.name}'", one.motion
+    rows = (motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2)
+    if any(values.shape != (len(motion), axes) or not np.isfinite(values).all() for values in rows):
+        raise PlanRefused(f"{name}: a motion of {axes} joints by finite numbers is needed")
+    moves = max(np.abs(motion.qd_rad_s[-1]).max(), np.abs(motion.q_rad[-1] - one.excitation.start_rad).max())
+    if moves > HAIR:
+        raise PlanRefused(f"{name}: does not end at rest where it began, so that its periods do not follow one another")
+    reason = why_aliased(len(motion), harmonics_of(one.excitation.plain()))
+    if reason is not None:
+        raise PlanRefused(f"{name}: {reason}")
+
+
+def free_torque_nm(workspace: Workspace, arm: ArmConfig, motion: Motion) -> Floats | None:
+    """Torque (n, N) [Nm] that the bare arm needs for a motion as far as the cell says; None where links are unknown.
+
+    Bodies as drawn, rotors and friction as typed; what the cell does not say is left out.
+    """
+    try:
+        links = drawn_parameters(workspace.robot, arm)
+    except ConfigError:
+        return None
+    q, qd, qdd = motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2
+
+    def said(name: str) -> Floats:
+        values = [getattr(axis, name) for axis in arm.axis]
+        return np.array([0.0 if value is None else value.value for value in values])
+
+    bodies = regressor(workspace.robot, q, qd, qdd, workspace.gravity_m_s2) @ links
+    dry = said("coulomb_nm") * np.tanh(qd / SMOOTH_RAD_S)
+    return bodies + said("rotor_inertia_kg_m2") * qdd + dry + said("viscous_nm_s_rad") * qd
+
+
+#: Takes the row within the period, the number of the period within the pass, the sample, the targets of its SYNC.
+Taken = Callable[[int, int, ArmSample, np.ndarray], None]
+
+
+class PeriodsWay(MotionWay):
+    """One period of an arm's motion, so many times without a stop; every SYNC at full rate is handed over.
+
+    Parameters
+    ----------
+    start_rad : array of shape (N,)
+        Where the arm was last told to be.
+    motion : Motion
+        One period.
+    periods : int
+    modelled_nm : array of shape (n, N) or None
+        Torque of the free motion, row by row of a period; None = gravity of the bare arm.
+    taken : callable
+    """
+
+    def __init__(
+        self, start_rad: np.ndarray, motion: Motion, periods: int, modelled_nm: Floats | None, taken: Taken
+    ) -> None:
+        q, qd, qdd = (np.tile(rows, (periods, 1)) for rows in (motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2))
+        super().__init__((start_rad,), (Motion(q, qd, qdd, motion.period_s),))
+        self._period_rows, self._modelled, self._taken = len(motion), modelled_nm, taken
+
+    def modelled(self, at: float) -> PerArm | None:
+        """As `Way.modelled`."""
+        return None if self._modelled is None else (self._modelled[max(int(at), 0) % self._period_rows],)
+
+    def take(self, at: float, rate: float, samples: Sequence[ArmSample]) -> None:
+        """Hand over what was measured; while the arm is slowed down to a stop, nothing is."""
+        if rate == 1.0:
+            period, row = divmod(round(at), self._period_rows)
+            self._taken(row, period, samples[0], self.targets(at, rate)[0])

@@ -1,0 +1,86 @@
+"""Measured rows of the periods of a recording: one per SYNC, the joints' motion from their measured positions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from drives.errors import ProfileError
+from drives.profile_file import parse_profile
+from gateway.cell.config import ArmConfig
+from gateway.data.period import Period
+from gateway.data.periodic import by_harmonics, by_low_pass
+from gateway.data.periods import EXCITATION, PERIOD, PHASE_S
+from gateway.data.rows import MOVING, Table
+from gateway.errors import InputError
+
+
+def torque_delay_s(config: ArmConfig, profiles: Mapping[str, str], where: str) -> float:
+    """How late the drives' torque words are behind their positions: the mean of what the profiles state.
+
+    A filter of first order is late by its time constant. What one axis has beside the mean is for the estimation.
+
+    Raises
+    ------
+    InputError
+        A profile is missing or cannot be used.
+    """
+    late = []
+    for axis in config.axis:
+        text = profiles.get(axis.profile)
+        if not isinstance(text, str):
+            raise InputError(f"{where}: the file holds no text of profile '{axis.profile}'")
+        try:
+            late.append(parse_profile(text, axis.profile).torque.filter_s)
+        except ProfileError as error:
+            raise InputError(f"{where}: {error}") from error
+    return float(np.mean(late))
+
+
+def period_rows(period: Period, tau_nm: np.ndarray, path: Path, harmonics: int, late_s: float) -> Table:
+    """Rows of a complete period.
+
+    Parameters
+    ----------
+    period : Period
+    tau_nm : array of shape (n, N)
+        Joint torque as measured, efficiency not applied.
+    path : Path
+        Of the recording.
+    harmonics : int
+        That were sent; 0 where it was no series.
+    late_s : float
+        How late the torques are.
+    """
+    n = len(period)
+    if period.kind == "series":
+        motion = by_harmonics(period.q_rad, period.period_s, harmonics, late_s)
+    else:
+        motion = by_low_pass(period.q_rad, period.period_s, late_s)
+    blank = np.full(period.q_rad.shape, np.nan)
+    return Table(
+        file=(str(path),) * n,
+        line=np.full(n, period.number),
+        run=np.array([f"{path.stem}/{period.number:04d}"] * n),
+        load=np.array([period.load] * n),
+        pose=np.full(n, MOVING),
+        time_s=period.time_s,
+        q_rad=motion.q_rad,
+        qd_rad_s=motion.qd_rad_s,
+        qdd_rad_s2=motion.qdd_rad_s2,
+        moving=np.ones(n, dtype=bool),
+        direction=np.zeros(period.q_rad.shape, dtype=np.int8),
+        tau_nm=tau_nm,
+        tau_std_nm=blank,
+        count=np.ones(n, dtype=int),
+        q2nd_rad=blank,
+        temperature_c=blank,
+        motor_torque_nm=period.motor_torque_nm,
+        extra={
+            EXCITATION: np.full(n, float(period.motion)),
+            PERIOD: np.full(n, float(period.period)),
+            PHASE_S: np.arange(n) * (period.period_s / n),
+        },
+    )

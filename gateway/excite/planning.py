@@ -1,0 +1,224 @@
+"""From a cell file to a checked plan of motions that an arm is learnt from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.analyse.given import constants_std, profile_of
+from gateway.cell.config import ArmConfig, LoadedCell
+from gateway.errors import PlanRefused
+from gateway.excite.choosing import SeriesTask, best_random, optimised
+from gateway.excite.design import start_postures
+from gateway.excite.excitation import Excitation, MovingPlan
+from gateway.excite.expected import (
+    CORRELATION_S,
+    Asked,
+    DriveTrainAsked,
+    LoadAsked,
+    Purpose,
+    TorqueNoise,
+)
+from gateway.excite.foretold import foretold
+from gateway.excite.limits import PLANNED, MovingLimits, States, moving_limits, states_of
+from gateway.excite.plan_file import read_moving_plan
+from gateway.excite.sweeping import chosen_sweeps
+from gateway.feedforward.identified import AxisConstants, axis_constants, read_identified
+from gateway.feedforward.load import FeedLoad, assumed_load
+from gateway.identify.links import parse_inertials
+from gateway.model.arm_model import arm_named, arm_robot
+from gateway.motion.assumed import NOISE_SOURCE, assumed_noise_nm, reference_load
+from gateway.motion.places import angles
+from gateway.motion.torque_need import links_with_loads
+from gateway.motion.workspace import Workspace, workspace_of
+
+__all__ = ["MovingRequest", "check_moving_plan", "make_moving_plan", "read_moving_plan"]
+
+Floats = NDArray[np.float64]
+Choice = Literal["optimised", "random"]
+FrictionBy = Literal["sweeps", "series"]
+
+PURPOSES: tuple[Purpose, ...] = ("load", "friction", "rotor")
+#: Periods of a series [s]: a shorter one leaves the joints no room to move, a longer one is gravity alone.
+SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 5.0, 20.0
+#: Fewer tell motion and noise not apart; more than this is a slip.
+FEWEST_PERIODS, MOST_PERIODS = 2, 100
+#: A sweep visits every place at every speed in both directions: so often is enough.
+SWEEP_PERIODS = 2
+#: What keeps limits at so many instants a period keeps them in between, but for a share of 1e-4.
+CHECKED_S = 0.002
+_CLOSE = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class MovingRequest:
+    """What is to be learnt, and how long it may take.
+
+    Attributes
+    ----------
+    purpose : tuple of Purpose
+    period_s : float
+        Of a series.
+    periods : int
+        Of a series; a sweep is driven `SWEEP_PERIODS` times.
+    seed : int
+    choice : Choice
+        `random`: the best of the random motions that the optimised one is compared to.
+    friction_by : FrictionBy
+        Sweeps of every joint, or the series of all joints.
+    load : FeedLoad or None
+        What will hang there; None = what the cell says the arm may carry.
+    noise : TorqueNoise or None
+        As it was measured; None = as it is assumed before anything was.
+    """
+
+    purpose: tuple[Purpose, ...] = ("load",)
+    period_s: float = 10.0
+    periods: int = 3
+    seed: int = 1
+    choice: Choice = "optimised"
+    friction_by: FrictionBy = "sweeps"
+    load: FeedLoad | None = None
+    noise: TorqueNoise | None = None
+
+
+def make_moving_plan(loaded: LoadedCell, arm: str | None, request: MovingRequest) -> MovingPlan:
+    """Plan of motions; needs no bus, the same for the same request.
+
+    Parameters
+    ----------
+    loaded : LoadedCell
+    arm : str or None
+        Name of the arm, if the cell has several.
+    request : MovingRequest
+
+    Raises
+    ------
+    ConfigError
+        Cell or robot cannot be used.
+    InputError
+        What the cell says was identified cannot be used.
+    PlanRefused
+        No room to move inside the limits, or a period or a number of periods that tell nothing.
+    """
+    _check_request(request)
+    config = arm_named(loaded, arm)
+    robot = arm_robot(loaded, config)
+    workspace = workspace_of(config, robot)
+    known = axis_constants(config, read_identified(loaded, config, robot))
+    limits = moving_limits(config, workspace.roomy(), known, PLANNED, request.load)
+    random = np.random.default_rng(request.seed)
+    anchors = _anchors(config, limits.workspace)
+    starts = start_postures(limits, anchors, random)
+    noise = request.noise or _noise(loaded, config, workspace)
+    load = request.load or assumed_load("reference", *reference_load(workspace, starts), "half of what the arm carries")
+    asked = _asked(config, workspace, noise, load, request.purpose)
+    excitations: list[Excitation] = []
+    told = tuple(each for name, each in asked.items() if name != "friction" or request.friction_by == "series")
+    over_random = None
+    if told:
+        task = SeriesTask(limits, anchors, told, request.period_s, request.periods)
+        chosen = (optimised if request.choice == "optimised" else best_random)(task, starts, random)
+        name = " ".join(name for name, each in asked.items() if each in told)
+        member = chosen.members
+        excitations.append(chosen.family.series(name, member.start_rad[0], member.free[0], request.periods))
+        over_random = chosen.over_random
+    if len(told) < len(asked):
+        excitations += chosen_sweeps(limits, [*anchors, *starts], min(request.periods, SWEEP_PERIODS))
+    expected = foretold(excitations, asked, limits, load, over_random)
+    plan = MovingPlan(config.name, tuple(excitations), expected)
+    check_moving_plan(plan, workspace, config, known)
+    return plan
+
+
+def _check_request(request: MovingRequest) -> None:
+    if not request.purpose or not set(request.purpose) <= set(PURPOSES):
+        raise PlanRefused(f"nothing to learn is asked for: name some of {', '.join(PURPOSES)}")
+    if not SHORTEST_PERIOD_S <= request.period_s <= LONGEST_PERIOD_S:
+        raise PlanRefused(
+            f"a period of {request.period_s:g} s: use {SHORTEST_PERIOD_S:g} to {LONGEST_PERIOD_S:g} s; a shorter one "
+            "leaves no room to move, a longer one tells of gravity alone"
+        )
+    if not FEWEST_PERIODS <= request.periods <= MOST_PERIODS:
+        raise PlanRefused(
+            f"{request.periods} periods: use {FEWEST_PERIODS} to {MOST_PERIODS}, three are usual; one alone does not "
+            "tell motion and noise apart"
+        )
+
+
+def _noise(loaded: LoadedCell, config: ArmConfig, workspace: Workspace) -> TorqueNoise:
+    """Noise that is assumed of an arm before any was measured, and how far its torque constants are trusted."""
+    gain_std = np.maximum(constants_std(config, profile_of((), loaded)), 1e-9)
+    return TorqueNoise(assumed_noise_nm(workspace), CORRELATION_S, NOISE_SOURCE, gain_std)
+
+
+def _asked(
+    config: ArmConfig, workspace: Workspace, noise: TorqueNoise, load: FeedLoad, purposes: Sequence[Purpose]
+) -> dict[Purpose, Asked]:
+    """What is asked for, each purpose once, in the order of `PURPOSES`."""
+    carried = links_with_loads(workspace, config, ())
+    links = None if carried is None else carried[:, 0]
+    trust = parse_inertials(config.inertials)
+    found: dict[Purpose, Asked] = {}
+    if "load" in purposes:
+        found["load"] = LoadAsked(workspace, noise, load, links)
+    if "friction" in purposes:
+        found["friction"] = DriveTrainAsked.of(workspace, noise, "friction", links, trust)
+    if "rotor" in purposes:
+        found["rotor"] = DriveTrainAsked.of(workspace, noise, "rotor", links, trust)
+    return found
+
+
+def _anchors(config: ArmConfig, workspace: Workspace) -> Floats:
+    """Postures (k, N) that the cell names and at which the arm may stand, and the middle of its ranges."""
+    named = [config.home_rad, config.loading_rad, config.start_rad]
+    middle = (workspace.lower_rad + workspace.upper_rad) / 2
+    known = np.array([*(each for each in named if each is not None), middle])
+    return known[workspace.feasible(known)]
+
+
+def check_moving_plan(
+    plan: MovingPlan, workspace: Workspace, config: ArmConfig, known: Sequence[AxisConstants] = ()
+) -> None:
+    """Refuse a plan that breaks a limit anywhere.
+
+    Parameters
+    ----------
+    plan : MovingPlan
+    workspace : Workspace
+    config : ArmConfig
+        Loads, and what they may be accelerated with; rotors and friction where nothing else is known of them.
+    known : sequence of AxisConstants, one per axis, optional
+        Rotors and friction; those of the cell file if left out.
+
+    Raises
+    ------
+    PlanRefused
+        Names motion, limit and posture.
+    """
+    limits = moving_limits(config, workspace, known or axis_constants(config, None))
+    for excitation in plan.excitations:
+        where = f"arm '{plan.arm}', motion '{excitation.name}'"
+        start = np.asarray(excitation.start_rad)
+        if start.shape != (workspace.robot.axes,):
+            raise PlanRefused(f"{where}: is of {len(start)} axes, the arm has {workspace.robot.axes}")
+        reason = workspace.why_not(start, workspace.rest_share)
+        if reason is not None:
+            raise PlanRefused(f"{where}: starts at {angles(start)}: {reason}")
+        states = states_of(excitation, CHECKED_S)
+        _check_shares(limits, states, where)
+        reason = workspace.why_not_path(np.vstack([start, states.q_rad]))
+        if reason is not None:
+            raise PlanRefused(f"{where}: {reason}")
+
+
+def _check_shares(limits: MovingLimits, states: States, where: str) -> None:
+    share = limits.shares(states)
+    row, column = np.unravel_index(np.argmax(share), share.shape)
+    if not share[row, column] <= 1.0 + _CLOSE:
+        taken, there = share[row, column], angles(states.q_rad[row])
+        raise PlanRefused(f"{where}: {limits.names[column]} takes {taken:.2f} of its limit at {there}")

@@ -1,0 +1,33 @@
+"""What is assumed of an arm before anything was measured: noise of its torques, and a load to plan for."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gateway.model.regressor import load_regressor
+from gateway.motion.workspace import BAND_SHARE, Workspace
+
+#: What a two-sided approach leaves of the friction band, until a recording has measured it.
+LEFT_SHARE = 0.2
+#: Share of the heaviest possible load that the expected uncertainty refers to, if the cell names none.
+REFERENCE_SHARE = 0.5
+NOISE_SOURCE = f"assumed: {LEFT_SHARE:.0%} of a friction band of {BAND_SHARE:.1%} of each torque limit"
+
+
+def assumed_noise_nm(workspace: Workspace) -> np.ndarray:
+    """Standard deviation (N,) of a joint torque whose friction was taken off, before any was measured.
+
+    A share of the torque limit, at rest from both sides and in motion alike.
+    """
+    return BAND_SHARE * LEFT_SHARE * workspace.torque_nm
+
+
+def reference_load(workspace: Workspace, q_rad: np.ndarray) -> tuple[float, np.ndarray]:
+    """The cell's heaviest load, else half of what the free share of the torque limits carries at the flange."""
+    if workspace.max_load is not None:
+        return float(workspace.max_load[0]), workspace.max_load[1:] / workspace.max_load[0]
+    com_m = workspace.points_m[0]
+    per_kg = np.abs(load_regressor(workspace.robot, q_rad, workspace.gravity_m_s2) @ np.append(1.0, com_m))
+    free_nm = (1.0 - workspace.rest_share) * workspace.torque_nm
+    largest = np.maximum(per_kg.max(axis=0), 1e-9 * per_kg.max())
+    return float(REFERENCE_SHARE * (free_nm / largest).min()), com_m

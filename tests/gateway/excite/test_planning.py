@@ -1,0 +1,150 @@
+"""A plan of motions keeps every limit, judged by differences of its positions and by an independent library."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio  # pyright: ignore[reportMissingImports]
+import pytest
+
+from gateway.errors import InputError, PlanRefused
+from gateway.excite.excitation import MovingPlan, Series
+from gateway.excite.plan_file import plan_as_plain
+from gateway.excite.planning import MovingRequest, check_moving_plan, make_moving_plan, read_moving_plan
+from gateway.feedforward.load import rated_load
+from gateway.model.arm_model import arm_robot, robot_text
+from gateway.motion.workspace import workspace_of
+from tests.arms import peer_of
+
+REQUEST = MovingRequest(choice="random")
+
+
+@pytest.fixture(scope="module")
+def config(small_cell) -> Any:
+    return small_cell.cell.arm[0]
+
+
+@pytest.fixture(scope="module")
+def plan(small_cell) -> MovingPlan:
+    return make_moving_plan(small_cell, None, REQUEST)
+
+
+def series_of(plan: MovingPlan) -> Series:
+    (series,) = plan.excitations
+    assert isinstance(series, Series)
+    return series
+
+
+def larger(plan: MovingPlan, factor: float) -> MovingPlan:
+    series = series_of(plan)
+    grown = replace(series, cosine_rad=factor * series.cosine_rad, sine_rad=factor * series.sine_rad)
+    return replace(plan, excitations=(grown,))
+
+
+def differences(series: Series) -> list[np.ndarray]:
+    """Positions, speeds, accelerations and jerks by differences of positions over one period."""
+    step_s = series.period_s / 4000
+    values = [series.at(np.arange(-3, 4003) * step_s)[0]]
+    for _ in range(3):
+        values.append(np.diff(values[-1], axis=0) / step_s)
+    return values
+
+
+def test_no_limit_of_a_joint_is_exceeded_and_one_is_nearly_reached(plan: MovingPlan, config) -> None:
+    q, qd, qdd, jerk = differences(series_of(plan))
+    limits = np.array([axis.position_limit_rad for axis in config.axis])
+    assert (q >= limits[:, 0]).all()
+    assert (q <= limits[:, 1]).all()
+    assert (np.abs(qd) <= [axis.speed_limit_rad_s for axis in config.axis]).all()
+    assert (np.abs(qdd) <= [axis.acceleration_rad_s2 for axis in config.axis]).all()
+    assert (np.abs(jerk) <= [axis.jerk_rad_s3 for axis in config.axis]).all()
+
+
+def test_the_torque_of_the_heaviest_load_stays_inside_its_limit(small_cell, plan: MovingPlan, config) -> None:
+    text = robot_text(small_cell, config)
+    load = rated_load(config, arm_robot(small_cell, config))
+    bare, carrying = peer_of(text), peer_of(text)
+    body = pinocchio.Inertia(load.mass_kg, load.com_m, load.inertia_kg_m2)
+    carrying[0].inertias[6] += body
+    q, qd, qdd, _ = series_of(plan).at(np.linspace(0.0, 10.0, 801))
+    limit = np.array([axis.torque_limit_nm for axis in config.axis])
+    efficiency = np.array([axis.gear_efficiency.value for axis in config.axis])
+    rotor = np.array([axis.rotor_inertia_kg_m2.value for axis in config.axis])
+    for model, data in (bare, carrying):
+        torque = np.array([pinocchio.rnea(model, data, *row) for row in zip(q, qd, qdd, strict=True)])
+        assert (np.abs(torque / efficiency) + rotor * np.abs(qdd) < 0.9 * limit).all()
+
+
+def test_a_motion_that_is_too_large_is_refused_with_the_limit(small_cell, plan: MovingPlan, config) -> None:
+    workspace = workspace_of(config, arm_robot(small_cell, config))
+    check_moving_plan(plan, workspace, config)
+    with pytest.raises(PlanRefused, match=r"motion 'load'.*(J\d|joint)"):
+        check_moving_plan(larger(plan, 3.0), workspace, config)
+
+
+def test_the_same_request_gives_the_same_motion(small_cell, plan: MovingPlan) -> None:
+    again = make_moving_plan(small_cell, None, REQUEST)
+    assert plan_as_plain(again) == plan_as_plain(plan)
+    other = make_moving_plan(small_cell, None, replace(REQUEST, seed=2))
+    assert plan_as_plain(other) != plan_as_plain(plan)
+
+
+@pytest.mark.parametrize("wrong", [{"period_s": 0.5}, {"period_s": 60.0}, {"periods": 1}])
+def test_a_period_that_tells_nothing_is_refused(small_cell, wrong: dict[str, Any]) -> None:
+    with pytest.raises(PlanRefused, match="period"):
+        make_moving_plan(small_cell, None, replace(REQUEST, **wrong))
+
+
+def test_a_plan_file_is_read_as_it_was_written(plan: MovingPlan, tmp_path: Path) -> None:
+    path = tmp_path / "plan.json"
+    path.write_text(json.dumps(plan_as_plain(plan)))
+    read = read_moving_plan(path)
+    assert plan_as_plain(read) == plan_as_plain(plan)
+    at = np.linspace(0.0, 10.0, 7)
+    assert np.array_equal(series_of(read).at(at)[0], series_of(plan).at(at)[0])
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda plan: plan["excitations"][0]["cosine_rad"][0].__setitem__(0, 0.5), "edited"),
+        (lambda plan: plan.pop("sha256"), "sha256"),
+        (lambda plan: plan.__setitem__("kind", "follow"), "moving_plan"),
+    ],
+)
+def test_an_edited_plan_is_refused(plan: MovingPlan, tmp_path: Path, change, said: str) -> None:
+    plain = json.loads(json.dumps(plan_as_plain(plan)))
+    change(plain)
+    path = tmp_path / "plan.json"
+    path.write_text(json.dumps(plain))
+    with pytest.raises(InputError, match=said):
+        read_moving_plan(path)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("cosine_rad", [[0.1, 0.0, 0.0, 0.0, 0.0]] * 6, "rest"),
+        ("sine_rad", [[0.1, 0.0]] * 5, "each joint"),
+        ("periods", 0, "positive"),
+        ("period_s", "ten", "period_s"),
+        ("kind", "dance", "dance"),
+    ],
+)
+def test_a_motion_that_is_none_is_refused(plan: MovingPlan, tmp_path: Path, key: str, value, said: str) -> None:
+    series = series_of(plan)
+    changed = series.plain() | {key: value}
+    path = tmp_path / "plan.json"
+
+    class Changed:
+        def plain(self) -> dict[str, Any]:
+            return changed
+
+    broken: Any = (Changed(),)
+    path.write_text(json.dumps(plan_as_plain(replace(plan, excitations=broken))))
+    with pytest.raises(InputError, match=said):
+        read_moving_plan(path)
