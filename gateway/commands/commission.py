@@ -21,7 +21,7 @@ from gateway.acquire.session import RecordRequest, make_plan, open_arm
 from gateway.acquire.until.goal import Goal
 from gateway.acquire.until.prepare import UntilRequest, search_of
 from gateway.acquire.until.run import UntilSummary
-from gateway.acquire.until.search import Search, decide
+from gateway.acquire.until.search import LoadSearch, decide
 from gateway.acquire.until.words import end_of
 from gateway.analyse.complete import complete
 from gateway.analyse.given import (
@@ -79,7 +79,7 @@ class Dialogue(Protocol):
         ...
 
     def measure_until(
-        self, opened: OpenArm, search: Search, earlier: Recording | None, path: Path, options: MoveOptions
+        self, opened: OpenArm, search: LoadSearch, earlier: Recording | None, path: Path, options: MoveOptions
     ) -> UntilSummary:
         """Record pose by pose until a load is known, and show how far it is."""
         ...

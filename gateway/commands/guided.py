@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from gateway.acquire.session import RecordRequest
     from gateway.acquire.until.goal import Goal
     from gateway.acquire.until.run import UntilSummary
-    from gateway.acquire.until.search import Search
+    from gateway.acquire.until.search import LoadSearch
     from gateway.data.recording.recorded import Recording
     from gateway.motion.opening import OpenArm
     from gateway.motion.stream import MoveOptions
@@ -156,7 +156,7 @@ class _Terminal:
         recording_with_progress(self.session, opened, plan, request, options)
 
     def measure_until(
-        self, opened: OpenArm, search: Search, earlier: Recording | None, path: Path, options: MoveOptions
+        self, opened: OpenArm, search: LoadSearch, earlier: Recording | None, path: Path, options: MoveOptions
     ) -> UntilSummary:
         """Record pose by pose with a progress bar, and say how it ended."""
         return PoseByPose(search, path, earlier).run(self.session, opened, options)

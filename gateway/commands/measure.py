@@ -24,7 +24,7 @@ from gateway.commands.options import (
     trace_option,
     write_json,
 )
-from gateway.commands.until import PoseByPose, Reference, as_json, pose_by_pose, reference_options
+from gateway.commands.until import PoseByPose, UntilChoice, as_json, pose_by_pose, reference_options
 from gateway.errors import InputError
 
 if TYPE_CHECKING:
@@ -180,7 +180,7 @@ def record(
     arm_name: str | None,
     bus_spec: str | None,
     json_out: str | None,
-    until: Reference,
+    until: UntilChoice,
     moving: MoveChoice,
 ) -> None:
     """Measure rest poses or motions under one load. The arm moves; Ctrl-C stops it along its way, nothing is lost.

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from gateway.acquire.until.goal import Goal
     from gateway.acquire.until.prepare import UntilRequest
     from gateway.acquire.until.run import UntilSummary
-    from gateway.acquire.until.search import Search
+    from gateway.acquire.until.search import LoadSearch
     from gateway.analyse.given import Load
     from gateway.cell.config import ArmConfig, LoadedCell
     from gateway.commands.console import Session
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Reference:
+class UntilChoice:
     """What is known beside the recording.
 
     Attributes
@@ -85,7 +85,7 @@ def reference_options(function: Function) -> Function:
     def gathered(*arguments: Any, goal: Any, bare: Any, known: Any, **named: Any) -> Any:
         if goal is None and (bare is not None or known):
             raise click.UsageError("--bare and --known tell what a load is held against: they need --until")
-        return function(*arguments, until=Reference(goal, bare, known), **named)
+        return function(*arguments, until=UntilChoice(goal, bare, known), **named)
 
     gathered.__name__, gathered.__doc__ = function.__name__, function.__doc__
     gathered.__click_params__ = getattr(function, "__click_params__", [])  # type: ignore[attr-defined]
@@ -114,7 +114,7 @@ def reference_options(function: Function) -> Function:
 class PoseByPose:
     """A recording whose poses are chosen on the way."""
 
-    search: Search
+    search: LoadSearch
     path: Path
     earlier: Recording | None
 

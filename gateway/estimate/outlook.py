@@ -54,18 +54,6 @@ class PoseNoise:
         """Variance (N,) [Nm2] of the half-sum of so many samples a side."""
         return self.friction_nm2 + self.sample_nm2 / (2.0 * samples)
 
-    def samples(self, visit_s: float, period_s: float, least: int, most: int) -> int:
-        """Samples a side that tell most per second of a pose that takes `visit_s` without them.
-
-        Minimises `(f + s / 2n) (T + 2 n dt)`, so `n = sqrt(s T / (4 f dt))`, on the axis that asks for most.
-        """
-        told = np.isfinite(self.friction_nm2) & np.isfinite(self.sample_nm2) & (self.sample_nm2 > 0)
-        if not told.any():
-            return most
-        friction = np.maximum(self.friction_nm2[told], 1e-300)
-        wanted = float(np.sqrt(self.sample_nm2[told] * visit_s / (4.0 * friction * period_s)).max())
-        return int(np.clip(np.ceil(min(wanted, most)), min(least, most), most))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outlook:

@@ -21,6 +21,8 @@ MOST_POSES: Final = 40
 LEAST_SAMPLES: Final = 20
 #: Where the goal is out of reach, a half width so close to what `MOST_POSES` would leave is worth no further pose.
 NEAR: Final = 1.25
+#: Numbers of samples that are held against one another.
+_COUNTS: Final = 5
 #: Candidates among which the poses to come are looked ahead.
 _AHEAD: Final = 80
 #: The first poses to come are looked ahead one by one, later ones so many at once.
@@ -69,7 +71,7 @@ class Sampling:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Verdict:
+class Narrowness:
     """How far a load is known against how far it shall be; arrays (4,) of mass [kg] and centre of gravity [m].
 
     Attributes
@@ -110,7 +112,7 @@ class Verdict:
         return self.poses >= MOST_POSES or bool((self.half <= self.aim).all())
 
 
-def judge(known: Outlook, half: Floats, goal: Floats, poses: int, choice: Candidates, sampling: Sampling) -> Verdict:
+def judge(known: Outlook, half: Floats, goal: Floats, poses: int, choice: Candidates, sampling: Sampling) -> Narrowness:
     """Hold a load against the goal, and look ahead to what more poses would give.
 
     Parameters
@@ -126,7 +128,7 @@ def judge(known: Outlook, half: Floats, goal: Floats, poses: int, choice: Candid
     """
     asked = np.isfinite(goal)
     if not asked.any() or (poses >= LEAST_POSES and (half <= goal).all()):
-        return Verdict(half, goal, np.zeros(4), poses, 0)
+        return Narrowness(half, goal, np.zeros(4), poses, 0)
     some = choice.regressor[:_AHEAD]
     done = poses
     while done < MOST_POSES and (done < LEAST_POSES or (half_width(1.0) * known.std > goal).any()):
@@ -134,18 +136,18 @@ def judge(known: Outlook, half: Floats, goal: Floats, poses: int, choice: Candid
         count = min(1 if done - poses < _SINGLY else _TOGETHER, MOST_POSES - done)
         known = known.with_poses(some[int(np.argmin(_left(after, goal)))], sampling.most, count)
         done += count
-    return Verdict(half, goal, np.where(asked, half_width(1.0) * known.std, 0.0), poses, done - poses)
+    return Narrowness(half, goal, np.where(asked, half_width(1.0) * known.std, 0.0), poses, done - poses)
 
 
 def best_first(
-    known: Outlook, verdict: Verdict, choice: Candidates, seconds: Floats, sampling: Sampling
+    known: Outlook, verdict: Narrowness, choice: Candidates, seconds: Floats, sampling: Sampling
 ) -> tuple[NDArray[np.int_], int]:
     """Candidates in the order in which they tell most per second, and the samples a side.
 
     Parameters
     ----------
     known : Outlook
-    verdict : Verdict
+    verdict : Narrowness
     choice : Candidates
     seconds : array of shape (n,)
         Time of the way to each, both approaches and settling, sampling not included; infinite = out of question.
@@ -157,13 +159,15 @@ def best_first(
         Of those that are in question.
     samples : int
     """
-    usual_s = float(np.median(seconds[np.isfinite(seconds)])) if np.isfinite(seconds).any() else 1.0
-    samples = known.noise.samples(usual_s, sampling.period_s, sampling.least, sampling.most)
     before = _left(known.std[None], verdict.aim)
-    gain = before - _left(known.std_after(choice.regressor, samples), verdict.aim)
-    rate = gain / (seconds + 2.0 * samples * sampling.period_s)
-    order = np.argsort(-rate, kind="stable")
-    return order[np.isfinite(seconds[order])], samples
+    counts = np.unique(np.geomspace(sampling.least, sampling.most, _COUNTS).round().astype(int)).tolist()
+    rates = []
+    for samples in counts:
+        gain = before - _left(known.std_after(choice.regressor, samples), verdict.aim)
+        rates.append(np.where(np.isfinite(seconds), gain / (seconds + 2.0 * samples * sampling.period_s), -np.inf))
+    best = int(np.argmax([rate.max(initial=-np.inf) for rate in rates]))
+    order = np.argsort(-rates[best], kind="stable")
+    return order[np.isfinite(seconds[order])], counts[best]
 
 
 def _left(std: Floats, aim: Floats) -> Floats:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gateway.acquire.planning import visit_settings
 from gateway.acquire.poses import PoseRequest
 from gateway.acquire.until.goal import OPTION, Goal
-from gateway.acquire.until.search import Search, guess_of, pool_of
+from gateway.acquire.until.search import LoadSearch, guess_of, pool_of
 from gateway.analyse.given import Load, ModelRequest, estimate_options, given, read_rows, split_validation
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.data.recording.reader import read
@@ -54,7 +54,7 @@ class UntilRequest:
 
 def search_of(
     loaded: LoadedCell, workspace: Workspace, arm: ArmConfig, request: UntilRequest, apart_rad: Floats
-) -> tuple[Search, Recording | None]:
+) -> tuple[LoadSearch, Recording | None]:
     """The search for a load, and the recording that it goes on with.
 
     Parameters
@@ -91,7 +91,7 @@ def search_of(
     _refuse_unknown_arm(request, table, options)
     poses = loaded.cell.poses
     pool = pool_of(workspace, PoseRequest(poses.count, poses.validation, poses.approach_offset_rad, poses.seed))
-    search = Search(
+    search = LoadSearch(
         arm=arm.name,
         label=request.label,
         goal=request.goal,

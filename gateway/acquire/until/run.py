@@ -13,7 +13,7 @@ from gateway.acquire.plan import SIDES
 from gateway.acquire.run import Run, VisitStation, VisitStore
 from gateway.acquire.runner import execute
 from gateway.acquire.session import RecordingSummary, keeping
-from gateway.acquire.until.search import Decision, Search, decide
+from gateway.acquire.until.search import LoadSearch, NextStep, decide
 from gateway.acquire.until.words import ended, narrowed
 from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.data.table import Table
@@ -32,14 +32,14 @@ class UntilSummary:
     Attributes
     ----------
     recording : RecordingSummary
-    decision : Decision
+    decision : NextStep
         The last one.
     reason : str
         In words.
     """
 
     recording: RecordingSummary
-    decision: Decision
+    decision: NextStep
     reason: str
 
 
@@ -60,7 +60,7 @@ class _Collected:
 
 def record_until(
     opened: OpenArm,
-    search: Search,
+    search: LoadSearch,
     path: Path,
     earlier: Recording | None,
     listeners: Sequence[Listener] = (),
@@ -71,7 +71,7 @@ def record_until(
     Parameters
     ----------
     opened : OpenArm
-    search : Search
+    search : LoadSearch
     path : Path
     earlier : Recording or None
         What is in the file already, to be gone on with.
@@ -101,7 +101,7 @@ def rows_of(opened: OpenArm, path: Path) -> Rows:
     return rows
 
 
-def run_until(station: VisitStation, search: Search, rows: Rows) -> Decision:
+def run_until(station: VisitStation, search: LoadSearch, rows: Rows) -> NextStep:
     """Drive what the search decides, one pose after another; the estimate is made beside the standing arm.
 
     Raises

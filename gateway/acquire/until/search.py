@@ -22,7 +22,7 @@ from gateway.acquire.plan import (
     travel_limits,
 )
 from gateway.acquire.poses import DISTANCE_RAD, PoseRequest, can_be_measured, feasible_postures
-from gateway.acquire.until.choice import Candidates, Sampling, Verdict, best_first, judge
+from gateway.acquire.until.choice import Candidates, Narrowness, Sampling, best_first, judge
 from gateway.acquire.until.goal import Goal, half_widths
 from gateway.data.rest_pose import RestPose
 from gateway.data.table import Table, concatenate
@@ -51,7 +51,7 @@ _AROUND: Final = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Search:
+class LoadSearch:
     """A load that shall be known, and what holds while it is measured.
 
     Attributes
@@ -92,13 +92,13 @@ class Search:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Decision:
+class NextStep:
     """What to do next.
 
     Attributes
     ----------
     stock : Stock
-    verdict : Verdict
+    verdict : Narrowness
     plan : Plan or None
         Of the next pose, from where the arm stands; None = there is nothing more to measure.
     expected_s : float
@@ -106,7 +106,7 @@ class Decision:
     """
 
     stock: Stock
-    verdict: Verdict
+    verdict: Narrowness
     plan: Plan | None
     expected_s: float = 0.0
 
@@ -129,12 +129,12 @@ def guess_of(workspace: Workspace, pool: Candidates) -> Floats:
     return mass_kg * np.append(1.0, com_m)
 
 
-def decide(search: Search, measured: Table | None, at_rad: Floats) -> Decision:
+def decide(search: LoadSearch, measured: Table | None, at_rad: Floats) -> NextStep:
     """What the visits tell, and what to measure next.
 
     Parameters
     ----------
-    search : Search
+    search : LoadSearch
     measured : Table or None
         Visits of this run.
     at_rad : array of shape (N,)
@@ -154,7 +154,7 @@ def decide(search: Search, measured: Table | None, at_rad: Floats) -> Decision:
     goal = search.goal.half_widths(float(stock.outlook.moment[0]))
     verdict = judge(stock.outlook, half_widths(stock.load), goal, len(taken), search.pool, sampling)
     if verdict.done or stock.refused is not None:
-        return Decision(stock, verdict, None)
+        return NextStep(stock, verdict, None)
     choice = _choice(search, at_rad, len(taken))
     seconds = _seconds(search, at_rad, choice.q_rad)
     near = np.abs(choice.q_rad[:, None] - np.vstack([taken, search.apart_rad])[None]).max(axis=2, initial=0.0)
@@ -162,7 +162,7 @@ def decide(search: Search, measured: Table | None, at_rad: Floats) -> Decision:
     rows, samples = best_first(stock.outlook, verdict, choice, seconds, sampling)
     number = search.number if measured is None else max(search.number, int(measured.pose.max()) + 1)
     plan = _plan(search, at_rad, choice.q_rad[rows], (number, samples))
-    return Decision(stock, verdict, plan, max(verdict.ahead - 1, 0) * plan.duration_s)
+    return NextStep(stock, verdict, plan, max(verdict.ahead - 1, 0) * plan.duration_s)
 
 
 def _together(earlier: Table | None, measured: Table | None) -> Table | None:
@@ -177,7 +177,7 @@ def _poses(table: Table, label: str) -> Floats:
     return table.q_rad[here][first]
 
 
-def _stock(search: Search, table: Table | None) -> Stock:
+def _stock(search: LoadSearch, table: Table | None) -> Stock:
     """What the rows tell of the load; before the first row, what is known without them."""
     if table is None:
         band_nm = BAND_SHARE * search.workspace.torque_nm
@@ -199,7 +199,7 @@ def _sample_std_nm(table: Table) -> Floats:
     )
 
 
-def _choice(search: Search, at_rad: Floats, count: int) -> Candidates:
+def _choice(search: LoadSearch, at_rad: Floats, count: int) -> Candidates:
     """The pool, and postures about where the arm stands: short ways are drawn seldom from the whole range."""
     random = np.random.default_rng([search.seed, count])
     size = random.uniform(_NEAREST_RAD, _FARTHEST_RAD, (NEAR_BY, 1))
@@ -210,7 +210,7 @@ def _choice(search: Search, at_rad: Floats, count: int) -> Candidates:
     return Candidates(np.vstack([search.pool.q_rad, q_rad]), np.concatenate([search.pool.regressor, near_by]))
 
 
-def _seconds(search: Search, at_rad: Floats, q_rad: Floats) -> Floats:
+def _seconds(search: LoadSearch, at_rad: Floats, q_rad: Floats) -> Floats:
     """Time (n,) [s] of the straight way to each pose, both approaches and settling."""
     settings, workspace = search.settings, search.workspace
     offset = np.full(len(at_rad), settings.approach_offset_rad)
@@ -221,7 +221,7 @@ def _seconds(search: Search, at_rad: Floats, q_rad: Floats) -> Floats:
     return way + across + 2.0 * (approach + min(TYPICAL_SETTLE_S, settings.settle_timeout_s))
 
 
-def _plan(search: Search, at_rad: Floats, best_rad: Floats, named: tuple[int, int]) -> Plan:
+def _plan(search: LoadSearch, at_rad: Floats, best_rad: Floats, named: tuple[int, int]) -> Plan:
     """Plan of the best pose that a way leads to; `named` are its number and the samples a side."""
     number, samples = named
     if not len(best_rad):

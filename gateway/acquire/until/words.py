@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.acquire.until.choice import MOST_POSES, Verdict
-from gateway.acquire.until.search import Decision
+from gateway.acquire.until.choice import MOST_POSES, Narrowness
+from gateway.acquire.until.search import NextStep
 from gateway.estimate.outlook import Outlook
 from gateway.result.interval import PLUS_MINUS, SAID, half_width
 from gateway.result.result import Finding
@@ -20,7 +20,7 @@ PARTS: Final = ("mass", "x", "y", "z")
 _KNOWN_LOAD: Final = "hang a load of known mass and estimate with --known LABEL=MASS,X,Y,Z"
 
 
-def narrowed(decision: Decision) -> str:
+def narrowed(decision: NextStep) -> str:
     """One line after a pose: half widths now, and how many more poses are expected."""
     verdict = decision.verdict
     if verdict.done or decision.plan is None:
@@ -30,7 +30,7 @@ def narrowed(decision: Decision) -> str:
     return f"{verdict.poses} poses: {_widths(verdict.half)}; {more}"
 
 
-def ended(decision: Decision, label: str) -> str:
+def ended(decision: NextStep, label: str) -> str:
     """Why the measurement ended: known well enough, or what no pose gives and what would."""
     verdict, stock = decision.verdict, decision.stock
     after = f"after {verdict.poses} poses"
@@ -47,14 +47,14 @@ def ended(decision: Decision, label: str) -> str:
     return f"no further pose brings load {label} to {missed}; {what_helps(stock.outlook, verdict)}"
 
 
-def end_of(decision: Decision, label: str) -> Finding:
+def end_of(decision: NextStep, label: str) -> Finding:
     """The same as a finding of the result."""
     reached = bool(decision.verdict.reached.all()) and decision.stock.refused is None
     said, _, helps = ended(decision, label).partition("; ")
     return Finding("info" if reached else "warn", f"load {label}", said, helps)
 
 
-def what_helps(known: Outlook, verdict: Verdict) -> str:
+def what_helps(known: Outlook, verdict: Narrowness) -> str:
     """What would bring a load as far as was asked for, where poses do not."""
     short = ~verdict.reached
     now = half_width(1.0) * known.std[short]

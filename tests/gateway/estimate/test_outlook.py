@@ -9,12 +9,12 @@ from gateway.acquire.until.choice import (
     LEAST_POSES,
     MOST_POSES,
     Candidates,
+    Narrowness,
     Sampling,
-    Verdict,
     best_first,
     judge,
 )
-from gateway.acquire.until.search import Decision
+from gateway.acquire.until.search import NextStep
 from gateway.acquire.until.words import ended
 from gateway.data.table import concatenate
 from gateway.estimate.options import EstimateOptions
@@ -102,15 +102,17 @@ def test_what_is_known_of_the_gains_narrows_by_the_conditional_covariance(stock)
     assert known.std_given(given)[0] < 0.8 * known.std[0]
 
 
-def test_samples_are_those_that_tell_most_per_second():
-    noise = PoseNoise(np.full(6, 0.04), np.full(6, 4.0))
-    counts = np.arange(1, 400)
-    worth = 1.0 / ((0.04 + 4.0 / (2 * counts)) * (5.0 + 2 * counts * 0.01))
-    assert noise.samples(5.0, 0.01, 1, 400) == pytest.approx(counts[np.argmax(worth)], abs=1)
-    assert noise.samples(5.0, 0.01, 20, 60) == 60
-    quiet = PoseNoise(np.full(6, 0.04), np.full(6, 1e-4))
-    assert quiet.samples(5.0, 0.01, 20, 60) == 20
-    assert PoseNoise(np.full(6, np.nan), np.full(6, 4.0)).samples(5.0, 0.01, 20, 60) == 60
+def test_samples_are_those_that_tell_most_per_second(stock, choice):
+    """Where friction hides all, the least; where the reading's own noise does, more, up to those of the cell."""
+    verdict = Narrowness(1.96 * stock.outlook.std, 0.1 * GOAL, np.zeros(4), 5, 5)
+    seconds = np.full(len(choice), 5.0)
+    found = []
+    for friction, sample in ((1.0, 1e-6), (1e-4, 1.0), (1e-6, 1e3)):
+        noise = PoseNoise(np.full(6, friction), np.full(6, sample))
+        found.append(best_first(replace(stock.outlook, noise=noise), verdict, choice, seconds, SAMPLING)[1])
+    assert found[0] == SAMPLING.least
+    assert found[2] == SAMPLING.most
+    assert found == sorted(found)
 
 
 def test_before_the_first_pose_the_load_is_open_and_two_postures_close_it(bench, options, choice):
@@ -138,7 +140,7 @@ def test_a_goal_that_the_torque_constants_hide_is_given_up_and_named(stock, choi
     assert verdict.hopeless.tolist() == [True, False, False, False]
     assert goal[0] < verdict.limit[0] < half[0]
     assert verdict.done
-    said = ended(Decision(stock, verdict, None), "tool")
+    said = ended(NextStep(stock, verdict, None), "tool")
     assert "no further pose brings load tool to mass" in said
     assert "better torque constants" in said
     assert "known mass" in said
@@ -151,7 +153,7 @@ def test_a_goal_that_the_torque_constants_hide_is_given_up_and_named(stock, choi
 
 def test_of_two_poses_that_tell_the_same_the_nearer_one_is_measured(stock, choice):
     same = Candidates(np.repeat(choice.q_rad[:1], 3, axis=0), np.repeat(choice.regressor[:1], 3, axis=0))
-    verdict = Verdict(1.96 * stock.outlook.std, 0.1 * GOAL, np.zeros(4), 5, 5)
+    verdict = Narrowness(1.96 * stock.outlook.std, 0.1 * GOAL, np.zeros(4), 5, 5)
     rows, samples = best_first(stock.outlook, verdict, same, np.array([6.0, 4.0, np.inf]), SAMPLING)
     assert rows.tolist() == [1, 0]
     assert SAMPLING.least <= samples <= SAMPLING.most

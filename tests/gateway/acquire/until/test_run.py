@@ -13,7 +13,7 @@ from gateway.acquire.run import Shelf, VisitStation
 from gateway.acquire.until.choice import LEAST_POSES
 from gateway.acquire.until.goal import Goal, half_widths
 from gateway.acquire.until.run import run_until
-from gateway.acquire.until.search import Decision, Search, decide, guess_of, pool_of
+from gateway.acquire.until.search import LoadSearch, NextStep, decide, guess_of, pool_of
 from gateway.acquire.until.words import ended, narrowed
 from gateway.cell.conversion import AxisConversion
 from gateway.data.recording.recorded import ArmRecording, Recording
@@ -30,12 +30,12 @@ FINE = Goal(mass_share=0.02, com_m=0.005)
 
 
 @pytest.fixture(scope="module")
-def search(small_cell, workspace) -> Search:
+def search(small_cell, workspace) -> LoadSearch:
     pool = pool_of(workspace, PoseRequest(4, 0, SETTINGS.approach_offset_rad, 3))
     gravity_m_s2 = tuple(workspace.gravity_m_s2.tolist())
     options = EstimateOptions(inertials="exact", gain_std=(0.0,) * 6, gravity_m_s2=gravity_m_s2)
     nothing = np.empty((0, 6))
-    return Search(
+    return LoadSearch(
         "main",
         "a",
         FINE,
@@ -84,7 +84,7 @@ class Finished:
     drives: FakeDrives
     events: list
     store: Shelf
-    decision: Decision
+    decision: NextStep
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,66 @@
+"""No longer than needed: time under power against today's poses, and whether intervals hold where a rule stops.
+
+python -m benchmarks.until [--out out/until] [--cells 100] [--first 400] [times] [coverage]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.bench.__main__ import show
+from benchmarks.blind.shares import share
+from benchmarks.until import offline, times
+
+PARTS = ("times", "coverage")
+#: Quantile within which an interval of 95 % holds the truth.
+NORMAL = 1.96
+
+
+def coverage(first: int, cells: int) -> dict[str, dict]:
+    """Shares of the 95 % intervals of mass and centre of gravity that hold the truth, with the rule and without."""
+    return coverage_of([offline.run(seed) for seed in range(first, first + cells)])
+
+
+def coverage_of(outcomes: Sequence[offline.Outcome]) -> dict[str, dict]:
+    """The same of cells that were run."""
+    held = np.array([np.abs(each.stopped) <= NORMAL for each in outcomes])
+    fixed = np.array([np.abs(each.fixed) <= NORMAL for each in outcomes])
+    reached = np.array([each.reached for each in outcomes])
+    return {
+        "intervals that hold the truth where the rule stopped": share(held.ravel(), "0.93 .. 0.97"),
+        "the same, of the mass": share(held[:, 0]),
+        "the same, where the goal was reached": share(held[reached].ravel()),
+        "the same, where no pose would get there": share(held[~reached].ravel()),
+        "the same cells at ten poses chosen beforehand": share(fixed.ravel()),
+        "cells that reached their goal": share(reached),
+    }
+
+
+def main(argv: list[str]) -> int:
+    """Run the named parts (all by default); exit 1 when a goal is missed."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.until", description=__doc__)
+    parser.add_argument("parts", nargs="*", choices=[*PARTS, []], help="parts to run; all by default")
+    parser.add_argument("--out", type=Path, default=Path("out/until"))
+    parser.add_argument("--cells", type=int, default=100)
+    parser.add_argument("--first", type=int, default=400, help="first seed of the cells")
+    arguments = parser.parse_args(argv)
+    figures: dict[str, dict] = {}
+    parts = arguments.parts or PARTS
+    if "times" in parts:
+        figures |= times.figures()
+    if "coverage" in parts:
+        figures |= coverage(arguments.first, arguments.cells)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    (arguments.out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n")
+    show(figures)
+    return 0 if all(figure["met"] is not False for figure in figures.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
