@@ -24,6 +24,7 @@ from gateway.commands.options import (
     trace_option,
     write_json,
 )
+from gateway.commands.plan_moving import MovingChoice, moving_plan_options, plan_moving
 from gateway.commands.until import PoseByPose, UntilChoice, as_json, pose_by_pose, reference_options
 from gateway.errors import InputError
 
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from gateway.acquire.until.prepare import UntilRequest
     from gateway.cell.config import ArmConfig, LoadedCell
     from gateway.commands.console import Session
+    from gateway.excite.expected import Purpose
     from gateway.motion.opening import OpenArm
     from gateway.motion.stream import MoveOptions
 
@@ -44,13 +46,30 @@ arm_option = click.option("--arm", "arm_name", metavar="NAME", help="Arm, if the
 @click.option("--poses", "n_poses", type=click.IntRange(min=1), metavar="N", help="Poses to fit from.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the random candidates.")
 @output_option("--view", metavar="PAGE.html", help="Write a page that draws poses, ways and boxes.")
+@moving_plan_options
 @arm_option
 @json_option
 @common
 def plan(
-    cell: Path, n_poses: int | None, seed: int | None, view: Path | None, arm_name: str | None, json_out: str | None
+    cell: Path,
+    n_poses: int | None,
+    seed: int | None,
+    view: Path | None,
+    moving: bool,
+    purposes: tuple[Purpose, ...],
+    period_s: float | None,
+    periods: int | None,
+    arm_name: str | None,
+    json_out: str | None,
 ) -> None:
-    """Choose rest poses: limits, duration, expected uncertainty. Needs no bus."""
+    """Choose rest poses, or motions: limits, duration, expected uncertainty. Needs no bus."""
+    choice = MovingChoice(moving, purposes, period_s, periods)
+    choice.refuse_without_moving()
+    if moving and n_poses is not None:
+        raise click.UsageError("--poses counts rest poses, which --moving has none of: give one of them")
+    if moving:
+        plan_moving(cell, choice, seed, arm_name, (view, json_out))
+        return
     from gateway.acquire.planning import make_plan
     from gateway.cell.config import load_cell
     from gateway.commands.plan_view import space_in_words, view_of_plan

@@ -10,7 +10,12 @@ import numpy as np
 if TYPE_CHECKING:
     from gateway.acquire.plan import Plan
     from gateway.cell.config import ArmConfig
+    from gateway.excite.excitation import MovingPlan
     from gateway.motion.workspace import Workspace
+
+
+#: A period is drawn with so many points, no closer than this [s].
+CURVE_POINTS, CURVE_STEP_S = 400, 0.01
 
 
 def space_in_words(workspace: Workspace) -> list[str]:
@@ -45,6 +50,25 @@ def view_of_plan(plan: Plan, workspace: Workspace) -> str:
     corners = np.array([step.q_rad for step in plan.steps if isinstance(step, MoveTo | Approach)])
     way = flange_frames(workspace.robot, postures_at(corners, fine_places(corners)))[:, :3, 3]
     return plan_page(plan.arm, poses, way.tolist(), workspace.space.boxes_m.tolist(), space_in_words(workspace))
+
+
+def view_of_moving_plan(plan: MovingPlan, workspace: Workspace) -> str:
+    """HTML text of a page with the ways of motions, and position and speed of each joint over one period."""
+    from gateway.excite.limits import PLANNED, states_of
+    from gateway.model.kinematics import flange_frames
+    from gateway.report.plan import JointCurves, moving_page
+
+    curves: list[JointCurves] = []
+    ways: list[tuple[str, list[list[float]]]] = []
+    for excitation in plan.excitations:
+        states = states_of(excitation, max(excitation.period_s / CURVE_POINTS, CURVE_STEP_S))
+        way = flange_frames(workspace.robot, np.vstack([excitation.start_rad, states.q_rad]))[:, :3, 3]
+        ways.append((excitation.name, way.tolist()))
+        share = 100.0 * states.qd_rad_s / (PLANNED.speed * workspace.speed_rad_s)
+        time_s = np.linspace(0.0, excitation.period_s, len(share) + 1)[1:]
+        curves.append(JointCurves(excitation.name, time_s.tolist(), states.q_rad.T.tolist(), share.T.tolist()))
+    boxes = workspace.space.boxes_m.tolist()
+    return moving_page(plan.arm, ways, curves, boxes, space_in_words(workspace))
 
 
 def view_of_cell(config: ArmConfig, workspace: Workspace) -> str:

@@ -20,8 +20,9 @@ Floats = NDArray[np.float64]
 HARMONICS = 5
 #: Instants of a period at which limits are looked at while a motion is chosen, and when its size is settled.
 INSTANTS, DENSE = 64, 500
-#: How many of the random motions are improved, by how many steps, and the best of these by how many more.
-TRIES, FIRST_STEPS, MORE_STEPS = 2, 30, 60
+#: How many of the random motions are improved, by how many steps, and the best of these by how many more; half as many
+#: where there are more unknowns than this, as with all links.
+TRIES, FIRST_STEPS, MORE_STEPS, MANY_UNKNOWNS = 2, 30, 60, 40
 #: Smaller by this much, so often, where something is touched between the instants.
 _SMALLER, _SHRUNK = 0.97, 12
 
@@ -86,8 +87,10 @@ def optimised(task: SeriesTask, starts_rad: Floats, random: np.random.Generator)
     order = np.argsort(task.promises(family, members))
     reference = _first_clear(task, [members.only(np.array([row])) for row in order])
     aim = Aim(family, task.limits, task.asked, task.periods * task.period_s)
-    tried = sorted((improved(aim, members.only(order[k : k + 1]), FIRST_STEPS) for k in range(TRIES)), key=_value)
-    final = improved(aim, tried[0][0], MORE_STEPS)
+    fewer = 2 if max(len(each.prior) for each in task.asked) > MANY_UNKNOWNS else 1
+    tried = [improved(aim, members.only(order[k : k + 1]), FIRST_STEPS // fewer) for k in range(TRIES)]
+    tried.sort(key=_value)
+    final = improved(aim, tried[0][0], MORE_STEPS // fewer)
     chosen = _first_clear(task, [final[0], *(member for member, _ in tried), reference.members])
     gained = task.promises(chosen.family, chosen.members) - task.promises(reference.family, reference.members)
     return replace(chosen, over_random=float(np.exp(gained[0])))

@@ -49,8 +49,10 @@ SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 5.0, 20.0
 FEWEST_PERIODS, MOST_PERIODS = 2, 100
 #: A sweep visits every place at every speed in both directions: so often is enough.
 SWEEP_PERIODS = 2
-#: What keeps limits at so many instants a period keeps them in between, but for a share of 1e-4.
-CHECKED_S = 0.002
+#: What keeps limits at so many instants of a period keeps them in between, but for a share of 1e-4.
+CHECKED = 5000
+#: What may touch is proven along straight lines between every so many of them: they leave the way by some 1e-4 rad.
+PROVEN = 5
 _CLOSE = 1e-6
 
 
@@ -209,9 +211,9 @@ def check_moving_plan(
         reason = workspace.why_not(start, workspace.rest_share)
         if reason is not None:
             raise PlanRefused(f"{where}: starts at {angles(start)}: {reason}")
-        states = states_of(excitation, CHECKED_S)
+        states = states_of(excitation, excitation.period_s / CHECKED)
         _check_shares(limits, states, where)
-        reason = workspace.why_not_path(np.vstack([start, states.q_rad]))
+        reason = workspace.why_not_path(np.vstack([start, states.q_rad[::PROVEN], start]))
         if reason is not None:
             raise PlanRefused(f"{where}: {reason}")
 

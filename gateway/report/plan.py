@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from markupsafe import Markup
 
 from gateway.report import space
 from gateway.report.page import Head, page
+from gateway.report.svg import Panel, limits
 from gateway.result.drawn import DrawnPose
 
 Vector = Sequence[float]
 WIDTH, MARGIN = 900.0, 14.0
+CURVE_WIDTH, CURVE_HEIGHT = 420.0, 200.0
+MOTIONS = (
+    "Lines are the ways of the flange's middle, each from rest to rest; grey are the boxes of keep_out; the cross at "
+    "the base points along x, y and z. Speeds are shares of what is planned with, a little below the limit."
+)
 WAY = (
     "The line is the way of the flange's middle over all poses, in the order of visiting; grey are the boxes of "
     "keep_out; the cross at the base points along x, y and z."
@@ -51,6 +58,65 @@ def plan_page(
         arms=space.pose_figures(poses, {}),
         said=list(said),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class JointCurves:
+    """One period of a motion: positions [rad] and speeds [% of what is planned with] by joint, at times [s]."""
+
+    name: str
+    time_s: Sequence[float]
+    q_rad: Sequence[Sequence[float]]
+    speed_percent: Sequence[Sequence[float]]
+
+
+def moving_page(
+    title: str,
+    ways_m: Sequence[tuple[str, Sequence[Vector]]],
+    curves: Sequence[JointCurves],
+    boxes_m: Sequence[Sequence[Vector]],
+    said: Sequence[str],
+) -> str:
+    """HTML text of a plan of motions.
+
+    Parameters
+    ----------
+    title : str
+    ways_m : sequence of (name, points)
+        Places of the flange along each motion, base frame.
+    curves : sequence of JointCurves
+        Of all joints of each motion.
+    boxes_m, said
+        As of a plan.
+    """
+    motions = (("arm", title), ("motions", str(len(ways_m))))
+    return page(
+        "plan.html.j2",
+        Head(f"Plan: {title}", "Plan of the motions", motions),
+        heading="Way of the flange",
+        lead=MOTIONS,
+        scene=_scene(ways_m, boxes_m),
+        over="Over one period",
+        arms=[figure for each in curves for figure in _curve_figures(each)],
+        said=list(said),
+    )
+
+
+def _curve_figures(curves: JointCurves) -> list[tuple[str, Markup]]:
+    """Position and speed of every joint that moves, over one period."""
+    figures: list[tuple[str, Markup]] = []
+    for joint, (angles, speeds) in enumerate(zip(curves.q_rad, curves.speed_percent, strict=True), start=1):
+        if not any(speeds):
+            continue
+        title = f"{curves.name}: J{joint}"
+        degrees = [math.degrees(angle) for angle in angles]
+        for label, values, about in (("position [deg]", degrees, ()), ("speed [% of limit]", speeds, (-100.0, 100.0))):
+            panel = Panel(CURVE_WIDTH, CURVE_HEIGHT, limits(curves.time_s, pad=0.0), limits(values, include=about))
+            panel.y_axis(label)
+            panel.x_axis("time [s]")
+            panel.polyline(list(zip(curves.time_s, values, strict=True)), "curve")
+            figures.append((title, panel.svg(f"{title}, {label}")))
+    return figures
 
 
 def cell_page(

@@ -12,15 +12,25 @@ import pinocchio  # pyright: ignore[reportMissingImports]
 import pytest
 
 from gateway.errors import InputError, PlanRefused
+from gateway.excite import choosing, design
 from gateway.excite.excitation import MovingPlan, Series
-from gateway.excite.plan_file import plan_as_plain
+from gateway.excite.plan_file import excitation_of, plan_as_plain
 from gateway.excite.planning import MovingRequest, check_moving_plan, make_moving_plan, read_moving_plan
 from gateway.feedforward.load import rated_load
 from gateway.model.arm_model import arm_robot, robot_text
+from gateway.model.kinematics import flange_frames
 from gateway.motion.workspace import workspace_of
 from tests.arms import peer_of
 
 REQUEST = MovingRequest(choice="random")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few():
+    """Few random motions to choose from: enough for what is asked here, and fast."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(design, "RANDOM", 16)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +87,106 @@ def test_the_torque_of_the_heaviest_load_stays_inside_its_limit(small_cell, plan
     for model, data in (bare, carrying):
         torque = np.array([pinocchio.rnea(model, data, *row) for row in zip(q, qd, qdd, strict=True)])
         assert (np.abs(torque / efficiency) + rotor * np.abs(qdd) < 0.9 * limit).all()
+
+
+def test_a_gripper_that_holds_little_is_heeded(small_cell, config) -> None:
+    """Acceleration of the load's centre by second differences of its places along the motion, in pinocchio."""
+    gentle = config.model_copy(update={"load_acceleration_m_s2": 0.4})
+    cell = small_cell.cell.model_copy(update={"arm": (gentle,)})
+    plan = make_moving_plan(small_cell.model_copy(update={"cell": cell}), None, REQUEST)
+    model, data = peer_of(robot_text(small_cell, config))
+    com_m = np.array(config.rated_load_com_m)
+    step_s = 0.004
+    places = []
+    for q in series_of(plan).at(np.arange(0.0, 10.0, step_s))[0]:
+        pinocchio.forwardKinematics(model, data, q)
+        places.append(data.oMi[6].act(com_m))
+    acceleration = np.diff(places, 2, axis=0) / step_s**2
+    assert 0.2 < np.linalg.norm(acceleration, axis=1).max() < 0.4
+    workspace = workspace_of(config, arm_robot(small_cell, config))
+    with pytest.raises(PlanRefused, match="load acceleration"):
+        check_moving_plan(larger(plan, 1.3), workspace, gentle)
+
+
+def test_a_motion_that_meets_a_box_is_refused(small_cell, plan: MovingPlan, config) -> None:
+    """A box about the place of the flange half a period on, which is elsewhere at the start."""
+    robot = arm_robot(small_cell, config)
+    series = series_of(plan)
+    way = flange_frames(robot, series.at(np.linspace(0.0, 10.0, 100))[0])[:, :3, 3]
+    far = way[np.argmax(np.linalg.norm(way - way[0], axis=1))]
+    check_moving_plan(plan, workspace_of(config, robot), config)
+    box = config.keep_out[0].model_copy(update={"min_m": tuple(far - 0.01), "max_m": tuple(far + 0.01)})
+    boxed = config.model_copy(update={"keep_out": (*config.keep_out, box)})
+    with pytest.raises(PlanRefused, match="keep_out box 3|closer than"):
+        check_moving_plan(plan, workspace_of(boxed, robot), boxed)
+
+
+def test_improving_makes_the_promise_better_and_keeps_the_limits(small_cell, config, monkeypatch) -> None:
+    for steps, few in (("TRIES", 1), ("FIRST_STEPS", 8), ("MORE_STEPS", 8)):
+        monkeypatch.setattr(choosing, steps, few)
+    plan = make_moving_plan(small_cell, None, MovingRequest())
+    best = make_moving_plan(small_cell, None, REQUEST)
+    assert plan.expected["over_random"] < 0.95
+    stds, drawn = (
+        np.array([load["mass_std_kg"], *load["com_std_m"], *load["inertia_std_kg_m2"]])
+        for load in (plan.expected["load"], best.expected["load"])
+    )
+    assert np.exp(np.log(stds / drawn).mean()) == pytest.approx(plan.expected["over_random"], rel=0.02)
+    _, qd, qdd, _ = differences(series_of(plan))
+    assert (np.abs(qd) <= [axis.speed_limit_rad_s for axis in config.axis]).all()
+    assert (np.abs(qdd) <= [axis.acceleration_rad_s2 for axis in config.axis]).all()
+
+
+@pytest.fixture(scope="module")
+def swept(small_cell) -> MovingPlan:
+    return make_moving_plan(small_cell, None, MovingRequest(purpose=("friction",)))
+
+
+def test_sweeps_turn_every_joint_steadily_both_ways_inside_its_limits(swept: MovingPlan, config) -> None:
+    assert [sweep.joint for sweep in swept.excitations] == [1, 2, 3, 4, 5, 6]
+    for sweep in swept.excitations:
+        motion, j = sweep.motion(0.004), sweep.joint - 1
+        others = np.delete(motion.q_rad, j, axis=1)
+        assert (others == np.delete(np.asarray(sweep.start_rad), j)).all()
+        assert motion.q_rad[-1] == pytest.approx(np.asarray(sweep.start_rad))
+        speeds = np.diff(motion.q_rad[:, j]) / 0.004
+        axis = config.axis[j]
+        assert np.abs(speeds).max() <= axis.speed_limit_rad_s
+        assert np.abs(np.diff(speeds)).max() / 0.004 <= axis.acceleration_rad_s2
+        low, high = axis.position_limit_rad
+        assert low <= motion.q_rad[:, j].min() < motion.q_rad[:, j].max() <= high
+        for share in (0.02, 0.1, 0.5):
+            for side in (-1, 1):
+                steady = np.isclose(speeds, side * share * 0.95 * axis.speed_limit_rad_s, rtol=1e-3)
+                assert 0.004 * steady.sum() > 1.5
+        assert sweep.period_s == pytest.approx(motion.duration_s, abs=12 * 0.004)
+    friction = swept.expected["friction"]
+    assert len(friction["coulomb_std_nm"]) == len(friction["viscous_std_nm_s_rad"]) == 6
+    assert None not in friction["coulomb_std_nm"]
+
+
+def test_a_file_of_sweeps_is_read_as_it_was_written(swept: MovingPlan, tmp_path: Path) -> None:
+    path = tmp_path / "plan.json"
+    path.write_text(json.dumps(plan_as_plain(swept)))
+    read = read_moving_plan(path)
+    assert plan_as_plain(read) == plan_as_plain(swept)
+    assert np.array_equal(read.excitations[1].motion(0.01).q_rad, swept.excitations[1].motion(0.01).q_rad)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [("joint", 7, "none of 6"), ("ends_rad", [0.1], "one end"), ("speeds_rad_s", [0.0] * 6, "positive")],
+)
+def test_a_sweep_that_is_none_is_refused(swept: MovingPlan, key: str, value, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        excitation_of(swept.excitations[0].plain() | {key: value}, "plan.json")
+
+
+def test_an_arm_without_room_is_refused_in_words(small_cell, config) -> None:
+    walled = config.model_copy(update={"max_load_kg": 4000.0})
+    cell = small_cell.cell.model_copy(update={"arm": (walled,)})
+    with pytest.raises(PlanRefused, match="holding torque|limits"):
+        make_moving_plan(small_cell.model_copy(update={"cell": cell}), None, REQUEST)
 
 
 def test_a_motion_that_is_too_large_is_refused_with_the_limit(small_cell, plan: MovingPlan, config) -> None:

@@ -1,0 +1,193 @@
+"""plan --moving: motions that an arm and its load are learnt from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from drives.files import replace_file
+from gateway.commands.console import axis_names, axis_table, grid
+from gateway.commands.options import Function, session_of, write_json
+
+if TYPE_CHECKING:
+    from gateway.excite.excitation import Excitation, MovingPlan
+    from gateway.excite.expected import Purpose
+
+PURPOSES: tuple[Purpose, ...] = ("load", "friction", "rotor")
+#: Expected standard deviations of each axis: key of the file, words, unit.
+_PER_AXIS = (
+    ("friction", "coulomb_std_nm", "dry friction [Nm]"),
+    ("friction", "viscous_std_nm_s_rad", "viscous friction [Nm s/rad]"),
+    ("rotor", "rotor_inertia_std_kg_m2", "rotor inertia [kg m2]"),
+)
+_INERTIA = ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
+
+
+@dataclass(frozen=True, slots=True)
+class MovingChoice:
+    """The options of `plan` that are for motions.
+
+    Attributes
+    ----------
+    moving : bool
+    purposes : tuple of Purpose
+        Empty = the load.
+    period_s : float or None
+    periods : int or None
+    """
+
+    moving: bool
+    purposes: tuple[Purpose, ...]
+    period_s: float | None
+    periods: int | None
+
+    def refuse_without_moving(self) -> None:
+        """Refuse options that say how to move where nothing is to move."""
+        if not self.moving and (self.purposes or self.period_s is not None or self.periods is not None):
+            raise click.UsageError("--for, --period and --periods are about motions: give --moving too")
+
+
+def _purposes(_ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]) -> tuple[Purpose, ...]:
+    asked = [word.strip() for value in values for word in value.split(",")]
+    for word in asked:
+        if word not in PURPOSES:
+            raise click.BadParameter(f"'{word}' is none of {', '.join(PURPOSES)}")
+    return tuple(purpose for purpose in PURPOSES if purpose in asked)
+
+
+def moving_plan_options(function: Function) -> Function:
+    """Add --moving, --for, --period and --periods."""
+    for option in (
+        click.option("--periods", type=click.IntRange(min=1), metavar="N", help="With --moving: periods of a series."),
+        click.option("--period", "period_s", type=float, metavar="SECONDS", help="With --moving: of a series."),
+        click.option(
+            "--for",
+            "purposes",
+            multiple=True,
+            callback=_purposes,
+            metavar="load|friction|rotor",
+            help="With --moving: what is to be learnt, several by commas; load if absent.",
+        ),
+        click.option("--moving", is_flag=True, help="Motions instead of rest poses."),
+    ):
+        function = option(function)
+    return function
+
+
+def plan_moving(
+    cell: Path, choice: MovingChoice, seed: int | None, arm_name: str | None, outputs: tuple[Path | None, str | None]
+) -> None:
+    """Choose motions, print what they take of the limits and what they promise; `outputs` are page and JSON."""
+    from gateway.cell.config import load_cell
+    from gateway.commands.plan_view import space_in_words, view_of_moving_plan
+    from gateway.excite.plan_file import plan_as_plain
+    from gateway.excite.planning import MovingRequest, make_moving_plan
+    from gateway.model.arm_model import arm_named, arm_robot
+    from gateway.motion.workspace import workspace_of
+
+    loaded = load_cell(cell)
+    usual, session = MovingRequest(), session_of()
+    request = MovingRequest(
+        purpose=choice.purposes or usual.purpose,
+        period_s=usual.period_s if choice.period_s is None else choice.period_s,
+        periods=usual.periods if choice.periods is None else choice.periods,
+        seed=usual.seed if seed is None else seed,
+    )
+    with session.working("choosing motions"):
+        plan = make_moving_plan(loaded, arm_name, request)
+    show_moving_plan(plan)
+    view, json_out = outputs
+    config = arm_named(loaded, plan.arm)
+    workspace = workspace_of(config, arm_robot(loaded, config))
+    session.show("\n  ".join(["kept apart:", *space_in_words(workspace)]))
+    if view is not None:
+        replace_file(view, view_of_moving_plan(plan, workspace))
+        session.show(f"{view}: ways, boxes, positions and speeds")
+    if json_out:
+        write_json(json_out, plan_as_plain(plan))
+
+
+def show_moving_plan(plan: MovingPlan) -> None:
+    """Print motions, what they take of the limits, and what they promise."""
+    session = session_of()
+    rows = [_row(excitation) for excitation in plan.excitations]
+    session.show(
+        grid(f"arm {plan.arm}: motions", ["motion", "joints", "period [s]", "periods", "in all [s]"], rows, left=2)
+    )
+    expected = plan.expected
+    if not expected:
+        return
+    minutes = expected["duration_s"] / 60
+    session.show(f"{expected['duration_s']:.0f} s of motion per load, {minutes:.1f} min, from rest to rest")
+    for motion in expected["limits"]:
+        _show_shares(motion)
+    for what in expected["not_checked"]:
+        session.show(f"not checked: {what}")
+    if expected.get("load"):
+        _show_load(expected["load"])
+    stds = {words: expected[part][key] for part, key, words in _PER_AXIS if part in expected}
+    if stds:
+        session.show(_small_table("expected standard deviation, from one run bare", stds))
+    if expected["over_random"] is not None:
+        session.show(
+            f"expected standard deviations of the series over those of the best of 100 random ones: "
+            f"{expected['over_random']:.2f}"
+        )
+    _show_noise(expected)
+
+
+def _row(excitation: Excitation) -> list[str]:
+    joints = "all" if excitation.joint == 0 else f"J{excitation.joint}"
+    period_s, periods = excitation.period_s, excitation.periods
+    return [excitation.name, joints, f"{period_s:.1f}", str(periods), f"{periods * period_s:.0f}"]
+
+
+def _show_shares(motion: Mapping[str, Any]) -> None:
+    """What a motion takes of the limits that are planned with."""
+    share = dict(motion["share"])
+    load = share.pop("load_acceleration", None)
+    lines = {kind: [100.0 * value for value in values] for kind, values in share.items()}
+    rows = [[kind, *(f"{value:.0f}" for value in values)] for kind, values in lines.items()]
+    columns = ["", *axis_names(len(lines["speed"]))]
+    session = session_of()
+    session.show(grid(f"{motion['name']}: taken of the limits, less their margins [%]", columns, rows))
+    if load is not None:
+        session.show(f"{motion['name']}: {100.0 * load:.0f} % of load_acceleration_m_s2, less its margin")
+
+
+def _show_load(told: Mapping[str, Any]) -> None:
+    session, about = session_of(), told["reference"]
+    com = ["-" if value is None else f"{1000 * value:.2g}" for value in told["com_std_m"]]
+    mass = "-" if told["mass_std_kg"] is None else f"{told['mass_std_kg']:.3g}"
+    session.show(
+        f"expected standard deviation for a load of {about['mass_kg']:.3g} kg ({about['source']}), bare and loaded: "
+        f"mass {mass} kg, centre of gravity {' '.join(com)} mm"
+    )
+    lines = {"inertia": about["inertia_kg_m2"], "std": told["inertia_std_kg_m2"]}
+    rows = [[name, *map(_small, values)] for name, values in lines.items()]
+    session.show(grid(f"inertia [kg m2], {about['inertia_source']}", ["", *_INERTIA], rows))
+
+
+def _show_noise(expected: Mapping[str, Any]) -> None:
+    session = session_of()
+    session.show(axis_table(f"noise put in [Nm], {expected['noise_source']}", {"std": expected["noise_nm"]}))
+    session.show(
+        f"it is taken to hang together over {expected['correlation_s']:g} s: one reading counts in "
+        f"{2 * expected['correlation_s']:g} s"
+    )
+    percent = [100.0 * std for std in expected["gain_std"]]
+    session.show(axis_table("torque constants put in [%], std_percent of the cell", {"std": percent}))
+
+
+def _small(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2g}"
+
+
+def _small_table(title: str, lines: Mapping[str, Sequence[float | None]]) -> Any:
+    """One row per quantity, one column per axis, two digits; a dash where it cannot be told."""
+    rows = [[name, *map(_small, values)] for name, values in lines.items()]
+    return grid(title, ["", *axis_names(max(len(row) - 1 for row in rows))], rows)
