@@ -63,7 +63,11 @@ class MovingCell:
     @property
     def options(self) -> EstimateOptions:
         """What the owner states, as options of an estimate."""
-        return EstimateOptions(inertials=f"prior:{self.stated.link_std:.6g}", gain_std=self.gain_std)
+        return EstimateOptions(
+            inertials=f"prior:{self.stated.link_std:.6g}",
+            gain_std=self.gain_std,
+            efficiency=tuple(self.stated.efficiency.tolist()),
+        )
 
     def table(self) -> Table:
         """Rows of the bare and of the loaded run."""

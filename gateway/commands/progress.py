@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from gateway.acquire.events import (
     Event,
+    Narrowed,
     PeriodDone,
     PoseDone,
     Progress,
@@ -53,6 +54,8 @@ class ProgressListener:
             self._session.note(f"SYNC {event.sync_index} was not answered by {axes}; sampled again")
         elif isinstance(event, PeriodDone):
             self._tell_period(event)
+        elif isinstance(event, Narrowed):
+            self._session.note(f"load {event.load}, {event.text}")
         elif isinstance(event, StateChanged):
             self._session.note(str(event.state), level=2)
         else:

@@ -53,7 +53,7 @@ def estimate_joint(visits: Visits, robot: Robot, options: EstimateOptions) -> Es
         require_postures(visits, label)
     fitted = fit_problem(problem, options)
     problem, fit = fitted.problem, fitted.fit
-    reasons = {label: _contradiction(problem, fit, robot, options, label) for label in problem.loads}
+    reasons = {label: contradiction(problem, fit, robot, options, label) for label in problem.loads}
     refused = {label: reason for label, reason in reasons.items() if reason is not None}
     if not refused:
         return describe(fitted, robot, options)
@@ -70,8 +70,8 @@ def estimate_joint(visits: Visits, robot: Robot, options: EstimateOptions) -> Es
     return replace(rest, loads=(*rest.loads, *others))
 
 
-def _contradiction(problem: Problem, fit: NoiseFit, robot: Robot, options: EstimateOptions, label: str) -> str | None:
-    """Why the rows of a load cannot belong to one rigid body, judged by the noise that the other rows show."""
+def contradiction(problem: Problem, fit: NoiseFit, robot: Robot, options: EstimateOptions, label: str) -> str | None:
+    """Why the rows of a load cannot belong to one rigid body, judged by the noise that the other rows show; or None."""
     masses = per_pose_mass(problem, fit, robot, options, label)
     if not disagree(list(masses.values())):
         return None

@@ -79,7 +79,7 @@ def needed_torque_nm(
 
 
 def dry_friction_nm(arm: ArmConfig, known: Sequence[AxisConstants]) -> Floats:
-    """Dry friction (N,) [Nm] of the joints, the most that is known of it: that of the onset of motion where it is larger.
+    """Dry friction (N,) [Nm] of the joints, the most that is known of it, that of the onset of motion included.
 
     A band as it is assumed before any was seen where nothing is known.
     """

@@ -12,6 +12,7 @@ from benchmarks.moving.excitations import USED, random_series
 from benchmarks.moving.figures import figures
 from benchmarks.moving.oracle import about_centre, oracle_std
 from benchmarks.moving.scores import LOAD_NAMES, load_truth, possible, score, tensor
+from benchmarks.moving.timing import plain_least_squares
 from gateway.result.result import AxisMotion, LoadResult, Result
 from sim.inverse import InverseDynamics
 from sim.nature.levels import MILD
@@ -131,6 +132,14 @@ def test_figures_say_how_far_off_the_results_are(few):
     assert wrong["gain known: 95 % intervals that hold the truth, mass"]["value"] == 0.0
     assert not wrong["gain known: median error of the mass"]["met"]
     assert wrong["gain known: predicted over real standard deviation, mass"]["value"] == pytest.approx(0.6745 / 3.0)
+
+
+def test_plain_least_squares_finds_the_load_of_a_quiet_run():
+    cell = draw_cell(5, "known", periods=2, rate_hz=20.0)
+    found = plain_least_squares(cell, cell.table())
+    tool = cell.arm.tool
+    np.testing.assert_allclose(found[60], tool.mass_kg, rtol=0.02)
+    np.testing.assert_allclose(found[61:64], tool.mass_kg * tool.com_m, atol=0.005 * tool.mass_kg)
 
 
 def test_an_inertia_that_no_body_has_is_counted(few):
