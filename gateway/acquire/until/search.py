@@ -21,7 +21,6 @@ from gateway.acquire.plan import (
     plan_from,
     travel_limits,
 )
-from gateway.acquire.planning import reference_load
 from gateway.acquire.poses import DISTANCE_RAD, PoseRequest, can_be_measured, feasible_postures
 from gateway.acquire.until.choice import Candidates, Sampling, Verdict, best_first, judge
 from gateway.acquire.until.goal import Goal, half_widths
@@ -34,7 +33,7 @@ from gateway.identify.aside import without_gross
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import Robot
 from gateway.model.visits import pair_visits
-from gateway.motion.assumed import assumed_noise_nm
+from gateway.motion.assumed import assumed_noise_nm, reference_load
 from gateway.motion.trajectory import straight
 from gateway.motion.workspace import BAND_SHARE, Workspace
 
