@@ -296,26 +296,15 @@ class ArmConfig(Strict):
         description="thickness of the load about the lines from the flange to load_points_m, 0 where these are its "
         "corners; as the last link if absent",
     )
-<<<<<<< HEAD
-=======
     identified: Annotated[str, Field(min_length=1)] | None = Field(
         default=None,
         description="result file beside the cell, of `estimate`, `diagnose` or `commission` of this arm in motion: its"
         " friction and rotor inertia are taken before those of the axes",
     )
->>>>>>> main
     load_acceleration_m_s2: Positive | None = Field(
         default=None,
         description="largest acceleration of the load's centre of gravity, without gravity, that its gripper holds it "
         "at; absent: the arm's own limits alone",
-<<<<<<< HEAD
-    )
-    identified: Annotated[str, Field(min_length=1)] | None = Field(
-        default=None,
-        description="result file beside the cell, of `estimate`, `diagnose` or `commission` of this arm in motion: its"
-        " friction and rotor inertia are taken before those of the axes",
-=======
->>>>>>> main
     )
     hold_to_run: HoldToRun | None = Field(
         default=None, description="digital input that has to be held for motion; no enabling device of a standard"
