@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from benchmarks.moving.excitations import random_series
 from benchmarks.moving.oracle import oracle_std
-from benchmarks.moving.scores import score
+from benchmarks.moving.scores import drawn_truth, score
 from benchmarks.rigs.tables import make_table
 from gateway.data.rows import MOVING, Table, concatenate
 from gateway.errors import GatewayError
@@ -142,5 +142,5 @@ def run_cell(task: tuple[int, str]) -> dict:
         "tier": cell.tier,
         "refused": refused,
         "time_s": taken_s,
-        **score(cell.arm, result, oracle_std(cell), cell.start_s),
+        **score(drawn_truth(cell.arm, cell.start_s, oracle_std(cell)), result),
     }

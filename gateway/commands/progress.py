@@ -52,10 +52,10 @@ class ProgressListener:
         elif isinstance(event, SampleRepeated):
             axes = ", ".join(f"J{axis}" for axis in event.axes)
             self._session.note(f"SYNC {event.sync_index} was not answered by {axes}; sampled again")
-        elif isinstance(event, PeriodDone):
-            self._tell_period(event)
         elif isinstance(event, Narrowed):
             self._session.note(f"load {event.load}, {event.text}")
+        elif isinstance(event, PeriodDone):
+            self._tell_period(event)
         elif isinstance(event, StateChanged):
             self._session.note(str(event.state), level=2)
         else:

@@ -137,15 +137,16 @@ def _plan_for(loaded: LoadedCell, arm: ArmConfig, path: Path | None, earlier: Re
     return MovingPlan(arm.name, held, {})
 
 
-def refuse_mixed(kinds: tuple[bool, bool], plan: Path | None, rate_hz: float | None) -> None:
-    """Refuse options of one kind of recording with the other; `kinds`: whether motion is asked for, and rest.
+def refuse_mixed(moves: bool, poses: Sequence[object], plan: Path | None, rate_hz: float | None) -> None:
+    """Refuse options of one kind of recording with the other.
 
     Raises
     ------
     click.UsageError
     """
-    in_motion, at_rest = kinds
-    if in_motion and at_rest:
-        raise click.UsageError("--moving measures motion; --pose, --next and --until are of rest poses: give one kind")
-    if not in_motion and (plan is not None or rate_hz is not None):
+    if moves and poses:
+        raise click.UsageError(
+            "--moving measures motion; --pose, --next and --until ask for rest poses: give one of them"
+        )
+    if not moves and (plan is not None or rate_hz is not None):
         raise click.UsageError("--plan and --rate belong to --moving")

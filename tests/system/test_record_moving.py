@@ -56,7 +56,7 @@ def test_a_load_is_weighed_in_motion(place, serve, drive, gateway):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (["--moving", "--pose", "0,0,0,0,0,0"], "give one kind"),
+        (["--moving", "--pose", "0,0,0,0,0,0"], "give one of them"),
         (["--rate", "100"], "belong to --moving"),
         (["--moving", "--plan", "nowhere.json"], "nowhere.json"),
     ],
