@@ -7,6 +7,8 @@ import textwrap
 from drives.errors import DriveError
 from gateway.cell.axes import FEWEST_AXES, MOST_AXES
 from gateway.data.csv_text import BLANK_ALLOWED, COLUMNS, Column
+from gateway.data.period import KINDS, LEAST_PER_HARMONIC
+from gateway.data.periodic import CUTOFF_HZ
 from gateway.data.recording.reader import SCHEMA, STATUSES
 from gateway.data.recording.writer import VALUES, WORDS
 from gateway.errors import EXIT_CODES, GatewayError
@@ -90,16 +92,55 @@ def _errors() -> dict[int, list[str]]:
     return {code: sorted(names) for code, names in found.items()}
 
 
+def _periods() -> list[str]:
+    """Lines of what `record --moving` adds to a recording."""
+    return [
+        "## Periods",
+        "",
+        _paragraph(
+            "`record --moving` adds one group a period, `/arms/NAME/periods/0003`; numbers go on over visits and"
+            " periods. The datasets are those of a visit, of every SYNC of the period, and `target_rad` (samples,"
+            " axes): what was sent with that SYNC and is due at the next."
+        ),
+        "",
+        "| attribute | what it is |",
+        "|---|---|",
+        "| `load` | label of what hung on the flange |",
+        f"| `excitation`, `name`, `kind` | fingerprint and word of what was driven; {', '.join(KINDS)} |",
+        "| `joint` | that a sweep turns; 0: all |",
+        "| `period` | which of its periods, from 1 |",
+        "| `period_s` | time of the period as it was driven: a whole number of SYNCs |",
+        "| `speed` | share of the planned speed |",
+        "| `complete`, `incomplete_epochs` | every SYNC is here; how many were not answered |",
+        "",
+        _paragraph(
+            "The attributes of `/arms/NAME/excitations` are the excitations themselves (JSON, by fingerprint). A period"
+            " that is said to be complete and lacks a SYNC, that is no whole number of SYNCs, or that has fewer than"
+            f" {LEAST_PER_HARMONIC} SYNCs for each of its harmonics, is refused."
+        ),
+        "",
+        _paragraph(
+            "As rows: one per SYNC of every complete period. The torque is as measured. Position, speed and"
+            " acceleration come from the measured positions: a series by least squares of its harmonics over the"
+            f" period, up to {CUTOFF_HZ:g} Hz and at least those that were sent; a sweep by a low pass without phase,"
+            f" half the power at {CUTOFF_HZ:g} Hz. They are those of as much earlier as the profiles say the torque's"
+            " filter takes (`filter_s`, mean of all axes). `run` is the file's name and the period's number;"
+            " `x_excitation` tells which rows repeat one another (motion and speed), `x_period` and `x_phase_s` the"
+            " period and the time in it; rows at rest leave them empty."
+        ),
+    ]
+
+
 def recording_page() -> str:
     """What a recording holds."""
     lines = [
         "# Recording (HDF5)",
         "",
         _paragraph(
-            f"`run.h5`, schema {SCHEMA}. Written whole after each visit, under another name, synced, then renamed: what"
-            " is on disk is the last whole file, with a checksum at its end. It carries its cell, so that data of"
-            " another cell, arm, robot or set of drives are refused; a constant that was corrected since is used and"
-            " named."
+            f"`run.h5`, schema {SCHEMA}. Written whole after each visit and period, under another name, synced, then"
+            " renamed: what is on disk is the last whole file, with a checksum at its end. It carries its cell, so that"
+            " data of another cell, arm, robot or set of drives are refused; a constant that was corrected since is"
+            " used and named."
         ),
         "",
         "| attribute of the file | what it is |",
@@ -129,5 +170,7 @@ def recording_page() -> str:
             "A word that the drives do not send is left out. `servo-gateway export RUN.h5 --format csv` gives the means"
             " as [measured table](measured-table.md)."
         ),
+        "",
+        *_periods(),
     ]
     return "\n".join(lines) + "\n"

@@ -22,7 +22,12 @@ AXES = range(1, MOST_AXES + 1)
 BLOCK_ROWS = 2048
 
 TEXT = frozenset({"run", "load"})
-BLANK_ALLOWED = frozenset({"pose", "time_s", *(f"qd{i}_rad_s" for i in AXES), *(f"qdd{i}_rad_s2" for i in AXES)})
+#: Columns of our own that rows at rest have and rows of a motion have not, or the other way round.
+_OWN_OF_ONE_KIND = ("x_validation", "x_excitation", "x_period", "x_phase_s")
+_OF_ONE_KIND = ("qd{}_rad_s", "qdd{}_rad_s2", "tau{}_std_nm", "taum{}_std_nm", "i{}_std_a")
+BLANK_ALLOWED = frozenset(
+    {"pose", "time_s", *_OWN_OF_ONE_KIND, *(pattern.format(i) for pattern in _OF_ONE_KIND for i in AXES)}
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +167,7 @@ def _read(lines: Lines, file: str, known: frozenset[str]) -> CsvColumns:
         line = np.array([number for number, _ in block])
         numbers.append(line)
         for name, cells in zip(header, zip(*(cells for _, cells in block), strict=True), strict=True):
-            kind = kinds.setdefault(name, _kind(name, cells[0], known))
+            kind = kinds.setdefault(name, _kind(name, cells[0], known | BLANK_ALLOWED))
             parts[name].append(_text(cells) if kind == "text" else _numbers(name, cells, line, file))
     if not numbers:
         raise InputError(f"{file}:1: the table has a header but no row")
@@ -225,8 +230,17 @@ def _numbers(name: str, cells: tuple[str, ...], line: np.ndarray, file: str) -> 
         row = int(np.argmax(bad))
         cell = cells[row].strip()
         what = "is empty" if not cell else f"'{_short(cell)}' is not a finite number"
-        raise InputError(f"{file}:{line[row]}: {name}: {what}; nothing is filled in, correct or remove the row")
+        raise _unusable(f"{file}:{line[row]}", name, what)
     return values
+
+
+def _unusable(where: str, name: str, what: str) -> InputError:
+    return InputError(f"{where}: {name}: {what}; nothing is filled in, correct or remove the row")
+
+
+def empty_cell(where: str, name: str) -> InputError:
+    """Error about a cell that may not be left empty."""
+    return _unusable(where, name, "is empty")
 
 
 def _short(text: str) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from gateway.cell.axes import FEWEST_AXES, MOST_AXES
 from gateway.cell.conversion import AxisConversion
-from gateway.data.csv_text import CsvColumns, read_columns
+from gateway.data.csv_text import CsvColumns, empty_cell, read_columns
 from gateway.data.labels import LONGEST, label_refused
 from gateway.data.rows import MOVING, Table, concatenate, without_duplicates
 from gateway.errors import InputError
@@ -43,7 +43,7 @@ def read_csv(path: Path, axes: AxisConversion | None) -> Table:
     columns = read_columns(path)
     _refuse_other_count(columns, axes)
     pose, moving = _rest_or_moving(columns)
-    tau, tau_std, motor = _torques(columns, axes)
+    tau, tau_std, motor = _torques(columns, axes, moving)
     n_rows = len(columns.line)
     table = Table(
         file=(str(path),) * n_rows,
@@ -154,11 +154,15 @@ def _directions(columns: CsvColumns) -> np.ndarray:
     return values.astype(np.int8)
 
 
-def _torques(columns: CsvColumns, axes: AxisConversion | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _torques(
+    columns: CsvColumns, axes: AxisConversion | None, moving: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Joint torque, its standard deviation, motor torque: (n, N) each, NaN where not measured."""
     tau, taum, current = (_by_axis(columns, pattern) for pattern in ("tau{}_nm", "taum{}_nm", "i{}_a"))
     _one_source_per_axis(columns)
-    tau_std, taum_std, current_std = (_spread(columns, p) for p in ("tau{}_std_nm", "taum{}_std_nm", "i{}_std_a"))
+    tau_std, taum_std, current_std = (
+        _spread(columns, p, moving) for p in ("tau{}_std_nm", "taum{}_std_nm", "i{}_std_a")
+    )
     if np.isfinite(current).any():
         if axes is None:
             raise InputError(f"{columns.file}:1: motor currents need the torque constants of a cell file; give --cell")
@@ -186,8 +190,14 @@ def _one_source_per_axis(columns: CsvColumns) -> None:
         raise InputError(f"{columns.file}:1: no torque or current column (tau1_nm .., taum1_nm .. or i1_a ..)")
 
 
-def _spread(columns: CsvColumns, pattern: str) -> np.ndarray:
+def _spread(columns: CsvColumns, pattern: str, moving: np.ndarray) -> np.ndarray:
+    """Standard deviations (n, N); a row of a motion, which is no mean, may leave them empty."""
     values = _by_axis(columns, pattern)
+    for joint in range(columns.axes):
+        name = pattern.format(joint + 1)
+        empty = np.isnan(values[:, joint]) & ~moving
+        if name in columns.values and empty.any():
+            raise empty_cell(columns.where(int(np.argmax(empty))), name)
     bad = values < 0
     if bad.any():
         row, joint = np.argwhere(bad)[0]
