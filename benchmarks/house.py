@@ -52,7 +52,7 @@ TORQUE_PATH: Final = (
     ("gateway/acquire/run.py", "samples"),
     ("gateway/data/visit.py", "motor_torque_nm"),
     ("gateway/data/recording/writer.py", "motor_torque_nm"),
-    ("gateway/data/recording/reader.py", "motor_torque_nm"),
+    ("gateway/data/recording/samples.py", "motor_torque_nm"),
     ("gateway/data/recording/recorded.py", "motor_torque_nm"),
     ("gateway/cell/conversion.py", "joint_torque"),
     ("gateway/data/rows.py", "tau_nm"),

@@ -1,6 +1,7 @@
 """Loads, friction and rotors from motion: random arms offline, cells over the bus; every figure with its goal.
 
-python -m benchmarks.moving [--seeds dev|test] [--cells N] [--tiers known,stated,ratios] [--out out/moving] [--jobs N]
+python -m benchmarks.moving [--seeds dev|test] [--cells N] [--tiers known,stated,ratios] [--parts cells,timing]
+    [--out out/moving] [--jobs N]
 
 Development seeds are 0 to 9999, test seeds 40000 and on; the test seeds are run once for the published table and never
 tuned on. Of each tier so many cells are run.
@@ -15,6 +16,7 @@ import sys
 from pathlib import Path
 
 FIRST = {"dev": 0, "test": 40000}
+PARTS = ("cells", "timing")
 
 
 def main(argv: list[str]) -> int:
@@ -24,6 +26,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--cells", type=int, default=1000, help="arms and loads of each tier")
     parser.add_argument("--first", type=int, default=0, help="skip so many cells")
     parser.add_argument("--tiers", default="known,stated,ratios", help="by what is known of the torque constants")
+    parser.add_argument("--parts", default=",".join(PARTS), help="names with commas (all)")
     parser.add_argument("--out", type=Path, default=Path("out/moving"))
     parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args(argv)
@@ -36,19 +39,30 @@ def main(argv: list[str]) -> int:
 def _run(arguments: argparse.Namespace) -> int:
     from rich.console import Console
 
+    from benchmarks.blind.shares import Figures, figure_table
+
+    found: Figures = {}
+    for part in arguments.parts.split(","):
+        found |= {"cells": _cells, "timing": _timing}[part](arguments)
+    Console(width=150).print(figure_table(found))
+    (arguments.out / "summary.json").write_text(json.dumps({"figures": found}, indent=1) + "\n", encoding="utf-8")
+    return 0 if all(entry["met"] is not False for entry in found.values()) else 1
+
+
+def _cells(arguments: argparse.Namespace) -> dict[str, dict]:
     from benchmarks.blind.__main__ import run
-    from benchmarks.blind.shares import figure_table
     from benchmarks.moving.cells import run_cell
     from benchmarks.moving.figures import figures
 
     first = FIRST[arguments.seeds] + arguments.first
-    tiers = arguments.tiers.split(",")
-    tasks = [(seed, tier) for seed in range(first, first + arguments.cells) for tier in tiers]
-    cells = run(run_cell, tasks, arguments.jobs, arguments.out / "cells.jsonl")
-    found = figures(cells)
-    Console(width=150).print(figure_table(found))
-    (arguments.out / "summary.json").write_text(json.dumps({"figures": found}, indent=1) + "\n", encoding="utf-8")
-    return 0 if all(entry["met"] is not False for entry in found.values()) else 1
+    tasks = [(seed, tier) for seed in range(first, first + arguments.cells) for tier in arguments.tiers.split(",")]
+    return figures(run(run_cell, tasks, arguments.jobs, arguments.out / "cells.jsonl"))
+
+
+def _timing(_: argparse.Namespace) -> dict[str, dict]:
+    from benchmarks.moving.timing import timing_figures
+
+    return timing_figures()
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from benchmarks.moving.excitations import random_series
 from benchmarks.moving.oracle import oracle_std
-from benchmarks.moving.scores import score
+from benchmarks.moving.scores import drawn_truth, score
 from benchmarks.rigs.tables import make_table
 from gateway.data.rows import MOVING, Table, concatenate
 from gateway.errors import GatewayError
@@ -63,7 +63,11 @@ class MovingCell:
     @property
     def options(self) -> EstimateOptions:
         """What the owner states, as options of an estimate."""
-        return EstimateOptions(inertials=f"prior:{self.stated.link_std:.6g}", gain_std=self.gain_std)
+        return EstimateOptions(
+            inertials=f"prior:{self.stated.link_std:.6g}",
+            gain_std=self.gain_std,
+            efficiency=tuple(self.stated.efficiency.tolist()),
+        )
 
     def table(self) -> Table:
         """Rows of the bare and of the loaded run."""
@@ -138,5 +142,5 @@ def run_cell(task: tuple[int, str]) -> dict:
         "tier": cell.tier,
         "refused": refused,
         "time_s": taken_s,
-        **score(cell.arm, result, oracle_std(cell), cell.start_s),
+        **score(drawn_truth(cell.arm, cell.start_s, oracle_std(cell)), result),
     }

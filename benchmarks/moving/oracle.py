@@ -56,12 +56,19 @@ class Cell(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class _Run:
-    """True states of one period under one load, (n, N) each."""
+    """True states of one period under one load, (n, N) each.
+
+    `behind` is the torque behind the gear, `drives` where the motor gives power, `through` the motor's torque over it;
+    `regressor` (n, N, 10 N) is the motor's.
+    """
 
     q: Floats
     qd: Floats
     qdd: Floats
     tau: Floats
+    behind: Floats
+    drives: Floats
+    through: Floats
     regressor: Floats
     time_s: Floats
     loaded: bool
@@ -127,8 +134,12 @@ def _run(cell: Cell, label: str) -> _Run:
     data = model.createData()
     rows = zip(q, qd, qdd, strict=True)
     regressor = np.array([pinocchio.computeJointTorqueRegressor(model, data, *row).copy() for row in rows])
-    middle = cell.start_s[label] + 0.5 * motion.periods * motion.period_s
-    return _Run(q, qd, qdd, tau, regressor, np.full(len(times), middle), label != "none")
+    time_s = np.full(len(times), cell.start_s[label] + 0.5 * motion.periods * motion.period_s)
+    behind = tau + friction_nm(arm, qd, tau, np.ones_like(qd), time_s) + arm.rotor_inertia_kg_m2 * qdd
+    drives = behind * qd > 0
+    efficiency = arm.friction.declared_efficiency
+    through = np.where(drives, 1.0 / efficiency, efficiency)
+    return _Run(q, qd, qdd, tau, behind, drives, through, through[:, :, None] * regressor, time_s, label != "none")
 
 
 def _free(chain: SimChain) -> SimChain:
@@ -185,30 +196,26 @@ def _axis_columns(arm: MovingArm, runs: list[_Run], axis: int, motion: PeriodicM
     parts = []
     for run in runs:
         qd, sign = run.qd[:, axis], np.sign(run.qd[:, axis])
-        level = np.ones_like(run.qd)
-        behind = run.tau + friction_nm(arm, run.qd, run.tau, level, run.time_s) + arm.rotor_inertia_kg_m2 * run.qdd
-        behind = behind[:, axis]
+        motor = (run.through * run.behind)[:, axis]
         cold = arm.friction.cold(run.time_s)[:, axis]
         share = np.abs(run.tau[:, axis]) / arm.rated_nm[axis]
-        slope_s = -np.gradient(behind, 1.0 / motion.rate_hz)
-        drives = behind * sign > 0
         turn = arm.gear_ratio[axis] * run.q[:, axis]
         fades = np.exp(-((np.abs(qd) / arm.stribeck_rad_s[axis]) ** arm.stribeck_power[axis]))
-        sizes = [size[axis] for size in _own_sizes(arm).values()]
+        through = run.through[:, axis]
         own = [
-            sign * cold,
-            qd * cold,
-            run.qdd[:, axis],
-            sign * arm.rated_nm[axis] * share ** arm.friction.load_power[axis],
-            slope_s,
+            through * sign * cold,
+            through * qd * cold,
+            through * run.qdd[:, axis],
+            through * sign * arm.rated_nm[axis] * share ** arm.friction.load_power[axis],
+            -np.gradient(motor, 1.0 / motion.rate_hz),
         ]
-        columns = [column * size for column, size in zip(own, sizes, strict=True)]
+        columns = [column * size[axis] for column, size in zip(own, _own_sizes(arm).values(), strict=True)]
         columns += [
-            behind * max(arm.gain_std[axis], 1e-9),
-            sign * fades * arm.friction.coulomb_nm[axis] * (FREE if arm.breakaway_share[axis] else 0.0),
-            np.full(len(qd), arm.friction.bias_std * arm.friction.coulomb_nm[axis]),
-            behind * np.where(drives, -1.0, 1.0) * arm.friction.efficiency_std,
-            behind * arm.friction.split_std,
+            motor * max(arm.gain_std[axis], 1e-9),
+            through * sign * fades * arm.friction.coulomb_nm[axis] * (FREE if arm.breakaway_share[axis] else 0.0),
+            through * arm.friction.bias_std * arm.friction.coulomb_nm[axis],
+            motor * np.where(run.drives[:, axis], -1.0, 1.0) * arm.friction.efficiency_std,
+            -motor * arm.friction.split_std,
         ]
         waves = [np.sin(turn), np.cos(turn), np.sin(2.0 * turn), np.cos(2.0 * turn)]
         columns += [wave * arm.cogging_std_nm[axis] for wave in waves]
@@ -227,7 +234,7 @@ def _stroke_columns(arm: MovingArm, run: _Run, axis: int, periods: int) -> Float
     sign = np.sign(run.qd[:, axis])
     number = np.cumsum(np.diff(sign > 0, prepend=sign[:1] > 0) != 0)
     size = arm.friction.tail_share[axis] * arm.friction.coulomb_nm[axis] / np.sqrt(periods)
-    return size * sign[:, None] * (number[:, None] == np.arange(number.max() + 1))
+    return size * (run.through[:, axis] * sign)[:, None] * (number[:, None] == np.arange(number.max() + 1))
 
 
 def _whitened(arm: MovingArm, axis: int, columns: Floats, motion: PeriodicMotion, runs: int) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from gateway.result.result import AxisMotion, LoadResult, Result
 from sim.nature.moving_arm import MovingArm
+from sim.plant import Payload
 
 Floats = NDArray[np.float64]
 
@@ -19,22 +21,34 @@ AXIS_NAMES = ("coulomb_nm", "viscous_nm_s_rad", "rotor_inertia_kg_m2", "load_fri
 _SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
-def load_truth(arm: MovingArm) -> Floats:
-    """Mass, centre of gravity and inertia about it of the tool (10,), as `LOAD_NAMES`."""
-    tool = arm.tool
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What hangs there, and what motion ought to tell of every axis (N,) by quantity, NaN where there is no such truth.
+
+    `oracle` has the standard deviations of the oracle: `load`, and every quantity of `axes`.
+    """
+
+    tool: Payload
+    axes: Mapping[str, Floats]
+    oracle: Mapping[str, Floats]
+
+
+def load_truth(tool: Payload) -> Floats:
+    """Mass, centre of gravity and inertia about it of a tool (10,), as `LOAD_NAMES`."""
     return np.array([tool.mass_kg, *tool.com_m, *(tool.inertia_kg_m2[place] for place in _SIX)])
 
 
-def axis_truth(arm: MovingArm, start_s: Mapping[str, float]) -> dict[str, Floats]:
-    """What motion ought to tell of every axis (N,), at the time of the runs."""
+def drawn_truth(arm: MovingArm, start_s: Mapping[str, float], oracle: Mapping[str, Floats]) -> Truth:
+    """Truth of a drawn arm at the time of its runs."""
     cold = arm.friction.cold(np.array(list(start_s.values()))).mean(axis=0)
-    return {
+    axes = {
         "coulomb_nm": arm.friction.coulomb_nm * cold,
         "viscous_nm_s_rad": arm.viscous_nm_s_rad * cold,
         "rotor_inertia_kg_m2": arm.rotor_inertia_kg_m2,
         "load_friction": arm.friction.load_loss,
         "delay_s": arm.delay_s,
     }
+    return Truth(arm.tool, axes, oracle)
 
 
 def tensor(six: Any) -> Floats:
@@ -53,24 +67,24 @@ def possible(load: LoadResult) -> bool:
     return bool(moments[0] > 0.0 and moments[0] + moments[1] >= moments[2] * (1.0 - 1e-9))
 
 
-def score(arm: MovingArm, result: Result | None, oracle: Mapping[str, Floats], start_s: Mapping[str, float]) -> dict:
+def score(truth: Truth, result: Result | None) -> dict:
     """What is kept of one cell.
 
     `load`: value, standard deviation (NaN = not given), truth and the oracle's standard deviation of `LOAD_NAMES`;
     `axes`: the same of every axis by its quantity. `impossible`: loads with an inertia that no body has.
     """
-    load = _load_said(result)
-    truth, axes = load_truth(arm), axis_truth(arm, start_s)
+    load, oracle = _load_said(result), truth.oracle
     said = {} if result is None else {item.joint: item for item in result.motion}
-    count = len(arm.rated_nm)
+    count = len(truth.axes["coulomb_nm"])
+    true = load_truth(truth.tool).tolist()
     return {
-        "load": {"value": load[0], "std": load[1], "truth": truth.tolist(), "oracle": oracle["load"].tolist()},
-        "largest_kg_m2": float(np.linalg.eigvalsh(arm.tool.inertia_kg_m2)[-1]),
+        "load": {"value": load[0], "std": load[1], "truth": true, "oracle": oracle["load"].tolist()},
+        "largest_kg_m2": float(np.linalg.eigvalsh(truth.tool.inertia_kg_m2)[-1]),
         "axes": {
             name: {
                 "value": _axis_values(said, name, count),
                 "std": _axis_values(said, _std_name(name), count),
-                "truth": axes[name].tolist(),
+                "truth": truth.axes[name].tolist(),
                 "oracle": oracle[name].tolist(),
             }
             for name in AXIS_NAMES

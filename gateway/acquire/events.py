@@ -101,6 +101,15 @@ class PeriodDone:
 
 
 @dataclass(frozen=True, slots=True)
+class Narrowed:
+    """A load that is measured until it is known well enough was estimated anew; `text` says how far it is known."""
+
+    load: str
+    poses: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
 class Stopped:
     """The run ended before its plan did."""
 
@@ -114,5 +123,5 @@ class StateChanged:
     state: CellState
 
 
-Event = StateChanged | Started | Progress | SampleRepeated | VisitDone | PoseDone | PeriodDone | Stopped
+Event = StateChanged | Started | Progress | SampleRepeated | VisitDone | PoseDone | PeriodDone | Narrowed | Stopped
 Listener = Callable[[Event], None]

@@ -166,10 +166,9 @@ class Run:
         self._store = station.store
         self._tell = station.tell
         self._period_s = plan.settings.period_s
-        durations = step_durations(plan, self._workspace)
-        if station.options.first_done is not None:
-            durations[:1] = [duration / FIRST_SHARE for duration in durations[:1]]
-        self._ends = [0.0, *accumulate(durations)]
+        self._first = FIRST_SHARE if station.options.first_done is not None else 1.0
+        self._ends = self._timed(plan, 0.0)
+        self._further_s = 0.0
         self._slower = 1.0 / station.options.override
         self._step = -1
         self._settle_s: dict[int, float] = {}
@@ -188,10 +187,37 @@ class Run:
 
     def execute(self, stream: Stream) -> None:
         """All steps."""
+        self.begin(stream, len(self.plan.visits), 0.0)
+        self.steps()
+        self.end()
+
+    def begin(self, stream: Stream, visits: int, further_s: float) -> None:
+        """Tell that a run begins, of so many visits and with so much time expected beyond the plan [s]."""
         self.check_start(stream)
-        self._stream = stream
-        self._tell(Started(self.plan.arm, self._load, len(self.plan.visits), self._slower * self._ends[-1]))
+        self._stream, self._further_s = stream, further_s
+        self._tell(Started(self.plan.arm, self._load, visits, self._slower * (self._ends[-1] + further_s)))
         stream.take_over()
+
+    def go_on(self, plan: Plan, further_s: float) -> None:
+        """All steps of another plan, from where the arm stands now; so much time is expected beyond it [s]."""
+        self._ends = self._timed(plan, self._ends[-1])
+        self.plan, self._step, self._further_s = plan, -1, further_s
+        self.steps()
+
+    def end(self) -> None:
+        """Tell that all is done."""
+        self._tell(Progress(len(self.plan.steps), len(self.plan.steps), "done", self._slower * self._ends[-1], 0.0))
+
+    def _timed(self, plan: Plan, begin_s: float) -> list[float]:
+        """When every step of a plan ends, from its begin on; the very first is slow with drives that never moved."""
+        durations = step_durations(plan, self._workspace)
+        durations[:1] = [duration / self._first for duration in durations[:1]]
+        self._first = 1.0
+        return list(accumulate(durations, initial=begin_s))
+
+    def steps(self) -> None:
+        """The steps of the plan."""
+        stream = self._stream
         for number, step in enumerate(self.plan.steps):
             self._step = number
             self.state.enter(PHASES[type(step)], stream.sync_index)
@@ -205,7 +231,6 @@ class Run:
                 self._settle(step)
             else:
                 self._sample(step)
-        self._tell(Progress(len(self.plan.steps), len(self.plan.steps), "done", self._slower * self._ends[-1], 0.0))
 
     def disk(self) -> StopRequest | None:
         """Tell of the visits that are on disk by now; a wish to stop where the disk does not keep up.
@@ -298,9 +323,9 @@ class Run:
 
     def report(self, what: str, row: int, rows: int) -> None:
         """Where the run stands, told by the motion loop now and then."""
-        begin, end = (self._ends[self._step], self._ends[self._step + 1]) if self._step >= 0 else (0.0, 0.0)
+        begin, end = (self._ends[self._step], self._ends[self._step + 1]) if self._step >= 0 else self._ends[:1] * 2
         elapsed = begin + (end - begin) * max(row, 0) / rows
-        left = self._slower * (self._ends[-1] - elapsed)
+        left = self._slower * (self._ends[-1] - elapsed + self._further_s)
         self._tell(Progress(self._step + 1, len(self.plan.steps), what, self._slower * elapsed, left))
 
 

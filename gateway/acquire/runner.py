@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from gateway.acquire.events import StateChanged, Stopped
@@ -51,7 +52,7 @@ def run_plan(station: VisitStation, request: RunRequest) -> None:
     check_plan(request.plan, station.workspace)
     plan = plan_from(request.plan, station.workspace, station.arm.where(), request.done)
     check_plan(plan, station.workspace)
-    _execute(station, plan, request.load)
+    execute(station, plan, request.load, Run.execute)
 
 
 def run_way(station: VisitStation, plan: Plan) -> None:
@@ -69,16 +70,27 @@ def run_way(station: VisitStation, plan: Plan) -> None:
         As `run_plan`.
     """
     check_plan(plan, station.workspace)
-    _execute(station, plan, "")
+    execute(station, plan, "", Run.execute)
 
 
-def _execute(station: VisitStation, plan: Plan, load: str) -> None:
+def execute(station: VisitStation, plan: Plan, load: str, drive: Callable[[Run, Stream], None]) -> None:
+    """Have a run driven under power; the brakes are on afterwards and what was measured is on disk, whatever happens.
+
+    Parameters
+    ----------
+    station : VisitStation
+    plan : Plan
+        From where the arm stands, checked.
+    load : str
+    drive : callable
+        Called with the run and the stream once the arm is under power.
+    """
     state = StateKeeper(plan.arm, lambda new: station.tell(StateChanged(new)))
     run = Run(station, plan, load, state)
     station.options.desk.watch(run.disk)
     try:
         with powered(Stream(_moved(station, run))) as stream:
-            run.execute(stream)
+            drive(run, stream)
     except BaseException as error:
         _keep_the_rest(station, run, error)
         raise

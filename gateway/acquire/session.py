@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -137,37 +138,80 @@ def record(
     stored = None if earlier is None else earlier.arm(plan.arm)
     wanted = {(pose.number, side) for pose in plan.poses for side in (-1, 1)}
     done = () if stored is None else tuple(wanted.intersection(stored.done(request.load)))
-    writer = VisitQueue(request.path, recording_header(opened), arm_header(opened, poses), earlier)
-    tally = _Tally(len(opened.config.axis))
-    try:
+    with keeping(opened, request.path, poses, earlier) as kept:
         if len(done) < len(wanted):
-            heard = (tally, *listeners)
-            pacing = opened.group.timing.pacing
-            station = VisitStation(
-                opened.arm,
-                opened.workspace,
-                QueuedStore(writer, plan.arm, opened.group.timing.pacing),
-                heard,
-                options or MoveOptions(),
-                pacing,
-            )
-            run_plan(station, RunRequest(plan, request.load, done))
-        statistics = plain(asdict(opened.group.statistics))
-        writer.finish(plan.arm, "success", "all poses measured", statistics)
+            run_plan(kept.station(listeners, options), RunRequest(plan, request.load, done))
+    return kept.summary(request.load, len(done))
+
+
+class Kept:
+    """A recording that is written to, and what is added to it.
+
+    Attributes
+    ----------
+    reason : str
+        Why the run has ended, if it ends well.
+    """
+
+    def __init__(self, opened: OpenArm, queue: VisitQueue) -> None:
+        self.reason = "all poses measured"
+        self._opened, self._queue = opened, queue
+        self._tally = _Tally(len(opened.config.axis))
+        self._statistics: dict[str, Any] = {}
+
+    def station(self, listeners: Sequence[Listener], options: MoveOptions | None) -> VisitStation:
+        """Where a run finds the arm, and where its visits go."""
+        opened, pacing = self._opened, self._opened.group.timing.pacing
+        store = QueuedStore(self._queue, opened.config.name, pacing)
+        heard = (self._tally, *listeners)
+        return VisitStation(opened.arm, opened.workspace, store, heard, options or MoveOptions(), pacing)
+
+    def finish(self) -> None:
+        """Store that the run has ended well."""
+        self._statistics = plain(asdict(self._opened.group.statistics))
+        self._queue.finish(self._opened.config.name, "success", self.reason, self._statistics)
+
+    def summary(self, load: str, skipped: int) -> RecordingSummary:
+        """What the run has added."""
+        return RecordingSummary(
+            path=self._queue.path,
+            load=load,
+            visits=self._tally.visits,
+            skipped=skipped,
+            incomplete_epochs=self._tally.incomplete,
+            friction_band_nm=self._tally.band_nm(),
+            statistics=self._statistics,
+        )
+
+
+@contextmanager
+def keeping(opened: OpenArm, path: Path, poses: tuple[RestPose, ...], earlier: Recording | None) -> Generator[Kept]:
+    """A recording while it is written to; however that ends, what was measured is on disk, with the reason.
+
+    Parameters
+    ----------
+    opened : OpenArm
+    path : Path
+    poses : tuple of RestPose
+        That the recording is to hold, as far as they are known.
+    earlier : Recording or None
+        That is gone on with.
+
+    Raises
+    ------
+    InputError
+        As `VisitQueue`.
+    """
+    writer = VisitQueue(path, recording_header(opened), arm_header(opened, poses), earlier)
+    try:
+        kept = Kept(opened, writer)
+        yield kept
+        kept.finish()
     except BaseException as error:
-        finish_broken(writer, opened, plan.arm, error)
+        finish_broken(writer, opened, opened.config.name, error)
         raise
     finally:
         writer.close()
-    return RecordingSummary(
-        path=request.path,
-        load=request.load,
-        visits=tally.visits,
-        skipped=len(done),
-        incomplete_epochs=tally.incomplete,
-        friction_band_nm=tally.band_nm(),
-        statistics=statistics,
-    )
 
 
 def finish_broken(writer: VisitQueue, opened: OpenArm, arm: str, error: BaseException) -> None:

@@ -24,11 +24,17 @@ from gateway.commands.options import (
     trace_option,
     write_json,
 )
+from gateway.commands.until import PoseByPose, Reference, as_json, pose_by_pose, reference_options
 from gateway.errors import InputError
 
 if TYPE_CHECKING:
     from gateway.acquire.plan import Plan
+    from gateway.acquire.session import RecordingSummary, RecordRequest
+    from gateway.acquire.until.prepare import UntilRequest
     from gateway.cell.config import ArmConfig, LoadedCell
+    from gateway.commands.console import Session
+    from gateway.motion.opening import OpenArm
+    from gateway.motion.stream import MoveOptions
 
 arm_option = click.option("--arm", "arm_name", metavar="NAME", help="Arm, if the cell has several.")
 
@@ -139,6 +145,22 @@ def plan_as_json(chosen: Plan) -> dict[str, Any]:
     type=click.Path(path_type=Path, dir_okay=False),
     help="Measure the poses that a result of this arm asks for.",
 )
+@reference_options
+@click.option("--moving", "in_motion", is_flag=True, help="Drive excitations instead of measuring rest poses.")
+@click.option(
+    "--plan",
+    "moving_plan",
+    metavar="PLAN.json",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="With --moving: drive what `plan --moving --json` wrote.",
+)
+@click.option(
+    "--rate",
+    "rate_hz",
+    type=click.FloatRange(min=1, max=1000),
+    metavar="HZ",
+    help="With --moving: SYNCs per second; 250 if not given, where bus and drives allow it.",
+)
 @arm_option
 @bus_option
 @json_option
@@ -152,39 +174,73 @@ def record(
     trace: Path | None,
     poses: tuple[tuple[float, ...], ...],
     result: Path | None,
+    in_motion: bool,
+    moving_plan: Path | None,
+    rate_hz: float | None,
     arm_name: str | None,
     bus_spec: str | None,
     json_out: str | None,
+    until: Reference,
     moving: MoveChoice,
 ) -> None:
-    """Measure the rest poses under one load. The arm moves; Ctrl-C stops it along its way and keeps what was measured.
+    """Measure rest poses or motions under one load. The arm moves; Ctrl-C stops it along its way, nothing is lost.
 
     The first time with these drives, it is proven before anything else that they stop when the master is gone.
     """
     from gateway.acquire.session import RecordRequest, open_arm
+    from gateway.acquire.until.run import UntilSummary
     from gateway.check.proofs import ensure_proven
     from gateway.commands.cell_context import open_cell
-    from gateway.commands.progress import recording_with_progress
+    from gateway.commands.record_moving import MovingWish, record_in_motion, refuse_mixed
     from gateway.model.arm_model import arm_named
     from gateway.result.values import plain_values
 
+    refuse_mixed(
+        in_motion, [*poses, *(wish for wish in (result, until.goal) if wish is not None)], moving_plan, rate_hz
+    )
     context = open_cell(cell, bus_spec, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
-    chosen = _plan_for(context.loaded, arm, _Wanted(output, resume, poses, result))
+    if in_motion:
+        record_in_motion(context, arm, MovingWish(label, output, resume, moving_plan, rate_hz, trace, json_out), moving)
+        return
+    wanted = _Wanted(output, resume, poses, result)
+    asked: _Planned | PoseByPose = (
+        _Planned(_plan_for(context.loaded, arm, wanted), RecordRequest(label, output, resume))
+        if until.goal is None
+        else _search_for(context.loaded, arm, wanted, until.request(label, output, cell))
+    )
     session = session_of()
     if not moving.yes:
-        show_plan(chosen)
+        asked.show(session)
     first = "" if context.stop_proof(arm).exists() else " At first its drives lose the heartbeat on purpose."
     moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is nobody near it?")
     opening = open_arm(context.loaded, context.override(arm, trace), arm.name)
     with context.way_on(), stoppable(moving) as options, opening as opened:
         options = ensure_proven(opened, context.stop_proof(arm), session.note, options)
-        request = RecordRequest(label, output, resume)
-        summary = recording_with_progress(session, opened, chosen, request, options)
+        done = asked.run(session, opened, options)
+    summary, more = (done.recording, {"until": as_json(done)}) if isinstance(done, UntilSummary) else (done, {})
     if json_out:
-        write_json(json_out, {"schema": 1, "arm": arm.name, **plain_values(summary), "path": str(output)})
+        write_json(json_out, {"schema": 1, "arm": arm.name, **plain_values(summary), "path": str(output), **more})
     session.show(f"{output}: {summary.visits} visits under load {label}, {summary.skipped} were there already")
     session.show(axis_table("friction band [Nm], median over the poses", {"band": summary.friction_band_nm}))
+
+
+@dataclass(frozen=True, slots=True)
+class _Planned:
+    """A recording whose poses are known beforehand."""
+
+    plan: Plan
+    request: RecordRequest
+
+    def show(self, _session: Session) -> None:
+        """Show poses and expectation."""
+        show_plan(self.plan)
+
+    def run(self, session: Session, opened: OpenArm, options: MoveOptions) -> RecordingSummary:
+        """Measure with a progress bar."""
+        from gateway.commands.progress import recording_with_progress
+
+        return recording_with_progress(session, opened, self.plan, self.request, options)
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,19 +263,32 @@ class _Wanted:
     result: Path | None
 
 
+def _search_for(loaded: LoadedCell, arm: ArmConfig, wanted: _Wanted, request: UntilRequest) -> PoseByPose:
+    """A recording whose poses are chosen on the way."""
+    if wanted.poses or wanted.result is not None:
+        raise click.UsageError("--until chooses the poses itself: leave out --pose and --next")
+    _refuse_to_replace(wanted)
+    return pose_by_pose(loaded, arm, request)
+
+
+def _refuse_to_replace(wanted: _Wanted) -> None:
+    from gateway.data.recording.writer import NOT_REPLACED
+
+    if wanted.output.exists() and not wanted.resume:
+        raise InputError(f"{wanted.output} exists; {NOT_REPLACED}")
+
+
 def _plan_for(loaded: LoadedCell, arm: ArmConfig, wanted: _Wanted) -> Plan:
     """Poses that are asked for, else those of the file that is gone on with, else those of the cell."""
     from gateway.acquire.asking import Asked, asked_by, plan_asked
     from gateway.acquire.session import make_plan, plan_of_recording
     from gateway.data.recording.reader import read
-    from gateway.data.recording.writer import NOT_REPLACED
 
     if wanted.poses and wanted.result is not None:
         raise click.UsageError("--pose and --next both say which poses: give one of them")
     if any(len(q_rad) != len(arm.axis) for q_rad in wanted.poses):
         raise click.UsageError(f"--pose: arm '{arm.name}' has {len(arm.axis)} axes, one joint angle each is needed")
-    if wanted.output.exists() and not wanted.resume:
-        raise InputError(f"{wanted.output} exists; {NOT_REPLACED}")
+    _refuse_to_replace(wanted)
     earlier = read(wanted.output) if wanted.output.exists() else None
     if wanted.result is not None:
         return plan_asked(loaded, arm, asked_by(wanted.result, loaded, arm), earlier)

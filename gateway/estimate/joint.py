@@ -68,7 +68,7 @@ def estimate_joint(visits: Visits, robot: Robot, options: EstimateOptions) -> Es
 def refused_loads(fitted: Fitted, robot: Robot, options: EstimateOptions) -> dict[str, LoadEstimate]:
     """Loads by label whose data contradict each other, each with why."""
     problem, fit = fitted.problem, fitted.fit
-    reasons = {label: _contradiction(problem, fit, robot, options, label) for label in problem.loads}
+    reasons = {label: contradiction(problem, fit, robot, options, label) for label in problem.loads}
     return {
         label: refused_load(label, reason, per_pose_mass(problem, fit, robot, options, label))
         for label, reason in reasons.items()
@@ -76,7 +76,7 @@ def refused_loads(fitted: Fitted, robot: Robot, options: EstimateOptions) -> dic
     }
 
 
-def _contradiction(problem: Problem, fit: NoiseFit, robot: Robot, options: EstimateOptions, label: str) -> str | None:
+def contradiction(problem: Problem, fit: NoiseFit, robot: Robot, options: EstimateOptions, label: str) -> str | None:
     """Why the rows of a load cannot belong to one rigid body, judged by the noise that the other rows show."""
     masses = per_pose_mass(problem, fit, robot, options, label)
     if not disagree(list(masses.values())):

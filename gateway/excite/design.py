@@ -1,8 +1,8 @@
-"""Choice of a series: random ones scaled up to their first limit."""
+"""Random series, each scaled up to its first limit."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +16,6 @@ from gateway.motion.workspace import Workspace
 
 Floats = NDArray[np.float64]
 
-#: Instants of a period at which limits are looked at while a motion is chosen.
-INSTANTS = 64
 #: Random motions that the chosen one starts from, and is compared to.
 RANDOM = 100
 #: Postures that are drawn at once, and how often, until there are enough to start from.
@@ -52,14 +50,14 @@ class Members:
         return Members(self.start_rad, factor[:, None, None] * self.free)
 
 
-def start_postures(limits: MovingLimits, known_rad: Sequence[Floats], random: np.random.Generator) -> Floats:
+def start_postures(limits: MovingLimits, anchors_rad: Floats, random: np.random.Generator) -> Floats:
     """Postures (RANDOM, N) from which a motion may start: the arm may rest there, and a straight way leads there.
 
     Parameters
     ----------
     limits : MovingLimits
-    known_rad : sequence of arrays of shape (N,)
-        Postures that a way has to lead from: one of those at which the arm may stand.
+    anchors_rad : array of shape (k, N)
+        Postures of which one has to have a straight way there, if there are any.
     random : Generator
 
     Raises
@@ -68,14 +66,12 @@ def start_postures(limits: MovingLimits, known_rad: Sequence[Floats], random: np
         Too few; says what stands against most postures.
     """
     workspace = limits.workspace
-    anchors = np.array(known_rad).reshape(-1, workspace.robot.axes)
-    anchors = anchors[workspace.feasible(anchors)]
     found: list[Floats] = []
     for _ in range(DRAWS):
         drawn = workspace.draw(random, DRAWN)
         good = drawn[workspace.feasible(drawn, torque_share=workspace.rest_share) & _can_stand(limits, drawn)]
-        if len(anchors):
-            joined = [workspace.path_clear(np.tile(anchor, (len(good), 1)), good) for anchor in anchors]
+        if len(anchors_rad):
+            joined = [workspace.path_clear(np.tile(anchor, (len(good), 1)), good) for anchor in anchors_rad]
             good = good[np.any(joined, axis=0)]
         found.extend(good)
         if len(found) >= RANDOM:

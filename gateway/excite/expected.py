@@ -1,33 +1,37 @@
-"""What a motion promises to tell of a load: expected standard deviations, before anything has moved.
+"""What motions promise to tell: expected standard deviations, before anything has moved (Cramer-Rao bound).
 
-Bare and loaded along the same motion: the difference of both removes links and friction, and has twice the variance.
-What stays beside the load's ten numbers has its prior: torque constants, and losses in proportion to the torque. Noise
-hangs together in time, so that so many rows make one independent one (Cramer-Rao bound; Swevers et al., 1997).
+Noise hangs together in time, so that many rows make one independent one; what is not asked for but stands in every
+model has its prior: torque constants, losses in proportion to the torque, links (Swevers et al., 1997).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.excite.limits import States
 from gateway.feedforward.load import FeedLoad
+from gateway.identify.links import PER_LINK_MOVING, link_prior
 from gateway.identify.nuisance import LOAD_FRICTION_STD
+from gateway.model.base import moving_base
 from gateway.model.regressor import regressor
 from gateway.motion.workspace import Workspace
 
 Floats = NDArray[np.float64]
+Purpose = Literal["load", "friction", "rotor"]
 
-#: Speed below which the sign of dry friction is rounded [rad/s], as moving runs are fitted.
+#: Speed below which dry friction is rounded, and a row tells less [rad/s]: as moving runs are fitted.
 SMOOTH_RAD_S = 0.02
-#: Time over which the error of a torque hangs together [s], one way: what is left of friction changes as slowly.
+#: Time over which the error of a torque hangs together [s], one way: longer than the filter of any drive.
 CORRELATION_S = 0.05
 #: What is added to the information on each number, as a share of it: nothing is divided by nothing.
 _LEAST = 1e-12
-#: A standard deviation in which this is felt is none.
-_LOST = 1e-9
+#: A number whose standard deviation is this many times what it would be by itself cannot be told from others.
+_LOST = 1e5
 #: Of a load: mass, centre of gravity and inertia, as results have them.
 LOAD_NUMBERS = ("mass", "com_x", "com_y", "com_z", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 
@@ -55,10 +59,89 @@ class TorqueNoise:
         """How many rows, one per SYNC, make one independent one."""
         return float(1.0 / np.tanh(sync_period_s / (2.0 * self.correlation_s)))
 
+    def weighted(self, rows: Floats, states: States) -> Floats:
+        """Rows (n, N, p) over their standard deviation; those of an axis that hardly moves tell of friction at rest."""
+        moves = np.tanh(np.abs(states.qd_rad_s) / SMOOTH_RAD_S)
+        return rows * (moves / self.std_nm)[:, :, None]
+
+
+class Asked(Protocol):
+    """What is asked of motions, with all that stands beside it."""
+
+    @property
+    def noise(self) -> TorqueNoise:
+        """What torque is believed to be off by."""
+        ...
+
+    @property
+    def prior(self) -> Floats:
+        """What is known of each unknown beforehand: information (p,)."""
+        ...
+
+    @property
+    def turn(self) -> Floats:
+        """Derivative (k, p) of what is asked by the unknowns."""
+        ...
+
+    def information(self, states: States, rigid: Floats, motions: int, duration_s: float) -> Floats:
+        """Information (motions, p, p) of several motions.
+
+        Parameters
+        ----------
+        states : States
+            Arrays of shape (motions n, N): the same number of instants of each, evenly spread.
+        rigid : array of shape (motions n, N, 10 N)
+            Full rows of the arm there.
+        motions : int
+        duration_s : float
+            Of all periods of one motion.
+        """
+        ...
+
+
+def expected_stds(asked: Asked, information: Floats) -> Floats:
+    """Standard deviations (m, k) of what is asked under informations (m, p, p); very large where nothing tells."""
+    size, scaled = _scaled(asked, information)
+    spread = asked.turn[None] / size[:, None, :]
+    return np.sqrt(np.einsum("mkp,mpq,mkq->mk", spread, np.linalg.inv(scaled), spread))
+
+
+def told_stds(asked: Asked, information: Floats) -> Floats:
+    """Standard deviations (k,) under one information (p, p); NaN for what it does not tell from others."""
+    size, scaled = _scaled(asked, information[None])
+    spread = asked.turn / size
+    values, vectors = np.linalg.eigh(scaled[0])
+    parts = (spread @ vectors) ** 2
+    open_ = values < _LOST**-2
+    lost = parts[:, open_].sum(axis=1) > _LEAST * parts.sum(axis=1)
+    return np.where(lost, np.nan, np.sqrt((parts[:, ~open_] / values[~open_]).sum(axis=1)))
+
+
+def _scaled(asked: Asked, information: Floats) -> tuple[Floats, Floats]:
+    """Size (m, p) of the information on each unknown, and information (m, p, p) over it."""
+    index = np.arange(information.shape[1])
+    total = information.copy()
+    total[:, index, index] += asked.prior
+    size = np.sqrt(np.diagonal(total, axis1=1, axis2=2))
+    size = np.where(size > 0.0, size, 1.0)
+    total /= size[:, :, None] * size[:, None, :]
+    total[:, index, index] += _LEAST
+    return size, total
+
+
+def _gram(rows: Floats, motions: int, independent: float) -> Floats:
+    """Information (motions, p, p) of weighted rows (motions n, N, p), of which so many of each are independent."""
+    instants = len(rows) // motions
+    each = rows.reshape(motions, instants * rows.shape[1], -1)
+    return np.matmul(each.transpose(0, 2, 1), each) * (independent / instants)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LoadModel:
-    """What tells a load.
+class LoadAsked:
+    """A load's ten numbers, from bare and loaded runs of the same motion.
+
+    Their difference is free of links and of friction that no load changes, and has twice the variance. Unknowns: the
+    body's parameters, gains, losses in proportion to the torque.
 
     Attributes
     ----------
@@ -75,50 +158,26 @@ class LoadModel:
     load: FeedLoad
     links: Floats | None
 
-    def covariance(self, states: States, rigid: Floats, motions: int, duration_s: float) -> Floats:
-        """Covariance of mass, centre of gravity and inertia, as `LOAD_NUMBERS`, of several motions.
+    @property
+    def prior(self) -> Floats:
+        """As `Asked.prior`."""
+        gain = self.noise.gain_std
+        return np.concatenate([np.zeros(10), gain**-2.0, np.full(len(gain), LOAD_FRICTION_STD**-2.0)])
 
-        Parameters
-        ----------
-        states : States
-            Arrays of shape (motions n, N): the same number of instants of each, evenly spread.
-        rigid : array of shape (motions n, N, 10 N)
-            Full rows there.
-        motions : int
-        duration_s : float
-            Of all periods of one motion.
+    @property
+    def turn(self) -> Floats:
+        """As `Asked.turn`, of `LOAD_NUMBERS`."""
+        return np.hstack([load_jacobian(self.load), np.zeros((10, 2 * self.workspace.robot.axes))])
 
-        Returns
-        -------
-        array of shape (motions, 10, 10)
-        """
-        axes, instants = self.workspace.robot.axes, len(states.q_rad) // motions
+    def information(self, states: States, rigid: Floats, motions: int, duration_s: float) -> Floats:
+        """As `Asked.information`."""
         torque = rigid[:, :, -10:] @ self.load.parameters
         bare = np.zeros_like(torque) if self.links is None else rigid @ self.links
         lost = (np.abs(bare + torque) - np.abs(bare)) * np.tanh(states.qd_rad_s / SMOOTH_RAD_S)
-        own = np.eye(axes)
+        own = np.eye(self.workspace.robot.axes)
         rows = np.concatenate([rigid[:, :, -10:], torque[:, :, None] * own, lost[:, :, None] * own], axis=2)
-        rows /= self.noise.std_nm[:, None]
-        rows = rows.reshape(motions, instants * axes, -1)
-        independent = duration_s / (2.0 * self.noise.correlation_s) / instants
-        information = np.matmul(rows.transpose(0, 2, 1), rows) * (independent / 2.0)
-        prior = np.concatenate([np.zeros(10), self.noise.gain_std**-2.0, np.full(axes, LOAD_FRICTION_STD**-2.0)])
-        index = np.arange(len(prior))
-        information[:, index, index] += prior
-        found = _inverse(information)[:, :10, :10]
-        turn = load_jacobian(self.load)
-        return turn @ found @ turn.T
-
-
-def _inverse(information: Floats) -> Floats:
-    """Covariances (m, p, p) of informations; very large where there is none."""
-    size = np.sqrt(np.diagonal(information, axis1=1, axis2=2))
-    size = np.where(size > 0.0, size, 1.0)
-    scaled = information / (size[:, :, None] * size[:, None, :])
-    index = np.arange(information.shape[1])
-    scaled[:, index, index] += _LEAST
-    covariance = np.linalg.inv(scaled)
-    return covariance / (size[:, :, None] * size[:, None, :])
+        independent = duration_s / (2.0 * self.noise.correlation_s)
+        return _gram(self.noise.weighted(rows, states), motions, independent / 2.0)
 
 
 def load_jacobian(load: FeedLoad) -> Floats:
@@ -134,6 +193,75 @@ def load_jacobian(load: FeedLoad) -> Floats:
     turn[4:, 4:] = np.eye(6)
     order = [0, 1, 2, 3, 4, 7, 9, 5, 6, 8]  # xx, yy, zz, xy, xz, yz of a result
     return turn[order]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveTrainAsked:
+    """Friction or rotors of every axis, from one run bare.
+
+    Unknowns: links, dry and viscous friction, rotor inertia, gains, losses in proportion to the torque.
+
+    Attributes
+    ----------
+    workspace : Workspace
+    noise : TorqueNoise
+    purpose : Purpose
+        `friction`: dry, then viscous, of all axes; `rotor`.
+    links : array of shape (10 N,) or None
+        None = not known.
+    chosen : int array of shape (b,)
+        Columns of the links that can be told at all, or that something is known of.
+    link_information : array of shape (b,)
+        What is known of them.
+    """
+
+    workspace: Workspace
+    noise: TorqueNoise
+    purpose: Purpose
+    links: Floats | None
+    chosen: NDArray[np.int_]
+    link_information: Floats
+
+    @classmethod
+    def of(
+        cls, workspace: Workspace, noise: TorqueNoise, purpose: Purpose, links: Floats | None, trust: float
+    ) -> DriveTrainAsked:
+        """With links that are trusted so far: relative standard deviation, infinite = not at all."""
+        std = link_prior(workspace.robot, trust, PER_LINK_MOVING)[1]
+        free = not np.isfinite(std).all()
+        chosen = moving_base(workspace.robot, workspace.gravity_m_s2).indices if free else np.flatnonzero(std > 0.0)
+        known = np.zeros(len(chosen)) if free else std[chosen] ** -2.0
+        return cls(workspace, noise, purpose, links, chosen, known)
+
+    @property
+    def prior(self) -> Floats:
+        """As `Asked.prior`."""
+        gain = self.noise.gain_std
+        free, lost = np.zeros(3 * len(gain)), np.full(len(gain), LOAD_FRICTION_STD**-2.0)
+        return np.concatenate([self.link_information, free, gain**-2.0, lost])
+
+    @property
+    def turn(self) -> Floats:
+        """As `Asked.turn`."""
+        axes, first = self.workspace.robot.axes, len(self.chosen)
+        columns = np.arange(2 * axes) if self.purpose == "friction" else np.arange(2 * axes, 3 * axes)
+        return np.eye(first + 5 * axes)[first + columns]
+
+    def information(self, states: States, rigid: Floats, motions: int, duration_s: float) -> Floats:
+        """As `Asked.information`."""
+        torque = np.zeros_like(states.q_rad) if self.links is None else rigid @ self.links
+        sign = np.tanh(states.qd_rad_s / SMOOTH_RAD_S)
+        shapes = (sign, states.qd_rad_s, states.qdd_rad_s2, torque, np.abs(torque) * sign)
+        own = np.eye(self.workspace.robot.axes)
+        rows = np.concatenate([rigid[:, :, self.chosen], *(shape[:, :, None] * own for shape in shapes)], axis=2)
+        independent = duration_s / (2.0 * self.noise.correlation_s)
+        return _gram(self.noise.weighted(rows, states), motions, independent)
+
+
+def promise(asked: Sequence[Asked], states: States, rigid: Floats, motions: int, duration_s: float) -> Floats:
+    """Mean logarithm (motions,) of all standard deviations that are asked for: of `Asked.information` its arguments."""
+    stds = [expected_stds(each, each.information(states, rigid, motions, duration_s)) for each in asked]
+    return np.log(np.concatenate(stds, axis=1)).mean(axis=1)
 
 
 def arm_rows(workspace: Workspace, states: States) -> Floats:

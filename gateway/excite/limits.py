@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.cell.config import ArmConfig
-from gateway.feedforward.identified import axis_constants
+from gateway.excite.excitation import Excitation
+from gateway.feedforward.identified import AxisConstants
 from gateway.feedforward.load import FeedLoad
 from gateway.model.kinematics import joint_axes_origins, link_frames
 from gateway.model.regressor import regressor
@@ -53,6 +55,13 @@ class States:
     jerk_rad_s3: Floats
 
 
+def states_of(excitation: Excitation, step_s: float) -> States:
+    """One period as it is driven, a row every `step_s`; jerk from the accelerations."""
+    motion = excitation.motion(step_s)
+    before = np.vstack([np.zeros_like(motion.qdd_rad_s2[:1]), motion.qdd_rad_s2[:-1]])
+    return States(motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2, (motion.qdd_rad_s2 - before) / step_s)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingLimits:
     """Limits of one arm, as far as a motion may go.
@@ -65,6 +74,8 @@ class MovingLimits:
     speed_rad_s, acceleration_rad_s2, jerk_rad_s3, torque_nm : arrays of shape (N,)
     bodies : array of shape (10 N, k) or None
         Parameters of links, bare and with every load that may hang there; None = links not known, no torque checked.
+    lost : array of shape (N,)
+        Torque of the motor over that which its gear hands on, dry and viscous friction apart.
     rotor_kg_m2, coulomb_nm, viscous_nm_s_rad : arrays of shape (N,)
         At the joint; 0 where a rotor is not known.
     load_point_m : array of shape (3,)
@@ -83,6 +94,7 @@ class MovingLimits:
     jerk_rad_s3: Floats
     torque_nm: Floats
     bodies: Floats | None
+    lost: Floats
     rotor_kg_m2: Floats
     coulomb_nm: Floats
     viscous_nm_s_rad: Floats
@@ -136,13 +148,17 @@ class MovingLimits:
             workspace = self.workspace
             q, qd, qdd = states.q_rad, states.qd_rad_s, states.qdd_rad_s2
             rigid = regressor(workspace.robot, q, qd, qdd, workspace.gravity_m_s2)
-        carried = np.abs(rigid @ self.bodies).max(axis=2) / self.workspace.efficiency
-        lost = self.coulomb_nm + self.viscous_nm_s_rad * np.abs(states.qd_rad_s)
-        return carried + lost + self.rotor_kg_m2 * np.abs(states.qdd_rad_s2)
+        carried = np.abs(rigid @ self.bodies).max(axis=2) * self.lost
+        rubbing = self.coulomb_nm + self.viscous_nm_s_rad * np.abs(states.qd_rad_s)
+        return carried + rubbing + self.rotor_kg_m2 * np.abs(states.qdd_rad_s2)
 
 
 def moving_limits(
-    arm: ArmConfig, workspace: Workspace, margins: Margins = HELD, load: FeedLoad | None = None
+    arm: ArmConfig,
+    workspace: Workspace,
+    known: Sequence[AxisConstants],
+    margins: Margins = HELD,
+    load: FeedLoad | None = None,
 ) -> MovingLimits:
     """Limits of a configured arm.
 
@@ -150,6 +166,8 @@ def moving_limits(
     ----------
     arm : ArmConfig
     workspace : Workspace
+    known : sequence of AxisConstants, one per axis
+        Rotors and friction.
     margins : Margins
     load : FeedLoad, optional
         What will hang there; the rated and the heaviest load of the cell if absent.
@@ -162,10 +180,10 @@ def moving_limits(
     loads = loads_that_may_hang(workspace, arm) if load is None else (load,)
     bodies = links_with_loads(workspace, arm, loads)
     unchecked = () if bodies is not None else ("torque: mass, centre of mass or inertia of a link is not known",)
-    rotors = [axis.rotor_inertia_kg_m2 for axis in arm.axis]
+    rotors = [axis.rotor_kg_m2 for axis in known]
     missing = ", ".join(f"J{joint}" for joint, rotor in enumerate(rotors, start=1) if rotor is None)
     if missing:
-        unchecked = (*unchecked, f"rotor inertia of {missing}: not given in the cell")
+        unchecked = (*unchecked, f"rotor inertia of {missing}: neither identified nor given in the cell")
     share = margins.torque * (TORQUE_SHARE if loads else TORQUE_SHARE_BARE)
     most = arm.load_acceleration_m_s2
     return MovingLimits(
@@ -178,9 +196,10 @@ def moving_limits(
         torque_nm=share * workspace.torque_nm,
         bodies=bodies,
         rotor_kg_m2=np.array([0.0 if rotor is None else rotor.value for rotor in rotors]),
-        coulomb_nm=dry_friction_nm(arm, axis_constants(arm, None)),
+        lost=np.array([1.0 + axis.load_friction for axis in known]) / workspace.efficiency,
+        coulomb_nm=dry_friction_nm(arm, known),
         viscous_nm_s_rad=np.array(
-            [0.0 if axis.viscous_nm_s_rad is None else axis.viscous_nm_s_rad.value for axis in arm.axis]
+            [0.0 if one is None else one.value for one in (axis.viscous_nm_s_rad for axis in known)]
         ),
         load_point_m=loads[-1].com_m if loads else workspace.points_m[0],
         load_acceleration_m_s2=np.inf if most is None else margins.acceleration * most,

@@ -11,6 +11,7 @@ import numpy as np
 
 from gateway.errors import InputError
 from gateway.excite.excitation import Excitation, MovingPlan, Series
+from gateway.excite.sweep import Sweep
 from gateway.result.seal import KEY, refuse_edited, sealed
 from gateway.result.values import Matrix, Numbers, check_kind, decoded, json_object, plain_values, text_of
 
@@ -58,27 +59,50 @@ def excitation_of(plain: Mapping[str, Any], where: str) -> Excitation:
     InputError
         A key is missing or of the wrong kind, or it does not begin and end at rest.
     """
-    if plain.get("kind") != "series":
-        raise InputError(f"{where}: kind: {plain.get('kind')!r} is not 'series'")
-    held = decoded(_Series, plain, where)
+    kind = plain.get("kind")
+    if kind == "series":
+        return _series_of(decoded(_Series, plain, where), where)
+    if kind == "sweep":
+        return _sweep_of(decoded(_Sweep, plain, where), where)
+    raise InputError(f"{where}: kind: {kind!r} is neither 'series' nor 'sweep'")
+
+
+def _series_of(held: _Series, where: str) -> Series:
+    _refuse_numbers((held.start_rad, *held.cosine_rad, *held.sine_rad), (held.period_s,), held.periods, where)
     start, cosine, sine = np.array(held.start_rad), _matrix(held.cosine_rad), _matrix(held.sine_rad)
     if cosine.shape != sine.shape or cosine.ndim != 2 or len(cosine) != len(start) or not 1 < cosine.shape[1] < _MOST:
         raise InputError(f"{where}: cosine_rad and sine_rad: a row of two and more numbers is needed for each joint")
     series = Series(held.name, start, cosine, sine, held.period_s, held.periods)
-    _refuse_counts(held.period_s, held.periods, where)
-    if not all(np.isfinite(values).all() for values in (start, cosine, sine)):
-        raise InputError(f"{where}: a coefficient is no finite number")
     _refuse_moving_start(series, where)
     return series
+
+
+def _sweep_of(held: _Sweep, where: str) -> Sweep:
+    positive = (*held.speeds_rad_s, held.acceleration_rad_s2, held.jerk_rad_s3)
+    _refuse_numbers((held.start_rad, held.ends_rad), positive, held.periods, where)
+    if not 1 <= held.joint <= len(held.start_rad):
+        raise InputError(f"{where}: joint: {held.joint} is none of {len(held.start_rad)}")
+    if not held.speeds_rad_s or len(held.speeds_rad_s) != len(held.ends_rad):
+        raise InputError(f"{where}: speeds_rad_s and ends_rad: one end for each of the speeds is needed")
+    start, ends = np.array(held.start_rad), np.array(held.ends_rad)
+    if (ends == start[held.joint - 1]).any():
+        raise InputError(f"{where}: ends_rad: a stroke ends where it begins")
+    return Sweep(
+        held.name, held.joint, start, np.array(held.speeds_rad_s), ends,
+        held.acceleration_rad_s2, held.jerk_rad_s3, held.periods,
+    )  # fmt: skip
 
 
 def _matrix(rows: Matrix) -> np.ndarray:
     return np.array(rows) if len({len(row) for row in rows}) == 1 else np.zeros(0)
 
 
-def _refuse_counts(period_s: float, periods: int, where: str) -> None:
-    if not (0.0 < period_s < np.inf and 1 <= periods <= _MOST):
-        raise InputError(f"{where}: period_s and periods: positive numbers are needed")
+def _refuse_numbers(lists: Matrix, positive: Numbers, periods: int, where: str) -> None:
+    """Numbers that are none, durations and limits that are not positive, and a number of periods that nobody drives."""
+    if not all(np.isfinite(each).all() for each in lists):
+        raise InputError(f"{where}: a joint angle or a coefficient is no finite number")
+    if not all(0.0 < value < np.inf for value in positive) or not 1 <= periods <= _MOST:
+        raise InputError(f"{where}: periods, durations, speeds and limits: positive numbers are needed")
 
 
 def _refuse_moving_start(series: Series, where: str) -> None:
@@ -104,4 +128,16 @@ class _Series:
     cosine_rad: Matrix
     sine_rad: Matrix
     period_s: float
+    periods: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Sweep:
+    name: str
+    joint: int
+    start_rad: Numbers
+    speeds_rad_s: Numbers
+    ends_rad: Numbers
+    acceleration_rad_s2: float
+    jerk_rad_s3: float
     periods: int

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,13 +12,24 @@ from numpy.typing import NDArray
 from gateway.analyse.given import constants_std, profile_of
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.errors import PlanRefused
-from gateway.excite.design import INSTANTS, Members, fitted, random_members, rows_of, start_postures
+from gateway.excite.choosing import SeriesTask, best_random, optimised
+from gateway.excite.design import start_postures
 from gateway.excite.excitation import Excitation, MovingPlan
-from gateway.excite.expected import CORRELATION_S, LoadModel, TorqueNoise
-from gateway.excite.family import Family
-from gateway.excite.limits import HELD, PLANNED, MovingLimits, States, moving_limits
+from gateway.excite.expected import (
+    CORRELATION_S,
+    Asked,
+    DriveTrainAsked,
+    LoadAsked,
+    Purpose,
+    TorqueNoise,
+)
+from gateway.excite.foretold import foretold
+from gateway.excite.limits import PLANNED, MovingLimits, States, moving_limits, states_of
 from gateway.excite.plan_file import read_moving_plan
+from gateway.excite.sweeping import chosen_sweeps
+from gateway.feedforward.identified import AxisConstants, axis_constants, read_identified
 from gateway.feedforward.load import FeedLoad, assumed_load
+from gateway.identify.links import parse_inertials
 from gateway.model.arm_model import arm_named, arm_robot
 from gateway.motion.assumed import NOISE_SOURCE, assumed_noise_nm, reference_load
 from gateway.motion.places import angles
@@ -27,12 +39,16 @@ from gateway.motion.workspace import Workspace, workspace_of
 __all__ = ["MovingRequest", "check_moving_plan", "make_moving_plan", "read_moving_plan"]
 
 Floats = NDArray[np.float64]
-Purpose = Literal["load", "friction", "rotor"]
 Choice = Literal["optimised", "random"]
+FrictionBy = Literal["sweeps", "series"]
 
-HARMONICS = 5
+PURPOSES: tuple[Purpose, ...] = ("load", "friction", "rotor")
 #: Periods of a series [s]: a shorter one leaves the joints no room to move, a longer one is gravity alone.
 SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 5.0, 20.0
+#: Fewer tell motion and noise not apart; more than this is a slip.
+FEWEST_PERIODS, MOST_PERIODS = 2, 100
+#: A sweep visits every place at every speed in both directions: so often is enough.
+SWEEP_PERIODS = 2
 #: What keeps limits at so many instants a period keeps them in between, but for a share of 1e-4.
 CHECKED_S = 0.002
 _CLOSE = 1e-6
@@ -46,10 +62,14 @@ class MovingRequest:
     ----------
     purpose : tuple of Purpose
     period_s : float
+        Of a series.
     periods : int
+        Of a series; a sweep is driven `SWEEP_PERIODS` times.
     seed : int
     choice : Choice
         `random`: the best of the random motions that the optimised one is compared to.
+    friction_by : FrictionBy
+        Sweeps of every joint, or the series of all joints.
     load : FeedLoad or None
         What will hang there; None = what the cell says the arm may carry.
     noise : TorqueNoise or None
@@ -61,6 +81,7 @@ class MovingRequest:
     periods: int = 3
     seed: int = 1
     choice: Choice = "optimised"
+    friction_by: FrictionBy = "sweeps"
     load: FeedLoad | None = None
     noise: TorqueNoise | None = None
 
@@ -79,63 +100,90 @@ def make_moving_plan(loaded: LoadedCell, arm: str | None, request: MovingRequest
     ------
     ConfigError
         Cell or robot cannot be used.
+    InputError
+        What the cell says was identified cannot be used.
     PlanRefused
         No room to move inside the limits, or a period or a number of periods that tell nothing.
     """
     _check_request(request)
     config = arm_named(loaded, arm)
-    workspace = workspace_of(config, arm_robot(loaded, config))
-    plan = _series_plan(loaded, config, workspace, request)
-    check_moving_plan(plan, workspace, config)
+    robot = arm_robot(loaded, config)
+    workspace = workspace_of(config, robot)
+    known = axis_constants(config, read_identified(loaded, config, robot))
+    limits = moving_limits(config, workspace.roomy(), known, PLANNED, request.load)
+    random = np.random.default_rng(request.seed)
+    anchors = _anchors(config, limits.workspace)
+    starts = start_postures(limits, anchors, random)
+    noise = request.noise or _noise(loaded, config, workspace)
+    load = request.load or assumed_load("reference", *reference_load(workspace, starts), "half of what the arm carries")
+    asked = _asked(config, workspace, noise, load, request.purpose)
+    excitations: list[Excitation] = []
+    told = tuple(each for name, each in asked.items() if name != "friction" or request.friction_by == "series")
+    over_random = None
+    if told:
+        task = SeriesTask(limits, anchors, told, request.period_s, request.periods)
+        chosen = (optimised if request.choice == "optimised" else best_random)(task, starts, random)
+        name = " ".join(name for name, each in asked.items() if each in told)
+        member = chosen.members
+        excitations.append(chosen.family.series(name, member.start_rad[0], member.free[0], request.periods))
+        over_random = chosen.over_random
+    if len(told) < len(asked):
+        excitations += chosen_sweeps(limits, [*anchors, *starts], min(request.periods, SWEEP_PERIODS))
+    expected = foretold(excitations, asked, limits, load, over_random)
+    plan = MovingPlan(config.name, tuple(excitations), expected)
+    check_moving_plan(plan, workspace, config, known)
     return plan
 
 
 def _check_request(request: MovingRequest) -> None:
+    if not request.purpose or not set(request.purpose) <= set(PURPOSES):
+        raise PlanRefused(f"nothing to learn is asked for: name some of {', '.join(PURPOSES)}")
     if not SHORTEST_PERIOD_S <= request.period_s <= LONGEST_PERIOD_S:
         raise PlanRefused(
             f"a period of {request.period_s:g} s: use {SHORTEST_PERIOD_S:g} to {LONGEST_PERIOD_S:g} s; a shorter one "
             "leaves no room to move, a longer one tells of gravity alone"
         )
-    if request.periods < 2:
-        raise PlanRefused("one period tells noise and motion not apart: drive two at least, three are usual")
+    if not FEWEST_PERIODS <= request.periods <= MOST_PERIODS:
+        raise PlanRefused(
+            f"{request.periods} periods: use {FEWEST_PERIODS} to {MOST_PERIODS}, three are usual; one alone does not "
+            "tell motion and noise apart"
+        )
 
 
-def noise_of(loaded: LoadedCell, config: ArmConfig, workspace: Workspace) -> TorqueNoise:
+def _noise(loaded: LoadedCell, config: ArmConfig, workspace: Workspace) -> TorqueNoise:
     """Noise that is assumed of an arm before any was measured, and how far its torque constants are trusted."""
     gain_std = np.maximum(constants_std(config, profile_of((), loaded)), 1e-9)
     return TorqueNoise(assumed_noise_nm(workspace), CORRELATION_S, NOISE_SOURCE, gain_std)
 
 
-def _series_plan(loaded: LoadedCell, config: ArmConfig, workspace: Workspace, request: MovingRequest) -> MovingPlan:
-    random = np.random.default_rng(request.seed)
-    limits = moving_limits(config, workspace.roomy(), PLANNED, request.load)
-    starts = start_postures(limits, _known_postures(config, workspace), random)
-    load = request.load or assumed_load("reference", *reference_load(workspace, starts), "assumed")
-    links = links_with_loads(workspace, config, ())
-    model = LoadModel(
-        workspace, request.noise or noise_of(loaded, config, workspace), load, None if links is None else links[:, 0]
-    )
-    family = Family.of(request.period_s, HARMONICS, INSTANTS)
-    members = random_members(family, limits, starts, random)
-    best = int(np.argmin(scores(model, limits, family, members, request.periods)))
-    chosen = fitted(Family.of(request.period_s, HARMONICS, 500), limits, members.only(np.array([best])))
-    series = family.series("load", chosen.start_rad[0], chosen.free[0], request.periods)
-    return MovingPlan(config.name, (series,), {})
+def _asked(
+    config: ArmConfig, workspace: Workspace, noise: TorqueNoise, load: FeedLoad, purposes: Sequence[Purpose]
+) -> dict[Purpose, Asked]:
+    """What is asked for, each purpose once, in the order of `PURPOSES`."""
+    carried = links_with_loads(workspace, config, ())
+    links = None if carried is None else carried[:, 0]
+    trust = parse_inertials(config.inertials)
+    found: dict[Purpose, Asked] = {}
+    if "load" in purposes:
+        found["load"] = LoadAsked(workspace, noise, load, links)
+    if "friction" in purposes:
+        found["friction"] = DriveTrainAsked.of(workspace, noise, "friction", links, trust)
+    if "rotor" in purposes:
+        found["rotor"] = DriveTrainAsked.of(workspace, noise, "rotor", links, trust)
+    return found
 
 
-def scores(model: LoadModel, limits: MovingLimits, family: Family, members: Members, periods: int) -> Floats:
-    """Mean logarithm (m,) of the standard deviations that each of several series promises."""
-    states, rigid = rows_of(limits, family, members)
-    covariance = model.covariance(states, rigid, len(members), periods * family.period_s)
-    return 0.5 * np.log(np.diagonal(covariance, axis1=1, axis2=2)).mean(axis=1)
-
-
-def _known_postures(config: ArmConfig, workspace: Workspace) -> list[Floats]:
+def _anchors(config: ArmConfig, workspace: Workspace) -> Floats:
+    """Postures (k, N) that the cell names and at which the arm may stand, and the middle of its ranges."""
     named = [config.home_rad, config.loading_rad, config.start_rad]
-    return [(workspace.lower_rad + workspace.upper_rad) / 2, *(np.array(each) for each in named if each is not None)]
+    middle = (workspace.lower_rad + workspace.upper_rad) / 2
+    known = np.array([*(each for each in named if each is not None), middle])
+    return known[workspace.feasible(known)]
 
 
-def check_moving_plan(plan: MovingPlan, workspace: Workspace, config: ArmConfig) -> None:
+def check_moving_plan(
+    plan: MovingPlan, workspace: Workspace, config: ArmConfig, known: Sequence[AxisConstants] = ()
+) -> None:
     """Refuse a plan that breaks a limit anywhere.
 
     Parameters
@@ -143,13 +191,16 @@ def check_moving_plan(plan: MovingPlan, workspace: Workspace, config: ArmConfig)
     plan : MovingPlan
     workspace : Workspace
     config : ArmConfig
-        Loads, rotors, friction, and what the load may be accelerated with.
+        Loads, and what they may be accelerated with; rotors and friction where nothing else is known of them.
+    known : sequence of AxisConstants, one per axis, optional
+        Rotors and friction; those of the cell file if left out.
 
     Raises
     ------
     PlanRefused
-        Names excitation, limit and instant.
+        Names motion, limit and posture.
     """
+    limits = moving_limits(config, workspace, known or axis_constants(config, None))
     for excitation in plan.excitations:
         where = f"arm '{plan.arm}', motion '{excitation.name}'"
         start = np.asarray(excitation.start_rad)
@@ -159,17 +210,10 @@ def check_moving_plan(plan: MovingPlan, workspace: Workspace, config: ArmConfig)
         if reason is not None:
             raise PlanRefused(f"{where}: starts at {angles(start)}: {reason}")
         states = states_of(excitation, CHECKED_S)
-        _check_shares(moving_limits(config, workspace, HELD), states, where)
+        _check_shares(limits, states, where)
         reason = workspace.why_not_path(np.vstack([start, states.q_rad]))
         if reason is not None:
             raise PlanRefused(f"{where}: {reason}")
-
-
-def states_of(excitation: Excitation, step_s: float) -> States:
-    """One period as it is driven, a row every `step_s`; jerk from the accelerations."""
-    motion = excitation.motion(step_s)
-    before = np.vstack([np.zeros_like(motion.qdd_rad_s2[:1]), motion.qdd_rad_s2[:-1]])
-    return States(motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2, (motion.qdd_rad_s2 - before) / step_s)
 
 
 def _check_shares(limits: MovingLimits, states: States, where: str) -> None:

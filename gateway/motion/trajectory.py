@@ -103,7 +103,16 @@ def _along(line: np.ndarray, limits: MotionLimits) -> Any:
     return request
 
 
-def _sample(request: Any, start_rad: np.ndarray, line: np.ndarray, period_s: float) -> Motion:
+def straight_duration_s(start_rad: np.ndarray, target_rad: np.ndarray, limits: MotionLimits) -> float:
+    """Duration of the fastest motion between two postures that differ, as `straight` but not rounded to SYNCs."""
+    way = target_rad - start_rad
+    length = float(np.abs(way).max())
+    request = _along(way / length, limits)
+    request.target_position = [length]
+    return float(_calculated(request).duration)
+
+
+def _calculated(request: Any) -> Any:
     trajectory = ruckig.Trajectory(1)
     try:
         result = ruckig.Ruckig(1).calculate(request, trajectory)
@@ -111,6 +120,11 @@ def _sample(request: Any, start_rad: np.ndarray, line: np.ndarray, period_s: flo
         raise PlanRefused(f"no motion fits the limits: {error}") from error
     if result not in (ruckig.Result.Working, ruckig.Result.Finished):
         raise PlanRefused(f"no motion fits the limits ({result.name})")
+    return trajectory
+
+
+def _sample(request: Any, start_rad: np.ndarray, line: np.ndarray, period_s: float) -> Motion:
+    trajectory = _calculated(request)
     count = max(1, int(np.ceil(trajectory.duration / period_s - 1e-9)))
     rows = [trajectory.at_time(min(step * period_s, trajectory.duration)) for step in range(1, count + 1)]
     way, speed, acceleration = (np.array([row[part][0] for row in rows])[:, None] for part in range(3))

@@ -89,11 +89,15 @@ class MovingArm:
 
 @dataclass(frozen=True, slots=True)
 class StatedMoving:
-    """What the owner hands over: CAD's URDF with its trust, standard deviations (N,) of the torque constants."""
+    """What the owner hands over.
+
+    CAD's URDF with its trust, standard deviations (N,) of the torque constants, efficiencies (N,) of the gears.
+    """
 
     urdf: str
     link_std: float
     gain_std: Array
+    efficiency: Array
 
 
 def draw_moving_arm(levels: Harshness, rng: np.random.Generator) -> tuple[MovingArm, StatedMoving]:
@@ -116,7 +120,7 @@ def moving_arm(
         true, np.array([body.mass_kg for body in bodies]), np.array([body.com_m for body in bodies]), tool, rng
     )
     gain_std = rng.uniform(*levels.gain_std) * rng.uniform(0.8, 1.25, axes)
-    friction = replace(draw_friction(rated, levels, rng), declared_efficiency=np.ones(axes))
+    friction = draw_friction(rated, levels, rng)
     size = np.array([SPEEDS_RAD_S[min(axis, 5)] for axis in range(axes)])
     speed = size * (payload_kg / 165.0) ** -0.2 * rng.uniform(0.8, 1.2, axes)
     noise = rated * rng.uniform(0.002, 0.012, axes)
@@ -147,7 +151,8 @@ def moving_arm(
         count_rad=2.0 * np.pi / (2.0 ** rng.integers(13, 18, axes) * gear_ratio),
         gravity_m_s2=GRAVITY,
     )
-    return arm, StatedMoving(write_chain(replace(cad, name="cad", **limits)), link_std, gain_std)
+    urdf = write_chain(replace(cad, name="cad", **limits))
+    return arm, StatedMoving(urdf, link_std, gain_std, friction.declared_efficiency)
 
 
 def box_inertia(mass_kg: float, largest_m: float, rng: np.random.Generator) -> Array:

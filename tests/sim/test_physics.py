@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pinocchio
 import pytest
+from scipy.signal import butter, filtfilt
 
 from sim.build_errors import with_build_errors
+from sim.friction import STRIBECK_RAD_S
 from sim.nominal import plant_of
 from sim.physics import ArmWorld, physical_chain
 from sim.plant import Payload
@@ -204,3 +206,44 @@ def test_an_arm_whose_inertia_bullet_rounds_badly_is_built_all_the_same(arm_of, 
     finally:
         world.close()
     assert "b3Error" not in capfd.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["large", "small"])
+def test_motor_torque_in_motion_is_dynamics_rotor_friction_and_gear(name, arm_of, world_of):
+    """A swing of all axes from rest to rest, streamed every 4 ms: rigid body by pinocchio, the rest in closed form."""
+    nominal = plant_of(arm_of(name))
+    lossy = ("coulomb_nm", "stiction_nm", "viscous_nm_s_rad", "gear_efficiency", "rotor_inertia_kg_m2")
+    world = world_of(name, load_friction=np.full(6, 0.05), **{field: getattr(nominal, field) for field in lossy})
+    world.hang(LOADS[name])
+    plant, period_s = world.plant, 3.0
+    speed = np.array([axis.servo.max_rad_s for axis in world.axes]) / 3.0
+    start = np.array([axis.position_rad for axis in world.axes])
+    release(world)
+    rows = []
+    for tick in range(0, round(1000 * period_s), 4):
+        turn = 2.0 * np.pi * (tick + 4) / 1000.0 / period_s
+        goal = start + 0.4 * speed * period_s / (2.0 * np.pi) * (1.0 - np.cos(turn))
+        for axis, target in zip(world.axes, goal.tolist(), strict=True):
+            axis.servo.reference_step_rad = (target - axis.servo.reference_rad) / 4
+        for _ in range(4):
+            world.advance(1)
+            rows.append([world.q_rad, [axis.servo.u_nm for axis in world.axes]])
+    smooth = butter(3, 15.0, fs=1000.0)
+    q, motor = (filtfilt(*smooth, part, axis=0) for part in np.array(rows).transpose(1, 0, 2))
+    qd = np.gradient(q, 0.001, axis=0)
+    qdd = filtfilt(*smooth, np.gradient(qd, 0.001, axis=0), axis=0)
+    model = oracle(world)
+    data = model.createData()
+    away = np.abs(np.arange(len(q)) - 1500) > 200  # the swing turns back there
+    away[:300] = away[-300:] = False
+    rigid = np.array(
+        [pinocchio.rnea(model, data, *row).copy() for row in zip(q[away], qd[away], qdd[away], strict=True)]
+    )
+    qd, qdd, motor = qd[away], qdd[away], motor[away]
+    standing = (plant.stiction_nm - plant.coulomb_nm) * STRIBECK_RAD_S / (STRIBECK_RAD_S + np.abs(qd))
+    band = plant.coulomb_nm + standing + plant.load_friction * np.abs(rigid)
+    behind = rigid + np.sign(qd) * band + plant.viscous_nm_s_rad * qd + plant.rotor_inertia_kg_m2 * qdd
+    expected = np.where(behind * qd > 0, behind / plant.gear_efficiency, behind * plant.gear_efficiency)
+    scale = np.sqrt((expected**2).mean(axis=0))
+    assert (np.sqrt(((motor - expected) ** 2).mean(axis=0)) < 0.01 * scale).all()
+    assert (np.abs(plant.rotor_inertia_kg_m2 * qdd).max(axis=0) > 0.02 * scale).all()

@@ -6,6 +6,7 @@ profile texts that are stored in the file.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from gateway.data.recording.period_reader import read_excitations, read_periods
 from gateway.data.recording.recorded import SIDES, ArmRecording, Recording, arm_config
 from gateway.data.recording.samples import read_samples
 from gateway.data.recording.seal import refuse_damaged
-from gateway.data.rest_pose import RestPose
+from gateway.data.rest_pose import Purpose, RestPose
 from gateway.data.visit import Visit
 from gateway.errors import ConfigError, InputError
 
@@ -87,10 +88,11 @@ def _arm(place: Place, config: ArmConfig, profiles: dict[str, str]) -> ArmRecord
     excitations = read_excitations(place)
     visits = place.inside("visits")
     read_visits = [_visit(visits.inside(name), _number(visits, name), axes, units) for name in visits.names()]
+    measured = tuple(sorted(read_visits, key=lambda visit: visit.number))
     return ArmRecording(
         name=config.name,
-        poses=_poses(place, axes),
-        visits=tuple(sorted(read_visits, key=lambda visit: visit.number)),
+        poses=_with_measured(_poses(place, axes), measured),
+        visits=measured,
         constants=constants,
         identities=place.document("identities", list, []),
         ledger=place.document("ledger", list, []),
@@ -119,6 +121,15 @@ def _poses(place: Place, axes: int) -> tuple[RestPose, ...]:
         RestPose(int(number), tuple(row), "validation" if judged else "fit")
         for number, row, judged in zip(numbers, q_rad.tolist(), validation, strict=True)
     )
+
+
+def _with_measured(asked: Sequence[RestPose], visits: Sequence[Visit]) -> tuple[RestPose, ...]:
+    """Poses that the recording is to hold, and those that were chosen while it was made."""
+    poses = {pose.number: pose for pose in asked}
+    for visit in visits:
+        purpose: Purpose = "validation" if visit.purpose == "validation" else "fit"
+        poses.setdefault(visit.pose, RestPose(visit.pose, tuple(visit.target_rad.tolist()), purpose))
+    return tuple(poses.values())
 
 
 def _number(visits: Place, name: str) -> int:

@@ -11,7 +11,8 @@ from benchmarks.moving.cells import draw_cell
 from benchmarks.moving.excitations import USED, random_series
 from benchmarks.moving.figures import figures
 from benchmarks.moving.oracle import about_centre, oracle_std
-from benchmarks.moving.scores import LOAD_NAMES, load_truth, possible, score, tensor
+from benchmarks.moving.scores import LOAD_NAMES, drawn_truth, load_truth, possible, score, tensor
+from benchmarks.moving.timing import plain_least_squares
 from gateway.result.result import AxisMotion, LoadResult, Result
 from sim.inverse import InverseDynamics
 from sim.nature.levels import MILD
@@ -83,7 +84,7 @@ def test_the_inertia_about_the_centre_comes_back(few):
     about = tool.inertia_kg_m2 + mass * (com @ com * np.eye(3) - np.outer(com, com))
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = about
     parameters = np.array([mass, *(mass * com), xx, xy, yy, xz, yz, zz])
-    np.testing.assert_allclose(about_centre(parameters), load_truth(few.arm))
+    np.testing.assert_allclose(about_centre(parameters), load_truth(few.arm.tool))
 
 
 def test_rows_of_a_cell_are_bare_and_loaded_periods():
@@ -99,7 +100,7 @@ def test_rows_of_a_cell_are_bare_and_loaded_periods():
 
 def said(few: Few, off: float) -> dict:
     """Score of a result that is `off` standard deviations of 1 % away in everything."""
-    tool, truth = few.arm.tool, load_truth(few.arm)
+    tool, truth = few.arm.tool, load_truth(few.arm.tool)
     std = 0.01 * np.abs(truth)
     value = truth + off * std
     load = LoadResult(
@@ -116,7 +117,7 @@ def said(few: Few, off: float) -> dict:
         for name in ("coulomb_nm", "viscous_nm_s_rad", "rotor_inertia_kg_m2", "load_friction", "delay_s")
     }
     assert tool.mass_kg == truth[0]
-    return {"seed": 0, "tier": "known", "refused": ""} | score(few.arm, result, oracle, few.start_s)
+    return {"seed": 0, "tier": "known", "refused": ""} | score(drawn_truth(few.arm, few.start_s, oracle), result)
 
 
 def test_figures_say_how_far_off_the_results_are(few):
@@ -133,6 +134,14 @@ def test_figures_say_how_far_off_the_results_are(few):
     assert wrong["gain known: predicted over real standard deviation, mass"]["value"] == pytest.approx(0.6745 / 3.0)
 
 
+def test_plain_least_squares_finds_the_load_of_a_quiet_run():
+    cell = draw_cell(5, "known", periods=2, rate_hz=20.0)
+    found = plain_least_squares(cell, cell.table())
+    tool = cell.arm.tool
+    np.testing.assert_allclose(found[60], tool.mass_kg, rtol=0.02)
+    np.testing.assert_allclose(found[61:64], tool.mass_kg * tool.com_m, atol=0.005 * tool.mass_kg)
+
+
 def test_an_inertia_that_no_body_has_is_counted(few):
     good = LoadResult("tool", inertia_kg_m2=(1.0, 1.0, 1.5, 0.0, 0.0, 0.0))
     assert possible(good)
@@ -142,7 +151,7 @@ def test_an_inertia_that_no_body_has_is_counted(few):
     assert np.array_equal(tensor(range(6)), [[0, 3, 4], [3, 1, 5], [4, 5, 2]])
     bad = replace(good, inertia_kg_m2=(1.0, 1.0, 2.5, 0.0, 0.0, 0.0))
     oracle = {"load": np.ones(10)} | {name: np.ones(6) for name in said(few, 0.0)["axes"]}
-    cell = {"seed": 0, "tier": "known", "refused": ""}
-    assert score(few.arm, Result("r", loads=(bad,)), oracle, few.start_s)["impossible"] == 1
+    truth, cell = drawn_truth(few.arm, few.start_s, oracle), {"seed": 0, "tier": "known", "refused": ""}
+    assert score(truth, Result("r", loads=(bad,)))["impossible"] == 1
     assert len(LOAD_NAMES) == 4 + len(SIX)
-    assert figures([cell | score(few.arm, None, oracle, few.start_s)])["impossible inertias reported"]["met"]
+    assert figures([cell | score(truth, None)])["impossible inertias reported"]["met"]

@@ -43,6 +43,7 @@ def exact(arm: MovingArm) -> MovingArm:
         bias_share=nothing,
         driving=nothing + 1.0,
         driven=nothing + 1.0,
+        declared_efficiency=nothing + 1.0,
         warm_share=np.zeros((2, 1)),
         tail_share=nothing,
         load_power=nothing + 1.0,
@@ -105,6 +106,18 @@ def test_a_load_adds_its_weight_and_its_inertia_about_the_axis(arm, motion):
     more = np.sign(qd) * arm.friction.load_loss * (np.abs(own + rigid) - np.abs(own))
     turning = np.abs(qd[:, 0]) > 1e-6
     np.testing.assert_allclose((loaded - bare)[turning], (rigid + more)[turning], atol=1e-6)
+
+
+def test_a_gear_takes_its_share_from_whoever_drives(arm, motion):
+    lossy = replace(arm, friction=replace(arm.friction, declared_efficiency=np.full(1, 0.8)))
+    behind, _ = reported_nm(arm, motion, "tool", 0.0, np.random.default_rng(0))
+    motor, _ = reported_nm(lossy, motion, "tool", 0.0, np.random.default_rng(0))
+    qd = swing(np.arange(len(behind)) / (FINE * motion.rate_hz) % PERIOD_S)[1]
+    turning = np.abs(qd) > 1e-6
+    drives = behind * qd > 0
+    assert 0.2 < drives.mean() < 0.8
+    np.testing.assert_allclose(motor[turning & drives], behind[turning & drives] / 0.8, atol=1e-4)
+    np.testing.assert_allclose(motor[turning & ~drives], behind[turning & ~drives] * 0.8, atol=1e-4)
 
 
 def test_a_filter_and_a_dead_time_delay_what_changes_slowly(arm, motion):

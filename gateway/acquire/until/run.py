@@ -1,0 +1,134 @@
+"""A measurement that is no longer than needed, under power: pose by pose, until the search says that it ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from gateway.acquire.events import Listener, Narrowed
+from gateway.acquire.plan import SIDES
+from gateway.acquire.run import Run, VisitStation, VisitStore
+from gateway.acquire.runner import execute
+from gateway.acquire.session import RecordingSummary, keeping
+from gateway.acquire.until.search import Decision, Search, decide
+from gateway.acquire.until.words import ended, narrowed
+from gateway.data.recording.recorded import ArmRecording, Recording
+from gateway.data.table import Table
+from gateway.data.visit import Visit
+from gateway.motion.opening import OpenArm
+from gateway.motion.stream import MoveOptions, Stream
+
+#: From visits to the rows that an estimation reads.
+Rows = Callable[[Sequence[Visit]], Table]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UntilSummary:
+    """What a run has added, and how it ended.
+
+    Attributes
+    ----------
+    recording : RecordingSummary
+    decision : Decision
+        The last one.
+    reason : str
+        In words.
+    """
+
+    recording: RecordingSummary
+    decision: Decision
+    reason: str
+
+
+class _Collected:
+    """A store that remembers the visits that pass."""
+
+    def __init__(self, store: VisitStore) -> None:
+        self._store = store
+        self.visits: list[Visit] = []
+        self.written, self.trouble, self.flush = store.written, store.trouble, store.flush
+
+    def add(self, arm: str, visit: Visit) -> Visit:
+        """Hand a visit on."""
+        stored = self._store.add(arm, visit)
+        self.visits.append(stored)
+        return stored
+
+
+def record_until(
+    opened: OpenArm,
+    search: Search,
+    path: Path,
+    earlier: Recording | None,
+    listeners: Sequence[Listener] = (),
+    options: MoveOptions | None = None,
+) -> UntilSummary:
+    """Measure a load pose by pose until it is known well enough, or no pose helps; in its brakes before and after.
+
+    Parameters
+    ----------
+    opened : OpenArm
+    search : Search
+    path : Path
+    earlier : Recording or None
+        What is in the file already, to be gone on with.
+    listeners : sequence of Listener
+    options : MoveOptions, optional
+
+    Raises
+    ------
+    InputError, PlanRefused, DriveError, KeyboardInterrupt
+        As `record`.
+    """
+    stored = None if earlier is None else earlier.arm(search.arm)
+    with keeping(opened, path, () if stored is None else stored.poses, earlier) as kept:
+        decision = run_until(kept.station(listeners, options), search, rows_of(opened, path))
+        kept.reason = ended(decision, search.label)
+    return UntilSummary(kept.summary(search.label, 0), decision, kept.reason)
+
+
+def rows_of(opened: OpenArm, path: Path) -> Rows:
+    """How visits of an open arm are read, as from the file that they are written to."""
+    cell, name = opened.loaded.cell, opened.config.name
+
+    def rows(visits: Sequence[Visit]) -> Table:
+        arm = ArmRecording(name, (), tuple(visits), opened.constants, [], [], {})
+        return Recording(path, "", "", "", "", cell, "", "", {}, (arm,)).table(name)
+
+    return rows
+
+
+def run_until(station: VisitStation, search: Search, rows: Rows) -> Decision:
+    """Drive what the search decides, one pose after another; the estimate is made beside the standing arm.
+
+    Raises
+    ------
+    PlanRefused, LimitExceeded, DriveError, InputError, KeyboardInterrupt
+        As `run_plan`.
+    """
+    decision = decide(search, None, station.arm.where())
+    if decision.plan is None:
+        return decision
+    collected = _Collected(station.store)
+    station = replace(station, store=collected)
+    last = [decision]
+
+    def drive(run: Run, stream: Stream) -> None:
+        run.begin(stream, len(SIDES) * max(decision.verdict.ahead, 1), decision.expected_s)
+        run.steps()
+        while True:
+            at_rad = np.array(stream.q_rad[0])
+            measured = rows([visit for visit in collected.visits if visit.complete])
+            new = stream.hold_while(lambda table=measured, at=at_rad: decide(search, table, at), "estimate")
+            last[0] = new
+            station.tell(Narrowed(search.label, new.verdict.poses, narrowed(new)))
+            if new.plan is None:
+                break
+            run.go_on(new.plan, new.expected_s)
+        run.end()
+
+    execute(station, decision.plan, search.label, drive)
+    return last[0]

@@ -1,0 +1,248 @@
+"""One step of a measurement that is no longer than needed: from what was measured to the next pose, or to an end.
+
+Pure: visits and the posture of the arm in, a decision with a checked plan out. The run only drives what it is told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.acquire.plan import (
+    TYPICAL_SETTLE_S,
+    Plan,
+    VisitSettings,
+    approach_limits,
+    check_plan,
+    plan_from,
+    travel_limits,
+)
+from gateway.acquire.poses import DISTANCE_RAD, PoseRequest, can_be_measured, feasible_postures
+from gateway.acquire.until.choice import Candidates, Sampling, Verdict, best_first, judge
+from gateway.acquire.until.goal import Goal, half_widths
+from gateway.data.rest_pose import RestPose
+from gateway.data.table import Table, concatenate
+from gateway.errors import PlanRefused, WrongPlace
+from gateway.estimate.options import EstimateOptions
+from gateway.estimate.outlook import PoseNoise, Sought, Stock, outlook_of_priors, take_stock
+from gateway.identify.aside import without_gross
+from gateway.model.regressor import gravity_regressor
+from gateway.model.robot import Robot
+from gateway.model.visits import pair_visits
+from gateway.motion.assumed import assumed_noise_nm, reference_load
+from gateway.motion.trajectory import straight
+from gateway.motion.workspace import BAND_SHARE, Workspace
+
+Floats = NDArray[np.float64]
+
+#: Postures of the whole joint range that are chosen among.
+POOL: Final = 240
+#: Further ones about the posture that the arm stands in, drawn anew each time, and how far off at least and at most.
+NEAR_BY: Final = 240
+_NEAREST_RAD, _FARTHEST_RAD = DISTANCE_RAD, 1.2
+#: Best ones whose straight way is looked at together, and those that are tried over postures in between where none is
+#: free.
+_STRAIGHT: Final = 24
+_AROUND: Final = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Search:
+    """A load that shall be known, and what holds while it is measured.
+
+    Attributes
+    ----------
+    arm, label : str
+    goal : Goal
+    robot : Robot
+    options : EstimateOptions
+    workspace : Workspace
+    settings : VisitSettings
+        With the most samples a side.
+    pool : Candidates
+        Postures of the whole joint range, each of which can be measured.
+    guess : array of shape (4,)
+        [m, hx, hy, hz] of the load as long as nothing was measured.
+    earlier : Table or None
+        What was measured before: the bare arm, other loads, this one.
+    apart_rad : array of shape (k, N)
+        Postures to keep away from: those that judge.
+    number : int
+        First pose number that is free.
+    seed : int
+    """
+
+    arm: str
+    label: str
+    goal: Goal
+    robot: Robot
+    options: EstimateOptions
+    workspace: Workspace
+    settings: VisitSettings
+    pool: Candidates
+    guess: Floats
+    earlier: Table | None
+    apart_rad: Floats
+    number: int
+    seed: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Decision:
+    """What to do next.
+
+    Attributes
+    ----------
+    stock : Stock
+    verdict : Verdict
+    plan : Plan or None
+        Of the next pose, from where the arm stands; None = there is nothing more to measure.
+    expected_s : float
+        Time of the poses that are expected beyond it.
+    """
+
+    stock: Stock
+    verdict: Verdict
+    plan: Plan | None
+    expected_s: float = 0.0
+
+
+def pool_of(workspace: Workspace, request: PoseRequest) -> Candidates:
+    """Postures of the whole joint range to choose among.
+
+    Raises
+    ------
+    PlanRefused
+        There are hardly any.
+    """
+    q_rad = feasible_postures(workspace.roomy(), request, np.random.default_rng(request.seed))[:POOL]
+    return Candidates(q_rad, gravity_regressor(workspace.robot, q_rad, workspace.gravity_m_s2))
+
+
+def guess_of(workspace: Workspace, pool: Candidates) -> Floats:
+    """A load (4,) to begin with: the heaviest of the cell, else half of what the arm would carry."""
+    mass_kg, com_m = reference_load(workspace, pool.q_rad)
+    return mass_kg * np.append(1.0, com_m)
+
+
+def decide(search: Search, measured: Table | None, at_rad: Floats) -> Decision:
+    """What the visits tell, and what to measure next.
+
+    Parameters
+    ----------
+    search : Search
+    measured : Table or None
+        Visits of this run.
+    at_rad : array of shape (N,)
+        Where the arm stands.
+
+    Raises
+    ------
+    PlanRefused
+        The arm may not stand where it stands, or no way leads to any pose that is worth it.
+    InputError, DataUnusable
+        As the joint estimator.
+    """
+    table = _together(search.earlier, measured)
+    stock = _stock(search, table)
+    taken = np.empty((0, search.robot.axes)) if table is None else _poses(table, search.label)
+    sampling = Sampling(search.settings.period_s, search.settings.samples)
+    goal = search.goal.half_widths(float(stock.outlook.moment[0]))
+    verdict = judge(stock.outlook, half_widths(stock.load), goal, len(taken), search.pool, sampling)
+    if verdict.done or stock.refused is not None:
+        return Decision(stock, verdict, None)
+    choice = _choice(search, at_rad, len(taken))
+    seconds = _seconds(search, at_rad, choice.q_rad)
+    near = np.abs(choice.q_rad[:, None] - np.vstack([taken, search.apart_rad])[None]).max(axis=2, initial=0.0)
+    seconds[(near < DISTANCE_RAD).any(axis=1)] = np.inf
+    rows, samples = best_first(stock.outlook, verdict, choice, seconds, sampling)
+    number = search.number if measured is None else max(search.number, int(measured.pose.max()) + 1)
+    plan = _plan(search, at_rad, choice.q_rad[rows], (number, samples))
+    return Decision(stock, verdict, plan, max(verdict.ahead - 1, 0) * plan.duration_s)
+
+
+def _together(earlier: Table | None, measured: Table | None) -> Table | None:
+    parts = [part for part in (earlier, measured) if part is not None and len(part)]
+    return concatenate(parts) if parts else None
+
+
+def _poses(table: Table, label: str) -> Floats:
+    """Postures (k, N) at which the load was measured, one per pose."""
+    here = table.load == label
+    _, first = np.unique(table.pose[here], return_index=True)
+    return table.q_rad[here][first]
+
+
+def _stock(search: Search, table: Table | None) -> Stock:
+    """What the rows tell of the load; before the first row, what is known without them."""
+    if table is None:
+        band_nm = BAND_SHARE * search.workspace.torque_nm
+        noise = PoseNoise(assumed_noise_nm(search.workspace) ** 2, np.zeros(len(band_nm)))
+        return Stock(None, None, outlook_of_priors(search.robot, search.options, search.guess, band_nm, noise))
+    visits, _ = without_gross(pair_visits(table, search.options.efficiency), search.robot, search.options.gravity_m_s2)
+    sought = Sought(search.label, search.guess, _sample_std_nm(table))
+    return take_stock(visits, search.robot, search.options, sought)
+
+
+def _sample_std_nm(table: Table) -> Floats:
+    """Median (N,) over the visits of the standard deviation of one sample; NaN where none is known."""
+    known = np.isfinite(table.tau_std_nm)
+    return np.array(
+        [
+            float(np.median(table.tau_std_nm[known[:, axis], axis])) if known[:, axis].any() else np.nan
+            for axis in range(table.axes)
+        ]
+    )
+
+
+def _choice(search: Search, at_rad: Floats, count: int) -> Candidates:
+    """The pool, and postures about where the arm stands: short ways are drawn seldom from the whole range."""
+    random = np.random.default_rng([search.seed, count])
+    size = random.uniform(_NEAREST_RAD, _FARTHEST_RAD, (NEAR_BY, 1))
+    q_rad = at_rad + size * random.uniform(-1.0, 1.0, (NEAR_BY, len(at_rad)))
+    request = PoseRequest(1, 0, search.settings.approach_offset_rad, search.seed)
+    q_rad = q_rad[can_be_measured(search.workspace.roomy(), request, q_rad)]
+    near_by = gravity_regressor(search.robot, q_rad, search.options.gravity_m_s2)
+    return Candidates(np.vstack([search.pool.q_rad, q_rad]), np.concatenate([search.pool.regressor, near_by]))
+
+
+def _seconds(search: Search, at_rad: Floats, q_rad: Floats) -> Floats:
+    """Time (n,) [s] of the straight way to each pose, both approaches and settling."""
+    settings, workspace = search.settings, search.workspace
+    offset = np.full(len(at_rad), settings.approach_offset_rad)
+    slow = approach_limits(workspace, settings.approach_speed_rad_s)
+    across = straight(np.zeros(len(offset)), offset, travel_limits(workspace), settings.period_s).duration_s
+    approach = straight(np.zeros(len(offset)), offset, slow, settings.period_s).duration_s
+    way = workspace.travel_time(at_rad[None], q_rad + settings.approach_offset_rad)
+    return way + across + 2.0 * (approach + min(TYPICAL_SETTLE_S, settings.settle_timeout_s))
+
+
+def _plan(search: Search, at_rad: Floats, best_rad: Floats, named: tuple[int, int]) -> Plan:
+    """Plan of the best pose that a way leads to; `named` are its number and the samples a side."""
+    number, samples = named
+    if not len(best_rad):
+        raise PlanRefused(
+            f"arm '{search.arm}': every posture that could be measured lies within {DISTANCE_RAD} rad of one that was; "
+            "widen the limits of the cell, or ask for less by --until"
+        )
+    settings = replace(search.settings, samples=samples)
+    first = best_rad[:_STRAIGHT]
+    free = search.workspace.roomy().path_clear(
+        np.repeat(at_rad[None], len(first), axis=0), first + settings.approach_offset_rad
+    )
+    chosen: Iterable[Floats] = first[free][:1] if free.any() else best_rad[:_AROUND]
+    refused: PlanRefused | None = None
+    for q_rad in chosen:
+        pose = RestPose(number, tuple(q_rad.tolist()), "fit")
+        try:
+            plan = plan_from(Plan(search.arm, (pose,), settings, None, (), 0.0), search.workspace, at_rad)
+            check_plan(plan, search.workspace)
+        except WrongPlace as error:
+            refused = error
+            continue
+        return plan
+    raise refused or PlanRefused(f"arm '{search.arm}': no way leads to any pose")

@@ -1,0 +1,124 @@
+"""Choice of sweeps: where a joint has room to turn steadily, and how fast."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.errors import PlanRefused
+from gateway.excite.limits import MovingLimits, States, states_of
+from gateway.excite.sweep import Sweep
+
+Floats = NDArray[np.float64]
+
+#: Speeds, as shares of the speed that is planned with: slow ones show a Stribeck curve, fast ones viscous friction.
+SPEED_SHARES = np.array([0.02, 0.05, 0.1, 0.25, 0.5, 1.0])
+#: How long each speed is steady [s]; the least that the fastest one may be, where the room is short.
+STEADY_S, LEAST_STEADY_S = 2.0, 0.3
+#: Acceleration, as a share of what is planned with: a sweep tells of speeds.
+ACCELERATION_SHARE = 0.7
+#: Step at which the room of a joint is looked at [rad].
+_STEP_RAD = 0.02
+#: Slower and softer by this much, so often, where torque or the load's own limit is in the way.
+_SOFTER, _TRIES = 0.8, 10
+#: Sampling of what is checked [s].
+_CHECKED_S = 0.02
+
+
+def chosen_sweeps(limits: MovingLimits, postures_rad: Sequence[Floats], periods: int) -> tuple[Sweep, ...]:
+    """A sweep of every joint, each about the first of some postures (N,) that leaves most room.
+
+    Raises
+    ------
+    PlanRefused
+        A joint has no room to turn.
+    """
+    return tuple(_sweep_of(limits, postures_rad, joint, periods) for joint in range(len(limits.speed_rad_s)))
+
+
+def _sweep_of(limits: MovingLimits, postures_rad: Sequence[Floats], joint: int, periods: int) -> Sweep:
+    wanted = _stroke_rad(limits, joint, (1.0, 1.0), STEADY_S)
+    best: tuple[float, Floats, float] | None = None
+    for q_rad in postures_rad:
+        room = _room(limits, q_rad, joint)
+        if room is None:
+            continue
+        width = min(room[1] - room[0], wanted)
+        if best is None or width > best[0] + _STEP_RAD:
+            start = q_rad.copy()
+            start[joint] = max(room[0], min(q_rad[joint] - width / 2, room[1] - width))
+            best = width, start, width
+        if width >= wanted:
+            break
+    if best is not None:
+        sweep = _within(limits, best[1], joint, best[2], periods)
+        if sweep is not None:
+            return sweep
+    raise PlanRefused(
+        f"joint {joint + 1} has no room to turn at a steady speed from any posture that was tried: widen its "
+        "position_limit_rad, or say in the cell what is assumed around the arm (floor_m, wall, column_radius_m, "
+        "link_radius_m, load_size_m)"
+    )
+
+
+def _stroke_rad(limits: MovingLimits, joint: int, shares: tuple[float, float], steady_s: float) -> float:
+    """Stroke that leaves a speed steady for so long: both ramps, jerk-limited, and what is steady.
+
+    `shares` of the speed limit, and of the limits of the ramps.
+    """
+    speed, softer = shares[0] * limits.speed_rad_s[joint], shares[1]
+    acceleration = softer * ACCELERATION_SHARE * limits.acceleration_rad_s2[joint]
+    ramp_s = speed / acceleration + acceleration / (softer * limits.jerk_rad_s3[joint])
+    return float(speed * (steady_s + ramp_s))
+
+
+def _room(limits: MovingLimits, q_rad: Floats, joint: int) -> tuple[float, float] | None:
+    """How far (lowest, highest) a joint may turn from a posture (N,) with the others standing; None = not at all."""
+    low, high = limits.middle_rad[joint] - limits.half_rad[joint], limits.middle_rad[joint] + limits.half_rad[joint]
+    count = max(int(np.ceil((high - low) / _STEP_RAD)), 2)
+    turned = np.tile(q_rad, (count, 1))
+    turned[:, joint] = np.linspace(low, high, count)
+    still = np.zeros_like(turned)
+    workspace = limits.workspace
+    good = limits.shares(States(turned, still, still, still)).max(axis=1) <= 1.0 + 1e-9
+    good &= workspace.feasible(turned, torque_share=workspace.rest_share)
+    at = int(np.argmin(np.abs(turned[:, joint] - q_rad[joint])))
+    if not good[at]:
+        return None
+    bad = np.flatnonzero(~good)
+    first, last = bad[bad < at].max(initial=-1) + 1, bad[bad > at].min(initial=count) - 1
+    return float(turned[first, joint]), float(turned[last, joint])
+
+
+def _within(limits: MovingLimits, start_rad: Floats, joint: int, width_rad: float, periods: int) -> Sweep | None:
+    """The sweep as fast as room, torque and load allow; None = there is no room for any."""
+    softer = 1.0
+    for _ in range(_TRIES):
+        if _stroke_rad(limits, joint, (softer, softer), LEAST_STEADY_S) <= width_rad:
+            sweep = _with_speeds(limits, start_rad, joint, (width_rad, softer), periods)
+            states = states_of(sweep, _CHECKED_S)
+            way = np.vstack([start_rad, states.q_rad])
+            inside = limits.shares(states).max() <= 1.0 + 1e-6
+            if inside and limits.workspace.refused_on(way[:: max(len(way) // 500, 1)]) is None:
+                return sweep
+        softer *= _SOFTER
+    return None
+
+
+def _with_speeds(limits: MovingLimits, start_rad: Floats, joint: int, room: tuple[float, float], periods: int) -> Sweep:
+    """Sweep in a width, softer than it might be: `room` is (width, share of the limits)."""
+    width_rad, softer = room
+    shares = SPEED_SHARES * softer
+    strokes = np.array([min(_stroke_rad(limits, joint, (share, softer), STEADY_S), width_rad) for share in shares])
+    return Sweep(
+        name=f"friction J{joint + 1}",
+        joint=joint + 1,
+        start_rad=start_rad,
+        speeds_rad_s=shares * limits.speed_rad_s[joint],
+        ends_rad=start_rad[joint] + strokes,
+        acceleration_rad_s2=float(softer * ACCELERATION_SHARE * limits.acceleration_rad_s2[joint]),
+        jerk_rad_s3=float(softer * limits.jerk_rad_s3[joint]),
+        periods=periods,
+    )
