@@ -20,9 +20,7 @@ def test_a_load_is_measured_until_it_is_known(place, gateway, serve):
     assert bare.exit_code == 0, bare.output
     drives.hang("load")
     summary = place.folder / "until.json"
-    done = record(
-        gateway, place, drives.bus, "load", "--resume", "--until", "mass=20%,com=15mm", "--json", summary
-    )
+    done = record(gateway, place, drives.bus, "load", "--resume", "--until", "mass=20%,com=15mm", "--json", summary)
     assert done.exit_code == 0, done.output
     assert "is measured pose by pose" not in done.output, "with --yes nothing is asked"
     assert "load load is known as well as was asked for after" in done.output
