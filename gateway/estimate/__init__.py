@@ -9,17 +9,22 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from gateway.data.rows import Table
 from gateway.errors import ConfigError, DataUnusable
 from gateway.estimate.advice import next_pose, shrinks_most
 from gateway.estimate.coefficient import estimate_coefficient
+from gateway.estimate.describe import axis_sigma
 from gateway.estimate.difference import estimate_difference
 from gateway.estimate.estimate import Estimate
+from gateway.estimate.friction import friction_bands
 from gateway.estimate.handover import to_result
-from gateway.estimate.joint import estimate_joint
+from gateway.estimate.joint import estimate_joint, refused_loads
 from gateway.estimate.moving import estimate_moving
 from gateway.estimate.options import Coefficient, EstimateOptions, parse_known
 from gateway.estimate.posture import estimate_posture
+from gateway.estimate.together import fitted_rest
 from gateway.identify.aside import without_gross
 from gateway.identify.links import default_inertials
 from gateway.model.robot import Robot
@@ -61,11 +66,51 @@ def _joint(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
     """Rest rows where there are any; a run that only moves is fitted as one."""
     if table.moving.all():
         return estimate_moving(table, robot, options)
-    at_rest = _of_visits(estimate_joint)(table, robot, options)
     if not table.moving.any():
-        return at_rest
-    note = Finding("info", "moving rows", f"{int(table.moving.sum())} moving rows were left out beside the rest rows")
-    return replace(at_rest, findings=(*at_rest.findings, note))
+        return _of_visits(estimate_joint)(table, robot, options)
+    if options.bare is not None:
+        note = Finding(
+            "info", "moving rows", f"{int(table.moving.sum())} moving rows were left out: --bare is of rest rows alone"
+        )
+        at_rest = _of_visits(estimate_joint)(table.take(~table.moving), robot, options)
+        return replace(at_rest, findings=(*at_rest.findings, note))
+    try:
+        return _together(table, robot, options)
+    except DataUnusable as error:  # too little motion to be fitted: the rest rows stand alone
+        note = Finding(
+            "info",
+            "moving rows",
+            f"{int(table.moving.sum())} moving rows were left out beside the rest rows",
+            str(error),
+        )
+        at_rest = _of_visits(estimate_joint)(table, robot, options)
+        return replace(at_rest, findings=(*at_rest.findings, note))
+
+
+def _together(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
+    """Rest and moving rows in one solution; a load that contradicts itself at rest is in neither."""
+    sound, aside = without_gross(_visits(table, options), robot, options.gravity_m_s2)
+    rest = fitted_rest(sound, robot, options)
+    present = set(np.asarray(sound.load).tolist())
+    at_rest = replace(options, known={label: value for label, value in options.known.items() if label in present})
+    gone = refused_loads(rest, robot, at_rest)
+    kept = ~np.isin(np.asarray(table.load), list(gone))
+    if gone and not (table.moving & kept).any():
+        return _of_visits(estimate_joint)(table.take(~table.moving), robot, at_rest)
+    if gone:
+        sound = sound.take(~np.isin(sound.load, list(gone)))
+        rest = fitted_rest(sound, robot, options) if len(sound) else None
+    known = {label: value for label, value in options.known.items() if label not in gone}
+    found = estimate_moving(table.take(kept), robot, replace(options, known=known), rest=rest)
+    return replace(
+        found,
+        method="joint",
+        loads=(*found.loads, *gone.values()),
+        sigma_nm=found.sigma_nm if rest is None else axis_sigma(rest.problem, rest.fit),
+        band_nm=found.band_nm if rest is None else friction_bands(rest.problem.visits),
+        set_aside=(*aside.entries, *found.set_aside),
+        findings=(*aside.findings, *found.findings),
+    )
 
 
 ESTIMATORS: Mapping[str, Estimator] = {

@@ -16,11 +16,11 @@ from gateway.errors import DataUnusable
 from gateway.estimate.consistency import CONTRADICTS, describe_masses, disagree
 from gateway.estimate.describe import axis_sigma, describe, per_pose_mass
 from gateway.estimate.estimate import Estimate
-from gateway.estimate.fitting import fit_problem
+from gateway.estimate.fitting import Fitted, fit_problem
 from gateway.estimate.noise import NoiseFit
 from gateway.estimate.options import EstimateOptions
 from gateway.estimate.problem import Problem, build_problem
-from gateway.identify.load_estimate import refused_load
+from gateway.identify.load_estimate import LoadEstimate, refused_load
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits
 
@@ -52,16 +52,11 @@ def estimate_joint(visits: Visits, robot: Robot, options: EstimateOptions) -> Es
     for label in problem.loads:
         require_postures(visits, label)
     fitted = fit_problem(problem, options)
-    problem, fit = fitted.problem, fitted.fit
-    reasons = {label: contradiction(problem, fit, robot, options, label) for label in problem.loads}
-    refused = {label: reason for label, reason in reasons.items() if reason is not None}
+    refused = refused_loads(fitted, robot, options)
     if not refused:
         return describe(fitted, robot, options)
     kept = visits.take(~np.isin(visits.load, list(refused)))
-    others = tuple(
-        refused_load(label, reason, per_pose_mass(problem, fit, robot, options, label))
-        for label, reason in refused.items()
-    )
+    others = tuple(refused.values())
     if not len(kept):
         unknown = np.full(visits.axes, np.nan)
         return Estimate(method="joint", loads=others, sigma_nm=unknown, band_nm=unknown)
@@ -70,8 +65,19 @@ def estimate_joint(visits: Visits, robot: Robot, options: EstimateOptions) -> Es
     return replace(rest, loads=(*rest.loads, *others))
 
 
+def refused_loads(fitted: Fitted, robot: Robot, options: EstimateOptions) -> dict[str, LoadEstimate]:
+    """Loads by label whose data contradict each other, each with why."""
+    problem, fit = fitted.problem, fitted.fit
+    reasons = {label: contradiction(problem, fit, robot, options, label) for label in problem.loads}
+    return {
+        label: refused_load(label, reason, per_pose_mass(problem, fit, robot, options, label))
+        for label, reason in reasons.items()
+        if reason is not None
+    }
+
+
 def contradiction(problem: Problem, fit: NoiseFit, robot: Robot, options: EstimateOptions, label: str) -> str | None:
-    """Why the rows of a load cannot belong to one rigid body, judged by the noise that the other rows show; or None."""
+    """Why the rows of a load cannot belong to one rigid body, judged by the noise that the other rows show."""
     masses = per_pose_mass(problem, fit, robot, options, label)
     if not disagree(list(masses.values())):
         return None

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from gateway.data.rows import Table
 from gateway.errors import DataUnusable
 from gateway.estimate.estimate import Estimate
-from gateway.estimate.moving_columns import Columns, MovingSetup, fast_rows, held_to_friction, moving_columns
+from gateway.estimate.fitting import Fitted
+from gateway.estimate.moving_columns import MovingSetup, fast_rows, held_to_friction, moving_columns
 from gateway.estimate.moving_describe import MovingFit, axis_motions, described_load, fitted_rows, nuisances
 from gateway.estimate.moving_noise import correlation_times, spread_of
 from gateway.estimate.moving_ordinary import settle
@@ -26,6 +27,7 @@ from gateway.estimate.moving_problem import MovingProblem, about, solved
 from gateway.estimate.moving_stribeck import stribeck_speeds
 from gateway.estimate.moving_time import Stretches
 from gateway.estimate.options import EstimateOptions
+from gateway.estimate.together import Beside, columns_beside, rest_rows
 from gateway.identify.load_estimate import LoadEstimate, refused_load
 from gateway.identify.loads import BARE_LABEL
 from gateway.identify.solve import Solution
@@ -49,7 +51,11 @@ _MOST_ANEW = 10.0
 
 
 def estimate_moving(
-    table: Table, robot: Robot, options: EstimateOptions, motion: MovingSetup | None = None
+    table: Table,
+    robot: Robot,
+    options: EstimateOptions,
+    motion: MovingSetup | None = None,
+    rest: Fitted | None = None,
 ) -> Estimate:
     """Fit the moving rows of a table.
 
@@ -60,6 +66,8 @@ def estimate_moving(
     options : EstimateOptions
         Inertials, known loads, gravity.
     motion : MovingSetup, optional
+    rest : Fitted, optional
+        Rest visits of the same arm, which are solved with the moving rows.
 
     Raises
     ------
@@ -78,7 +86,7 @@ def estimate_moving(
     if not len(sound.mean):
         blank = np.full(moving.axes, np.nan)
         return Estimate("moving", refused, blank, blank, set_aside=sound.set_aside, findings=sound.findings)
-    found = _fit(sound, robot, sound_options(options, sound.mean) if refused else options, motion)
+    found = _fit(sound, robot, sound_options(options, sound.mean) if refused else options, (motion, rest))
     return replace(
         found,
         loads=(*found.loads, *refused),
@@ -87,24 +95,30 @@ def estimate_moving(
     )
 
 
-def _fit(periods: Periods, robot: Robot, options: EstimateOptions, motion: MovingSetup) -> Estimate:
-    moving = periods.mean
-    columns = moving_columns(moving, robot, options, motion)
+def _fit(periods: Periods, robot: Robot, options: EstimateOptions, how: tuple[MovingSetup, Fitted | None]) -> Estimate:
+    moving, (motion, rest) = periods.mean, how
+    beside = columns_beside(moving, robot, options, motion, rest)
+    columns = beside.columns
     used = np.isfinite(moving.tau_nm) & fast_rows(moving.qd_rad_s, robot, motion)
     if used.sum() < columns.design.shape[2]:
         raise DataUnusable(
             f"{int(used.sum())} usable torque values in motion are fewer than the {columns.design.shape[2]} unknowns;"
             " record a longer run that moves all axes"
         )
-    scale_nm, level_nm = _weights(periods, robot, options, motion, used)
+    scale_nm, level_nm = _weights(periods, robot, sound_options(options, moving), motion, used)
     if "uneven_friction" not in motion.ordinary:
-        return _estimate(_solved(columns, periods, used, scale_nm), moving, robot)
-    fit = _solved(held_to_friction(columns, level_nm), periods, used, scale_nm)
+        return _estimate(_solved(beside, periods, used, scale_nm), moving, robot)
+    held = replace(beside, columns=held_to_friction(columns, level_nm))
+    fit = _solved(held, periods, used, scale_nm)
     falls = stribeck_speeds(fit.problem, fit.settled, fit.spread)
     if np.isfinite(falls).any():
-        columns = moving_columns(moving, robot, options, replace(motion, stribeck_rad_s=falls))
-        fit = _solved(held_to_friction(columns, level_nm), periods, used, scale_nm)
-    return _estimate(fit, moving, robot)
+        beside = columns_beside(moving, robot, options, replace(motion, stribeck_rad_s=falls), rest)
+        held = replace(beside, columns=held_to_friction(beside.columns, level_nm))
+        fit = _solved(held, periods, used, scale_nm)
+    found = _estimate(fit, moving, robot)
+    if rest is None or beside.still is None:
+        return found
+    return replace(found, rows=rest_rows(rest, beside.still, fit.value))
 
 
 def _check_speeds(moving: Table) -> None:
@@ -137,10 +151,10 @@ def _late(motions: Sequence[AxisMotion]) -> list[Finding]:
     ]  # fmt: skip
 
 
-def _solved(columns: Columns, periods: Periods, used: Mask, scale_nm: Floats) -> MovingFit:
+def _solved(beside: Beside, periods: Periods, used: Mask, scale_nm: Floats) -> MovingFit:
     """Settle, weigh the parts anew by what the whole model leaves of them, and settle again."""
-    run = np.asarray(periods.mean.run)
-    problem = MovingProblem.of(columns, periods.mean, used, periods.contrasts)
+    run, columns = np.asarray(periods.mean.run), beside.columns
+    problem = MovingProblem.of(columns, periods.mean, used, periods.contrasts, beside.still)
     settled = settle(problem, scale_nm)
     spread = spread_of(problem, settled, scale_nm, run, periods.scatter)
     for _ in range(_WEIGHED_ANEW * bool(columns.ordinary)):

@@ -252,7 +252,7 @@ def _friction_columns(moving: Table, shapes: tuple[str, ...], smooth_rad_s: floa
     return out
 
 
-def _stribeck_columns(moving: Table, speed_rad_s: tuple[float, ...], smooth_rad_s: float) -> Floats:
+def _stribeck_columns(moving: Table, speed_rad_s: Floats, smooth_rad_s: float) -> Floats:
     out = np.zeros((*moving.q_rad.shape, moving.axes))
     for axis, speed in enumerate(speed_rad_s):
         if np.isfinite(speed):

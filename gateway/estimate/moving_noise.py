@@ -68,7 +68,7 @@ def spread_of(
     left = problem.tau_nm - settled.here.model_nm
     count, covariance = len(problem.parts), settled.free.covariance
     size, times, alone = np.zeros(count), np.ones(count), np.zeros(count, dtype=bool)
-    working, real = np.zeros((2, *covariance.shape))
+    working, real = np.zeros(covariance.shape), np.zeros(covariance.shape)
     pulls = []
     for k, part in enumerate(problem.parts):
         own, stated = problem.turned(left[:, part.axis], part), float(scatter.std_nm[part.axis])
@@ -80,14 +80,12 @@ def spread_of(
         if np.isfinite(stated) and size[k] ** 2 < _NOISE_ALONE * stated**2:
             size[k], times[k], alone[k] = stated, scatter.times[part.axis], True
         square = through.T @ through
-        working += square
-        real += square * (size[k] / sigma_nm[k]) ** 2 * times[k]
+        working = working + square
+        real = real + square * (size[k] / sigma_nm[k]) ** 2 * times[k]
         pulls.append(through * (own / sigma_nm[k])[:, None])
     if problem.still is not None:  # rest rows have their own noise, and it is in their weight
-        design, _ = problem.still.rows.about(settled.here.value)
-        through = (design * problem.still.weight[:, None]) @ covariance
-        working += through.T @ through
-        real += through.T @ through
+        through = problem.still.about(settled.here.value)[0] @ covariance
+        working, real = working + through.T @ through, real + through.T @ through
     by_prior = covariance - working
     if not alone.all():
         rows = np.concatenate([part.rows for part in problem.parts])

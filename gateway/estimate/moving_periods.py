@@ -108,7 +108,7 @@ def averaged(moving: Table, judged: Mask) -> Periods:
     if not periodic.any():
         return Periods(moving, Scatter.none(moving.axes), np.full(len(moving), np.nan))
     keys = [np.where(periodic, moving.extra[name], np.nan) for name in (EXCITATION, PERIOD, PHASE_S)]
-    tables, groups, aside, findings, residuals, slipped = [], [], [], [], [], {}
+    tables, groups, aside, findings, residuals, slipped, step_s = [], [], [], [], [], {}, np.nan
     for label, excitation in dict.fromkeys(
         zip(moving.load[periodic].tolist(), keys[0][periodic].tolist(), strict=True)
     ):
@@ -166,15 +166,17 @@ def _slip(moving: Table, group: _Group, judged: Mask) -> str | None:
     if len(group.rows) < _FEWEST + 1:
         return None
     tau = _torques(moving, group, judged)
-    step = _running_mean(np.nan_to_num(np.diff(tau, axis=0)), max(1, round(_TOUCH_S / group.step_s)))
-    moved = np.isfinite(tau).all(axis=0)
+    change = np.asarray(np.diff(tau, axis=0), dtype=float)
+    step = _running_mean(np.nan_to_num(change), max(1, round(_TOUCH_S / group.step_s)))
+    moved = np.asarray(np.isfinite(tau).all(axis=0), dtype=bool)
     jump = np.array([[median(np.abs(one[moved[:, k], k])) for k in range(moving.axes)] for one in step])
-    ratio = jump / np.maximum(np.nanmedian(jump, axis=0), _NO_NOISE * _largest(tau))
-    if not np.isfinite(ratio).any() or np.nanmax(ratio) < _SLIPPED:
+    jump = np.nan_to_num(jump)
+    ratio = jump / np.maximum(np.median(jump, axis=0), _NO_NOISE * _largest(tau))
+    before, axis = divmod(int(np.argmax(ratio)), moving.axes)
+    if ratio[before, axis] < _SLIPPED:
         return None
-    before, axis = np.unravel_index(np.nanargmax(ratio), ratio.shape)
     return (
-        f"its torque is another from period {group.number[before + 1]:g} on: on axis {axis + 1} by"
+        f"its torque is another from period {float(group.number[before + 1]):g} on: on axis {axis + 1} by"
         f" {jump[before, axis]:.3g} Nm, {ratio[before, axis]:.0f} times what any other period differs from the one"
         " before it: it slipped, or something was added"
     )

@@ -74,10 +74,15 @@ class AxisRows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Still:
-    """Rest rows beside the moving ones: their columns, and one over the standard deviation (r,) of each."""
+    """Rest rows beside the moving ones: their columns, and what makes their noise white (r, r)."""
 
     rows: GainRows
-    weight: Floats
+    whiten: Floats
+
+    def about(self, value: Floats) -> tuple[Floats, Floats]:
+        """White columns (r, p) and target (r,) about a solution (p,)."""
+        design, target = self.rows.about(value)
+        return self.whiten @ design, self.whiten @ target
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,8 +193,8 @@ def solved(problem: MovingProblem, here: About | None, sigma_nm: Floats, prior: 
     weight = [np.full(len(target), 1.0 / sigma) for sigma, (_, target) in zip(sigma_nm, parts, strict=True)]
     if problem.still is not None:
         value = np.zeros(count) if here is None else here.value
-        parts.append(problem.still.rows.about(value))
-        weight.append(problem.still.weight)
+        parts.append(problem.still.about(value))
+        weight.append(np.ones(len(parts[-1][1])))
     design, target = (np.concatenate(items) for items in zip(*parts, strict=True))
     return solve(design, target, np.concatenate(weight), prior)
 
@@ -210,7 +215,7 @@ def _of_part(problem: MovingProblem, mine: AxisRows, here: About | None) -> tupl
     outside = np.column_stack([*(here.local[name][:, axis] for name in others), here.moved_nm[:, axis]])
     outside = problem.turned(outside, mine)
     within = mine.basis.T @ outside
-    beyond = np.linalg.qr(outside - mine.basis @ within, mode="r")
+    beyond = np.asarray(np.linalg.qr(outside - mine.basis @ within, mode="r"), dtype=float)
     design = np.zeros((len(inside) + len(beyond), len(columns.names)))
     design[: len(inside), mine.there] = inside
     if "gain" in columns.ordinary:

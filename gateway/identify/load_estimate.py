@@ -178,9 +178,11 @@ def load_result(load: LoadEstimate, robot: Robot | None) -> LoadResult:
     flange = None if robot is None else robot.flange
     told = load.refused is None and np.isfinite(load.mass_kg)
     inertia = load.inertia if told else None
-    open_: tuple[str, ...] = ()  # without its mass nothing of a load is told, and the mass is named
-    if told:
-        open_ = (INERTIA_WHOLE,) if inertia is None else inertia.unidentifiable
+    open_: tuple[str, ...] = ()
+    if inertia is not None:
+        open_ = inertia.unidentifiable
+    elif told and known.all():  # what lies nobody knows where has no inertia about it: the place is named
+        open_ = (INERTIA_WHOLE,)
     return LoadResult(
         label=load.label,
         mass_kg=float(load.mass_kg),

@@ -204,3 +204,45 @@ def test_speeds_in_degrees_are_refused(clean, robot):
     table = table_of_periods(clean)
     with pytest.raises(DataUnusable, match="speed"):
         run(replace(table, qd_rad_s=np.degrees(table.qd_rad_s)), robot, EXACT)
+
+
+def rest_table(clean_q, label, load, band=2.0):
+    """Rest poses of both sides: pinocchio's gravity and a friction band."""
+    model, data = peer_of(urdf())
+    if load:
+        model.appendBodyToJoint(6, pinocchio.Inertia(MASS, COM, TENSOR), pinocchio.SE3.Identity())
+        data = model.createData()
+    tau = np.array([pinocchio.computeGeneralizedGravity(model, data, q).copy() for q in clean_q])
+    rng = np.random.default_rng(2)
+    count = len(clean_q)
+    sides = []
+    for side in (1, -1):
+        noise = 0.3 * rng.normal(size=tau.shape)
+        sides.append(
+            make_table(
+                [label] * count, np.arange(count), clean_q, tau + side * (band + LOSS * np.abs(tau)) + noise,
+                direction=np.full((count, 6), side), run=[f"rest {label}"] * count,
+            )
+        )  # fmt: skip
+    return concatenate(sides)
+
+
+def test_rest_and_moving_rows_make_one_solution(clean, robot, poses):
+    moving = table_of_periods(clean, 1.0)
+    rest = concatenate([rest_table(poses, "none", False), rest_table(poses, "tool", True)])
+    options = EstimateOptions(inertials="prior:0.05", gain_std=(0.0,) * 6)
+    both, moved, still = (run(table, robot, options) for table in (concatenate([rest, moving]), moving, rest))
+    load = both.loads[0]
+    assert both.method == "joint"
+    assert not any("left out" in finding.what for finding in both.findings)
+    assert load.mass_kg == pytest.approx(MASS, abs=3 * load.mass_std_kg)
+    assert (np.abs(np.array(load.inertia_kg_m2) - SIX) < 3.5 * np.array(load.inertia_std_kg_m2)).all()
+    least = min(moved.loads[0].mass_std_kg, still.loads[0].mass_std_kg)
+    assert load.mass_std_kg < 1.02 * least
+    assert (np.array(load.com_std_m) < 1.02 * np.array(still.loads[0].com_std_m)).all()
+    assert still.loads[0].inertia_kg_m2 is None
+    assert still.loads[0].unidentifiable == ("inertia_kg_m2",)
+    assert np.isfinite(both.friction_band_nm).all()
+    assert len(both.motion) == 6
+    assert max(both.rows.pose) >= 0
+    assert np.nanmax(np.abs(np.array(both.rows.tau_nm) - both.rows.model_nm)) < 3.0
