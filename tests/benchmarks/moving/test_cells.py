@@ -11,7 +11,7 @@ from benchmarks.moving.cells import draw_cell
 from benchmarks.moving.excitations import USED, random_series
 from benchmarks.moving.figures import figures
 from benchmarks.moving.oracle import about_centre, oracle_std
-from benchmarks.moving.scores import AXIS_NAMES, LOAD_NAMES, drawn_truth, load_truth, possible, score, tensor
+from benchmarks.moving.scores import LOAD_NAMES, drawn_truth, load_truth, possible, score, tensor
 from benchmarks.moving.timing import plain_least_squares
 from gateway.result.result import AxisMotion, LoadResult, Result
 from sim.inverse import InverseDynamics
