@@ -221,16 +221,17 @@ class DriveMotion:
         if self.buffered:
             self._buffer.append(self._drive.target_rad())
         else:
-            self._left_s = self._period_s()
+            self._left_s = self.period_s()
 
-    def _period_s(self) -> float:
+    def period_s(self) -> float:
+        """Interpolation period (0x60C2)."""
         store = self._drive.store
         return store.number((0x60C2, 1)) * 10.0 ** store.number((0x60C2, 2))
 
     def _from_buffer(self, seconds: float) -> float:
         """Way of the reference [rad] when set points wait their turn; without one the axis slows down to a stop."""
         at = self._drive.axis.servo.reference_rad - self._wobbled
-        begin, period_s = at, self._period_s()
+        begin, period_s = at, self.period_s()
         while seconds > 1e-9:
             if self._left_s <= 1e-9 and self._buffer:
                 self._goal = self._buffer.popleft()

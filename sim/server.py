@@ -68,6 +68,7 @@ class ArmUnit:
             )
             for axis, joint in enumerate(self._joints)
         ]
+        self.born_period_s = self.drives[0].motion.period_s()
         self._measure()
 
     def _send(self, message: can.Message) -> None:
@@ -222,7 +223,12 @@ class BusServer:
             arm.sync()
         if not self._real:
             for arm in self.arms:
-                arm.advance(self._period_s)
+                arm.advance(self._lockstep_s(arm))
+
+    def _lockstep_s(self, arm: ArmUnit) -> float:
+        """Time that a SYNC stands for: the cell's, or what the master has told the drives since (0x60C2)."""
+        told_s = arm.drives[0].motion.period_s()
+        return self._period_s if told_s == arm.born_period_s else told_s
 
     def _follow_the_clock(self, message: can.Message | None, silent_s: float) -> None:
         """Let the time pass until a frame was received, or until nothing had come yet.

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+from benchmarks.pages.moving import moving_result
 from benchmarks.pages.other import comparison, forces, gaps
 from benchmarks.pages.result import full_result
 from gateway.report.follow import render_follow
@@ -25,6 +26,7 @@ def pages(results: list[Path]) -> Iterator[tuple[str, str]]:
     yield "estimate", render(_estimated(found))
     yield "refused", render(_refused(found))
     yield "not-hung", render(_not_hung(found))
+    yield "moving", render(moving_result())
     yield "follow", render_follow(comparison())
     yield "pair", forces()
     yield "gap", gaps()

@@ -17,6 +17,7 @@ from gateway.data.recording.queue import VisitQueue
 from gateway.data.recording.reader import read
 from gateway.errors import GatewayError, InputError
 from gateway.excite.excitation import MovingPlan, fingerprint
+from gateway.excite.planning import check_moving_plan
 from gateway.motion.arms import Arms
 from gateway.motion.opening import OpenArm
 from gateway.motion.power import powered
@@ -75,6 +76,7 @@ def record_moving(
     """
     if plan.arm != opened.config.name:
         raise InputError(f"the plan is one of arm '{plan.arm}', this is arm '{opened.config.name}'; plan for this arm")
+    check_moving_plan(plan, opened.workspace, opened.config)
     options = options or MoveOptions()
     earlier = read(request.path) if request.resume and request.path.exists() else None
     stored = None if earlier is None else earlier.arm(plan.arm)
@@ -88,7 +90,7 @@ def record_moving(
             pacing = opened.group.timing.pacing
             store = QueuedStore(queue, plan.arm, pacing)
             station = VisitStation(opened.arm, opened.workspace, store, (tally, *listeners), options, pacing)
-            settings = visit_settings(opened.loaded, opened.config)
+            settings = replace(visit_settings(opened.loaded, opened.config), period_s=opened.group.timing.period_s)
             legs = legs_from(station, opened.config, opened.arm.where(), passes, settings)
             missed = run_legs(station, legs, request.load)
         statistics = plain(asdict(opened.group.statistics))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -9,8 +10,17 @@ from typing import Final
 import numpy as np
 
 from gateway.acquire.events import PeriodDone, Progress, Started
-from gateway.acquire.passes import Pass, PeriodsWay, check_pass, free_torque_nm
-from gateway.acquire.plan import MoveInwards, MoveTo, Plan, VisitSettings, inward_limits, plan_to, travel_limits
+from gateway.acquire.passes import Pass, PeriodsWay, check_pass, free_torque_nm, slowed
+from gateway.acquire.plan import (
+    MoveInwards,
+    MoveTo,
+    Plan,
+    VisitSettings,
+    inward_limits,
+    plan_to,
+    step_durations,
+    travel_limits,
+)
 from gateway.acquire.run import VisitStation, refuse_sunk
 from gateway.cell.config import ArmConfig
 from gateway.data.period import Period, PeriodLog
@@ -22,6 +32,8 @@ from gateway.motion.trajectory import MotionLimits, straight
 
 #: Rest before each pass: what the servos lag behind is made up for, the first period begins as the others do [s].
 REST_S: Final = 0.3
+#: A way that is longer counts as the first motion with these drives [rad].
+FAR_RAD: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,16 +57,16 @@ class Leg:
 def legs_from(
     station: VisitStation, config: ArmConfig, start_rad: np.ndarray, passes: Sequence[Pass], settings: VisitSettings
 ) -> tuple[Leg, ...]:
-    """Ways and passes from where the arm stands, each of them checked; nothing moves.
+    """Ways and passes from where the arm stands; nothing moves. `check_moving_plan` has passed the excitations.
 
     Raises
     ------
     PlanRefused
-        A pass leaves a limit, or no way that keeps the limits leads to its start.
+        The samples of a pass would not tell what was driven, or no way that keeps the limits leads to its start.
     """
     legs, at = [], start_rad
     for one in passes:
-        check_pass(config.name, one, station.workspace)
+        check_pass(config.name, one, station.workspace.robot.axes)
         way = plan_to(config.name, station.workspace, at, one.excitation.start_rad, settings)
         legs.append(Leg(way, one, free_torque_nm(station.workspace, config, one.motion)))
         at = one.excitation.start_rad
@@ -88,33 +100,41 @@ class MovingRun:
         self._speed = station.options.override
         self._period_s = legs[0].way.settings.period_s
         self._first = station.options.first_done is not None
-        ends = [0.0]
-        for leg in legs:
-            way_s = leg.way.duration_s / self._speed
-            ends += [ends[-1] + way_s, ends[-1] + way_s + REST_S + leg.driven.duration_s]
-        self._ends, self._step = ends, -1
+        self._gone_rad = 0.0
         self._incomplete: list[int] = []
+        self._elapsed_s = self._now_s = 0.0
+        self._ahead_s = deque(self._durations())
+        self._steps = len(self._ahead_s)
+
+    def _durations(self) -> list[float]:
+        """Time of every motion and every rest, as planned."""
+        out: list[float] = []
+        for leg in self._legs:
+            out += [second / self._speed for second in step_durations(leg.way, self._station.workspace)]
+            out += [REST_S, leg.driven.duration_s]
+        out[0] /= FIRST_SHARE if self._first else 1.0
+        return out
 
     def execute(self, stream: Stream) -> None:
         """All legs."""
         refuse_sunk(self._legs[0].way, stream)
         self._stream = stream
-        arm = self._legs[0].way.arm
         periods = sum(len(leg.driven.periods) for leg in self._legs)
-        self._tell(Started(arm, self._load, periods, self._ends[-1]))
+        self._tell(Started(self._legs[0].way.arm, self._load, periods, sum(self._ahead_s)))
         stream.take_over()
-        for number, leg in enumerate(self._legs):
-            self._step = 2 * number
+        for leg in self._legs:
             self.state.enter(Phase.MOVING, stream.sync_index)
             self._go(leg.way)
-            self._step = 2 * number + 1
             self._try(leg.driven)
             self.state.enter(Phase.SAMPLING, stream.sync_index)
             self._drive(leg, leg.driven.periods)
             if self._incomplete:
-                self._drive(leg, tuple(self._incomplete))
+                again = tuple(self._incomplete)
+                self._ahead_s.extendleft([len(again) * leg.driven.motion.duration_s, REST_S])
+                self._steps += 2
+                self._drive(leg, again)
             self.missed += tuple((leg.driven.excitation.name, period) for period in self._incomplete)
-        self._tell(Progress(len(self._ends) - 1, len(self._ends) - 1, "done", self._ends[-1], 0.0))
+        self._tell(Progress(self._steps, self._steps, "done", self._elapsed_s + self._now_s, 0.0))
 
     def disk(self) -> StopRequest | None:
         """Tell of the periods that are on disk by now; a wish to stop where the disk does not keep up.
@@ -129,27 +149,39 @@ class MovingRun:
 
     def report(self, what: str, row: int, rows: int) -> None:
         """Where the run stands, told by the motion loop now and then."""
-        begin, end = (self._ends[self._step], self._ends[self._step + 1]) if self._step >= 0 else (0.0, 0.0)
-        elapsed = begin + (end - begin) * max(row, 0) / rows
-        self._tell(Progress(self._step + 1, len(self._ends) - 1, what, elapsed, self._ends[-1] - elapsed))
+        done_s = self._now_s * max(row, 0) / rows
+        left_s = self._now_s - done_s + sum(self._ahead_s)
+        self._tell(Progress(self._steps - len(self._ahead_s), self._steps, what, self._elapsed_s + done_s, left_s))
+
+    def _next(self) -> None:
+        """The motion or the rest that comes next begins."""
+        self._elapsed_s += self._now_s
+        self._now_s = self._ahead_s.popleft()
 
     def _go(self, way: Plan) -> None:
         workspace = self._station.workspace
         for step in way.steps:
             if not isinstance(step, MoveTo | MoveInwards):
                 raise TypeError("a way to a start only goes there")
+            self._next()
             inwards = isinstance(step, MoveInwards)
             limits = _slowed(inward_limits(workspace) if inwards else travel_limits(workspace), self._speed)
             what = "move back into the joint range" if inwards else "move to the start"
-            motion = straight(self._stream.q_rad[0], np.array(step.q_rad), limits, self._period_s)
-            self._stream.move([motion], what)
-            self._first &= not len(motion)
+            target, (at,) = np.array(step.q_rad), self._stream.q_rad
+            self._gone_rad += float(np.abs(target - at).max())
+            self._stream.move([straight(at, target, limits, self._period_s)], what)
 
     def _try(self, driven: Pass) -> None:
-        """The first motion with these drives is slow, and is none that is measured."""
-        if self._first:
-            self._stream.move([driven.motion], f"try '{driven.excitation.name}' at {FIRST_SHARE:.0%}")
-            self._first = False
+        """The first motion with these drives is slow; where the way was none to speak of, a period is driven slowly."""
+        if not self._first or self._gone_rad > FAR_RAD:
+            return
+        self._first = False
+        share = FIRST_SHARE if self._stream.first_moved else 1.0  # the stream slows down what comes first
+        motion = slowed(driven.excitation, share * driven.speed, self._period_s)
+        self._ahead_s.appendleft(motion.duration_s * share / FIRST_SHARE)
+        self._steps += 1
+        self._next()
+        self._stream.move([motion], f"try '{driven.excitation.name}' at {FIRST_SHARE:.0%}")
 
     def _drive(self, leg: Leg, periods: tuple[int, ...]) -> None:
         """So many periods without a stop; those that lack a SYNC are noted."""
@@ -172,7 +204,9 @@ class MovingRun:
                 store.add(leg.way.arm, log.period())
             log = None
 
+        self._next()
         self._stream.stand(REST_S, "rest before it moves")
+        self._next()
         way = PeriodsWay(self._stream.q_rad[0], driven.motion, len(periods), leg.modelled_nm, taken)
         try:
             self._stream.drive(way, what)

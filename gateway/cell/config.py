@@ -543,6 +543,14 @@ def load_cell(path: Path) -> LoadedCell:
     return LoadedCell(cell=parse_cell(text, str(path)), text=text, folder=path.resolve().parent)
 
 
+def with_sync_period(loaded: LoadedCell, bus: str, sync_period_s: float) -> LoadedCell:
+    """The same cell with another time from SYNC to SYNC on one bus."""
+    cell = loaded.cell
+    buses = dict(cell.bus)
+    buses[bus] = buses[bus].model_copy(update={"sync_period_s": sync_period_s})
+    return loaded.model_copy(update={"cell": cell.model_copy(update={"bus": buses})})
+
+
 def with_pacing(loaded: LoadedCell, pacing: str | None) -> LoadedCell:
     """The same cell with another pacing on every bus; None = as it is."""
     if pacing is None:

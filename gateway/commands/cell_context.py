@@ -9,6 +9,7 @@ from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 from drives.bus import Bus, BusSpec, open_bus
 from drives.group import DriveGroup, GroupOptions
@@ -16,14 +17,19 @@ from drives.instrument import InstrumentSetup
 from drives.ledger import WriteLedger
 from drives.profile import DriveProfile
 from gateway.cell.buses import bus_specs
-from gateway.cell.config import ArmConfig, LoadedCell, load_cell, with_pacing
-from gateway.errors import WrongPlace
+from gateway.cell.config import ArmConfig, LoadedCell, load_cell, with_pacing, with_sync_period
+from gateway.errors import PlanRefused, WrongPlace
 from gateway.motion.opening import BusOverride, axis_setups
 from gateway.pair.gap import instruments_on
 from gateway.preflight.limits import MOVE_HOME
 from gateway.preflight.look_over import check_arm, judge_bus_load
 from gateway.preflight.machine import judge_surroundings
 from gateway.preflight.rules import CheckItem
+
+#: From SYNC to SYNC while an arm is moved to learn it, where the cell does not ask for a shorter time [s].
+MOVING_SYNC_S: Final = 0.004
+#: Object of the interpolation period.
+INTERPOLATION: Final = 0x60C2
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,12 +45,15 @@ class CellContext:
         Bus of every name in the cell, as the command line has it.
     options : tuple of str
         Bus and pacing as they were typed, for a command that is shown.
+    sync_period_s : float or None
+        From SYNC to SYNC, where it is another one than the file's.
     """
 
     loaded: LoadedCell
     path: Path
     specs: Mapping[str, BusSpec]
     options: tuple[str, ...] = ()
+    sync_period_s: float | None = None
 
     @property
     def arms(self) -> tuple[ArmConfig, ...]:
@@ -103,8 +112,40 @@ class CellContext:
         return [replace(item, advice=item.advice.replace(MOVE_HOME, typed)) for item in items]
 
     def stop_proof(self, arm: ArmConfig) -> Path:
-        """Where the proof is kept that the drives of an arm stop on loss of the master."""
-        return self._state(arm, "-stop")
+        """Where the proof is kept that the drives of an arm stop on loss of the master, under this SYNC."""
+        return self._state(arm, "-stop" + (f"-{1e6 * self.sync_period_s:.0f}us" if self.sync_period_s else ""))
+
+    def for_motion(self, arm: ArmConfig, rate_hz: float | None) -> CellContext:
+        """The same cell with the SYNC that an arm is moved under to learn it.
+
+        Set points are joined by straight lines: a drive jerks at each of them, and its torque is read at that instant.
+        The closer they follow one another, the less of the acceleration's torque is lost by that.
+
+        Parameters
+        ----------
+        arm : ArmConfig
+        rate_hz : float or None
+            SYNCs per second; None: 1 / `MOVING_SYNC_S` where the cell's are fewer, the bus has room for them, and the
+            drives may be told.
+
+        Raises
+        ------
+        PlanRefused
+            The rate that was asked for does not fit on the bus, or a drive may not be told of it.
+        """
+        own_s = self.loaded.cell.bus[arm.bus].sync_period_s
+        wanted_s = MOVING_SYNC_S if rate_hz is None else 1.0 / rate_hz
+        if wanted_s == own_s or (rate_hz is None and own_s < wanted_s):
+            return self
+        faster = replace(self, loaded=with_sync_period(self.loaded, arm.bus, wanted_s), sync_period_s=wanted_s)
+        load = faster.bus_load(arm)
+        untold = [profile.name for profile in self.profiles(arm) if INTERPOLATION not in profile.write.allow]
+        if load.severity == "ok" and not untold:
+            return faster
+        if rate_hz is None:
+            return self
+        why = f"profile {untold[0]} does not let 0x60C2 be written" if untold else f"bus: {load.what}"
+        raise PlanRefused(f"arm '{arm.name}': {rate_hz:g} SYNCs per second: {why}; ask for fewer, or leave --rate out")
 
     def _state(self, arm: ArmConfig, kind: str) -> Path:
         key = f"{self.path.resolve()}|{arm.name}|{self.bus_spec(arm)}"

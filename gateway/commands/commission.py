@@ -18,6 +18,11 @@ from gateway.acquire.asking import postures_to_ask
 from gateway.acquire.goto import LOADING, Destination, destination, plan_way
 from gateway.acquire.plan import SIDES, Plan, check_plan, plan_poses
 from gateway.acquire.session import RecordRequest, make_plan, open_arm
+from gateway.acquire.until.goal import Goal
+from gateway.acquire.until.prepare import UntilRequest, search_of
+from gateway.acquire.until.run import UntilSummary
+from gateway.acquire.until.search import Search, decide
+from gateway.acquire.until.words import end_of
 from gateway.analyse.complete import complete
 from gateway.analyse.given import (
     Given,
@@ -33,7 +38,7 @@ from gateway.check.proofs import ensure_proven
 from gateway.commands.cell_context import CellContext
 from gateway.commands.moving import SLOW_PERCENT
 from gateway.data.recording.reader import read
-from gateway.data.recording.recorded import ArmRecording
+from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.data.rest_pose import RestPose
 from gateway.data.table import Table
 from gateway.diagnose import DiagnoseOptions
@@ -47,7 +52,7 @@ from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import workspace_of
 from gateway.preflight.look_over import require_passed
 from gateway.preflight.rules import CheckItem
-from gateway.result.result import Result
+from gateway.result.result import Finding, Result
 
 
 class Dialogue(Protocol):
@@ -73,6 +78,12 @@ class Dialogue(Protocol):
         """Record and show how far it is."""
         ...
 
+    def measure_until(
+        self, opened: OpenArm, search: Search, earlier: Recording | None, path: Path, options: MoveOptions
+    ) -> UntilSummary:
+        """Record pose by pose until a load is known, and show how far it is."""
+        ...
+
     def say(self, text: str) -> None:
         """A remark."""
         ...
@@ -93,6 +104,8 @@ class Job:
     options : MoveOptions
     operator : str or None
         Who measures.
+    goal : Goal or None
+        How well each load is to be known; None: all poses of the cell are measured.
     """
 
     context: CellContext
@@ -101,6 +114,7 @@ class Job:
     recording: Path
     options: MoveOptions = field(default_factory=MoveOptions)
     operator: str | None = None
+    goal: Goal | None = None
 
 
 def commission(job: Job, dialogue: Dialogue) -> Result:
@@ -147,6 +161,7 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
     if not result.effects:
         plain = estimate_run(split_validation(table)[0], about.model, estimate_options(about))
         result = replace(result, method=plain.method, parameters=plain.parameters, bare=plain.bare)
+    result = replace(result, findings=(*result.findings, *robot.ends))
     return complete(result, about, table, [job.recording], job.operator)
 
 
@@ -165,9 +180,9 @@ class _Robot:
         self._fit = [pose for pose in plan.poses if pose.purpose == "fit"]
         self._validation = [pose for pose in plan.poses if pose.purpose == "validation"]
         self._settings = plan.settings
-        stored = self._stored()
-        numbers = [pose.number for pose in (*plan.poses, *(stored.poses if stored is not None else ()))]
+        numbers = [pose.number for pose in (*plan.poses, *self._known_poses())]
         self._next = max(numbers) + 1
+        self.ends: list[Finding] = []
 
     @property
     def validation_rad(self) -> np.ndarray:
@@ -177,12 +192,35 @@ class _Robot:
     def measure_load(self, label: str) -> None:
         """Hang a load and measure all poses to fit from; where they are all there, only the last load is asked for."""
         self._load = label
+        if label != BARE_LABEL and self._job.goal is not None:
+            self._measure_until(label, self._job.goal)
+            return
         missing = self._missing(self._fit)
         if label != BARE_LABEL and (missing or label == self._job.labels[-1]):
             self._go_loading()
             self._dialogue.hang(label)
         if missing:
             self._record(self._fit)
+
+    def _measure_until(self, label: str, goal: Goal) -> None:
+        """Hang a load and measure it until it is known; one that is known is only asked for where it hangs at last."""
+        opened, job = self._opened, self._job
+        request = UntilRequest(label, goal, job.recording, job.context.path)
+        search, earlier = search_of(opened.loaded, opened.workspace, opened.config, request, self.validation_rad)
+        missing = decide(search, None, opened.arm.where()).plan is not None
+        if missing or label == job.labels[-1]:
+            self._go_loading()
+            self._dialogue.hang(label)
+        if not missing:
+            return
+        done = self._dialogue.measure_until(opened, search, earlier, job.recording, self._job.options)
+        self._job = replace(self._job, options=replace(self._job.options, first_done=None))
+        self._next = max(self._next, 1 + max(pose.number for pose in self._known_poses()))
+        self.ends.append(end_of(done.decision, label))
+
+    def _known_poses(self) -> tuple[RestPose, ...]:
+        stored = self._stored()
+        return () if stored is None else stored.poses
 
     def _go_loading(self) -> None:
         """Go where loads are hung, slowly, if the cell says where; the load hangs where the arm stands else."""

@@ -26,12 +26,17 @@ from gateway.commands.options import (
     write_json,
 )
 from gateway.commands.outcome import fail_on_findings, show_result, write_junit
+from gateway.commands.until import PoseByPose, until_option
 from gateway.errors import GatewayError
 
 if TYPE_CHECKING:
     from gateway.acquire.goto import Destination
     from gateway.acquire.plan import Plan
     from gateway.acquire.session import RecordRequest
+    from gateway.acquire.until.goal import Goal
+    from gateway.acquire.until.run import UntilSummary
+    from gateway.acquire.until.search import Search
+    from gateway.data.recording.recorded import Recording
     from gateway.motion.opening import OpenArm
     from gateway.motion.stream import MoveOptions
     from gateway.preflight.rules import CheckItem
@@ -43,6 +48,7 @@ if TYPE_CHECKING:
 @load_option("labels", "Load to ask for; repeatable.", multiple=True, default=("load",))
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("out"), show_default=True)
 @click.option("--resume", is_flag=True, help="Go on with OUT/run.h5 instead of starting a new one.")
+@until_option
 @arm_option
 @accept_options
 @operator_option
@@ -54,6 +60,7 @@ def commission(
     labels: tuple[str, ...],
     out: Path,
     resume: bool,
+    goal: Goal | None,
     arm_name: str | None,
     expected: tuple[Expected, ...],
     junit_file: Path | None,
@@ -82,7 +89,7 @@ def commission(
             _set_aside(path, session_of())
     try:
         with context.way_on(), stoppable(moving) as options:
-            job = Job(context, arm, labels, recording, options, operator)
+            job = Job(context, arm, labels, recording, options, operator, goal)
             result = run(job, _Terminal(session_of(), context.loaded.cell.name, moving))
     except (GatewayError, DriveError, KeyboardInterrupt) as error:
         if recording.exists():
@@ -147,6 +154,12 @@ class _Terminal:
         from gateway.commands.progress import recording_with_progress
 
         recording_with_progress(self.session, opened, plan, request, options)
+
+    def measure_until(
+        self, opened: OpenArm, search: Search, earlier: Recording | None, path: Path, options: MoveOptions
+    ) -> UntilSummary:
+        """Record pose by pose with a progress bar, and say how it ended."""
+        return PoseByPose(search, path, earlier).run(self.session, opened, options)
 
     def say(self, text: str) -> None:
         """A remark."""

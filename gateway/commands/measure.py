@@ -24,7 +24,7 @@ from gateway.commands.options import (
     trace_option,
     write_json,
 )
-from gateway.commands.until import PoseByPose, Reference, pose_by_pose, reference_options
+from gateway.commands.until import PoseByPose, Reference, as_json, pose_by_pose, reference_options
 from gateway.errors import InputError
 
 if TYPE_CHECKING:
@@ -146,6 +146,21 @@ def plan_as_json(chosen: Plan) -> dict[str, Any]:
     help="Measure the poses that a result of this arm asks for.",
 )
 @reference_options
+@click.option("--moving", "in_motion", is_flag=True, help="Drive excitations instead of measuring rest poses.")
+@click.option(
+    "--plan",
+    "moving_plan",
+    metavar="PLAN.json",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="With --moving: drive what `plan --moving --json` wrote.",
+)
+@click.option(
+    "--rate",
+    "rate_hz",
+    type=click.FloatRange(min=1, max=1000),
+    metavar="HZ",
+    help="With --moving: SYNCs per second; 250 if not given, where bus and drives allow it.",
+)
 @arm_option
 @bus_option
 @json_option
@@ -159,24 +174,35 @@ def record(
     trace: Path | None,
     poses: tuple[tuple[float, ...], ...],
     result: Path | None,
+    in_motion: bool,
+    moving_plan: Path | None,
+    rate_hz: float | None,
     arm_name: str | None,
     bus_spec: str | None,
     json_out: str | None,
     until: Reference,
     moving: MoveChoice,
 ) -> None:
-    """Measure the rest poses under one load. The arm moves; Ctrl-C stops it along its way and keeps what was measured.
+    """Measure rest poses or motions under one load. The arm moves; Ctrl-C stops it along its way, nothing is lost.
 
     The first time with these drives, it is proven before anything else that they stop when the master is gone.
     """
     from gateway.acquire.session import RecordRequest, open_arm
+    from gateway.acquire.until.run import UntilSummary
     from gateway.check.proofs import ensure_proven
     from gateway.commands.cell_context import open_cell
+    from gateway.commands.record_moving import MovingWish, record_in_motion, refuse_mixed
     from gateway.model.arm_model import arm_named
     from gateway.result.values import plain_values
 
+    refuse_mixed(
+        in_motion, [*poses, *(wish for wish in (result, until.goal) if wish is not None)], moving_plan, rate_hz
+    )
     context = open_cell(cell, bus_spec, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
+    if in_motion:
+        record_in_motion(context, arm, MovingWish(label, output, resume, moving_plan, rate_hz, trace, json_out), moving)
+        return
     wanted = _Wanted(output, resume, poses, result)
     asked: _Planned | PoseByPose = (
         _Planned(_plan_for(context.loaded, arm, wanted), RecordRequest(label, output, resume))
@@ -191,7 +217,8 @@ def record(
     opening = open_arm(context.loaded, context.override(arm, trace), arm.name)
     with context.way_on(), stoppable(moving) as options, opening as opened:
         options = ensure_proven(opened, context.stop_proof(arm), session.note, options)
-        summary, more = asked.run(session, opened, options)
+        done = asked.run(session, opened, options)
+    summary, more = (done.recording, {"until": as_json(done)}) if isinstance(done, UntilSummary) else (done, {})
     if json_out:
         write_json(json_out, {"schema": 1, "arm": arm.name, **plain_values(summary), "path": str(output), **more})
     session.show(f"{output}: {summary.visits} visits under load {label}, {summary.skipped} were there already")
@@ -209,11 +236,11 @@ class _Planned:
         """Show poses and expectation."""
         show_plan(self.plan)
 
-    def run(self, session: Session, opened: OpenArm, options: MoveOptions) -> tuple[RecordingSummary, dict[str, Any]]:
-        """Measure with a progress bar; what was added."""
+    def run(self, session: Session, opened: OpenArm, options: MoveOptions) -> RecordingSummary:
+        """Measure with a progress bar."""
         from gateway.commands.progress import recording_with_progress
 
-        return recording_with_progress(session, opened, self.plan, self.request, options), {}
+        return recording_with_progress(session, opened, self.plan, self.request, options)
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,6 +30,7 @@ def show_result(result: Result, session: Session) -> None:
         session.show(load_table(result))
     for load in result.loads:
         _show_load(load, session)
+    _show_motion(result, session)
     _show_residuals(result, session)
     if result.verdict:
         session.show(f"verdict: {result.verdict}. {verdict_sentence(result)}")
@@ -49,6 +50,26 @@ def _show_load(load: LoadResult, session: Session) -> None:
     if load.per_pose_mass_kg and session.verbosity > 0:
         rows = [[pose, number(mass, 3)] for pose, mass in load.per_pose_mass_kg.items()]
         session.show(grid(f"load {load.label}: mass by each pose alone [kg]", ["pose", "mass"], rows))
+
+
+def _show_motion(result: Result, session: Session) -> None:
+    """Inertia of the loads, friction and rotors of the axes, where motion told them."""
+    from gateway.report.moving import PARTS, axis_rows, inertia_view
+
+    found = [(load.label, inertia) for load in result.loads if (inertia := inertia_view(load)) is not None]
+    if found:
+        frame = found[0][1].frame
+        title = f"inertia about the centre of gravity, axes of {frame} [kg m2]: value ± half of the {SAID} interval"
+        rows = [
+            [label, *(f"{value} ± {half}" if half else value for _, value, half in inertia.parts)]
+            for label, inertia in found
+        ]
+        session.show(grid(title, ["load", *PARTS], rows))
+    axes = max((axis.joint for axis in result.motion), default=0)
+    told = axis_rows(result.motion, axes)
+    if told:
+        rows = [[said, *cells] for said, cells in told]
+        session.show(grid(f"what motion tells: value ± half of the {SAID} interval", ["", *axis_names(axes)], rows))
 
 
 def _show_residuals(result: Result, session: Session) -> None:

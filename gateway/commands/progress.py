@@ -2,10 +2,22 @@
 
 from __future__ import annotations
 
-from gateway.acquire.events import Event, Narrowed, PoseDone, Progress, SampleRepeated, Started, StateChanged, VisitDone
+from gateway.acquire.events import (
+    Event,
+    Narrowed,
+    PeriodDone,
+    PoseDone,
+    Progress,
+    SampleRepeated,
+    Started,
+    StateChanged,
+    VisitDone,
+)
+from gateway.acquire.moving import MovingSummary, record_moving
 from gateway.acquire.plan import Plan
 from gateway.acquire.session import RecordingSummary, RecordRequest, record
 from gateway.commands.console import Bar, Session
+from gateway.excite.excitation import MovingPlan
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
 
@@ -42,11 +54,22 @@ class ProgressListener:
             self._session.note(f"SYNC {event.sync_index} was not answered by {axes}; sampled again")
         elif isinstance(event, Narrowed):
             self._session.note(f"load {event.load}, {event.text}")
+        elif isinstance(event, PeriodDone):
+            self._tell_period(event)
         elif isinstance(event, StateChanged):
             self._session.note(str(event.state), level=2)
         else:
             # what is raised says it too, last, where it is still on the screen
             self._session.note(f"stopped: {event.reason}", level=1)
+
+    def _tell_period(self, event: PeriodDone) -> None:
+        """A period that lacks a SYNC is always told of."""
+        self._done += 1
+        what = f"period {self._done}/{self._visits}: '{event.name}' number {event.period}"
+        what += f" at {event.speed:.0%}" if event.speed != 1.0 else ""
+        lost = event.incomplete_epochs
+        unanswered = f", {lost} SYNCs were not answered" if lost else ""
+        self._session.note(f"{what}{unanswered}", level=0 if lost else 1)
 
 
 def recording_with_progress(
@@ -61,3 +84,18 @@ def recording_with_progress(
     """
     with session.progress(plan.duration_s / options.override, f"load {request.load}") as bar:
         return record(opened, plan, request, (ProgressListener(session, bar),), options)
+
+
+def moving_with_progress(
+    session: Session, opened: OpenArm, plan: MovingPlan, request: RecordRequest, how: tuple[MoveOptions, float]
+) -> MovingSummary:
+    """Drive a moving plan under one load and show how far it is; `how` is the options and the time it takes [s].
+
+    Raises
+    ------
+    InputError, PlanRefused, DriveError, KeyboardInterrupt
+        As `record_moving`.
+    """
+    options, duration_s = how
+    with session.progress(duration_s, f"load {request.load}") as bar:
+        return record_moving(opened, plan, request, (ProgressListener(session, bar),), options)

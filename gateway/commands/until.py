@@ -14,7 +14,6 @@ from gateway.commands.options import Function
 from gateway.result.interval import SAID
 
 if TYPE_CHECKING:
-    from gateway.acquire.session import RecordingSummary
     from gateway.acquire.until.goal import Goal
     from gateway.acquire.until.prepare import UntilRequest
     from gateway.acquire.until.run import UntilSummary
@@ -128,8 +127,8 @@ class PoseByPose:
             "tells per second"
         )
 
-    def run(self, session: Session, opened: OpenArm, options: MoveOptions) -> tuple[RecordingSummary, dict[str, Any]]:
-        """Measure with a progress bar, and say how it ended; what was added, and that end as plain values.
+    def run(self, session: Session, opened: OpenArm, options: MoveOptions) -> UntilSummary:
+        """Measure with a progress bar, and say how it ended.
 
         Raises
         ------
@@ -143,7 +142,7 @@ class PoseByPose:
             listener = ProgressListener(session, bar)
             done = record_until(opened, self.search, self.path, self.earlier, (listener,), options)
         session.show(done.reason)
-        return done.recording, {"until": as_json(done)}
+        return done
 
 
 def pose_by_pose(loaded: LoadedCell, arm: ArmConfig, request: UntilRequest) -> PoseByPose:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.identify.load_estimate import LoadEstimate
-from gateway.result.result import Bare, Finding, NextMeasurement, NuisanceResult, SetAside
+from gateway.result.result import AxisMotion, Bare, Finding, NextMeasurement, NuisanceResult, SetAside
 
 Floats = NDArray[np.float64]
 
@@ -77,6 +77,8 @@ class Estimate:
         What every arm has, by its name in the result.
     set_aside : tuple of SetAside
         Gross torques that are in no fit.
+    motion : tuple of AxisMotion
+        What motion tells of the axes that moved.
     quality : mapping
         Further figures for the report.
     """
@@ -99,4 +101,5 @@ class Estimate:
     next: tuple[NextMeasurement, ...] = ()
     nuisance: Mapping[str, NuisanceResult] = field(default_factory=dict)
     set_aside: tuple[SetAside, ...] = ()
+    motion: tuple[AxisMotion, ...] = ()
     quality: Mapping[str, Any] = field(default_factory=dict)

@@ -67,6 +67,7 @@ def to_result(
         quality=quality | dict(estimate.quality),
         rows=None if estimate.rows is None else _rows(estimate.rows),
         bare=estimate.bare,
+        motion=estimate.motion,
     )
 
 

@@ -8,35 +8,44 @@ it: with no repeated motion the noise floor of a moving run is unknown.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.rows import Table
 from gateway.errors import DataUnusable
-from gateway.estimate.estimate import Estimate, FittedRows
-from gateway.estimate.moving_columns import Columns, MovingSetup, fast_rows, moving_columns
-from gateway.estimate.moving_ordinary import Settled, settle
+from gateway.estimate.estimate import Estimate
+from gateway.estimate.moving_columns import Columns, MovingSetup, fast_rows, held_to_friction, moving_columns
+from gateway.estimate.moving_describe import MovingFit, axis_motions, described_load, fitted_rows, nuisances
+from gateway.estimate.moving_noise import correlation_times, spread_of
+from gateway.estimate.moving_ordinary import settle
+from gateway.estimate.moving_periods import Periods, averaged
+from gateway.estimate.moving_problem import MovingProblem, about, solved
+from gateway.estimate.moving_stribeck import stribeck_speeds
+from gateway.estimate.moving_time import Stretches
 from gateway.estimate.options import EstimateOptions
-from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, budget_by_priors
-from gateway.identify.inertia import LoadInertia, load_inertia, nearest_body
-from gateway.identify.load_estimate import LoadEstimate, load_from_moment, without_guesses
-from gateway.identify.solve import Solution, determined, solve
-from gateway.identify.spread import by_blocks, wider
+from gateway.identify.load_estimate import LoadEstimate, refused_load
+from gateway.identify.loads import BARE_LABEL
+from gateway.identify.solve import Solution
 from gateway.model.robot import Robot, reach_m
-from gateway.result.interval import holds_zero
-from gateway.result.result import Finding, NuisanceResult
+from gateway.result.result import AxisMotion, Finding
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int_]
+Mask = NDArray[np.bool_]
 
 _REWEIGHTS = 12
 _SETTLED = 1e-3
-_LONGEST = 2000
-#: Correlation times of a block that is one pull.
-_LONG = 3.0
+_LEAST_SHARE = 1e-3
+#: Share of its way by which an axis may go otherwise than its speed says.
+_MISMATCH = 0.5
+#: Delay [s] beyond which a drive is late.
+_LATE_S = 0.02
+#: Times that the parts are weighed anew by what the whole model leaves of them: free links take up too much.
+_WEIGHED_ANEW = 2
+#: Times by which that may change a weight: beyond, priors keep a fit from what the rows say, or count for nothing.
+_MOST_ANEW = 10.0
 
 
 def estimate_moving(
@@ -63,6 +72,23 @@ def estimate_moving(
     moving = table.take(table.moving)
     if not len(moving):
         raise DataUnusable("the data hold no moving rows")
+    _check_speeds(moving)
+    periods = averaged(moving, np.isfinite(moving.tau_nm) & fast_rows(moving.qd_rad_s, robot, motion))
+    sound, refused = _without_slipped(periods, options)
+    if not len(sound.mean):
+        blank = np.full(moving.axes, np.nan)
+        return Estimate("moving", refused, blank, blank, set_aside=sound.set_aside, findings=sound.findings)
+    found = _fit(sound, robot, sound_options(options, sound.mean) if refused else options, motion)
+    return replace(
+        found,
+        loads=(*found.loads, *refused),
+        set_aside=sound.set_aside,
+        findings=(*sound.findings, *found.findings),
+    )
+
+
+def _fit(periods: Periods, robot: Robot, options: EstimateOptions, motion: MovingSetup) -> Estimate:
+    moving = periods.mean
     columns = moving_columns(moving, robot, options, motion)
     used = np.isfinite(moving.tau_nm) & fast_rows(moving.qd_rad_s, robot, motion)
     if used.sum() < columns.design.shape[2]:
@@ -70,173 +96,144 @@ def estimate_moving(
             f"{int(used.sum())} usable torque values in motion are fewer than the {columns.design.shape[2]} unknowns;"
             " record a longer run that moves all axes"
         )
-    row, axis = np.nonzero(used)
-    where = (row, axis)
-    plain = replace(motion, ordinary=())
+    scale_nm, level_nm = _weights(periods, robot, options, motion, used)
+    if "uneven_friction" not in motion.ordinary:
+        return _estimate(_solved(columns, periods, used, scale_nm), moving, robot)
+    fit = _solved(held_to_friction(columns, level_nm), periods, used, scale_nm)
+    falls = stribeck_speeds(fit.problem, fit.settled, fit.spread)
+    if np.isfinite(falls).any():
+        columns = moving_columns(moving, robot, options, replace(motion, stribeck_rad_s=falls))
+        fit = _solved(held_to_friction(columns, level_nm), periods, used, scale_nm)
+    return _estimate(fit, moving, robot)
+
+
+def _check_speeds(moving: Table) -> None:
+    """Refuse speeds that are not those of the positions: rows too far apart, or another unit.
+
+    Raises
+    ------
+    DataUnusable
+    """
+    off = Stretches.of(np.asarray(moving.run), moving.time_s).mismatch(moving.q_rad, moving.qd_rad_s)
+    axis = int(np.argmax(off))
+    if off[axis] > _MISMATCH:
+        raise DataUnusable(
+            f"J{axis + 1}: from row to row its position goes otherwise than its speed says, by"
+            f" {100 * off[axis]:.0f} % of the way: the motion was sampled too slowly, or the speed is in another unit;"
+            " record at 100 Hz or more, speeds in rad/s"
+        )
+
+
+def _late(motions: Sequence[AxisMotion]) -> list[Finding]:
+    """Axes whose torque lags more than filters of a drive do."""
+    return [
+        Finding(
+            "warn", f"J{one.joint}",
+            f"its drive reports the torque {1000 * one.delay_s:.0f} ms late; the fit allows for it",
+            "see the torque filter of the drive and the order of its PDOs, since a watch on contact is as late",
+        )
+        for one in motions
+        if one.delay_s > _LATE_S
+    ]  # fmt: skip
+
+
+def _solved(columns: Columns, periods: Periods, used: Mask, scale_nm: Floats) -> MovingFit:
+    """Settle, weigh the parts anew by what the whole model leaves of them, and settle again."""
+    run = np.asarray(periods.mean.run)
+    problem = MovingProblem.of(columns, periods.mean, used, periods.contrasts)
+    settled = settle(problem, scale_nm)
+    spread = spread_of(problem, settled, scale_nm, run, periods.scatter)
+    for _ in range(_WEIGHED_ANEW * bool(columns.ordinary)):
+        anew_nm = np.clip(spread.scale_nm, scale_nm / _MOST_ANEW, _MOST_ANEW * scale_nm)
+        settled = settle(problem, anew_nm, settled.here)
+        spread = spread_of(problem, settled, anew_nm, run, periods.scatter)
+    return MovingFit(problem, settled, spread)
+
+
+def _without_slipped(periods: Periods, options: EstimateOptions) -> tuple[Periods, tuple[LoadEstimate, ...]]:
+    """The periods without loads that did not stay as they were, and those loads."""
+    gone = {label: why for label, why in periods.slipped.items() if label != BARE_LABEL and label not in options.known}
+    if not gone:
+        return periods, ()
+    kept = ~np.isin(np.asarray(periods.mean.load), list(gone))
+    sound = replace(periods, mean=periods.mean.take(kept), excitation=periods.excitation[kept])
+    return sound, tuple(refused_load(label, why) for label, why in gone.items())
+
+
+def sound_options(options: EstimateOptions, table: Table) -> EstimateOptions:
+    """The options without known loads that the rows no longer carry."""
+    present = set(np.asarray(table.load).tolist())
+    return replace(options, known={label: value for label, value in options.known.items() if label in present})
+
+
+def _weights(
+    periods: Periods, robot: Robot, options: EstimateOptions, motion: MovingSetup, used: Mask
+) -> tuple[Floats, Floats]:
+    """Standard deviation by which each part is weighted, its residual in a fit with free link parameters; and the
+    Coulomb friction (N,) of that fit.
+    """
+    moving = periods.mean
+    plain = replace(motion, ordinary=tuple(name for name in motion.ordinary if name == "load_inertia"))
     trust = options.inertials if motion.passes is not None else "ignore"
-    free = moving_columns(moving, robot, replace(options, inertials=trust), plain)
-    solution, sigma = _reweighted(free, moving.tau_nm, where, motion.passes or _REWEIGHTS)
-    run = np.asarray(moving.run)
-    if motion.ordinary:  # a prior is weighed against rows that are as good as they are independent
-        sigma = sigma * np.sqrt(_correlation_times(solution.residual, where, run, len(sigma)))
-    settled = settle(columns, moving.tau_nm, where, sigma)
-    covariance = _covariance(settled, where, sigma, run)
-    return _described(moving, columns, where, (settled, covariance, reach_m(robot)))
+    columns = moving_columns(moving, robot, replace(options, inertials=trust), plain)
+    problem = MovingProblem.of(columns, moving, used, periods.contrasts)
+    solution, sigma = _reweighted(problem, motion.passes or _REWEIGHTS)
+    level_nm = np.maximum(np.abs(columns.dry(solution.value)), _LEAST_SHARE * sigma.max())
+    if not motion.ordinary:
+        return sigma, level_nm
+    # a prior is weighed against rows that are as good as they are independent
+    left = moving.tau_nm - about(problem, solution.value).model_nm
+    return sigma * np.sqrt(correlation_times(problem, left, np.asarray(moving.run))), level_nm
 
 
-def _target(columns: Columns, tau_nm: Floats, row: Ints, axis: Ints) -> Floats:
-    return (tau_nm - columns.known_nm)[row, axis]
-
-
-def _reweighted(columns: Columns, tau_nm: Floats, where: tuple[Ints, Ints], passes: int) -> tuple[Solution, Floats]:
+def _reweighted(problem: MovingProblem, passes: int) -> tuple[Solution, Floats]:
     """Solution with every axis weighted by its residual (N,) in the pass before; the first weights are one."""
-    row, axis = where
-    design, target = columns.design[row, axis], _target(columns, tau_nm, row, axis)
-    least = 1e-6 * max(float(np.sqrt(np.mean(target**2))), 1e-12)
-    sigma = np.ones(tau_nm.shape[1])
-    solution = solve(design, target, 1.0 / sigma[axis], columns.prior)
+    target = np.where(problem.used, problem.tau_nm - problem.columns.known_nm, 0.0)
+    least = 1e-6 * max(float(np.sqrt((target**2).sum() / max(int(problem.used.sum()), 1))), 1e-12)
+    sigma = np.ones(len(problem.parts))
+    solution = solved(problem, None, sigma, problem.columns.prior)
     for _ in range(passes - 1):
-        new = np.maximum(_rms(solution.residual, axis, len(sigma)), least)
+        new = np.maximum(_residual_rms(problem, solution), least)
         if np.allclose(new, sigma, rtol=_SETTLED):
             break
         sigma = new
-        solution = solve(design, target, 1.0 / sigma[axis], columns.prior)
+        solution = solved(problem, None, sigma, problem.columns.prior)
     return solution, sigma
 
 
-def _rms(residual: Floats, axis: Ints, axes: int) -> Floats:
-    count = np.bincount(axis, minlength=axes)
-    total = np.bincount(axis, weights=residual**2, minlength=axes)
-    return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), 1.0)
+def _residual_rms(problem: MovingProblem, solution: Solution) -> Floats:
+    """Root mean square of the residual of each part. The basis keeps lengths."""
+    ends = np.cumsum([len(part.factor) for part in problem.parts])[:-1]
+    lengths = [float(np.linalg.norm(left)) for left in np.split(solution.residual, ends)]
+    return np.array(lengths) / np.sqrt([len(part.rows) for part in problem.parts])
 
 
-def _covariance(settled: Settled, where: tuple[Ints, Ints], sigma: Floats, run: NDArray[Any]) -> Floats:
-    """Covariance (p, p) under the residuals as they are: their own size, and hanging together in time.
-
-    Each axis's residual by its correlation time; and stretches of all axes together by what they pull (a sandwich over
-    blocks of several correlation times), because what the model lacks hangs on the motion and on all axes at once. Of
-    each parameter the wider of both.
-    """
-    row, axis = where
-    solution = settled.free
-    left = settled.solution.residual
-    weight = 1.0 / sigma[axis]
-    times = _correlation_times(left, where, run, len(sigma))
-    actual = _rms(left, axis, len(sigma)) * np.sqrt(times)
-    working = (settled.design * weight[:, None]) @ solution.covariance
-    real = working * (actual[axis] * weight)[:, None]
-    by_prior = solution.covariance - working.T @ working
-    pulled = by_blocks(working * (left * weight)[:, None], row, run, _LONG * float(times.max()))
-    return wider(real.T @ real, pulled) + by_prior
-
-
-def _correlation_times(residual: Floats, where: tuple[Ints, Ints], run: NDArray[Any], axes: int) -> Floats:
-    """How many rows make one independent one on each axis (N,); 1 where there are none."""
-    row, axis = where
-    parts = [np.flatnonzero(axis == k) for k in range(axes)]
-    return np.array([_correlation_time(residual[part], run[row[part]]) if len(part) else 1.0 for part in parts])
-
-
-def _correlation_time(residual: Floats, run: NDArray[Any]) -> float:
-    """How many rows make one independent one: 1 + 2 sum of the autocorrelation up to its first zero."""
-    total = 1.0
-    left = residual - residual.mean()
-    energy = float(left @ left)
-    for lag in range(1, min(len(left) // 4, _LONGEST)):
-        same = run[lag:] == run[:-lag]
-        value = float((left[lag:] * left[:-lag])[same].sum()) / energy if energy > 0 else 0.0
-        if value <= 0.0:
-            break
-        total += 2.0 * value
-    return total
-
-
-def _described(
-    moving: Table, columns: Columns, where: tuple[Ints, Ints], fit: tuple[Settled, Floats, float]
-) -> Estimate:
-    settled, covariance, longest_m = fit
-    solution = settled.solution
-    row, axis = where
-    found = determined(solution, np.eye(len(columns.names)))
-    model = np.full(moving.tau_nm.shape, np.nan)
-    model[row, axis] = moving.tau_nm[row, axis] - solution.residual
-    loads = tuple(_load(columns, settled, covariance, named, longest_m) for named in columns.loads.items())
-    std = np.where(found, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.nan)
-    blank = np.full(moving.tau_nm.shape, np.nan)
-    rows = FittedRows(
-        run=np.asarray(moving.run).astype(str),
-        load=np.asarray(moving.load).astype(str),
-        pose=np.asarray(moving.pose),
-        time_s=moving.time_s,
-        q_rad=moving.q_rad,
-        direction=np.sign(moving.qd_rad_s).astype(int),
-        tau_nm=np.where(np.isfinite(model), moving.tau_nm, np.nan),
-        model_nm=model,
-        band_nm=blank,
-        std_nm=np.where(np.isfinite(model), _rms(solution.residual, axis, moving.axes), np.nan),
-        leverage=blank,
-    )
+def _estimate(fit: MovingFit, moving: Table, robot: Robot) -> Estimate:
+    columns, solution, std = fit.columns, fit.settled.solution, fit.std
+    found = np.isfinite(std)
+    motions = axis_motions(fit, moving.qd_rad_s)
+    band = np.full(moving.axes, np.nan)
+    for one in motions:
+        band[one.joint - 1] = abs(one.coulomb_nm)
     return Estimate(
         method="moving",
-        loads=loads,
+        loads=tuple(described_load(fit, label, reach_m(robot)) for label in columns.loads),
         sigma_nm=np.full(moving.axes, np.nan),
         names=columns.names,
         units=columns.units,
         value=np.where(found, solution.value, np.nan),
         std=std,
-        covariance=covariance,
-        rows=rows,
-        band_nm=_coulomb(columns, solution, moving.axes),
+        covariance=fit.spread.covariance,
+        rows=fitted_rows(fit, moving),
+        band_nm=band,
         rank=solution.rank,
         condition=solution.condition,
         lumped=tuple(name for name, good in zip(columns.names, found, strict=True) if not good),
-        findings=(_limits(),),
-        nuisance={
-            name: NuisanceResult(tuple(solution.value[index].tolist()), tuple(std[index].tolist()))
-            for name, index in columns.ordinary.items()
-        },
-        quality={"rows": len(row), "parameters": len(columns.names)},
+        findings=(*_late(motions), _limits()),
+        nuisance=nuisances(fit),
+        motion=motions,
+        quality={"rows": int(fit.problem.used.sum()), "parameters": len(columns.names)},
     )
-
-
-def _load(
-    columns: Columns, settled: Settled, covariance: Floats, named: tuple[str, int], longest_m: float
-) -> LoadEstimate:
-    label, first = named
-    solution = settled.solution
-    part = slice(first, first + 4)
-    directions = np.zeros((4, len(solution.value)))
-    directions[:, part] = np.eye(4)
-    found = determined(solution, directions)
-    found[1:] &= found[0]
-    moment, inertia = solution.value[part], None
-    if columns.inertia and found[0]:
-        moment, inertia = _body(solution.value[first : first + 10], covariance[first : first + 10, first : first + 10])
-    load = load_from_moment(label, moment, covariance[part, part], np.ones(4), found)
-    sources = {
-        CONSTANTS: columns.ordinary.get("gain", np.zeros(0, dtype=int)),
-        LINKS: columns.links,
-        FRICTION: columns.friction,
-    }
-    lead, precision = settled.free.covariance[first], columns.prior.std**-2.0
-    budget = budget_by_priors(lead, precision, sources, float(covariance[first, first])) if found[0] else {}
-    return replace(without_guesses(load, longest_m), budget=budget, inertia=inertia)
-
-
-def _body(ten: Floats, covariance: Floats) -> tuple[Floats, LoadInertia | None]:
-    """[m, h] (4,) and inertia of a load from its ten parameters; what weighs nothing has none."""
-    if not ten[0] > 0 or holds_zero(float(ten[0]), float(np.sqrt(covariance[0, 0]))):
-        return ten[:4], None
-    body = nearest_body(ten, covariance)
-    return body.ten[:4], load_inertia(body, covariance)
-
-
-def _coulomb(columns: Columns, solution: Solution, axes: int) -> Floats:
-    out = np.full(axes, np.nan)
-    for k, name in enumerate(columns.names):
-        if name.startswith("coulomb[J"):
-            out[int(name[9]) - 1] = abs(solution.value[k])
-    return out
 
 
 def _limits() -> Finding:

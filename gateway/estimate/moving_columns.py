@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from gateway.estimate.options import EstimateOptions
 from gateway.estimate.problem import LOAD_NAMES, LOAD_UNITS
 from gateway.identify.links import PER_LINK_MOVING, body_parameters, link_prior
 from gateway.identify.loads import unknown_labels
-from gateway.identify.nuisance import gain_stds, nuisance_prior
+from gateway.identify.nuisance import BIAS_SHARE, gain_stds, nuisance_prior
 from gateway.identify.solve import Prior
 from gateway.model.base import BaseSet, base_parameters, moving_base
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
@@ -24,9 +24,15 @@ Ints = NDArray[np.int_]
 Mask = NDArray[np.bool_]
 
 FRICTION = ("coulomb", "viscous", "rotor_inertia", "offset")
-#: What every arm has beside: the reading's gain, a loss in proportion to the torque, and loads that are no points.
-ORDINARY = ("gain", "load_friction", "load_inertia")
+#: What every arm has beside: the reading's gain, a loss in proportion to the torque, a reading that lags behind the
+#: position, friction that differs by direction and near standstill, and loads that are no points.
+ORDINARY = ("gain", "load_friction", "delay", "uneven_friction", "load_inertia")
 NUISANCES = ORDINARY[:2]
+_LOCAL = ORDINARY[:3]
+#: Speed [rad/s] over which friction falls to its Coulomb level where none shows, and the share of that level by which.
+_FALLS_RAD_S, _FALL_SHARE = 0.05, 0.3
+#: Standard deviation [s] of a delay of which nothing is known: filters of a drive, a few SYNCs.
+_DELAY_S = 0.02
 #: Radius of gyration of a load [m], and its six numbers among a body's ten.
 _GYRATION_M, _INERTIA = 0.2, slice(4 - PER_LINK_MOVING, None)
 INERTIA_NAMES = tuple(f"inertia_{name}" for name in ("xx", "xy", "xz", "yy", "yz", "zz"))
@@ -52,6 +58,8 @@ class MovingSetup:
         None: axes are weighted by the residual of a fit with free link parameters, which has one answer. A number:
         that many solutions, each axis weighted by its residual in the one before, beginning with equal weights; with
         fixed link parameters this has several fixed points.
+    stribeck_rad_s : N floats, or none
+        Speed over which the friction of an axis falls from breakaway; NaN: it does not.
     """
 
     smooth_rad_s: float = 0.02
@@ -59,6 +67,7 @@ class MovingSetup:
     friction: tuple[str, ...] | None = None
     ordinary: tuple[str, ...] = ORDINARY
     passes: int | None = None
+    stribeck_rad_s: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,6 +87,10 @@ class Columns:
     ordinary : columns (N,) of what every arm has, by its name
     sign : array of shape (n, N)
         Rounded sign of the speed.
+    smooth_rad_s : float
+        By which it is rounded.
+    stribeck_rad_s : N floats
+        Speed over which friction falls from breakaway; NaN where an axis has no such column.
     """
 
     design: Floats
@@ -89,6 +102,14 @@ class Columns:
     bodies: int
     ordinary: dict[str, Ints]
     sign: Floats
+    smooth_rad_s: float
+    stribeck_rad_s: tuple[float, ...]
+
+    def dry(self, value: Floats) -> Floats:
+        """Coulomb friction (N,) [Nm] among the parameters (p,)."""
+        place = {name: k for k, name in enumerate(self.names)}
+        at = [place.get(f"coulomb[J{axis + 1}]") for axis in range(self.design.shape[1])]
+        return np.array([0.0 if k is None else value[k] for k in at])
 
     @property
     def inertia(self) -> bool:
@@ -149,31 +170,63 @@ def moving_columns(moving: Table, robot: Robot, options: EstimateOptions, motion
             names += [f"{name}[{label}]" for name in INERTIA_NAMES]
             units += ["kg m2"] * len(INERTIA_NAMES)
     bodies = len(names)
-    shapes = motion.friction or (FRICTION[:3] if loads else FRICTION)
+    uneven = "uneven_friction" in motion.ordinary
+    stribeck = np.asarray(motion.stribeck_rad_s or (np.nan,) * robot.axes, dtype=float)
+    stribeck = np.where(np.isnan(stribeck), _FALLS_RAD_S, stribeck) if uneven else stribeck
+    falls = np.flatnonzero(np.isfinite(stribeck))
+    shapes = motion.friction or (FRICTION if uneven or not loads else FRICTION[:3])
     parts.append(_friction_columns(moving, shapes, motion.smooth_rad_s))
     names += [f"{name}[J{axis + 1}]" for axis in range(robot.axes) for name in shapes]
     units += [FRICTION_UNITS[FRICTION.index(name)] for _ in range(robot.axes) for name in shapes]
+    parts.append(_stribeck_columns(moving, stribeck, motion.smooth_rad_s)[:, :, falls])
+    names += [f"stribeck[J{axis + 1}]" for axis in falls]
+    units += ["Nm"] * len(falls)
     ordinary: dict[str, Ints] = {}
-    for name in (name for name in motion.ordinary if name in NUISANCES):
+    for name in (name for name in motion.ordinary if name in _LOCAL):
         ordinary[name] = len(names) + np.arange(robot.axes)
         names += [f"{name}[J{axis + 1}]" for axis in range(robot.axes)]
-        units += [""] * robot.axes
+        units += ["s" if name == "delay" else ""] * robot.axes
         parts.append(np.zeros((len(moving.q_rad), robot.axes, robot.axes)))
-    prior = Prior.free(len(names))
-    prior.mean[: len(held)], prior.std[: len(held)] = mean[held], std[held]
+    prior = _prior((mean[held], std[held]), len(names), ordinary, gain_stds(options.gain_std, robot.axes))
     if "load_inertia" in motion.ordinary:
         heaviest = float(np.sqrt(np.nanmean(moving.tau_nm**2, axis=0)).max()) / float(
             np.linalg.norm(STANDARD_GRAVITY_M_S2)
         )
         for first in loads.values():
             prior.std[first + 4 : first + 10] = heaviest * _GYRATION_M**2
-    nothing = np.full(robot.axes, np.nan)
-    usual = nuisance_prior(gain_stds(options.gain_std, robot.axes), nothing, nothing)
+    return Columns(
+        np.concatenate(parts, axis=2), known, prior, tuple(names), tuple(units), loads, bodies, ordinary,
+        np.tanh(moving.qd_rad_s / motion.smooth_rad_s), motion.smooth_rad_s, tuple(stribeck.tolist()),
+    )  # fmt: skip
+
+
+def _prior(links: tuple[Floats, Floats], count: int, ordinary: dict[str, Ints], gain_std: Floats) -> Prior:
+    """Prior of held links, mean and standard deviation, and of what every arm has."""
+    prior, nothing = Prior.free(count), np.full(len(gain_std), np.nan)
+    held = len(links[0])
+    prior.mean[:held], prior.std[:held] = links
+    usual = nuisance_prior(gain_std, nothing, nothing)
     for name, index in ordinary.items():
-        prior.mean[index], prior.std[index] = getattr(usual, name), getattr(usual, f"{name}_std")
-    sign = np.tanh(moving.qd_rad_s / motion.smooth_rad_s)
-    design = np.concatenate(parts, axis=2)
-    return Columns(design, known, prior, tuple(names), tuple(units), loads, bodies, ordinary, sign)
+        if name == "delay":
+            prior.std[index] = _DELAY_S
+        else:
+            prior.mean[index], prior.std[index] = getattr(usual, name), getattr(usual, f"{name}_std")
+    return prior
+
+
+def held_to_friction(columns: Columns, level_nm: Floats) -> Columns:
+    """The columns with what is a share of the Coulomb friction (N,) held to that.
+
+    A fall towards standstill; and a constant torque where a load is unknown, because a free one swallows gravity.
+    """
+    std = columns.prior.std.copy()
+    for k, name in enumerate(columns.names):
+        kind, _, axis = name.partition("[J")
+        if kind == "stribeck":
+            std[k] = _FALL_SHARE * level_nm[int(axis[:-1]) - 1]
+        elif kind == "offset" and columns.loads:
+            std[k] = BIAS_SHARE * level_nm[int(axis[:-1]) - 1]
+    return replace(columns, prior=replace(columns.prior, std=std))
 
 
 def _free_base(robot: Robot, options: EstimateOptions, free: Ints) -> BaseSet:
@@ -196,4 +249,13 @@ def _friction_columns(moving: Table, shapes: tuple[str, ...], smooth_rad_s: floa
     for axis in range(axes):
         for k, name in enumerate(shapes):
             out[:, axis, axis * count + k] = values[name][:, axis]
+    return out
+
+
+def _stribeck_columns(moving: Table, speed_rad_s: tuple[float, ...], smooth_rad_s: float) -> Floats:
+    out = np.zeros((*moving.q_rad.shape, moving.axes))
+    for axis, speed in enumerate(speed_rad_s):
+        if np.isfinite(speed):
+            qd = moving.qd_rad_s[:, axis]
+            out[:, axis, axis] = np.tanh(qd / smooth_rad_s) * np.exp(-((qd / speed) ** 2))
     return out

@@ -6,7 +6,6 @@ the result brings none, or not all of it, it is taken as that of a solid cube of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from gateway.errors import ConfigError, DataUnusable, InputError
 from gateway.identify.links import body_parameters
 from gateway.model.robot import Robot
 from gateway.result.drawn import Drawn
+from gateway.result.inertia import has_a_body, tensor_of
 from gateway.result.result import LoadResult, Result
 
 Floats = NDArray[np.float64]
@@ -25,8 +25,6 @@ Floats = NDArray[np.float64]
 #: Between a hollow aluminium gripper and solid steel, assumed.
 CUBE_DENSITY_KG_M3 = 3000.0
 FRAME = "link_6"
-#: What rounding in a file may take from the triangle inequality of principal inertias.
-ROUNDED = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,17 +121,10 @@ def _with_own_inertia(load: FeedLoad, chosen: LoadResult, source: str) -> FeedLo
         return load
     if not np.isfinite(chosen.inertia_kg_m2).all():
         return replace(load, inertia_source=f"{load.inertia_source}, since motion told only a part of it")
-    inertia = inertia_matrix(chosen.inertia_kg_m2)
-    principal = np.linalg.eigvalsh(inertia)
-    if not (principal[0] >= 0.0 and principal[0] + principal[1] >= (1.0 - ROUNDED) * principal[2]):
+    inertia = tensor_of(chosen.inertia_kg_m2)
+    if not has_a_body(inertia):
         return replace(load, inertia_source=f"{load.inertia_source}, since no body has the one in {source}")
     return replace(load, inertia_kg_m2=inertia, inertia_source=source)
-
-
-def inertia_matrix(values: Sequence[float]) -> Floats:
-    """Inertia (3, 3) of [Ixx, Iyy, Izz, Ixy, Ixz, Iyz], the order of a result."""
-    xx, yy, zz, xy, xz, yz = values
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def sourced(what: str, result: Result, where: str) -> str:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gateway.identify.inertia import LoadInertia
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
 from gateway.model.robot import Robot, reach_m
+from gateway.result.inertia import moments_of, tensor_of
 from gateway.result.interval import holds_zero
 from gateway.result.names import INERTIA_WHOLE
 from gateway.result.result import LoadResult
@@ -194,8 +195,17 @@ def load_result(load: LoadEstimate, robot: Robot | None) -> LoadResult:
         budget=dict(load.budget),
         inertia_kg_m2=None if inertia is None else _some(inertia.value_kg_m2),
         inertia_std_kg_m2=None if inertia is None else _some(inertia.std_kg_m2),
+        inertia_flange_kg_m2=None if inertia is None or flange is None else _in_flange(inertia.value_kg_m2, flange),
         refused=load.refused,
     )
+
+
+def _in_flange(moments_kg_m2: Floats, flange: Floats) -> tuple[float, ...] | None:
+    """Moments of inertia (6,) with the axes of the flange; None where one of them is not known."""
+    if not np.isfinite(moments_kg_m2).all():
+        return None
+    turn = flange[:3, :3]
+    return moments_of(turn.T @ tensor_of(moments_kg_m2.tolist()) @ turn)
 
 
 def _some(values: Floats) -> tuple[float, ...] | None:

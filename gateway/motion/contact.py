@@ -1,8 +1,9 @@
 """Two signs of contact or of a drive that does not do what it is told: torque that the model does not explain, and a
 joint that stays behind.
 
-The model knows neither the load nor the friction, so the difference between measured and modelled torque is compared
-with its own recent mean: what hangs on the flange changes it slowly, contact changes it at once.
+The model does not know the load, nor friction and rotors that were not identified, so the difference between measured
+and modelled torque is compared with its own recent mean: what hangs on the flange changes it slowly, contact changes it
+at once.
 """
 
 from __future__ import annotations
@@ -16,6 +17,9 @@ from gateway.motion.workspace import Workspace
 #: Jump of the unexplained torque, as a share of the joint's torque limit; friction at a reversal is below half of it.
 #: A gear that turns from driving to driven back adds (1 / eta - eta) of the torque it carries.
 CONTACT_SHARE = 0.25
+#: The same of a joint of which friction, rotor and links are known: the friction's reversal comes on top, by its size,
+#: since the joint turns round later than its set points.
+KNOWN_SHARE = 0.15
 #: SYNCs in a row that it has to last, to the same side: set points that come late make the torque swing.
 IN_A_ROW = ARM_RULES["contact"].count
 #: Time constant of the recent mean.
@@ -40,12 +44,16 @@ class Contact:
     workspace : Workspace
     period_s : float
         SYNC period.
+    turning_nm : array of shape (N,), optional
+        By how much the friction of each joint changes as it turns round; NaN where it was not identified.
     """
 
-    def __init__(self, arm: str, workspace: Workspace, period_s: float) -> None:
+    def __init__(self, arm: str, workspace: Workspace, period_s: float, turning_nm: np.ndarray | None = None) -> None:
         self._arm = arm
         self._share = min(period_s / MEMORY_S, 1.0)
         self._limit = CONTACT_SHARE * workspace.torque_nm
+        if turning_nm is not None:
+            self._limit = np.fmin(self._limit, KNOWN_SHARE * workspace.torque_nm + turning_nm)
         self._reversal = 1.0 / workspace.efficiency - workspace.efficiency
         self._mean = np.zeros_like(self._limit)
         self._taking_over = int(np.ceil(TAKE_OVER_S / period_s))

@@ -16,6 +16,7 @@ from drives.realtime import leave_real_time
 from gateway.data.sample import ArmSample
 from gateway.motion.arms import Arms
 from gateway.motion.contact import TAKE_OVER_S
+from gateway.motion.own_torque import own_torque
 from gateway.motion.pathclock import PathClock
 from gateway.motion.state import StateKeeper
 from gateway.motion.stops import StopDesk, StopKind, guarded
@@ -127,7 +128,10 @@ class Stream:
         self._arms, self._desk, self._period_s = station.arms, station.options.desk, station.period_s
         pairs = zip(station.arms.members, station.workspaces, strict=True)
         late = BUFFERED_SYNCS if station.arms.real else 0.0
-        self._watches = [Watch(arm.name, workspace, station.period_s, late) for arm, workspace in pairs]
+        self._watches = [
+            Watch(arm.name, workspace, station.period_s, late, own_torque(arm, workspace, station.period_s))
+            for arm, workspace in pairs
+        ]
         self._acceleration = np.concatenate([each.acceleration_rad_s2 for each in station.workspaces])
         self._jerk = np.concatenate([each.jerk_rad_s3 for each in station.workspaces])
         self._report = guarded(station.report, station.options.desk)
@@ -234,7 +238,7 @@ class Stream:
         samples = self.samples = self._arms.exchange(commands)
         self.q_rad = targets
         modelled = way.modelled(at)
-        self._look(samples, self._gravity() if modelled is None else modelled)
+        self._look(samples, self._moved() if modelled is None else modelled)
         way.take(at, rate, samples)
 
     def hold(self, what: str, row: int, rows: int) -> tuple[ArmSample, ...]:
@@ -289,6 +293,9 @@ class Stream:
         self.sync_index = samples[0].sync_index
         for watch, sample, target, modelled in zip(self._watches, samples, self.q_rad, modelled_nm, strict=True):
             watch.check(sample, target, modelled)
+
+    def _moved(self) -> PerArm:
+        return tuple(watch.moved_torque(q) for watch, q in zip(self._watches, self.q_rad, strict=True))
 
     def _gravity(self) -> PerArm:
         return tuple(watch.modelled_torque(q[None])[0] for watch, q in zip(self._watches, self.q_rad, strict=True))

@@ -57,13 +57,13 @@ def needed_torque_nm(
     if bodies is None or None in rotors:
         return None
     rotor = np.array([0.0 if inertia is None else inertia.value for inertia in rotors])
-    lost = np.array([axis.load_friction for axis in known])
+    lost = np.maximum(1.0 / workspace.efficiency, [1.0 + axis.load_friction for axis in known])
     friction = dry_friction_nm(arm, known)
 
     def gravity_nm(q_rad: Floats) -> Floats:
         still = np.zeros_like(q_rad)
         rows = regressor(workspace.robot, q_rad, still, still, workspace.gravity_m_s2)
-        return np.abs(rows @ bodies).max(axis=2) * (1.0 + lost) / workspace.efficiency
+        return np.abs(rows @ bodies).max(axis=2) * lost
 
     def stopping_nm(q_rad: Floats) -> Floats:
         still, total = np.zeros_like(q_rad), np.zeros((*q_rad.shape, bodies.shape[1]))

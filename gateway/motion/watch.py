@@ -10,6 +10,7 @@ from gateway.data.sample import ArmSample
 from gateway.errors import LimitExceeded
 from gateway.model.regressor import gravity_regressor
 from gateway.motion.contact import Contact
+from gateway.motion.own_torque import OwnTorque
 from gateway.motion.reactions import ARM_RULES
 from gateway.motion.workspace import Workspace
 
@@ -42,9 +43,18 @@ class Watch:
         SYNC period.
     late_syncs : float
         SYNCs by which a drive may take its set points over late, beside what its servo lags.
+    own : OwnTorque, optional
+        Torque that the arm takes for its own motion.
     """
 
-    def __init__(self, arm: str, workspace: Workspace, period_s: float, late_syncs: float = 0.0) -> None:
+    def __init__(
+        self,
+        arm: str,
+        workspace: Workspace,
+        period_s: float,
+        late_syncs: float = 0.0,
+        own: OwnTorque | None = None,
+    ) -> None:
         self._arm = arm
         self._period_s = period_s
         self._workspace = workspace
@@ -57,7 +67,8 @@ class Watch:
         self._counting = False
         self._target: np.ndarray | None = None
         self._late_syncs = late_syncs
-        self._contact = Contact(arm, workspace, period_s)
+        self._own = own
+        self._contact = Contact(arm, workspace, period_s, None if own is None else own.turning_nm)
         self._sent: tuple[int, float] | None = None
         self._late: deque[bool] = deque(maxlen=max(20, round(RHYTHM_S / period_s)))
         self._history: deque[tuple[float, np.ndarray]] = deque(maxlen=max(2, round(SPEED_SPAN_S / period_s) + 1))
@@ -74,6 +85,14 @@ class Watch:
             return np.zeros_like(q_rad)
         return gravity_regressor(self._workspace.robot, q_rad, self._workspace.gravity_m_s2) @ links
 
+    def moved_torque(self, q_rad: np.ndarray) -> np.ndarray:
+        """Torque (N,) [Nm] that the bare arm asks for on its way to set points (N,).
+
+        Gravity there, and rotors and links, where they were identified, as of the set points before: joints lag.
+        """
+        gravity_nm = self.modelled_torque(q_rad[None])[0]
+        return gravity_nm if self._own is None else gravity_nm + self._own.inertia_nm
+
     def check(self, sample: ArmSample, target_rad: np.ndarray, modelled_nm: np.ndarray) -> None:
         """Check one SYNC; one that is not complete shows nothing and is passed over.
 
@@ -83,7 +102,7 @@ class Watch:
         target_rad : array of shape (N,)
             Joint positions that were sent with this SYNC.
         modelled_nm : array of shape (N,)
-            `modelled_torque` there.
+            What a model asks for there, without friction: `modelled_torque`, `moved_torque`, or the way's own.
 
         Raises
         ------
@@ -94,6 +113,9 @@ class Watch:
         """
         expected = target_rad if self._target is None else self._target
         self._target = target_rad
+        if self._own is not None:
+            self._own.take(target_rad)
+            modelled_nm = modelled_nm + self._own.friction_nm
         self._check_rhythm(sample)
         if not sample.complete:
             return

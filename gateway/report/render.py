@@ -8,7 +8,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from gateway.report import budget, evidence, figures, posture, space, words
+from gateway.report import budget, evidence, figures, moving, moving_figures, posture, space, words
 from gateway.report.centre import centre, earlier
 from gateway.report.page import Head, drive_rows, page
 from gateway.report.view import View, view
@@ -52,6 +52,7 @@ def _figures(result: Result, data: Drawn, shown: View) -> dict[str, Any]:
     classes = figures.load_classes(result)
     drawn = space.pose_figures(data.poses, classes)
     com, curves = _com(result), _curves(result.effects, data.curves)
+    period = moving.period_of(result)
     measured = dict.fromkeys(() if result.rows is None else result.rows.load)
     return {
         "quality": evidence.quality_figure(shown.axes),
@@ -64,6 +65,10 @@ def _figures(result: Result, data: Drawn, shown: View) -> dict[str, Any]:
         "more_candidates": max(0, len(shown.candidates) - evidence.MOST_CANDIDATES),
         "curves": curves,
         "first_curve": next(iter(curves.values()), None),
+        "friction_curves": [moving_figures.sliding_figure(one) for one in moving.friction_views(result)],
+        "period": period,
+        "period_panels": [] if period is None else moving_figures.period_figures(period),
+        "load_words": words.load,
         "torque": figures.torque_figures(result),
         "residual": figures.residual_figures(result),
         "arms": drawn,

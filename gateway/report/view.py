@@ -8,6 +8,7 @@ from itertools import zip_longest
 
 from gateway.report import sentences, words
 from gateway.report.centre import Centre, centre, earlier
+from gateway.report.moving import InertiaView, axis_rows, inertia_view
 from gateway.report.quality import AxisQuality
 from gateway.result.interval import half_width
 from gateway.result.names import INERTIA_PARTS, INERTIA_WHOLE
@@ -46,6 +47,7 @@ class LoadView:
     before_half: str
     refused: str
     unidentifiable: tuple[str, ...]
+    inertia: InertiaView | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +85,7 @@ class View:
     candidates: tuple[Candidate, ...]
     held_out: str
     has_before: bool
+    motion: tuple[tuple[str, list[str]], ...]
 
 
 def view(result: Result) -> View:
@@ -100,6 +103,7 @@ def view(result: Result) -> View:
         candidates=_candidates(result),
         held_out=sentences.HELD_OUT.get(result.holdout_kind or "", ""),
         has_before=bool(result.effects),
+        motion=tuple(axis_rows(result.motion, len(axes))),
     )
 
 
@@ -133,6 +137,7 @@ def _load(result: Result, load: LoadResult) -> LoadView:
         before_half=was[1],
         refused=load.refused or "",
         unidentifiable=tuple(UNKNOWNS.get(item, item) for item in load.unidentifiable),
+        inertia=inertia_view(load),
     )
 
 

@@ -54,7 +54,8 @@ class LoadResult:
     `com_m`, `com_std_m` [m] in `frame`, that of the last link; `correlation` of [mass, x, y, z]; `per_pose_mass_kg`
     keyed by the pose number; `budget` the share of the mass's variance by source, `constants`, `links`, `friction` and
     `noise`, sum 1. `inertia_kg_m2` [Ixx, Iyy, Izz, Ixy, Ixz, Iyz] about the centre of gravity, axes of `frame`; null
-    and named in `unidentifiable` where nothing moved. A refused load keeps NaN everywhere and says why in `refused`.
+    and named in `unidentifiable` where nothing moved; `inertia_flange_kg_m2` the same with the axes of the flange. A
+    refused load keeps NaN everywhere and says why in `refused`.
     """
 
     label: str
@@ -70,6 +71,7 @@ class LoadResult:
     budget: Mapping[str, Number] = field(default_factory=dict, metadata=SILENT)
     inertia_kg_m2: Numbers | None = field(default=None, metadata=SILENT)
     inertia_std_kg_m2: Numbers | None = field(default=None, metadata=SILENT)
+    inertia_flange_kg_m2: Numbers | None = field(default=None, metadata=SILENT)
     refused: str | None = field(default=None, metadata=SILENT)
 
 

@@ -99,8 +99,8 @@ class Verdict:
 
     @property
     def aim(self) -> Floats:
-        """Half widths (4,) that are worth going on for."""
-        return np.maximum(self.goal, NEAR * self.limit)
+        """Half widths (4,) worth going on for: the goal, and where that is out of reach, what is near the limit."""
+        return np.where(self.limit > self.goal, NEAR * self.limit, self.goal)
 
     @property
     def done(self) -> bool:

@@ -12,6 +12,7 @@ from gateway.acquire.until.choice import MOST_POSES, Verdict
 from gateway.acquire.until.search import Decision
 from gateway.estimate.outlook import Outlook
 from gateway.result.interval import PLUS_MINUS, SAID, half_width
+from gateway.result.result import Finding
 
 Floats = NDArray[np.float64]
 
@@ -44,6 +45,13 @@ def ended(decision: Decision, label: str) -> str:
         for k in short
     )
     return f"no further pose brings load {label} to {missed}; {what_helps(stock.outlook, verdict)}"
+
+
+def end_of(decision: Decision, label: str) -> Finding:
+    """The same as a finding of the result."""
+    reached = bool(decision.verdict.reached.all()) and decision.stock.refused is None
+    said, _, helps = ended(decision, label).partition("; ")
+    return Finding("info" if reached else "warn", f"load {label}", said, helps)
 
 
 def what_helps(known: Outlook, verdict: Verdict) -> str:

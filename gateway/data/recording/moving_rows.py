@@ -12,6 +12,7 @@ from drives.profile_file import parse_profile
 from gateway.cell.config import ArmConfig
 from gateway.data.period import Period
 from gateway.data.periodic import by_harmonics, by_low_pass
+from gateway.data.periods import EXCITATION, PERIOD, PHASE_S
 from gateway.data.rows import MOVING, Table
 from gateway.errors import InputError
 
@@ -78,8 +79,8 @@ def period_rows(period: Period, tau_nm: np.ndarray, path: Path, harmonics: int, 
         temperature_c=blank,
         motor_torque_nm=period.motor_torque_nm,
         extra={
-            "x_excitation": np.full(n, float(period.motion)),
-            "x_period": np.full(n, float(period.period)),
-            "x_phase_s": np.arange(n) * (period.period_s / n),
+            EXCITATION: np.full(n, float(period.motion)),
+            PERIOD: np.full(n, float(period.period)),
+            PHASE_S: np.arange(n) * (period.period_s / n),
         },
     )

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from gateway.identify.inertia import LoadInertia
 from gateway.identify.load_estimate import (
     LOAD_PARTS,
     in_flange,
@@ -28,6 +33,26 @@ def test_covariance_of_mass_and_centre_is_that_of_draws():
     assert [load.mass_kg, *load.com_m] == pytest.approx([10.0, 0.1, -0.05, 0.2])
     assert [load.mass_std_kg, *load.com_std_m] == pytest.approx(bodies.std(axis=0).tolist(), rel=0.01)
     assert np.asarray(load.correlation) == pytest.approx(np.corrcoef(bodies.T), abs=0.01)
+
+
+def test_the_inertia_is_turned_into_the_axes_of_the_flange():
+    turn = Rotation.from_euler("ZYX", [20.0, -35.0, 70.0], degrees=True).as_matrix()
+    flange = np.eye(4)
+    flange[:3, :3], flange[:3, 3] = turn, (0.0, 0.01, 0.12)
+    robot = SimpleNamespace(flange=flange, last_link="link_6")
+    moments = np.array([2.0, 3.0, 1.5, 0.4, -0.3, 0.2])
+    load = known_load("a", 10.0, np.array([0.1, 0.0, 0.2]))
+    told = load_result(replace(load, inertia=LoadInertia(moments, np.full(6, 0.01))), robot)  # type: ignore[arg-type]
+    xx, yy, zz, xy, xz, yz = told.inertia_flange_kg_m2
+    seen = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    # a spin about an axis has the same energy however the axes are named
+    for spin in np.random.default_rng(2).normal(size=(5, 3)):
+        there = turn.T @ spin
+        energy = spin @ np.array([[2.0, 0.4, -0.3], [0.4, 3.0, 0.2], [-0.3, 0.2, 1.5]]) @ spin
+        assert there @ seen @ there == pytest.approx(energy)
+    moments[2] = np.nan
+    part = load_result(replace(load, inertia=LoadInertia(moments, np.full(6, 0.01))), robot)  # type: ignore[arg-type]
+    assert part.inertia_flange_kg_m2 is None
 
 
 def test_widening_widens_the_deviations_and_not_the_correlation():

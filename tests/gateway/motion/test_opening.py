@@ -12,8 +12,12 @@ from drives.bus import BusSpec
 from drives.errors import ProfileError
 from gateway.cell.config import LoadedCell
 from gateway.cell.conversion import AxisConversion
+from gateway.errors import InputError
+from gateway.feedforward.identified import with_identified
 from gateway.motion import opening
 from gateway.motion.opening import BusOverride, axis_setups
+from gateway.result.drawn import Drawn
+from gateway.result.result import AxisMotion, Result, to_json
 
 
 def test_each_drive_gets_node_profile_constant_and_the_speed_of_its_motor(small_cell):
@@ -165,3 +169,14 @@ def test_a_drive_that_is_read_and_not_moved_is_refused_before_the_bus_is_opened(
         pass
     assert "J2, J5: profile generic-cia402 refuses motion" in str(caught.value)
     assert caught.value.exit_code == 3
+
+
+def test_what_was_identified_elsewhere_is_refused_before_the_bus_is_opened(small_cell, tmp_path, monkeypatch):
+    config = small_cell.cell.arm[0]
+    motion = (AxisMotion(1, coulomb_nm=5.0, coulomb_std_nm=0.1),)
+    elsewhere = Result(robot="compact10", motion=motion, data=Drawn(cell="small", arm="other"))
+    (tmp_path / "moving.json").write_text(to_json(elsewhere))
+    monkeypatch.setattr(opening, "open_bus", lambda *_: pytest.fail("the bus was opened"))
+    loaded = with_identified(small_cell, config.name, tmp_path / "moving.json")
+    with pytest.raises(InputError, match="arm 'other', not on"), opening.open_arm(loaded):
+        pass

@@ -7,6 +7,7 @@ import pinocchio
 import pytest
 
 from gateway.cell.config import SourcedNumber
+from gateway.feedforward.identified import AxisConstants, Known
 from gateway.model.arm_model import arm_robot, robot_text
 from gateway.motion.torque_need import needed_torque_nm
 from gateway.motion.workspace import workspace_of
@@ -98,3 +99,21 @@ def test_a_link_without_inertia_gives_no_figure(small_cell):
     inertia[4] = np.nan
     unknown = replace(workspace, robot=replace(workspace.robot, inertia_kg_m2=inertia))
     assert needed_torque_nm(unknown, arm, DECEL) is None
+
+
+def test_identified_rotors_and_friction_count_before_what_is_typed(small_cell):
+    arm = small_cell.cell.arm[0]
+    workspace = workspace_of(arm, arm_robot(small_cell, arm))
+    rotor = np.array([axis.rotor_inertia_kg_m2.value for axis in arm.axis])
+    typed = needed_torque_nm(workspace, arm, DECEL)
+    known = tuple(
+        AxisConstants(
+            rotor_kg_m2=Known(1.2 * axis.rotor_inertia_kg_m2.value, "identified", identified=True),
+            coulomb_nm=Known(5.0, "identified", identified=True),
+            breakaway_nm=7.0,
+            stribeck_rad_s=0.01,
+        )
+        for axis in arm.axis
+    )
+    identified = needed_torque_nm(workspace, arm, DECEL, known)
+    assert identified - typed == pytest.approx(1.3 * (0.2 * rotor * DECEL + 7.0 - 0.013 * workspace.torque_nm))

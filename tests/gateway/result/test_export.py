@@ -4,7 +4,9 @@ import json
 import re
 import xml.etree.ElementTree as ElementTree
 
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gateway.errors import ConfigError, DataUnusable
 from gateway.result.export import FORMATS, export
@@ -126,6 +128,93 @@ def test_what_was_not_identified_is_refused(fmt):
 @pytest.mark.parametrize("fmt", sorted(FORMATS))
 def test_inertia_is_said_to_be_unknown(fmt):
     assert "inertia not measured" in export(result(), fmt)
+
+
+#: About the centre of gravity, axes of the flange: principal moments 0.3, 0.5 and 0.4 kg m2 about turned axes.
+TURN = Rotation.from_euler("ZYX", [25.0, -15.0, 40.0], degrees=True).as_matrix()
+TENSOR = TURN @ np.diag([0.3, 0.5, 0.4]) @ TURN.T
+SIX = [TENSOR[0, 0], TENSOR[1, 1], TENSOR[2, 2], TENSOR[0, 1], TENSOR[0, 2], TENSOR[1, 2]]
+#: In link 6 the numbers are others.
+MOVED = {"inertia_kg_m2": [0.9, 0.8, 0.7, 0.01, 0.02, 0.03], "inertia_std_kg_m2": [0.01] * 6}
+WITH_INERTIA = MOVED | {"inertia_flange_kg_m2": SIX}
+
+
+def test_abb_takes_principal_moments_and_a_quaternion_of_their_axes():
+    (line,) = [line for line in export(result(**WITH_INERTIA), "abb").splitlines() if line.startswith("PERS")]
+    aom, moments = re.search(r"\],\[([^]]*)\],([^]]*)\];", line).groups()
+    w, x, y, z = map(float, aom.split(","))
+    assert w**2 + x**2 + y**2 + z**2 == pytest.approx(1.0, abs=1e-5)
+    axes = Rotation.from_quat([x, y, z, w]).as_matrix()
+    assert axes @ np.diag([float(value) for value in moments.split(",")]) @ axes.T == pytest.approx(TENSOR, abs=1e-4)
+
+
+def test_kuka_takes_principal_moments_and_angles_about_z_y_x():
+    text = export(result(**WITH_INERTIA), "kuka")
+    told = re.search(r"^LOAD_DATA.*A (\S+),B (\S+),C (\S+)\},J \{X (\S+),Y (\S+),Z (\S+)\}\}$", text, re.MULTILINE)
+    a, b, c, *moments = map(float, told.groups())
+    axes = Rotation.from_euler("ZYX", [a, b, c], degrees=True).as_matrix()
+    assert axes @ np.diag(moments) @ axes.T == pytest.approx(TENSOR, abs=1e-4)
+    assert "enter J" not in text
+
+
+def test_ur_and_urdf_and_json_take_all_six_moments():
+    told = ", ".join(f"{value:.6f}" for value in SIX)
+    assert f"[0.01000, -0.02000, 0.08000], [{told}])" in export(result(**WITH_INERTIA), "ur")
+    inertia = ElementTree.fromstring(export(result(**WITH_INERTIA), "urdf")).find("link/inertial/inertia")
+    names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    assert [float(inertia.get(name)) for name in names] == pytest.approx(SIX, abs=1e-6)
+    only = json.loads(export(result(**WITH_INERTIA), "json"))["loads"][0]
+    assert only["inertia_kg_m2"] == pytest.approx(SIX)
+    assert "inertia_note" not in only
+
+
+def test_in_link_6_the_inertia_is_that_of_link_6():
+    load = {key: value for key, value in (LOAD | MOVED).items() if key != "com_flange_m"}
+    only = json.loads(export(holding([load]), "json"))["loads"][0]
+    assert (only["frame"], only["inertia_kg_m2"]) == ("link_6", MOVED["inertia_kg_m2"])
+
+
+def test_fanuc_takes_moments_in_kgf_cm_s2_and_says_that_products_are_left_out():
+    text = export(result(**WITH_INERTIA), "fanuc")
+    told = [float(value) for value in re.findall(r"PAYLOAD_I[XYZ]=(\S+) ;", text)]
+    # 1 kgf = 9.80665 N, 1 m = 100 cm
+    assert told == pytest.approx([value * 100.0 / 9.80665 for value in SIX[:3]], abs=1e-4)
+    assert "inertia without its products" in text
+    assert all(len(line) <= 33 for line in re.findall(r"(!.*) ;", text))
+
+
+def test_yaskawa_takes_moments_about_the_axes_of_the_plate():
+    text = export(result(**WITH_INERTIA), "yaskawa")
+    told = [float(value) for value in re.search(r"moi: \[(.*)\]", text).group(1).split(",")]
+    assert told == pytest.approx(SIX[:3], abs=1e-5)
+    most = max(map(abs, SIX[3:]))
+    assert f"products of inertia up to {most:.3g} kg m2 left out" in text
+
+
+@pytest.mark.parametrize("fmt", sorted(FORMATS))
+def test_how_well_the_inertia_is_known_is_said(fmt):
+    text = export(result(**WITH_INERTIA), fmt)
+    assert "not measured" not in text
+    # 1.96 standard deviations of 0.01
+    assert fmt == "fanuc" or "+- 0.0196 kg m2" in text
+
+
+@pytest.mark.parametrize("fmt", sorted(FORMATS))
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (WITH_INERTIA | {"inertia_kg_m2": [0.9, None, 0.7, 0, 0, 0]}, "not complete"),
+        (MOVED, "not in the frame of the flange"),
+        (WITH_INERTIA | {"inertia_flange_kg_m2": [0.1, 0.1, 0.7, 0, 0, 0]}, "no body has"),
+    ],
+)
+def test_an_inertia_that_is_not_whole_is_written_as_if_it_was_not_measured_and_said(fmt, changes, words):
+    text, without = export(result(**changes), fmt), export(result(), fmt)
+    assert words in text or (fmt == "fanuc" and "inertia not known: 0" in text)
+    marks = ("PERS", "LOAD_DATA", "  set_target", "$PLST", "      moi", '   "inertia_kg_m2"', "      <!-- add")
+    for mark in marks:
+        lines = [[line for line in each.splitlines() if line.startswith(mark)] for each in (text, without)]
+        assert lines[0] == lines[1]
 
 
 @pytest.mark.parametrize("fmt", sorted(FORMATS))

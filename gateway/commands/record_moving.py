@@ -1,0 +1,152 @@
+"""record --moving: excitations instead of rest poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from gateway.commands.console import grid
+from gateway.commands.moving import MoveChoice, stoppable
+from gateway.commands.options import session_of, write_json
+from gateway.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from gateway.acquire.passes import Pass
+    from gateway.cell.config import ArmConfig, LoadedCell
+    from gateway.commands.cell_context import CellContext
+    from gateway.data.recording.recorded import Recording
+    from gateway.excite.excitation import MovingPlan
+
+
+@dataclass(frozen=True, slots=True)
+class MovingWish:
+    """What is asked for on the command line.
+
+    Attributes
+    ----------
+    label : str
+        Of what hangs on the flange.
+    output : Path
+    resume : bool
+    plan : Path or None
+        That `plan --moving --json` wrote.
+    rate_hz : float or None
+        SYNCs per second.
+    trace : Path or None
+    json_out : str or None
+    """
+
+    label: str
+    output: Path
+    resume: bool
+    plan: Path | None
+    rate_hz: float | None
+    trace: Path | None
+    json_out: str | None
+
+
+def record_in_motion(context: CellContext, arm: ArmConfig, wish: MovingWish, moving: MoveChoice) -> None:
+    """Ask, drive the excitations under one load, and say what was measured.
+
+    Raises
+    ------
+    InputError, PlanRefused, DriveError, KeyboardInterrupt
+        As `record_moving`.
+    """
+    from gateway.acquire.passes import passes_of
+    from gateway.acquire.session import RecordRequest, open_arm
+    from gateway.check.proofs import ensure_proven
+    from gateway.commands.progress import moving_with_progress
+    from gateway.data.recording.reader import read
+    from gateway.data.recording.writer import NOT_REPLACED
+    from gateway.result.values import plain_values
+
+    if wish.output.exists() and not wish.resume:
+        raise InputError(f"{wish.output} exists; {NOT_REPLACED}")
+    earlier = read(wish.output) if wish.output.exists() else None
+    context = context.for_motion(arm, wish.rate_hz)
+    chosen = _plan_for(context.loaded, arm, wish.plan, earlier)
+    stored = None if earlier is None else earlier.arm(arm.name)
+    driven = frozenset[tuple[int, float, int]]() if stored is None else stored.driven(wish.label)
+    period_s = context.loaded.cell.bus[arm.bus].sync_period_s
+    passes = passes_of(chosen, wish.label, driven, moving.override / 100.0, period_s)
+    session = session_of()
+    _show(arm.name, passes, period_s)
+    first = "" if context.stop_proof(arm).exists() else " At first its drives lose the heartbeat on purpose."
+    moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move fast.{first} Is nobody near it?")
+    opening = open_arm(context.loaded, context.override(arm, wish.trace), arm.name)
+    with context.way_on(), stoppable(moving) as options, opening as opened:
+        options = ensure_proven(opened, context.stop_proof(arm), session.note, options)
+        duration_s = sum(one.duration_s for one in passes)
+        request = RecordRequest(wish.label, wish.output, wish.resume)
+        summary = moving_with_progress(session, opened, chosen, request, (options, duration_s))
+    if wish.json_out:
+        body = {"schema": 1, "arm": arm.name, **plain_values(summary), "path": str(wish.output)}
+        write_json(wish.json_out, body)
+    session.show(
+        f"{wish.output}: {summary.periods} periods under load {wish.label}, {summary.skipped} were there already"
+    )
+    for name, period in summary.missed:
+        session.show(f"'{name}', period {period}: SYNCs were left unanswered twice; drive it again by --resume")
+
+
+def _show(arm: str, passes: Sequence[Pass], period_s: float) -> None:
+    session = session_of()
+    rows = [
+        [
+            one.excitation.name,
+            "all" if one.excitation.joint == 0 else f"J{one.excitation.joint}",
+            str(len(one.periods)),
+            f"{one.motion.duration_s:.1f}",
+            f"{one.speed:.0%}",
+        ]
+        for one in passes
+    ]
+    session.show(grid(f"arm {arm}: motions", ["motion", "joints", "periods", "each [s]", "speed"], rows, left=2))
+    total_s = sum(one.duration_s for one in passes)
+    session.show(
+        f"about {total_s / 60:.1f} min of motion and the ways to its start, {1.0 / period_s:.0f} SYNCs per second"
+    )
+
+
+def _plan_for(loaded: LoadedCell, arm: ArmConfig, path: Path | None, earlier: Recording | None) -> MovingPlan:
+    """The plan that is named, else that of the file that is gone on with, else one that is made for the load."""
+    from gateway.excite.excitation import MovingPlan
+    from gateway.excite.plan_file import excitation_of
+    from gateway.excite.planning import MovingRequest, make_moving_plan, read_moving_plan
+
+    if path is not None:
+        plan = read_moving_plan(path)
+        if plan.arm != arm.name:
+            raise InputError(f"{path}: is a plan of arm '{plan.arm}', not of '{arm.name}'; plan for this arm")
+        return plan
+    stored = None if earlier is None else earlier.arm(arm.name)
+    if stored is None or not stored.excitations:
+        return make_moving_plan(loaded, arm.name, MovingRequest())
+    first = {each.excitation: each.number for each in reversed(stored.periods)}
+    order = sorted(
+        stored.excitations, key=lambda number: (first.get(number, max(first.values(), default=0) + 1), number)
+    )
+    where = f"{earlier.path if earlier else ''}: excitation"
+    held = tuple(excitation_of(stored.excitations[number], f"{where} {number}") for number in order)
+    return MovingPlan(arm.name, held, {})
+
+
+def refuse_mixed(moves: bool, poses: Sequence[object], plan: Path | None, rate_hz: float | None) -> None:
+    """Refuse options of one kind of recording with the other.
+
+    Raises
+    ------
+    click.UsageError
+    """
+    if moves and poses:
+        raise click.UsageError(
+            "--moving measures motion; --pose, --next and --until ask for rest poses: give one of them"
+        )
+    if not moves and (plan is not None or rate_hz is not None):
+        raise click.UsageError("--plan and --rate belong to --moving")

@@ -1,0 +1,157 @@
+"""What a moving fit says: loads with their inertia, axes with friction, rotor and delay, and every row's torque."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.data.rows import Table
+from gateway.estimate.estimate import FittedRows
+from gateway.estimate.moving_columns import NUISANCES, Columns
+from gateway.estimate.moving_noise import Spread
+from gateway.estimate.moving_ordinary import Settled
+from gateway.estimate.moving_problem import MovingProblem
+from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, budget_by_priors
+from gateway.identify.inertia import LoadInertia, load_inertia, nearest_body
+from gateway.identify.load_estimate import LoadEstimate, load_from_moment, without_guesses
+from gateway.identify.solve import determined
+from gateway.result.interval import holds_zero
+from gateway.result.result import AxisMotion, NuisanceResult
+
+Floats = NDArray[np.float64]
+
+#: Standard deviation over that of the prior, beyond which the rows say nothing of a quantity.
+_UNTOLD = 0.7
+#: Standard deviations of a friction that falls with speed.
+_SHOWS = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovingFit:
+    """A settled problem and how sure it is."""
+
+    problem: MovingProblem
+    settled: Settled
+    spread: Spread
+
+    @property
+    def columns(self) -> Columns:
+        """Columns of the problem."""
+        return self.problem.columns
+
+    @property
+    def value(self) -> Floats:
+        """Parameters (p,)."""
+        return self.settled.solution.value
+
+    @property
+    def std(self) -> Floats:
+        """Standard deviation (p,) of each parameter; NaN where the rows leave it open."""
+        found = determined(self.settled.solution, np.eye(len(self.columns.names)))
+        return np.where(found, np.sqrt(np.maximum(np.diag(self.spread.covariance), 0.0)), np.nan)
+
+
+def fitted_rows(fit: MovingFit, moving: Table) -> FittedRows:
+    """Measured and modelled torque of the used rows."""
+    used = fit.problem.used
+    blank = np.full(moving.tau_nm.shape, np.nan)
+    return FittedRows(
+        run=np.asarray(moving.run).astype(str),
+        load=np.asarray(moving.load).astype(str),
+        pose=np.asarray(moving.pose),
+        time_s=moving.time_s,
+        q_rad=moving.q_rad,
+        direction=np.sign(moving.qd_rad_s).astype(int),
+        tau_nm=np.where(used, moving.tau_nm, np.nan),
+        model_nm=np.where(used, fit.settled.here.model_nm, np.nan),
+        band_nm=blank,
+        std_nm=np.where(used, fit.spread.std_nm, np.nan),
+        leverage=blank,
+    )
+
+
+def described_load(fit: MovingFit, label: str, longest_m: float) -> LoadEstimate:
+    """Mass, centre of gravity and inertia of one load."""
+    columns, solution, covariance = fit.columns, fit.settled.solution, fit.spread.covariance
+    first = columns.loads[label]
+    part = slice(first, first + 4)
+    directions = np.zeros((4, len(solution.value)))
+    directions[:, part] = np.eye(4)
+    found = determined(solution, directions)
+    found[1:] &= found[0]
+    moment, inertia = solution.value[part], None
+    if columns.inertia and found[0]:
+        ten = slice(first, first + 10)
+        moment, inertia = _body(solution.value[ten], covariance[ten, ten])
+    load = load_from_moment(label, moment, covariance[part, part], np.ones(4), found)
+    sources = {
+        CONSTANTS: columns.ordinary.get("gain", np.zeros(0, dtype=int)),
+        LINKS: columns.links,
+        FRICTION: columns.friction,
+    }
+    lead, precision = fit.settled.free.covariance[first], columns.prior.std**-2.0
+    budget = budget_by_priors(lead, precision, sources, float(covariance[first, first])) if found[0] else {}
+    return replace(without_guesses(load, longest_m), budget=budget, inertia=inertia)
+
+
+def _body(ten: Floats, covariance: Floats) -> tuple[Floats, LoadInertia | None]:
+    """[m, h] (4,) and inertia of a load from its ten parameters; what weighs nothing has none."""
+    if not ten[0] > 0 or holds_zero(float(ten[0]), float(np.sqrt(covariance[0, 0]))):
+        return ten[:4], None
+    body = nearest_body(ten, covariance)
+    return body.ten[:4], load_inertia(body, covariance)
+
+
+def nuisances(fit: MovingFit) -> dict[str, NuisanceResult]:
+    """Gain and load friction of every axis."""
+    value, std = fit.value, fit.std
+    return {
+        name: NuisanceResult(tuple(value[index].tolist()), tuple(std[index].tolist()))
+        for name, index in fit.columns.ordinary.items()
+        if name in NUISANCES
+    }
+
+
+def axis_motions(fit: MovingFit, qd_rad_s: Floats) -> tuple[AxisMotion, ...]:
+    """What motion tells of every axis that moved and was measured."""
+    moved = sorted({part.axis for part in fit.problem.parts})
+    return tuple(_axis_motion(fit, axis, np.abs(qd_rad_s[:, axis])) for axis in moved)
+
+
+def _axis_motion(fit: MovingFit, axis: int, speed_rad_s: Floats) -> AxisMotion:
+    columns, std = fit.columns, fit.std
+    place = {name: k for k, name in enumerate(columns.names)}
+
+    def told(name: str) -> tuple[float, float]:
+        k = place.get(f"{name}[J{axis + 1}]")
+        if k is None or not std[k] <= _UNTOLD * columns.prior.std[k]:
+            return np.nan, np.nan
+        return float(fit.value[k]), float(std[k])
+
+    coulomb, viscous, rotor = told("coulomb"), told("viscous"), told("rotor_inertia")
+    loss, delay, more = told("load_friction"), told("delay"), told("stribeck")
+    falls = more[0] > _SHOWS * more[1]
+    breakaway, breakaway_std = np.nan, np.nan
+    if falls:
+        both = [place[f"coulomb[J{axis + 1}]"], place[f"stribeck[J{axis + 1}]"]]
+        breakaway = coulomb[0] + more[0]
+        breakaway_std = float(np.sqrt(max(fit.spread.covariance[np.ix_(both, both)].sum(), 0.0)))
+    return AxisMotion(
+        joint=axis + 1,
+        coulomb_nm=coulomb[0],
+        coulomb_std_nm=coulomb[1],
+        viscous_nm_s_rad=viscous[0],
+        viscous_std_nm_s_rad=viscous[1],
+        breakaway_nm=breakaway,
+        breakaway_std_nm=breakaway_std,
+        stribeck_rad_s=columns.stribeck_rad_s[axis] if falls else np.nan,
+        load_friction=loss[0],
+        load_friction_std=loss[1],
+        rotor_inertia_kg_m2=rotor[0],
+        rotor_inertia_std_kg_m2=rotor[1],
+        delay_s=delay[0],
+        delay_std_s=delay[1],
+        speed_rad_s=float(speed_rad_s.max(initial=0.0)),
+    )

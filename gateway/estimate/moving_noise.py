@@ -1,0 +1,141 @@
+"""How sure a moving fit is: residuals hang together in time, and what the model lacks hangs on the motion.
+
+Where periods were repeated, their scatter tells the noise without any model. What is left beyond it comes back in every
+period and is no noise: then the residual of the fit itself says how far it may be off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.estimate.moving_ordinary import Settled
+from gateway.estimate.moving_problem import MovingProblem, part_columns
+from gateway.identify.spread import by_blocks, wider
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int_]
+
+_LONGEST: Final = 2000
+#: Correlation times of a block that is one pull.
+_LONG: Final = 3.0
+#: Share of an axis's rows that a fit may take up before its residual tells nothing.
+_MOST_TAKEN: Final = 0.5
+#: Variance of the residual over that of the scatter between periods, up to which it is noise.
+_NOISE_ALONE: Final = 1.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scatter:
+    """Noise of the rows as repeated periods show it: standard deviation (N,) [Nm] and correlation times (N,) in rows.
+
+    NaN where an axis has no repeated rows.
+    """
+
+    std_nm: Floats
+    times: Floats
+
+    @staticmethod
+    def none(axes: int) -> Scatter:
+        """Nothing was repeated."""
+        return Scatter(np.full(axes, np.nan), np.full(axes, np.nan))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spread:
+    """Covariance (p, p) of a fit; standard deviation (N,) [Nm] of the rows of each axis; that of each part's rows as if
+    they were independent; parts whose residual is noise alone.
+    """
+
+    covariance: Floats
+    std_nm: Floats
+    scale_nm: Floats
+    noise_alone: NDArray[np.bool_]
+
+
+def spread_of(
+    problem: MovingProblem, settled: Settled, sigma_nm: Floats, run: NDArray[Any], scatter: Scatter
+) -> Spread:
+    """Covariance under the residuals as they are: their own size, and hanging together in time.
+
+    Each axis's residual by its correlation time; and where the model lacks something, stretches of all axes together by
+    what they pull (a sandwich over blocks of several correlation times), because that hangs on the motion and on all
+    axes at once. Of each parameter the wider of both.
+    """
+    left = problem.tau_nm - settled.here.model_nm
+    count, covariance = len(problem.parts), settled.free.covariance
+    size, times, alone = np.zeros(count), np.ones(count), np.zeros(count, dtype=bool)
+    working, real = np.zeros((2, *covariance.shape))
+    pulls = []
+    for k, part in enumerate(problem.parts):
+        own, stated = problem.turned(left[:, part.axis], part), float(scatter.std_nm[part.axis])
+        rows_nm = part_columns(problem, settled.here, part) / sigma_nm[k]
+        through = rows_nm @ covariance
+        taken = float(np.einsum("ij,ij->", through, rows_nm))
+        times[k] = correlation_time(own, run[part.rows])
+        size[k] = np.sqrt(float(own @ own) / len(own) / (1.0 - min(times[k] * taken / len(own), _MOST_TAKEN)))
+        if np.isfinite(stated) and size[k] ** 2 < _NOISE_ALONE * stated**2:
+            size[k], times[k], alone[k] = stated, scatter.times[part.axis], True
+        square = through.T @ through
+        working += square
+        real += square * (size[k] / sigma_nm[k]) ** 2 * times[k]
+        pulls.append(through * (own / sigma_nm[k])[:, None])
+    if problem.still is not None:  # rest rows have their own noise, and it is in their weight
+        design, _ = problem.still.rows.about(settled.here.value)
+        through = (design * problem.still.weight[:, None]) @ covariance
+        working += through.T @ through
+        real += through.T @ through
+    by_prior = covariance - working
+    if not alone.all():
+        rows = np.concatenate([part.rows for part in problem.parts])
+        real = wider(real, _by_strokes(problem, pulls))
+        real = wider(real, by_blocks(np.concatenate(pulls), rows, run, _LONG * float(times.max())))
+    return Spread(real + by_prior, by_axis(problem, size), size * np.sqrt(times), alone)
+
+
+def _by_strokes(problem: MovingProblem, pulls: list[Floats]) -> Floats:
+    """Covariance (p, p) of what each part's rows (k, p) pull, those of one stroke together.
+
+    Friction is another from stroke to stroke, and what is off in it pulls one way as long as the axis goes one way.
+    """
+    out = np.zeros((pulls[0].shape[1],) * 2)
+    for part, pull in zip(problem.parts, pulls, strict=True):
+        sign = np.sign(problem.qd_rad_s[part.rows, part.axis])
+        begins = np.flatnonzero((np.diff(sign, prepend=0.0) != 0) | (np.diff(part.rows, prepend=-1) != 1))
+        sums = np.add.reduceat(pull, begins, axis=0)
+        out += sums.T @ sums * (len(begins) / max(len(begins) - 1, 1))
+    return out
+
+
+def by_axis(problem: MovingProblem, values: Floats) -> Floats:
+    """Largest (N,) of what the parts of each axis have; NaN where it has none."""
+    out = np.full(problem.tau_nm.shape[1], np.nan)
+    for part, value in zip(problem.parts, values, strict=True):
+        out[part.axis] = np.fmax(out[part.axis], value)
+    return out
+
+
+def correlation_times(problem: MovingProblem, left_nm: Floats, run: NDArray[Any]) -> Floats:
+    """How many rows make one independent one in each part."""
+    return np.array(
+        [correlation_time(problem.turned(left_nm[:, part.axis], part), run[part.rows]) for part in problem.parts]
+    )
+
+
+def correlation_time(residual: Floats, run: NDArray[Any]) -> float:
+    """How many rows make one independent one: 1 + 2 sum of the autocorrelation up to its first zero."""
+    left = residual - residual.mean()
+    energy = float(left @ left)
+    if energy <= 0.0:
+        return 1.0
+    total, (_, number) = 1.0, np.unique(run, return_inverse=True)
+    for lag in range(1, min(len(left) // 4, _LONGEST)):
+        product = left[lag:] * left[:-lag]
+        value = float(product[number[lag:] == number[:-lag]].sum()) / energy
+        if value <= 0.0:
+            break
+        total += 2.0 * value
+    return total

@@ -1,0 +1,283 @@
+"""Repeated periods: one mean period, the noise as their scatter shows it, and what touched one of them.
+
+Rows of one load and one excitation (`x_excitation`) at the same phase (`x_phase_s`) belong together, whatever the
+period (`x_period`). What comes back in every period is the arm; what does not is noise, or a touch, or a load that
+slips.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import reduce
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.data.periods import EXCITATION, PERIOD, PHASE_S, repeats
+from gateway.data.rows import Table, concatenate
+from gateway.estimate.moving_noise import Scatter, correlation_time
+from gateway.estimate.moving_problem import Contrasts
+from gateway.identify.robust import median
+from gateway.result.result import Finding, SetAside
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int_]
+Mask = NDArray[np.bool_]
+
+#: Median absolute deviation to standard deviation, of a Gaussian.
+_MAD: Final = 1.4826
+#: Time over which a touch is looked for [s]: shorter is noise, a person or a part pushes longer.
+_TOUCH_S: Final = 0.15
+#: Standard deviations of the other periods by which a touch lies off.
+_TOUCHED: Final = 8.0
+#: Time left out before and after it [s]: the arm swings.
+_AROUND_S: Final = 0.3
+#: Share of a period that touches may take away; beyond it the whole period goes.
+_MOST: Final = 0.3
+#: Periods from which one of them can be told from the rest.
+_FEWEST: Final = 3
+#: Share of the largest torque that is not looked at, whatever the noise.
+_NO_NOISE: Final = 1e-4
+#: Times that what a period differs from the one before it is usual, from which the load is another.
+_SLIPPED: Final = 4.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Periods:
+    """A table with its periods averaged.
+
+    Attributes
+    ----------
+    mean : Table
+        One row per phase of each load and excitation; rows of no period as they were.
+    scatter : Scatter
+        Noise of the rows of `mean`.
+    excitation : array of shape (n,)
+        What the rows of `mean` are of; NaN = of none.
+    step_s : float
+        Time between two phases.
+    set_aside : tuple of SetAside
+    findings : tuple of Finding
+    slipped : load -> why its rows cannot be of one body
+    """
+
+    mean: Table
+    scatter: Scatter
+    excitation: Floats
+    step_s: float = np.nan
+    set_aside: tuple[SetAside, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    slipped: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def contrasts(self) -> Contrasts:
+        """Rows of several loads at the same phases of one excitation."""
+        out, load, place = [], np.asarray(self.mean.load), np.rint(self.mean.time_s / self.step_s)
+        for excitation in np.unique(self.excitation[np.isfinite(self.excitation)]):
+            mine = np.flatnonzero(self.excitation == excitation)
+            labels = np.unique(load[mine])
+            each = [mine[load[mine] == label] for label in labels]
+            shared = reduce(np.intersect1d, [place[rows] for rows in each])
+            if len(labels) > 1 and len(shared):
+                found = [np.intersect1d(place[rows], shared, return_indices=True)[1] for rows in each]
+                out.append(np.array([rows[at] for rows, at in zip(each, found, strict=True)]))
+        return Contrasts(tuple(out))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Group:
+    """Rows (P, n) of P periods at n phases, -1 = missing; `number` (P,) of each period."""
+
+    rows: Ints
+    number: Floats
+    step_s: float
+
+
+def averaged(moving: Table, judged: Mask) -> Periods:
+    """Average the periods of a table's moving rows; a table that has none comes back as it is.
+
+    Parameters
+    ----------
+    moving : Table
+    judged : bool array of shape (n, N)
+        Where an axis moves: at a standstill friction is not the same from period to period.
+    """
+    periodic = repeats(moving)
+    if not periodic.any():
+        return Periods(moving, Scatter.none(moving.axes), np.full(len(moving), np.nan))
+    keys = [np.where(periodic, moving.extra[name], np.nan) for name in (EXCITATION, PERIOD, PHASE_S)]
+    tables, groups, aside, findings, residuals, slipped = [], [], [], [], [], {}
+    for label, excitation in dict.fromkeys(
+        zip(moving.load[periodic].tolist(), keys[0][periodic].tolist(), strict=True)
+    ):
+        mine = np.flatnonzero(periodic & (moving.load == label) & (keys[0] == excitation))
+        group = _group(mine, moving, keys[1][mine], keys[2][mine])
+        step_s = group.step_s
+        slip = _slip(moving, group, judged)
+        if slip is not None:
+            slipped.setdefault(label, slip)
+        sound, entries = _without_touches(moving, group, judged)
+        aside += entries
+        mean, left = _mean(moving, group, sound, (judged, keys[2], f"mean period {len(groups) + 1}, {label}"))
+        tables.append(mean)
+        groups.append(np.full(len(mean), excitation if len(group.rows) > 1 else np.nan))
+        residuals.append(left)
+        if len(group.rows) < 2:
+            findings.append(_one_period(label))
+    rest = moving.take(~periodic)
+    findings += [_touched(entry) for entry in aside]
+    return Periods(
+        concatenate([*tables, rest]) if len(rest) else concatenate(tables),
+        _scatter(residuals, moving.axes),
+        np.concatenate([*groups, np.full(len(rest), np.nan)]),
+        step_s,
+        tuple(aside),
+        tuple(findings),
+        slipped,
+    )
+
+
+def _group(mine: Ints, moving: Table, period: Floats, phase_s: Floats) -> _Group:
+    """Rows of one load and excitation by period, in the order in which they were driven."""
+    names = [(moving.file[k], str(moving.run[k]), float(number)) for k, number in zip(mine, period, strict=True)]
+    order = {name: k for k, name in enumerate(dict.fromkeys(names))}
+    which, numbers = np.array([order[name] for name in names]), np.array([name[2] for name in order])
+    steps = np.concatenate([np.diff(np.sort(phase_s[which == k])) for k in range(len(numbers))])
+    steps = steps[steps > 0]
+    step = float(np.median(steps)) if len(steps) else 1.0
+    place = np.rint(phase_s / step).astype(int)
+    place -= place.min()
+    rows = np.full((len(numbers), int(place.max()) + 1), -1)
+    rows[which, place] = mine
+    return _Group(rows[:, (rows >= 0).any(axis=0)], numbers, step)
+
+
+def _torques(moving: Table, group: _Group, judged: Mask) -> Floats:
+    """Torques (P, n, N) of the periods where an axis moves in all of them, NaN elsewhere."""
+    there = (group.rows >= 0)[:, :, None]
+    moves = np.where(there, judged[group.rows], True).all(axis=0)
+    return np.where(there & moves, moving.tau_nm[group.rows], np.nan)
+
+
+def _slip(moving: Table, group: _Group, judged: Mask) -> str | None:
+    """Why a load slipped, None where it did not: all torque after some period is another, and nothing drifts."""
+    if len(group.rows) < _FEWEST + 1:
+        return None
+    tau = _torques(moving, group, judged)
+    step = _running_mean(np.nan_to_num(np.diff(tau, axis=0)), max(1, round(_TOUCH_S / group.step_s)))
+    moved = np.isfinite(tau).all(axis=0)
+    jump = np.array([[median(np.abs(one[moved[:, k], k])) for k in range(moving.axes)] for one in step])
+    ratio = jump / np.maximum(np.nanmedian(jump, axis=0), _NO_NOISE * _largest(tau))
+    if not np.isfinite(ratio).any() or np.nanmax(ratio) < _SLIPPED:
+        return None
+    before, axis = np.unravel_index(np.nanargmax(ratio), ratio.shape)
+    return (
+        f"its torque is another from period {group.number[before + 1]:g} on: on axis {axis + 1} by"
+        f" {jump[before, axis]:.3g} Nm, {ratio[before, axis]:.0f} times what any other period differs from the one"
+        " before it: it slipped, or something was added"
+    )
+
+
+def _largest(tau_nm: Floats) -> Floats:
+    """Largest torque (N,) [Nm] of (P, n, N)."""
+    return np.maximum(np.nan_to_num(np.abs(tau_nm)).max(axis=(0, 1), initial=0.0), 1e-9)
+
+
+def _without_touches(moving: Table, group: _Group, judged: Mask) -> tuple[Mask, list[SetAside]]:
+    """Which rows (P, n) are in the mean, and the stretches that are not."""
+    there = group.rows >= 0
+    if len(group.rows) < _FEWEST:
+        return there, []
+    tau = _torques(moving, group, judged)
+    known = np.isfinite(tau)
+    off = np.nan_to_num(tau - np.nanmedian(np.where(known.any(axis=0), tau, 0.0), axis=0))
+    smooth = _running_mean(off, max(1, round(_TOUCH_S / group.step_s)))
+    size = _MAD * np.array([median(np.abs(smooth[:, :, k][known[:, :, k]])) for k in range(moving.axes)])
+    far = np.abs(smooth) / np.maximum(np.nan_to_num(size, nan=np.inf), _NO_NOISE * _largest(tau))
+    sound, entries = there.copy(), []
+    around = max(1, round(_AROUND_S / group.step_s))
+    for period in range(len(group.number)):
+        hit = (far[period] > _TOUCHED).any(axis=1) & there[period]
+        if not hit.any():
+            continue
+        wide = _running_mean(hit[None, :, None].astype(float), 2 * around + 1)[0, :, 0] > 0
+        if wide.mean() > _MOST:
+            wide[:] = True
+        sound[period] &= ~wide
+        entries.append(_entry(moving, group, period, hit, far[period]))
+    # a phase that all periods lose is given back: nothing is known there otherwise, and it is in all of them
+    lost = there.any(axis=0) & ~sound.any(axis=0)
+    sound[:, lost] = there[:, lost]
+    return sound, entries
+
+
+def _running_mean(values: Floats, width: int) -> Floats:
+    """Mean over `width` rows along the second axis of (P, n, N)."""
+    total = np.cumsum(np.pad(values, ((0, 0), (width // 2 + 1, width - width // 2 - 1), (0, 0))), axis=1)
+    return (total[:, width:] - total[:, :-width]) / width if values.shape[1] >= width else values
+
+
+def _entry(moving: Table, group: _Group, period: int, hit: Mask, far: Floats) -> SetAside:
+    rows = group.rows[period][hit]
+    axis = int(np.argmax(np.where(hit[:, None], far, 0.0).max(axis=0)))
+    return SetAside(
+        run=str(moving.run[rows[0]]),
+        load=str(moving.load[rows[0]]),
+        joint=axis + 1,
+        bands=float(far[hit, axis].max()),
+        from_s=float(moving.time_s[rows].min()),
+        to_s=float(moving.time_s[rows].max()),
+        reason=f"period {group.number[period]:g} is not as the others: a touch, or something that came loose",
+    )
+
+
+def _mean(
+    moving: Table, group: _Group, sound: Mask, given: tuple[Mask, Floats, str]
+) -> tuple[Table, list[tuple[Floats, ...]]]:
+    """The mean period, and of each axis what its periods differ from it, as the noise of the mean (k, n)."""
+    judged, phase_s, name = given
+    weight = sound / np.maximum(sound.sum(axis=0), 1)
+    first = group.rows[np.argmax(sound, axis=0), np.arange(sound.shape[1])]
+    one = moving.take(first)
+    if len(group.rows) < 2:
+        return one, [() for _ in range(moving.axes)]
+    kept = {
+        key: np.einsum("pn,pna->na", weight, np.where(sound[:, :, None], getattr(moving, key)[group.rows], 0.0))
+        for key in ("q_rad", "qd_rad_s", "qdd_rad_s2", "tau_nm")
+    }
+    mean = replace(one, **kept, run=np.array([name] * len(first)), time_s=phase_s[first])
+    moves, count = _torques(moving, group, judged), sound.sum(axis=0)
+    # each of P periods differs from their mean by less than its noise, and the mean's is smaller yet
+    away = (moves - kept["tau_nm"]) / np.sqrt(np.maximum(count - 1, 1))[:, None]
+    away[~sound | (count < 2)] = np.nan
+    return mean, [tuple(row[np.isfinite(row)] for row in away[:, :, k]) for k in range(moving.axes)]
+
+
+def _scatter(left: list[list[tuple[Floats, ...]]], axes: int) -> Scatter:
+    """Noise of the mean rows, all groups together."""
+    std, times = np.full(axes, np.nan), np.full(axes, np.nan)
+    for axis in range(axes):
+        parts = [period for group in left for period in group[axis] if len(period) > 1]
+        if parts:
+            noise = np.concatenate(parts)
+            std[axis] = float(np.sqrt(np.mean(noise**2)))
+            times[axis] = correlation_time(noise, np.repeat(np.arange(len(parts)), [len(part) for part in parts]))
+    return Scatter(std, times)
+
+
+def _one_period(label: str) -> Finding:
+    return Finding(
+        "warn", f"load {label}", "fewer than two whole periods were recorded: nothing tells its noise from the arm",
+        "record at least two periods, better five",
+    )  # fmt: skip
+
+
+def _touched(entry: SetAside) -> Finding:
+    return Finding(
+        "warn", f"J{entry.joint}",
+        f"run {entry.run}, {entry.from_s:.1f} to {entry.to_s:.1f} s: its torque is off that of the other periods by"
+        f" {entry.bands:.0f} times the noise; set aside",
+        "see what touched the arm, and repeat the run if much was lost",
+    )  # fmt: skip

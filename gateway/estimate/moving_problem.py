@@ -1,0 +1,232 @@
+"""Rows of a moving run as a problem to solve: axis by axis an orthogonal basis, so that a solution costs no pass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.data.rows import Table
+from gateway.estimate.gains import GainRows
+from gateway.estimate.moving_columns import Columns
+from gateway.estimate.moving_time import Stretches
+from gateway.identify.solve import NOTHING, Prior, Solution, solve
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int_]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contrasts:
+    """Rows of several loads at the same phase of one motion, turned into their mean and what tells them apart.
+
+    What the model lacks of the arm is in all of them alike, and in their mean alone: the differences know the loads by
+    far the best, and have a weight of their own (`methods.md` 10).
+
+    Attributes
+    ----------
+    rows : tuple of int arrays of shape (loads, n)
+    """
+
+    rows: tuple[Ints, ...] = ()
+
+    def turned(self, values: Floats, used: Mask) -> Floats:
+        """Values (n, ...) of one axis, turned where all loads of a phase are `used` (n,)."""
+        out = values.copy()
+        for rows in self.rows:
+            here = rows[:, used[rows].all(axis=0)]
+            out[here] = np.tensordot(_orthonormal(len(rows)), values[here], axes=1)
+        return out
+
+    def apart(self, used: Mask) -> Mask:
+        """Which turned rows (n,) of one axis are differences."""
+        out = np.zeros(len(used), dtype=bool)
+        for rows in self.rows:
+            out[rows[1:, used[rows].all(axis=0)]] = True
+        return out
+
+
+def _orthonormal(count: int) -> Floats:
+    """Rows (count, count) of unit length at right angles, the first of equal numbers (Helmert)."""
+    out = np.zeros((count, count))
+    out[0] = 1.0
+    for k in range(1, count):
+        out[k, :k], out[k, k] = 1.0, -k
+    return out / np.linalg.norm(out, axis=1)[:, None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AxisRows:
+    """Used rows of one axis, or those of them that are differences.
+
+    `rows` (k,) among all; `there` (c,) the columns that reach the axis; `basis` (k, m) orthonormal; `factor` (m, c + 2)
+    those columns, the known torque and the measured one in that basis.
+    """
+
+    axis: int
+    rows: Ints
+    there: Ints
+    basis: Floats
+    factor: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Still:
+    """Rest rows beside the moving ones: their columns, and one over the standard deviation (r,) of each."""
+
+    rows: GainRows
+    weight: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovingProblem:
+    """Moving rows with their columns.
+
+    Attributes
+    ----------
+    columns : Columns
+    tau_nm, qd_rad_s : arrays of shape (n, N)
+    used : bool array of shape (n, N)
+    stretches : Stretches
+    parts : tuple of AxisRows
+        One an axis, two where there are differences; each has its own noise.
+    contrasts : Contrasts
+    still : Still or None
+    """
+
+    columns: Columns
+    tau_nm: Floats
+    qd_rad_s: Floats
+    used: Mask
+    stretches: Stretches
+    parts: tuple[AxisRows, ...]
+    contrasts: Contrasts
+    still: Still | None = None
+
+    @staticmethod
+    def of(
+        columns: Columns, moving: Table, used: Mask, contrasts: Contrasts, still: Still | None = None
+    ) -> MovingProblem:
+        """The problem of a table's rows at `used` (n, N)."""
+        parts = [
+            part
+            for axis in range(moving.axes)
+            for part in _axis_rows(columns, moving.tau_nm[:, axis], used[:, axis], axis, contrasts)
+        ]
+        stretches = Stretches.of(np.asarray(moving.run).astype(str), moving.time_s)
+        return MovingProblem(columns, moving.tau_nm, moving.qd_rad_s, used, stretches, tuple(parts), contrasts, still)
+
+    def turned(self, values: Floats, part: AxisRows) -> Floats:
+        """Values (n, ...) of an axis as the rows (k, ...) of a part have them."""
+        return self.contrasts.turned(values, self.used[:, part.axis])[part.rows]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class About:
+    """What the rows say about a solution (p,): torque of the bodies, of all, and the columns made of them.
+
+    `torque_nm` (n, N) of the bodies, known ones too; `local` name -> (n, N) column of each axis's own parameter;
+    `moved_nm` (n, N) what a delay changes beyond its column; `model_nm` (n, N) all that is modelled.
+    """
+
+    value: Floats
+    torque_nm: Floats
+    local: dict[str, Floats]
+    moved_nm: Floats
+    model_nm: Floats
+
+
+def _axis_rows(columns: Columns, tau_nm: Floats, used: Mask, axis: int, contrasts: Contrasts) -> list[AxisRows]:
+    design = columns.design[:, axis]
+    size = np.abs(design).max(axis=0, initial=0.0)
+    there = np.flatnonzero(size > NOTHING * size.max(initial=0.0))
+    stacked = np.column_stack([design[:, there], columns.known_nm[:, axis], tau_nm])
+    stacked, apart = contrasts.turned(stacked, used), contrasts.apart(used)
+    out = []
+    for kind in (used & ~apart, apart):
+        rows = np.flatnonzero(kind)
+        if len(rows):
+            out.append(AxisRows(axis, rows, there, *np.linalg.qr(stacked[rows])))
+    return out
+
+
+def about(problem: MovingProblem, value: Floats) -> About:
+    """Linearise about a solution (p,)."""
+    columns, axes = problem.columns, problem.tau_nm.shape[1]
+    none = np.zeros(axes)
+    part = {name: value[index] for name, index in columns.ordinary.items()}
+    bodies = columns.design[:, :, : columns.bodies] @ value[: columns.bodies]
+    own = columns.design[:, :, columns.bodies :] @ value[columns.bodies :]
+    torque = bodies + columns.known_nm
+    whole = (1.0 + part.get("gain", none)) * torque
+    local = {"gain": torque}
+    lost, sign, moved = np.abs(torque), columns.sign, np.zeros_like(torque)
+    if "delay" in columns.ordinary:
+        delay = part["delay"]
+        level = columns.dry(value)
+        smooth = whole + own - level * columns.sign
+        then, changes = problem.stretches.earlier(np.hstack([smooth, problem.qd_rad_s, lost]), np.tile(delay, 3))
+        (earlier, speed, lost), change = np.split(then, 3, axis=1), changes[:, :axes]
+        sign = np.tanh(speed / columns.smooth_rad_s)
+        moved = earlier - smooth + level * (sign - columns.sign) + delay * change
+        local["delay"] = -change
+    local["load_friction"] = lost * sign
+    local = {name: local[name] for name in columns.ordinary}
+    model = whole + own + moved
+    for name in ("load_friction", "delay"):
+        if name in local:
+            model = model + part[name] * local[name]
+    return About(value, torque, local, moved, model)
+
+
+def solved(problem: MovingProblem, here: About | None, sigma_nm: Floats, prior: Prior) -> Solution:
+    """Solve the problem linearised about a solution (None: without what every arm has), each part by its `sigma_nm`."""
+    count = len(problem.columns.names)
+    parts = [_of_part(problem, part, here) for part in problem.parts]
+    weight = [np.full(len(target), 1.0 / sigma) for sigma, (_, target) in zip(sigma_nm, parts, strict=True)]
+    if problem.still is not None:
+        value = np.zeros(count) if here is None else here.value
+        parts.append(problem.still.rows.about(value))
+        weight.append(problem.still.weight)
+    design, target = (np.concatenate(items) for items in zip(*parts, strict=True))
+    return solve(design, target, np.concatenate(weight), prior)
+
+
+def _of_part(problem: MovingProblem, mine: AxisRows, here: About | None) -> tuple[Floats, Floats]:
+    """Columns (m, p) and target (m,) of one part in its basis, and in that of what stands outside of it."""
+    columns, axis = problem.columns, mine.axis
+    body = mine.there < columns.bodies
+    inside, known, measured = mine.factor[:, :-2].copy(), mine.factor[:, -2], mine.factor[:, -1]
+    if here is None:
+        design = np.zeros((len(inside), len(columns.names)))
+        design[:, mine.there] = inside
+        return design, measured - known
+    gain = here.value[columns.ordinary["gain"][axis]] if "gain" in columns.ordinary else 0.0
+    bodies = inside[:, body] @ here.value[mine.there[body]]
+    inside[:, body] *= 1.0 + gain
+    others = [name for name in columns.ordinary if name != "gain"]
+    outside = np.column_stack([*(here.local[name][:, axis] for name in others), here.moved_nm[:, axis]])
+    outside = problem.turned(outside, mine)
+    within = mine.basis.T @ outside
+    beyond = np.linalg.qr(outside - mine.basis @ within, mode="r")
+    design = np.zeros((len(inside) + len(beyond), len(columns.names)))
+    design[: len(inside), mine.there] = inside
+    if "gain" in columns.ordinary:
+        design[: len(inside), columns.ordinary["gain"][axis]] = bodies + known
+    for k, name in enumerate(others):
+        design[:, columns.ordinary[name][axis]] = np.concatenate([within[:, k], beyond[:, k]])
+    target = np.concatenate([measured - known + gain * bodies - within[:, -1], -beyond[:, -1]])
+    return design, target
+
+
+def part_columns(problem: MovingProblem, here: About, part: AxisRows) -> Floats:
+    """Columns (k, p) of the rows of one part about a solution."""
+    columns, axis = problem.columns, part.axis
+    out = problem.turned(columns.design[:, axis], part)
+    if "gain" in columns.ordinary:
+        out[:, : columns.bodies] *= 1.0 + here.value[columns.ordinary["gain"][axis]]
+    for name, index in columns.ordinary.items():
+        out[:, index[axis]] = problem.turned(here.local[name][:, axis], part)
+    return out

@@ -1,0 +1,68 @@
+"""Moving rows as functions of time: what an axis would have reported a little earlier."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int_]
+
+#: Steps of a run's usual length that make a gap.
+_GAP: Final = 5.0
+#: Rows that a stretch needs to be a function of time.
+_FEWEST: Final = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stretches:
+    """Rows without a gap: for each, where its rows stand in the order of time, and their times."""
+
+    parts: tuple[tuple[Ints, Floats], ...]
+
+    @staticmethod
+    def of(run: Sequence[str] | NDArray[np.str_], time_s: Floats) -> Stretches:
+        """Stretches of rows (n,) by run and time; rows without a time, or of too short a stretch, are in none."""
+        names, time = np.asarray(run), np.asarray(time_s, dtype=float)
+        parts: list[tuple[Ints, Floats]] = []
+        for name in np.unique(names):
+            mine = np.flatnonzero((names == name) & np.isfinite(time))
+            mine = mine[np.argsort(time[mine], kind="stable")]
+            step = np.diff(time[mine])
+            usual = float(np.median(step)) if len(step) else 0.0
+            cut = np.flatnonzero((step > _GAP * usual) | (step <= 0.0)) + 1
+            parts += [(rows, time[rows]) for rows in np.split(mine, cut) if len(rows) >= _FEWEST]
+        return Stretches(tuple(parts))
+
+    def mismatch(self, q_rad: Floats, qd_rad_s: Floats) -> Floats:
+        """How far positions (n, N) go otherwise than their speeds say, over how far they go: (N,)."""
+        square, way = np.zeros((2, q_rad.shape[1]))
+        for rows, time in self.parts:
+            step = np.diff(q_rad[rows], axis=0)
+            said = (qd_rad_s[rows][1:] + qd_rad_s[rows][:-1]) / 2.0 * np.diff(time)[:, None]
+            square += ((step - said) ** 2).sum(axis=0)
+            way += (step**2).sum(axis=0)
+        return np.sqrt(square / np.where(way > 0, way, np.inf))
+
+    def earlier(self, values: Floats, delay_s: ArrayLike) -> tuple[Floats, Floats]:
+        """Values (n, N) by `delay_s` (N,) earlier, and how they changed then [1/s].
+
+        Before the first row of a stretch its first value and no change; rows that are in no stretch likewise.
+        """
+        out, change = values.copy(), np.zeros_like(values)
+        delays = np.broadcast_to(np.asarray(delay_s, dtype=float), values.shape[1:])
+        for rows, time in self.parts:
+            power = CubicSpline(time, values[rows]).c  # (4, pieces, N), highest first
+            for axis, delay in enumerate(delays):
+                when = np.clip(time - delay, time[0], time[-1])
+                piece = np.clip(np.searchsorted(time, when, side="right") - 1, 0, len(time) - 2)
+                cubic, square, line, start = power[:, piece, axis]
+                past = when - time[piece]
+                out[rows, axis] = ((cubic * past + square) * past + line) * past + start
+                change[rows, axis] = (3.0 * cubic * past + 2.0 * square) * past + line
+        return out, change

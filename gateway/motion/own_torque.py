@@ -1,0 +1,107 @@
+"""Torque that an arm takes for its own motion beside gravity: friction, rotors and links, where they were identified.
+
+For the contact watch: what is known of the arm is no sign of contact. The set points are what is known of the motion;
+the servos' lag behind them, and the load, stay unexplained.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.cell.conversion import AxisConversion
+from gateway.feedforward.dynamics import ArmDynamics
+from gateway.feedforward.identified import AxisConstants, Known
+from gateway.feedforward.law import TURN_ROUND_RAD
+from gateway.identify.links import body_parameters
+from gateway.motion.arm import Arm
+from gateway.motion.workspace import Workspace
+
+Floats = NDArray[np.float64]
+
+
+class OwnTorque:
+    """Friction and inertia of one arm, followed from set point to set point.
+
+    Parameters
+    ----------
+    known : tuple of AxisConstants
+        Axes of which both friction and rotor were identified count, no others.
+    axes : AxisConversion
+    workspace : Workspace
+        Its robot's links; one that is not known takes no torque here.
+    period_s : float
+        SYNC period.
+
+    Attributes
+    ----------
+    turning_nm : array of shape (N,)
+        By how much the friction of each joint changes at most as it turns round; NaN where it was not identified.
+    """
+
+    def __init__(
+        self, known: tuple[AxisConstants, ...], axes: AxisConversion, workspace: Workspace, period_s: float
+    ) -> None:
+        used = np.array([_identified(axis) for axis in known])
+        self._coupling, self._period_s, self._used = axes.coupling, period_s, used
+        self._coulomb = _of(used, [axis.coulomb_nm for axis in known])
+        self._viscous = _of(used, [axis.viscous_nm_s_rad for axis in known])
+        self._rotor = _of(used, [axis.rotor_kg_m2 for axis in known])
+        self._links = _dynamics(workspace)
+        peak = np.fmax(self._coulomb, [axis.breakaway_nm for axis in known])
+        weight = np.abs(axes.coupling)
+        whole = ~(weight[~used] > 0.0).any(axis=0)
+        self.turning_nm = np.where(whole, 2.0 * peak @ weight, np.nan)
+        self._whole = whole
+        self._at: Floats | None = None
+        self._rate = self._sense = np.zeros_like(self._rotor)
+        self._change = np.zeros_like(self._rotor)
+
+    def take(self, target_rad: Floats) -> None:
+        """The set points (N,) [rad] of one more SYNC."""
+        before = target_rad if self._at is None else self._at
+        way = self._coupling @ (target_rad - before)
+        rate = (target_rad - before) / self._period_s
+        self._at, self._rate, self._change = target_rad, rate, (rate - self._rate) / self._period_s
+        self._sense = np.clip(self._sense + way / TURN_ROUND_RAD, -1.0, 1.0)
+
+    @property
+    def friction_nm(self) -> Floats:
+        """Torque (N,) of friction at the joints."""
+        return (self._coulomb * self._sense + self._viscous * (self._coupling @ self._rate)) @ self._coupling
+
+    @property
+    def inertia_nm(self) -> Floats:
+        """Torque (N,) of rotors and links at the joints, of those that were identified."""
+        if self._at is None or not self._whole.any():
+            return np.zeros_like(self._rate)
+        rotors = (self._rotor * (self._coupling @ self._change)) @ self._coupling
+        if self._links is not None:
+            rotors = rotors + self._links.torque(self._at.tolist(), self._rate.tolist(), self._change.tolist())
+        return np.where(self._whole, rotors, 0.0)
+
+
+def own_torque(arm: Arm, workspace: Workspace, period_s: float) -> OwnTorque | None:
+    """What is known of the torque that an arm takes for its own motion; None where nothing was identified."""
+    if not any(_identified(axis) for axis in arm.known):
+        return None
+    return OwnTorque(arm.known, arm.axes, workspace, period_s)
+
+
+def _identified(axis: AxisConstants) -> bool:
+    """Whether motion told what this axis takes for its own motion."""
+    return all(one is not None and one.identified for one in (axis.coulomb_nm, axis.rotor_kg_m2))
+
+
+def _of(used: NDArray[np.bool_], constants: list[Known | None]) -> Floats:
+    """Values (N,) of the axes that count, 0 where there is none."""
+    return np.array([one.value if here and one is not None else 0.0 for here, one in zip(used, constants, strict=True)])
+
+
+def _dynamics(workspace: Workspace) -> ArmDynamics | None:
+    """Links without gravity; None where one of them is not known, or the cell trusts none."""
+    robot = workspace.robot
+    if workspace.links is None or not np.isfinite(robot.inertia_kg_m2).all():
+        return None
+    parts = zip(robot.mass_kg, robot.com_m, robot.inertia_kg_m2, strict=True)
+    return ArmDynamics(robot, np.concatenate([body_parameters(*part) for part in parts]), np.zeros(3))

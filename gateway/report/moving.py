@@ -1,0 +1,244 @@
+"""What motion tells, in values: the load's inertia, friction over speed, rotors and delays, one period of a run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.report import words
+from gateway.result.inertia import COLUMN, ROW, tensor_of
+from gateway.result.interval import half_width
+from gateway.result.numerals import interval_text, with_interval
+from gateway.result.result import AxisMotion, LoadResult, Result, Rows
+
+Floats = NDArray[np.float64]
+
+PARTS = ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
+#: Points of a friction curve, and measured rows that are drawn with it.
+CURVE_POINTS, MOST_POINTS = 81, 300
+#: Share of the fastest speed below which friction has no clear sense: such rows are not drawn.
+SLOW_SHARE = 0.03
+#: A joint whose range in a run is below this stands still [rad].
+STANDS_RAD = 0.01
+#: A run with fewer rows shows no course of anything.
+LEAST_ROWS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class InertiaView:
+    """Inertia of a load about its centre of gravity, axes of `frame` [kg m2]: texts with the half of their interval."""
+
+    frame: str
+    parts: tuple[tuple[str, str, str], ...]
+    principal: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class FrictionView:
+    """Friction of one axis without load torque, over speeds from 0 on: curve, band (empty = not known), points."""
+
+    joint: int
+    speed_rad_s: tuple[float, ...]
+    torque_nm: tuple[float, ...]
+    half_nm: tuple[float, ...]
+    points: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Period:
+    """Rows of one run in the order of time: arrays of shape (n,) and (n, N)."""
+
+    run: str
+    load: str
+    time_s: Floats
+    q_rad: Floats
+    tau_nm: Floats
+    model_nm: Floats
+
+    @property
+    def joints(self) -> list[int]:
+        """Joints (from 0) with at least one torque."""
+        return np.flatnonzero(np.isfinite(self.tau_nm).any(axis=0)).tolist()
+
+
+def inertia_view(load: LoadResult) -> InertiaView | None:
+    """Table of the inertia; None where nothing of it is known."""
+    if load.inertia_kg_m2 is None or not any(map(words.known, load.inertia_kg_m2)):
+        return None
+    value = np.array(load.inertia_kg_m2)
+    std = np.array(load.inertia_std_kg_m2 or (math.nan,) * len(PARTS))
+    shown = [words.plus_minus(*both) for both in zip(value.tolist(), half_width_of(std).tolist(), strict=True)]
+    parts = tuple((name, text, half) for name, (text, half) in zip(PARTS, shown, strict=True))
+    return InertiaView(load.frame, parts, _principal(value, std))
+
+
+def half_width_of(std: Floats) -> Floats:
+    """Half widths (n,) of 95 % intervals from standard deviations (n,)."""
+    return np.array([half_width(float(one)) for one in std])
+
+
+def _principal(value: Floats, std: Floats) -> tuple[str, ...]:
+    """Principal values, the largest first, with their intervals in first order; empty where a moment is not known."""
+    if not np.isfinite(value).all():
+        return ()
+    size, turn = np.linalg.eigh(tensor_of(value.tolist()))
+    slope = turn[ROW] * turn[COLUMN] * np.where(ROW == COLUMN, 1.0, 2.0)[:, None]
+    spread = np.sqrt(np.sum((slope * std[:, None]) ** 2, axis=0))
+    return tuple(with_interval(float(size[k]), float(spread[k])) for k in (2, 1, 0))
+
+
+# -- axes --------------------------------------------------------------------------------------------------------------
+
+#: Words with unit, value and standard deviation of an axis, factor to the unit.
+Quantity = tuple[str, Callable[[AxisMotion], tuple[float, float]], float]
+QUANTITIES: tuple[Quantity, ...] = (
+    ("Coulomb friction [Nm]", lambda axis: (axis.coulomb_nm, axis.coulomb_std_nm), 1.0),
+    ("viscous friction [Nm s/rad]", lambda axis: (axis.viscous_nm_s_rad, axis.viscous_std_nm_s_rad), 1.0),
+    ("at the onset of motion [Nm]", lambda axis: (axis.breakaway_nm, axis.breakaway_std_nm), 1.0),
+    ("falls off over [rad/s]", lambda axis: (axis.stribeck_rad_s, math.nan), 1.0),
+    ("friction by load [% of the torque]", lambda axis: (axis.load_friction, axis.load_friction_std), 100.0),
+    ("rotor inertia [kg m2]", lambda axis: (axis.rotor_inertia_kg_m2, axis.rotor_inertia_std_kg_m2), 1.0),
+    ("torque lags the position by [ms]", lambda axis: (axis.delay_s, axis.delay_std_s), 1000.0),
+)
+
+
+def axis_rows(motion: Sequence[AxisMotion], axes: int) -> list[tuple[str, list[str]]]:
+    """What motion tells of every axis: words, and a text per axis; a quantity that no axis tells is left out.
+
+    Parameters
+    ----------
+    motion : sequence of AxisMotion
+    axes : int
+        Of the arm; an axis that was not moved gets dashes.
+    """
+    told = {axis.joint: axis for axis in motion}
+    rows = []
+    for said, of, factor in QUANTITIES:
+        pairs = [of(told.get(joint, AxisMotion(joint))) for joint in range(1, axes + 1)]
+        if any(words.known(value) for value, _ in pairs):
+            rows.append((said, [_text(factor * value, factor * std) for value, std in pairs]))
+    return rows
+
+
+def _text(value: float, std: float) -> str:
+    return interval_text(value, half_width(std)) if words.known(value) else words.plain(None)
+
+
+def friction_nm(axis: AxisMotion, speed_rad_s: Floats) -> Floats:
+    """Friction (n,) [Nm] at speeds (n,) not below 0, without load torque."""
+    return axis.coulomb_nm + _known(axis.viscous_nm_s_rad) * speed_rad_s + _rise(axis) * _onset(axis, speed_rad_s)
+
+
+def _known(value: float) -> float:
+    return value if words.known(value) else 0.0
+
+
+def _rise(axis: AxisMotion) -> float:
+    return _known(axis.breakaway_nm - axis.coulomb_nm)
+
+
+def _onset(axis: AxisMotion, speed_rad_s: Floats) -> Floats:
+    """What is left of the friction at the onset of motion (n,), between 1 and 0."""
+    if not axis.stribeck_rad_s > 0.0 or not words.known(axis.breakaway_nm):
+        return np.zeros_like(speed_rad_s)
+    return np.exp(-((speed_rad_s / axis.stribeck_rad_s) ** 2))
+
+
+def friction_views(result: Result) -> list[FrictionView]:
+    """Friction over speed of every axis of which Coulomb friction is known."""
+    measured = _moving_runs(result.rows)
+    views = []
+    for axis in sorted(result.motion, key=lambda one: one.joint):
+        fastest = _fastest(axis, measured)
+        if words.known(axis.coulomb_nm) and fastest > 0.0:
+            views.append(_friction(axis, fastest, measured))
+    return views
+
+
+def _fastest(axis: AxisMotion, runs: Sequence[Period]) -> float:
+    if axis.speed_rad_s > 0.0:
+        return axis.speed_rad_s
+    speeds = [np.abs(_speed(run)[:, axis.joint - 1]).max() for run in runs if axis.joint <= run.q_rad.shape[1]]
+    return float(max(speeds, default=0.0))
+
+
+def _friction(axis: AxisMotion, fastest: float, runs: Sequence[Period]) -> FrictionView:
+    speed = np.linspace(0.0, fastest, CURVE_POINTS)
+    torque, left = friction_nm(axis, speed), _onset(axis, speed)
+    shares = (
+        ((1.0 - left) * axis.coulomb_std_nm) ** 2,
+        (left * _known(axis.breakaway_std_nm)) ** 2,
+        (speed * _known(axis.viscous_std_nm_s_rad)) ** 2,
+    )
+    half = half_width_of(np.sqrt(np.sum(shares, axis=0)))
+    return FrictionView(
+        joint=axis.joint,
+        speed_rad_s=tuple(speed.tolist()),
+        torque_nm=tuple(torque.tolist()),
+        half_nm=tuple(half.tolist()) if np.isfinite(half).all() else (),
+        points=_points(axis, fastest, runs),
+    )
+
+
+def _points(axis: AxisMotion, fastest: float, runs: Sequence[Period]) -> tuple[tuple[float, float], ...]:
+    """Speed and friction of measured rows: what the model leaves of the torque, and the friction that is in it."""
+    column, found = axis.joint - 1, []
+    for run in runs:
+        if axis.joint > run.q_rad.shape[1] or np.ptp(run.q_rad[:, column]) < STANDS_RAD:
+            continue
+        speed = _speed(run)[:, column]
+        left = run.tau_nm[:, column] - run.model_nm[:, column]
+        used = (np.abs(speed) > SLOW_SHARE * fastest) & np.isfinite(left)
+        sliding = np.sign(speed) * friction_nm(axis, np.abs(speed))
+        found.append(np.column_stack([speed, left + sliding])[used])
+    rows = np.concatenate(found) if found else np.empty((0, 2))
+    chosen = rows[:: 1 + len(rows) // MOST_POINTS]
+    return tuple((float(x), float(y)) for x, y in chosen)
+
+
+# -- one period --------------------------------------------------------------------------------------------------------
+
+
+def period_of(result: Result) -> Period | None:
+    """The moving run to draw: most joints move in it, it carries a load, it has most rows; None where nothing moved."""
+    runs = _moving_runs(result.rows)
+    if not runs:
+        return None
+
+    def rank(run: Period) -> tuple[int, bool, int]:
+        moved = int(np.sum(np.ptp(run.q_rad, axis=0) > STANDS_RAD))
+        return moved, run.load != "none", len(run.time_s)
+
+    return max(runs, key=rank)
+
+
+def _moving_runs(rows: Rows | None) -> list[Period]:
+    """Rows in motion of each run, in the order of time."""
+    if rows is None or not (rows.q_rad and rows.time_s and rows.tau_nm and rows.model_nm):
+        return []
+    pose = rows.pose or (-1,) * len(rows.q_rad)
+    runs, loads = rows.run or ("",) * len(pose), rows.load or ("none",) * len(pose)
+    places: dict[tuple[str, str], list[int]] = {}
+    for row, (run, load) in enumerate(zip(runs, loads, strict=True)):
+        if pose[row] < 0 and words.known(rows.time_s[row]):
+            places.setdefault((run, load), []).append(row)
+    found = []
+    for (run, load), chosen in places.items():
+        order = sorted(chosen, key=lambda row: rows.time_s[row])
+        time_s, *tables = (
+            np.array([table[row] for row in order], dtype=float)
+            for table in (rows.time_s, rows.q_rad, rows.tau_nm, rows.model_nm)
+        )
+        later = np.concatenate([[True], np.diff(time_s) > 0.0])
+        if later.sum() >= LEAST_ROWS:
+            found.append(Period(run, load, time_s[later] - time_s[0], *(table[later] for table in tables)))
+    return found
+
+
+def _speed(run: Period) -> Floats:
+    """Speeds (n, N) [rad/s] by differences."""
+    return np.asarray(np.gradient(run.q_rad, run.time_s, axis=0))

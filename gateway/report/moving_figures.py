@@ -1,0 +1,82 @@
+"""Pictures of what motion tells: friction over speed, one period of a run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from markupsafe import Markup
+
+from gateway.report import words
+from gateway.report.moving import Floats, FrictionView, Period
+from gateway.report.svg import Panel, limits
+
+WIDTH, HEIGHT = 330.0, 170.0
+LEFT = 52.0
+
+
+def sliding_figure(view: FrictionView) -> tuple[str, Markup]:
+    """Friction over speed in both senses, with its 95 % band and the rows that were measured."""
+    fastest = view.speed_rad_s[-1]
+    half = view.half_nm or (0.0,) * len(view.torque_nm)
+    top = [value + more for value, more in zip(view.torque_nm, half, strict=True)]
+    y_range = limits([*top, *(-value for value in top), *(y for _, y in view.points)], include=(0.0,))
+    panel = Panel(WIDTH, 200.0, limits((-fastest, fastest, *(x for x, _ in view.points)), pad=0.03), y_range, left=LEFT)
+    name = words.axis(view.joint)
+    panel.y_axis(f"{name} friction [Nm]")
+    panel.x_axis("joint speed [rad/s]", 4)
+    for x, y in view.points:
+        panel.dot(x, y, "dot faint", "", 1.8)
+    for sense in (-1.0, 1.0):
+        speed = [sense * value for value in view.speed_rad_s]
+        if view.half_nm:
+            low, high = (
+                [sense * (value + side * more) for value, more in zip(view.torque_nm, half, strict=True)]
+                for side in (-1.0, 1.0)
+            )
+            panel.area(speed, low, high, "confidence")
+        panel.polyline(list(zip(speed, (sense * value for value in view.torque_nm), strict=True)), "curve")
+    return "", panel.svg(f"Friction of {name} over its speed")
+
+
+def period_figures(period: Period) -> list[list[tuple[str, Markup]]]:
+    """Of every measured axis over time: its position, its torque with the model, and what the model leaves."""
+    return [[_position(period, axis), _torque(period, axis), _residual(period, axis)] for axis in period.joints]
+
+
+def _panel(period: Period, values: Sequence[float], label: str) -> Panel:
+    panel = Panel(WIDTH, HEIGHT, (0.0, float(period.time_s[-1])), limits(values), left=LEFT)
+    panel.y_axis(label)
+    panel.x_axis("time in the period [s]", 4)
+    return panel
+
+
+def _over(period: Period, column: Floats) -> list[tuple[float, float]]:
+    return list(zip(period.time_s.tolist(), column.tolist(), strict=True))
+
+
+def _position(period: Period, axis: int) -> tuple[str, Markup]:
+    degrees = period.q_rad[:, axis] * (180.0 / math.pi)
+    name = words.axis(axis + 1)
+    panel = _panel(period, degrees.tolist(), f"{name} position [deg]")
+    panel.polyline(_over(period, degrees), "curve")
+    return "", panel.svg(f"Position of {name} over one period")
+
+
+def _torque(period: Period, axis: int) -> tuple[str, Markup]:
+    measured, model = period.tau_nm[:, axis], period.model_nm[:, axis]
+    name = words.axis(axis + 1)
+    panel = _panel(period, [*measured.tolist(), *model.tolist()], f"{name} torque [Nm]")
+    for time_s, value in _over(period, measured):
+        if math.isfinite(value):
+            panel.dot(time_s, value, "dot faint", "", 1.8)
+    panel.polyline(_over(period, model), "model-line")
+    return "", panel.svg(f"Torque of {name} over one period, measured and modelled")
+
+
+def _residual(period: Period, axis: int) -> tuple[str, Markup]:
+    left = period.tau_nm[:, axis] - period.model_nm[:, axis]
+    name = words.axis(axis + 1)
+    panel = _panel(period, [*left.tolist(), 0.0], f"{name} residual [Nm]")
+    panel.polyline(_over(period, left), "force")
+    return "", panel.svg(f"Measured less modelled torque of {name} over one period")

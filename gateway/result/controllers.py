@@ -1,0 +1,180 @@
+"""The identified load in the words of robot controllers: pure functions from loads (SI, flange frame) to text.
+
+Units, frames and sources: docs/reference/controller-formats.md.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from gateway.result.export_load import INERTIA_NOTE, ExportLoad, accuracy, identifier, number_text
+from gateway.result.inertia import principal_axes, quaternion, zyx_degrees
+from gateway.result.interval import SAID, half_width
+
+if TYPE_CHECKING:
+    from gateway.result.values import Numbers
+
+#: 1 kg m2 in FANUC's kgf cm s2.
+KGF_CM_S2_PER_KG_M2 = 100.0 / 9.80665
+#: Products of inertia below this share of the largest moment are none.
+NO_PRODUCT = 1e-3
+
+
+def to_abb(loads: Sequence[ExportLoad], robot: str) -> str:
+    """RAPID `loaddata`: [mass kg, cog mm, axes of moment, ix, iy, iz kg m2]; all inertia 0 is a point mass there.
+
+    The axes of moment are the principal axes, a quaternion in the wrist's frame, with their origin in cog.
+    """
+    lines = [f"! loads identified on {robot}; frame: wrist (tool0)"]
+    for load in loads:
+        cog = ",".join(number_text(1000 * value, 2) for value in load.com_m)
+        tensor, note, inertia = load.tensor_kg_m2, f"{load.inertia_note}: 0,0,0 lets RAPID take a point mass", ""
+        if tensor is None:
+            inertia = "[1,0,0,0],0,0,0"
+        else:
+            moments, axes = principal_axes(tensor)
+            turned = ",".join(number_text(value, 6) for value in quaternion(axes))
+            inertia = f"[{turned}],{','.join(number_text(value, 5) for value in moments.tolist())}"
+            note = f"{load.inertia_note}, by its principal axes"
+        lines += [
+            f"! {load.label}: {accuracy(load)}; {note}",
+            f"PERS loaddata {identifier(load.label)}:=[{number_text(load.mass_kg, 3)},[{cog}],{inertia}];",
+        ]
+    return "\n".join([*lines, ""])
+
+
+def to_kuka(loads: Sequence[ExportLoad], robot: str) -> str:
+    """KRL `LOAD_DATA[n]`: mass kg, CM in mm and degrees in the flange frame, J kg m2.
+
+    A, B, C turn the flange's axes into the principal axes of inertia, about z, the new y, the new x.
+    """
+    lines = [f"; loads identified on {robot}; frame: flange; copy to $CONFIG.DAT under the tool number used"]
+    for number, load in enumerate(loads, start=1):
+        x, y, z = (number_text(1000 * value, 2) for value in load.com_m)
+        tensor, note = load.tensor_kg_m2, f"{load.inertia_note}: J 0.0, enter J from CAD before fast motion"
+        turn, inertia = ("0.0",) * 3, ("0.0",) * 3
+        if tensor is not None:
+            moments, axes = principal_axes(tensor)
+            turn = tuple(number_text(value, 3) for value in zyx_degrees(axes))
+            inertia = tuple(number_text(value, 5) for value in moments.tolist())
+            note = f"{load.inertia_note}, by its principal axes"
+        centre = f"X {x},Y {y},Z {z},A {turn[0]},B {turn[1]},C {turn[2]}"
+        own = f"X {inertia[0]},Y {inertia[1]},Z {inertia[2]}"
+        aggregate = f"{{M {number_text(load.mass_kg, 3)},CM {{{centre}}},J {{{own}}}}}"
+        lines += [
+            f"; {load.label}: {accuracy(load)}; {note}",
+            f"LOAD_DATA[{number}]={aggregate}",
+            f"; or in a program: $LOAD={aggregate}",
+        ]
+    return "\n".join([*lines, ""])
+
+
+def to_ur(loads: Sequence[ExportLoad], robot: str) -> str:
+    """URScript `set_target_payload(m, cog, inertia)`: kg, m, kg m2 about cog with the axes of the tool flange.
+
+    An inertia that is left out is taken as zero by the controller.
+    """
+    lines = [f"# loads identified on {robot}; frame: tool flange"]
+    for load in loads:
+        cog = ", ".join(number_text(value, 5) for value in load.com_m)
+        note, inertia = f"{load.inertia_note}: left out, the controller takes zero", ""
+        if load.inertia_kg_m2 is not None:
+            note = load.inertia_note
+            inertia = f", [{', '.join(number_text(value, 6) for value in load.inertia_kg_m2)}]"
+        lines += [
+            f"# {load.label}: {accuracy(load)}; {note}",
+            f"def use_{identifier(load.label)}():",
+            f"  set_target_payload({number_text(load.mass_kg, 3)}, [{cog}]{inertia})",
+            "end",
+        ]
+    return "\n".join([*lines, ""])
+
+
+def _moments(load: ExportLoad) -> tuple[Numbers, str]:
+    """Moments about the axes of the frame where a controller takes no others, and what is left out by that."""
+    if load.inertia_kg_m2 is None:
+        return (0.0, 0.0, 0.0), ""
+    moments, products = load.inertia_kg_m2[:3], load.inertia_kg_m2[3:]
+    most = max(map(abs, products))
+    left = f"products of inertia up to {most:.3g} kg m2 left out" if most > NO_PRODUCT * max(moments) else ""
+    return moments, left
+
+
+def to_fanuc(loads: Sequence[ExportLoad], robot: str) -> str:
+    """TP program (ASCII, .LS) that fills payload schedules from 1 on: mass kg, centre of gravity cm from the faceplate.
+
+    Inertia is in kgf cm s2 about axes through the centre of gravity, parallel to the faceplate's; 0 where it was not
+    measured. The program holds no motion; `PAYLOAD[n]` selects a schedule. Negative constants stand in brackets, a
+    remark has at most 32 characters.
+    """
+    lines = [f"!{_remark(f'loads of {robot}')}", "!kg, cm from faceplate, kgf cm s2"]
+    for number, load in enumerate(loads, start=1):
+        moments, left = _moments(load)
+        lines += [f"!{_remark(load.label)}", f"!{_remark(_short_accuracy(load))}"]
+        lines.append(f"!{_remark(_short_inertia(load, left))}")
+        lines.append(f"$PLST_GRP1[{number}].$PAYLOAD={number_text(load.mass_kg, 3)}")
+        for axis, value in zip("XYZ", load.com_m, strict=True):
+            text = number_text(100 * value, 3)
+            lines.append(f"$PLST_GRP1[{number}].$PAYLOAD_{axis}={f'({text})' if text.startswith('-') else text}")
+        for axis, value in zip("XYZ", moments, strict=True):
+            text = "0" if load.inertia_kg_m2 is None else number_text(KGF_CM_S2_PER_KG_M2 * value, 4)
+            lines.append(f"$PLST_GRP1[{number}].$PAYLOAD_I{axis}={text}")
+    lines.append("!select with PAYLOAD[n]")
+    body = [f"{number:4d}:  {line} ;" for number, line in enumerate(lines, start=1)]
+    head = ["/PROG  SETLOADS", "/ATTR", 'COMMENT = "identified loads";', "DEFAULT_GROUP = *,*,*,*,*;", "/MN"]
+    return "\n".join([*head, *body, "/POS", "/END", ""])
+
+
+def _short_inertia(load: ExportLoad, left: str) -> str:
+    """What a remark has room for."""
+    if load.inertia_kg_m2 is None:
+        return "inertia not measured: 0" if load.inertia_note == INERTIA_NOTE else "inertia not known: 0"
+    return "inertia without its products" if left else "inertia about the gravity centre"
+
+
+def _remark(text: str) -> str:
+    return re.sub(r"[^A-Za-z0-9 .,:+=()_-]", " ", text)[:32].rstrip()
+
+
+def _short_accuracy(load: ExportLoad) -> str:
+    half = "" if math.isnan(load.mass_std_kg) else f" +- {half_width(load.mass_std_kg):.3f}"
+    # a remark holds no percent sign
+    return f"{load.mass_kg:.3f}{half} kg ({SAID.replace('%', 'pct')})"
+
+
+def to_yaskawa(loads: Sequence[ExportLoad], robot: str) -> str:
+    """Smart Pendant preset file (.yps) with a tool per load: weight kg, com mm from the mounting plate, moi kg m2.
+
+    The pendant pre-fills a new tool's settings; the person there confirms them. The tool's own weight is not in it: the
+    controller's "tool" is everything on the flange, which is what was identified. moi are the moments about axes
+    through com, parallel to the plate's; 0 where they were not measured. offset is left to the pendant's default.
+    """
+    lines = [
+        f"// loads identified on {robot}; frame: tool mounting plate",
+        "{",
+        '  filetype: "presets",',
+        "  presets: [",
+    ]
+    for load in loads:
+        com = ", ".join(number_text(1000 * value, 2) for value in load.com_m)
+        name = identifier(load.label)
+        moments, left = _moments(load)
+        moi, note = "0.0, 0.0, 0.0", f"{load.inertia_note}: 0, enter it from CAD if it is large"
+        if load.inertia_kg_m2 is not None:
+            moi, note = ", ".join(number_text(value, 5) for value in moments), load.inertia_note
+        lines += [
+            f"    // {load.label}: {accuracy(load)}; {note}{f'; {left}' if left else ''}",
+            "    {",
+            '      preset: "tool",',
+            f'      id: "local.{identifier(robot).lower()}.{name.lower()}",',
+            f'      displayNames: {{ en: "{name[:16]}" }},',
+            f"      weight: {number_text(load.mass_kg, 3)},",
+            f"      com: [{com}],",
+            f"      moi: [{moi}]",
+            "    },",
+        ]
+    lines[-1] = "    }"
+    return "\n".join([*lines, "  ]", "}", ""])

@@ -1,0 +1,78 @@
+"""The inertia of a load as a result has it, six moments about the centre of gravity, and as controllers want it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+#: Where each moment of a result, [Ixx, Iyy, Izz, Ixy, Ixz, Iyz], stands in a (3, 3) tensor.
+ROW, COLUMN = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
+#: What rounding in a file may take from the triangle inequality of principal moments.
+ROUNDED = 1e-6
+
+
+def tensor_of(moments: Sequence[float]) -> Floats:
+    """Tensor (3, 3) of six moments, in the order of a result."""
+    tensor = np.zeros((3, 3))
+    tensor[ROW, COLUMN] = tensor[COLUMN, ROW] = moments
+    return tensor
+
+
+def moments_of(tensor: Floats) -> tuple[float, ...]:
+    """Six moments of a tensor (3, 3), in the order of a result."""
+    return tuple(tensor[ROW, COLUMN].tolist())
+
+
+def has_a_body(tensor: Floats) -> bool:
+    """Whether a body can have an inertia (3, 3): no principal moment is negative, or above the sum of the others."""
+    if not np.isfinite(tensor).all():
+        return False
+    least, middle, largest = np.linalg.eigvalsh(tensor).tolist()
+    return least >= 0.0 and least + middle >= (1.0 - ROUNDED) * largest
+
+
+def principal_axes(tensor: Floats) -> tuple[Floats, Floats]:
+    """Principal moments (3,) and axes, the columns of a rotation (3, 3) that is as small as the choice of names allows.
+
+    `tensor` = axes diag(moments) axes'.
+    """
+    moments, axes = np.linalg.eigh(tensor)
+    order = max(permutations(range(3)), key=lambda names: sum(abs(axes[row, names[row]]) for row in range(3)))
+    moments, axes = moments[list(order)], axes[:, list(order)]
+    axes = axes * np.where(np.diag(axes) < 0.0, -1.0, 1.0)
+    if np.linalg.det(axes) < 0.0:
+        axes[:, int(np.argmin(np.diag(axes)))] *= -1.0
+    return moments, axes
+
+
+def zyx_degrees(turn: Floats) -> tuple[float, float, float]:
+    """Angles [deg] A about z, B about the new y, C about the new x of a rotation (3, 3): turn = Rz(A) Ry(B) Rx(C)."""
+    across = math.hypot(turn[0, 0], turn[1, 0])
+    if across < 1e-9:
+        return 0.0, math.degrees(math.atan2(-turn[2, 0], across)), math.degrees(math.atan2(-turn[1, 2], turn[1, 1]))
+    return (
+        math.degrees(math.atan2(turn[1, 0], turn[0, 0])),
+        math.degrees(math.atan2(-turn[2, 0], across)),
+        math.degrees(math.atan2(turn[2, 1], turn[2, 2])),
+    )
+
+
+def quaternion(turn: Floats) -> tuple[float, float, float, float]:
+    """Unit quaternion (w, x, y, z), w not negative, of a rotation (3, 3)."""
+    products = np.array(
+        [
+            [turn[0, 0] - turn[1, 1] - turn[2, 2], 0.0, 0.0, 0.0],
+            [turn[0, 1] + turn[1, 0], turn[1, 1] - turn[0, 0] - turn[2, 2], 0.0, 0.0],
+            [turn[0, 2] + turn[2, 0], turn[1, 2] + turn[2, 1], turn[2, 2] - turn[0, 0] - turn[1, 1], 0.0],
+            [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1], np.trace(turn)],
+        ]
+    )
+    x, y, z, w = np.linalg.eigh(products, UPLO="L")[1][:, -1].tolist()
+    sense = -1.0 if w < 0.0 else 1.0
+    return sense * w, sense * x, sense * y, sense * z

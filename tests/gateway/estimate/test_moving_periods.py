@@ -1,0 +1,206 @@
+"""Periods of an excitation: all that motion tells comes back, noise is told by what differs, a touch is set aside."""
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio
+import pytest
+
+from benchmarks.rigs.tables import make_table
+from gateway.data.rows import MOVING, concatenate
+from gateway.estimate import EstimateOptions, estimate, run
+from tests.arms import peer_of
+from tests.gateway.estimate.conftest import urdf
+
+MASS, COM = 6.0, np.array([0.1, -0.03, 0.06])
+TENSOR = np.array([[0.09, 0.01, -0.015], [0.01, 0.07, 0.008], [-0.015, 0.008, 0.12]])
+SIX = TENSOR[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+COULOMB = np.array([20.0, 25.0, 15.0, 4.0, 3.0, 2.0])
+VISCOUS = np.array([10.0, 12.0, 8.0, 2.0, 1.5, 1.0])
+ROTOR = np.array([8.0, 8.0, 5.0, 1.0, 0.6, 0.3])
+DELAY = np.array([0.004, 0.003, 0.006, 0.002, 0.005, 0.004])
+LOSS = 0.04
+PERIOD_S, RATE_HZ = 8.0, 100.0
+EXACT = EstimateOptions(inertials="exact", gain_std=(0.0,) * 6)
+
+
+def states(time_s):
+    """A series of five harmonics, all joints, at any time."""
+    rng = np.random.default_rng(3)
+    rate = 2 * np.pi * np.arange(1, 6) / PERIOD_S
+    size, phase = rng.uniform(0.1, 0.35, (5, 6)), rng.uniform(0, 6, (5, 6))
+    angle = time_s[:, None, None] * rate[:, None] + phase
+    return (
+        (size * np.sin(angle)).sum(axis=1),
+        (size * rate[:, None] * np.cos(angle)).sum(axis=1),
+        -(size * rate[:, None] ** 2 * np.sin(angle)).sum(axis=1),
+    )
+
+
+def torque(time_s, loaded, delay_s):
+    """What drives report that lag, each axis by its own delay."""
+    out = np.empty((len(time_s), 6))
+    model, data = peer_of(urdf())
+    if loaded:
+        model.appendBodyToJoint(6, pinocchio.Inertia(MASS, COM, TENSOR), pinocchio.SE3.Identity())
+        data = model.createData()
+    for axis, late in enumerate(delay_s):
+        q, qd, qdd = states(time_s - late)
+        rigid = np.array([pinocchio.rnea(model, data, *row)[axis] for row in zip(q, qd, qdd, strict=True)])
+        speed = qd[:, axis]
+        dry = (COULOMB[axis] + LOSS * np.abs(rigid)) * np.tanh(speed / 0.02)
+        out[:, axis] = rigid + dry + VISCOUS[axis] * speed + ROTOR[axis] * qdd[:, axis]
+    return out
+
+
+@pytest.fixture(scope="module")
+def clean():
+    """One period of the torque of the bare and of the loaded arm, lagging."""
+    time = np.arange(round(PERIOD_S * RATE_HZ)) / RATE_HZ
+    return {label: torque(time, label == "tool", DELAY) for label in ("none", "tool")}
+
+
+def coloured(rng, shape, keep):
+    out = rng.normal(size=shape)
+    for row in range(1, len(out)):
+        out[row] = keep * out[row - 1] + np.sqrt(1 - keep**2) * out[row]
+    return out
+
+
+def table_of_periods(tau, noise_nm=0.0, periods=3, seed=0, keep=0.8, begin=0.0):
+    """Periods one after the other: `tau` label -> (n, 6)."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(PERIOD_S * RATE_HZ)) / RATE_HZ
+    parts = []
+    for label, clean in tau.items():
+        for period in range(1, periods + 1):
+            count = len(time)
+            parts.append(
+                make_table(
+                    [label] * count, [MOVING] * count, states(time)[0],
+                    clean + noise_nm * coloured(rng, clean.shape, keep),
+                    time=begin + time + (period - 1) * PERIOD_S, qd=states(time)[1], qdd=states(time)[2],
+                    run=[f"{label}-{period}"] * count,
+                    extra={
+                        "x_excitation": np.full(count, 7.0),
+                        "x_period": np.full(count, float(period)),
+                        "x_phase_s": time,
+                    },
+                )
+            )  # fmt: skip
+    return concatenate(parts)
+
+
+@pytest.fixture(scope="module")
+def robot():
+    from gateway.model.robot import robot_from_urdf
+
+    return robot_from_urdf(urdf(), "twelve.urdf")
+
+
+def numbers(result, name):
+    return np.array([getattr(one, name) for one in result.motion])
+
+
+def test_all_that_motion_tells_comes_back_without_noise(clean, robot):
+    result = run(table_of_periods(clean), robot, EXACT)
+    load = result.loads[0]
+    assert load.mass_kg == pytest.approx(MASS, rel=3e-3)
+    np.testing.assert_allclose(load.com_m, COM, atol=1e-3)
+    np.testing.assert_allclose(load.inertia_kg_m2, SIX, atol=3e-3)
+    assert load.unidentifiable == ()
+    np.testing.assert_allclose(numbers(result, "coulomb_nm"), COULOMB, rtol=0.02)
+    np.testing.assert_allclose(numbers(result, "viscous_nm_s_rad"), VISCOUS, rtol=0.02)
+    np.testing.assert_allclose(numbers(result, "rotor_inertia_kg_m2"), ROTOR, rtol=0.02)
+    np.testing.assert_allclose(numbers(result, "delay_s")[:5], DELAY[:5], atol=3e-4)
+    assert numbers(result, "delay_s")[5] == pytest.approx(DELAY[5], abs=1.5e-3)  # nearly all of its torque is friction
+    assert [one.joint for one in result.motion] == [1, 2, 3, 4, 5, 6]
+    assert all(one.speed_rad_s > 0.1 for one in result.motion)
+    assert result.set_aside == ()
+
+
+def test_the_order_of_the_rows_does_not_matter(clean, robot):
+    table = table_of_periods(clean, 0.3)
+    mixed = table.take(np.random.default_rng(5).permutation(len(table)))
+    one, other = (run(rows, robot, EXACT).loads[0] for rows in (table, mixed))
+    assert one.mass_kg == pytest.approx(other.mass_kg, rel=1e-6)
+    np.testing.assert_allclose(one.inertia_kg_m2, other.inertia_kg_m2, rtol=1e-4, atol=1e-7)
+    np.testing.assert_allclose(one.inertia_std_kg_m2, other.inertia_std_kg_m2, rtol=1e-2)
+
+
+def test_intervals_hold_under_coloured_noise(clean, robot):
+    """Noise that hangs together over five rows, 6 draws of ten numbers and of the friction of six axes."""
+    truth = np.array([MASS, *COM, *SIX])
+    size = np.array([2.0, 2.0, 1.0, 0.3, 0.2, 0.2])
+    inside, axes = [], []
+    for seed in range(6):
+        result = run(table_of_periods(clean, size, seed=seed), robot, EXACT)
+        load = result.loads[0]
+        value = np.array([load.mass_kg, *load.com_m, *load.inertia_kg_m2])
+        std = np.array([load.mass_std_kg, *load.com_std_m, *load.inertia_std_kg_m2])
+        inside.append(np.abs(value - truth) < 1.96 * std)
+        off = (numbers(result, "coulomb_nm") - COULOMB) / numbers(result, "coulomb_std_nm")
+        axes.append(np.abs(off) < 1.96)
+    assert np.mean(inside) > 0.87
+    assert np.mean(axes) > 0.85
+
+
+def test_a_touched_period_is_set_aside_and_changes_nothing(clean, robot):
+    table = table_of_periods(clean, 0.3, periods=4)
+    touched = table.tau_nm.copy()
+    rows = np.flatnonzero(np.asarray(table.run) == "tool-2")[200:260]
+    touched[rows, 1] += 60.0
+    result = run(replace(table, tau_nm=touched), robot, EXACT)
+    plain = run(table, robot, EXACT)
+    (entry,) = result.set_aside
+    assert (entry.run, entry.load, entry.joint) == ("tool-2", "tool", 2)
+    assert entry.from_s < 8.0 + 2.3 < entry.to_s
+    assert any("set aside" in finding.what for finding in result.findings)
+    assert plain.set_aside == ()
+    assert result.loads[0].mass_kg == pytest.approx(plain.loads[0].mass_kg, abs=3 * plain.loads[0].mass_std_kg)
+    np.testing.assert_allclose(result.loads[0].com_m, plain.loads[0].com_m, atol=2e-3)
+
+
+def test_a_load_that_slips_on_the_way_is_refused(clean, robot):
+    table = table_of_periods(clean, 0.3, periods=5)
+    late = (np.asarray(table.load) == "tool") & (table.extra["x_period"] >= 3)
+    moved = table.tau_nm.copy()
+    moved[late] += 0.15 * np.tile(clean["tool"] - clean["none"], (3, 1))
+    result = run(replace(table, tau_nm=moved), robot, EXACT)
+    (load,) = result.loads
+    assert np.isnan(load.mass_kg)
+    assert "from period 3 on" in load.refused
+    assert result.failed
+
+
+def test_one_period_is_said_to_tell_no_noise(clean, robot):
+    found = estimate(table_of_periods(clean, 0.3, periods=1), robot, EXACT)
+    assert any("fewer than two whole periods" in finding.what for finding in found.findings)
+
+
+def test_a_drive_that_answers_late_is_named(clean, robot):
+    time = np.arange(round(PERIOD_S * RATE_HZ)) / RATE_HZ
+    late = DELAY.copy()
+    late[2] = 0.04
+    tau = {label: torque(time, label == "tool", late) for label in ("none", "tool")}
+    result = run(table_of_periods(tau, 0.1), robot, EXACT)
+    assert numbers(result, "delay_s")[2] == pytest.approx(0.04, abs=0.003)
+    (said,) = [finding for finding in result.findings if "late" in finding.what]
+    assert said.where == "J3"
+
+
+def test_a_motion_that_was_sampled_too_slowly_is_refused(clean, robot):
+    from gateway.errors import DataUnusable
+
+    table = table_of_periods(clean)
+    few = table.take(np.arange(0, len(table), 100))
+    with pytest.raises(DataUnusable, match="sampled"):
+        run(few, robot, EXACT)
+
+
+def test_speeds_in_degrees_are_refused(clean, robot):
+    from gateway.errors import DataUnusable
+
+    table = table_of_periods(clean)
+    with pytest.raises(DataUnusable, match="speed"):
+        run(replace(table, qd_rad_s=np.degrees(table.qd_rad_s)), robot, EXACT)

@@ -1,0 +1,157 @@
+"""What a further pose would add: against the information of all rows, summed and inverted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gateway.acquire.until.choice import (
+    LEAST_POSES,
+    MOST_POSES,
+    Candidates,
+    Sampling,
+    Verdict,
+    best_first,
+    judge,
+)
+from gateway.acquire.until.search import Decision
+from gateway.acquire.until.words import ended
+from gateway.data.table import concatenate
+from gateway.estimate.options import EstimateOptions
+from gateway.estimate.outlook import PoseNoise, Sought, outlook_of_priors, take_stock
+from gateway.identify.aside import without_gross
+from gateway.model.regressor import gravity_regressor
+from gateway.model.visits import pair_visits
+from tests.resting_arm import Bench
+
+GOAL = np.array([1.0, 0.01, 0.01, 0.01])
+SAMPLING = Sampling(0.01, 100)
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    return Bench(3, [])
+
+
+@pytest.fixture(scope="module")
+def options(bench) -> EstimateOptions:
+    efficiency = tuple(bench.arm.efficiency.tolist())
+    return EstimateOptions(inertials="prior:0.05", gain_std=(0.02,) * 6, efficiency=efficiency)
+
+
+def stock_of(bench, options, table):
+    visits, _ = without_gross(pair_visits(table, options.efficiency), bench.robot, options.gravity_m_s2)
+    guess = np.array([30.0, 0.0, 0.0, 0.0])
+    return take_stock(visits, bench.robot, options, Sought("tool", guess, np.nanmedian(table.tau_std_nm, axis=0)))
+
+
+@pytest.fixture(scope="module")
+def stock(bench, options):
+    return stock_of(bench, options, bench.both())
+
+
+@pytest.fixture(scope="module")
+def choice(bench) -> Candidates:
+    chain = bench.arm.chain
+    q_rad = np.random.default_rng(1).uniform(0.9 * chain.lower_rad, 0.9 * chain.upper_rad, (30, 6))
+    return Candidates(q_rad, gravity_regressor(bench.robot, q_rad))
+
+
+def turned(known):
+    """Derivatives of mass and centre of gravity by the load's four unknowns."""
+    mass, moment = known.moment[0], known.moment[1:]
+    turn = np.zeros((4, 4))
+    turn[0, 0], turn[1:, 0], turn[1:, 1:] = 1.0, -moment / mass**2, np.eye(3) / mass
+    return turn
+
+
+def test_a_pose_adds_the_information_of_its_rows(stock, choice):
+    known = stock.outlook
+    variance = known.noise.friction_nm2 + known.noise.sample_nm2 / 40.0
+    rows = known.rows(choice.regressor)
+    own = slice(known.load, known.load + 4)
+    expected = []
+    for row in rows:
+        information = np.linalg.inv(known.covariance) + row.T @ np.diag(1.0 / variance) @ row
+        spread = turned(known) @ np.linalg.inv(information)[own, own] @ turned(known).T
+        expected.append(np.sqrt(np.diag(spread)))
+    assert known.std_after(choice.regressor, 20) == pytest.approx(np.array(expected), rel=1e-4)
+    assert known.with_poses(choice.regressor[4], 20, 1).std == pytest.approx(expected[4], rel=1e-4)
+
+
+def test_what_is_promised_comes_true(bench, options, stock, choice):
+    """The predicted standard deviation against that of an estimate with the pose really measured."""
+    before = stock.outlook
+    row = int(np.argmin(before.std_after(choice.regressor, 100)[:, 0]))
+    far = Bench(3, [])
+    table, more = far.both(), far.more(choice.q_rad[row][None])
+    after = stock_of(far, options, concatenate([table, more]))
+    assert after.outlook.std == pytest.approx(before.std_after(choice.regressor[row][None], 100)[0], rel=0.15)
+    assert (after.outlook.std < before.std).all()
+
+
+def test_what_is_known_of_the_gains_narrows_by_the_conditional_covariance(stock):
+    known = stock.outlook
+    own, given = np.arange(known.load, known.load + 4), known.gain
+    joint = known.covariance
+    spread = (
+        joint[np.ix_(own, own)]
+        - joint[np.ix_(own, given)] @ np.linalg.inv(joint[np.ix_(given, given)]) @ joint[np.ix_(given, own)]
+    )
+    assert known.std_given(given) == pytest.approx(np.sqrt(np.diag(turned(known) @ spread @ turned(known).T)))
+    assert known.std_given(given)[0] < 0.8 * known.std[0]
+
+
+def test_samples_are_those_that_tell_most_per_second():
+    noise = PoseNoise(np.full(6, 0.04), np.full(6, 4.0))
+    counts = np.arange(1, 400)
+    worth = 1.0 / ((0.04 + 4.0 / (2 * counts)) * (5.0 + 2 * counts * 0.01))
+    assert noise.samples(5.0, 0.01, 1, 400) == pytest.approx(counts[np.argmax(worth)], abs=1)
+    assert noise.samples(5.0, 0.01, 20, 60) == 60
+    quiet = PoseNoise(np.full(6, 0.04), np.full(6, 1e-4))
+    assert quiet.samples(5.0, 0.01, 20, 60) == 20
+    assert PoseNoise(np.full(6, np.nan), np.full(6, 4.0)).samples(5.0, 0.01, 20, 60) == 60
+
+
+def test_before_the_first_pose_the_load_is_open_and_two_postures_close_it(bench, options, choice):
+    noise = PoseNoise(np.full(6, 1.0), np.zeros(6))
+    guess = np.array([30.0, 0.0, 0.0, 0.0])
+    exact = replace(options, inertials="exact", gain_std=(0.0,) * 6)
+    known = outlook_of_priors(bench.robot, exact, guess, np.full(6, 10.0), noise)
+    one = known.with_poses(choice.regressor[0], 100, 1)
+    two = one.with_poses(choice.regressor[1], 100, 1)
+    assert known.std[0] == pytest.approx(90.0)
+    assert one.std[1:].max() > 0.1
+    assert two.std[1:].max() < 0.1
+
+
+def test_nothing_is_well_known_before_the_least_number_of_poses(stock, choice):
+    half = np.zeros(4)
+    assert not judge(stock.outlook, half, GOAL, LEAST_POSES - 1, choice, SAMPLING).done
+    assert judge(stock.outlook, half, GOAL, LEAST_POSES, choice, SAMPLING).done
+
+
+def test_a_goal_that_the_torque_constants_hide_is_given_up_and_named(stock, choice):
+    half = 1.96 * stock.outlook.std
+    goal = np.array([0.2 * half[0], np.inf, np.inf, np.inf])
+    verdict = judge(stock.outlook, half, goal, 10, choice, SAMPLING)
+    assert verdict.hopeless.tolist() == [True, False, False, False]
+    assert goal[0] < verdict.limit[0] < half[0]
+    assert verdict.done
+    said = ended(Decision(stock, verdict, None), "tool")
+    assert "no further pose brings load tool to mass" in said
+    assert "better torque constants" in said
+    assert "known mass" in said
+    reachable = np.array([1.05 * verdict.limit[0], np.inf, np.inf, np.inf])
+    going = judge(stock.outlook, half, reachable, 10, choice, SAMPLING)
+    assert not going.done
+    assert not going.hopeless.any()
+    assert 0 < going.ahead <= MOST_POSES - 10
+
+
+def test_of_two_poses_that_tell_the_same_the_nearer_one_is_measured(stock, choice):
+    same = Candidates(np.repeat(choice.q_rad[:1], 3, axis=0), np.repeat(choice.regressor[:1], 3, axis=0))
+    verdict = Verdict(1.96 * stock.outlook.std, 0.1 * GOAL, np.zeros(4), 5, 5)
+    rows, samples = best_first(stock.outlook, verdict, same, np.array([6.0, 4.0, np.inf]), SAMPLING)
+    assert rows.tolist() == [1, 0]
+    assert SAMPLING.least <= samples <= SAMPLING.most
