@@ -21,6 +21,7 @@ class MotorAxis:
     torque_nm : transmitted to the link
     position_rad : what the encoder gives, cell's zero offset taken off
     shown_nm : motor torque behind the drive's filter
+    shown_sum_nm : the same, summed over the milliseconds since it was set to 0
     """
 
     __slots__ = (
@@ -36,6 +37,7 @@ class MotorAxis:
         "shift_rad",
         "shown_lag",
         "shown_nm",
+        "shown_sum_nm",
         "slip_rad_s",
         "step",
         "stiffness",
@@ -48,7 +50,8 @@ class MotorAxis:
         self.free = self.fed = False
         self.slip_rad_s = self.fastest_rad_s = 0.0
         self.shown_lag = TICK_S / (TICK_S + filter_s)
-        self.theta_rad = self.omega_rad_s = self.torque_nm = self.position_rad = self.shown_nm = 0.0
+        self.theta_rad = self.omega_rad_s = self.torque_nm = self.position_rad = 0.0
+        self.shown_nm = self.shown_sum_nm = 0.0
         self.compliance_rad_nm = self.shift_rad = self.stiffness = self.damping = self.step = 0.0
 
     def tick(self, q_rad: float, qd_rad_s: float) -> float:
@@ -66,6 +69,7 @@ class MotorAxis:
             omega = self.omega_rad_s = -math.copysign(self.slip_rad_s, torque) if self.slip_rad_s else 0.0
             self.theta_rad += omega * TICK_S
             self.shown_nm -= self.shown_nm * self.shown_lag
+        self.shown_sum_nm += self.shown_nm
         if omega > self.fastest_rad_s or -omega > self.fastest_rad_s:
             self.fastest_rad_s = abs(omega)
         return torque

@@ -57,6 +57,7 @@ class ArmWorld:
         self._now = plant.at(0.0)
         self._refreshed_s = 0.0
         self._passive: list[float] | None = None
+        self._shown = np.zeros(len(home))
         self._load_body()
         loops = servo_loops(arm, self._masses(), plant.rotor_inertia_kg_m2)
         filters = tuple(filters_s) or (0.001,) * len(loops)
@@ -177,6 +178,8 @@ class ArmWorld:
     def _step(self, ticks: int) -> None:
         body, client, axes = self._body, self._client, self.axes
         joints = tuple(range(len(axes)))
+        for axis in axes:
+            axis.shown_sum_nm = 0.0
         for _ in range(ticks):
             a, b = (self._q, self._qd) if self._coupling is None else self._coupled()
             forces = list(map(MotorAxis.tick, axes, a, b))
@@ -189,6 +192,7 @@ class ArmWorld:
             states = bullet.getJointStates(body, joints, physicsClientId=client)
             self._q = [state[0] for state in states]
             self._qd = [state[1] for state in states]
+        self._shown = np.array([axis.shown_sum_nm for axis in axes]) / ticks
         self.time_s += ticks * TICK_S
 
     def _coupled(self) -> tuple[list[float], list[float]]:
@@ -241,9 +245,13 @@ class ArmWorld:
             axis.fastest_rad_s = 0.0
 
     def reading_nm(self) -> Array:
-        """One reading of the motor torques, shape (N,), gear output side [Nm]: `r` of `sim.plant`."""
+        """One reading of the motor torques, shape (N,), gear output side [Nm]: `r` of `sim.plant`.
+
+        The mean over the stretch of time that was stepped last, as a drive shows it that averages between set points:
+        its speed that is fed forward makes the torque a saw tooth in step with them.
+        """
         now = self._now
-        u = np.array([axis.shown_nm for axis in self.axes])
+        u = self._shown
         shown = now.current_factor * u / now.torque_constant_scale
         live = np.array([axis.fed for axis in self.axes])
         error = now.reading_offset_nm

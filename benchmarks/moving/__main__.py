@@ -1,7 +1,7 @@
 """Loads, friction and rotors from motion: random arms offline, cells over the bus; every figure with its goal.
 
-python -m benchmarks.moving [--seeds dev|test] [--cells N] [--tiers known,stated,ratios] [--parts cells,timing]
-    [--out out/moving] [--jobs N]
+python -m benchmarks.moving [--seeds dev|test] [--cells N] [--tiers known,stated,ratios] [--bus N]
+    [--parts cells,bus,plans,timing] [--out out/moving] [--jobs N]
 
 Development seeds are 0 to 9999, test seeds 40000 and on; the test seeds are run once for the published table and never
 tuned on. Of each tier so many cells are run.
@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 
 FIRST = {"dev": 0, "test": 40000}
-PARTS = ("cells", "timing")
+PARTS = ("cells", "bus", "plans", "timing")
 
 
 def main(argv: list[str]) -> int:
@@ -24,6 +24,7 @@ def main(argv: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.moving", description=__doc__)
     parser.add_argument("--seeds", choices=sorted(FIRST), default="dev")
     parser.add_argument("--cells", type=int, default=1000, help="arms and loads of each tier")
+    parser.add_argument("--bus", type=int, default=12, help="cells over the bus")
     parser.add_argument("--first", type=int, default=0, help="skip so many cells")
     parser.add_argument("--tiers", default="known,stated,ratios", help="by what is known of the torque constants")
     parser.add_argument("--parts", default=",".join(PARTS), help="names with commas (all)")
@@ -43,7 +44,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     found: Figures = {}
     for part in arguments.parts.split(","):
-        found |= {"cells": _cells, "timing": _timing}[part](arguments)
+        found |= {"cells": _cells, "bus": _bus, "plans": _plans, "timing": _timing}[part](arguments)
     Console(width=150).print(figure_table(found))
     (arguments.out / "summary.json").write_text(json.dumps({"figures": found}, indent=1) + "\n", encoding="utf-8")
     return 0 if all(entry["met"] is not False for entry in found.values()) else 1
@@ -57,6 +58,22 @@ def _cells(arguments: argparse.Namespace) -> dict[str, dict]:
     first = FIRST[arguments.seeds] + arguments.first
     tasks = [(seed, tier) for seed in range(first, first + arguments.cells) for tier in arguments.tiers.split(",")]
     return figures(run(run_cell, tasks, arguments.jobs, arguments.out / "cells.jsonl"))
+
+
+def _bus(arguments: argparse.Namespace) -> dict[str, dict]:
+    from benchmarks.blind.__main__ import run
+    from benchmarks.moving.bus import run_bus_cell
+    from benchmarks.moving.figures import figures
+
+    first = FIRST[arguments.seeds]
+    tasks = [(seed, str(arguments.out / "bus")) for seed in range(first, first + arguments.bus)]
+    return figures(run(run_bus_cell, tasks, arguments.jobs, arguments.out / "bus.jsonl"))
+
+
+def _plans(_: argparse.Namespace) -> dict[str, dict]:
+    from benchmarks.moving.plans import plan_figures
+
+    return plan_figures()
 
 
 def _timing(_: argparse.Namespace) -> dict[str, dict]:

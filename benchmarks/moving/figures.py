@@ -30,7 +30,7 @@ WORDS = {
     "load_friction": "load friction",
     "delay_s": "delay",
 }
-TIER_WORDS = {"known": "gain known", "stated": "gain as stated", "ratios": "gain as ratios only"}
+TIER_WORDS = {"known": "gain known", "stated": "gain as stated", "ratios": "gain as ratios only", "bus": "over the bus"}
 
 
 def figures(cells: Sequence[Cell]) -> Figures:
@@ -40,8 +40,9 @@ def figures(cells: Sequence[Cell]) -> Figures:
         here = [cell for cell in cells if cell["tier"] == tier]
         if here:
             out |= {f"{words}: {name}": entry for name, entry in tier_figures(here, tier).items()}
-    out["impossible inertias reported"] = _count([cell["impossible"] for cell in cells], "== 0")
-    out["cells refused"] = _count([bool(cell["refused"]) for cell in cells])
+    where = "over the bus: " if all(cell["tier"] == "bus" for cell in cells) else ""
+    out[f"{where}impossible inertias reported"] = _count([cell["impossible"] for cell in cells], "== 0")
+    out[f"{where}cells refused"] = _count([bool(cell["refused"]) for cell in cells])
     return out
 
 

@@ -247,3 +247,28 @@ def test_motor_torque_in_motion_is_dynamics_rotor_friction_and_gear(name, arm_of
     scale = np.sqrt((expected**2).mean(axis=0))
     assert (np.sqrt(((motor - expected) ** 2).mean(axis=0)) < 0.01 * scale).all()
     assert (np.abs(plant.rotor_inertia_kg_m2 * qdd).max(axis=0) > 0.02 * scale).all()
+
+
+def test_a_torque_that_is_read_at_every_set_point_holds_what_rotors_take(world_of):
+    """Speed is fed forward in steps: the torque swings in step with the set points, its reading does not."""
+    by_milliseconds, at_once = swung(world_of("small"), 1), swung(world_of("small"), 10)
+    accelerates = np.cos(2.0 * np.pi * np.arange(10, 2010, 10) / 2000.0)[20:]
+    rotor = world_of("small").plant.rotor_inertia_kg_m2 * 0.15 * np.pi**2
+    off = (at_once - by_milliseconds)[20:].T @ accelerates / (accelerates @ accelerates)
+    assert (np.abs(off) < 0.05 * rotor).all()
+
+
+def swung(world: ArmWorld, ticks: int) -> np.ndarray:
+    """Mean reading between set points 10 ms apart of a swing of 2 s, read every so many milliseconds."""
+    release(world)
+    start, read = np.array([axis.position_rad for axis in world.axes]), []
+    for tick in range(0, 2000, 10):
+        goal = start + 0.15 * (1.0 - np.cos(2.0 * np.pi * (tick + 10) / 2000.0))
+        for axis, target in zip(world.axes, goal.tolist(), strict=True):
+            axis.servo.reference_step_rad = (target - axis.servo.reference_rad) / 10
+        torques = []
+        for _ in range(10 // ticks):
+            world.advance(ticks)
+            torques.append(world.reading_nm())
+        read.append(np.mean(torques, axis=0))
+    return np.array(read)

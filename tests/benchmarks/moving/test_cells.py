@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks.moving.cells import draw_cell
+from benchmarks.moving.cells import MovingCell, draw_cell
 from benchmarks.moving.excitations import USED, random_series
 from benchmarks.moving.figures import figures
 from benchmarks.moving.oracle import about_centre, oracle_std
 from benchmarks.moving.scores import LOAD_NAMES, drawn_truth, load_truth, possible, score, tensor
 from benchmarks.moving.timing import plain_least_squares
+from gateway.estimate import run
+from gateway.model.robot import robot_from_urdf
 from gateway.result.result import AxisMotion, LoadResult, Result
 from sim.inverse import InverseDynamics
 from sim.nature.levels import MILD
 from sim.nature.moving import PeriodicMotion
-from sim.nature.moving_arm import MovingArm, draw_moving_arm
+from sim.nature.moving_arm import MovingArm, draw_moving_arm, moving_arm
+from sim.urdf import read_chain
 
 SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
@@ -155,3 +159,20 @@ def test_an_inertia_that_no_body_has_is_counted(few):
     assert score(truth, Result("r", loads=(bad,)))["impossible"] == 1
     assert len(LOAD_NAMES) == 4 + len(SIX)
     assert figures([cell | score(truth, None)])["impossible inertias reported"]["met"]
+
+
+def test_an_arm_of_seven_axes_goes_the_same_way():
+    text = Path("tests/cells/seven/robot.urdf").read_text(encoding="utf-8")
+    rng = np.random.default_rng(2)
+    arm, stated = moving_arm(read_chain(text, "seven"), 5.0, MILD, rng)
+    arm = replace(arm, gain=np.zeros(7), friction=replace(arm.friction, declared_efficiency=np.ones(7)))
+    series = random_series(arm, 10.0, 2, rng)
+    start_s = {"none": 3000.0, "tool": 3200.0}
+    stated = replace(stated, efficiency=np.ones(7))
+    cell = MovingCell(2, "known", arm, stated, (0.0,) * 7, series, 25.0, start_s)
+    result = run(cell.table(), robot_from_urdf(stated.urdf, "seven"), cell.options)
+    oracle = oracle_std(cell)
+    assert oracle["coulomb_nm"].shape == (7,)
+    assert result.loads[0].mass_kg == pytest.approx(arm.tool.mass_kg, rel=0.02)
+    np.testing.assert_allclose(result.loads[0].com_m, arm.tool.com_m, atol=0.005)
+    assert score(drawn_truth(arm, start_s, oracle), result)["impossible"] == 0
