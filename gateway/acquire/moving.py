@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.acquire.events import Event, Listener, PeriodDone, StateChanged, Stopped
-from gateway.acquire.moving_run import Leg, MovingRun, legs_from
+from gateway.acquire.moving_run import DrivenLeg, MovingRun, legs_from
 from gateway.acquire.passes import passes_of
 from gateway.acquire.planning import visit_settings
 from gateway.acquire.run import VisitStation
@@ -112,7 +112,7 @@ def record_moving(
     )
 
 
-def run_legs(station: VisitStation, legs: Sequence[Leg], load: str) -> tuple[tuple[str, int], ...]:
+def run_legs(station: VisitStation, legs: Sequence[DrivenLeg], load: str) -> tuple[tuple[str, int], ...]:
     """Drive legs from where the arm stands; on return, and after any error, the brakes are on and periods on disk.
 
     Returns

@@ -37,7 +37,7 @@ FAR_RAD: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Leg:
+class DrivenLeg:
     """A pass and the way to where it starts.
 
     Attributes
@@ -56,7 +56,7 @@ class Leg:
 
 def legs_from(
     station: VisitStation, config: ArmConfig, start_rad: np.ndarray, passes: Sequence[Pass], settings: VisitSettings
-) -> tuple[Leg, ...]:
+) -> tuple[DrivenLeg, ...]:
     """Ways and passes from where the arm stands; nothing moves. `check_moving_plan` has passed the excitations.
 
     Raises
@@ -68,7 +68,7 @@ def legs_from(
     for one in passes:
         check_pass(config.name, one, station.workspace.robot.axes)
         way = plan_to(config.name, station.workspace, at, one.excitation.start_rad, settings)
-        legs.append(Leg(way, one, free_torque_nm(station.workspace, config, one.motion)))
+        legs.append(DrivenLeg(way, one, free_torque_nm(station.workspace, config, one.motion)))
         at = one.excitation.start_rad
     return tuple(legs)
 
@@ -80,7 +80,7 @@ class MovingRun:
     ----------
     station : VisitStation
         Its speed override is taken here: ways and passes are made slower, the stream drives them as they are.
-    legs : tuple of Leg
+    legs : tuple of DrivenLeg
         From where the arm stands.
     load : str
     state : StateKeeper
@@ -91,7 +91,7 @@ class MovingRun:
         Excitation and number of the periods that lack a SYNC though they were driven twice.
     """
 
-    def __init__(self, station: VisitStation, legs: Sequence[Leg], load: str, state: StateKeeper) -> None:
+    def __init__(self, station: VisitStation, legs: Sequence[DrivenLeg], load: str, state: StateKeeper) -> None:
         self.broken: Period | None = None
         self.missed: tuple[tuple[str, int], ...] = ()
         self.state = state
@@ -183,7 +183,7 @@ class MovingRun:
         self._next()
         self._stream.move([motion], f"try '{driven.excitation.name}' at {FIRST_SHARE:.0%}")
 
-    def _drive(self, leg: Leg, periods: tuple[int, ...]) -> None:
+    def _drive(self, leg: DrivenLeg, periods: tuple[int, ...]) -> None:
         """So many periods without a stop; those that lack a SYNC are noted."""
         self._incomplete = []
         driven, store = leg.driven, self._store

@@ -9,6 +9,7 @@ from gateway.diagnose.moving.diagnosis import diagnose_motion
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.rest.diagnosis import RestDiagnosis
 from gateway.errors import DataUnusable, InputError
+from gateway.model.motion import behind_gears
 from gateway.model.robot import Robot
 from gateway.result.result import Finding, Result
 
@@ -38,7 +39,8 @@ def diagnose(table: Table, robot: Robot, options: DiagnoseOptions | None = None)
     held, left_out = _held_alike(options.holdout, robot, moves=moves)
     options = replace(options, holdout=held)
     if moves:
-        result = diagnose_motion(table, robot, options)
+        held = None if options.holdout is None else behind_gears(options.holdout, options.efficiency)
+        result = diagnose_motion(behind_gears(table, options.efficiency), robot, replace(options, holdout=held))
     else:
         rest = RestDiagnosis(robot, options)
         result = rest.report(rest.search(table.take(~table.moving)), options.holdout, options.holdout_kind)

@@ -19,11 +19,11 @@ from gateway.errors import DataUnusable
 from gateway.estimate.estimate import Estimate
 from gateway.estimate.fitting import Fitted
 from gateway.estimate.moving_columns import MovingSetup, fast_rows, held_to_friction, moving_columns
-from gateway.estimate.moving_describe import MovingFit, axis_motions, described_load, fitted_rows, nuisances
+from gateway.estimate.moving_describe import MotionFit, axis_motions, described_load, fitted_rows, nuisances
 from gateway.estimate.moving_noise import correlation_times, spread_of
 from gateway.estimate.moving_ordinary import settle
 from gateway.estimate.moving_periods import Periods, averaged
-from gateway.estimate.moving_problem import MovingProblem, about, solved
+from gateway.estimate.moving_problem import MotionProblem, about, solved
 from gateway.estimate.moving_stribeck import stribeck_speeds
 from gateway.estimate.moving_time import Stretches
 from gateway.estimate.options import EstimateOptions
@@ -31,6 +31,7 @@ from gateway.estimate.together import Beside, columns_beside, rest_rows
 from gateway.identify.load_estimate import LoadEstimate, refused_load
 from gateway.identify.loads import BARE_LABEL
 from gateway.identify.solve import Solution
+from gateway.model.motion import behind_gears
 from gateway.model.robot import Robot, reach_m
 from gateway.result.result import AxisMotion, Finding
 
@@ -77,7 +78,7 @@ def estimate_moving(
         No axis moves while its torque is measured, or fewer rows than unknowns.
     """
     motion = MovingSetup() if motion is None else motion
-    moving = table.take(table.moving)
+    moving = behind_gears(table.take(table.moving), options.efficiency)
     if not len(moving):
         raise DataUnusable("the data hold no moving rows")
     _check_speeds(moving)
@@ -151,17 +152,17 @@ def _late(motions: Sequence[AxisMotion]) -> list[Finding]:
     ]  # fmt: skip
 
 
-def _solved(beside: Beside, periods: Periods, used: Mask, scale_nm: Floats) -> MovingFit:
+def _solved(beside: Beside, periods: Periods, used: Mask, scale_nm: Floats) -> MotionFit:
     """Settle, weigh the parts anew by what the whole model leaves of them, and settle again."""
     run, columns = np.asarray(periods.mean.run), beside.columns
-    problem = MovingProblem.of(columns, periods.mean, used, periods.contrasts, beside.still)
+    problem = MotionProblem.of(columns, periods.mean, used, periods.contrasts, beside.still)
     settled = settle(problem, scale_nm)
     spread = spread_of(problem, settled, scale_nm, run, periods.scatter)
     for _ in range(_WEIGHED_ANEW * bool(columns.ordinary)):
         anew_nm = np.clip(spread.scale_nm, scale_nm / _MOST_ANEW, _MOST_ANEW * scale_nm)
         settled = settle(problem, anew_nm, settled.here)
         spread = spread_of(problem, settled, anew_nm, run, periods.scatter)
-    return MovingFit(problem, settled, spread)
+    return MotionFit(problem, settled, spread)
 
 
 def _without_slipped(periods: Periods, options: EstimateOptions) -> tuple[Periods, tuple[LoadEstimate, ...]]:
@@ -190,7 +191,7 @@ def _weights(
     plain = replace(motion, ordinary=tuple(name for name in motion.ordinary if name == "load_inertia"))
     trust = options.inertials if motion.passes is not None else "ignore"
     columns = moving_columns(moving, robot, replace(options, inertials=trust), plain)
-    problem = MovingProblem.of(columns, moving, used, periods.contrasts)
+    problem = MotionProblem.of(columns, moving, used, periods.contrasts)
     solution, sigma = _reweighted(problem, motion.passes or _REWEIGHTS)
     level_nm = np.maximum(np.abs(columns.dry(solution.value)), _LEAST_SHARE * sigma.max())
     if not motion.ordinary:
@@ -200,7 +201,7 @@ def _weights(
     return sigma * np.sqrt(correlation_times(problem, left, np.asarray(moving.run))), level_nm
 
 
-def _reweighted(problem: MovingProblem, passes: int) -> tuple[Solution, Floats]:
+def _reweighted(problem: MotionProblem, passes: int) -> tuple[Solution, Floats]:
     """Solution with every axis weighted by its residual (N,) in the pass before; the first weights are one."""
     target = np.where(problem.used, problem.tau_nm - problem.columns.known_nm, 0.0)
     least = 1e-6 * max(float(np.sqrt((target**2).sum() / max(int(problem.used.sum()), 1))), 1e-12)
@@ -215,14 +216,14 @@ def _reweighted(problem: MovingProblem, passes: int) -> tuple[Solution, Floats]:
     return solution, sigma
 
 
-def _residual_rms(problem: MovingProblem, solution: Solution) -> Floats:
+def _residual_rms(problem: MotionProblem, solution: Solution) -> Floats:
     """Root mean square of the residual of each part. The basis keeps lengths."""
     ends = np.cumsum([len(part.factor) for part in problem.parts])[:-1]
     lengths = [float(np.linalg.norm(left)) for left in np.split(solution.residual, ends)]
     return np.array(lengths) / np.sqrt([len(part.rows) for part in problem.parts])
 
 
-def _estimate(fit: MovingFit, moving: Table, robot: Robot) -> Estimate:
+def _estimate(fit: MotionFit, moving: Table, robot: Robot) -> Estimate:
     columns, solution, std = fit.columns, fit.settled.solution, fit.std
     found = np.isfinite(std)
     motions = axis_motions(fit, moving.qd_rad_s)

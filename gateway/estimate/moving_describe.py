@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from gateway.data.rows import Table
 from gateway.estimate.estimate import FittedRows
 from gateway.estimate.moving_columns import NUISANCES, Columns
-from gateway.estimate.moving_noise import Spread
+from gateway.estimate.moving_noise import MovingSpread
 from gateway.estimate.moving_ordinary import Settled
-from gateway.estimate.moving_problem import MovingProblem
+from gateway.estimate.moving_problem import MotionProblem
 from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, budget_by_priors
 from gateway.identify.inertia import LoadInertia, load_inertia, nearest_body
 from gateway.identify.load_estimate import LoadEstimate, load_from_moment, without_guesses
@@ -29,12 +29,12 @@ _SHOWS = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MovingFit:
+class MotionFit:
     """A settled problem and how sure it is."""
 
-    problem: MovingProblem
+    problem: MotionProblem
     settled: Settled
-    spread: Spread
+    spread: MovingSpread
 
     @property
     def columns(self) -> Columns:
@@ -53,7 +53,7 @@ class MovingFit:
         return np.where(found, np.sqrt(np.maximum(np.diag(self.spread.covariance), 0.0)), np.nan)
 
 
-def fitted_rows(fit: MovingFit, moving: Table) -> FittedRows:
+def fitted_rows(fit: MotionFit, moving: Table) -> FittedRows:
     """Measured and modelled torque of the used rows."""
     used = fit.problem.used
     blank = np.full(moving.tau_nm.shape, np.nan)
@@ -72,7 +72,7 @@ def fitted_rows(fit: MovingFit, moving: Table) -> FittedRows:
     )
 
 
-def described_load(fit: MovingFit, label: str, longest_m: float) -> LoadEstimate:
+def described_load(fit: MotionFit, label: str, longest_m: float) -> LoadEstimate:
     """Mass, centre of gravity and inertia of one load."""
     columns, solution, covariance = fit.columns, fit.settled.solution, fit.spread.covariance
     first = columns.loads[label]
@@ -104,7 +104,7 @@ def _body(ten: Floats, covariance: Floats) -> tuple[Floats, LoadInertia | None]:
     return body.ten[:4], load_inertia(body, covariance)
 
 
-def nuisances(fit: MovingFit) -> dict[str, NuisanceResult]:
+def nuisances(fit: MotionFit) -> dict[str, NuisanceResult]:
     """Gain and load friction of every axis."""
     value, std = fit.value, fit.std
     return {
@@ -114,13 +114,13 @@ def nuisances(fit: MovingFit) -> dict[str, NuisanceResult]:
     }
 
 
-def axis_motions(fit: MovingFit, qd_rad_s: Floats) -> tuple[AxisMotion, ...]:
+def axis_motions(fit: MotionFit, qd_rad_s: Floats) -> tuple[AxisMotion, ...]:
     """What motion tells of every axis that moved and was measured."""
     moved = sorted({part.axis for part in fit.problem.parts})
     return tuple(_axis_motion(fit, axis, np.abs(qd_rad_s[:, axis])) for axis in moved)
 
 
-def _axis_motion(fit: MovingFit, axis: int, speed_rad_s: Floats) -> AxisMotion:
+def _axis_motion(fit: MotionFit, axis: int, speed_rad_s: Floats) -> AxisMotion:
     columns, std = fit.columns, fit.std
     place = {name: k for k, name in enumerate(columns.names)}
 

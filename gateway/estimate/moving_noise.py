@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.estimate.moving_ordinary import Settled
-from gateway.estimate.moving_problem import MovingProblem, part_columns
+from gateway.estimate.moving_problem import MotionProblem, part_columns
 from gateway.identify.spread import by_blocks, wider
 
 Floats = NDArray[np.float64]
@@ -45,7 +45,7 @@ class Scatter:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Spread:
+class MovingSpread:
     """Covariance (p, p) of a fit; standard deviation (N,) [Nm] of the rows of each axis; that of each part's rows as if
     they were independent; parts whose residual is noise alone.
     """
@@ -57,8 +57,8 @@ class Spread:
 
 
 def spread_of(
-    problem: MovingProblem, settled: Settled, sigma_nm: Floats, run: NDArray[Any], scatter: Scatter
-) -> Spread:
+    problem: MotionProblem, settled: Settled, sigma_nm: Floats, run: NDArray[Any], scatter: Scatter
+) -> MovingSpread:
     """Covariance under the residuals as they are: their own size, and hanging together in time.
 
     Each axis's residual by its correlation time; and where the model lacks something, stretches of all axes together by
@@ -91,10 +91,10 @@ def spread_of(
         rows = np.concatenate([part.rows for part in problem.parts])
         real = wider(real, _by_strokes(problem, pulls))
         real = wider(real, by_blocks(np.concatenate(pulls), rows, run, _LONG * float(times.max())))
-    return Spread(real + by_prior, by_axis(problem, size), size * np.sqrt(times), alone)
+    return MovingSpread(real + by_prior, by_axis(problem, size), size * np.sqrt(times), alone)
 
 
-def _by_strokes(problem: MovingProblem, pulls: list[Floats]) -> Floats:
+def _by_strokes(problem: MotionProblem, pulls: list[Floats]) -> Floats:
     """Covariance (p, p) of what each part's rows (k, p) pull, those of one stroke together.
 
     Friction is another from stroke to stroke, and what is off in it pulls one way as long as the axis goes one way.
@@ -108,7 +108,7 @@ def _by_strokes(problem: MovingProblem, pulls: list[Floats]) -> Floats:
     return out
 
 
-def by_axis(problem: MovingProblem, values: Floats) -> Floats:
+def by_axis(problem: MotionProblem, values: Floats) -> Floats:
     """Largest (N,) of what the parts of each axis have; NaN where it has none."""
     out = np.full(problem.tau_nm.shape[1], np.nan)
     for part, value in zip(problem.parts, values, strict=True):
@@ -116,7 +116,7 @@ def by_axis(problem: MovingProblem, values: Floats) -> Floats:
     return out
 
 
-def correlation_times(problem: MovingProblem, left_nm: Floats, run: NDArray[Any]) -> Floats:
+def correlation_times(problem: MotionProblem, left_nm: Floats, run: NDArray[Any]) -> Floats:
     """How many rows make one independent one in each part."""
     return np.array(
         [correlation_time(problem.turned(left_nm[:, part.axis], part), run[part.rows]) for part in problem.parts]

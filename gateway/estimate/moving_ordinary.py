@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.estimate.moving_columns import NUISANCES, Columns
-from gateway.estimate.moving_problem import About, MovingProblem, about, solved
+from gateway.estimate.moving_problem import About, MotionProblem, about, solved
 from gateway.identify.nuisance import ORDINARY_STD
 from gateway.identify.solve import Prior, Solution
 
@@ -30,7 +30,7 @@ class Settled:
     free: Solution
 
 
-def settle(problem: MovingProblem, sigma_nm: Floats, start: About | None = None) -> Settled:
+def settle(problem: MotionProblem, sigma_nm: Floats, start: About | None = None) -> Settled:
     """Fit, each part with its standard deviation, from a solution near by if there is one.
 
     A gain multiplies what the bodies give, known ones too. No gain and no loss goes beyond what is ordinary: what wants

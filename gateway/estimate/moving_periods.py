@@ -108,7 +108,7 @@ def averaged(moving: Table, judged: Mask) -> Periods:
     if not periodic.any():
         return Periods(moving, Scatter.none(moving.axes), np.full(len(moving), np.nan))
     keys = [np.where(periodic, moving.extra[name], np.nan) for name in (EXCITATION, PERIOD, PHASE_S)]
-    tables, groups, aside, findings, residuals, slipped, step_s = [], [], [], [], [], {}, np.nan
+    tables, groups, aside, findings, residuals, slipped, alone, step_s = [], [], [], [], [], {}, {}, np.nan
     for label, excitation in dict.fromkeys(
         zip(moving.load[periodic].tolist(), keys[0][periodic].tolist(), strict=True)
     ):
@@ -124,9 +124,9 @@ def averaged(moving: Table, judged: Mask) -> Periods:
         tables.append(mean)
         groups.append(np.full(len(mean), excitation if len(group.rows) > 1 else np.nan))
         residuals.append(left)
-        if len(group.rows) < 2:
-            findings.append(_one_period(label))
+        alone[label] = alone.get(label, True) and len(group.rows) < 2
     rest = moving.take(~periodic)
+    findings += [_one_period(label) for label, only in alone.items() if only]
     findings += [_touched(entry) for entry in aside]
     return Periods(
         concatenate([*tables, rest]) if len(rest) else concatenate(tables),

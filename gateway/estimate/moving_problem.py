@@ -86,7 +86,7 @@ class Still:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MovingProblem:
+class MotionProblem:
     """Moving rows with their columns.
 
     Attributes
@@ -113,7 +113,7 @@ class MovingProblem:
     @staticmethod
     def of(
         columns: Columns, moving: Table, used: Mask, contrasts: Contrasts, still: Still | None = None
-    ) -> MovingProblem:
+    ) -> MotionProblem:
         """The problem of a table's rows at `used` (n, N)."""
         parts = [
             part
@@ -121,7 +121,7 @@ class MovingProblem:
             for part in _axis_rows(columns, moving.tau_nm[:, axis], used[:, axis], axis, contrasts)
         ]
         stretches = Stretches.of(np.asarray(moving.run).astype(str), moving.time_s)
-        return MovingProblem(columns, moving.tau_nm, moving.qd_rad_s, used, stretches, tuple(parts), contrasts, still)
+        return MotionProblem(columns, moving.tau_nm, moving.qd_rad_s, used, stretches, tuple(parts), contrasts, still)
 
     def turned(self, values: Floats, part: AxisRows) -> Floats:
         """Values (n, ...) of an axis as the rows (k, ...) of a part have them."""
@@ -157,7 +157,7 @@ def _axis_rows(columns: Columns, tau_nm: Floats, used: Mask, axis: int, contrast
     return out
 
 
-def about(problem: MovingProblem, value: Floats) -> About:
+def about(problem: MotionProblem, value: Floats) -> About:
     """Linearise about a solution (p,)."""
     columns, axes = problem.columns, problem.tau_nm.shape[1]
     none = np.zeros(axes)
@@ -186,7 +186,7 @@ def about(problem: MovingProblem, value: Floats) -> About:
     return About(value, torque, local, moved, model)
 
 
-def solved(problem: MovingProblem, here: About | None, sigma_nm: Floats, prior: Prior) -> Solution:
+def solved(problem: MotionProblem, here: About | None, sigma_nm: Floats, prior: Prior) -> Solution:
     """Solve the problem linearised about a solution (None: without what every arm has), each part by its `sigma_nm`."""
     count = len(problem.columns.names)
     parts = [_of_part(problem, part, here) for part in problem.parts]
@@ -199,7 +199,7 @@ def solved(problem: MovingProblem, here: About | None, sigma_nm: Floats, prior: 
     return solve(design, target, np.concatenate(weight), prior)
 
 
-def _of_part(problem: MovingProblem, mine: AxisRows, here: About | None) -> tuple[Floats, Floats]:
+def _of_part(problem: MotionProblem, mine: AxisRows, here: About | None) -> tuple[Floats, Floats]:
     """Columns (m, p) and target (m,) of one part in its basis, and in that of what stands outside of it."""
     columns, axis = problem.columns, mine.axis
     body = mine.there < columns.bodies
@@ -226,7 +226,7 @@ def _of_part(problem: MovingProblem, mine: AxisRows, here: About | None) -> tupl
     return design, target
 
 
-def part_columns(problem: MovingProblem, here: About, part: AxisRows) -> Floats:
+def part_columns(problem: MotionProblem, here: About, part: AxisRows) -> Floats:
     """Columns (k, p) of the rows of one part about a solution."""
     columns, axis = problem.columns, part.axis
     out = problem.turned(columns.design[:, axis], part)

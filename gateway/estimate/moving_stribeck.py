@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.estimate.moving_noise import Spread
+from gateway.estimate.moving_noise import MovingSpread
 from gateway.estimate.moving_ordinary import Settled
-from gateway.estimate.moving_problem import AxisRows, MovingProblem
+from gateway.estimate.moving_problem import AxisRows, MotionProblem
 
 Floats = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ _SHOWS: Final = 4.0
 _OWN: Final = 0.05
 
 
-def stribeck_speeds(problem: MovingProblem, settled: Settled, spread: Spread) -> tuple[float, ...]:
+def stribeck_speeds(problem: MotionProblem, settled: Settled, spread: MovingSpread) -> tuple[float, ...]:
     """Speed [rad/s] over which the friction of each axis falls; NaN where none shows."""
     out = np.full(problem.tau_nm.shape[1], np.nan)
     left = problem.tau_nm - settled.here.model_nm
@@ -31,7 +31,7 @@ def stribeck_speeds(problem: MovingProblem, settled: Settled, spread: Spread) ->
     return tuple(out.tolist())
 
 
-def _speed(problem: MovingProblem, part: AxisRows, left_nm: Floats, scale_nm: float) -> float:
+def _speed(problem: MotionProblem, part: AxisRows, left_nm: Floats, scale_nm: float) -> float:
     axis = part.axis
     qd, own = problem.qd_rad_s[:, axis], problem.turned(left_nm, part)
     fastest = float(np.abs(qd[part.rows]).max(initial=0.0))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gateway.errors import PlanRefused
 from gateway.excite.design import Members, fitted, random_members, rows_of
-from gateway.excite.expected import Asked, promise
+from gateway.excite.expected import AskedNumbers, promise
 from gateway.excite.family import Family
 from gateway.excite.limits import MovingLimits
 from gateway.excite.optimise import Aim, improved
@@ -55,14 +55,14 @@ class SeriesTask:
     limits : MovingLimits
     anchors_rad : array of shape (k, N)
         Postures of which one has to have a straight way to the start; none where the arm may stand at none of them.
-    asked : tuple of Asked
+    asked : tuple of AskedNumbers
     period_s : float
     periods : int
     """
 
     limits: MovingLimits
     anchors_rad: Floats
-    asked: tuple[Asked, ...]
+    asked: tuple[AskedNumbers, ...]
     period_s: float
     periods: int
 

@@ -65,7 +65,7 @@ class TorqueNoise:
         return rows * (moves / self.std_nm)[:, :, None]
 
 
-class Asked(Protocol):
+class AskedNumbers(Protocol):
     """What is asked of motions, with all that stands beside it."""
 
     @property
@@ -99,14 +99,14 @@ class Asked(Protocol):
         ...
 
 
-def expected_stds(asked: Asked, information: Floats) -> Floats:
+def expected_stds(asked: AskedNumbers, information: Floats) -> Floats:
     """Standard deviations (m, k) of what is asked under informations (m, p, p); very large where nothing tells."""
     size, scaled = _scaled(asked, information)
     spread = asked.turn[None] / size[:, None, :]
     return np.sqrt(np.einsum("mkp,mpq,mkq->mk", spread, np.linalg.inv(scaled), spread))
 
 
-def told_stds(asked: Asked, information: Floats) -> Floats:
+def told_stds(asked: AskedNumbers, information: Floats) -> Floats:
     """Standard deviations (k,) under one information (p, p); NaN for what it does not tell from others."""
     size, scaled = _scaled(asked, information[None])
     spread = asked.turn / size
@@ -117,7 +117,7 @@ def told_stds(asked: Asked, information: Floats) -> Floats:
     return np.where(lost, np.nan, np.sqrt((parts[:, ~open_] / values[~open_]).sum(axis=1)))
 
 
-def _scaled(asked: Asked, information: Floats) -> tuple[Floats, Floats]:
+def _scaled(asked: AskedNumbers, information: Floats) -> tuple[Floats, Floats]:
     """Size (m, p) of the information on each unknown, and information (m, p, p) over it."""
     index = np.arange(information.shape[1])
     total = information.copy()
@@ -160,17 +160,17 @@ class LoadAsked:
 
     @property
     def prior(self) -> Floats:
-        """As `Asked.prior`."""
+        """As `AskedNumbers.prior`."""
         gain = self.noise.gain_std
         return np.concatenate([np.zeros(10), gain**-2.0, np.full(len(gain), LOAD_FRICTION_STD**-2.0)])
 
     @property
     def turn(self) -> Floats:
-        """As `Asked.turn`, of `LOAD_NUMBERS`."""
+        """As `AskedNumbers.turn`, of `LOAD_NUMBERS`."""
         return np.hstack([load_jacobian(self.load), np.zeros((10, 2 * self.workspace.robot.axes))])
 
     def information(self, states: States, rigid: Floats, motions: int, duration_s: float) -> Floats:
-        """As `Asked.information`."""
+        """As `AskedNumbers.information`."""
         torque = rigid[:, :, -10:] @ self.load.parameters
         bare = np.zeros_like(torque) if self.links is None else rigid @ self.links
         lost = (np.abs(bare + torque) - np.abs(bare)) * np.tanh(states.qd_rad_s / SMOOTH_RAD_S)
@@ -235,20 +235,20 @@ class DriveTrainAsked:
 
     @property
     def prior(self) -> Floats:
-        """As `Asked.prior`."""
+        """As `AskedNumbers.prior`."""
         gain = self.noise.gain_std
         free, lost = np.zeros(3 * len(gain)), np.full(len(gain), LOAD_FRICTION_STD**-2.0)
         return np.concatenate([self.link_information, free, gain**-2.0, lost])
 
     @property
     def turn(self) -> Floats:
-        """As `Asked.turn`."""
+        """As `AskedNumbers.turn`."""
         axes, first = self.workspace.robot.axes, len(self.chosen)
         columns = np.arange(2 * axes) if self.purpose == "friction" else np.arange(2 * axes, 3 * axes)
         return np.eye(first + 5 * axes)[first + columns]
 
     def information(self, states: States, rigid: Floats, motions: int, duration_s: float) -> Floats:
-        """As `Asked.information`."""
+        """As `AskedNumbers.information`."""
         torque = np.zeros_like(states.q_rad) if self.links is None else rigid @ self.links
         sign = np.tanh(states.qd_rad_s / SMOOTH_RAD_S)
         shapes = (sign, states.qd_rad_s, states.qdd_rad_s2, torque, np.abs(torque) * sign)
@@ -258,8 +258,8 @@ class DriveTrainAsked:
         return _gram(self.noise.weighted(rows, states), motions, independent)
 
 
-def promise(asked: Sequence[Asked], states: States, rigid: Floats, motions: int, duration_s: float) -> Floats:
-    """Mean logarithm (motions,) of all standard deviations that are asked for: of `Asked.information` its arguments."""
+def promise(asked: Sequence[AskedNumbers], states: States, rigid: Floats, motions: int, duration_s: float) -> Floats:
+    """Mean logarithm (motions,) of all standard deviations asked for; its arguments are those of `information`."""
     stds = [expected_stds(each, each.information(states, rigid, motions, duration_s)) for each in asked]
     return np.log(np.concatenate(stds, axis=1)).mean(axis=1)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.excite.excitation import Excitation
-from gateway.excite.expected import Asked, LoadAsked, Purpose, arm_rows, told_stds
+from gateway.excite.expected import AskedNumbers, LoadAsked, Purpose, arm_rows, told_stds
 from gateway.excite.limits import KINDS, LOAD_ACCELERATION, MovingLimits, states_of
 from gateway.feedforward.load import FeedLoad
 from gateway.result.values import plain_values
@@ -22,7 +22,7 @@ STEP_S = 0.02
 
 def foretold(
     excitations: Sequence[Excitation],
-    asked: Mapping[Purpose, Asked],
+    asked: Mapping[Purpose, AskedNumbers],
     limits: MovingLimits,
     load: FeedLoad,
     over_random: float | None,
@@ -32,7 +32,7 @@ def foretold(
     Parameters
     ----------
     excitations : sequence of Excitation
-    asked : mapping of Purpose to Asked
+    asked : mapping of Purpose to AskedNumbers
     limits : MovingLimits
         As it was planned with; shares are of these.
     load : FeedLoad
@@ -80,7 +80,7 @@ def _shares(limits: MovingLimits, share: Floats) -> dict[str, Any]:
     return found
 
 
-def _told(name: Purpose, asked: Asked, std: Floats, load: FeedLoad) -> dict[str, Any]:
+def _told(name: Purpose, asked: AskedNumbers, std: Floats, load: FeedLoad) -> dict[str, Any]:
     """Standard deviations of one purpose under the names of a result."""
     if isinstance(asked, LoadAsked):
         about = {"mass_kg": load.mass_kg, "com_m": load.com_m, "source": load.source}

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from gateway.excite.design import Members, rows_of
-from gateway.excite.expected import Asked, promise
+from gateway.excite.expected import AskedNumbers, promise
 from gateway.excite.family import Family
 from gateway.excite.limits import MovingLimits
 from gateway.motion.clearance import CLOSE_M, ROOM_M
@@ -40,14 +40,14 @@ class Aim:
     ----------
     family : Family
     limits : MovingLimits
-    asked : tuple of Asked
+    asked : tuple of AskedNumbers
     duration_s : float
         Of all periods.
     """
 
     family: Family
     limits: MovingLimits
-    asked: tuple[Asked, ...]
+    asked: tuple[AskedNumbers, ...]
     duration_s: float
 
     @property

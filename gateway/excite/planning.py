@@ -17,7 +17,7 @@ from gateway.excite.design import start_postures
 from gateway.excite.excitation import Excitation, MovingPlan
 from gateway.excite.expected import (
     CORRELATION_S,
-    Asked,
+    AskedNumbers,
     DriveTrainAsked,
     LoadAsked,
     Purpose,
@@ -160,12 +160,12 @@ def _noise(loaded: LoadedCell, config: ArmConfig, workspace: Workspace) -> Torqu
 
 def _asked(
     config: ArmConfig, workspace: Workspace, noise: TorqueNoise, load: FeedLoad, purposes: Sequence[Purpose]
-) -> dict[Purpose, Asked]:
+) -> dict[Purpose, AskedNumbers]:
     """What is asked for, each purpose once, in the order of `PURPOSES`."""
     carried = links_with_loads(workspace, config, ())
     links = None if carried is None else carried[:, 0]
     trust = parse_inertials(config.inertials)
-    found: dict[Purpose, Asked] = {}
+    found: dict[Purpose, AskedNumbers] = {}
     if "load" in purposes:
         found["load"] = LoadAsked(workspace, noise, load, links)
     if "friction" in purposes:

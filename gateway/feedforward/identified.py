@@ -46,8 +46,8 @@ class AxisConstants:
     ----------
     rotor_kg_m2, coulomb_nm, viscous_nm_s_rad : Known or None
     load_friction : float
-        Part of the transmitted torque that the gear loses, in place of its stated efficiency: it is identified from the
-        torque as measured, no efficiency applied. 0 = none identified.
+        Part of the torque at the gear output that is lost beside what the stated gear efficiency says; 0 = none
+        identified.
     breakaway_nm, stribeck_rad_s : float
         Friction at the onset of motion, and the speed over which it falls to `coulomb_nm`; NaN where no Stribeck curve
         was identified.

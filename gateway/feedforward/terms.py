@@ -77,7 +77,7 @@ def _axis(
         ratio=ratio,
         position_sign=float(axis.position_sign),
         torque_sign=float(axis.torque_sign),
-        efficiency=1.0 if known.load_friction else axis.gear_efficiency.value,
+        efficiency=axis.gear_efficiency.value,
         rotor_kg_m2=rotor.value,
         coulomb_nm=coulomb.value,
         viscous_nm_s_rad=viscous.value,
@@ -86,8 +86,8 @@ def _axis(
         load_friction=known.load_friction,
     )
     lost, shape = axis.gear_efficiency.source, ""
-    if known.load_friction:  # fitted to the torque as measured: all that the gear loses is in it
-        lost = f"{coulomb.source}: {100 * known.load_friction:.2g} % of the torque"
+    if known.load_friction:
+        lost = f"{lost}; {100 * known.load_friction:.2g} % of the torque beside it, {coulomb.source}"
     if np.isfinite(known.breakaway_nm):
         onset_nm = known.breakaway_nm - coulomb.value
         terms = replace(terms, onset_nm=onset_nm, stribeck_rad_s=known.stribeck_rad_s)

@@ -6,16 +6,17 @@ torque of that row tells nothing about the model, so the row is not judged on th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gateway.data.periods import PHASE_S, excitation_runs, noise_between_periods
 from gateway.data.table import Table
 from gateway.errors import DataUnusable
 from gateway.model.regressor import regressor
 from gateway.model.robot import Robot
+from gateway.model.visits import through_gear
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -144,6 +145,21 @@ def changed_torque(change: Floats, modelled: Modelled) -> Floats:
 def smooth_sign(speed_rad_s: Floats, top_rad_s: float | Floats) -> Floats:
     """Sign of a velocity, rounded off below `SLOW` of the top speed (same shape as `speed_rad_s`)."""
     return np.tanh(speed_rad_s / np.maximum(SLOW * np.asarray(top_rad_s), STANDSTILL_RAD_S))
+
+
+def behind_gears(table: Table, efficiency: ArrayLike | None) -> Table:
+    """The table with the torque of its moving rows taken through gears of stated efficiency, by direction of motion.
+
+    Parameters
+    ----------
+    table : Table
+    efficiency : array of shape (N,), one for all, or None
+        1 or None where the torque already stands behind the gear.
+    """
+    if efficiency is None:
+        return table
+    behind = through_gear(table.tau_nm, np.sign(table.qd_rad_s), np.asarray(efficiency, dtype=float))
+    return replace(table, tau_nm=np.where(table.moving[:, None], behind, table.tau_nm))
 
 
 def prepare(table: Table, given: Table | None, robot: Robot, gravity_m_s2: Floats) -> MovingRows:

@@ -49,7 +49,7 @@ class FrictionView:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Period:
+class DrawnPeriod:
     """Rows of one run in the order of time: arrays of shape (n,) and (n, N)."""
 
     run: str
@@ -159,14 +159,14 @@ def friction_views(result: Result) -> list[FrictionView]:
     return views
 
 
-def _fastest(axis: AxisMotion, runs: Sequence[Period]) -> float:
+def _fastest(axis: AxisMotion, runs: Sequence[DrawnPeriod]) -> float:
     if axis.speed_rad_s > 0.0:
         return axis.speed_rad_s
     speeds = [np.abs(_speed(run)[:, axis.joint - 1]).max() for run in runs if axis.joint <= run.q_rad.shape[1]]
     return float(max(speeds, default=0.0))
 
 
-def _friction(axis: AxisMotion, fastest: float, runs: Sequence[Period]) -> FrictionView:
+def _friction(axis: AxisMotion, fastest: float, runs: Sequence[DrawnPeriod]) -> FrictionView:
     speed = np.linspace(0.0, fastest, CURVE_POINTS)
     torque, left = friction_nm(axis, speed), _onset(axis, speed)
     shares = (
@@ -184,7 +184,7 @@ def _friction(axis: AxisMotion, fastest: float, runs: Sequence[Period]) -> Frict
     )
 
 
-def _points(axis: AxisMotion, fastest: float, runs: Sequence[Period]) -> tuple[tuple[float, float], ...]:
+def _points(axis: AxisMotion, fastest: float, runs: Sequence[DrawnPeriod]) -> tuple[tuple[float, float], ...]:
     """Speed and friction of measured rows: what the model leaves of the torque, and the friction that is in it."""
     column, found = axis.joint - 1, []
     for run in runs:
@@ -203,20 +203,20 @@ def _points(axis: AxisMotion, fastest: float, runs: Sequence[Period]) -> tuple[t
 # -- one period --------------------------------------------------------------------------------------------------------
 
 
-def period_of(result: Result) -> Period | None:
+def period_of(result: Result) -> DrawnPeriod | None:
     """The moving run to draw: most joints move in it, it carries a load, it has most rows; None where nothing moved."""
     runs = _moving_runs(result.rows)
     if not runs:
         return None
 
-    def rank(run: Period) -> tuple[int, bool, int]:
+    def rank(run: DrawnPeriod) -> tuple[int, bool, int]:
         moved = int(np.sum(np.ptp(run.q_rad, axis=0) > STANDS_RAD))
         return moved, run.load != "none", len(run.time_s)
 
     return max(runs, key=rank)
 
 
-def _moving_runs(rows: Rows | None) -> list[Period]:
+def _moving_runs(rows: Rows | None) -> list[DrawnPeriod]:
     """Rows in motion of each run, in the order of time."""
     if rows is None or not (rows.q_rad and rows.time_s and rows.tau_nm and rows.model_nm):
         return []
@@ -235,10 +235,10 @@ def _moving_runs(rows: Rows | None) -> list[Period]:
         )
         later = np.concatenate([[True], np.diff(time_s) > 0.0])
         if later.sum() >= LEAST_ROWS:
-            found.append(Period(run, load, time_s[later] - time_s[0], *(table[later] for table in tables)))
+            found.append(DrawnPeriod(run, load, time_s[later] - time_s[0], *(table[later] for table in tables)))
     return found
 
 
-def _speed(run: Period) -> Floats:
+def _speed(run: DrawnPeriod) -> Floats:
     """Speeds (n, N) [rad/s] by differences."""
     return np.asarray(np.gradient(run.q_rad, run.time_s, axis=0))

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from markupsafe import Markup
 
 from gateway.report import words
-from gateway.report.moving import Floats, FrictionView, Period
+from gateway.report.moving import DrawnPeriod, Floats, FrictionView
 from gateway.report.svg import Panel, limits
 
 WIDTH, HEIGHT = 330.0, 170.0
@@ -39,23 +39,23 @@ def sliding_figure(view: FrictionView) -> tuple[str, Markup]:
     return "", panel.svg(f"Friction of {name} over its speed")
 
 
-def period_figures(period: Period) -> list[list[tuple[str, Markup]]]:
+def period_figures(period: DrawnPeriod) -> list[list[tuple[str, Markup]]]:
     """Of every measured axis over time: its position, its torque with the model, and what the model leaves."""
     return [[_position(period, axis), _torque(period, axis), _residual(period, axis)] for axis in period.joints]
 
 
-def _panel(period: Period, values: Sequence[float], label: str) -> Panel:
+def _panel(period: DrawnPeriod, values: Sequence[float], label: str) -> Panel:
     panel = Panel(WIDTH, HEIGHT, (0.0, float(period.time_s[-1])), limits(values), left=LEFT)
     panel.y_axis(label)
     panel.x_axis("time in the period [s]", 4)
     return panel
 
 
-def _over(period: Period, column: Floats) -> list[tuple[float, float]]:
+def _over(period: DrawnPeriod, column: Floats) -> list[tuple[float, float]]:
     return list(zip(period.time_s.tolist(), column.tolist(), strict=True))
 
 
-def _position(period: Period, axis: int) -> tuple[str, Markup]:
+def _position(period: DrawnPeriod, axis: int) -> tuple[str, Markup]:
     degrees = period.q_rad[:, axis] * (180.0 / math.pi)
     name = words.axis(axis + 1)
     panel = _panel(period, degrees.tolist(), f"{name} position [deg]")
@@ -63,7 +63,7 @@ def _position(period: Period, axis: int) -> tuple[str, Markup]:
     return "", panel.svg(f"Position of {name} over one period")
 
 
-def _torque(period: Period, axis: int) -> tuple[str, Markup]:
+def _torque(period: DrawnPeriod, axis: int) -> tuple[str, Markup]:
     measured, model = period.tau_nm[:, axis], period.model_nm[:, axis]
     name = words.axis(axis + 1)
     panel = _panel(period, [*measured.tolist(), *model.tolist()], f"{name} torque [Nm]")
@@ -74,7 +74,7 @@ def _torque(period: Period, axis: int) -> tuple[str, Markup]:
     return "", panel.svg(f"Torque of {name} over one period, measured and modelled")
 
 
-def _residual(period: Period, axis: int) -> tuple[str, Markup]:
+def _residual(period: DrawnPeriod, axis: int) -> tuple[str, Markup]:
     left = period.tau_nm[:, axis] - period.model_nm[:, axis]
     name = words.axis(axis + 1)
     panel = _panel(period, [*left.tolist(), 0.0], f"{name} residual [Nm]")

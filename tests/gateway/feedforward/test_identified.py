@@ -199,9 +199,8 @@ def test_the_offsets_take_it_and_the_rest_poses_only_where_nothing_else_is_known
     assert sources[1].missing == ()
     assert sources[1].coulomb == f"{SOURCE}, with 110 Nm at the onset of motion"
     assert (sources[1].rotor_inertia, sources[1].viscous) == (SOURCE, SOURCE)
-    # what was fitted to the torque as measured holds all that the gear loses: no efficiency on top
-    assert (axes[1].efficiency, axes[0].efficiency) == (1.0, 0.8)
-    assert sources[1].gear_losses == f"{SOURCE}: 3 % of the torque"
+    assert (axes[1].efficiency, axes[0].efficiency) == (0.8, 0.8)
+    assert sources[1].gear_losses == f"assumed; 3 % of the torque beside it, {SOURCE}"
     assert sources[0].gear_losses == "assumed"
     assert (axes[0].coulomb_nm, axes[0].onset_nm) == (78.0, 0.0)
     assert sources[0].coulomb == "friction band of the rest poses"
