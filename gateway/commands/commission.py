@@ -18,6 +18,7 @@ from gateway.acquire.asking import postures_to_ask
 from gateway.acquire.goto import LOADING, Destination, destination, plan_way
 from gateway.acquire.plan import SIDES, Plan, check_plan, plan_poses
 from gateway.acquire.session import RecordRequest, make_plan, open_arm
+from gateway.acquire.thermal import Block, Thermal, blocks_of, warm_up
 from gateway.acquire.until.goal import Goal
 from gateway.acquire.until.prepare import UntilRequest, search_of
 from gateway.acquire.until.run import UntilSummary
@@ -45,8 +46,10 @@ from gateway.diagnose import DiagnoseOptions
 from gateway.diagnose.loop import close_loop
 from gateway.errors import PlanRefused
 from gateway.estimate import run as estimate_run
+from gateway.identify.drift import drift_findings, drift_of
 from gateway.identify.loads import BARE_LABEL
 from gateway.model.arm_model import arm_robot
+from gateway.model.visits import pair_visits
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import workspace_of
@@ -71,7 +74,7 @@ class Dialogue(Protocol):
         ...
 
     def hang(self, label: str) -> None:
-        """Ask for a load to be hung; returns when it hangs."""
+        """Ask for a load to be hung, or (`none`) for an empty flange; returns when that is so."""
         ...
 
     def measure(self, opened: OpenArm, plan: Plan, request: RecordRequest, options: MoveOptions) -> None:
@@ -106,6 +109,8 @@ class Job:
         Who measures.
     goal : Goal or None
         How well each load is to be known; None: all poses of the cell are measured.
+    thermal : Thermal or None
+        Loads forth and back after a warm-up; None: the bare arm, then each load.
     """
 
     context: CellContext
@@ -115,6 +120,7 @@ class Job:
     options: MoveOptions = field(default_factory=MoveOptions)
     operator: str | None = None
     goal: Goal | None = None
+    thermal: Thermal | None = None
 
 
 def commission(job: Job, dialogue: Dialogue) -> Result:
@@ -145,8 +151,9 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
     with open_arm(job.context.loaded, job.context.override(job.arm), job.arm.name) as opened:
         options = ensure_proven(opened, job.context.stop_proof(job.arm), dialogue.say, job.options)
         robot = _Robot(replace(job, options=options), dialogue, opened, plan)
-        for label in (BARE_LABEL, *job.labels):
-            robot.measure_load(label)
+        robot.warm_up()
+        for block in blocks_of(job.labels, robot.fit_poses, job.thermal):
+            robot.measure_load(block)
         about, table = robot.data()
         seen, _ = split_validation(table)
         dialogue.say(f"diagnosis of {len(np.unique(seen.pose))} poses under {len(np.unique(seen.load))} loads")
@@ -161,7 +168,8 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
     if not result.effects:
         plain = estimate_run(split_validation(table)[0], about.model, estimate_options(about))
         result = replace(result, method=plain.method, parameters=plain.parameters, bare=plain.bare)
-    result = replace(result, findings=(*result.findings, *robot.ends))
+    drifts = drift_of(pair_visits(table, about.efficiency)) if job.thermal is not None else ()
+    result = replace(result, findings=(*result.findings, *robot.ends, *drift_findings(drifts)))
     return complete(result, about, table, [job.recording], job.operator)
 
 
@@ -177,30 +185,42 @@ class _Robot:
     def __init__(self, job: Job, dialogue: Dialogue, opened: OpenArm, plan: Plan) -> None:
         self._job, self._dialogue, self._opened = job, dialogue, opened
         self._load = BARE_LABEL
-        self._fit = [pose for pose in plan.poses if pose.purpose == "fit"]
+        # a job that is gone on with may have ended while anything hung there
+        self._hangs = BARE_LABEL if job.thermal is None or not job.recording.exists() else None
+        self.fit_poses = [pose for pose in plan.poses if pose.purpose == "fit"]
         self._validation = [pose for pose in plan.poses if pose.purpose == "validation"]
         self._settings = plan.settings
         numbers = [pose.number for pose in (*plan.poses, *self._known_poses())]
         self._next = max(numbers) + 1
         self.ends: list[Finding] = []
+        self._last = blocks_of(job.labels, self.fit_poses, job.thermal)[-1]
 
     @property
     def validation_rad(self) -> np.ndarray:
         """Poses (k, N) [rad] kept for the proof."""
         return np.array([pose.q_rad for pose in self._validation]).reshape(-1, len(self._job.arm.axis))
 
-    def measure_load(self, label: str) -> None:
-        """Hang a load and measure all poses to fit from; where they are all there, only the last load is asked for."""
-        self._load = label
+    def warm_up(self) -> None:
+        """Move until friction stands still, where drift is to be met and nothing is measured yet."""
+        thermal, job = self._job.thermal, self._job
+        if thermal is None or thermal.warm_up_s == 0.0 or self._stored() is not None:
+            return
+        said = warm_up(self.fit_poses, job.recording, thermal.warm_up_s, lambda poses, to: self._record(poses, to))
+        self._dialogue.say(said)
+
+    def measure_load(self, block: Block) -> None:
+        """Hang a load and measure its poses; where all are there, only the load that hangs at last is asked for."""
+        self._load = label = block.load
         if label != BARE_LABEL and self._job.goal is not None:
             self._measure_until(label, self._job.goal)
             return
-        missing = self._missing(self._fit)
-        if label != BARE_LABEL and (missing or label == self._job.labels[-1]):
+        missing = self._missing(block.poses)
+        if label != self._hangs and (missing or block == self._last):
             self._go_loading()
             self._dialogue.hang(label)
+            self._hangs = label
         if missing:
-            self._record(self._fit)
+            self._record(block.poses)
 
     def _measure_until(self, label: str, goal: Goal) -> None:
         """Hang a load and measure it until it is known; one that is known is only asked for where it hangs at last."""
@@ -211,6 +231,7 @@ class _Robot:
         if missing or label == job.labels[-1]:
             self._go_loading()
             self._dialogue.hang(label)
+            self._hangs = label
         if not missing:
             return
         done = self._dialogue.measure_until(opened, search, earlier, job.recording, self._job.options)
@@ -269,7 +290,7 @@ class _Robot:
         done = set() if stored is None else set(stored.done(self._load))
         return any((pose.number, side) not in done for pose in poses for side in SIDES)
 
-    def _record(self, poses: Sequence[RestPose]) -> None:
+    def _record(self, poses: Sequence[RestPose], path: Path | None = None) -> None:
         opened = self._opened
         plan, unreachable = plan_poses(opened.config.name, opened.workspace, poses, self._settings)
         if unreachable:
@@ -278,6 +299,6 @@ class _Robot:
                 "narrow the joint limits, or say in the cell what is assumed around the arm"
             )
         check_plan(plan, opened.workspace)
-        request = RecordRequest(self._load, self._job.recording, resume=True)
+        request = RecordRequest(self._load, path or self._job.recording, resume=True)
         self._dialogue.measure(opened, plan, request, self._job.options)
         self._job = replace(self._job, options=replace(self._job.options, first_done=None))

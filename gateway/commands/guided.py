@@ -26,8 +26,10 @@ from gateway.commands.options import (
     write_json,
 )
 from gateway.commands.outcome import fail_on_findings, show_result, write_junit
+from gateway.commands.thermal import thermal_choice, thermal_option, warm_up_option
 from gateway.commands.until import PoseByPose, until_option
 from gateway.errors import GatewayError
+from gateway.identify.loads import BARE_LABEL
 
 if TYPE_CHECKING:
     from gateway.acquire.goto import Destination
@@ -49,6 +51,8 @@ if TYPE_CHECKING:
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("out"), show_default=True)
 @click.option("--resume", is_flag=True, help="Go on with OUT/run.h5 instead of starting a new one.")
 @until_option
+@thermal_option
+@warm_up_option
 @arm_option
 @accept_options
 @operator_option
@@ -61,6 +65,8 @@ def commission(
     out: Path,
     resume: bool,
     goal: Goal | None,
+    thermal: bool,
+    warm_up_min: float | None,
     arm_name: str | None,
     expected: tuple[Expected, ...],
     junit_file: Path | None,
@@ -70,6 +76,7 @@ def commission(
 ) -> None:
     """All of it, guided: check, bare arm, each load, diagnosis, fresh poses, report. The arm moves."""
     from drives.errors import DriveError
+    from gateway.acquire.thermal import WARM_UP_FILE
     from gateway.analyse.accept import accept
     from gateway.commands.cell_context import open_cell
     from gateway.commands.commission import Job
@@ -80,16 +87,17 @@ def commission(
     from gateway.result.result import to_dict
 
     check_expected(expected, labels)
+    drift = thermal_choice(thermal, warm_up_min, goal)
     context = open_cell(cell, bus_spec, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
     out.mkdir(parents=True, exist_ok=True)
     recording = out / "run.h5"
     if not resume:
-        for path in (recording, out / "result.json", out / "report.html"):
+        for path in (recording, out / WARM_UP_FILE, out / "result.json", out / "report.html"):
             _set_aside(path, session_of())
     try:
         with context.way_on(), stoppable(moving) as options:
-            job = Job(context, arm, labels, recording, options, operator, goal)
+            job = Job(context, arm, labels, recording, options, operator, goal, drift)
             result = run(job, _Terminal(session_of(), context.loaded.cell.name, moving))
     except (GatewayError, DriveError, KeyboardInterrupt) as error:
         if recording.exists():
@@ -143,8 +151,9 @@ class _Terminal:
         go_with_progress(self.session, opened, target, options)
 
     def hang(self, label: str) -> None:
-        """Ask for a load; a line on stdin says that it hangs."""
-        self.session.note("The arm is in its brakes. Hang the load, then press Enter.")
+        """Ask for a load, or for an empty flange; a line on stdin says that it is so."""
+        do = "Take everything off the flange" if label == BARE_LABEL else "Hang the load"
+        self.session.note(f"The arm is in its brakes. {do}, then press Enter.")
         click.echo(f"HANG LOAD {label}")
         if not sys.stdin.readline():
             raise click.Abort

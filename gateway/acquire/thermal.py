@@ -1,0 +1,114 @@
+"""Meeting drift: the order of the loads, and a warm-up before them.
+
+Loads are measured forth and back, the bare arm twice in the middle: a, bare, bare, a. What drifts evenly in time is
+then the same on average under every load and cancels in their differences.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from gateway.data.recording.reader import read
+from gateway.data.rest_pose import RestPose
+from gateway.identify.drift import AGAIN
+from gateway.identify.loads import BARE_LABEL
+
+#: Poses of one round of the warm-up.
+ROUND_POSES: Final = 4
+#: Change of the friction band from round to round at which an arm counts as warm.
+STILL: Final = 0.02
+WARM_UP_FILE: Final = "warm-up.h5"
+
+
+@dataclass(frozen=True, slots=True)
+class Thermal:
+    """How a job meets drift.
+
+    Attributes
+    ----------
+    warm_up_s : float
+        Longest warm-up; 0 = none.
+    """
+
+    warm_up_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Poses under one load, one after the other."""
+
+    load: str
+    poses: tuple[RestPose, ...]
+
+
+def blocks_of(labels: Sequence[str], poses: Sequence[RestPose], thermal: Thermal | None) -> tuple[Block, ...]:
+    """Blocks in the order in which they are measured.
+
+    Without `thermal` the bare arm, then each load; with it the loads, the bare arm twice, the loads backwards, each
+    load with the same poses under other numbers the second time.
+    """
+    once = tuple(poses)
+    if thermal is None:
+        return tuple(Block(label, once) for label in (BARE_LABEL, *labels))
+    again = tuple(replace(pose, number=pose.number + AGAIN) for pose in once)
+    forth = [Block(label, once) for label in (*labels, BARE_LABEL)]
+    return (*forth, *(Block(block.load, again) for block in reversed(forth)))
+
+
+def warm_up(
+    poses: Sequence[RestPose],
+    recording: Path,
+    longest_s: float,
+    measure: Callable[[Sequence[RestPose], Path], None],
+) -> str:
+    """Move between a few poses until their friction no longer changes, or for the longest time; says how it ended.
+
+    Parameters
+    ----------
+    poses : sequence of RestPose
+    recording : Path
+        Of the job; the warm-up is kept beside it, one file a job.
+    longest_s : float
+        By the time of the bus.
+    measure : callable
+        Measures poses into a file, which is gone on with.
+    """
+    path = recording.with_name(WARM_UP_FILE)
+    chosen = poses[:ROUND_POSES]
+    number = _rounds(path)
+    while True:
+        number += 1
+        measure([replace(pose, number=pose.number + AGAIN * (number - 1)) for pose in chosen], path)
+        bands, time_s = _bands(path, number)
+        change = np.nanmedian(np.abs(bands[-1] / bands[-2])) - 1.0 if number > 1 else np.inf
+        if abs(change) <= STILL:
+            return f"warm: after {time_s / 60:.1f} min friction changes by {100 * change:+.1f} % a round"
+        if time_s >= longest_s:
+            return (
+                f"the warm-up ends after {time_s / 60:.1f} min, friction still changes by {100 * change:+.1f} % a round"
+            )
+
+
+def _rounds(path: Path) -> int:
+    """Rounds that a file holds."""
+    if not path.exists():
+        return 0
+    return max(
+        (visit.pose // AGAIN + 1 for arm in read(path).arms for visit in arm.visits if visit.complete), default=0
+    )
+
+
+def _bands(path: Path, rounds: int) -> tuple[np.ndarray, float]:
+    """Friction band (rounds, poses, N) [Nm] of the warm-up, and how long it has taken."""
+    visits = [visit for arm in read(path).arms for visit in arm.visits if visit.complete]
+    both = [(visit.pose, visit.friction_band_nm) for visit in visits if visit.friction_band_nm is not None]
+    both.sort(key=lambda each: each[0])
+    seen = [[band for pose, band in both if pose // AGAIN == one] for one in range(rounds)]
+    shortest = min(len(row) for row in seen)
+    taken_s = float(visits[-1].time_s[-1] - visits[0].time_s[0])
+    return np.array([row[:shortest] for row in seen]), taken_s

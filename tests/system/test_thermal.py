@@ -1,0 +1,45 @@
+"""commission --thermal on simulated drives whose torque drifts."""
+
+from __future__ import annotations
+
+import pytest
+
+from gateway.analyse.given import ModelRequest, estimate_options, given, read_rows, split_validation
+from gateway.estimate import run as estimate
+from gateway.identify.drift import AGAIN
+
+pytestmark = pytest.mark.system
+TRUTH_KG = 6.0
+#: Of the torque that the drives of axes 2 and 3 show, since they were switched on.
+PER_S = 1.5e-4
+DRIFT = "".join(
+    f'[[effect]]\nname = "thermal_drift"\njoints = [{joint}]\nparameters = {{ per_s = {PER_S} }}\n' for joint in (2, 3)
+)
+
+
+def test_a_drift_cancels_where_the_loads_are_measured_forth_and_back(place, serve, commission):
+    code, result, hands, output = commission(serve(effect=DRIFT), "--thermal", "--warm-up", "1")
+    assert code in (0, 7), output.err
+    assert hands.asked == ["load", "none", "load"]
+    assert (place.folder / "out" / "warm-up.h5").exists()
+    about = given(ModelRequest(), [place.folder / "out" / "run.h5"])
+    table, _ = split_validation(read_rows([place.folder / "out" / "run.h5"], about))
+
+    def off_kg(chosen) -> float:
+        """Off what the drives showed of the load halfway through these rows."""
+        rows = table.take(chosen)
+        (load,) = estimate(rows, about.model, estimate_options(about)).loads
+        return abs(load.mass_kg - TRUTH_KG * (1.0 + PER_S * rows.time_s.mean()))
+
+    forth, back, both = off_kg(table.pose < AGAIN), off_kg(table.pose >= AGAIN), off_kg(table.pose > 0)
+    assert both < 0.5 * max(forth, back), (both, forth, back)
+    told = [finding["where"] for finding in result["findings"] if "both times" in finding["what"]]
+    assert {"J2", "J3"} <= set(told)
+    (load,) = result["loads"]
+    assert abs(load["mass_kg"] - TRUTH_KG) < 4 * load["mass_std_kg"]
+
+
+def test_what_does_not_go_together_is_refused(commission, serve):
+    for more in (("--thermal", "--until", "mass=1%"), ("--warm-up", "3")):
+        code, result, hands, _ = commission(serve(), *more)
+        assert (code, result, hands.asked) == (2, None, [])
