@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from gateway.acquire.plan import VisitSettings
+from gateway.acquire.thermal import Block, Thermal, blocks_of
 from gateway.cell.config import KeepOut
 from gateway.commands.commission import Job, _Robot
 from gateway.data.rest_pose import RestPose
@@ -44,14 +45,14 @@ class Listener:
 
 @pytest.fixture
 def robot(small_cell, workspace, arm, tmp_path):
-    def make(loading, override=1.0, room=workspace) -> tuple[Any, Listener]:
+    def make(loading, override=1.0, room=workspace, thermal=None) -> tuple[Any, Listener]:
         config = small_cell.cell.arm[0].model_copy(update={"loading_rad": loading})
         timing = SimpleNamespace(pacing="lockstep", period_s=0.01)
         opened: Any = SimpleNamespace(
             loaded=small_cell, config=config, workspace=room, arm=arm, group=SimpleNamespace(timing=timing)
         )
         context: Any = None
-        job = Job(context, config, ("a", "b"), tmp_path / "run.h5", MoveOptions(override=override))
+        job = Job(context, config, ("a", "b"), tmp_path / "run.h5", MoveOptions(override=override), thermal=thermal)
         listener: Any = Listener()
         plan: Any = SimpleNamespace(poses=(POSE,), settings=VisitSettings(0.03, 0.05, 2.0, 40, 0.01))
         return _Robot(job, listener, opened, plan), listener
@@ -63,7 +64,7 @@ def robot(small_cell, workspace, arm, tmp_path):
 def test_it_goes_there_slowly_before_each_load_and_not_before_the_bare_arm(robot, override, slow):
     made, person = robot(LOADING, override)
     for label in ("none", "a", "b"):
-        made.measure_load(label)
+        made.measure_load(Block(label, (POSE,)))
     there = "where loads are hung, [0.300, 0.500, 0.600, 0.000, 0.400, 0.000] rad"
     assert person.done == ["measure", there, "hang a", "measure", there, "hang b", "measure"]
     assert person.overrides == [slow, slow]
@@ -71,7 +72,7 @@ def test_it_goes_there_slowly_before_each_load_and_not_before_the_bare_arm(robot
 
 def test_without_such_a_place_the_load_is_hung_where_the_arm_stands(robot):
     made, person = robot(None)
-    made.measure_load("a")
+    made.measure_load(Block("a", (POSE,)))
     assert person.done == ["hang a", "measure"]
 
 
@@ -81,7 +82,23 @@ def test_a_way_that_is_not_free_is_told_and_ends_nothing(small_cell, robot, fake
     walled = workspace_of(config, arm_robot(small_cell, config))
     tight = replace(walled, lower_rad=np.array([-0.7, -0.1, -0.1, -0.7, -0.7, -0.7]), upper_rad=np.full(6, 0.7))
     made, person = robot((0.6, 0.5, 0.6, 0.0, 0.4, 0.0), room=tight)
-    made.measure_load("a")
+    made.measure_load(Block("a", (POSE,)))
     assert "the arm stays where it is, and the load is hung there: no way" in person.done[0]
     assert person.done[1:] == ["hang a", "measure"]
     assert fake.log == []
+
+
+def test_forth_and_back_a_person_changes_what_hangs_only_where_it_changes(robot):
+    made, person = robot(None, thermal=Thermal(0.0))
+    made.warm_up()
+    for block in blocks_of(("a",), (POSE,), Thermal(0.0)):
+        made.measure_load(block)
+    assert person.done == ["hang a", "measure", "hang none", "measure", "measure", "hang a", "measure"]
+
+
+def test_nobody_knows_what_hangs_when_a_job_is_gone_on_with(robot, tmp_path, monkeypatch):
+    (tmp_path / "run.h5").touch()
+    monkeypatch.setattr(_Robot, "_stored", lambda _self: None)
+    made, person = robot(None, thermal=Thermal(0.0))
+    made.measure_load(Block("none", (POSE,)))
+    assert person.done == ["hang none", "measure"]
