@@ -76,7 +76,7 @@ def record_moving(
     """
     if plan.arm != opened.config.name:
         raise InputError(f"the plan is one of arm '{plan.arm}', this is arm '{opened.config.name}'; plan for this arm")
-    check_moving_plan(plan, opened.workspace, opened.config)
+    check_moving_plan(plan, opened.workspace, opened.config, opened.arm.known)
     options = options or MoveOptions()
     earlier = read(request.path) if request.resume and request.path.exists() else None
     stored = None if earlier is None else earlier.arm(plan.arm)

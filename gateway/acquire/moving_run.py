@@ -68,7 +68,7 @@ def legs_from(
     for one in passes:
         check_pass(config.name, one, station.workspace.robot.axes)
         way = plan_to(config.name, station.workspace, at, one.excitation.start_rad, settings)
-        legs.append(DrivenLeg(way, one, free_torque_nm(station.workspace, config, one.motion)))
+        legs.append(DrivenLeg(way, one, free_torque_nm(station.workspace, config, one.motion, station.arm.known)))
         at = one.excitation.start_rad
     return tuple(legs)
 

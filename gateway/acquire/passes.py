@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -15,8 +15,10 @@ from gateway.data.period import PeriodLabel, harmonics_of, why_aliased
 from gateway.data.sample import ArmSample
 from gateway.errors import ConfigError, PlanRefused
 from gateway.excite.excitation import Excitation, MovingPlan, fingerprint
+from gateway.feedforward.identified import AxisConstants, Known, axis_constants
 from gateway.feedforward.parameters import drawn_parameters
 from gateway.model.regressor import regressor
+from gateway.motion.own_torque import watched
 from gateway.motion.trajectory import Motion
 from gateway.motion.way import MotionWay, PerArm
 from gateway.motion.workspace import Workspace
@@ -124,10 +126,21 @@ def check_pass(arm: str, one: Pass, axes: int) -> None:
         raise PlanRefused(f"{name}: {reason}")
 
 
-def free_torque_nm(workspace: Workspace, arm: ArmConfig, motion: Motion) -> Floats | None:
-    """Torque (n, N) [Nm] that the bare arm needs for a motion as far as the cell says; None where links are unknown.
+def free_torque_nm(
+    workspace: Workspace, arm: ArmConfig, motion: Motion, known: Sequence[AxisConstants] = ()
+) -> Floats | None:
+    """Torque (n, N) [Nm] that the bare arm needs for a motion as far as it is known; None where links are unknown.
 
-    Bodies as drawn, rotors and friction as typed; what the cell does not say is left out.
+    Bodies as drawn, rotors as identified, else as typed. Friction as typed: what was identified of an axis is added by
+    the watch itself. What nobody says is left out.
+
+    Parameters
+    ----------
+    workspace : Workspace
+    arm : ArmConfig
+    motion : Motion
+    known : sequence of AxisConstants, one per axis, optional
+        Those of the arm if left out.
     """
     try:
         links = drawn_parameters(workspace.robot, arm)
@@ -135,13 +148,16 @@ def free_torque_nm(workspace: Workspace, arm: ArmConfig, motion: Motion) -> Floa
         return None
     q, qd, qdd = motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2
 
-    def said(name: str) -> Floats:
-        values = [getattr(axis, name) for axis in arm.axis]
+    constants = known or axis_constants(arm, None)
+    typed = np.array([not watched(axis) for axis in constants])
+
+    def said(values: Iterable[Known | None]) -> Floats:
         return np.array([0.0 if value is None else value.value for value in values])
 
     bodies = regressor(workspace.robot, q, qd, qdd, workspace.gravity_m_s2) @ links
-    dry = said("coulomb_nm") * np.tanh(qd / SMOOTH_RAD_S)
-    return bodies + said("rotor_inertia_kg_m2") * qdd + dry + said("viscous_nm_s_rad") * qd
+    dry = typed * said(axis.coulomb_nm for axis in constants) * np.tanh(qd / SMOOTH_RAD_S)
+    viscous = typed * said(axis.viscous_nm_s_rad for axis in constants)
+    return bodies + said(axis.rotor_kg_m2 for axis in constants) * qdd + dry + viscous * qd
 
 
 #: Takes the row within the period, the number of the period within the pass, the sample, the targets of its SYNC.

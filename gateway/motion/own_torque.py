@@ -42,7 +42,7 @@ class OwnTorque:
     def __init__(
         self, known: tuple[AxisConstants, ...], axes: AxisConversion, workspace: Workspace, period_s: float
     ) -> None:
-        used = np.array([_identified(axis) for axis in known])
+        used = np.array([watched(axis) for axis in known])
         self._coupling, self._period_s, self._used = axes.coupling, period_s, used
         self._coulomb = _of(used, [axis.coulomb_nm for axis in known])
         self._viscous = _of(used, [axis.viscous_nm_s_rad for axis in known])
@@ -83,13 +83,13 @@ class OwnTorque:
 
 def own_torque(arm: Arm, workspace: Workspace, period_s: float) -> OwnTorque | None:
     """What is known of the torque that an arm takes for its own motion; None where nothing was identified."""
-    if not any(_identified(axis) for axis in arm.known):
+    if not any(watched(axis) for axis in arm.known):
         return None
     return OwnTorque(arm.known, arm.axes, workspace, period_s)
 
 
-def _identified(axis: AxisConstants) -> bool:
-    """Whether motion told what this axis takes for its own motion."""
+def watched(axis: AxisConstants) -> bool:
+    """Whether motion told what this axis takes for its own motion, so that the watch reckons with it."""
     return all(one is not None and one.identified for one in (axis.coulomb_nm, axis.rotor_kg_m2))
 
 
