@@ -68,7 +68,6 @@ class ArmUnit:
             )
             for axis, joint in enumerate(self._joints)
         ]
-        self.born_period_s = self.drives[0].motion.period_s()
         self._measure()
 
     def _send(self, message: can.Message) -> None:
@@ -112,6 +111,7 @@ class BusServer:
 
     def __init__(self, bus: Any, arms: Sequence[ArmUnit], sync_period_s: float, pacing: str) -> None:
         self.bus, self.arms = bus, tuple(arms)
+        self._born_s = tuple(arm.drives[0].motion.period_s() for arm in self.arms)
         self.sync_count = 0
         self._period_s, self._real = sync_period_s, pacing == "real"
         self._network = canopen.Network(bus)
@@ -222,13 +222,10 @@ class BusServer:
         for arm in self.arms:
             arm.sync()
         if not self._real:
-            for arm in self.arms:
-                arm.advance(self._lockstep_s(arm))
-
-    def _lockstep_s(self, arm: ArmUnit) -> float:
-        """Time that a SYNC stands for: the cell's, or what the master has told the drives since (0x60C2)."""
-        told_s = arm.drives[0].motion.period_s()
-        return self._period_s if told_s == arm.born_period_s else told_s
+            for arm, born_s in zip(self.arms, self._born_s, strict=True):
+                told_s = arm.drives[0].motion.period_s()
+                # a SYNC stands for the time of the cell, until the master has told the drives another one (0x60C2)
+                arm.advance(self._period_s if told_s == born_s else told_s)
 
     def _follow_the_clock(self, message: can.Message | None, silent_s: float) -> None:
         """Let the time pass until a frame was received, or until nothing had come yet.
