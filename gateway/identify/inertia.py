@@ -22,6 +22,8 @@ Floats = NDArray[np.float64]
 _ROW, _COLUMN = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
 #: Least root of second moment over mass [m]: no load is thinner.
 _THINNEST_M: Final = 1e-3
+#: Radius of gyration [m] to which a moment is known at best.
+_HAIR_M: Final = 5e-3
 #: Standard deviation, over the largest principal moment, up to which a moment is told.
 _TOLD: Final = 0.5
 #: The same, as a radius of gyration [m]: what is known to be less than that of a small load is told too.
@@ -96,7 +98,9 @@ def nearest_body(ten: Floats, covariance: Floats) -> FittedBody:
     """
     if is_body(ten):
         return FittedBody(ten, True)
-    whiten = _whitening(covariance)
+    # moments are never known to less than this: a body that is too thin by a hair must not be made one by its mass
+    hair = np.concatenate([np.zeros(4), np.full(6, (ten[0] * _HAIR_M**2) ** 2)])
+    whiten = _whitening(covariance + np.diag(hair))
     start = _start(ten)
     found = least_squares(
         lambda unknown: whiten @ (_body(unknown, ten[0]) - ten),

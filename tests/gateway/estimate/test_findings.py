@@ -15,7 +15,12 @@ from gateway.model.base import rest_base
 
 def load(mass_kg: float, std_kg: float = 0.1, com_m=(0.0, 0.0, 0.1), com_std_m=(0.01, 0.01, 0.01)):
     return SimpleNamespace(
-        label="tool", mass_kg=mass_kg, mass_std_kg=std_kg, com_m=np.array(com_m), com_std_m=np.array(com_std_m)
+        label="tool",
+        mass_kg=mass_kg,
+        mass_std_kg=std_kg,
+        com_m=np.array(com_m),
+        com_std_m=np.array(com_std_m),
+        inertia=None,
     )
 
 
