@@ -28,8 +28,8 @@ from gateway.commands.options import (
 from gateway.commands.outcome import fail_on_findings, show_result, write_junit
 from gateway.commands.thermal import thermal_choice, thermal_option, warm_up_option
 from gateway.commands.until import PoseByPose, until_option
+from gateway.data.labels import BARE_LABEL
 from gateway.errors import GatewayError
-from gateway.identify.loads import BARE_LABEL
 
 if TYPE_CHECKING:
     from gateway.acquire.goto import Destination

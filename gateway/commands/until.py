@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-import numpy as np
 
 from gateway.commands.options import Function
 from gateway.result.interval import SAID
@@ -153,6 +153,8 @@ def pose_by_pose(loaded: LoadedCell, arm: ArmConfig, request: UntilRequest) -> P
     InputError, PlanRefused
         As `search_of`.
     """
+    import numpy as np
+
     from gateway.acquire.until.prepare import search_of
     from gateway.model.arm_model import arm_robot
     from gateway.motion.workspace import workspace_of
@@ -167,7 +169,7 @@ def as_json(done: UntilSummary) -> dict[str, Any]:
     verdict = done.decision.verdict
 
     def plain(values: Any) -> list[float | None]:
-        return [float(value) if np.isfinite(value) else None for value in values]
+        return [float(value) if math.isfinite(value) else None for value in values]
 
     half, goal = plain(verdict.half), plain(verdict.goal)
     return {
