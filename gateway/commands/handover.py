@@ -10,7 +10,7 @@ import click
 from drives.files import replace_file
 from gateway.commands.measure import arm_option
 from gateway.commands.options import common, json_option, one_of, output_option, session_of, write_json
-from gateway.result.export import FORMATS
+from gateway.result.names import EXPORT_FORMATS
 
 if TYPE_CHECKING:
     from gateway.result.result import Result
@@ -38,7 +38,9 @@ def report(result: Path, output: Path, json_out: str | None) -> None:
 
 @click.command()
 @click.argument("result", metavar="OUT.json|RUN.h5", type=RESULT)
-@click.option("--format", "fmt", required=True, type=one_of([*FORMATS, TABLE]), help="Syntax to write; csv of RUN.h5.")
+@click.option(
+    "--format", "fmt", required=True, type=one_of([*EXPORT_FORMATS, TABLE]), help="Syntax to write; csv of RUN.h5."
+)
 @click.option("--load", "label", metavar="LABEL", help="Only this load.")
 @arm_option
 @output_option("-o", "--output", metavar="FILE", help="File to write; stdout if omitted.")

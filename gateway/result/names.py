@@ -1,4 +1,4 @@
-"""What a result calls the moments of a load's inertia, in the order in which it has them."""
+"""Names that results and their formats go by; nothing numerical is loaded for them."""
 
 from __future__ import annotations
 
@@ -8,3 +8,5 @@ from typing import Final
 INERTIA_PARTS: Final = tuple(f"inertia_{name}_kg_m2" for name in ("xx", "yy", "zz", "xy", "xz", "yz"))
 #: All of them.
 INERTIA_WHOLE: Final = "inertia_kg_m2"
+#: What a load is exported as: the keys of `gateway.result.export.FORMATS`.
+EXPORT_FORMATS: Final = ("urdf", "json", "abb", "kuka", "ur", "fanuc", "yaskawa")

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from gateway.errors import ConfigError, DataUnusable
 from gateway.result.export import FORMATS, export
+from gateway.result.names import EXPORT_FORMATS
 from gateway.result.result import from_json
 
 LOAD = {
@@ -232,3 +233,7 @@ def test_refused_loads_are_left_out_unless_named():
         export(body, "kuka", "c")
     with pytest.raises(ConfigError, match="choose one of"):
         export(body, "staubli")
+
+
+def test_the_formats_that_are_offered_are_those_that_are_written():
+    assert tuple(FORMATS) == EXPORT_FORMATS
