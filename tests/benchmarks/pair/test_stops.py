@@ -278,7 +278,7 @@ def interrupt(simulation: Simulation, words: list[str], settings: dict[str, str]
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=20.0)
         assert process.returncode == 130, said
-        assert said.strip().startswith("stopped by SIGINT: ")
+        assert said.strip().splitlines()[-1].startswith("stopped by SIGINT: ")
         assert "Traceback" not in said
         assert not any(drive.axis.fed or drive.axis.free for drive in drives)
         assert not any(quick)
