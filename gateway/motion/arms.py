@@ -105,7 +105,9 @@ class Arms:
                 sample = arm.enable(given_up)
                 ready[index] = True
                 while not all(ready) and not given_up():
-                    sample = arm.hold()
+                    held = arm.hold()
+                    # set points begin at what is returned: a drive that left one SYNC unanswered stands nowhere in it
+                    sample = held if held.complete else sample
             except BaseException:
                 failed.set()
                 raise

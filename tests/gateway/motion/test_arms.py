@@ -113,6 +113,27 @@ def test_an_arm_that_is_ready_holds_until_the_other_one_is(pair, drives):
     assert drives[0].sync_index > 5
 
 
+def test_set_points_begin_where_every_joint_was_seen(pair, drives):
+    """A drive of the arm that waits leaves SYNCs unanswered: its set points must not begin nowhere."""
+    slow = threading.Event()
+    plain, held = drives[1].enable, drives[0].hold
+
+    def enable(stop_asked):
+        slow.wait(5.0)
+        return plain(stop_asked)
+
+    def hold():
+        drives[0].silent[drives[0].sync_index + 1] = 3
+        if drives[0].sync_index > 5:
+            slow.set()
+        return held()
+
+    drives[1].enable = enable  # type: ignore[method-assign]
+    drives[0].hold = hold  # type: ignore[method-assign]
+    for sample in pair.enable(lambda: False):
+        assert np.isfinite(sample.q_rad).all()
+
+
 @pytest.mark.parametrize("failing", [0, 1])
 def test_one_arm_that_cannot_be_enabled_leaves_none_under_power(pair, drives, failing):
     """What is raised is the drive's error, not that the other arm gave up because of it."""
