@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from gateway.acquire.events import Event, Listener, PeriodDone, StateChanged, Stopped
+from gateway.acquire.events import Event, Listener, PeriodDone
 from gateway.acquire.moving_run import DrivenLeg, MovingRun, legs_from
 from gateway.acquire.passes import passes_of
 from gateway.acquire.planning import visit_settings
 from gateway.acquire.run import VisitStation
-from gateway.acquire.session import QueuedStore, RecordRequest, arm_header, finish_broken, plain, recording_header
-from gateway.data.recording.queue import VisitQueue
+from gateway.acquire.runner import Powered, state_told, under_power
+from gateway.acquire.session import RecordRequest, arm_header, keeping
 from gateway.data.recording.reader import read
-from gateway.errors import GatewayError, InputError
+from gateway.errors import InputError
 from gateway.excite.excitation import MovingPlan, fingerprint
 from gateway.excite.planning import check_moving_plan
-from gateway.motion.arms import Arms
 from gateway.motion.opening import OpenArm
-from gateway.motion.power import powered
-from gateway.motion.state import StateKeeper
-from gateway.motion.stream import MoveOptions, Station, Stream
+from gateway.motion.stream import MoveOptions
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,23 +80,14 @@ def record_moving(
     driven = frozenset[tuple[int, float, int]]() if stored is None else stored.driven(request.load)
     passes = passes_of(plan, request.load, driven, options.override, opened.group.timing.period_s)
     header = arm_header(opened, () if stored is None else stored.poses, excitations_of(plan))
-    queue = VisitQueue(request.path, recording_header(opened), header, earlier)
     tally, missed = _Tally(), ()
-    try:
+    with keeping(opened, request.path, header, earlier) as kept:
+        kept.reason = "all periods driven"
         if passes:
-            pacing = opened.group.timing.pacing
-            store = QueuedStore(queue, plan.arm, pacing)
-            station = VisitStation(opened.arm, opened.workspace, store, (tally, *listeners), options, pacing)
+            station = kept.station((tally, *listeners), options)
             settings = replace(visit_settings(opened.loaded, opened.config), period_s=opened.group.timing.period_s)
             legs = legs_from(station, opened.config, opened.arm.where(), passes, settings)
             missed = run_legs(station, legs, request.load)
-        statistics = plain(asdict(opened.group.statistics))
-        queue.finish(plan.arm, "success", "all periods driven", statistics)
-    except BaseException as error:
-        finish_broken(queue, opened, plan.arm, error)
-        raise
-    finally:
-        queue.close()
     wanted = sum(excitation.periods for excitation in plan.excitations)
     return MovingSummary(
         path=request.path,
@@ -108,7 +96,7 @@ def record_moving(
         skipped=wanted - sum(len(one.periods) for one in passes if one.speed == options.override),
         incomplete_epochs=tally.incomplete,
         missed=missed,
-        statistics=statistics,
+        statistics=kept.statistics,
     )
 
 
@@ -125,46 +113,12 @@ def run_legs(station: VisitStation, legs: Sequence[DrivenLeg], load: str) -> tup
     LimitExceeded, DriveError, InputError, KeyboardInterrupt
         The arm was stopped.
     """
-    arm = legs[0].way.arm
-    state = StateKeeper(arm, lambda new: station.tell(StateChanged(new)))
-    run = MovingRun(station, legs, load, state)
-    station.options.desk.watch(run.disk)
-    try:
-        with powered(Stream(_moved(station, run, legs[0].way.settings.period_s))) as stream:
-            run.execute(stream)
-    except BaseException as error:
-        _keep_the_rest(station, run, arm, error)
-        raise
-    finally:
-        station.options.desk.forget(run.disk)
-    station.store.flush()
-    run.disk()
+    way = legs[0].way
+    run = MovingRun(station, legs, load, state_told(station, way.arm))
+    # what is driven has been made slow already
+    as_it_is = replace(station.options, override=1.0)
+    under_power(station, run, Powered(way.arm, way.settings.period_s, as_it_is), run.execute)
     return run.missed
-
-
-def _moved(station: VisitStation, run: MovingRun, period_s: float) -> Station:
-    return Station(
-        arms=Arms((station.arm,), station.pacing),
-        workspaces=(station.workspace,),
-        period_s=period_s,
-        state=run.state,
-        # what is driven has been made slow already
-        options=replace(station.options, override=1.0),
-        report=run.report,
-    )
-
-
-def _keep_the_rest(station: VisitStation, run: MovingRun, arm: str, failure: BaseException) -> None:
-    """The arm stands: store what a broken period has, tell why the run ended."""
-    try:
-        if run.broken is not None:
-            station.store.add(arm, run.broken)
-        station.store.flush()
-    except GatewayError as error:
-        if error is not failure:
-            failure.add_note(str(error))
-    run.disk()
-    station.tell(Stopped(str(failure) or type(failure).__name__))
 
 
 class _Tally:

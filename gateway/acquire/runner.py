@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 from gateway.acquire.events import StateChanged, Stopped
 from gateway.acquire.plan import Plan, check_plan, plan_from
 from gateway.acquire.run import Run, VisitStation
+from gateway.data.period import Period
+from gateway.data.visit import Visit
 from gateway.errors import GatewayError
 from gateway.motion.arms import Arms
 from gateway.motion.power import powered
 from gateway.motion.state import StateKeeper
-from gateway.motion.stream import Station, Stream
+from gateway.motion.stops import StopRequest
+from gateway.motion.stream import MoveOptions, Station, Stream
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,14 +89,63 @@ def execute(station: VisitStation, plan: Plan, load: str, drive: Callable[[Run, 
     drive : callable
         Called with the run and the stream once the arm is under power.
     """
-    state = StateKeeper(plan.arm, lambda new: station.tell(StateChanged(new)))
-    run = Run(station, plan, load, state)
+    run = Run(station, plan, load, state_told(station, plan.arm))
+    under_power(station, run, Powered(plan.arm, plan.settings.period_s, station.options), lambda on: drive(run, on))
+
+
+def state_told(station: VisitStation, arm: str) -> StateKeeper:
+    """State of a run; whoever listens to the station is told."""
+    return StateKeeper(arm, lambda new: station.tell(StateChanged(new)))
+
+
+class PoweredRun(Protocol):
+    """What is run under power."""
+
+    @property
+    def broken(self) -> Visit | Period | None:
+        """What an error has cut short."""
+        ...
+
+    @property
+    def state(self) -> StateKeeper:
+        """Kept as it goes."""
+        ...
+
+    def disk(self) -> StopRequest | None:
+        """Tell of what is on disk by now; a wish to stop where the disk does not keep up."""
+        ...
+
+    def report(self, what: str, row: int, rows: int) -> None:
+        """Where the run stands."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Powered:
+    """Name of the arm, SYNC period [s], and how its stream may be driven."""
+
+    arm: str
+    period_s: float
+    options: MoveOptions
+
+
+def under_power(station: VisitStation, run: PoweredRun, what: Powered, drive: Callable[[Stream], None]) -> None:
+    """Power the arm and drive a run; the brakes are on afterwards and what was measured is on disk, whatever happens.
+
+    Parameters
+    ----------
+    station : VisitStation
+    run : PoweredRun
+    what : Powered
+    drive : callable
+        Called with the stream once the arm is under power.
+    """
     station.options.desk.watch(run.disk)
     try:
-        with powered(Stream(_moved(station, run))) as stream:
-            drive(run, stream)
+        with powered(Stream(_moved(station, run, what))) as stream:
+            drive(stream)
     except BaseException as error:
-        _keep_the_rest(station, run, error)
+        _keep_the_rest(station, run, what.arm, error)
         raise
     finally:
         station.options.desk.forget(run.disk)
@@ -100,22 +153,22 @@ def execute(station: VisitStation, plan: Plan, load: str, drive: Callable[[Run, 
     run.disk()
 
 
-def _moved(station: VisitStation, run: Run) -> Station:
+def _moved(station: VisitStation, run: PoweredRun, what: Powered) -> Station:
     return Station(
         arms=Arms((station.arm,), station.pacing),
         workspaces=(station.workspace,),
-        period_s=run.plan.settings.period_s,
+        period_s=what.period_s,
         state=run.state,
-        options=station.options,
+        options=what.options,
         report=run.report,
     )
 
 
-def _keep_the_rest(station: VisitStation, run: Run, failure: BaseException) -> None:
-    """The arm stands: store what a broken visit has, tell why the run ended."""
+def _keep_the_rest(station: VisitStation, run: PoweredRun, arm: str, failure: BaseException) -> None:
+    """The arm stands: store what a broken visit or period has, tell why the run ended."""
     try:
         if run.broken is not None:
-            station.store.add(run.plan.arm, run.broken)
+            station.store.add(arm, run.broken)
         station.store.flush()
     except GatewayError as error:
         if error is not failure:

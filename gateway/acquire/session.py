@@ -138,7 +138,7 @@ def record(
     stored = None if earlier is None else earlier.arm(plan.arm)
     wanted = {(pose.number, side) for pose in plan.poses for side in (-1, 1)}
     done = () if stored is None else tuple(wanted.intersection(stored.done(request.load)))
-    with keeping(opened, request.path, poses, earlier) as kept:
+    with keeping(opened, request.path, arm_header(opened, poses), earlier) as kept:
         if len(done) < len(wanted):
             run_plan(kept.station(listeners, options), RunRequest(plan, request.load, done))
     return kept.summary(request.load, len(done))
@@ -151,13 +151,15 @@ class Kept:
     ----------
     reason : str
         Why the run has ended, if it ends well.
+    statistics : dict
+        Of the bus, once it has ended well.
     """
 
     def __init__(self, opened: OpenArm, queue: VisitQueue) -> None:
         self.reason = "all poses measured"
         self._opened, self._queue = opened, queue
         self._tally = _Tally(len(opened.config.axis))
-        self._statistics: dict[str, Any] = {}
+        self.statistics: dict[str, Any] = {}
 
     def station(self, listeners: Sequence[Listener], options: MoveOptions | None) -> VisitStation:
         """Where a run finds the arm, and where its visits go."""
@@ -168,8 +170,8 @@ class Kept:
 
     def finish(self) -> None:
         """Store that the run has ended well."""
-        self._statistics = plain(asdict(self._opened.group.statistics))
-        self._queue.finish(self._opened.config.name, "success", self.reason, self._statistics)
+        self.statistics = plain(asdict(self._opened.group.statistics))
+        self._queue.finish(self._opened.config.name, "success", self.reason, self.statistics)
 
     def summary(self, load: str, skipped: int) -> RecordingSummary:
         """What the run has added."""
@@ -180,20 +182,20 @@ class Kept:
             skipped=skipped,
             incomplete_epochs=self._tally.incomplete,
             friction_band_nm=self._tally.band_nm(),
-            statistics=self._statistics,
+            statistics=self.statistics,
         )
 
 
 @contextmanager
-def keeping(opened: OpenArm, path: Path, poses: tuple[RestPose, ...], earlier: Recording | None) -> Generator[Kept]:
+def keeping(opened: OpenArm, path: Path, header: ArmHeader, earlier: Recording | None) -> Generator[Kept]:
     """A recording while it is written to; however that ends, what was measured is on disk, with the reason.
 
     Parameters
     ----------
     opened : OpenArm
     path : Path
-    poses : tuple of RestPose
-        That the recording is to hold, as far as they are known.
+    header : ArmHeader
+        What the recording is to hold, as far as it is known.
     earlier : Recording or None
         That is gone on with.
 
@@ -202,19 +204,19 @@ def keeping(opened: OpenArm, path: Path, poses: tuple[RestPose, ...], earlier: R
     InputError
         As `VisitQueue`.
     """
-    writer = VisitQueue(path, recording_header(opened), arm_header(opened, poses), earlier)
+    writer = VisitQueue(path, _recording_header(opened), header, earlier)
     try:
         kept = Kept(opened, writer)
         yield kept
         kept.finish()
     except BaseException as error:
-        finish_broken(writer, opened, opened.config.name, error)
+        _finish_broken(writer, opened, opened.config.name, error)
         raise
     finally:
         writer.close()
 
 
-def finish_broken(writer: VisitQueue, opened: OpenArm, arm: str, error: BaseException) -> None:
+def _finish_broken(writer: VisitQueue, opened: OpenArm, arm: str, error: BaseException) -> None:
     """Store why a run ended before its time, if it has measured anything; what goes wrong with that is noted."""
     if not writer.visits:
         return
@@ -246,7 +248,7 @@ def _all_poses(plan: Plan, earlier: Recording | None) -> tuple[RestPose, ...]:
     return tuple(poses[number] for number in sorted(poses))
 
 
-def recording_header(opened: OpenArm) -> RecordingHeader:
+def _recording_header(opened: OpenArm) -> RecordingHeader:
     """What a recording says once of its cell, drives' profiles, robot and software."""
     return RecordingHeader(
         created=datetime.now(UTC).isoformat(timespec="seconds"),

@@ -110,7 +110,7 @@ class Period:
 
 
 #: What a recording holds as a group of its own.
-Measured = TypeVar("Measured", Visit, Period)
+Measured = TypeVar("Measured", bound=Visit | Period)
 
 
 def motion_number(excitation: int, speed: float) -> int:

@@ -12,7 +12,7 @@ from gateway.acquire.events import Listener, Narrowed
 from gateway.acquire.plan import SIDES
 from gateway.acquire.run import Run, VisitStation, VisitStore
 from gateway.acquire.runner import execute
-from gateway.acquire.session import RecordingSummary, keeping
+from gateway.acquire.session import RecordingSummary, arm_header, keeping
 from gateway.acquire.until.search import LoadSearch, NextStep, decide
 from gateway.acquire.until.words import ended, narrowed
 from gateway.data.recording.recorded import ArmRecording, Recording
@@ -84,7 +84,7 @@ def record_until(
         As `record`.
     """
     stored = None if earlier is None else earlier.arm(search.arm)
-    with keeping(opened, path, () if stored is None else stored.poses, earlier) as kept:
+    with keeping(opened, path, arm_header(opened, () if stored is None else stored.poses), earlier) as kept:
         decision = run_until(kept.station(listeners, options), search, rows_of(opened, path))
         kept.reason = ended(decision, search.label)
     return UntilSummary(kept.summary(search.label, 0), decision, kept.reason)
