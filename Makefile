@@ -13,8 +13,8 @@ venv: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON_OF_VENV)
-	@echo "installing gateway, simulator and test tools into $(VENV): one to three minutes, 1.5 GB"
-	$(INSTALL) -e ".[sim,dev]"
+	@echo "installing gateway, simulator and test tools into $(VENV): one to four minutes, 2 GB"
+	$(INSTALL) -e ".[sim,formats,fleet,dev]"
 	touch $(STAMP)
 
 # What the demo needs and no more: half a minute to two, 0.6 GB.
