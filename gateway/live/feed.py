@@ -12,7 +12,7 @@ import numpy as np
 
 from gateway.acquire.events import PoseDone, Progress
 from gateway.live.drawing import stage_of
-from gateway.live.wire import HEAD, PER_AXIS, ROW, Ended, Happened, CommandOver, PoseSeen, pieces
+from gateway.live.wire import HEAD, PER_AXIS, ROW, CommandOver, Ended, Happened, PoseSeen, pieces
 from gateway.motion.observer import Observed, RowTold, Scene
 from gateway.motion.state import Phase, StateKeeper
 from gateway.motion.stops import StopKind, StoppedByPerson, StopRequest

@@ -16,7 +16,7 @@ from drives.cia402 import State, decode_state, describe
 from gateway.acquire.events import Progress
 from gateway.live.feed import PHASES
 from gateway.live.sayings import FAIL, saying
-from gateway.live.wire import HEAD, PER_AXIS, Ended, Happened, Hello, CommandOver, PoseSeen, ShownArm, ShownCell
+from gateway.live.wire import HEAD, PER_AXIS, CommandOver, Ended, Happened, Hello, PoseSeen, ShownArm, ShownCell
 from gateway.model.kinematics import link_frames
 from gateway.model.robot import reach_m
 from gateway.motion.observer import RowTold
