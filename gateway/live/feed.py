@@ -12,7 +12,7 @@ import numpy as np
 
 from gateway.acquire.events import PoseDone, Progress
 from gateway.live.drawing import stage_of
-from gateway.live.wire import HEAD, PER_AXIS, ROW, CommandOver, Ended, Happened, PoseSeen, pieces
+from gateway.live.wire import HEAD, PER_AXIS, ROW, CommandOver, Ended, Happened, PoseSeen, ShownCell, pieces
 from gateway.motion.observer import Observed, RowTold, Scene
 from gateway.motion.state import Phase, StateKeeper
 from gateway.motion.stops import StopKind, StoppedByPerson, StopRequest
@@ -62,8 +62,11 @@ class Feed:
 
     def began(self, scene: Scene) -> None:
         """Arms are about to be powered."""
-        stage = stage_of(scene)
-        self._state = scene.state
+        self.show(stage_of(scene), scene.state)
+
+    def show(self, stage: ShownCell, state: StateKeeper) -> None:
+        """What is seen from now on, and who knows what it does."""
+        self._state = state
         self._row = np.zeros(HEAD + PER_AXIS * sum(arm.axes for arm in stage.arms))
         self._followed = ()
         self._say(stage)

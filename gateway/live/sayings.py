@@ -8,10 +8,10 @@ from gateway.acquire.events import (
     PoseDone,
     SampleRepeated,
     Started,
-    StateChanged,
     Stopped,
     VisitDone,
 )
+from gateway.live.wire import Heard
 from gateway.report import words
 
 #: A line that is told in passing, one that calls for a look, and one that says why the arms stand.
@@ -42,6 +42,6 @@ def _of_motion(event: object) -> tuple[str, str] | None:
         return PLAIN, f"{words.load(event.load)}, {event.text}"
     if isinstance(event, Stopped):
         return FAIL, f"stopped: {event.reason}"
-    if isinstance(event, StateChanged):
-        return None
+    if isinstance(event, Heard):
+        return event.grave, event.text
     return None

@@ -113,6 +113,14 @@ class Happened:
     event: object
 
 
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """Something that was heard on a bus that is only watched: how grave (`sayings`), and what."""
+
+    grave: str
+    text: str
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseSeen:
     """Both sides of a pose are measured; `modelled_nm` (N,) is what the arm's model without load asks for there."""
