@@ -39,6 +39,7 @@ NO_SPACE = frozenset({errno.ENOSPC, errno.EFBIG, errno.EDQUOT})
 COMMANDS: dict[str, tuple[str, str]] = {
     "scan": ("bus", "Who is on the bus: identity, firmware, NMT state, matching profile."),
     "check": ("bus", "Pre-flight check of a cell: drives against profile and cell file."),
+    "live": ("live", "A page in the browser of what happens on the bus: watches, sends nothing."),
     "restore": ("bus", "Put back what the write ledger holds."),
     "config": ("config", "Configuration of the drives as DCF: dump, diff, apply."),
     "move": ("goto", "Go home, to where loads are hung, or to joint angles: slowly, asked, inside every limit."),
