@@ -55,6 +55,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "run-pair": ("pair", "Two arms: carry the part along the path, learning from force."),
     "learn": ("pair", "Two arms: status of what was learned, learning off and on, forget it."),
     "pair-report": ("pair", "Two arms: one HTML page, force along the path and convergence."),
+    "fleet": ("fleet", "Many robots over months: ingest, analyse, report."),
     "cell": ("cell", "Cell files: new, schema."),
     "completion": ("completion", "Completion of commands and options for bash, zsh or fish."),
     "profiles": ("profiles", "Drive profiles: list, show, schema; new drafts one from an EDS."),
