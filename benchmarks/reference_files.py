@@ -30,7 +30,10 @@ def table_page() -> str:
         "",
         "| column | unit | needed | may be empty | meaning |",
         "|---|---|---|---|---|",
-        *(f"| {_column(each)} | {each.unit} | {each.needed} | {_blank(each)} | {_meaning(each)} |" for each in (*COLUMNS, *PERIOD_COLUMNS)),
+        *(
+            f"| {_column(each)} | {each.unit} | {each.needed} | {_blank(each)} | {_meaning(each)} |"
+            for each in (*COLUMNS, *PERIOD_COLUMNS)
+        ),
         "| `x_...` | | no | no | anything else, such as the lever column of `--method coefficient` |",
         "",
         _paragraph(
