@@ -76,11 +76,11 @@ def _every_sample(path: Path, fmt: str, part: tuple[str | None, str | None], out
 
     if output is None:
         raise click.UsageError(f"--format {fmt} is no text: name a file by -o")
-    content, samples = written(path, fmt, *part)
-    replace_file(output, content)
-    if not samples:
+    done = written(path, fmt, *part)
+    replace_file(output, done.content)
+    if not done.count:
         session_of().note(f"{path}: holds no sample yet; {output} holds what is known of the run alone")
-    session_of().show(f"{fmt}: {output}, {samples} samples")
+    session_of().show(f"{fmt}: {output}, {done.count} {done.what}")
 
 
 def _table(path: Path, arm_name: str | None, label: str | None) -> str:
