@@ -28,7 +28,7 @@ FLOORS: Final = (
     ("estimate",),
     ("diagnose",),
     ("feedforward",),
-    ("report",),
+    ("report", "formats"),
     ("analyse",),
     ("preflight",),
     ("motion",),

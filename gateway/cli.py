@@ -40,6 +40,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "scan": ("bus", "Who is on the bus: identity, firmware, NMT state, matching profile."),
     "check": ("bus", "Pre-flight check of a cell: drives against profile and cell file."),
     "restore": ("bus", "Put back what the write ledger holds."),
+    "config": ("config", "Configuration of the drives as DCF: dump, diff, apply."),
     "move": ("goto", "Go home, to where loads are hung, or to joint angles: slowly, asked, inside every limit."),
     "plan": ("measure", "Choose rest poses: limits, duration, expected uncertainty (needs no bus)."),
     "record": ("measure", "Measure the rest poses under one load into RUN.h5."),

@@ -10,13 +10,11 @@ import click
 from drives.files import replace_file
 from gateway.commands.measure import arm_option
 from gateway.commands.options import common, json_option, one_of, output_option, session_of, write_json
-from gateway.result.names import EXPORT_FORMATS
+from gateway.result.names import EXPORT_FORMATS, RECORDING_FORMATS, TABLE_FORMAT
 
 if TYPE_CHECKING:
     from gateway.result.result import Result
 
-#: Format of a recording.
-TABLE = "csv"
 RESULT = click.Path(path_type=Path, dir_okay=False)
 
 
@@ -39,28 +37,50 @@ def report(result: Path, output: Path, json_out: str | None) -> None:
 @click.command()
 @click.argument("result", metavar="OUT.json|RUN.h5", type=RESULT)
 @click.option(
-    "--format", "fmt", required=True, type=one_of([*EXPORT_FORMATS, TABLE]), help="Syntax to write; csv of RUN.h5."
+    "--format",
+    "fmt",
+    required=True,
+    type=one_of([*EXPORT_FORMATS, *RECORDING_FORMATS]),
+    help=f"Syntax to write; of RUN.h5 {', '.join(RECORDING_FORMATS)}.",
 )
 @click.option("--load", "label", metavar="LABEL", help="Only this load.")
 @arm_option
 @output_option("-o", "--output", metavar="FILE", help="File to write; stdout if omitted.")
 @common
 def export(result: Path, fmt: str, label: str | None, arm_name: str | None, output: Path | None) -> None:
-    """The load as URDF, JSON, or in the load syntax of a robot controller; a recording as measured table (csv).
+    """The load as URDF, JSON, or in the load syntax of a robot controller; a recording as table or for other programs.
 
-    The table has the columns that `estimate` and `diagnose` read: two rows a pose, torque on the side of the joint.
+    csv is the measured table that `estimate` and `diagnose` read: two rows a pose, torque on the side of the joint. The
+    other formats of a recording hold every sample, with units.
     """
     from gateway.data.reading import is_recording
     from gateway.result.export import export as export_text
 
-    if is_recording(result) != (fmt == TABLE):
-        raise click.UsageError(f"--format {TABLE} is of a recording (.h5), every other format of a result (.json)")
-    text = _table(result, arm_name, label) if fmt == TABLE else export_text(_whole(result), fmt, label)
+    if is_recording(result) != (fmt in RECORDING_FORMATS):
+        kinds = f"{fmt} is" if fmt in RECORDING_FORMATS else f"{', '.join(RECORDING_FORMATS)} are"
+        raise click.UsageError(f"--format {kinds} of a recording (.h5), every other format of a result (.json)")
+    if fmt in RECORDING_FORMATS and fmt != TABLE_FORMAT:
+        _every_sample(result, fmt, (arm_name, label), output)
+        return
+    text = _table(result, arm_name, label) if fmt == TABLE_FORMAT else export_text(_whole(result), fmt, label)
     if output is None:
         click.echo(text, nl=False)
     else:
         replace_file(output, text)
         session_of().show(f"{fmt}: {output}")
+
+
+def _every_sample(path: Path, fmt: str, part: tuple[str | None, str | None], output: Path | None) -> None:
+    """A recording, or its part of one arm and load, in an open format."""
+    from gateway.formats.registry import written
+
+    if output is None:
+        raise click.UsageError(f"--format {fmt} is no text: name a file by -o")
+    content, samples = written(path, fmt, *part)
+    replace_file(output, content)
+    if not samples:
+        session_of().note(f"{path}: holds no sample yet; {output} holds what is known of the run alone")
+    session_of().show(f"{fmt}: {output}, {samples} samples")
 
 
 def _table(path: Path, arm_name: str | None, label: str | None) -> str:
