@@ -40,6 +40,7 @@ NO_SPACE = frozenset({errno.ENOSPC, errno.EFBIG, errno.EDQUOT})
 COMMANDS: dict[str, tuple[str, str]] = {
     "scan": ("bus", "Who is on the bus: identity, firmware, NMT state, matching profile."),
     "check": ("bus", "Pre-flight check of a cell: drives against profile and cell file."),
+    "live": ("live", "A page in the browser of what happens on the bus: watches, sends nothing."),
     "restore": ("bus", "Put back what the write ledger holds."),
     "config": ("config", "Configuration of the drives as DCF: dump, diff, apply."),
     "move": ("goto", "Go home, to where loads are hung, or to joint angles: slowly, asked, inside every limit."),
@@ -56,6 +57,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "run-pair": ("pair", "Two arms: carry the part along the path, learning from force."),
     "learn": ("pair", "Two arms: status of what was learned, learning off and on, forget it."),
     "pair-report": ("pair", "Two arms: one HTML page, force along the path and convergence."),
+    "fleet": ("fleet", "Many robots over months: ingest, analyse, report."),
     "cell": ("cell", "Cell files: new, schema."),
     "completion": ("completion", "Completion of commands and options for bash, zsh or fish."),
     "profiles": ("profiles", "Drive profiles: list, show, schema; new drafts one from an EDS."),
