@@ -6,7 +6,7 @@ import textwrap
 
 from drives.errors import DriveError
 from gateway.cell.axes import FEWEST_AXES, MOST_AXES
-from gateway.data.csv_text import BLANK_ALLOWED, COLUMNS, Column
+from gateway.data.csv_text import BLANK_ALLOWED, COLUMNS, PERIOD_COLUMNS, Column
 from gateway.data.period import KINDS, LEAST_PER_HARMONIC
 from gateway.data.periodic import CUTOFF_HZ
 from gateway.data.recording.reader import SCHEMA, STATUSES
@@ -30,7 +30,10 @@ def table_page() -> str:
         "",
         "| column | unit | needed | may be empty | meaning |",
         "|---|---|---|---|---|",
-        *(f"| {_column(each)} | {each.unit} | {each.needed} | {_blank(each)} | {_meaning(each)} |" for each in COLUMNS),
+        *(
+            f"| {_column(each)} | {each.unit} | {each.needed} | {_blank(each)} | {_meaning(each)} |"
+            for each in (*COLUMNS, *PERIOD_COLUMNS)
+        ),
         "| `x_...` | | no | no | anything else, such as the lever column of `--method coefficient` |",
         "",
         _paragraph(

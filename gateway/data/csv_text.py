@@ -66,6 +66,12 @@ COLUMNS = (
     Column("q2nd{}_rad", "rad", "no", "encoder on the link's side"),
     Column("temp{}_c", "deg C", "no", "temperature of motor or drive"),
 )
+#: Columns of our own that say which rows of a motion repeat one another.
+PERIOD_COLUMNS = (
+    Column("x_excitation", "", "no", "moving rows: number of the motion, the same for the same motion and speed"),
+    Column("x_period", "", "no", "which period of it: rows of the same instant in two periods differ by noise alone"),
+    Column("x_phase_s", "s", "no", "time in the period"),
+)
 PATTERNS = tuple(column.name for column in COLUMNS if "{}" in column.name)
 AXIS_OF = {pattern.format(axis): axis for pattern in PATTERNS for axis in AXES}
 ANGLES = frozenset(f"{kind}{axis}_rad" for kind in ("q", "q2nd") for axis in AXES)

@@ -41,24 +41,31 @@ def excitation_runs(table: Table) -> Ints:
     return out
 
 
-def noise_between_periods(table: Table) -> Floats:
+def noise_between_periods(table: Table, turns: Mask) -> Floats:
     """Standard deviation (N,) [Nm] of one torque reading, from what differs between periods; NaN where nothing repeats.
 
     Of each period its mean square distance from the mean of all, the median over the periods, so that a period in which
     somebody touched the arm does not count; pooled over excitations and loads.
+
+    Parameters
+    ----------
+    table : Table
+    turns : bool array of shape (n, N)
+        Where an axis turns: one that stands holds what its friction allows, which is another torque in each period.
     """
     squares, counts = np.zeros((2, table.axes))
-    for torque in _stacks(table):
-        count = len(torque)
-        spread = torque - torque.mean(axis=0)
-        each = np.mean(spread**2, axis=1) * count / (count - 1)
-        squares += np.nan_to_num(np.median(each, axis=0) * torque.shape[1])
-        counts += np.where(np.isfinite(each).all(axis=0), torque.shape[1], 0)
+    for rows in _stacks(table):
+        torque, there = table.tau_nm[rows], turns[rows].all(axis=0)
+        spread = np.where(there, torque - torque.mean(axis=0), 0.0)
+        instants = there.sum(axis=0)
+        each = (spread**2).sum(axis=1) / np.maximum(instants, 1) * len(rows) / (len(rows) - 1)
+        squares += np.nan_to_num(np.median(each, axis=0) * instants)
+        counts += np.where(np.isfinite(each).all(axis=0), instants, 0)
     return np.sqrt(np.divide(squares, counts, out=np.full(table.axes, np.nan), where=counts > 0))
 
 
-def _stacks(table: Table) -> Iterator[Floats]:
-    """Torque (periods, rows, N) of every excitation under one load that was driven at least twice, row by row."""
+def _stacks(table: Table) -> Iterator[Ints]:
+    """Rows (periods, instants) of every excitation under one load that was driven at least twice."""
     runs = excitation_runs(table)
     for number in range(runs.max(initial=-1) + 1):
         mine = np.flatnonzero(runs == number)
@@ -68,4 +75,4 @@ def _stacks(table: Table) -> Iterator[Floats]:
         length = int(np.median([len(part) for part in parts]))
         whole = [part for part in parts if len(part) == length]
         if len(whole) >= FEWEST:
-            yield table.tau_nm[np.array(whole)]
+            yield np.array(whole)

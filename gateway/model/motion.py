@@ -196,7 +196,7 @@ def prepare(table: Table, given: Table | None, robot: Robot, gravity_m_s2: Float
         time[run == number] -= time[run == number].min()
     in_period = np.concatenate([part.extra.get(PHASE_S, np.full(len(part), np.nan)) for part in parts])[keep]
     speed = np.abs(fields["qd_rad_s"][~is_given]).max(axis=0)
-    judged = np.isfinite(tau) & (np.abs(fields["qd_rad_s"]) > np.maximum(SLOW * speed, STANDSTILL_RAD_S))
+    judged = np.isfinite(tau) & _turns(fields["qd_rad_s"], speed)
     if not judged[~is_given].any():
         raise DataUnusable("no axis moves while its torque is measured; moving rows need speeds above 0.001 rad/s")
     return MovingRows(
@@ -211,10 +211,15 @@ def prepare(table: Table, given: Table | None, robot: Robot, gravity_m_s2: Float
         sign=smooth_sign(fields["qd_rad_s"], speed),
         speed_rad_s=speed,
         wind_up_rad=wind_up,
-        floor_nm=noise_between_periods(fitted),
+        floor_nm=noise_between_periods(fitted, _turns(fitted.qd_rad_s, speed)),
         rigid=_rigid(robot, fields["q_rad"], fields["qd_rad_s"], fields["qdd_rad_s2"], gravity_m_s2),
         **fields,
     )
+
+
+def _turns(qd_rad_s: Floats, top_rad_s: Floats) -> Mask:
+    """Where each axis of some rows (n, N) turns at all, by its own top speed (N,)."""
+    return np.asarray(np.abs(qd_rad_s) > np.maximum(SLOW * top_rad_s, STANDSTILL_RAD_S))
 
 
 def _in_time_order(table: Table) -> tuple[Table, NDArray[np.int_]]:

@@ -57,10 +57,22 @@ def bare_and_loaded(seed: int, world: World) -> tuple[Table, Robot, np.ndarray]:
 
 def test_noise_is_what_differs_between_periods() -> None:
     table, _, scale = driven(3, World(), 11.0)
-    assert noise_between_periods(table) == pytest.approx(NOISE * scale, rel=0.25)
-    assert np.isnan(noise_between_periods(table.take(table.extra["x_period"] == 0))).all()
+    turns = np.ones((len(table), 6), dtype=bool)
+    assert noise_between_periods(table, turns) == pytest.approx(NOISE * scale, rel=0.25)
+    once = table.extra["x_period"] == 0
+    assert np.isnan(noise_between_periods(table.take(once), turns[once])).all()
     touched = np.where((table.extra["x_period"] == 2)[:, None], 50.0, 0.0)
-    assert noise_between_periods(replace(table, tau_nm=table.tau_nm + touched)).max() < 2.0 * (NOISE * scale).max() + 25
+    shaken = replace(table, tau_nm=table.tau_nm + touched)
+    assert noise_between_periods(shaken, turns).max() < 2.0 * (NOISE * scale).max() + 25
+
+
+def test_what_an_axis_holds_at_a_standstill_is_no_noise() -> None:
+    """Within its friction an axis that stands holds what it stopped with: another torque in every period."""
+    table, robot, scale = driven(3, World(), 11.0)
+    stands = table.extra["x_phase_s"] > 0.6 * PERIOD_S
+    held = np.where(stands[:, None], 5.0 * table.extra["x_period"][:, None], 0.0)
+    swept = replace(table, qd_rad_s=np.where(stands[:, None], 0.0, table.qd_rad_s), tau_nm=table.tau_nm + held)
+    assert prepare(swept, None, robot, GRAVITY).floor_nm == pytest.approx(NOISE * scale, rel=0.25)
 
 
 def test_all_periods_of_an_excitation_are_one_run() -> None:
