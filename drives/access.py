@@ -12,7 +12,7 @@ from drives.cia402 import AT_REST, decode_state
 from drives.errors import ConfigurationRefused, DriveError, DriveFault, IdentityMismatch, SdoAbort, SdoTimeout
 from drives.heartbeat import NmtCommand, send_nmt
 from drives.ledger import LedgerEntry, WriteLedger
-from drives.objects import OBJECTS, ObjectEntry
+from drives.objects import OBJECTS, ObjectEntry, object_name
 from drives.pdo import PdoPlan, Step, differences, mapping_steps, restore_steps
 from drives.profile import DriveProfile, ObjectReference
 from drives.sdo import NORMAL, SLOW, SdoClient, Transfer
@@ -85,6 +85,82 @@ class NodeAccess:
         if back != value:
             what = f"{value:#x} was written, {back:#x} reads back"
             self.refuse(entry, what, "the drive limits or ignores this value")
+
+    def write_step(self, step: Step, old: dict[tuple[int, int], tuple[str, int]]) -> None:
+        """Write a parameter that a person has asked for, whatever the profile allows: entered before, read back after.
+
+        Parameters
+        ----------
+        step : Step
+        old : dict
+            (index, subindex) -> (type, value): what the object held is added before it is written first.
+
+        Raises
+        ------
+        ConfigurationRefused
+            It does not read back as written.
+        SdoError
+            The transfer failed.
+        """
+        now = self._before(step)
+        old.setdefault((step.index, step.subindex), (step.data_type, now))
+        self._ledger.note(self._entry(step, now))
+        self._send(step)
+        back = self.sdo.read(step.index, step.subindex, step.data_type)
+        if back != step.value:
+            raise ConfigurationRefused(
+                f"{step.value:#x} was written, {back:#x} reads back",
+                node=self.node_id,
+                index=step.index,
+                subindex=step.subindex,
+                advice="the drive limits or ignores this value",
+            )
+
+    @property
+    def noted(self) -> tuple[LedgerEntry, ...]:
+        """What the ledger holds of this node."""
+        return self._ledger.of_node(self.node_id)
+
+    def undo(self, old: dict[tuple[int, int], tuple[str, int]], noted: tuple[LedgerEntry, ...]) -> list[str]:
+        """Put back what was written since a moment; the ledger is then as it was at that moment.
+
+        Parameters
+        ----------
+        old : dict
+            (index, subindex) -> (type, value at that moment), in the order in which they were written.
+        noted : tuple of LedgerEntry
+            `noted` of that moment.
+
+        Returns
+        -------
+        list of str
+            Objects that do not hold their old value, or no longer answer: they stay in the ledger.
+        """
+        for step in restore_steps(old):
+            try:
+                self.sdo.write(step.index, step.subindex, step.data_type, step.value, SLOW)
+            except SdoTimeout:
+                break
+            except DriveError:
+                continue
+        left = self._not_as(old)
+        back = [entry for entry in self.noted if (entry.index, entry.subindex) in old.keys() - left]
+        self._ledger.forget(*back)
+        self._ledger.note(*(entry for entry in noted if (entry.index, entry.subindex) in old.keys() - left))
+        return [f"node {self.node_id}:{object_name(*address)}" for address in sorted(left)]
+
+    def _not_as(self, old: dict[tuple[int, int], tuple[str, int]]) -> set[tuple[int, int]]:
+        left = set(old)
+        for address, (data_type, value) in old.items():
+            try:
+                now = self._before(Step(*address, data_type, value, ""))
+            except SdoTimeout:
+                break
+            except DriveError:
+                continue
+            if now == value:
+                left.discard(address)
+        return left
 
     def may_write(self, index: int) -> bool:
         """Whether the profile allows writing this object."""

@@ -102,24 +102,51 @@ class Sheet:
         return next((value for value in values if isinstance(value, int)), None)
 
 
-def read_sheet(path: Path) -> Sheet:
-    """Read an EDS or DCF.
+def read_sheet(path: Path, node_id: int = 1) -> Sheet:
+    """Read an EDS or DCF; what it has by node id, as the drive with this one has it.
 
     Raises
     ------
     ProfileError
         The file cannot be read, or is none.
     """
+    return sheet_of_text(sheet_text(path), path, node_id)
+
+
+def sheet_text(path: Path) -> str:
+    """Text of an EDS or DCF, whose encoding nobody states.
+
+    Raises
+    ------
+    ProfileError
+        The file cannot be read.
+    """
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise ValueError("it is larger than any data sheet")
+        content = path.read_bytes()
+    except (OSError, ValueError) as error:
+        raise _unreadable(path, error) from error
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("latin-1")
+
+
+def sheet_of_text(text: str, path: Path, node_id: int) -> Sheet:
+    """Data sheet from its text.
+
+    Raises
+    ------
+    ProfileError
+        It is none.
+    """
+    try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)
-            dictionary = import_eds(StringIO(_decoded(path.read_bytes())), node_id=1)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, ConfigParserError) as error:
-        reason = " ".join(str(error).replace("'<???>'", path.name).split())
-        what = f"data sheet {path} cannot be read: {reason}"
-        raise ProfileError(what, advice="give an EDS or DCF (CiA 306) as the maker of the drive delivers it") from error
+            dictionary = import_eds(StringIO(text), node_id=node_id)
+    except (ValueError, KeyError, TypeError, AttributeError, ConfigParserError) as error:
+        raise _unreadable(path, error) from error
     entries: dict[tuple[int, int], ODVariable] = {}
     for index, thing in dictionary.items():
         members = [thing] if isinstance(thing, ODVariable) else thing.values()
@@ -134,12 +161,10 @@ def read_sheet(path: Path) -> Sheet:
     )
 
 
-def _decoded(content: bytes) -> str:
-    """Text of a file whose encoding nobody states."""
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return content.decode("latin-1")
+def _unreadable(path: Path, error: Exception) -> ProfileError:
+    reason = " ".join(str(error).replace("'<???>'", path.name).split())
+    what = f"data sheet {path} cannot be read: {reason}"
+    return ProfileError(what, advice="give an EDS or DCF (CiA 306) as the maker of the drive delivers it")
 
 
 def _wanted(profile: DriveProfile) -> Iterator[tuple[ObjectReference, bool]]:

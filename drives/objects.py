@@ -10,9 +10,19 @@ from typing import Final, Literal
 
 DataType = Literal["u8", "i8", "u16", "i16", "u32", "i32"]
 
-#: struct format character of every basic type, little endian on the wire (CiA 301, 7.1.4).
-STRUCT_CODE: Final[dict[str, str]] = {"u8": "B", "i8": "b", "u16": "H", "i16": "h", "u32": "I", "i32": "i"}
-SIZE_BYTES: Final[dict[str, int]] = {"u8": 1, "i8": 1, "u16": 2, "i16": 2, "u32": 4, "i32": 4}
+#: struct format character of every basic type, little endian on the wire (CiA 301, 7.1.4). Those of 64 bits are
+#: configuration alone: no profile names one.
+STRUCT_CODE: Final[dict[str, str]] = {
+    "u8": "B",
+    "i8": "b",
+    "u16": "H",
+    "i16": "h",
+    "u32": "I",
+    "i32": "i",
+    "u64": "Q",
+    "i64": "q",
+}
+SIZE_BYTES: Final[dict[str, int]] = {"u8": 1, "i8": 1, "u16": 2, "i16": 2, "u32": 4, "i32": 4, "u64": 8, "i64": 8}
 
 
 @dataclass(frozen=True, slots=True)

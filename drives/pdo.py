@@ -25,6 +25,8 @@ EVERY_SYNC: Final = 1
 INVALID: Final = 1 << 31
 _NO_RTR: Final = 1 << 30
 _MAX_BITS: Final = 64
+#: Identifier of the emergency message.
+_EMERGENCY: Final = (0x1014, 0)
 
 Role = Literal["statusword", "position", "torque", "velocity", "current"]
 
@@ -185,36 +187,60 @@ def mapping_steps(plan: PdoPlan, cob_id_now: int) -> list[Step]:
 
 
 def restore_steps(old: dict[tuple[int, int], tuple[str, int]]) -> list[Step]:
-    """Writes that put objects back, PDO records in the order the standard asks for.
+    """Writes that put objects back: those that were written first come last; PDO records as `ordered_steps` says.
 
     Parameters
     ----------
     old : dict
         (index, subindex) -> (type, value to be put back), in the order in which they were first written.
+    """
+    return ordered_steps(dict(reversed(old.items())), "restore")
+
+
+def ordered_steps(values: dict[tuple[int, int], tuple[str, int]], reason: str) -> list[Step]:
+    """Writes of these values in an order that a drive takes.
+
+    Parameters
+    ----------
+    values : dict
+        (index, subindex) -> (type, value).
+    reason : str
+        Why they are written.
 
     Returns
     -------
     list of Step
-        Plain objects in reverse order, then each PDO: off, emptied, filled, length, type, on.
+        Plain objects in the order given, the emergency object switched off before it gets another identifier (CiA 301,
+        7.5.2.17), then each PDO in the order the standard asks for: off, emptied, filled, length, type, on.
     """
-    reason = "restore"
-    plain = [(address, value) for address, value in old.items() if not 0x1400 <= address[0] < 0x1C00]
-    steps = [Step(*address, data_type, value, reason) for address, (data_type, value) in reversed(plain)]
-    for communication in sorted({address[0] & ~0x0200 for address in old if 0x1400 <= address[0] < 0x1C00}):
-        mapping = communication | 0x0200
-        head = old.get((communication, 1))
-        if head is not None:
-            steps.append(Step(communication, 1, "u32", head[1] | INVALID, reason))
-        entries = sorted(address for address in old if address[0] == mapping and address[1] > 0)
-        count = old.get((mapping, 0))
-        if entries or count is not None:
-            steps.append(Step(mapping, 0, "u8", 0, reason))
-        length = 0xFF if count is None else count[1]
-        steps += [Step(*address, *old[address], reason) for address in entries if address[1] <= length]
-        if count is not None:
-            steps.append(Step(mapping, 0, "u8", count[1], reason))
-        others = sorted(address for address in old if address[0] == communication and address[1] > 1)
-        steps += [Step(*address, *old[address], reason) for address in others]
-        if head is not None:
-            steps.append(Step(communication, 1, "u32", head[1], reason))
+    steps: list[Step] = []
+    for address, (data_type, value) in values.items():
+        if 0x1400 <= address[0] < 0x1C00:
+            continue
+        if address == _EMERGENCY:
+            steps.append(Step(*address, data_type, value | INVALID, reason))
+        steps.append(Step(*address, data_type, value, reason))
+    for communication in sorted({address[0] & ~0x0200 for address in values if 0x1400 <= address[0] < 0x1C00}):
+        steps += _record_steps(communication, values, reason)
+    return steps
+
+
+def _record_steps(communication: int, values: dict[tuple[int, int], tuple[str, int]], reason: str) -> list[Step]:
+    steps: list[Step] = []
+    mapping = communication | 0x0200
+    head = values.get((communication, 1))
+    if head is not None:
+        steps.append(Step(communication, 1, "u32", head[1] | INVALID, reason))
+    entries = sorted(address for address in values if address[0] == mapping and address[1] > 0)
+    count = values.get((mapping, 0))
+    if entries or count is not None:
+        steps.append(Step(mapping, 0, "u8", 0, reason))
+    length = 0xFF if count is None else count[1]
+    steps += [Step(*address, *values[address], reason) for address in entries if address[1] <= length]
+    if count is not None:
+        steps.append(Step(mapping, 0, "u8", count[1], reason))
+    others = sorted(address for address in values if address[0] == communication and address[1] > 1)
+    steps += [Step(*address, *values[address], reason) for address in others]
+    if head is not None:
+        steps.append(Step(communication, 1, "u32", head[1], reason))
     return steps

@@ -48,7 +48,16 @@ class Browser:
 
     def open(self, file: Path) -> None:
         """Load a page from disk."""
-        self._ask("url", {"url": file.resolve().as_uri()})
+        self.visit(file.resolve().as_uri())
+
+    def visit(self, address: str) -> None:
+        """Load a page from wherever it is."""
+        self._ask("url", {"url": address})
+
+    def in_light(self, scheme: str) -> None:
+        """Use the styles of a `light` or a `dark` desktop."""
+        features = [{"name": "prefers-color-scheme", "value": scheme}]
+        self.devtools("Emulation.setEmulatedMedia", {"media": "screen", "features": features})
 
     def resize(self, width_px: int, height_px: int, *, scale: float = 1.0) -> None:
         """Lay out as on a screen of that width, whatever window there is."""

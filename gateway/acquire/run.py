@@ -139,9 +139,13 @@ class VisitStation:
     pacing: Pacing = "lockstep"
 
     def tell(self, event: Event) -> None:
-        """Hand an event to all listeners; one that fails stops the arm, and the others still hear."""
+        """Hand an event to all listeners, then to who looks on; one that listens and fails stops the arm.
+
+        All others still hear.
+        """
         for listener in self.listeners:
             guarded(listener, self.options.desk)(event)
+        self.options.observers.told(event)
 
 
 class Run:

@@ -193,7 +193,7 @@ def axis_table(title: str, lines: Mapping[str, Sequence[float]]) -> Table:
     return grid(title, ["", *axis_names(max((len(row) - 1 for row in rows), default=0))], rows)
 
 
-class Told(Protocol):
+class Judged(Protocol):
     """A finding, or a line of the pre-flight check."""
 
     @property
@@ -206,7 +206,7 @@ class Told(Protocol):
     def advice(self) -> str: ...
 
 
-def findings_table(findings: Sequence[Told], title: str = "findings") -> Table:
+def findings_table(findings: Sequence[Judged], title: str = "findings") -> Table:
     """Findings with their advice; the severity in colour."""
     table = grid(title, ["severity", "where", "what", "advice"], [], left=4)
     for told in findings:

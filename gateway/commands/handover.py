@@ -1,4 +1,4 @@
-"""report, export: what leaves the room."""
+"""report, export, import: what leaves the room, and what comes in from other programs."""
 
 from __future__ import annotations
 
@@ -10,13 +10,11 @@ import click
 from drives.files import replace_file
 from gateway.commands.measure import arm_option
 from gateway.commands.options import common, json_option, one_of, output_option, session_of, write_json
-from gateway.result.names import EXPORT_FORMATS
+from gateway.result.names import EXPORT_FORMATS, RECORDING_FORMATS, TABLE_FORMAT
 
 if TYPE_CHECKING:
     from gateway.result.result import Result
 
-#: Format of a recording.
-TABLE = "csv"
 RESULT = click.Path(path_type=Path, dir_okay=False)
 
 
@@ -39,28 +37,68 @@ def report(result: Path, output: Path, json_out: str | None) -> None:
 @click.command()
 @click.argument("result", metavar="OUT.json|RUN.h5", type=RESULT)
 @click.option(
-    "--format", "fmt", required=True, type=one_of([*EXPORT_FORMATS, TABLE]), help="Syntax to write; csv of RUN.h5."
+    "--format",
+    "fmt",
+    required=True,
+    type=one_of([*EXPORT_FORMATS, *RECORDING_FORMATS]),
+    help=f"Syntax to write; of RUN.h5 {', '.join(RECORDING_FORMATS)}.",
 )
 @click.option("--load", "label", metavar="LABEL", help="Only this load.")
 @arm_option
 @output_option("-o", "--output", metavar="FILE", help="File to write; stdout if omitted.")
 @common
 def export(result: Path, fmt: str, label: str | None, arm_name: str | None, output: Path | None) -> None:
-    """The load as URDF, JSON, or in the load syntax of a robot controller; a recording as measured table (csv).
+    """The load as URDF, JSON, or in the load syntax of a robot controller; a recording as table or for other programs.
 
-    The table has the columns that `estimate` and `diagnose` read: two rows a pose, torque on the side of the joint.
+    csv is the measured table that `estimate` and `diagnose` read: two rows a pose, torque on the side of the joint. The
+    other formats of a recording hold every sample, with units.
     """
     from gateway.data.reading import is_recording
     from gateway.result.export import export as export_text
 
-    if is_recording(result) != (fmt == TABLE):
-        raise click.UsageError(f"--format {TABLE} is of a recording (.h5), every other format of a result (.json)")
-    text = _table(result, arm_name, label) if fmt == TABLE else export_text(_whole(result), fmt, label)
+    if is_recording(result) != (fmt in RECORDING_FORMATS):
+        kinds = f"{fmt} is" if fmt in RECORDING_FORMATS else f"{', '.join(RECORDING_FORMATS)} are"
+        raise click.UsageError(f"--format {kinds} of a recording (.h5), every other format of a result (.json)")
+    if fmt in RECORDING_FORMATS and fmt != TABLE_FORMAT:
+        _every_sample(result, fmt, (arm_name, label), output)
+        return
+    text = _table(result, arm_name, label) if fmt == TABLE_FORMAT else export_text(_whole(result), fmt, label)
     if output is None:
         click.echo(text, nl=False)
     else:
         replace_file(output, text)
         session_of().show(f"{fmt}: {output}")
+
+
+def _every_sample(path: Path, fmt: str, part: tuple[str | None, str | None], output: Path | None) -> None:
+    """A recording, or its part of one arm and load, in an open format."""
+    from gateway.formats.registry import written
+
+    if output is None:
+        raise click.UsageError(f"--format {fmt} is no text: name a file by -o")
+    done = written(path, fmt, *part)
+    replace_file(output, done.content)
+    if not done.count:
+        session_of().note(f"{path}: holds no sample yet; {output} holds what is known of the run alone")
+    session_of().show(f"{fmt}: {output}, {done.count} {done.what}")
+
+
+@click.command("import")
+@click.argument("log", metavar="FILE", type=RESULT)
+@click.option("--map", "map_file", required=True, metavar="MAP.toml", type=RESULT, help="Which column is which.")
+@output_option("-o", "--output", required=True, metavar="TABLE.csv", help="Measured table to write.")
+@common
+def import_(log: Path, map_file: Path, output: Path) -> None:
+    """A measured table from what another program logged: text in columns, MCAP, a ROS 2 bag (.db3).
+
+    The map says which column of the log is which of the table, in which unit, with which sign.
+    """
+    from gateway.formats.log_map import read_map
+    from gateway.formats.measured import table_from_log
+
+    text, rows = table_from_log(log, read_map(map_file))
+    replace_file(output, text)
+    session_of().show(f"{output}: {rows} rows")
 
 
 def _table(path: Path, arm_name: str | None, label: str | None) -> str:

@@ -68,9 +68,7 @@ COLUMNS = (
 )
 #: Columns of our own that say which rows of a motion repeat one another.
 PERIOD_COLUMNS = (
-    Column(
-        "x_excitation", "", "no", "moving rows: number of the motion, the same number for the same motion and speed"
-    ),
+    Column("x_excitation", "", "no", "moving rows: number of the motion, the same for the same motion and speed"),
     Column("x_period", "", "no", "which period of it: rows of the same instant in two periods differ by noise alone"),
     Column("x_phase_s", "s", "no", "time in the period"),
 )

@@ -41,12 +41,13 @@ def powered(stream: Stream) -> Generator[Stream]:
         Whatever ended the motion, once the arms are safe; what went wrong on the way there is among its notes.
     """
     station = stream.station
-    desk = station.options.desk
+    desk, observers = station.options.desk, station.options.observers
     failure: BaseException | None = None
     station.options.ready()
     with _on_time(station.arms):
         try:
             desk.under_power = True
+            observers.began(station.scene)
             stream.start()
             station.state.enter(Phase.HOLDING, stream.sync_index)
             yield stream
@@ -59,6 +60,7 @@ def powered(stream: Stream) -> Generator[Stream]:
             finally:
                 desk.under_power = False
             _tell_the_end(stream, failure)
+            observers.ended(failure)
             if stream.first_moved and station.options.first_done is not None:
                 station.options.first_done()
     wish = desk.look()

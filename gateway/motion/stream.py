@@ -16,6 +16,7 @@ from drives.realtime import leave_real_time
 from gateway.data.sample import ArmSample
 from gateway.motion.arms import Arms
 from gateway.motion.contact import TAKE_OVER_S
+from gateway.motion.observer import Observers, RowTold, Scene
 from gateway.motion.own_torque import own_torque
 from gateway.motion.pathclock import PathClock
 from gateway.motion.state import StateKeeper
@@ -63,12 +64,15 @@ class MoveOptions:
         this is called once it has ended and the arms are in their brakes.
     ready : callable
         Called before power; returns when the person is ready.
+    observers : Observers
+        Who looks on.
     """
 
     desk: StopDesk = field(default_factory=StopDesk)
     override: float = 1.0
     first_done: Callable[[], None] | None = None
     ready: Callable[[], None] = lambda: None
+    observers: Observers = field(default_factory=Observers)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,6 +98,11 @@ class Station:
     state: StateKeeper
     options: MoveOptions
     report: Report = _nothing
+
+    @property
+    def scene(self) -> Scene:
+        """What an observer is shown at first."""
+        return Scene(self.arms, self.workspaces, self.period_s, self.state)
 
 
 class Stream:
@@ -134,7 +143,8 @@ class Stream:
         ]
         self._acceleration = np.concatenate([each.acceleration_rad_s2 for each in station.workspaces])
         self._jerk = np.concatenate([each.jerk_rad_s3 for each in station.workspaces])
-        self._report = guarded(station.report, station.options.desk)
+        self._observers = station.options.observers
+        self._tell = guarded(station.report, station.options.desk)
         self._first_done = station.options.first_done
         self._every = max(1, round(REPORT_S / station.period_s))
         self._gravity_nm: PerArm = ()
@@ -282,6 +292,10 @@ class Stream:
         finally:
             sys.setswitchinterval(switch_s)
 
+    def _report(self, what: str, row: int, rows: int) -> None:
+        self._tell(what, row, rows)
+        self._observers.told(RowTold(what, row, rows))
+
     def _heed(self) -> None:
         """The arms stand: whoever wants them to stop is answered at once."""
         wish = self._desk.look()
@@ -291,8 +305,11 @@ class Stream:
 
     def _look(self, samples: tuple[ArmSample, ...], modelled_nm: PerArm) -> None:
         self.sync_index = samples[0].sync_index
-        for watch, sample, target, modelled in zip(self._watches, samples, self.q_rad, modelled_nm, strict=True):
-            watch.check(sample, target, modelled)
+        try:
+            for watch, sample, target, modelled in zip(self._watches, samples, self.q_rad, modelled_nm, strict=True):
+                watch.check(sample, target, modelled)
+        finally:
+            self._observers.sampled(samples, self.q_rad, modelled_nm)
 
     def _moved(self) -> PerArm:
         return tuple(watch.moved_torque(q) for watch, q in zip(self._watches, self.q_rad, strict=True))

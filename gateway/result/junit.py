@@ -6,7 +6,7 @@ load that fails and one of which the data cannot tell are both failures, of diff
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Final
@@ -70,7 +70,20 @@ def junit(result: Result, moment: datetime) -> str:
     moment : datetime
         Of the analysis.
     """
-    found = cases(result)
+    return junit_of(result.robot, cases(result), moment)
+
+
+def junit_of(about: str, found: Sequence[Case], moment: datetime) -> str:
+    """Text of a JUnit file with these test cases.
+
+    Parameters
+    ----------
+    about : str
+        What was tested.
+    found : sequence of Case
+    moment : datetime
+        Of the test.
+    """
     failures = str(sum(bool(case.kind) for case in found))
     counts = {"tests": str(len(found)), "failures": failures, "errors": "0", "time": _NO_TIME}
     root = Element("testsuites", {"name": NAME, **counts})
@@ -78,7 +91,7 @@ def junit(result: Result, moment: datetime) -> str:
         root,
         "testsuite",
         {
-            "name": _text(f"{NAME} {result.robot}".strip()),
+            "name": _text(f"{NAME} {about}".strip()),
             "package": NAME,
             "id": "0",
             "hostname": "localhost",

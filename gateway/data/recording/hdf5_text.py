@@ -70,9 +70,7 @@ class Place:
         InputError
             Missing, of another shape or kind, larger than the file.
         """
-        found = self._object(name)
-        if not isinstance(found, h5py.Dataset):
-            raise self.refuse(name, "is no dataset")
+        found = self._dataset(name)
         dims = 1 if columns is None else 2
         if found.ndim != dims or (columns is not None and found.shape[1] != columns):
             raise self.refuse(
@@ -83,6 +81,14 @@ class Place:
         if found.nbytes > self.limit_bytes:
             raise self.refuse(name, f"claims {found.nbytes} bytes, more than the file has")
         return np.asarray(found[()])
+
+    def columns(self, name: str, columns: int) -> np.ndarray:
+        """A dataset of numbers of shape (n,) or (n, columns), whichever it is; raises as `array`."""
+        return self.array(name, columns if self._dataset(name).ndim == 2 else None, "biuf")
+
+    def attributes(self) -> dict[str, Any]:
+        """Every attribute as it is stored."""
+        return {name: self._attribute(name, None) for name in self.group.attrs}
 
     def text(self, name: str, default: str | None = None) -> str:
         """A text attribute."""
@@ -133,6 +139,12 @@ class Place:
         if int(np.prod(kind.shape, dtype=float)) * kind.dtype.itemsize > self.limit_bytes:
             raise self.refuse(f"@{name}", "claims more bytes than the file has")
         return self.group.attrs[name]
+
+    def _dataset(self, name: str) -> h5py.Dataset:
+        found = self._object(name)
+        if not isinstance(found, h5py.Dataset):
+            raise self.refuse(name, "is no dataset")
+        return found
 
     def _object(self, name: str) -> Any:
         if name not in self.group:

@@ -1,0 +1,400 @@
+"""config: what the drives of a cell hold, as files; how they differ from them; and the files written to the drives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from drives.files import replace_file
+from drives.objects import object_name
+from gateway.commands.console import grid
+from gateway.commands.options import (
+    Function,
+    bus_option,
+    cell_argument,
+    common,
+    confirm,
+    json_option,
+    output_option,
+    refuse_to_replace,
+    session_of,
+    write_json,
+    writes,
+)
+from gateway.errors import ConfigError, FindingFailed
+
+if TYPE_CHECKING:
+    from drives.configuration.dcf import NodeConfiguration
+    from drives.configuration.difference import Compared
+    from drives.configuration.reading import Readout
+    from drives.drive import Cia402Drive
+    from drives.group import DriveGroup
+    from drives.pdo import Step
+    from gateway.cell.config import ArmConfig
+    from gateway.commands.cell_context import CellContext
+
+FOLDER = click.Path(path_type=Path, file_okay=False)
+COLUMNS = ["object", "EDS default", "DCF", "drive", "type", "state"]
+#: Folder beside the cell file where the files of its nodes are.
+BESIDE = "dcf"
+
+
+@click.group()
+def config() -> None:
+    """Configuration of the drives as device configuration files (DCF, CiA 306), one per node."""
+
+
+def folder_option(name: str, help: str) -> Callable[[Function], Function]:
+    """Where the files of the nodes are."""
+    return click.option(name, "folder", type=FOLDER, metavar="DIR", help=f"{help}; dcf beside the cell if omitted.")
+
+
+@config.command("dump")
+@cell_argument
+@writes(folder_option("--output", "Folder that NODE.dcf is written to"))
+@click.option("--eds", "sheets", multiple=True, metavar="[NODE=]FILE", help="EDS where the profile names none.")
+@bus_option
+@json_option
+@common
+def config_dump(
+    cell: Path, folder: Path | None, sheets: tuple[str, ...], bus_spec: str | None, json_out: str | None
+) -> None:
+    """Read every object of every drive's EDS and write DIR/NODE.dcf; nothing is written to a drive.
+
+    What changes by itself or is sent while the arm moves is kept apart from the configuration (--json).
+    """
+    from drives.configuration.dcf import read_data_sheet
+    from drives.configuration.reading import read_drive
+    from gateway.commands.cell_context import open_cell
+
+    context, session = open_cell(cell, bus_spec), session_of()
+    given = _sheets(sheets)
+    nodes: list[dict[str, Any]] = []
+    for arm in context.arms:
+        paths = {axis.node_id: _path(context, arm, axis.node_id, folder) for axis in arm.axis}
+        sources = _sources(context, arm, given)
+        for path in paths.values():
+            refuse_to_replace(path, "--output", session)
+        read = {node_id: read_data_sheet(source, node_id) for node_id, source in sources.items()}
+        with context.connected(arm) as group:
+            found = [(drive, read_drive(drive.access, read[drive.node_id])) for drive in group.drives]
+            _say_what_is_ours(group)
+        for joint, (drive, readout) in enumerate(found, start=1):
+            node_id = drive.node_id
+            text = _text_of(context, arm, joint, drive, readout, sources[node_id])
+            replace_file(paths[node_id], text)
+            nodes.append(_dumped(arm, readout, paths[node_id]))
+            held = readout.of_kind("configuration")
+            session.show(f"node {node_id}: {paths[node_id]}: {len(held)} objects of the configuration")
+            for address, why in readout.unread.items():
+                session.note(f"node {node_id}: {_named(address)} is not in it: {why}", level=1)
+            if readout.unread:
+                session.show(f"  {len(readout.unread)} objects could not be read: {_few(readout.unread)}")
+    if json_out:
+        write_json(json_out, {"schema": 1, "cell": context.loaded.cell.name, "nodes": nodes})
+
+
+def _sheets(given: Sequence[str]) -> dict[int | None, Path]:
+    """Data sheets of the command line by node; None = of all the others.
+
+    Raises
+    ------
+    click.UsageError
+    """
+    found: dict[int | None, Path] = {}
+    for text in given:
+        node, equals, name = text.partition("=")
+        key = int(node) if equals and node.isdecimal() else None
+        if key in found:
+            raise click.UsageError(f"--eds {text}: two files for {'all nodes' if key is None else f'node {key}'}.")
+        found[key] = Path(name if key is not None else text)
+    return found
+
+
+def _sources(context: CellContext, arm: ArmConfig, given: dict[int | None, Path]) -> dict[int, Path]:
+    """Data sheet of each node: of the command line, else of its profile.
+
+    Raises
+    ------
+    ConfigError
+        Nodes without one; all of them at once.
+    """
+    sources: dict[int, Path] = {}
+    lacking: list[str] = []
+    for axis, profile in zip(arm.axis, context.profiles(arm), strict=True):
+        path = given.get(axis.node_id, given.get(None, profile.eds_path))
+        if path is None:
+            lacking.append(f"node {axis.node_id}: profile {profile.name} names no data sheet (eds)")
+        else:
+            sources[axis.node_id] = path
+    if lacking:
+        raise ConfigError(f"{'; '.join(lacking)}: give the maker's EDS by --eds NODE=FILE, or name it in the profile")
+    return sources
+
+
+def _path(context: CellContext, arm: ArmConfig, node_id: int, folder: Path | None) -> Path:
+    """File of a node; an arm of several has a folder of its own, node ids are used again on another bus."""
+    base = folder if folder is not None else context.path.parent / BESIDE
+    return (base / arm.name if len(context.arms) > 1 else base) / f"{node_id}.dcf"
+
+
+def _text_of(
+    context: CellContext, arm: ArmConfig, joint: int, drive: Cia402Drive, readout: Readout, source: Path
+) -> str:
+    from drives.configuration.dcf import Commissioning, dcf_text
+
+    bitrate = context.loaded.cell.bus[arm.bus].bitrate_bit_s
+    name = f"{context.loaded.cell.name} {arm.name} J{joint}"
+    site = Commissioning(drive.node_id, name, bitrate, arm.bus, drive.access.serial_number)
+    return dcf_text(source, readout.of_kind("configuration", "fixed"), site, datetime.now(UTC))
+
+
+def _say_what_is_ours(group: DriveGroup) -> None:
+    """Objects that are not as the engineer left them."""
+    ours = len(group.ledger.entries)
+    if ours:
+        session_of().show(
+            f"{ours} objects are as the gateway has written them, by its ledger; `restore` puts back what was there"
+        )
+
+
+def _dumped(arm: ArmConfig, readout: Readout, path: Path) -> dict[str, Any]:
+    def listed(*kinds: Any) -> dict[str, Any]:
+        return {_named(address): _plain(value) for address, value in readout.of_kind(*kinds).items()}
+
+    return {
+        "arm": arm.name,
+        "node_id": readout.node_id,
+        "file": str(path),
+        "configuration": listed("configuration"),
+        "fixed": listed("fixed"),
+        "apart": listed("actual", "process", "command"),
+        "unread": {_named(address): why for address, why in readout.unread.items()},
+        "write_only": [_named(address) for address, kind in readout.kinds.items() if kind == "write only"],
+    }
+
+
+def _named(address: tuple[int, int]) -> str:
+    return f"{address[0]:04X}:{address[1]:02X}"
+
+
+def _few(addresses: Iterable[tuple[int, int]]) -> str:
+    listed = [_named(address) for address in addresses]
+    return ", ".join(listed[:6]) + (f" and {len(listed) - 6} more (-v names them)" if len(listed) > 6 else "")
+
+
+def _plain(value: object) -> object:
+    """A value as JSON has it."""
+    return value.hex() if isinstance(value, bytes) else value if isinstance(value, int | str) else repr(value)
+
+
+# ------------------------------------------------------------------------------------------------------- comparing
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedNode:
+    """One drive beside its file.
+
+    Attributes
+    ----------
+    arm : str
+    drive : Cia402Drive
+    file : NodeConfiguration
+    found : Readout
+    rows : tuple of Compared
+    said : list of str
+        What else is different: firmware, serial number.
+    """
+
+    arm: str
+    drive: Cia402Drive
+    file: NodeConfiguration
+    found: Readout
+    rows: tuple[Compared, ...]
+    said: list[str]
+
+    @property
+    def different(self) -> tuple[Compared, ...]:
+        """Objects that drive and file have otherwise."""
+        from drives.configuration.difference import differing
+
+        return differing(self.rows)
+
+    def as_json(self) -> dict[str, Any]:
+        """For a file: every object that is different, and how many were compared."""
+        differences = [
+            {
+                "object": _named(row.address),
+                "name": row.name,
+                "type": row.kind_and_unit,
+                "default": _plain(row.default) if row.default is not None else None,
+                "dcf": _plain(row.file),
+                "drive": _plain(row.drive) if row.drive is not None else None,
+                "state": row.state,
+            }
+            for row in self.different
+        ]
+        return {
+            "arm": self.arm,
+            "node_id": self.drive.node_id,
+            "file": str(self.file.path),
+            "compared": len(self.rows),
+            "said": self.said,
+            "differences": differences,
+        }
+
+
+def _files(context: CellContext, arm: ArmConfig, folder: Path | None) -> dict[int, NodeConfiguration]:
+    """The files of an arm's nodes, read before anything is sent."""
+    from drives.configuration.dcf import read_dcf
+
+    return {axis.node_id: read_dcf(_path(context, arm, axis.node_id, folder), axis.node_id) for axis in arm.axis}
+
+
+def _compared(arm: ArmConfig, group: DriveGroup, files: dict[int, NodeConfiguration]) -> list[ComparedNode]:
+    from drives.bringup import read_identity
+    from drives.configuration.difference import compare
+    from drives.configuration.kinds import mapped_objects
+    from drives.configuration.reading import read_drive
+
+    nodes = []
+    said = {
+        drive.node_id: files[drive.node_id].require_same_product(read_identity(drive.access.sdo))
+        for drive in group.drives
+    }
+    for drive in group.drives:
+        file = files[drive.node_id]
+        found = read_drive(drive.access, file.sheet, mapped_objects(file.values))
+        nodes.append(ComparedNode(arm.name, drive, file, found, compare(file, found), said[drive.node_id]))
+    return nodes
+
+
+def _show(nodes: Sequence[ComparedNode]) -> None:
+    session = session_of()
+    for node in nodes:
+        title = f"node {node.drive.node_id}: {len(node.different)} of {len(node.rows)} objects are different"
+        for line in node.said:
+            session.show(f"node {node.drive.node_id}: {line}")
+        rows = [
+            [row.name, row.text(row.default), row.text(row.file), row.text(row.drive), row.kind_and_unit, row.state]
+            for row in (node.rows if session.verbosity > 0 else node.different)
+        ]
+        session.show(grid(title, COLUMNS, rows, left=1) if rows else title)
+
+
+@config.command("diff")
+@cell_argument
+@folder_option("--dcf", "Folder with NODE.dcf")
+@output_option("--junit", "junit_file", metavar="FILE", help="Write what is equal and what is not as JUnit XML.")
+@bus_option
+@json_option
+@common
+def config_diff(
+    cell: Path, folder: Path | None, junit_file: Path | None, bus_spec: str | None, json_out: str | None
+) -> None:
+    """Compare drives, their DCF and the maker's defaults; nothing is written to a drive.
+
+    Exit code 0 where every drive is as its file says, 7 where one is not.
+    """
+    from gateway.commands.cell_context import open_cell
+
+    context = open_cell(cell, bus_spec)
+    files = {arm.name: _files(context, arm, folder) for arm in context.arms}
+    nodes: list[ComparedNode] = []
+    for arm in context.arms:
+        with context.connected(arm) as group:
+            nodes += _compared(arm, group, files[arm.name])
+    _show(nodes)
+    name = context.loaded.cell.name
+    if junit_file is not None:
+        replace_file(junit_file, _junit(name, nodes))
+    if json_out:
+        write_json(json_out, {"schema": 1, "cell": name, "nodes": [node.as_json() for node in nodes]})
+    odd = [node for node in nodes if node.different]
+    if odd:
+        first = odd[0].different[0]
+        more = sum(len(node.different) for node in odd) - 1
+        what = (
+            f"node {odd[0].drive.node_id}:{first.name}: DCF {first.text(first.file)}, drive {first.text(first.drive)}"
+        )
+        raise FindingFailed(
+            f"the drives are not as their files say: {what}{f' (and {more} more)' if more else ''}; "
+            "`config apply` writes the files, `config dump` keeps what the drives hold"
+        )
+
+
+def _junit(cell: str, nodes: Sequence[ComparedNode]) -> str:
+    from gateway.result.junit import Case, junit_of
+
+    cases = []
+    for node in nodes:
+        group = f"arm {node.arm} node {node.drive.node_id}"
+        for row in node.rows:
+            why = f"EDS {row.text(row.default)}, DCF {row.text(row.file)}, drive {row.text(row.drive)}"
+            cases.append(Case(group, row.name) if row.state == "equal" else Case(group, row.name, row.state, why))
+    return junit_of(cell, cases, datetime.now(UTC))
+
+
+# --------------------------------------------------------------------------------------------------------- writing
+
+
+@config.command("apply")
+@cell_argument
+@folder_option("--dcf", "Folder with NODE.dcf")
+@click.option("--store", is_flag=True, help="Have the drives keep it for the next power-up (0x1010).")
+@click.option("--yes", is_flag=True, help="Do not ask before writing.")
+@bus_option
+@json_option
+@common
+def config_apply(
+    cell: Path, folder: Path | None, store: bool, yes: bool, bus_spec: str | None, json_out: str | None
+) -> None:
+    """Write to the drives what their DCF says otherwise, and read it back; asked first, `restore` puts it back.
+
+    The drives must be disabled. The first value that a drive does not take ends it: what was written is put back.
+    """
+    from drives.configuration.applying import planned_writes, require_at_rest, write_all
+    from drives.configuration.applying import store as keep
+    from gateway.commands.cell_context import open_cell
+
+    context = open_cell(cell, bus_spec)
+    files = {arm.name: _files(context, arm, folder) for arm in context.arms}
+    done: list[dict[str, Any]] = []
+    for arm in context.arms:
+        with context.connected(arm) as group:
+            accesses = [drive.access for drive in group.drives]
+            require_at_rest(accesses)
+            nodes = _compared(arm, group, files[arm.name])
+            work = [planned_writes(node.drive.access, node.file, node.found, node.rows) for node in nodes]
+            _show(nodes)
+            if any(each.steps for each in work) or store:
+                confirm(_question(arm, nodes, store), yes=yes)
+                require_at_rest(accesses)
+                write_all([each for each in work if each.steps], _tell)
+            for access in accesses if store else ():
+                keep(access)
+        done += [node.as_json() | {"stored": store} for node in nodes]
+        written = sum(len(node.different) for node in nodes)
+        said = f"{written} objects written and read back" if written else "nothing to write"
+        session_of().show(f"arm {arm.name}: {said}{'; stored' if store else ''}")
+    if json_out:
+        write_json(json_out, {"schema": 1, "cell": context.loaded.cell.name, "nodes": done})
+
+
+def _tell(node_id: int, step: Step) -> None:
+    where = object_name(step.index, step.subindex)
+    session_of().note(f"node {node_id}:{where}: {step.value:#x} written and read back", level=1)
+
+
+def _question(arm: ArmConfig, nodes: Sequence[ComparedNode], store: bool) -> str:
+    count = sum(len(node.different) for node in nodes)
+    drives = sum(bool(node.different) for node in nodes)
+    text = f"{count} objects of {drives} drives of arm '{arm.name}' will be written; `restore` puts them back."
+    if store:
+        text += f" {len(nodes)} drives then store all their parameters, which `restore` does not take back."
+    return f"{text} Write them?"

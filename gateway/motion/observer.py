@@ -1,0 +1,139 @@
+"""Who looks on while arms are under power: told everything, asked nothing, and never in the way.
+
+The motion loop calls from its own thread, after each SYNC. An observer takes what it is handed and returns at once:
+it does not wait, lock, write to a disk or ask the bus. What it raises reaches nobody who moves: it is told no more.
+Who may stop an arm leaves a wish at the desk (`gateway.motion.stops`) instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from gateway.data.sample import ArmSample
+from gateway.motion.arms import Arms
+from gateway.motion.state import StateKeeper
+from gateway.motion.workspace import Workspace
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """What is about to be powered.
+
+    Attributes
+    ----------
+    arms : Arms
+        In their brakes.
+    workspaces : tuple of Workspace
+        One per arm: its robot, limits and links.
+    period_s : float
+        SYNC period.
+    state : StateKeeper
+        Whose `state` says at any time what the arms do.
+    """
+
+    arms: Arms
+    workspaces: tuple[Workspace, ...]
+    period_s: float
+    state: StateKeeper
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observed:
+    """One SYNC as the motion loop saw it; a tuple has one member per arm.
+
+    Attributes
+    ----------
+    samples : tuple of ArmSample
+        What the drives answered.
+    targets_rad : tuple of arrays of shape (N,)
+        Joint set points that went out with this SYNC.
+    modelled_nm : tuple of arrays of shape (N,)
+        Torque that the model of the arm asks for there, without friction; 0 where the links are unknown.
+    """
+
+    samples: tuple[ArmSample, ...]
+    targets_rad: tuple[np.ndarray, ...]
+    modelled_nm: tuple[np.ndarray, ...]
+
+
+class Observer(Protocol):
+    """Looks on; nothing here may take time."""
+
+    def began(self, scene: Scene, /) -> None:
+        """Arms are about to be powered."""
+        ...
+
+    def sampled(self, observed: Observed, /) -> None:
+        """One SYNC was answered; also the one that ends the motion, before anything is stopped."""
+        ...
+
+    def told(self, event: object, /) -> None:
+        """Whoever runs the job told something: an event of `gateway.acquire.events`, or a `RowTold`."""
+        ...
+
+    def ended(self, failure: BaseException | None, /) -> None:
+        """The arms are in their brakes, or were stopped as well as could be; None = all went well."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class RowTold:
+    """Where a motion stands: what is done, the row and the number of rows."""
+
+    what: str
+    row: int
+    rows: int
+
+
+class Observers:
+    """Observers of one command; one that raises is left out from then on.
+
+    Parameters
+    ----------
+    observers : Observer
+
+    Attributes
+    ----------
+    troubles : list of Exception
+        What was raised.
+    """
+
+    def __init__(self, *observers: Observer) -> None:
+        self.troubles: list[Exception] = []
+        self._present = list(observers)
+
+    def add(self, observer: Observer) -> None:
+        """One more, from now on."""
+        self._present.append(observer)
+
+    def began(self, scene: Scene) -> None:
+        """Arms are about to be powered."""
+        self._each(lambda observer: observer.began(scene))
+
+    def sampled(
+        self, samples: tuple[ArmSample, ...], targets_rad: tuple[np.ndarray, ...], modelled_nm: tuple[np.ndarray, ...]
+    ) -> None:
+        """One SYNC was answered."""
+        if self._present:
+            observed = Observed(samples, targets_rad, modelled_nm)
+            self._each(lambda observer: observer.sampled(observed))
+
+    def told(self, event: object) -> None:
+        """Something was told."""
+        self._each(lambda observer: observer.told(event))
+
+    def ended(self, failure: BaseException | None) -> None:
+        """The arms are no longer under power."""
+        self._each(lambda observer: observer.ended(failure))
+
+    def _each(self, call: Callable[[Observer], None]) -> None:
+        for observer in tuple(self._present):
+            try:
+                call(observer)
+            except Exception as error:
+                self._present.remove(observer)
+                self.troubles.append(error)
