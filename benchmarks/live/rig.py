@@ -19,6 +19,7 @@ from pathlib import Path
 
 from websockets.sync.client import connect
 
+from benchmarks.chaos.processes import undisturbed
 from benchmarks.rigs.pacing import by_the_clock, in_lockstep
 
 SMALL = Path(__file__).parents[2] / "examples" / "small"
@@ -88,14 +89,18 @@ class Command:
 
     def page_pid(self) -> int:
         """Number of the process of the page."""
-        for number in Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split():
-            if b"gateway.live.process" in Path(f"/proc/{number}/cmdline").read_bytes():
-                return int(number)
-        raise RuntimeError("the page has no process")
+        for place in Path("/proc").glob("[0-9]*"):
+            with suppress(OSError):
+                parent = int((place / "stat").read_text().rpartition(")")[2].split()[1])
+                if parent == self.process.pid and b"gateway.live.process" in (place / "cmdline").read_bytes():
+                    return int(place.name)
+        raise RuntimeError(f"the page has no process:\n{self.text}")
 
     def moving(self) -> None:
         """Wait until the run itself moves, after all proofs."""
         wait_for(lambda: "visit" in self.text or self.process.poll() is not None)
+        if self.process.poll() is not None:
+            raise RuntimeError(f"it has not moved:\n{self.text}")
 
 
 def wait_for(what, patience_s: float = PATIENCE_S) -> None:
@@ -113,14 +118,15 @@ def recording(folder: Path, cell: Path, *more: str) -> Iterator[Command]:
     bus = f"udp_multicast:239.74.163.11,port={port_of(folder)}"
     environment = os.environ | {"XDG_STATE_HOME": str(folder / "state"), "PYTHONPATH": os.pathsep.join(sys.path)}
     with ExitStack() as stack:
-        drives = subprocess.Popen(
-            [sys.executable, "-m", "sim", "serve", str(cell), "--bus", bus],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-            env=environment,
-        )
+        with undisturbed():
+            drives = subprocess.Popen(
+                [sys.executable, "-m", "sim", "serve", str(cell), "--bus", bus],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+                env=environment,
+            )
         stack.callback(end, drives)
         assert drives.stdout is not None
         drives.stdout.readline()
