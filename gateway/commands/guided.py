@@ -144,11 +144,11 @@ class _Terminal:
         show_plan(plan)
         self.moving.ask(f"Arm '{plan.arm}' of cell '{self.cell}' will move. Is nobody near it?")
 
-    def bring(self, opened: OpenArm, target: Destination, options: MoveOptions) -> None:
+    def bring(self, opened: OpenArm, target: Destination, plan: Plan, options: MoveOptions) -> None:
         """Say where the arm goes, ask, and go there."""
-        announce(self.session, opened, target, options)
+        announce(self.session, opened, target, plan, options)
         self.moving.ask(f"Arm '{opened.config.name}' of cell '{self.cell}' will move. Is nobody near it?")
-        go_with_progress(self.session, opened, target, options)
+        go_with_progress(self.session, opened, target, plan, options)
 
     def hang(self, label: str) -> None:
         """Ask for a load, or for an empty flange; a line on stdin says that it is so."""

@@ -1,0 +1,144 @@
+"""fleet: many robots over months, in a store; ingest, analyse, report."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from drives.files import replace_file
+from gateway.commands.options import common, json_option, refuse_to_replace, session_of, write_json, writes
+from gateway.errors import InputError
+
+if TYPE_CHECKING:
+    from gateway.result.fleet import FleetHealth
+
+STORE = click.argument("store", type=click.Path(path_type=Path, file_okay=False))
+#: Robots that are named at the terminal.
+NAMED = 10
+INDEX = "index.html"
+
+
+@click.group()
+@common
+def fleet() -> None:
+    """Many robots over months: checks into a store, what drifts, who needs a visit."""
+
+
+@fleet.command("ingest")
+@STORE
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
+@json_option
+@common
+def fleet_ingest(store: Path, files: tuple[Path, ...], json_out: str | None) -> None:
+    """Add recordings (.h5), results (.json) and tables of summaries (.csv, .parquet), or folders of them, to STORE.
+
+    What is there already is not added again. A file that cannot be used is named, and the others are added.
+    """
+    from dataclasses import asdict
+
+    from gateway.fleet.ingest import ingest
+    from gateway.fleet.store import open_or_make
+
+    session = session_of()
+    with session.working("ingest"):
+        done = ingest(open_or_make(store), files, datetime.now(UTC))
+    session.show(f"{store}: {done.added} checks added, {done.known} were there, of {done.files} files")
+    if json_out:
+        write_json(json_out, {"schema": 1, **asdict(done)})
+    if done.refused or done.clock:
+        raise InputError.of([*done.refused, *done.clock])
+
+
+@fleet.command("analyse")
+@STORE
+@click.option(
+    "--scheduler", metavar="ADDRESS", help="Dask scheduler, tcp://HOST:PORT; processes of this machine if omitted."
+)
+@click.option(
+    "--workers", "count", type=click.IntRange(1), help="Processes on this machine; one per processor if omitted."
+)
+@click.option("--as-of", metavar="DATE", help="Judge as on that day (UTC); now if omitted.")
+@click.option("--silent-days", type=click.FloatRange(0, min_open=True), default=30.0, show_default=True,
+              help="A robot without a check for longer is not seen.")  # fmt: skip
+@json_option
+@common
+def fleet_analyse(
+    store: Path, scheduler: str | None, count: int | None, as_of: str | None, silent_days: float, json_out: str | None
+) -> None:
+    """Estimate every recording anew with this version, find what drifts, and rank the robots by what needs a visit.
+
+    A cluster has to see STORE under the same path. What was done is kept: after an interruption the rest is done.
+    """
+    from gateway.fleet.analyse import AsOf, analyse
+    from gateway.fleet.store import open_store
+    from gateway.fleet.workers import workers
+    from gateway.result.values import plain_values
+
+    if scheduler is not None and count is not None:
+        raise click.UsageError("--workers is of this machine; a scheduler has its own")
+    asked, opened, session = AsOf(_moment(as_of), silent_days), open_store(store), session_of()
+    with workers(scheduler, count) as spread, session.working("analysis"):
+        found = analyse(opened, spread, asked)
+    _show(found)
+    if json_out:
+        write_json(json_out, plain_values(found))
+    if found.failed:
+        raise InputError.of(found.failed)
+
+
+def _moment(text: str | None) -> datetime:
+    from gateway.fleet.identity import moment
+
+    if text is None:
+        return datetime.now(UTC)
+    try:
+        return moment(text)
+    except ValueError as error:
+        raise click.BadParameter(f"--as-of {text}: write a day such as 2026-03-01") from error
+
+
+def _show(found: FleetHealth) -> None:
+    from gateway.commands.console import grid
+    from gateway.report.fleet import headline
+
+    session = session_of()
+    asking = [line for line in found.robots if line.state != "healthy"][:NAMED]
+    rows = [[line.robot, line.state, line.why[0] if line.why else "", line.last_seen] for line in asking]
+    if rows:
+        session.show(grid("robots, most urgent first", ["robot", "state", "why", "last seen"], rows, left=4))
+    session.show(f"{headline(found)}; {found.checks} checks, {found.estimated} recordings estimated")
+
+
+@fleet.command("report")
+@STORE
+@writes(click.option("-o", "--output", metavar="FOLDER", type=click.Path(path_type=Path, file_okay=False),
+                     help="Folder for the pages; STORE/report if omitted."))  # fmt: skip
+@click.option("--robot", "robots", multiple=True, metavar="ROBOT", help="Only the pages of these robots.")
+@json_option
+@common
+def fleet_report(store: Path, output: Path | None, robots: tuple[str, ...], json_out: str | None) -> None:
+    """Pages of the last analysis: one of the fleet and one of every robot; they open offline and print on paper."""
+    from gateway.fleet.analyse import FLEET_FILE
+    from gateway.fleet.store import open_store
+    from gateway.report.fleet import render_fleet, render_robot
+    from gateway.result.fleet import read_fleet, read_robot
+
+    opened, session = open_store(store), session_of()
+    found = read_fleet(opened.analysis / FLEET_FILE)
+    folder = opened.path / "report" if output is None else output
+    if output is not None:
+        refuse_to_replace(output / INDEX, "-o", session)
+    known = [line.robot for line in found.robots if line.first_seen]
+    unknown = [name for name in robots if name not in known]
+    if unknown:
+        raise InputError(f"{store}: holds no robot '{unknown[0]}'; it holds {', '.join(known[:NAMED])}")
+    with session.working("pages"):
+        for name in robots or known:
+            replace_file(folder / f"{name}.html", render_robot(read_robot(opened.analysis / "robots" / f"{name}.json")))
+        replace_file(folder / INDEX, render_fleet(found))
+    if json_out:
+        write_json(json_out, {"schema": 1, "report": str(folder / INDEX), "robots": len(robots or known)})
+    session.show(f"report: {folder / INDEX}, {len(robots or known)} robots")

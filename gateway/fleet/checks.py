@@ -1,0 +1,249 @@
+"""Rows of checks: of a recording, of a result, and of a recording that is estimated anew."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from gateway.analyse.given import ModelRequest, estimate_options, given, read_rows
+from gateway.data.recording.reader import read
+from gateway.data.recording.recorded import ArmRecording, Recording
+from gateway.errors import DataUnusable, InputError
+from gateway.estimate import run
+from gateway.fleet.columns import ESTIMATE, RECORDING, RESULT, TEMPERATURE, axis_columns
+from gateway.fleet.identity import RobotName, moment, robot_name
+from gateway.result.origin import drives_of, file_sha256, software
+from gateway.result.result import LoadResult, NuisanceResult, Outcome, Result, read_result
+
+Row = dict[str, Any]
+#: Before this no recording was made: a clock that was never set.
+EARLIEST: Final = datetime(2000, 1, 1, tzinfo=UTC)
+#: By how much the clock of a robot may be ahead of the clock here [s].
+AHEAD_S: Final = 86400.0
+_ZERO_OFFSET: Final = "joint_zero_offset"
+#: Standard deviation of a gain over that of its constant, below which the data have told something.
+_TOLD: Final = 0.9
+#: A result does not say how well the constants were known: a gain is taken as assumed where its standard deviation is
+#: nearly that of the axis that is known worst, and its value nearly none.
+_LIKE_ASSUMED: Final = 0.9
+_UNMOVED: Final = 0.02
+
+
+def rows_of_recording(path: Path, now: datetime) -> list[Row]:
+    """A row per arm of a recording, without numbers: that it was made is all that is known before it is estimated.
+
+    Raises
+    ------
+    InputError
+        It cannot be used, or does not say when it was made.
+    """
+    recording = read(path)
+    at = _when(recording.created, str(path))
+    sha256 = file_sha256(path)
+    return [
+        _row(
+            _name(recording, arm),
+            at,
+            now,
+            kind=RECORDING,
+            source=path.name,
+            sha256=sha256,
+            line=number,
+            recordings=[sha256],
+            software=recording.software,
+            duration_s=_duration_s(arm),
+        )
+        for number, arm in enumerate(recording.arms)
+    ]
+
+
+def rows_of_result(path: Path, now: datetime) -> list[Row]:
+    """The row of a result.
+
+    Raises
+    ------
+    InputError
+        It cannot be used, or names no cell, or not when its data were recorded.
+    """
+    result = read_result(path)
+    drawn = result.data
+    if drawn is None or not drawn.cell or not drawn.arm:
+        raise InputError(
+            f"{path}: does not say which robot it is of: it was estimated without recording and cell; estimate again"
+            " with --cell, or from the recording"
+        )
+    recorded = [source for source in drawn.sources if source.created]
+    if not recorded:
+        raise InputError(f"{path}: does not say when its data were recorded; give the recording, or a summary table")
+    at = _when(str(recorded[0].created), str(path))
+    name = robot_name(drawn.cell, drawn.arm, [drive.serial_number for drive in drawn.drives])
+    told = _row(
+        name,
+        at,
+        now,
+        kind=RESULT,
+        source=path.name,
+        sha256=file_sha256(path),
+        recordings=[source.sha256 for source in recorded if source.sha256],
+        software=drawn.software or "",
+    )
+    return [told | numbers_of(result)]
+
+
+def estimated_rows(path: Path, sha256: str, now: datetime) -> list[Row]:
+    """A recording estimated anew, a row per arm; one that cannot answer is a row without numbers that says why.
+
+    Raises
+    ------
+    InputError
+        It cannot be read any more.
+    """
+    recording = read(path)
+    at = _when(recording.created, str(path))
+    rows: list[Row] = []
+    for number, arm in enumerate(recording.arms):
+        told = _row(
+            _name(recording, arm),
+            at,
+            now,
+            kind=ESTIMATE,
+            source=path.name,
+            sha256=sha256,
+            line=number,
+            recordings=[sha256],
+            software=software(),
+            duration_s=_duration_s(arm),
+        )
+        try:
+            about = given(ModelRequest(arm=arm.name), [path])
+            table = read_rows([path], about)
+            told |= numbers_of(run(table, about.model, estimate_options(about)), about.gain_std)
+            told[TEMPERATURE] = table.temperature_c.mean(axis=0).tolist()
+        except (DataUnusable, InputError) as error:
+            told["failing"] = [f"cannot be estimated: {error}"]
+        rows.append(told)
+    return rows
+
+
+def numbers_of(result: Result, gain_std: Sequence[float] | None = None) -> Row:
+    """What a result tells of every axis and of every load.
+
+    Parameters
+    ----------
+    result : Result
+    gain_std : sequence of N floats, optional
+        How well the torque constants were known before, relative: a gain that is known no better was not measured.
+    """
+    axes = len(result.friction_band_nm)
+    gain, bias = _measured(result.nuisance.get("gain"), gain_std), result.nuisance.get("bias_nm")
+    row: Row = {
+        "friction_band_nm": _list(result.friction_band_nm),
+        "loads": [_load(load, _outcome(result, load.label)) for load in result.loads],
+        "failing": [f"{each.where}: {each.what}" for each in result.findings if each.severity == "fail"],
+    }
+    for key, told in (("gain", gain), ("bias", bias)):
+        if told is not None:
+            suffix = "" if key == "gain" else "_nm"
+            row[f"{key}{suffix}"], row[f"{key}_std{suffix}"] = _list(told.value), _list(told.std)
+    for key in ("coulomb", "viscous"):
+        suffix = {"coulomb": "_nm", "viscous": "_nm_s_rad"}[key]
+        for column in (f"{key}{suffix}", f"{key}_std{suffix}"):
+            values = {axis.joint: float(getattr(axis, column)) for axis in result.motion}
+            row[column] = _list([values.get(joint, math.nan) for joint in range(1, axes + 1)])
+    offsets = {each.joints[0]: each for each in result.effects if each.name == _ZERO_OFFSET and each.joints}
+    for column, part in (("zero_offset_rad", "parameters"), ("zero_offset_std_rad", "std")):
+        told_by = {joint: float(getattr(each, part).get("offset_rad", math.nan)) for joint, each in offsets.items()}
+        row[column] = _list([told_by.get(joint, math.nan) for joint in range(1, axes + 1)])
+    return row
+
+
+def _measured(gain: NuisanceResult | None, gain_std: Sequence[float] | None) -> NuisanceResult | None:
+    """Gains without those that only repeat what was assumed: an axis that carries nothing does not tell its gain."""
+    if gain is None or not gain.value:
+        return gain
+    value, std = np.array(gain.value), np.array(gain.std)
+    if gain_std is not None:
+        told = std < _TOLD * np.asarray(gain_std)
+    else:
+        told = (std < _LIKE_ASSUMED * np.nanmax(std)) | (np.abs(value) > _UNMOVED * std)
+    return NuisanceResult(tuple(np.where(told, value, np.nan).tolist()), tuple(np.where(told, std, np.nan).tolist()))
+
+
+def clock_fault(at: datetime, now: datetime) -> str | None:
+    """Why a time cannot be; None where it can."""
+    if at < EARLIEST:
+        return f"its time is {at:%Y-%m-%d}: a clock that was never set"
+    if (at - now).total_seconds() > AHEAD_S:
+        return f"its time is {at:%Y-%m-%d %H:%M}, which is still to come"
+    return None
+
+
+def _when(text: str, where: str) -> datetime:
+    try:
+        return moment(text)
+    except ValueError as error:
+        raise InputError(
+            f"{where}: '{text}' is no time at which it could have been recorded; record it again"
+        ) from error
+
+
+def _row(name: RobotName, at: datetime, now: datetime, **told: Any) -> Row:
+    row: Row = dict.fromkeys(axis_columns())
+    row |= {
+        "robot": name.key,
+        "month": f"{at:%Y-%m}",
+        "time_utc": at.replace(tzinfo=None),
+        "duration_s": math.nan,
+        "cell": name.cell,
+        "arm": name.arm,
+        "serial_numbers": list(name.serial_numbers),
+        "line": 0,
+        "clock": clock_fault(at, now),
+        "loads": [],
+        "failing": [],
+    }
+    return row | told
+
+
+def _name(recording: Recording, arm: ArmRecording) -> RobotName:
+    identities = [each if isinstance(each, Mapping) else {} for each in arm.identities]
+    return robot_name(recording.cell.name, arm.name, [drive.serial_number for drive in drives_of(identities)])
+
+
+def _duration_s(arm: ArmRecording) -> float:
+    ends = [float(each.time_s[end]) for each in (*arm.visits, *arm.periods) if len(each.time_s) for end in (0, -1)]
+    return max(ends) - min(ends) if ends else 0.0
+
+
+def _load(load: LoadResult, outcome: Outcome | None) -> Row:
+    refused = load.refused is not None
+    return {
+        "program": load.label,
+        "mass_kg": _number(load.mass_kg),
+        "mass_std_kg": _number(load.mass_std_kg),
+        "com_m": None if load.com_m is None else _list(load.com_m),
+        "com_std_m": None if load.com_std_m is None else _list(load.com_std_m),
+        "outcome": "fail" if refused else outcome,
+    }
+
+
+def _outcome(result: Result, label: str) -> Outcome | None:
+    """How the load stood against what was expected; the worst of several."""
+    said = [each.outcome for each in result.acceptance if each.load == label]
+    for worst in ("fail", "cannot tell", "pass"):
+        if worst in said:
+            return worst
+    return None
+
+
+def _list(values: Sequence[float]) -> list[float | None]:
+    return [_number(value) for value in values]
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,53 @@
+"""Which robot a check is of: cell, arm and the serial numbers of the drives; and when it was made, in UTC."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+#: Letters of a name that stay in the name of a folder.
+_LONGEST = 40
+_CODE = 8
+
+
+@dataclass(frozen=True, slots=True)
+class RobotName:
+    """A robot: another drive on an axis is another robot, since its constants may differ."""
+
+    cell: str
+    arm: str
+    serial_numbers: tuple[int | None, ...] = ()
+
+    @property
+    def key(self) -> str:
+        """A name for folders and pages: readable, and unlike that of any other robot."""
+        told = json.dumps([self.cell, self.arm, list(self.serial_numbers)])
+        code = hashlib.sha256(told.encode()).hexdigest()[:_CODE]
+        return f"{_plain(self.cell)}-{_plain(self.arm)}-{code}"
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_]+", "_", text)[:_LONGEST] or "_"
+
+
+def robot_name(cell: str, arm: str, serial_numbers: Sequence[int | None]) -> RobotName:
+    """A robot; drives of which none tells a serial number are not told apart, and 0 is none."""
+    told = tuple(number or None for number in serial_numbers)
+    return RobotName(cell, arm, told if any(told) else ())
+
+
+def moment(text: str) -> datetime:
+    """A time of a file, in UTC; one without zone is UTC.
+
+    Raises
+    ------
+    ValueError
+        It is no time.
+    """
+    plain = text.strip().removesuffix(" UTC")
+    at = datetime.fromisoformat(plain)
+    return at.replace(tzinfo=UTC) if at.tzinfo is None else at.astimezone(UTC)

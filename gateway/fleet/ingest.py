@@ -1,0 +1,134 @@
+"""Files into the store: every one that can be used, whatever is wrong with the others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Final
+
+from drives.files import replace_file
+from gateway.data.reading import is_recording
+from gateway.errors import InputError
+from gateway.fleet.checks import Row, rows_of_recording, rows_of_result
+from gateway.fleet.columns import columns
+from gateway.fleet.libraries import library
+from gateway.fleet.store import Store
+from gateway.fleet.summaries import SUFFIXES, summary_blocks
+
+#: Recordings, results and blocks of tables that are held before they are written, and rows of tables: files of months
+#: are written once for many.
+_HELD: Final = 2000
+_HELD_OF_TABLES: Final = 100_000
+
+
+@dataclass(frozen=True, slots=True)
+class Ingested:
+    """What became of the files: `added` rows, `known` rows that were there, `refused` sentences, `clock` remarks."""
+
+    files: int
+    added: int
+    known: int
+    refused: tuple[str, ...]
+    clock: tuple[str, ...]
+
+
+def ingest(
+    store: Store, paths: Iterable[Path], now: datetime, tell: Callable[[str], None] = lambda _: None
+) -> Ingested:
+    """Add recordings (.h5), results (.json) and tables of summaries (.csv, .parquet); folders with all they hold.
+
+    Parameters
+    ----------
+    store : Store
+    paths : iterable of Path
+    now : datetime
+        In UTC: later times cannot be.
+    tell : callable
+        Hears of every file.
+
+    Raises
+    ------
+    InputError
+        The store cannot be written. A file that cannot be used is in `refused` instead.
+    """
+    files = added = rows = 0
+    refused: list[str] = []
+    faults: dict[str, tuple[int, str]] = {}
+    with store.writing():
+        held: list[Any] = []
+        for path in _files(paths):
+            files += 1
+            tell(path.name)
+            try:
+                for block in _blocks(store, path, now):
+                    held.append(block)
+                    rows += block.num_rows
+                    _note_clock(faults, path, block)
+            except InputError as error:
+                refused.append(str(error))
+            if len(held) >= _HELD or sum(block.num_rows for block in held) >= _HELD_OF_TABLES:
+                added += store.add(library("pyarrow").concat_tables(held))
+                held = []
+        if held:
+            added += store.add(library("pyarrow").concat_tables(held))
+    clock = [
+        f"{where}: {count} {'check has' if count == 1 else 'checks have'} a time that cannot be ({why}); kept, and in"
+        " no trend: set the clock of the robot"
+        for where, (count, why) in faults.items()
+    ]
+    return Ingested(files, added, rows - added, tuple(refused), tuple(clock))
+
+
+def _files(paths: Iterable[Path]) -> Iterator[Path]:
+    kinds = {".h5", ".hdf5", ".json", *SUFFIXES}
+    for path in paths:
+        if path.is_dir():
+            found = (each for each in sorted(path.rglob("*")) if each.suffix.lower() in kinds and each.is_file())
+            yield from (each for each in found if not each.name.startswith("."))
+        else:
+            yield path
+
+
+def _blocks(store: Store, path: Path, now: datetime) -> Iterator[Any]:
+    if is_recording(path):
+        rows = rows_of_recording(path, now)
+        if not rows:
+            raise InputError(f"{path}: holds no arm: nothing was recorded")
+        _keep(store, path, rows[0])
+        yield _table(rows)
+    elif path.suffix.lower() == ".json":
+        yield _table(rows_of_result(path, now))
+    elif path.suffix.lower() in SUFFIXES:
+        yield from summary_blocks(path, now)
+    else:
+        raise InputError(
+            f"{path}: no recording (.h5), no result (.json) and no table of summaries ({', '.join(SUFFIXES)})"
+        )
+
+
+def _table(rows: list[Row]) -> Any:
+    pa = library("pyarrow")
+    schema = columns()
+    told = pa.schema([("robot", pa.string()), ("month", pa.string()), *schema])
+    return pa.Table.from_pylist(rows, schema=told)
+
+
+def _keep(store: Store, path: Path, row: Row) -> None:
+    """A copy of the recording, which is estimated anew from the store alone."""
+    place = store.place_of_recording(row["robot"], row["month"], row["sha256"])
+    if place.exists():
+        return
+    try:
+        replace_file(place, path.read_bytes())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be copied into the store: {error.strerror or error}") from error
+
+
+def _note_clock(faults: dict[str, tuple[int, str]], path: Path, block: Any) -> None:
+    count = block.num_rows - block["clock"].null_count
+    if count:
+        before = faults.get(str(path), (0, ""))
+        first = next(said for said in block["clock"].to_pylist() if said)
+        faults[str(path)] = (before[0] + count, before[1] or first)

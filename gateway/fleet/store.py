@@ -1,0 +1,231 @@
+"""The store of a fleet: Parquet files by robot and month (hive folders), which DuckDB reads as one table.
+
+    STORE/store.json                                      what this folder is
+    STORE/checks/robot=R/month=YYYY-MM/checks.parquet     a row per check
+    STORE/recordings/robot=R/month=YYYY-MM/SHA256.h5      copies of the recordings, to be estimated anew
+    STORE/months.parquet                                  a row per robot and month: what a fleet is asked for most
+    STORE/analysis/                                       what the last analysis said
+
+Every file is written under a temporary name and renamed. The same row is never held twice.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from drives.files import replace_file
+from gateway.data.recording.lock import sole_writer
+from gateway.errors import InputError
+from gateway.fleet.columns import IDENTITY, SCHEMA, SCHEMA_KEY, columns
+from gateway.fleet.libraries import library
+from gateway.fleet.months import months_of, with_months
+from gateway.result.fleet import FLEET_KIND
+from gateway.result.values import check_kind, json_object, text_of
+
+MARK: Final = "store.json"
+CHECKS: Final = "checks.parquet"
+#: How long another ingest may take to come to its end [s].
+PATIENCE_S: Final = 60.0
+#: Written fast and read fast; a month of one robot is too little for more.
+_WRITING: Final[dict[str, Any]] = {"compression": "snappy", "use_dictionary": False, "write_statistics": False}
+
+
+@dataclass(frozen=True, slots=True)
+class Store:
+    """A folder that is one."""
+
+    path: Path
+
+    @property
+    def months(self) -> Path:
+        """File with a row per robot and month."""
+        return self.path / "months.parquet"
+
+    @property
+    def analysis(self) -> Path:
+        """Folder of the last analysis."""
+        return self.path / "analysis"
+
+    def robots(self) -> list[str]:
+        """Robots that any check is of."""
+        return sorted(folder.name.partition("=")[2] for folder in (self.path / "checks").glob("robot=*"))
+
+    def files(self, robot: str) -> list[Path]:
+        """Files of one robot, by month."""
+        return sorted((self.path / "checks" / f"robot={robot}").glob(f"month=*/{CHECKS}"))
+
+    def recordings(self) -> Iterator[tuple[str, Path]]:
+        """Robot and path of every recording, one after another."""
+        for folder in sorted((self.path / "recordings").glob("robot=*")):
+            for file in sorted(folder.glob("month=*/*.h5")):
+                yield folder.name.partition("=")[2], file
+
+    def place_of_recording(self, robot: str, month: str, sha256: str) -> Path:
+        """Where the copy of a recording lies."""
+        return self.path / "recordings" / f"robot={robot}" / f"month={month}" / f"{sha256}.h5"
+
+    def place(self, robot: str, month: str) -> Path:
+        """File of one robot and month."""
+        return self.path / "checks" / f"robot={robot}" / f"month={month}" / CHECKS
+
+    def read(self, robot: str) -> Any:
+        """Rows of one robot, all months, as an Arrow table in the order of time.
+
+        Raises
+        ------
+        InputError
+            A file that cannot be read, or of another schema.
+        """
+        parts = [read_file(file) for file in self.files(robot)]
+        table = library("pyarrow").concat_tables(parts) if parts else columns().empty_table()
+        return table.sort_by("time_utc")
+
+    @contextmanager
+    def writing(self) -> Generator[None]:
+        """Nobody else writes meanwhile.
+
+        Raises
+        ------
+        InputError
+            Another one goes on writing.
+        """
+        with sole_writer(self.path / "store", PATIENCE_S):
+            yield
+
+    def add(self, table: Any) -> int:
+        """Add rows to the files of their robots and months; the caller holds `writing`.
+
+        Parameters
+        ----------
+        table : Arrow table with the columns of a file, `robot` and `month`
+
+        Returns
+        -------
+        int
+            Rows that were new.
+
+        Raises
+        ------
+        InputError
+            A file that is there cannot be read, or nothing can be written; what was there is untouched.
+        """
+        added, ready, places, parts = 0, [], [], []
+        for robot, month, rows in _by_place(table):
+            place = self.place(robot, month)
+            if place.exists():
+                known = read_file(place)
+                rows = _unknown(rows, known)
+                if not rows.num_rows:
+                    continue
+                merged = library("pyarrow").concat_tables([known, rows]).sort_by("time_utc")
+            else:
+                merged = rows
+            added += rows.num_rows
+            ready.append((_written_aside(place, merged), place))
+            places.append((robot, month))
+            parts.append(merged)
+        if ready:
+            os.sync()
+            for aside, place in ready:
+                os.replace(aside, place)
+            with_months(self.months, months_of(places, parts))
+        return added
+
+
+def read_file(path: Path) -> Any:
+    """Rows of one file.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or its columns are of another version.
+    """
+    pa, parquet = library("pyarrow"), library("pyarrow.parquet")
+    try:
+        # Not memory mapped: the file may be replaced meanwhile.
+        with path.open("rb") as stream:
+            table = parquet.read_table(stream, use_threads=False, partitioning=None)
+    except (OSError, pa.ArrowException) as error:
+        words = " ".join(str(error).split())[:160]
+        raise InputError(
+            f"{path}: cannot be read as Parquet ({words}); take it out of the store and ingest its sources again"
+        ) from error
+    said = (table.schema.metadata or {}).get(SCHEMA_KEY)
+    if said != str(SCHEMA).encode() or table.schema.names != columns().names:
+        told = "none" if said is None else said.decode(errors="replace")
+        raise InputError(
+            f"{path}: is of schema {told}, this version reads and writes schema {SCHEMA}: take it out of the store and"
+            " ingest its sources again, or use the version that wrote it"
+        )
+    return table.cast(columns())
+
+
+def open_store(path: Path) -> Store:
+    """The store that a folder is.
+
+    Raises
+    ------
+    InputError
+        It is none, or one of another schema.
+    """
+    mark = path / MARK
+    if not mark.is_file():
+        raise InputError(f"{path}: is no store of a fleet; make one with servo-gateway fleet ingest {path} FILE...")
+    data = json_object(text_of(mark, "ingest into another folder"), str(mark))
+    check_kind(data, SCHEMA, FLEET_KIND, str(mark))
+    return Store(path)
+
+
+def open_or_make(path: Path) -> Store:
+    """The store that a folder is, or becomes if it is empty or not there.
+
+    Raises
+    ------
+    InputError
+        It holds other things.
+    """
+    if (path / MARK).is_file():
+        return open_store(path)
+    try:
+        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+            raise InputError(f"{path}: is no store of a fleet and not empty; name a new folder")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    replace_file(path / MARK, json.dumps({"kind": FLEET_KIND, "schema": SCHEMA}) + "\n")
+    return Store(path)
+
+
+def _by_place(table: Any) -> Iterator[tuple[str, str, Any]]:
+    """Robot, month and rows, a place at a time."""
+    table = table.sort_by([("robot", "ascending"), ("month", "ascending"), ("time_utc", "ascending")]).combine_chunks()
+    robots, months = table["robot"].to_pylist(), table["month"].to_pylist()
+    rows = table.select(columns().names).cast(columns())
+    first = 0
+    for row in range(1, len(robots) + 1):
+        if row == len(robots) or robots[row] != robots[first] or months[row] != months[first]:
+            yield robots[first], months[first], rows.slice(first, row - first)
+            first = row
+
+
+def _unknown(rows: Any, known: Any) -> Any:
+    """Rows that are not held yet."""
+    held = set(zip(*(known[name].to_pylist() for name in IDENTITY), strict=True))
+    new = [key not in held for key in zip(*(rows[name].to_pylist() for name in IDENTITY), strict=True)]
+    return rows if all(new) else rows.filter(library("pyarrow").array(new))
+
+
+def _written_aside(place: Path, table: Any) -> Path:
+    aside = place.with_name(f".{place.name}.tmp")
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        library("pyarrow.parquet").write_table(table, aside, **_WRITING)
+    except OSError as error:
+        aside.unlink(missing_ok=True)
+        raise InputError(f"{place}: cannot be written: {error.strerror or error}") from error
+    return aside

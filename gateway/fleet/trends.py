@@ -1,0 +1,247 @@
+"""Trends of a robot: what every quantity does over the months, and on which day a drift was told first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import datetime, timedelta
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.fleet.history import CheckSeries
+from gateway.fleet.told import (
+    DRIFT,
+    FEWEST_CHECKS,
+    FEWEST_DAYS,
+    POWER_SIGMAS,
+    mixed,
+    needed_sigmas,
+    sigmas,
+    weights,
+)
+from gateway.fleet.wander import SHAPES, FittedLines, Sums, lines, sums
+from gateway.result.fleet import MASS, FleetTrend, TrendCurve
+from gateway.result.interval import half_width
+from gateway.result.values import NAN
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+#: Days between looks at the same line.
+LOOK_DAYS: Final = 7.0
+DAYS_OF_A_YEAR: Final = 365.25
+LEVEL, PER_K, PER_KG = 0, 2, 3
+#: Dots of a curve that is drawn.
+_DOTS: Final = 90
+_LINE: Final = 25
+#: A robot whose shape of wander nobody has seen: each is as likely, together as much as one series that is seen.
+_PRIOR_SERIES: Final = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Wanders:
+    """How often each shape of wander is seen in the fleet, by quantity: logarithms, one per shape."""
+
+    log_share: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+    def of(self, series: CheckSeries) -> Floats:
+        """Logarithm of the share (G, M) of every shape for every series."""
+        even = (-float(np.log(len(SHAPES))),) * len(SHAPES)
+        rows = [self.log_share.get(each.key, even) for each in series.quantities]
+        return np.array(rows).reshape(-1, len(SHAPES)).T
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """The lines as they were after so many checks."""
+
+    checks: int
+    day: float
+    sums: Sums
+
+
+def looks_of(series: CheckSeries) -> list[Look]:
+    """Lines at every look, the first after four weeks, the last after the last check."""
+    count = len(series.time_a)
+    if not count or not series.quantities:
+        return []
+    day = series.time_a * DAYS_OF_A_YEAR
+    marks = np.arange(FEWEST_DAYS, day[-1] + LOOK_DAYS, LOOK_DAYS)
+    at = np.unique(np.append(np.searchsorted(day, marks[marks <= day[-1]], side="right"), count))
+    at = at[at >= 1]
+    told = sums(series.time_a, _columns(series), _relative_std(series), at)
+    return [Look(int(row), float(day[row - 1]), each) for row, each in zip(at, told, strict=True)]
+
+
+def active_columns(series: CheckSeries) -> Flags:
+    """Columns (M, 4) that are there: level, drift, temperature, load."""
+    changed = [_changes(series.value, table) for table in (series.temperature_c, series.load_kg)]
+    always = np.ones(len(series.quantities), dtype=bool)
+    return np.stack([always, always, *changed], axis=1)
+
+
+def _changes(value: Floats, table: Floats) -> Flags:
+    there = np.isfinite(value) & np.isfinite(table)
+    span = np.where(there, table, -np.inf).max(axis=0, initial=-np.inf) - np.where(there, table, np.inf).min(
+        axis=0, initial=np.inf
+    )
+    return np.isfinite(span) & (span > 1e-9)
+
+
+def _columns(series: CheckSeries) -> Floats:
+    """(n, M, 5): level, drift, temperature, load and the value, scaled so that a line is told in ones."""
+    shape = series.value.shape
+    time = np.broadcast_to(series.time_a[:, None], shape)
+    return np.stack([np.ones(shape), time, series.temperature_c, series.load_kg, series.value], axis=2)
+
+
+def _relative_std(series: CheckSeries) -> Floats:
+    """Standard deviation of every check over the median one (n, M); 1 where it is not told."""
+    known = np.isfinite(series.std) & (series.std > 0.0) & np.isfinite(series.value)
+    usual = np.array(
+        [np.median(column[flags]) if flags.any() else 1.0 for column, flags in zip(series.std.T, known.T, strict=True)]
+    )
+    return np.where(known, np.where(known, series.std, 1.0) / np.maximum(usual, 1e-300), 1.0)
+
+
+# -- how the fleet wanders ---------------------------------------------------------------------------------------------
+
+
+def seen_likelihoods(series: CheckSeries) -> dict[str, list[Floats]]:
+    """By quantity the log likelihood (G,) of every shape, a series each that is long enough."""
+    looks = looks_of(series)
+    if not looks:
+        return {}
+    last = lines(looks[-1].sums, active_columns(series))
+    out: dict[str, list[Floats]] = {}
+    for index, each in enumerate(series.quantities):
+        if last.freedom[index] >= FEWEST_CHECKS:
+            out.setdefault(each.key, []).append(last.log_likelihood[:, index])
+    return out
+
+
+def wanders_of(seen: Sequence[Mapping[str, Sequence[Floats]]]) -> Wanders:
+    """How often each shape is seen: the shares under which the series of the fleet are most likely (EM)."""
+    keys = {key for each in seen for key in each}
+    shares: dict[str, tuple[float, ...]] = {}
+    for key in sorted(keys):
+        log = np.stack([row for each in seen for row in each.get(key, ())])
+        like = np.exp(log - log.max(axis=1, keepdims=True))
+        share = np.full(len(SHAPES), 1.0 / len(SHAPES))
+        for _ in range(200):
+            part = like * share
+            part /= part.sum(axis=1, keepdims=True)
+            share = (part.sum(axis=0) + _PRIOR_SERIES / len(SHAPES)) / (len(log) + _PRIOR_SERIES)
+        shares[key] = tuple(np.log(share).tolist())
+    return Wanders(shares)
+
+
+# -- trends ------------------------------------------------------------------------------------------------------------
+
+
+def trends_of(
+    series: CheckSeries, wanders: Wanders, first: datetime
+) -> tuple[tuple[FleetTrend, ...], tuple[TrendCurve, ...]]:
+    """Trend and curve of every series.
+
+    Parameters
+    ----------
+    series : CheckSeries
+    wanders : Wanders
+        How the fleet wanders.
+    first : datetime
+        Of the first check.
+    """
+    looks = looks_of(series)
+    if not looks:
+        return (), ()
+    active, log_prior = active_columns(series), wanders.of(series)
+    seen = np.isfinite(series.value).sum(axis=0)
+    needed = needed_sigmas(int((seen >= FEWEST_CHECKS).sum()))
+    found: dict[int, float] = {}
+    for look in looks:
+        told = lines(look.sums, active)
+        weight = weights(told, log_prior)
+        size = _long_enough(series, look, sigmas(told, weight))
+        for index in np.flatnonzero(np.abs(np.nan_to_num(size)) >= needed):
+            found.setdefault(int(index), look.day)
+    told, weight = _last(looks, active, log_prior)
+    size = _long_enough(series, looks[-1], sigmas(told, weight))
+    mean, covariance = mixed(told, weight)
+    both = zip(mean, covariance, strict=True)
+    told_of = [_trend(series, index, line, active[index], float(size[index])) for index, line in enumerate(both)]
+    trends = tuple(
+        replace(
+            trend,
+            needed_sigmas=needed,
+            found_on=_day(first, found.get(index)),
+            detectable_per_year=(POWER_SIGMAS + needed) * trend.drift_std_per_year,
+        )
+        for index, trend in enumerate(told_of)
+    )
+    curves = tuple(_curve(series, index, mean[index], covariance[index]) for index in range(len(series.quantities)))
+    return trends, curves
+
+
+def _last(looks: Sequence[Look], active: Flags, log_prior: Floats) -> tuple[FittedLines, Floats]:
+    told = lines(looks[-1].sums, active)
+    return told, weights(told, log_prior)
+
+
+def _long_enough(series: CheckSeries, look: Look, size: Floats) -> Floats:
+    """Nothing is told of a line from fewer than four weeks or fourteen checks."""
+    there = np.isfinite(series.value[: look.checks])
+    day = series.time_a[: look.checks, None] * DAYS_OF_A_YEAR
+    span = np.where(there, day, -np.inf).max(axis=0) - np.where(there, day, np.inf).min(axis=0)
+    return np.where((span >= FEWEST_DAYS - 0.5) & (there.sum(axis=0) >= FEWEST_CHECKS), size, np.nan)
+
+
+def _day(first: datetime, day: float | None) -> str | None:
+    return None if day is None else f"{first + timedelta(days=day):%Y-%m-%d}"
+
+
+def _trend(series: CheckSeries, index: int, line: tuple[Floats, Floats], active: Flags, size: float) -> FleetTrend:
+    """What the line says, before it is held against what is needed."""
+    mean, covariance = line
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    known = np.isfinite(size)
+    return FleetTrend(
+        quantity=series.quantities[index].key,
+        joint=series.joints[index],
+        program=series.programs[index],
+        checks=int(np.isfinite(series.value[:, index]).sum()),
+        level=float(mean[LEVEL]),
+        level_std=float(std[LEVEL]),
+        drift_per_year=float(mean[DRIFT]) if known else NAN,
+        drift_std_per_year=float(std[DRIFT]) if known else NAN,
+        sigmas=size,
+        per_k=float(mean[PER_K]) if active[PER_K] and known else NAN,
+        per_kg=float(mean[PER_KG]) if active[PER_KG] and known and series.quantities[index] is not MASS else NAN,
+    )
+
+
+def _curve(series: CheckSeries, index: int, mean: Floats, covariance: Floats) -> TrendCurve:
+    """Checks as they would read at the mean temperature and load, means of neighbours; the line and its 95 % band."""
+    value = series.value[:, index]
+    moved = mean[PER_K] * series.temperature_c[:, index] + mean[PER_KG] * series.load_kg[:, index]
+    use = np.isfinite(value) & np.isfinite(moved)
+    day, level = series.time_a[use] * DAYS_OF_A_YEAR, (value - moved)[use]
+    groups = [group for group in np.array_split(np.arange(len(day)), min(_DOTS, max(len(day), 1))) if len(group)]
+    at = np.linspace(day[0], day[-1], _LINE) if len(day) > 1 else np.zeros(0)
+    time = at / DAYS_OF_A_YEAR
+    line = mean[LEVEL] + mean[DRIFT] * time
+    spread = covariance[LEVEL, LEVEL] + 2.0 * time * covariance[LEVEL, DRIFT] + time**2 * covariance[DRIFT, DRIFT]
+    half = half_width(1.0) * np.sqrt(np.maximum(spread, 0.0))
+    return TrendCurve(
+        quantity=series.quantities[index].key,
+        joint=series.joints[index],
+        program=series.programs[index],
+        day=tuple(round(float(day[group].mean()), 3) for group in groups),
+        value=tuple(float(level[group].mean()) for group in groups),
+        line_day=tuple(at.tolist()),
+        line=tuple(line.tolist()),
+        low=tuple((line - half).tolist()),
+        high=tuple((line + half).tolist()),
+    )

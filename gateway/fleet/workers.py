@@ -1,0 +1,141 @@
+"""Work spread over processes by Dask: those of this machine, or those of a cluster, by the same code.
+
+Only so much work is handed out as is being done, so that memory does not grow with the number of tasks. What a worker
+was at when it was killed is done again by another one.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, Final, Protocol, TypeVar
+
+from gateway.errors import ConfigError, GatewayError
+from gateway.fleet.libraries import library
+
+Item = TypeVar("Item")
+Done = TypeVar("Done")
+#: How long a scheduler may take to answer [s].
+PATIENCE_S: Final = 15.0
+#: Tasks handed out for every worker: one that it does, and the next one.
+_AHEAD: Final = 2
+
+
+class Spreading(Protocol):
+    """Does a function of many items; gives each with what came of it, a `GatewayError` included, in any order."""
+
+    def __call__(
+        self, function: Callable[[Item], Done], items: Iterable[Item]
+    ) -> Iterator[tuple[Item, Done | GatewayError]]: ...
+
+
+def one_by_one(function: Callable[[Item], Done], items: Iterable[Item]) -> Iterator[tuple[Item, Done | GatewayError]]:
+    """In this process."""
+    for item in items:
+        yield item, _guarded(function, item)
+
+
+@contextmanager
+def workers(scheduler: str | None, count: int | None = None) -> Generator[Spreading]:
+    """Workers of a cluster, or of this machine where no scheduler is named.
+
+    Parameters
+    ----------
+    scheduler : str or None
+        Address, such as tcp://10.0.0.5:8786.
+    count : int, optional
+        Processes on this machine; one per processor if omitted.
+
+    Raises
+    ------
+    ConfigError
+        Nobody answers there, or no more.
+    """
+    distributed = library("distributed")
+    library("dask").config.set({"distributed.comm.timeouts.connect": f"{PATIENCE_S}s"})
+    cluster: Any = None
+    client: Any = None
+    try:
+        if scheduler is None:
+            cluster = distributed.LocalCluster(
+                n_workers=count or len(os.sched_getaffinity(0)),
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address=None,
+                silence_logs="CRITICAL",
+            )
+        try:
+            client = distributed.Client(cluster or scheduler, timeout=PATIENCE_S, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise ConfigError(
+                f"--scheduler {scheduler}: nobody answers there; start one (dask scheduler), or leave --scheduler out"
+                " to work on this machine"
+            ) from error
+        yield _Dask(client, scheduler or "the workers of this machine")
+    finally:
+        with suppress(OSError, TimeoutError):
+            if client is not None:
+                client.close(timeout=1.0)
+            if cluster is not None:
+                cluster.close(timeout=10.0)
+
+
+class _Dask:
+    """Tasks by a client."""
+
+    def __init__(self, client: Any, where: str) -> None:
+        self._client = client
+        self._where = where
+
+    def __call__(
+        self, function: Callable[[Item], Done], items: Iterable[Item]
+    ) -> Iterator[tuple[Item, Done | GatewayError]]:
+        """As `Spreading` says.
+
+        Raises
+        ------
+        ConfigError
+            The scheduler went away, or there is no worker; what was given is done.
+        """
+        waiting = iter(items)
+        threads = sum(self._client.nthreads().values())
+        if not threads:
+            raise ConfigError(f"{self._where}: has no worker; start one (dask worker ADDRESS)")
+        finished = library("distributed").as_completed(loop=self._client.loop, raise_errors=False)
+        items_of: dict[str, Item] = {}
+
+        def hand_out() -> None:
+            for item in waiting:
+                future = self._client.submit(_guarded, function, item, pure=False)
+                items_of[future.key] = item
+                finished.add(future)
+                return
+
+        for _ in range(_AHEAD * threads):
+            hand_out()
+        for future in finished:
+            item = items_of.pop(future.key)
+            yield item, self._result(future)
+            future.release()
+            hand_out()
+
+    def _result(self, future: Any) -> Any:
+        if future.status == "finished":
+            return future.result()
+        if future.status == "error":
+            error = future.exception()
+            if isinstance(error, library("distributed").KilledWorker):
+                return GatewayError("every worker that tried it was killed; give the workers more memory")
+            raise error
+        raise ConfigError(
+            f"{self._where}: the scheduler went away; what was done is kept: run the same command again for the rest"
+        )
+
+
+def _guarded(function: Callable[[Item], Done], item: Item) -> Done | GatewayError:
+    """An error of the data is an answer; anything else is a defect."""
+    try:
+        return function(item)
+    except GatewayError as error:
+        return error

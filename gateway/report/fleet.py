@@ -1,0 +1,185 @@
+"""The pages on many robots: one on the fleet, one on every robot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from markupsafe import Markup
+
+from gateway.report import words
+from gateway.report.page import Head, page
+from gateway.report.svg import Panel, limits
+from gateway.result.fleet import (
+    GAIN,
+    MASS,
+    QUANTITIES,
+    STATES,
+    FleetHealth,
+    FleetTrend,
+    RobotHealth,
+    RobotLine,
+    State,
+    Tracked,
+    TrendCurve,
+    quantity,
+)
+from gateway.result.interval import half_width
+from gateway.result.numerals import plus_minus, with_interval
+
+TAGS: dict[State, str] = {"visit": "fail", "not seen": "warn", "cannot tell": "warn", "healthy": "pass"}
+STATUS: dict[State, str] = {"visit": "bad", "not seen": "open", "cannot tell": "open", "healthy": "good"}
+IN_WORDS: dict[State, str] = {
+    "visit": "needs a visit",
+    "not seen": "has not been seen lately",
+    "cannot tell": "cannot be told yet",
+    "healthy": "is healthy",
+}
+PERCENT = 100.0
+WIDTH, HEIGHT = 330.0, 170.0
+#: Robots that are drawn: the first of the list.
+DRAWN = 60
+
+
+def render_fleet(fleet: FleetHealth) -> str:
+    """HTML text of the page on a fleet."""
+    about = (("as of", fleet.as_of), ("robots", str(len(fleet.robots))), ("checks", str(fleet.checks)),
+             ("", fleet.software))  # fmt: skip
+    drawn = [line for line in fleet.robots[:DRAWN] if math.isfinite(line.gain_std_per_year)]
+    return page(
+        "fleet.html.j2",
+        Head("Fleet", "Fleet report", about),
+        fleet=fleet,
+        status=_status(fleet),
+        headline=headline(fleet),
+        counts="; ".join(f"{fleet.count(state)} {state}" for state in STATES),
+        tags=TAGS,
+        gains=_gains(drawn) if drawn else None,
+        more=max(0, len(fleet.robots) - DRAWN),
+        tolerance=words.significant(PERCENT * GAIN.tolerance),
+    )
+
+
+def headline(fleet: FleetHealth) -> str:
+    """The fleet in one line; what is not known is not called healthy."""
+    visits, total = fleet.count("visit"), len(fleet.robots)
+    if not total:
+        return "No robot in the store"
+    unknown = fleet.count("not seen") + fleet.count("cannot tell")
+    said = f"{visits} of {total} robots need a visit" if visits != 1 else f"1 of {total} robots needs a visit"
+    return f"{said}, {unknown} cannot be judged" if unknown else said
+
+
+def _status(fleet: FleetHealth) -> str:
+    worst: list[State] = [state for state in STATES if fleet.count(state)]
+    return STATUS[worst[0]] if worst else STATUS["cannot tell"]
+
+
+def _gains(lines: list[RobotLine]) -> Markup:
+    """Surest drift of a gain of every robot with its interval."""
+    centre = [PERCENT * line.gain_per_year for line in lines]
+    half = [PERCENT * half_width(line.gain_std_per_year) for line in lines]
+    limit = PERCENT * GAIN.tolerance
+    ends = [value + side * each for value, each in zip(centre, half, strict=True) for side in (-1, 1)]
+    panel = Panel(
+        1020.0, 260.0, (0.3, len(lines) + 0.7), limits(ends, include=(-1.2 * limit, 1.2 * limit)), bottom=56.0
+    )
+    panel.y_axis("drift of the gain [% a year]")
+    for side in (-1, 1):
+        panel.segment((panel.x_range[0], side * limit), (panel.x_range[1], side * limit), "limit")
+    for place, (line, value, each) in enumerate(zip(lines, centre, half, strict=True), start=1):
+        colour = "c5" if line.state == "visit" else "c2"
+        panel.segment((place, value - each), (place, value + each), f"whisker {colour}")
+        drift = with_interval(line.gain_per_year, line.gain_std_per_year, PERCENT)
+        panel.dot(place, value, f"spot {colour}", f"{line.robot}, {words.axis(line.gain_joint)}: {drift} % a year")
+    base = panel.height - panel.bottom
+    step = max(1, math.ceil(len(lines) / 20))
+    for place in range(1, len(lines) + 1, step):
+        panel.text(panel.x(place), base + 14, str(place), "tick mid")
+    panel.x_label("robot, by its place in the list")
+    return panel.svg("Drift of the gain of the surest axis of every robot, with its 95 % interval")
+
+
+def render_robot(robot: RobotHealth) -> str:
+    """HTML text of the page on one robot."""
+    line = robot.line
+    serials = ", ".join("?" if number is None else str(number) for number in line.serial_numbers)
+    about = (("cell", line.cell), ("arm", line.arm), ("drives", serials or None), ("first seen", line.first_seen),
+             ("last seen", line.last_seen), ("checks", str(line.checks)), ("as of", robot.as_of),
+             ("", robot.software))  # fmt: skip
+    return page(
+        "fleet_robot.html.j2",
+        Head(f"Robot {line.robot}", f"Robot {line.robot}", about),
+        robot=robot,
+        status=STATUS[line.state],
+        headline=f"{line.cell}, arm {line.arm}: {IN_WORDS[line.state]}",
+        loads=_loads(robot),
+        quantities=list(_quantities(robot)),
+    )
+
+
+def _loads(robot: RobotHealth) -> list[tuple[str, ...]]:
+    return [
+        (
+            load.program,
+            with_interval(load.first_kg, load.first_std_kg),
+            with_interval(load.last_kg, load.last_std_kg),
+            load.last_seen or words.plain(None),
+            str(load.checks),
+            load.outcome,
+            load.why,
+        )
+        for load in robot.loads
+    ]
+
+
+def _quantities(robot: RobotHealth) -> Iterator[tuple[str, list[tuple[str, ...]], list[tuple[str, Markup]]]]:
+    """Of every quantity that was measured its name, a row per axis, and a panel per axis."""
+    for kind in (*QUANTITIES, MASS):
+        trends = [trend for trend in robot.trends if trend.quantity == kind.key]
+        if trends:
+            name = kind.words[:1].upper() + kind.words[1:]
+            curves = [curve for curve in robot.curves if curve.quantity == kind.key]
+            yield name, [_row(trend) for trend in trends], [_panel(kind, curve) for curve in curves if curve.day]
+
+
+def _place(joint: int, program: str) -> str:
+    return words.axis(joint) if joint else program
+
+
+def _row(trend: FleetTrend) -> tuple[str, ...]:
+    kind = quantity(trend.quantity)
+    share = kind.relative or not kind.unit
+    value, std = (
+        (trend.share_per_year, trend.share_std_per_year) if share else (trend.drift_per_year, trend.drift_std_per_year)
+    )
+    factor, unit = (PERCENT, "%") if share else (1000.0, f"m{kind.unit}")
+    least = trend.detectable_share if share else trend.detectable_per_year
+    level, half = plus_minus(trend.level, half_width(trend.level_std))
+    return (
+        _place(trend.joint, trend.program),
+        f"{level} \N{PLUS-MINUS SIGN} {half} {kind.unit}".strip() if half else level,
+        f"{with_interval(value, std, factor)} {unit}" if math.isfinite(value) else "too few checks",
+        words.plain(trend.sigmas, 1),
+        words.plain(trend.needed_sigmas, 1),
+        trend.found_on or words.plain(None),
+        f"{words.significant(factor * least, 2)} {unit}" if math.isfinite(least) else words.plain(None),
+        f"{words.significant(trend.per_k, 2)} {kind.unit or 1}/K" if math.isfinite(trend.per_k) else words.plain(None),
+        str(trend.checks),
+    )
+
+
+def _panel(kind: Tracked, curve: TrendCurve) -> tuple[str, Markup]:
+    name = _place(curve.joint, curve.program)
+    unit = kind.unit or "1"
+    panel = Panel(WIDTH, HEIGHT, limits(curve.day, include=(0.0,)), limits([*curve.value, *curve.line]))
+    panel.y_axis(f"{name} {kind.words.split()[0]} [{unit}]")
+    panel.x_axis("days since the first check [d]")
+    for day, value in zip(curve.day, curve.value, strict=True):
+        panel.dot(day, value, "dot faint", radius=2.4)
+    if curve.line:
+        low, high = panel.y_range
+        below, above = ([min(max(value, low), high) for value in edge] for edge in (curve.low, curve.high))
+        panel.area(curve.line_day, below, above, "confidence")
+        panel.polyline(list(zip(curve.line_day, curve.line, strict=True)), "curve")
+    return name, panel.svg(f"{kind.words} of {name} over days, with its trend")

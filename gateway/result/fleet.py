@@ -1,0 +1,251 @@
+"""What an analysis of many robots leaves on disk: a line per robot, and per robot its trends, its loads and its curves.
+
+NaN, null in the file, is unknown. Times are UTC. Joints count from 1; joint 0 is the load.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, Literal
+
+from gateway.result.result import Outcome
+from gateway.result.seal import refuse_edited
+from gateway.result.values import NAN, SILENT, Number, Numbers, check_kind, check_lengths, decoded, json_object, text_of
+
+SCHEMA: Final = 1
+FLEET_KIND: Final = "servo-gateway fleet"
+ROBOT_KIND: Final = "servo-gateway fleet robot"
+#: What writes an analysis again.
+AGAIN: Final = "with servo-gateway fleet analyse STORE"
+
+
+@dataclass(frozen=True, slots=True)
+class Tracked:
+    """Something that a check tells of every axis.
+
+    Attributes
+    ----------
+    stem, suffix : the key is `stem + suffix`, its standard deviation `stem_std + suffix`
+    words : as a page names it
+    unit : "" = a ratio
+    relative : whether a drift is told as a share of the level
+    tolerance : drift a year, as it is told, from which on somebody should come; NaN = nobody comes for it
+    """
+
+    stem: str
+    suffix: str
+    words: str
+    unit: str
+    relative: bool
+    tolerance: float
+
+    @property
+    def key(self) -> str:
+        """Name of the column."""
+        return self.stem + self.suffix
+
+    @property
+    def std_key(self) -> str:
+        """Name of the column of its standard deviation."""
+        return f"{self.stem}_std{self.suffix}"
+
+    def flat(self, joint: int) -> tuple[str, str]:
+        """Names of the columns of one axis in a table of summaries: value and standard deviation."""
+        return f"{self.stem}{joint}{self.suffix}", f"{self.stem}{joint}_std{self.suffix}"
+
+
+#: A gain is measured over true torque, less 1: its drift is a share by itself.
+GAIN: Final = Tracked("gain", "", "gain of the torque", "", relative=False, tolerance=0.02)
+QUANTITIES: Final = (
+    GAIN,
+    Tracked("friction_band", "_nm", "friction band at rest", "Nm", relative=True, tolerance=0.3),
+    Tracked("coulomb", "_nm", "Coulomb friction", "Nm", relative=True, tolerance=0.3),
+    Tracked("viscous", "_nm_s_rad", "viscous friction", "Nm s/rad", relative=True, tolerance=0.3),
+    Tracked("zero_offset", "_rad", "zero offset", "rad", relative=False, tolerance=0.001),
+    Tracked("bias", "_nm", "bias by direction", "Nm", relative=False, tolerance=NAN),
+)
+MASS: Final = Tracked("mass", "_kg", "mass of the load", "kg", relative=True, tolerance=0.05)
+State = Literal["visit", "not seen", "cannot tell", "healthy"]
+#: In the order in which robots are visited.
+STATES: Final[tuple[State, ...]] = ("visit", "not seen", "cannot tell", "healthy")
+
+
+def quantity(key: str) -> Tracked:
+    """The quantity of that key.
+
+    Raises
+    ------
+    KeyError
+        There is none.
+    """
+    return {each.key: each for each in (*QUANTITIES, MASS)}[key]
+
+
+@dataclass(frozen=True, slots=True)
+class FleetTrend:
+    """How one quantity of one axis, or the mass of one load, goes over the months.
+
+    Attributes
+    ----------
+    quantity : key of a `Tracked`
+    joint : from 1; 0 = the load
+    program : label of the load, where it is one
+    checks : that the trend was read from
+    level : at the mean temperature and load, when the first check was made
+    drift_per_year, drift_std_per_year : in the quantity's unit
+    sigmas : drift over its standard deviation, as that of a normal distribution
+    needed_sigmas : from which on a drift is told
+    found_on : day on which it was told first
+    detectable_per_year : drift that would be told today with 95 %
+    per_k, per_kg : by temperature and by load, NaN where neither changed
+    """
+
+    quantity: str
+    joint: int
+    program: str = ""
+    checks: int = 0
+    level: Number = NAN
+    level_std: Number = NAN
+    drift_per_year: Number = NAN
+    drift_std_per_year: Number = NAN
+    sigmas: Number = NAN
+    needed_sigmas: Number = NAN
+    found_on: str | None = field(default=None, metadata=SILENT)
+    detectable_per_year: Number = NAN
+    per_k: Number = NAN
+    per_kg: Number = NAN
+
+    @property
+    def share_per_year(self) -> float:
+        """Drift as a share: of the level, or by itself where the quantity is a ratio."""
+        return self.drift_per_year / self._scale
+
+    @property
+    def share_std_per_year(self) -> float:
+        """Standard deviation of that share."""
+        return self.drift_std_per_year / self._scale
+
+    @property
+    def detectable_share(self) -> float:
+        """Share a year that would be told today."""
+        return self.detectable_per_year / self._scale
+
+    @property
+    def _scale(self) -> float:
+        return (abs(self.level) or NAN) if quantity(self.quantity).relative else 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramLoad:
+    """The load of one program: what it weighed first and last, and whether it is still the load that was verified."""
+
+    program: str
+    checks: int
+    first_kg: Number
+    first_std_kg: Number
+    last_kg: Number
+    last_std_kg: Number
+    last_seen: str
+    outcome: Outcome
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class TrendCurve:
+    """What is drawn of a trend: days since the first check, values, and the line with its 95 % band."""
+
+    quantity: str
+    joint: int
+    program: str
+    day: Numbers
+    value: Numbers
+    line_day: Numbers
+    line: Numbers
+    low: Numbers
+    high: Numbers
+
+    def __post_init__(self) -> None:
+        """Refuse lists that do not belong together."""
+        check_lengths(day=self.day, value=self.value)
+        check_lengths(line_day=self.line_day, line=self.line, low=self.low, high=self.high)
+
+
+@dataclass(frozen=True, slots=True)
+class RobotLine:
+    """A robot in the list of the fleet; `why` says what asks for the state, most urgent first.
+
+    `gain_per_year`, `gain_std_per_year`: drift of the gain of axis `gain_joint`, the one that is surest to drift.
+    """
+
+    robot: str
+    cell: str
+    arm: str
+    state: State
+    urgency: Number
+    why: tuple[str, ...]
+    checks: int
+    first_seen: str
+    last_seen: str
+    serial_numbers: tuple[int | None, ...] = ()
+    gain_joint: int = 0
+    gain_per_year: Number = NAN
+    gain_std_per_year: Number = NAN
+
+
+@dataclass(frozen=True, slots=True)
+class RobotHealth:
+    """All that the analysis says of one robot."""
+
+    line: RobotLine
+    as_of: str
+    software: str
+    trends: tuple[FleetTrend, ...] = ()
+    loads: tuple[ProgramLoad, ...] = ()
+    curves: tuple[TrendCurve, ...] = ()
+    remarks: tuple[str, ...] = ()
+    first_check: str = ""
+    kind: str = ROBOT_KIND
+    schema: int = SCHEMA
+    sha256: str | None = field(default=None, metadata=SILENT)
+
+
+@dataclass(frozen=True, slots=True)
+class FleetHealth:
+    """All robots, who needs a visit first."""
+
+    as_of: str
+    software: str
+    robots: tuple[RobotLine, ...]
+    checks: int = 0
+    estimated: int = 0
+    failed: tuple[str, ...] = ()
+    kind: str = FLEET_KIND
+    schema: int = SCHEMA
+    sha256: str | None = field(default=None, metadata=SILENT)
+
+    def count(self, state: State) -> int:
+        """Robots in that state."""
+        return sum(line.state == state for line in self.robots)
+
+
+def read_fleet(path: Path) -> FleetHealth:
+    """The analysis of a fleet, from disk.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, is of another kind or schema, or was edited.
+    """
+    data = json_object(text_of(path, f"write it {AGAIN}"), str(path))
+    check_kind(data, SCHEMA, FLEET_KIND, str(path))
+    refuse_edited(data, str(path), AGAIN)
+    return decoded(FleetHealth, data, str(path))
+
+
+def read_robot(path: Path) -> RobotHealth:
+    """The analysis of one robot, from disk; errors as `read_fleet`."""
+    data = json_object(text_of(path, f"write it {AGAIN}"), str(path))
+    check_kind(data, SCHEMA, ROBOT_KIND, str(path))
+    refuse_edited(data, str(path), AGAIN)
+    return decoded(RobotHealth, data, str(path))

@@ -1,0 +1,135 @@
+"""Lines through checks: against dense least squares, the threshold against Brownian motion, and what is said."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+import numpy as np
+import pytest
+
+from gateway.fleet.history import CheckSeries
+from gateway.fleet.told import needed_sigmas
+from gateway.fleet.trends import Wanders, active_columns, looks_of, seen_likelihoods, trends_of, wanders_of
+from gateway.fleet.wander import SHAPES, lines, sums
+from gateway.result.fleet import GAIN
+
+FIRST = datetime(2026, 1, 1)
+
+
+def series(
+    value: np.ndarray, temperature_c: np.ndarray | None = None, load_kg: np.ndarray | None = None
+) -> CheckSeries:
+    """Gains of one check a day."""
+    count, axes = value.shape
+    blank = np.zeros((count, axes))
+    return CheckSeries(
+        quantities=(GAIN,) * axes,
+        joints=tuple(range(1, axes + 1)),
+        programs=("",) * axes,
+        time_a=np.arange(count) / 365.25,
+        value=value,
+        std=np.full((count, axes), np.nan),
+        temperature_c=blank if temperature_c is None else temperature_c - temperature_c.mean(axis=0),
+        load_kg=blank if load_kg is None else load_kg - load_kg.mean(axis=0),
+        set_aside=np.zeros(axes),
+    )
+
+
+def dense(time_a: np.ndarray, design: np.ndarray, value: np.ndarray, noise: np.ndarray, ratio: float, time: float):
+    """Generalised least squares with the whole covariance matrix: value, covariance with the noise as read."""
+    covariance = ratio * np.exp(-np.abs(time_a[:, None] - time_a) / time) + np.diag(noise**2)
+    inverse = np.linalg.inv(covariance)
+    normal = np.linalg.inv(design.T @ inverse @ design)
+    found = normal @ design.T @ inverse @ value
+    left = value - design @ found
+    return found, normal * (left @ inverse @ left) / (len(value) - design.shape[1])
+
+
+def test_filter_gives_what_dense_least_squares_gives() -> None:
+    rng = np.random.default_rng(1)
+    count = 40
+    time_a = np.sort(rng.uniform(0, 0.5, count))
+    design = np.column_stack([np.ones(count), time_a, rng.normal(size=count), rng.normal(size=count)])
+    value = design @ [0.3, 2.0, -0.5, 0.1] + rng.normal(size=count)
+    noise = rng.uniform(0.5, 2.0, count)
+    hole = rng.choice(count, 6, replace=False)
+    seen = np.setdiff1d(np.arange(count), hole)
+    columns = np.column_stack([design, value])[:, None, :].copy()
+    columns[hole] = np.nan
+    (told,) = sums(time_a, columns, noise[:, None], np.array([count]))
+    fitted = lines(told, np.ones((1, 4), dtype=bool))
+    assert fitted.freedom.tolist() == [len(seen) - 4]
+    for index, shape in enumerate(SHAPES):
+        found, covariance = dense(time_a[seen], design[seen], value[seen], noise[seen], shape.ratio, shape.time_a)
+        assert fitted.value[index, 0] == pytest.approx(found, rel=1e-6, abs=1e-9)
+        assert fitted.covariance[index, 0] == pytest.approx(covariance, rel=1e-6, abs=1e-12)
+
+
+def test_a_look_sees_nothing_of_later_checks() -> None:
+    value = np.random.default_rng(2).normal(size=(80, 1))
+    before = looks_of(series(value))[2]
+    value[before.checks :] += 100.0
+    after = looks_of(series(value))[2]
+    assert np.array_equal(before.sums.products, after.sums.products)
+
+
+def test_threshold_holds_for_brownian_motion() -> None:
+    """Share of motions over the root of their time that leave the threshold while the time grows as in a year."""
+    rng = np.random.default_rng(3)
+    grid = np.exp(np.linspace(0.0, 3.0 * np.log(365.25 / 28.0), 400))
+    steps = rng.normal(size=(20000, 400)) * np.sqrt(np.diff(grid, prepend=0.0))
+    height = np.abs(np.cumsum(steps, axis=1) / np.sqrt(grid)).max(axis=1)
+    assert needed_sigmas(1) == pytest.approx(np.quantile(height, 1.0 - 0.01), rel=0.04)
+    assert needed_sigmas(36) > needed_sigmas(1)
+
+
+def test_drift_is_told_under_temperature_and_load_and_its_day_with_it() -> None:
+    rng = np.random.default_rng(4)
+    day = np.arange(300)[:, None]
+    warm = 25 + 8 * np.sin(2 * np.pi * day / 365) + rng.normal(0, 2, (300, 2))
+    load = rng.choice([0.0, 5.0, 12.0], (300, 1)) * np.ones(2)
+    value = 0.01 + 0.0005 * warm + 0.0001 * load + rng.normal(0, 0.001, (300, 2))
+    value[:, 1] += 0.02 * day[:, 0] / 365.25
+    told = series(value, warm, load)
+    quiet, drifting = trends_of(told, wanders_of([seen_likelihoods(told)] * 20), FIRST)[0]
+    assert quiet.found_on is None
+    assert abs(quiet.drift_per_year) < 3 * quiet.drift_std_per_year
+    assert drifting.drift_per_year == pytest.approx(0.02, abs=3 * drifting.drift_std_per_year)
+    assert drifting.per_k == pytest.approx(0.0005, rel=0.2)
+    assert drifting.per_kg == pytest.approx(0.0001, rel=0.2)
+    assert drifting.found_on is not None
+    assert "2026-02" < drifting.found_on < "2026-09"
+    assert drifting.sigmas > drifting.needed_sigmas > 3.0
+
+
+def test_what_does_not_change_is_no_column() -> None:
+    warm = np.column_stack([np.full(30, 20.0), np.arange(30.0)])
+    assert active_columns(series(np.ones((30, 2)), warm)).tolist() == [
+        [True, True, False, False],
+        [True, True, True, False],
+    ]
+
+
+@pytest.mark.parametrize("count", [10, 25])
+def test_nothing_is_told_of_few_checks(count: int) -> None:
+    value = 0.1 * np.arange(count)[:, None]
+    (trend,), _ = trends_of(series(value), Wanders(), FIRST)
+    assert np.isnan(trend.sigmas)
+    assert np.isnan(trend.detectable_per_year)
+    assert trend.found_on is None
+
+
+def test_wander_of_the_fleet_is_learnt() -> None:
+    rng = np.random.default_rng(5)
+    calm = wanders_of([seen_likelihoods(series(rng.normal(size=(200, 6)))) for _ in range(4)])
+    kept, moved = np.exp(-1 / 30), []
+    for _ in range(4):
+        steps = rng.normal(size=(200, 6))
+        wander = np.zeros((200, 6))
+        for row in range(1, 200):
+            wander[row] = kept * wander[row - 1] + np.sqrt(1 - kept**2) * steps[row]
+        moved.append(seen_likelihoods(series(2.0 * wander + rng.normal(size=(200, 6)))))
+    ratio = np.array([shape.ratio for shape in SHAPES])
+    shares = [np.exp(each.log_share["gain"]) @ ratio for each in (calm, wanders_of(moved))]
+    assert shares[0] < 0.2
+    assert shares[1] > 1.0
