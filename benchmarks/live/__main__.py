@@ -1,6 +1,6 @@
 """The live page: frames a second, sample to screen, what it costs, what it causes, and the stop button.
 
-python -m benchmarks.live [--out out/live] [--minutes 8] [--clicks 12] [seen] [stopped] [mistreated] [paired]
+python -m benchmarks.live [--out out/live] [--minutes 8] [--clicks 12] [--alone] [cost] [seen] [stopped] ..
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ import sys
 from pathlib import Path
 
 from benchmarks.bench.__main__ import show
-from benchmarks.live import parts
+from benchmarks.live import cost, parts
 
-PARTS = ("seen", "stopped", "mistreated", "paired")
+PARTS = ("cost", "seen", "stopped", "mistreated", "paired")
 #: How long the page is looked at [s].
 SEEN_S = 20.0
 
@@ -25,12 +25,18 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--out", type=Path, default=Path("out/live"))
     parser.add_argument("--minutes", type=float, default=8.0, help="of paired runs")
     parser.add_argument("--clicks", type=int, default=12)
+    parser.add_argument(
+        "--alone",
+        action="store_true",
+        help="browser and page under a real-time scheduler, as on a computer that does nothing else",
+    )
     arguments = parser.parse_args(argv)
     out = arguments.out
     out.mkdir(parents=True, exist_ok=True)
     jobs = {
-        "seen": lambda: parts.seen(out, SEEN_S),
-        "stopped": lambda: parts.stopped(out, arguments.clicks),
+        "cost": cost.figures,
+        "seen": lambda: parts.seen(out, SEEN_S, alone=arguments.alone),
+        "stopped": lambda: parts.stopped(out, arguments.clicks, alone=arguments.alone),
         "mistreated": lambda: parts.mistreated(out),
         "paired": lambda: parts.paired(out, arguments.minutes),
     }

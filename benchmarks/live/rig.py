@@ -17,9 +17,12 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import can
 from websockets.sync.client import connect
 
+from benchmarks.chaos.processes import undisturbed
 from benchmarks.rigs.pacing import by_the_clock, in_lockstep
+from drives.bus_spec import BusSpec
 
 SMALL = Path(__file__).parents[2] / "examples" / "small"
 PATIENCE_S = 60.0
@@ -88,14 +91,18 @@ class Command:
 
     def page_pid(self) -> int:
         """Number of the process of the page."""
-        for number in Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split():
-            if b"gateway.live.process" in Path(f"/proc/{number}/cmdline").read_bytes():
-                return int(number)
-        raise RuntimeError("the page has no process")
+        for place in Path("/proc").glob("[0-9]*"):
+            with suppress(OSError):
+                parent = int((place / "stat").read_text().rpartition(")")[2].split()[1])
+                if parent == self.process.pid and b"gateway.live.process" in (place / "cmdline").read_bytes():
+                    return int(place.name)
+        raise RuntimeError(f"the page has no process:\n{self.text}")
 
     def moving(self) -> None:
         """Wait until the run itself moves, after all proofs."""
         wait_for(lambda: "visit" in self.text or self.process.poll() is not None)
+        if self.process.poll() is not None:
+            raise RuntimeError(f"it has not moved:\n{self.text}")
 
 
 def wait_for(what, patience_s: float = PATIENCE_S) -> None:
@@ -107,37 +114,75 @@ def wait_for(what, patience_s: float = PATIENCE_S) -> None:
         time.sleep(0.02)
 
 
+def surroundings(folder: Path) -> dict[str, str]:
+    """Environment of the programs that run in a folder."""
+    return os.environ | {
+        "XDG_STATE_HOME": str(folder / "state"),
+        "PYTHONPATH": os.pathsep.join(sys.path),
+        "COLUMNS": "400",
+    }
+
+
+@contextmanager
+def drives(folder: Path, cell: Path) -> Iterator[str]:
+    """Simulated drives of their own; the bus that they are on."""
+    bus = f"udp_multicast:239.74.163.11,port={port_of(folder)}"
+    with ExitStack() as stack:
+        with undisturbed():
+            process = subprocess.Popen(
+                [sys.executable, "-m", "sim", "serve", str(cell), "--bus", bus],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+                env=surroundings(folder),
+            )
+        stack.callback(end, process)
+        assert process.stdout is not None
+        process.stdout.readline()
+        yield bus
+
+
+@contextmanager
+def running(folder: Path, *wanted: str) -> Iterator[Command]:
+    """A command of the gateway; ended, if it has not, when this is left."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from gateway.cli import main; main()", *wanted],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env=surroundings(folder),
+    )
+    command = Command(process)
+    threading.Thread(target=command.read, daemon=True).start()
+    try:
+        yield command
+    finally:
+        end(process)
+
+
 @contextmanager
 def recording(folder: Path, cell: Path, *more: str) -> Iterator[Command]:
-    """`record` on drives of its own; ended, if it has not, when this is left."""
-    bus = f"udp_multicast:239.74.163.11,port={port_of(folder)}"
-    environment = os.environ | {"XDG_STATE_HOME": str(folder / "state"), "PYTHONPATH": os.pathsep.join(sys.path)}
-    with ExitStack() as stack:
-        drives = subprocess.Popen(
-            [sys.executable, "-m", "sim", "serve", str(cell), "--bus", bus],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-            env=environment,
-        )
-        stack.callback(end, drives)
-        assert drives.stdout is not None
-        drives.stdout.readline()
-        (folder / "run.h5").unlink(missing_ok=True)
+    """`record` on drives of its own."""
+    (folder / "run.h5").unlink(missing_ok=True)
+    with drives(folder, cell) as bus:
         wanted = ["record", str(cell), "--bus", bus, "--load", "none", "-o", str(folder / "run.h5"), "--yes", "-v"]
-        process = subprocess.Popen(
-            [sys.executable, "-c", "from gateway.cli import main; main()", *wanted, *more],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            env=environment | {"COLUMNS": "400"},
-        )
-        stack.callback(end, process)
-        command = Command(process)
-        threading.Thread(target=command.read, daemon=True).start()
-        yield command
+        with running(folder, *wanted, *more) as command:
+            yield command
+
+
+@contextmanager
+def frames_of(bus: str) -> Iterator[list[can.Message]]:
+    """Frames of a bus as they come, with the wall clock."""
+    spec = BusSpec.parse(bus)
+    heard: list[can.Message] = []
+    with can.Bus(interface=spec.interface, channel=spec.channel, fd=False, **spec.options) as adapter:
+        notifier = can.Notifier(adapter, [heard.append])
+        try:
+            yield heard
+        finally:
+            notifier.stop()
 
 
 def end(process: subprocess.Popen[str]) -> None:

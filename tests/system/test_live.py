@@ -152,7 +152,8 @@ def test_what_is_heard_beside_a_run_is_what_the_run_has_recorded(place, serve, g
         beside = threading.Thread(target=listen)
         beside.start()
         try:
-            done = gateway("record", place.cell, "--bus", drives.bus, "--load", "none", "-o", place.run, "--yes")
+            wanted = ("--load", "none", "-o", place.run, "--yes", "--pose", "0.1,0,0.2,0,0.1,0")
+            done = gateway("record", place.cell, "--bus", drives.bus, *wanted)
         finally:
             stop.set()
             beside.join()
