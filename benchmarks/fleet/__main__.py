@@ -18,6 +18,22 @@ from benchmarks.bench.__main__ import show
 from benchmarks.fleet import drifts, recordings
 
 PARTS = ("drifts", "recordings")
+#: Standard deviation of the logarithm of wander over noise, where no two robots are of one kind.
+UNLIKE = 0.5
+
+
+def _drifts(place: Path, given: argparse.Namespace) -> dict[str, dict]:
+    """Speed of the whole fleet, drifts of as many robots as are asked for, and of some that are all unlike."""
+    whole = drifts.Plant(given.seed, given.robots)
+    store, figures = drifts.filled(place / "store", whole, place / "tables")
+    figures |= drifts.questions(store)
+    few = drifts.Plant(given.seed, given.analysed or given.robots)
+    if few != whole:
+        store = drifts.filled(place / "few", few, place / "few-tables")[0]
+    figures |= drifts.drifts(store, few)
+    unlike = drifts.Plant(given.seed + 1, max(5, few.robots // 3), UNLIKE)
+    other = drifts.drifts(drifts.filled(place / "unlike", unlike, place / "unlike-tables")[0], unlike)
+    return figures | {f"robots that wander unlike each other: {name}": told for name, told in other.items()}
 
 
 def main(argv: list[str]) -> int:
@@ -34,12 +50,7 @@ def main(argv: list[str]) -> int:
     with tempfile.TemporaryDirectory() as name:
         place = Path(name)
         if "drifts" in (given.parts or PARTS):
-            store, told = drifts.filled(place / "store", given.seed, given.robots, place / "tables")
-            figures |= told | drifts.questions(store)
-            few = given.analysed or given.robots
-            if few < given.robots:
-                store = drifts.filled(place / "few", given.seed, few, place / "few-tables")[0]
-            figures |= drifts.drifts(store, given.seed, few)
+            figures |= _drifts(place, given)
         if "recordings" in (given.parts or PARTS):
             figures |= recordings.scaling(place, given.recordings)
             figures |= recordings.killed(place, given.recordings)
