@@ -22,8 +22,8 @@ from gateway.fleet.store import Store, open_or_make
 from gateway.fleet.workers import workers
 from gateway.result.fleet import RobotHealth, read_robot
 
-#: Every fifth robot wears.
-ONE_WORN_IN = 5
+#: Every other robot wears.
+ONE_WORN_IN = 2
 PER_FILE = 50
 NOW = FIRST.replace(tzinfo=UTC) + timedelta(days=DAYS)
 QUESTIONS = {
