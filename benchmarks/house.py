@@ -35,7 +35,7 @@ FLOORS: Final = (
     ("excite",),
     ("acquire",),
     ("check",),
-    ("follow", "pair", "newcell", "fleet"),
+    ("follow", "pair", "newcell", "live", "fleet"),
     ("commands",),
     ("cli",),
 )

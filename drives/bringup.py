@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from typing import Final
+from typing import Final, NoReturn, Protocol
 
-from drives.access import NodeAccess, ObjectAccess
+from drives.access import Entry, NodeAccess, ObjectAccess
 from drives.cia402 import AT_REST, Mode, decode_state, describe
 from drives.errors import ConfigurationRefused, DriveFault, IdentityMismatch, SdoAbort
 from drives.objects import OBJECTS
@@ -128,7 +128,24 @@ def check_at_rest(access: ObjectAccess) -> None:
         )
 
 
-def read_constants(access: ObjectAccess) -> Constants:
+class Readable(Protocol):
+    """Where constants are read from: a drive, or what one was heard to say."""
+
+    @property
+    def profile(self) -> DriveProfile:
+        """Of the drive."""
+        ...
+
+    def read(self, entry: Entry, /) -> int:
+        """Value of an object."""
+        ...
+
+    def refuse(self, entry: Entry, what: str, advice: str, /) -> NoReturn:
+        """Raise `ConfigurationRefused` about an object."""
+        ...
+
+
+def read_constants(access: Readable) -> Constants:
     """Read what the profile leaves to the drive: rated values and encoder resolution.
 
     Raises
@@ -155,7 +172,7 @@ def read_constants(access: ObjectAccess) -> Constants:
     )
 
 
-def _rated(access: ObjectAccess, rated: Rated | None) -> float | None:
+def _rated(access: Readable, rated: Rated | None) -> float | None:
     if rated is None or rated.object is None or rated.unit is None:
         return None if rated is None else rated.value
     raw = access.read(rated.object)

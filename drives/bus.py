@@ -1,8 +1,8 @@
 """CAN bus: configuration to an open adapter, and the one receive path of the master.
 
-The only file that imports python-can. No thread is started: whoever waits for an answer receives, and every frame goes
-through one table of handlers, so that a frame never waits in a cache for its reader. Frames that this master sent and
-that the adapter brings back (udp_multicast) are told apart from those of another master.
+Beside `frame_log` the only file that imports python-can. No thread is started: whoever waits for an answer receives,
+and every frame goes through one table of handlers, so that a frame never waits in a cache for its reader. Frames that
+this master sent and that the adapter brings back (udp_multicast) are told apart from those of another master.
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from drives.files import replace_file
+from drives.objects import object_name
 from gateway.commands.console import grid
 from gateway.commands.options import (
     Function,
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from drives.configuration.reading import Readout
     from drives.drive import Cia402Drive
     from drives.group import DriveGroup
+    from drives.pdo import Step
     from gateway.cell.config import ArmConfig
     from gateway.commands.cell_context import CellContext
 
@@ -373,7 +375,7 @@ def config_apply(
             if any(each.steps for each in work) or store:
                 confirm(_question(arm, nodes, store), yes=yes)
                 require_at_rest(accesses)
-                write_all([each for each in work if each.steps])
+                write_all([each for each in work if each.steps], _tell)
             for access in accesses if store else ():
                 keep(access)
         done += [node.as_json() | {"stored": store} for node in nodes]
@@ -382,6 +384,11 @@ def config_apply(
         session_of().show(f"arm {arm.name}: {said}{'; stored' if store else ''}")
     if json_out:
         write_json(json_out, {"schema": 1, "cell": context.loaded.cell.name, "nodes": done})
+
+
+def _tell(node_id: int, step: Step) -> None:
+    where = object_name(step.index, step.subindex)
+    session_of().note(f"node {node_id}:{where}: {step.value:#x} written and read back", level=1)
 
 
 def _question(arm: ArmConfig, nodes: Sequence[ComparedNode], store: bool) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import click
@@ -12,6 +12,8 @@ import click
 from gateway.commands.options import Function, confirm, one_of, session_of
 
 if TYPE_CHECKING:
+    from gateway.motion.observer import Observers
+    from gateway.motion.stops import StopDesk
     from gateway.motion.stream import MoveOptions
 
 #: Speed override [%] of what only goes somewhere: a person may stand nearer to it than to a measurement.
@@ -33,20 +35,27 @@ class MoveChoice:
         Do not ask before moving.
     pacing : str or None
         Instead of the cell's.
+    live : bool
+        Show in a browser what happens.
     """
 
     override: int
     hold_to_run: bool
     yes: bool
     pacing: str | None
+    live: bool = False
 
     def ask(self, question: str) -> None:
         """Ask before anything moves; no answer means no."""
         confirm(question, yes=self.yes)
 
 
+#: Names of the options.
+MOVE: Final = tuple(each.name for each in fields(MoveChoice))
+
+
 def move_options(function: Function) -> Function:
-    """Add MOVE: --override, --hold-to-run, --yes, --pacing; the command takes them as one argument `moving`.
+    """Add MOVE: --override, --hold-to-run, --yes, --pacing, --live; the command takes them as one argument `moving`.
 
     A terminal that goes away ends it as a person does, also before anything has moved.
     """
@@ -61,11 +70,12 @@ def slow_move_options(function: Function) -> Function:
 def _with_move(function: Function, percent: int) -> Function:
     """Add the options; `percent` is the override that holds where none is given."""
 
-    def gathered(*arguments: Any, override: int, hold_to_run: bool, yes: bool, pacing: str | None, **named: Any) -> Any:
+    def gathered(*arguments: Any, **named: Any) -> Any:
         from gateway.motion.stops import CLOSED, StoppedByPerson, output_closed
 
+        choice = MoveChoice(**{name: named.pop(name) for name in MOVE})
         try:
-            return function(*arguments, moving=MoveChoice(override, hold_to_run, yes, pacing), **named)
+            return function(*arguments, moving=choice, **named)
         except (OSError, SystemExit) as error:
             if output_closed(error) and _moves(named):
                 raise StoppedByPerson(CLOSED) from error
@@ -75,6 +85,7 @@ def _with_move(function: Function, percent: int) -> Function:
     gathered.__click_params__ = getattr(function, "__click_params__", [])  # type: ignore[attr-defined]
     wrapped: Callable[..., Any] = gathered
     for option in (
+        click.option("--live", is_flag=True, help="Show it in a browser on this computer; the address is printed."),
         click.option("--yes", is_flag=True, help="Do not ask before moving."),
         click.option(
             "--pacing",
@@ -105,14 +116,17 @@ def _moves(named: Mapping[str, Any]) -> bool:
 def stoppable(move: MoveChoice) -> Generator[MoveOptions]:
     """While this is open, signals and the held key stop what moves; interrupted at once while nothing does."""
     from gateway.motion.holdtorun import held_key
+    from gateway.motion.observer import Observers
     from gateway.motion.stops import StopDesk, outputs_watched, signals_ask
     from gateway.motion.stream import MoveOptions
 
     desk = StopDesk(outputs_watched())
     with ExitStack() as stack:
         stack.enter_context(signals_ask(desk))
+        observers = _shown(stack, desk) if move.live else Observers()
+        options = MoveOptions(desk, move.override / 100.0, observers=observers)
         if not move.hold_to_run:
-            yield MoveOptions(desk, move.override / 100.0)
+            yield options
             return
         key = stack.enter_context(held_key())
         desk.watch(lambda: key() if desk.under_power else None)
@@ -121,4 +135,15 @@ def stoppable(move: MoveChoice) -> Generator[MoveOptions]:
             session_of().note("hold the space bar: the arm moves while it is held")
             key.wait()
 
-        yield MoveOptions(desk, move.override / 100.0, ready=ready)
+        yield replace(options, ready=ready)
+
+
+def _shown(stack: ExitStack, desk: StopDesk) -> Observers:
+    """The live page until the command ends: it looks on, and its button is a wish to stop."""
+    from gateway.live.page import live_page
+    from gateway.motion.observer import Observers
+
+    page = stack.enter_context(live_page(f"servo-gateway {click.get_current_context().info_name}"))
+    desk.watch(page.feed.pressed)
+    session_of().note(f"live page: {page.address}")
+    return Observers(page.feed)

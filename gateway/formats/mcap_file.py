@@ -73,32 +73,32 @@ def _write_arm(writer: Any, arm: ArmSamples, joint_state: int) -> None:
     whole = writer.register_channel(f"/{arm.name}/samples", "json", schema)
     units = {"position": "rad", "effort": "Nm"}
     states = writer.register_channel(f"/{arm.name}/joint_states", "cdr", joint_state, units)
-    stamps = [round(time_s * _NS) for time_s in arm.quantities["time_s"].values.tolist()]
+    stamps = [round(time_s * _NS) for time_s in arm.measurands["time_s"].values.tolist()]
     for row, (stamp_ns, message) in enumerate(zip(stamps, _messages(arm), strict=True)):
         writer.add_message(whole, stamp_ns, json.dumps(message).encode(), stamp_ns, row)
         if "q_rad" in message:
-            state = joint_state_cdr(stamp_ns, arm.name, arm.quantities["q_rad"].values[row], _efforts(arm, row))
+            state = joint_state_cdr(stamp_ns, arm.name, arm.measurands["q_rad"].values[row], _efforts(arm, row))
             writer.add_message(states, stamp_ns, state, stamp_ns, row)
 
 
 def _efforts(arm: ArmSamples, row: int) -> np.ndarray:
-    torque = arm.quantities.get("joint_torque_nm")
+    torque = arm.measurands.get("joint_torque_nm")
     return np.zeros(0) if torque is None or not torque.present[row].any() else torque.values[row]
 
 
 def _messages(arm: ArmSamples) -> Iterator[dict[str, Any]]:
     """One object a sample: a name is left out where the sample has no such quantity, null is a NaN or no word."""
-    columns = {name: _cells(quantity) for name, quantity in arm.quantities.items()}
-    there = {name: quantity.there for name, quantity in arm.quantities.items()}
+    columns = {name: _cells(measurand) for name, measurand in arm.measurands.items()}
+    there = {name: measurand.there for name, measurand in arm.measurands.items()}
     for row in range(len(arm)):
         yield {name: cells[row] for name, cells in columns.items() if there[name][row]}
 
 
-def _cells(quantity: Measurand) -> list[Any]:
-    values = quantity.values.astype(object)
-    values[~quantity.present] = None
-    if quantity.values.dtype.kind == "f":
-        values[~np.isfinite(quantity.values)] = None
+def _cells(measurand: Measurand) -> list[Any]:
+    values = measurand.values.astype(object)
+    values[~measurand.present] = None
+    if measurand.values.dtype.kind == "f":
+        values[~np.isfinite(measurand.values)] = None
     return values.tolist()
 
 
@@ -106,18 +106,18 @@ def _json_schema(arm: ArmSamples) -> dict[str, Any]:
     return {
         "title": f"samples of arm {arm.name}",
         "type": "object",
-        "properties": {name: _property(quantity, arm.axes) for name, quantity in arm.quantities.items()},
+        "properties": {name: _property(measurand, arm.axes) for name, measurand in arm.measurands.items()},
     }
 
 
-def _property(quantity: Measurand, axes: int) -> dict[str, Any]:
-    kind: dict[str, Any] = {"type": [_KINDS[quantity.values.dtype.kind], "null"]}
-    if quantity.values.ndim == 2:
+def _property(measurand: Measurand, axes: int) -> dict[str, Any]:
+    kind: dict[str, Any] = {"type": [_KINDS[measurand.values.dtype.kind], "null"]}
+    if measurand.values.ndim == 2:
         kind = {"type": "array", "items": kind, "minItems": axes, "maxItems": axes}
     else:
-        kind = {"type": _KINDS[quantity.values.dtype.kind]}
-    told = ", ".join(filter(None, (quantity.unit, quantity.remark)))
-    return kind | ({"unit": quantity.unit, "description": told} if told else {})
+        kind = {"type": _KINDS[measurand.values.dtype.kind]}
+    told = ", ".join(filter(None, (measurand.unit, measurand.remark)))
+    return kind | ({"unit": measurand.unit, "description": told} if told else {})
 
 
 def joint_state_cdr(

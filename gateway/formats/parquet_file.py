@@ -38,17 +38,17 @@ def to_parquet(samples: Samples) -> bytes:
 
 def _table(pa: Any, arm: ArmSamples) -> Any:
     fields, columns = [pa.field("arm", pa.string())], [pa.array([arm.name] * len(arm), pa.string())]
-    for quantity in arm.quantities.values():
-        about = _about(quantity)
-        for name, values, present in quantity.columns():
+    for measurand in arm.measurands.values():
+        about = _about(measurand)
+        for name, values, present in measurand.columns():
             column = _column(pa, values, present)
             fields.append(pa.field(name, column.type, metadata=about))
             columns.append(column)
     return pa.table(columns, schema=pa.schema(fields))
 
 
-def _about(quantity: Measurand) -> dict[str, str]:
-    told = {"unit": quantity.unit, "remark": quantity.remark}
+def _about(measurand: Measurand) -> dict[str, str]:
+    told = {"unit": measurand.unit, "remark": measurand.remark}
     return {name: text for name, text in told.items() if text}
 
 

@@ -3,35 +3,54 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from gateway.errors import InputError
+from gateway.formats.blf_file import blf_of
 from gateway.formats.mcap_file import to_mcap
+from gateway.formats.mf4_file import to_mf4
 from gateway.formats.parquet_file import to_parquet
 from gateway.formats.samples import Samples, read_samples
 
 #: format -> content of its file, from every sample.
-FORMATS: Final[Mapping[str, Callable[[Samples], bytes]]] = {"mcap": to_mcap, "parquet": to_parquet}
+FORMATS: Final[Mapping[str, Callable[[Samples], bytes]]] = {"mcap": to_mcap, "parquet": to_parquet, "mf4": to_mf4}
+#: The format that holds frames.
+FRAMES: Final = "blf"
 
 
-def written(path: Path, fmt: str, arm_name: str | None, label: str | None) -> tuple[bytes, int]:
-    """Content of a recording's file in an open format, and how many samples it holds.
+@dataclass(frozen=True, slots=True)
+class OpenFile:
+    """Content of a file, and of how many of what."""
+
+    content: bytes
+    count: int
+    what: str
+
+
+def written(path: Path, fmt: str, arm_name: str | None, label: str | None) -> OpenFile:
+    """A recording in an open format.
 
     Parameters
     ----------
     path : Path
         Of the recording.
     fmt : str
-        A key of `FORMATS`.
+        A key of `FORMATS`, or `FRAMES`.
     arm_name, label : str or None
         Only this arm; only this load.
 
     Raises
     ------
     InputError
-        The recording cannot be used.
+        The recording cannot be used, or holds no such part.
     ConfigError
         The library of the format is not installed.
     """
+    if fmt == FRAMES:
+        if arm_name or label:
+            raise InputError(f"{path}: frames are of a whole run: --format {FRAMES} takes neither --arm nor --load")
+        return OpenFile(*blf_of(path), "frames")
     samples = read_samples(path, arm_name, label)
-    return FORMATS[fmt](samples), len(samples)
+    return OpenFile(FORMATS[fmt](samples), len(samples), "samples")

@@ -68,7 +68,7 @@ class ArmSamples:
     ----------
     name : str
     axes : int
-    quantities : dict of str to Measurand
+    measurands : dict of str to Measurand
         By name; `group` (visit, period), `number`, `time_s` and `sync_index` are always there.
     about : dict of str to str
         Attributes of the arm.
@@ -76,12 +76,12 @@ class ArmSamples:
 
     name: str
     axes: int
-    quantities: dict[str, Measurand]
+    measurands: dict[str, Measurand]
     about: dict[str, str]
 
     def __len__(self) -> int:
         """Number of samples."""
-        return len(self.quantities["time_s"].values)
+        return len(self.measurands["time_s"].values)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -58,6 +58,27 @@ class ArmDrives(Protocol):
         ...
 
 
+class JointSide:
+    """What drives answered, on the joint side.
+
+    Parameters
+    ----------
+    axes : AxisConversion
+    """
+
+    def __init__(self, axes: AxisConversion) -> None:
+        self._to_joint = np.diag(axes.position_sign / axes.ratio) @ np.linalg.inv(axes.coupling).T
+        self._to_torque = np.diag(axes.torque_sign * axes.ratio) @ axes.coupling
+        self._zero = axes.zero_offset_rad
+
+    def sample(self, epoch: Epoch) -> ArmSample:
+        """One SYNC; NaN where a drive did not answer."""
+        motor = np.array([(np.nan, np.nan) if r is None else (r.position_rad, r.torque_nm) for r in epoch.readings])
+        q_rad = motor[:, 0] @ self._to_joint + self._zero
+        torque_nm = motor[:, 1] @ self._to_torque
+        return ArmSample(epoch.sync_index, epoch.time_s, q_rad, torque_nm, epoch.readings, epoch.instruments)
+
+
 class Arm:
     """Joint-side view of a drive group.
 
@@ -78,9 +99,7 @@ class Arm:
         self.known = known
         self.axes = axes
         self.drives = drives
-        self._to_joint = np.diag(axes.position_sign / axes.ratio) @ np.linalg.inv(axes.coupling).T
-        self._to_torque = np.diag(axes.torque_sign * axes.ratio) @ axes.coupling
-        self._zero = axes.zero_offset_rad
+        self._sample = JointSide(axes).sample
 
     def where(self) -> np.ndarray:
         """Joint positions (N,) [rad] of the arm in its brakes."""
@@ -129,9 +148,3 @@ class Arm:
     def hold(self) -> ArmSample:
         """One SYNC at the last targets."""
         return self._sample(self.drives.hold())
-
-    def _sample(self, epoch: Epoch) -> ArmSample:
-        motor = np.array([(np.nan, np.nan) if r is None else (r.position_rad, r.torque_nm) for r in epoch.readings])
-        q_rad = motor[:, 0] @ self._to_joint + self._zero
-        torque_nm = motor[:, 1] @ self._to_torque
-        return ArmSample(epoch.sync_index, epoch.time_s, q_rad, torque_nm, epoch.readings, epoch.instruments)

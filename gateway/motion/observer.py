@@ -72,7 +72,7 @@ class Observer(Protocol):
         ...
 
     def told(self, event: object, /) -> None:
-        """Whoever runs the job told something: an event of `gateway.acquire.events`, or a `Told`."""
+        """Whoever runs the job told something: an event of `gateway.acquire.events`, or a `RowTold`."""
         ...
 
     def ended(self, failure: BaseException | None, /) -> None:
@@ -81,7 +81,7 @@ class Observer(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class RowTold:
     """Where a motion stands: what is done, the row and the number of rows."""
 
     what: str

@@ -16,7 +16,7 @@ from drives.realtime import leave_real_time
 from gateway.data.sample import ArmSample
 from gateway.motion.arms import Arms
 from gateway.motion.contact import TAKE_OVER_S
-from gateway.motion.observer import Observers, Scene, Told
+from gateway.motion.observer import Observers, RowTold, Scene
 from gateway.motion.own_torque import own_torque
 from gateway.motion.pathclock import PathClock
 from gateway.motion.state import StateKeeper
@@ -294,7 +294,7 @@ class Stream:
 
     def _report(self, what: str, row: int, rows: int) -> None:
         self._tell(what, row, rows)
-        self._observers.told(Told(what, row, rows))
+        self._observers.told(RowTold(what, row, rows))
 
     def _heed(self) -> None:
         """The arms stand: whoever wants them to stop is answered at once."""

@@ -12,4 +12,4 @@ INERTIA_WHOLE: Final = "inertia_kg_m2"
 EXPORT_FORMATS: Final = ("urdf", "json", "abb", "kuka", "ur", "fanuc", "yaskawa", "opc40010")
 #: What a recording is exported as: its measured table, or every sample by `gateway.formats`.
 TABLE_FORMAT: Final = "csv"
-RECORDING_FORMATS: Final = (TABLE_FORMAT, "mcap", "parquet")
+RECORDING_FORMATS: Final = (TABLE_FORMAT, "mcap", "parquet", "mf4", "blf")

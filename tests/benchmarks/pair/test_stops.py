@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from benchmarks.chaos.part_pair_stops import stopped
+from benchmarks.chaos.programs import TRIES, disturbed
 from benchmarks.pair.bus_gap import gap_rig
 from benchmarks.pair.bus_rig import CELL, NO_LIMIT_N, PairRig, inline_rig
 from benchmarks.rigs.pacing import by_the_clock
@@ -239,13 +240,21 @@ def test_ctrl_c_by_the_clock_stops_both_along_the_path(clocked: Path) -> None:
     settings = os.environ | {"XDG_STATE_HOME": str(clocked.parent / "state")}
     with serving(clocked, buses) as simulation:
         simulation.grip(open=True)
-        proof = [*gateway, "check", str(clocked), "--prove-stop", "--yes", "--bus", buses]
-        subprocess.run(proof, check=True, capture_output=True, env=settings, timeout=120.0)
+        prove([*gateway, "check", str(clocked), "--prove-stop", "--yes", "--bus", buses], settings)
     # gripped afresh at the very start: where a proof leaves the hands the part would be under force
     with serving(clocked, buses) as simulation:
         interrupt(
             simulation, [*gateway, "run-pair", str(clocked), "--embodiment", "A", "--yes", "--bus", buses], settings
         )
+
+
+def prove(words: list[str], settings: dict[str, str]) -> None:
+    """Have the stop proven; tried again while this computer is too busy for the clock."""
+    for _ in range(TRIES):
+        done = subprocess.run(words, check=False, capture_output=True, text=True, env=settings, timeout=120.0)
+        if done.returncode == 0 or not disturbed(done.stdout + done.stderr):
+            break
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 @contextmanager

@@ -8,11 +8,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import can
 import duckdb
 import h5py
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from asammdf import MDF
 from click.testing import CliRunner
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
@@ -183,7 +185,92 @@ def test_mcap_says_units_and_the_whole_cell(path):
             assert schema["properties"]["joint_torque_nm"]["description"].startswith("Nm, joint side")
 
 
-@pytest.mark.parametrize("fmt", ["parquet", "mcap"])
+def test_mf4_holds_every_value(path):
+    with MDF(export(path, "mf4")) as file:
+        numbers = {group.channel_group.acq_name: number for number, group in enumerate(file.groups)}
+        starts = dict.fromkeys(numbers, 0)
+        for arm, kind, group in groups(path):
+            held = expected(group)
+            at = slice(starts[arm], starts[arm] + len(group["time_s"]))
+            for name, values in (held | {"group": [kind] * len(group["time_s"])}).items():
+                signal = file.get(name, group=numbers[arm], ignore_invalidation_bits=True)
+                absent = signal.invalidation_bits
+                told = [value.decode() if isinstance(value, bytes) else value for value in signal.samples[at].tolist()]
+                lost = [False] * len(told) if absent is None else absent[at].tolist()
+                read = [None if gone else value for gone, value in zip(lost, told, strict=True)]
+                assert all(map(same, read, values)), name
+                assert np.array_equal(signal.timestamps[at], group["time_s"][()])
+            starts[arm] = at.stop
+        for arm, number in numbers.items():
+            assert len(file.get("time_s", group=number).samples) == starts[arm]
+            assert file.get("q1_rad", group=number).unit == "rad"
+            assert file.get("joint_torque2_nm", group=number).comment == "joint side, gear efficiency not applied"
+
+
+def test_mf4_has_the_cell_attached(path):
+    with MDF(export(path, "mf4")) as file, h5py.File(path) as held:
+        texts = {
+            str(name): bytes(content) for content, name, _ in map(file.extract_attachment, range(len(file.attachments)))
+        }
+        assert texts["cell.toml"].decode() == held.attrs["cell"]
+        assert texts["robot.urdf"].decode() == held.attrs["robot"]
+        assert json.loads(texts["recording.json"])["software"] == held.attrs["software"]
+
+
+def trace_beside(path: Path, suffix: str = ".blf", frames: int = 300) -> list[can.Message]:
+    """A frame trace as a run with --trace leaves it."""
+    random = np.random.default_rng(3)
+    sent = [
+        can.Message(
+            timestamp=1.7e9 + 0.0005 * number,
+            arbitration_id=int(random.integers(0, 0x800)),
+            data=random.bytes(int(random.integers(0, 9))),
+            is_extended_id=False,
+            is_rx=bool(number % 3),
+            channel=0,
+        )
+        for number in range(frames)
+    ]
+    with can.Logger(path.with_suffix(suffix)) as log:
+        for message in sent:
+            log.on_message_received(message)
+    return sent
+
+
+@pytest.mark.parametrize("suffix", [".blf", ".log", ".asc"])
+def test_blf_holds_the_frames_of_the_trace(tmp_path, suffix):
+    path = several(tmp_path / "run.h5", "four")
+    sent = trace_beside(path, suffix)
+    out = tmp_path / "out.blf"
+    assert CliRunner().invoke(main, ["export", str(path), "--format", "blf", "-o", str(out)]).exit_code == 0
+    with can.BLFReader(out) as log:
+        read = list(log)
+    assert [(each.arbitration_id, bytes(each.data), each.is_rx) for each in read] == [
+        (each.arbitration_id, bytes(each.data), each.is_rx) for each in sent
+    ]
+    gaps = np.diff([each.timestamp for each in read]) - np.diff([each.timestamp for each in sent])
+    assert np.abs(gaps).max() < 2e-6
+
+
+def test_frames_are_not_made_up(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = several(tmp_path / "run.h5", "four")
+    arguments = ["export", "run.h5", "--format", "blf", "-o", "x.blf"]
+    done = CliRunner().invoke(main, arguments)
+    assert (done.exit_code, "record with --trace run.blf" in done.stderr) == (3, True), done.output
+    path.with_suffix(".blf").write_bytes(b"no frames")
+    done = CliRunner().invoke(main, arguments)
+    assert (done.exit_code, "run.blf: cannot be read as a frame trace" in done.stderr) == (3, True), done.output
+    trace_beside(path, frames=0)
+    done = CliRunner().invoke(main, arguments)
+    assert (done.exit_code, "run.blf: holds no frame" in done.stderr) == (3, True), done.output
+    trace_beside(path)
+    done = CliRunner().invoke(main, [*arguments, "--load", "none"])
+    assert (done.exit_code, "frames are of a whole run" in done.stderr) == (3, True), done.output
+    assert not (tmp_path / "x.blf").exists()
+
+
+@pytest.mark.parametrize("fmt", ["parquet", "mcap", "mf4"])
 def test_a_run_without_a_sample_leaves_with_what_is_known_of_it(tmp_path, fmt):
     path = several(tmp_path / "run.h5", "four", samples=0)
     out = path.with_suffix(f".{fmt}")
@@ -193,6 +280,9 @@ def test_a_run_without_a_sample_leaves_with_what_is_known_of_it(tmp_path, fmt):
     if fmt == "parquet":
         table = pq.read_table(out)
         assert (table.num_rows, table.schema.metadata[b"exit_status"]) == (0, b"abort")
+    elif fmt == "mf4":
+        with MDF(out) as file:
+            assert (len(file.get("time_s").samples), len(file.groups)) == (0, 1)
     else:
         reader = make_reader(io.BytesIO(out.read_bytes()))
         assert next(reader.iter_metadata()).metadata["exit_status"] == "abort"
@@ -232,10 +322,10 @@ def test_a_truncated_recording_is_refused_and_nothing_is_written(tmp_path):
     assert not (tmp_path / "x").exists()
 
 
-@pytest.mark.parametrize(("fmt", "library"), [("mcap", "mcap"), ("parquet", "pyarrow")])
+@pytest.mark.parametrize(("fmt", "library"), [("mcap", "mcap"), ("parquet", "pyarrow"), ("mf4", "asammdf")])
 def test_a_missing_library_is_named_with_what_brings_it(tmp_path, monkeypatch, fmt, library):
     path = several(tmp_path / "run.h5", "four")
-    for name in ("mcap", "mcap.writer", "pyarrow", "pyarrow.parquet"):
+    for name in ("mcap", "mcap.writer", "pyarrow", "pyarrow.parquet", "asammdf"):
         monkeypatch.setitem(__import__("sys").modules, name, None)
     done = CliRunner().invoke(main, ["export", str(path), "--format", fmt, "-o", str(tmp_path / "x")])
     assert done.exit_code == 3

@@ -12,7 +12,7 @@ from gateway.errors import LimitExceeded
 from gateway.model.regressor import gravity_regressor
 from gateway.motion.arms import Arms
 from gateway.motion.contact import TAKE_OVER_S
-from gateway.motion.observer import Observed, Observers, Scene, Told
+from gateway.motion.observer import Observed, Observers, RowTold, Scene
 from gateway.motion.power import powered
 from gateway.motion.state import StateKeeper
 from gateway.motion.stream import MoveOptions, Station, Stream
@@ -82,7 +82,7 @@ def test_every_sync_is_handed_on_once_with_its_targets_and_model(arm, workspace,
     assert last.samples[0].q_rad == pytest.approx(TARGET, abs=1e-4)
     gravity_nm = gravity_regressor(workspace.robot, TARGET[None], workspace.gravity_m_s2) @ workspace.links
     assert last.modelled_nm[0] == pytest.approx(gravity_nm[0])
-    told = [event for event in seen.events if isinstance(event, Told)]
+    told = [event for event in seen.events if isinstance(event, RowTold)]
     assert {event.what for event in told} == {"open the brakes", "move"}
 
 

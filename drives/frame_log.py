@@ -1,0 +1,115 @@
+"""Logs of frames as python-can writes them: read whatever it was written as, written as BLF."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import can
+
+#: How a frame log is read, by the suffix that picks its format; the first is preferred.
+_READERS: Final[dict[str, tuple[Any, str]]] = {
+    ".blf": (can.BLFReader, "rb"),
+    ".log": (can.CanutilsLogReader, "r"),
+    ".asc": (can.ASCReader, "r"),
+}
+SUFFIXES: Final = tuple(_READERS)
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedFrame:
+    """One frame of a log.
+
+    Attributes
+    ----------
+    time_s : float
+        As it was logged: on most adapters seconds of this computer's wall clock.
+    can_id : int
+    data : bytes
+    received : bool
+        False: this master sent it.
+    kind : str
+        `data`, `remote`, `error`.
+    extended : bool
+        Whether the id has 29 bit.
+    length : int
+        Data length code; that of a remote frame is not that of its data.
+    channel : str or int or None
+    """
+
+    time_s: float
+    can_id: int
+    data: bytes
+    received: bool = True
+    kind: str = "data"
+    extended: bool = False
+    length: int = 8
+    channel: str | int | None = None
+
+
+def read_frames(path: Path) -> list[LoggedFrame]:
+    """Every frame of a log, in its order.
+
+    Parameters
+    ----------
+    path : Path
+        Its suffix is one of `SUFFIXES`.
+
+    Raises
+    ------
+    ValueError
+        It is no frame log, or damaged.
+    OSError
+        It cannot be read.
+    """
+    reader, mode = _READERS[path.suffix.lower()]
+    try:
+        with path.open(mode) as stream:
+            return [_of_message(message) for message in reader(stream)]
+    except OSError:
+        raise
+    except Exception as error:  # python-can's readers report damage by many kinds of exception
+        raise ValueError(" ".join(str(error).split())[:200] or type(error).__name__) from error
+
+
+def write_blf(path: Path, frames: Iterable[LoggedFrame]) -> None:
+    """Write frames as BLF, with the times that they have.
+
+    Raises
+    ------
+    OSError
+        It cannot be written.
+    """
+    with can.BLFWriter(path) as log:
+        for frame in frames:
+            log.on_message_received(_message(frame))
+
+
+def _of_message(message: Any) -> LoggedFrame:
+    kind = "error" if message.is_error_frame else "remote" if message.is_remote_frame else "data"
+    return LoggedFrame(
+        time_s=message.timestamp,
+        can_id=message.arbitration_id,
+        data=bytes(message.data),
+        received=message.is_rx,
+        kind=kind,
+        extended=message.is_extended_id,
+        length=message.dlc,
+        channel=message.channel,
+    )
+
+
+def _message(frame: LoggedFrame) -> can.Message:
+    return can.Message(
+        timestamp=frame.time_s,
+        arbitration_id=frame.can_id,
+        data=frame.data,
+        is_rx=frame.received,
+        is_error_frame=frame.kind == "error",
+        is_remote_frame=frame.kind == "remote",
+        is_extended_id=frame.extended,
+        dlc=frame.length,
+        channel=frame.channel,
+    )

@@ -1,0 +1,192 @@
+"""A bus that only is listened to: what drives and their master say to each other, nothing is sent.
+
+TPDOs are read as the master of this house maps them (`drives.pdo`); what a drive answers to its master by SDO tells the
+constants that raw words need (CiA 301, 7.2.4.3: expedited uploads).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from typing import Final, NoReturn
+
+from drives.access import Entry
+from drives.bringup import read_constants
+from drives.bus import EMCY_BASE, SDO_ANSWER_BASE, SYNC_ID, Bus
+from drives.decode import Decoder, Fields, double_decoder, single_decoder
+from drives.emcy import Emergency, parse_emergency
+from drives.epoch import Epoch
+from drives.errors import ConfigurationRefused
+from drives.objects import SIZE_BYTES
+from drives.pdo import COMMAND, rpdo_plan, tpdo_plans
+from drives.profile import DriveProfile
+from drives.scaling import Constants, MotorScale, motor_scale
+from drives.values import AxisSetup, DriveReading
+
+#: Emergency messages that wait to be taken.
+_KEPT: Final = 64
+_UPLOAD_ANSWER: Final = 0x40
+_COMMAND_BITS, _EXPEDITED, _SIZED = 0xE0, 0x02, 0x01
+
+
+class _Answers:
+    """What one drive has answered to its master, as `read_constants` asks for it."""
+
+    def __init__(self, node_id: int, profile: DriveProfile) -> None:
+        self.profile = profile
+        self._node_id = node_id
+        self._values: dict[tuple[int, int], bytes] = {}
+
+    def take(self, data: bytes | bytearray) -> bool:
+        """Keep a frame if it is an answer with a value; whether it was."""
+        if len(data) != 8 or data[0] & _COMMAND_BITS != _UPLOAD_ANSWER or not data[0] & _EXPEDITED:
+            return False
+        unused = data[0] >> 2 & 0x03 if data[0] & _SIZED else 0
+        self._values[int.from_bytes(data[1:3], "little"), data[3]] = bytes(data[4 : 8 - unused])
+        return True
+
+    def read(self, entry: Entry, /) -> int:
+        """Value of an object that was heard.
+
+        Raises
+        ------
+        ConfigurationRefused
+            It was not heard.
+        """
+        value = self._values.get((entry.index, entry.subindex))
+        if value is None:
+            self.refuse(entry, "was not heard", "begin to listen before the master reads it")
+        return int.from_bytes(value[: SIZE_BYTES[entry.type]], "little", signed=entry.type.startswith("i"))
+
+    def refuse(self, entry: Entry, what: str, advice: str, /) -> NoReturn:
+        """Raise `ConfigurationRefused` about an object."""
+        raise ConfigurationRefused(what, node=self._node_id, index=entry.index, subindex=entry.subindex, advice=advice)
+
+
+class _HeardDrive:
+    """One drive as it is heard."""
+
+    def __init__(self, setup: AxisSetup, constants: Constants | None) -> None:
+        self.setup = setup
+        self.answers = _Answers(setup.node_id, setup.profile)
+        self.plans, self.roles = tpdo_plans(setup.profile, setup.node_id)
+        self.frames: list[bytes | bytearray | None] = [None] * len(self.plans)
+        self.target_count: int | None = None
+        self.decoder: Decoder | None = None
+        self.scale: MotorScale | None = None
+        if constants is not None:
+            self.know(constants)
+
+    def know(self, constants: Constants) -> None:
+        """Its constants are known."""
+        setup = self.setup
+        scale = self.scale = motor_scale(setup.profile, constants, setup.torque_constant_nm_per_a)
+        unpack = [plan.layout.unpack for plan in self.plans]
+        if len(unpack) == 1:
+            self.decoder = single_decoder(setup.node_id, 0, unpack[0], scale)
+        else:
+            fields = Fields("velocity" in self.roles, "current" in self.roles)
+            self.decoder = double_decoder(setup.node_id, 0, (unpack[0], unpack[1]), scale, fields)
+
+    def learn(self) -> None:
+        """Take the constants from what was heard, as soon as all of them were."""
+        try:
+            self.know(read_constants(self.answers))
+        except ConfigurationRefused:
+            return
+
+    def take(self, sync_index: int) -> DriveReading | None:
+        """What it has answered to the SYNC before this moment."""
+        reading = None if self.decoder is None else self.decoder(sync_index, self.frames)
+        self.frames = [None] * len(self.plans)
+        return reading
+
+
+class OverheardBus:
+    """The drives of an arm on a bus that somebody else is the master of.
+
+    Parameters
+    ----------
+    bus : Bus
+        Nothing is sent on it.
+    setups : sequence of AxisSetup
+    constants : sequence of Constants, optional
+        Of the drives, where they are known from elsewhere.
+
+    Attributes
+    ----------
+    sync_index : int
+        SYNCs that were heard.
+    emergencies : deque of Emergency
+        To be taken by whoever shows them.
+    """
+
+    def __init__(self, bus: Bus, setups: Sequence[AxisSetup], constants: Sequence[Constants] | None = None) -> None:
+        self.sync_index = 0
+        self.emergencies: deque[Emergency] = deque(maxlen=_KEPT)
+        known = [None] * len(setups) if constants is None else constants
+        self._drives = [_HeardDrive(setup, each) for setup, each in zip(setups, known, strict=True)]
+        self._done: deque[Epoch] = deque(maxlen=1024)
+        self._began_s: float | None = None
+        self._sent_s = 0.0
+        self.bus = bus
+        bus.subscribe(SYNC_ID, self._on_sync)
+        for drive in self._drives:
+            self._listen_to(drive)
+
+    @property
+    def unknown(self) -> tuple[int, ...]:
+        """Nodes whose constants were not heard: their words cannot be read."""
+        return tuple(drive.setup.node_id for drive in self._drives if drive.scale is None)
+
+    def epochs(self) -> list[Epoch]:
+        """SYNCs that were answered since this was asked last."""
+        done = list(self._done)
+        self._done.clear()
+        return done
+
+    def targets_rad(self) -> list[float | None]:
+        """Position that each drive was last told to go to, motor side; None = not heard, or its scale is not known."""
+        return [
+            None if drive.scale is None or drive.target_count is None else drive.target_count * drive.scale.count_rad
+            for drive in self._drives
+        ]
+
+    # -- inside --------------------------------------------------------------------------------------------------------
+
+    def _listen_to(self, drive: _HeardDrive) -> None:
+        node_id = drive.setup.node_id
+
+        def on_answer(_can_id: int, data: bytes | bytearray, _time_s: float) -> None:
+            if drive.answers.take(data) and drive.scale is None:
+                drive.learn()
+
+        def on_command(_can_id: int, data: bytes | bytearray, _time_s: float) -> None:
+            if len(data) == COMMAND.size:
+                drive.target_count = COMMAND.unpack(data)[1]
+
+        def on_emergency(_can_id: int, data: bytes | bytearray, _time_s: float) -> None:
+            self.emergencies.append(parse_emergency(node_id, bytes(data), self.sync_index, drive.setup.profile))
+
+        for slot, plan in enumerate(drive.plans):
+
+            def on_frame(
+                _can_id: int, data: bytes | bytearray, _time_s: float, slot: int = slot, size: int = plan.size_bytes
+            ) -> None:
+                if len(data) == size:
+                    drive.frames[slot] = data
+
+            self.bus.subscribe(plan.cob_id, on_frame)
+        self.bus.subscribe(SDO_ANSWER_BASE + node_id, on_answer)
+        self.bus.subscribe(rpdo_plan(node_id).cob_id, on_command)
+        self.bus.subscribe(EMCY_BASE + node_id, on_emergency)
+
+    def _on_sync(self, _can_id: int, _data: bytes | bytearray, time_s: float) -> None:
+        """What has come since the last SYNC answers that one."""
+        if self._began_s is None:
+            self._began_s = time_s
+        else:
+            readings = tuple(drive.take(self.sync_index) for drive in self._drives)
+            self._done.append(Epoch(self.sync_index, self._sent_s, readings))
+        self.sync_index += 1
+        self._sent_s = time_s - self._began_s

@@ -1,0 +1,123 @@
+"""The process of the page: `python -m gateway.live.process CHANNEL LISTENER`, started by `LivePage` alone.
+
+It looks at the channel at the pace of a screen, not with every SYNC, and at a lower priority than what moves. When the
+other end is gone, in whatever way, it says so to every open page and ends.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import socket
+import sys
+from typing import Final
+
+import uvicorn
+
+from drives.realtime import leave_real_time
+from gateway.live.guard import Door
+from gateway.live.server import Pages, live_app
+from gateway.live.show import Show
+from gateway.live.wire import MOST_BYTES, STOP, Hello, Unpacker
+
+#: Between two frames of the page [s].
+FRAME_S: Final = 1.0 / 30.0
+#: How long pages may take to be told that this is the end [s].
+FAREWELL_S: Final = 1.0
+#: Below the programs that a person works with, far below what moves.
+NICE: Final = 5
+#: Pages that may be open; further ones are refused by the server.
+MOST_PAGES: Final = 200
+GONE: Final = "The command was ended without a word: the drives stop by themselves once its heartbeat is missing."
+
+
+class Channel:
+    """The end of the channel on this side."""
+
+    def __init__(self, end: socket.socket) -> None:
+        self._end = end
+        self._unpacker = Unpacker()
+        self.gone = False
+
+    def drain(self, show: Show) -> None:
+        """Take in what has come."""
+        while not self.gone:
+            try:
+                datagram = self._end.recv(MOST_BYTES)
+            except BlockingIOError:
+                return
+            except OSError:
+                datagram = b""
+            if not datagram:
+                self.gone = True
+                return
+            message = self._unpacker.take(datagram)
+            if message is not None:
+                show.take(message)
+
+    def stop(self) -> None:
+        """The button was pressed."""
+        with contextlib.suppress(OSError):
+            self._end.send(STOP)
+
+
+async def first_word(end: socket.socket) -> Hello | None:
+    """What the page is told at first; None = nobody is there."""
+    unpacker = Unpacker()
+    loop = asyncio.get_running_loop()
+    while datagram := await loop.sock_recv(end, MOST_BYTES):
+        message = unpacker.take(datagram)
+        if isinstance(message, Hello):
+            return message
+    return None
+
+
+async def run(end: socket.socket, listener: socket.socket) -> None:
+    """Serve until the other end is gone or says that it is over."""
+    hello = await first_word(end)
+    if hello is None:
+        return
+    show, channel = Show(hello), Channel(end)
+    pages = Pages(show, channel.stop)
+    server = uvicorn.Server(
+        uvicorn.Config(
+            live_app(pages, Door(hello.port, hello.token)),
+            http="h11",
+            ws="websockets-sansio",
+            ws_max_size=1024,
+            limit_concurrency=2 * MOST_PAGES,
+            lifespan="off",
+            access_log=False,
+            log_level="critical",
+            server_header=False,
+            timeout_graceful_shutdown=1,
+        )
+    )
+    serving = asyncio.create_task(server.serve(sockets=[listener]))
+    parent = os.getppid()
+    while not show.over and not serving.done():
+        await asyncio.sleep(FRAME_S)
+        channel.drain(show)
+        if not show.over and (channel.gone or os.getppid() != parent):
+            show.end(GONE)
+        pages.tell()
+    until_s = asyncio.get_running_loop().time() + FAREWELL_S
+    while pages.behind and asyncio.get_running_loop().time() < until_s:
+        await asyncio.sleep(FRAME_S)
+    server.should_exit = True
+    await serving
+
+
+def main(arguments: list[str]) -> None:
+    """Serve the page."""
+    leave_real_time()
+    with contextlib.suppress(OSError):
+        os.nice(NICE)
+    channel, listener = (socket.socket(fileno=int(number)) for number in arguments)
+    channel.setblocking(False)
+    asyncio.run(run(channel, listener))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

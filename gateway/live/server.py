@@ -1,0 +1,168 @@
+"""The page and its socket, served to browsers on this computer; nothing of it can be reached from another one."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections import deque
+from collections.abc import Callable, Iterable
+from importlib.resources import files
+from typing import Final
+
+from starlette.applications import Starlette
+from starlette.requests import HTTPConnection, Request
+from starlette.responses import PlainTextResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from gateway.live.guard import Door
+from gateway.live.show import Show
+from gateway.report.page import Head, page
+
+#: What a browser that does not read is behind before words are left out for it, in frames.
+BEHIND: Final = 4
+#: Words (events, poses) that are kept for a browser that does not read.
+WORDS: Final = 400
+STOP: Final = "stop"
+#: Nothing is fetched from elsewhere, the page is shown in no frame of another, and its address is told to nobody.
+HEADERS: Final = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; "
+    "img-src 'self' data:; connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-store",
+}
+STATIC: Final = {
+    "uplot.js": ("uPlot.iife.min.js", "text/javascript"),
+    "uplot.css": ("uPlot.min.css", "text/css"),
+    "arm.js": ("arm.js", "text/javascript"),
+    "charts.js": ("charts.js", "text/javascript"),
+    "live.js": ("live.js", "text/javascript"),
+    "live.css": ("live.css", "text/css"),
+}
+REFUSED, GONE = 1008, 1001
+
+
+class Viewer:
+    """One open page: what it has not been sent yet; frames that it did not take in time are left out."""
+
+    def __init__(self, past: Iterable[str]) -> None:
+        self._words: deque[str] = deque(past, maxlen=WORDS)
+        self._frames: deque[str] = deque(maxlen=BEHIND)
+        self._wake = asyncio.Event()
+        self._wake.set()
+
+    def put(self, texts: Iterable[str]) -> None:
+        """Something to send; never waits."""
+        for text in texts:
+            (self._frames if text.startswith('{"frame"') else self._words).append(text)
+        self._wake.set()
+
+    async def next(self) -> str:
+        """What is to be sent next: words before frames."""
+        while not self._words and not self._frames:
+            self._wake.clear()
+            await self._wake.wait()
+        return self._words.popleft() if self._words else self._frames.popleft()
+
+    @property
+    def behind(self) -> bool:
+        """Whether something is left to send."""
+        return bool(self._words or self._frames)
+
+
+class Pages:
+    """All pages that are open.
+
+    Parameters
+    ----------
+    show : Show
+    stop : callable
+        Called each time the button is pressed.
+    """
+
+    def __init__(self, show: Show, stop: Callable[[], None]) -> None:
+        self.show = show
+        self._stop = stop
+        self._viewers: set[Viewer] = set()
+
+    def tell(self) -> None:
+        """Hand on what is new."""
+        news = self.show.news()
+        if news:
+            for viewer in self._viewers:
+                viewer.put(news)
+
+    @property
+    def behind(self) -> bool:
+        """Whether some page has not been sent everything."""
+        return any(viewer.behind for viewer in self._viewers)
+
+    async def serve(self, socket: WebSocket) -> None:
+        """One page, until it is closed."""
+        await socket.accept()
+        viewer = Viewer(self.show.past())
+        self._viewers.add(viewer)
+        sending = asyncio.create_task(_send(socket, viewer))
+        try:
+            with contextlib.suppress(WebSocketDisconnect, RuntimeError, KeyError):
+                while True:
+                    if await socket.receive_text() == STOP:
+                        self._stop()
+        finally:
+            self._viewers.discard(viewer)
+            sending.cancel()
+            with contextlib.suppress(asyncio.CancelledError, Exception):
+                await sending
+
+
+async def _send(socket: WebSocket, viewer: Viewer) -> None:
+    with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+        while True:
+            await socket.send_text(await viewer.next())
+
+
+class _Guarded:
+    """Answers nobody whom the door refuses, and puts the headers on what is answered."""
+
+    def __init__(self, app: ASGIApp, door: Door) -> None:
+        self._app, self._door = app, door
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        refusal = self._door.refused(HTTPConnection(scope))
+        if not refusal:
+            await self._app(scope, receive, send)
+        elif scope["type"] == "http":
+            await PlainTextResponse(refusal + "\n", 403, HEADERS)(scope, receive, send)
+        else:
+            await WebSocket(scope, receive, send).close(REFUSED, refusal[:100])
+
+
+def live_app(pages: Pages, door: Door) -> ASGIApp:
+    """The application: `/` the page, `/static/..` what it is made of, `/feed` what happens."""
+
+    async def shown(_request: Request) -> Response:
+        return Response(page_text(door.token), headers=HEADERS, media_type="text/html")
+
+    async def static(request: Request) -> Response:
+        known = STATIC.get(request.path_params["name"])
+        if known is None:
+            return PlainTextResponse("There is no such part of the page.\n", 404, HEADERS)
+        content = files("gateway.live").joinpath("static", known[0]).read_bytes()
+        return Response(content, headers=HEADERS, media_type=known[1])
+
+    routes = [
+        Route("/", shown),
+        Route("/static/{name}", static),
+        WebSocketRoute("/feed", pages.serve),
+    ]
+    return _Guarded(Starlette(routes=routes), door)
+
+
+def page_text(token: str) -> str:
+    """HTML text of the page; everything that it fetches is asked for with the word of its address."""
+    return page("live.html.j2", Head("Live", "Live", ()), token=token)

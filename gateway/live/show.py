@@ -1,0 +1,238 @@
+"""What the page is told: rows and events of the motion loop, as text that a browser draws."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drives.cia402 import State, decode_state, describe
+from gateway.acquire.events import Progress
+from gateway.live.feed import PHASES
+from gateway.live.sayings import FAIL, saying
+from gateway.live.wire import HEAD, PER_AXIS, CommandOver, Ended, Happened, Hello, PoseSeen, ShownArm, ShownCell
+from gateway.model.kinematics import link_frames
+from gateway.model.robot import reach_m
+from gateway.motion.observer import RowTold
+from gateway.motion.state import Phase
+from gateway.report import words
+
+Floats = NDArray[np.float64]
+Json = dict[str, Any]
+
+#: How much of the past a browser that comes later is shown [s], and rows and events of it that are kept at most.
+PAST_S: Final = 30.0
+PAST_ROWS, PAST_EVENTS, PAST_POSES = 3000, 40, 200
+#: Span over which speed is measured [s].
+SPEED_SPAN_S: Final = 0.02
+#: Digits behind the point: 10 urad, 10 urad/s, 0.1 mm, 0.01 mNm.
+DIGITS: Final = 5
+#: Drives in these states have failed, or are about to be without power because of it.
+FAILED: Final = frozenset({State.FAULT, State.FAULT_REACTION_ACTIVE})
+
+
+@dataclass(slots=True)
+class _ArmPast:
+    """Rows of one arm: those that were shown, and those that are new."""
+
+    arm: ShownArm
+    told: deque[list[float | None]] = field(default_factory=lambda: deque(maxlen=PAST_ROWS))
+    fresh: list[list[float | None]] = field(default_factory=list)
+    where: deque[tuple[float, Floats]] = field(default_factory=lambda: deque(maxlen=64))
+    q_rad: Floats | None = None
+    status: Floats | None = None
+
+    def take(self, time_s: float, row: Floats) -> None:
+        """A row of shape (PER_AXIS, N)."""
+        q_rad, followed_rad, torque_nm, modelled_nm, self.status = row
+        speed = self._speed(time_s, q_rad)
+        values = np.concatenate([[time_s], q_rad, speed, q_rad - followed_rad, torque_nm, modelled_nm])
+        self.fresh.append(_plain(values))
+        if not np.isnan(q_rad).any():
+            self.q_rad = q_rad
+
+    def _speed(self, time_s: float, q_rad: Floats) -> Floats:
+        if self.where and time_s <= self.where[-1][0]:
+            self.where.clear()
+        while len(self.where) > 1 and self.where[1][0] <= time_s - SPEED_SPAN_S:
+            self.where.popleft()
+        first = self.where[0] if self.where else None
+        self.where.append((time_s, q_rad))
+        return np.full_like(q_rad, np.nan) if first is None else (q_rad - first[1]) / (time_s - first[0])
+
+    def frame(self) -> Json:
+        """What is new, and how the arm stands."""
+        rows, self.fresh = self.fresh, []
+        self.told += rows
+        return {"rows": rows, **self.stands()}
+
+    def stands(self) -> Json:
+        """Frames of the links and states of the drives; nothing of what is not known."""
+        stands: Json = {}
+        if self.q_rad is not None:
+            frames = link_frames(self.arm.robot, self.q_rad[None])[0, :, :3, :]
+            stands["frames"] = np.round(frames.reshape(len(frames), 12), DIGITS).tolist()
+        if self.status is not None:
+            stands["drives"] = [_drive(word) for word in self.status.tolist()]
+        return stands
+
+    def past(self) -> Json:
+        """All that is kept."""
+        return {"rows": list(self.told), **self.stands()}
+
+
+def _drive(word: float) -> list[Any]:
+    """State of a drive in words, and how grave it is."""
+    if word != word:
+        return ["no answer", "warn"]
+    state = decode_state(int(word))
+    grave = "fail" if state in FAILED else "plain" if state is State.OPERATION_ENABLED else "warn"
+    return [describe(int(word)), grave]
+
+
+def _plain(values: Floats) -> list[float | None]:
+    rounded = np.round(values, DIGITS)
+    listed: list[float | None] = rounded.tolist()
+    return [None if value != value else value for value in listed] if np.isnan(rounded).any() else listed
+
+
+class Show:
+    """Everything a page shows, kept so that one that is opened later sees the same.
+
+    Parameters
+    ----------
+    hello : Hello
+    """
+
+    def __init__(self, hello: Hello) -> None:
+        self._hello = hello
+        self._scene: Json | None = None
+        self._arms: list[_ArmPast] = []
+        self._events: deque[Json] = deque(maxlen=PAST_EVENTS)
+        self._poses: deque[Json] = deque(maxlen=PAST_POSES)
+        self._new: list[Json] = []
+        self._standing: Json = {"phase": "", "what": "", "left_s": None, "unanswered": 0, "sync": 0}
+        self._changed = False
+        #: Wall clock less the monotonic one: a browser knows the former alone.
+        self._wall_s = time.time() - time.monotonic()
+        self.over = ""
+
+    def take(self, message: Floats | object) -> None:
+        """A row or a message of the motion loop."""
+        if isinstance(message, np.ndarray):
+            self._row(message)
+        elif isinstance(message, ShownCell):
+            self._show(message)
+        elif isinstance(message, PoseSeen):
+            self._pose(message)
+        elif isinstance(message, Happened):
+            self._happened(message.event)
+        elif isinstance(message, Ended):
+            self._standing |= {"phase": str(Phase.STOPPED if message.reason else Phase.IN_BRAKES), "what": ""}
+            self._changed = True
+            if message.reason:
+                self._say(FAIL, message.reason)
+        elif isinstance(message, CommandOver):
+            self.end(message.reason)
+
+    def end(self, reason: str) -> None:
+        """The command has ended, or is gone."""
+        self.over = reason
+        self._new.append({"over": reason})
+
+    def news(self) -> list[str]:
+        """What pages are to be told since this was asked last, as JSON."""
+        news, self._new = self._new, []
+        if self._changed and self._scene is not None:
+            self._changed = False
+            news.append({"frame": {**self._standing, "arms": [arm.frame() for arm in self._arms]}})
+        return [json.dumps(each, allow_nan=False, separators=(",", ":")) for each in news]
+
+    def past(self) -> list[str]:
+        """What a page is told that has just been opened, as JSON."""
+        told: list[Json] = [{"hello": {"title": self._hello.title, "stops": self._hello.stops}}]
+        if self._scene is not None:
+            told.append({"scene": self._scene})
+            told.append({"frame": {**self._standing, "arms": [arm.past() for arm in self._arms]}})
+        told += [{"event": event} for event in self._events]
+        told += [{"pose": pose} for pose in self._poses]
+        if self.over:
+            told.append({"over": self.over})
+        return [json.dumps(each, allow_nan=False, separators=(",", ":")) for each in told]
+
+    # -- inside --------------------------------------------------------------------------------------------------------
+
+    def _show(self, cell: ShownCell) -> None:
+        self._arms = [_ArmPast(arm) for arm in cell.arms]
+        self._scene = {"arms": [_arm(arm) for arm in cell.arms], "past_s": PAST_S}
+        self._new.append({"scene": self._scene})
+
+    def _row(self, row: Floats) -> None:
+        sent_s, sync, time_s, phase, unanswered = row[:HEAD].tolist()
+        at = HEAD
+        for past in self._arms:
+            end = at + PER_AXIS * past.arm.axes
+            if end > len(row):  # of another cell than the one that is shown
+                return
+            past.take(time_s, row[at:end].reshape(PER_AXIS, past.arm.axes))
+            at = end
+        self._standing |= {
+            "phase": str(PHASES[int(phase)]),
+            "sync": int(sync),
+            "unanswered": int(unanswered),
+            "wall_ms": round(1e3 * (sent_s + self._wall_s), 1),
+        }
+        self._changed = True
+
+    def _happened(self, event: object) -> None:
+        if isinstance(event, RowTold):
+            self._standing["what"] = event.what
+        elif isinstance(event, Progress):
+            self._standing |= {"what": event.what, "left_s": round(event.remaining_s, 1)}
+            self._changed = True
+        elif (said := saying(event)) is not None:
+            self._say(*said)
+
+    def _pose(self, seen: PoseSeen) -> None:
+        done = seen.done
+        modelled = self._arms[0].arm.modelled if self._arms else False
+        residual_nm = np.array(done.gravity_nm) - seen.modelled_nm if modelled else None
+        pose = {
+            "pose": done.pose,
+            "load": words.load(done.load),
+            "band_nm": _plain(np.array(done.friction_band_nm)),
+            "residual_nm": None if residual_nm is None else _plain(residual_nm),
+        }
+        self._poses.append(pose)
+        self._new.append({"pose": pose})
+        self._happened(done)
+
+    def _say(self, grave: str, text: str) -> None:
+        event = {"at": f"{datetime.now(UTC):%H:%M:%S}", "grave": grave, "text": text}
+        self._events.append(event)
+        self._new.append({"event": event})
+
+
+def _arm(arm: ShownArm) -> Json:
+    """What the page is told of an arm once."""
+    return {
+        "name": arm.name,
+        "axes": arm.axes,
+        "reach_m": round(reach_m(arm.robot), 3),
+        "modelled": arm.modelled,
+        "assumed": list(arm.assumed),
+        "bodies": [
+            {"link": body.link, "points": np.round(body.points_m, 4).tolist(), "faces": [list(f) for f in body.faces]}
+            for body in arm.bodies
+        ],
+        "boxes": np.round(arm.boxes_m, 4).tolist(),
+        "speed_rad_s": _plain(arm.speed_rad_s),
+        "torque_nm": _plain(arm.torque_nm),
+        "following_error_rad": _plain(arm.following_error_rad),
+    }

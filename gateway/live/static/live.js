@@ -1,0 +1,257 @@
+// What the socket tells goes into the page; the button is the one thing that goes back.
+"use strict";
+
+const byId = (id) => document.getElementById(id);
+const token = new URLSearchParams(location.search).get("token") || "";
+const KINDS = ["q", "speed", "error", "torque", "model"];
+const MOST_ROWS = 2600;
+
+class Arm {
+  constructor(arm) {
+    const part = byId("arm").content.cloneNode(true).firstElementChild;
+    byId("arms").append(part);
+    this.part = part;
+    this.arm = arm;
+    this.view = new ArmView(part.querySelector("canvas"), arm);
+    this.time = [];
+    this.values = KINDS.map(() => Array.from({ length: arm.axes }, () => []));
+    part.querySelector("h2").textContent = `Arm ${arm.name}`;
+    const assumed = part.querySelector(".assumed");
+    assumed.textContent = arm.assumed.length ? `Shape assumed: ${arm.assumed.map((each) => each.split(":")[0]).join(", ")}.` : "";
+    assumed.title = arm.assumed.join("\n");
+    this.cells = this.table();
+    this.charts = this.curves();
+    this.rest = null;
+    this.poses = [];
+  }
+
+  table() {
+    const body = this.part.querySelector("tbody");
+    return Array.from({ length: this.arm.axes }, (_, joint) => {
+      const row = body.insertRow();
+      row.insertCell().textContent = `J${joint + 1}`;
+      const cells = [row.insertCell(), ...KINDS.map(() => row.insertCell())];
+      cells.forEach((cell, index) => (cell.className = index ? "n" : "state"));
+      return cells;
+    });
+  }
+
+  curves() {
+    const torque = this.part.querySelector(".torque"), motion = this.part.querySelector(".motion");
+    const joints = Array.from({ length: this.arm.axes }, (_, joint) => joint);
+    const colours = joints.map((joint) => `--j${(joint % 8) + 1}`);
+    for (const joint of joints) {
+      const label = document.createElement("span"), mark = document.createElement("i");
+      mark.className = "k-joint";
+      mark.style.borderColor = `var(${colours[joint]})`;
+      label.append(mark, `J${joint + 1}`);
+      this.part.querySelector(".joints").append(label);
+    }
+    return {
+      torque: joints.map((joint) => new Chart(torque, `J${joint + 1} torque`, "Nm", this.arm.modelled ? ["--model", "--torque"] : ["--torque"], "time")),
+      motion: [["position", "rad"], ["speed", "rad/s"], ["following error", "mrad"]].map(
+        ([name, unit]) => new Chart(motion, name, unit, colours, "time"),
+      ),
+    };
+  }
+
+  take(told) {
+    const axes = this.arm.axes;
+    for (const row of told.rows) {
+      if (this.time.length && row[0] < this.time[this.time.length - 1]) this.forget();
+      this.time.push(row[0]);
+      this.values.forEach((kind, number) => kind.forEach((joint, index) => joint.push(row[1 + number * axes + index])));
+    }
+    const first = this.time.length ? this.time[this.time.length - 1] - WINDOW_S : 0;
+    let old = Math.max(0, this.time.length - MOST_ROWS);
+    while (old < this.time.length && this.time[old] < first) old++;
+    if (old > 200 || old >= this.time.length - MOST_ROWS / 2) this.drop(old);
+    if (told.frames) this.view.pose(told.frames);
+    if (told.drives) this.drives = told.drives;
+  }
+
+  drop(count) {
+    if (!count) return;
+    this.time.splice(0, count);
+    for (const kind of this.values) for (const joint of kind) joint.splice(0, count);
+  }
+
+  forget() {
+    this.drop(this.time.length);
+  }
+
+  draw() {
+    this.view.draw();
+    const [q, speed, error, torque, model] = this.values;
+    this.charts.torque.forEach((chart, joint) =>
+      chart.show(this.arm.modelled ? [this.time, model[joint], torque[joint]] : [this.time, torque[joint]]));
+    const [place, rate, off] = this.charts.motion;
+    place.show([this.time, ...q]);
+    rate.show([this.time, ...speed]);
+    off.show([this.time, ...error.map((joint) => joint.map((value) => (value === null ? null : 1e3 * value)))]);
+  }
+
+  write() {
+    this.cells.forEach((cells, joint) => {
+      const [state, grave] = (this.drives && this.drives[joint]) || ["-", "plain"];
+      cells[0].textContent = state;
+      cells[0].className = `state ${grave}`;
+      const last = (kind) => this.values[kind][joint][this.time.length - 1];
+      const put = (cell, value, digits, limit) => {
+        cell.textContent = value == null ? "-" : value.toFixed(digits);
+        cell.classList.toggle("over", value != null && limit != null && Math.abs(value) > limit);
+      };
+      put(cells[1], last(0), 4);
+      put(cells[2], last(1), 3, this.arm.speed_rad_s[joint]);
+      put(cells[3], last(2) == null ? null : 1e3 * last(2), 2, 1e3 * this.arm.following_error_rad[joint]);
+      put(cells[4], last(3), 2, this.arm.torque_nm[joint]);
+      put(cells[5], this.arm.modelled ? last(4) : null, 2);
+    });
+  }
+
+  pose(pose) {
+    const place = this.part.querySelector(".rest");
+    this.part.querySelector(".poses").hidden = false;
+    if (!this.rest) {
+      const colours = Array.from({ length: this.arm.axes }, (_, joint) => `--j${(joint % 8) + 1}`);
+      this.rest = { band: new Chart(place, "friction band", "Nm", colours, "pose") };
+      if (pose.residual_nm) this.rest.residual = new Chart(place, "measured less model without load", "Nm", colours, "pose");
+    }
+    this.poses.push(pose);
+    const number = this.poses.map((_, index) => index + 1);
+    const joints = (key) => Array.from({ length: this.arm.axes }, (_, joint) => this.poses.map((each) => each[key] && each[key][joint]));
+    this.rest.band.show([number, ...joints("band_nm")]);
+    if (this.rest.residual) this.rest.residual.show([number, ...joints("residual_nm")]);
+  }
+
+  all() {
+    return [...this.charts.torque, ...this.charts.motion, ...(this.rest ? Object.values(this.rest) : [])];
+  }
+}
+
+const live = { arms: [], fresh: false, over: false, stops: true, frames: 0, lag_ms: [], cost_ms: [], presses: 0, socket: null, wall_ms: 0, poses: [] };
+
+function hear(message) {
+  if (message.hello) {
+    document.querySelector("h1").textContent = document.title = message.hello.title;
+    live.stops = message.hello.stops;
+    live.poses = [];
+    byId("events").replaceChildren();
+    arm_button();
+  } else if (message.scene) {
+    byId("arms").replaceChildren();
+    live.arms = message.scene.arms.map((arm) => new Arm(arm));
+    for (const pose of live.poses) live.arms[0]?.pose(pose);
+    live.fresh = true;
+  } else if (message.frame) {
+    message.frame.arms.forEach((told, index) => live.arms[index]?.take(told));
+    stand(message.frame);
+    live.wall_ms = message.frame.wall_ms || 0;
+    live.fresh = true;
+  } else if (message.event) tell(message.event);
+  else if (message.pose) {
+    live.poses.push(message.pose);
+    live.arms[0]?.pose(message.pose);
+  } else if (message.over) end(message.over);
+}
+
+function stand(frame) {
+  const phase = byId("phase");
+  phase.textContent = frame.phase || "-";
+  phase.classList.toggle("fail", frame.phase.startsWith("stopped"));
+  byId("what").textContent = frame.what;
+  byId("left").textContent = frame.left_s == null ? "-" : clock(frame.left_s);
+  byId("sync").textContent = frame.sync;
+  byId("unanswered").textContent = frame.unanswered;
+}
+
+function clock(seconds) {
+  return seconds < 60 ? `${seconds.toFixed(0)} s` : `${Math.floor(seconds / 60)} min ${Math.floor(seconds % 60)} s`;
+}
+
+function tell(event) {
+  const item = document.createElement("li"), at = document.createElement("time");
+  item.className = event.grave;
+  at.textContent = `${event.at} UTC`;
+  item.append(at, event.text);
+  const list = byId("events");
+  list.prepend(item);
+  while (list.children.length > 40) list.lastElementChild.remove();
+}
+
+function end(reason) {
+  live.over = true;
+  const line = byId("over");
+  line.hidden = false;
+  line.classList.toggle("bad", reason !== "The command has ended.");
+  line.textContent = reason;
+  arm_button();
+}
+
+function arm_button() {
+  const button = byId("stop"), open = live.socket && live.socket.readyState === WebSocket.OPEN;
+  button.disabled = live.over || !live.stops || !open;
+  button.textContent = live.stops ? (live.presses ? "STOP AT ONCE" : "STOP") : "ONLY WATCHES";
+  button.title = live.stops
+    ? "Stops the arm along its way; pressed again, at once by the drives' quick stop"
+    : "This page only listens to the bus: stop the arm where it is moved from";
+  byId("link").textContent = live.over ? "ended" : open ? "connected" : "not connected";
+}
+
+byId("stop").addEventListener("click", () => {
+  live.socket.send("stop");
+  live.presses += 1;
+  byId("stop").classList.add("asked");
+  arm_button();
+});
+
+function connect() {
+  live.socket = new WebSocket(`ws://${location.host}/feed?token=${encodeURIComponent(token)}`);
+  live.socket.onopen = arm_button;
+  live.socket.onmessage = (message) => hear(JSON.parse(message.data));
+  live.socket.onclose = () => {
+    arm_button();
+    if (!live.over) setTimeout(connect, 1000);
+  };
+}
+
+let written = 0;
+function draw(now) {
+  if (live.fresh) {
+    const before = performance.now(), wall_ms = live.wall_ms;
+    live.fresh = false;
+    for (const arm of live.arms) arm.draw();
+    if (now - written > 90) {
+      written = now;
+      for (const arm of live.arms) arm.write();
+    }
+    live.frames += 1;
+    keep(live.cost_ms, performance.now() - before);
+    // what was drawn is on the screen when the next frame begins
+    if (wall_ms) requestAnimationFrame(() => keep(live.lag_ms, Date.now() - wall_ms));
+  } else for (const arm of live.arms) arm.view.draw();
+  requestAnimationFrame(draw);
+}
+
+function keep(list, value) {
+  list.push(value);
+  if (list.length > 2000) list.shift();
+}
+
+function redraw() {
+  for (const arm of live.arms) {
+    arm.view.restyle();
+    for (const chart of arm.all()) chart.make();
+  }
+  live.fresh = true;
+}
+
+window.addEventListener("resize", () => {
+  for (const arm of live.arms) {
+    arm.view.stale = true;
+    for (const chart of arm.all()) chart.resize();
+  }
+});
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
+connect();
+requestAnimationFrame(draw);

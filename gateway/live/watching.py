@@ -1,0 +1,212 @@
+"""Watching arms that somebody else moves: frames of their buses become what the page is fed; nothing is sent."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drives.bus import BusSpec, open_bus
+from drives.cia402 import State, decode_state
+from drives.epoch import Epoch
+from drives.overheard import OverheardBus
+from drives.scaling import Constants
+from gateway.cell.config import ArmConfig, LoadedCell
+from gateway.cell.conversion import AxisConversion
+from gateway.data.recording.reader import read
+from gateway.data.sample import ArmSample
+from gateway.errors import ConfigError, InputError
+from gateway.live.drawing import shown_arm
+from gateway.live.feed import Feed
+from gateway.live.wire import Heard, ShownCell
+from gateway.model.arm_model import arm_robot
+from gateway.model.regressor import gravity_regressor
+from gateway.motion.arm import JointSide
+from gateway.motion.observer import Observed
+from gateway.motion.opening import axis_setups
+from gateway.motion.state import Phase, StateKeeper
+from gateway.motion.workspace import Workspace, workspace_of
+
+Floats = NDArray[np.float64]
+
+#: A bus is listened to for so long at a time [s]: no longer than the shortest time between two rows of the page.
+TURN_S: Final = 0.005
+#: Without a SYNC for so long nobody is the master [s].
+SILENT_S: Final = 2.0
+#: Set points that change by less from SYNC to SYNC stand still [rad].
+STILL_RAD: Final = 1e-7
+UNKNOWN: Final = (
+    "were not heard: their positions and torques cannot be read; start this page before the command that moves, or "
+    "give a recording of them with --constants"
+)
+
+
+class WatchedArm:
+    """One arm on its bus.
+
+    Parameters
+    ----------
+    config : ArmConfig
+    workspace : Workspace
+    overheard : OverheardBus
+
+    Attributes
+    ----------
+    sample : ArmSample or None
+        Of the last SYNC that was heard.
+    target_rad : array of shape (N,)
+        Joint set points that went out last; NaN where none was heard.
+    phase : Phase
+        What the arm does, by what its drives say and are told.
+    """
+
+    def __init__(self, config: ArmConfig, workspace: Workspace, overheard: OverheardBus) -> None:
+        self.name, self.workspace, self.overheard = config.name, workspace, overheard
+        self._axes = AxisConversion.from_arm(config)
+        self._side = JointSide(self._axes)
+        self.sample: ArmSample | None = None
+        self.target_rad: Floats = np.full(workspace.robot.axes, np.nan)
+        self.phase = Phase.IN_BRAKES
+
+    def listen(self) -> bool:
+        """Take in what comes; whether a SYNC is over."""
+        self.overheard.bus.listen(TURN_S)
+        epochs = self.overheard.epochs()
+        if not epochs:
+            return False
+        motor = [np.nan if each is None else each for each in self.overheard.targets_rad()]
+        before, self.target_rad = self.target_rad, self._axes.joint_position(np.array(motor))
+        self.sample = self._side.sample(epochs[-1])
+        moves = bool((np.abs(self.target_rad - before) > STILL_RAD).any())
+        self.phase = _phase(epochs[-1], moves)
+        return True
+
+    def modelled_nm(self) -> Floats:
+        """Torque (N,) that the model of the arm without load asks for where it stands; NaN where that is not known."""
+        links = self.workspace.links
+        if links is None or self.sample is None or np.isnan(self.sample.q_rad).any():
+            return np.full(self.workspace.robot.axes, np.nan)
+        gravity = gravity_regressor(self.workspace.robot, self.sample.q_rad[None], self.workspace.gravity_m_s2)
+        return gravity[0] @ links
+
+
+def _phase(epoch: Epoch, moves: bool) -> Phase:
+    states = [decode_state(reading.statusword) for reading in epoch.readings if reading is not None]
+    if State.QUICK_STOP_ACTIVE in states or State.FAULT_REACTION_ACTIVE in states:
+        return Phase.STOPPING
+    if State.OPERATION_ENABLED not in states:
+        return Phase.IN_BRAKES
+    return Phase.MOVING if moves else Phase.HOLDING
+
+
+class Watching:
+    """Feeds the page with what is heard.
+
+    Parameters
+    ----------
+    arms : sequence of WatchedArm
+    feed : Feed
+    period_s : float
+        SYNC period, as the cell has it.
+    """
+
+    def __init__(self, arms: Sequence[WatchedArm], feed: Feed, period_s: float) -> None:
+        self._arms, self._feed = arms, feed
+        self._state = StateKeeper(arms[0].name, lambda _state: None)
+        self._heard_s = time.monotonic()
+        self._silent = False
+        self._untold = {node: True for arm in arms for node in arm.overheard.unknown}
+        feed.show(ShownCell(tuple(shown_arm(arm.name, arm.workspace) for arm in arms), period_s), self._state)
+
+    def turn(self) -> None:
+        """Listen to every bus for a moment, and hand on what was heard."""
+        heard = [arm.listen() for arm in self._arms]
+        for arm in self._arms:
+            self._tell_emergencies(arm)
+        if any(heard):
+            self._heard_s, self._silent = time.monotonic(), False
+            self._hand_on()
+        elif not self._silent and time.monotonic() - self._heard_s > SILENT_S:
+            self._silent = True
+            self._feed.told(Heard("warn", "no SYNC is heard: nobody moves these drives at the moment"))
+            self._state.enter(Phase.IN_BRAKES)
+
+    def _hand_on(self) -> None:
+        for arm in self._arms:
+            if arm.overheard.unknown and any(self._untold.pop(node, False) for node in arm.overheard.unknown):
+                nodes = ", ".join(map(str, arm.overheard.unknown))
+                self._feed.told(Heard("warn", f"arm '{arm.name}': the constants of nodes {nodes} {UNKNOWN}"))
+        samples = tuple(arm.sample for arm in self._arms if arm.sample is not None)
+        if len(samples) < len(self._arms):
+            return
+        phases = [arm.phase for arm in self._arms]
+        for phase in (Phase.STOPPING, Phase.MOVING, Phase.HOLDING, Phase.IN_BRAKES):
+            if phase in phases:
+                self._state.enter(phase, samples[0].sync_index)
+                break
+        targets = tuple(arm.target_rad for arm in self._arms)
+        self._feed.sampled(Observed(samples, targets, tuple(arm.modelled_nm() for arm in self._arms)))
+
+    def _tell_emergencies(self, arm: WatchedArm) -> None:
+        while arm.overheard.emergencies:
+            emergency = arm.overheard.emergencies.popleft()
+            self._feed.told(Heard("plain" if emergency.is_reset else "fail", str(emergency)))
+
+
+def stored_constants(path: Path, arm: ArmConfig) -> tuple[Constants, ...]:
+    """Constants of the drives of an arm, from a recording.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or holds none of this arm.
+    """
+    stored = read(path).arm(arm.name)
+    if stored is None or len(stored.constants) != len(arm.axis):
+        raise InputError(f"{path}: holds no constants of the drives of arm '{arm.name}'; give a recording of this cell")
+    return stored.constants
+
+
+def watch(loaded: LoadedCell, specs: Mapping[str, BusSpec], feed: Feed, recording: Path | None = None) -> None:
+    """Listen to the buses of a cell and feed the page, until the page is gone or a person ends it.
+
+    Parameters
+    ----------
+    loaded : LoadedCell
+    specs : mapping
+        Bus of every name in the cell.
+    feed : Feed
+    recording : Path, optional
+        Of this cell: constants of its drives.
+
+    Raises
+    ------
+    ConfigError
+        The robot cannot be used, or the bus lives in one program alone.
+    InputError
+        The recording cannot be used.
+    BusError
+        A bus cannot be opened, or fails.
+    """
+    with ExitStack() as stack:
+        arms = []
+        for config in loaded.cell.arm:
+            spec = specs[config.bus]
+            if spec.interface == "virtual":
+                raise ConfigError(
+                    f"bus '{config.bus}' is {spec}, which lives in one program alone: there is nothing to watch from "
+                    "another one; give the command that moves --live"
+                )
+            workspace = workspace_of(config, arm_robot(loaded, config))
+            constants = None if recording is None else stored_constants(recording, config)
+            bus = stack.enter_context(open_bus(spec))
+            arms.append(WatchedArm(config, workspace, OverheardBus(bus, axis_setups(loaded, config), constants)))
+        watching = Watching(arms, feed, loaded.cell.bus[loaded.cell.arm[0].bus].sync_period_s)
+        while not feed.gone:
+            watching.turn()
+            feed.pressed()

@@ -1,0 +1,178 @@
+"""What the motion loop and the process of the page say to each other over a socket that never makes the loop wait.
+
+A datagram is a row (`b"r"` and numbers) or a piece of a message (`b"p"`, the last one `b"P"`). The socket keeps them
+apart and bounds what waits: what it has no room for is left out, of messages until the next SYNC, of rows for good.
+Back comes one byte for each time that the stop button was pressed.
+"""
+
+from __future__ import annotations
+
+import pickle
+import socket
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.acquire.events import PoseDone
+from gateway.model.robot import Robot
+
+Floats = NDArray[np.float64]
+
+ROW: Final = b"r"
+PIECE, LAST_PIECE = b"p", b"P"
+STOP: Final = b"S"
+#: Largest piece of a message; well below what a socket holds.
+PIECE_BYTES: Final = 32768
+#: Largest datagram.
+MOST_BYTES: Final = 65536
+#: Numbers of a row before those of the arms: when it was sent (monotonic) [s], SYNC, time of the run [s], phase, and
+#: SYNCs of this command that some drive left unanswered.
+HEAD: Final = 5
+#: Numbers per axis: position, set point that it follows [rad], torque, model [Nm], statusword (NaN = no answer).
+PER_AXIS: Final = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Hello:
+    """First message: how the page is reached, and what is being done."""
+
+    port: int
+    token: str
+    title: str
+    stops: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShownBody:
+    """A convex body as it is drawn.
+
+    Attributes
+    ----------
+    link : int
+        Link, from 0, that it moves with; -1 = it stands still.
+    points_m : array of shape (v, 3)
+        Its corners, in the frame of that link.
+    faces : tuple of tuples of int
+        Corners of each face, counter-clockwise seen from outside.
+    """
+
+    link: int
+    points_m: Floats
+    faces: tuple[tuple[int, ...], ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShownArm:
+    """What the page is told of an arm once.
+
+    Attributes
+    ----------
+    name : str
+    robot : Robot
+    bodies : tuple of ShownBody
+    boxes_m : array of shape (b, 2, 3)
+        Lower and upper corners of what is kept out.
+    assumed : tuple of str
+        Bodies whose shape is not that of the robot's file, and why.
+    modelled : bool
+        Whether the links' masses are known; without them no torque of a model is shown.
+    speed_rad_s, torque_nm, following_error_rad : arrays of shape (N,)
+        Limits.
+    """
+
+    name: str
+    robot: Robot
+    bodies: tuple[ShownBody, ...]
+    boxes_m: Floats
+    assumed: tuple[str, ...]
+    modelled: bool
+    speed_rad_s: Floats
+    torque_nm: Floats
+    following_error_rad: Floats
+
+    @property
+    def axes(self) -> int:
+        """Number of joints."""
+        return self.robot.axes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShownCell:
+    """What is about to be powered."""
+
+    arms: tuple[ShownArm, ...]
+    period_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Happened:
+    """An event of the run, as it was told."""
+
+    event: object
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """Something that was heard on a bus that is only watched: how grave (`sayings`), and what."""
+
+    grave: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseSeen:
+    """Both sides of a pose are measured; `modelled_nm` (N,) is what the arm's model without load asks for there."""
+
+    done: PoseDone
+    modelled_nm: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """The arms are in their brakes; why, empty = all went well."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class CommandOver:
+    """Last message: the command is ending."""
+
+    reason: str
+
+
+def pair_of_sockets() -> tuple[socket.socket, socket.socket]:
+    """Two ends that keep datagrams apart and say when the other one is gone; neither waits."""
+    ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    for end in ends:
+        end.setblocking(False)
+    return ends
+
+
+def pieces(message: object) -> list[bytes]:
+    """Datagrams of a message."""
+    content = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
+    cuts = range(0, len(content), PIECE_BYTES)
+    return [
+        (LAST_PIECE if cut + PIECE_BYTES >= len(content) else PIECE) + content[cut : cut + PIECE_BYTES] for cut in cuts
+    ]
+
+
+class Unpacker:
+    """Datagrams back into rows and messages."""
+
+    def __init__(self) -> None:
+        self._content = bytearray()
+
+    def take(self, datagram: bytes) -> Floats | Any | None:
+        """A row, a message, or None while a message is not whole."""
+        kind, content = datagram[:1], datagram[1:]
+        if kind == ROW:
+            return np.frombuffer(content)
+        self._content += content
+        if kind == PIECE:
+            return None
+        whole, self._content = bytes(self._content), bytearray()
+        return pickle.loads(whole)
