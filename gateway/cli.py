@@ -18,6 +18,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import importlib
+import keyword
 import os
 import signal
 import sys
@@ -49,7 +50,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "estimate": ("analyse", "Mass and centre of gravity of the load(s) from DATA."),
     "diagnose": ("analyse", "What the model lacks, judged on data that no fit has seen."),
     "report": ("handover", "One HTML page from a result."),
-    "export": ("handover", "The load as URDF, JSON or in a robot controller's syntax."),
+    "export": ("handover", "A load in a robot controller's syntax; a recording for other programs."),
+    "import": ("handover", "A measured table from another program's log, by a map of its columns."),
     "follow": ("follow", "Following error without, with maximum-load and with identified feedforward."),
     "teach": ("pair", "Two arms: the first function from points where the force is adjusted away."),
     "run-pair": ("pair", "Two arms: carry the part along the path, learning from force."),
@@ -76,7 +78,8 @@ class LadderGroup(click.Group):
         if cmd_name not in COMMANDS:
             return None
         module = importlib.import_module(f"gateway.commands.{COMMANDS[cmd_name][0]}")
-        return getattr(module, cmd_name.replace("-", "_"))
+        name = cmd_name.replace("-", "_")
+        return getattr(module, f"{name}_" if keyword.iskeyword(name) else name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands without importing them."""

@@ -1,4 +1,4 @@
-"""report, export: what leaves the room."""
+"""report, export, import: what leaves the room, and what comes in from other programs."""
 
 from __future__ import annotations
 
@@ -72,15 +72,33 @@ def export(result: Path, fmt: str, label: str | None, arm_name: str | None, outp
 
 def _every_sample(path: Path, fmt: str, part: tuple[str | None, str | None], output: Path | None) -> None:
     """A recording, or its part of one arm and load, in an open format."""
-    from gateway.formats.registry import written
+    from gateway.formats.registry import exported
 
     if output is None:
         raise click.UsageError(f"--format {fmt} is no text: name a file by -o")
-    done = written(path, fmt, *part)
+    done = exported(path, fmt, *part)
     replace_file(output, done.content)
     if not done.count:
         session_of().note(f"{path}: holds no sample yet; {output} holds what is known of the run alone")
     session_of().show(f"{fmt}: {output}, {done.count} {done.what}")
+
+
+@click.command("import")
+@click.argument("log", metavar="FILE", type=RESULT)
+@click.option("--map", "map_file", required=True, metavar="MAP.toml", type=RESULT, help="Which column is which.")
+@output_option("-o", "--output", required=True, metavar="TABLE.csv", help="Measured table to write.")
+@common
+def import_(log: Path, map_file: Path, output: Path) -> None:
+    """A measured table from what another program logged: text in columns, MCAP, a ROS 2 bag (.db3).
+
+    The map says which column of the log is which of the table, in which unit, with which sign.
+    """
+    from gateway.formats.log_map import read_map
+    from gateway.formats.measured import table_from_log
+
+    text, rows = table_from_log(log, read_map(map_file))
+    replace_file(output, text)
+    session_of().show(f"{output}: {rows} rows")
 
 
 def _table(path: Path, arm_name: str | None, label: str | None) -> str:

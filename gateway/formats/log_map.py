@@ -1,0 +1,214 @@
+"""The map of a log: which of its columns is which of the measured table, in which unit, with which sign."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from drives.toml_lines import KeyPath
+from drives.validation import Refused, Strict, Unfit, read_strict, refuse
+from gateway.cell.axes import FEWEST_AXES, MOST_AXES
+from gateway.cell.quantities import Finite, Positive
+from gateway.data.labels import BARE_LABEL, label_refused
+from gateway.errors import ConfigError
+from gateway.formats.units import KIND_OF, NEEDS, UNITS, kind_of, pattern_of
+
+Name = Annotated[str, Field(min_length=1, max_length=200)]
+Numbers = Finite | tuple[Finite, ...]
+Signs = Literal[-1, 1] | tuple[Literal[-1, 1], ...]
+#: What a gear stands before.
+_BEHIND_A_GEAR = ("angle", "speed", "acceleration")
+
+
+class LogFormat(Strict):
+    """How the log is written."""
+
+    separator: Literal[",", ";", " ", "\t"] = Field(
+        default=",", description="of a text log; a blank: any number of them"
+    )
+    decimal: Literal[".", ","] = Field(default=".", description="decimal mark of a text log")
+    encoding: Literal["utf-8", "latin-1"] = Field(default="utf-8", description="of a text log")
+    skip_lines: int = Field(default=0, ge=0, le=1000, description="lines of a text log above its header")
+    topic: Name = Field(default="/joint_states", description="of a bag: JointState messages")
+
+
+class LogTime(Strict):
+    """The log's time."""
+
+    column: Name = Field(default="stamp", description="column of a text log; `stamp` or `log_time` of a bag")
+    unit: Literal["s", "ms", "us", "ns"] = Field(default="s", description="unit of that column")
+    base: Literal["first", "as logged"] = Field(
+        default="first", description="the first row of the log is at zero, or not"
+    )
+
+
+class LogLoad(Strict):
+    """What was on the flange."""
+
+    label: str | None = Field(default=None, description="under all rows")
+    column: Name | None = Field(default=None, description="column of a text log that holds the label")
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> LogLoad:
+        if (self.label is None) == (self.column is None):
+            raise ValueError("load: give label, or column")
+        if self.label is not None and (wrong := label_refused(self.label)):
+            raise Refused((("label",), f"load '{self.label}' {wrong}"))
+        return self
+
+
+class LogRows(Strict):
+    """Which rows are kept."""
+
+    from_s: Finite | None = Field(default=None, description="first time that is kept")
+    to_s: Finite | None = Field(default=None, description="last time that is kept")
+    every: int = Field(default=1, ge=1, description="of a motion: one row in so many")
+    column: Name | None = Field(default=None, description="column that says which rows are kept")
+    equals: tuple[Finite, ...] = Field(default=(), description="its values there")
+
+    @model_validator(mode="after")
+    def _both_or_none(self) -> LogRows:
+        if (self.column is None) == bool(self.equals):
+            raise ValueError("rows: column and equals go together")
+        return self
+
+
+class LogColumn(Strict):
+    """A column of the log, or one an axis: `{}` stands for the joint's name or number."""
+
+    log: Name = Field(description="in the log; `position/{}`, `velocity/{}`, `effort/{}` of a bag")
+    table: Name = Field(description="in the measured table: q{}_rad, qd{}_rad_s, tau{}_nm, taum{}_nm, i{}_a ..")
+    unit: Name = Field(description="of the log's column; 1 of a bare number")
+    sign: Signs = Field(default=1, description="1 or -1, or one an axis")
+    offset: Numbers = Field(default=0.0, description="added at the end, in the table's unit; or one an axis")
+    gear_ratio: Numbers | None = Field(default=None, description="the log's angle is the motor's: divided by this")
+    counts_per_revolution: Positive | tuple[Positive, ...] | None = Field(default=None, description="of unit counts")
+    rated: Positive | tuple[Positive, ...] | None = Field(default=None, description="of unit % and permille: Nm or A")
+    first: Literal[0, 1] = Field(default=1, description="number of the first axis in the log")
+
+    @model_validator(mode="after")
+    def _fits(self) -> LogColumn:
+        found: list[tuple[KeyPath, str]] = []
+        kind = kind_of(self.table)
+        if kind is None:
+            known = ", ".join(KIND_OF)
+            raise Refused(
+                (("table",), f"'{self.table}' is no column of the measured table; write one of {known}, x_..")
+            )
+        if self.unit not in UNITS[kind]:
+            known = ", ".join(UNITS[kind])
+            found.append((("unit",), f"unit '{self.unit}' is not one of {kind}: write {known}"))
+        for key in ("counts_per_revolution", "rated"):
+            if (NEEDS.get(self.unit) == key) != (getattr(self, key) is not None):
+                found.append(
+                    (("unit",), f"unit '{self.unit}' and {key} do not go together: give it with its unit alone")
+                )
+        if self.gear_ratio is not None and (kind not in _BEHIND_A_GEAR or not np.all(self.gear_ratio)):
+            found.append((("gear_ratio",), "gear_ratio is of angles, speeds and accelerations, and never 0"))
+        if ("{}" in self.log) != ("{}" in self.table):
+            found.append((("log",), "'{}', which stands for the axis, belongs into both of log and table, or none"))
+        refuse(found)
+        return self
+
+
+class LogMotion(Strict):
+    """The arm moves: speeds and accelerations that the log does not hold come from its positions."""
+
+    cutoff_hz: Positive = Field(description="low pass without phase on the positions, half the power there")
+
+
+class LogRest(Strict):
+    """The arm stands at poses: one row a stretch of standing, the mean over it."""
+
+    within_rad: Positive = Field(default=0.001, description="no joint moves more while it stands")
+    seconds: Positive = Field(default=0.5, description="shortest time that it stands")
+    settle_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] = Field(
+        default=0.1, description="left out at the beginning and at the end of each stretch"
+    )
+    same_pose_rad: Positive = Field(default=0.02, description="no joint further away: the same pose again")
+    first_pose: int = Field(default=1, ge=1, description="number of the first pose")
+
+
+class LogMap(Strict):
+    """How the columns of a log become a measured table."""
+
+    axes: int = Field(ge=FEWEST_AXES, le=MOST_AXES, description="of the arm")
+    joints: tuple[Name, ...] | None = Field(default=None, description="names of the joints in the log, in order")
+    log: LogFormat = Field(default_factory=LogFormat, description="how the log is written")
+    time: LogTime = Field(default_factory=LogTime, description="the log's time")
+    load: LogLoad = Field(default_factory=lambda: LogLoad(label=BARE_LABEL), description="what was on the flange")
+    rows: LogRows = Field(default_factory=LogRows, description="which rows are kept")
+    motion: LogMotion | None = Field(default=None, description="the arm moves")
+    rest: LogRest | None = Field(default=None, description="the arm stands at poses")
+    column: tuple[LogColumn, ...] = Field(min_length=1, description="which column is which")
+
+    @model_validator(mode="after")
+    def _whole(self) -> LogMap:
+        found = list(self._lengths())
+        tables = [column.table for column in self.column]
+        for index, name in enumerate(tables):
+            if name in tables[:index]:
+                found.append((("column", index, "table"), f"{name} is given twice"))
+        if "q{}_rad" not in tables:
+            found.append((("column",), "no column becomes q{}_rad: a table needs the positions of all axes"))
+        if not {"tau{}_nm", "taum{}_nm", "i{}_a"} & set(map(pattern_of, tables)):
+            found.append((("column",), "no column becomes tau{}_nm, taum{}_nm or i{}_a: a table needs one of them"))
+        if (self.rest is not None) + (self.motion is not None) + ("pose" in tables) > 1:
+            found.append(
+                (("rest",) if self.rest else ("motion",), "give one of [motion], [rest] and a column for pose")
+            )
+        moving = {"qd{}_rad_s", "qdd{}_rad_s2"} <= set(tables)
+        if self.rest is None and self.motion is None and "pose" not in tables and not moving:
+            found.append(
+                (
+                    (),
+                    "say what the arm does: [rest], or [motion] cutoff_hz, or columns for qd{}_rad_s and qdd{}_rad_s2",
+                )
+            )
+        refuse(found)
+        return self
+
+    def _lengths(self) -> list[tuple[KeyPath, str]]:
+        found: list[tuple[KeyPath, str]] = []
+        if self.joints is not None and len(self.joints) != self.axes:
+            found.append((("joints",), f"{len(self.joints)} joints of {self.axes} axes"))
+        for index, column in enumerate(self.column):
+            for key in ("sign", "offset", "gear_ratio", "counts_per_revolution", "rated"):
+                value = getattr(column, key)
+                if isinstance(value, tuple) and (len(value) != self.axes or "{}" not in column.table):
+                    found.append((("column", index, key), f"{key}: {len(value)} values for {self.axes} axes"))
+        return found
+
+    def names(self, column: LogColumn) -> list[tuple[str, str, int]]:
+        """Name in the log, name in the table, and axis from 0 of each column that a rule stands for."""
+        if "{}" not in column.table:
+            return [(column.log, column.table, 0)]
+        called = self.joints or tuple(str(axis + column.first) for axis in range(self.axes))
+        return [
+            (column.log.replace("{}", name), column.table.replace("{}", str(axis + 1)), axis)
+            for axis, name in enumerate(called)
+        ]
+
+
+def read_map(path: Path) -> LogMap:
+    """Read a map.
+
+    Raises
+    ------
+    ConfigError
+        With every problem of the file: line, what is wrong, what to write.
+    """
+    try:
+        return read_strict(path.read_text(encoding="utf-8"), LogMap)
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from error
+    except Unfit as error:
+        raise ConfigError.of(error.told(str(path))) from error
+
+
+def map_schema() -> dict[str, Any]:
+    """JSON schema of the map."""
+    return LogMap.model_json_schema()

@@ -1,0 +1,212 @@
+"""A measured table from another program's log, by a map."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.cell.plausible import LARGEST_ANGLE_RAD
+from gateway.data.labels import BARE_LABEL, label_refused
+from gateway.errors import InputError
+from gateway.formats.log import Log
+from gateway.formats.log_map import LogColumn, LogMap
+from gateway.formats.ros_bag import SUFFIXES, read_bag
+from gateway.formats.smooth import rates
+from gateway.formats.standing import Stretch, standing
+from gateway.formats.text_log import read_text_log
+from gateway.formats.units import NEEDS, TIME_UNITS, UNITS, kind_of, pattern_of
+
+Floats = NDArray[np.float64]
+#: Columns whose samples have a spread over a stretch of standing, and what that is called.
+_SPREADS: Final = {"tau{}_nm": "tau{}_std_nm", "taum{}_nm": "taum{}_std_nm", "i{}_a": "i{}_std_a"}
+
+#: Speeds are taken from so many rows at least, and not over a step that is so many times as wide as the others.
+_FEWEST_ROWS: Final = 20
+_WIDE: Final = 1.5
+
+
+def table_from_log(path: Path, given: LogMap) -> tuple[str, int]:
+    """Text of the measured table that a map makes of a log, and its number of rows.
+
+    Parameters
+    ----------
+    path : Path
+        `.mcap` and `.db3` are bags, anything else is text.
+    given : LogMap
+
+    Raises
+    ------
+    InputError
+        With file and line: a column that is missing, a cell that is no finite number, a time that goes back, an angle
+        that can only be in another unit, nothing that is kept.
+    ConfigError
+        A library is not installed.
+    """
+    log = _opened(path, given)
+    time_s = _times(log, given)
+    kept = _kept(log, given, time_s)
+    if not kept.any():
+        raise InputError(f"{path}: [rows] of the map keeps none of the log's {len(kept)} rows")
+    log, time_s = log.take(kept), time_s[kept]
+    labels, values = _labels(log, given), _values(log, given)
+    if given.rest is not None:
+        found = standing(time_s, _joined(values, given.axes), labels, given.rest)
+        if not found:
+            raise InputError(
+                f"{path}: the arm nowhere stands for {given.rest.seconds:g} s within {given.rest.within_rad:g} rad; see"
+                " [rest] of the map"
+            )
+        return _text(_at_rest(found, time_s, labels, values))
+    values |= _derived(log, given, time_s, values)
+    rows = slice(None, None, given.rows.every)
+    columns: dict[str, list[object]] = {"load": labels[rows].tolist(), "time_s": time_s[rows].tolist()}
+    return _text(columns | {name: _whole(name, cells[rows]) for name, cells in values.items()})
+
+
+def _opened(path: Path, given: LogMap) -> Log:
+    if path.suffix.lower() not in SUFFIXES:
+        return read_text_log(path, given.log)
+    if given.joints is None:
+        raise InputError(f"{path}: a bag tells of joints by name: write joints = [..] into the map, in the arm's order")
+    return read_bag(path, given.log.topic, given.joints)
+
+
+def _times(log: Log, given: LogMap) -> Floats:
+    time_s = log.numbers(given.time.column) * TIME_UNITS[given.time.unit]
+    back = np.diff(time_s) <= 0
+    if back.any():
+        row = int(np.argmax(back)) + 1
+        what = "goes back" if time_s[row] < time_s[row - 1] else "stands still"
+        raise InputError(
+            f"{log.where(row)}: {given.time.column}: time {what}, {time_s[row]:.9g} s after {time_s[row - 1]:.9g} s;"
+            " cut the log there"
+        )
+    return time_s - time_s[0] if given.time.base == "first" else time_s
+
+
+def _kept(log: Log, given: LogMap, time_s: Floats) -> NDArray[np.bool_]:
+    rows = given.rows
+    kept = np.ones(len(time_s), dtype=bool)
+    if rows.from_s is not None:
+        kept &= time_s >= rows.from_s
+    if rows.to_s is not None:
+        kept &= time_s <= rows.to_s
+    if rows.column is not None:
+        kept[kept] = np.isin(log.take(kept).numbers(rows.column), rows.equals)
+    return kept
+
+
+def _labels(log: Log, given: LogMap) -> NDArray[np.object_]:
+    if given.load.column is None:
+        return np.full(len(log.line), given.load.label or BARE_LABEL, dtype=object)
+    labels = log.text(given.load.column)
+    for row, label in enumerate(labels.tolist()):
+        if wrong := label_refused(str(label)):
+            raise InputError(f"{log.where(row)}: {given.load.column}: load '{label}' {wrong}")
+    return labels
+
+
+def _values(log: Log, given: LogMap) -> dict[str, Floats]:
+    """Columns of the table by name, in its units."""
+    found: dict[str, Floats] = {}
+    for column in given.column:
+        for source, target, axis in given.names(column):
+            values = _converted(log.numbers(source), column, axis)
+            if kind_of(column.table) == "angle":
+                _refuse_degrees(log, source, target, values)
+            found[target] = values
+    return found
+
+
+def _converted(values: Floats, column: LogColumn, axis: int) -> Floats:
+    factor, shift = UNITS[kind_of(column.table) or "number"][column.unit]
+    need = NEEDS.get(column.unit)
+    if need == "rated":
+        factor *= _of(column.rated, axis)
+    elif need is not None:
+        factor /= _of(column.counts_per_revolution, axis)
+    if column.gear_ratio is not None:
+        factor /= _of(column.gear_ratio, axis)
+    return _of(column.sign, axis) * (values * factor + shift) + _of(column.offset, axis)
+
+
+def _of(value: float | tuple[float, ...] | None, axis: int) -> float:
+    return float(value[axis]) if isinstance(value, tuple) else float(value if value is not None else np.nan)
+
+
+def _refuse_degrees(log: Log, source: str, target: str, values: Floats) -> None:
+    far = np.abs(values) > LARGEST_ANGLE_RAD
+    if far.any():
+        row = int(np.argmax(far))
+        raise InputError(
+            f"{log.where(row)}: {source} makes {target} = {values[row]:g}, beyond {LARGEST_ANGLE_RAD:.4g} rad: its unit"
+            " is another one than the map says"
+        )
+
+
+def _joined(values: dict[str, Floats], axes: int, pattern: str = "q{}_rad") -> Floats:
+    return np.column_stack([values[pattern.format(axis + 1)] for axis in range(axes)])
+
+
+def _derived(log: Log, given: LogMap, time_s: Floats, values: dict[str, Floats]) -> dict[str, Floats]:
+    """Speeds and accelerations that the log does not hold."""
+    wanted = [f"{kind.format(axis + 1)}" for kind in ("qd{}_rad_s", "qdd{}_rad_s2") for axis in range(given.axes)]
+    if given.motion is None or all(name in values for name in wanted):
+        return {}
+    if len(time_s) < _FEWEST_ROWS:
+        raise InputError(
+            f"{log.file}: {len(time_s)} rows are too few for the speeds of [motion]: {_FEWEST_ROWS} at least"
+        )
+    gaps = np.diff(time_s)
+    wide = gaps > _WIDE * np.median(gaps)
+    if wide.any():
+        row = int(np.argmax(wide)) + 1
+        raise InputError(
+            f"{log.where(row)}: {gaps[row - 1]:.4g} s after the row before, where steps are {np.median(gaps):.4g} s;"
+            " [motion] needs even steps: keep a part without gaps by [rows] of the map"
+        )
+    qd, qdd = rates(time_s, _joined(values, given.axes), given.motion.cutoff_hz)
+    made = dict(zip(wanted, np.concatenate([qd, qdd], axis=1).T, strict=True))
+    return {name: column for name, column in made.items() if name not in values}
+
+
+def _at_rest(
+    found: list[Stretch], time_s: Floats, labels: NDArray[np.object_], values: dict[str, Floats]
+) -> dict[str, list[object]]:
+    """One row a stretch: means, spreads, how many rows they are of."""
+    columns: dict[str, list[object]] = {
+        "load": [labels[each.rows.start] for each in found],
+        "pose": [each.pose for each in found],
+        "time_s": [float(time_s[each.rows.start]) for each in found],
+    }
+    columns |= {
+        f"dir{axis + 1}": [int(each.direction[axis]) for each in found] for axis in range(len(found[0].direction))
+    }
+    for name, cells in values.items():
+        pattern = pattern_of(name)
+        if pattern in ("qd{}_rad_s", "qdd{}_rad_s2", "dir{}", "n"):
+            continue
+        columns[name] = [float(cells[each.rows].mean()) for each in found]
+        if pattern in _SPREADS:
+            spread = _SPREADS[pattern].format(name[len(pattern.partition("{")[0])])
+            columns[spread] = [float(cells[each.rows].std(ddof=1)) for each in found]
+    return columns | {"n": [each.rows.stop - each.rows.start for each in found]}
+
+
+def _whole(name: str, values: Floats) -> list[object]:
+    """Numbers that count something are written without a point."""
+    whole = name in ("pose", "n") or name.startswith("dir")
+    return [int(value) if whole and value == int(value) else value for value in values.tolist()]
+
+
+def _text(columns: dict[str, list[object]]) -> tuple[str, int]:
+    stream = io.StringIO(newline="")
+    writer = csv.writer(stream)
+    writer.writerow(columns)
+    writer.writerows(zip(*columns.values(), strict=True))
+    return stream.getvalue(), len(next(iter(columns.values())))

@@ -1,0 +1,155 @@
+"""Joint states of ROS 2, from MCAP files and from bags in SQLite (`.db3`)."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Final
+
+import numpy as np
+
+from gateway.errors import InputError
+from gateway.formats.log import Log
+from gateway.formats.mcap_file import JOINT_STATE, JOINT_STATE_TEXT
+from gateway.formats.needs import needed
+
+#: Suffixes of what is read here.
+SUFFIXES: Final = (".mcap", ".db3")
+#: What a message tells of each of its joints.
+_PARTS: Final = ("position", "velocity", "effort")
+_NS: Final = 1_000_000_000
+
+#: Time of logging [ns], content.
+_Raw = tuple[int, bytes]
+
+
+def read_bag(path: Path, topic: str, joints: Sequence[str]) -> Log:
+    """The messages of one topic that tell of an arm's joints.
+
+    Columns are `stamp` and `log_time` [s] from the first message on, and `position/NAME`, `velocity/NAME`,
+    `effort/NAME` as far as the messages tell them. A message that names none of the joints is of another device.
+
+    Parameters
+    ----------
+    path : Path
+    topic : str
+    joints : sequence of str
+        Names; every message names all of them or none.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, holds no such topic, is of another type, or a message lacks a joint.
+    ConfigError
+        mcap-ros2-support is not installed.
+    """
+    found = [
+        (number, log_ns, message)
+        for number, (log_ns, message) in enumerate(_messages(path, topic), start=1)
+        if not set(joints).isdisjoint(message.name)
+    ]
+    if not found:
+        raise InputError(f"{path}: no message on '{topic}' names the joints {', '.join(joints)}; see joints of the map")
+    begun_ns, stamped_ns = found[0][1], _stamp_ns(found[0][2])
+    lines = np.array([number for number, _, _ in found])
+    columns = {
+        "log_time": np.array([(log_ns - begun_ns) / _NS for _, log_ns, _ in found]),
+        "stamp": np.array([(_stamp_ns(message) - stamped_ns) / _NS for _, _, message in found]),
+    }
+    for joint in joints:
+        where = [_place(path, number, message, joint) for number, _, message in found]
+        for part in _PARTS:
+            told = [
+                _told(path, found[row][0], getattr(found[row][2], part), at, f"{part}/{joint}")
+                for row, at in enumerate(where)
+            ]
+            if not all(value is None for value in told):
+                columns[f"{part}/{joint}"] = np.array([np.nan if value is None else value for value in told])
+    return Log(str(path), columns, lines, "message ")
+
+
+def _stamp_ns(message: Any) -> int:
+    return int(message.header.stamp.sec) * _NS + int(message.header.stamp.nanosec)
+
+
+def _place(path: Path, number: int, message: Any, joint: str) -> int:
+    if joint not in message.name:
+        raise InputError(f"{path}:message {number}: names {', '.join(message.name)}, and not joint '{joint}'")
+    return list(message.name).index(joint)
+
+
+def _told(path: Path, number: int, values: Sequence[float], at: int, what: str) -> float | None:
+    if len(values) == 0:
+        return None
+    if at >= len(values):
+        raise InputError(f"{path}:message {number}: {what}: fewer values than names")
+    return float(values[at])
+
+
+def _messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
+    """Time of logging [ns] and decoded message, in the order of the file."""
+    decoder: Any = needed("mcap_ros2.decoder", "a ROS 2 bag").DecoderFactory()
+    records: Any = needed("mcap.records", "a ROS 2 bag")
+    try:
+        raw = _of_mcap(path, topic) if path.suffix.lower() == ".mcap" else _of_sqlite(path, topic)
+        schema = records.Schema(id=1, name=JOINT_STATE, encoding="ros2msg", data=JOINT_STATE_TEXT.encode())
+        decode = decoder.decoder_for("cdr", schema)
+        for log_ns, content in raw:
+            message = decode(content)
+            yield (
+                log_ns,
+                SimpleNamespace(
+                    header=message.header,
+                    name=list(message.name),
+                    **{part: list(getattr(message, part)) for part in _PARTS},
+                ),
+            )
+    except InputError:
+        raise
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except Exception as error:  # the libraries report damage by many kinds of exception
+        words = " ".join(str(error).split())[:200] or type(error).__name__
+        raise InputError(f"{path}: is damaged, or no bag ({words})") from error
+
+
+def _of_mcap(path: Path, topic: str) -> Iterator[_Raw]:
+    reader_module: Any = needed("mcap.reader", "MCAP")
+    topics: dict[str, str] = {}
+    with path.open("rb") as stream:
+        for schema, channel, message in reader_module.make_reader(stream).iter_messages(log_time_order=False):
+            topics[channel.topic] = "" if schema is None else schema.name
+            if channel.topic == topic:
+                _refuse_type(path, topic, topics[topic], channel.message_encoding)
+                yield message.log_time, message.data
+    _refuse_without(path, topic, topics)
+
+
+def _of_sqlite(path: Path, topic: str) -> Iterator[_Raw]:
+    if not path.is_file():
+        raise FileNotFoundError(2, "there is no such file", str(path))
+    with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as file:
+        known = {
+            name: (key, kind, form)
+            for key, name, kind, form in file.execute("SELECT id, name, type, serialization_format FROM topics")
+        }
+        _refuse_without(path, topic, {name: kind for name, (_, kind, _) in known.items()})
+        key, kind, form = known[topic]
+        _refuse_type(path, topic, kind, form)
+        query = "SELECT timestamp, data FROM messages WHERE topic_id = ? ORDER BY id"
+        for log_ns, content in file.execute(query, (key,)):
+            yield int(log_ns), bytes(content)
+
+
+def _refuse_type(path: Path, topic: str, kind: str, form: str) -> None:
+    if kind not in (JOINT_STATE, JOINT_STATE.replace("/msg/", "/")) or form != "cdr":
+        raise InputError(f"{path}: topic '{topic}' is {kind or 'of no type'} as {form}; {JOINT_STATE} as cdr is read")
+
+
+def _refuse_without(path: Path, topic: str, topics: dict[str, str]) -> None:
+    if topic not in topics:
+        held = ", ".join(f"{name} ({kind})" for name, kind in topics.items()) or "no message"
+        raise InputError(f"{path}: holds no topic '{topic}' but {held}; see topic under [log] of the map")

@@ -1,0 +1,66 @@
+"""Units of logs, by what is measured, in terms of the measured table's."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Final
+
+from gateway.data.csv_text import AXIS_OF, COLUMNS, PATTERNS
+
+#: Units that need a number of the drive beside them, and the key that gives it.
+NEEDS: Final = {
+    "counts": "counts_per_revolution",
+    "counts/s": "counts_per_revolution",
+    "%": "rated",
+    "permille": "rated",
+}
+_TURN: Final = 2 * math.pi
+#: What is measured -> unit -> (factor, shift): table value = factor x log value + shift.
+UNITS: Final[Mapping[str, Mapping[str, tuple[float, float]]]] = {
+    "angle": {
+        "rad": (1.0, 0.0),
+        "mrad": (1e-3, 0.0),
+        "deg": (math.pi / 180, 0.0),
+        "rev": (_TURN, 0.0),
+        "counts": (_TURN, 0.0),
+    },
+    "speed": {
+        "rad/s": (1.0, 0.0),
+        "deg/s": (math.pi / 180, 0.0),
+        "rpm": (_TURN / 60, 0.0),
+        "rev/s": (_TURN, 0.0),
+        "counts/s": (_TURN, 0.0),
+    },
+    "acceleration": {"rad/s2": (1.0, 0.0), "deg/s2": (math.pi / 180, 0.0)},
+    "torque": {"Nm": (1.0, 0.0), "mNm": (1e-3, 0.0), "kNm": (1e3, 0.0), "%": (0.01, 0.0), "permille": (1e-3, 0.0)},
+    "current": {"A": (1.0, 0.0), "mA": (1e-3, 0.0), "%": (0.01, 0.0), "permille": (1e-3, 0.0)},
+    "temperature": {"C": (1.0, 0.0), "K": (1.0, -273.15), "F": (5 / 9, -160 / 9)},
+    "number": {"1": (1.0, 0.0)},
+}
+TIME_UNITS: Final[Mapping[str, float]] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_KIND_OF_UNIT: Final = {
+    "rad": "angle",
+    "rad/s": "speed",
+    "rad/s2": "acceleration",
+    "Nm": "torque",
+    "A": "current",
+    "deg C": "temperature",
+}
+#: Column of the measured table, `{}` for the axis -> what it measures.
+KIND_OF: Final[Mapping[str, str]] = {
+    column.name: _KIND_OF_UNIT.get(column.unit, "number")
+    for column in COLUMNS
+    if column.name not in ("run", "load", "time_s")
+}
+
+
+def pattern_of(column: str) -> str:
+    """`tau2_nm` as `tau{}_nm`; any other name as it is."""
+    axis = AXIS_OF.get(column)
+    return column if axis is None else next(each for each in PATTERNS if each.format(axis) == column)
+
+
+def kind_of(column: str) -> str | None:
+    """What a column of the table measures; None = it is no column that a log can give."""
+    return "number" if column.startswith("x_") else KIND_OF.get(pattern_of(column))
