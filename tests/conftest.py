@@ -14,6 +14,23 @@ import pytest
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Keep the tests of a group on one worker: what they share is made once, and none disturbs another's clock.
+
+    pytest-xdist tells the group behind the id of a test, by an attribute that pytest has since given another name: it
+    is set here by the one that holds. Nothing is done where the id tells it already.
+    """
+    if not getattr(config.option, "loadgroup", False):
+        return
+    for item in items:
+        groups = sorted({str(mark.args[0]) for mark in item.iter_markers("xdist_group")})
+        suffix = "@" + "_".join(groups)
+        if groups and not item.nodeid.endswith(suffix):
+            item._id = type(item._id).parse(item.nodeid + suffix)  # pyright: ignore
+
+
 # How long a thread that was told to end may take.
 GRACE_S = 2.0
 # Threads that libraries keep for the life of the process.

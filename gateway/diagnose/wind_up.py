@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtr
 
 Floats = NDArray[np.float64]
 
@@ -43,5 +43,5 @@ def wind_up(torque_nm: Floats, bend_rad: Floats, share: Callable[[Floats], float
     std = float(spread * np.sqrt(np.linalg.pinv(design.T @ design)[0, 0]))
     if std == 0.0:  # nothing winds this joint, and nothing bends it
         return WindUp(0.0, np.inf, 1.0)
-    p_value = float(max(student.sf(value[0] / std, freedom) * axes, 1e-300))
+    p_value = float(max(stdtr(freedom, -value[0] / std) * axes, 1e-300))
     return WindUp(float(value[0]), std, p_value)

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
-from scipy.stats import chi2
+from scipy.special import chdtrc, stdtrit
 
 from gateway.identify.solve import Prior, Solution, solve
 
@@ -153,9 +152,9 @@ def _explained(solution: Solution, weight: Floats, groups: Groups) -> bool:
     ratio = np.where(has, groups.seen / np.where(has, groups.seen_stated, 1.0), 0.0)
     total, freedom = total + seen * ratio, freedom + seen
     use = freedom > 0.5
-    if chi2.sf(total.sum(), max(freedom.sum(), 0.5)) < _DOUBT_POOLED:
+    if chdtrc(max(freedom.sum(), 0.5), total.sum()) < _DOUBT_POOLED:
         return False
-    return bool((chi2.sf(total[use], freedom[use]) >= _DOUBT_GROUP).all())
+    return bool((chdtrc(freedom[use], total[use]) >= _DOUBT_GROUP).all())
 
 
 def _pooled(design: Floats, target: Floats, prior: Prior, groups: Groups) -> float:

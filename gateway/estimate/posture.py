@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from gateway.errors import DataUnusable, InputError
 from gateway.estimate.describe import describe
@@ -165,7 +165,7 @@ def _check(
     fitted = np.linalg.lstsq(white_span, white, rcond=None)[0]
     left = white - white_span @ fitted
     freedom = base.rank - len(LOAD_NAMES)
-    if freedom < 1 or chi2.sf(float(left @ left), freedom) > _SUSPICIOUS:
+    if freedom < 1 or chdtrc(freedom, float(left @ left)) > _SUSPICIOUS:
         return ()
     worst = base.names[int(np.argmax(np.abs(change - span @ fitted) / spread))]
     return (

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import ndtri, stdtrit
 
 from gateway.diagnose.held import Held
 from gateway.diagnose.moving.noise import counting_share
@@ -67,6 +67,6 @@ def held_ratio(before: Held, after: Held, axes: Collection[int], sigma_nm: Float
         return HeldRatio(value, 0.0, np.inf, np.inf)
     logs = 0.5 * np.log(drawn[1, there] / drawn[0, there])
     reach = (np.quantile(logs, QUANTILES) - np.log(value)) * np.sqrt(count / (count - 1.0))
-    reach *= stats.t.ppf(QUANTILES, count - 1) / stats.norm.ppf(QUANTILES)
+    reach *= stdtrit(count - 1, QUANTILES) / ndtri(QUANTILES)
     low, most, high = (value * np.exp(np.clip(reach, -LARGEST_LOG, LARGEST_LOG))).tolist()
     return HeldRatio(value, low, high, most)

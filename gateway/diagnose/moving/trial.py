@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import fdtrc, stdtr
 
 from gateway.diagnose.held import Held
 from gateway.diagnose.moving.fit import INDEPENDENT, MovingFit, MovingProblem, prior_precision, usual_of
@@ -292,7 +292,9 @@ def _log_demand(
     freedom = max(sum(len(row) * counting_share(row) for row in rows if len(row)) - count, 4.0)
     left = float(((full.weight[:, axes] * after_nm) ** 2).sum()) + 1e-12
     counted = sum(len(row) * problem.noise.share[axis] for row, axis in zip(rows, axes, strict=True))
-    return float(stats.f.logsf(drop / left * min(freedom, counted) / count, count, freedom))
+    share = max(drop / left * min(freedom, counted) / count, 0.0)
+    with np.errstate(divide="ignore"):  # a p too small for a number is 0, its log minus infinity
+        return float(np.log(fdtrc(count, freedom, share)))
 
 
 def drop_by_chance(before: Floats, after: Floats) -> float:
@@ -314,4 +316,4 @@ def drop_by_chance(before: Floats, after: Floats) -> float:
     spread = logs.std(ddof=1)
     if spread == 0:
         return 1.0 if logs.mean() >= 0 else 0.0
-    return float(stats.t.cdf(logs.mean() / spread * np.sqrt(count), count - 1))
+    return float(stdtr(count - 1, logs.mean() / spread * np.sqrt(count)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from gateway.diagnose.rest.linear import Fit, RestProblem, certain_bands
 from gateway.diagnose.rest.thresholds import REST
@@ -28,6 +28,6 @@ def friction_by_direction(problem: RestProblem, after: Fit) -> list[EffectResult
         if certain[axis] < REST.bias or bias < REST.bias_strength * noise:
             continue
         ratio = noise / float(np.hypot(noise, bias))
-        evidence = Evidence(holdout_rms_ratio=ratio, p_value=float(max(axes * norm.sf(certain[axis]), 1e-300)))
+        evidence = Evidence(holdout_rms_ratio=ratio, p_value=float(max(axes * ndtr(-certain[axis]), 1e-300)))
         out.append(EffectResult("static_friction", (axis + 1,), {"bias_nm": bias}, {"bias_nm": std}, evidence))
     return out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, f
+from scipy.special import chdtrc, chdtri, fdtrc, fdtri
 
 from gateway.diagnose.rest.holdout import Unseen
 from gateway.diagnose.rest.linear import Fit, RestProblem
@@ -58,8 +58,8 @@ def fresh_misfit(residual: Floats, covariance: Floats, group: Ints, axes: int, s
 def _fresh_axis(residual: Floats, covariance: Floats, spare: Floats | None, axis: int) -> float:
     mean = float(residual @ np.linalg.solve(covariance, residual)) / len(residual) / REST.fresh_slack
     if spare is None:
-        return float(chi2.sf(mean * len(residual), len(residual)))
-    return float(f.sf(mean, len(residual), max(float(spare[axis]), 1.0)))
+        return float(chdtrc(len(residual), mean * len(residual)))
+    return float(fdtrc(len(residual), max(float(spare[axis]), 1.0), mean))
 
 
 def fresh_seen_nm(problem: RestProblem, held: Unseen | None, fit: Fit) -> dict[str, list[float | None]]:
@@ -83,7 +83,7 @@ def fresh_seen(rows: Ints, spare: Floats | None = None) -> Floats:
     for axis in measured:
         count = int(rows[axis])
         freedom = np.inf if spare is None else max(float(spare[axis]), 1.0)
-        limit = chi2.isf(level, count) / count if np.isinf(freedom) else f.isf(level, count, freedom)
-        lower = chi2.isf(REST.power, count) / count
+        limit = chdtri(count, level) / count if np.isinf(freedom) else fdtri(count, freedom, 1.0 - level)
+        lower = chdtri(count, REST.power) / count
         out[axis] = np.sqrt(max(limit * REST.fresh_slack / lower - 1.0, 0.0))
     return out

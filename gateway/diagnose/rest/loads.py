@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm, t
+from scipy.special import ndtri, stdtrit
 
 from gateway.diagnose.rest.linear import Fit, RestProblem
 from gateway.diagnose.rest.ordinary import KINDS
@@ -121,7 +121,7 @@ def _widening(problem: RestProblem, fit: Fit, part: slice) -> float:
     told = ((fit.design[:, part] / fit.noise.std[problem.group][:, None]) ** 2).sum(axis=1)
     if not told.any():
         return 1.0
-    return float(t.ppf(0.975, np.average(freedom[problem.group], weights=told)) / norm.ppf(0.975))
+    return float(stdtrit(np.average(freedom[problem.group], weights=told), 0.975) / ndtri(0.975))
 
 
 def _per_pose(problem: RestProblem, fit: Fit, index: int) -> dict[str, float]:

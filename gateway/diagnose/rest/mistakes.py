@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import log_ndtr
 
 from gateway.data.table import Table
 from gateway.diagnose.rest.fit import fit
@@ -99,7 +99,7 @@ def plain_score(problem: RestProblem, rows_scale: float) -> tuple[float, Fit]:
 
 def band_signs(problem: RestProblem, result: Fit) -> float:
     """Log probability that every friction band of a fit that the visits determine is positive."""
-    return float(np.sum(norm.logcdf(_bands(problem, result)[determined_bands(problem)])))
+    return float(np.sum(log_ndtr(_bands(problem, result)[determined_bands(problem)])))
 
 
 def determined_bands(problem: RestProblem) -> NDArray[np.bool_]:

@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from gateway.diagnose.held import Held, listed
 from gateway.diagnose.rest.decide import Decision, noise_floor, strong, unseen_by_choice
@@ -162,7 +162,7 @@ def possible(search: Search, decision: Decision, judge: Judge) -> list[EffectRes
 def _p_value(after: Fit, without: Fit, term: Term, candidates: int) -> float:
     """Likelihood ratio with as many degrees of freedom as the effect has parameters, times the number tried."""
     gain = 2.0 * max(after.mode - without.mode, 0.0)
-    return float(min(1.0, max(chi2.sf(gain, len(term.linear)) * candidates, 1e-300)))
+    return float(min(1.0, max(chdtrc(len(term.linear), gain) * candidates, 1e-300)))
 
 
 def _effect(problem: RestProblem, fit: Fit, position: int, evidence: Evidence) -> EffectResult:

@@ -15,8 +15,7 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, fdtrc, ndtr, ndtri
-from scipy.stats import chi2
+from scipy.special import chdtrc, fdtrc, gammaincinv, ndtr, ndtri
 
 from gateway.diagnose.rest.linear import Fit, RestProblem
 from gateway.diagnose.rest.thresholds import REST
@@ -230,7 +229,7 @@ def _product_tail(score: Floats, count: int) -> Floats:
 
 @cache
 def _log_product_tail(count: int) -> Floats:
-    levels = chi2.ppf((np.arange(_LEVELS) + 0.5) / _LEVELS, count)
+    levels = 2.0 * gammaincinv(count / 2.0, (np.arange(_LEVELS) + 0.5) / _LEVELS)  # of chi-square
     tail = chdtrc(count, np.maximum(2.0 * _SCORES[:, None] * np.sqrt(count) + levels, 0.0)).mean(axis=1)
     return np.log(np.maximum(tail, _LEAST_P))
 

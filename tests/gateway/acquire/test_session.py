@@ -23,7 +23,7 @@ from gateway.errors import InputError
 from gateway.model.arm_model import robot_text
 from sim.serve import RunningSimulation, running
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.xdist_group("session")]
 
 CELL = Path(__file__).parents[3] / "examples" / "small" / "cell.toml"
 

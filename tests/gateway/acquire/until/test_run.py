@@ -22,6 +22,8 @@ from gateway.model.regressor import LOAD_COLUMNS, gravity_regressor
 from gateway.motion.arm import Arm
 from tests.gateway.conftest import BAND_NM, FakeDrives
 
+pytestmark = pytest.mark.xdist_group("until")
+
 TRUTH = np.array([6.0, 0.12, 0.06, 0.6])
 SETTINGS = VisitSettings(
     approach_offset_rad=0.03, approach_speed_rad_s=0.2, settle_timeout_s=2.0, samples=40, period_s=0.01
