@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from functools import reduce
 from pathlib import Path
 
-from benchmarks.chaos.killing import visits_on_disk
+from benchmarks.chaos.killing import finished_on_disk
 from benchmarks.chaos.programs import (
     COMMANDS,
     PAIR_PERIOD_S,
@@ -211,10 +211,10 @@ class Interrupter:
             result.complaints.append(f"{what}: exit code {code}, {wanted} is documented; said: ...{said[-400:]}")
 
     def _judge_file(self, program: Program, path: Path, what: str, result: Interruptions) -> None:
-        announced = program.visits
+        announced = program.finished
         result.announced += len(announced)
         try:
-            missing = announced - visits_on_disk(path)
+            missing = announced - finished_on_disk(path)
         except InputError as error:
             result.lost += 1
             result.complaints.append(f"{what}: {error}")

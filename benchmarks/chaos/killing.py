@@ -51,6 +51,13 @@ def visits_on_disk(path: Path) -> set[tuple[int, int]]:
     return {(visit.pose, visit.approach) for arm in read(path).arms for visit in arm.visits if visit.complete}
 
 
+def finished_on_disk(path: Path) -> set[tuple[int, int] | tuple[str, int]]:
+    """(pose, side) of every finished visit and (motion, number) of every period; empty when there is no file."""
+    if not path.exists():
+        return set()
+    return visits_on_disk(path) | {(each.name, each.period) for arm in read(path).arms for each in arm.periods}
+
+
 def interrupt_recordings(kills: int, how: str, seed: int = 1) -> Losses:
     """Interrupt recordings at random instants and go on with them, again and again.
 

@@ -19,6 +19,8 @@ from typing import Any
 from benchmarks.chaos.processes import Drives, drives, serve_pair
 from benchmarks.chaos.rig import with_real_pacing
 from benchmarks.fuzz.check_files import RESULT_SEED
+from gateway.excite.plan_file import plan_as_plain
+from gateway.excite.planning import MovingRequest, make_moving_plan
 from gateway.model.arm_model import arm_robot
 from gateway.pair.cell import load_pair
 from gateway.pair.function import function_of_knots
@@ -45,6 +47,7 @@ dwell_s = 0.2
 DISTURBED = re.compile(r"held up for|SYNCs in a row unanswered|a bare timer|SYNCs went out late|is this computer busy")
 TRIES = 5
 VISIT = re.compile(r"visit \d+/\d+: pose (\d+) from (below|above)")
+PERIOD = re.compile(r"period \d+/\d+: '([^']+)' number (\d+)")
 
 
 class Program:
@@ -86,9 +89,10 @@ class Program:
         return self._process.poll()
 
     @property
-    def visits(self) -> set[tuple[int, int]]:
-        """(pose, side) of the visits that it has announced."""
-        return {(int(pose), 1 if side == "below" else -1) for pose, side in VISIT.findall(self.said)}
+    def finished(self) -> set[tuple[int, int] | tuple[str, int]]:
+        """(pose, side) of the visits and (motion, number) of the periods that it has announced."""
+        visits = {(int(pose), 1 if side == "below" else -1) for pose, side in VISIT.findall(self.said)}
+        return visits | {(name, int(number)) for name, number in PERIOD.findall(self.said)}
 
     def send(self, number: int) -> None:
         """A signal."""
@@ -258,7 +262,7 @@ class Command:
     words : of the command line, given the stage and a folder for what is written
     window_s : how long after power something may happen to it
     pair : it needs two arms
-    records : it announces visits, which are in `run.h5`
+    records : it announces visits or periods, which are in `run.h5`
     writes : it writes files while it is under power
     """
 
@@ -273,6 +277,17 @@ class Command:
 def _follow(stage: Stage, _out: Path) -> list[object]:
     load = stage.folder / "load.json"
     return ["follow", stage.cell, "--path", stage.folder / "path.toml", "--load", load, "--yes", "-v"]
+
+
+def _in_motion(stage: Stage, out: Path) -> list[object]:
+    """Periods of a series of all joints by chance, each scaled up to its first limit."""
+    plan = stage.folder / "motion.json"
+    if not plan.exists():
+        request = MovingRequest(choice="random", period_s=5.0, periods=3)
+        plan.write_text(json.dumps(plan_as_plain(make_moving_plan(stage.served.loaded, None, request))))
+    (bus,) = stage.served.loaded.cell.bus.values()
+    what = ["--moving", "--plan", plan, "--rate", f"{1.0 / bus.sync_period_s:g}"]
+    return ["record", stage.cell, "--load", "none", *what, "-o", out / "run.h5", "--yes", "-v"]
 
 
 COMMANDS = (
@@ -290,6 +305,7 @@ COMMANDS = (
         records=True,
         writes=True,
     ),
+    Command("record --moving", _in_motion, 12.0, records=True, writes=True),
     Command("check --move", lambda stage, out: ["check", stage.cell, "--move", "--yes", "-v"], 5.0),
     Command("check --prove-stop", lambda stage, out: ["check", stage.cell, "--prove-stop", "--yes", "-v"], 4.0),
     Command("follow", _follow, 8.0),

@@ -92,8 +92,8 @@ def _words(setting: str) -> str:
 
 
 def _nothing_typed(place: rig.Place, handle: Any, seed: int) -> FollowResult:
-    """The path with a cell in which no rotor and no friction is typed, and all of it identified."""
-    cell, result = rig.nothing_typed(place, seed)
+    """The path with a cell in which no rotor and no friction is typed, and all of it identified in motion."""
+    cell, result = rig.nothing_typed(place, handle, seed)
     return rig.followed(handle, cell, FollowRequest(place.path, result), "off", "maximum", "identified")
 
 

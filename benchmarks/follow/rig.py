@@ -6,6 +6,7 @@ rounded, friction only as the rest poses show it, the load as it was identified.
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -16,13 +17,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from click.testing import CliRunner, Result
-from numpy.typing import NDArray
 
 from benchmarks.rigs.pacing import in_lockstep
+from gateway.cell.config import load_cell
 from gateway.cli import main
 from gateway.commands.cell_context import open_cell
+from gateway.excite.plan_file import plan_as_plain
+from gateway.excite.planning import MovingRequest, make_moving_plan
 from gateway.feedforward.dynamics import ArmDynamics
 from gateway.feedforward.law import FeedforwardLaw
 from gateway.follow.comparison import result_of
@@ -31,12 +33,8 @@ from gateway.follow.settings import Setting
 from gateway.model.arm_model import arm_named
 from gateway.motion.opening import open_arm
 from gateway.result.follow import FollowResult
-from gateway.result.result import AxisMotion, read_result, to_json
-from sim.cellfile import read_cell, read_payloads
-from sim.nominal import plant_of
+from gateway.result.result import read_result, to_json
 from sim.serve import RunningSimulation, running
-
-Floats = NDArray[np.float64]
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 LABEL = "load"
@@ -73,61 +71,22 @@ class Place:
         return self.folder / f"{name}.json"
 
 
-@dataclass(frozen=True)
-class Truth:
-    """What the simulator obeys, as far as motion tells it: per axis, and of the load about its centre of gravity."""
+def nothing_typed(place: Place, handle: RunningSimulation, seed: int) -> tuple[Path, Path]:
+    """The cell without rotors and friction, and the result of its moving runs, bare and loaded; the load hangs.
 
-    rotor_kg_m2: Floats
-    coulomb_nm: Floats
-    viscous_nm_s_rad: Floats
-    inertia_kg_m2: Floats
-
-
-def truth(place: Place) -> Truth:
-    """From the files that the simulator reads."""
-    plant = plant_of(read_cell(place.cell).arms[0])
-    load = read_payloads(place.folder / "payload.toml")[LABEL]
-    return Truth(plant.rotor_inertia_kg_m2, plant.coulomb_nm, plant.viscous_nm_s_rad, np.asarray(load.inertia_kg_m2))
-
-
-def nothing_typed(place: Place, seed: int) -> tuple[Path, Path]:
-    """The cell without rotors and friction, and the result with them as motion tells them: true values with errors.
-
-    Standard deviations of 2 % of a rotor, 1.5 % of Coulomb and 2.5 % of viscous friction, 5 % of the largest principal
-    inertia of the load; errors are drawn from them.
+    One series of all joints, for the load, friction and rotors: three periods of 10 s under each load.
     """
-    random, true, told = np.random.default_rng(seed), truth(place), read_result(place.result)
-
-    def drawn(values: Floats, share: float) -> tuple[Floats, Floats]:
-        std = np.asarray(share * np.abs(values))
-        return values + std * random.normal(size=values.shape), std
-
-    sizes = [
-        drawn(values, share)
-        for values, share in ((true.rotor_kg_m2, 0.02), (true.coulomb_nm, 0.015), (true.viscous_nm_s_rad, 0.025))
-    ]
-    motion = tuple(
-        AxisMotion(
-            joint,
-            rotor_inertia_kg_m2=rotor,
-            rotor_inertia_std_kg_m2=rotor_std,
-            coulomb_nm=coulomb,
-            coulomb_std_nm=coulomb_std,
-            viscous_nm_s_rad=viscous,
-            viscous_std_nm_s_rad=viscous_std,
-        )
-        for joint, (rotor, rotor_std, coulomb, coulomb_std, viscous, viscous_std) in enumerate(
-            np.column_stack([part for size in sizes for part in size]).tolist(), start=1
-        )
-    )
-    own = true.inertia_kg_m2[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
-    std = np.full(6, 0.05 * np.linalg.eigvalsh(true.inertia_kg_m2)[-1])
-    inertia, spread = (tuple(values.tolist()) for values in (own + std * random.normal(size=6), std))
-    loads = tuple(replace(load, inertia_kg_m2=inertia, inertia_std_kg_m2=spread) for load in told.loads)
-    result = place.folder / "moving.json"
-    changed = replace(told, motion=motion, loads=loads, after=replace(told.after, loads=loads))
-    result.write_text(to_json(changed))
     cell = place.told("untyped", r"(?m)^(rotor_inertia_kg_m2|coulomb_nm|viscous_nm_s_rad) = .*\n", "")
+    request = MovingRequest(("load", "friction", "rotor"), friction_by="series", seed=seed)
+    plan, run, result = (place.folder / f"moving.{suffix}" for suffix in ("plan.json", "h5", "json"))
+    plan.write_text(json.dumps(plan_as_plain(make_moving_plan(load_cell(cell), None, request))))
+    for label in ("none", LABEL):
+        handle.hang(label)
+        words = ["--moving", "--plan", plan, "--load", label, "-o", run, "--resume", "--bus", handle.bus, "--yes", "-q"]
+        told = command("record", cell, *words)
+        assert told.exit_code == 0, told.output
+    told = command("estimate", run, "--cell", cell, "--json", result, "--force", "-q")
+    assert told.exit_code == 0, told.output
     text = cell.read_text().replace("[[arm]]\n", f'[[arm]]\nidentified = "{result.name}"\n', 1)
     cell.write_text(text)
     return cell, result

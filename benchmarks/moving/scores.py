@@ -39,13 +39,18 @@ def load_truth(tool: Payload) -> Floats:
 
 
 def drawn_truth(arm: MovingArm, start_s: Mapping[str, float], oracle: Mapping[str, Floats]) -> Truth:
-    """Truth of a drawn arm at the time of its runs."""
-    cold = arm.friction.cold(np.array(list(start_s.values()))).mean(axis=0)
+    """Truth of a drawn arm at the time of its runs, as a result has it: friction with no load, and what a load adds."""
+    friction = arm.friction
+    cold = friction.cold(np.array(list(start_s.values()))).mean(axis=0)
+    # what nobody declared of a gear is lost in proportion to the torque as well: half of what differs by direction
+    undeclared = (1.0 / friction.driving - friction.driven) / 2.0
+    # a gear that transmits nothing is driven by its motor, whichever way it turns
+    idle = cold / friction.driving
     axes = {
-        "coulomb_nm": arm.friction.coulomb_nm * cold,
-        "viscous_nm_s_rad": arm.viscous_nm_s_rad * cold,
+        "coulomb_nm": friction.coulomb_nm * idle,
+        "viscous_nm_s_rad": arm.viscous_nm_s_rad * idle,
         "rotor_inertia_kg_m2": arm.rotor_inertia_kg_m2,
-        "load_friction": arm.friction.load_loss,
+        "load_friction": friction.load_loss + undeclared,
         "delay_s": arm.delay_s,
     }
     return Truth(arm.tool, axes, oracle)

@@ -11,6 +11,7 @@ import re
 import shutil
 import subprocess
 import tempfile
+import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -48,7 +49,16 @@ class Browser:
 
     def open(self, file: Path) -> None:
         """Load a page from disk."""
-        self._ask("url", {"url": file.resolve().as_uri()})
+        self.visit(file.resolve().as_uri())
+
+    def visit(self, address: str) -> None:
+        """Load a page from wherever it is."""
+        self._ask("url", {"url": address})
+
+    def in_light(self, scheme: str) -> None:
+        """Use the styles of a `light` or a `dark` desktop."""
+        features = [{"name": "prefers-color-scheme", "value": scheme}]
+        self.devtools("Emulation.setEmulatedMedia", {"media": "screen", "features": features})
 
     def resize(self, width_px: int, height_px: int, *, scale: float = 1.0) -> None:
         """Lay out as on a screen of that width, whatever window there is."""
@@ -124,5 +134,8 @@ def _port(program: subprocess.Popen[str]) -> int:
 
 def _post(address: str, body: dict[str, Any]) -> Any:
     request = urllib.request.Request(address, json.dumps(body).encode(), {"Content-Type": "application/json"})
-    with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:
-        return json.loads(answer.read())["value"]
+    try:
+        with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:
+            return json.loads(answer.read())["value"]
+    except urllib.error.HTTPError as error:
+        raise RuntimeError(f"{address}: {json.loads(error.read())['value']['message']}") from error

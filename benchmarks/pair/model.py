@@ -44,6 +44,7 @@ class Scope:
     updates : of the learners that take three cycles for each
     each_cycles : cycles of the learners that update every cycle
     static_sync_s : sampling of the path that is run nearly at rest
+    crossed : speeds at which stored functions are used without learning there
     stages : which stages, in this order
     skip : rows that are left out
     """
@@ -52,6 +53,7 @@ class Scope:
     updates: int = UPDATES
     each_cycles: int = E2_CYCLES
     static_sync_s: float = STATIC_SYNC_S
+    crossed: tuple[float, ...] = (BETWEEN, BEYOND)
     stages: tuple[str, ...] = ("static", "usual", "even", "speeds", "fast", "snag", "skew", "drift")
     skip: tuple[str, ...] = ()
 
@@ -176,7 +178,7 @@ def _speeds(stock: Stock, scope: Scope, learned: dict[str, list[Run]]) -> list[R
     ]
     rows = collect(on, slow, scope)
     fast = learned["C2c"]
-    for speed in (BETWEEN, BEYOND):
+    for speed in scope.crossed:
         on = track(speed)
         runs = []
         for index, errors in enumerate(stock.errors):

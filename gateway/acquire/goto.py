@@ -22,6 +22,8 @@ from gateway.motion.workspace import Workspace
 
 HOME: Final = "home"
 LOADING: Final = "loading"
+#: By how much an arm in its brakes may sag and still stand where its way was planned from [rad].
+STILL_RAD: Final = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +102,18 @@ def plan_way(opened: OpenArm, target: Destination) -> Plan:
     config, workspace = opened.config, opened.workspace
     settings = visit_settings(opened.loaded, config)
     return plan_to(config.name, workspace, opened.arm.where(), np.array(target.q_rad), settings)
+
+
+def way_from_here(opened: OpenArm, target: Destination, plan: Plan) -> Plan:
+    """A way that was planned before a person was asked: anew only where the arm stands elsewhere by now.
+
+    Raises
+    ------
+    PlanRefused
+        As `plan_way`.
+    """
+    moved_rad = np.abs(opened.arm.where() - np.array(plan.start_rad))
+    return plan if bool(np.all(moved_rad <= STILL_RAD)) else plan_way(opened, target)
 
 
 def remarks(plan: Plan, workspace: Workspace) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ from gateway.commands.options import (
     cell_argument,
     common,
     json_option,
+    key_values,
     output_option,
     refuse_to_replace,
     session_of,
@@ -132,11 +133,8 @@ def _options(named: dict[str, Any], pairs: Sequence[str]) -> dict[str, GivenAnsw
 
     here = Path.cwd()
     found = {key: GivenAnswer(value, f"--{key}", here) for key, value in named.items() if value is not None}
-    for pair in pairs:
-        key, equals, text = pair.partition("=")
-        if not equals or key.strip() not in questions.KEYS:
-            raise click.UsageError(f"--answer '{pair}': write KEY=VALUE with one of {', '.join(questions.KEYS)}")
-        found[key.strip()] = GivenAnswer(typed(text), f"--answer {key.strip()}", here)
+    for key, text in key_values("--answer", pairs, questions.KEYS).items():
+        found[key] = GivenAnswer(typed(text), f"--answer {key}", here)
     return found
 
 

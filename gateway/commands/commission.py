@@ -69,7 +69,7 @@ class Dialogue(Protocol):
         """Poses are chosen; ask whether the arm may move."""
         ...
 
-    def bring(self, opened: OpenArm, target: Destination, options: MoveOptions) -> None:
+    def bring(self, opened: OpenArm, target: Destination, plan: Plan, options: MoveOptions) -> None:
         """Say where the arm goes, ask, and go there."""
         ...
 
@@ -250,12 +250,12 @@ class _Robot:
             return
         target = destination(opened.config, opened.workspace, LOADING)
         try:
-            plan_way(opened, target)
+            plan = plan_way(opened, target)
         except PlanRefused as refused:
             self._dialogue.say(f"the arm stays where it is, and the load is hung there: {refused}")
             return
         slow = replace(job.options, override=min(job.options.override, SLOW_PERCENT / 100.0))
-        self._dialogue.bring(opened, target, slow)
+        self._dialogue.bring(opened, target, plan, slow)
         self._job = replace(job, options=replace(job.options, first_done=None))
 
     def measure_poses(self, q_rad: np.ndarray) -> Table:

@@ -22,6 +22,7 @@ INDEX = "index.html"
 
 
 @click.group()
+@common
 def fleet() -> None:
     """Many robots over months: checks into a store, what drifts, who needs a visit."""
 

@@ -13,6 +13,7 @@ from gateway.commands.options import bus_option, cell_argument, common, joint_an
 
 if TYPE_CHECKING:
     from gateway.acquire.goto import Destination
+    from gateway.acquire.plan import Plan
     from gateway.commands.console import Session
     from gateway.motion.opening import OpenArm
     from gateway.motion.stream import MoveOptions
@@ -47,7 +48,7 @@ def move(
     An arm that stands outside its joint range first moves inwards. The first time with these drives, it is proven
     before anything else that they stop when the master is gone.
     """
-    from gateway.acquire.goto import destination
+    from gateway.acquire.goto import destination, plan_way
     from gateway.check.proofs import ensure_proven
     from gateway.commands.cell_context import open_cell
     from gateway.model.arm_model import arm_named, arm_robot
@@ -62,20 +63,20 @@ def move(
     session = session_of()
     proof = context.stop_proof(arm)
     with stoppable(moving) as options, open_arm(context.loaded, context.override(arm), arm.name) as opened:
-        announce(session, opened, target, options)
+        plan = plan_way(opened, target)
+        announce(session, opened, target, plan, options)
         besides = ("" if proof.exists() else " At first its drives lose the heartbeat on purpose.") + context.grippers
         moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{besides} Is nobody near it?")
         options = ensure_proven(opened, proof, session.note, options)
-        go_with_progress(session, opened, target, options)
+        go_with_progress(session, opened, target, plan, options)
     session.show(f"arm '{arm.name}' is in its brakes at {target}")
 
 
-def announce(session: Session, opened: OpenArm, target: Destination, options: MoveOptions) -> None:
+def announce(session: Session, opened: OpenArm, target: Destination, plan: Plan, options: MoveOptions) -> None:
     """Say where the arm stands, where it goes, over what, and how long that takes."""
-    from gateway.acquire.goto import plan_way, remarks
+    from gateway.acquire.goto import remarks
     from gateway.motion.places import angles
 
-    plan = plan_way(opened, target)
     lasts_s = plan.duration_s / options.override
     session.note(
         f"arm '{plan.arm}' goes from {angles(plan.start_rad or ())} to {target}, at {100 * options.override:.0f} % of "
@@ -85,11 +86,11 @@ def announce(session: Session, opened: OpenArm, target: Destination, options: Mo
         session.note(remark)
 
 
-def go_with_progress(session: Session, opened: OpenArm, target: Destination, options: MoveOptions) -> None:
-    """Go there and show how far it is; raises as `plan_way` and `go` of `gateway.acquire.goto`."""
-    from gateway.acquire.goto import go, plan_way
+def go_with_progress(session: Session, opened: OpenArm, target: Destination, plan: Plan, options: MoveOptions) -> None:
+    """Go there and show how far it is; raises as `way_from_here` and `go` of `gateway.acquire.goto`."""
+    from gateway.acquire.goto import go, way_from_here
     from gateway.commands.progress import ProgressListener
 
-    plan = plan_way(opened, target)
+    plan = way_from_here(opened, target, plan)
     with session.progress(plan.duration_s / options.override, "move") as bar:
         go(opened, plan, (ProgressListener(session, bar),), options)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -200,6 +200,33 @@ def write_json(target: str, payload: Mapping[str, Any]) -> None:
         click.echo(text, nl=False)
     else:
         replace_file(Path(target), text)
+
+
+def key_values(option: str, pairs: Sequence[str], keys: Collection[str] = ()) -> dict[str, str]:
+    """Values of a repeatable option by their keys.
+
+    Parameters
+    ----------
+    option : str
+        Its name, for the message.
+    pairs : sequence of str
+        KEY=VALUE as typed.
+    keys : collection of str
+        Keys that there are; empty = any.
+
+    Raises
+    ------
+    click.UsageError
+        One without an equals sign, or with another key.
+    """
+    found: dict[str, str] = {}
+    for pair in pairs:
+        key, equals, value = (part.strip() for part in pair.partition("="))
+        if not equals or not key or (keys and key not in keys):
+            of = f" with one of {', '.join(keys)}" if keys else ""
+            raise click.UsageError(f"{option} '{pair}': write KEY=VALUE{of}.")
+        found[key] = value
+    return found
 
 
 #: What is said where a person does not agree.

@@ -10,7 +10,7 @@ import click
 
 from drives.files import replace_file
 from gateway.commands.bus import DEFAULT_BUS
-from gateway.commands.options import common, json_option, output_option, session_of, write_json
+from gateway.commands.options import common, json_option, key_values, output_option, session_of, write_json
 from gateway.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -106,7 +106,9 @@ def profiles_new(
         raise ConfigError(
             f"{output}: a profile of the package has this name, and cells would get that one: choose another"
         )
-    answers = with_answers(read_answers(answer_file) if answer_file else ProfileAnswers(), _typed(typed))
+    answers = with_answers(
+        read_answers(answer_file) if answer_file else ProfileAnswers(), key_values("--answer", typed)
+    )
     device = device_of_sheet(eds)
     if node_id is not None:
         device = _ask_drive(device, node_id, bus_spec or DEFAULT_BUS)
@@ -123,21 +125,6 @@ def profiles_new(
 def _at_terminal() -> bool:
     """Whether there is somebody to ask."""
     return sys.stdin.isatty()
-
-
-def _typed(pairs: tuple[str, ...]) -> dict[str, str]:
-    """Answers of the command line.
-
-    Raises
-    ------
-    click.UsageError
-        One without an equals sign.
-    """
-    split = [pair.partition("=") for pair in pairs]
-    odd = [pair for pair, (_, equals, _) in zip(pairs, split, strict=True) if not equals]
-    if odd:
-        raise click.UsageError(f"--answer {odd[0]}: write KEY=VALUE.")
-    return {key.strip(): value.strip() for key, _, value in split}
 
 
 def _ask_drive(device: Device, node_id: int, bus_spec: str) -> Device:

@@ -63,13 +63,16 @@ class ProgressListener:
             self._session.note(f"stopped: {event.reason}", level=1)
 
     def _tell_period(self, event: PeriodDone) -> None:
-        """A period that lacks a SYNC is always told of."""
-        self._done += 1
-        what = f"period {self._done}/{self._visits}: '{event.name}' number {event.period}"
-        what += f" at {event.speed:.0%}" if event.speed != 1.0 else ""
-        lost = event.incomplete_epochs
-        unanswered = f", {lost} SYNCs were not answered" if lost else ""
-        self._session.note(f"{what}{unanswered}", level=0 if lost else 1)
+        """A period that lacks a SYNC is always told of; only whole ones are counted."""
+        speed = f" at {event.speed:.0%}" if event.speed != 1.0 else ""
+        name, lost = f"'{event.name}' number {event.period}{speed}", event.incomplete_epochs
+        if event.complete:
+            self._done += 1
+            self._session.note(f"period {self._done}/{self._visits}: {name}", level=1)
+        elif lost:
+            self._session.note(f"{name}: {lost} SYNCs were not answered")
+        else:
+            self._session.note(f"{name}: cut short", level=1)
 
 
 def recording_with_progress(

@@ -18,18 +18,19 @@ from gateway.data.rows import Table
 from gateway.errors import DataUnusable
 from gateway.estimate.estimate import Estimate
 from gateway.estimate.fitting import Fitted
-from gateway.estimate.moving_columns import MovingSetup, fast_rows, held_to_friction, moving_columns
+from gateway.estimate.moving_columns import MovingSetup, fast_rows, moving_columns
 from gateway.estimate.moving_describe import MotionFit, axis_motions, described_load, fitted_rows, nuisances
 from gateway.estimate.moving_noise import correlation_times, spread_of
 from gateway.estimate.moving_ordinary import settle
 from gateway.estimate.moving_periods import Periods, averaged
+from gateway.estimate.moving_prior import alike, gains_prior, held_to_friction, losses_seen
 from gateway.estimate.moving_problem import MotionProblem, about, solved
-from gateway.estimate.moving_stribeck import stribeck_speeds
 from gateway.estimate.moving_time import Stretches
 from gateway.estimate.options import EstimateOptions
 from gateway.estimate.together import Beside, columns_beside, rest_rows
 from gateway.identify.load_estimate import LoadEstimate, refused_load
 from gateway.identify.loads import BARE_LABEL
+from gateway.identify.nuisance import gain_stds
 from gateway.identify.solve import Solution
 from gateway.model.motion import behind_gears
 from gateway.model.robot import Robot, reach_m
@@ -49,6 +50,8 @@ _LATE_S = 0.02
 _WEIGHED_ANEW = 2
 #: Times by which that may change a weight: beyond, priors keep a fit from what the rows say, or count for nothing.
 _MOST_ANEW = 10.0
+#: Share of its size to which no torque is weighed better: beyond, a prior is lost in the rounding of the rows.
+_FINEST = 1e-5
 
 
 def estimate_moving(
@@ -107,15 +110,10 @@ def _fit(periods: Periods, robot: Robot, options: EstimateOptions, how: tuple[Mo
             " record a longer run that moves all axes"
         )
     scale_nm, level_nm = _weights(periods, robot, sound_options(options, moving), motion, used)
-    if "uneven_friction" not in motion.ordinary:
-        return _estimate(_solved(beside, periods, used, scale_nm), moving, robot)
-    held = replace(beside, columns=held_to_friction(columns, level_nm))
-    fit = _solved(held, periods, used, scale_nm)
-    falls = stribeck_speeds(fit.problem, fit.settled, fit.spread)
-    if np.isfinite(falls).any():
-        beside = columns_beside(moving, robot, options, replace(motion, stribeck_rad_s=falls), rest)
-        held = replace(beside, columns=held_to_friction(beside.columns, level_nm))
-        fit = _solved(held, periods, used, scale_nm)
+    if "uneven_friction" in motion.ordinary:
+        prior = held_to_friction(columns.prior, columns.names, level_nm, offsets=bool(columns.loads))
+        beside = replace(beside, columns=replace(columns, prior=prior))
+    fit = _solved(beside, periods, used, scale_nm, options)
     found = _estimate(fit, moving, robot)
     if rest is None or beside.still is None:
         return found
@@ -152,17 +150,37 @@ def _late(motions: Sequence[AxisMotion]) -> list[Finding]:
     ]  # fmt: skip
 
 
-def _solved(beside: Beside, periods: Periods, used: Mask, scale_nm: Floats) -> MotionFit:
+def _solved(beside: Beside, periods: Periods, used: Mask, scale_nm: Floats, options: EstimateOptions) -> MotionFit:
     """Settle, weigh the parts anew by what the whole model leaves of them, and settle again."""
     run, columns = np.asarray(periods.mean.run), beside.columns
     problem = MotionProblem.of(columns, periods.mean, used, periods.contrasts, beside.still)
+    problem = _with_gains(problem, options, None)
+    finest_nm = _FINEST * float(np.sqrt(np.mean(problem.tau_nm[used] ** 2)))
+    scale_nm = np.maximum(scale_nm, finest_nm)
     settled = settle(problem, scale_nm)
     spread = spread_of(problem, settled, scale_nm, run, periods.scatter)
     for _ in range(_WEIGHED_ANEW * bool(columns.ordinary)):
-        anew_nm = np.clip(spread.scale_nm, scale_nm / _MOST_ANEW, _MOST_ANEW * scale_nm)
+        problem = _with_gains(replace(problem, columns=columns), options, MotionFit(problem, settled, spread))
+        least_nm = np.maximum(scale_nm / _MOST_ANEW, finest_nm)
+        anew_nm = np.clip(spread.scale_nm, least_nm, _MOST_ANEW * scale_nm)
         settled = settle(problem, anew_nm, settled.here)
         spread = spread_of(problem, settled, anew_nm, run, periods.scatter)
     return MotionFit(problem, settled, spread)
+
+
+def _with_gains(problem: MotionProblem, options: EstimateOptions, before: MotionFit | None) -> MotionProblem:
+    """The problem with what is known of the gains: by the losses that a fit before it shows, and of all together."""
+    columns = problem.columns
+    if "gain" not in columns.ordinary:
+        return problem
+    prior = columns.prior
+    # rest poses see the losses at a standstill, from both sides
+    if before is not None and problem.still is None and "load_friction" in columns.ordinary:
+        lost = losses_seen(prior, columns.ordinary, before.value, before.std)
+        prior = gains_prior(prior, columns.ordinary, gain_stds(options.gain_std, len(lost)), lost)
+    if options.gain_std is None:
+        prior = alike(prior, columns.ordinary["gain"])
+    return replace(problem, columns=replace(columns, prior=prior))
 
 
 def _without_slipped(periods: Periods, options: EstimateOptions) -> tuple[Periods, tuple[LoadEstimate, ...]]:

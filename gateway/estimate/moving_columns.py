@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.rows import Table
+from gateway.estimate.moving_friction import (
+    FALL,
+    FRICTION,
+    FRICTION_UNITS,
+    fall_columns,
+    fall_speeds,
+    friction_columns,
+)
+from gateway.estimate.moving_prior import moving_prior
 from gateway.estimate.options import EstimateOptions
 from gateway.estimate.problem import LOAD_NAMES, LOAD_UNITS
 from gateway.identify.links import PER_LINK_MOVING, body_parameters, link_prior
 from gateway.identify.loads import unknown_labels
-from gateway.identify.nuisance import BIAS_SHARE, gain_stds, nuisance_prior
+from gateway.identify.nuisance import gain_stds
 from gateway.identify.solve import Prior
 from gateway.model.base import BaseSet, base_parameters, moving_base
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
@@ -23,20 +33,16 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 Mask = NDArray[np.bool_]
 
-FRICTION = ("coulomb", "viscous", "rotor_inertia", "offset")
-#: What every arm has beside: the reading's gain, a loss in proportion to the torque, a reading that lags behind the
-#: position, friction that differs by direction and near standstill, and loads that are no points.
-ORDINARY = ("gain", "load_friction", "delay", "uneven_friction", "load_inertia")
+#: What every arm has beside: the reading's gain, a loss that grows with the torque, in proportion or not quite, a
+#: reading that lags behind the position, friction that differs by direction and near standstill, and loads that are no
+#: points.
+ORDINARY = ("gain", "load_friction", "loss_bend", "delay", "uneven_friction", "load_inertia")
 NUISANCES = ORDINARY[:2]
-_LOCAL = ORDINARY[:3]
-#: Speed [rad/s] over which friction falls to its Coulomb level where none shows, and the share of that level by which.
-_FALLS_RAD_S, _FALL_SHARE = 0.05, 0.3
-#: Standard deviation [s] of a delay of which nothing is known: filters of a drive, a few SYNCs.
-_DELAY_S = 0.02
-#: Radius of gyration of a load [m], and its six numbers among a body's ten.
-_GYRATION_M, _INERTIA = 0.2, slice(4 - PER_LINK_MOVING, None)
+_LOCAL = ORDINARY[:4]
+#: Radius of gyration of a load [m].
+_GYRATION_M = 0.2
 INERTIA_NAMES = tuple(f"inertia_{name}" for name in ("xx", "xy", "xz", "yy", "yz", "zz"))
-FRICTION_UNITS = ("Nm", "Nm s/rad", "kg m2", "Nm")
+_INERTIA_UNITS = ("kg m2",) * len(INERTIA_NAMES)
 #: Of the last link: mass and first moment; all ten.
 _LOAD, _BODY = slice(-PER_LINK_MOVING, 4 - PER_LINK_MOVING), slice(-PER_LINK_MOVING, None)
 
@@ -58,8 +64,6 @@ class MovingSetup:
         None: axes are weighted by the residual of a fit with free link parameters, which has one answer. A number:
         that many solutions, each axis weighted by its residual in the one before, beginning with equal weights; with
         fixed link parameters this has several fixed points.
-    stribeck_rad_s : N floats, or none
-        Speed over which the friction of an axis falls from breakaway; NaN: it does not.
     """
 
     smooth_rad_s: float = 0.02
@@ -67,7 +71,6 @@ class MovingSetup:
     friction: tuple[str, ...] | None = None
     ordinary: tuple[str, ...] = ORDINARY
     passes: int | None = None
-    stribeck_rad_s: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,8 +92,8 @@ class Columns:
         Rounded sign of the speed.
     smooth_rad_s : float
         By which it is rounded.
-    stribeck_rad_s : N floats
-        Speed over which friction falls from breakaway; NaN where an axis has no such column.
+    falls_rad_s : array of shape (N, k)
+        Speeds over which friction falls from breakaway, each a column; k = 0: none.
     """
 
     design: Floats
@@ -103,7 +106,7 @@ class Columns:
     ordinary: dict[str, Ints]
     sign: Floats
     smooth_rad_s: float
-    stribeck_rad_s: tuple[float, ...]
+    falls_rad_s: Floats
 
     def dry(self, value: Floats) -> Floats:
         """Coulomb friction (N,) [Nm] among the parameters (p,)."""
@@ -123,16 +126,25 @@ class Columns:
 
     @property
     def friction(self) -> Ints:
-        """Columns of friction, the loss in proportion to the torque among them."""
+        """Columns of friction, the loss that grows with the torque among them."""
         last = min((int(index[0]) for index in self.ordinary.values()), default=len(self.names))
         own = np.arange(self.bodies, last)
-        return np.concatenate([own, self.ordinary.get("load_friction", own[:0])])
+        return np.concatenate([own, *(self.ordinary.get(name, own[:0]) for name in ("load_friction", "loss_bend"))])
 
 
 def fast_rows(qd_rad_s: Floats, robot: Robot, motion: MovingSetup) -> Mask:
     """Which axes (n, N) move fast enough to be used."""
     limit = np.where(np.isfinite(robot.velocity_rad_s), robot.velocity_rad_s, 0.0)
     return np.abs(qd_rad_s) >= motion.slow_share * limit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Block:
+    """Some of the columns (n, N, k), with names and units (k,)."""
+
+    design: Floats
+    names: Sequence[str]
+    units: Sequence[str]
 
 
 def moving_columns(moving: Table, robot: Robot, options: EstimateOptions, motion: MovingSetup) -> Columns:
@@ -146,87 +158,87 @@ def moving_columns(moving: Table, robot: Robot, options: EstimateOptions, motion
     unknown = unknown_labels(moving.load, options.known)
     rows = regressor(robot, moving.q_rad, moving.qd_rad_s, moving.qdd_rad_s2, options.gravity_m_s2)
     mean, std = link_prior(robot, options.trust, PER_LINK_MOVING)
-    fixed = np.where(std == 0.0, mean, 0.0)
     held = np.flatnonzero((std > 0.0) & np.isfinite(std))
-    free = np.flatnonzero(np.isinf(std))
-    base = _free_base(robot, options, free)
+    links = _link_block(robot, options, rows, (held, np.flatnonzero(np.isinf(std))))
+    loads = [_load_block(moving, rows, label, motion) for label in unknown]
+    bodies = [links, *loads]
+    firsts = np.cumsum([len(block.names) for block in bodies])
+    falls_rad_s = fall_speeds(moving.qd_rad_s)[:, : None if "uneven_friction" in motion.ordinary else 0]
+    own = _friction_blocks(moving, _shapes(motion, unknown), motion.smooth_rad_s, falls_rad_s)
+    first = int(firsts[-1]) + sum(len(block.names) for block in own)
+    local = [name for name in motion.ordinary if name in _LOCAL]
+    ordinary = {name: first + k * robot.axes + np.arange(robot.axes) for k, name in enumerate(local)}
+    blocks = [*bodies, *own, *(_local_block(len(moving), robot.axes, name) for name in local)]
+    names = tuple(name for block in blocks for name in block.names)
+    prior = moving_prior((mean[held], std[held]), len(names), ordinary, gain_stds(options.gain_std, robot.axes))
+    places = dict(zip(unknown, firsts[:-1].tolist(), strict=True))
+    if "load_inertia" in motion.ordinary:
+        for place in places.values():
+            prior.std[place + 4 : place + 10] = _heaviest_kg(moving) * _GYRATION_M**2
+    return Columns(
+        np.concatenate([block.design for block in blocks], axis=2),
+        _known_nm(moving, rows, np.where(std == 0.0, mean, 0.0), options),
+        prior, names, tuple(unit for block in blocks for unit in block.units), places, int(firsts[-1]), ordinary,
+        np.tanh(moving.qd_rad_s / motion.smooth_rad_s), motion.smooth_rad_s, falls_rad_s,
+    )  # fmt: skip
+
+
+def _link_block(robot: Robot, options: EstimateOptions, rows: Floats, which: tuple[Ints, Ints]) -> _Block:
+    """Links of which something is known, and base columns of those of which nothing is."""
+    held, free = which
+    base, full = _free_base(robot, options, free), full_names(robot.axes)
     chosen = np.concatenate([held, free[base.indices]])
+    units = [("kg", *["kg m"] * 3, *["kg m2"] * 6)[k % PER_LINK_MOVING] for k in chosen]
+    return _Block(rows[:, :, chosen], [*(full[k] for k in held), *base.names], units)
+
+
+def _load_block(moving: Table, rows: Floats, label: str, motion: MovingSetup) -> _Block:
+    here = (np.asarray(moving.load) == label)[:, None, None]
+    if "load_inertia" not in motion.ordinary:
+        return _Block(rows[:, :, _LOAD] * here, [f"{name}[{label}]" for name in LOAD_NAMES], LOAD_UNITS)
+    names = [f"{name}[{label}]" for name in (*LOAD_NAMES, *INERTIA_NAMES)]
+    return _Block(rows[:, :, _BODY] * here, names, (*LOAD_UNITS, *_INERTIA_UNITS))
+
+
+def _shapes(motion: MovingSetup, unknown: Sequence[str]) -> tuple[str, ...]:
+    """Friction of every axis; a free offset swallows the gravity of an unknown load, one that is held does not."""
+    if motion.friction:
+        return motion.friction
+    return FRICTION if "uneven_friction" in motion.ordinary or not unknown else FRICTION[:3]
+
+
+def _friction_blocks(
+    moving: Table, shapes: tuple[str, ...], smooth_rad_s: float, falls_rad_s: Floats
+) -> tuple[_Block, _Block]:
+    joints = [f"[J{axis + 1}]" for axis in range(moving.axes)]
+    units = [FRICTION_UNITS[FRICTION.index(name)] for name in shapes] * len(joints)
+    lasting = friction_columns(moving.qd_rad_s, moving.qdd_rad_s2, shapes, smooth_rad_s)
+    fading = [f"{FALL}_{k + 1}{joint}" for joint in joints for k in range(falls_rad_s.shape[1])]
+    return (
+        _Block(lasting, [f"{name}{joint}" for joint in joints for name in shapes], units),
+        _Block(fall_columns(moving.qd_rad_s, falls_rad_s, smooth_rad_s), fading, ["Nm"] * len(fading)),
+    )
+
+
+def _local_block(rows: int, axes: int, name: str) -> _Block:
+    """What every axis has for itself, of the modelled torque: nothing of it is known before a fit."""
+    names = [f"{name}[J{axis + 1}]" for axis in range(axes)]
+    return _Block(np.zeros((rows, axes, axes)), names, ["s" if name == "delay" else ""] * axes)
+
+
+def _known_nm(moving: Table, rows: Floats, fixed: Floats, options: EstimateOptions) -> Floats:
+    """Torque (n, N) of links that are exact, `fixed` (10 N,), and of known loads."""
     known = rows @ fixed
     for label, values in options.known.items():
         here = np.asarray(moving.load) == label
         known[here] += rows[here][:, :, _BODY] @ body_parameters(values[0], np.array(values[1:]), np.zeros((3, 3)))
-    full = full_names(robot.axes)
-    parts, names, units = [rows[:, :, chosen]], [*(full[k] for k in held), *base.names], []
-    units += [("kg", *["kg m"] * 3, *["kg m2"] * 6)[k % PER_LINK_MOVING] for k in chosen]
-    loads: dict[str, int] = {}
-    for label in unknown:
-        loads[label] = len(names)
-        here = (np.asarray(moving.load) == label)[:, None, None]
-        parts.append(rows[:, :, _LOAD] * here)
-        names += [f"{name}[{label}]" for name in LOAD_NAMES]
-        units += LOAD_UNITS
-        if "load_inertia" in motion.ordinary:
-            parts.append(rows[:, :, _INERTIA] * here)
-            names += [f"{name}[{label}]" for name in INERTIA_NAMES]
-            units += ["kg m2"] * len(INERTIA_NAMES)
-    bodies = len(names)
-    uneven = "uneven_friction" in motion.ordinary
-    stribeck = np.asarray(motion.stribeck_rad_s or (np.nan,) * robot.axes, dtype=float)
-    stribeck = np.where(np.isnan(stribeck), _FALLS_RAD_S, stribeck) if uneven else stribeck
-    falls = np.flatnonzero(np.isfinite(stribeck))
-    shapes = motion.friction or (FRICTION if uneven or not loads else FRICTION[:3])
-    parts.append(_friction_columns(moving, shapes, motion.smooth_rad_s))
-    names += [f"{name}[J{axis + 1}]" for axis in range(robot.axes) for name in shapes]
-    units += [FRICTION_UNITS[FRICTION.index(name)] for _ in range(robot.axes) for name in shapes]
-    parts.append(_stribeck_columns(moving, stribeck, motion.smooth_rad_s)[:, :, falls])
-    names += [f"stribeck[J{axis + 1}]" for axis in falls]
-    units += ["Nm"] * len(falls)
-    ordinary: dict[str, Ints] = {}
-    for name in (name for name in motion.ordinary if name in _LOCAL):
-        ordinary[name] = len(names) + np.arange(robot.axes)
-        names += [f"{name}[J{axis + 1}]" for axis in range(robot.axes)]
-        units += ["s" if name == "delay" else ""] * robot.axes
-        parts.append(np.zeros((len(moving.q_rad), robot.axes, robot.axes)))
-    prior = _prior((mean[held], std[held]), len(names), ordinary, gain_stds(options.gain_std, robot.axes))
-    if "load_inertia" in motion.ordinary:
-        heaviest = float(np.sqrt(np.nanmean(moving.tau_nm**2, axis=0)).max()) / float(
-            np.linalg.norm(STANDARD_GRAVITY_M_S2)
-        )
-        for first in loads.values():
-            prior.std[first + 4 : first + 10] = heaviest * _GYRATION_M**2
-    return Columns(
-        np.concatenate(parts, axis=2), known, prior, tuple(names), tuple(units), loads, bodies, ordinary,
-        np.tanh(moving.qd_rad_s / motion.smooth_rad_s), motion.smooth_rad_s, tuple(stribeck.tolist()),
-    )  # fmt: skip
+    return known
 
 
-def _prior(links: tuple[Floats, Floats], count: int, ordinary: dict[str, Ints], gain_std: Floats) -> Prior:
-    """Prior of held links, mean and standard deviation, and of what every arm has."""
-    prior, nothing = Prior.free(count), np.full(len(gain_std), np.nan)
-    held = len(links[0])
-    prior.mean[:held], prior.std[:held] = links
-    usual = nuisance_prior(gain_std, nothing, nothing)
-    for name, index in ordinary.items():
-        if name == "delay":
-            prior.std[index] = _DELAY_S
-        else:
-            prior.mean[index], prior.std[index] = getattr(usual, name), getattr(usual, f"{name}_std")
-    return prior
-
-
-def held_to_friction(columns: Columns, level_nm: Floats) -> Columns:
-    """The columns with what is a share of the Coulomb friction (N,) held to that.
-
-    A fall towards standstill; and a constant torque where a load is unknown, because a free one swallows gravity.
-    """
-    std = columns.prior.std.copy()
-    for k, name in enumerate(columns.names):
-        kind, _, axis = name.partition("[J")
-        if kind == "stribeck":
-            std[k] = _FALL_SHARE * level_nm[int(axis[:-1]) - 1]
-        elif kind == "offset" and columns.loads:
-            std[k] = BIAS_SHARE * level_nm[int(axis[:-1]) - 1]
-    return replace(columns, prior=replace(columns.prior, std=std))
+def _heaviest_kg(moving: Table) -> float:
+    """Mass whose weight at 1 m is the torque of the axis that carries most."""
+    torque = float(np.sqrt(np.nanmean(moving.tau_nm**2, axis=0)).max())
+    return torque / float(np.linalg.norm(STANDARD_GRAVITY_M_S2))
 
 
 def _free_base(robot: Robot, options: EstimateOptions, free: Ints) -> BaseSet:
@@ -235,27 +247,3 @@ def _free_base(robot: Robot, options: EstimateOptions, free: Ints) -> BaseSet:
     q, qd, qdd = np.random.default_rng(0).uniform(-2.0, 2.0, size=(3, 60, robot.axes))
     rows = regressor(robot, q, qd, qdd, options.gravity_m_s2)[:, :, free]
     return base_parameters(rows, [full_names(robot.axes)[k] for k in free])
-
-
-def _friction_columns(moving: Table, shapes: tuple[str, ...], smooth_rad_s: float) -> Floats:
-    (n, axes), count = moving.q_rad.shape, len(shapes)
-    values = {
-        "coulomb": np.tanh(moving.qd_rad_s / smooth_rad_s),
-        "viscous": moving.qd_rad_s,
-        "rotor_inertia": moving.qdd_rad_s2,
-        "offset": np.ones((n, axes)),
-    }
-    out = np.zeros((n, axes, axes * count))
-    for axis in range(axes):
-        for k, name in enumerate(shapes):
-            out[:, axis, axis * count + k] = values[name][:, axis]
-    return out
-
-
-def _stribeck_columns(moving: Table, speed_rad_s: Floats, smooth_rad_s: float) -> Floats:
-    out = np.zeros((*moving.q_rad.shape, moving.axes))
-    for axis, speed in enumerate(speed_rad_s):
-        if np.isfinite(speed):
-            qd = moving.qd_rad_s[:, axis]
-            out[:, axis, axis] = np.tanh(qd / smooth_rad_s) * np.exp(-((qd / speed) ** 2))
-    return out

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from gateway.data.rows import Table
 from gateway.estimate.estimate import FittedRows
 from gateway.estimate.moving_columns import NUISANCES, Columns
+from gateway.estimate.moving_friction import FALL, Fall, shown_fall
 from gateway.estimate.moving_noise import MovingSpread
 from gateway.estimate.moving_ordinary import Settled
+from gateway.estimate.moving_prior import UNTOLD
 from gateway.estimate.moving_problem import MotionProblem
 from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, budget_by_priors
 from gateway.identify.inertia import LoadInertia, load_inertia, nearest_body
@@ -21,11 +23,6 @@ from gateway.result.interval import holds_zero
 from gateway.result.result import AxisMotion, NuisanceResult
 
 Floats = NDArray[np.float64]
-
-#: Standard deviation over that of the prior, beyond which the rows say nothing of a quantity.
-_UNTOLD = 0.7
-#: Standard deviations of a friction that falls with speed.
-_SHOWS = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,8 +88,8 @@ def described_load(fit: MotionFit, label: str, longest_m: float) -> LoadEstimate
         LINKS: columns.links,
         FRICTION: columns.friction,
     }
-    lead, precision = fit.settled.free.covariance[first], columns.prior.std**-2.0
-    budget = budget_by_priors(lead, precision, sources, float(covariance[first, first])) if found[0] else {}
+    lead, variance = fit.settled.free.covariance[first], float(covariance[first, first])
+    budget = budget_by_priors(lead, columns.prior.precision, sources, variance) if found[0] else {}
     return replace(without_guesses(load, longest_m), budget=budget, inertia=inertia)
 
 
@@ -121,32 +118,31 @@ def axis_motions(fit: MotionFit, qd_rad_s: Floats) -> tuple[AxisMotion, ...]:
 
 
 def _axis_motion(fit: MotionFit, axis: int, speed_rad_s: Floats) -> AxisMotion:
-    columns, std = fit.columns, fit.std
+    columns, std, open_gain = fit.columns, fit.std, _open_gain(fit, axis)
     place = {name: k for k, name in enumerate(columns.names)}
 
     def told(name: str) -> tuple[float, float]:
         k = place.get(f"{name}[J{axis + 1}]")
-        if k is None or not std[k] <= _UNTOLD * columns.prior.std[k]:
+        if k is None or not std[k] <= UNTOLD * columns.prior.std[k]:
             return np.nan, np.nan
         return float(fit.value[k]), float(std[k])
 
-    coulomb, viscous, rotor = told("coulomb"), told("viscous"), told("rotor_inertia")
-    loss, delay, more = told("load_friction"), told("delay"), told("stribeck")
-    falls = more[0] > _SHOWS * more[1]
-    breakaway, breakaway_std = np.nan, np.nan
-    if falls:
-        both = [place[f"coulomb[J{axis + 1}]"], place[f"stribeck[J{axis + 1}]"]]
-        breakaway = coulomb[0] + more[0]
-        breakaway_std = float(np.sqrt(max(fit.spread.covariance[np.ix_(both, both)].sum(), 0.0)))
+    def torque(name: str) -> tuple[float, float]:
+        value, own = told(name)
+        return value, float(np.hypot(own, value * open_gain))
+
+    coulomb, viscous, rotor = torque("coulomb"), torque("viscous"), torque("rotor_inertia")
+    loss, delay = told("load_friction"), told("delay")
+    fall, breakaway = _breakaway(fit, axis) if np.isfinite(coulomb[0]) else (None, (np.nan, np.nan))
     return AxisMotion(
         joint=axis + 1,
         coulomb_nm=coulomb[0],
         coulomb_std_nm=coulomb[1],
         viscous_nm_s_rad=viscous[0],
         viscous_std_nm_s_rad=viscous[1],
-        breakaway_nm=breakaway,
-        breakaway_std_nm=breakaway_std,
-        stribeck_rad_s=columns.stribeck_rad_s[axis] if falls else np.nan,
+        breakaway_nm=breakaway[0],
+        breakaway_std_nm=float(np.hypot(breakaway[1], breakaway[0] * open_gain)),
+        stribeck_rad_s=np.nan if fall is None else fall.speed_rad_s,
         load_friction=loss[0],
         load_friction_std=loss[1],
         rotor_inertia_kg_m2=rotor[0],
@@ -155,3 +151,26 @@ def _axis_motion(fit: MotionFit, axis: int, speed_rad_s: Floats) -> AxisMotion:
         delay_std_s=delay[1],
         speed_rad_s=float(speed_rad_s.max(initial=0.0)),
     )
+
+
+def _open_gain(fit: MotionFit, axis: int) -> float:
+    """Share by which torque at the gear output may differ from what the drive reports: friction is told as reported."""
+    if "gain" not in fit.columns.ordinary:
+        return 0.0
+    k = fit.columns.ordinary["gain"][axis]
+    return float(np.hypot(fit.value[k], np.sqrt(max(float(fit.spread.covariance[k, k]), 0.0))))
+
+
+def _breakaway(fit: MotionFit, axis: int) -> tuple[Fall | None, tuple[float, float]]:
+    """How friction falls from breakaway, if that shows, and that friction with its standard deviation [Nm]."""
+    falls_rad_s = fit.columns.falls_rad_s[axis]
+    if not len(falls_rad_s):
+        return None, (np.nan, np.nan)
+    names = [f"{FALL}_{k + 1}[J{axis + 1}]" for k in range(len(falls_rad_s))]
+    at = np.array([fit.columns.names.index(name) for name in (f"coulomb[J{axis + 1}]", *names)])
+    value, covariance = fit.value[at], fit.spread.covariance[np.ix_(at, at)]
+    fall = shown_fall(value[1:], covariance[1:, 1:], falls_rad_s)
+    if fall is None:
+        return None, (np.nan, np.nan)
+    whole = np.append(1.0, fall.shares)
+    return fall, (float(value[0] + fall.size_nm), float(np.sqrt(max(whole @ covariance @ whole, 0.0))))

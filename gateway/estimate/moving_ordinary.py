@@ -61,11 +61,11 @@ def _limited(columns: Columns, value: Floats) -> Prior:
     if not held:
         return columns.prior
     usual = np.concatenate(held)
-    mean, std = columns.prior.mean, columns.prior.std
+    mean, most = columns.prior.mean, ORDINARY_STD * columns.prior.stds(usual)
     off = (value - mean)[usual]
-    over = usual[np.abs(off) > ORDINARY_STD * std[usual]]
-    if not len(over):
+    beyond = np.abs(off) > most
+    if not beyond.any():
         return columns.prior
-    changed = mean.copy()
-    changed[over] += np.sign((value - mean)[over]) * ORDINARY_STD * std[over]
+    over, changed = usual[beyond], mean.copy()
+    changed[over] += np.sign(off[beyond]) * most[beyond]
     return replace(columns.prior.with_std(over, np.full(len(over), _HELD)), mean=changed)

@@ -178,12 +178,19 @@ def about(problem: MotionProblem, value: Floats) -> About:
         moved = earlier - smooth + level * (sign - columns.sign) + delay * change
         local["delay"] = -change
     local["load_friction"] = lost * sign
+    local["loss_bend"] = part.get("load_friction", none) * _bent(lost) * sign
     local = {name: local[name] for name in columns.ordinary}
     model = whole + own + moved
-    for name in ("load_friction", "delay"):
+    for name in ("load_friction", "loss_bend", "delay"):
         if name in local:
             model = model + part[name] * local[name]
     return About(value, torque, local, moved, model)
+
+
+def _bent(lost_nm: Floats) -> Floats:
+    """Change of sizes (n, N) per power by which they grow otherwise than in proportion, about their mean."""
+    share = lost_nm / np.maximum(lost_nm.mean(axis=0), 1e-9)
+    return lost_nm * np.log(np.maximum(share, 1e-9))
 
 
 def solved(problem: MotionProblem, here: About | None, sigma_nm: Floats, prior: Prior) -> Solution:

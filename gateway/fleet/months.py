@@ -35,21 +35,37 @@ def month_columns() -> Any:
     return pa.schema(told, metadata={SCHEMA_KEY: str(SCHEMA).encode()})
 
 
-def months_of(robot: str, month: str, rows: Any) -> dict[str, Any]:
-    """The row of one robot and month, whose checks are sorted by time."""
-    count = rows.num_rows
-    out: dict[str, Any] = {
-        "robot": robot,
-        "month": month,
-        "cell": rows["cell"][0].as_py(),
-        "arm": rows["arm"][0].as_py(),
-        "serial_numbers": rows["serial_numbers"][0].as_py(),
-        "checks": count,
-        "first_utc": rows["time_utc"][0],
-        "last_utc": rows["time_utc"][count - 1],
-        "clock_faults": count - rows["clock"].null_count,
-    }
-    return out | {name: _mean(rows[name]) for name in MEANS}
+def months_of(places: Sequence[tuple[str, str]], parts: Sequence[Any]) -> list[dict[str, Any]]:
+    """Rows of robots and months.
+
+    Parameters
+    ----------
+    places : sequence of (robot, month)
+    parts : sequence of Arrow tables
+        The checks of each, at least one, sorted by time.
+    """
+    rows = library("pyarrow").concat_tables(parts)
+    starts = np.concatenate([[0], np.cumsum([part.num_rows for part in parts])])
+    first, last = starts[:-1].tolist(), (starts[1:] - 1).tolist()
+    means = {name: _means(rows[name], starts) for name in MEANS}
+    plain = rows.select(["cell", "arm", "serial_numbers", "time_utc"])
+    begin, end = plain.take(first).to_pylist(), plain.take(last).to_pylist()
+    faults = np.add.reduceat(np.asarray(rows["clock"].is_valid(), dtype=int), first)
+    return [
+        {
+            "robot": robot,
+            "month": month,
+            "cell": begin[index]["cell"],
+            "arm": begin[index]["arm"],
+            "serial_numbers": begin[index]["serial_numbers"],
+            "checks": last[index] + 1 - first[index],
+            "first_utc": begin[index]["time_utc"],
+            "last_utc": end[index]["time_utc"],
+            "clock_faults": int(faults[index]),
+            **{name: told[index] for name, told in means.items()},
+        }
+        for index, (robot, month) in enumerate(places)
+    ]
 
 
 def by_axis(column: Any) -> np.ndarray:
@@ -66,11 +82,18 @@ def by_axis(column: Any) -> np.ndarray:
     return out
 
 
-def _mean(column: Any) -> list[float | None]:
+def _means(column: Any, starts: np.ndarray) -> list[list[float | None]]:
+    """Means per axis of the rows from each start to the next one; axes that nobody measured are null."""
     values = by_axis(column)
-    count = np.isfinite(values).sum(axis=0)
-    total = np.nansum(values, axis=0)
-    return [float(part) / int(n) if n else None for part, n in zip(total, count, strict=True)]
+    if not values.shape[1]:
+        return [[] for _ in starts[1:]]
+    known = np.isfinite(values)
+    count = np.add.reduceat(known, starts[:-1], axis=0, dtype=int)
+    mean = np.add.reduceat(np.where(known, values, 0.0), starts[:-1], axis=0) / np.maximum(count, 1)
+    return [
+        [value if n else None for value, n in zip(row, told, strict=True)]
+        for row, told in zip(mean.tolist(), count.tolist(), strict=True)
+    ]
 
 
 def with_months(path: Path, rows: Sequence[dict[str, Any]]) -> None:

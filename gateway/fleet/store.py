@@ -115,7 +115,7 @@ class Store:
         InputError
             A file that is there cannot be read, or nothing can be written; what was there is untouched.
         """
-        added, ready, summaries = 0, [], []
+        added, ready, places, parts = 0, [], [], []
         for robot, month, rows in _by_place(table):
             place = self.place(robot, month)
             if place.exists():
@@ -128,12 +128,13 @@ class Store:
                 merged = rows
             added += rows.num_rows
             ready.append((_written_aside(place, merged), place))
-            summaries.append(months_of(robot, month, merged))
+            places.append((robot, month))
+            parts.append(merged)
         if ready:
             os.sync()
-        for aside, place in ready:
-            os.replace(aside, place)
-        with_months(self.months, summaries)
+            for aside, place in ready:
+                os.replace(aside, place)
+            with_months(self.months, months_of(places, parts))
         return added
 
 

@@ -95,15 +95,15 @@ def budget_by_priors(lead: Floats, precision: Floats, sources: Mapping[str, Ints
     ----------
     lead : array of shape (p,)
         `C a`: covariance of the quantity with every parameter.
-    precision : array of shape (p,)
-        Of the prior of every parameter, 0 = free.
+    precision : array of shape (p,) or (p, p)
+        Of the prior of every parameter, 0 = free; a matrix where priors tie parameters together.
     sources : mapping of name to parameters (k,)
     variance : float
         Of the quantity, with what is beyond the model; nothing comes out where it is not above 0.
     """
     if not (np.isfinite(variance) and variance > 0.0):
         return {}
-    part = lead**2 * precision / variance
+    part = lead * (precision * lead if precision.ndim == 1 else precision @ lead) / variance
     out = {name: float(part[index].sum()) for name, index in sources.items()}
     whole = max(sum(out.values()), 1e-300)
     known = min(whole, 1.0)

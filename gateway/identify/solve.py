@@ -44,6 +44,16 @@ class Prior:
         changed[index] = std
         return Prior(self.mean, changed, self.rows, self.right)
 
+    @property
+    def precision(self) -> Floats:
+        """What is known as a matrix (p, p), the inverse of a covariance where it has one."""
+        return np.diag(self.std**-2.0) + self.rows.T @ self.rows
+
+    def stds(self, index: NDArray[np.int_]) -> Floats:
+        """Standard deviations (k,) of parameters that no combination ties to others than each other."""
+        own = self.rows[:, index]
+        return np.sqrt(np.diag(np.linalg.inv(np.diag(self.std[index] ** -2.0) + own.T @ own)))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import socket
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -36,6 +38,8 @@ class Feed:
     ----------
     channel : socket.socket
         This end of `wire.pair_of_sockets`.
+    clock : callable
+        Monotonic time [s].
 
     Attributes
     ----------
@@ -45,17 +49,17 @@ class Feed:
         The process of the page has ended.
     """
 
-    def __init__(self, channel: socket.socket) -> None:
+    def __init__(self, channel: socket.socket, clock: Callable[[], float] = time.monotonic) -> None:
         self.dropped = 0
         self.gone = False
-        self._channel = channel
+        self._channel, self._clock = channel, clock
         self._waiting: deque[list[bytes]] = deque()
         self._row = np.zeros(HEAD)
         self._state: StateKeeper | None = None
         self._modelled: tuple[np.ndarray, ...] = ()
         self._followed: tuple[np.ndarray, ...] = ()
         self._unanswered = 0
-        self._sent_s = self._told_s = self._progress_s = 0.0
+        self._sent_s = self._told_s = self._progress_s = -math.inf
         self._presses = 0
 
     # -- what the motion loop tells ------------------------------------------------------------------------------------
@@ -83,7 +87,7 @@ class Feed:
         followed, self._followed = self._followed or observed.targets_rad, observed.targets_rad
         if self._waiting:
             self._flush()
-        now_s = time.monotonic()
+        now_s = self._clock()
         if now_s - self._sent_s < ROW_S or self._state is None:
             return
         self._sent_s = now_s
@@ -100,7 +104,7 @@ class Feed:
 
     def told(self, event: object) -> None:
         """Something was told; what only says how far it is, not more often than can be read."""
-        now_s = time.monotonic()
+        now_s = self._clock()
         if isinstance(event, RowTold):
             if now_s - self._told_s < WORD_S:
                 return

@@ -8,7 +8,6 @@ from gateway.acquire.events import (
     PoseDone,
     SampleRepeated,
     Started,
-    Stopped,
     VisitDone,
 )
 from gateway.live.wire import Heard
@@ -19,7 +18,7 @@ PLAIN, WARN, FAIL = "plain", "warn", "fail"
 
 
 def saying(event: object) -> tuple[str, str] | None:
-    """How grave an event is, and its words; None for what the page shows otherwise, or not at all."""
+    """How grave an event is, and its words; None for what the page shows otherwise: why arms were stopped is one."""
     if isinstance(event, Started):
         return PLAIN, f"{words.load(event.load)}: {event.visits} to be measured" if event.visits else "on its way"
     if isinstance(event, SampleRepeated):
@@ -40,8 +39,6 @@ def _of_motion(event: object) -> tuple[str, str] | None:
         return (WARN, f"{what}: {lost} SYNCs were not answered") if lost else (PLAIN, f"{what}: done")
     if isinstance(event, Narrowed):
         return PLAIN, f"{words.load(event.load)}, {event.text}"
-    if isinstance(event, Stopped):
-        return FAIL, f"stopped: {event.reason}"
     if isinstance(event, Heard):
         return event.grave, event.text
     return None

@@ -204,14 +204,18 @@ def _points(axis: AxisMotion, fastest: float, runs: Sequence[DrawnPeriod]) -> tu
 
 
 def period_of(result: Result) -> DrawnPeriod | None:
-    """The moving run to draw: most joints move in it, it carries a load, it has most rows; None where nothing moved."""
+    """The moving run to draw: most joints move in it, it carries a load, it is the fastest; None where nothing moved.
+
+    A load is tried slowly before it is measured: that period is not the one that shows what the model is worth.
+    """
     runs = _moving_runs(result.rows)
     if not runs:
         return None
 
-    def rank(run: DrawnPeriod) -> tuple[int, bool, int]:
+    def rank(run: DrawnPeriod) -> tuple[int, bool, float, int]:
         moved = int(np.sum(np.ptp(run.q_rad, axis=0) > STANDS_RAD))
-        return moved, run.load != "none", len(run.time_s)
+        mean_rad_s = float(np.abs(np.diff(run.q_rad, axis=0)).sum() / run.time_s[-1])
+        return moved, run.load != "none", round(mean_rad_s, 1), len(run.time_s)
 
     return max(runs, key=rank)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import groupby
 
 from markupsafe import Markup
 
@@ -55,6 +56,13 @@ def _over(period: DrawnPeriod, column: Floats) -> list[tuple[float, float]]:
     return list(zip(period.time_s.tolist(), column.tolist(), strict=True))
 
 
+def _lines(panel: Panel, points: Sequence[tuple[float, float]], kind: str) -> None:
+    """A line for each stretch in which the axis moves: over a standstill no torque is told."""
+    for known, stretch in groupby(points, key=lambda point: math.isfinite(point[1])):
+        if known:
+            panel.polyline(list(stretch), kind)
+
+
 def _position(period: DrawnPeriod, axis: int) -> tuple[str, Markup]:
     degrees = period.q_rad[:, axis] * (180.0 / math.pi)
     name = words.axis(axis + 1)
@@ -70,7 +78,7 @@ def _torque(period: DrawnPeriod, axis: int) -> tuple[str, Markup]:
     for time_s, value in _over(period, measured):
         if math.isfinite(value):
             panel.dot(time_s, value, "dot faint", "", 1.8)
-    panel.polyline(_over(period, model), "model-line")
+    _lines(panel, _over(period, model), "model-line")
     return "", panel.svg(f"Torque of {name} over one period, measured and modelled")
 
 
@@ -78,5 +86,5 @@ def _residual(period: DrawnPeriod, axis: int) -> tuple[str, Markup]:
     left = period.tau_nm[:, axis] - period.model_nm[:, axis]
     name = words.axis(axis + 1)
     panel = _panel(period, [*left.tolist(), 0.0], f"{name} residual [Nm]")
-    panel.polyline(_over(period, left), "force")
+    _lines(panel, _over(period, left), "force")
     return "", panel.svg(f"Measured less modelled torque of {name} over one period")

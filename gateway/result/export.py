@@ -16,6 +16,7 @@ from xml.sax.saxutils import quoteattr
 from gateway.errors import ConfigError, DataUnusable
 from gateway.result.controllers import to_abb, to_fanuc, to_kuka, to_ur, to_yaskawa
 from gateway.result.export_load import ExportLoad, accuracy, complete, identifier, number_text, one_line
+from gateway.result.opc40010 import to_opc40010
 
 if TYPE_CHECKING:
     from gateway.result.result import LoadResult, Result
@@ -132,4 +133,5 @@ FORMATS: dict[str, tuple[Writer, tuple[str, ...]]] = {
     "ur": (to_ur, ("flange",)),
     "fanuc": (to_fanuc, ("flange",)),
     "yaskawa": (to_yaskawa, ("flange",)),
+    "opc40010": (to_opc40010, ("flange",)),
 }

@@ -9,7 +9,7 @@ INERTIA_PARTS: Final = tuple(f"inertia_{name}_kg_m2" for name in ("xx", "yy", "z
 #: All of them.
 INERTIA_WHOLE: Final = "inertia_kg_m2"
 #: What a load is exported as: the keys of `gateway.result.export.FORMATS`.
-EXPORT_FORMATS: Final = ("urdf", "json", "abb", "kuka", "ur", "fanuc", "yaskawa")
+EXPORT_FORMATS: Final = ("urdf", "json", "abb", "kuka", "ur", "fanuc", "yaskawa", "opc40010")
 #: What a recording is exported as: its measured table, or every sample by `gateway.formats`.
 TABLE_FORMAT: Final = "csv"
 RECORDING_FORMATS: Final = (TABLE_FORMAT, "mcap", "parquet", "mf4", "blf")

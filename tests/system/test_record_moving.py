@@ -1,56 +1,175 @@
-"""record --moving against simulated drives: bare, then loaded, then the load's mass."""
+"""record --moving against simulated drives: bare and loaded, to what a comparison of a fed path takes from it."""
 
 from __future__ import annotations
 
 import json
+import re
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from gateway.cell.config import load_cell
-from gateway.excite.plan_file import plan_as_plain
+from gateway.excite.plan_file import plan_as_plain, read_moving_plan
+from gateway.excite.sweep import Sweep
 from gateway.model.arm_model import arm_robot
 from gateway.motion.workspace import workspace_of
-from tests.excitations import plan_of
+from gateway.result.follow import read_follow
+from gateway.result.result import read_result
+from sim.cellfile import read_payloads
+from tests.excitations import swing
 
 pytestmark = pytest.mark.system
 
+#: Sweeps of these joints alone, at two of the planned speeds: the others' friction shows in the series.
+SWEPT, SPEEDS = ("friction J2", "friction J5"), [2, 4]
+#: A box of half a metre: what turns the wrist shows its inertia.
+LOAD = """[[load]]
+label = "load"
+mass_kg = 6.0
+com_m = [0.02, 0.01, 0.10]
+inertia_kg_m2 = [[0.13, 0.0, 0.01], [0.0, 0.11, 0.0], [0.01, 0.0, 0.05]]
+"""
+PATH = """name = "nod"
+waypoints_rad = [[0.0, -0.2, 0.4, 0.0, 0.3, 0.0], [0.3, 0.2, 0.1, 0.0, 0.3, 0.0]]
+speed_share = 0.9
+"""
+#: What motion tells, of which joints (friction of those that were swept), and its largest standard deviation, share.
+TOLD = {
+    "coulomb_nm": ([1, 4], 0.05),
+    "viscous_nm_s_rad": ([1, 4], 0.1),
+    "rotor_inertia_kg_m2": ([0, 1, 2, 3, 4, 5], 0.05),
+}
+
 
 @pytest.fixture
-def drive(place, gateway):
-    """Record a short plan in motion; fewer SYNCs than usual, which only the accelerations mind."""
-    loaded = load_cell(place.cell)
+def untyped(place, monkeypatch):
+    """A cell in which nobody has typed a rotor or friction; friction is the same in every motion, as its truth is."""
+    monkeypatch.setattr("sim.nominal.SCATTER", 0.0)
+    text = place.cell.read_text(encoding="utf-8")
+    place.cell.write_text(re.sub(r"(?m)^(rotor_inertia_kg_m2|coulomb_nm|viscous_nm_s_rad) = .*\n", "", text))
+    place.payload.write_text(LOAD, encoding="utf-8")
+    (place.folder / "path.toml").write_text(PATH, encoding="utf-8")
+    return place
+
+
+@pytest.fixture
+def plan(untyped, gateway):
+    """A short series of all joints, and sweeps as they are planned, fewer and shorter."""
+    path = untyped.folder / "plan.json"
+    planned = gateway("plan", untyped.cell, "--moving", "--for", "friction", "--json", path)
+    assert planned.exit_code == 0, planned.output
+    whole = read_moving_plan(path)
+    loaded = load_cell(untyped.cell)
     workspace = workspace_of(loaded.cell.arm[0], arm_robot(loaded, loaded.cell.arm[0]))
-    path = place.folder / "plan.json"
-    path.write_text(json.dumps(plan_as_plain(plan_of(workspace, period_s=2.5, periods=2, share=0.6))), encoding="utf-8")
+    sweeps = [each for each in whole.excitations if isinstance(each, Sweep)]
+    assert [each.joint for each in sweeps] == [1, 2, 3, 4, 5, 6]
+    fewer = tuple(
+        replace(each, speeds_rad_s=each.speeds_rad_s[SPEEDS], ends_rad=each.ends_rad[SPEEDS])
+        for each in sweeps
+        if each.name in SWEPT
+    )
+    series = swing(workspace, period_s=3.0, periods=2, share=0.9)
+    plans = {"series": (series,), "whole": (series, *fewer)}
+    for name, excitations in plans.items():
+        text = json.dumps(plan_as_plain(replace(whole, excitations=excitations)))
+        (untyped.folder / f"{name}.json").write_text(text, encoding="utf-8")
+    return {name: untyped.folder / f"{name}.json" for name in plans}
 
-    def run(drives, label, *more):
-        arguments = ["record", place.cell, "--moving", "--load", label, "-o", place.run, "--bus", drives.bus]
-        return gateway(*arguments, "--rate", 100, "--yes", *more)
 
-    run.plan = path
-    return run
+def test_what_motion_tells_is_what_is_there(untyped, plan, serve, gateway):
+    """Recorded, gone on with, estimated, diagnosed, drawn, and used: every number within its own deviations.
 
-
-def test_a_load_is_weighed_in_motion(place, serve, drive, gateway):
-    """The load is tried slowly first; the file's own plan is gone on with."""
+    The load goes on with the file's own plan, and the bare arm with one that has more in it.
+    """
     drives = serve()
-    bare = drive(drives, "none", "--plan", drive.plan)
+
+    def drive(label, *more):
+        to_file = ["--load", label, "-o", untyped.run, "--bus", drives.bus]
+        return gateway("record", untyped.cell, "--moving", *to_file, "--rate", 100, "--yes", *more)
+
+    bare = drive("none", "--plan", plan["series"])
     assert bare.exit_code == 0, bare.output
     drives.hang("load")
-    loaded = drive(drives, "load", "--resume", "--json", place.folder / "summary.json")
+    loaded = drive("load", "--resume", "--json", untyped.folder / "summary.json")
     assert loaded.exit_code == 0, loaded.output
     assert drives.stand_still()
-    (arm,) = place.recording().arms
-    whole = [(each.load, each.speed, each.period) for each in arm.periods if each.complete]
-    assert sorted(whole) == [("load", 0.25, 1), ("load", 1.0, 1), ("load", 1.0, 2), ("none", 1.0, 1), ("none", 1.0, 2)]
+    drives.hang("none")
+    swept = drive("none", "--resume", "--plan", plan["whole"])
+    assert "4 periods under load none, 2 were there already" in swept.output
+    _check_recording(untyped.recording())
+    result = untyped.folder / "result.json"
+    told = gateway("estimate", untyped.run, "--cell", untyped.cell, "--json", result)
+    assert told.exit_code == 0, told.output
+    _check_load(read_result(result).loads[0], read_payloads(untyped.payload)["load"])
+    _check_axes(read_result(result).motion, drives.handle.simulation.arms[0].world.plant)
+    _check_diagnosis(untyped, gateway)
+    _check_page(untyped, gateway, result)
+    drives.hang("load")
+    _check_use(untyped, gateway, drives, result)
+
+
+def _check_recording(recording):
+    """The load is tried slowly first; each period is there once."""
+    (arm,) = recording.arms
+    whole = [(each.load, each.name, each.speed, each.period) for each in arm.periods if each.complete]
+    series = [("load", "load", 0.25, 1), *((load, "load", 1.0, k) for load in ("load", "none") for k in (1, 2))]
+    assert sorted(whole) == sorted([*series, *(("none", name, 1.0, k) for name in SWEPT for k in (1, 2))])
     assert len(whole) == len(arm.periods)
-    again = drive(drives, "load", "--resume")
-    assert "0 periods under load load, 2 were there already" in again.output
-    result = gateway("estimate", place.run, "--cell", place.cell, "--json", place.folder / "result.json")
-    assert result.exit_code == 0, result.output
-    (load,) = json.loads((place.folder / "result.json").read_text())["loads"]
-    assert abs(load["mass_kg"] - 6.0) < 2.5 * load["mass_std_kg"]
-    assert load["mass_std_kg"] < 0.5
+
+
+def _check_load(load, true):
+    parts = true.inertia_kg_m2[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    off = [load.mass_kg - true.mass_kg, *(load.com_m - true.com_m), *(load.inertia_kg_m2 - parts)]
+    std = np.array([load.mass_std_kg, *load.com_std_m, *load.inertia_std_kg_m2])
+    _check_scores(np.array(off) / std)
+    assert load.mass_std_kg < 0.2
+    assert load.inertia_std_kg_m2[2] < 0.01
+    assert load.unidentifiable == ()
+
+
+def _check_axes(motion, plant):
+    for name, (joints, most) in TOLD.items():
+        std = name.replace("_nm", "_std_nm").replace("_kg", "_std_kg")
+        told, spread = (np.array([getattr(motion[joint], key) for joint in joints]) for key in (name, std))
+        _check_scores((told - getattr(plant, name)[joints]) / spread)
+        assert (spread < most * told).all(), name
+
+
+def _check_scores(score):
+    """None is far out, and all together are no further out than their deviations say."""
+    assert np.abs(score).max() < 4.0
+    assert np.sqrt(np.mean(score**2)) < 1.8
+
+
+def _check_diagnosis(place, gateway):
+    out = place.folder / "diagnosed.json"
+    told = gateway("diagnose", place.run, "--cell", place.cell, "--json", out)
+    assert told.exit_code == 0, told.output
+    result = read_result(out)
+    assert {effect.name for effect in result.effects} <= {"velocity_friction"}
+    (load,) = result.loads
+    assert abs(load.mass_kg - 6.0) < 4.0 * load.mass_std_kg
+
+
+def _check_page(place, gateway, result):
+    page = place.folder / "report.html"
+    told = gateway("report", result, "-o", page)
+    assert told.exit_code == 0, told.output
+    text = page.read_text(encoding="utf-8")
+    for heading in ("Inertia about the centre of gravity", "Friction over speed", "One period of the motion"):
+        assert heading in text
+
+
+def _check_use(place, gateway, drives, result):
+    """What is fed comes from the file, and the arm follows better with it."""
+    out = place.folder / "follow.json"
+    files = ["--path", place.folder / "path.toml", "--load", result, "--identified", result, "--json", out]
+    told = gateway("follow", place.cell, *files, "--bus", drives.bus, "--yes")
+    assert told.exit_code == 0, told.output
+    followed = read_follow(out)
+    peak = {setting.name: np.array(setting.peak_rad) for setting in followed.settings}
+    assert (peak["identified"][[1, 2]] < 0.1 * peak["off"][[1, 2]]).all()
 
 
 @pytest.mark.parametrize(

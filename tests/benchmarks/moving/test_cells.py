@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from benchmarks.moving.cells import MovingCell, draw_cell
 from benchmarks.moving.excitations import USED, random_series
@@ -102,6 +103,12 @@ def test_rows_of_a_cell_are_bare_and_loaded_periods():
     assert draw_cell(1, "ratios", periods=2).options.gain_std is None
 
 
+def idle_nm(few: Few) -> NDArray[np.float64]:
+    """Coulomb friction of a motor that turns with nothing to carry."""
+    friction = few.arm.friction
+    return friction.coulomb_nm * friction.cold(np.array([3100.0]))[0] / friction.driving
+
+
 def said(few: Few, off: float) -> dict:
     """Score of a result that is `off` standard deviations of 1 % away in everything."""
     tool, truth = few.arm.tool, load_truth(few.arm.tool)
@@ -113,7 +120,7 @@ def said(few: Few, off: float) -> dict:
     )  # fmt: skip
     axes = tuple(
         AxisMotion(k + 1, coulomb_nm=float(true) * (1.0 + 0.01 * off), coulomb_std_nm=0.01 * float(true))
-        for k, true in enumerate(few.arm.friction.coulomb_nm * few.arm.friction.cold(np.array([3100.0]))[0])
+        for k, true in enumerate(idle_nm(few))
     )
     result = Result("drawn", loads=(load,), motion=axes)
     oracle = {"load": std} | {
@@ -136,6 +143,20 @@ def test_figures_say_how_far_off_the_results_are(few):
     assert wrong["gain known: 95 % intervals that hold the truth, mass"]["value"] == 0.0
     assert not wrong["gain known: median error of the mass"]["met"]
     assert wrong["gain known: predicted over real standard deviation, mass"]["value"] == pytest.approx(0.6745 / 3.0)
+
+
+def test_friction_of_the_truth_is_what_the_motor_has_to_give(few):
+    """No load: the friction through the gear that drives. Loaded: what both directions differ by, over the load."""
+    friction = replace(few.arm.friction, load_power=np.ones(6), bias_share=np.zeros(6))
+    truth = drawn_truth(replace(few.arm, friction=friction), few.start_s, {}).axes
+    declared, late_s = friction.declared_efficiency, np.array([3100.0])
+    forth = friction.motor_nm(friction.band_nm(np.zeros((1, 6)), late_s), np.ones(1))[0] * declared
+    np.testing.assert_allclose(truth["coulomb_nm"], forth, rtol=1e-3)
+    heavy = 1e6 * np.ones((1, 6))
+    band = friction.band_nm(heavy, late_s)
+    up, down = (friction.motor_nm(heavy + side * band, np.array([side]))[0] for side in (1.0, -1.0))
+    lost = (up * declared - down / declared) / 2e6
+    np.testing.assert_allclose(truth["load_friction"], lost, rtol=0.02)
 
 
 def test_plain_least_squares_finds_the_load_of_a_quiet_run():

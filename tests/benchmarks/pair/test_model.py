@@ -20,10 +20,11 @@ pytestmark = pytest.mark.timeout(1800)
 SEEDS = range(6)
 SKIP = ("C8r", "C6", "C7", "C8 no lead", "C2c no lead", "C2m no lag", "C3 nearest")
 SHORT = Scope(
-    frozen_cycles=2,
+    frozen_cycles=1,
     updates=2,
-    each_cycles=4,
-    static_sync_s=0.04,
+    each_cycles=3,
+    static_sync_s=0.08,
+    crossed=(BETWEEN,),
     stages=("static", "usual", "speeds", "fast"),
     skip=SKIP,
 )

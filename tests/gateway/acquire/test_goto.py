@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drives.errors import DriveFault
-from gateway.acquire.goto import Destination, destination, go, plan_way, remarks
+from gateway.acquire.goto import Destination, destination, go, plan_way, remarks, way_from_here
 from gateway.acquire.plan import MoveInwards, MoveTo, inward_steps
 from gateway.acquire.standing import refuse_start, way_out, widened
 from gateway.cell.config import KeepOut
@@ -113,6 +113,14 @@ def test_a_free_way_is_straight(opened, fake, workspace):
     plan = plan_way(opened(), to(TARGET))
     assert plan.steps == (MoveTo(TARGET),)
     assert remarks(plan, workspace) == ()
+
+
+def test_a_way_is_planned_anew_only_where_the_arm_stands_elsewhere_by_then(opened, fake):
+    plan = plan_way(opened(), to(TARGET))
+    assert way_from_here(opened(), to(TARGET), plan) is plan
+    stand(fake, LEFT)
+    anew = way_from_here(opened(), to(TARGET), plan)
+    assert anew.start_rad == pytest.approx(LEFT)
 
 
 def test_a_way_that_is_not_free_goes_round_and_says_what_it_would_touch(small_cell, opened, fake):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gateway.acquire.goto import way_from_here
 from gateway.acquire.plan import VisitSettings
 from gateway.acquire.thermal import Block, Thermal, blocks_of
 from gateway.cell.config import KeepOut
@@ -29,7 +30,8 @@ class Listener:
     done: list[str] = field(default_factory=list)
     overrides: list[float] = field(default_factory=list)
 
-    def bring(self, _opened, target, options) -> None:
+    def bring(self, opened, target, plan, options) -> None:
+        assert way_from_here(opened, target, plan) is plan, "planned once"
         self.done.append(str(target))
         self.overrides.append(options.override)
 

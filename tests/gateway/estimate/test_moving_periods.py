@@ -110,10 +110,10 @@ def test_all_that_motion_tells_comes_back_without_noise(clean, robot):
     np.testing.assert_allclose(load.inertia_kg_m2, SIX, atol=3e-3)
     assert load.unidentifiable == ()
     np.testing.assert_allclose(numbers(result, "coulomb_nm"), COULOMB, rtol=0.02)
-    np.testing.assert_allclose(numbers(result, "viscous_nm_s_rad"), VISCOUS, rtol=0.02)
+    np.testing.assert_allclose(numbers(result, "viscous_nm_s_rad"), VISCOUS, rtol=0.03)
     np.testing.assert_allclose(numbers(result, "rotor_inertia_kg_m2"), ROTOR, rtol=0.02)
     np.testing.assert_allclose(numbers(result, "delay_s")[:5], DELAY[:5], atol=3e-4)
-    assert numbers(result, "delay_s")[5] == pytest.approx(DELAY[5], abs=1.5e-3)  # nearly all of its torque is friction
+    assert numbers(result, "delay_s")[5] == pytest.approx(DELAY[5], abs=3e-3)  # nearly all of its torque is friction
     assert [one.joint for one in result.motion] == [1, 2, 3, 4, 5, 6]
     assert all(one.speed_rad_s > 0.1 for one in result.motion)
     assert result.set_aside == ()
@@ -143,6 +143,37 @@ def test_intervals_hold_under_coloured_noise(clean, robot):
         axes.append(np.abs(off) < 1.96)
     assert np.mean(inside) > 0.87
     assert np.mean(axes) > 0.85
+
+
+def falling(time_s, share, speed_rad_s, power):
+    """What breakaway friction adds, which falls with a power of the speed, on a drive that does not lag."""
+    speed = states(time_s)[1]
+    return share * COULOMB * np.exp(-((np.abs(speed) / speed_rad_s) ** power)) * np.sign(speed)
+
+
+@pytest.mark.parametrize(("speed_rad_s", "power"), [(0.02, 1.0), (0.06, 1.0), (0.03, 2.0), (0.08, 1.5)])
+def test_a_fall_from_breakaway_of_any_shape_is_not_taken_for_coulomb_friction(clean, robot, speed_rad_s, power):
+    time = np.arange(round(PERIOD_S * RATE_HZ)) / RATE_HZ
+    more = falling(time, 0.4, speed_rad_s, power)
+    table = table_of_periods({label: tau + more for label, tau in clean.items()}, noise_nm=1.5, seed=4)
+    result = run(table, robot, EXACT)
+    truths = {"coulomb_{}nm": COULOMB, "viscous_{}nm_s_rad": VISCOUS}
+    for name, truth in truths.items():
+        off = np.abs(numbers(result, name.format("")) - truth)
+        assert (off < 2.0 * numbers(result, name.format("std_")))[:3].all(), name
+        assert (off < 0.07 * truth)[:3].all(), name
+    breakaway = numbers(result, "breakaway_nm") / COULOMB
+    assert breakaway[0] == pytest.approx(1.4, abs=0.2)
+    assert np.isfinite(breakaway).sum() == np.isfinite(numbers(result, "stribeck_rad_s")).sum()
+
+
+def test_torques_without_stated_constants_may_all_be_off_alike(clean, robot):
+    """A factor of all torques moves the mass by as much, and does not average over the axes."""
+    table, rough = table_of_periods(clean, noise_nm=0.3, seed=4), replace(EXACT, inertials="prior:0.05")
+    told = {std: run(table, robot, replace(rough, gain_std=std)).loads[0] for std in (None, (0.03,) * 6)}
+    assert told[None].mass_std_kg > 1.3 * told[(0.03,) * 6].mass_std_kg
+    assert told[None].mass_std_kg < 0.04 * MASS
+    assert sum(told[None].budget.values()) == pytest.approx(1.0)
 
 
 def test_a_touched_period_is_set_aside_and_changes_nothing(clean, robot):

@@ -75,3 +75,15 @@ def test_shares_of_a_variance_are_those_of_the_linear_model():
     assert found["one"] == pytest.approx(covariance[0, 1] ** 2 * 4.0 / covariance[0, 0])
     assert sum(found.values()) == pytest.approx(1.0)
     assert budget_by_priors(covariance[0], precision, {}, float("nan")) == {}
+
+
+def test_priors_that_tie_parameters_together_are_in_the_budget():
+    rng = np.random.default_rng(5)
+    design, root = rng.normal(size=(30, 3)), rng.normal(size=(2, 2))
+    precision = np.zeros((3, 3))
+    precision[1:, 1:] = root @ root.T
+    covariance = np.linalg.inv(design.T @ design + precision)
+    found = budget_by_priors(covariance[0], precision, {"tied": np.array([1, 2])}, float(covariance[0, 0]))
+    tied = covariance[0] @ precision @ covariance[0]
+    assert found["tied"] == pytest.approx(tied / covariance[0, 0])
+    assert sum(found.values()) == pytest.approx(1.0)

@@ -114,3 +114,12 @@ def test_more_columns_than_rows_take_up_no_more_than_the_rows_say():
     assert found.value[3] == pytest.approx(1.0)
     assert np.delete(found.value, 3) == pytest.approx(np.zeros(7))
     assert not solve(np.zeros((5, 2)), np.arange(5.0), np.ones(5)).leverage.any()
+
+
+def test_standard_deviations_that_combinations_tie_together_are_those_of_the_covariance():
+    covariance = np.array([[0.04, 0.03], [0.03, 0.09]])
+    root = np.linalg.cholesky(np.linalg.inv(covariance)).T
+    prior = Prior(np.zeros(3), np.array([2.0, 1e6, 1e6]), np.column_stack([np.zeros(2), root]), np.zeros(2))
+    np.testing.assert_allclose(prior.stds(np.array([1, 2])), [0.2, 0.3], rtol=1e-6)
+    np.testing.assert_allclose(np.linalg.inv(prior.precision)[1:, 1:], covariance, rtol=1e-6)
+    assert prior.precision[0, 0] == 0.25

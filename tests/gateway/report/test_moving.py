@@ -105,6 +105,21 @@ def test_the_period_is_one_in_which_all_joints_move_with_a_load(moving):
         assert label in text
 
 
+def test_a_period_that_was_tried_slowly_is_not_drawn_and_lines_break_at_a_standstill(moving):
+    """A load is tried at a quarter of the speed: more rows, and none that was measured for the load."""
+    rows, slow = moving.rows, moving.rows.run[-1]
+    time_s = tuple(4.0 * at if run == slow else at for at, run in zip(rows.time_s, rows.run, strict=True))
+    tau = [list(row) for row in rows.tau_nm]
+    drawn = period_of(replace(moving, rows=replace(rows, time_s=time_s)))
+    assert drawn.run != slow
+    mine = [row for row, run in enumerate(rows.run) if run == drawn.run]
+    for row in mine[len(mine) // 3 : len(mine) // 2]:
+        tau[row][0] = NAN
+    broken = period_of(replace(moving, rows=replace(rows, time_s=time_s, tau_nm=tuple(map(tuple, tau)))))
+    (_, _, (_, residual)), *_ = period_figures(broken)
+    assert residual.count("<polyline") == 2
+
+
 def test_rest_poses_are_no_period(full_result):
     rest = from_json(json.dumps(full_result))
     assert period_of(rest) is None

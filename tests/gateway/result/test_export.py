@@ -237,3 +237,29 @@ def test_refused_loads_are_left_out_unless_named():
 
 def test_the_formats_that_are_offered_are_those_that_are_written():
     assert tuple(FORMATS) == EXPORT_FORMATS
+
+
+def test_opc40010_is_a_load_type_with_its_units():
+    (load,) = json.loads(export(result(**WITH_INERTIA), "opc40010"))["Loads"]
+    assert load["TypeDefinition"] == "LoadType"
+    assert load["Mass"]["Value"] == 12.5
+    # UNECE code KGM, its letters as bytes of one number
+    assert load["Mass"]["EngineeringUnits"]["UnitId"] == int.from_bytes(b"KGM", "big")
+    frame = load["CenterOfMass"]["Value"]
+    assert [frame["CartesianCoordinates"][axis] for axis in "XYZ"] == [0.01, -0.02, 0.08]
+    roll, pitch, yaw = np.radians([frame["Orientation"][axis] for axis in "ABC"])
+    about = {
+        "x": [[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]],
+        "y": [[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]],
+        "z": [[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]],
+    }
+    turn = np.array(about["z"]) @ np.array(about["y"]) @ np.array(about["x"])
+    principal = np.diag([load["Inertia"]["Value"][axis] for axis in "XYZ"])
+    xx, yy, zz, xy, xz, yz = SIX
+    assert turn @ principal @ turn.T == pytest.approx(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), abs=1e-9)
+
+
+def test_opc40010_leaves_out_an_inertia_that_is_not_known():
+    (load,) = json.loads(export(result(), "opc40010"))["Loads"]
+    assert "Inertia" not in load
+    assert set(load["CenterOfMass"]["Value"]["Orientation"].values()) == {0.0}

@@ -1,0 +1,1 @@
+"""Many robots over months: how fast, how flat, how early, and how seldom falsely."""

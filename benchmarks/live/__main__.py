@@ -1,0 +1,52 @@
+"""The live page: frames a second, sample to screen, what it costs, what it causes, and the stop button.
+
+python -m benchmarks.live [--out out/live] [--minutes 8] [--clicks 12] [--alone] [cost] [seen] [stopped] ..
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from benchmarks.bench.__main__ import show
+from benchmarks.live import cost, parts
+
+PARTS = ("cost", "seen", "stopped", "mistreated", "paired")
+#: How long the page is looked at [s].
+SEEN_S = 20.0
+
+
+def main(argv: list[str]) -> int:
+    """Run the named parts (all by default); exit 1 when a goal is missed."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.live", description=__doc__)
+    parser.add_argument("parts", nargs="*", choices=[*PARTS, []], help="parts to run; all by default")
+    parser.add_argument("--out", type=Path, default=Path("out/live"))
+    parser.add_argument("--minutes", type=float, default=8.0, help="of paired runs")
+    parser.add_argument("--clicks", type=int, default=12)
+    parser.add_argument(
+        "--alone",
+        action="store_true",
+        help="browser and page under a real-time scheduler, as on a computer that does nothing else",
+    )
+    arguments = parser.parse_args(argv)
+    out = arguments.out
+    out.mkdir(parents=True, exist_ok=True)
+    jobs = {
+        "cost": cost.figures,
+        "seen": lambda: parts.seen(out, SEEN_S, alone=arguments.alone),
+        "stopped": lambda: parts.stopped(out, arguments.clicks, alone=arguments.alone),
+        "mistreated": lambda: parts.mistreated(out),
+        "paired": lambda: parts.paired(out, arguments.minutes),
+    }
+    figures: dict[str, dict] = {}
+    for part in arguments.parts or PARTS:
+        figures |= jobs[part]()
+        (out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n")
+    show(figures)
+    return 0 if all(entry.get("met") is not False for entry in figures.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,57 @@
+"""A feed with a clock of its own, and what comes out at the other end."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+
+from gateway.live.feed import Feed
+from gateway.live.wire import MOST_BYTES, Unpacker, pair_of_sockets
+from gateway.motion.arms import Arms
+from gateway.motion.observer import Scene
+from gateway.motion.state import StateKeeper
+from tests.observed import PERIOD_S
+
+
+@dataclass
+class Rig:
+    """A feed and the end at which the page listens."""
+
+    feed: Feed
+    page: socket.socket
+    now_s: list[float]
+    unpacker: Unpacker = field(default_factory=Unpacker)
+
+    def later(self, seconds: float) -> None:
+        self.now_s[0] += seconds
+
+    def heard(self) -> list[Any]:
+        """Rows and messages that have come."""
+        heard = []
+        while True:
+            try:
+                datagram = self.page.recv(MOST_BYTES)
+            except BlockingIOError:
+                return heard
+            if not datagram:
+                return heard
+            message = self.unpacker.take(datagram)
+            if message is not None:
+                heard.append(message)
+
+
+@pytest.fixture
+def rig() -> Iterator[Rig]:
+    here, there = pair_of_sockets()
+    now_s = [100.0]
+    with here, there:
+        yield Rig(Feed(here, lambda: now_s[0]), there, now_s)
+
+
+@pytest.fixture
+def scene(arm, workspace) -> Scene:
+    return Scene(Arms((arm,), "lockstep"), (workspace,), PERIOD_S, StateKeeper("main", lambda state: None))

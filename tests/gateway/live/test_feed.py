@@ -1,0 +1,131 @@
+"""The feed never makes the motion loop wait: what finds no room is left out, and a page that is gone is let go."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gateway.acquire.events import PoseDone, Progress
+from gateway.live.feed import ROW_S, WAITING
+from gateway.live.wire import HEAD, PER_AXIS, STOP, CommandOver, Ended, Happened, PoseSeen, ShownCell
+from gateway.motion.observer import Observers, RowTold
+from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson
+from tests.observed import ENABLED, PERIOD_S, observed
+
+Q_RAD = np.array([0.1, -0.2, 0.3, 0.0, 0.5, -0.6])
+
+
+def rows(heard: list) -> list[np.ndarray]:
+    return [each for each in heard if isinstance(each, np.ndarray)]
+
+
+def test_a_row_holds_what_the_loop_saw(rig, scene):
+    rig.feed.began(scene)
+    rig.feed.sampled(observed(6, Q_RAD))
+    rig.later(PERIOD_S)
+    rig.feed.sampled(observed(7, Q_RAD + 0.01, silent=2))
+    shown, _, row = rig.heard()
+    assert isinstance(shown, ShownCell)
+    assert [arm.name for arm in shown.arms] == ["main"]
+    sent_s, sync, time_s, _phase, unanswered = row[:HEAD]
+    assert (sent_s, sync, time_s, unanswered) == (100.0 + PERIOD_S, 7, pytest.approx(0.07), 1)
+    q_rad, followed_rad, torque_nm, modelled_nm, status = row[HEAD:].reshape(PER_AXIS, 6)
+    answered = [0, 1, 3, 4, 5]
+    assert q_rad[answered] == pytest.approx(Q_RAD[answered] + 0.01)
+    assert followed_rad == pytest.approx(Q_RAD + 1e-3)  # what was sent with the SYNC before
+    assert torque_nm[answered] == pytest.approx([1, 2, 4, 5, 6])
+    assert modelled_nm == pytest.approx(range(6))
+    assert status[answered].tolist() == [ENABLED] * 5
+    assert np.isnan([q_rad[2], torque_nm[2], status[2]]).all()
+
+
+def test_a_screen_is_not_fed_faster_than_it_shows(rig, scene):
+    rig.feed.began(scene)
+    for sync in range(1, 1001):  # a second at 1 kHz
+        rig.feed.sampled(observed(sync, Q_RAD))
+        rig.later(0.001)
+    times = [row[0] for row in rows(rig.heard())]
+    assert len(times) == 125
+    assert min(np.diff(times)) >= ROW_S
+    assert rig.feed.dropped == 0
+
+
+def test_a_page_that_does_not_read_costs_rows_and_no_time(rig, scene):
+    """The kernel's room fills up; every row after that is left out and counted, and nothing is ever waited for."""
+    rig.feed.began(scene)
+    for sync in range(1, 5001):
+        rig.feed.sampled(observed(sync, Q_RAD))
+        rig.feed.told(RowTold("move", sync, 5000))
+        rig.later(PERIOD_S)
+    assert not rig.feed.gone
+    assert rig.feed.dropped > 4000
+    before = rows(rig.heard())
+    assert [row[1] for row in before] == list(range(1, len(before) + 1))
+    rig.later(PERIOD_S)
+    rig.feed.sampled(observed(5001, Q_RAD))
+    assert rows(rig.heard())[-1][1] == 5001
+
+
+def test_messages_that_found_no_room_come_later_and_in_order(rig, scene):
+    rig.feed.began(scene)
+    while not rig.feed.dropped:
+        rig.feed.sampled(observed(1, Q_RAD))
+        rig.later(PERIOD_S)
+    for number in range(WAITING + 5):
+        rig.feed.told(Progress(number, 9, "move", float(number), 1.0 + number))
+        rig.later(1.0)
+    rig.heard()
+    rig.feed.sampled(observed(2, Q_RAD))
+    steps = [each.event.step for each in rig.heard() if isinstance(each, Happened)]
+    assert steps == list(range(WAITING))
+
+
+def test_a_page_that_is_gone_is_let_go(rig, scene):
+    rig.feed.began(scene)
+    rig.page.close()
+    observers = Observers(rig.feed)
+    observers.sampled(*_parts(observed(1, Q_RAD)))
+    assert rig.feed.gone
+    observers.sampled(*_parts(observed(2, Q_RAD)))
+    observers.told(RowTold("move", 1, 2))
+    observers.ended(None)
+    assert rig.feed.pressed() is None
+    assert observers.troubles == []
+
+
+def _parts(seen):
+    return seen.samples, seen.targets_rad, seen.modelled_nm
+
+
+def test_the_button_asks_for_a_stop_and_the_second_time_for_a_quick_one(rig):
+    desk = StopDesk()
+    desk.watch(rig.feed.pressed)
+    assert desk.look() is None
+    rig.page.send(STOP)
+    wish = desk.look()
+    assert wish is not None
+    assert wish.kind is StopKind.ALONG_PATH
+    assert isinstance(wish.cause, StoppedByPerson)
+    assert "live page" in str(wish.cause)
+    rig.page.send(STOP)
+    assert desk.look().kind is StopKind.QUICK_STOP  # type: ignore[union-attr]
+
+
+def test_a_pose_comes_with_what_the_model_asks_for_there(rig, scene):
+    rig.feed.began(scene)
+    rig.feed.sampled(observed(1, Q_RAD))
+    rig.feed.told(PoseDone(3, "none", (1.0,) * 6, (0.1,) * 6))
+    seen = rig.heard()[-1]
+    assert isinstance(seen, PoseSeen)
+    assert seen.done.pose == 3
+    assert seen.modelled_nm == pytest.approx(range(6))
+
+
+def test_the_end_says_why(rig, scene):
+    rig.feed.began(scene)
+    rig.feed.ended(None)
+    rig.feed.ended(StoppedByPerson("stopped by SIGINT"))
+    rig.feed.close("The command has ended.")
+    told = rig.heard()
+    assert [each.reason for each in told if isinstance(each, Ended)] == ["", "stopped by SIGINT"]
+    assert told[-1] == CommandOver("The command has ended.")

@@ -1,0 +1,128 @@
+"""The process of the page: on this computer alone, on a port that is free, and never longer than the command."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+
+import pytest
+
+from gateway.errors import ConfigError
+from gateway.live.guard import HOST
+from gateway.live.page import PORT, LivePage, live_page
+from gateway.motion.observer import RowTold
+from tests.observed import observed
+
+PATIENCE_S = 30.0
+#: A command that dies without a word: its page has a process of its own, whose number it prints.
+DIES = """
+import os
+from gateway.live.page import LivePage
+page = LivePage("dies")
+print(page.pid, page.address, flush=True)
+input()
+os._exit(1)
+"""
+
+
+@pytest.fixture
+def page() -> Iterator[LivePage]:
+    with live_page("a test") as page:
+        yield page
+
+
+def answer(address: str) -> tuple[int, str]:
+    with contextlib.closing(urllib.request.urlopen(address, timeout=PATIENCE_S)) as told:
+        return told.status, told.read().decode()
+
+
+def wait_for(what) -> None:
+    until_s = time.monotonic() + PATIENCE_S
+    while not what():
+        assert time.monotonic() < until_s
+        time.sleep(0.02)
+
+
+def test_the_printed_address_is_answered_and_the_end_ends_the_process():
+    with live_page("a test") as page:
+        status, text = answer(page.address)
+        assert status == 200
+        assert "<canvas" in text
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            answer(page.address.partition("?")[0])
+    assert page._process.poll() == 0
+
+
+def test_two_pages_have_two_ports(page):
+    with live_page("another") as other:
+        assert other.address != page.address
+        assert answer(other.address)[0] == 200
+
+
+def test_a_port_that_is_taken_is_one_sentence():
+    with socket.socket() as taken:
+        taken.bind((HOST, 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(ConfigError, match=rf"--port {port}: Address already in use; name another one"):
+            LivePage("a test", port)
+
+
+def test_without_a_wish_the_next_free_port_is_taken():
+    with contextlib.ExitStack() as stack:
+        for number in range(PORT, PORT + 2):
+            listener = stack.enter_context(socket.socket())
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            with contextlib.suppress(OSError):  # something else may be there: taken as well
+                listener.bind((HOST, number))
+                listener.listen()
+        page = stack.enter_context(live_page("a test"))
+        assert int(page.address.split(":")[2].split("/")[0]) > PORT + 1
+
+
+def test_nobody_else_on_the_network_reaches_it(page):
+    """127.0.0.2 is the same computer by another of its addresses: nobody listens there."""
+    port = int(page.address.split(":")[2].split("/")[0])
+    with socket.socket() as elsewhere, pytest.raises(ConnectionRefusedError):
+        elsewhere.connect(("127.0.0.2", port))
+
+
+def test_a_page_that_is_killed_changes_nothing_for_the_loop(page, scene):
+    feed = page.feed
+    feed.began(scene)
+    os.kill(page.pid, signal.SIGKILL)
+    wait_for(lambda: page._process.poll() is not None)
+    for sync in range(1, 4):
+        feed.sampled(observed(sync, scene.workspaces[0].lower_rad * 0.0))
+        feed.told(RowTold("move", sync, 3))
+    assert feed.gone
+    assert feed.pressed() is None
+
+
+def test_the_page_ends_when_its_command_is_gone():
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    program = subprocess.Popen(
+        [sys.executable, "-c", DIES], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
+    )
+    assert program.stdout is not None
+    number, address = program.stdout.readline().split()
+    assert answer(address)[0] == 200
+    program.communicate("\n")
+    assert program.returncode == 1
+
+    def gone() -> bool:
+        try:
+            with open(f"/proc/{number}/stat", encoding="ascii") as stat:
+                return stat.read().rpartition(")")[2].split()[0] == "Z"
+        except OSError:
+            return True
+
+    wait_for(gone)

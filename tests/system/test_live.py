@@ -1,0 +1,167 @@
+"""The live page on a run over the bus: seen and stopped in a browser, and watched from beside it."""
+
+from __future__ import annotations
+
+import _thread
+import threading
+import time
+from collections.abc import Callable
+
+import pytest
+
+from benchmarks.pages.browser import Browser, available, browser
+from drives.bus import BusSpec, open_bus
+from drives.overheard import OverheardBus
+from gateway.cell.config import load_cell
+from gateway.cell.conversion import AxisConversion
+from gateway.live.page import LivePage
+from gateway.motion.arm import JointSide
+from gateway.motion.opening import axis_setups
+
+pytestmark = pytest.mark.system
+
+PATIENCE_S = 60.0
+WIDE, NARROW = (1280, 900), (390, 844)
+NO_BROWSER = "no Chromium with its driver here: apt-get install chromium chromium-driver"
+DRAWN = """
+const canvas = document.querySelector("canvas");
+const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+let drawn = 0;
+for (let at = 3; at < data.length; at += 4) drawn += data[at] > 200;
+return drawn;
+"""
+
+
+class Watcher(threading.Thread):
+    """Does something with the page of a run, beside it; a run that it fails on is interrupted."""
+
+    def __init__(self, pages: list[LivePage], look: Callable[[Browser], None]) -> None:
+        super().__init__(daemon=True)
+        self._pages, self._look = pages, look
+        self.failure: BaseException | None = None
+
+    def run(self) -> None:
+        try:
+            wait_for(lambda: self._pages)
+            with browser() as window:
+                window.resize(*WIDE)
+                window.visit(self._pages[0].address)
+                self._look(window)
+        except BaseException as error:
+            self.failure = error
+            _thread.interrupt_main()
+
+
+def wait_for(what: Callable[[], object]) -> None:
+    until_s = time.monotonic() + PATIENCE_S
+    while not what():
+        assert time.monotonic() < until_s
+        time.sleep(0.05)
+
+
+@pytest.fixture
+def pages(monkeypatch) -> list[LivePage]:
+    """Live pages that were started."""
+    started: list[LivePage] = []
+    before = LivePage.__init__
+
+    def noted(page: LivePage, *arguments: object, **named: object) -> None:
+        before(page, *arguments, **named)  # type: ignore[arg-type]
+        started.append(page)
+
+    monkeypatch.setattr(LivePage, "__init__", noted)
+    return started
+
+
+@pytest.mark.skipif(not available(), reason=NO_BROWSER)
+def test_a_person_sees_the_arm_and_stops_it_by_a_click(place, serve, gateway, pages, tmp_path):
+    drives = serve()
+    seen: dict[str, object] = {}
+
+    def look(window: Browser) -> None:
+        wait_for(lambda: window.run("return document.getElementById('phase').textContent") == "moving")
+        wait_for(lambda: window.run("return live.arms[0].time.length > 100"))
+        seen["drawn"] = window.run(DRAWN)
+        seen["axes"] = window.run(
+            "return [...document.querySelectorAll('.axes td:first-child')].map(e => e.textContent)"
+        )
+        seen["units"] = window.run("return document.querySelector('.axes thead').innerText")
+        seen["rows"] = window.run("return live.arms[0].time.length")
+        for scheme in ("light", "dark"):
+            window.in_light(scheme)
+            window.picture(tmp_path / f"{scheme}.png")
+            window.resize(*NARROW)
+            seen[scheme] = window.run("return [document.documentElement.scrollWidth, innerWidth]")
+            window.picture(tmp_path / f"{scheme}-narrow.png")
+            window.resize(*WIDE)
+        window.run("document.getElementById('stop').click()")
+        wait_for(lambda: not window.run("return document.getElementById('over').hidden"))
+        seen["over"] = window.run("return document.getElementById('over').textContent")
+        seen["disabled"] = window.run("return document.getElementById('stop').disabled")
+
+    watcher = Watcher(pages, look)
+    watcher.start()
+    # so slow that the run is never over before the click
+    done = gateway(
+        *("record", place.cell, "--bus", drives.bus, "--load", "none", "-o", place.run, "--yes"),
+        *("--live", "--override", "5"),
+    )
+    watcher.join(PATIENCE_S)
+    if watcher.failure is not None:
+        raise watcher.failure
+    assert done.exit_code == 130, done.output
+    assert "stopped by the button of the live page" in done.output
+    assert drives.stand_still()
+    assert seen["drawn"] > 5000  # type: ignore[operator]
+    assert seen["axes"] == [f"J{axis}" for axis in range(1, 7)]
+    assert all(unit in str(seen["units"]) for unit in ("rad", "rad/s", "mrad", "Nm"))
+    assert seen["rows"] > 100  # type: ignore[operator]
+    for scheme in ("light", "dark"):
+        wide, screen = seen[scheme]  # type: ignore[misc]
+        assert wide <= screen
+        assert (tmp_path / f"{scheme}-narrow.png").stat().st_size > 20_000
+    assert (tmp_path / "light.png").read_bytes() != (tmp_path / "dark.png").read_bytes()
+    assert "stopped by the button of the live page" in str(seen["over"])
+    assert seen["disabled"] is True
+
+
+def test_a_page_leaves_with_its_command(place, serve, gateway, pages):
+    drives = serve()
+    done = gateway("move", place.cell, "--bus", drives.bus, "--to", "home", "--yes", "--live")
+    assert done.exit_code == 0, done.output
+    (page,) = pages
+    assert page.address in done.output.replace("\n", "")
+    assert page._process.poll() == 0
+    assert not page.feed.gone
+
+
+def test_what_is_heard_beside_a_run_is_what_the_run_has_recorded(place, serve, gateway):
+    drives = serve()
+    loaded = load_cell(place.cell)
+    (config,) = loaded.cell.arm
+    with open_bus(BusSpec.parse(drives.bus)) as bus:
+        heard = OverheardBus(bus, axis_setups(loaded, config))
+        assert heard.unknown == tuple(axis.node_id for axis in config.axis)
+        stop, epochs = threading.Event(), []
+
+        def listen() -> None:
+            while not stop.is_set():
+                bus.listen(0.01)
+                epochs.extend(heard.epochs())
+
+        beside = threading.Thread(target=listen)
+        beside.start()
+        try:
+            wanted = ("--load", "none", "-o", place.run, "--yes", "--pose", "0.1,0,0.2,0,0.1,0")
+            done = gateway("record", place.cell, "--bus", drives.bus, *wanted)
+        finally:
+            stop.set()
+            beside.join()
+    assert done.exit_code == 0, done.output
+    assert heard.unknown == ()
+    side = JointSide(AxisConversion.from_arm(config))
+    heard_q = {tuple(side.sample(epoch).q_rad.tolist()) for epoch in epochs if epoch.complete}
+    arm = place.recording().arms[0]
+    for visit in arm.visits:
+        for q_rad in visit.q_rad[::7]:
+            assert tuple(q_rad.tolist()) in heard_q
