@@ -76,7 +76,7 @@ def stop_by(made: Rig, kind: str, folder: Path) -> Stop:
     try:
         box = read_box(box_of(path))
     except InputError as missing:
-        return Stop(kind, True, str(missing))
+        return Stop(kind, True, f"{missing} (stopped by: {error})")
     held_s = float(np.ptp(box.time_s)) if len(box.time_s) else 0.0
     return Stop(kind, True, _wrong(box, str(error), begin.start, kind), held_s, len(box.frames))
 

@@ -6,6 +6,8 @@ import textwrap
 
 from drives.errors import DriveError
 from gateway.cell.axes import FEWEST_AXES, MOST_AXES
+from gateway.data.blackbox.part import FIELDS
+from gateway.data.blackbox.ring import KEPT_S
 from gateway.data.csv_text import BLANK_ALLOWED, COLUMNS, PERIOD_COLUMNS, Column
 from gateway.data.period import KINDS, LEAST_PER_HARMONIC
 from gateway.data.periodic import CUTOFF_HZ
@@ -134,6 +136,32 @@ def _periods() -> list[str]:
     ]
 
 
+def _black_box() -> list[str]:
+    """What a stop leaves beside a recording."""
+    fields = ", ".join(f"`{name}`" for name, _ in FIELDS)
+    return [
+        "## The black box",
+        "",
+        _paragraph(
+            f"While an arm is recorded, the last {KEPT_S:g} s of all samples and frames are kept by a process of its"
+            " own, handed on twice a second; the motion loop never waits for it. A run that ends well leaves none. One"
+            " that is stopped leaves `run.blackbox.h5` and `run.blackbox.blf` beside `run.h5`, and the message names"
+            " it; the next stop of the same recording replaces them. Where the program itself is killed, the process"
+            " writes them, of what it was given up to a second before."
+        ),
+        "",
+        "| in `run.blackbox.h5` | what it is |",
+        "|---|---|",
+        "| attributes `recording`, `reason`, `created`, `software`, `cell` | whose it is, and why the run stopped |",
+        "| `wall_s`, `time_s`, `sync_index` (n,) | wall clock, time of the run and number of each SYNC |",
+        f"| `/arms/NAME/..` (n, axes) | {fields}; NaN: not answered |",
+        "| `/frames/..` (m,) | `time_s` (wall clock), `can_id`, `flags`, `length`, `data`: every frame of the bus,"
+        " those of the stop too |",
+        "",
+        "The BLF file holds the same frames for CAN tools.",
+    ]
+
+
 def recording_page() -> str:
     """What a recording holds."""
     lines = [
@@ -171,9 +199,12 @@ def recording_page() -> str:
         "",
         _paragraph(
             "A word that the drives do not send is left out. `servo-gateway export RUN.h5 --format csv` gives the means"
-            " as [measured table](measured-table.md)."
+            " as [measured table](measured-table.md); in [other formats](../how-to/open-formats.md) every sample leaves"
+            " it."
         ),
         "",
         *_periods(),
+        "",
+        *_black_box(),
     ]
     return "\n".join(lines) + "\n"

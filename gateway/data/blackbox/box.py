@@ -23,7 +23,7 @@ from gateway.data.blackbox.part import (
     RECEIVED,
     REMOTE,
     BoxHeader,
-    Part,
+    BoxPart,
     width_of,
 )
 from gateway.data.recording.hdf5_text import open_recording
@@ -72,7 +72,7 @@ class BlackBox:
     frames: NDArray[Any]
 
 
-def write_box(path: Path, header: BoxHeader, parts: Sequence[Part], reason: str) -> None:
+def write_box(path: Path, header: BoxHeader, parts: Sequence[BoxPart], reason: str) -> None:
     """Write the box and its frames beside it, whole or not at all.
 
     Raises

@@ -21,7 +21,7 @@ MOST_ROWS: Final = 1024
 #: A process that is held up has so much handed to it; what comes further is left out.
 MOST_BYTES: Final = 64_000_000
 #: The box must be written by then, once the arm stands [s].
-CLOSING_S: Final = 20.0
+CLOSING_S: Final = 60.0
 #: Until the process must be there [s].
 STARTING_S: Final = 60.0
 

@@ -65,7 +65,7 @@ class BoxHeader:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Part:
+class BoxPart:
     """What was taken in about half a second.
 
     Attributes
@@ -89,7 +89,7 @@ def pack(rows: NDArray[np.float64], frames: bytes | bytearray, time_s: float, wa
     return head + rows.tobytes() + frames
 
 
-def unpack(content: bytes) -> Part | None:
+def unpack(content: bytes) -> BoxPart | None:
     """A part of its bytes; None = it was cut off."""
     if len(content) < _HEAD.size or content[:4] != MAGIC:
         return None
@@ -97,7 +97,7 @@ def unpack(content: bytes) -> Part | None:
     end = _HEAD.size + 8 * rows * width
     if len(content) != end + FRAME.size * frames:
         return None
-    return Part(
+    return BoxPart(
         np.frombuffer(content[_HEAD.size : end], dtype="<f8").reshape(rows, width),
         np.frombuffer(content[end:], dtype=FRAME_TYPE),
         time_s,

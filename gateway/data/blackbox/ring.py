@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from gateway.data.blackbox.part import Part, unpack
+from gateway.data.blackbox.part import BoxPart, unpack
 
 #: So much is kept [s], by the time of the run; and no more than this by the wall clock, where the run stands still.
 KEPT_S: Final = 30.0
@@ -63,7 +63,7 @@ class Ring:
             self._kept.popleft()[0].unlink(missing_ok=True)
 
 
-def parts_in(folder: Path) -> list[Part]:
+def parts_in(folder: Path) -> list[BoxPart]:
     """What lies in a folder, in its order; a part that was cut off is left out."""
     found = [unpack(path.read_bytes()) for path in _files(folder)]
     return [part for part in found if part is not None]
