@@ -7,7 +7,7 @@ SIM_STAMP := $(VENV)/.sim-stamp
 PYTHON_OF_VENV := test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || python3 -m venv $(VENV)
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: venv demo test lint docs bench blind blind-nature vcan chaos soak mutants pair pair-full follow moving live space pages clean
+.PHONY: venv demo test lint docs bench blind blind-nature vcan chaos soak mutants pair pair-full follow moving fleet live space pages clean
 
 venv: $(STAMP)
 
@@ -71,6 +71,10 @@ follow: venv
 # Loads, friction and rotors from motion: three times 1000 arms, two hours on an idle machine.
 moving: venv
 	$(BIN)/python -m benchmarks.moving --out out/moving
+
+# Many robots over months: an hour and more for 1000 robots whose drifts are all looked for; --analysed 100 looks for fewer.
+fleet: venv
+	$(BIN)/python -m benchmarks.fleet --out out/fleet
 
 # The live page in a headless Chromium, and runs by the clock with and without it: a quarter of an hour on an idle machine.
 live: venv

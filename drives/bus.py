@@ -21,7 +21,7 @@ from drives.bus_spec import BusSpec
 from drives.errors import BusError
 from drives.reactions import DRIVE_RULES
 
-__all__ = ["Bus", "BusSpec", "Frame", "Handler", "open_bus"]
+__all__ = ["Bus", "BusSpec", "Frame", "Handler", "Tap", "open_bus"]
 
 NMT_ID: Final = 0x000
 SYNC_ID: Final = 0x080
@@ -71,6 +71,8 @@ _STAMPING: Final = frozenset({"socketcan", "udp_multicast", "virtual"})
 _OPENING_FAILS: Final = (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError)
 
 Handler = Callable[[int, bytes | bytearray, float], None]
+#: Takes every frame and whether it was received; it must only store.
+Tap = Callable[["Frame", bool], None]
 
 
 class Frame(Protocol):
@@ -129,6 +131,7 @@ class Bus:
         self._dispatching: int | None = None
         self._network: _Network | None = None
         self._logger = None if trace is None else can.Logger(trace)
+        self._taps: tuple[Tap, ...] = ()
         self._receive: Callable[[float], Any] = adapter.recv
         for can_id in (NMT_ID, SYNC_ID, *range(SDO_REQUEST_BASE + 1, SDO_REQUEST_BASE + 128)):
             self.watch_master_id(can_id)
@@ -158,6 +161,8 @@ class Bus:
                 self._failures = 0
                 if self._logger is not None:
                     self._logger.on_message_received(frame)
+                for tap in self._taps:
+                    tap(frame, True)
                 if not (frame.is_error_frame or frame.is_remote_frame or frame.is_extended_id):
                     return frame
                 self._on_odd_frame(frame)
@@ -263,6 +268,14 @@ class Bus:
         else:
             self._handlers.pop(can_id, None)
 
+    def overhear(self, tap: Tap) -> None:
+        """Call `tap` for every frame that comes or goes, whatever it is."""
+        self._taps = (*self._taps, tap)
+
+    def overhear_no_more(self, tap: Tap) -> None:
+        """Undo `overhear`."""
+        self._taps = tuple(other for other in self._taps if other != tap)
+
     def add_chore(self, chore: Callable[[], None]) -> None:
         """Call `chore` while waiting for answers, e.g. to keep the master's heartbeat going."""
         self._chores.append(chore)
@@ -308,7 +321,11 @@ class Bus:
                 self._adapter.send(frame)
             except (can.CanError, OSError) as error:
                 self._send_again(frame, error)
-        if self._logger is not None and not self.echoes:
+        if self.echoes:
+            return
+        for tap in self._taps:
+            tap(frame, False)
+        if self._logger is not None:
             self._log_sent(frame)
 
     def send(self, can_id: int, data: bytes) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import os
+import signal
 from collections.abc import Iterable, Mapping
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -48,3 +50,12 @@ def write_table(path: Path, rows: Iterable[Mapping[str, object]]) -> Path:
         writer.writeheader()
         writer.writerows(rows)
     return path
+
+
+def double_unless_killed(task: tuple[int, str]) -> int:
+    """Twice the number; the first who comes to number 3 is killed, and leaves the mark that he was there."""
+    number, mark = task
+    if number == 3 and not Path(mark).exists():
+        Path(mark).write_text("killed")
+        os.kill(os.getpid(), signal.SIGKILL)
+    return 2 * number

@@ -153,6 +153,9 @@ def full_disk() -> Generator[None]:
 # -- the table ---------------------------------------------------------------------------------------------------------
 
 PLAN = ("plan", "cell.toml")
+MOVING = ("record", "cell.toml", "--moving", "--load", "none", "-o", "r.h5")
+UNTIL = ("record", "cell.toml", "--load", "a", "-o", "r.h5", "--until")
+THERMAL = ("commission", "cell.toml", "--thermal")
 ESTIMATE = ("estimate", "t.csv", "--robot", "robot.urdf")
 LINE = r"cell\.toml line \d+"
 AXIS = r"cell\.toml line \d+, J1: "
@@ -390,6 +393,81 @@ KINDS: list[Kind] = [
         ("plan", "cell.toml", "--arm", "third"),
         3,
         ("there is no arm 'third'; it has main",),
+        cell(),
+    ),
+    Kind(
+        "motion: a period that tells nothing",
+        (*PLAN, "--moving", "--period", "2"),
+        5,
+        ("a period of 2 s: use 5 to 20 s",),
+        cell(),
+    ),
+    Kind("motion: one period", (*PLAN, "--moving", "--periods", "1"), 5, ("1 periods: use 2 to 100",), cell()),
+    Kind(
+        "motion: a purpose that is none",
+        (*PLAN, "--moving", "--for", "weight"),
+        2,
+        ("'weight' is none of load, friction, rotor",),
+        cell(),
+    ),
+    Kind("motion: a purpose of rest poses", (*PLAN, "--for", "load"), 2, ("give --moving too",), cell()),
+    Kind("motion: rest poses counted", (*PLAN, "--moving", "--poses", "5"), 2, ("give one of them",), cell()),
+    Kind("motion: a plan that is not there", (*MOVING, "--plan", "p.json"), 3, (r"p\.json: cannot be read",), cell()),
+    Kind(
+        "motion: a plan of one's own",
+        (*MOVING, "--plan", "p.json"),
+        3,
+        (r"p\.json: carries no sha256: .*write it with servo-gateway plan",),
+        together(cell(), text('{"schema": 1, "kind": "moving_plan"}', "p.json")),
+    ),
+    Kind(
+        "motion: too few SYNCs",
+        (*MOVING, "--rate", "5"),
+        5,
+        ("5 SYNCs per second: .* a motion needs 100 or more",),
+        cell(),
+    ),
+    Kind("motion: SYNCs that are no number", (*MOVING, "--rate", "nan"), 5, ("nan SYNCs per second: ",), cell()),
+    Kind(
+        "motion: more SYNCs than the bus carries",
+        (*MOVING, "--rate", "900"),
+        5,
+        ("900 SYNCs per second: bus: planned .*ask for fewer",),
+        cell(),
+    ),
+    Kind("motion: with a rest pose", (*MOVING, "--pose", "0,0,0,0,0,0"), 2, ("give one of them",), cell()),
+    Kind(
+        "motion: a rate for rest poses",
+        ("record", "cell.toml", "--load", "a", "-o", "r.h5", "--rate", "100"),
+        2,
+        ("belong to --moving",),
+        cell(),
+    ),
+    Kind("until: no unit", (*UNTIL, "mass=1"), 3, (r"mass=1 lacks its unit \(kg, g, %\)",), cell()),
+    Kind("until: nothing that is told", (*UNTIL, "weight=1%"), 3, ("neither mass=.. nor com=..",), cell()),
+    Kind("until: an exact mass", (*UNTIL, "mass=0%"), 3, ("a half width is above 0",), cell()),
+    Kind("until: a load of an arm that is not known", (*UNTIL, "mass=1%"), 3, ("measure it bare first",), cell()),
+    Kind(
+        "until: the bare arm",
+        ("record", "cell.toml", "--load", "none", "-o", "r.h5", "--until", "mass=1%"),
+        3,
+        ("is the bare arm, of which no mass is told",),
+        cell(),
+    ),
+    Kind("thermal: as short as it can", (*THERMAL, "--until", "mass=1%"), 2, ("give one of them",), cell()),
+    Kind(
+        "thermal: a warm-up without it",
+        ("commission", "cell.toml", "--warm-up", "5"),
+        2,
+        ("--warm-up belongs to --thermal",),
+        cell(),
+    ),
+    Kind("thermal: the bare arm as a load", (*THERMAL, "--load", "none"), 2, ("name the loads alone",), cell()),
+    Kind(
+        "thermal: a load twice",
+        (*THERMAL, "--load", "a", "--load", "a"),
+        2,
+        ("--load a is given twice: name each load once",),
         cell(),
     ),
     Kind("result: not there", ("report", "out.json", "-o", "r.html"), 3, (r"out\.json: cannot be read",)),

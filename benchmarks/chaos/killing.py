@@ -51,7 +51,7 @@ def visits_on_disk(path: Path) -> set[tuple[int, int]]:
     return {(visit.pose, visit.approach) for arm in read(path).arms for visit in arm.visits if visit.complete}
 
 
-def finished_on_disk(path: Path) -> set[tuple[int | str, int]]:
+def finished_on_disk(path: Path) -> set[tuple[int, int] | tuple[str, int]]:
     """(pose, side) of every finished visit and (motion, number) of every period; empty when there is no file."""
     if not path.exists():
         return set()

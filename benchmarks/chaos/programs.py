@@ -89,7 +89,7 @@ class Program:
         return self._process.poll()
 
     @property
-    def finished(self) -> set[tuple[int | str, int]]:
+    def finished(self) -> set[tuple[int, int] | tuple[str, int]]:
         """(pose, side) of the visits and (motion, number) of the periods that it has announced."""
         visits = {(int(pose), 1 if side == "below" else -1) for pose, side in VISIT.findall(self.said)}
         return visits | {(name, int(number)) for name, number in PERIOD.findall(self.said)}

@@ -1,9 +1,10 @@
 """Many robots over months: ingest, questions, drift, false alarms, re-estimation, memory.
 
-python -m benchmarks.fleet [--out out/fleet] [--robots 1000] [--recordings 40] [drifts] [recordings]
+python -m benchmarks.fleet [--out out/fleet] [--robots 1000] [--analysed 1000] [--recordings 40]
+    [store] [drifts] [unlike] [recordings]
 
-The analysis of 1000 robots and 2000 recordings take an hour and more on two processors; by default 40 recordings are
-re-estimated, which is enough to tell how it scales.
+The analysis of 1000 robots, and of 2000 recordings, takes an hour and more on two processors; by default 40 recordings
+are re-estimated, which is enough to tell how it scales.
 """
 
 from __future__ import annotations
@@ -17,7 +18,34 @@ from pathlib import Path
 from benchmarks.bench.__main__ import show
 from benchmarks.fleet import drifts, recordings
 
-PARTS = ("drifts", "recordings")
+PARTS = ("store", "drifts", "unlike", "recordings")
+#: Standard deviation of the logarithm of wander over noise, where no two robots are of one kind.
+UNLIKE = 0.5
+
+
+def _drifts(place: Path, plant: drifts.Plant) -> dict[str, dict]:
+    """Drifts that are told in a year of these robots."""
+    return drifts.drifts(drifts.filled(place / "store", plant, place / "tables")[0], plant)
+
+
+def _parts(place: Path, given: argparse.Namespace) -> dict[str, dict]:
+    """Figures of the parts that are asked for."""
+    parts, figures = given.parts or PARTS, {}
+    analysed = given.analysed or given.robots
+    if "store" in parts:
+        whole = drifts.Plant(given.seed, given.robots)
+        store, figures = drifts.filled(place / "whole" / "store", whole, place / "whole" / "tables")
+        figures |= drifts.questions(store)
+    if "drifts" in parts:
+        figures |= _drifts(place / "drifts", drifts.Plant(given.seed, analysed))
+    if "unlike" in parts:
+        found = _drifts(place / "unlike", drifts.Plant(given.seed + 1, analysed, UNLIKE))
+        figures |= {f"robots that wander unlike each other: {name}": told for name, told in found.items()}
+    if "recordings" in parts:
+        figures |= recordings.scaling(place, given.recordings)
+        figures |= recordings.killed(place, given.recordings)
+        figures |= recordings.memory(place, max(given.recordings // 2, 4))
+    return figures
 
 
 def main(argv: list[str]) -> int:
@@ -30,20 +58,8 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--recordings", type=int, default=40, help="recordings that are estimated anew")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args(argv)
-    figures: dict[str, dict] = {}
     with tempfile.TemporaryDirectory() as name:
-        place = Path(name)
-        if "drifts" in (given.parts or PARTS):
-            store, told = drifts.filled(place / "store", given.seed, given.robots, place / "tables")
-            figures |= told | drifts.questions(store)
-            few = given.analysed or given.robots
-            if few < given.robots:
-                store = drifts.filled(place / "few", given.seed, few, place / "few-tables")[0]
-            figures |= drifts.drifts(store, given.seed, few)
-        if "recordings" in (given.parts or PARTS):
-            figures |= recordings.scaling(place, given.recordings)
-            figures |= recordings.killed(place, given.recordings)
-            figures |= recordings.memory(place, max(given.recordings // 2, 4))
+        figures = _parts(Path(name), given)
     given.out.mkdir(parents=True, exist_ok=True)
     (given.out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n")
     show(figures)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -20,8 +22,8 @@ from gateway.fleet.store import Store, open_or_make
 from gateway.fleet.workers import workers
 from gateway.result.fleet import RobotHealth, read_robot
 
-#: Every fifth robot wears.
-ONE_WORN_IN = 5
+#: Every other robot wears.
+ONE_WORN_IN = 2
 PER_FILE = 50
 NOW = FIRST.replace(tzinfo=UTC) + timedelta(days=DAYS)
 QUESTIONS = {
@@ -35,19 +37,27 @@ QUESTIONS = {
 }
 
 
-def fleet(seed: int, robots: int) -> Iterator[Robot]:
-    """Robots, one after another."""
-    for number in range(robots):
-        yield draw(seed, number, worn=number % ONE_WORN_IN == 0)
+@dataclass(frozen=True, slots=True)
+class Plant:
+    """How many robots, drawn from which seed, and how unlike they wander."""
+
+    seed: int
+    robots: int
+    unlike: float = 0.0
+
+    def fleet(self) -> Iterator[Robot]:
+        """Robots, one after another."""
+        for number in range(self.robots):
+            yield draw(self.seed, number, int(number % ONE_WORN_IN == 0), self.unlike)
 
 
-def filled(store: Path, seed: int, robots: int, folder: Path) -> tuple[Store, dict[str, dict]]:
+def filled(store: Path, plant: Plant, folder: Path) -> tuple[Store, dict[str, dict]]:
     """A store with a year of every robot, and how fast it was filled."""
     folder.mkdir(parents=True, exist_ok=True)
     rows, held, files = 0, [], []
-    for robot in fleet(seed, robots):
+    for number, robot in enumerate(plant.fleet(), start=1):
         held.append(robot)
-        if len(held) == PER_FILE or robot.name == f"hall{(robots - 1) // 100}_{(robots - 1) % 100:02d}":
+        if len(held) == PER_FILE or number == plant.robots:
             files.append(folder / f"part{len(files):03d}.parquet")
             rows += write(held, files[-1])
             held = []
@@ -81,7 +91,7 @@ def questions(store: Store) -> dict[str, dict]:
     return found
 
 
-def drifts(store: Store, seed: int, robots: int) -> dict[str, dict]:
+def drifts(store: Store, plant: Plant) -> dict[str, dict]:
     """Day on which drifts are told over the earliest possible, power, and false alarms."""
     started = time.perf_counter()
     with workers(None) as spread:
@@ -91,7 +101,7 @@ def drifts(store: Store, seed: int, robots: int) -> dict[str, dict]:
     named = {line.cell: line.robot for line in found.robots}
     in_time, over, false, series = [], [], 0, 0
     z = float("nan")
-    for robot in fleet(seed, robots):
+    for robot in plant.fleet():
         health = read_robot(store.analysis / "robots" / f"{named[robot.name]}.json")
         series = max(series, len(health.trends))
         z = threshold(len(health.trends)) if np.isnan(z) else z
@@ -107,7 +117,7 @@ def drifts(store: Store, seed: int, robots: int) -> dict[str, dict]:
             day = _told(health, robot)
             in_time.append(day <= 1.2 * possible)
             over.append(day / possible)
-    years = robots * DAYS / 365.25
+    years = plant.robots * DAYS / 365.25
     spread_of = np.quantile(over, [0.05, 0.5, 0.95])
     return {
         "worn gains told by 1.2 times the earliest possible day": share(np.array(in_time), ">= 0.95"),
@@ -119,6 +129,7 @@ def drifts(store: Store, seed: int, robots: int) -> dict[str, dict]:
         "series of a robot": _printed(series),
         "least threshold by numbers": _printed(z),
         "time of the analysis": _printed(took, "s"),
+        "load of the machine (processors: 2)": _printed(os.getloadavg()[0]),
     }
 
 

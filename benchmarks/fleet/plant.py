@@ -51,8 +51,17 @@ class Robot:
     columns: dict[str, np.ndarray | list[str]]
 
 
-def draw(seed: int, number: int, *, worn: bool) -> Robot:
-    """A robot with a check a day; a few days are missing."""
+def draw(seed: int, number: int, worn_axes: int, unlike: float) -> Robot:
+    """A robot with a check a day; a few days are missing.
+
+    Parameters
+    ----------
+    seed, number : int
+    worn_axes : int
+        1: the gain of one axis drifts; 0: none does.
+    unlike : float
+        Standard deviation of the logarithm of wander over noise: 0 = robots of one kind.
+    """
     rng = np.random.default_rng([seed, number])
     day = np.flatnonzero(rng.random(DAYS) > 0.03) + rng.uniform(-0.1, 0.1)
     count = len(day)
@@ -61,11 +70,11 @@ def draw(seed: int, number: int, *, worn: bool) -> Robot:
     masses = rng.uniform(1.0, 20.0, len(PROGRAMS))
     program = rng.integers(0, len(PROGRAMS), count)
     noise = 0.0015 * rng.lognormal(0.0, 0.3, AXES)
-    size_of = 0.0006 * rng.lognormal(0.0, 0.4, AXES)
+    size_of = 0.4 * noise * rng.lognormal(0.0, unlike, AXES)
     wander = _waves(rng, day, size_of)
-    axis = int(rng.integers(AXES)) if worn else -1
+    axis = int(rng.integers(AXES)) if worn_axes else -1
     wear = np.ones((count, AXES))
-    if worn:
+    if worn_axes:
         wear[:, axis] += WEAR * day / 365.25
     magnet = 1.0 + rng.normal(-0.0008, 0.0003, AXES) * (warm - 20.0)
     bending = 1.0 + rng.normal(0.0, 1e-4, AXES) * masses[program][:, None]

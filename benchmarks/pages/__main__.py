@@ -13,11 +13,13 @@ import json
 import subprocess
 import sys
 from dataclasses import asdict, dataclass
+from itertools import chain
 from pathlib import Path
 
 from benchmarks.bench.__main__ import show
 from benchmarks.figure import figure
 from benchmarks.pages.browser import Browser, BrowserMissing, browser
+from benchmarks.pages.fleet import fleet_pages
 from benchmarks.pages.samples import pages
 
 FAULTS = Path(__file__).with_name("faults.js").read_text(encoding="utf-8")
@@ -49,7 +51,7 @@ def main(argv: list[str]) -> int:
     opened = 0
     try:
         with browser() as window:
-            for name, text in pages(arguments.results):
+            for name, text in chain(pages(arguments.results), fleet_pages()):
                 file = arguments.out / f"{name}.html"
                 file.write_text(text, encoding="utf-8")
                 found += faults_of(window, file)

@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 
 from drives.exchange import Pacing
+from gateway.acquire.blackbox import BlackBoxWatch, black_box
 from gateway.acquire.events import Event, Listener, PoseDone, VisitDone
 from gateway.acquire.plan import Plan
 from gateway.acquire.planning import make_plan, plan_of_poses
 from gateway.acquire.run import VisitStation
 from gateway.acquire.runner import RunRequest, run_plan
 from gateway.cell.config import LoadedCell
+from gateway.data.blackbox.part import BoxHeader
 from gateway.data.period import Measured, Period
 from gateway.data.recording.queue import VisitQueue
 from gateway.data.recording.reader import read
@@ -155,9 +157,9 @@ class Kept:
         Of the bus, once it has ended well.
     """
 
-    def __init__(self, opened: OpenArm, queue: VisitQueue) -> None:
+    def __init__(self, opened: OpenArm, queue: VisitQueue, watch: BlackBoxWatch) -> None:
         self.reason = "all poses measured"
-        self._opened, self._queue = opened, queue
+        self._opened, self._queue, self._watch = opened, queue, watch
         self._tally = _Tally(len(opened.config.axis))
         self.statistics: dict[str, Any] = {}
 
@@ -166,7 +168,9 @@ class Kept:
         opened, pacing = self._opened, self._opened.group.timing.pacing
         store = QueuedStore(self._queue, opened.config.name, pacing)
         heard = (self._tally, *listeners)
-        return VisitStation(opened.arm, opened.workspace, store, heard, options or MoveOptions(), pacing)
+        options = options or MoveOptions()
+        options.observers.add(self._watch)
+        return VisitStation(opened.arm, opened.workspace, store, heard, options, pacing)
 
     def finish(self) -> None:
         """Store that the run has ended well."""
@@ -204,11 +208,14 @@ def keeping(opened: OpenArm, path: Path, header: ArmHeader, earlier: Recording |
     InputError
         As `VisitQueue`.
     """
-    writer = VisitQueue(path, _recording_header(opened), header, earlier)
+    about = _recording_header(opened)
+    writer = VisitQueue(path, about, header, earlier)
+    box = BoxHeader(path, ((header.name, len(opened.config.axis)),), about.cell, about.created, about.software)
     try:
-        kept = Kept(opened, writer)
-        yield kept
-        kept.finish()
+        with black_box(opened, box) as watch:
+            kept = Kept(opened, writer, watch)
+            yield kept
+            kept.finish()
     except BaseException as error:
         _finish_broken(writer, opened, opened.config.name, error)
         raise

@@ -28,6 +28,8 @@ from gateway.preflight.rules import CheckItem
 
 #: From SYNC to SYNC while an arm is moved to learn it, where the cell does not ask for a shorter time [s].
 MOVING_SYNC_S: Final = 0.004
+#: The slowest SYNC that may be asked for, where the cell's own is not slower [s].
+SLOWEST_MOVING_SYNC_S: Final = 0.01
 #: Object of the interpolation period.
 INTERPOLATION: Final = 0x60C2
 
@@ -131,10 +133,16 @@ class CellContext:
         Raises
         ------
         PlanRefused
-            The rate that was asked for does not fit on the bus, or a drive may not be told of it.
+            The rate that was asked for is too slow, does not fit on the bus, or a drive may not be told of it.
         """
         own_s = self.loaded.cell.bus[arm.bus].sync_period_s
         wanted_s = MOVING_SYNC_S if rate_hz is None else 1.0 / rate_hz
+        if not wanted_s <= max(own_s, SLOWEST_MOVING_SYNC_S) * (1.0 + 1e-9):
+            least_hz = 1.0 / max(own_s, SLOWEST_MOVING_SYNC_S)
+            raise PlanRefused(
+                f"arm '{arm.name}': {rate_hz:g} SYNCs per second: drives jerk at every set point, so a motion needs"
+                f" {least_hz:g} or more; ask for as many, or leave --rate out"
+            )
         if wanted_s == own_s or (rate_hz is None and own_s < wanted_s):
             return self
         faster = replace(self, loaded=with_sync_period(self.loaded, arm.bus, wanted_s), sync_period_s=wanted_s)

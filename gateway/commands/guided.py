@@ -86,6 +86,7 @@ def commission(
     from gateway.result.acceptance import check_expected
     from gateway.result.result import to_dict
 
+    _refuse_labels(labels)
     check_expected(expected, labels)
     drift = thermal_choice(thermal, warm_up_min, goal)
     context = open_cell(cell, bus_spec, moving.pacing)
@@ -111,6 +112,15 @@ def commission(
     show_result(result, session_of())
     session_of().show(f"report: {out / 'report.html'}")
     fail_on_findings(result.findings)
+
+
+def _refuse_labels(labels: Sequence[str]) -> None:
+    """The bare arm among the loads, or a load twice."""
+    if BARE_LABEL in labels:
+        raise click.UsageError(f"--load {BARE_LABEL} is the bare arm, which is measured anyway: name the loads alone")
+    twice = next((label for label in labels if labels.count(label) > 1), None)
+    if twice is not None:
+        raise click.UsageError(f"--load {twice} is given twice: name each load once")
 
 
 def _set_aside(path: Path, session: Session) -> None:

@@ -72,11 +72,11 @@ def export(result: Path, fmt: str, label: str | None, arm_name: str | None, outp
 
 def _every_sample(path: Path, fmt: str, part: tuple[str | None, str | None], output: Path | None) -> None:
     """A recording, or its part of one arm and load, in an open format."""
-    from gateway.formats.registry import written
+    from gateway.formats.registry import exported
 
     if output is None:
         raise click.UsageError(f"--format {fmt} is no text: name a file by -o")
-    done = written(path, fmt, *part)
+    done = exported(path, fmt, *part)
     replace_file(output, done.content)
     if not done.count:
         session_of().note(f"{path}: holds no sample yet; {output} holds what is known of the run alone")

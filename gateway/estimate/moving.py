@@ -50,6 +50,8 @@ _LATE_S = 0.02
 _WEIGHED_ANEW = 2
 #: Times by which that may change a weight: beyond, priors keep a fit from what the rows say, or count for nothing.
 _MOST_ANEW = 10.0
+#: Share of its size to which no torque is weighed better: beyond, a prior is lost in the rounding of the rows.
+_FINEST = 1e-5
 
 
 def estimate_moving(
@@ -153,11 +155,14 @@ def _solved(beside: Beside, periods: Periods, used: Mask, scale_nm: Floats, opti
     run, columns = np.asarray(periods.mean.run), beside.columns
     problem = MotionProblem.of(columns, periods.mean, used, periods.contrasts, beside.still)
     problem = _with_gains(problem, options, None)
+    finest_nm = _FINEST * float(np.sqrt(np.mean(problem.tau_nm[used] ** 2)))
+    scale_nm = np.maximum(scale_nm, finest_nm)
     settled = settle(problem, scale_nm)
     spread = spread_of(problem, settled, scale_nm, run, periods.scatter)
     for _ in range(_WEIGHED_ANEW * bool(columns.ordinary)):
         problem = _with_gains(replace(problem, columns=columns), options, MotionFit(problem, settled, spread))
-        anew_nm = np.clip(spread.scale_nm, scale_nm / _MOST_ANEW, _MOST_ANEW * scale_nm)
+        least_nm = np.maximum(scale_nm / _MOST_ANEW, finest_nm)
+        anew_nm = np.clip(spread.scale_nm, least_nm, _MOST_ANEW * scale_nm)
         settled = settle(problem, anew_nm, settled.here)
         spread = spread_of(problem, settled, anew_nm, run, periods.scatter)
     return MotionFit(problem, settled, spread)

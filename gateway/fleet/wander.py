@@ -26,10 +26,16 @@ class Shape:
     time_a: float
 
 
-#: None, and wanders of a week to four months that are smaller, as large, and larger than the noise of a check.
+#: Sizes of the wander over the noise of a check, by its time [d]: finer where that decides how sure a drift is.
+_SIZES: dict[float, tuple[float, ...]] = {
+    10.0: (0.25, 1.0),
+    30.0: (0.06, 0.12, 0.25, 0.5, 1.0, 2.0),
+    90.0: (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0),
+}
+#: None, and those.
 SHAPES: tuple[Shape, ...] = (
     Shape(0.0, 1.0),
-    *(Shape(ratio, days / 365.25) for days in (7.0, 30.0, 120.0) for ratio in (0.05, 0.2, 0.8, 3.2)),
+    *(Shape(ratio, days / 365.25) for days, ratios in _SIZES.items() for ratio in ratios),
 )
 
 

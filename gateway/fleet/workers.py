@@ -7,6 +7,7 @@ was at when it was killed is done again by another one.
 from __future__ import annotations
 
 import os
+import socket
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, Final, Protocol, TypeVar
@@ -53,6 +54,8 @@ def workers(scheduler: str | None, count: int | None = None) -> Generator[Spread
         Nobody answers there, or no more.
     """
     distributed = library("distributed")
+    if scheduler is not None:
+        _reach(scheduler)
     library("dask").config.set({"distributed.comm.timeouts.connect": f"{PATIENCE_S}s"})
     cluster: Any = None
     client: Any = None
@@ -68,10 +71,7 @@ def workers(scheduler: str | None, count: int | None = None) -> Generator[Spread
         try:
             client = distributed.Client(cluster or scheduler, timeout=PATIENCE_S, set_as_default=False)
         except (OSError, ValueError) as error:
-            raise ConfigError(
-                f"--scheduler {scheduler}: nobody answers there; start one (dask scheduler), or leave --scheduler out"
-                " to work on this machine"
-            ) from error
+            raise ConfigError(_nobody(str(scheduler))) from error
         yield _Dask(client, scheduler or "the workers of this machine")
     finally:
         with suppress(OSError, TimeoutError):
@@ -79,6 +79,28 @@ def workers(scheduler: str | None, count: int | None = None) -> Generator[Spread
                 client.close(timeout=1.0)
             if cluster is not None:
                 cluster.close(timeout=10.0)
+
+
+def _reach(scheduler: str) -> None:
+    """Make sure that somebody listens there, without waiting for longer than a connection takes.
+
+    Raises
+    ------
+    ConfigError
+    """
+    place = scheduler.partition("://")[2] or scheduler
+    host, _, port = place.rpartition(":")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=PATIENCE_S).close()
+    except (OSError, ValueError, OverflowError) as error:
+        raise ConfigError(_nobody(scheduler)) from error
+
+
+def _nobody(scheduler: str) -> str:
+    return (
+        f"--scheduler {scheduler}: nobody answers there; start one (dask scheduler), or leave --scheduler out to work"
+        " on this machine"
+    )
 
 
 class _Dask:

@@ -21,7 +21,7 @@ FRAMES: Final = "blf"
 
 
 @dataclass(frozen=True, slots=True)
-class OpenFile:
+class ExportFile:
     """Content of a file, and of how many of what."""
 
     content: bytes
@@ -29,7 +29,7 @@ class OpenFile:
     what: str
 
 
-def written(path: Path, fmt: str, arm_name: str | None, label: str | None) -> OpenFile:
+def exported(path: Path, fmt: str, arm_name: str | None, label: str | None) -> ExportFile:
     """A recording in an open format.
 
     Parameters
@@ -51,6 +51,6 @@ def written(path: Path, fmt: str, arm_name: str | None, label: str | None) -> Op
     if fmt == FRAMES:
         if arm_name or label:
             raise InputError(f"{path}: frames are of a whole run: --format {FRAMES} takes neither --arm nor --load")
-        return OpenFile(*blf_of(path), "frames")
+        return ExportFile(*blf_of(path), "frames")
     samples = read_samples(path, arm_name, label)
-    return OpenFile(FORMATS[fmt](samples), len(samples), "samples")
+    return ExportFile(FORMATS[fmt](samples), len(samples), "samples")

@@ -7,65 +7,29 @@ way, what has come in whole is written and the process ends.
 
 from __future__ import annotations
 
-import os
-import select
-from contextlib import suppress
-from typing import Any
-
 from drives.realtime import leave_real_time
+from gateway.data.piping import PipeEnd
 from gateway.data.recording.lock import sole_writer
 from gateway.data.recording.pipe import (
-    PIECE_BYTES,
     Failed,
     Finish,
     Finished,
-    Inbox,
     Keep,
     Ready,
     Start,
     Written,
-    framed,
 )
 from gateway.data.recording.writer import RecordingWriter
 from gateway.errors import InputError
 
 #: How long the writer of a run that was killed may still be busy with what it was given.
 PATIENCE_S = 20.0
-#: Between two looks whether the process that feeds this one is still there: another one may hold its end of the pipe.
-LOOK_S = 0.5
-
-
-class _Feed:
-    """The process that feeds this one."""
-
-    def __init__(self, source: int, sink: int) -> None:
-        self._source, self._sink = source, sink
-        self._parent = os.getppid()
-        self._inbox = Inbox()
-
-    def receive(self) -> Any:
-        """Next message; None = there will be none any more."""
-        while (message := self._inbox.take()) is None:
-            if not select.select([self._source], [], [], LOOK_S)[0]:
-                if os.getppid() != self._parent:
-                    return None
-                continue
-            piece = os.read(self._source, PIECE_BYTES)
-            if not piece:
-                return None
-            self._inbox.put(piece)
-        return message
-
-    def say(self, message: object) -> None:
-        """Answer; nobody may be there to hear it any more."""
-        with suppress(BrokenPipeError):
-            os.write(self._sink, framed(message))
 
 
 def main() -> None:
     """Write until the input ends."""
     leave_real_time()
-    feed = _Feed(0, 1)
+    feed = PipeEnd(0, 1)
     start = feed.receive()
     if not isinstance(start, Start):
         return
@@ -76,7 +40,7 @@ def main() -> None:
         feed.say(Ready(str(error)))
 
 
-def _record(feed: _Feed, start: Start) -> None:
+def _record(feed: PipeEnd, start: Start) -> None:
     writer = RecordingWriter(start.path, start.header, start.earlier, start.write)
     try:
         writer.begin(start.arm)
@@ -86,7 +50,7 @@ def _record(feed: _Feed, start: Start) -> None:
         writer.close()
 
 
-def _serve(feed: _Feed, writer: RecordingWriter) -> None:
+def _serve(feed: PipeEnd, writer: RecordingWriter) -> None:
     number = 0
     while (message := feed.receive()) is not None:
         reason = ""

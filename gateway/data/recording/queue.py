@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from gateway.data.period import Measured, Period
-from gateway.data.recording.pipe import Failed, Finish, Finished, Keep, Ready, Start, WriterProcess, Written, framed
+from gateway.data.piping import WriterProcess, framed
+from gateway.data.recording.pipe import PROGRAM, Failed, Finish, Finished, Keep, Ready, Start, Written
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import Recording
 from gateway.data.recording.writer import ArmHeader, Numbering, RecordingHeader, Write, write_recording
@@ -183,7 +184,7 @@ class VisitQueue:
         return answer if answer is not None and answer.question == self._questions else None
 
     def _started(self, start: Start) -> WriterProcess:
-        process = WriterProcess()
+        process = WriterProcess(PROGRAM)
         try:
             process.send(framed(start))
             until_s = time.monotonic() + START_TIMEOUT_S

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import sqlite3
 from pathlib import Path
 
@@ -365,3 +366,14 @@ def test_half_the_power_is_left_at_the_cutoff():
     inner = slice(1000, -1000)
     assert np.ptp(qd[inner]) / 2 == pytest.approx(2 * np.pi * 5.0 / math.sqrt(2), rel=1e-2)
     assert np.ptp(qdd[inner]) / 2 == pytest.approx((2 * np.pi * 5.0) ** 2 / math.sqrt(2), rel=1e-2)
+
+
+def test_the_example_of_the_documentation(tmp_path):
+    page = Path(__file__).parents[3] / "docs" / "how-to" / "open-formats.md"
+    blocks = dict(re.findall(r"(?s)```\w+ (log|map|table)\n(.*?)```", page.read_text(encoding="utf-8")))
+    done, out = imported(tmp_path, blocks["log"], blocks["map"])
+    assert done.exit_code == 0, done.output
+    assert out.read_text().splitlines() == blocks["table"].splitlines()
+    table = read_csv(out, None)
+    assert table.q_rad[1] == pytest.approx([math.radians(20), math.radians(45) + 0.5])
+    assert table.tau_nm[1] == pytest.approx([40.0, -60.0])

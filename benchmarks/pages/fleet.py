@@ -1,0 +1,52 @@
+"""A fleet of half a dozen simulated robots and one of them, as the commands hand them to their pages."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.fleet.drifts import NOW
+from benchmarks.fleet.plant import Robot, draw, write
+from gateway.fleet.analyse import FLEET_FILE, AsOf, analyse
+from gateway.fleet.ingest import ingest
+from gateway.fleet.store import open_or_make
+from gateway.fleet.workers import one_by_one
+from gateway.report.fleet import render_fleet, render_robot
+from gateway.result.fleet import read_fleet, read_robot
+
+ROBOTS = 6
+WORN, GONE, HEAVIER = 1, 3, 4
+#: Day from which the robot is not seen, and from which its part is another one.
+LAST_DAY, OTHER_DAY = 260, 200
+
+
+def fleet_pages() -> Iterator[tuple[str, str]]:
+    """Name and text of the page of the fleet, and of the robot that is named first."""
+    with tempfile.TemporaryDirectory() as name:
+        store = open_or_make(Path(name) / "store")
+        table = Path(name) / "checks.parquet"
+        write([_robot(number) for number in range(ROBOTS)], table)
+        ingest(store, [table], NOW + timedelta(days=1))
+        analyse(store, one_by_one, AsOf(NOW))
+        found = read_fleet(store.analysis / FLEET_FILE)
+        yield "fleet", render_fleet(found)
+        worn = next(line for line in found.robots if any("gain" in said for said in line.why))
+        yield "fleet-robot", render_robot(read_robot(store.analysis / "robots" / f"{worn.robot}.json"))
+
+
+def _robot(number: int) -> Robot:
+    robot = draw(3, number, int(number == WORN), 0.0)
+    if number == GONE:
+        few = int(np.searchsorted(robot.day, LAST_DAY))
+        kept = {name: column[:few] for name, column in robot.columns.items()}
+        return replace(robot, day=robot.day[:few], columns=kept)
+    if number == HEAVIER:
+        mass = np.asarray(robot.columns["mass_kg"], dtype=float)
+        mass = np.where(robot.day > OTHER_DAY, 1.2 * mass, mass)
+        return replace(robot, columns=robot.columns | {"mass_kg": mass})
+    return robot

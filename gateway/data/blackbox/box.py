@@ -1,0 +1,152 @@
+"""The black box as a file: HDF5 with samples and frames, and the frames as BLF for CAN tools."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from drives.files import replace_file
+from drives.frame_log import LoggedFrame, write_blf
+from gateway.data.blackbox.part import (
+    ERROR,
+    EXTENDED,
+    FIELDS,
+    FRAME_TYPE,
+    HEAD,
+    RECEIVED,
+    REMOTE,
+    BoxHeader,
+    Part,
+    width_of,
+)
+from gateway.data.recording.hdf5_text import open_recording
+from gateway.data.recording.seal import refuse_damaged, sealed
+from gateway.errors import InputError
+
+SCHEMA: Final = 1
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmBox:
+    """The last samples of one arm: `values` by the names of `FIELDS`, each of shape (n, N)."""
+
+    name: str
+    values: dict[str, Floats]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlackBox:
+    """What a black box holds.
+
+    Attributes
+    ----------
+    path : Path
+    recording, reason, created, software, cell : str
+        Name of the recording; why the run was stopped.
+    wall_s, time_s : arrays of shape (n,)
+        Wall clock and time of the run of each SYNC.
+    sync_index : int64 array of shape (n,)
+    arms : tuple of ArmBox
+    frames : array of shape (m,) of `FRAME_TYPE`
+        Those of the stop itself too; stamped by the wall clock.
+    """
+
+    path: Path
+    recording: str
+    reason: str
+    created: str
+    software: str
+    cell: str
+    wall_s: Floats
+    time_s: Floats
+    sync_index: NDArray[np.int64]
+    arms: tuple[ArmBox, ...]
+    frames: NDArray[Any]
+
+
+def write_box(path: Path, header: BoxHeader, parts: Sequence[Part], reason: str) -> None:
+    """Write the box and its frames beside it, whole or not at all.
+
+    Raises
+    ------
+    OSError
+        It cannot be written.
+    """
+    width = width_of(sum(axes for _, axes in header.arms))
+    rows = np.concatenate([np.empty((0, width)), *(part.rows for part in parts if part.rows.shape[1] == width)])
+    frames = np.concatenate([np.empty(0, FRAME_TYPE), *(part.frames for part in parts)])
+    with h5py.File("in-memory", "w", driver="core", backing_store=False) as file:
+        file.attrs["schema"], file.attrs["kind"] = SCHEMA, "black box"
+        file.attrs["recording"], file.attrs["reason"] = header.recording.name, reason.replace("\0", "")
+        file.attrs["created"], file.attrs["software"], file.attrs["cell"] = header.created, header.software, header.cell
+        file.attrs["arms"] = json.dumps(header.arms)
+        for column, (name, unit) in enumerate(zip(HEAD, ("s, wall clock", "s", "SYNC number"), strict=True)):
+            _dataset(file, name, rows[:, column].astype(np.int64) if name == "sync_index" else rows[:, column], unit)
+        at = len(HEAD)
+        for name, axes in header.arms:
+            group = file.require_group(f"arms/{name}")
+            for field, unit in FIELDS:
+                _dataset(group, field, rows[:, at : at + axes], unit)
+                at += axes
+        held = file.require_group("frames")
+        units = {"time_s": "s, wall clock", "flags": "1 received, 2 extended, 4 remote, 8 error", "length": "bytes"}
+        for name in FRAME_TYPE.names or ():
+            _dataset(held, name, frames[name], units.get(name, ""))
+        file.flush()
+        content = sealed(file.id.get_file_image())
+    replace_file(path, content)
+    write_blf(path.with_suffix(".blf"), map(_logged, frames.tolist()))
+
+
+def _dataset(group: h5py.Group, name: str, values: np.ndarray, unit: str) -> None:
+    group.create_dataset(name, data=values).attrs["unit"] = unit
+
+
+def _logged(frame: tuple[float, int, int, int, Sequence[int]]) -> LoggedFrame:
+    time_s, can_id, flags, length, data = frame
+    kind = "error" if flags & ERROR else "remote" if flags & REMOTE else "data"
+    content = b"" if kind == "remote" else bytes(data)[:length]
+    return LoggedFrame(time_s, can_id, content, bool(flags & RECEIVED), kind, bool(flags & EXTENDED), length, 0)
+
+
+def read_box(path: Path) -> BlackBox:
+    """Read a black box.
+
+    Raises
+    ------
+    InputError
+        Not there, damaged, or no black box.
+    """
+    try:
+        refuse_damaged(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    with open_recording(path) as root:
+        if root.text("kind", "recording") != "black box" or root.integer("schema") != SCHEMA:
+            raise InputError(f"{path}: is no black box of schema {SCHEMA}")
+        arms = [(str(name), int(axes)) for name, axes in root.document("arms", list, [])]
+        held = root.inside("frames")
+        frames = np.empty(len(held.array("time_s", None, "f")), FRAME_TYPE)
+        for name in ("time_s", "can_id", "flags", "length"):
+            frames[name] = held.array(name, None, "fu")
+        frames["data"] = held.array("data", 8, "u")
+        return BlackBox(
+            path=path,
+            **{name: root.text(name) for name in ("recording", "reason", "created", "software", "cell")},
+            wall_s=root.array("wall_s", None, "f"),
+            time_s=root.array("time_s", None, "f"),
+            sync_index=root.array("sync_index", None, "i"),
+            arms=tuple(
+                ArmBox(name, {field: root.inside("arms").inside(name).array(field, axes, "f") for field, _ in FIELDS})
+                for name, axes in arms
+            ),
+            frames=frames,
+        )

@@ -1,0 +1,128 @@
+"""The motion loop's side of the black box: takes rows and frames, hands them on twice a second, never waits."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any, Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.data.blackbox.part import ERROR, EXTENDED, FRAME, HEAD, RECEIVED, REMOTE, BoxHeader, pack, width_of
+from gateway.data.blackbox.words import BoxEnd, BoxReady, BoxVerdict
+from gateway.data.piping import WriterProcess, framed
+
+PROGRAM: Final = "gateway.data.blackbox.process"
+#: Between two parts [s]: half of what a kill may cost.
+PART_S: Final = 0.5
+#: Rows until a part is handed on in any case.
+MOST_ROWS: Final = 1024
+#: A process that is held up has so much handed to it; what comes further is left out.
+MOST_BYTES: Final = 64_000_000
+#: The box must be written by then, once the arm stands [s].
+CLOSING_S: Final = 20.0
+#: Until the process must be there [s].
+STARTING_S: Final = 60.0
+
+Answer = TypeVar("Answer", BoxReady, BoxEnd)
+
+
+class BoxKeeper:
+    """Takes what happens and has it kept by a process of its own; for one thread.
+
+    Parameters
+    ----------
+    header : BoxHeader
+
+    Attributes
+    ----------
+    left_out : int
+        Parts for which there was no room.
+    """
+
+    def __init__(self, header: BoxHeader) -> None:
+        self.left_out = 0
+        self._rows = np.full((MOST_ROWS, width_of(sum(axes for _, axes in header.arms))), np.nan)
+        self._taken = 0
+        self._frames = bytearray()
+        self._said: list[Any] = []
+        self._time_s, self._handed_s = 0.0, time.monotonic()
+        self._lock = threading.Lock()  # whoever waits for an answer receives: frames come from any thread
+        self._process = WriterProcess(PROGRAM)
+        self._process.send(framed(header))
+
+    def wait_until_kept(self) -> None:
+        """Return once everything that comes is kept, or the process cannot do it; not in the loop."""
+        self._heard(BoxReady, STARTING_S)
+
+    def row(self, time_s: float, sync_index: int) -> NDArray[np.float64]:
+        """The axes' part of a new row, to be filled; all NaN."""
+        with self._lock:
+            if self._taken == MOST_ROWS or time.monotonic() - self._handed_s >= PART_S:
+                self._hand_on()
+            elif self._process.unsent:
+                self._process.send(b"")
+        row = self._rows[self._taken]
+        row[: len(HEAD)] = time.time(), time_s, sync_index
+        self._taken += 1
+        self._time_s = time_s
+        return row[len(HEAD) :]
+
+    def frame(self, message: Any, received: bool) -> None:
+        """One frame of the bus."""
+        flags = RECEIVED * received + EXTENDED * message.is_extended_id
+        flags += REMOTE * message.is_remote_frame + ERROR * message.is_error_frame
+        data = bytes(message.data)
+        packed = FRAME.pack(time.time(), message.arbitration_id, flags, min(len(data), 8), data[:8])
+        with self._lock:
+            self._frames += packed
+            if not self._taken and time.monotonic() - self._handed_s >= PART_S:
+                self._hand_on()  # no rows come: the arm is not under power yet, or no more
+
+    def close(self, reason: str | None) -> str:
+        """Have the box written, or removed where `reason` is None; not in the loop.
+
+        Returns
+        -------
+        str
+            What went wrong with that; empty = nothing.
+        """
+        if self._taken or self._frames:
+            self._hand_on()
+        self._process.send(framed(BoxVerdict(reason)))
+        answer = self._heard(BoxEnd, CLOSING_S)
+        if answer is None:
+            self._process.kill()
+            return "the process that keeps the black box did not end in time"
+        self._process.end()
+        return answer.failed
+
+    def _heard(self, kind: type[Answer], limit_s: float) -> Answer | None:
+        """Its next word of that kind; None = it has ended, or is still silent."""
+        until_s = time.monotonic() + limit_s
+        while time.monotonic() < until_s:
+            self._said += self._process.receive()
+            while self._said:
+                word = self._said.pop(0)
+                if isinstance(word, kind):
+                    return word
+                if isinstance(word, BoxEnd):
+                    self._said.append(word)
+                    return None
+            if self._process.gone:
+                return None
+            self._process.wait(0.1)
+        return None
+
+    def _hand_on(self) -> None:
+        """Let the process have what was taken; what it has no room for is left out."""
+        self._handed_s = time.monotonic()
+        if self._process.unsent_bytes < MOST_BYTES:
+            part = pack(self._rows[: self._taken], self._frames, self._time_s, time.time())
+            self._process.send(framed(part))
+        else:
+            self.left_out += 1
+        self._rows[: self._taken] = np.nan
+        self._taken = 0
+        self._frames = bytearray()

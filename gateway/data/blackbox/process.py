@@ -1,0 +1,48 @@
+"""The process that keeps the last seconds on disk: `python -m gateway.data.blackbox.process`, started by `BoxKeeper`.
+
+Parts come in on standard input and are on disk at once. When the run ends badly, or the process that feeds this one
+is gone without a word, they become the black box; when it ends well they are removed.
+"""
+
+from __future__ import annotations
+
+from drives.realtime import leave_real_time
+from gateway.data.blackbox.part import BoxHeader, unpack
+from gateway.data.blackbox.ring import Ring, box_of, folder_of, parts_in, remove
+from gateway.data.blackbox.words import BoxEnd, BoxReady, BoxVerdict
+from gateway.data.piping import PipeEnd
+
+KILLED = "the program that moved the arm was killed, or ended without a word: this is what was kept until then"
+
+
+def main() -> None:
+    """Keep until the input ends."""
+    leave_real_time()
+    feed = PipeEnd(0, 1)
+    header = feed.receive()
+    if not isinstance(header, BoxHeader):
+        return
+    folder, failed, reason = folder_of(header.recording), "", KILLED
+    try:
+        ring, told = Ring(folder), False
+        feed.say(BoxReady())
+        while (message := feed.receive()) is not None:
+            if isinstance(message, BoxVerdict):
+                reason, told = message.reason, True
+                break
+            part = unpack(message)
+            if part is not None:
+                ring.add(message, part.time_s, part.wall_s)
+        parts = parts_in(folder)
+        if reason is not None and (told or parts):
+            from gateway.data.blackbox.box import write_box  # HDF5 takes its time to load, and is seldom needed
+
+            write_box(box_of(header.recording), header, parts, reason)
+        remove(folder)
+    except OSError as error:
+        failed = f"{box_of(header.recording)}: cannot be written: {error.strerror or error}"
+    feed.say(BoxEnd(failed))
+
+
+if __name__ == "__main__":
+    main()

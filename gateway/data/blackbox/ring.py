@@ -1,0 +1,81 @@
+"""Parts of the last seconds on disk: one file each, the oldest removed; they outlive every kill."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from gateway.data.blackbox.part import Part, unpack
+
+#: So much is kept [s], by the time of the run; and no more than this by the wall clock, where the run stands still.
+KEPT_S: Final = 30.0
+MOST_WALL_S: Final = 120.0
+SUFFIX: Final = ".part"
+
+
+def folder_of(recording: Path) -> Path:
+    """Where the parts lie while a recording is written to."""
+    return recording.with_name(f".{recording.stem}.blackbox")
+
+
+def box_of(recording: Path) -> Path:
+    """The black box beside a recording; its frames lie beside it as `.blf`."""
+    return recording.with_suffix(".blackbox.h5")
+
+
+class Ring:
+    """The parts of one run, on disk.
+
+    Parameters
+    ----------
+    folder : Path
+        What is left there of an earlier run is removed.
+
+    Raises
+    ------
+    OSError
+        It cannot be written.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._kept: deque[tuple[Path, float, float]] = deque()
+        self._number = 0
+        remove(folder)
+        folder.mkdir(parents=True)
+
+    def add(self, content: bytes, time_s: float, wall_s: float) -> None:
+        """Write one part, and remove those that are too old.
+
+        Raises
+        ------
+        OSError
+            It cannot be written.
+        """
+        self._number += 1
+        path = self._folder / f"{self._number:08d}{SUFFIX}"
+        path.write_bytes(content)
+        self._kept.append((path, time_s, wall_s))
+        while time_s - self._kept[0][1] > KEPT_S or wall_s - self._kept[0][2] > MOST_WALL_S:
+            self._kept.popleft()[0].unlink(missing_ok=True)
+
+
+def parts_in(folder: Path) -> list[Part]:
+    """What lies in a folder, in its order; a part that was cut off is left out."""
+    found = [unpack(path.read_bytes()) for path in _files(folder)]
+    return [part for part in found if part is not None]
+
+
+def remove(folder: Path) -> None:
+    """Remove the parts and their folder."""
+    for path in _files(folder):
+        path.unlink(missing_ok=True)
+    with suppress(OSError):
+        folder.rmdir()
+
+
+def _files(folder: Path) -> Iterable[Path]:
+    return sorted(folder.glob(f"*{SUFFIX}")) if folder.is_dir() else ()

@@ -1,0 +1,195 @@
+"""The last seconds are on disk while they happen, whoever is killed; nothing waits, nothing old stays."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drives.frame_log import LoggedFrame, read_frames, write_blf
+from gateway.data.blackbox.box import read_box, write_box
+from gateway.data.blackbox.keeper import BoxKeeper
+from gateway.data.blackbox.part import (
+    ERROR,
+    EXTENDED,
+    FIELDS,
+    FRAME,
+    HEAD,
+    RECEIVED,
+    REMOTE,
+    BoxHeader,
+    pack,
+    unpack,
+    width_of,
+)
+from gateway.data.blackbox.process import KILLED
+from gateway.data.blackbox.ring import KEPT_S, MOST_WALL_S, Ring, box_of, folder_of, parts_in
+from gateway.errors import InputError
+
+ROOT = Path(__file__).parents[4]
+#: Steps as the motion loop does, tells the time of each, and never ends.
+LOOP = """
+import sys, time
+from pathlib import Path
+from types import SimpleNamespace
+from gateway.data.blackbox.keeper import BoxKeeper
+from gateway.data.blackbox.part import BoxHeader
+
+keeper = BoxKeeper(BoxHeader(Path(sys.argv[1]), (("main", 2),), "cell", "now", "test"))
+keeper.wait_until_kept()
+frame = SimpleNamespace(arbitration_id=0x181, data=b"12345", is_extended_id=False, is_remote_frame=False,
+                        is_error_frame=False)
+for sync in range(10**6):
+    keeper.row(time.time(), sync)[:] = sync
+    keeper.frame(frame, True)
+    print(time.time(), flush=True)
+    time.sleep(0.01)
+"""
+
+
+def header(path: Path, *axes: int) -> BoxHeader:
+    return BoxHeader(
+        path, tuple((f"arm{number}", count) for number, count in enumerate(axes or (2,))), "cell", "now", "test"
+    )
+
+
+def until(met, limit_s: float = 15.0) -> None:
+    end_s = time.monotonic() + limit_s
+    while not met():
+        assert time.monotonic() < end_s
+        time.sleep(0.02)
+
+
+def loop(path: Path) -> subprocess.Popen[str]:
+    """The loop in a process of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(LOOP), str(path)], stdout=subprocess.PIPE, text=True, cwd=ROOT
+    )
+
+
+def seconds(process: subprocess.Popen[str], duration_s: float) -> float:
+    """Let it run so long; the last time that it told."""
+    begun_s, told_s = None, 0.0
+    assert process.stdout is not None
+    while begun_s is None or told_s - begun_s < duration_s:
+        told_s = float(process.stdout.readline())
+        begun_s = told_s if begun_s is None else begun_s
+    return told_s
+
+
+def test_a_kill_leaves_what_was_there_up_to_a_second_before(tmp_path):
+    run = tmp_path / "run.h5"
+    process = loop(run)
+    last_s = seconds(process, 1.4)
+    process.kill()
+    process.wait()
+    process.stdout.close()
+    until(box_of(run).with_suffix(".blf").exists)
+    until(lambda: not folder_of(run).exists())
+    box = read_box(box_of(run))
+    assert box.reason == KILLED
+    assert 0.0 <= last_s - box.time_s[-1] < 1.0
+    assert 0.0 <= last_s - box.frames["time_s"][-1] < 1.0
+    assert np.array_equal(box.sync_index, np.arange(len(box.sync_index)))
+    assert np.array_equal(box.arms[0].values["q_rad"][:, 1], box.sync_index)
+
+
+def test_both_killed_leave_their_parts(tmp_path):
+    run = tmp_path / "run.h5"
+    process = loop(run)
+    last_s = seconds(process, 1.4)
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    for pid in children:
+        os.kill(int(pid), signal.SIGKILL)
+    process.kill()
+    process.wait()
+    process.stdout.close()
+    parts = parts_in(folder_of(run))
+    assert 0.0 <= last_s - parts[-1].rows[-1, 0] < 1.0
+    assert not box_of(run).exists()
+
+
+def test_what_is_kept_is_half_a_minute_of_the_run(tmp_path):
+    ring = Ring(tmp_path / "parts")
+    for number in range(200):
+        rows = np.full((1, width_of(1)), float(number))
+        ring.add(pack(rows, b"", 0.5 * number, 1000.0), 0.5 * number, 1000.0)
+    kept = parts_in(tmp_path / "parts")
+    assert kept[-1].time_s - kept[0].time_s == KEPT_S
+    for number in range(200):
+        ring.add(pack(np.empty((0, width_of(1))), b"", 99.5, 1000.0 + number), 99.5, 1000.0 + number)
+    kept = parts_in(tmp_path / "parts")
+    assert kept[-1].wall_s - kept[0].wall_s == MOST_WALL_S
+
+
+def test_a_part_that_was_cut_off_is_left_out(tmp_path):
+    whole = pack(np.ones((3, width_of(2))), FRAME.pack(1.0, 0x80, RECEIVED, 0, b""), 1.0, 2.0)
+    assert unpack(whole).rows.shape == (3, width_of(2))
+    assert all(unpack(whole[:length]) is None for length in range(len(whole)))
+
+
+def test_every_number_and_every_kind_of_frame_comes_back(tmp_path):
+    random = np.random.default_rng(1)
+    rows = random.normal(size=(5, width_of(4 + 7)))
+    rows[:, 2] = np.arange(5)
+    rows[2, 20] = np.nan
+    frames = b"".join(
+        FRAME.pack(1.7e9 + number, 0x80 + number, flags, length, bytes(range(length)))
+        for number, (flags, length) in enumerate(
+            [(RECEIVED, 8), (0, 3), (RECEIVED | EXTENDED, 0), (REMOTE, 4), (ERROR, 8)]
+        )
+    )
+    part = unpack(pack(rows, frames, 1.0, 2.0))
+    write_box(tmp_path / "b.h5", header(tmp_path / "run.h5", 4, 7), [part], "why")
+    box = read_box(tmp_path / "b.h5")
+    together = [box.wall_s[:, None], box.time_s[:, None], box.sync_index[:, None]]
+    together += [arm.values[name] for arm in box.arms for name, _ in FIELDS]
+    assert np.concatenate(together, axis=1).tobytes() == rows.tobytes()
+    assert box.frames.tobytes() == frames
+    logged = read_frames(tmp_path / "b.blf")
+    assert [each.can_id for each in logged] == [0x80, 0x81, 0x82, 0x83, 0x84]
+    assert [each.kind for each in logged] == ["data", "data", "data", "remote", "error"]
+    assert [each.received for each in logged][:2] == [True, False]
+    assert logged[1].data == bytes(range(3))
+    assert len(HEAD) == 3
+
+
+def test_a_run_that_ends_well_leaves_nothing(tmp_path):
+    keeper = BoxKeeper(header(tmp_path / "run.h5"))
+    keeper.row(1.0, 1)[:] = 0.0
+    assert keeper.close(None) == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_written_is_said_and_ends_nothing(tmp_path):
+    keeper = BoxKeeper(header(tmp_path / "no" / "such" / "\0".replace("\0", "x" * 300) / "run.h5"))
+    keeper.row(1.0, 1)[:] = 0.0
+    assert "cannot be written" in keeper.close("a stop")
+
+
+def test_the_loop_never_waits_for_a_process_that_stands_still(tmp_path):
+    keeper = BoxKeeper(header(tmp_path / "run.h5"))
+    os.kill(keeper._process.pid, signal.SIGSTOP)
+    try:
+        for sync in range(20 * 1024):
+            keeper.row(0.01 * sync, sync)[:] = sync
+    finally:
+        os.kill(keeper._process.pid, signal.SIGCONT)
+    assert keeper.close("a stop") == ""
+    box = read_box(box_of(tmp_path / "run.h5"))
+    assert box.sync_index[-1] == 20 * 1024 - 1
+    assert (np.diff(box.sync_index) == 1).all()
+
+
+def test_what_is_no_black_box_is_said(tmp_path):
+    with pytest.raises(InputError, match="cannot be read"):
+        read_box(tmp_path / "none.h5")
+    (tmp_path / "x.h5").write_bytes(b"no")
+    with pytest.raises(InputError, match="is no HDF5 file"):
+        read_box(tmp_path / "x.h5")
+    write_blf(tmp_path / "f.blf", [LoggedFrame(1.0, 1, b"")])

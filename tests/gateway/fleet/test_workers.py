@@ -1,0 +1,76 @@
+"""Work spread over processes: nothing is lost with a worker, no more is taken than is done, errors are named."""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gateway.errors import ConfigError, DataUnusable
+from gateway.fleet import workers as module
+from gateway.fleet.workers import one_by_one, workers
+
+ROOT = Path(__file__).parents[3]
+#: In a process of its own: Dask's loop stays in the one that has used it.
+PROGRAM = """
+import json, sys
+from gateway.fleet.workers import workers
+from tests.fleets import double_unless_killed
+
+taken, ahead, results = 0, 0, {}
+
+def tasks():
+    global taken
+    for number in range(12):
+        taken += 1
+        yield number, sys.argv[1]
+
+if __name__ == "__main__":
+    with workers(None, 1) as spread:
+        for task, done in spread(double_unless_killed, tasks()):
+            results[task[0]] = done
+            ahead = max(ahead, taken - len(results))
+    print(json.dumps([ahead, results]))
+"""
+
+
+def test_killed_worker_loses_nothing_and_no_more_is_taken_than_is_done(tmp_path: Path) -> None:
+    program = tmp_path / "program.py"
+    program.write_text(PROGRAM)
+    done = subprocess.run(
+        [sys.executable, program, tmp_path / "mark"], capture_output=True, text=True, cwd=ROOT, timeout=120,
+        env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin", "OPENBLAS_NUM_THREADS": "1"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    ahead, results = json.loads(done.stdout)
+    assert (tmp_path / "mark").exists()
+    assert results == {str(number): 2 * number for number in range(12)}
+    assert ahead <= 2
+
+
+def test_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "PATIENCE_S", 0.2)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    with pytest.raises(ConfigError, match=f"--scheduler {address}: nobody answers there"), workers(address):
+        pass
+
+
+def test_error_of_the_data_is_an_answer_and_a_defect_is_not() -> None:
+    def odd(number: int) -> int:
+        if number == 1:
+            raise DataUnusable("too few")
+        if number == 3:
+            raise ZeroDivisionError
+        return number
+
+    found = dict(one_by_one(odd, [0, 1, 2]))
+    assert found[0] == 0
+    assert isinstance(found[1], DataUnusable)
+    with pytest.raises(ZeroDivisionError):
+        list(one_by_one(odd, [3]))

@@ -1,0 +1,58 @@
+"""The last seconds before a stop lie beside the recording: samples, and the frame that was the reason."""
+
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from gateway.data.blackbox.box import read_box
+from gateway.data.blackbox.part import RECEIVED
+from gateway.data.blackbox.ring import box_of, folder_of
+
+pytestmark = pytest.mark.system
+
+AT_SYNC = 900
+
+
+def record(place, gateway, drives):
+    arguments = ["record", place.cell, "--load", "none", "-o", place.run, "--bus", drives.bus, "--yes", "-q"]
+    return gateway(*arguments, "--pose", "0.3,-0.2,0.3,0.2,0.3,0.2")
+
+
+def left(run: Path) -> list[str]:
+    return sorted(path.name for path in run.parent.glob("*blackbox*")) + sorted(
+        path.name for path in run.parent.glob(".*blackbox*")
+    )
+
+
+def test_a_drive_fault_is_in_the_black_box(place, gateway, serve):
+    drives = serve(fault=f'[[fault]]\nkind = "drive_fault"\nnode = 4\nat_sync = {AT_SYNC}\nsyncs = 0\n')
+    done = record(place, gateway, drives)
+    assert done.exit_code == 4, done.output
+    path = box_of(place.run)
+    assert str(path) in done.stderr
+    box = read_box(path)
+    (arm,) = box.arms
+    assert "FAULT" in box.reason
+    assert box.recording == "run.h5"
+    assert box.time_s[-1] - box.time_s[0] > 2.0
+    assert (np.diff(box.sync_index) > 0).all()
+    frames = box.frames
+    faulted = (frames["can_id"] == 0x184) & (frames["data"][:, 0] & 0x4F == 0x08)
+    assert faulted.any()
+    emergency = frames[frames["can_id"] == 0x084]
+    assert bytes(emergency["data"][0][:2]) == (0x7305).to_bytes(2, "little")
+    assert (frames["can_id"] == 0x080).sum() >= len(box.time_s)
+    assert not (frames["flags"][frames["can_id"] == 0x080] & RECEIVED).any()
+    assert np.isfinite(arm.values["q_rad"]).all()
+    assert (arm.values["statusword"][:-1].astype(int) & 0x6F == 0x27).all()
+    with can.BLFReader(path.with_suffix(".blf")) as log:
+        assert [message.arbitration_id for message in log] == frames["can_id"].tolist()
+    assert not folder_of(place.run).exists()
+
+
+def test_a_run_that_ends_well_leaves_none(place, gateway, serve):
+    done = record(place, gateway, serve())
+    assert done.exit_code == 0, done.output
+    assert left(place.run) == []
