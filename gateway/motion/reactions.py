@@ -84,7 +84,7 @@ ARM_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
         ),
         "urgent": Rule("a second signal", "stop", 1, "signal", "go on with --resume"),
         "asked": Rule(
-            "Ctrl-C, a request to terminate, a terminal that was closed, a key that was released",
+            "Ctrl-C, a request to terminate, a terminal that was closed, a key that was released, the live page",
             "along the path",
             1,
             "signal",
