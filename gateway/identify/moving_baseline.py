@@ -3,9 +3,10 @@
 Parameters carry a Gaussian prior. Link parameters: the CAD values of the robot model with a relative standard deviation
 (mass; first moment as a fraction of mass x link length; inertia as one of mass x length^2). Without CAD the fit works
 on base columns, nearly free. A load on the flange has free mass and first moment and an inertia of the size its torque
-allows. A constant offset is held small where no bare rows tell it from the gravity of an unknown load. Every axis has a
-gain and a loss that grows with the torque, held to what is ordinary: their columns are of the modelled torque, so the
-fit makes them.
+allows. A constant offset is held small where no bare rows tell it from the gravity of an unknown load. Of several runs
+the Coulomb friction of each may lie off that of all, by what friction scatters from one motion to the next. Every axis
+has a gain and a loss that grows with the torque, held to what is ordinary: their columns are of the modelled torque, so
+the fit makes them.
 """
 
 from __future__ import annotations
@@ -30,6 +31,12 @@ TIGHT_OFFSET = 0.003
 FREE = 1e-5
 SIZE = 1.0
 INERTIA_RADIUS_M = 0.2
+#: Scatter of the Coulomb friction from one motion to the next, as a share of it (standard deviation).
+SCATTER = 0.1
+#: Least Coulomb friction [-] over the torque of its axis: below, its scatter is lost in any noise.
+LEAST_FRICTION = 1e-3
+#: Length of a column below which there is none.
+NOTHING_NM = 1e-12
 #: Precision of a parameter that is held to a value.
 HELD = 1e14
 
@@ -39,9 +46,10 @@ class Baseline:
     """Columns (n, N, P) of the model to beat with the prior's mean (P + 2 N,) and precision (P + 2 N,).
 
     `body` (10 N, P) maps the parameters to those of the N links as the rows of an unloaded arm see them; `loads` gives
-    the slice of each label's ten columns; `friction` (N, 4) the columns of each axis (sign, speed, acceleration, one).
-    The last 2 N parameters are the gain and the load friction of every axis, with no columns here. `lines` has, for
-    each axis, which columns reach it and those columns (n, k); `sums` what fits have summed over rows, by the rows.
+    the slice of each label's ten columns; `friction` (N, 4) the columns of each axis (sign, speed, acceleration, one);
+    `level` (N, R) the Coulomb friction of each of R runs off that of all, R = 0 where there is one run. The last 2 N
+    parameters are the gain and the load friction of every axis, with no columns here. `lines` has, for each axis, which
+    columns reach it and those columns (n, k); `sums` what fits have summed over rows, by the rows.
     """
 
     columns: Floats
@@ -50,6 +58,7 @@ class Baseline:
     body: Floats
     loads: Mapping[str, slice]
     friction: NDArray[np.int_]
+    level: NDArray[np.int_]
     trust: float | None
     lines: tuple[tuple[NDArray[np.int_], Floats], ...]
     sums: dict[bytes, Floats] = field(repr=False, default_factory=dict)
@@ -128,16 +137,18 @@ def baseline(
         count += PER_BODY
     bare = (motion.load[~motion.given] == BARE_LABEL).any()
     friction_columns, friction_precision, where = _friction(motion, bool(labels) and not bare, count)
-    columns.append(friction_columns)
-    means.append(np.zeros(friction_columns.shape[2]))
-    precisions.append(friction_precision)
+    level_columns, level_precision, level = _levels(motion, count + friction_columns.shape[2])
+    columns += [friction_columns, level_columns]
+    means.append(np.zeros(friction_columns.shape[2] + level_columns.shape[2]))
+    precisions += [friction_precision, level_precision]
     means += [usual.gain, usual.load_friction]
     precisions += [usual.gain_std**-2.0, usual.load_friction_std**-2.0]
     all_columns = np.concatenate(columns, axis=2)
     padded = np.zeros((body.shape[0], all_columns.shape[2]))
     padded[:, : body.shape[1]] = body
     lines = tuple(_line(all_columns[:, axis]) for axis in range(motion.axes))
-    return Baseline(all_columns, np.concatenate(means), np.concatenate(precisions), padded, loads, where, trust, lines)
+    mean, precision = np.concatenate(means), np.concatenate(precisions)
+    return Baseline(all_columns, mean, precision, padded, loads, where, level, trust, lines)
 
 
 def _line(columns: Floats) -> tuple[NDArray[np.int_], Floats]:
@@ -221,6 +232,41 @@ def _friction(motion: MovingRows, loaded: bool, first: int) -> tuple[Floats, Flo
         if loaded and carries[axis]:
             precision[4 * axis + 3] = (TIGHT_OFFSET * scale[axis]) ** -2.0
     return columns, precision, first + np.arange(4 * axes).reshape(axes, 4)
+
+
+def _levels(motion: MovingRows, first: int) -> tuple[Floats, Floats, NDArray[np.int_]]:
+    """Columns (n, N, N R) of the Coulomb friction of each run off that of all, and what they are held to."""
+    axes, runs = motion.axes, np.unique(motion.run[~motion.given])
+    runs = runs if len(runs) > 1 else runs[:0]
+    columns = np.zeros((len(motion), axes, axes * len(runs)))
+    precision = np.zeros(axes * len(runs))
+    where = np.arange(axes * len(runs)).reshape(axes, len(runs))
+    for axis, own in enumerate(where):
+        columns[:, axis, own] = motion.sign[:, [axis]] * (motion.run[:, None] == runs)
+        if len(runs):
+            precision[own] = (SCATTER * _dry_friction(motion, axis)) ** -2.0
+    return columns, precision, first + where
+
+
+def _dry_friction(motion: MovingRows, axis: int) -> float:
+    """Coulomb friction [Nm] of one axis, by a fit of that axis alone in which its links and its loads are free."""
+    rows = motion.judged[:, axis] & ~motion.given
+    bodies = motion.rigid[:, axis]
+    loaded = [
+        bodies[:, -PER_BODY:] * (motion.load == label)[:, None]
+        for label in np.unique(motion.load[~motion.given])
+        if label != BARE_LABEL
+    ]
+    own = [motion.sign[:, axis], motion.qd_rad_s[:, axis], motion.qdd_rad_s2[:, axis], np.ones(len(motion))]
+    least = LEAST_FRICTION * float(_torque_scale(motion)[axis])
+    if not rows.any():
+        return least
+    matrix = np.column_stack([*own, bodies, *loaded])[rows]
+    scale = np.linalg.norm(matrix, axis=0)
+    there = scale > NOTHING_NM
+    value = np.zeros(len(scale))
+    value[there] = np.linalg.lstsq(matrix[:, there] / scale[there], motion.tau_nm[rows, axis], rcond=1e-6)[0]
+    return max(abs(float(value[0])) / max(scale[0], NOTHING_NM), least)
 
 
 def _carries_gravity(motion: MovingRows) -> NDArray[np.bool_]:

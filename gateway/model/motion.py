@@ -63,6 +63,8 @@ class MovingRows:
         NaN where absent.
     floor_nm : array of shape (N,)
         Noise of a torque reading by what differs between periods of one excitation; NaN where nothing repeats.
+    delay_s : array of shape (N,)
+        By how much earlier the motion of an axis was measured than the torque beside it here.
     """
 
     robot: Robot
@@ -83,6 +85,7 @@ class MovingRows:
     wind_up_rad: Floats
     temperature_c: Floats
     floor_nm: Floats
+    delay_s: Floats
     _derivatives: dict[tuple[str, int], Floats] = field(init=False, repr=False, default_factory=dict)
 
     def __len__(self) -> int:
@@ -212,6 +215,7 @@ def prepare(table: Table, given: Table | None, robot: Robot, gravity_m_s2: Float
         speed_rad_s=speed,
         wind_up_rad=wind_up,
         floor_nm=noise_between_periods(fitted, _turns(fitted.qd_rad_s, speed)),
+        delay_s=np.zeros(robot.axes),
         rigid=_rigid(robot, fields["q_rad"], fields["qd_rad_s"], fields["qdd_rad_s2"], gravity_m_s2),
         **fields,
     )

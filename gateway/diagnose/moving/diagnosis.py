@@ -18,6 +18,7 @@ from gateway.diagnose.moving.choice import Choice, MovingKnowledge, choose, plai
 from gateway.diagnose.moving.deflection import elastic_joints
 from gateway.diagnose.moving.fit import MovingProblem
 from gateway.diagnose.moving.judge import Judges
+from gateway.diagnose.moving.lag import lags, prepare_in_step
 from gateway.diagnose.moving.outcome import result_of, too_little
 from gateway.diagnose.moving.parameters import certain
 from gateway.diagnose.moving.remarks import MovingOutcome
@@ -32,7 +33,7 @@ from gateway.identify.links import has_inertials, parse_inertials
 from gateway.identify.loads import BARE_LABEL, unknown_labels
 from gateway.identify.moving_baseline import EXACT, ordinary
 from gateway.identify.nuisance import gain_stds
-from gateway.model.motion import MovingRows, prepare
+from gateway.model.motion import MovingRows
 from gateway.model.robot import Robot
 from gateway.result.result import Result
 
@@ -58,7 +59,9 @@ def diagnose_motion(table: Table, robot: Robot, options: DiagnoseOptions) -> Res
     ConfigError
         `inertials` is not understood.
     """
-    motion = prepare(table, options.holdout, robot, np.asarray(options.gravity_m_s2))
+    delay_s = lags(table, robot, options)
+    gravity_m_s2 = np.asarray(options.gravity_m_s2)
+    motion = prepare_in_step(table, options.holdout, robot, gravity_m_s2, delay_s)
     known = _known(motion, options.known)
     motion = _foretold(motion, known)
     trust, free = _trust(robot, options.inertials)
@@ -78,7 +81,7 @@ def diagnose_motion(table: Table, robot: Robot, options: DiagnoseOptions) -> Res
     if wound and not found.mistakes:
         stiff = replace(table, q2nd_rad=np.full_like(table.q2nd_rad, np.nan))
         held = options.holdout and replace(options.holdout, q2nd_rad=np.full_like(options.holdout.q2nd_rad, np.nan))
-        by_motor = _foretold(prepare(stiff, held, robot, np.asarray(options.gravity_m_s2)), known)
+        by_motor = _foretold(prepare_in_step(stiff, held, robot, gravity_m_s2, delay_s), known)
         as_read = problem_of(by_motor, outcome.problem.base.trust, knowledge)
         parts = judging(by_motor, MOVING.judged_blocks)
         read = Judges(tuple(plain_choice(part, outcome.problem.base.trust, knowledge) for part in parts))

@@ -75,7 +75,7 @@ def _budget(full: MovingFit, mass: int, variance: float) -> dict[str, float]:
     sources = {
         CONSTANTS: base.gain,
         LINKS: np.arange(first),
-        FRICTION: np.concatenate([base.friction.ravel(), base.loss]),
+        FRICTION: np.concatenate([base.friction.ravel(), base.level.ravel(), base.loss]),
     }
     return budget_by_priors(full.spread[: len(base.mean), mass], base.precision, sources, variance)
 

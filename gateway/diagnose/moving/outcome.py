@@ -182,6 +182,7 @@ def _provenance(problem: MovingProblem, outcome: MovingOutcome) -> dict[str, obj
     return {
         "kind": "moving",
         "rows": len(motion),
+        "delay_s": listed(motion.delay_s),
         "rows_judged": [int(x) for x in motion.judged.sum(axis=0)],
         "holdout_blocks": len(outcome.judges.choices),
         "held_out": HELD_OUT["given" if motion.given.any() else _blocks(problem)],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -128,3 +129,23 @@ def test_without_cad_a_link_may_be_as_heavy_as_the_strongest_axis_holds_at_half_
     power = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
     assert std == pytest.approx(heaviest * length[seen // 10] ** power[seen % 10])
     assert not base.mean[: len(seen)].any()
+
+
+def test_friction_of_each_run_is_held_to_its_scatter(robot):
+    dry_nm = np.array([40.0, 30.0, 20.0, 10.0, 5.0, 2.0])
+    parts = [rows("none", seed) for seed in (1, 2)]
+    table = concatenate(
+        [replace(part, run=np.array([name] * len(part))) for name, part in zip("ab", parts, strict=True)]
+    )
+    table = replace(table, tau_nm=dry_nm * np.sign(table.qd_rad_s))
+    motion = prepare(table, None, robot, GRAVITY)
+    base = baseline(motion, TRUST, {})
+    for axis in range(6):
+        for number in range(2):
+            column = base.columns[:, :, base.level[axis, number]]
+            expected = np.where(motion.run == number, motion.sign[:, axis], 0.0)
+            assert np.array_equal(column[:, axis], expected)
+            assert not np.delete(column, axis, axis=1).any()
+    assert base.precision[base.level] ** -0.5 == pytest.approx(0.1 * dry_nm[:, None] * np.ones(2), rel=0.05)
+    alone = prepare(table.take(table.run == "a"), None, robot, GRAVITY)
+    assert baseline(alone, TRUST, {}).level.shape == (6, 0), "the friction of one run is that of all"

@@ -1,0 +1,94 @@
+"""Torque that a drive reports later than the position: put to the motion that it belongs to before anything is fitted.
+
+The filter of a drive's torque lags some milliseconds. Every arm has that, so it is no effect; left in, what it changes
+repeats in every period, and would pass for something that the model lacks. The delay is the one that an estimation of
+the same rows finds, among all else that every arm has.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.data.table import Table
+from gateway.diagnose.options import DiagnoseOptions
+from gateway.errors import DataUnusable
+from gateway.estimate.moving import estimate_moving, sound_options
+from gateway.estimate.moving_time import Stretches
+from gateway.estimate.options import EstimateOptions
+from gateway.model.motion import MovingRows, prepare
+from gateway.model.robot import Robot
+
+Floats = NDArray[np.float64]
+
+#: Standard deviations from which on a delay is there.
+_CERTAIN: Final = 3.0
+#: Delay [s] beyond which it is none of a filter, but torque of another axis or sign.
+_MOST_S: Final = 0.05
+#: What of moving rows goes by the time of each axis: of every row, and of all.
+_OF_ROWS: Final = ("q_rad", "qd_rad_s", "qdd_rad_s2", "judged", "sign", "rigid")
+_OF_AXES: Final = ("speed_rad_s", "floor_nm")
+
+
+def lags(table: Table, robot: Robot, options: DiagnoseOptions) -> Floats:
+    """By how much the torque of each axis (N,) is reported late [s]; 0 where no delay is certain.
+
+    Links are free in that fit: a delay must not make up for a drawing.
+    """
+    moving = table.take(table.moving)
+    told = EstimateOptions(known=options.known, gravity_m_s2=options.gravity_m_s2, gain_std=options.gain_std)
+    found = np.zeros(table.axes)
+    try:
+        motions = estimate_moving(moving, robot, sound_options(told, moving)).motion
+    except DataUnusable:  # too little for an estimation: the diagnosis says so itself
+        return found
+    for one in motions:
+        if _CERTAIN * one.delay_std_s < one.delay_s < _MOST_S:
+            found[one.joint - 1] = one.delay_s
+    return found
+
+
+def prepare_in_step(
+    table: Table, holdout: Table | None, robot: Robot, gravity_m_s2: Floats, delay_s: Floats
+) -> MovingRows:
+    """Rows as `prepare` makes them, each axis's torque with the motion of its own `delay_s` (N,) earlier.
+
+    It is the motion that is moved, which is smooth: a torque jumps where an axis turns back.
+
+    Raises
+    ------
+    DataUnusable
+        No axis has torque rows in motion.
+    """
+    motion = prepare(table, holdout, robot, gravity_m_s2)
+    for delay in np.unique(delay_s[delay_s > 0]):
+        mine = delay_s == delay
+        then = prepare(_earlier(table, delay), holdout and _earlier(holdout, delay), robot, gravity_m_s2)
+        rows = {name: _columns_of(then, motion, name, mine) for name in _OF_ROWS}
+        whole = {name: np.where(mine, getattr(then, name), getattr(motion, name)) for name in _OF_AXES}
+        motion = replace(motion, **rows, **whole)
+    return replace(motion, delay_s=delay_s)
+
+
+def _columns_of(then: MovingRows, now: MovingRows, name: str, mine: NDArray[np.bool_]) -> NDArray[np.generic]:
+    values = getattr(now, name).copy()
+    values[:, mine] = getattr(then, name)[:, mine]
+    return values
+
+
+def _earlier(table: Table, delay_s: float) -> Table:
+    """The table with the motion of its moving rows by `delay_s` earlier."""
+    rows = np.flatnonzero(table.moving)
+    runs = np.char.add(np.char.add(np.asarray(table.file, dtype=str), "\x00"), table.run.astype(str))
+    stretches = Stretches.of(runs[rows], table.time_s[rows])
+    seen = np.isfinite(table.q2nd_rad[rows]).all(axis=0)
+    moved: dict[str, Floats] = {}
+    for name in ("q_rad", "qd_rad_s", "qdd_rad_s2", "q2nd_rad"):
+        axes = np.flatnonzero(seen) if name == "q2nd_rad" else np.arange(table.axes)
+        moved[name] = getattr(table, name).copy()
+        if len(axes):
+            moved[name][np.ix_(rows, axes)] = stretches.earlier(moved[name][np.ix_(rows, axes)], delay_s)[0]
+    return replace(table, **moved)
