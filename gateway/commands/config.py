@@ -257,7 +257,8 @@ def _files(context: CellContext, arm: ArmConfig, folder: Path | None) -> dict[in
     missing = [str(path) for path in paths.values() if not path.exists()]
     if missing:
         raise ConfigError(
-            f"{', '.join(missing)}: not there; servo-gateway config dump {context.path} writes them from the drives as they are"
+            f"{', '.join(missing)}: not there; servo-gateway config dump {context.path} writes it"
+            " from what the drives hold"
         )
     return {node_id: read_dcf(path, node_id) for node_id, path in paths.items()}
 
