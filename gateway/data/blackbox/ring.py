@@ -14,6 +14,7 @@ from gateway.data.blackbox.part import BoxPart, unpack
 KEPT_S: Final = 30.0
 MOST_WALL_S: Final = 120.0
 SUFFIX: Final = ".part"
+BOX_SUFFIX: Final = ".blackbox.h5"
 
 
 def folder_of(recording: Path) -> Path:
@@ -22,8 +23,8 @@ def folder_of(recording: Path) -> Path:
 
 
 def box_of(recording: Path) -> Path:
-    """The black box beside a recording; its frames lie beside it as `.blf`."""
-    return recording.with_suffix(".blackbox.h5")
+    """The black box beside a recording, or the box itself; its frames lie beside it as `.blf`."""
+    return recording if recording.name.endswith(BOX_SUFFIX) else recording.with_suffix(BOX_SUFFIX)
 
 
 class Ring:
