@@ -45,9 +45,11 @@ def _stop_page(recording: Path, output: Path, json_out: str | None) -> None:
     """The page on what the black box beside a recording holds."""
     from gateway.data.blackbox.box import read_box
     from gateway.data.blackbox.ring import box_of
+    from gateway.data.blackbox.salvage import salvage
     from gateway.errors import InputError
     from gateway.report.stop import render_stop
 
+    salvage(recording)
     path = box_of(recording)
     if path != recording and not path.exists():
         raise InputError(

@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from benchmarks.pages.stop import AXES, CELL, PERIOD_S, REASON, SYNCS, stopped
 from gateway.cli import main
+from gateway.data.blackbox.part import BoxHeader, pack, width_of
+from gateway.data.blackbox.ring import Ring, folder_of
+from gateway.data.blackbox.salvage import BOTH_KILLED
 from gateway.report.stop import curves_of, render_stop
 from gateway.report.stop_figures import PIECES, courses
-from tests.gateway.data.blackbox.stopped import AXES, PERIOD_S, REASON, SYNCS, stopped
 
 
 @pytest.fixture(scope="module")
@@ -96,6 +99,16 @@ def test_report_draws_the_box_beside_a_recording_and_the_box_itself(tmp_path):
     beside = page.read_text(encoding="utf-8")
     assert run("report", box.path, "-o", page, "--force").exit_code == 0
     assert page.read_text(encoding="utf-8") == beside
+
+
+def test_what_both_killed_have_left_is_drawn(tmp_path):
+    run_file = tmp_path / "run.h5"
+    ring = Ring(folder_of(run_file), BoxHeader(run_file, (("main", AXES),), CELL, "now", "test"))
+    ring.add(pack(np.zeros((2, width_of(AXES))), b"", 1.0, 2.0), 1.0, 2.0)
+    ring.close()
+    assert run("report", run_file, "-o", tmp_path / "stop.html").exit_code == 0
+    assert BOTH_KILLED in (tmp_path / "stop.html").read_text(encoding="utf-8")
+    assert not folder_of(run_file).exists()
 
 
 def test_a_recording_without_a_black_box_is_said(tmp_path):

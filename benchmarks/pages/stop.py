@@ -1,4 +1,6 @@
-"""A black box of a run that a fault has stopped, as the process writes it."""
+"""A black box of a run that a fault has stopped: what every part of its page is made of, without a run."""
+
+from __future__ import annotations
 
 from pathlib import Path
 
@@ -8,7 +10,7 @@ from gateway.data.blackbox.box import BlackBox, read_box, write_box
 from gateway.data.blackbox.part import FIELDS, FRAME, HEAD, RECEIVED, BoxHeader, pack, unpack, width_of
 from gateway.data.blackbox.ring import box_of
 
-ROOT = Path(__file__).parents[4]
+ROOT = Path(__file__).parents[2]
 CELL = (ROOT / "examples/small/cell.toml").read_text(encoding="utf-8")
 PERIOD_S, SYNCS, AXES = 0.01, 400, 6
 #: The run goes by its own time: by the wall clock it takes twice as long.
@@ -24,13 +26,11 @@ def word(value: int) -> bytes:
 
 def frames() -> bytes:
     """Answers to every SYNC and three more; node 4 fails at the stop, node 5 is silent from 1 s before it."""
-    sent = []
+    end_s = WALL_S + SLOW * PERIOD_S * (SYNCS - 1)
+    sent: list[tuple[float, int, int, bytes]] = []
     for sync in range(SYNCS + 3):
-        at_s = (
-            WALL_S + SLOW * PERIOD_S * sync
-            if sync < SYNCS
-            else WALL_S + SLOW * PERIOD_S * (SYNCS - 1) + 0.01 * (sync - SYNCS + 1)
-        )
+        after = sync - (SYNCS - 1)
+        at_s = end_s + PERIOD_S * after * (SLOW if after < 0 else 1.0)
         sent.append((at_s, 0x80, 0, b""))
         for node in range(1, AXES + 1):
             if node == SILENT and sync > SYNCS - 1 - 100:
@@ -38,7 +38,6 @@ def frames() -> bytes:
             over = DISABLED if sync >= SYNCS else ENABLED
             sent.append((at_s, 0x180 + node, RECEIVED, word(FAULT if node == FAULTED and sync >= SYNCS else over)))
             sent.append((at_s, 0x200 + node, 0, word(0x0F if sync < SYNCS else 0)))
-    end_s = WALL_S + SLOW * PERIOD_S * (SYNCS - 1)
     sent += [
         (end_s - 1.0, 0x600 + 2, 0, bytes.fromhex("4041600000000000")),
         (end_s - 0.99, 0x580 + 2, RECEIVED, bytes.fromhex("4b41600037120000")),
