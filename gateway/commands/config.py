@@ -253,7 +253,14 @@ def _files(context: CellContext, arm: ArmConfig, folder: Path | None) -> dict[in
     """The files of an arm's nodes, read before anything is sent."""
     from drives.configuration.dcf import read_dcf
 
-    return {axis.node_id: read_dcf(_path(context, arm, axis.node_id, folder), axis.node_id) for axis in arm.axis}
+    paths = {axis.node_id: _path(context, arm, axis.node_id, folder) for axis in arm.axis}
+    missing = [str(path) for path in paths.values() if not path.exists()]
+    if missing:
+        raise ConfigError(
+            f"{', '.join(missing)}: not there; servo-gateway config dump {context.path} writes it"
+            " from what the drives hold"
+        )
+    return {node_id: read_dcf(path, node_id) for node_id, path in paths.items()}
 
 
 def _compared(arm: ArmConfig, group: DriveGroup, files: dict[int, NodeConfiguration]) -> list[ComparedNode]:

@@ -1,24 +1,12 @@
-"""Libraries that only a fleet needs, imported when they are needed, or named in one sentence."""
+"""Libraries that only a fleet needs."""
 
 from __future__ import annotations
 
-import importlib
 from typing import Any
 
-from gateway.errors import ConfigError
+from gateway.data.extras import needed
 
 
 def library(name: str) -> Any:
-    """A module of the extra `fleet`.
-
-    Raises
-    ------
-    ConfigError
-        It is not installed; says how it is.
-    """
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise ConfigError(
-            f'a fleet needs the library {name.partition(".")[0]}: pip install "servo-gateway[fleet]"'
-        ) from error
+    """A module of the extra `fleet`; `ConfigError` where it is not installed."""
+    return needed(name, "a fleet", "fleet")

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from gateway.formats.needs import needed
+from gateway.data.extras import needed
 from gateway.formats.samples import ArmSamples, Measurand, Samples
 from gateway.result.origin import software
 
@@ -53,7 +53,7 @@ def to_mcap(samples: Samples) -> bytes:
     ConfigError
         mcap is not installed.
     """
-    writer_module: Any = needed("mcap.writer", "MCAP")
+    writer_module: Any = needed("mcap.writer", "MCAP", "formats")
     sink = io.BytesIO()
     writer = writer_module.Writer(sink)
     writer.start(profile="ros2", library=software())

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from gateway.formats.needs import needed
+from gateway.data.extras import needed
 from gateway.formats.samples import ArmSamples, Samples
 from gateway.result.origin import software
 
@@ -27,7 +27,7 @@ def to_mf4(samples: Samples) -> bytes:
     ConfigError
         asammdf is not installed.
     """
-    asammdf: Any = needed("asammdf", "MF4")
+    asammdf: Any = needed("asammdf", "MF4", "formats")
     with TemporaryDirectory(prefix="servo-gateway-") as folder, asammdf.MDF(version="4.10") as file:
         file.header.start_time = _begun(samples.about.get("created", ""))
         file.header.comment = f"{samples.about.get('exit_status', '')}: {samples.about.get('reason', '')}"

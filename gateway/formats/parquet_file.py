@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gateway.formats.needs import needed
+from gateway.data.extras import needed
 from gateway.formats.samples import ArmSamples, Measurand, Samples
 
 
@@ -22,8 +22,8 @@ def to_parquet(samples: Samples) -> bytes:
     ConfigError
         pyarrow is not installed.
     """
-    pa: Any = needed("pyarrow", "Parquet")
-    parquet: Any = needed("pyarrow.parquet", "Parquet")
+    pa: Any = needed("pyarrow", "Parquet", "formats")
+    parquet: Any = needed("pyarrow.parquet", "Parquet", "formats")
     tables = [_table(pa, arm) for arm in samples.arms]
     whole = (
         pa.concat_tables(tables, promote_options="default") if tables else pa.table({"arm": pa.array([], pa.string())})

@@ -11,10 +11,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from gateway.data.extras import needed
 from gateway.errors import InputError
 from gateway.formats.log import Log
 from gateway.formats.mcap_file import JOINT_STATE, JOINT_STATE_TEXT
-from gateway.formats.needs import needed
 
 #: Suffixes of what is read here.
 SUFFIXES: Final = (".mcap", ".db3")
@@ -91,8 +91,8 @@ def _told(path: Path, number: int, values: Sequence[float], at: int, what: str) 
 
 def _messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
     """Time of logging [ns] and decoded message, in the order of the file."""
-    decoder: Any = needed("mcap_ros2.decoder", "a ROS 2 bag").DecoderFactory()
-    records: Any = needed("mcap.records", "a ROS 2 bag")
+    decoder: Any = needed("mcap_ros2.decoder", "a ROS 2 bag", "formats").DecoderFactory()
+    records: Any = needed("mcap.records", "a ROS 2 bag", "formats")
     try:
         raw = _of_mcap(path, topic) if path.suffix.lower() == ".mcap" else _of_sqlite(path, topic)
         schema = records.Schema(id=1, name=JOINT_STATE, encoding="ros2msg", data=JOINT_STATE_TEXT.encode())
@@ -117,7 +117,7 @@ def _messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
 
 
 def _of_mcap(path: Path, topic: str) -> Iterator[_Raw]:
-    reader_module: Any = needed("mcap.reader", "MCAP")
+    reader_module: Any = needed("mcap.reader", "MCAP", "formats")
     topics: dict[str, str] = {}
     with path.open("rb") as stream:
         for schema, channel, message in reader_module.make_reader(stream).iter_messages(log_time_order=False):

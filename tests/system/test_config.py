@@ -248,7 +248,9 @@ def test_a_file_that_was_cut_short_is_refused_wherever_it_ends(config, place):
         assert done.exit_code == 3, f"{end}: {done.output}"
         assert "2.dcf" in done.stderr
     path.unlink()
-    assert config("diff").exit_code == 3
+    done = config("diff")
+    assert done.exit_code == 3
+    assert "2.dcf: not there; servo-gateway config dump" in " ".join(done.stderr.split())
 
 
 def test_another_drive_of_the_same_product_is_said_and_compared(config, place):

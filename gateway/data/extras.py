@@ -1,4 +1,4 @@
-"""Libraries of other programs' formats: there with an extra, named where they are missing."""
+"""Libraries that are there with an extra of the package, and are named in one sentence where they are missing."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ from typing import Any
 from gateway.errors import ConfigError
 
 
-def needed(module: str, what: str) -> Any:
-    """A library that one format needs.
+def needed(module: str, what: str, extra: str) -> Any:
+    """A module of a library that not every user has.
 
     Parameters
     ----------
     module : str
     what : str
         What needs it, for the message.
+    extra : str
+        Of the package, with which it is installed.
 
     Raises
     ------
@@ -26,4 +28,4 @@ def needed(module: str, what: str) -> Any:
         return importlib.import_module(module)
     except ImportError as error:
         library = module.partition(".")[0]
-        raise ConfigError(f'{what} needs {library}: pip install "servo-gateway[formats]"') from error
+        raise ConfigError(f'{what} needs {library}: pip install "servo-gateway[{extra}]"') from error
