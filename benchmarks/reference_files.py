@@ -147,7 +147,10 @@ def _black_box() -> list[str]:
             " own, handed on twice a second; the motion loop never waits for it. A run that ends well leaves none. One"
             " that is stopped leaves `run.blackbox.h5` and `run.blackbox.blf` beside `run.h5`, and the message names"
             " it; the next stop of the same recording replaces them. Where the program itself is killed, the process"
-            " writes them, of what it was given up to a second before."
+            " writes them, of what it was given up to a second before; where that process is killed too, the next run"
+            " of the recording or `report` writes them. `servo-gateway report run.h5 -o stop.html` draws the last"
+            " seconds of every axis, with the stop at t = 0: torque, following error, speed, state of the drive. Below"
+            " stands what the bus said: emergency messages, SDO, NMT, controlwords."
         ),
         "",
         "| in `run.blackbox.h5` | what it is |",

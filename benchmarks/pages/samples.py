@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -10,8 +11,10 @@ from pathlib import Path
 from benchmarks.pages.moving import moving_result
 from benchmarks.pages.other import comparison, forces, gaps
 from benchmarks.pages.result import full_result
+from benchmarks.pages.stop import stopped
 from gateway.report.follow import render_follow
 from gateway.report.render import render
+from gateway.report.stop import render_stop
 from gateway.result.acceptance import Expected, Rating, accepted, not_hung
 from gateway.result.result import NuisanceResult, Result, SetAside, from_json, read_result
 
@@ -30,6 +33,8 @@ def pages(results: list[Path]) -> Iterator[tuple[str, str]]:
     yield "follow", render_follow(comparison())
     yield "pair", forces()
     yield "gap", gaps()
+    with tempfile.TemporaryDirectory() as folder:
+        yield "stop", render_stop(stopped(Path(folder)))
     for path in results:
         yield path.stem, render(read_result(path))
 

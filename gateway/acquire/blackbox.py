@@ -96,4 +96,5 @@ def black_box(opened: OpenArm, header: BoxHeader) -> Generator[BlackBoxWatch]:
         watch.leave()
         trouble = keeper.close(reason)
         if failure is not None and reason is not None:
-            failure.add_note(trouble or f"The last seconds before it: {box_of(header.recording)}")
+            box = box_of(header.recording)
+            failure.add_note(trouble or f"The last seconds before it: {box}; servo-gateway report {box} -o STOP.html")

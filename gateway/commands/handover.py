@@ -19,18 +19,48 @@ RESULT = click.Path(path_type=Path, dir_okay=False)
 
 
 @click.command()
-@click.argument("result", metavar="OUT.json", type=RESULT)
+@click.argument("result", metavar="OUT.json|RUN.h5", type=RESULT)
 @output_option("-o", "--output", required=True, metavar="REPORT.html", help="Page to write.")
 @json_option
 @common
 def report(result: Path, output: Path, json_out: str | None) -> None:
-    """One HTML page from a result: it opens offline and prints on paper."""
+    """One HTML page from a result: it opens offline and prints on paper.
+
+    Of a recording that was stopped before its end, or of its black box: the last seconds before the stop.
+    """
+    from gateway.data.reading import is_recording
     from gateway.report.render import render
 
+    if is_recording(result):
+        _stop_page(result, output, json_out)
+        return
     held = _whole(result)
     replace_file(output, render(held))
     if json_out:
         write_json(json_out, {"schema": 1, "report": str(output), "robot": held.robot, "verdict": held.verdict})
+    session_of().show(f"report: {output}")
+
+
+def _stop_page(recording: Path, output: Path, json_out: str | None) -> None:
+    """The page on what the black box beside a recording holds."""
+    from gateway.data.blackbox.box import read_box
+    from gateway.data.blackbox.ring import box_of
+    from gateway.data.blackbox.salvage import salvage
+    from gateway.errors import InputError
+    from gateway.report.stop import render_stop
+
+    salvage(recording)
+    path = box_of(recording)
+    if path != recording and not path.exists():
+        raise InputError(
+            f"{recording}: no black box ({path.name}) lies beside it: the run was not stopped; for a page on what was "
+            "measured give the OUT.json of estimate or diagnose"
+        )
+    box = read_box(path)
+    replace_file(output, render_stop(box))
+    if json_out:
+        told = {"schema": 1, "report": str(output), "recording": box.recording, "reason": box.reason}
+        write_json(json_out, told)
     session_of().show(f"report: {output}")
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.estimate.moving_friction import FALL, FALL_SHARE
+from gateway.identify.links import as_bodies
 from gateway.identify.nuisance import BIAS_SHARE, nuisance_prior
 from gateway.identify.solve import Prior
 
@@ -31,7 +32,8 @@ def moving_prior(links: tuple[Floats, Floats], count: int, ordinary: Mapping[str
     """Prior of so many parameters: links, mean and standard deviation, come first; and of what every arm has."""
     prior, nothing = Prior.free(count), np.full(len(gain_std), np.nan)
     held = len(links[0])
-    prior.mean[:held], prior.std[:held] = links
+    prior.mean[:held], (rows, right) = links[0], as_bodies(*links)
+    prior = replace(prior, rows=np.pad(rows, ((0, 0), (0, count - held))), right=right)
     usual = nuisance_prior(gain_std, nothing, nothing)
     for name, index in ordinary.items():
         if name == "delay":

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.errors import ConfigError
+from gateway.identify.inertia import central_directions
+from gateway.identify.load_estimate import load_directions
 from gateway.identify.trust import prior_share
 from gateway.model.motion import PER_BODY
 from gateway.model.robot import Robot, link_lengths_m
@@ -98,3 +100,30 @@ def link_prior(robot: Robot, trust: float, per_link: int) -> tuple[Floats, Float
     std = np.full(mean.shape, np.inf)
     std[known] = trust * size[known]
     return mean.ravel(), std.ravel()
+
+
+def as_bodies(mean: Floats, std: Floats) -> tuple[Floats, Floats]:
+    """What is known of k links as of bodies: `rows @ parameters = right`, each with unit standard deviation.
+
+    A link that weighs more than its model says has larger first moments and a larger inertia too: ten numbers that are
+    believed one by one tell its mass several times over, and through all links a gain that the torques have in common.
+    As sure as in `link_prior` are the mass, the first moment at that mass, and the inertia about the centre of gravity.
+
+    Parameters
+    ----------
+    mean, std : arrays of shape (10 k,)
+        Of `link_prior`, of links of which something is known but not all.
+
+    Returns
+    -------
+    rows, right : arrays of shape (10 k, 10 k), (10 k,)
+    """
+    rows = np.zeros((len(mean), len(mean)))
+    for first in range(0, len(mean), PER_LINK_MOVING):
+        part = slice(first, first + PER_LINK_MOVING)
+        turn = np.zeros((PER_LINK_MOVING, PER_LINK_MOVING))
+        turn[:4, :4], turn[4:] = load_directions(mean[part][:4]), central_directions(mean[part])
+        size = std[part].copy()
+        size[1:4] /= mean[first]
+        rows[part, part] = turn / size[:, None]
+    return rows, rows @ mean

@@ -9,6 +9,7 @@ from __future__ import annotations
 from drives.realtime import leave_real_time
 from gateway.data.blackbox.part import BoxHeader, unpack
 from gateway.data.blackbox.ring import Ring, box_of, folder_of, parts_in, remove
+from gateway.data.blackbox.salvage import salvage
 from gateway.data.blackbox.words import BoxEnd, BoxReady, BoxVerdict
 from gateway.data.piping import PipeEnd
 
@@ -24,7 +25,8 @@ def main() -> None:
         return
     folder, failed, reason = folder_of(header.recording), "", KILLED
     try:
-        ring, told = Ring(folder), False
+        salvage(header.recording)
+        ring, told = Ring(folder, header), False
         feed.say(BoxReady())
         while (message := feed.receive()) is not None:
             if isinstance(message, BoxVerdict):
@@ -39,6 +41,7 @@ def main() -> None:
 
             write_box(box_of(header.recording), header, parts, reason)
         remove(folder)
+        ring.close()
     except OSError as error:
         failed = f"{box_of(header.recording)}: cannot be written: {error.strerror or error}"
     feed.say(BoxEnd(failed))

@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
+import fcntl
+import json
+import os
 from collections import deque
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from gateway.data.blackbox.part import BoxPart, unpack
+from gateway.data.blackbox.part import BoxHeader, BoxPart, unpack
 
 #: So much is kept [s], by the time of the run; and no more than this by the wall clock, where the run stands still.
 KEPT_S: Final = 30.0
 MOST_WALL_S: Final = 120.0
 SUFFIX: Final = ".part"
+BOX_SUFFIX: Final = ".blackbox.h5"
+#: Whose parts these are; locked as long as somebody keeps them.
+HEADER: Final = "header.json"
 
 
 def folder_of(recording: Path) -> Path:
     """Where the parts lie while a recording is written to."""
-    return recording.with_name(f".{recording.stem}.blackbox")
+    return recording.with_name(f".{box_of(recording).name.removesuffix(BOX_SUFFIX)}.blackbox")
 
 
 def box_of(recording: Path) -> Path:
-    """The black box beside a recording; its frames lie beside it as `.blf`."""
-    return recording.with_suffix(".blackbox.h5")
+    """The black box beside a recording, or the box itself; its frames lie beside it as `.blf`."""
+    return recording if recording.name.endswith(BOX_SUFFIX) else recording.with_suffix(BOX_SUFFIX)
 
 
 class Ring:
@@ -33,6 +39,8 @@ class Ring:
     ----------
     folder : Path
         What is left there of an earlier run is removed.
+    header : BoxHeader
+        Kept beside the parts.
 
     Raises
     ------
@@ -40,12 +48,15 @@ class Ring:
         It cannot be written.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, header: BoxHeader) -> None:
         self._folder = folder
         self._kept: deque[tuple[Path, float, float]] = deque()
         self._number = 0
         remove(folder)
         folder.mkdir(parents=True)
+        self._header = os.open(folder / HEADER, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        fcntl.flock(self._header, fcntl.LOCK_EX)
+        os.write(self._header, _header_text(header).encode())
 
     def add(self, content: bytes, time_s: float, wall_s: float) -> None:
         """Write one part, and remove those that are too old.
@@ -62,6 +73,33 @@ class Ring:
         while time_s - self._kept[0][1] > KEPT_S or wall_s - self._kept[0][2] > MOST_WALL_S:
             self._kept.popleft()[0].unlink(missing_ok=True)
 
+    def close(self) -> None:
+        """Keep no more; what lies there stays."""
+        os.close(self._header)
+
+
+def _header_text(header: BoxHeader) -> str:
+    return json.dumps(
+        {
+            "recording": header.recording.name,
+            "arms": header.arms,
+            "cell": header.cell,
+            "created": header.created,
+            "software": header.software,
+        }
+    )
+
+
+def header_in(folder: Path) -> BoxHeader | None:
+    """Whose parts lie in a folder; None = that was not kept, or was cut off."""
+    try:
+        held = json.loads((folder / HEADER).read_bytes())
+        arms = tuple((str(name), int(axes)) for name, axes in held["arms"])
+        said = [str(held[name]) for name in ("cell", "created", "software")]
+        return BoxHeader(folder.with_name(str(held["recording"])), arms, *said)
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
 
 def parts_in(folder: Path) -> list[BoxPart]:
     """What lies in a folder, in its order; a part that was cut off is left out."""
@@ -71,7 +109,7 @@ def parts_in(folder: Path) -> list[BoxPart]:
 
 def remove(folder: Path) -> None:
     """Remove the parts and their folder."""
-    for path in _files(folder):
+    for path in (*_files(folder), folder / HEADER):
         path.unlink(missing_ok=True)
     with suppress(OSError):
         folder.rmdir()

@@ -9,6 +9,8 @@ import pytest
 from benchmarks.rigs.tables import make_table
 from gateway.data.rows import MOVING, concatenate
 from gateway.estimate import EstimateOptions, estimate, run
+from gateway.estimate.moving_columns import MovingSetup, moving_columns
+from gateway.model.robot import link_lengths_m
 from tests.arms import peer_of
 from tests.gateway.estimate.conftest import urdf
 
@@ -174,6 +176,17 @@ def test_torques_without_stated_constants_may_all_be_off_alike(clean, robot):
     assert told[None].mass_std_kg > 1.3 * told[(0.03,) * 6].mass_std_kg
     assert told[None].mass_std_kg < 0.04 * MASS
     assert sum(told[None].budget.values()) == pytest.approx(1.0)
+
+
+def test_links_that_are_all_off_alike_are_known_by_their_masses(clean, robot):
+    """A factor of every link looks like a gain of all axes: a link's ten numbers tell it once, not several times."""
+    trust, options = 0.05, EstimateOptions(inertials="prior:0.05")
+    columns = moving_columns(table_of_periods(clean, periods=1), robot, options, MovingSetup())
+    factor = np.where(np.arange(len(columns.names)) < columns.bodies, columns.prior.mean, 0.0)
+    known = (factor @ columns.prior.precision @ factor) ** -0.5
+    six = robot.inertia_kg_m2[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    size = six / (robot.mass_kg * link_lengths_m(robot) ** 2)[:, None]
+    assert known == pytest.approx(trust / np.sqrt(6.0 + (size**2).sum()))
 
 
 def test_a_touched_period_is_set_aside_and_changes_nothing(clean, robot):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio
@@ -13,6 +14,7 @@ from gateway.errors import ConfigError
 from gateway.identify.links import (
     PER_LINK_AT_REST,
     PER_LINK_MOVING,
+    as_bodies,
     body_parameters,
     default_inertials,
     has_inertials,
@@ -55,6 +57,25 @@ def test_prior_is_the_robot_model_with_a_share_of_mass_and_length(robot, per_lin
         expected = [0.05 * mass] + [0.05 * mass * length[link]] * 3 + [0.05 * mass * length[link] ** 2] * 6
         assert std[part] == pytest.approx(expected[:per_link])
     assert link_prior(robot, 0.0, per_link)[1].max() == 0.0
+
+
+def test_links_are_known_as_bodies_mass_place_and_size_apart(robot):
+    trust, link, little = 0.05, 2, 1e-5
+    mean, std = link_prior(robot, trust, PER_LINK_MOVING)
+    rows, right = as_bodies(mean, std)
+    mass, com, inertia = robot.mass_kg[link], robot.com_m[link], robot.inertia_kg_m2[link]
+    length = link_lengths_m(robot)[link]
+    assert rows @ mean == pytest.approx(right)
+
+    def stds_off(*body: Any) -> float:
+        changed = mean.copy()
+        changed[10 * link : 10 * link + 10] = body_parameters(*body)
+        return float(np.linalg.norm(rows @ changed - right))
+
+    assert stds_off((1 + little) * mass, com, inertia) == pytest.approx(little / trust, rel=1e-3)
+    assert stds_off(mass, com + [0, little, 0], inertia) == pytest.approx(little / (trust * length), rel=1e-3)
+    larger = inertia + little * np.diag([1.0, 0.0, 0.0])
+    assert stds_off(mass, com, larger) == pytest.approx(little / (trust * mass * length**2), rel=1e-3)
 
 
 @pytest.mark.parametrize("per_link", [PER_LINK_AT_REST, PER_LINK_MOVING])

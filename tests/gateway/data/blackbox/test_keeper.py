@@ -28,7 +28,8 @@ from gateway.data.blackbox.part import (
     width_of,
 )
 from gateway.data.blackbox.process import KILLED
-from gateway.data.blackbox.ring import KEPT_S, MOST_WALL_S, Ring, box_of, folder_of, parts_in
+from gateway.data.blackbox.ring import HEADER, KEPT_S, MOST_WALL_S, Ring, box_of, folder_of, parts_in
+from gateway.data.blackbox.salvage import BOTH_KILLED, salvage
 from gateway.errors import InputError
 
 ROOT = Path(__file__).parents[4]
@@ -82,6 +83,17 @@ def seconds(process: subprocess.Popen[str], duration_s: float) -> float:
     return told_s
 
 
+def part() -> bytes:
+    return pack(np.full((1, width_of(2)), 7.0), b"", 1.0, 2.0)
+
+
+def left_by_killed(run: Path) -> None:
+    """What is on disk after a kill of both."""
+    ring = Ring(folder_of(run), header(run))
+    ring.add(part(), 1.0, 2.0)
+    ring.close()
+
+
 def test_a_kill_leaves_what_was_there_up_to_a_second_before(tmp_path):
     run = tmp_path / "run.h5"
     process = loop(run)
@@ -112,10 +124,46 @@ def test_both_killed_leave_their_parts(tmp_path):
     parts = parts_in(folder_of(run))
     assert 0.0 <= last_s - parts[-1].rows[-1, 0] < 1.0
     assert not box_of(run).exists()
+    salvage(run)
+    box = read_box(box_of(run))
+    assert box.reason == BOTH_KILLED
+    assert (box.recording, box.cell, box.arms[0].name) == ("run.h5", "cell", "main")
+    assert box.wall_s[-1] == parts[-1].rows[-1, 0]
+    assert not folder_of(run).exists()
+
+
+def test_the_next_run_makes_a_box_of_what_both_killed_have_left(tmp_path):
+    run = tmp_path / "run.h5"
+    left_by_killed(run)
+    keeper = BoxKeeper(header(run))
+    keeper.wait_until_kept()
+    assert read_box(box_of(run)).sync_index.tolist() == [7]
+    assert keeper.close(None) == ""
+    assert read_box(box_of(run)).reason == BOTH_KILLED
+
+
+def test_parts_that_are_still_kept_are_left_alone(tmp_path):
+    run = tmp_path / "run.h5"
+    live = Ring(folder_of(run), header(run))
+    live.add(part(), 1.0, 2.0)
+    salvage(run)
+    assert len(parts_in(folder_of(run))) == 1
+    assert not box_of(run).exists()
+    live.close()
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"arms": 3}'])
+def test_parts_of_nobody_knows_whom_are_removed(tmp_path, text):
+    run = tmp_path / "run.h5"
+    left_by_killed(run)
+    (folder_of(run) / HEADER).write_text(text)
+    salvage(run)
+    assert list(tmp_path.iterdir()) == []
+    salvage(run)
 
 
 def test_what_is_kept_is_half_a_minute_of_the_run(tmp_path):
-    ring = Ring(tmp_path / "parts")
+    ring = Ring(tmp_path / "parts", header(tmp_path / "run.h5"))
     for number in range(200):
         rows = np.full((1, width_of(1)), float(number))
         ring.add(pack(rows, b"", 0.5 * number, 1000.0), 0.5 * number, 1000.0)
@@ -123,6 +171,7 @@ def test_what_is_kept_is_half_a_minute_of_the_run(tmp_path):
     assert kept[-1].time_s - kept[0].time_s == KEPT_S
     for number in range(200):
         ring.add(pack(np.empty((0, width_of(1))), b"", 99.5, 1000.0 + number), 99.5, 1000.0 + number)
+    ring.close()
     kept = parts_in(tmp_path / "parts")
     assert kept[-1].wall_s - kept[0].wall_s == MOST_WALL_S
 

@@ -1,0 +1,41 @@
+"""A black box of what is left of a run that was killed together with the process that kept its last seconds."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from pathlib import Path
+from typing import Final
+
+from gateway.data.blackbox.ring import HEADER, box_of, folder_of, header_in, parts_in, remove
+
+BOTH_KILLED: Final = (
+    "the program that moved the arm was killed, and what keeps its last seconds too: this is what was kept until then"
+)
+
+
+def salvage(recording: Path) -> None:
+    """Write the box of parts that nobody keeps any more, and remove them; nothing where there are none.
+
+    Raises
+    ------
+    OSError
+        It cannot be written; the parts stay.
+    """
+    folder = folder_of(recording)
+    try:
+        descriptor = os.open(folder / HEADER, os.O_RDWR | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        header, parts = header_in(folder), parts_in(folder)
+        if header is not None and parts:
+            from gateway.data.blackbox.box import write_box  # HDF5 takes its time to load, and is seldom needed
+
+            write_box(box_of(recording), header, parts, BOTH_KILLED)
+        remove(folder)
+    except BlockingIOError:
+        return  # the run goes on, or its box is being written
+    finally:
+        os.close(descriptor)
