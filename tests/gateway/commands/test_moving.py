@@ -9,7 +9,7 @@ import pytest
 from gateway.commands.moving import MoveChoice, move_options
 from gateway.motion.stops import StoppedByPerson
 
-MOVE: dict[str, Any] = {"override": 50, "hold_to_run": False, "yes": True, "pacing": None}
+MOVE: dict[str, Any] = {"override": 50, "hold_to_run": False, "yes": True, "pacing": None, "live": False}
 
 
 def printing(moving: MoveChoice, **_named: Any) -> None:
