@@ -19,6 +19,7 @@ from gateway.fleet.columns import ESTIMATE, RECORDING, RESULT, TEMPERATURE, axis
 from gateway.fleet.identity import RobotName, moment, robot_name
 from gateway.result.origin import drives_of, file_sha256, software
 from gateway.result.result import LoadResult, NuisanceResult, Outcome, Result, read_result
+from gateway.result.values import plain_values
 
 Row = dict[str, Any]
 #: Before this no recording was made: a clock that was never set.
@@ -142,23 +143,23 @@ def numbers_of(result: Result, gain_std: Sequence[float] | None = None) -> Row:
     axes = len(result.friction_band_nm)
     gain, bias = _measured(result.nuisance.get("gain"), gain_std), result.nuisance.get("bias_nm")
     row: Row = {
-        "friction_band_nm": _list(result.friction_band_nm),
+        "friction_band_nm": plain_values(result.friction_band_nm),
         "loads": [_load(load, _outcome(result, load.label)) for load in result.loads],
         "failing": [f"{each.where}: {each.what}" for each in result.findings if each.severity == "fail"],
     }
     for key, told in (("gain", gain), ("bias", bias)):
         if told is not None:
             suffix = "" if key == "gain" else "_nm"
-            row[f"{key}{suffix}"], row[f"{key}_std{suffix}"] = _list(told.value), _list(told.std)
+            row[f"{key}{suffix}"], row[f"{key}_std{suffix}"] = plain_values(told.value), plain_values(told.std)
     for key in ("coulomb", "viscous"):
         suffix = {"coulomb": "_nm", "viscous": "_nm_s_rad"}[key]
         for column in (f"{key}{suffix}", f"{key}_std{suffix}"):
             values = {axis.joint: float(getattr(axis, column)) for axis in result.motion}
-            row[column] = _list([values.get(joint, math.nan) for joint in range(1, axes + 1)])
+            row[column] = plain_values([values.get(joint, math.nan) for joint in range(1, axes + 1)])
     offsets = {each.joints[0]: each for each in result.effects if each.name == _ZERO_OFFSET and each.joints}
     for column, part in (("zero_offset_rad", "parameters"), ("zero_offset_std_rad", "std")):
         told_by = {joint: float(getattr(each, part).get("offset_rad", math.nan)) for joint, each in offsets.items()}
-        row[column] = _list([told_by.get(joint, math.nan) for joint in range(1, axes + 1)])
+        row[column] = plain_values([told_by.get(joint, math.nan) for joint in range(1, axes + 1)])
     return row
 
 
@@ -224,10 +225,10 @@ def _load(load: LoadResult, outcome: Outcome | None) -> Row:
     refused = load.refused is not None
     return {
         "program": load.label,
-        "mass_kg": _number(load.mass_kg),
-        "mass_std_kg": _number(load.mass_std_kg),
-        "com_m": None if load.com_m is None else _list(load.com_m),
-        "com_std_m": None if load.com_std_m is None else _list(load.com_std_m),
+        "mass_kg": plain_values(load.mass_kg),
+        "mass_std_kg": plain_values(load.mass_std_kg),
+        "com_m": plain_values(load.com_m),
+        "com_std_m": plain_values(load.com_std_m),
         "outcome": "fail" if refused else outcome,
     }
 
@@ -239,11 +240,3 @@ def _outcome(result: Result, label: str) -> Outcome | None:
         if worst in said:
             return worst
     return None
-
-
-def _list(values: Sequence[float]) -> list[float | None]:
-    return [_number(value) for value in values]
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
