@@ -107,12 +107,16 @@ class BusServer:
     bus : python-can bus, owned and shut down by the server
     arms : the arms whose drives hang on it
     sync_period_s, pacing : as in the cell file
+
+    Attributes
+    ----------
+    latest_s : by the clock, longest time after which this process got round to what was due [s]
     """
 
     def __init__(self, bus: Any, arms: Sequence[ArmUnit], sync_period_s: float, pacing: str) -> None:
         self.bus, self.arms = bus, tuple(arms)
         self._born_s = tuple(arm.drives[0].motion.period_s() for arm in self.arms)
-        self.sync_count = 0
+        self.sync_count, self.latest_s = 0, 0.0
         self._period_s, self._real = sync_period_s, pacing == "real"
         self._network = canopen.Network(bus)
         self._jobs: deque[Callable[[], None]] = deque()
@@ -232,11 +236,13 @@ class BusServer:
 
         Not until now: a frame may have come since, and what it asks for belongs to when it came.
         """
+        got_round = time.monotonic()
         now = silent_s
         if message is not None:
-            now, age = time.monotonic(), time.time() - message.timestamp
+            now, age = got_round, time.time() - message.timestamp
             if 0.0 < age < OLDEST_FRAME_S:
                 now -= age
+        self.latest_s = max(self.latest_s, got_round - now)
         passed = min(now - self._real_at_s, MOST_CATCH_UP_S)
         if passed <= 0.0:
             return

@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,9 @@ from sim.simulation import ServeOptions, Simulation
 from sim.states import PdsState
 
 pytestmark = pytest.mark.system
+
+#: Real drives take each target in its time; simulated ones that got round to two of them at once do not [s].
+SIMULATOR_LATE_S = 0.02
 
 
 def standing(rig: PairRig, name: str = "B", limit_n: float | None = NO_LIMIT_N, speed: float = 1.5) -> PairRun:
@@ -242,11 +246,18 @@ def test_ctrl_c_by_the_clock_stops_both_along_the_path(clocked: Path) -> None:
     with serving(clocked, buses) as simulation:
         simulation.grip(open=True)
         prove([*gateway, "check", str(clocked), "--prove-stop", "--yes", "--bus", buses], settings)
-    # gripped afresh at the very start: where a proof leaves the hands the part would be under force
-    with serving(clocked, buses) as simulation:
-        interrupt(
-            simulation, [*gateway, "run-pair", str(clocked), "--embodiment", "A", "--yes", "--bus", buses], settings
-        )
+    words = [*gateway, "run-pair", str(clocked), "--embodiment", "A", "--yes", "--bus", buses]
+    for left in reversed(range(TRIES)):
+        # gripped afresh at the very start: where a proof leaves the hands the part would be under force
+        with serving(clocked, buses) as simulation:
+            seen = interrupt(simulation, words, settings)
+        if left == 0 or seen.code in (0, 130) or not (disturbed(seen.said) or seen.simulator_s > SIMULATOR_LATE_S):
+            break
+    assert seen.code == 130, seen.said
+    assert seen.said.strip().splitlines()[-1].startswith("stopped by SIGINT: ")
+    assert "Traceback" not in seen.said
+    assert not seen.powered
+    assert not seen.quick
 
 
 def prove(words: list[str], settings: dict[str, str]) -> None:
@@ -272,8 +283,23 @@ def serving(cell: Path, buses: str) -> Iterator[Simulation]:
         simulation.close()
 
 
-def interrupt(simulation: Simulation, words: list[str], settings: dict[str, str]) -> None:
-    """Start a command, send SIGINT once the arms move, and see that they come to rest along the path."""
+@dataclass(frozen=True)
+class Interrupted:
+    """What became of a command that was interrupted.
+
+    `powered`: a drive was left under power; `quick`: a quick stop was seen; `simulator_s`: by how much the simulated
+    drives were late at most [s].
+    """
+
+    code: int
+    said: str
+    powered: bool
+    quick: bool
+    simulator_s: float
+
+
+def interrupt(simulation: Simulation, words: list[str], settings: dict[str, str]) -> Interrupted:
+    """Start a command, send SIGINT once the arms move, and wait for its end."""
     process = subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=settings)
     drives = [drive for unit in simulation.arms for drive in unit.drives]
     world: Any = simulation.arms[0].world
@@ -287,10 +313,8 @@ def interrupt(simulation: Simulation, words: list[str], settings: dict[str, str]
         )
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=20.0)
-        assert process.returncode == 130, said
-        assert said.strip().splitlines()[-1].startswith("stopped by SIGINT: ")
-        assert "Traceback" not in said
-        assert not any(drive.axis.fed or drive.axis.free for drive in drives)
-        assert not any(quick)
     finally:
         process.kill()
+    powered = any(drive.axis.fed or drive.axis.free for drive in drives)
+    late_s = max(server.latest_s for server in simulation.servers)
+    return Interrupted(process.returncode, said, powered, any(quick), late_s)
