@@ -43,7 +43,7 @@ def recorded(folder: Path) -> Path:
     bus = f"virtual:fleet-{uuid.uuid4().hex}"
     environment = {"XDG_STATE_HOME": str(folder / "state")}
     with running(cell, bus, payload=folder / "payload.toml") as handle:
-        for label, more in (("none", ()), ("tool", ("--resume",))):
+        for label, more in (("none", ()), ("load", ("--resume",))):
             if label != "none":
                 handle.hang(label)
             told = ["record", str(cell), "--load", label, "-o", str(run), "--bus", bus, "--yes", "-q", *more]
