@@ -1,22 +1,29 @@
 """Whether every fault that stops an arm leaves a black box that opens and holds what happened.
 
-python -m benchmarks.blackbox [--out out/blackbox] [kind ..]: simulated drives in lockstep, one stop a kind.
+python -m benchmarks.blackbox [--out out/blackbox] [--kills 10] [kind ..]: simulated drives in lockstep, one stop a
+kind; what happens to the master itself in a process of its own, by the clock.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
+import signal
 import sys
 import tempfile
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from benchmarks.chaos.rig import Rig, rig
+from benchmarks.chaos.killing import few_samples
+from benchmarks.chaos.processes import Drives, Job, Master, drives
+from benchmarks.chaos.rig import Rig, rig, with_real_pacing
 from benchmarks.chaos.scenarios import (
     BY_THE_CLOCK_TOO,
     DETAILS,
@@ -31,7 +38,9 @@ from drives.bus import BusSpec
 from drives.errors import DriveError
 from gateway.acquire.session import RecordRequest, record
 from gateway.data.blackbox.box import BlackBox, read_box
-from gateway.data.blackbox.ring import box_of
+from gateway.data.blackbox.process import KILLED
+from gateway.data.blackbox.ring import box_of, folder_of
+from gateway.data.blackbox.salvage import BOTH_KILLED, salvage
 from gateway.errors import GatewayError, InputError
 from gateway.motion.opening import BusOverride, open_arm
 from sim.faults import KINDS, Fault
@@ -39,17 +48,32 @@ from sim.faults import KINDS, Fault
 NODE: Final = 3
 #: The samples end so shortly before the stop at most [SYNCs]: what is silent has been waited for.
 LATEST_SYNCS: Final = 120
+#: By the clock: SYNC period, and between how much of a motion and how much the master is dealt with [s].
+PERIOD_S: Final = 0.02
+MOVED_S: Final = (0.5, 3.0)
+#: What may be missing before a kill [s].
+MOST_LOST_S: Final = 1.0
+#: A box must lie there by then, and a master have ended [s].
+PATIENCE_S: Final = 60.0
+#: A master that is held up stands still for so long [s].
+STALLED_S: Final = 1.5
+#: Frames after which the transmit queue takes none any more: the arm moves by then.
+FRAMES: Final = 700
 
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """What one kind left: whether the run was stopped, and what is wrong with its black box (empty = nothing)."""
+    """What one kind left: whether the run was stopped, and what is wrong with its black box (empty = nothing).
+
+    `lost_s`: of a kill, what is missing before it.
+    """
 
     kind: str
     stopped: bool
     wrong: str
     seconds: float = 0.0
     frames: int = 0
+    lost_s: float = 0.0
 
 
 def stopping() -> list[str]:
@@ -102,15 +126,107 @@ def _wrong(box: BlackBox, error: str, began: int, kind: str) -> str:
     return ""
 
 
+def kill_master(master: Master, both: bool) -> float:
+    """End the master, and what keeps its last seconds as well; when that was (wall clock)."""
+    pid = master.process.pid or 0
+    beside = [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()] if both else []
+    killed_s = time.time()
+    for each in (*beside, pid):
+        with suppress(ProcessLookupError):
+            os.kill(each, signal.SIGKILL)
+    return killed_s
+
+
+def stall_master(master: Master) -> float:
+    """Have the master stand still for a while; it ends by itself afterwards."""
+    pid = master.process.pid or 0
+    os.kill(pid, signal.SIGSTOP)
+    time.sleep(STALLED_S)
+    os.kill(pid, signal.SIGCONT)
+    return 0.0
+
+
+#: What happens to the master, and how often it is tried for each kill that is asked for.
+MASTERS: Final[dict[str, tuple[Callable[[Master], float], float]]] = {
+    "master_killed": (lambda master: kill_master(master, both=False), 1.0),
+    "both_killed": (lambda master: kill_master(master, both=True), 0.5),
+    "master_stalled": (stall_master, 0.0),
+    "queue_stays_full": (lambda _master: 0.0, 0.0),
+}
+
+
+def of_masters(kinds: Sequence[str], kills: int, seed: int = 1) -> Iterator[Stop]:
+    """Recordings by the clock whose master is dealt with while it moves."""
+    random, number = np.random.default_rng(seed), 0
+    with tempfile.TemporaryDirectory(prefix="blackbox-") as name:
+        folder, real = Path(name), with_real_pacing(PERIOD_S)
+        with drives(folder, lambda text: real(few_samples(text))) as served:
+            for kind in kinds:
+                for _ in range(max(1, round(kills * MASTERS[kind][1]))):
+                    number += 1
+                    frames = FRAMES if kind == "queue_stays_full" else 0
+                    job = Job(folder, served.bus, folder / f"run-{number}.h5", frames=frames)
+                    yield _of_master(kind, job, served, float(random.uniform(*MOVED_S)))
+                    job.ledger.unlink(missing_ok=True)
+                    served.ask("renew")
+
+
+def _of_master(kind: str, job: Job, served: Drives, moved_s: float) -> Stop:
+    master = Master(job)
+    until_s = time.monotonic() + PATIENCE_S
+    while not served.enabled() and not master.end and time.monotonic() < until_s:
+        master.listen(time.monotonic() + 0.05)
+    if kind != "queue_stays_full":
+        master.listen(time.monotonic() + moved_s)
+    if master.end:
+        return Stop(kind, False, "")
+    killed_s = MASTERS[kind][0](master)
+    if killed_s:
+        master.kill()
+    else:
+        master.wait(PATIENCE_S)
+    path = box_of(job.path)
+    while time.monotonic() < until_s and (folder_of(job.path).exists() or not path.with_suffix(".blf").exists()):
+        if kind == "both_killed":
+            salvage(job.path)
+        time.sleep(0.05)
+    try:
+        box = read_box(path)
+    except InputError as missing:
+        return Stop(kind, True, f"{missing} (ended by: {master.end or 'a kill'})")
+    ends_s = min(float(box.wall_s[-1]), float(box.frames["time_s"][-1])) if len(box.wall_s) and len(box.frames) else 0.0
+    lost_s = killed_s - ends_s if killed_s else 0.0
+    reason = {"master_killed": KILLED, "both_killed": BOTH_KILLED}.get(kind)
+    said = box.reason == reason if reason else box.reason in master.end
+    wrong = "" if said else f"another reason: {box.reason} (ended by: {master.end})"
+    if not ends_s or (np.diff(box.sync_index) <= 0).any():
+        wrong = "no samples, or out of order"
+    elif lost_s > MOST_LOST_S:
+        wrong = f"{lost_s:.2f} s are missing"
+    return Stop(kind, True, wrong, float(np.ptp(box.time_s)), len(box.frames), lost_s)
+
+
 def figures(found: Sequence[Stop]) -> dict[str, dict]:
     """Of all kinds that were tried."""
     stopped = [each for each in found if each.stopped]
     good = [each for each in stopped if not each.wrong]
     return {
-        "stopping fault kinds tried": figure(len(found), ">= 1"),
+        "stopping fault kinds tried": figure(len({each.kind for each in found}), ">= 1"),
+        "runs": figure(len(found), ">= 1"),
         "of them, runs that were stopped": figure(len(stopped), f"== {len(found)}"),
         "black box present, opens and holds the stop": figure(len(good), f"== {len(stopped)}"),
+        "missing before a SIGKILL, longest": figure(
+            round(max((each.lost_s for each in found), default=0.0), 2), f"<= {MOST_LOST_S:g}", "s"
+        ),
     }
+
+
+def _told(each: Stop) -> Stop:
+    """The same, printed."""
+    said = each.wrong or ("ok" if each.stopped else "not stopped")
+    lost = f", {each.lost_s:.2f} s missing" if each.lost_s else ""
+    print(f"{each.kind:24} {each.seconds:6.1f} s {each.frames:7} frames  {said}{lost}", flush=True)
+    return each
 
 
 def main(argv: list[str]) -> int:
@@ -118,14 +234,18 @@ def main(argv: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.blackbox", description=__doc__)
     parser.add_argument("kinds", nargs="*", help="kinds of faults; all that stop an arm by default")
     parser.add_argument("--out", type=Path, default=Path("out/blackbox"))
+    parser.add_argument("--kills", type=int, default=10, help="of the master by SIGKILL")
     arguments = parser.parse_args(argv)
     found: list[Stop] = []
-    with rig() as made, tempfile.TemporaryDirectory(prefix="blackbox-") as folder:
-        for kind in arguments.kinds or stopping():
-            found.append(stop_by(made, kind, Path(folder)))
-            each = found[-1]
-            said = each.wrong or ("ok" if each.stopped else "not stopped")
-            print(f"{kind:24} {each.seconds:6.1f} s {each.frames:7} frames  {said}", flush=True)
+    wanted = arguments.kinds or [*stopping(), *MASTERS]
+    masters = [kind for kind in wanted if kind in MASTERS]
+    with ExitStack() as stack:
+        made = stack.enter_context(rig())
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="blackbox-")))
+        for each in (stop_by(made, kind, folder) for kind in wanted if kind not in MASTERS):
+            found.append(_told(each))
+    if masters:
+        found += [_told(each) for each in of_masters(masters, arguments.kills)]
     told = figures(found)
     arguments.out.mkdir(parents=True, exist_ok=True)
     (arguments.out / "summary.json").write_text(json.dumps({"figures": told}, indent=1) + "\n")

@@ -8,6 +8,7 @@ from drives.errors import DriveError
 from gateway.cell.axes import FEWEST_AXES, MOST_AXES
 from gateway.data.blackbox.part import FIELDS
 from gateway.data.blackbox.ring import KEPT_S
+from gateway.data.blackbox.shelf import MOST_BOXES
 from gateway.data.csv_text import BLANK_ALLOWED, COLUMNS, PERIOD_COLUMNS, Column
 from gateway.data.period import KINDS, LEAST_PER_HARMONIC
 from gateway.data.periodic import CUTOFF_HZ
@@ -143,14 +144,18 @@ def _black_box() -> list[str]:
         "## The black box",
         "",
         _paragraph(
-            f"While an arm is recorded, the last {KEPT_S:g} s of all samples and frames are kept by a process of its"
-            " own, handed on twice a second; the motion loop never waits for it. A run that ends well leaves none. One"
-            " that is stopped leaves `run.blackbox.h5` and `run.blackbox.blf` beside `run.h5`, and the message names"
-            " it; the next stop of the same recording replaces them. Where the program itself is killed, the process"
-            " writes them, of what it was given up to a second before; where that process is killed too, the next run"
-            " of the recording or `report` writes them. `servo-gateway report run.h5 -o stop.html` draws the last"
-            " seconds of every axis, with the stop at t = 0: torque, following error, speed, state of the drive. Below"
-            " stands what the bus said: emergency messages, SDO, NMT, controlwords."
+            f"While a command moves an arm, the last {KEPT_S:g} s of all samples and frames are kept by a"
+            " process of its own, handed on twice a second; the motion loop never waits for it. What ends well"
+            " leaves none. A recording that is stopped leaves `run.blackbox.h5` and `run.blackbox.blf` beside"
+            " `run.h5`, and the message names it; the next stop of the same recording replaces them. What"
+            " records nothing (`move`, `check`, `follow`, `teach`, `run-pair`, the proof of the stop before a"
+            " recording) leaves `CELL-ARM.TIME.blackbox.h5`, one per arm, in the folder of the write ledgers"
+            f" (`~/.local/state/servo-gateway`), where the newest {MOST_BOXES} of an arm stay. Where the program"
+            " itself is killed, the process writes them, of what it was given up to a second before; where that"
+            " process is killed too, the next run of the recording or `report` writes them. `servo-gateway"
+            " report run.h5 -o stop.html` draws the last seconds of every axis, with the stop at t = 0: torque,"
+            " following error, speed, state of the drive. Below stands what the bus said: emergency messages,"
+            " SDO, NMT, controlwords. It takes a black box itself as well."
         ),
         "",
         "| in `run.blackbox.h5` | what it is |",

@@ -172,7 +172,8 @@ def report_error(error: BaseException) -> int:
             _say(str(error))
             return CTRL_C
         why = str(error) if isinstance(error, StoppedByPerson) else "stopped"
-        _say(f"{why}: the arm stands in its brakes, what was measured is kept")
+        notes = "".join(f". {note.removesuffix('.')}" for note in getattr(error, "__notes__", []))
+        _say(f"{why}: the arm stands in its brakes, what was measured is kept{notes}")
         return CTRL_C
     if isinstance(error, click.ClickException):
         error.show()

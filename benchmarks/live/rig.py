@@ -26,6 +26,8 @@ from drives.bus_spec import BusSpec
 
 SMALL = Path(__file__).parents[2] / "examples" / "small"
 PATIENCE_S = 60.0
+#: SYNC period of the small cell [s].
+PERIOD_S = 0.01
 ADDRESS = re.compile(r"live page: (http\S+)")
 POSES = """[poses]
 count = {count}
@@ -222,7 +224,21 @@ def processor_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def counted(path: Path) -> tuple[int, int]:
-    """SYNCs of a run, and how many of them were not answered whole: of `record --json`."""
+@dataclass(frozen=True, slots=True)
+class Counted:
+    """SYNCs of a run of `period_s` each, and how many of them were not answered whole."""
+
+    syncs: int
+    incomplete: int
+    period_s: float
+
+    @property
+    def per_10_min(self) -> float:
+        """Incomplete ones in ten minutes."""
+        return 600.0 * self.incomplete / max(self.syncs * self.period_s, 1e-9)
+
+
+def counted(path: Path) -> Counted:
+    """Of `record --json`."""
     statistics = json.loads(path.read_text())["statistics"]
-    return int(statistics["cycles"]), int(statistics["incomplete"])
+    return Counted(int(statistics["cycles"]), int(statistics["incomplete"]), PERIOD_S)

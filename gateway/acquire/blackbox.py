@@ -1,23 +1,34 @@
-"""The black box of a run that is recorded: looks on, listens in, and is kept where the run is stopped."""
+"""The black box of what moves an arm: looks on, listens in, and is kept where the motion is stopped."""
 
 from __future__ import annotations
 
 from collections.abc import Generator
 from contextlib import contextmanager
-
-import numpy as np
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final
 
 from drives.errors import DriveError
 from gateway.data.blackbox.keeper import BoxKeeper
-from gateway.data.blackbox.part import BoxHeader
+from gateway.data.blackbox.part import FIELDS, BoxHeader
 from gateway.data.blackbox.ring import box_of
-from gateway.data.sample import ArmSample
-from gateway.motion.observer import Observed, Scene
+from gateway.data.blackbox.shelf import place_in
+from gateway.motion.flat import fill
+from gateway.motion.observer import Observed, Observers, Scene
 from gateway.motion.opening import OpenArm
+from gateway.result.origin import software
+
+KEPT: Final = tuple(name for name, _ in FIELDS)
 
 
 class BlackBoxWatch:
-    """An observer that hands all it sees to a keeper.
+    """An observer that hands all it sees of one arm to a keeper.
+
+    Parameters
+    ----------
+    keeper : BoxKeeper
+    arm : str
+        Whose rows are kept; others may be under power beside it.
 
     Attributes
     ----------
@@ -25,24 +36,23 @@ class BlackBoxWatch:
         Arms were about to be powered.
     """
 
-    def __init__(self, keeper: BoxKeeper) -> None:
+    def __init__(self, keeper: BoxKeeper, arm: str) -> None:
         self.powered = False
         self._keeper: BoxKeeper | None = keeper
+        self._arm, self._place = arm, -1
 
     def began(self, scene: Scene) -> None:
         """Arms are about to be powered."""
-        del scene
         self.powered = True
+        names = [member.name for member in scene.arms.members]
+        self._place = names.index(self._arm) if self._arm in names else -1
 
     def sampled(self, observed: Observed) -> None:
         """One SYNC."""
-        if self._keeper is None:
+        if self._keeper is None or self._place < 0:
             return
-        first = observed.samples[0]
-        row = self._keeper.row(first.time_s, first.sync_index)
-        at = 0
-        for sample, target, modelled in zip(observed.samples, observed.targets_rad, observed.modelled_nm, strict=True):
-            at = _fill(row, at, sample, target, modelled)
+        sample = observed.samples[self._place]
+        fill(self._keeper.row(sample.time_s, sample.sync_index), 0, observed, self._place, KEPT)
 
     def told(self, event: object) -> None:
         """Nothing of it is kept."""
@@ -55,31 +65,14 @@ class BlackBoxWatch:
         self._keeper = None
 
 
-def _fill(row: np.ndarray, at: int, sample: ArmSample, target: np.ndarray, modelled: np.ndarray) -> int:
-    """Fields of one arm, in the order of `part.FIELDS`; returns where the next arm's begin."""
-    axes = len(target)
-    for values in (sample.q_rad, target, sample.joint_torque_nm, modelled):
-        row[at : at + axes] = values
-        at += axes
-    for axis, reading in enumerate(sample.readings):
-        if reading is None:
-            continue
-        if reading.current_a is not None:
-            row[at + axis] = reading.current_a
-        row[at + axes + axis] = reading.statusword
-        row[at + 2 * axes + axis] = reading.position_count
-        row[at + 3 * axes + axis] = reading.torque_word
-    return at + 4 * axes
-
-
 @contextmanager
 def black_box(opened: OpenArm, header: BoxHeader) -> Generator[BlackBoxWatch]:
-    """While this is open the last seconds are kept; they stay beside the recording where it ends badly.
+    """While this is open the last seconds are kept; they stay where the header says if it ends badly.
 
     What goes wrong with the box itself is among the notes of what ended the run, and ends nothing.
     """
     keeper = BoxKeeper(header)
-    watch, bus = BlackBoxWatch(keeper), opened.group.bus
+    watch, bus = BlackBoxWatch(keeper, opened.config.name), opened.group.bus
     keeper.wait_until_kept()
     bus.overhear(keeper.frame)
     reason: str | None = None
@@ -98,3 +91,24 @@ def black_box(opened: OpenArm, header: BoxHeader) -> Generator[BlackBoxWatch]:
         if failure is not None and reason is not None:
             box = box_of(header.recording)
             failure.add_note(trouble or f"The last seconds before it: {box}; servo-gateway report {box} -o STOP.html")
+
+
+@contextmanager
+def last_seconds(opened: OpenArm, folder: Path, observers: Observers) -> Generator[None]:
+    """The black box of what is not recorded; of an arm, the newest ones stay in a folder.
+
+    Parameters
+    ----------
+    opened : OpenArm
+    folder : Path
+        That of the write ledgers.
+    observers : Observers
+        Of whatever moves the arm.
+    """
+    kind = f"{opened.loaded.cell.name}-{opened.config.name}"
+    place = place_in(folder, kind, datetime.now(UTC))
+    arms = ((opened.config.name, len(opened.config.axis)),)
+    created = datetime.now(UTC).isoformat(timespec="seconds")
+    with black_box(opened, BoxHeader(place, arms, opened.loaded.text, created, software())) as watch:
+        observers.add(watch)
+        yield

@@ -169,7 +169,12 @@ def _in_motion(
     seen: list[dict[str, Any]] = []
     path = context.stop_proof(arm)
     opening = open_arm(context.loaded, context.override(arm), arm.name)
-    with context.way_on(), stoppable(moving) as options, opening as opened:
+    with (
+        context.way_on(),
+        stoppable(moving) as options,
+        opening as opened,
+        context.last_seconds(options, opened),
+    ):
         options = with_held_input(opened, options)
         if wanted.prove_stop or proven_on(path, opened) is None:
             proof = prove(opened, options)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import os
 import shlex
-from collections.abc import Generator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -16,10 +16,13 @@ from drives.group import DriveGroup, GroupOptions
 from drives.instrument import InstrumentSetup
 from drives.ledger import WriteLedger
 from drives.profile import DriveProfile
+from gateway.acquire.blackbox import last_seconds
 from gateway.cell.buses import bus_specs
 from gateway.cell.config import ArmConfig, LoadedCell, load_cell, with_pacing, with_sync_period
+from gateway.check.proofs import ensure_proven, proven_on
 from gateway.errors import PlanRefused, WrongPlace
-from gateway.motion.opening import BusOverride, axis_setups
+from gateway.motion.opening import BusOverride, OpenArm, axis_setups
+from gateway.motion.stream import MoveOptions
 from gateway.pair.gap import instruments_on
 from gateway.preflight.limits import MOVE_HOME
 from gateway.preflight.look_over import check_arm, judge_bus_load
@@ -161,6 +164,22 @@ class CellContext:
         folder = _state_folder()
         folder.mkdir(parents=True, exist_ok=True)
         return folder / "".join(part if part.isalnum() or part in "-_." else "_" for part in name)
+
+    def proven(self, opened: OpenArm, say: Callable[[str], None], options: MoveOptions) -> MoveOptions:
+        """`ensure_proven`, with a black box where the proof is still to be made."""
+        path = self.stop_proof(opened.config)
+        with ExitStack() as stack:
+            if proven_on(path, opened) is None:
+                stack.enter_context(self.last_seconds(options, opened))
+            return ensure_proven(opened, path, say, options)
+
+    @contextmanager
+    def last_seconds(self, options: MoveOptions, *opened: OpenArm) -> Generator[None]:
+        """While this is open the last seconds of every arm are kept, and stay beside the ledger if it ends badly."""
+        with ExitStack() as stack:
+            for each in opened:
+                stack.enter_context(last_seconds(each, _state_folder(), options.observers))
+            yield
 
     def override(self, arm: ArmConfig, trace: Path | None = None) -> BusOverride:
         """What differs from the cell file on the bus of an arm."""

@@ -35,7 +35,6 @@ from gateway.analyse.given import (
     split_validation,
 )
 from gateway.cell.config import ArmConfig
-from gateway.check.proofs import ensure_proven
 from gateway.commands.cell_context import CellContext
 from gateway.commands.moving import SLOW_PERCENT
 from gateway.data.recording.reader import read
@@ -149,7 +148,7 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
     plan = make_plan(job.context.loaded, arm=job.arm.name)
     dialogue.planned(plan)
     with open_arm(job.context.loaded, job.context.override(job.arm), job.arm.name) as opened:
-        options = ensure_proven(opened, job.context.stop_proof(job.arm), dialogue.say, job.options)
+        options = job.context.proven(opened, dialogue.say, job.options)
         robot = _Robot(replace(job, options=options), dialogue, opened, plan)
         robot.warm_up()
         for block in blocks_of(job.labels, robot.fit_poses, job.thermal):
@@ -255,7 +254,8 @@ class _Robot:
             self._dialogue.say(f"the arm stays where it is, and the load is hung there: {refused}")
             return
         slow = replace(job.options, override=min(job.options.override, SLOW_PERCENT / 100.0))
-        self._dialogue.bring(opened, target, plan, slow)
+        with job.context.last_seconds(slow, opened):
+            self._dialogue.bring(opened, target, plan, slow)
         self._job = replace(job, options=replace(job.options, first_done=None))
 
     def measure_poses(self, q_rad: np.ndarray) -> Table:

@@ -77,7 +77,6 @@ def follow(
     """
     from dataclasses import asdict, replace
 
-    from gateway.check.proofs import ensure_proven
     from gateway.commands.cell_context import open_cell
     from gateway.feedforward.identified import with_identified
     from gateway.follow.comparison import result_of
@@ -102,17 +101,12 @@ def follow(
     first = "" if context.stop_proof(arm).exists() else " At first its drives lose the heartbeat on purpose."
     moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is nobody near it?")
     override = replace(context.override(arm, trace), feedforward=True)
-    try:
-        opening = open_arm(context.loaded, override, arm.name)
-        with context.way_on(), stoppable(moving) as options, opening as opened:
-            identities = [asdict(identity) for identity in opened.identities]
-            options = ensure_proven(opened, context.stop_proof(arm), session.note, options)
-            with session.progress(prepared.duration_s, "follow") as bar:
-                job = drive(opened, prepared, lambda what, done: bar.set(done, prepared.duration_s, what), options)
-    except KeyboardInterrupt as stopped:
-        for note in getattr(stopped, "__notes__", []):
-            session.note(note)
-        raise
+    opening = open_arm(context.loaded, override, arm.name)
+    with context.way_on(), stoppable(moving) as options, opening as opened:
+        identities = [asdict(identity) for identity in opened.identities]
+        options = context.proven(opened, session.note, options)
+        with context.last_seconds(options, opened), session.progress(prepared.duration_s, "follow") as bar:
+            job = drive(opened, prepared, lambda what, done: bar.set(done, prepared.duration_s, what), options)
     used = None if arm.identified is None else context.loaded.path(arm.identified)
     files = files_of(file for file in (cell, path_file, load_file, used) if file is not None)
     origin = Origin(in_words(datetime.now(UTC)), software(), drives_of(identities), files, operator)

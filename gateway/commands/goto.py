@@ -49,7 +49,6 @@ def move(
     before anything else that they stop when the master is gone.
     """
     from gateway.acquire.goto import destination, plan_way
-    from gateway.check.proofs import ensure_proven
     from gateway.commands.cell_context import open_cell
     from gateway.model.arm_model import arm_named, arm_robot
     from gateway.motion.opening import open_arm
@@ -67,8 +66,9 @@ def move(
         announce(session, opened, target, plan, options)
         besides = ("" if proof.exists() else " At first its drives lose the heartbeat on purpose.") + context.grippers
         moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{besides} Is nobody near it?")
-        options = ensure_proven(opened, proof, session.note, options)
-        go_with_progress(session, opened, target, plan, options)
+        options = context.proven(opened, session.note, options)
+        with context.last_seconds(options, opened):
+            go_with_progress(session, opened, target, plan, options)
     session.show(f"arm '{arm.name}' is in its brakes at {target}")
 
 

@@ -208,7 +208,6 @@ def record(
     """
     from gateway.acquire.session import RecordRequest, open_arm
     from gateway.acquire.until.run import UntilSummary
-    from gateway.check.proofs import ensure_proven
     from gateway.commands.cell_context import open_cell
     from gateway.commands.record_moving import MovingWish, record_in_motion, refuse_mixed
     from gateway.model.arm_model import arm_named
@@ -235,7 +234,7 @@ def record(
     moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is nobody near it?")
     opening = open_arm(context.loaded, context.override(arm, trace), arm.name)
     with context.way_on(), stoppable(moving) as options, opening as opened:
-        options = ensure_proven(opened, context.stop_proof(arm), session.note, options)
+        options = context.proven(opened, session.note, options)
         done = asked.run(session, opened, options)
     summary, more = (done.recording, {"until": as_json(done)}) if isinstance(done, UntilSummary) else (done, {})
     if json_out:

@@ -110,18 +110,19 @@ def teach(
     context = _context(cell, pair, bus_spec, moving.pacing)
     with context.way_on(), stoppable(moving) as options, open_link(pair, _ledgers(context, pair)) as link:
         options = _proven(context, link, options)
-        function = teach_pair(
-            link,
-            pair,
-            kept,
-            lesson,
-            lambda point, done, count: session.show(
-                f"point {done} of {count} at {point.s_m:.3f} m: {point.force_n[0]:.1f} N before,"
-                f" {point.force_n[-1]:.1f} N after {len(point.force_n)} sweeps;"
-                f" slave moved {1e3 * max(map(abs, point.correction_m)):.2f} mm"
-            ),
-            PairMotionOptions(moves=options),
-        )
+        with context.last_seconds(options, *link.opened):
+            function = teach_pair(
+                link,
+                pair,
+                kept,
+                lesson,
+                lambda point, done, count: session.show(
+                    f"point {done} of {count} at {point.s_m:.3f} m: {point.force_n[0]:.1f} N before,"
+                    f" {point.force_n[-1]:.1f} N after {len(point.force_n)} sweeps;"
+                    f" slave moved {1e3 * max(map(abs, point.correction_m)):.2f} mm"
+                ),
+                PairMotionOptions(moves=options),
+            )
     session.show(f"{kept.folder / 'first.json'}: first function with {len(function)} points")
     if json_out:
         write_json(json_out, plain_values(TeachResult(points=tuple(lesson.points))))
@@ -171,14 +172,15 @@ def run_pair(
     context = _context(cell, pair, bus_spec, moving.pacing)
     with context.way_on(), stoppable(moving) as options, open_link(pair, _ledgers(context, pair)) as link:
         options = _proven(context, link, options)
-        result = run(
-            link,
-            pair,
-            kept,
-            PairRunRequest(embodiment, cycles),
-            lambda cycle: session.show(_cycle_line(cycle.summary)),
-            PairMotionOptions(speed=at, moves=options),
-        )
+        with context.last_seconds(options, *link.opened):
+            result = run(
+                link,
+                pair,
+                kept,
+                PairRunRequest(embodiment, cycles),
+                lambda cycle: session.show(_cycle_line(cycle.summary)),
+                PairMotionOptions(speed=at, moves=options),
+            )
     if result.statistics is not None:
         _show_statistics(result.statistics, session)
     if json_out:

@@ -60,7 +60,6 @@ def record_in_motion(context: CellContext, arm: ArmConfig, wish: MovingWish, mov
     """
     from gateway.acquire.passes import passes_of
     from gateway.acquire.session import RecordRequest, open_arm
-    from gateway.check.proofs import ensure_proven
     from gateway.commands.progress import moving_with_progress
     from gateway.data.recording.reader import read
     from gateway.data.recording.writer import NOT_REPLACED
@@ -81,7 +80,7 @@ def record_in_motion(context: CellContext, arm: ArmConfig, wish: MovingWish, mov
     moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move fast.{first} Is nobody near it?")
     opening = open_arm(context.loaded, context.override(arm, wish.trace), arm.name)
     with context.way_on(), stoppable(moving) as options, opening as opened:
-        options = ensure_proven(opened, context.stop_proof(arm), session.note, options)
+        options = context.proven(opened, session.note, options)
         duration_s = sum(one.duration_s for one in passes)
         request = RecordRequest(wish.label, wish.output, wish.resume)
         summary = moving_with_progress(session, opened, chosen, request, (options, duration_s))

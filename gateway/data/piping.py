@@ -13,6 +13,7 @@ import signal
 import struct
 import subprocess
 import sys
+import threading
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from typing import Any
@@ -178,6 +179,14 @@ class WriterProcess:
             self._from = -1
         self.gone = True
         return code
+
+    def leave(self) -> None:
+        """Let it go on with what it has got, for however long; nobody hears of its end."""
+        self.hang_up()
+        os.close(self._from)
+        self._from = -1
+        self.gone = True
+        threading.Thread(target=self._process.wait, daemon=True, name="writer that is left").start()
 
     def kill(self) -> None:
         """End it at once."""

@@ -14,7 +14,8 @@ import numpy as np
 
 from gateway.acquire.events import PoseDone, Progress
 from gateway.live.drawing import stage_of
-from gateway.live.wire import HEAD, PER_AXIS, ROW, CommandOver, Ended, Happened, PoseSeen, ShownCell, pieces
+from gateway.live.wire import HEAD, PER_AXIS, ROW, SHOWN, CommandOver, Ended, Happened, PoseSeen, ShownCell, pieces
+from gateway.motion.flat import fill
 from gateway.motion.observer import Observed, RowTold, Scene
 from gateway.motion.state import Phase, StateKeeper
 from gateway.motion.stops import StopKind, StoppedByPerson, StopRequest
@@ -93,13 +94,9 @@ class Feed:
         self._sent_s = now_s
         row, first = self._row, samples[0]
         row[:HEAD] = now_s, first.sync_index, first.time_s, _NUMBER_OF[self._state.state.phase], self._unanswered
-        at = HEAD
-        for sample, followed_rad, modelled_nm in zip(samples, followed, observed.modelled_nm, strict=True):
-            count = len(followed_rad)
-            status = [np.nan if reading is None else reading.statusword for reading in sample.readings]
-            for part in (sample.q_rad, followed_rad, sample.joint_torque_nm, modelled_nm, status):
-                row[at : at + count] = part
-                at += count
+        at, shown = HEAD, Observed(samples, followed, observed.modelled_nm)
+        for arm in range(len(samples)):
+            at = fill(row, at, shown, arm, SHOWN)
         self._send(ROW + row.tobytes())
 
     def told(self, event: object) -> None:

@@ -34,8 +34,6 @@ HEADERS: Final = {
     "Cache-Control": "no-store",
 }
 STATIC: Final = {
-    "uplot.js": ("uPlot.iife.min.js", "text/javascript"),
-    "uplot.css": ("uPlot.min.css", "text/css"),
     "arm.js": ("arm.js", "text/javascript"),
     "charts.js": ("charts.js", "text/javascript"),
     "live.js": ("live.js", "text/javascript"),

@@ -30,8 +30,9 @@ MOST_BYTES: Final = 65536
 #: Numbers of a row before those of the arms: when it was sent (monotonic) [s], SYNC, time of the run [s], phase, and
 #: SYNCs of this command that some drive left unanswered.
 HEAD: Final = 5
-#: Numbers per axis: position, set point that it follows [rad], torque, model [Nm], statusword (NaN = no answer).
-PER_AXIS: Final = 5
+#: Numbers per axis, by the names of `gateway.motion.flat`; the set point is the one that the position follows.
+SHOWN: Final = ("q_rad", "target_rad", "joint_torque_nm", "modelled_torque_nm", "statusword")
+PER_AXIS: Final = len(SHOWN)
 
 
 @dataclass(frozen=True, slots=True)

@@ -56,3 +56,49 @@ def test_a_run_that_ends_well_leaves_none(place, gateway, serve):
     done = record(place, gateway, serve())
     assert done.exit_code == 0, done.output
     assert left(place.run) == []
+
+
+def boxes(place) -> list[Path]:
+    return sorted((place.folder / "state" / "servo-gateway").glob("*.blackbox.h5"))
+
+
+def move(place, gateway, drives, *more):
+    return gateway("move", place.cell, "--bus", drives.bus, "--to", "0.3,-0.2,0.3,0.2,0.3,0.2", "--yes", *more)
+
+
+@pytest.mark.parametrize("at_sync", [300, 1200])
+def test_a_move_that_is_stopped_leaves_one_beside_the_ledger(place, gateway, serve, at_sync):
+    """At 300 the stop of the drives is still being proven, at 1200 the arm is on its way."""
+    drives = serve(fault=f'[[fault]]\nkind = "drive_fault"\nnode = 4\nat_sync = {at_sync}\nsyncs = 0\n')
+    done = move(place, gateway, drives)
+    assert done.exit_code == 4, done.output
+    (path,) = boxes(place)
+    assert path.name.startswith("small-main.20")
+    assert str(path) in done.stderr.replace("\n", "")
+    box = read_box(path)
+    (arm,) = box.arms
+    assert "FAULT" in box.reason
+    assert (np.diff(box.sync_index) > 0).all()
+    assert np.isfinite(arm.values["q_rad"]).all()
+    assert (box.frames["can_id"] == 0x084).any()
+    page = gateway("report", path, "-o", place.folder / "stop.html")
+    assert page.exit_code == 0, page.output
+    assert "FAULT" in (place.folder / "stop.html").read_text()
+    assert not folder_of(path).exists()
+
+
+def test_a_move_that_ends_well_or_is_refused_leaves_none(place, gateway, serve):
+    drives = serve()
+    assert move(place, gateway, drives).exit_code == 0
+    refused = gateway("move", place.cell, "--bus", drives.bus, "--to", "9,0,0,0,0,0", "--yes")
+    assert refused.exit_code == 5, refused.output
+    assert boxes(place) == []
+
+
+def test_a_check_that_is_stopped_leaves_one(place, gateway, serve):
+    drives = serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 4\nat_sync = 300\nsyncs = 0\n')
+    done = gateway("check", place.cell, "--bus", drives.bus, "--force", "--move", "--yes")
+    assert done.exit_code == 4, done.output
+    (path,) = boxes(place)
+    assert str(path) in done.stderr.replace("\n", "")
+    assert "FAULT" in read_box(path).reason

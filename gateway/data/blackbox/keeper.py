@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.blackbox.part import ERROR, EXTENDED, FRAME, HEAD, RECEIVED, REMOTE, BoxHeader, pack, width_of
+from gateway.data.blackbox.ring import box_of
 from gateway.data.blackbox.words import BoxEnd, BoxReady, BoxVerdict
 from gateway.data.piping import WriterProcess, framed
 
@@ -43,8 +44,10 @@ class BoxKeeper:
 
     def __init__(self, header: BoxHeader) -> None:
         self.left_out = 0
+        self._box = box_of(header.recording)
         self._rows = np.full((MOST_ROWS, width_of(sum(axes for _, axes in header.arms))), np.nan)
         self._taken = 0
+        self._closed = False
         self._frames = bytearray()
         self._said: list[Any] = []
         self._time_s, self._handed_s = 0.0, time.monotonic()
@@ -76,6 +79,8 @@ class BoxKeeper:
         data = bytes(message.data)
         packed = FRAME.pack(time.time(), message.arbitration_id, flags, min(len(data), 8), data[:8])
         with self._lock:
+            if self._closed:  # from a thread that was about to tell of it
+                return
             self._frames += packed
             if not self._taken and time.monotonic() - self._handed_s >= PART_S:
                 self._hand_on()  # no rows come: the arm is not under power yet, or no more
@@ -88,15 +93,20 @@ class BoxKeeper:
         str
             What went wrong with that; empty = nothing.
         """
-        if self._taken or self._frames:
-            self._hand_on()
-        self._process.send(framed(BoxVerdict(reason)))
+        with self._lock:
+            self._closed = True
+            if self._taken or self._frames:
+                self._hand_on()
+            self._process.send(framed(BoxVerdict(reason)))
         answer = self._heard(BoxEnd, CLOSING_S)
-        if answer is None:
-            self._process.kill()
-            return "the process that keeps the black box did not end in time"
-        self._process.end()
-        return answer.failed
+        if answer is not None:
+            self._process.end()
+            return answer.failed
+        if self._process.gone:
+            self._process.end()
+            return f"{self._box}: the process that writes it has ended before its time; the next run does it"
+        self._process.leave()
+        return f"{self._box}: the black box is still being written, after {CLOSING_S:g} s; it goes on by itself"
 
     def _heard(self, kind: type[Answer], limit_s: float) -> Answer | None:
         """Its next word of that kind; None = it has ended, or is still silent."""

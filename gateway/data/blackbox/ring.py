@@ -27,6 +27,11 @@ def folder_of(recording: Path) -> Path:
     return recording.with_name(f".{box_of(recording).name.removesuffix(BOX_SUFFIX)}.blackbox")
 
 
+def recording_of(folder: Path) -> Path:
+    """The box of whose parts lie in a folder: `folder_of` leads back to it."""
+    return folder.with_name(folder.name.removeprefix(".").removesuffix(".blackbox") + BOX_SUFFIX)
+
+
 def box_of(recording: Path) -> Path:
     """The black box beside a recording, or the box itself; its frames lie beside it as `.blf`."""
     return recording if recording.name.endswith(BOX_SUFFIX) else recording.with_suffix(BOX_SUFFIX)

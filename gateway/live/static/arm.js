@@ -4,9 +4,14 @@
 
 const HOME = { azimuth: -1.08, elevation: 0.3 };
 const LIGHT = [-0.35, -0.5, 0.79];
+// Frames that differ by less [1 and m] cannot be told apart on a screen.
+const STILL = 2e-4;
+// Colours between a face that is turned away from the light and one that faces it.
+const SHADES = 64;
 
 class ArmView {
-  constructor(canvas, arm) {
+  // changed: called when a person has turned the picture
+  constructor(canvas, arm, changed) {
     this.canvas = canvas;
     this.arm = arm;
     this.turn = { ...HOME };
@@ -19,18 +24,25 @@ class ArmView {
       this.turn.azimuth -= event.movementX * 0.01;
       this.turn.elevation = Math.min(1.5, Math.max(-0.3, this.turn.elevation + event.movementY * 0.01));
       this.stale = true;
+      changed();
     });
-    canvas.addEventListener("dblclick", () => { this.turn = { ...HOME }; this.stale = true; });
+    canvas.addEventListener("dblclick", () => { this.turn = { ...HOME }; this.stale = true; changed(); });
   }
 
   restyle() {
     const style = getComputedStyle(document.documentElement);
     const read = (name) => style.getPropertyValue(name).trim();
-    this.colour = { link: rgb(read("--link")), edge: read("--edge"), box: read("--box"), grid: read("--grid"), ink: read("--muted") };
+    this.colour = { link: rgb(read("--link")), box: read("--box"), grid: read("--grid"), ink: read("--muted") };
+    this.shades = Array.from({ length: SHADES }, (_, at) => {
+      const bright = 0.3 + (0.84 * at) / (SHADES - 1);
+      return `rgb(${this.colour.link.map((value) => Math.round(Math.min(255, value * bright))).join()})`;
+    });
     this.stale = true;
   }
 
+  // An arm that stands is not drawn again.
   pose(frames) {
+    if (this.frames && frames.every((frame, link) => frame.every((value, at) => Math.abs(value - this.frames[link][at]) < STILL))) return;
     this.frames = frames;
     this.stale = true;
   }
@@ -99,20 +111,15 @@ class ArmView {
         if (turned(flat, face) >= 0) continue;
         let depth = 0;
         for (const corner of face) depth += flat[corner][2];
-        faces.push({ depth: depth / face.length, flat, face, shade: shade(world, face), load: body.load });
+        faces.push({ depth: depth / face.length, flat, face, colour: this.shades[shade(world, face)] });
       }
     }
     faces.sort((one, other) => other.depth - one.depth);
-    pen.lineJoin = "round";
-    pen.lineWidth = 0.6 * ratio;
-    for (const { flat, face, shade: bright } of faces) {
-      const [r, g, b] = this.colour.link.map((value) => Math.round(Math.min(255, value * bright)));
-      pen.fillStyle = pen.strokeStyle = `rgb(${r},${g},${b})`;
+    for (const { flat, face, colour } of faces) {
+      pen.fillStyle = colour;
       pen.beginPath();
-      face.forEach((corner, index) => (index ? pen.lineTo(flat[corner][0], flat[corner][1]) : pen.moveTo(flat[corner][0], flat[corner][1])));
-      pen.closePath();
+      grown(pen, flat, face, 0.4 * ratio);
       pen.fill();
-      pen.stroke();
     }
   }
 }
@@ -131,12 +138,33 @@ function turned(flat, face) {
   return (flat[b][0] - flat[a][0]) * (flat[c][1] - flat[a][1]) - (flat[b][1] - flat[a][1]) * (flat[c][0] - flat[a][0]);
 }
 
+// A convex face with every edge moved outwards, so that no gap shows to the next one: stroking it costs as much again.
+function grown(pen, flat, face, by) {
+  const count = face.length;
+  let from = flat[face[count - 1]], at = flat[face[0]], [x, y] = outwards(from, at);
+  for (let index = 0; index < count; index++) {
+    const to = flat[face[(index + 1) % count]], [nx, ny] = outwards(at, to);
+    const reach = by / Math.max(0.5, 1 + x * nx + y * ny), right = at[0] + reach * (x + nx), down = at[1] + reach * (y + ny);
+    if (index) pen.lineTo(right, down);
+    else pen.moveTo(right, down);
+    [x, y, at] = [nx, ny, to];
+  }
+  pen.closePath();
+}
+
+// Out of a face whose outside is seen, across one of its edges; of length 1.
+function outwards(from, to) {
+  const x = to[0] - from[0], y = to[1] - from[1], length = Math.sqrt(x * x + y * y) || 1;
+  return [-y / length, x / length];
+}
+
+// How bright a face is: a place in `shades`.
 function shade(world, face) {
-  const [a, b, c] = face.map((corner) => world[corner]);
-  const u = [b[0] - a[0], b[1] - a[1], b[2] - a[2]], v = [c[0] - a[0], c[1] - a[1], c[2] - a[2]];
-  const n = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
-  const length = Math.hypot(n[0], n[1], n[2]) || 1;
-  return 0.72 + 0.42 * (n[0] * LIGHT[0] + n[1] * LIGHT[1] + n[2] * LIGHT[2]) / length;
+  const a = world[face[0]], b = world[face[1]], c = world[face[2]];
+  const ux = b[0] - a[0], uy = b[1] - a[1], uz = b[2] - a[2], vx = c[0] - a[0], vy = c[1] - a[1], vz = c[2] - a[2];
+  const x = uy * vz - uz * vy, y = uz * vx - ux * vz, z = ux * vy - uy * vx;
+  const towards = (x * LIGHT[0] + y * LIGHT[1] + z * LIGHT[2]) / (Math.sqrt(x * x + y * y + z * z) || 1);
+  return Math.max(0, Math.min(SHADES - 1, Math.round((0.5 + 0.5 * towards) * (SHADES - 1))));
 }
 
 function line(pen, from, to) {

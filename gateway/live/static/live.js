@@ -5,6 +5,10 @@ const byId = (id) => document.getElementById(id);
 const token = new URLSearchParams(location.search).get("token") || "";
 const KINDS = ["q", "speed", "error", "torque", "model"];
 const MOST_ROWS = 2600;
+// Between two numbers in the same place [ms]: faster ones cannot be read.
+const WRITTEN_MS = 90;
+// How long a frame took to the screen is looked at in one of so many.
+const LOOKED_AT = 4;
 
 class Arm {
   constructor(arm) {
@@ -12,7 +16,7 @@ class Arm {
     byId("arms").append(part);
     this.part = part;
     this.arm = arm;
-    this.view = new ArmView(part.querySelector("canvas"), arm);
+    this.view = new ArmView(part.querySelector("canvas"), arm, ask);
     this.time = [];
     this.values = KINDS.map(() => Array.from({ length: arm.axes }, () => []));
     part.querySelector("h2").textContent = `Arm ${arm.name}`;
@@ -48,9 +52,9 @@ class Arm {
       this.part.querySelector(".joints").append(label);
     }
     return {
-      torque: joints.map((joint) => new Chart(torque, `J${joint + 1} torque`, "Nm", this.arm.modelled ? ["--model", "--torque"] : ["--torque"], "time")),
-      motion: [["position", "rad"], ["speed", "rad/s"], ["following error", "mrad"]].map(
-        ([name, unit]) => new Chart(motion, name, unit, colours, "time"),
+      torque: joints.map((joint) => new Strip(torque, `J${joint + 1} torque`, "Nm", this.arm.modelled ? ["--model", "--torque"] : ["--torque"])),
+      motion: [["position", "rad", 1], ["speed", "rad/s", 1], ["following error", "mrad", 1e3]].map(
+        ([name, unit, scale]) => new Strip(motion, name, unit, colours, scale),
       ),
     };
   }
@@ -84,11 +88,11 @@ class Arm {
     this.view.draw();
     const [q, speed, error, torque, model] = this.values;
     this.charts.torque.forEach((chart, joint) =>
-      chart.show(this.arm.modelled ? [this.time, model[joint], torque[joint]] : [this.time, torque[joint]]));
+      chart.show(this.time, this.arm.modelled ? [model[joint], torque[joint]] : [torque[joint]]));
     const [place, rate, off] = this.charts.motion;
-    place.show([this.time, ...q]);
-    rate.show([this.time, ...speed]);
-    off.show([this.time, ...error.map((joint) => joint.map((value) => (value === null ? null : 1e3 * value)))]);
+    place.show(this.time, q);
+    rate.show(this.time, speed);
+    off.show(this.time, error);
   }
 
   write() {
@@ -114,14 +118,13 @@ class Arm {
     this.part.querySelector(".poses").hidden = false;
     if (!this.rest) {
       const colours = Array.from({ length: this.arm.axes }, (_, joint) => `--j${(joint % 8) + 1}`);
-      this.rest = { band: new Chart(place, "friction band", "Nm", colours, "pose") };
-      if (pose.residual_nm) this.rest.residual = new Chart(place, "measured less model without load", "Nm", colours, "pose");
+      this.rest = { band: new Dots(place, "friction band", "Nm", colours) };
+      if (pose.residual_nm) this.rest.residual = new Dots(place, "measured less model without load", "Nm", colours);
     }
     this.poses.push(pose);
-    const number = this.poses.map((_, index) => index + 1);
     const joints = (key) => Array.from({ length: this.arm.axes }, (_, joint) => this.poses.map((each) => each[key] && each[key][joint]));
-    this.rest.band.show([number, ...joints("band_nm")]);
-    if (this.rest.residual) this.rest.residual.show([number, ...joints("residual_nm")]);
+    this.rest.band.show(joints("band_nm"));
+    if (this.rest.residual) this.rest.residual.show(joints("residual_nm"));
   }
 
   all() {
@@ -143,11 +146,13 @@ function hear(message) {
     live.arms = message.scene.arms.map((arm) => new Arm(arm));
     for (const pose of live.poses) live.arms[0]?.pose(pose);
     live.fresh = true;
+    ask();
   } else if (message.frame) {
     message.frame.arms.forEach((told, index) => live.arms[index]?.take(told));
-    stand(message.frame);
+    standing = message.frame;
     live.wall_ms = message.frame.wall_ms || 0;
     live.fresh = true;
+    ask();
   } else if (message.event) tell(message.event);
   else if (message.pose) {
     live.poses.push(message.pose);
@@ -215,22 +220,30 @@ function connect() {
   };
 }
 
-let written = 0;
+// A frame is asked for when there is something to draw: a page that has nothing to show leaves the processor alone.
+let asked = false, written = 0, last_word = 0, standing = null;
+function ask() {
+  if (!asked) requestAnimationFrame(draw);
+  asked = true;
+}
+
 function draw(now) {
-  if (live.fresh) {
-    const before = performance.now(), wall_ms = live.wall_ms;
-    live.fresh = false;
-    for (const arm of live.arms) arm.draw();
-    if (now - written > 90) {
-      written = now;
-      for (const arm of live.arms) arm.write();
-    }
-    live.frames += 1;
-    keep(live.cost_ms, performance.now() - before);
-    // what was drawn is on the screen when the next frame begins
-    if (wall_ms) requestAnimationFrame(() => keep(live.lag_ms, Date.now() - wall_ms));
-  } else for (const arm of live.arms) arm.view.draw();
-  requestAnimationFrame(draw);
+  asked = false;
+  const before = performance.now(), wall_ms = live.wall_ms, fresh = live.fresh;
+  live.fresh = false;
+  for (const arm of live.arms) arm.draw();
+  if (now - written > WRITTEN_MS) {
+    written = now;
+    for (const arm of live.arms) arm.write();
+    if (standing) stand(standing);
+    clearTimeout(last_word);
+    last_word = 0;
+  } else if (!last_word) last_word = setTimeout(ask, 2 * WRITTEN_MS); // should nothing come any more
+  if (!fresh) return;
+  live.frames += 1;
+  keep(live.cost_ms, performance.now() - before);
+  // what was drawn is on the screen when the next frame begins
+  if (wall_ms && live.frames % LOOKED_AT === 0) requestAnimationFrame(() => keep(live.lag_ms, Date.now() - wall_ms));
 }
 
 function keep(list, value) {
@@ -241,17 +254,23 @@ function keep(list, value) {
 function redraw() {
   for (const arm of live.arms) {
     arm.view.restyle();
-    for (const chart of arm.all()) chart.make();
+    for (const chart of arm.all()) {
+      chart.restyle();
+      chart.draw();
+    }
   }
-  live.fresh = true;
+  ask();
 }
 
 window.addEventListener("resize", () => {
   for (const arm of live.arms) {
     arm.view.stale = true;
-    for (const chart of arm.all()) chart.resize();
+    for (const chart of arm.all()) {
+      chart.resize();
+      chart.draw();
+    }
   }
+  ask();
 });
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
 connect();
-requestAnimationFrame(draw);

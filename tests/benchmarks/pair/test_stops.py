@@ -24,6 +24,7 @@ from benchmarks.pair.bus_gap import gap_rig
 from benchmarks.pair.bus_rig import CELL, NO_LIMIT_N, PairRig, inline_rig
 from benchmarks.rigs.pacing import by_the_clock
 from drives.errors import CommandRefused
+from gateway.data.blackbox.box import read_box
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson
 from gateway.pair.cell import load_pair
 from gateway.pair.embodiments import EMBODIMENTS, with_gains
@@ -258,6 +259,12 @@ def test_ctrl_c_by_the_clock_stops_both_along_the_path(clocked: Path) -> None:
     assert "Traceback" not in seen.said
     assert not seen.powered
     assert not seen.quick
+    boxes = [read_box(path) for path in sorted(clocked.parent.glob("state/servo-gateway/*.blackbox.h5"))]
+    assert len(boxes) == 2
+    for box, arm in zip(boxes, load_pair(clocked).arms, strict=True):
+        assert [held.name for held in box.arms] == [arm.config.name]
+        assert len(box.time_s) > 10
+        assert box.path.name in seen.said.replace("\n", "")
 
 
 def prove(words: list[str], settings: dict[str, str]) -> None:

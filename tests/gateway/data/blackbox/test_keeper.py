@@ -7,6 +7,7 @@ import sys
 import textwrap
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -124,7 +125,7 @@ def test_both_killed_leave_their_parts(tmp_path):
     parts = parts_in(folder_of(run))
     assert 0.0 <= last_s - parts[-1].rows[-1, 0] < 1.0
     assert not box_of(run).exists()
-    salvage(run)
+    until(lambda: salvage(run) or box_of(run).with_suffix(".blf").exists())  # a process that is killed dies in its time
     box = read_box(box_of(run))
     assert box.reason == BOTH_KILLED
     assert (box.recording, box.cell, box.arms[0].name) == ("run.h5", "cell", "main")
@@ -233,6 +234,33 @@ def test_the_loop_never_waits_for_a_process_that_stands_still(tmp_path):
     box = read_box(box_of(tmp_path / "run.h5"))
     assert box.sync_index[-1] == 20 * 1024 - 1
     assert (np.diff(box.sync_index) == 1).all()
+
+
+def test_a_process_that_is_late_goes_on_and_its_box_comes(tmp_path, monkeypatch):
+    monkeypatch.setattr("gateway.data.blackbox.keeper.CLOSING_S", 0.05)
+    keeper = BoxKeeper(header(tmp_path / "run.h5"))
+    keeper.wait_until_kept()
+    keeper.row(0.01, 1)[:] = 1.0
+    os.kill(keeper._process.pid, signal.SIGSTOP)
+    assert "still being written" in keeper.close("a stop")
+    assert not box_of(tmp_path / "run.h5").exists()
+    os.kill(keeper._process.pid, signal.SIGCONT)
+    until(box_of(tmp_path / "run.h5").with_suffix(".blf").exists)
+    box = read_box(box_of(tmp_path / "run.h5"))
+    assert (box.reason, box.sync_index.tolist()) == ("a stop", [1])
+
+
+def test_a_frame_that_comes_while_it_closes_is_left_out_and_harms_nothing(tmp_path):
+    keeper = BoxKeeper(header(tmp_path / "run.h5"))
+    keeper.row(0.01, 1)[:] = 1.0
+    frame = SimpleNamespace(
+        arbitration_id=0x181, data=b"1", is_extended_id=False, is_remote_frame=False, is_error_frame=False
+    )
+    keeper.frame(frame, True)
+    assert keeper.close("a stop") == ""
+    keeper.frame(frame, True)
+    assert len(read_box(box_of(tmp_path / "run.h5")).frames) == 1
+    assert not folder_of(tmp_path / "run.h5").exists()
 
 
 def test_what_is_no_black_box_is_said(tmp_path):
