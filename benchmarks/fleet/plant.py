@@ -22,6 +22,8 @@ FIRST = datetime(2025, 1, 1, 5, 30)
 WEAR = 0.02
 PROGRAMS = ("pick", "place", "weld")
 WAVES = 40
+#: Size of the slow wander over the noise of a check, of a usual robot.
+LIKE = 0.4
 #: Lengths of the waves over 2 pi [d].
 LENGTH_DAY = (1.2, 60.0)
 
@@ -70,7 +72,7 @@ def draw(seed: int, number: int, worn_axes: int, unlike: float) -> Robot:
     masses = rng.uniform(1.0, 20.0, len(PROGRAMS))
     program = rng.integers(0, len(PROGRAMS), count)
     noise = 0.0015 * rng.lognormal(0.0, 0.3, AXES)
-    size_of = 0.4 * noise * rng.lognormal(0.0, unlike, AXES)
+    size_of = LIKE * noise * rng.lognormal(0.0, unlike, AXES)
     wander = _waves(rng, day, size_of)
     axis = int(rng.integers(AXES)) if worn_axes else -1
     wear = np.ones((count, AXES))
@@ -115,10 +117,14 @@ def _likeness() -> tuple[np.ndarray, np.ndarray]:
     return away, np.array([np.cos(each / length).mean() for each in away])
 
 
+def likeness(day: np.ndarray) -> np.ndarray:
+    """Correlation (n, n) of the wander on these days."""
+    return np.interp(np.abs(day[:, None] - day), *_likeness())
+
+
 def covariance(robot: Robot, axis: int) -> np.ndarray:
     """Covariance (n, n) of the checks of a gain, from the truth."""
-    away = np.abs(robot.day[:, None] - robot.day)
-    return robot.wander[axis] ** 2 * np.interp(away, *_likeness()) + robot.noise[axis] ** 2 * np.eye(len(robot.day))
+    return robot.wander[axis] ** 2 * likeness(robot.day) + robot.noise[axis] ** 2 * np.eye(len(robot.day))
 
 
 def write(robots: list[Robot], path: Path) -> int:

@@ -156,7 +156,7 @@ def whole(base: Path, folder: Path, count: int) -> dict[str, dict]:
             os.kill(victims[0], signal.SIGKILL)
 
     most_mb, took_s = _analysed(store, kill_one)
-    assert victims, "no worker was killed"
+    assert victims, "no worker was killed: with fewer than 100 recordings the run is over before"
     return {
         "recordings re-estimated": _printed(count),
         "recordings lost to a killed worker": figure(count - estimated(store), "== 0"),
