@@ -15,6 +15,20 @@ import pytest
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
+PICTURES = Path(__file__).parents[1] / "docs" / "pictures"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Say whether the pictures of the documentation are taken anew."""
+    parser.addoption("--pictures", action="store_true", help="tests in a browser leave their pictures in docs/pictures")
+
+
+@pytest.fixture
+def pictures(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """Folder for a picture that the documentation shows: docs/pictures with `--pictures`, else one that goes away."""
+    return PICTURES if request.config.getoption("--pictures") else tmp_path
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Keep the tests of a group on one worker: what they share is made once, and none disturbs another's clock.

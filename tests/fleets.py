@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import os
 import signal
+import time
 from collections.abc import Iterable, Mapping
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -58,4 +59,10 @@ def double_unless_killed(task: tuple[int, str]) -> int:
     if number == 3 and not Path(mark).exists():
         Path(mark).write_text("killed")
         os.kill(os.getpid(), signal.SIGKILL)
+    return 2 * number
+
+
+def slowly_doubled(number: int) -> int:
+    """Twice the number, after a while in which its scheduler can go away."""
+    time.sleep(0.05)
     return 2 * number

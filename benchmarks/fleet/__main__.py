@@ -1,10 +1,7 @@
 """Many robots over months: ingest, questions, drift, false alarms, re-estimation, memory.
 
-python -m benchmarks.fleet [--out out/fleet] [--robots 1000] [--analysed 1000] [--recordings 40]
+python -m benchmarks.fleet [--out out/fleet] [--robots 1000] [--analysed 1000] [--recordings 2000]
     [store] [drifts] [unlike] [recordings]
-
-The analysis of 1000 robots, and of 2000 recordings, takes an hour and more on two processors; by default 40 recordings
-are re-estimated, which is enough to tell how it scales.
 """
 
 from __future__ import annotations
@@ -42,9 +39,7 @@ def _parts(place: Path, given: argparse.Namespace) -> dict[str, dict]:
         found = _drifts(place / "unlike", drifts.Plant(given.seed + 1, analysed, UNLIKE))
         figures |= {f"robots that wander unlike each other: {name}": told for name, told in found.items()}
     if "recordings" in parts:
-        figures |= recordings.scaling(place, given.recordings)
-        figures |= recordings.killed(place, given.recordings)
-        figures |= recordings.memory(place, max(given.recordings // 2, 4))
+        figures |= recordings.figures(place / "recordings", given.recordings)
     return figures
 
 
@@ -55,7 +50,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--out", type=Path, default=Path("out/fleet"))
     parser.add_argument("--robots", type=int, default=1000, help="simulated robots, a check a day for a year each")
     parser.add_argument("--analysed", type=int, help="robots of which drifts are looked for; all by default")
-    parser.add_argument("--recordings", type=int, default=40, help="recordings that are estimated anew")
+    parser.add_argument("--recordings", type=int, default=2000, help="recordings that are estimated anew")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args(argv)
     with tempfile.TemporaryDirectory() as name:

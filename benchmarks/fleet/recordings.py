@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
 import uuid
+from collections.abc import Callable
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -23,6 +24,7 @@ from benchmarks.rigs.pacing import in_lockstep
 from gateway.cli import main
 from gateway.data.recording.seal import SEAL_BYTES, sealed
 from gateway.fleet.analyse import AsOf, analyse
+from gateway.fleet.checks import estimated_rows
 from gateway.fleet.columns import ESTIMATE
 from gateway.fleet.ingest import ingest
 from gateway.fleet.store import Store, open_or_make
@@ -31,6 +33,20 @@ from sim.serve import running
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "small"
 FIRST = datetime(2026, 1, 1, tzinfo=UTC)
+#: Recordings of one robot, a day apart.
+OF_A_ROBOT = 20
+#: Recordings that one worker and two do in turns: enough to last longer than workers take to start.
+SCALED = 60
+ROUNDS = 3
+#: How often the memory is looked at, and how often it is asked how far a run has come [s].
+LOOK_S, ASK_S = 0.2, 2.0
+
+
+def figures(folder: Path, count: int) -> dict[str, dict]:
+    """All that is told of recordings, of which so many are estimated anew."""
+    base = recorded(folder / "base")
+    found = scaling(base, folder / "scaling", min(count, SCALED))
+    return found | whole(base, folder / "whole", count)
 
 
 def recorded(folder: Path) -> Path:
@@ -43,7 +59,7 @@ def recorded(folder: Path) -> Path:
     bus = f"virtual:fleet-{uuid.uuid4().hex}"
     environment = {"XDG_STATE_HOME": str(folder / "state")}
     with running(cell, bus, payload=folder / "payload.toml") as handle:
-        for label, more in (("none", ()), ("tool", ("--resume",))):
+        for label, more in (("none", ()), ("load", ("--resume",))):
             if label != "none":
                 handle.hang(label)
             told = ["record", str(cell), "--load", label, "-o", str(run), "--bus", bus, "--yes", "-q", *more]
@@ -52,26 +68,30 @@ def recorded(folder: Path) -> Path:
     return run
 
 
-def many(base: Path, folder: Path, count: int) -> list[Path]:
-    """Copies of a recording, a day apart and with other noise in their words."""
+def many(base: Path, folder: Path, numbers: range) -> list[Path]:
+    """Copies of a recording under the names of many robots, a day apart."""
     folder.mkdir(parents=True, exist_ok=True)
+    content = base.read_bytes()[:-SEAL_BYTES]
     paths = []
-    for number in range(count):
+    for number in numbers:
         path = folder / f"run{number:05d}.h5"
-        path.write_bytes(base.read_bytes()[:-SEAL_BYTES])
+        path.write_bytes(content)
+        robot, day = divmod(number, OF_A_ROBOT)
         with h5py.File(path, "r+") as file:
-            file.attrs["created"] = (FIRST + timedelta(days=number)).isoformat()
+            cell = str(file.attrs["cell"])
+            file.attrs["cell"] = cell.replace('name = "small"', f'name = "small{robot:03d}"', 1)
+            file.attrs["created"] = (FIRST + timedelta(days=day)).isoformat()
         path.write_bytes(sealed(path.read_bytes()))
         paths.append(path)
     return paths
 
 
-def store_of(paths: list[Path], place: Path) -> Store:
-    """A store that holds them."""
-    store = open_or_make(place)
-    done = ingest(store, paths, FIRST + timedelta(days=4000))
+def fill(store: Store, paths: list[Path]) -> None:
+    """Ingest them, and take them away: the store has its copies."""
+    done = ingest(store, paths, FIRST + timedelta(days=OF_A_ROBOT))
     assert done.added == len(paths), done
-    return store
+    for path in paths:
+        path.unlink()
 
 
 def estimated(store: Store) -> int:
@@ -84,16 +104,22 @@ def estimated(store: Store) -> int:
     return count
 
 
-def scaling(folder: Path, count: int, rounds: int = 3) -> dict[str, dict]:
+def _warm(path: str) -> int:
+    """What a worker does once before the time is taken: it loads what an estimate needs."""
+    return len(estimated_rows(Path(path), "", FIRST))
+
+
+def scaling(base: Path, folder: Path, count: int) -> dict[str, dict]:
     """Recordings a second with two workers over twice those with one, in turns; the load of the machine beside it."""
-    paths = many(recorded(folder / "base"), folder / "runs", count)
+    kept = open_or_make(folder / "store")
+    fill(kept, many(base, folder / "runs", range(count)))
     ratios, loads, rates = [], [], []
-    for turn in range(rounds):
+    for turn in range(ROUNDS):
         took = {}
         for size in (1, 2) if turn % 2 else (2, 1):
-            store = store_of(paths, folder / f"store{turn}-{size}")
+            store = Store(Path(shutil.copytree(kept.path, folder / f"store{turn}-{size}")))
             with workers(None, size) as spread:
-                list(spread(os.path.exists, [str(path) for path in paths[: 4 * size]]))
+                list(spread(_warm, [str(base)] * (4 * size)))
                 started = time.perf_counter()
                 found = analyse(store, spread, AsOf(FIRST))
                 took[size] = time.perf_counter() - started
@@ -106,78 +132,82 @@ def scaling(folder: Path, count: int, rounds: int = 3) -> dict[str, dict]:
     return {
         "re-estimation, 1 to 2 workers, share of linear": figure(float(np.median(ratios)), ">= 0.85")
         | {"interval": [min(ratios), max(ratios)]},
-        "recordings re-estimated": _printed(count),
+        "recordings of the comparison": _printed(count),
         "recordings a second, 2 workers": _printed(float(np.median(rates)), "1/s"),
         "load of the machine meanwhile (processors: 2)": _printed(float(np.mean(loads))),
     }
 
 
-def killed(folder: Path, count: int) -> dict[str, dict]:
-    """Recordings that are missing after a worker was killed in the middle."""
-    store = store_of(many(folder / "base" / "base.h5", folder / "runs", count), folder / "killed")
-    victims = []
+def whole(base: Path, folder: Path, count: int) -> dict[str, dict]:
+    """`fleet analyse` of a quarter of the recordings, and of all of them while a worker is killed in the middle."""
+    few = max(count // 4, 1)
+    store = open_or_make(folder / "store")
+    fill(store, many(base, folder / "runs", range(few)))
+    quarter = Store(Path(shutil.copytree(store.path, folder / "quarter")))
+    least_mb, _ = _analysed(quarter, lambda _: None)
+    assert estimated(quarter) == few
+    shutil.rmtree(quarter.path)
+    fill(store, many(base, folder / "runs", range(few, count)))
+    victims: list[int] = []
 
-    def kill_one(what: str, done: int) -> None:
-        if what == "recordings" and done == count // 4 and not victims:
-            victims.append(_a_worker())
+    def kill_one(program: int) -> None:
+        if not victims and estimated(store) >= few:
+            victims.append(_a_worker(program))
             os.kill(victims[0], signal.SIGKILL)
 
-    with workers(None, 2) as spread:
-        found = analyse(store, spread, AsOf(FIRST), kill_one)
-    assert victims
-    return {"recordings lost to a killed worker": figure(count - estimated(store) + len(found.failed), "== 0")}
-
-
-def _a_worker() -> int:
-    """Process number of a worker of this process."""
-    import psutil
-
-    processes = psutil.Process().children(recursive=True)
-    return next(each.pid for each in processes if "spawn_main" in " ".join(each.cmdline()))
-
-
-def memory(folder: Path, count: int) -> dict[str, dict]:
-    """Largest resident memory of `fleet analyse` and of its workers, at some recordings and at four times as many."""
-    runs = many(folder / "base" / "base.h5", folder / "runs", 4 * count)
-    most = {}
-    for size in (count, 4 * count):
-        store = store_of(runs[:size], folder / f"memory{size}")
-        most[size] = _most_mb(
-            [sys.executable, "-m", "gateway.cli", "fleet", "analyse", str(store.path), "--workers", "1"]
-        )
+    most_mb, took_s = _analysed(store, kill_one)
+    assert victims, "no worker was killed"
     return {
-        "memory of fleet analyse, four times the recordings over as many": figure(
-            most[4 * count] / most[count], "<= 1.1"
-        ),
-        f"memory of fleet analyse, {count} recordings": _printed(most[count], "MB"),
-        f"memory of fleet analyse, {4 * count} recordings": _printed(most[4 * count], "MB"),
+        "recordings re-estimated": _printed(count),
+        "recordings lost to a killed worker": figure(count - estimated(store), "== 0"),
+        "time of fleet analyse, 2 workers, one killed": _printed(took_s, "s"),
+        "memory of fleet analyse, all recordings over a quarter of them": figure(most_mb / least_mb, "<= 1.1"),
+        f"memory of fleet analyse and its workers, {few} recordings": _printed(least_mb, "MB"),
+        f"memory of fleet analyse and its workers, {count} recordings": _printed(most_mb, "MB"),
     }
 
 
-def _most_mb(command: list[str]) -> float:
-    """Largest memory [MB] of a program and what it starts, looked at every 0.1 s."""
+def _a_worker(program: int) -> int:
+    """Process number of a worker of a program."""
     import psutil
 
-    program = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-    most, over = [0.0], threading.Event()
+    processes = psutil.Process(program).children(recursive=True)
+    return next(each.pid for each in processes if "spawn_main" in " ".join(each.cmdline()))
 
-    def look() -> None:
-        while not over.wait(0.1):
-            total = 0
+
+def _analysed(store: Store, asked: Callable[[int], None]) -> tuple[float, float]:
+    """Largest memory [MB] of `fleet analyse` with two workers and these, and how long it took [s].
+
+    `asked` hears of the number of its process every two seconds.
+    """
+    told = store.path.with_suffix(".json")
+    words = ["fleet", "analyse", str(store.path), "--workers", "2", "--json", str(told)]
+    started = time.perf_counter()
+    program = subprocess.Popen([sys.executable, "-m", "gateway.cli", *words], stdout=subprocess.DEVNULL)
+    most_mb, next_s = 0.0, ASK_S
+    while program.poll() is None:
+        most_mb = max(most_mb, _memory_mb(program.pid))
+        if time.perf_counter() - started > next_s:
+            asked(program.pid)
+            next_s = time.perf_counter() - started + ASK_S
+        time.sleep(LOOK_S)
+    took_s = time.perf_counter() - started
+    assert program.returncode == 0, program.returncode
+    assert json.loads(told.read_text())["failed"] == []
+    return most_mb, took_s
+
+
+def _memory_mb(program: int) -> float:
+    """Resident memory of a program and of all that it started."""
+    import psutil
+
+    total = 0
+    with suppress(psutil.Error):
+        itself = psutil.Process(program)
+        for each in (itself, *itself.children(recursive=True)):
             with suppress(psutil.Error):
-                itself = psutil.Process(program.pid)
-                for each in (itself, *itself.children(recursive=True)):
-                    with suppress(psutil.Error):
-                        total += each.memory_info().rss
-            most[0] = max(most[0], total / 1e6)
-
-    watcher = threading.Thread(target=look)
-    watcher.start()
-    code = program.wait()
-    over.set()
-    watcher.join()
-    assert code == 0, code
-    return most[0]
+                total += each.memory_info().rss
+    return total / 1e6
 
 
 def _printed(value: float, unit: str = "") -> dict:

@@ -142,5 +142,5 @@ def run_cell(task: tuple[int, str]) -> dict:
         "tier": cell.tier,
         "refused": refused,
         "time_s": taken_s,
-        **score(drawn_truth(cell.arm, cell.start_s, oracle_std(cell)), result),
+        **score(drawn_truth(cell.arm, cell.motion, cell.start_s, oracle_std(cell)), result),
     }

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.result.result import AxisMotion, LoadResult, Result
+from sim.nature.moving import PeriodicMotion, rigid_nm
 from sim.nature.moving_arm import MovingArm
 from sim.plant import Payload
 
@@ -38,19 +39,25 @@ def load_truth(tool: Payload) -> Floats:
     return np.array([tool.mass_kg, *tool.com_m, *(tool.inertia_kg_m2[place] for place in _SIX)])
 
 
-def drawn_truth(arm: MovingArm, start_s: Mapping[str, float], oracle: Mapping[str, Floats]) -> Truth:
-    """Truth of a drawn arm at the time of its runs, as a result has it: friction with no load, and what a load adds."""
+def drawn_truth(
+    arm: MovingArm, motion: PeriodicMotion, start_s: Mapping[str, float], oracle: Mapping[str, Floats]
+) -> Truth:
+    """Truth of a drawn arm at the time of its runs, as a result has it: friction with no load, and what a load adds.
+
+    That grows with some power of the load; a result has it over the torque where the torque has its mean size.
+    """
     friction = arm.friction
     cold = friction.cold(np.array(list(start_s.values()))).mean(axis=0)
     # what nobody declared of a gear is lost in proportion to the torque as well: half of what differs by direction
     undeclared = (1.0 / friction.driving - friction.driven) / 2.0
+    share = np.mean([np.abs(rigid_nm(arm, motion, label)).mean(axis=0) for label in start_s], axis=0) / arm.rated_nm
     # a gear that transmits nothing is driven by its motor, whichever way it turns
     idle = cold / friction.driving
     axes = {
         "coulomb_nm": friction.coulomb_nm * idle,
         "viscous_nm_s_rad": arm.viscous_nm_s_rad * idle,
         "rotor_inertia_kg_m2": arm.rotor_inertia_kg_m2,
-        "load_friction": friction.load_loss + undeclared,
+        "load_friction": friction.load_loss * share ** (friction.load_power - 1.0) + undeclared,
         "delay_s": arm.delay_s,
     }
     return Truth(arm.tool, axes, oracle)

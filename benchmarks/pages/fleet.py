@@ -1,4 +1,4 @@
-"""A fleet of half a dozen simulated robots and one of them, as the commands hand them to their pages."""
+"""A fleet of ten simulated robots and one of them, as the commands hand them to their pages."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.fleet.drifts import NOW
-from benchmarks.fleet.plant import Robot, draw, write
+from benchmarks.fleet.plant import DAYS, Robot, draw, write
 from gateway.fleet.analyse import FLEET_FILE, AsOf, analyse
 from gateway.fleet.ingest import ingest
 from gateway.fleet.store import open_or_make
@@ -19,10 +19,10 @@ from gateway.fleet.workers import one_by_one
 from gateway.report.fleet import render_fleet, render_robot
 from gateway.result.fleet import read_fleet, read_robot
 
-ROBOTS = 6
-WORN, GONE, HEAVIER = 1, 3, 4
-#: Day from which the robot is not seen, and from which its part is another one.
-LAST_DAY, OTHER_DAY = 260, 200
+ROBOTS = 10
+WORN, GONE, HEAVIER, YOUNG = 1, 3, 4, 7
+#: Day from which a robot is not seen, from which its part is another one, and on which a new one is seen first.
+LAST_DAY, OTHER_DAY, FIRST_DAY = 260, 200, 330
 
 
 def fleet_pages() -> Iterator[tuple[str, str]]:
@@ -42,11 +42,17 @@ def fleet_pages() -> Iterator[tuple[str, str]]:
 def _robot(number: int) -> Robot:
     robot = draw(3, number, int(number == WORN), 0.0)
     if number == GONE:
-        few = int(np.searchsorted(robot.day, LAST_DAY))
-        kept = {name: column[:few] for name, column in robot.columns.items()}
-        return replace(robot, day=robot.day[:few], columns=kept)
+        return _from_to(robot, 0, LAST_DAY)
+    if number == YOUNG:
+        return _from_to(robot, FIRST_DAY, DAYS)
     if number == HEAVIER:
         mass = np.asarray(robot.columns["mass_kg"], dtype=float)
         mass = np.where(robot.day > OTHER_DAY, 1.2 * mass, mass)
         return replace(robot, columns=robot.columns | {"mass_kg": mass})
     return robot
+
+
+def _from_to(robot: Robot, first: int, last: int) -> Robot:
+    """What was seen of it between two days."""
+    use = slice(*np.searchsorted(robot.day, [first, last]).tolist())
+    return replace(robot, day=robot.day[use], columns={name: column[use] for name, column in robot.columns.items()})

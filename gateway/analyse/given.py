@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -120,7 +121,11 @@ def given(request: ModelRequest, paths: Sequence[Path]) -> Given:
     InputError
         A recording or a stored bare identification that cannot be used, or that was made with another arm.
     """
-    read_ones = tuple(read(path) for path in paths if is_recording(path))
+    return given_with(request, tuple(read(path) for path in paths if is_recording(path)))
+
+
+def given_with(request: ModelRequest, read_ones: Sequence[Recording]) -> Given:
+    """As `given`, of recordings that are read already."""
     loaded = None if request.cell is None else load_cell(request.cell)
     arm, robot = _arm_and_robot(request, loaded, read_ones)
     bound = () if arm is None else _bound(read_ones, arm, robot, loaded)
@@ -183,6 +188,7 @@ def profile_of(recordings: Sequence[Recording], loaded: LoadedCell | None) -> Ca
     texts = recordings[0].profiles if recordings else {}
     folder = loaded.folder if loaded is not None else Path()
 
+    @cache  # a profile with a data sheet takes a while to read, and all axes may have the same one
     def find(name: str) -> DriveProfile:
         if name in texts:
             return parse_profile(texts[name], name)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.estimate.moving_ordinary import Settled
-from gateway.estimate.moving_problem import MotionProblem, part_columns
+from gateway.estimate.moving_problem import MotionProblem, in_basis, part_columns
 from gateway.identify.spread import by_blocks, wider
 
 Floats = NDArray[np.float64]
@@ -71,10 +71,10 @@ def spread_of(
     working, real = np.zeros(covariance.shape), np.zeros(covariance.shape)
     pulls = []
     for k, part in enumerate(problem.parts):
-        own, stated = problem.turned(left[:, part.axis], part), float(scatter.std_nm[part.axis])
-        rows_nm = part_columns(problem, settled.here, part) / sigma_nm[k]
-        through = rows_nm @ covariance
-        taken = float(np.einsum("ij,ij->", through, rows_nm))
+        own, stated = part.turn @ left[:, part.axis], float(scatter.std_nm[part.axis])
+        short = in_basis(problem, part, settled.here)[0] / sigma_nm[k]  # fewer rows than the part's, of the same square
+        through = short @ covariance
+        taken = float(np.einsum("ij,ij->", through, short))
         times[k] = correlation_time(own, run[part.rows])
         size[k] = np.sqrt(float(own @ own) / len(own) / (1.0 - min(times[k] * taken / len(own), _MOST_TAKEN)))
         if np.isfinite(stated) and size[k] ** 2 < _NOISE_ALONE * stated**2:
@@ -82,20 +82,21 @@ def spread_of(
         square = through.T @ through
         working = working + square
         real = real + square * (size[k] / sigma_nm[k]) ** 2 * times[k]
-        pulls.append(through * (own / sigma_nm[k])[:, None])
+        pulls.append(part_columns(problem, settled.here, part) * (own / sigma_nm[k] ** 2)[:, None])
     if problem.still is not None:  # rest rows have their own noise, and it is in their weight
         through = problem.still.about(settled.here.value)[0] @ covariance
         working, real = working + through.T @ through, real + through.T @ through
     by_prior = covariance - working
     if not alone.all():
         rows = np.concatenate([part.rows for part in problem.parts])
-        real = wider(real, _by_strokes(problem, pulls))
-        real = wider(real, by_blocks(np.concatenate(pulls), rows, run, _LONG * float(times.max())))
+        blocks = by_blocks(np.concatenate(pulls), rows, run, _LONG * float(times.max()))
+        for sums in (_by_strokes(problem, pulls), blocks):
+            real = wider(real, covariance @ sums @ covariance)
     return MovingSpread(real + by_prior, by_axis(problem, size), size * np.sqrt(times), alone)
 
 
 def _by_strokes(problem: MotionProblem, pulls: list[Floats]) -> Floats:
-    """Covariance (p, p) of what each part's rows (k, p) pull, those of one stroke together.
+    """Square (p, p) of what each part's rows (k, p) pull, those of one stroke together.
 
     Friction is another from stroke to stroke, and what is off in it pulls one way as long as the axis goes one way.
     """
@@ -118,9 +119,7 @@ def by_axis(problem: MotionProblem, values: Floats) -> Floats:
 
 def correlation_times(problem: MotionProblem, left_nm: Floats, run: NDArray[Any]) -> Floats:
     """How many rows make one independent one in each part."""
-    return np.array(
-        [correlation_time(problem.turned(left_nm[:, part.axis], part), run[part.rows]) for part in problem.parts]
-    )
+    return np.array([correlation_time(part.turn @ left_nm[:, part.axis], run[part.rows]) for part in problem.parts])
 
 
 def correlation_time(residual: Floats, run: NDArray[Any]) -> float:

@@ -24,6 +24,8 @@ _BEND: Final = 0.1
 #: Share of the variance of torques that nobody states the constants of, that all axes have in common: one unit, one
 #: supply, one factor between peak and rms.
 _COMMON: Final = 0.5
+#: Half of what a gear loses otherwise where it is driven back than where it drives, however little it loses.
+_LEAST_UNEVEN: Final = 0.0015
 #: Standard deviation over that of the prior, beyond which the rows say nothing of a quantity.
 UNTOLD: Final = 0.7
 
@@ -56,7 +58,7 @@ def gains_prior(prior: Prior, ordinary: Mapping[str, Ints], gain_std: Floats, lo
     index, usual = ordinary["gain"], nuisance_prior(gain_std, np.full(len(lost), np.nan), lost)
     mean = prior.mean.copy()
     mean[index] = usual.gain
-    return replace(prior.with_std(index, usual.gain_std), mean=mean)
+    return replace(prior.with_std(index, np.hypot(usual.gain_std, _LEAST_UNEVEN)), mean=mean)
 
 
 def alike(prior: Prior, index: Ints) -> Prior:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from gateway.data.rows import Table
 from gateway.estimate.gains import GainRows
@@ -32,20 +33,26 @@ class Contrasts:
 
     rows: tuple[Ints, ...] = ()
 
-    def turned(self, values: Floats, used: Mask) -> Floats:
-        """Values (n, ...) of one axis, turned where all loads of a phase are `used` (n,)."""
-        out = values.copy()
+    def of_axis(self, used: Mask) -> tuple[tuple[Ints, csr_array], tuple[Ints, csr_array]]:
+        """What makes of rows (n,) of one axis those that are `used` (n,) as means, and their differences.
+
+        Both with the rows (k,) that stand for them, and a matrix (k, n). Where a load lacks a row of a phase, those of
+        the others stay as they are.
+        """
+        alone, apart = used.copy(), np.zeros(len(used), dtype=bool)
+        pieces = []
         for rows in self.rows:
             here = rows[:, used[rows].all(axis=0)]
-            out[here] = np.tensordot(_orthonormal(len(rows)), values[here], axes=1)
-        return out
-
-    def apart(self, used: Mask) -> Mask:
-        """Which turned rows (n,) of one axis are differences."""
-        out = np.zeros(len(used), dtype=bool)
-        for rows in self.rows:
-            out[rows[1:, used[rows].all(axis=0)]] = True
-        return out
+            alone[here], apart[here[1:]] = False, True
+            loads, count = here.shape
+            for row, weights in zip(here, _orthonormal(loads), strict=True):
+                pieces.append((np.repeat(weights, count), np.tile(row, loads), here.ravel()))
+        single = np.flatnonzero(alone)
+        pieces.append((np.ones(len(single)), single, single))
+        weight, row, column = (np.concatenate(items) for items in zip(*pieces, strict=True))
+        whole = csr_array((weight, (row, column)), shape=(len(used), len(used)))
+        means, differences = np.flatnonzero(used & ~apart), np.flatnonzero(apart)
+        return (means, whole[means]), (differences, whole[differences])
 
 
 def _orthonormal(count: int) -> Floats:
@@ -61,12 +68,13 @@ def _orthonormal(count: int) -> Floats:
 class AxisRows:
     """Used rows of one axis, or those of them that are differences.
 
-    `rows` (k,) among all; `there` (c,) the columns that reach the axis; `basis` (k, m) orthonormal; `factor` (m, c + 2)
-    those columns, the known torque and the measured one in that basis.
+    `rows` (k,) among all; `turn` (k, n) makes them of all rows; `there` (c,) the columns that reach the axis; `basis`
+    (k, m) orthonormal; `factor` (m, c + 2) those columns, the known torque and the measured one in that basis.
     """
 
     axis: int
     rows: Ints
+    turn: csr_array
     there: Ints
     basis: Floats
     factor: Floats
@@ -123,10 +131,6 @@ class MotionProblem:
         stretches = Stretches.of(np.asarray(moving.run).astype(str), moving.time_s)
         return MotionProblem(columns, moving.tau_nm, moving.qd_rad_s, used, stretches, tuple(parts), contrasts, still)
 
-    def turned(self, values: Floats, part: AxisRows) -> Floats:
-        """Values (n, ...) of an axis as the rows (k, ...) of a part have them."""
-        return self.contrasts.turned(values, self.used[:, part.axis])[part.rows]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class About:
@@ -148,13 +152,8 @@ def _axis_rows(columns: Columns, tau_nm: Floats, used: Mask, axis: int, contrast
     size = np.abs(design).max(axis=0, initial=0.0)
     there = np.flatnonzero(size > NOTHING * size.max(initial=0.0))
     stacked = np.column_stack([design[:, there], columns.known_nm[:, axis], tau_nm])
-    stacked, apart = contrasts.turned(stacked, used), contrasts.apart(used)
-    out = []
-    for kind in (used & ~apart, apart):
-        rows = np.flatnonzero(kind)
-        if len(rows):
-            out.append(AxisRows(axis, rows, there, *np.linalg.qr(stacked[rows])))
-    return out
+    parts = [(rows, turn) for rows, turn in contrasts.of_axis(used) if len(rows)]
+    return [AxisRows(axis, rows, turn, there, *np.linalg.qr(turn @ stacked)) for rows, turn in parts]
 
 
 def about(problem: MotionProblem, value: Floats) -> About:
@@ -196,7 +195,7 @@ def _bent(lost_nm: Floats) -> Floats:
 def solved(problem: MotionProblem, here: About | None, sigma_nm: Floats, prior: Prior) -> Solution:
     """Solve the problem linearised about a solution (None: without what every arm has), each part by its `sigma_nm`."""
     count = len(problem.columns.names)
-    parts = [_of_part(problem, part, here) for part in problem.parts]
+    parts = [in_basis(problem, part, here) for part in problem.parts]
     weight = [np.full(len(target), 1.0 / sigma) for sigma, (_, target) in zip(sigma_nm, parts, strict=True)]
     if problem.still is not None:
         value = np.zeros(count) if here is None else here.value
@@ -206,7 +205,7 @@ def solved(problem: MotionProblem, here: About | None, sigma_nm: Floats, prior: 
     return solve(design, target, np.concatenate(weight), prior)
 
 
-def _of_part(problem: MotionProblem, mine: AxisRows, here: About | None) -> tuple[Floats, Floats]:
+def in_basis(problem: MotionProblem, mine: AxisRows, here: About | None) -> tuple[Floats, Floats]:
     """Columns (m, p) and target (m,) of one part in its basis, and in that of what stands outside of it."""
     columns, axis = problem.columns, mine.axis
     body = mine.there < columns.bodies
@@ -220,7 +219,7 @@ def _of_part(problem: MotionProblem, mine: AxisRows, here: About | None) -> tupl
     inside[:, body] *= 1.0 + gain
     others = [name for name in columns.ordinary if name != "gain"]
     outside = np.column_stack([*(here.local[name][:, axis] for name in others), here.moved_nm[:, axis]])
-    outside = problem.turned(outside, mine)
+    outside = mine.turn @ outside
     within = mine.basis.T @ outside
     beyond = np.asarray(np.linalg.qr(outside - mine.basis @ within, mode="r"), dtype=float)
     design = np.zeros((len(inside) + len(beyond), len(columns.names)))
@@ -236,9 +235,9 @@ def _of_part(problem: MotionProblem, mine: AxisRows, here: About | None) -> tupl
 def part_columns(problem: MotionProblem, here: About, part: AxisRows) -> Floats:
     """Columns (k, p) of the rows of one part about a solution."""
     columns, axis = problem.columns, part.axis
-    out = problem.turned(columns.design[:, axis], part)
+    out = part.turn @ columns.design[:, axis]
     if "gain" in columns.ordinary:
         out[:, : columns.bodies] *= 1.0 + here.value[columns.ordinary["gain"][axis]]
     for name, index in columns.ordinary.items():
-        out[:, index[axis]] = problem.turned(here.local[name][:, axis], part)
+        out[:, index[axis]] = part.turn @ here.local[name][:, axis]
     return out

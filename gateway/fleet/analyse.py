@@ -173,11 +173,11 @@ def _estimate(store: Store, spread: Spreading, failed: list[str], tell: Callable
             count += 1
             tell("recordings", count)
             if len(held) >= _HELD:
-                _add(store, held)
+                failed += _add(store, held)
                 held = []
     finally:
         if held:
-            _add(store, held)
+            failed += _add(store, held)
     return count
 
 
@@ -200,11 +200,12 @@ def _estimated(store: Store, robot: str) -> set[str]:
     return {sha256 for kind, by, sha256 in told if kind == ESTIMATE and by == software()}
 
 
-def _add(store: Store, rows: list[Row]) -> None:
+def _add(store: Store, rows: list[Row]) -> tuple[str, ...]:
+    """Add rows; sentences on files that cannot take them."""
     pa = library("pyarrow")
     told = pa.schema([("robot", pa.string()), ("month", pa.string()), *columns()])
     with store.writing():
-        store.add(pa.Table.from_pylist(rows, schema=told))
+        return store.add(pa.Table.from_pylist(rows, schema=told)).refused
 
 
 def _learn(store: Store, robots: Sequence[str], spread: Spreading) -> Wanders:

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from gateway.analyse.given import ModelRequest, estimate_options, given, read_rows
+from gateway.analyse.given import ModelRequest, estimate_options, given_with, read_rows
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.errors import DataUnusable, InputError
@@ -121,7 +121,7 @@ def estimated_rows(path: Path, sha256: str, now: datetime) -> list[Row]:
             duration_s=_duration_s(arm),
         )
         try:
-            about = given(ModelRequest(arm=arm.name), [path])
+            about = given_with(ModelRequest(arm=arm.name), (recording,))
             table = read_rows([path], about)
             told |= numbers_of(run(table, about.model, estimate_options(about)), about.gain_std)
             told[TEMPERATURE] = table.temperature_c.mean(axis=0).tolist()

@@ -25,7 +25,10 @@ _HELD_OF_TABLES: Final = 100_000
 
 @dataclass(frozen=True, slots=True)
 class Ingested:
-    """What became of the files: `added` rows, `known` rows that were there, `refused` sentences, `clock` remarks."""
+    """What became of the files: `added` rows, `known` rows that were there, `refused` sentences, `clock` remarks.
+
+    Rows that a file of the store cannot take are neither; `refused` names that file.
+    """
 
     files: int
     added: int
@@ -53,32 +56,40 @@ def ingest(
     InputError
         The store cannot be written. A file that cannot be used is in `refused` instead.
     """
-    files = added = rows = 0
+    files = added = known = 0
     refused: list[str] = []
     faults: dict[str, tuple[int, str]] = {}
     with store.writing():
         held: list[Any] = []
+
+        def put() -> None:
+            nonlocal added, known
+            table = library("pyarrow").concat_tables(held)
+            done = store.add(table)
+            added += done.new
+            known += table.num_rows - done.new - done.left_out
+            refused.extend(done.refused)
+            held.clear()
+
         for path in _files(paths):
             files += 1
             tell(path.name)
             try:
                 for block in _blocks(store, path, now):
                     held.append(block)
-                    rows += block.num_rows
                     _note_clock(faults, path, block)
             except InputError as error:
                 refused.append(str(error))
             if len(held) >= _HELD or sum(block.num_rows for block in held) >= _HELD_OF_TABLES:
-                added += store.add(library("pyarrow").concat_tables(held))
-                held = []
+                put()
         if held:
-            added += store.add(library("pyarrow").concat_tables(held))
+            put()
     clock = [
         f"{where}: {count} {'check has' if count == 1 else 'checks have'} a time that cannot be ({why}); kept, and in"
         " no trend: set the clock of the robot"
         for where, (count, why) in faults.items()
     ]
-    return Ingested(files, added, rows - added, tuple(refused), tuple(clock))
+    return Ingested(files, added, known, tuple(dict.fromkeys(refused)), tuple(clock))
 
 
 def _files(paths: Iterable[Path]) -> Iterator[Path]:

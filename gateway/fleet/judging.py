@@ -63,7 +63,7 @@ def judged(
     state: State = reasons[0].state if reasons else "healthy"
     urgency = reasons[0].urgency if reasons else _nearest(trends)
     first = rows["time_utc"][0].as_py() if rows.num_rows else None
-    gain = max((each for each in trends if _gain_told(each)), key=lambda each: abs(each.sigmas), default=None)
+    gain = max((each for each in trends if _gain_told(each)), key=_sureness, default=None)
     return RobotLine(
         robot=robot,
         cell=rows["cell"][0].as_py() if rows.num_rows else "",
@@ -83,6 +83,11 @@ def judged(
 
 def _gain_told(trend: FleetTrend) -> bool:
     return trend.quantity == GAIN.key and math.isfinite(trend.sigmas)
+
+
+def _sureness(trend: FleetTrend) -> tuple[float, float]:
+    """How sure a drift is; where the checks speak against any, how far it is from none."""
+    return abs(trend.sigmas), abs(trend.drift_per_year) / (trend.drift_std_per_year or math.inf)
 
 
 _ORDER: Final[dict[State, int]] = {"visit": 0, "not seen": 1, "cannot tell": 2, "healthy": 3}

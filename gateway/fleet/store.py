@@ -37,6 +37,15 @@ _WRITING: Final[dict[str, Any]] = {"compression": "snappy", "use_dictionary": Fa
 
 
 @dataclass(frozen=True, slots=True)
+class AddedRows:
+    """What became of rows: `new` were added, `left_out` belong to files that cannot be read, which `refused` names."""
+
+    new: int
+    left_out: int
+    refused: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Store:
     """A folder that is one."""
 
@@ -98,28 +107,30 @@ class Store:
         with sole_writer(self.path / "store", PATIENCE_S):
             yield
 
-    def add(self, table: Any) -> int:
+    def add(self, table: Any) -> AddedRows:
         """Add rows to the files of their robots and months; the caller holds `writing`.
+
+        A file that is there and cannot be read is left as it is, and the rows of the others are added.
 
         Parameters
         ----------
         table : Arrow table with the columns of a file, `robot` and `month`
 
-        Returns
-        -------
-        int
-            Rows that were new.
-
         Raises
         ------
         InputError
-            A file that is there cannot be read, or nothing can be written; what was there is untouched.
+            Nothing can be written; what was there is untouched.
         """
-        added, ready, places, parts = 0, [], [], []
+        added, left_out, refused, ready, places, parts = 0, 0, [], [], [], []
         for robot, month, rows in _by_place(table):
             place = self.place(robot, month)
             if place.exists():
-                known = read_file(place)
+                try:
+                    known = read_file(place)
+                except InputError as error:
+                    left_out += rows.num_rows
+                    refused.append(str(error))
+                    continue
                 rows = _unknown(rows, known)
                 if not rows.num_rows:
                     continue
@@ -135,7 +146,7 @@ class Store:
             for aside, place in ready:
                 os.replace(aside, place)
             with_months(self.months, months_of(places, parts))
-        return added
+        return AddedRows(added, left_out, tuple(refused))
 
 
 def read_file(path: Path) -> Any:

@@ -15,7 +15,8 @@ from gateway.fleet.told import (
     DRIFT,
     FEWEST_CHECKS,
     FEWEST_DAYS,
-    POWER_SIGMAS,
+    detectable,
+    log_seen,
     mixed,
     needed_sigmas,
     sigmas,
@@ -29,8 +30,8 @@ from gateway.result.values import NAN
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-#: Days between looks at the same line.
-LOOK_DAYS: Final = 7.0
+#: Days between looks at the same line: more looks cost no false alarm.
+LOOK_DAYS: Final = 3.0
 DAYS_OF_A_YEAR: Final = 365.25
 LEVEL, PER_K, PER_KG = 0, 2, 3
 #: Dots of a curve that is drawn.
@@ -115,11 +116,20 @@ def seen_likelihoods(series: CheckSeries) -> dict[str, list[Floats]]:
     if not looks:
         return {}
     last = lines(looks[-1].sums, active_columns(series))
+    seen = log_seen(last, _tolerance(series, last))
     out: dict[str, list[Floats]] = {}
     for index, each in enumerate(series.quantities):
         if last.freedom[index] >= FEWEST_CHECKS:
-            out.setdefault(each.key, []).append(last.log_likelihood[:, index])
+            out.setdefault(each.key, []).append(seen[:, index])
     return out
+
+
+def _tolerance(series: CheckSeries, line: FittedLines) -> Floats:
+    """Drift a year (M,) that is tolerated, in the units of the series; what one check scatters where none is named."""
+    relative = np.array([each.relative for each in series.quantities])
+    named = np.array([each.tolerance for each in series.quantities])
+    named = named * np.where(relative, np.abs(line.value[0, :, LEVEL]), 1.0)
+    return np.where(named > 0.0, named, np.sqrt(line.square[0]))
 
 
 def wanders_of(seen: Sequence[Mapping[str, Sequence[Floats]]]) -> Wanders:
@@ -163,31 +173,27 @@ def trends_of(
     found: dict[int, float] = {}
     for look in looks:
         told = lines(look.sums, active)
-        weight = weights(told, log_prior)
-        size = _long_enough(series, look, sigmas(told, weight))
+        size = _long_enough(series, look, sigmas(told, log_prior, _tolerance(series, told)))
         for index in np.flatnonzero(np.abs(np.nan_to_num(size)) >= needed):
             found.setdefault(int(index), look.day)
-    told, weight = _last(looks, active, log_prior)
-    size = _long_enough(series, looks[-1], sigmas(told, weight))
-    mean, covariance = mixed(told, weight)
+    told = lines(looks[-1].sums, active)
+    tolerance = _tolerance(series, told)
+    size = _long_enough(series, looks[-1], sigmas(told, log_prior, tolerance))
+    mean, covariance = mixed(told, weights(told, log_prior))
     both = zip(mean, covariance, strict=True)
     told_of = [_trend(series, index, line, active[index], float(size[index])) for index, line in enumerate(both)]
+    least = detectable(np.array([trend.drift_std_per_year for trend in told_of]), tolerance, needed)
     trends = tuple(
         replace(
             trend,
             needed_sigmas=needed,
             found_on=_day(first, found.get(index)),
-            detectable_per_year=(POWER_SIGMAS + needed) * trend.drift_std_per_year,
+            detectable_per_year=float(least[index]),
         )
         for index, trend in enumerate(told_of)
     )
     curves = tuple(_curve(series, index, mean[index], covariance[index]) for index in range(len(series.quantities)))
     return trends, curves
-
-
-def _last(looks: Sequence[Look], active: Flags, log_prior: Floats) -> tuple[FittedLines, Floats]:
-    told = lines(looks[-1].sums, active)
-    return told, weights(told, log_prior)
 
 
 def _long_enough(series: CheckSeries, look: Look, size: Floats) -> Floats:

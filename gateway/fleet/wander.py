@@ -3,7 +3,7 @@
 A check reads `level + drift t + per_k T + per_kg m + wander + noise`. The wander is a stationary process whose
 correlation falls as `exp(-t / tau)`, the noise is independent from check to check. `Shape` says how large the wander
 is over the noise, and how slow; how large the noise is is read from every series by itself. The filter makes the
-checks independent one by one (Durbin and Koopman, Time CheckSeries Analysis by State Space Methods, 2012, 6.2.3 for the
+checks independent one by one (Durbin and Koopman, Time Series Analysis by State Space Methods, 2012, 6.2.3 for the
 columns of a regression), so that one pass gives the line as it would have been told on any day.
 """
 
@@ -109,12 +109,14 @@ class FittedLines:
     ----------
     value : (G, M, p)
     covariance : (G, M, p, p), with the noise as read from the series
+    square : (G, M) variance of the noise of one check
     freedom : (M,) checks beyond the columns; below 1 nothing is known
     log_likelihood : (G, M) of the shape, restricted
     """
 
     value: Floats
     covariance: Floats
+    square: Floats
     freedom: Floats
     log_likelihood: Floats
 
@@ -145,4 +147,4 @@ def lines(of: Sums, active: NDArray[np.bool_]) -> FittedLines:
     log_normal = np.linalg.slogdet(scaled)[1] - 2.0 * np.log(scale).sum(axis=2)
     likelihood = -0.5 * (known * np.log(square) + of.log_spread + log_normal)
     covariance = inverse * scale[..., :, None] * scale[..., None, :] * square[..., None, None]
-    return FittedLines(solved * scale, covariance, freedom, likelihood)
+    return FittedLines(solved * scale, covariance, square, freedom, likelihood)

@@ -33,7 +33,7 @@ def wider(first: Floats, second: Floats) -> Floats:
 
 
 def by_blocks(pull: Floats, row: Ints, run: NDArray[np.str_], length: float) -> Floats:
-    """Covariance (p, p) of what rows pull (k, p) at the parameters, rows of one block of time pulling together.
+    """Square (p, p) of what rows pull (k, p) at the parameters, rows of one block of time pulling together.
 
     Parameters
     ----------

@@ -94,7 +94,7 @@ class FleetTrend:
     checks : that the trend was read from
     level : at the mean temperature and load, when the first check was made
     drift_per_year, drift_std_per_year : in the quantity's unit
-    sigmas : drift over its standard deviation, as that of a normal distribution
+    sigmas : how sure the drift is, signed: the root of twice the logarithm of how much likelier the checks are with it
     needed_sigmas : from which on a drift is told
     found_on : day on which it was told first
     detectable_per_year : drift that would be told today with 95 %

@@ -243,8 +243,8 @@ class AxisMotion:
 
     Friction is (coulomb_nm + load_friction |tau| + (breakaway_nm - coulomb_nm) exp(-(qd / stribeck_rad_s)^2)) sign(qd)
     + viscous_nm_s_rad qd; `stribeck_rad_s` is NaN where no Stribeck curve shows, and that term is not there then.
-    `delay_s` is by how much the torque that is reported lags behind the position. `speed_rad_s` is the fastest that the
-    axis was driven at.
+    `load_friction` is that of the torque's mean size: it may grow with another power. `delay_s` is by how much the
+    torque that is reported lags behind the position. `speed_rad_s` is the fastest that the axis was driven at.
     """
 
     joint: int

@@ -74,7 +74,7 @@ def pages(monkeypatch) -> list[LivePage]:
 
 
 @pytest.mark.skipif(not available(), reason=NO_BROWSER)
-def test_a_person_sees_the_arm_and_stops_it_by_a_click(place, serve, gateway, pages, tmp_path):
+def test_a_person_sees_the_arm_and_stops_it_by_a_click(place, serve, gateway, pages, tmp_path, pictures):
     drives = serve()
     seen: dict[str, object] = {}
 
@@ -94,6 +94,8 @@ def test_a_person_sees_the_arm_and_stops_it_by_a_click(place, serve, gateway, pa
             seen[scheme] = window.run("return [document.documentElement.scrollWidth, innerWidth]")
             window.picture(tmp_path / f"{scheme}-narrow.png")
             window.resize(*WIDE)
+        window.in_light("light")
+        window.picture(pictures / "live.png")
         window.run("document.getElementById('stop').click()")
         wait_for(lambda: not window.run("return document.getElementById('over').hidden"))
         seen["over"] = window.run("return document.getElementById('over').textContent")

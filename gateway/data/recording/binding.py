@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from drives.errors import ProfileError
+from drives.profile import DriveProfile
 from drives.profile_file import parse_profile
 from drives.scaling import Constants, motor_scale
 from gateway.cell.config import ArmConfig, AxisConfig, Cell
@@ -184,13 +185,15 @@ def torque_units(
         A profile is missing or cannot be used.
     """
     units = []
+    parsed: dict[str, DriveProfile] = {}
     for axis, read_from_drive in zip(config.axis, constants, strict=True):
         text = profiles.get(axis.profile)
         if not isinstance(text, str):
             raise InputError(f"{where}: the file holds no text of profile '{axis.profile}'")
         try:
-            profile = parse_profile(text, axis.profile)
-            scale = motor_scale(profile, read_from_drive, axis.torque_constant_nm_per_a.value)
+            if axis.profile not in parsed:
+                parsed[axis.profile] = parse_profile(text, axis.profile)
+            scale = motor_scale(parsed[axis.profile], read_from_drive, axis.torque_constant_nm_per_a.value)
         except ProfileError as error:
             raise InputError(f"{where}: {error}") from error
         units.append(scale.torque_nm)

@@ -128,7 +128,9 @@ def said(few: Few, off: float) -> dict:
         for name in ("coulomb_nm", "viscous_nm_s_rad", "rotor_inertia_kg_m2", "load_friction", "delay_s")
     }
     assert tool.mass_kg == truth[0]
-    return {"seed": 0, "tier": "known", "refused": ""} | score(drawn_truth(few.arm, few.start_s, oracle), result)
+    return {"seed": 0, "tier": "known", "refused": ""} | score(
+        drawn_truth(few.arm, few.motion, few.start_s, oracle), result
+    )
 
 
 def test_figures_say_how_far_off_the_results_are(few):
@@ -148,7 +150,7 @@ def test_figures_say_how_far_off_the_results_are(few):
 def test_friction_of_the_truth_is_what_the_motor_has_to_give(few):
     """No load: the friction through the gear that drives. Loaded: what both directions differ by, over the load."""
     friction = replace(few.arm.friction, load_power=np.ones(6), bias_share=np.zeros(6))
-    truth = drawn_truth(replace(few.arm, friction=friction), few.start_s, {}).axes
+    truth = drawn_truth(replace(few.arm, friction=friction), few.motion, few.start_s, {}).axes
     declared, late_s = friction.declared_efficiency, np.array([3100.0])
     forth = friction.motor_nm(friction.band_nm(np.zeros((1, 6)), late_s), np.ones(1))[0] * declared
     np.testing.assert_allclose(truth["coulomb_nm"], forth, rtol=1e-3)
@@ -176,7 +178,7 @@ def test_an_inertia_that_no_body_has_is_counted(few):
     assert np.array_equal(tensor(range(6)), [[0, 3, 4], [3, 1, 5], [4, 5, 2]])
     bad = replace(good, inertia_kg_m2=(1.0, 1.0, 2.5, 0.0, 0.0, 0.0))
     oracle = {"load": np.ones(10)} | {name: np.ones(6) for name in said(few, 0.0)["axes"]}
-    truth, cell = drawn_truth(few.arm, few.start_s, oracle), {"seed": 0, "tier": "known", "refused": ""}
+    truth, cell = drawn_truth(few.arm, few.motion, few.start_s, oracle), {"seed": 0, "tier": "known", "refused": ""}
     assert score(truth, Result("r", loads=(bad,)))["impossible"] == 1
     assert len(LOAD_NAMES) == 4 + len(SIX)
     assert figures([cell | score(truth, None)])["impossible inertias reported"]["met"]
@@ -196,4 +198,4 @@ def test_an_arm_of_seven_axes_goes_the_same_way():
     assert oracle["coulomb_nm"].shape == (7,)
     assert result.loads[0].mass_kg == pytest.approx(arm.tool.mass_kg, rel=0.02)
     np.testing.assert_allclose(result.loads[0].com_m, arm.tool.com_m, atol=0.005)
-    assert score(drawn_truth(arm, start_s, oracle), result)["impossible"] == 0
+    assert score(drawn_truth(arm, cell.motion, start_s, oracle), result)["impossible"] == 0

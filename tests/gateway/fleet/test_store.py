@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import duckdb
@@ -17,6 +17,7 @@ from gateway.cell.config import load_cell
 from gateway.data.recording.writer import RecordingWriter
 from gateway.errors import InputError
 from gateway.fleet.columns import SCHEMA_KEY
+from gateway.fleet.history import history
 from gateway.fleet.ingest import ingest
 from gateway.fleet.store import Store, open_or_make, open_store
 from gateway.result.result import LoadResult, Result, to_json
@@ -142,6 +143,21 @@ def test_clock_that_went_back_is_told_and_nothing_is_lost(store: Store, tmp_path
     assert [line for line, odd in zip(held["line"].to_pylist(), wrong, strict=True) if odd] == [5]
 
 
+def test_recordings_of_a_clock_that_went_back_run_into_each_other(store: Store, tmp_path: Path) -> None:
+    """The second was made by a clock that was set back while the first ran, as long as one visit."""
+    begun = datetime(2026, 2, 3, 4, 5, 6, tzinfo=UTC)
+    paths = [
+        recording(tmp_path / f"run{number}.h5", (begun + timedelta(seconds=late)).isoformat())
+        for number, late in enumerate([0.0, 0.01])
+    ]
+    assert ingest(store, paths, NOW).added == 2
+    (robot,) = store.robots()
+    assert history(store.read(robot)).remarks == (
+        "1 recordings run into the next one: the clock went back; look at their times",
+    )
+    assert len(list(store.recordings())) == 2
+
+
 @pytest.mark.parametrize("when", ["1970-01-01T00:00:00", "2031-01-01T00:00:00"])
 def test_time_that_cannot_be_is_told(store: Store, tmp_path: Path, when: str) -> None:
     rows = checks("one", days=range(3))
@@ -159,6 +175,22 @@ def test_store_of_two_schemas_is_named_by_its_file(store: Store, tmp_path: Path)
     pq.write_table(other, place)
     with pytest.raises(InputError, match=r"month=2026-02.*schema 7, this version reads and writes schema 1"):
         store.read(robot)
+
+
+def test_file_of_another_schema_stops_no_other_robot_and_stays_as_it_is(store: Store, tmp_path: Path) -> None:
+    both = [*checks("one", days=range(3)), *checks("two", days=range(3))]
+    ingest(store, [write_table(tmp_path / "a.csv", both)], NOW)
+    place = next(store.files(robot)[0] for robot in store.robots() if robot.startswith("one"))
+    pq.write_table(pq.read_table(place, partitioning=None).replace_schema_metadata({SCHEMA_KEY: b"7"}), place)
+    before = place.read_bytes()
+    more = [*checks("one", days=range(3, 6)), *checks("two", days=range(3, 8))]
+    done = ingest(store, [write_table(tmp_path / "b.csv", more)], NOW)
+    assert (done.added, done.known, len(done.refused)) == (5, 0, 1)
+    assert "is of schema 7" in done.refused[0]
+    assert str(place) in done.refused[0]
+    assert place.read_bytes() == before
+    assert store.read(next(robot for robot in store.robots() if robot.startswith("two"))).num_rows == 8
+    assert not list(store.path.rglob("*.tmp"))
 
 
 def test_file_that_is_no_parquet_is_named(store: Store, tmp_path: Path) -> None:

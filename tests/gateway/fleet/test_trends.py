@@ -1,4 +1,4 @@
-"""Lines through checks: against dense least squares, the threshold against Brownian motion, and what is said."""
+"""Lines through checks: against dense least squares, what a drift is weighed by, and what is said."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ from datetime import datetime
 
 import numpy as np
 import pytest
+from scipy.linalg import null_space
 
 from gateway.fleet.history import CheckSeries
-from gateway.fleet.told import needed_sigmas
+from gateway.fleet.told import detectable, needed_sigmas, sigmas
 from gateway.fleet.trends import Wanders, active_columns, looks_of, seen_likelihoods, trends_of, wanders_of
-from gateway.fleet.wander import SHAPES, lines, sums
+from gateway.fleet.wander import SHAPES, FittedLines, lines, sums
 from gateway.result.fleet import GAIN
 
 FIRST = datetime(2026, 1, 1)
@@ -73,14 +74,68 @@ def test_a_look_sees_nothing_of_later_checks() -> None:
     assert np.array_equal(before.sums.products, after.sums.products)
 
 
-def test_threshold_holds_for_brownian_motion() -> None:
-    """Share of motions over the root of their time that leave the threshold while the time grows as in a year."""
-    rng = np.random.default_rng(3)
-    grid = np.exp(np.linspace(0.0, 3.0 * np.log(365.25 / 28.0), 400))
-    steps = rng.normal(size=(20000, 400)) * np.sqrt(np.diff(grid, prepend=0.0))
-    height = np.abs(np.cumsum(steps, axis=1) / np.sqrt(grid)).max(axis=1)
-    assert needed_sigmas(1) == pytest.approx(np.quantile(height, 1.0 - 0.01), rel=0.04)
-    assert needed_sigmas(36) > needed_sigmas(1)
+def test_likelihoods_are_those_of_the_checks_without_what_is_not_known() -> None:
+    """Against the density of what is left when level, temperature and load are projected away, and integrated noise."""
+    rng = np.random.default_rng(6)
+    count, tolerance = 40, 2.0
+    time_a = np.sort(rng.uniform(0, 0.5, count))
+    design = np.column_stack([np.ones(count), time_a, rng.normal(size=count), rng.normal(size=count)])
+    value = design @ [0.3, 1.5, -0.5, 0.1] + 0.3 * rng.normal(size=count)
+    columns = np.column_stack([design, value])[:, None, :]
+    (told,) = sums(time_a, columns, np.ones((count, 1)), np.array([count]))
+    fitted = lines(told, np.ones((1, 4), dtype=bool))
+    rest = null_space(design[:, [0, 2, 3]].T)
+    for index in (0, 4):
+        shape = SHAPES[index]
+        covariance = shape.ratio * np.exp(-np.abs(time_a[:, None] - time_a) / shape.time_a) + np.eye(count)
+        inverse = np.linalg.inv(rest.T @ covariance @ rest)
+
+        def density(drift: float, inverse: np.ndarray = inverse) -> float:
+            left = rest.T @ (value - drift * time_a)
+            return float(left @ inverse @ left) ** (-(count - 3) / 2)
+
+        sizes = [(2.0**power, 0.8 if power == 0 else 0.2 / 7.0) for power in range(-4, 4)]
+        some = sum(0.5 * share * density(sign * tolerance * size) for size, share in sizes for sign in (-1, 1))
+        only = np.where(np.arange(len(SHAPES)) == index, 0.0, -1e9)[:, None]
+        found = sigmas(fitted, only, np.array([tolerance]))
+        assert found[0] == pytest.approx(np.sqrt(2.0 * np.log(some / density(0.0))), rel=1e-6)
+
+
+def test_no_drift_is_told_by_chance_more_often_than_promised() -> None:
+    """Series of noise that are looked at every three days of a year, with a threshold for one in ten."""
+    rng = np.random.default_rng(7)
+    told = 0
+    for _ in range(5):
+        noise = series(rng.normal(0, 0.003, (365, 60)))
+        looks, active = looks_of(noise), active_columns(noise)
+        prior = wanders_of([seen_likelihoods(noise)]).of(noise)
+        most = np.zeros(60)
+        for look in looks:
+            most = np.fmax(most, np.abs(sigmas(lines(look.sums, active), prior, np.full(60, GAIN.tolerance))))
+        told += int((most > np.sqrt(2.0 * np.log(1.0 / 0.1))).sum())
+    assert 3 <= told <= 0.1 * 300 + 2.0 * np.sqrt(0.1 * 0.9 * 300)
+
+
+def test_threshold_is_shared_by_all_that_is_looked_at() -> None:
+    assert np.exp(0.5 * needed_sigmas(1) ** 2) == pytest.approx(100.0)
+    assert np.exp(0.5 * needed_sigmas(36) ** 2) == pytest.approx(3600.0)
+
+
+@pytest.mark.parametrize("tolerance", [0.02, 0.3])
+def test_a_drift_that_is_called_detectable_is_told_in_95_of_100(tolerance: float) -> None:
+    std, needed = 0.003, needed_sigmas(27)
+    (drift,) = detectable(np.array([std]), np.array([tolerance]), needed)
+    found = np.random.default_rng(8).normal(drift, std, 4000)
+    freedom = np.full(4000, 1e6)
+    fitted = FittedLines(
+        value=np.stack([np.zeros(4000), found], axis=1)[None],
+        covariance=np.broadcast_to(np.diag([1.0, std**2]), (1, 4000, 2, 2)),
+        square=np.ones((1, 4000)),
+        freedom=freedom,
+        log_likelihood=np.zeros((1, 4000)),
+    )
+    share = (sigmas(fitted, np.zeros((1, 4000)), np.full(4000, tolerance)) > needed).mean()
+    assert share == pytest.approx(0.95, abs=3.0 * np.sqrt(0.95 * 0.05 / 4000))
 
 
 def test_drift_is_told_under_temperature_and_load_and_its_day_with_it() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import socket
 import subprocess
 import sys
@@ -38,14 +39,20 @@ if __name__ == "__main__":
 """
 
 
-def test_killed_worker_loses_nothing_and_no_more_is_taken_than_is_done(tmp_path: Path) -> None:
-    program = tmp_path / "program.py"
-    program.write_text(PROGRAM)
+def ran(folder: Path, text: str, word: object) -> subprocess.CompletedProcess[str]:
+    """A program in a process of its own, with a word of its command line."""
+    program = folder / "program.py"
+    program.write_text(text)
     done = subprocess.run(
-        [sys.executable, program, tmp_path / "mark"], capture_output=True, text=True, cwd=ROOT, timeout=120,
+        [sys.executable, program, str(word)], capture_output=True, text=True, cwd=ROOT, timeout=120,
         env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin", "OPENBLAS_NUM_THREADS": "1"},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
+    return done
+
+
+def test_killed_worker_loses_nothing_and_no_more_is_taken_than_is_done(tmp_path: Path) -> None:
+    done = ran(tmp_path, PROGRAM, tmp_path / "mark")
     ahead, results = json.loads(done.stdout)
     assert (tmp_path / "mark").exists()
     assert results == {str(number): 2 * number for number in range(12)}
@@ -74,3 +81,59 @@ def test_error_of_the_data_is_an_answer_and_a_defect_is_not() -> None:
     assert isinstance(found[1], DataUnusable)
     with pytest.raises(ZeroDivisionError):
         list(one_by_one(odd, [3]))
+
+
+#: A scheduler that is killed once the first task is done: what was done is given, then one sentence.
+GONE = """
+import subprocess, sys
+from gateway.errors import ConfigError
+from gateway.fleet import workers as module
+from tests.fleets import slowly_doubled
+
+def started(words, said):
+    program = subprocess.Popen([sys.executable, "-m", *words], stderr=subprocess.PIPE, text=True)
+    for line in program.stderr:
+        if said in line:
+            return program, line
+    raise SystemExit("it did not start")
+
+if __name__ == "__main__":
+    module.PATIENCE_S = 2.0
+    scheduler, line = started(
+        ["distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"], "Scheduler at:"
+    )
+    address = line.split()[-1]
+    worker = None
+    try:
+        if sys.argv[1] == "worker":
+            worker, _ = started(
+                ["distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"],
+                "Registered to:",
+            )
+        done = []
+        try:
+            with module.workers(address) as spread:
+                for task, _ in spread(slowly_doubled, range(200)):
+                    done.append(task)
+                    if len(done) == 2:
+                        scheduler.kill()
+        except ConfigError as error:
+            print(len(done) >= 2, error)
+    finally:
+        for program in (scheduler, worker):
+            if program is not None:
+                program.kill()
+                program.communicate()
+"""
+
+
+@pytest.mark.parametrize(
+    ("cluster", "said"),
+    [
+        ("worker", "True .*: the scheduler went away; what was done is kept: run the same command again for the rest"),
+        ("nobody", r"False .*: has no worker; start one \(dask worker ADDRESS\)"),
+    ],
+)
+def test_cluster_that_goes_away_or_has_nobody_is_one_sentence(tmp_path: Path, cluster: str, said: str) -> None:
+    done = ran(tmp_path, GONE, cluster)
+    assert re.fullmatch(said, done.stdout.strip()), done.stdout + done.stderr
