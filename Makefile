@@ -7,7 +7,7 @@ SIM_STAMP := $(VENV)/.sim-stamp
 PYTHON_OF_VENV := test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || python3 -m venv $(VENV)
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: venv demo test lint docs bench blind blind-nature vcan chaos soak mutants pair pair-full follow moving fleet live space pages clean
+.PHONY: venv demo test lint docs bench blind blind-nature vcan chaos soak mutants pair pair-full follow moving fleet live blackbox space pages clean
 
 venv: $(STAMP)
 
@@ -79,6 +79,10 @@ fleet: venv
 # The live page in a headless Chromium, and runs by the clock with and without it: a quarter of an hour on an idle machine.
 live: venv
 	$(BIN)/python -m benchmarks.live --out out/live
+
+# Every fault that stops an arm, SIGKILL of the master included: what lies beside the recording afterwards; four minutes.
+blackbox: venv
+	$(BIN)/python -m benchmarks.blackbox --out out/blackbox
 
 # 200 random cells, every planned way looked at by PyBullet: half an hour on an idle machine.
 space: venv

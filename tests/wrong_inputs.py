@@ -10,11 +10,12 @@ import json
 import os
 import re
 import shutil
+import socket
 import sys
 import tempfile
 import uuid
 from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from unittest import mock
@@ -29,6 +30,8 @@ from tests.visits import ARM_HEADER, header_of, visit
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 MOST_LINES = 10
+#: A port that somebody else has.
+TAKEN_PORT = 47321
 HEADER = "load,pose," + ",".join(f"q{axis}_rad" for axis in range(1, 7)) + ",tau2_nm"
 ROW = "none,1,0.1,0.2,0.3,0.4,0.5,0.6,12.5"
 RESULT = {"schema": 1, "robot": "r", "loads": [{"label": "a", "mass_kg": 2.0, "com_m": [0, 0, 0.1]}]}
@@ -137,6 +140,16 @@ def profile(old: str, new: str) -> Callable[[Path], object]:
     content = load_profile("generic-cia402").text
     assert old in content, old
     return text(content.replace(old, new, 1), "mine.toml")
+
+
+@contextmanager
+def port_taken() -> Generator[None]:
+    """Somebody listens there."""
+    with socket.socket() as listener:
+        with suppress(OSError):  # somebody else does
+            listener.bind(("127.0.0.1", TAKEN_PORT))
+            listener.listen()
+        yield
 
 
 @contextmanager
@@ -616,6 +629,34 @@ KINDS: list[Kind] = [
         3,
         ("the cell has no bus 'z'; give NAME=SPEC;NAME=SPEC with a",),
         cell(),
+    ),
+    Kind(
+        "live: port that is taken",
+        ("live", "cell.toml", "--port", str(TAKEN_PORT)),
+        3,
+        (rf"--port {TAKEN_PORT}: Address already in use; name another one, or leave --port out",),
+        cell(),
+        port_taken,
+    ),
+    Kind(
+        "live: bus that lives in one program",
+        ("live", "cell.toml", "--bus", "virtual:x"),
+        3,
+        ("virtual:x, which lives in one program alone.*give the command that moves --live",),
+        cell(),
+    ),
+    *(
+        Kind(
+            f"live: constants, {name}",
+            ("live", "cell.toml", "--bus", "udp_multicast:239.74.163.2,port=43997", "--constants", "x.h5"),
+            3,
+            (says,),
+            make,
+        )
+        for name, says, make in (
+            ("not there", r"x\.h5.*(no such file|cannot be read|does not exist)", cell()),
+            ("no recording", r"x\.h5", lambda folder: (cell()(folder), (folder / "x.h5").write_text("no"))),
+        )
     ),
 ]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Final
@@ -113,14 +113,18 @@ class Watching:
     feed : Feed
     period_s : float
         SYNC period, as the cell has it.
+    clock : callable
+        Monotonic time [s].
     """
 
-    def __init__(self, arms: Sequence[WatchedArm], feed: Feed, period_s: float) -> None:
-        self._arms, self._feed = arms, feed
+    def __init__(
+        self, arms: Sequence[WatchedArm], feed: Feed, period_s: float, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._arms, self._feed, self._clock = arms, feed, clock
         self._state = StateKeeper(arms[0].name, lambda _state: None)
-        self._heard_s = time.monotonic()
+        self._heard_s = clock()
         self._silent = False
-        self._untold = {node: True for arm in arms for node in arm.overheard.unknown}
+        self._untold = {arm.name for arm in arms}
         feed.show(ShownCell(tuple(shown_arm(arm.name, arm.workspace) for arm in arms), period_s), self._state)
 
     def turn(self) -> None:
@@ -129,16 +133,17 @@ class Watching:
         for arm in self._arms:
             self._tell_emergencies(arm)
         if any(heard):
-            self._heard_s, self._silent = time.monotonic(), False
+            self._heard_s, self._silent = self._clock(), False
             self._hand_on()
-        elif not self._silent and time.monotonic() - self._heard_s > SILENT_S:
+        elif not self._silent and self._clock() - self._heard_s > SILENT_S:
             self._silent = True
             self._feed.told(Heard("warn", "no SYNC is heard: nobody moves these drives at the moment"))
             self._state.enter(Phase.IN_BRAKES)
 
     def _hand_on(self) -> None:
         for arm in self._arms:
-            if arm.overheard.unknown and any(self._untold.pop(node, False) for node in arm.overheard.unknown):
+            if arm.overheard.unknown and arm.name in self._untold:
+                self._untold.discard(arm.name)
                 nodes = ", ".join(map(str, arm.overheard.unknown))
                 self._feed.told(Heard("warn", f"arm '{arm.name}': the constants of nodes {nodes} {UNKNOWN}"))
         samples = tuple(arm.sample for arm in self._arms if arm.sample is not None)

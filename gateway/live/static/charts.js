@@ -45,6 +45,8 @@ class Plot {
     this.ratio = window.devicePixelRatio || 1;
     this.canvas.width = Math.round((this.frame.clientWidth || 360) * this.ratio);
     this.canvas.height = Math.round(HEIGHT_PX * this.ratio);
+    // whole pixels on the screen as well: one that is stretched by a third of a pixel is blurred
+    this.canvas.style.width = `${this.canvas.width / this.ratio}px`;
     this.pen = this.canvas.getContext("2d");
     this.left = Math.round(LEFT_PX * this.ratio);
     this.top = Math.round(TOP_PX * this.ratio);

@@ -1,0 +1,182 @@
+"""What is heard on a bus that somebody else is the master of becomes what the page is fed; nothing is sent."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from drives.bus import BusSpec
+from drives.emcy import Emergency
+from drives.epoch import Epoch
+from drives.values import DriveReading
+from gateway.cell.conversion import AxisConversion
+from gateway.errors import ConfigError, InputError
+from gateway.live.feed import PHASES
+from gateway.live.watching import SILENT_S, WatchedArm, Watching, stored_constants, watch
+from gateway.live.wire import HEAD, PER_AXIS, Happened, Heard, ShownCell
+from gateway.motion.state import Phase
+
+ENABLED, QUICK_STOP, READY = 0x1237, 0x1217, 0x1231
+STEP_RAD = 0.01
+
+
+class HeardBus:
+    """What `OverheardBus` tells, as a test has it; motor angles of six axes."""
+
+    def __init__(self) -> None:
+        self.bus = SimpleNamespace(listen=lambda _seconds: None)
+        self.unknown: tuple[int, ...] = ()
+        self.emergencies: deque[Emergency] = deque()
+        self.coming: list[Epoch] = []
+        self.told: list[float | None] = [None] * 6
+
+    def epochs(self) -> list[Epoch]:
+        coming, self.coming = self.coming, []
+        return coming
+
+    def targets_rad(self) -> list[float | None]:
+        return list(self.told)
+
+    def sync(self, number: int, word: int = ENABLED, silent: int | None = None, motor_rad: float = 0.0) -> None:
+        readings = tuple(
+            None
+            if axis == silent
+            else DriveReading(axis + 1, number, word, 0, 0, None, None, motor_rad, 0.0, None, None)
+            for axis in range(6)
+        )
+        self.coming.append(Epoch(number, 0.01 * number, readings))
+
+
+@pytest.fixture
+def heard() -> HeardBus:
+    return HeardBus()
+
+
+@pytest.fixture
+def config(small_cell):
+    return small_cell.cell.arm[0]
+
+
+@pytest.fixture
+def watched(config, workspace, heard) -> WatchedArm:
+    return WatchedArm(config, workspace, heard)
+
+
+@pytest.fixture
+def watching(watched, rig) -> Watching:
+    return Watching((watched,), rig.feed, 0.01, lambda: rig.now_s[0])
+
+
+def rows(rig) -> list[np.ndarray]:
+    return [each for each in rig.heard() if isinstance(each, np.ndarray)]
+
+
+def words(rig) -> list[Heard]:
+    return [each.event for each in rig.heard() if isinstance(each, Happened)]
+
+
+def test_the_page_is_told_at_first_what_is_watched(watching, rig, watched):
+    (stage,) = rig.heard()
+    assert isinstance(stage, ShownCell)
+    assert [arm.name for arm in stage.arms] == [watched.name]
+
+
+def test_a_sync_becomes_a_row_on_the_side_of_the_joints(watching, rig, heard, config):
+    axes = AxisConversion.from_arm(config)
+    heard.sync(1, motor_rad=2.0)
+    heard.told = [3.0] * 6
+    watching.turn()
+    (row,) = rows(rig)
+    assert row[1] == 1
+    place, followed, _, _, status = row[HEAD:].reshape(PER_AXIS, 6)
+    assert place == pytest.approx(axes.joint_position(np.full(6, 2.0)))
+    assert followed == pytest.approx(axes.joint_position(np.full(6, 3.0)))
+    assert status.tolist() == [ENABLED] * 6
+
+
+def test_a_drive_that_is_silent_is_nan_in_its_place_alone(watching, rig, heard):
+    heard.sync(1, silent=2)
+    watching.turn()
+    (row,) = rows(rig)
+    status = row[HEAD:].reshape(PER_AXIS, 6)[4]
+    assert np.isnan(status).tolist() == [axis == 2 for axis in range(6)]
+
+
+@pytest.mark.parametrize(
+    ("word", "step_rad", "phase"),
+    [
+        (ENABLED, STEP_RAD, Phase.MOVING),
+        (ENABLED, 0.0, Phase.HOLDING),
+        (QUICK_STOP, STEP_RAD, Phase.STOPPING),
+        (READY, 0.0, Phase.IN_BRAKES),
+    ],
+)
+def test_what_an_arm_does_is_told_by_its_drives_and_what_they_are_told(watching, rig, heard, word, step_rad, phase):
+    for number in (1, 2, 3):
+        heard.sync(number, word)
+        heard.told = [number * step_rad] * 6
+        rig.later(0.01)
+        watching.turn()
+    assert PHASES[int(rows(rig)[-1][3])] is phase
+
+
+def test_nothing_is_told_while_nothing_is_heard_until_that_is_news(watching, rig, heard):
+    heard.sync(1)
+    watching.turn()
+    rig.heard()
+    rig.later(0.9 * SILENT_S)
+    watching.turn()
+    assert rig.heard() == []
+    rig.later(0.2 * SILENT_S)
+    watching.turn()
+    watching.turn()
+    assert [word.text for word in words(rig)] == ["no SYNC is heard: nobody moves these drives at the moment"]
+    heard.sync(2)
+    watching.turn()
+    assert len(rows(rig)) == 1
+
+
+def test_constants_that_were_not_heard_are_named_once(watching, watched, rig, heard):
+    heard.unknown = (1, 3)
+    again = Watching((watched,), rig.feed, 0.01, lambda: rig.now_s[0])
+    for number in (1, 2):
+        heard.sync(number)
+        again.turn()
+    (word,) = words(rig)
+    assert word.grave == "warn"
+    assert "the constants of nodes 1, 3 were not heard" in word.text
+    assert "--constants" in word.text
+
+
+def test_an_emergency_is_told_with_its_node(watching, rig, heard):
+    heard.emergencies.append(Emergency(4, 7, 0x7305, 0x20, b"", "incremental sensor 1", "check the encoder"))
+    heard.emergencies.append(Emergency(4, 8, 0x0000, 0x00, b"", "no error", ""))
+    watching.turn()
+    assert [word.grave for word in words(rig)] == ["fail", "plain"]
+    assert not heard.emergencies
+
+
+def test_torque_of_the_model_is_unknown_where_a_joint_is(watched, heard):
+    assert all(map(math.isnan, watched.modelled_nm()))
+    heard.sync(1, silent=0)
+    watched.listen()
+    assert all(map(math.isnan, watched.modelled_nm()))
+    heard.sync(2)
+    watched.listen()
+    assert np.isfinite(watched.modelled_nm()).all() == (watched.workspace.links is not None)
+
+
+def test_a_bus_that_lives_in_one_program_cannot_be_watched(small_cell, rig):
+    name = small_cell.cell.arm[0].bus
+    with pytest.raises(ConfigError, match="lives in one program alone.*give the command that moves --live"):
+        watch(small_cell, {name: BusSpec.parse("virtual:x")}, rig.feed)
+
+
+def test_a_recording_of_another_arm_gives_no_constants(small_cell, config, tmp_path):
+    (tmp_path / "x.h5").write_text("no")
+    with pytest.raises(InputError, match=r"x\.h5"):
+        stored_constants(tmp_path / "x.h5", config)
