@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import time
 import uuid
@@ -37,8 +38,9 @@ CELLS = (("small", 8.0, 0.12, 0.3), ("large", 120.0, 0.25, 0.8))
 LABEL = "load"
 STREAM = 78
 PERIOD_S, PERIODS = 10.0, 3
-#: Standard deviation of the torque constants; the cell files state as much (a datasheet's).
+#: Standard deviation of the torque constants, which the cell files state.
 GAIN_STD = 0.05
+_CONSTANT = re.compile(r"^(torque_constant_nm_per_a = \{.*?) \}", re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +69,8 @@ def set_up(folder: Path, seed: int) -> Place:
         if file.suffix in (".toml", ".urdf"):
             shutil.copy(file, folder / file.name)
     cell = folder / "cell.toml"
-    cell.write_text(in_lockstep(cell.read_text(encoding="utf-8")), encoding="utf-8")
+    stated = _CONSTANT.sub(rf"\1, std_percent = {100.0 * GAIN_STD:g} }}", cell.read_text(encoding="utf-8"))
+    cell.write_text(in_lockstep(stated), encoding="utf-8")
     rng = np.random.default_rng([seed, STREAM])
     mass, com = float(payload_kg * rng.uniform(0.3, 1.0)), out_m * rng.uniform([-0.5, -0.5, 0.1], [0.5, 0.5, 1.0])
     tool = Payload(LABEL, mass, com, box_inertia(mass, edge_m, rng))
