@@ -37,6 +37,7 @@ class Plot {
     this.colours = this.names.map(css);
     this.ink = css("--muted");
     this.grid = css("--grid");
+    this.paper = css("--paper");
     this.stale = true;
   }
 
@@ -47,7 +48,8 @@ class Plot {
     this.canvas.height = Math.round(HEIGHT_PX * this.ratio);
     // whole pixels on the screen as well: one that is stretched by a third of a pixel is blurred
     this.canvas.style.width = `${this.canvas.width / this.ratio}px`;
-    this.pen = this.canvas.getContext("2d");
+    // no pixel may let through what was there before it: curves are moved on top of themselves
+    this.pen = this.canvas.getContext("2d", { alpha: false });
     this.left = Math.round(LEFT_PX * this.ratio);
     this.top = Math.round(TOP_PX * this.ratio);
     this.base = this.canvas.height - Math.round(BOTTOM_PX * this.ratio);
@@ -69,7 +71,8 @@ class Plot {
   // Everything but curves and points.
   blank() {
     const { pen, canvas } = this;
-    pen.clearRect(0, 0, canvas.width, canvas.height);
+    pen.fillStyle = this.paper;
+    pen.fillRect(0, 0, canvas.width, canvas.height);
     pen.font = `${11 * this.ratio}px sans-serif`;
     pen.fillStyle = this.ink;
     pen.textAlign = "right";
@@ -183,7 +186,8 @@ class Strip extends Plot {
     const { pen, canvas } = this, by = Math.ceil(newest_s * this.pixels_s) - this.edge;
     if (by > 0) {
       pen.drawImage(canvas, this.left + by, 0, this.wide - by, canvas.height, this.left, 0, this.wide - by, canvas.height);
-      pen.clearRect(canvas.width - by, 0, by, canvas.height);
+      pen.fillStyle = this.paper;
+      pen.fillRect(canvas.width - by, 0, by, canvas.height);
       this.lines(canvas.width - by, canvas.width);
       this.uprights(this.edge, this.edge + by);
       this.edge += by;
