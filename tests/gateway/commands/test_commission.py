@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
@@ -29,9 +31,17 @@ class Listener:
 
     done: list[str] = field(default_factory=list)
     overrides: list[float] = field(default_factory=list)
+    keeping: bool = False
+
+    @contextmanager
+    def last_seconds(self, options, opened) -> Generator[None]:
+        self.keeping = True
+        yield
+        self.keeping = False
 
     def bring(self, opened, target, plan, options) -> None:
         assert way_from_here(opened, target, plan) is plan, "planned once"
+        assert self.keeping, "a way that ends badly leaves a black box"
         self.done.append(str(target))
         self.overrides.append(options.override)
 
@@ -53,9 +63,8 @@ def robot(small_cell, workspace, arm, tmp_path):
         opened: Any = SimpleNamespace(
             loaded=small_cell, config=config, workspace=room, arm=arm, group=SimpleNamespace(timing=timing)
         )
-        context: Any = None
-        job = Job(context, config, ("a", "b"), tmp_path / "run.h5", MoveOptions(override=override), thermal=thermal)
         listener: Any = Listener()
+        job = Job(listener, config, ("a", "b"), tmp_path / "run.h5", MoveOptions(override=override), thermal=thermal)
         plan: Any = SimpleNamespace(poses=(POSE,), settings=VisitSettings(0.03, 0.05, 2.0, 40, 0.01))
         return _Robot(job, listener, opened, plan), listener
 
