@@ -69,9 +69,9 @@ def spread_of(
     count, covariance = len(problem.parts), settled.free.covariance
     size, times, alone = np.zeros(count), np.ones(count), np.zeros(count, dtype=bool)
     working, real = np.zeros(covariance.shape), np.zeros(covariance.shape)
-    pulls = []
-    for k, part in enumerate(problem.parts):
-        own, stated = part.turn @ left[:, part.axis], float(scatter.std_nm[part.axis])
+    owns = [part.turn @ left[:, part.axis] for part in problem.parts]
+    for k, (part, own) in enumerate(zip(problem.parts, owns, strict=True)):
+        stated = float(scatter.std_nm[part.axis])
         short = in_basis(problem, part, settled.here)[0] / sigma_nm[k]  # fewer rows than the part's, of the same square
         through = short @ covariance
         taken = float(np.einsum("ij,ij->", through, short))
@@ -82,13 +82,16 @@ def spread_of(
         square = through.T @ through
         working = working + square
         real = real + square * (size[k] / sigma_nm[k]) ** 2 * times[k]
-        pulls.append(part_columns(problem, settled.here, part) * (own / sigma_nm[k] ** 2)[:, None])
     if problem.still is not None:  # rest rows have their own noise, and it is in their weight
         through = problem.still.about(settled.here.value)[0] @ covariance
         working, real = working + through.T @ through, real + through.T @ through
     by_prior = covariance - working
     if not alone.all():
         rows = np.concatenate([part.rows for part in problem.parts])
+        pulls = [
+            part_columns(problem, settled.here, part) * (own / sigma**2)[:, None]
+            for part, own, sigma in zip(problem.parts, owns, sigma_nm, strict=True)
+        ]
         blocks = by_blocks(np.concatenate(pulls), rows, run, _LONG * float(times.max()))
         for sums in (_by_strokes(problem, pulls), blocks):
             real = wider(real, covariance @ sums @ covariance)

@@ -105,7 +105,6 @@ class MotionProblem:
     stretches : Stretches
     parts : tuple of AxisRows
         One an axis, two where there are differences; each has its own noise.
-    contrasts : Contrasts
     still : Still or None
     """
 
@@ -115,7 +114,6 @@ class MotionProblem:
     used: Mask
     stretches: Stretches
     parts: tuple[AxisRows, ...]
-    contrasts: Contrasts
     still: Still | None = None
 
     @staticmethod
@@ -129,7 +127,7 @@ class MotionProblem:
             for part in _axis_rows(columns, moving.tau_nm[:, axis], used[:, axis], axis, contrasts)
         ]
         stretches = Stretches.of(np.asarray(moving.run).astype(str), moving.time_s)
-        return MotionProblem(columns, moving.tau_nm, moving.qd_rad_s, used, stretches, tuple(parts), contrasts, still)
+        return MotionProblem(columns, moving.tau_nm, moving.qd_rad_s, used, stretches, tuple(parts), still)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

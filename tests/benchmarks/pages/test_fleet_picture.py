@@ -40,15 +40,19 @@ def size_px(file: Path) -> tuple[int, int]:
     return width, height
 
 
-def test_the_page_of_a_fleet_is_whole_and_its_picture_is_taken(
-    window: Browser, pages: dict[str, str], tmp_path: Path, pictures: Path
-) -> None:
-    file = tmp_path / "fleet.html"
-    file.write_text(pages["fleet"], encoding="utf-8")
+def drawn_on(window: Browser, page: str, file: Path) -> list[str]:
+    """Texts of the drawings of a page that has no faults, as wide as a screen."""
+    file.write_text(page, encoding="utf-8")
     assert faults_of(window, file) == []
     window.as_on("screen")
     window.resize(WIDE_PX, HEIGHT_PX)
-    drawn = window.run(DRAWN)
+    return window.run(DRAWN)
+
+
+def test_the_page_of_a_fleet_is_whole_and_its_picture_is_taken(
+    window: Browser, pages: dict[str, str], tmp_path: Path, pictures: Path
+) -> None:
+    drawn = drawn_on(window, pages["fleet"], tmp_path / "fleet.html")
     assert "drift of the gain [% a year]" in drawn
     assert "robot, by its place in the list" in drawn
     assert set(window.run(STATES)) == {"visit", "not seen", "cannot tell", "healthy"}
@@ -61,12 +65,7 @@ def test_the_page_of_a_fleet_is_whole_and_its_picture_is_taken(
 def test_every_panel_of_a_robot_says_what_it_shows_and_in_which_unit(
     window: Browser, pages: dict[str, str], tmp_path: Path
 ) -> None:
-    file = tmp_path / "robot.html"
-    file.write_text(pages["fleet-robot"], encoding="utf-8")
-    assert faults_of(window, file) == []
-    window.as_on("screen")
-    window.resize(WIDE_PX, HEIGHT_PX)
-    drawn = window.run(DRAWN)
+    drawn = drawn_on(window, pages["fleet-robot"], tmp_path / "robot.html")
     panels = window.run("return document.querySelectorAll('figure svg').length")
     assert panels == 4 * 6 + 3
     assert drawn.count("days since the first check [d]") == panels
