@@ -41,6 +41,18 @@ class Table:
         found = self.cycles(name, speed, seed)[LEARNING - 1 :]
         return None if not found else all(row["force_n"] < self.limit_n for row in found)
 
+    def most_after_learning(self, name: str, speed: float, seed: int) -> float:
+        """Largest true force of all cycles after the fourth update [N]; NaN where they were not run."""
+        found = self.cycles(name, speed, seed)[LEARNING - 1 :]
+        return max((row["force_n"] for row in found), default=NAN)
+
+    def cycles_until_inside(self, name: str, speed: float, seed: int) -> float:
+        """Number of the first cycle from which on the force stays below the limit; NaN where it never does."""
+        found = self.cycles(name, speed, seed)
+        outside = [number for number, row in enumerate(found, start=1) if row["force_n"] >= self.limit_n]
+        first = max(outside, default=0) + 1
+        return float(first) if first <= len(found) else (NAN if not found else float(len(found) + 1))
+
 
 def _less(a: float, b: float) -> bool | None:
     return None if np.isnan(a) or np.isnan(b) else a < b
@@ -119,6 +131,18 @@ def figures(rows: Sequence[Row], limit_n: float, *, judged: bool) -> dict[str, F
     share("P6: C7 inside the limit after 4 updates", lambda s: table.after_learning("C7", USUAL, s), ">= 0.9", 0.9)
     share("P7: C8 inside the limit, then frozen", lambda s: table.after_learning("C8", USUAL, s), "all", 1.0)
     share("P7: C8 at speed 3, then frozen", lambda s: table.after_learning("C8", FAST, s), "all", 1.0)
+    for speed, goal_n in ((USUAL, 20.0), (FAST, 40.0)):
+        most = [table.most_after_learning("C8", speed, seed) for seed in table.seeds]
+        goal = f"all <= {goal_n:g}" if judged else ""
+        out[f"C8 at speed {speed:g}: largest force after learning, and while frozen"] = _value(
+            most, "N, median, least and most", goal, _most(goal_n) if judged else None
+        )
+        until = [table.cycles_until_inside("C8", speed, seed) for seed in table.seeds]
+        goal = "median <= 4" if judged and speed == USUAL else ""
+        out[f"C8 at speed {speed:g}: cycles until the force stays inside the limit"] = _value(
+            until, "median, least and most", goal, _middle(4.0) if goal else None
+        )
+    out |= _intervals(table.rows)
     if judged:
         out |= _judged(table)
     out |= _gaps(table)
@@ -134,6 +158,32 @@ def figures(rows: Sequence[Row], limit_n: float, *, judged: bool) -> dict[str, F
             moved, "mm, median, least and most", goal, _most(1.0) if goal else None
         )
     return {name: figure for name, figure in out.items() if not np.isnan(figure["value"])}
+
+
+def _intervals(rows: Sequence[Row]) -> dict[str, Figure]:
+    """What the intervals of the force hold, over all cycles and commands, and how wide they are."""
+    told = [row for row in rows if "held" in row]
+    if not told:
+        return {}
+    held = np.array([row["held"] for row in told])
+    share, each = float(held.mean()), held.mean(axis=0)
+    half = float(np.median([row["half_n"] for row in told]))
+    return {
+        "95 % intervals of the force that hold the truth": {
+            "value": share,
+            "interval": [float(each.min()), float(each.max())],
+            "unit": f"of {len(told)} cycles; least and most of six components",
+            "goal": "0.93 .. 0.97",
+            "met": 0.93 <= share <= 0.97,
+        },
+        "half width of these intervals, median": {
+            "value": half,
+            "interval": None,
+            "unit": "N",
+            "goal": "<= 10",
+            "met": half <= 10.0,
+        },
+    }
 
 
 def _gaps(table: Table) -> dict[str, Figure]:

@@ -23,6 +23,7 @@ from gateway.motion.stream import Stream
 from gateway.pair.cell import PairCell, load_pair
 from gateway.pair.embodiments import Embodiment
 from gateway.pair.function import TransformFunction
+from gateway.pair.learning import led
 from gateway.pair.lesson import Lesson
 from gateway.pair.link import PairLink, open_link
 from gateway.pair.motion import PairMotion, PairMotionOptions
@@ -30,6 +31,7 @@ from gateway.pair.run import PairCycle, PairRun
 from gateway.pair.session import cell_gains
 from gateway.pair.storage import line_of_grippers
 from gateway.pair.teach import Teacher
+from gateway.result.interval import TWO_SIDED_95
 from sim.pair.cell import PairOptions
 from sim.pair.world import PairWorld
 from sim.simulation import ServeOptions, Simulation
@@ -191,10 +193,24 @@ def figures_of(run: PairRun, done: PairCycle, record: Array, limit_n: float) -> 
         "knots": done.summary.knots,
         "function": done.summary.function,
         "estimated_n": done.summary.force_n,
+        **told_of(run, done, record),
         "learned": done.summary.learned,
         "complete": done.summary.complete,
         "learning_s": done.learning_s,
         "evaluation_s": done.evaluation_s,
+    }
+
+
+def told_of(run: PairRun, done: PairCycle, record: Array) -> dict[str, Any]:
+    """Share of the commands at which the 95 % interval of each component holds the truth, and its median half width."""
+    if done.inside is None:
+        return {}
+    truth = led(record[PER_SYNC - 1 :: PER_SYNC, 1:7], run.late)[: len(run.path)]
+    half = TWO_SIDED_95 * done.inside.std
+    return {
+        "held": np.mean(np.abs(done.inside.wrench - truth) <= half, axis=0).tolist(),
+        "half_n": float(np.median(half[:, :3])),
+        "half_nm": float(np.median(half[:, 3:])),
     }
 
 

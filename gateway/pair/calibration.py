@@ -75,30 +75,35 @@ class PathWrenches:
     def __init__(self, calibration: PairCalibration, path: PairPath, slave: Floats) -> None:
         centre = (calibration.w_t_b1 @ path.commands @ calibration.e1_t_part)[:, :3, 3]
         self._to_centre: list[Floats] = []
-        self._from_centre: list[Floats] = []
-        self._share: list[Floats] = []
+        #: Wrench (M, 6, 6) at either fingertip, base axes, of one about the part's centre.
+        self.from_centre: list[Floats] = []
+        #: What half a part of 1 kg does to either hand, about its centre (M, 6), and what half of this one does.
+        self.share_per_kg: list[Floats] = []
+        self.share: list[Floats] = []
         speed = np.gradient(centre, path.dt_s, axis=0)
-        force = share_of_part(calibration.part_mass_kg, np.gradient(speed, path.dt_s, axis=0), calibration.gravity_m_s2)
+        force = share_of_part(1.0, np.gradient(speed, path.dt_s, axis=0), calibration.gravity_m_s2)
+        self.part_mass_kg = calibration.part_mass_kg
         for base, commands in ((calibration.w_t_b1, path.commands), (calibration.w_t_b2, slave)):
             lever = (base @ commands)[:, :3, 3] - centre
             self._to_centre.append(to_centre(base[:3, :3], lever))
-            self._from_centre.append(to_centre(base[:3, :3].T, -lever @ base[:3, :3]))
-            self._share.append(np.concatenate([force, np.cross(lever, force)], axis=1))
+            self.from_centre.append(to_centre(base[:3, :3].T, -lever @ base[:3, :3]))
+            self.share_per_kg.append(np.concatenate([force, np.cross(lever, force)], axis=1))
+            self.share.append(calibration.part_mass_kg * self.share_per_kg[-1])
 
     def internal(self, m: int, first: Floats | None, second: Floats | None) -> Floats | None:
         """Internal wrench (6,) about the part's centre, world axes [N, Nm], from wrenches at the fingertips.
 
         With one arm's wrench alone, that less its share of the part; None without any.
         """
-        one = None if first is None else self._to_centre[0][m] @ first - self._share[0][m]
-        two = None if second is None else self._to_centre[1][m] @ second - self._share[1][m]
+        one = None if first is None else self._to_centre[0][m] @ first - self.share[0][m]
+        two = None if second is None else self._to_centre[1][m] @ second - self.share[1][m]
         if one is None:
             return two
         return -one if two is None else 0.5 * (two - one)
 
     def at_tip(self, arm: int, m: int, internal: Floats) -> Floats:
         """Wrench (6,) at a fingertip, base axes of that arm (0 master, 1 slave), of one about the part's centre."""
-        return self._from_centre[arm][m] @ internal
+        return self.from_centre[arm][m] @ internal
 
 
 def calibration_of(w_t_b1: Floats, w_t_b2: Floats, part_t_e1: Floats) -> PairCalibration:

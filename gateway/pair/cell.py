@@ -71,6 +71,11 @@ class PairArm:
     known: tuple[AxisConstants, ...] = ()
 
     @property
+    def torque_limit_nm(self) -> Floats:
+        """Largest torque (6,) of the axes [Nm]."""
+        return np.array([axis.torque_limit_nm for axis in self.config.axis])
+
+    @property
     def start_rad(self) -> Floats:
         """Joint angles (6,) at which the part is gripped [rad]."""
         return np.array(self.config.start_rad or (0.0,) * 6)
@@ -94,6 +99,11 @@ class PairArm:
         """Actuator torque (n, 6) [Nm] of a free motion, rotors included, friction not."""
         rows = regressor(self.robot, q_rad, qd_rad_s, qdd_rad_s2, self.config.gravity_m_s2)
         return rows @ self.links + self.rotor_kg_m2 * qdd_rad_s2
+
+    def link_torques(self, q_rad: Floats, qd_rad_s: Floats, qdd_rad_s2: Floats) -> list[Floats]:
+        """Torque (n, 6) [Nm] of each of six links alone, rotors not included."""
+        rows = regressor(self.robot, q_rad, qd_rad_s, qdd_rad_s2, self.config.gravity_m_s2)
+        return [rows[:, :, 10 * link : 10 * link + 10] @ self.links[10 * link : 10 * link + 10] for link in range(6)]
 
     def mass_matrix(self, q_rad: Floats) -> Floats:
         """Inertia (n, 6, 6) [kg m2] that the motors turn, rotors included."""

@@ -13,11 +13,14 @@ import numpy as np
 
 from gateway.errors import ConfigError, InputError, PlanRefused
 from gateway.pair.calibration import PairCalibration, PathWrenches
+from gateway.pair.chain import Chain
 from gateway.pair.embodiments import Embodiment
 from gateway.pair.force import dead_band
 from gateway.pair.function import TransformFunction
 from gateway.pair.impedance import Admittance, lag_of_correction_s, refuse_unstable
+from gateway.pair.inside import AVERAGED_S, Inside
 from gateway.pair.learner import Cycle, Learned, Learner
+from gateway.pair.learning import smoothed
 from gateway.pair.path import PairPath
 from gateway.pair.transform import Floats, apply_correction, corrected_pose, correction_between, inverse
 from gateway.result.pair import CycleSummary
@@ -48,6 +51,8 @@ class PairController:
     path : PairPath
     calibration : PairCalibration
     first_function : TransformFunction
+    chain : Chain, optional
+        What the hands give way to; by the calibration's stiffness alone if none is given.
 
     Raises
     ------
@@ -58,14 +63,19 @@ class PairController:
     """
 
     def __init__(
-        self, config: Embodiment, path: PairPath, calibration: PairCalibration, first_function: TransformFunction
+        self,
+        config: Embodiment,
+        path: PairPath,
+        calibration: PairCalibration,
+        first_function: TransformFunction,
+        chain: Chain | None = None,
     ) -> None:
         if first_function.s_m[-1] > path.length_m * (1.0 + WAY_TOLERANCE):
             raise InputError(
                 f"the function's last knot lies at {first_function.s_m[-1]:.4g} m, the path is only"
                 f" {path.length_m:.4g} m long: the function belongs to another path"
             )
-        self._config, self._path, self._calibration = config, path, calibration
+        self._config, self._path, self._calibration, self._chain = config, path, calibration, chain
         yielding = {"none": (), "slave": (1,), "master": (0,), "both": (0, 1)}[config.corrects]
         gains = config.gains.doubled() if len(yielding) == 2 else config.gains
         self._hands = [Admittance(gains, path.dt_s) if arm in yielding else None for arm in (0, 1)]
@@ -74,7 +84,7 @@ class PairController:
         self._band = np.repeat(np.asarray(config.dead_band, dtype=float), 3)
         self._banded = bool(self._band.any())
         self._shared = inverse(calibration.w_t_b2) @ calibration.w_t_b1
-        slave = self._shared @ path.commands @ first_function.many(path.s_m)
+        slave = self._plain_slave = self._shared @ path.commands @ first_function.many(path.s_m)
         self._wrenches = PathWrenches(calibration, path, slave)
         tips = (calibration.w_t_b1 @ path.commands[0])[:3, 3], (calibration.w_t_b2 @ slave[0])[:3, 3]
         levers = [tips[1] - tips[arm] for arm in yielding]
@@ -177,21 +187,25 @@ class PairController:
         self._corrections[m, arm] = correction
         return correction
 
-    def end_cycle(self, complete: bool) -> CycleSummary:
+    def end_cycle(self, complete: bool, inside: Inside | None = None) -> CycleSummary:
         """Finish a cycle; learns from it if it was complete and learning is on.
 
         Parameters
         ----------
         complete : bool
             False when an epoch was incomplete or the arms were stopped.
+        inside : Inside, optional
+            The force of the whole way, if it is known better now than on it.
         """
         self._running = False
         whole = complete and bool(self._visited.all())
         reason = self._reason(complete)
         learned = Learned(False, len(self._function))
         if not reason and self._learner is not None:
-            learned = self._learner.learn(Cycle(self._master_base, self._slave_base, self._to_learn(), self._force))
-        size = np.linalg.norm(self._force[:, :3], axis=1)
+            force = self._force if inside is None else inside.wrench
+            cycle = Cycle(self._master_base, self._slave_base, self._to_learn(), force, self._left(inside))
+            learned = self._learner.learn(cycle)
+        size = np.linalg.norm((self._force if inside is None else inside.wrench)[:, :3], axis=1)
         known = bool(size.any()) and not self._distance
         correction = np.linalg.norm(self._corrections[:, 1].reshape(-1, 2, 3), axis=2).max(axis=0)
         return CycleSummary(
@@ -237,6 +251,18 @@ class PairController:
         if source == "measured":
             corrections[:, 1] = correction_between(self._measured[:, 1], self._slave_base)
         return corrections
+
+    def _left(self, inside: Inside | None) -> Floats | None:
+        """What the slave's hand would still have to move (M, 6) [m, rad], at the commands that it belongs to."""
+        rule = self._config.learning
+        if inside is None or rule is None or rule.source != "command" or self._hands[1] is None:
+            return None
+        at_tip = np.einsum("nij,nj->ni", self._wrenches.from_centre[1], inside.wrench)
+        if self._chain is None or self._hands[0] is not None:
+            return at_tip / np.diag(self._calibration.chain_stiffness)
+        moved = correction_between(apply_correction(self._slave_base, self._corrections[:, 1]), self._plain_slave)
+        self._chain.take(smoothed(moved, round(0.5 * AVERAGED_S / self._path.dt_s)), at_tip)
+        return self._chain.move(at_tip)
 
     def freeze(self) -> None:
         """Learning off: functions stay as they are, to the last bit."""

@@ -7,8 +7,8 @@ from typing import Protocol
 import numpy as np
 
 from gateway.data.sample import ArmSample
-from gateway.pair.calibration import PathWrenches
-from gateway.pair.follow import WrenchFromTorque
+from gateway.pair.balance import ForceBalance
+from gateway.pair.follow import ExternalTorque
 from gateway.pair.gap import GapWatch
 from gateway.pair.guard import ForceGuard
 from gateway.pair.transform import Floats
@@ -20,7 +20,6 @@ class Felt(Protocol):
     """What a stream asks, cycle by cycle, and what it has gathered in the end (see `motion.Streamed`)."""
 
     force: Floats
-    external_nm: Floats
     gaps_m: Floats
 
     def listen(self, samples: Samples) -> None:
@@ -48,39 +47,39 @@ class Felt(Protocol):
 
 
 class FeltByForce:
-    """Wrenches of both arms from their torques, and a limit for the force inside the part.
+    """Wrenches of both hands from the torques of both arms, and a limit for the force inside the part.
 
     Parameters
     ----------
-    wrenches : of both arms along the way
-    maps : of the way
+    arms : torques of both along the way
+    balance : ForceBalance of the way, begun
     guard : ForceGuard
     doubt_n : a force that friction may feign [N]
     """
 
     def __init__(
         self,
-        wrenches: tuple[WrenchFromTorque, WrenchFromTorque],
-        maps: PathWrenches,
+        arms: tuple[ExternalTorque, ExternalTorque],
+        balance: ForceBalance,
         guard: ForceGuard,
         doubt_n: float = 0.0,
     ) -> None:
-        count = wrenches[0].count
-        self.force, self.external_nm = np.zeros((count, 6)), np.full((count, 2, 6), np.nan)
-        self.gaps_m = np.zeros((count, 0))
-        self._wrenches, self._maps, self._guard, self._count = wrenches, maps, guard, count
+        self.force = np.zeros((balance.count, 6))
+        self.gaps_m = np.zeros((balance.count, 0))
+        self._arms, self._balance, self._guard = arms, balance, guard
         self._doubt_n = doubt_n
-        for each in wrenches:
-            each.reset()
+
+    def _update(self, m: int, samples: Samples, rate: float, row: int | None) -> None:
+        first, second = (arm.update(m, sample, rate) for arm, sample in zip(self._arms, samples, strict=True))
+        self._balance.take(m, (first, second), row)
 
     def listen(self, samples: Samples) -> None:
         """Torques become wrenches, so that a way begins with forces and not without."""
-        for each, sample in zip(self._wrenches, samples, strict=True):
-            each.update(0, sample)
+        self._update(0, samples, 1.0, None)
 
     def inputs(self, m: int) -> tuple[Floats | None, Floats | None]:
         """Both wrenches (6,) [N, Nm], base axes."""
-        return self._wrenches[0].wrench, self._wrenches[1].wrench
+        return self._balance.inputs(m) or (None, None)
 
     def size_n(self, m: int) -> float:
         """As `Felt.size_n`."""
@@ -92,20 +91,16 @@ class FeltByForce:
 
     def take(self, m: int, samples: Samples, rate: float = 1.0) -> str:
         """As `Felt.take`."""
-        for index, (each, sample) in enumerate(zip(self._wrenches, samples, strict=True)):
-            each.update(m, sample, rate)
-            if m and each.external_nm is not None:
-                self.external_nm[m - 1, index] = each.external_nm
-        felt = self._maps.internal(m, *self.inputs(m))
-        if felt is None:
+        self._update(m, samples, rate, m - 1 if m else None)
+        if self._balance.wrench is None:
             return ""
-        self.force[m] = felt
+        self.force[m] = self._balance.wrench
         size_n = self.size_n(m)
         if not self._guard.step(size_n):
             return ""
         return (
             f"the force inside the part was above {self._guard.threshold_n:.0f} N for more than"
-            f" {1e3 * self._guard.time_s:.0f} ms ({size_n:.0f} N at command {m + 1} of {self._count}):"
+            f" {1e3 * self._guard.time_s:.0f} ms ({size_n:.0f} N at command {m + 1} of {self._balance.count}):"
             " both arms stop; release the part before moving on, then teach again or lower the speed"
         )
 
@@ -123,7 +118,7 @@ class FeltByDistance:
 
     def __init__(self, watch: GapWatch, slave: Floats) -> None:
         count = len(slave)
-        self.force, self.external_nm = np.zeros((count, 6)), np.full((count, 2, 6), np.nan)
+        self.force = np.zeros((count, 6))
         self.gaps_m = np.full((count, len(watch.layout.estimator.demanded_m)), np.nan)
         self._watch, self._slave = watch, slave
 

@@ -1,4 +1,4 @@
-"""Torque offset for the friction of one arm: what would otherwise shake a free hand whenever a joint turns round."""
+"""Dry friction of an arm where joints turn round: which way it acts, and the torque offset that makes up for it."""
 
 from __future__ import annotations
 
@@ -11,6 +11,29 @@ from gateway.pair.transform import Floats
 
 #: Joint speed at which dry friction has nearly reached its full size [rad/s].
 TURNING_RAD_S = 0.003
+#: Way by which a joint has to turn until dry friction has reached two thirds of its full size [rad].
+PRESLIDING_RAD = 5e-5
+
+
+class Presliding:
+    """Which way dry friction of n joints acts, told by the way they have turned since they turned round.
+
+    Dahl's model: over a way d towards s the share moves by `1 - exp(-d/PRESLIDING_RAD)` of what it lacks to s. How fast
+    a joint turns says nothing: one that slows down for the end of its way rubs as before until it stands.
+
+    Attributes
+    ----------
+    turned : array of shape (n,)
+        From -1 to 1; 0 = it may act either way.
+    """
+
+    def __init__(self, joints: int) -> None:
+        self.turned = np.zeros(joints)
+
+    def move(self, way_rad: Floats) -> None:
+        """The joints have turned by these ways (n,) [rad]."""
+        towards = np.sign(way_rad)
+        self.turned = towards - (towards - self.turned) * np.exp(-np.abs(way_rad) / PRESLIDING_RAD)
 
 
 class FrictionOffset:

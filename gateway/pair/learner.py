@@ -20,7 +20,7 @@ from gateway.pair.learning import (
 )
 from gateway.pair.path import PairPath
 from gateway.pair.representative import representative
-from gateway.pair.selection import Record, prune, score, select
+from gateway.pair.selection import Record, prune, refine, score, select
 from gateway.pair.store import CorrectionStore
 from gateway.pair.transform import Floats, apply_correction, correction_between, inverse
 
@@ -38,12 +38,15 @@ class Cycle:
         Commands before correction [m].
     corrections : array of shape (M, 2, 6)
     force : array of shape (M, 6), internal wrench
+    left : array of shape (M, 6), optional
+        What the slave's hand would still have to move at each command for the force that was left [m, rad], base axes.
     """
 
     master_base: Floats
     slave_base: Floats
     corrections: Floats
     force: Floats
+    left: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,13 +114,11 @@ class Learner:
 
     def learn(self, cycle: Cycle) -> Learned:
         """Take in one complete cycle; rebuilds the second function when the rule says so."""
-        self._store.add(cycle.corrections)
+        self._store.add(self._asked(cycle))
         self._forces = [*self._forces, cycle.force][-self._rule.cycles :]
         if self._rule.schedule == "block" and not self._store.full:
             return Learned(False, len(self.in_use))
-        stored = self._store.corrections
-        width = round(0.5 * self._rule.smooth_s / self._path.dt_s)
-        typical = led(smoothed(representative(stored, self._rule.kind), width), self._lead)
+        typical = representative(self._store.corrections, self._rule.kind)
         raw = raw_relation(self._calibration.bases, cycle.master_base, self._slave_of(cycle, typical), typical)
         present = self.in_use.many(self._path.s_m)
         before = local(present, self._reference)
@@ -127,13 +128,26 @@ class Learner:
         )
         self._change_before = change
         updated = from_local(coordinates, self._reference)
-        self._choose_points(typical[:, 1])
+        self._choose_points(typical[:, 1], updated)
         function = at_points(updated, self._path.s_m, self._points)
         if self._rule.selection is not None and self._rule.selection.keep == "union":
             function = prune(self._rule.selection, function)
             self._points = self._path.nearest(function.s_m)
         taken_over = self._rule.figure == 15 and self._rule.source == "command"
         return self._take(function, cycle, typical[:, 0] if taken_over else np.zeros_like(typical[:, 0]))
+
+    def _asked(self, cycle: Cycle) -> Floats:
+        """Corrections (M, 2, 6) that a cycle asks for, each at the command that it belongs to.
+
+        A correction comes later than the force that caused it. Where the force that was left is known, what the hands
+        did stays where they did it, and what they should have done beside it is added.
+        """
+        width = round(0.5 * self._rule.smooth_s / self._path.dt_s)
+        given = smoothed(cycle.corrections, width)
+        if cycle.left is None:
+            return led(given, self._lead)
+        given[:, 1] += self._rule.left_share * smoothed(cycle.left, width)
+        return given
 
     def _slave_of(self, cycle: Cycle, typical: Floats) -> Floats:
         """Slave's second learning commands: the function applied to the corrected commands of the master (fig. 14)."""
@@ -142,14 +156,17 @@ class Learner:
         shared = inverse(self._calibration.w_t_b2) @ self._calibration.w_t_b1
         return shared @ apply_correction(cycle.master_base, typical[:, 0]) @ self.in_use.many(self._path.s_m)
 
-    def _choose_points(self, correction: Floats) -> None:
-        if self._rule.selection is None:
+    def _choose_points(self, correction: Floats, wanted: Floats) -> None:
+        selection = self._rule.selection
+        if selection is None:
             return
         force = np.mean(self._forces, axis=0)
         record = Record(force, correction, self._force_before)
         self._force_before = force
-        scores = score(self._rule.selection, record, self._path)
-        self._points = select(self._rule.selection, scores, self._path, self._points)
+        self._points = select(selection, score(selection, record, self._path), self._path, self._points)
+        if selection.gain_n:
+            stiffness = np.diag(self._calibration.chain_stiffness)[[0, 3]]
+            self._points = refine(selection, wanted, self._path, self._points, stiffness)
 
     def _take(self, function: TransformFunction, cycle: Cycle, master: Floats) -> Learned:
         """Put a rebuilt function in place of the second one, and the master's correction (M, 6) into its commands."""

@@ -75,6 +75,8 @@ class LearningRule:
     lead_s : how much later than the command its correction is read; None = damping/stiffness + loop time
     smooth_s : width of the symmetric mean over the commands around the one that is read; what changes faster than the
         correction can follow would otherwise build up from update to update where learning points are close
+    left_share : share of the correction for the force that was left at the end of a cycle, where it is known, that is
+        learned at once; the chain's stiffness is known as an upper bound or badly
     figure : 14: the slave follows the master's corrected command; 15: the stored command plus the master's
         representative correction, which keeps the master's momentary correction away from the slave
     forgetting : Forgetting
@@ -88,6 +90,7 @@ class LearningRule:
     source: Source = "command"
     lead_s: float | None = None
     smooth_s: float = 0.06
+    left_share: float = 0.7
     figure: Literal[14, 15] = 15
     forgetting: Forgetting = Forgetting()
     selection: Selection | None = None

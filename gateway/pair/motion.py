@@ -21,13 +21,16 @@ from gateway.motion.stream import MoveOptions, Stream
 from gateway.motion.trajectory import Motion
 from gateway.motion.way import PerArm
 from gateway.motion.workspace import Workspace
+from gateway.pair.balance import ForceBalance
 from gateway.pair.calibration import PairCalibration, PathWrenches
 from gateway.pair.cell import PairCell
+from gateway.pair.doubt import Doubts
 from gateway.pair.felt import Felt, FeltByDistance, FeltByForce
-from gateway.pair.follow import JointFollower, WrenchFromTorque
+from gateway.pair.follow import ExternalTorque, JointFollower
 from gateway.pair.friction import FrictionOffset
 from gateway.pair.gap import GapWatch
 from gateway.pair.guard import ForceGuard
+from gateway.pair.inside import Inside
 from gateway.pair.inverse import path_joint_angles
 from gateway.pair.passage import Commander, Pair, Passage, Streamed
 from gateway.pair.path import PairPath
@@ -108,6 +111,7 @@ class PairMotion:
     Attributes
     ----------
     samples : what both arms reported last
+    doubts : constants of both arms as the ways so far have told them
     """
 
     def __init__(self, cell: PairCell, stream: Stream, options: PairMotionOptions | None = None) -> None:
@@ -120,6 +124,7 @@ class PairMotion:
         lag_s = cell.config.servo_lag_s
         self._friction = [FrictionOffset(arm, self.dt_s, lag_s) for arm in cell.arms] if cell.gap else []
         self.samples: Samples | None = None
+        self.doubts = Doubts()
         self._complete = True
 
     @property
@@ -153,16 +158,18 @@ class PairMotion:
             arm.model_torque(q, rate, change)
             for arm, q, rate, change in zip(cell.arms, joints, rates, changes, strict=True)
         ]
-        wrenches = [
-            WrenchFromTorque(arm, each, path.dt_s, cell.config.servo_lag_s, cell.config.force_filter_hz)
+        first, second = (
+            ExternalTorque(arm, each, path.dt_s, cell.config.servo_lag_s)
             for arm, each in zip(cell.arms, followers, strict=True)
-        ]
+        )
+        maps = PathWrenches(self.calibration, path, slave)
         return Passage(
             path,
             (joints[0], joints[1]),
             (followers[0], followers[1]),
-            (wrenches[0], wrenches[1]),
-            PathWrenches(self.calibration, path, slave),
+            (first, second),
+            maps,
+            ForceBalance((first, second), maps, path.dt_s, cell.config.force_filter_hz),
             np.hstack(rates),
             np.hstack(changes),
             (free[0], free[1]),
@@ -223,7 +230,14 @@ class PairMotion:
         self._complete = True
         along = Along(self, way, commander, felt, round(FADE_S / self.dt_s) if fade else 0)
         self.stream.drive(along, "along the path")
-        return Streamed(felt.force, felt.external_nm, felt.gaps_m, self._complete, along.spent_s / len(way.path))
+        inside = None if self._gap is not None else self.prepare(lambda: self._told(way))
+        return Streamed(felt.force, inside, felt.gaps_m, self._complete, along.spent_s / len(way.path))
+
+    def _told(self, way: Passage) -> Inside:
+        """What a way has shown of both arms and of the force, once it is over."""
+        if self._complete:
+            way.balance.learn()
+        return way.balance.inside()
 
     def _felt(self, way: Passage) -> Felt:
         """What tells on this way how far the hands are off, from standing still on."""
@@ -231,7 +245,8 @@ class PairMotion:
             return FeltByDistance(self._gap, self.cell.nominal_slave(way.path))
         usual_n = self.cell.config.force.limit_n
         guard = ForceGuard(self.options.force_limit_n or usual_n, self.dt_s, self.options.force_stop_s)
-        return FeltByForce(way.wrenches, way.maps, guard, DOUBTFUL * usual_n)
+        way.balance.begin(self.doubts)
+        return FeltByForce(way.torques, way.balance, guard, DOUBTFUL * usual_n)
 
     def offsets(self, q: PerArm) -> PerArm | None:
         """Friction of free hands; with a common part the torque is what tells the force, and nothing is added to it."""

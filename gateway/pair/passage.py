@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from gateway.pair.balance import ForceBalance
 from gateway.pair.calibration import PathWrenches
-from gateway.pair.follow import JointFollower, WrenchFromTorque
+from gateway.pair.follow import ExternalTorque, JointFollower
+from gateway.pair.inside import Inside
 from gateway.pair.path import PairPath
 from gateway.pair.transform import Floats
 
@@ -24,7 +26,7 @@ class Passage:
     path : PairPath
         Of the master.
     joints, followers : joint angles (M, 6) of both arms by the nominal relation, and targets near them
-    wrenches, maps : forces from torques, forces inside the part
+    torques, maps, balance : what torques show, wrenches along the way, and the force inside the part from both
     speed_rad_s, acceleration_rad_s2 : arrays of shape (M, 12)
         Of all joints.
     free_nm : torque (M, 6) of both arms in a free motion
@@ -33,8 +35,9 @@ class Passage:
     path: PairPath
     joints: Pair
     followers: tuple[JointFollower, JointFollower]
-    wrenches: tuple[WrenchFromTorque, WrenchFromTorque]
+    torques: tuple[ExternalTorque, ExternalTorque]
     maps: PathWrenches
+    balance: ForceBalance
     speed_rad_s: Floats
     acceleration_rad_s2: Floats
     free_nm: Pair
@@ -53,8 +56,8 @@ class Streamed:
     ----------
     force : array of shape (M, 6)
         Internal wrench about the part's centre, world axes, low-passed [N, Nm].
-    external_nm : array of shape (M, 2, 6)
-        External joint torque of both arms, not filtered; NaN where a sample was incomplete.
+    inside : Inside or None
+        The same once the way was over, with its covariance; None where nothing is held in common.
     gaps_m : array of shape (M, n)
         Distances less the demanded ones [m], NaN where a cycle had no value; n = 0 without sensors.
     complete : every epoch was complete
@@ -62,7 +65,7 @@ class Streamed:
     """
 
     force: Floats
-    external_nm: Floats
+    inside: Inside | None
     gaps_m: Floats
     complete: bool
     evaluation_s: float

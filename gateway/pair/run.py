@@ -13,9 +13,11 @@ import numpy as np
 
 from gateway.motion.stream import Stream
 from gateway.pair.cell import PairCell
+from gateway.pair.chain import Chain, Hand
 from gateway.pair.controller import PairController
 from gateway.pair.embodiments import Embodiment
 from gateway.pair.function import TransformFunction, function_of_knots
+from gateway.pair.inside import Inside
 from gateway.pair.motion import PairMotion, PairMotionOptions
 from gateway.pair.passage import Commander, Passage, Streamed
 from gateway.pair.path import PairPath
@@ -33,6 +35,8 @@ class PairCycle:
     summary : CycleSummary
     force : array of shape (M, 6)
         Internal wrench about the part's centre, world axes, as estimated [N, Nm].
+    inside : Inside or None
+        The same with its covariance, None where nothing is held in common.
     gaps_m : array of shape (M, n)
         Distances less the demanded ones, NaN where a cycle had no value; n = 0 without sensors.
     learning_s : time that the learning step took
@@ -44,6 +48,7 @@ class PairCycle:
     gaps_m: Floats
     learning_s: float
     evaluation_s: float
+    inside: Inside | None = None
 
 
 def reversed_path(path: PairPath) -> PairPath:
@@ -83,14 +88,23 @@ class PairRun:
         first: TransformFunction,
         options: PairMotionOptions | None = None,
     ) -> None:
-        self.config, self._cell = config, cell
+        self.config, self._cell, self._first = config, cell, first
         self.motion = PairMotion(cell, stream, options)
         self.path = cell.path(self.motion.options.speed)
         self._way = self.motion.passage(self.path, (cell.arms[0].start_rad, cell.arms[1].start_rad))
-        self.controller = PairController(config, self.path, self.motion.calibration, first)
+        known = self.motion.calibration
+        first_hand, second_hand = (Hand(each.poses, each.jacobian) for each in self._way.followers)
+        bases = known.w_t_b1, known.w_t_b2
+        chain = Chain((first_hand, second_hand), bases, np.diag(known.chain_stiffness))
+        self.controller = PairController(config, self.path, known, first, chain)
         self._back = reversed_path(cell.path(self.motion.options.back_speed or self.path.speed))
         ends = (self._way.joints[0][-1], self._way.joints[1][-1])
         self._home: Passage = self.motion.passage(self._back, ends)
+
+    @property
+    def late(self) -> int:
+        """How many commands the arms are behind."""
+        return self._way.balance.late
 
     def start(self) -> None:
         """Both arms are powered at the start of the path, where the part is gripped."""
@@ -119,12 +133,14 @@ class PairRun:
             controller.end_cycle(complete=False)
             raise
         began = time.perf_counter()
-        summary = self.motion.prepare(lambda: controller.end_cycle(streamed.complete))
+        summary = self.motion.prepare(lambda: controller.end_cycle(streamed.complete, streamed.inside))
         learning_s = time.perf_counter() - began
         gaps_m = streamed.gaps_m
         if gaps_m.size and not np.isnan(gaps_m).all():
             summary = replace(summary, gap_m=float(np.nanmax(np.abs(gaps_m))))
-        return PairCycle(summary, streamed.force, gaps_m, learning_s, streamed.evaluation_s)
+        inside = streamed.inside
+        force = streamed.force if inside is None else inside.wrench
+        return PairCycle(summary, force, gaps_m, learning_s, streamed.evaluation_s, inside)
 
     def _commander(self) -> Commander:
         """The controller's step, with the present positions of both grippers where the embodiment learns from them."""
@@ -155,8 +171,12 @@ class PairRun:
         self.motion.run(self._home, controller.step, fade=True)
 
     def _returning(self) -> PairController:
-        """Controller of the way back, under the function of the way forward."""
-        function = reversed_function(self.controller.function, self.path.length_m)
+        """Controller of the way back, under the function of the way forward as it is at the points of the first one.
+
+        What lies between them was learned from how servos and gears answer to the way forward at its speed.
+        """
+        there = self._first.s_m
+        function = reversed_function(function_of_knots(there, self.controller.function.many(there)), self.path.length_m)
         config = replace(self.config, learning=None)
         controller = PairController(config, self._back, self.motion.calibration, function)
         controller.start_cycle()

@@ -78,6 +78,8 @@ class Selection:
     largest_count: int = 20
     apart_s: float = 0.03
     apart_m: float = 0.005
+    #: A point is added where the function without it would leave more than this force; 0 = nowhere.
+    gain_n: float = 0.0
     prune_m: float = 0.02e-3
     prune_rad: float = 0.05e-3
 
@@ -139,6 +141,42 @@ def select(selection: Selection, scores: ArrayLike, path: PairPath, present: Arr
         if np.all(far_in_time & far_in_way):
             chosen.append(int(index))
     return np.unique(chosen)
+
+
+def refine(
+    selection: Selection, wanted: Floats, path: PairPath, present: np.ndarray, stiffness: ArrayLike
+) -> np.ndarray:
+    """Indices of the learning points with those whose absence would cost most, best one first.
+
+    Parameters
+    ----------
+    selection : Selection
+    wanted : array of shape (M, 4, 4)
+        Relation that every command asks for.
+    path : PairPath
+    present : array of int, rising
+    stiffness : of the chain, straight [N/m] and turned [Nm/rad]
+
+    Returns
+    -------
+    array of int, rising, at most `largest_count`; apart in time and in way
+    """
+    chosen = np.unique(present)
+    straight, turned = np.asarray(stiffness, dtype=float)
+    while len(chosen) < selection.largest_count:
+        near = np.abs(np.arange(len(path))[:, None] - chosen).min(axis=1) * path.dt_s < selection.apart_s
+        near |= np.abs(path.s_m[:, None] - path.s_m[chosen]).min(axis=1) < selection.apart_m
+        ways, first = np.unique(path.s_m[chosen], return_index=True)
+        there = function_of_knots(ways, wanted[chosen[first]]).many(path.s_m)
+        away_m = np.linalg.norm(there[:, :3, 3] - wanted[:, :3, 3], axis=1)
+        turn = log_rotation(np.swapaxes(there[:, :3, :3], 1, 2) @ wanted[:, :3, :3])
+        cost_n = np.hypot(straight * away_m, turned * np.linalg.norm(turn, axis=1) / path.rho_m)
+        cost_n[near] = 0.0
+        best = int(np.argmax(cost_n))
+        if cost_n[best] < selection.gain_n:
+            break
+        chosen = np.unique(np.append(chosen, best))
+    return chosen
 
 
 def prune(selection: Selection, function: TransformFunction) -> TransformFunction:

@@ -27,6 +27,7 @@ from gateway.pair.path import PairPath
 from gateway.pair.run import PairCycle, PairRun
 from gateway.pair.stored import read_stored, refuse_foreign, stored_function
 from gateway.pair.transform import Floats
+from gateway.result.interval import TWO_SIDED_95
 from gateway.result.pair import LearningSwitch, LinkStatistics, PairRunResult, Stage, StoredFunction
 from gateway.result.values import Model, Numbers, decoded, json_object, json_text, numbers, plain_values, text_of
 
@@ -172,6 +173,8 @@ def _forces(cell: PairCell, path: PairPath, cycles: Sequence[PairCycle]) -> dict
         force = cycle.force[:, :3]
         drawn[f"{name}_n"] = numbers(np.round(np.sum(force * along, axis=1), 2))
         drawn[f"{name}_size_n"] = numbers(np.round(np.linalg.norm(force, axis=1), 2))
+        if cycle.inside is not None:
+            drawn[f"{name}_half_n"] = numbers(np.round(TWO_SIDED_95 * cycle.inside.size_std_n, 2))
     return drawn
 
 

@@ -178,12 +178,8 @@ class Teacher:
 
     def _measure(self, sweep: Passage, function: TransformFunction) -> Floats:
         """Mean internal wrench (6,) over one period of the sweep, friction cancelled."""
-        streamed = self._motion.run(sweep, self._commands(sweep, function))
-        whole = streamed.external_nm[:-1]
-        mean = np.nanmean(whole, axis=0)
-        wrenches = [each.wrench_of(mean[arm]) for arm, each in enumerate(sweep.wrenches)]
-        felt = sweep.maps.internal(0, wrenches[0], wrenches[1])
-        return np.zeros(6) if felt is None else felt
+        self._motion.run(sweep, self._commands(sweep, function))
+        return sweep.balance.mean_to_and_fro()
 
     # -- ways --------------------------------------------------------------------------------------------------------
 

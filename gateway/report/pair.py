@@ -29,12 +29,14 @@ MOST_POINTS = 500
 @dataclass(frozen=True, slots=True)
 class Quantity:
     """What is drawn: how to read it, unit and factor to it, digits, words; whether it is always drawn to its limit, and
-    whether it has a sign and a limit on either side. `part` is drawn beside it, thin and without a limit.
+    whether it has a sign and a limit on either side. `part` is drawn beside it, thin and without a limit; `halves` are
+    the half widths of its 95 % intervals in the first and the last cycle.
     """
 
     first: Callable[[PairRunResult], Numbers]
     last: Callable[[PairRunResult], Numbers]
     part: Callable[[PairRunResult], Numbers]
+    halves: Callable[[PairRunResult], tuple[Numbers, Numbers]]
     largest: Callable[[CycleSummary], float]
     unit: str
     factor: float
@@ -52,6 +54,7 @@ FORCE = Quantity(
     first=lambda run: run.first_size_n,
     last=lambda run: run.last_size_n,
     part=lambda run: run.last_n,
+    halves=lambda run: (run.first_half_n, run.last_half_n),
     largest=lambda cycle: cycle.force_n,
     unit="N",
     factor=1.0,
@@ -60,7 +63,8 @@ FORCE = Quantity(
     title="Force",
     error="force",
     of_what="force inside the part",
-    below="Size of the whole force, which the limit is on. Thin grey: its part along the line between the grippers in "
+    below="Size of the whole force, which the limit is on; shaded: its 95 % interval in the first and the last cycle, "
+    "which is wide where friction hides the force. Thin grey: its part along the line between the grippers in "
     "the last cycle, positive where the workpiece is pulled.",
     to_limit=True,
     sided=False,
@@ -69,6 +73,7 @@ GAP = Quantity(
     first=lambda run: run.first_m,
     last=lambda run: run.last_m,
     part=lambda run: (),
+    halves=lambda run: ((), ()),
     largest=lambda cycle: cycle.gap_m,
     unit="mm",
     factor=1e3,
@@ -216,6 +221,13 @@ def _along(view: RunView, bound: Limited) -> Markup:
     first, last = view.along
     if len(run.cycles) > 1:
         panel.polyline(_thinned(run.s_m, first), "before-line")
+    for values, half, kind in zip(view.along, what.halves(run), ("force-band before", "force-band"), strict=True):
+        if not half:
+            continue
+        rows = range(0, len(half), max(1, len(half) // MOST_POINTS))
+        low_side = [max(values[row] - what.factor * half[row], 0.0) for row in rows]
+        high_side = [min(values[row] + what.factor * half[row], high) for row in rows]
+        panel.area([run.s_m[row] for row in rows], low_side, high_side, kind)
     panel.polyline(_thinned(run.s_m, view.part), "part-line")
     panel.polyline(_thinned(run.s_m, last), "force")
     for knot in run.knots_s_m:

@@ -131,6 +131,7 @@ class PairRunResult:
     s_m, x_m : way and position of the master's gripper in the world, per command
     first_n, last_n : force along the line between the grippers in the first and the last cycle
     first_size_n, last_size_n : size of the whole force, which the limit is on; absent in runs of before
+    first_half_n, last_half_n : half the width of its 95 % interval
     first_m, last_m : in their place where a gap is kept: the distance that is furthest off, by how much
     knots_s_m : ways of the function's knots
     learning_s, evaluation_s : longest learning step, mean evaluation of the controller
@@ -145,6 +146,8 @@ class PairRunResult:
     last_n: tuple[_Value, ...] = field(default=(), metadata=SILENT)
     first_size_n: tuple[_Value, ...] = field(default=(), metadata=SILENT)
     last_size_n: tuple[_Value, ...] = field(default=(), metadata=SILENT)
+    first_half_n: tuple[_Value, ...] = field(default=(), metadata=SILENT)
+    last_half_n: tuple[_Value, ...] = field(default=(), metadata=SILENT)
     first_m: tuple[_Value, ...] = field(default=(), metadata=SILENT)
     last_m: tuple[_Value, ...] = field(default=(), metadata=SILENT)
     knots_s_m: _Knowns

@@ -14,32 +14,37 @@ from gateway.pair.guard import ForceGuard
 ROWS, DT_S = 8, 0.004
 
 
-class Wrench:
-    """An arm whose wrench and external torque are known."""
+class Arm:
+    """An arm that shows what its samples are."""
 
     def __init__(self) -> None:
-        self.count, self.resets, self.calls = ROWS, 0, []
-        self.wrench: np.ndarray | None = None
-        self.external_nm: np.ndarray | None = None
+        self.calls: list[tuple] = []
 
-    def reset(self) -> None:
-        self.resets += 1
-
-    def update(self, m, sample, rate=1.0) -> None:
+    def update(self, m, sample, rate=1.0) -> str:
         self.calls.append((m, sample, rate))
+        return f"seen of {sample}"
 
 
-class Maps:
-    """Inside the part is half the difference of both wrenches."""
+class Balance:
+    """A balance that says what a test wants."""
 
-    def internal(self, m, first, second):
-        return None if first is None or second is None else (first - second) / 2
+    count = ROWS
+
+    def __init__(self) -> None:
+        self.wrench: np.ndarray | None = None
+        self.taken: list[tuple] = []
+
+    def take(self, m, seen, row) -> None:
+        self.taken.append((m, seen, row))
+
+    def inputs(self, m):
+        return None if self.wrench is None else (-self.wrench, self.wrench)
 
 
-def felt(limit_n: float = 50.0, doubt_n: float = 0.0) -> tuple[FeltByForce, Wrench, Wrench]:
-    one, two = Wrench(), Wrench()
+def felt(limit_n: float = 50.0, doubt_n: float = 0.0) -> tuple[FeltByForce, Balance, tuple[Arm, Arm]]:
+    arms, balance = (Arm(), Arm()), Balance()
     guard = ForceGuard(limit_n, DT_S, time_s=0.008)
-    return FeltByForce((one, two), Maps(), guard, doubt_n), one, two  # type: ignore[arg-type]
+    return FeltByForce(arms, balance, guard, doubt_n), balance, arms  # type: ignore[arg-type]
 
 
 def push(force_n: float) -> np.ndarray:
@@ -47,48 +52,42 @@ def push(force_n: float) -> np.ndarray:
 
 
 def test_force_inside_the_part_is_kept_by_the_command_and_torque_by_the_one_before():
-    found, one, two = felt()
-    assert (one.resets, two.resets) == (1, 1)
-    one.external_nm, two.external_nm = np.full(6, 1.0), np.full(6, 2.0)
+    found, balance, (one, two) = felt()
     assert found.take(0, ("a", "b")) == ""
-    assert np.isnan(found.external_nm).all()
-    one.wrench, two.wrench = push(20.0), -push(20.0)
+    assert found.inputs(0) == (None, None)
+    balance.wrench = push(20.0)
     assert found.take(1, ("c", "d"), 0.5) == ""
-    assert found.external_nm[0].tolist() == [[1.0] * 6, [2.0] * 6]
-    assert np.isnan(found.external_nm[1:]).all()
     assert found.force[1] == pytest.approx(push(20.0))
     assert (found.force[0] == 0).all()
     assert found.size_n(1) == pytest.approx(20.0)
     assert (one.calls, two.calls) == ([(0, "a", 1.0), (1, "c", 0.5)], [(0, "b", 1.0), (1, "d", 0.5)])
-    assert found.inputs(1) == (one.wrench, two.wrench)
-    one.external_nm = None
-    found.take(2, ("e", "f"))
-    assert np.isnan(found.external_nm[1, 0]).all()
-    assert found.external_nm[1, 1].tolist() == [2.0] * 6
+    assert balance.taken == [(0, ("seen of a", "seen of b"), None), (1, ("seen of c", "seen of d"), 0)]
+    assert [each.tolist() for each in found.inputs(1)] == [(-push(20.0)).tolist(), push(20.0).tolist()]
 
 
 def test_both_arms_are_listened_to_before_the_way_begins():
-    found, one, two = felt()
+    found, balance, (one, two) = felt()
     found.listen(("a", "b"))
     assert (one.calls, two.calls) == ([(0, "a", 1.0)], [(0, "b", 1.0)])
+    assert balance.taken == [(0, ("seen of a", "seen of b"), None)]
 
 
 def test_a_force_above_twice_its_limit_for_longer_than_its_time_stops_both():
     """100 N, 8 ms: the third SYNC in a row."""
-    found, one, two = felt(50.0)
-    one.wrench, two.wrench = push(101.0), -push(101.0)
+    found, balance, _ = felt(50.0)
+    balance.wrench = push(101.0)
     assert [found.take(m, ("a", "b")) for m in range(2)] == ["", ""]
     why = found.take(2, ("a", "b"))
     assert "above 100 N for more than 8 ms (101 N at command 3 of 8)" in why
-    quiet, one, two = felt(50.0)
-    one.wrench, two.wrench = push(99.0), -push(99.0)
+    quiet, balance, _ = felt(50.0)
+    balance.wrench = push(99.0)
     assert [quiet.take(m, ("a", "b")) for m in range(5)] == [""] * 5
 
 
 @pytest.mark.parametrize(("force_n", "doubtful"), [(9.9, True), (10.1, False)])
 def test_a_small_force_may_be_friction(force_n, doubtful):
-    found, one, two = felt(doubt_n=10.0)
-    one.wrench, two.wrench = push(force_n), -push(force_n)
+    found, balance, _ = felt(doubt_n=10.0)
+    balance.wrench = push(force_n)
     found.take(1, ("a", "b"))
     assert found.doubtful(1) == doubtful
     assert found.doubtful(0)

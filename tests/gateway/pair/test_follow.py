@@ -1,4 +1,4 @@
-"""Wrench from torque: what the instants of the SYNCs do to it."""
+"""Joint torques that an arm's own motion does not need: instants of the SYNCs, holes, standing, turning round."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from gateway.data.sample import ArmSample
 from gateway.pair.cell import load_pair
-from gateway.pair.follow import JointFollower, WrenchFromTorque
+from gateway.pair.follow import ExternalTorque, JointFollower
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "pair" / "cell.toml"
 DT_S, LAG_S, ROWS = 0.004, 0.016, 120
@@ -22,57 +22,65 @@ def arm():
 
 
 @pytest.fixture
-def wrench(arm):
+def external(arm):
     time_s = DT_S * np.arange(ROWS)[:, None]
-    follower = JointFollower(arm, arm.start_rad + SPEED_RAD_S * time_s)
-    return WrenchFromTorque(arm, follower, DT_S, LAG_S, 15.0)
+    return ExternalTorque(arm, JointFollower(arm, arm.start_rad + SPEED_RAD_S * time_s), DT_S, LAG_S)
 
 
-def sample(arm, index: int, late_s: float) -> ArmSample:
+def sample(arm, index: int, late_s: float = 0.0, speed_rad_s=SPEED_RAD_S) -> ArmSample:
     """Of an arm that moves evenly and freely, at a SYNC that comes late; gravity and friction are all it needs."""
     at_s = index * DT_S + late_s
-    q = arm.start_rad + SPEED_RAD_S * (at_s - LAG_S - DT_S)
+    q = arm.start_rad + speed_rad_s * (at_s - LAG_S - DT_S)
     still = np.zeros((1, 6))
-    rubbing = arm.coulomb_nm * np.sign(SPEED_RAD_S) + arm.viscous_nm_s_rad * SPEED_RAD_S
-    torque = arm.model_torque(q[None], SPEED_RAD_S[None], still)[0] + rubbing
+    rubbing = arm.coulomb_nm * np.sign(speed_rad_s) + arm.viscous_nm_s_rad * speed_rad_s
+    torque = arm.model_torque(q[None], speed_rad_s[None], still)[0] + rubbing
     return ArmSample(index, at_s, q, torque, (object(),) * 6)  # type: ignore[arg-type]
 
 
-def test_late_syncs_feign_no_force(arm, wrench):
-    """With the period in place of the instants it is 170 N."""
+def test_late_syncs_feign_no_torque(arm, external):
+    """With the period in place of the instants an acceleration of 10 rad/s2 would be seen, some 500 Nm."""
     late_s = np.random.default_rng(7).uniform(0.0, 0.0004, ROWS)
-    sizes = []
-    for index in range(10, ROWS):
-        wrench.update(index, sample(arm, index, late_s[index]))
-        if wrench.wrench is not None:
-            sizes.append(np.linalg.norm(wrench.wrench[:3]))
-    assert max(sizes) < 2.0
+    seen = [external.update(index, sample(arm, index, late_s[index])) for index in range(10, ROWS)]
+    assert seen[:2] == [None, None]
+    assert max(np.abs(each.external_nm).max() for each in seen[2:]) < 1.0
+    assert seen[-1].speed_rad_s == pytest.approx(SPEED_RAD_S)
+    assert seen[-1].acceleration_rad_s2 == pytest.approx(np.zeros(6), abs=1e-6)
 
 
-def test_syncs_that_follow_too_soon_tell_nothing(arm, wrench):
+def test_syncs_that_follow_too_soon_tell_nothing(arm, external):
     for index in range(10, 20):
-        wrench.update(index, sample(arm, index, 0.0))
-    before = wrench.wrench.copy()
-    wrench.update(20, sample(arm, 20, 0.0039))
-    assert not np.array_equal(wrench.wrench, before)
-    before = wrench.wrench.copy()
-    pushed = sample(arm, 21, 0.0)
-    pushed.joint_torque_nm[:] += 1000.0
-    wrench.update(21, pushed)
-    assert np.array_equal(wrench.wrench, before)
-    assert wrench.external_nm is None
+        assert (external.update(index, sample(arm, index)) is None) == (index < 12)
+    assert external.update(20, sample(arm, 20, 0.0039)) is not None
+    assert external.update(21, sample(arm, 21)) is None
 
 
-def test_a_way_that_begins_to_slow_down_is_expected_to_need_what_it_needed_before(wrench):
-    """At a rate a hair below the full one torque and friction's band are those of the full rate."""
-    full, slowed = wrench._expected(60, 1.0, SPEED_RAD_S), wrench._expected(60, 1.0 - 1e-9, SPEED_RAD_S)
-    assert slowed[0] == pytest.approx(full[0], rel=1e-6, abs=1e-6)
-    assert slowed[1] == pytest.approx(full[1], abs=1e-6)
+def test_a_sample_that_is_not_whole_takes_its_neighbours_with_it(arm, external):
+    for index in range(10, 20):
+        external.update(index, sample(arm, index))
+    holed = sample(arm, 20)
+    external.update(20, ArmSample(20, holed.time_s, holed.q_rad, holed.joint_torque_nm, (None, *holed.readings[1:])))
+    assert [external.update(index, sample(arm, index)) is None for index in (21, 22, 23)] == [True, True, False]
 
 
-def test_an_arm_that_has_come_to_rest_on_the_way_needs_its_weight_alone_and_may_rub_either_way(arm, wrench):
-    known, band = wrench._expected(60, 0.0, np.zeros(6))
-    q = arm.start_rad + SPEED_RAD_S * (60 * DT_S - LAG_S - DT_S)
-    still = np.zeros((1, 6))
-    assert known == pytest.approx(arm.model_torque(q[None], still, still)[0], abs=1e-6)
-    assert band == pytest.approx(arm.coulomb_nm)
+def test_an_arm_that_stands_on_the_way_needs_its_weight_alone_and_may_rub_either_way(arm, external):
+    still = np.zeros(6)
+    for index in range(60, 64):
+        seen = external.update(index, sample(arm, 60, (index - 60) * DT_S, still), 0.0)
+    q = arm.start_rad[None]
+    row = external._still[62] - arm.model_torque(q, q * 0.0, q * 0.0)[0]
+    assert seen.turned == pytest.approx(still)
+    assert seen.external_nm == pytest.approx(-row, abs=1e-6)
+
+
+def test_a_joint_that_slows_down_rubs_as_before_until_it_has_turned_round(arm, external):
+    for index in range(10, 40):
+        external.update(index, sample(arm, index))
+    slow = 0.01 * SPEED_RAD_S
+    begin = sample(arm, 39).q_rad
+    for index in range(40, 44):
+        plain = sample(arm, index)
+        after = ArmSample(
+            index, plain.time_s, begin + slow * (index - 39) * DT_S, plain.joint_torque_nm, plain.readings
+        )
+        seen = external.update(index, after)
+    assert seen.turned == pytest.approx(np.sign(SPEED_RAD_S), abs=1e-3)

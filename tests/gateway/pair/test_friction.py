@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gateway.pair.friction import FrictionOffset
+from gateway.pair.friction import FrictionOffset, Presliding
 
 COULOMB, VISCOUS = np.array([18.0, 27, 15, 3.6, 3, 1.8]), np.array([12.0, 18, 10, 2.4, 2, 1.2])
 
@@ -22,3 +22,28 @@ def test_friction_of_a_target_comes_when_the_servo_reaches_it() -> None:
     assert not any(early.any() for early in given[:4])
     assert given[4] == pytest.approx(-COULOMB - 0.5 * VISCOUS)
     assert given[5] == pytest.approx(given[4])
+
+
+def test_friction_of_a_joint_that_has_not_moved_may_act_either_way():
+    assert Presliding(2).turned.tolist() == [0.0, 0.0]
+
+
+def test_friction_turns_round_over_the_way_and_not_with_speed():
+    """Dahl: 1 - 2 exp(-d / 5e-5) after turning round; a joint that stands keeps what it had."""
+    joint = Presliding(3)
+    joint.move(np.array([1e-2, -1e-2, 0.0]))
+    assert joint.turned == pytest.approx([1.0, -1.0, 0.0])
+    joint.move(np.array([-2e-5, 0.0, 0.0]))
+    joint.move(np.array([-3e-5, 0.0, 0.0]))
+    assert joint.turned == pytest.approx([-1.0 + 2.0 * np.exp(-1.0), -1.0, 0.0])
+    for _ in range(500):
+        joint.move(np.array([0.0, 0.0, 1e-6]))
+    assert joint.turned[2] == pytest.approx(1.0, abs=1e-4)
+
+
+def test_an_encoder_that_trembles_at_rest_leaves_friction_open():
+    joint = Presliding(1)
+    joint.move(np.array([1.0]))
+    for index in range(2000):
+        joint.move(np.array([2e-6 * (-1.0) ** index]))
+    assert abs(joint.turned[0]) < 0.1

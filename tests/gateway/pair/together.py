@@ -43,6 +43,8 @@ class Part:
     def __init__(self, cell: PairCell, true: np.ndarray, stiffness: tuple[float, float]) -> None:
         self.cell, self.true, self.stiffness = cell, true, stiffness
         self.q_rad = [arm.start_rad for arm in cell.arms]
+        #: Where each arm goes with the next SYNC.
+        self.next_rad = list(self.q_rad)
 
     def pushes(self) -> tuple[np.ndarray, np.ndarray]:
         """Wrench (6,) on each hand, at the hand, axes of its base [N, Nm]."""
@@ -52,9 +54,10 @@ class Part:
         moment = self.stiffness[1] * Rotation.from_matrix(away[:3, :3] @ two[:3, :3].T).as_rotvec()
         back = -moment - np.cross(two[:3, 3] - one[:3, 3], force)
         turned = [arm.world_from_base[:3, :3].T for arm in (first, second)]
+        weight = 0.5 * self.cell.config.part_mass_kg * np.array(first.config.gravity_m_s2)
         return (
-            np.concatenate([turned[0] @ -force, turned[0] @ back]),
-            np.concatenate([turned[1] @ force, turned[1] @ moment]),
+            np.concatenate([turned[0] @ (weight - force), turned[0] @ back]),
+            np.concatenate([turned[1] @ (weight + force), turned[1] @ moment]),
         )
 
     def hands(self) -> tuple[np.ndarray, np.ndarray]:
@@ -72,7 +75,6 @@ class Joints:
     def __init__(self, index: int, arm: PairArm, part: Part, period_s: float) -> None:
         self.index, self.arm, self.part, self.period_s = index, arm, part, period_s
         self.axes = AxisConversion.from_arm(arm.config)
-        self.target_rad = arm.start_rad
         self.enabled = False
         self.sync_index = 0
         self.log: list[str] = []
@@ -86,7 +88,7 @@ class Joints:
     def enable(self, _stop_asked):
         self.log.append("enable")
         self.enabled = True
-        self.target_rad = self.part.q_rad[self.index]
+        self.last_rad = self.part.next_rad[self.index] = self.part.q_rad[self.index]
         return self._epoch(np.zeros(6), np.zeros(6))
 
     def exchange(self, commands, /):
@@ -94,13 +96,16 @@ class Joints:
         return self._step(self.axes.joint_position(np.array([command.position_rad for command in commands])))
 
     def hold(self):
-        return self._step(self.target_rad)
+        return self._step(self.part.next_rad[self.index])
 
     def _step(self, target_rad: np.ndarray) -> Epoch:
         """What was told before is reached, and where the joints go next is told."""
         assert self.enabled
-        before, self.part.q_rad[self.index], self.target_rad = self.part.q_rad[self.index], self.target_rad, target_rad
-        here, after = self.part.q_rad[self.index], self.target_rad
+        part, after = self.part, target_rad
+        if self.index == 0:  # one SYNC for both: the slave's joints go with the master's
+            part.q_rad = list(part.next_rad)
+        before, here = self.last_rad, part.q_rad[self.index]
+        self.last_rad, part.next_rad[self.index] = here, after
         return self._epoch((after - before) / (2 * self.period_s), (after - 2 * here + before) / self.period_s**2)
 
     def disable(self):

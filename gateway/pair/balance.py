@@ -1,0 +1,168 @@
+"""Force inside the part from the torques of both arms together, each joint weighed by what its friction may hide.
+
+`e = A h + C c + v`: the twelve joint torques e that free motions with the cell's constants and the part's weight do not
+need are those of the internal wrench h, of constants c that are off (`doubt`), and of what neither explains. A joint
+that turns round, or has not turned yet, rubs either way and is hardly listened to; eleven others tell the force. Where
+all stand still, the interval says so.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from gateway.pair.calibration import PathWrenches
+from gateway.pair.doubt import JOINTS, MOVING, Columns, Doubts, columns_of, part_doubts
+from gateway.pair.follow import ExternalTorque, Seen
+from gateway.pair.inside import AVERAGED_S, Inside
+from gateway.pair.learning import led
+from gateway.pair.transform import Floats
+
+#: Wrench inside the part that is expected of hands that yield and learn, standard deviation [N], [Nm].
+USUAL_N, USUAL_NM = 40.0, 8.0
+#: Share of its friction that a joint may be off while it turns one way, and while that is not settled.
+TURNING_SHARE, EITHER_SHARE = 0.05, 1.0 / math.sqrt(3.0)
+#: What a torque sample may be off, as a share of the largest torque of the axis: noise, vibration of the gear.
+SAMPLE_SHARE = 0.003
+#: Share of a sample's variance that is left of a mean: neighbours are alike.
+LEAST_WORTH = 0.3
+
+
+class ForceBalance:
+    """Wrench inside the part, SYNC by SYNC on one way, and of the whole way once it is over.
+
+    Parameters
+    ----------
+    arms : ExternalTorque of master and slave
+    maps : PathWrenches
+    dt_s : control cycle
+    cutoff_hz : of the low-pass
+
+    Attributes
+    ----------
+    count : commands of the way
+    late : how many commands before the last one the arms are
+    doubts : Doubts
+    wrench, covariance : array of shape (6,), None before the first, and its covariance (6, 6)
+    """
+
+    def __init__(
+        self, arms: tuple[ExternalTorque, ExternalTorque], maps: PathWrenches, dt_s: float, cutoff_hz: float
+    ) -> None:
+        self._arms, self._maps = arms, maps
+        self._dt_s = dt_s
+        self._low_pass = 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * dt_s)
+        self.count = len(arms[0].late)
+        where = np.round(arms[0].late).astype(int)
+        self.late = self.count - 1 - int(where[-1])
+        force, share, part = [], [], []
+        both = zip((1.0, -1.0), arms, maps.from_centre, maps.share, maps.share_per_kg, strict=True)
+        for sign, arm, from_centre, weight, per_kg in both:
+            at_tip = np.swapaxes(arm.jacobian, 1, 2) @ from_centre[where]
+            force.append(sign * at_tip)
+            share.append(-np.einsum("nij,nj->ni", at_tip, weight[where]))
+            part.append(-at_tip @ part_doubts(per_kg[where], maps.part_mass_kg))
+        #: Joint torque (M, 12, 6) per wrench inside the part, and of the part's weight and inertia (M, 12).
+        self._force, self._share = np.concatenate(force, axis=1), np.concatenate(share, axis=1)
+        motions = tuple((arm.q_rad, arm.speed_rad_s, arm.acceleration_rad_s2) for arm in arms)
+        self.columns: Columns = columns_of((arms[0].arm, arms[1].arm), motions, dt_s, np.concatenate(part, axis=1))
+        self._usual = np.diag(np.repeat([USUAL_N, USUAL_NM], 3) ** -2.0)
+        self._sample_nm = SAMPLE_SHARE * np.concatenate([arm.arm.torque_limit_nm for arm in arms])
+        self._coulomb_nm = np.concatenate([arm.arm.coulomb_nm for arm in arms])
+        nominal = np.hstack([arm.speed_rad_s for arm in arms]), np.hstack([arm.acceleration_rad_s2 for arm in arms])
+        self._nominal = self.columns.of(np.sign(nominal[0]), *nominal)
+        self.begin(Doubts())
+
+    def begin(self, doubts: Doubts) -> None:
+        """Forget the way before, and take the arms' constants as they are known by now."""
+        self.doubts = doubts
+        self._unsure = self._nominal @ doubts.covariance @ np.swapaxes(self._nominal, 1, 2)
+        self._value = doubts.value.copy()
+        self.wrench: Floats | None = None
+        self._seen = np.full((4, self.count, JOINTS), np.nan)
+        for arm in self._arms:
+            arm.reset()
+
+    def take(self, m: int, seen: tuple[Seen | None, Seen | None], row: int | None) -> None:
+        """What both arms showed at the SYNC before that of command m, kept as row `row` of the way if it is one.
+
+        A SYNC of which one arm has told nothing leaves the wrench as it is.
+        """
+        first, second = seen
+        if first is None or second is None:
+            return
+        at = max(m - 1, 0)
+        both = [np.concatenate([getattr(first, name), getattr(second, name)]) for name in Seen.__slots__]
+        if row is not None:
+            self._seen[:, row] = both
+        torque, turned, speed, acceleration = both
+        left = torque - self._share[at] - self.columns.torque(at, self._value, turned, speed, acceleration)
+        own = self._hidden(turned) ** 2 + self._sample_nm**2
+        fresh, self.covariance = self._solved(at, left, self._unsure[at] + np.diag(own))
+        self.wrench = fresh if self.wrench is None else self.wrench + self._low_pass * (fresh - self.wrench)
+
+    def inputs(self, m: int) -> tuple[Floats, Floats] | None:
+        """Wrenches (6,) on both fingertips, base axes [N, Nm], that hold this force and the part; None before any."""
+        if self.wrench is None:
+            return None
+        maps = self._maps
+        return (
+            maps.from_centre[0][m] @ (maps.share[0][m] - self.wrench),
+            maps.from_centre[1][m] @ (maps.share[1][m] + self.wrench),
+        )
+
+    def mean_to_and_fro(self) -> Floats:
+        """Wrench (6,) of the mean torque of a way that goes to and fro, so that friction cancels."""
+        torque, turned, speed, acceleration = np.nanmean(self._seen, axis=1)
+        left = torque - self._share[0] - self.columns.torque(0, self._value, turned, speed, acceleration)
+        columns, unsure = self.columns.along[0], self.doubts.covariance[MOVING:, MOVING:]
+        return self._solved(0, left, columns @ unsure @ columns.T + np.diag(self._sample_nm**2))[0]
+
+    # -- a way that is over ------------------------------------------------------------------------------------------
+
+    def learn(self) -> None:
+        """Let the way tell the arms' constants."""
+        torque, turned, speed, acceleration = self._seen
+        there = ~np.isnan(torque).any(axis=1)
+        std = np.sqrt(self._hidden(turned) ** 2 + self._sample_nm**2)
+        columns = self.columns.of(turned, speed, acceleration)
+        self.doubts.learn(columns[there], (torque - self._share)[there], self._force[there], std[there])
+
+    def inside(self) -> Inside:
+        """Wrench along the way with all that is known at its end: averaged to both sides, so never late."""
+        whole = np.stack([_filled(each) for each in self._seen])
+        torque, turned, speed, acceleration = whole
+        columns = self.columns.of(turned, speed, acceleration)
+        left = torque - self._share - columns @ self.doubts.value
+        size = max(1, round(AVERAGED_S / self._dt_s)) | 1
+        left = uniform_filter1d(left, size, axis=0, mode="nearest")
+        columns = uniform_filter1d(columns, size, axis=0, mode="nearest")
+        hidden = uniform_filter1d(self._hidden(turned), size, axis=0, mode="nearest")
+        unsure = columns @ self.doubts.covariance @ np.swapaxes(columns, 1, 2)
+        own = hidden**2 + self._sample_nm**2 * max(1.0 / size, LEAST_WORTH)
+        weight = np.linalg.inv(unsure + own[:, :, None] * np.eye(12))
+        told = np.swapaxes(self._force, 1, 2) @ weight
+        covariance = np.linalg.inv(told @ self._force + self._usual)
+        wrench = np.einsum("nij,njk,nk->ni", covariance, told, left)
+        return Inside(led(wrench, self.late), led(covariance, self.late))
+
+    def _hidden(self, turned: Floats) -> Floats:
+        """Torque (..., 12) by which dry friction may be off [Nm], standard deviation."""
+        open_ = EITHER_SHARE**2 * (1.0 - turned**2)
+        return self._coulomb_nm * np.sqrt(TURNING_SHARE**2 + open_)
+
+    def _solved(self, at: int, left: Floats, unsure: Floats) -> tuple[Floats, Floats]:
+        """Wrench (6,) and its covariance from torques (12,) that are off by `unsure` (12, 12)."""
+        force = self._force[at]
+        told = np.linalg.solve(unsure, force).T
+        covariance = np.linalg.inv(told @ force + self._usual)
+        return covariance @ (told @ left), covariance
+
+
+def _filled(values: Floats) -> Floats:
+    """Rows (M, n) that are missing, from their neighbours."""
+    there = np.flatnonzero(~np.isnan(values).any(axis=1))
+    every = np.arange(len(values))
+    return np.stack([np.interp(every, there, column[there]) for column in values.T], axis=1)

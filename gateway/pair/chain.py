@@ -1,0 +1,90 @@
+"""How far the hands give way to the force between them: gears of both arms and part, told by the cycles that were run.
+
+What is stated of the chain is its stiffest direction. Across it gears give way several times as far, and a step for
+the force that was left would be several times too short there. Two cycles that were commanded differently show by how
+much: the compliance at the slave's fingertip is that of the stated stiffness and of each joint's gear,
+`S = inv(K) + sum_j c_j g_j g_j^T` with `g_j` the move of the fingertips against each other per turn of joint j, linear
+in the twelve c_j, none of which is negative.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from gateway.pair.transform import Floats, cross_matrix
+
+#: Compliance of a joint that is expected before any was seen, standard deviation [rad/Nm].
+USUAL_RAD_NM = 5e-5
+#: What servos and gears do otherwise from one cycle to the next, turns by `LEVER_M` [m]; SYNCs over which it is alike.
+UNLIKE_M, ALIKE_SYNCS = 5e-5, 10
+#: By which turns count into ways [m].
+LEVER_M = 0.25
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hand:
+    """Fingertip of an arm along its path: poses (M, 4, 4) and Jacobians (M, 6, 6), base axes."""
+
+    poses: Floats
+    jacobian: Floats
+
+
+class Chain:
+    """Compliance between the hands along a path.
+
+    Parameters
+    ----------
+    hands : of master and slave
+    bases : two arrays of shape (4, 4), bases of both arms in the world
+    stiffness : array of shape (6,), stated: straight [N/m] and turned [Nm/rad]
+
+    Attributes
+    ----------
+    joints_rad_nm : array of shape (12,)
+        Compliance of each joint beside the stated stiffness, as far as cycles have told it.
+    """
+
+    def __init__(self, hands: tuple[Hand, Hand], bases: tuple[Floats, Floats], stiffness: Floats) -> None:
+        first, second = hands
+        turn = bases[1][:3, :3].T @ bases[0][:3, :3]
+        tips = [(base @ each.poses)[:, :3, 3] for base, each in zip(bases, hands, strict=True)]
+        lever = (tips[1] - tips[0]) @ bases[1][:3, :3]
+        one = np.concatenate([turn @ first.jacobian[:, :3], turn @ first.jacobian[:, 3:]], axis=1)
+        one[:, :3] -= cross_matrix(lever) @ one[:, 3:]
+        self._ways = np.concatenate([one, second.jacobian], axis=2)
+        self._plain = 1.0 / stiffness
+        self._weight = np.repeat([1.0, LEVER_M], 3)
+        self._told, self._sum = np.zeros((12, 12)), np.zeros(12)
+        self._last: tuple[Floats, Floats] | None = None
+        self.joints_rad_nm = np.zeros(12)
+
+    def move(self, wrench: Floats) -> Floats:
+        """What the slave's hand has to move (M, 6) [m, rad] for wrenches (M, 6) at its fingertip, base axes."""
+        along = np.einsum("nij,ni->nj", self._ways, wrench) * self.joints_rad_nm
+        return wrench * self._plain + np.einsum("nij,nj->ni", self._ways, along)
+
+    def take(self, command: Floats, wrench: Floats) -> None:
+        """Take in a cycle.
+
+        Parameters
+        ----------
+        command : array of shape (M, 6)
+            Of the slave's hand, off any fixed one, base axes [m, rad].
+        wrench : array of shape (M, 6)
+            At its fingertip where the arms did what the command says, base axes [N, Nm].
+        """
+        last, self._last = self._last, (command, wrench)
+        if last is None:
+            return
+        moved, fallen = command - last[0], last[1] - wrench
+        along = np.einsum("nij,ni->nj", self._ways, fallen)
+        columns = (self._ways * along[:, None]) * self._weight[:, None]
+        left = (moved - fallen * self._plain) * self._weight
+        self._told += np.tensordot(columns, columns, ((0, 1), (0, 1)))
+        self._sum += np.tensordot(columns, left, ((0, 1), (0, 1)))
+        scale = 1.0 / (UNLIKE_M**2 * ALIKE_SYNCS)
+        root = np.linalg.cholesky(self._told * scale + np.eye(12) / USUAL_RAD_NM**2)
+        self.joints_rad_nm = nnls(root.T, np.linalg.solve(root, self._sum * scale))[0]

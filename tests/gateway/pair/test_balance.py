@@ -1,0 +1,192 @@
+"""Force inside the part from twelve torques: sign and size, joints that friction hides, constants that are off.
+
+Torques are made by the virtual work of two forces on numerically turned joints, not by the Jacobians under test.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gateway.data.sample import ArmSample
+from gateway.pair.balance import ForceBalance
+from gateway.pair.calibration import PathWrenches
+from gateway.pair.cell import load_pair
+from gateway.pair.doubt import COULOMB_SHARE, Doubts
+from gateway.pair.follow import ExternalTorque, JointFollower, Seen
+from gateway.pair.motion import calibration_of
+
+EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "pair" / "cell.toml"
+TURN_RAD = 1e-6
+
+
+class Bench:
+    """Both arms along their path, moving freely but for what a test puts between the hands."""
+
+    def __init__(self) -> None:
+        self.cell = cell = load_pair(EXAMPLE)
+        self.path = path = cell.path(1.5)
+        slave = cell.nominal_slave(path)
+        followers = [JointFollower(arm, q) for arm, q in zip(cell.arms, cell.joints(path), strict=True)]
+        lag_s = cell.config.servo_lag_s
+        first, second = (ExternalTorque(arm, f, path.dt_s, lag_s) for arm, f in zip(cell.arms, followers, strict=True))
+        self.arms = (first, second)
+        maps = PathWrenches(calibration_of(cell), path, slave)
+        self.balance = ForceBalance(self.arms, maps, path.dt_s, cell.config.force_filter_hz)
+        self.q = [each.q_rad for each in self.arms]
+        self.free = []
+        for arm, q in zip(cell.arms, self.q, strict=True):
+            speed = np.zeros_like(q)
+            speed[1:-1] = (q[2:] - q[:-2]) / (2 * path.dt_s)
+            change = np.zeros_like(q)
+            change[1:-1] = (q[2:] - 2 * q[1:-1] + q[:-2]) / path.dt_s**2
+            rubbing = arm.coulomb_nm * np.sign(speed) + arm.viscous_nm_s_rad * speed
+            self.free.append(arm.model_torque(q, speed, change) + rubbing)
+        self.speed = [np.gradient(q, path.dt_s, axis=0) for q in self.q]
+
+    def tips(self, arm: int, turned_rad: np.ndarray) -> np.ndarray:
+        """Fingertips (M, 4, 4) of an arm in the world, its joints turned by (6,)."""
+        chosen = self.cell.arms[arm]
+        return chosen.world_from_base @ chosen.chain.poses(self.q[arm] + turned_rad)[0]
+
+    def virtual_work_nm(self, arm: int, force_n: np.ndarray, moment_nm: np.ndarray) -> np.ndarray:
+        """Torque (M, 6) that holds a force and a moment (M, 3), world axes, at the fingertip of an arm."""
+        out = np.empty_like(self.q[arm])
+        for joint, unit in enumerate(np.eye(6)):
+            ahead, behind = (self.tips(arm, side * TURN_RAD * unit) for side in (1, -1))
+            move = (ahead - behind)[:, :3, 3] / (2 * TURN_RAD)
+            turn = Rotation.from_matrix(ahead[:, :3, :3] @ np.swapaxes(behind[:, :3, :3], 1, 2)).as_rotvec()
+            work = np.sum(move * force_n, axis=1) + np.sum(turn * moment_nm, axis=1) / (2 * TURN_RAD)
+            out[:, joint] = -work
+        return out
+
+    def centre(self) -> np.ndarray:
+        """Middle of the part (M, 3) where the arms are, by the master's hand."""
+        return (self.tips(0, np.zeros(6)) @ np.linalg.inv(self.cell.arms[0].part_from_tip))[:, :3, 3]
+
+    def part_n(self) -> np.ndarray:
+        """Half the part's weight and inertia (M, 3)."""
+        centre = self.centre()
+        change = np.gradient(np.gradient(centre, self.path.dt_s, axis=0), self.path.dt_s, axis=0)
+        return 0.5 * self.cell.config.part_mass_kg * (np.array([0.0, 0.0, -9.80665]) - change)
+
+    def run(self, force_n: np.ndarray, extra_nm=(0.0, 0.0), doubts: Doubts | None = None) -> Doubts:
+        """A way with a force (M, 3) inside the part, on gripper 2 as it is, and torques (M, 6) beside.
+
+        Both grippers feel it about the part's middle, so that the part has no cause to turn.
+        """
+        doubts = doubts or Doubts()
+        part, centre = self.part_n(), self.centre()
+        torque = []
+        for arm, sign in ((0, -1.0), (1, 1.0)):
+            arm_m = centre - self.tips(arm, np.zeros(6))[:, :3, 3]
+            moment = np.cross(arm_m, sign * force_n)
+            torque.append(self.free[arm] + self.virtual_work_nm(arm, part + sign * force_n, moment) + extra_nm[arm])
+        self.balance.begin(doubts)
+        for m in range(len(self.path)):
+            time_s = m * self.path.dt_s
+            seen = [
+                arm.update(m, ArmSample(m, time_s, q[m], nm[m], (object(),) * 6))  # type: ignore[arg-type]
+                for arm, q, nm in zip(self.arms, self.q, torque, strict=True)
+            ]
+            self.balance.take(m, (seen[0], seen[1]), m - 1 if m else None)
+        return doubts
+
+    def turns(self, arm: int, joint: int) -> np.ndarray:
+        """Direction (M,) in which a joint turns."""
+        return np.sign(self.speed[arm][:, joint])
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    return Bench()
+
+
+def pulled(bench: Bench, force_n: tuple[float, float, float]) -> np.ndarray:
+    return np.tile(force_n, (len(bench.path), 1))
+
+
+@pytest.mark.parametrize("force_n", [(30.0, 0.0, 0.0), (0.0, -20.0, 10.0)])
+def test_a_force_inside_the_part_is_found_with_its_sign_and_its_weight_is_none(bench, force_n):
+    """A force that nothing hides is known but for what is expected of it beforehand."""
+    bench.run(pulled(bench, force_n))
+    bench.balance.learn()
+    found = bench.balance.inside()
+    wrong = np.linalg.norm(found.wrench[50:-50, :3] - force_n, axis=1)
+    assert np.sqrt(np.mean(wrong**2)) < 2.5
+    assert wrong.max() < 6.0
+    assert bench.balance.wrench[:3] == pytest.approx(force_n, abs=6.0)
+
+
+def test_both_hands_are_told_what_holds_the_force_and_the_part(bench):
+    bench.run(pulled(bench, (30.0, 0.0, 0.0)))
+    one, two = bench.balance.inputs(700)
+    again = bench.balance._maps.internal(700, one, two)
+    assert again == pytest.approx(bench.balance.wrench)
+
+
+def test_friction_of_another_day_is_told_by_the_part_that_both_carry(bench):
+    """Joint 2 of the master rubs a quarter more than the cell says: 6.75 Nm."""
+    extra = np.zeros((len(bench.path), 6))
+    extra[:, 1] = 0.25 * bench.cell.arms[0].coulomb_nm[1] * bench.turns(0, 1)
+    doubts = bench.run(pulled(bench, (0.0, 0.0, 0.0)), (extra, 0.0))
+    before = np.abs(bench.balance.inside().wrench[50:-50, :3]).max()
+    bench.balance.learn()
+    after = np.abs(bench.balance.inside().wrench[50:-50, :3]).max()
+    assert doubts.value[1] == pytest.approx(0.25 / COULOMB_SHARE, abs=0.35)
+    assert np.sqrt(doubts.covariance[1, 1]) < 0.4
+    assert after < 0.6 * before
+
+
+def test_a_joint_that_has_not_turned_yet_is_hardly_listened_to(bench):
+    """15 Nm, all of the friction of the slave's joint 3: force where the joint turns, friction where that is open."""
+    row = len(bench.path) // 2
+    extra = np.zeros((2, 6))
+    extra[1, 2] = bench.cell.arms[1].coulomb_nm[2]
+    felt_n, std_n = [], []
+    for settled in (1.0, 0.0):
+        turned = np.ones((2, 6))
+        turned[1, 2] = settled
+        bench.balance.begin(Doubts())
+        share = bench.balance._share[row].reshape(2, 6)
+        one, two = (Seen(share[arm] + extra[arm], turned[arm], np.zeros(6), np.zeros(6)) for arm in (0, 1))
+        bench.balance.take(row + 1, (one, two), None)
+        felt_n.append(np.linalg.norm(bench.balance.wrench[:3]))
+        std_n.append(np.sqrt(np.trace(bench.balance.covariance[:3, :3])))
+    assert felt_n[1] < 0.7 * felt_n[0]
+    assert std_n[1] > std_n[0]
+
+
+def test_a_sync_of_which_one_arm_tells_nothing_leaves_the_force_as_it_is(bench):
+    still = np.zeros(6)
+    bench.balance.begin(Doubts())
+    bench.balance.take(400, (None, Seen(still, still, still, still)), None)
+    assert bench.balance.wrench is None
+    assert bench.balance.inputs(400) is None
+
+
+def test_intervals_hold_what_they_say_where_constants_are_drawn(bench):
+    """30 draws of the friction of all joints and of a force that sways; 95 % of the rows, within what 30 draws tell."""
+    random = np.random.default_rng(3)
+    inside, half = [], []
+    for _ in range(30):
+        extra = []
+        for arm in (0, 1):
+            off = COULOMB_SHARE * random.standard_normal(6) * bench.cell.arms[arm].coulomb_nm
+            turning = np.stack([bench.turns(arm, joint) for joint in range(6)], axis=1)
+            extra.append(off * turning + bench.balance._sample_nm[:6] * 0.3 * random.standard_normal(turning.shape))
+        time = np.linspace(0.0, 6.0, len(bench.path))[:, None]
+        force = 15.0 * random.standard_normal(3) * np.sin(time + random.uniform(0.0, 6.0, 3))
+        doubts = bench.run(force, (extra[0], extra[1]))
+        bench.balance.learn()
+        found = bench.balance.inside()
+        late = bench.balance.late
+        wrong = found.wrench[40:-60, :3] - force[40 + late : late - 60]
+        inside.append((np.abs(wrong) < 1.96 * found.std[40:-60, :3]).mean())
+        half.append(np.median(1.96 * found.std[:, :3]))
+        assert doubts.covariance.shape == (64, 64)
+    assert np.mean(inside) > 0.93
+    assert np.median(half) < 10.0

@@ -1,0 +1,93 @@
+"""What the hands give way to: compliance of gears told by cycles that were commanded differently."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gateway.pair.cell import load_pair
+from gateway.pair.chain import Chain, Hand
+from gateway.pair.follow import JointFollower
+
+EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "pair" / "cell.toml"
+STATED = np.repeat([4e5, 4e3], 3)
+TURN_RAD = 1e-6
+#: Of the gears [rad/Nm], from 4e5 to 2.5e4 Nm/rad.
+GEARS = 1.0 / np.tile([4e5, 4e5, 2.5e5, 6e4, 4e4, 2.5e4], 2)
+
+
+@pytest.fixture(scope="module")
+def pair():
+    """Hands, bases, and the compliance (M, 6, 6) at the slave's fingertip from numerically turned joints."""
+    cell = load_pair(EXAMPLE)
+    path = cell.path(3.0)
+    joints = cell.joints(path)
+    followers = tuple(JointFollower(arm, q) for arm, q in zip(cell.arms, joints, strict=True))
+    bases = tuple(arm.world_from_base for arm in cell.arms)
+    world = [base @ each.poses for base, each in zip(bases, followers, strict=True)]
+    grasp = np.linalg.inv(world[0]) @ world[1]
+    compliance = np.tile(np.diag(1.0 / STATED), (len(path), 1, 1))
+    for index, (arm, q, base) in enumerate(zip(cell.arms, joints, bases, strict=True)):
+        for joint, unit in enumerate(np.eye(6)):
+            ahead, behind = (base @ arm.chain.poses(q + side * TURN_RAD * unit)[0] for side in (1, -1))
+            if index == 0:
+                ahead, behind = ahead @ grasp, behind @ grasp
+            turn = Rotation.from_matrix(ahead[:, :3, :3] @ np.swapaxes(behind[:, :3, :3], 1, 2)).as_rotvec()
+            move = np.concatenate([(ahead - behind)[:, :3, 3], turn], axis=1) / (2 * TURN_RAD)
+            back = bases[1][:3, :3]
+            local = np.concatenate([move[:, :3] @ back, move[:, 3:] @ back], axis=1)
+            compliance += GEARS[6 * index + joint] * local[:, :, None] * local[:, None, :]
+    return tuple(Hand(each.poses, each.jacobian) for each in followers), bases, compliance
+
+
+def cycle(compliance: np.ndarray, needed: np.ndarray, command: np.ndarray) -> np.ndarray:
+    """Wrench (M, 6) that is left when a hand that should move by `needed` is commanded by `command`."""
+    return np.linalg.solve(compliance, (needed - command)[..., None])[..., 0]
+
+
+def drawn(count: int, seed: int) -> np.ndarray:
+    """A way (count, 6) of a few tenths of a millimetre and a milliradian that sways."""
+    random = np.random.default_rng(seed)
+    time = np.linspace(0.0, 2.0 * np.pi, count)[:, None]
+    size = np.repeat([3e-4, 1e-3], 3)
+    waves = [(random.standard_normal(6), random.uniform(0.0, 6.0, 6), times) for times in (1, 2, 3)]
+    return sum(size * high * np.sin(times * time + phase) for high, phase, times in waves)
+
+
+def test_nothing_but_what_is_stated_is_known_at_first(pair):
+    hands, bases, _ = pair
+    wrench = np.tile([10.0, 0.0, 0.0, 0.0, 0.0, 2.0], (len(hands[0].poses), 1))
+    chain = Chain(hands, bases, STATED)
+    assert chain.move(wrench) == pytest.approx(wrench / STATED)
+    chain.take(wrench * 0.0, wrench)
+    assert chain.move(wrench) == pytest.approx(wrench / STATED)
+
+
+def test_two_cycles_show_how_far_gears_give_way(pair):
+    hands, bases, compliance = pair
+    count = len(hands[0].poses)
+    needed = drawn(count, 1)
+    chain = Chain(hands, bases, STATED)
+    first = cycle(compliance, needed, 0.0 * needed)
+    chain.take(0.0 * needed, first)
+    second = 0.7 * chain.move(first)
+    left = cycle(compliance, needed, second)
+    chain.take(second, left)
+    third = second + chain.move(left)
+    after = cycle(compliance, needed, third)
+    assert np.abs(after[:, :3]).max() < 0.1 * np.abs(left[:, :3]).max()
+    assert (chain.joints_rad_nm >= 0.0).all()
+    assert chain.joints_rad_nm.sum() == pytest.approx(GEARS.sum(), rel=0.3)
+
+
+def test_a_chain_as_stiff_as_stated_has_no_gears_that_give_way(pair):
+    hands, bases, _ = pair
+    count = len(hands[0].poses)
+    needed, stiff = drawn(count, 2), np.tile(np.diag(1.0 / STATED), (count, 1, 1))
+    chain = Chain(hands, bases, STATED)
+    chain.take(0.0 * needed, cycle(stiff, needed, 0.0 * needed))
+    chain.take(0.5 * needed, cycle(stiff, needed, 0.5 * needed))
+    assert chain.joints_rad_nm == pytest.approx(np.zeros(12), abs=1e-8)
