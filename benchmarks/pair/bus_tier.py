@@ -74,7 +74,10 @@ class BusTier:
 def run_and_keep(out: Path, stage: str, seed: int, frozen: int) -> None:
     """A stage of a seed, its rows added to the seed's file."""
     path = out / f"seed-{seed}.json"
-    seen = run_stage(seed, stage, frozen, json.loads(path.read_text()) if path.exists() else None)
+    try:
+        seen = run_stage(seed, stage, frozen, json.loads(path.read_text()) if path.exists() else None)
+    except Exception as error:  # errors that hold more than their text cannot be handed on between processes
+        raise RuntimeError(f"{type(error).__name__}: {error}") from None
     part = path.with_suffix(".part")
     part.write_text(json.dumps(seen) + "\n")
     part.replace(path)

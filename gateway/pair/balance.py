@@ -14,8 +14,8 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from gateway.pair.calibration import PathWrenches
-from gateway.pair.doubt import JOINTS, MOVING, Columns, Doubts, columns_of, part_doubts
-from gateway.pair.follow import ExternalTorque, Seen
+from gateway.pair.doubt import JOINTS, MOVING, DoubtColumns, Doubts, columns_of, part_doubts
+from gateway.pair.follow import ExternalTorque, Shown
 from gateway.pair.inside import AVERAGED_S, Inside
 from gateway.pair.learning import led
 from gateway.pair.transform import Floats
@@ -67,7 +67,7 @@ class ForceBalance:
         #: Joint torque (M, 12, 6) per wrench inside the part, and of the part's weight and inertia (M, 12).
         self._force, self._share = np.concatenate(force, axis=1), np.concatenate(share, axis=1)
         motions = tuple((arm.q_rad, arm.speed_rad_s, arm.acceleration_rad_s2) for arm in arms)
-        self.columns: Columns = columns_of((arms[0].arm, arms[1].arm), motions, dt_s, np.concatenate(part, axis=1))
+        self.columns: DoubtColumns = columns_of((arms[0].arm, arms[1].arm), motions, dt_s, np.concatenate(part, axis=1))
         self._usual = np.diag(np.repeat([USUAL_N, USUAL_NM], 3) ** -2.0)
         self._sample_nm = SAMPLE_SHARE * np.concatenate([arm.arm.torque_limit_nm for arm in arms])
         self._coulomb_nm = np.concatenate([arm.arm.coulomb_nm for arm in arms])
@@ -85,7 +85,7 @@ class ForceBalance:
         for arm in self._arms:
             arm.reset()
 
-    def take(self, m: int, seen: tuple[Seen | None, Seen | None], row: int | None) -> None:
+    def take(self, m: int, seen: tuple[Shown | None, Shown | None], row: int | None) -> None:
         """What both arms showed at the SYNC before that of command m, kept as row `row` of the way if it is one.
 
         A SYNC of which one arm has told nothing leaves the wrench as it is.
@@ -94,7 +94,7 @@ class ForceBalance:
         if first is None or second is None:
             return
         at = max(m - 1, 0)
-        both = [np.concatenate([getattr(first, name), getattr(second, name)]) for name in Seen.__slots__]
+        both = [np.concatenate([getattr(first, name), getattr(second, name)]) for name in Shown.__slots__]
         if row is not None:
             self._seen[:, row] = both
         torque, turned, speed, acceleration = both
@@ -146,7 +146,7 @@ class ForceBalance:
         told = np.swapaxes(self._force, 1, 2) @ weight
         covariance = np.linalg.inv(told @ self._force + self._usual)
         wrench = np.einsum("nij,njk,nk->ni", covariance, told, left)
-        return Inside(led(wrench, self.late), led(covariance, self.late))
+        return Inside(led(wrench, self.late), led(np.asarray(covariance, dtype=np.float64), self.late))
 
     def _hidden(self, turned: Floats) -> Floats:
         """Torque (..., 12) by which dry friction may be off [Nm], standard deviation."""

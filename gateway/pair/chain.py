@@ -32,7 +32,7 @@ class Hand:
     jacobian: Floats
 
 
-class Chain:
+class GearChain:
     """Compliance between the hands along a path.
 
     Parameters

@@ -13,7 +13,7 @@ import numpy as np
 
 from gateway.errors import ConfigError, InputError, PlanRefused
 from gateway.pair.calibration import PairCalibration, PathWrenches
-from gateway.pair.chain import Chain
+from gateway.pair.chain import GearChain
 from gateway.pair.embodiments import Embodiment
 from gateway.pair.force import dead_band
 from gateway.pair.function import TransformFunction
@@ -26,6 +26,9 @@ from gateway.pair.transform import Floats, apply_correction, corrected_pose, cor
 from gateway.result.pair import CycleSummary
 
 WAY_TOLERANCE = 1e-4
+#: Force that a taught function leaves at rest, and by how much the servos of two arms lag unlike each other, standard
+#: deviations [N], [s].
+TAUGHT_N, UNLIKE_LAG_S = 8.0, 0.002
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +54,7 @@ class PairController:
     path : PairPath
     calibration : PairCalibration
     first_function : TransformFunction
-    chain : Chain, optional
+    chain : GearChain, optional
         What the hands give way to; by the calibration's stiffness alone if none is given.
 
     Raises
@@ -68,7 +71,7 @@ class PairController:
         path: PairPath,
         calibration: PairCalibration,
         first_function: TransformFunction,
-        chain: Chain | None = None,
+        chain: GearChain | None = None,
     ) -> None:
         if first_function.s_m[-1] > path.length_m * (1.0 + WAY_TOLERANCE):
             raise InputError(
@@ -106,8 +109,15 @@ class PairController:
         )
         self._cycle, self._frozen, self._running = 0, False, False
 
-    def start_cycle(self) -> None:
-        """Begin a cycle, standing still at the start: corrections back to nothing, function exchanged if it is due."""
+    def start_cycle(self, begun: Floats | None = None) -> None:
+        """Begin a cycle, standing still at the start: corrections back to nothing, function exchanged if it is due.
+
+        Parameters
+        ----------
+        begun : array of shape (n, 6), optional
+            Corrections of the slave beside its own, at the first commands: from where it stands into the function.
+        """
+        self._begun = np.zeros((0, 6)) if begun is None else begun
         count, commands = len(self._path), self._path.commands
         for admittance in self._hands:
             if admittance is not None:
@@ -169,6 +179,9 @@ class PairController:
                 slave = self._shared @ master @ self._relations[m]
         if self._hands[1] is not None:
             slave = corrected_pose(slave, self._yield(1, m, felt))
+        if m < len(self._begun):
+            slave = corrected_pose(slave, self._begun[m])
+            self._corrections[m, 1] = self._corrections[m, 1] + self._begun[m]
         self._visited[m] = True
         if measured is not None:
             self._measured[m] = measured
@@ -187,6 +200,11 @@ class PairController:
         self._corrections[m, arm] = correction
         return correction
 
+    def beside(self, slave: Floats) -> Floats:
+        """Correction (6,) from the slave's first command of the next cycle to where it stands (4, 4), base axes."""
+        plain = self._shared @ self._path.commands[0] @ self.function.at(float(self._path.s_m[0]))
+        return correction_between(slave, plain)
+
     def end_cycle(self, complete: bool, inside: Inside | None = None) -> CycleSummary:
         """Finish a cycle; learns from it if it was complete and learning is on.
 
@@ -203,7 +221,9 @@ class PairController:
         learned = Learned(False, len(self._function))
         if not reason and self._learner is not None:
             force = self._force if inside is None else inside.wrench
-            cycle = Cycle(self._master_base, self._slave_base, self._to_learn(), force, self._left(inside))
+            cycle = Cycle(
+                self._master_base, self._slave_base, self._to_learn(), force, self._left(inside), self._trust(inside)
+            )
             learned = self._learner.learn(cycle)
         size = np.linalg.norm((self._force if inside is None else inside.wrench)[:, :3], axis=1)
         known = bool(size.any()) and not self._distance
@@ -263,6 +283,20 @@ class PairController:
         moved = correction_between(apply_correction(self._slave_base, self._corrections[:, 1]), self._plain_slave)
         self._chain.take(smoothed(moved, round(0.5 * AVERAGED_S / self._path.dt_s)), at_tip)
         return self._chain.move(at_tip)
+
+    def _trust(self, inside: Inside | None) -> Floats | None:
+        """How much of what was learned is believed (M,), against a first function that was taught at rest.
+
+        What is hidden by friction at rest was taught there; what is taught at rest is wrong on the way by what the
+        servos of both arms lag unlike each other.
+        """
+        if inside is None or self._config.first != "taught":
+            return None
+        straight = float(self._calibration.chain_stiffness[0, 0])
+        speed = np.linalg.norm(np.gradient(self._path.commands[:, :3, 3], self._path.dt_s, axis=0), axis=1)
+        taught = (TAUGHT_N + straight * UNLIKE_LAG_S * speed) ** 2
+        told = np.linalg.eigvalsh(inside.covariance[:, :3, :3])[:, -1]
+        return taught / (taught + told)
 
     def freeze(self) -> None:
         """Learning off: functions stay as they are, to the last bit."""

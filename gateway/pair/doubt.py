@@ -30,7 +30,7 @@ ALIKE_SYNCS = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Columns:
+class DoubtColumns:
     """Torque (M, 12) [Nm] per standard deviation of what is not known exactly.
 
     Attributes
@@ -68,8 +68,8 @@ class Columns:
 
 def columns_of(
     arms: tuple[PairArm, PairArm], motions: tuple[tuple[Floats, Floats, Floats], ...], dt_s: float, part: Floats
-) -> Columns:
-    """Columns of a motion of both arms.
+) -> DoubtColumns:
+    """DoubtColumns of a motion of both arms.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def columns_of(
             column = np.zeros((count, JOINTS))
             column[:, 6 * index + axis] = LATE_S * rate[:, axis]
             along.append(column)
-    return Columns(
+    return DoubtColumns(
         np.concatenate([np.stack(along, axis=2), part], axis=2),
         COULOMB_SHARE * np.concatenate([arm.coulomb_nm for arm in arms]),
         VISCOUS_SHARE * np.concatenate([arm.viscous_nm_s_rad for arm in arms]),

@@ -77,7 +77,9 @@ _ROWS = (
         learning=LearningRule(forgetting=Forgetting(gamma=0.05, phi=0.6)),
     ),
     Embodiment("C7", "E7: representative of 3 cycles", learning=_UNIFORM),
-    Embodiment("C8", "E8: learning points where force acts", learning=replace(_UNIFORM, selection=FORCE_POINTS)),
+    Embodiment(
+        "C8", "E8: learning points where force acts", learning=replace(_UNIFORM, cycles=2, selection=FORCE_POINTS)
+    ),
     Embodiment("C8u", "as C8, points spread evenly", learning=_UNIFORM, points=20),
     Embodiment(
         "C8r",

@@ -59,7 +59,7 @@ class JointFollower:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
+class Shown:
     """What one arm showed at one SYNC; arrays of shape (6,).
 
     Attributes
@@ -125,7 +125,7 @@ class ExternalTorque:
         self._before: ArmSample | None = None
         self._presliding = Presliding(6)
 
-    def update(self, m: int, sample: ArmSample, rate: float = 1.0) -> Seen | None:
+    def update(self, m: int, sample: ArmSample, rate: float = 1.0) -> Shown | None:
         """Take in what was measured at the SYNC of command m; what the SYNC before it showed.
 
         Only now the acceleration there is known from the encoders. With that of the commands in its place the loop
@@ -153,4 +153,4 @@ class ExternalTorque:
         acceleration = 2.0 * (second - first) / (first_s + second_s)
         rubbing = self.arm.coulomb_nm * turned + self.arm.viscous_nm_s_rad * speed
         free = self._still[at] + rate**2 * self._product[at] + self._mass[at] @ acceleration
-        return Seen(last.joint_torque_nm - free - rubbing, turned, speed, acceleration)
+        return Shown(last.joint_torque_nm - free - rubbing, turned, speed, acceleration)

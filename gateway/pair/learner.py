@@ -40,6 +40,8 @@ class Cycle:
     force : array of shape (M, 6), internal wrench
     left : array of shape (M, 6), optional
         What the slave's hand would still have to move at each command for the force that was left [m, rad], base axes.
+    trust : array of shape (M,), optional
+        From 0 to 1: how much of the way from the first function to what was learned is believed.
     """
 
     master_base: Floats
@@ -47,6 +49,7 @@ class Cycle:
     corrections: Floats
     force: Floats
     left: Floats | None = None
+    trust: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +129,8 @@ class Learner:
         coordinates = self._rule.forgetting.update(
             before, change, self._change_before, self._path.duration_s * self._rule.cycles
         )
+        if cycle.trust is not None:
+            coordinates = cycle.trust[:, None] * coordinates
         self._change_before = change
         updated = from_local(coordinates, self._reference)
         self._choose_points(typical[:, 1], updated)

@@ -1,7 +1,7 @@
 """One embodiment on one path, cycle after cycle, over two buses.
 
-A cycle carries the part along the path and back. On the way forward the controller corrects and learns, on the way back
-it only corrects. Learning never sees a cycle with an incomplete epoch or a stop in it.
+A cycle carries the part along the path and back, and each way learns for itself. What is learned of the way forward is
+kept; the way back begins anew with every run. Learning never sees a way with an incomplete epoch or a stop in it.
 """
 
 from __future__ import annotations
@@ -13,17 +13,21 @@ import numpy as np
 
 from gateway.motion.stream import Stream
 from gateway.pair.cell import PairCell
-from gateway.pair.chain import Chain, Hand
+from gateway.pair.chain import GearChain, Hand
 from gateway.pair.controller import PairController
 from gateway.pair.embodiments import Embodiment
 from gateway.pair.function import TransformFunction, function_of_knots
 from gateway.pair.inside import Inside
-from gateway.pair.motion import PairMotion, PairMotionOptions
+from gateway.pair.motion import FADE_S, PairMotion, PairMotionOptions
 from gateway.pair.passage import Commander, Passage, Streamed
 from gateway.pair.path import PairPath
 from gateway.pair.relation import slave_command
 from gateway.pair.transform import Floats
+from gateway.pair.ways import smooth_many
 from gateway.result.pair import CycleSummary
+
+#: Standing at the start until servos have crept to where they were told, through their friction [s].
+SETTLED_S = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,11 +96,8 @@ class PairRun:
         self.motion = PairMotion(cell, stream, options)
         self.path = cell.path(self.motion.options.speed)
         self._way = self.motion.passage(self.path, (cell.arms[0].start_rad, cell.arms[1].start_rad))
-        known = self.motion.calibration
-        first_hand, second_hand = (Hand(each.poses, each.jacobian) for each in self._way.followers)
-        bases = known.w_t_b1, known.w_t_b2
-        chain = Chain((first_hand, second_hand), bases, np.diag(known.chain_stiffness))
-        self.controller = PairController(config, self.path, known, first, chain)
+        self.controller = self._controller(config, self._way, self.path, first)
+        self._return: PairController | None = None
         self._back = reversed_path(cell.path(self.motion.options.back_speed or self.path.speed))
         ends = (self._way.joints[0][-1], self._way.joints[1][-1])
         self._home: Passage = self.motion.passage(self._back, ends)
@@ -112,7 +113,7 @@ class PairRun:
 
     def stand(self) -> None:
         """Bring both arms to the start of the path, corrections at nothing: where the grippers close."""
-        self.motion.approach(self._way.targets(0, self._standing()))
+        self.motion.approach(self._way.targets(0, self._standing()), SETTLED_S)
 
     def cycle(self) -> PairCycle:
         """One way forward, from standing at the start; learns from it if it was complete.
@@ -166,18 +167,44 @@ class PairRun:
         return command, slave_command(first.world_from_base, command, second.world_from_base, relation)
 
     def back(self) -> None:
-        """The same way back under the same function, corrected but not learned from."""
-        controller = self.motion.prepare(self._returning)
-        self.motion.run(self._home, controller.step, fade=True)
+        """The same way back, which learns for itself: servos and gears answer otherwise than on the way forward."""
+        controller, begun = self.motion.prepare(self._returning)
+        streamed = self.motion.run(self._home, controller.step, fade=begun is None)
+        self.motion.prepare(lambda: controller.end_cycle(streamed.complete, streamed.inside))
 
-    def _returning(self) -> PairController:
-        """Controller of the way back, under the function of the way forward as it is at the points of the first one.
+    def _begun(self, controller: PairController) -> Floats:
+        """Corrections (n, 6) that take the slave from where it stands into the function."""
+        away = controller.beside(self._cell.arms[1].chain.poses(self.motion.q_rad[1][None])[0][0])
+        count = round(FADE_S / self.motion.dt_s)
+        return (1.0 - smooth_many(np.arange(1, count + 1) / count))[:, None] * away
 
-        What lies between them was learned from how servos and gears answer to the way forward at its speed.
+    def _returning(self) -> tuple[PairController, Floats | None]:
+        """Controller of the way back, its cycle begun, and by what; None where only set points are faded over.
+
+        What learns from measured positions or keeps a gap goes back under the function of the way forward.
         """
-        there = self._first.s_m
-        function = reversed_function(function_of_knots(there, self.controller.function.many(there)), self.path.length_m)
-        config = replace(self.config, learning=None)
-        controller = PairController(config, self._back, self.motion.calibration, function)
-        controller.start_cycle()
-        return controller
+        rule = self.config.learning
+        if rule is None or rule.source != "command" or self.config.sensing != "force":
+            config = replace(self.config, learning=None)
+            controller = self._controller(config, self._home, self._back, self._reversed(self.controller.function))
+            controller.start_cycle()
+            return controller, None
+        if self._return is None:
+            self._return = self._controller(self.config, self._home, self._back, self._reversed(self._first))
+        controller = self._return
+        if self.controller.state().frozen:
+            controller.freeze()
+        else:
+            controller.resume()
+        begun = None if self.config.corrects != "slave" else self._begun(controller)
+        controller.start_cycle(begun)
+        return controller, begun
+
+    def _reversed(self, function: TransformFunction) -> TransformFunction:
+        return reversed_function(function, self.path.length_m)
+
+    def _controller(self, config: Embodiment, way: Passage, path: PairPath, first: TransformFunction) -> PairController:
+        known = self.motion.calibration
+        one, two = (Hand(each.poses, each.jacobian) for each in way.followers)
+        chain = GearChain((one, two), (known.w_t_b1, known.w_t_b2), np.diag(known.chain_stiffness))
+        return PairController(config, path, known, first, chain)

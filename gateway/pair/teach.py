@@ -22,7 +22,7 @@ from gateway.pair.path import PairPath
 from gateway.pair.relation import relation, slave_command
 from gateway.pair.sweep import LEVER_M, liveliest_twist, swept
 from gateway.pair.transform import Floats, apply_correction
-from gateway.pair.ways import smooth
+from gateway.pair.ways import smooth_many
 from gateway.result.pair import TaughtPoint
 
 #: Largest change of a correction in one step [m], [rad].
@@ -232,8 +232,3 @@ def commands_at(path: PairPath, ways_m: Floats) -> Floats:
     ways, first = np.unique(path.s_m, return_index=True)
     function = function_of_knots(ways, path.commands[first])
     return function.many(np.clip(ways_m, 0.0, path.length_m))
-
-
-def smooth_many(share: Floats) -> Floats:
-    """As `smooth`, for shares (n,)."""
-    return np.array([smooth(float(value)) for value in share])

@@ -205,3 +205,8 @@ class Settling:
 def smooth(share: float) -> float:
     """From 0 to 1, at rest at both ends."""
     return share * share * (3.0 - 2.0 * share)
+
+
+def smooth_many(share: Floats) -> Floats:
+    """As `smooth`, for shares (n,)."""
+    return share * share * (3.0 - 2.0 * share)

@@ -16,7 +16,7 @@ from gateway.pair.balance import ForceBalance
 from gateway.pair.calibration import PathWrenches
 from gateway.pair.cell import load_pair
 from gateway.pair.doubt import COULOMB_SHARE, Doubts
-from gateway.pair.follow import ExternalTorque, JointFollower, Seen
+from gateway.pair.follow import ExternalTorque, JointFollower, Shown
 from gateway.pair.motion import calibration_of
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "pair" / "cell.toml"
@@ -152,7 +152,7 @@ def test_a_joint_that_has_not_turned_yet_is_hardly_listened_to(bench):
         turned[1, 2] = settled
         bench.balance.begin(Doubts())
         share = bench.balance._share[row].reshape(2, 6)
-        one, two = (Seen(share[arm] + extra[arm], turned[arm], np.zeros(6), np.zeros(6)) for arm in (0, 1))
+        one, two = (Shown(share[arm] + extra[arm], turned[arm], np.zeros(6), np.zeros(6)) for arm in (0, 1))
         bench.balance.take(row + 1, (one, two), None)
         felt_n.append(np.linalg.norm(bench.balance.wrench[:3]))
         std_n.append(np.sqrt(np.trace(bench.balance.covariance[:3, :3])))
@@ -163,7 +163,7 @@ def test_a_joint_that_has_not_turned_yet_is_hardly_listened_to(bench):
 def test_a_sync_of_which_one_arm_tells_nothing_leaves_the_force_as_it_is(bench):
     still = np.zeros(6)
     bench.balance.begin(Doubts())
-    bench.balance.take(400, (None, Seen(still, still, still, still)), None)
+    bench.balance.take(400, (None, Shown(still, still, still, still)), None)
     assert bench.balance.wrench is None
     assert bench.balance.inputs(400) is None
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gateway.pair.cell import load_pair
-from gateway.pair.chain import Chain, Hand
+from gateway.pair.chain import GearChain, Hand
 from gateway.pair.follow import JointFollower
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "pair" / "cell.toml"
@@ -60,7 +60,7 @@ def drawn(count: int, seed: int) -> np.ndarray:
 def test_nothing_but_what_is_stated_is_known_at_first(pair):
     hands, bases, _ = pair
     wrench = np.tile([10.0, 0.0, 0.0, 0.0, 0.0, 2.0], (len(hands[0].poses), 1))
-    chain = Chain(hands, bases, STATED)
+    chain = GearChain(hands, bases, STATED)
     assert chain.move(wrench) == pytest.approx(wrench / STATED)
     chain.take(wrench * 0.0, wrench)
     assert chain.move(wrench) == pytest.approx(wrench / STATED)
@@ -70,7 +70,7 @@ def test_two_cycles_show_how_far_gears_give_way(pair):
     hands, bases, compliance = pair
     count = len(hands[0].poses)
     needed = drawn(count, 1)
-    chain = Chain(hands, bases, STATED)
+    chain = GearChain(hands, bases, STATED)
     first = cycle(compliance, needed, 0.0 * needed)
     chain.take(0.0 * needed, first)
     second = 0.7 * chain.move(first)
@@ -87,7 +87,7 @@ def test_a_chain_as_stiff_as_stated_has_no_gears_that_give_way(pair):
     hands, bases, _ = pair
     count = len(hands[0].poses)
     needed, stiff = drawn(count, 2), np.tile(np.diag(1.0 / STATED), (count, 1, 1))
-    chain = Chain(hands, bases, STATED)
+    chain = GearChain(hands, bases, STATED)
     chain.take(0.0 * needed, cycle(stiff, needed, 0.0 * needed))
     chain.take(0.5 * needed, cycle(stiff, needed, 0.5 * needed))
     assert chain.joints_rad_nm == pytest.approx(np.zeros(12), abs=1e-8)

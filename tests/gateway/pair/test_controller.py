@@ -14,6 +14,7 @@ from gateway.pair.controller import PairController
 from gateway.pair.embodiments import DEFAULT_GAINS, EMBODIMENTS
 from gateway.pair.function import TransformFunction, function_of_knots
 from gateway.pair.impedance import Gains
+from gateway.pair.inside import Inside
 from gateway.pair.learning import LearningRule
 from gateway.pair.path import PairPath
 from gateway.pair.relation import slave_command
@@ -264,3 +265,63 @@ def test_summary_tells_what_was_estimated(path: PairPath, bare: PairCalibration)
     assert np.isnan(blind.force_n)
     assert blind.at_command == -1
     assert inverse(FIXED)[0, 3] == -0.4
+
+
+# -- force that is known once a way is over ----------------------------------------------------------------------------
+
+
+def known(path: PairPath, wrench: np.ndarray, std_n: float = 1.0) -> Inside:
+    covariance = np.tile(np.diag(np.repeat([std_n, 0.2 * std_n], 3) ** 2), (len(path), 1, 1))
+    return Inside(np.tile(wrench, (len(path), 1)), covariance)
+
+
+def commanded(controller: PairController, path: PairPath) -> np.ndarray:
+    """Commands (M, 4, 4) of the slave in a cycle without force."""
+    return np.array([controller.step(m, np.zeros(6), np.zeros(6))[1] for m in range(len(path))])
+
+
+def test_a_force_that_is_known_at_the_end_moves_the_next_cycle_against_it(
+    path: PairPath, bare: PairCalibration
+) -> None:
+    """A part that pulls the slave's hand along x makes it go there, by the stated stiffness and the stated share."""
+    controller = controller_of("C2c", path, bare)
+    controller.start_cycle()
+    before = commanded(controller, path)
+    summary = controller.end_cycle(True, known(path, np.array([50.0, 0.0, 0.0, 0.0, 0.0, 0.0])))
+    assert summary.learned
+    assert summary.force_n == pytest.approx(50.0)
+    controller.start_cycle()
+    moved = (bare.w_t_b2 @ commanded(controller, path) - bare.w_t_b2 @ before)[:, 0, 3]
+    wanted = 0.7 * 50.0 / bare.chain_stiffness[0, 0]
+    assert moved[len(path) // 2] == pytest.approx(wanted, rel=0.05)
+    assert (moved > 0.0).all()
+    # what rests on a taught point and is hardly told there stays
+    assert moved[0] < moved[len(path) // 2]
+
+
+def test_a_force_that_is_not_told_well_is_not_learned_at_rest(path: PairPath, bare: PairCalibration) -> None:
+    moved = []
+    for std_n in (1.0, 80.0):
+        controller = controller_of("C2c", path, bare)
+        controller.start_cycle()
+        before = commanded(controller, path)
+        controller.end_cycle(True, known(path, np.array([50.0, 0, 0, 0, 0, 0]), std_n))
+        controller.start_cycle()
+        moved.append(np.linalg.norm((commanded(controller, path) - before)[0, :3, 3]))
+    assert moved[1] < 0.02 * moved[0]
+
+
+def test_a_cycle_begins_where_the_slave_stands_and_learns_that(path: PairPath, bare: PairCalibration) -> None:
+    controller = controller_of("C2c", path, bare)
+    controller.start_cycle()
+    plain = commanded(controller, path)
+    standing = plain[0].copy()
+    standing[:3, 3] += [1e-4, -2e-4, 3e-4]
+    away = controller.beside(standing)
+    assert away == pytest.approx([1e-4, -2e-4, 3e-4, 0, 0, 0], abs=1e-9)
+    controller.start_cycle(np.linspace(1.0, 0.0, 21)[:, None] * away)
+    begun = commanded(controller, path)
+    assert begun[0] == pytest.approx(standing, abs=1e-9)
+    assert begun[20:] == pytest.approx(plain[20:], abs=1e-12)
+    controller.end_cycle(True, known(path, np.zeros(6)))
+    assert np.linalg.norm(controller.beside(standing)[:3]) < np.linalg.norm(away[:3])

@@ -215,3 +215,52 @@ def test_points_grow_where_force_acts_and_old_ones_stay(path: PairPath, cell: Pa
         slave_command(cell.w_t_b1, path.commands[108], cell.w_t_b2, learner.in_use.at(float(path.s_m[108]))), base[108]
     )
     assert off[0] == pytest.approx(1e-3, rel=0.15)
+
+
+# -- the force that was left -------------------------------------------------------------------------------------------
+
+
+def left_cycles(
+    path: PairPath, cell: PairCalibration, share: float, trust: np.ndarray | None = None
+) -> list[np.ndarray]:
+    """What is wrong (M, 6) with the slave's commands before each of three cycles whose hands do not yield at all."""
+    learner = learner_of(LearningRule(left_share=share, smooth_s=0.0), path, cell)
+    wanted, wrong = true_commands(path, cell), []
+    for _ in range(3):
+        base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learner.in_use.many(path.s_m))
+        wrong.append(correction_between(wanted, base))
+        still = np.zeros((len(path), 2, 6))
+        learner.learn(Cycle(path.commands, base, still, 0.0 * wrong[-1], left=wrong[-1], trust=trust))
+    return wrong
+
+
+def test_of_the_force_that_was_left_the_stated_share_is_learned(path: PairPath, cell: PairCalibration) -> None:
+    """At the nine points, where the function meets what it was told: 0.3 of it stays, cycle by cycle."""
+    points = path.uniform(9)
+    first, second, third = (each[points] for each in left_cycles(path, cell, 0.7))
+    assert second == pytest.approx(0.3 * first, abs=2e-6)
+    assert third == pytest.approx(0.09 * first, abs=2e-6)
+
+
+def test_what_is_hardly_known_stays_near_the_first_function(path: PairPath, cell: PairCalibration) -> None:
+    """Half believed at the end of the path: what is learned settles at half of what is told there."""
+    points, trust = path.uniform(9), np.ones(len(path))
+    trust[-1] = 0.5
+    wrong = left_cycles(path, cell, 1.0, trust)
+    first, last = wrong[0][points], wrong[-1][points]
+    assert last[:-1] == pytest.approx(0.0 * first[:-1], abs=2e-6)
+    assert last[-1] == pytest.approx(0.5 * first[-1], abs=2e-5)
+
+
+def test_corrections_of_a_cycle_whose_force_is_known_stay_where_they_were_made(
+    path: PairPath, cell: PairCalibration
+) -> None:
+    """With a lead of 10 commands; it belongs to corrections alone, which come later than their force."""
+    learner = learner_of(LearningRule(smooth_s=0.0), path, cell, lead=10)
+    base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learner.in_use.many(path.s_m))
+    jump = np.zeros((len(path), 2, 6))
+    jump[60:, 1, 0] = 1e-3
+    plain = learner._asked(Cycle(path.commands, base, jump, jump[:, 1]))
+    known = learner._asked(Cycle(path.commands, base, jump, jump[:, 1], left=np.zeros((len(path), 6))))
+    assert np.flatnonzero(plain[:, 1, 0])[0] == 50
+    assert np.flatnonzero(known[:, 1, 0])[0] == 60

@@ -8,7 +8,7 @@ import pytest
 from gateway.errors import ConfigError
 from gateway.pair.function import function_of_knots
 from gateway.pair.path import PairPath
-from gateway.pair.selection import Feature, Record, Selection, prune, score, select
+from gateway.pair.selection import Feature, Record, Selection, prune, refine, score, select
 
 COUNT = 126
 
@@ -140,3 +140,62 @@ def test_useless_features_are_refused(arguments: dict, message: str) -> None:
 def test_selection_without_features_is_refused() -> None:
     with pytest.raises(ConfigError, match="at least one"):
         Selection(features=())
+
+
+# -- points by what they are worth -------------------------------------------------------------------------------------
+
+
+def relations(path: PairPath, off_m: np.ndarray, turn_rad: np.ndarray | None = None) -> np.ndarray:
+    """Relations (M, 4, 4) that are off along y [m], turned about x [rad]."""
+    out = np.tile(np.eye(4), (len(path), 1, 1))
+    out[:, 1, 3] = off_m
+    if turn_rad is not None:
+        out[:, 1, 1] = out[:, 2, 2] = np.cos(turn_rad)
+        out[:, 2, 1] = np.sin(turn_rad)
+        out[:, 1, 2] = -np.sin(turn_rad)
+    return out
+
+
+STIFFNESS = (1e5, 4e3)
+
+
+def refined(path: PairPath, wanted: np.ndarray, **changes) -> list[int]:
+    given = {"gain_n": 3.0, "apart_s": 0.02, "apart_m": 0.0, "largest_count": 30} | changes
+    selection = Selection(features=(Feature("force"),), **given)
+    return refine(selection, wanted, path, np.array([0, COUNT - 1]), STIFFNESS).tolist()
+
+
+def left_n(path: PairPath, wanted: np.ndarray, chosen: list[int]) -> np.ndarray:
+    """Force (M,) that a function through the chosen points leaves along y, by interpolation of its own."""
+    ways, first = np.unique(path.s_m[chosen], return_index=True)
+    there = np.interp(path.s_m, ways, wanted[np.array(chosen)[first], 1, 3])
+    return STIFFNESS[0] * np.abs(there - wanted[:, 1, 3])
+
+
+def test_points_are_added_until_what_they_leave_out_is_small(path: PairPath) -> None:
+    wanted = relations(path, bump(60, 4e-4, 8.0))
+    chosen = refined(path, wanted)
+    assert chosen[0] == 0
+    assert chosen[-1] == COUNT - 1
+    assert left_n(path, wanted, [0, COUNT - 1]).max() > 30.0
+    assert left_n(path, wanted, chosen).max() < 3.0 or len(chosen) == 30
+    assert len(refined(path, wanted, gain_n=20.0)) < len(chosen)
+
+
+def test_a_straight_relation_needs_no_points(path: PairPath) -> None:
+    assert refined(path, relations(path, 1e-3 * path.s_m / path.length_m)) == [0, COUNT - 1]
+
+
+def test_the_best_point_comes_first_and_turning_counts(path: PairPath) -> None:
+    wanted = relations(path, bump(40, 1e-4) + bump(80, 3e-4))
+    assert refined(path, wanted, largest_count=3) == [0, 80, COUNT - 1]
+    turned = relations(path, 0.0 * path.s_m, bump(50, 3e-3))
+    assert refined(path, turned, largest_count=3) == [0, 50, COUNT - 1]
+
+
+def test_added_points_stay_apart_in_time_and_way(path: PairPath) -> None:
+    wanted = relations(path, bump(60, 1e-3, 3.0))
+    chosen = np.array(refined(path, wanted, apart_s=0.03, apart_m=0.01))
+    assert len(chosen) > 4
+    assert np.diff(chosen).min() * path.dt_s >= 0.03 - 1e-9
+    assert np.diff(path.s_m[chosen]).min() >= 0.01

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from gateway.pair.embodiments import DISTANCE_GAINS, EMBODIMENTS
 from gateway.pair.function import constant_function
 from gateway.pair.lesson import Lesson
 from gateway.pair.motion import PairMotion, PairMotionOptions, PairStopped, refuse_elsewhere
+from gateway.pair.run import PairRun
 from gateway.pair.session import (
     PairRunRequest,
     cell_gains,
@@ -217,7 +219,7 @@ def test_a_person_who_stops_a_run_is_heard(pair, store):
 
 def test_a_sample_that_is_lost_spoils_the_cycle_for_learning(pair, store):
     store.save("first", constant_function(pair.cell.nominal_relation), learn_source="taught", speed=0.0)
-    pair.drives[0].silent = {220}
+    pair.drives[0].silent = {320}
     _, told = run(pair, store, "C2c")
     assert not told[0].summary.learned
     assert store.load("second") is None
@@ -313,3 +315,24 @@ def test_speeds_that_were_learned_lie_between_rest_and_the_fastest(pair, store):
     half = correction_between(table.at(1.0).at(0.2), pair.cell.nominal_relation)
     whole = correction_between(pair.true, pair.cell.nominal_relation)
     assert half == pytest.approx(whole / 2, rel=0.02, abs=1e-6)
+
+
+def test_the_way_back_learns_for_itself_unless_learning_is_off(pair, store):
+    """Both ways have the same part between the hands; what one learns does not come from the other."""
+    row = replace(EMBODIMENTS["C2c"], gains=cell_gains(pair.cell))
+    most = {}
+    for frozen in (False, True):
+        stream = Stream(pair.link.station(pair.cell, MoveOptions()))
+        going = PairRun(pair.cell, stream, row, constant_function(pair.cell.nominal_relation), options())
+        with powered(stream):
+            going.start()
+            if frozen:
+                going.controller.freeze()
+            for _ in range(4):
+                going.cycle()
+                going.back()
+        back = going._return
+        assert back.state().frozen == frozen
+        assert (back.state().second is None) == frozen
+        most[frozen] = np.linalg.norm(correction_between(back.function.at(0.0), pair.true)[:3])
+    assert most[False] < 0.6 * most[True]
