@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 Done = TypeVar("Done")
 
 CELL = Path(__file__).resolve().parents[2] / "examples" / "pair" / "cell.toml"
-BACK_SPEED = 3.0
+BACK_SPEED = 1.5
 PER_SYNC = 4
 #: Above any force of the comparison: rows that exceed the limit are run to their end.
 NO_LIMIT_N = 1e6

@@ -20,8 +20,9 @@ from gateway.pair.inside import AVERAGED_S, Inside
 from gateway.pair.learning import led
 from gateway.pair.transform import Floats
 
-#: Wrench inside the part that is expected of hands that yield and learn, standard deviation [N], [Nm].
-USUAL_N, USUAL_NM = 40.0, 8.0
+#: Force inside the part that is expected at rest, standard deviation, and by the speed of the hand, as servos lag
+#: unlike each other [N], [N s/m]; moments by a lever [m].
+USUAL_N, USUAL_N_S_M, LEVER_M = 40.0, 320.0, 0.2
 #: Share of its friction that a joint may be off while it turns one way, and while that is not settled.
 TURNING_SHARE, EITHER_SHARE = 0.05, 1.0 / math.sqrt(3.0)
 #: What a torque sample may be off, as a share of the largest torque of the axis: noise, vibration of the gear.
@@ -68,7 +69,9 @@ class ForceBalance:
         self._force, self._share = np.concatenate(force, axis=1), np.concatenate(share, axis=1)
         motions = tuple((arm.q_rad, arm.speed_rad_s, arm.acceleration_rad_s2) for arm in arms)
         self.columns: DoubtColumns = columns_of((arms[0].arm, arms[1].arm), motions, dt_s, np.concatenate(part, axis=1))
-        self._usual = np.diag(np.repeat([USUAL_N, USUAL_NM], 3) ** -2.0)
+        hand = np.einsum("nij,nj->ni", arms[0].jacobian[:, :3], arms[0].speed_rad_s)
+        usual = USUAL_N + USUAL_N_S_M * np.linalg.norm(hand, axis=1)
+        self._usual = (usual[:, None] * np.repeat([1.0, LEVER_M], 3))[..., None] ** -2.0 * np.eye(6)
         self._sample_nm = SAMPLE_SHARE * np.concatenate([arm.arm.torque_limit_nm for arm in arms])
         self._coulomb_nm = np.concatenate([arm.arm.coulomb_nm for arm in arms])
         nominal = np.hstack([arm.speed_rad_s for arm in arms]), np.hstack([arm.acceleration_rad_s2 for arm in arms])
@@ -157,7 +160,7 @@ class ForceBalance:
         """Wrench (6,) and its covariance from torques (12,) that are off by `unsure` (12, 12)."""
         force = self._force[at]
         told = np.linalg.solve(unsure, force).T
-        covariance = np.linalg.inv(told @ force + self._usual)
+        covariance = np.linalg.inv(told @ force + self._usual[at])
         return covariance @ (told @ left), covariance
 
 

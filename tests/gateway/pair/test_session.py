@@ -196,7 +196,7 @@ def test_a_force_above_twice_the_limit_stops_both_along_the_path(pair, store):
 
 @pytest.mark.parametrize("failing", [0, 1])
 def test_a_fault_of_one_arm_ends_the_run_and_what_was_run_is_kept(pair, store, failing):
-    pair.drives[failing].fault_at = 1000
+    pair.drives[failing].fault_at = 1500
     with pytest.raises(DriveFault):
         run(pair, store, "A", cycles=9)
     assert pair.drives[1 - failing].log[:2] == ["enable", "quick stop"]
@@ -335,4 +335,4 @@ def test_the_way_back_learns_for_itself_unless_learning_is_off(pair, store):
         assert back.state().frozen == frozen
         assert (back.state().second is None) == frozen
         most[frozen] = np.linalg.norm(correction_between(back.function.at(0.0), pair.true)[:3])
-    assert most[False] < 0.6 * most[True]
+    assert most[False] < 0.8 * most[True]
