@@ -18,7 +18,7 @@ from gateway.pair.selection import Feature, Selection
 DEFAULT_GAINS = Gains(damping=(7.2e3, 160.0))
 #: Twice the damping [s] at which a distance loop of 35 ms oscillates.
 DISTANCE_GAINS = Gains(damping=(0.045, 0.045))
-FORCE_POINTS = Selection(features=(Feature("force", 10.0),), largest_count=60, gain_n=3.0, apart_m=0.002)
+FORCE_POINTS = Selection(features=(Feature("force", 10.0),), gain_n=3.0, apart_m=0.002)
 
 First = Literal["fixed", "taught", "speed_table", "exact"]
 Hands = Literal["none", "slave", "master", "both"]

@@ -133,7 +133,7 @@ class Learner:
             coordinates = cycle.trust[:, None] * coordinates
         self._change_before = change
         updated = from_local(coordinates, self._reference)
-        self._choose_points(typical[:, 1], updated)
+        self._choose_points(typical[:, 1], None if cycle.left is None else updated)
         function = at_points(updated, self._path.s_m, self._points)
         if self._rule.selection is not None and self._rule.selection.keep == "union":
             function = prune(self._rule.selection, function)
@@ -161,7 +161,8 @@ class Learner:
         shared = inverse(self._calibration.w_t_b2) @ self._calibration.w_t_b1
         return shared @ apply_correction(cycle.master_base, typical[:, 0]) @ self.in_use.many(self._path.s_m)
 
-    def _choose_points(self, correction: Floats, wanted: Floats) -> None:
+    def _choose_points(self, correction: Floats, wanted: Floats | None) -> None:
+        """Where the next function has its points; `wanted` (M, 4, 4) is the relation that is known at every command."""
         selection = self._rule.selection
         if selection is None:
             return
@@ -169,7 +170,7 @@ class Learner:
         record = Record(force, correction, self._force_before)
         self._force_before = force
         self._points = select(selection, score(selection, record, self._path), self._path, self._points)
-        if selection.gain_n:
+        if selection.gain_n and wanted is not None:
             stiffness = np.diag(self._calibration.chain_stiffness)[[0, 3]]
             self._points = refine(selection, wanted, self._path, self._points, stiffness)
 

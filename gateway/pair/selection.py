@@ -78,8 +78,9 @@ class Selection:
     largest_count: int = 20
     apart_s: float = 0.03
     apart_m: float = 0.005
-    #: A point is added where the function without it would leave more than this force; 0 = nowhere.
+    #: A point is added where the function without it would leave more than this force, 0 = nowhere; up to this count.
     gain_n: float = 0.0
+    refined_count: int = 60
     prune_m: float = 0.02e-3
     prune_rad: float = 0.05e-3
 
@@ -159,11 +160,11 @@ def refine(
 
     Returns
     -------
-    array of int, rising, at most `largest_count`; apart in time and in way
+    array of int, rising, at most `refined_count`; apart in time and in way
     """
     chosen = np.unique(present)
     straight, turned = np.asarray(stiffness, dtype=float)
-    while len(chosen) < selection.largest_count:
+    while len(chosen) < selection.refined_count:
         near = np.abs(np.arange(len(path))[:, None] - chosen).min(axis=1) * path.dt_s < selection.apart_s
         near |= np.abs(path.s_m[:, None] - path.s_m[chosen]).min(axis=1) < selection.apart_m
         ways, first = np.unique(path.s_m[chosen], return_index=True)

@@ -160,7 +160,7 @@ STIFFNESS = (1e5, 4e3)
 
 
 def refined(path: PairPath, wanted: np.ndarray, **changes) -> list[int]:
-    given = {"gain_n": 3.0, "apart_s": 0.02, "apart_m": 0.0, "largest_count": 30} | changes
+    given = {"gain_n": 3.0, "apart_s": 0.02, "apart_m": 0.0, "refined_count": 30} | changes
     selection = Selection(features=(Feature("force"),), **given)
     return refine(selection, wanted, path, np.array([0, COUNT - 1]), STIFFNESS).tolist()
 
@@ -188,9 +188,9 @@ def test_a_straight_relation_needs_no_points(path: PairPath) -> None:
 
 def test_the_best_point_comes_first_and_turning_counts(path: PairPath) -> None:
     wanted = relations(path, bump(40, 1e-4) + bump(80, 3e-4))
-    assert refined(path, wanted, largest_count=3) == [0, 80, COUNT - 1]
+    assert refined(path, wanted, refined_count=3) == [0, 80, COUNT - 1]
     turned = relations(path, 0.0 * path.s_m, bump(50, 3e-3))
-    assert refined(path, turned, largest_count=3) == [0, 50, COUNT - 1]
+    assert refined(path, turned, refined_count=3) == [0, 50, COUNT - 1]
 
 
 def test_added_points_stay_apart_in_time_and_way(path: PairPath) -> None:
