@@ -18,7 +18,7 @@ from pathlib import Path
 
 from benchmarks.bench.__main__ import show
 from benchmarks.figure import figure
-from benchmarks.pages.browser import Browser, BrowserMissing, browser
+from benchmarks.pages.browser import PDF_READER, Browser, BrowserMissing, browser
 from benchmarks.pages.fleet import fleet_pages
 from benchmarks.pages.samples import pages
 
@@ -91,7 +91,7 @@ def faults_of(window: Browser, file: Path) -> list[Fault]:
 
 def _last_lines(file: Path) -> list[tuple[int, str]]:
     """Last line of every page of a PDF but the last."""
-    text = subprocess.run(["pdftotext", "-layout", str(file), "-"], capture_output=True, text=True, check=True).stdout
+    text = subprocess.run([PDF_READER, "-layout", str(file), "-"], capture_output=True, text=True, check=True).stdout
     sheets = [[line.strip() for line in sheet.splitlines() if line.strip()] for sheet in text.split("\f")]
     return [(number, lines[-1]) for number, lines in enumerate(sheets[:-2], start=1) if lines]
 

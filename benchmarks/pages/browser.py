@@ -20,6 +20,8 @@ from pathlib import Path
 from typing import Any
 
 DRIVER = "chromedriver"
+PDF_READER = "pdftotext"
+MISSING = f"{DRIVER}, chromium or {PDF_READER} is missing: apt-get install chromium chromium-driver poppler-utils"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 ARGUMENTS = (
     "--headless",
@@ -92,10 +94,8 @@ class Browser:
 
 
 def available() -> bool:
-    """Whether a browser can be started here."""
-    return shutil.which(DRIVER) is not None and any(
-        map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))
-    )
+    """Whether a browser can be started here, and what it prints be read."""
+    return all(map(shutil.which, (DRIVER, PDF_READER))) and any(map(shutil.which, BROWSERS))
 
 
 @contextmanager
@@ -108,7 +108,7 @@ def browser() -> Iterator[Browser]:
         Says what to install.
     """
     if not available():
-        raise BrowserMissing(f"{DRIVER} and chromium are needed: apt-get install chromium chromium-driver")
+        raise BrowserMissing(MISSING)
     with tempfile.TemporaryDirectory() as profile:
         program = subprocess.Popen([DRIVER, "--port=0"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         try:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import pytest
 
-from benchmarks.pages.browser import Browser, available, browser
+from benchmarks.pages.browser import MISSING, Browser, available, browser
 from drives.bus import BusSpec, open_bus
 from drives.overheard import OverheardBus
 from gateway.cell.config import load_cell
@@ -22,7 +22,6 @@ pytestmark = pytest.mark.system
 
 PATIENCE_S = 60.0
 WIDE, NARROW = (1280, 900), (390, 844)
-NO_BROWSER = "no Chromium with its driver here: apt-get install chromium chromium-driver"
 DRAWN = """
 const canvas = document.querySelector("canvas");
 const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
@@ -73,7 +72,7 @@ def pages(monkeypatch) -> list[LivePage]:
     return started
 
 
-@pytest.mark.skipif(not available(), reason=NO_BROWSER)
+@pytest.mark.skipif(not available(), reason=MISSING)
 def test_a_person_sees_the_arm_and_stops_it_by_a_click(place, serve, gateway, pages, tmp_path, pictures):
     drives = serve()
     seen: dict[str, object] = {}

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.pages.__main__ import FAULTS, faults_of
-from benchmarks.pages.browser import available, browser
+from benchmarks.pages.browser import MISSING, available, browser
 from benchmarks.pages.samples import pages
 
-pytestmark = pytest.mark.skipif(not available(), reason="no chromium with its driver: apt-get install chromium-driver")
+pytestmark = pytest.mark.skipif(not available(), reason=MISSING)
 BOX = "position:absolute;top:50px"
 LONG = "a" * 90
 

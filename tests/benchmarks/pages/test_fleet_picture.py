@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from benchmarks.pages.__main__ import HEIGHT_PX, faults_of
-from benchmarks.pages.browser import Browser, available, browser
+from benchmarks.pages.browser import MISSING, Browser, available, browser
 from benchmarks.pages.fleet import fleet_pages
 from tests.conftest import PICTURES
 
-pytestmark = pytest.mark.skipif(not available(), reason="no chromium with its driver: apt-get install chromium-driver")
+pytestmark = pytest.mark.skipif(not available(), reason=MISSING)
 WIDE_PX = 1280
 #: Texts of the drawings that are on the page and have a size.
 DRAWN = """return [...document.querySelectorAll('svg text')]

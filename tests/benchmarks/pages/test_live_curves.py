@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 import gateway.live
-from benchmarks.pages.browser import available, browser
+from benchmarks.pages.browser import MISSING, available, browser
 
-pytestmark = pytest.mark.skipif(not available(), reason="no chromium with its driver: apt-get install chromium-driver")
+pytestmark = pytest.mark.skipif(not available(), reason=MISSING)
 
 CHARTS = Path(gateway.live.__file__).parent / "static" / "charts.js"
 PAGE = """<!doctype html><meta charset=utf-8>
