@@ -80,7 +80,7 @@ def per_pose_figure(result: Result, classes: Mapping[str, str]) -> Markup | None
     if not names:
         return None
     values = [mass for load in loads for mass in (load.mass_kg, *load.per_pose_mass_kg.values())]
-    panel = Panel(430.0, 190.0, (-0.7, len(names) - 0.3), limits(values), left=56.0)
+    panel = Panel(430.0, 190.0, (-0.7, len(names) - 0.3), limits(values))
     panel.y_axis("mass by each pose alone [kg]")
     for place, name in enumerate(names):
         if len(names) <= 24 or place % 5 == 0:
@@ -143,7 +143,7 @@ def curve_figure(curve: Curve) -> Markup:
     """One effect over the quantity it depends on: points measured, curve and 95 % band."""
     x_range = limits([*curve.x, *curve.points_x], pad=0.03)
     y_range = limits([*curve.y, *curve.low, *curve.high, *curve.points_y], include=(0.0,))
-    panel = Panel(560.0, 290.0, x_range, y_range, left=60.0)
+    panel = Panel(560.0, 290.0, x_range, y_range)
     panel.y_axis(curve.y_label, 5)
     panel.x_axis(curve.x_label + (f" [{curve.x_unit}]" if curve.x_unit else ""), 6)
     if curve.low and curve.high:

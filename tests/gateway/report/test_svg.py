@@ -43,7 +43,7 @@ def test_limits_ignore_what_is_not_finite():
 
 
 def test_a_panel_is_well_formed_and_its_text_cannot_leave_its_place():
-    panel = Panel(200.0, 100.0, (0.0, 1.0), (-1.0, 1.0))
+    panel = Panel(200.0, 100.0, (0.0, 1.0), (-1.0, 1.0), left=60.0)
     panel.x_axis("q2 [rad]")
     panel.y_axis("torque [Nm]")
     panel.dot(0.5, 0.0, "dot", "<script>alert(1)</script>")
