@@ -13,6 +13,8 @@ from benchmarks.pair.bus_rows import BETWEEN, FAST, LEARNING, STATIC, USUAL
 Row = dict[str, Any]
 Figure = dict[str, Any]
 NAN = float("nan")
+#: Largest force of what shall be borne without a stop, and of what shall be stopped [N].
+BORNE_N, STOPPED_N = 40.0, 80.0
 
 
 class Table:
@@ -146,6 +148,7 @@ def figures(rows: Sequence[Row], limit_n: float, *, judged: bool) -> dict[str, F
     if judged:
         out |= _judged(table)
     out |= _gaps(table)
+    out |= _hostile(table)
     for name in ("A", "B", "C1", "C1i", "C2m", "C2c", "C7", "C8", "C8u", "C8r"):
         forces = [table.force(name, USUAL, seed) for seed in table.seeds]
         if not np.isnan(forces).all():
@@ -195,6 +198,26 @@ def _gaps(table: Table) -> dict[str, Figure]:
         ),
         f"{label} after learning": _value(_gap_mm(table, "E5"), "mm, median, least and most", "all <= 0.1", _most(0.1)),
     }
+
+
+def _hostile(table: Table) -> dict[str, Figure]:
+    """Another day: what shall be borne, and what shall be stopped in time and named."""
+    met = [row for row in table.rows if row["row"] == "hostile"]
+    out: dict[str, Figure] = {}
+    for name in dict.fromkeys(row["trouble"] for row in met):
+        rows = [row for row in met if row["trouble"] == name]
+        apart, goes_on = "gap_m" in rows[0], rows[0]["goes_on"]
+        most = [1e3 * row["gap_m"] if apart else row["force_n"] for row in rows]
+        stopped, named = (sum(bool(row[key]) for row in rows) for key in ("stopped", "named"))
+        good = stopped == 0 if goes_on else named == len(rows)
+        goal = "no stop" if goes_on else "stopped and named"
+        if not apart:
+            limit = BORNE_N if goes_on else STOPPED_N
+            good = good and max(most) <= limit
+            goal = f"all <= {limit:g}, {goal}"
+        unit = f"{'mm off' if apart else 'N'}, median, least and most; stopped {stopped}, named {named}"
+        out[f"another day: {name}"] = _value(most, unit, goal, lambda _, good=good: good)
+    return out
 
 
 def _gap_mm(table: Table, name: str) -> list[float]:

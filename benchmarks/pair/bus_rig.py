@@ -90,10 +90,16 @@ class PairRig:
             teacher.run(lesson, self.cell.path(1.0).uniform(count), lambda _lesson, _point: None)
         return lesson.function(self.cell.nominal_relation), lesson
 
-    def run(self, row: Embodiment, first: TransformFunction, options: PairMotionOptions) -> PairRun:
+    def run(
+        self,
+        row: Embodiment,
+        first: TransformFunction,
+        options: PairMotionOptions,
+        back: TransformFunction | None = None,
+    ) -> PairRun:
         """A row that stands at the start, powered, the part gripped there free of force."""
         stream = Stream(self.link.station(self.cell, options.moves))
-        run = PairRun(self.cell, stream, row, first, options)
+        run = PairRun(self.cell, stream, row, first, options, back)
         self.power.on(stream)
         run.start()
         run.stand()

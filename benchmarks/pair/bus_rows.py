@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.pair.bus_gap import gaps_in_the_cell
+from benchmarks.pair.bus_hostile import hostile
 from benchmarks.pair.bus_rig import BACK_SPEED, NO_LIMIT_N, PairRig, along_n, figures_of, inline_rig, off_way_m
 from drives.errors import DriveError
 from gateway.pair.embodiments import EMBODIMENTS, Embodiment, with_gains
@@ -28,6 +29,8 @@ STATIC, SLOW, BETWEEN, USUAL, BEYOND, FAST = 0.05, 0.75, 1.1, 1.5, 1.8, 3.0
 LEARNING = 13
 E2_CYCLES = 6
 SNAG_N = 20.0
+#: What later stages begin with.
+LEARNED_BY = (f"C8@{USUAL:g}", f"C8@{USUAL:g} back")
 
 
 @dataclass(slots=True)
@@ -62,13 +65,14 @@ class Bench:
         speed: float,
         cycles: int = 1,
         first: TransformFunction | None = None,
+        back: TransformFunction | None = None,
         freeze_after: int = 10**6,
         snag_cycle: int = 0,
     ) -> TransformFunction:
         """Cycles of one row; returns the function it ends with."""
         rig = self.rig
         options = PairMotionOptions(speed=speed, back_speed=BACK_SPEED, force_limit_n=NO_LIMIT_N)
-        run = rig.run(row, first or self.first(row), options)
+        run = rig.run(row, first or self.first(row), options, back)
         curve: Row = {"cycles": []}
         for number in range(1, cycles + 1):
             if number > freeze_after:
@@ -94,6 +98,8 @@ class Bench:
         run.back()
         rig.power.off()
         self.functions[f"{label}@{speed:g}"] = run.controller.function
+        if run.learned_back is not None:
+            self.functions[f"{label}@{speed:g} back"] = run.learned_back
         return run.controller.function
 
 
@@ -135,7 +141,7 @@ def others(bench: Bench) -> None:
 def even(bench: Bench) -> None:
     """C8u: as many learning points as C8 ended with, evenly spread over what was taught."""
     path = bench.rig.cell.path(USUAL)
-    points = path.uniform(len(bench.functions[f"C8@{USUAL:g}"]))
+    points = path.uniform(len(bench.functions[LEARNED_BY[0]]))
     ways = np.unique(path.s_m[points])
     spread = TransformFunction(ways, *_split(bench.nine.many(ways)))
     bench.run("C8u", bench.row_of("C8u"), USUAL, LEARNING, first=spread)
@@ -164,8 +170,10 @@ def fast(bench: Bench) -> None:
 
 
 def fast_points(bench: Bench) -> None:
-    """Learning points at twice the usual speed, then frozen."""
-    bench.run("C8", bench.row_of("C8"), FAST, LEARNING - 1 + bench.frozen_cycles, freeze_after=LEARNING - 1)
+    """Learning points at twice the usual speed, begun with what the usual speed has taught, then frozen."""
+    first, back = (bench.functions[name] for name in LEARNED_BY)
+    cycles = LEARNING - 1 + bench.frozen_cycles
+    bench.run("C8", bench.row_of("C8"), FAST, cycles, first=first, back=back, freeze_after=LEARNING - 1)
 
 
 def static(bench: Bench) -> None:
@@ -293,6 +301,9 @@ ALONE: dict[str, Callable[[int], list[Row]]] = {"distance": gaps_in_the_cell}
 #: Stages that need rigs of their own.
 APART: dict[str, Callable[[int, TransformFunction], list[Row]]] = {"skew": skewed, "step": halved}
 
+#: Stages that need rigs of their own and what the usual speed has taught.
+AFTERWARDS: dict[str, Callable[[int, TransformFunction, TransformFunction], list[Row]]] = {"hostile": hostile}
+
 
 def run_stage(seed: int, stage: str, frozen_cycles: int, stored: dict[str, Any] | None) -> dict[str, Any]:
     """One stage of one seed, added to what earlier stages of this seed have given; teaches first if none has.
@@ -310,6 +321,8 @@ def run_stage(seed: int, stage: str, frozen_cycles: int, stored: dict[str, Any] 
         seen["rows"] += ALONE[stage](seed)
     elif stage in APART:
         seen["rows"] += APART[stage](seed, _function(seen["nine"]))
+    elif stage in AFTERWARDS:
+        seen["rows"] += AFTERWARDS[stage](seed, *(_function(seen["functions"][name]) for name in LEARNED_BY))
     else:
         with inline_rig(seed) as rig:
             bench = Bench(rig, _function(seen["nine"]), frozen_cycles)

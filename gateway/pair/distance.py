@@ -88,6 +88,12 @@ class DistanceEstimator:
     components : sequence of str
         Which of x, y, z, rx, ry, rz (axes of gripper 1) are measured and corrected.
 
+    Attributes
+    ----------
+    sensors : DistanceSensors
+    selection : array of shape (k, 6)
+        Ones where a component is corrected.
+
     Raises
     ------
     ConfigError
@@ -98,6 +104,7 @@ class DistanceEstimator:
         unknown = [name for name in components if name not in COMPONENTS]
         if unknown or not components:
             raise ConfigError(f"distance sensors: components must be among {', '.join(COMPONENTS)}, got {components}")
+        self.sensors = sensors
         self._wanted = np.array(wanted, dtype=float)
         chosen = [COMPONENTS.index(name) for name in components]
         self.selection = np.zeros((len(chosen), 6))

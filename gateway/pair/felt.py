@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Protocol
 
 import numpy as np
@@ -10,10 +11,12 @@ from gateway.data.sample import ArmSample
 from gateway.pair.balance import ForceBalance
 from gateway.pair.follow import ExternalTorque
 from gateway.pair.gap import GapWatch
-from gateway.pair.guard import ForceGuard
+from gateway.pair.guard import ForceGuard, cause_of
 from gateway.pair.transform import Floats
 
 Samples = tuple[ArmSample, ...]
+#: How far from the beginning of a way the torques that hold the arms there still tell the force [rad].
+NEAR_RAD = 5e-3
 
 
 class Felt(Protocol):
@@ -54,6 +57,9 @@ class FeltByForce:
     arms : torques of both along the way
     balance : ForceBalance of the way, begun
     guard : ForceGuard
+    still : ForceGuard
+        On the way to the beginning, where no force is expected.
+    dt_s : control cycle
     doubt_n : a force that friction may feign [N]
     """
 
@@ -62,12 +68,15 @@ class FeltByForce:
         arms: tuple[ExternalTorque, ExternalTorque],
         balance: ForceBalance,
         guard: ForceGuard,
+        still: ForceGuard,
+        dt_s: float,
         doubt_n: float = 0.0,
     ) -> None:
         self.force = np.zeros((balance.count, 6))
         self.gaps_m = np.zeros((balance.count, 0))
-        self._arms, self._balance, self._guard = arms, balance, guard
-        self._doubt_n = doubt_n
+        self._arms, self._balance = arms, balance
+        self._guard, self._still = guard, still
+        self._dt_s, self._doubt_n = dt_s, doubt_n
 
     def _update(self, m: int, samples: Samples, rate: float, row: int | None) -> None:
         first, second = (arm.update(m, sample, rate) for arm, sample in zip(self._arms, samples, strict=True))
@@ -76,6 +85,29 @@ class FeltByForce:
     def listen(self, samples: Samples) -> None:
         """Torques become wrenches, so that a way begins with forces and not without."""
         self._update(0, samples, 1.0, None)
+
+    def rest(self, samples: Samples) -> str:
+        """Take in a cycle on the way to the beginning; why both arms must stop, "" = they need not.
+
+        Only near the beginning: its weights are known.
+        """
+        away = [np.abs(sample.q_rad - arm.q_rad[0]).max() for arm, sample in zip(self._arms, samples, strict=True)]
+        if max(away) > NEAR_RAD:
+            return ""
+        self.listen(samples)
+        if self._balance.wrench is None:
+            return ""
+        force = self._balance.wrench[:3]
+        size_n = float(np.linalg.norm(force))
+        along = force / size_n if size_n > 0.0 else force
+        std_n = math.sqrt(along @ self._balance.covariance[:3, :3] @ along)
+        if not self._still.step(size_n - 2.0 * std_n):
+            return ""
+        return (
+            f"the force inside the part rose to {size_n:.0f} N on the way to the start, above"
+            f" {self._still.threshold_n:g} N: both arms stop; a part that is held is gripped elsewhere than the"
+            " function has it: open the grippers, check the grasp of both arms, then close them at the start"
+        )
 
     def inputs(self, m: int) -> tuple[Floats | None, Floats | None]:
         """Both wrenches (6,) [N, Nm], base axes."""
@@ -101,7 +133,8 @@ class FeltByForce:
         return (
             f"the force inside the part was above {self._guard.threshold_n:.0f} N for more than"
             f" {1e3 * self._guard.time_s:.0f} ms ({size_n:.0f} N at command {m + 1} of {self._balance.count}):"
-            " both arms stop; release the part before moving on, then teach again or lower the speed"
+            " both arms stop; release the part before moving on;"
+            f" {cause_of(np.linalg.norm(self.force[: m + 1, :3], axis=1), self._guard.threshold_n, self._dt_s)}"
         )
 
 

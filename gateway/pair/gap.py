@@ -12,6 +12,11 @@ from gateway.data.sample import ArmSample
 from gateway.pair.distance import DistanceEstimator, DistanceSensors
 from gateway.pair.transform import Floats, inverse
 
+#: By how much sensors may be off what the hands' motion asks for: share of it, and at least [m]; for so many SYNCs.
+UNLIKE, LEAST_MOVED_M, UNLIKE_SYNCS = 0.3, 1.5e-4, 2
+#: Share of what does not fit that is left once two sensors are exchanged, if they were swapped.
+EXPLAINED = 0.3
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GapLayout:
@@ -80,6 +85,65 @@ def _instrument(config: DistanceConfig) -> InstrumentSetup:
 
 def _moved(relation: Floats, point: Floats, direction: Floats) -> tuple[Floats, Floats]:
     return relation[:3, :3] @ point + relation[:3, 3], relation[:3, :3] @ direction
+
+
+class SensorCheck:
+    """Whether each sensor follows the hands while these move by a little, as their encoders have it.
+
+    Where the hands are is not known as well as the sensors measure; how far they have moved since is, as geometry is
+    off by the same as before.
+
+    Parameters
+    ----------
+    layout : GapLayout
+    """
+
+    def __init__(self, layout: GapLayout) -> None:
+        self._layout = layout
+        self._began: tuple[Floats, Floats] | None = None
+        self._off = 0
+
+    def take(self, readings_m: Floats | None, relation: Floats) -> str:
+        """Take in the distances (n,) [m] of a SYNC and the relation (4, 4) of both hands at it.
+
+        Returns
+        -------
+        str
+            Why both arms must stop, "" = they need not.
+        """
+        if readings_m is None:
+            return ""
+        expected = self._layout.estimator.sensors.readings(relation)
+        if self._began is None:
+            self._began = readings_m, expected
+            return ""
+        moved, expected = readings_m - self._began[0], expected - self._began[1]
+        size = float(np.linalg.norm(expected))
+        self._off = self._off + 1 if np.linalg.norm(moved - expected) > max(UNLIKE * size, LEAST_MOVED_M) else 0
+        return self._named(moved, expected) if self._off > UNLIKE_SYNCS else ""
+
+    def _named(self, moved: Floats, expected: Floats) -> str:
+        number = [one.subindex for one in self._layout.config.channel]
+        count = len(moved)
+        swaps = [(i, j) for i in range(count) for j in range(i)]
+        rests = [float(np.linalg.norm(_exchanged(moved, swap) - expected)) for swap in swaps]
+        best = int(np.argmin(rests))
+        if rests[best] < EXPLAINED * np.linalg.norm(moved - expected):
+            one, other = sorted(number[i] for i in swaps[best])
+            why = f"sensors {one} and {other} are swapped: each moves as the other one should; exchange their channels"
+        else:
+            worst = int(np.argmax(np.abs(moved - expected)))
+            why = (
+                f"sensor {number[worst]} moved by {1e3 * moved[worst]:.2f} mm where the hands' own motion asks for"
+                f" {1e3 * expected[worst]:.2f} mm: check its place, direction and wiring"
+            )
+        return f"distance {why}; both arms were stopped"
+
+
+def _exchanged(values: Floats, swap: tuple[int, int]) -> Floats:
+    out = values.copy()
+    out[list(swap)] = values[list(swap[::-1])]
+    return out
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from gateway.errors import ConfigError
+from gateway.pair.transform import Floats
+
+#: Share of the threshold below which nothing was wrong yet, and a rise from there that no path makes so fast [s].
+CALM_SHARE, SUDDEN_S = 0.4, 0.1
 
 
 class ForceGuard:
@@ -30,3 +36,17 @@ class ForceGuard:
         self._above = 0 if force_n <= self.threshold_n else self._above + 1
         self.tripped = self.tripped or self._above > self._allowed
         return self.tripped
+
+
+def cause_of(force_n: Floats, threshold_n: float, dt_s: float) -> str:
+    """What a force (n,) [N] that has tripped the guard at its last cycle comes from, by how it got there."""
+    calm = np.flatnonzero(force_n < CALM_SHARE * threshold_n)
+    if not len(calm):
+        return "it was there from the beginning of the way: check the grasp of both arms, then teach again"
+    rose_s = (len(force_n) - 1 - calm[-1]) * dt_s
+    if rose_s <= SUDDEN_S:
+        return (
+            f"it rose within {1e3 * rose_s:.0f} ms: the part slipped in a grip or something struck it; check grips and"
+            " part, then teach again"
+        )
+    return f"it grew for {rose_s:.2f} s: teach again or lower the speed"

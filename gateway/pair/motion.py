@@ -25,15 +25,16 @@ from gateway.pair.balance import ForceBalance
 from gateway.pair.calibration import PairCalibration, PathWrenches
 from gateway.pair.cell import PairCell
 from gateway.pair.doubt import Doubts
-from gateway.pair.felt import Felt, FeltByDistance, FeltByForce
+from gateway.pair.felt import NEAR_RAD, Felt, FeltByDistance, FeltByForce
 from gateway.pair.follow import ExternalTorque, JointFollower
 from gateway.pair.friction import FrictionOffset
-from gateway.pair.gap import GapWatch
+from gateway.pair.gap import GapWatch, SensorCheck
 from gateway.pair.guard import ForceGuard
 from gateway.pair.inside import Inside
 from gateway.pair.inverse import path_joint_angles
 from gateway.pair.passage import Commander, Pair, Passage, Streamed
 from gateway.pair.path import PairPath
+from gateway.pair.relation import relation
 from gateway.pair.transform import Floats, inverse
 from gateway.pair.ways import Along, Settling, WatchedWay
 
@@ -42,12 +43,16 @@ START_TOLERANCE_RAD = 0.02
 #: Speed at which an arm is moved to where the next motion begins, and the shortest time of such a move.
 APPROACH_RAD_S = 0.1
 APPROACH_S = 0.2
+#: The speed near the start where a part may be held already: a force that rises is seen before it is large [rad/s].
+HELD_RAD_S = 0.002
 #: Standing still before a way begins, so that the servos have settled [s].
 DWELL_S = 0.1
 #: Over which the end of one motion fades into the next [s].
 FADE_S = 0.4
 #: Standing still before a way, until torques have become wrenches.
 LISTEN_CYCLES = 12
+#: Share of the limit that may be in a part on the way to the start, beyond all doubt.
+AT_REST = 0.5
 #: On the way to a stop a force below this share of the limit may be friction: hands do not yield to it.
 DOUBTFUL = 0.5
 
@@ -133,6 +138,17 @@ class PairMotion:
         first, second = self.stream.q_rad
         return first, second
 
+    @property
+    def present(self) -> Pair | None:
+        """Poses (4, 4) of both grippers in their bases by the encoders of the last SYNC; None if it brought not all."""
+        samples = self.samples
+        if samples is None or not all(sample.complete for sample in samples):
+            return None
+        first, second = (
+            arm.chain.poses(sample.q_rad[None])[0][0] for arm, sample in zip(self.cell.arms, samples, strict=True)
+        )
+        return first, second
+
     def passage(self, path: PairPath, seeds_rad: Pair) -> Passage:
         """Prepare a way of the master that begins near joint angles (6,) of both arms.
 
@@ -190,11 +206,16 @@ class PairMotion:
 
         self.stream.stand(rows * self.dt_s, what, hear)
 
-    def approach(self, goal: Pair, dwell_s: float = DWELL_S) -> None:
-        """Bring both arms to joint targets (6,) slowly, at the same time, then stand still."""
+    def approach(self, goal: Pair, dwell_s: float = DWELL_S, held: Passage | None = None) -> None:
+        """Bring both arms to joint targets (6,) slowly, at the same time, then stand still.
+
+        With `held`, the way that begins there, the force in a part that they may hold already is watched.
+        """
+        watch = None if held is None or self._gap is not None else self._asking(self._felt_by_force(held).rest)
         began = self.q_rad
         most = max(float(np.abs(to - at).max()) for to, at in zip(goal, began, strict=True))
-        count = max(1, round(max(APPROACH_S, most / APPROACH_RAD_S) / self.dt_s))
+        speed = APPROACH_RAD_S if watch is None or most > NEAR_RAD else HELD_RAD_S
+        count = max(1, round(max(APPROACH_S, most / speed) / self.dt_s))
         share = np.arange(1, count + 1)[:, None] / count
         time_s = count * self.dt_s
         motions = [
@@ -206,8 +227,21 @@ class PairMotion:
             )
             for at, to in zip(began, goal, strict=True)
         ]
-        self.stream.drive(WatchedWay(self, began, motions), "approach")
-        self.stand(round(dwell_s / self.dt_s))
+        self.stream.drive(WatchedWay(self, began, motions, watch), "approach")
+        self.stand(round(dwell_s / self.dt_s), listen=watch)
+
+    def _asking(self, look: Callable[[Samples], str]) -> Callable[[Samples], None]:
+        """Has both arms stopped once `look`, which takes in every SYNC, says why."""
+        asked = False
+
+        def watch(samples: Samples) -> None:
+            nonlocal asked
+            why = "" if asked else look(samples)
+            if why:
+                asked = True
+                self.ask(why)
+
+        return watch
 
     def prepare(self, job: Callable[[], Result]) -> Result:
         """Compute what takes longer than a cycle while both arms stand."""
@@ -215,7 +249,22 @@ class PairMotion:
 
     def settle(self, way: Passage, commander: Commander) -> None:
         """Stand at the beginning of a way until the commander has nothing left to correct."""
-        self.stream.drive(Settling(self, way, commander, self._felt(way)), "settle")
+        watch = None if self._gap is None else self._asking(self._sensors_follow(self._gap))
+        self.stream.drive(Settling(self, way, commander, self._felt(way), watch), "settle")
+
+    def _sensors_follow(self, gap: GapWatch) -> Callable[[Samples], str]:
+        first, second = self.cell.arms
+        check = SensorCheck(gap.layout)
+
+        def look(_samples: Samples) -> str:
+            hands = self.present
+            if hands is None:
+                return ""
+            return check.take(
+                gap.readings_m, relation(first.world_from_base, hands[0], second.world_from_base, hands[1])
+            )
+
+        return look
 
     def run(self, way: Passage, commander: Commander, *, fade: bool = False) -> Streamed:
         """Every command of a way; with `fade` what the arms stand off its beginning is faded out.
@@ -243,10 +292,14 @@ class PairMotion:
         """What tells on this way how far the hands are off, from standing still on."""
         if self._gap is not None:
             return FeltByDistance(self._gap, self.cell.nominal_slave(way.path))
+        return self._felt_by_force(way)
+
+    def _felt_by_force(self, way: Passage) -> FeltByForce:
         usual_n = self.cell.config.force.limit_n
-        guard = ForceGuard(self.options.force_limit_n or usual_n, self.dt_s, self.options.force_stop_s)
+        limit_n, stop_s = self.options.force_limit_n or usual_n, self.options.force_stop_s
+        guard, still = ForceGuard(limit_n, self.dt_s, stop_s), ForceGuard(AT_REST * limit_n, self.dt_s, stop_s, 1.0)
         way.balance.begin(self.doubts)
-        return FeltByForce(way.torques, way.balance, guard, DOUBTFUL * usual_n)
+        return FeltByForce(way.torques, way.balance, guard, still, self.dt_s, DOUBTFUL * usual_n)
 
     def offsets(self, q: PerArm) -> PerArm | None:
         """Friction of free hands; with a common part the torque is what tells the force, and nothing is added to it."""

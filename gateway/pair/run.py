@@ -1,7 +1,7 @@
 """One embodiment on one path, cycle after cycle, over two buses.
 
-A cycle carries the part along the path and back, and each way learns for itself. What is learned of the way forward is
-kept; the way back begins anew with every run. Learning never sees a way with an incomplete epoch or a stop in it.
+A cycle carries the part along the path and back, and each way learns for itself. Learning never sees a way with an
+incomplete epoch or a stop in it.
 """
 
 from __future__ import annotations
@@ -76,6 +76,8 @@ class PairRun:
     config : Embodiment
     first : TransformFunction
     options : PairMotionOptions, optional
+    back : TransformFunction, optional
+        Of the way back, by the way from the end of the path; as forward if there is none.
 
     Attributes
     ----------
@@ -91,12 +93,14 @@ class PairRun:
         config: Embodiment,
         first: TransformFunction,
         options: PairMotionOptions | None = None,
+        back: TransformFunction | None = None,
     ) -> None:
-        self.config, self._cell, self._first = config, cell, first
+        self.config, self._cell = config, cell
         self.motion = PairMotion(cell, stream, options)
         self.path = cell.path(self.motion.options.speed)
         self._way = self.motion.passage(self.path, (cell.arms[0].start_rad, cell.arms[1].start_rad))
         self.controller = self._controller(config, self._way, self.path, first)
+        self._first_back = self._reversed(first) if back is None else back
         self._return: PairController | None = None
         self._back = reversed_path(cell.path(self.motion.options.back_speed or self.path.speed))
         ends = (self._way.joints[0][-1], self._way.joints[1][-1])
@@ -107,13 +111,18 @@ class PairRun:
         """How many commands the arms are behind."""
         return self._way.balance.late
 
+    @property
+    def learned_back(self) -> TransformFunction | None:
+        """What was learned of the way back, None = nothing yet."""
+        return None if self._return is None else self._return.state().second
+
     def start(self) -> None:
         """Both arms are powered at the start of the path, where the part is gripped."""
         self.motion.start()
 
     def stand(self) -> None:
         """Bring both arms to the start of the path, corrections at nothing: where the grippers close."""
-        self.motion.approach(self._way.targets(0, self._standing()), SETTLED_S)
+        self.motion.approach(self._way.targets(0, self._standing()), SETTLED_S, self._way)
 
     def cycle(self) -> PairCycle:
         """One way forward, from standing at the start; learns from it if it was complete.
@@ -148,16 +157,7 @@ class PairRun:
         rule = self.config.learning
         if rule is None or rule.source == "command":
             return self.controller.step
-        return lambda m, one, two: self.controller.step(m, one, two, self._present())
-
-    def _present(self) -> tuple[Floats, Floats] | None:
-        samples = self.motion.samples
-        if samples is None or not (samples[0].complete and samples[1].complete):
-            return None
-        first, second = (
-            arm.chain.poses(sample.q_rad[None])[0][0] for arm, sample in zip(self._cell.arms, samples, strict=True)
-        )
-        return first, second
+        return lambda m, one, two: self.controller.step(m, one, two, self.motion.present)
 
     def _standing(self) -> tuple[Floats, Floats]:
         """Both gripper commands at the start of the path, without corrections."""
@@ -190,7 +190,7 @@ class PairRun:
             controller.start_cycle()
             return controller, None
         if self._return is None:
-            self._return = self._controller(self.config, self._home, self._back, self._reversed(self._first))
+            self._return = self._controller(self.config, self._home, self._back, self._first_back)
         controller = self._return
         if self.controller.state().frozen:
             controller.freeze()

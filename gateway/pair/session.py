@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -157,6 +158,18 @@ def first_function(cell: PairCell, store: PairStore, row: Embodiment, speed: flo
     return transform_of(second), f"learned by {second.embodiment} {second.date}"
 
 
+def function_back(store: PairStore, row: Embodiment) -> TransformFunction | None:
+    """What this embodiment has learned of the way back, None = nothing.
+
+    Raises
+    ------
+    InputError
+        It is for another path or cell.
+    """
+    back = None if row.learning is None else store.load("back")
+    return transform_of(back) if back is not None and back.embodiment == row.name else None
+
+
 def _from_one_relation(
     cell: PairCell, store: PairStore, row: Embodiment, speed: float
 ) -> tuple[TransformFunction, str]:
@@ -205,7 +218,7 @@ def run_pair(
     refuse_elsewhere(cell, link.together.where())
     # a path that is planned slower is learned from as it is driven
     stream = Stream(link.station(cell, replace(moves, override=1.0)))
-    run = PairRun(cell, stream, row, first, replace(options, speed=speed * moves.override))
+    run = PairRun(cell, stream, row, first, replace(options, speed=speed * moves.override), function_back(store, row))
     if store.frozen:
         run.controller.freeze()
     cycles: list[PairCycle] = []
@@ -223,6 +236,7 @@ def run_pair(
                 run.motion.prepare(lambda: _keep(store, run, cycles))
                 guarded(told, moves.desk)(cycles[-1])
                 run.back()
+                run.motion.prepare(lambda: _keep_back(store, run, cycles))
     except BaseException:
         if cycles:
             kept()
@@ -232,16 +246,24 @@ def run_pair(
 
 def _keep(store: PairStore, run: PairRun, cycles: list[PairCycle]) -> None:
     """After a cycle that has taught something: the function goes to disk at once."""
-    if not cycles[-1].summary.learned:
-        return
+    second = run.controller.state().second
+    if cycles[-1].summary.learned and second is not None:
+        path = store.save("second", second, **_origin(run, cycles))
+        store.write(f"speed-{run.path.speed:g}.json", path.read_text(encoding="utf-8"))
+
+
+def _keep_back(store: PairStore, run: PairRun, cycles: list[PairCycle]) -> None:
+    """The same after a way back."""
+    learned = run.learned_back
+    if learned is not None:
+        store.save("back", learned, **_origin(run, cycles))
+
+
+def _origin(run: PairRun, cycles: list[PairCycle]) -> dict[str, Any]:
     rule = run.config.learning
-    origin = {
+    return {
         "learn_source": "command" if rule is None else rule.source,
         "speed": run.path.speed,
         "embodiment": run.config.name,
         "cycles": len(cycles),
     }
-    second = run.controller.state().second
-    if second is not None:
-        path = store.save("second", second, **origin)
-        store.write(f"speed-{run.path.speed:g}.json", path.read_text(encoding="utf-8"))

@@ -3,6 +3,7 @@
 CELL.pair/points.json    taught points, so that teaching can be resumed
 CELL.pair/first.json     function through the taught points
 CELL.pair/second.json    function learned on the run
+CELL.pair/back.json      the same of the way back
     CELL.pair/speed-X.json   the last one of each speed setting
 CELL.pair/state.json     learning on or off
 CELL.pair/run-NAME.json  cycles of the last run of an embodiment
@@ -104,10 +105,11 @@ class PairStore:
         self.write("state.json", json_text(LearningSwitch(frozen)))
 
     def forget(self) -> bool:
-        """Delete the second function and switch learning on; whether there was one."""
-        path = self.folder / "second.json"
-        there = path.exists()
-        path.unlink(missing_ok=True)
+        """Delete what was learned on the run and switch learning on; whether there was anything."""
+        learned = [self.folder / f"{stage}.json" for stage in ("second", "back")]
+        there = any(path.exists() for path in learned)
+        for path in learned:
+            path.unlink(missing_ok=True)
         (self.folder / "state.json").unlink(missing_ok=True)
         return there
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -19,13 +19,18 @@ from gateway.pair.passage import Commander, Pair, Passage
 from gateway.pair.servolag import ServoLag
 from gateway.pair.transform import Floats
 
-#: For closing a gap at standstill: many times what one correction takes [s].
-SETTLE_S = 0.4
+#: For closing a gap at standstill: until corrections go at their full speed, and many times what one takes then [s].
+RISING_S, SETTLE_S = 0.2, 0.4
+#: Share of a correction that is left of it at the next SYNC when closing is broken off.
+LEFT = 0.8
 #: What a place along a way may miss a row by, through rounding.
 HAIR = 1e-9
 #: SYNCs after the decision to stop along the path in which the force may still rise, and how many times larger it may
 #: become later: ramps that end one by one squeeze the part by hundreds of newtons, the slowing down itself by less.
 RISING_SYNCS, RISING = 3, 2.5
+
+#: Takes in every SYNC beside the way itself.
+Watch = Callable[[tuple[ArmSample, ...]], None]
 
 
 class MovedPair(Protocol):
@@ -53,11 +58,11 @@ class MovedPair(Protocol):
 
 
 class WatchedWay(MotionWay):
-    """Prepared motions of both arms on which the gap is watched."""
+    """Prepared motions of both arms on which the gap is watched, and what else has to be."""
 
-    def __init__(self, motion: MovedPair, began: Pair, motions: Sequence[Motion]) -> None:
+    def __init__(self, motion: MovedPair, began: Pair, motions: Sequence[Motion], watch: Watch | None = None) -> None:
         super().__init__(began, motions)
-        self._motion = motion
+        self._motion, self._watch = motion, watch
 
     def targets(self, at: float, rate: float) -> PerArm:
         """As `Way.targets`."""
@@ -71,6 +76,8 @@ class WatchedWay(MotionWay):
     def take(self, at: float, rate: float, samples: tuple[ArmSample, ...]) -> None:
         """As `Way.take`."""
         self._motion.see(samples)
+        if self._watch is not None:
+            self._watch(samples)
 
 
 class Along:
@@ -171,9 +178,12 @@ class Along:
 class Settling:
     """Rows at the beginning of a way, where the commander closes what is open."""
 
-    def __init__(self, motion: MovedPair, way: Passage, commander: Commander, felt: Felt) -> None:
-        self.count = round(SETTLE_S / motion.dt_s)
-        self._motion, self._way, self._commander, self._felt = motion, way, commander, felt
+    def __init__(
+        self, motion: MovedPair, way: Passage, commander: Commander, felt: Felt, watch: Watch | None = None
+    ) -> None:
+        self.count = round((RISING_S + SETTLE_S) / motion.dt_s)
+        self._rising, self._share = RISING_S / motion.dt_s, 0.0
+        self._motion, self._way, self._commander, self._felt, self._watch = motion, way, commander, felt, watch
         self._still = np.zeros(way.speed_rad_s.shape[1])
 
     def rates(self, at: float) -> tuple[Floats, Floats]:
@@ -182,7 +192,9 @@ class Settling:
 
     def targets(self, at: float, rate: float) -> PerArm:
         """As `Way.targets`."""
-        self._q_rad = self._way.targets(0, self._commander(0, *self._felt.inputs(0)))
+        self._share = LEFT * self._share if rate == 0.0 else smooth(min(1.0, (at + 1.0) / self._rising))
+        felt = (None if one is None else self._share * one for one in self._felt.inputs(0))
+        self._q_rad = self._way.targets(0, self._commander(0, *felt))
         return self._q_rad
 
     def ahead(self, at: float, rate: float) -> None:
@@ -200,6 +212,8 @@ class Settling:
         """As `Way.take`."""
         self._motion.see(samples)
         self._felt.listen(samples)
+        if self._watch is not None:
+            self._watch(samples)
 
 
 def smooth(share: float) -> float:

@@ -58,8 +58,9 @@ _Speed = Annotated[float, Field(ge=0.0, le=FASTEST)]
 _Knowns = tuple[_Known, ...]
 _Place = Annotated[_Knowns, AfterValidator(three)]
 _Pose = Annotated[tuple[_Knowns, ...], AfterValidator(_pose)]
-Stage = Literal["first", "second"]
-STAGES: tuple[Stage, ...] = ("first", "second")
+#: The second function of the way back is a file of its own.
+Stage = Literal["first", "second", "back"]
+STAGES: tuple[Stage, ...] = ("first", "second", "back")
 
 
 # -- runs --------------------------------------------------------------------------------------------------------------

@@ -172,6 +172,11 @@ class Motors:
         for axis in self.axes:
             axis.servo.reference_rad = axis.position_rad
 
+    def rub(self, coulomb: Array, viscous: Array) -> None:
+        """Let friction be so many times, (n,) each, what it was."""
+        self._lost = self._lost * coulomb
+        self._keep = 1.0 - viscous * (1.0 - self._keep)
+
     def cyclic(self, q_rad: Array) -> Array:
         """Angle (n,) [rad] that the gears add at rotor angles (n,)."""
         train = self.train

@@ -155,6 +155,20 @@ def test_a_force_that_does_not_rise_any_more_is_no_quick_stop() -> None:
     assert kinds == [StopKind.ALONG_PATH]
 
 
+def test_a_part_that_is_held_elsewhere_is_felt_on_the_way_to_the_start() -> None:
+    """A grasp that is 2 mm wrong, the part still held: 300 N if both arms went there."""
+    with inline_rig(0) as rig:
+        run = standing(rig, "B", 40.0)
+        wrong = rig.cell.nominal_relation.copy()
+        wrong[0, 3] += 2e-3
+        again = PairRun(rig.cell, run.motion.stream, run.config, constant_function(wrong), run.motion.options)
+        rig.world.recording = True
+        with pytest.raises(PairStopped, match="on the way to the start, above 20 N: .* check the grasp"):
+            rig.power.attempt(again.cycle)
+        rig.world.catch_up(0)
+    assert np.linalg.norm(np.array(rig.world.record)[:, 1:4], axis=1).max() < 80.0
+
+
 def test_an_arm_that_is_told_the_impossible_stops_both() -> None:
     with inline_rig(0) as rig:
         run = standing(rig)

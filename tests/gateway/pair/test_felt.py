@@ -15,9 +15,10 @@ ROWS, DT_S = 8, 0.004
 
 
 class Arm:
-    """An arm that shows what its samples are."""
+    """An arm that shows what its samples are; its way begins at joint angles of 0.3 rad."""
 
     def __init__(self) -> None:
+        self.q_rad = np.full((ROWS, 6), 0.3)
         self.calls: list[tuple] = []
 
     def update(self, m, sample, rate=1.0) -> str:
@@ -32,6 +33,7 @@ class Balance:
 
     def __init__(self) -> None:
         self.wrench: np.ndarray | None = None
+        self.covariance = np.zeros((6, 6))
         self.taken: list[tuple] = []
 
     def take(self, m, seen, row) -> None:
@@ -43,8 +45,8 @@ class Balance:
 
 def felt(limit_n: float = 50.0, doubt_n: float = 0.0) -> tuple[FeltByForce, Balance, tuple[Arm, Arm]]:
     arms, balance = (Arm(), Arm()), Balance()
-    guard = ForceGuard(limit_n, DT_S, time_s=0.008)
-    return FeltByForce(arms, balance, guard, doubt_n), balance, arms  # type: ignore[arg-type]
+    guard, still = ForceGuard(limit_n, DT_S, time_s=0.008), ForceGuard(limit_n, DT_S, time_s=0.008, factor=1.0)
+    return FeltByForce(arms, balance, guard, still, DT_S, doubt_n), balance, arms  # type: ignore[arg-type]
 
 
 def push(force_n: float) -> np.ndarray:
@@ -82,6 +84,34 @@ def test_a_force_above_twice_its_limit_for_longer_than_its_time_stops_both():
     quiet, balance, _ = felt(50.0)
     balance.wrench = push(99.0)
     assert [quiet.take(m, ("a", "b")) for m in range(5)] == [""] * 5
+
+
+def standing(away_rad: float) -> tuple:
+    """Samples of both arms, the second one this far from the beginning of its way."""
+    return SimpleNamespace(q_rad=np.full(6, 0.3)), SimpleNamespace(q_rad=np.array([0.3] * 5 + [0.3 - away_rad]))
+
+
+def test_a_part_that_is_held_may_not_be_squeezed_on_the_way_to_the_start():
+    """50 N, 8 ms: the third SYNC in a row, and only near the start, where the weights are known."""
+    found, balance, (one, _) = felt(50.0)
+    assert found.rest(standing(0.0)) == ""
+    balance.wrench = push(51.0)
+    assert [found.rest(standing(0.006)) for _ in range(5)] == [""] * 5
+    assert len(one.calls) == 1
+    assert [found.rest(standing(0.004)) for _ in range(2)] == ["", ""]
+    why = found.rest(standing(0.004))
+    assert "51 N on the way to the start, above 50 N" in why
+    assert "check the grasp" in why
+
+
+def test_what_friction_may_feign_stops_nobody_on_the_way_to_the_start():
+    """60 N that are only known to 10 N, 95 %."""
+    found, balance, _ = felt(50.0)
+    balance.wrench, balance.covariance = push(60.0), np.diag([5.1**2] * 6)
+    assert [found.rest(standing(0.0)) for _ in range(5)] == [""] * 5
+    balance.covariance = np.diag([4.9**2] * 6)
+    assert found.rest(standing(0.0)) == found.rest(standing(0.0)) == ""
+    assert "60 N" in found.rest(standing(0.0))
 
 
 @pytest.mark.parametrize(("force_n", "doubtful"), [(9.9, True), (10.1, False)])

@@ -187,8 +187,8 @@ def test_what_was_learned_is_kept_and_gone_on_from_unless_learning_is_off(pair, 
     assert where == f"learned by C2c {second.date}"
 
 
-def test_a_force_above_twice_the_limit_stops_both_along_the_path(pair, store):
-    with pytest.raises(PairStopped, match="force inside the part was above 10 N"):
+def test_a_part_that_is_gripped_elsewhere_stops_both_before_the_way_begins(pair, store):
+    with pytest.raises(PairStopped, match=r"on the way to the start, above 2\.5 N: .* check the grasp"):
         run(pair, store, "A", force_limit_n=5.0)
     assert [drives.log for drives in pair.drives] == [["enable", "disable"]] * 2
     assert not (store.folder / "run-A.json").exists()

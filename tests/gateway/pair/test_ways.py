@@ -9,7 +9,7 @@ import pytest
 
 from gateway.motion.stops import StopKind
 from gateway.motion.trajectory import Motion
-from gateway.pair.ways import RISING, RISING_SYNCS, SETTLE_S, Along, Settling, WatchedWay, smooth
+from gateway.pair.ways import LEFT, RISING, RISING_S, RISING_SYNCS, SETTLE_S, Along, Settling, WatchedWay, smooth
 
 ROWS, DT_S = 12, 0.004
 
@@ -228,17 +228,37 @@ def test_a_gap_is_closed_at_rest_at_the_first_command(pair, felt):
         return np.ones(6), 2 * np.ones(6)
 
     settling = Settling(pair, Passage(), commander, felt)  # type: ignore[arg-type]
-    assert settling.count == round(SETTLE_S / DT_S)
+    assert settling.count == round((RISING_S + SETTLE_S) / DT_S)
     felt.told = 4.0
-    first, second = settling.targets(7.0, 1.0)
-    assert (first[0], second[0]) == (1.0, 2.0)
-    assert asked == [(0, 4.0, 4.0)]
+    full = round(RISING_S / DT_S)
+    for at in (0.5 * full - 1.0, full - 1.0, full + 7.0):
+        first, second = settling.targets(at, 1.0)
+        assert (first[0], second[0]) == (1.0, 2.0)
+    assert [each[1:] for each in asked] == [pytest.approx((2.0, 2.0)), (4.0, 4.0), (4.0, 4.0)]
     assert [rate.tolist() for rate in settling.rates(3.0)] == [[0.0] * 12] * 2
     assert settling.offsets()[1] == pytest.approx(np.full(6, 0.2))
     assert settling.modelled(3.0)[0] == pytest.approx(np.zeros(6))
     assert settling.ahead(3.0, 1.0) is None
     settling.take(0.0, 1.0, SAMPLES)
     assert (felt.listened, len(pair.seen), felt.taken) == (1, 1, [])
+
+
+def test_closing_that_is_broken_off_dies_away_and_who_watches_hears_every_sync(pair, felt):
+    asked, heard = [], []
+    settling = Settling(
+        pair,  # type: ignore[arg-type]
+        Passage(),  # type: ignore[arg-type]
+        lambda m, one, two: (asked.append(two), (np.ones(6), np.ones(6)))[1],
+        felt,
+        heard.append,
+    )
+    felt.told = 4.0
+    settling.targets(RISING_S / DT_S, 1.0)
+    settling.take(0.0, 1.0, SAMPLES)
+    for _ in range(2):
+        settling.targets(RISING_S / DT_S, 0.0)
+    assert asked == pytest.approx([4.0, 4.0 * LEFT, 4.0 * LEFT**2])
+    assert heard == [SAMPLES]
 
 
 def test_a_prepared_motion_of_both_arms_is_watched(pair):
@@ -249,3 +269,6 @@ def test_a_prepared_motion_of_both_arms_is_watched(pair):
     assert way.offsets()[1] == pytest.approx(np.full(6, -0.3))
     way.take(2.0, 1.0, SAMPLES)
     assert pair.seen == [SAMPLES]
+    heard = []
+    WatchedWay(pair, pair.q_rad, motions, heard.append).take(2.0, 1.0, SAMPLES)  # type: ignore[arg-type]
+    assert heard == [SAMPLES]
