@@ -214,7 +214,7 @@ def _cycle_line(summary: CycleSummary) -> str:
 @json_option
 @common
 def learn(action: str, cell: Path, store: Path | None, json_out: str | None) -> None:
-    """Status of what was learned in CELL; freeze or resume learning; reset forgets the second function."""
+    """Status of what was learned in CELL; freeze or resume learning; reset forgets what runs have taught."""
     from gateway.result.pair import STAGES, LearnStatus
     from gateway.result.values import plain_values
 

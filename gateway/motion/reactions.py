@@ -100,6 +100,20 @@ ARM_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "s",
             "release the part before moving on",
         ),
+        "force_at_rest": Rule(
+            "two arms: the force in a part that is held on the way to the start above half its limit, beyond doubt",
+            "along the path",
+            0.02,
+            "s",
+            "open the grippers and check the grasp of both arms",
+        ),
+        "sensors": Rule(
+            "two arms: a distance sensor that does not follow the hands while a gap is closed at the start",
+            "along the path",
+            3,
+            _ROW,
+            "exchange the channels, or check the sensor's place, direction and wiring",
+        ),
         "gap": Rule(
             "two arms: no distance for missing_cycles; quick stop where one is outside its range",
             "along the path",

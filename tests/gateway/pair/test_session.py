@@ -25,6 +25,7 @@ from gateway.pair.session import (
     cell_gains,
     embodiment_of,
     first_function,
+    function_back,
     one_relation,
     open_lesson,
     run_pair,
@@ -185,6 +186,22 @@ def test_what_was_learned_is_kept_and_gone_on_from_unless_learning_is_off(pair, 
     begun, where = first_function(pair.cell, store, row, SPEED)
     assert begun.knots == pytest.approx(transform_of(second).knots)
     assert where == f"learned by C2c {second.date}"
+
+
+def test_a_run_goes_back_by_what_the_run_before_has_learned_of_the_way_back(pair, store, monkeypatch):
+    store.save("first", constant_function(pair.cell.nominal_relation), learn_source="taught", speed=0.0)
+    row = embodiment_of(pair.cell, "C2c")
+    assert function_back(store, row) is None
+    run(pair, store, "C2c", cycles=2)
+    kept = store.load("back")
+    assert (kept.learn_source, kept.speed, kept.embodiment, kept.cycles) == ("command", SPEED, "C2c", 2)
+    assert function_back(store, row).knots == pytest.approx(transform_of(kept).knots)
+    begun = []
+    monkeypatch.setattr("gateway.pair.session.PairRun", lambda *given: (begun.append(given[5]), PairRun(*given))[1])
+    run(pair, store, "C2c")
+    assert begun[0].knots == pytest.approx(transform_of(kept).knots)
+    assert function_back(store, embodiment_of(pair.cell, "C8")) is None
+    assert function_back(store, embodiment_of(pair.cell, "B")) is None
 
 
 def test_a_part_that_is_gripped_elsewhere_stops_both_before_the_way_begins(pair, store):

@@ -86,11 +86,13 @@ def test_learning_is_on_until_it_is_switched_off_and_forgetting_switches_it_on(c
     store.freeze(False)
     assert not store.frozen
     store.freeze(True)
-    store.save("second", constant_function(cell.nominal_relation), learn_source="command", speed=1.0)
-    assert store.load("second") is not None
-    assert store.forget()
-    assert store.load("second") is None
-    assert not store.frozen
+    for stage in ("second", "back"):
+        store.freeze(True)
+        store.save(stage, constant_function(cell.nominal_relation), learn_source="command", speed=1.0)
+        assert store.load(stage) is not None
+        assert store.forget()
+        assert store.load(stage) is None
+        assert not store.frozen
 
 
 def test_a_function_for_another_path_or_cell_is_refused(cell, store):

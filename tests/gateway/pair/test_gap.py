@@ -1,0 +1,72 @@
+"""Sensors that do not follow the hands: a shift `d` of the hand that carries them shortens a beam by `beam . d`."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from gateway.pair.distance import DistanceSensors
+from gateway.pair.gap import UNLIKE_SYNCS, SensorCheck
+
+BEAM = np.array([[0.0, 0, 1]] * 3 + [[1.0, 0, 0]] * 2 + [[0.0, 1, 0]])
+ORIGIN = np.array(
+    [[0.06, 0, 0], [-0.04, 0.05, 0], [-0.04, -0.05, 0], [0, 0.06, 0.02], [0, -0.06, 0.02], [0.05, 0, 0.03]]
+)
+GAP_M = 0.02
+SHIFT_M = np.array([0.4e-3, 0.0, -1.0e-3])
+
+
+def check() -> SensorCheck:
+    sensors = DistanceSensors(ORIGIN, BEAM, ORIGIN + GAP_M * BEAM, -BEAM)
+    channels = tuple(SimpleNamespace(subindex=number) for number in (1, 2, 3, 4, 5, 8))
+    layout = SimpleNamespace(config=SimpleNamespace(channel=channels), estimator=SimpleNamespace(sensors=sensors))
+    return SensorCheck(layout)  # type: ignore[arg-type]
+
+
+def hands(shift_m: np.ndarray) -> np.ndarray:
+    """The second hand, off by more than the sensors' noise and by as much all the time."""
+    pose = np.eye(4)
+    pose[:3, 3] = shift_m + [2e-3, -1e-3, 3e-3]
+    return pose
+
+
+def answers(change_m: np.ndarray, syncs: int = UNLIKE_SYNCS + 1) -> list[str]:
+    """What is said when readings have changed by this while the hand went SHIFT_M."""
+    found = check()
+    assert found.take(np.full(6, GAP_M), hands(np.zeros(3))) == ""
+    return [found.take(GAP_M + change_m, hands(SHIFT_M)) for _ in range(syncs)]
+
+
+def test_sensors_that_follow_the_hands_are_believed_wherever_these_are():
+    noise = 2e-5 * np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+    assert answers(-BEAM @ SHIFT_M + noise, 9) == [""] * 9
+
+
+@pytest.mark.parametrize(("one", "other"), [(0, 3), (2, 5), (3, 5)])
+def test_two_sensors_that_are_swapped_are_named(one, other):
+    change = -BEAM @ SHIFT_M
+    change[[one, other]] = change[[other, one]]
+    number = (1, 2, 3, 4, 5, 8)
+    said = answers(change)
+    assert said[:-1] == [""] * UNLIKE_SYNCS
+    assert f"sensors {number[one]} and {number[other]} are swapped" in said[-1]
+
+
+@pytest.mark.parametrize(("factor", "moved"), [(0.0, "0.00"), (-1.0, "-1.00")])
+def test_a_sensor_that_stands_still_or_goes_the_wrong_way_is_named(factor, moved):
+    change = -BEAM @ SHIFT_M
+    change[1] *= factor
+    why = answers(change)[-1]
+    assert f"sensor 2 moved by {moved} mm where the hands' own motion asks for 1.00 mm" in why
+
+
+def test_one_odd_sync_and_none_at_all_say_nothing():
+    found = check()
+    for _ in range(3):
+        assert found.take(None, hands(np.zeros(3))) == ""
+    found.take(np.full(6, GAP_M), hands(np.zeros(3)))
+    for _ in range(4):
+        for change in [np.full(6, 1e-3)] * UNLIKE_SYNCS + [-BEAM @ SHIFT_M]:
+            assert found.take(GAP_M + change, hands(SHIFT_M)) == ""
