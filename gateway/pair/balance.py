@@ -27,8 +27,9 @@ USUAL_N, USUAL_N_S_M, LEVER_M = 40.0, 320.0, 0.2
 TURNING_SHARE, EITHER_SHARE = 0.05, 1.0 / math.sqrt(3.0)
 #: What a torque sample may be off, as a share of the largest torque of the axis: noise, vibration of the gear.
 SAMPLE_SHARE = 0.003
-#: Share of a sample's variance that is left of a mean: neighbours are alike.
-LEAST_WORTH = 0.3
+#: What no mean of neighbours makes less, the same share by the square of the speed of the hand [s^2/m^2]: what no model
+#: follows then (vibration of the gears, drives that filter unlike each other).
+UNFOLLOWED_S2_M2 = 0.0025
 
 
 class ForceBalance:
@@ -70,9 +71,11 @@ class ForceBalance:
         motions = tuple((arm.q_rad, arm.speed_rad_s, arm.acceleration_rad_s2) for arm in arms)
         self.columns: DoubtColumns = columns_of((arms[0].arm, arms[1].arm), motions, dt_s, np.concatenate(part, axis=1))
         hand = np.einsum("nij,nj->ni", arms[0].jacobian[:, :3], arms[0].speed_rad_s)
-        usual = USUAL_N + USUAL_N_S_M * np.linalg.norm(hand, axis=1)
+        speed = np.linalg.norm(hand, axis=1)
+        usual = USUAL_N + USUAL_N_S_M * speed
         self._usual = (usual[:, None] * np.repeat([1.0, LEVER_M], 3))[..., None] ** -2.0 * np.eye(6)
-        self._sample_nm = SAMPLE_SHARE * np.concatenate([arm.arm.torque_limit_nm for arm in arms])
+        limit_nm = np.concatenate([arm.arm.torque_limit_nm for arm in arms])
+        self._sample_nm, self._unfollowed_nm = SAMPLE_SHARE * limit_nm, UNFOLLOWED_S2_M2 * np.outer(speed**2, limit_nm)
         self._coulomb_nm = np.concatenate([arm.arm.coulomb_nm for arm in arms])
         nominal = np.hstack([arm.speed_rad_s for arm in arms]), np.hstack([arm.acceleration_rad_s2 for arm in arms])
         self._nominal = self.columns.of(np.sign(nominal[0]), *nominal)
@@ -144,7 +147,7 @@ class ForceBalance:
         columns = uniform_filter1d(columns, size, axis=0, mode="nearest")
         hidden = uniform_filter1d(self._hidden(turned), size, axis=0, mode="nearest")
         unsure = columns @ self.doubts.covariance @ np.swapaxes(columns, 1, 2)
-        own = hidden**2 + self._sample_nm**2 * max(1.0 / size, LEAST_WORTH)
+        own = hidden**2 + self._sample_nm**2 / size + self._unfollowed_nm**2
         weight = np.linalg.inv(unsure + own[:, :, None] * np.eye(12))
         told = np.swapaxes(self._force, 1, 2) @ weight
         covariance = np.linalg.inv(told @ self._force + self._usual)
