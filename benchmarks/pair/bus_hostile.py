@@ -26,8 +26,8 @@ SPEED = 1.5
 CYCLES = 3
 #: How far the part slips or is gripped beside where it was taught [m], and in what time it slips [s].
 BESIDE_M, SLIP_S = 2e-3, 0.02
-#: Where on the way the part slips, share of its time.
-SLIP_AT = 0.4
+#: Where on the way the part slips, share of its time, and how long the arms take to begin it [s].
+SLIP_AT, BEGINS_S = 0.4, 1.6
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,12 +60,12 @@ def _soften(rig: PairRig) -> None:
 
 def _slips(rig: PairRig, run: PairRun) -> PairRun:
     """The part slips in the grip of arm 2, along itself, in the middle of the next way."""
-    part, ticks = rig.world.part, round(SLIP_S / 1e-3)
-    begin_s = rig.world.time_s + 1.6 + SLIP_AT * len(run.path) * run.path.dt_s
+    part = rig.world.part
+    begin_s = rig.world.time_s + BEGINS_S + SLIP_AT * len(run.path) * run.path.dt_s
     before = part.grasp.copy()
 
     def slip(time_s: float) -> None:
-        share = float(np.clip((time_s - begin_s) / (ticks * 1e-3), 0.0, 1.0))
+        share = float(np.clip((time_s - begin_s) / SLIP_S, 0.0, 1.0))
         part.grasp = before.copy()
         part.grasp[0, 3] += share * BESIDE_M
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -124,12 +125,13 @@ class SensorCheck:
 
     def _named(self, moved: Floats, expected: Floats) -> str:
         number = [one.subindex for one in self._layout.config.channel]
-        count = len(moved)
-        swaps = [(i, j) for i in range(count) for j in range(i)]
-        rests = [float(np.linalg.norm(_exchanged(moved, swap) - expected)) for swap in swaps]
-        best = int(np.argmin(rests))
-        if rests[best] < EXPLAINED * np.linalg.norm(moved - expected):
-            one, other = sorted(number[i] for i in swaps[best])
+        rests = {
+            swap: float(np.linalg.norm(_exchanged(moved, swap) - expected))
+            for swap in itertools.combinations(range(len(moved)), 2)
+        }
+        best = min(rests, key=lambda swap: rests[swap], default=None)
+        if best is not None and rests[best] < EXPLAINED * np.linalg.norm(moved - expected):
+            one, other = (number[i] for i in best)
             why = f"sensors {one} and {other} are swapped: each moves as the other one should; exchange their channels"
         else:
             worst = int(np.argmax(np.abs(moved - expected)))

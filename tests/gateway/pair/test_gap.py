@@ -18,9 +18,9 @@ GAP_M = 0.02
 SHIFT_M = np.array([0.4e-3, 0.0, -1.0e-3])
 
 
-def check() -> SensorCheck:
-    sensors = DistanceSensors(ORIGIN, BEAM, ORIGIN + GAP_M * BEAM, -BEAM)
-    channels = tuple(SimpleNamespace(subindex=number) for number in (1, 2, 3, 4, 5, 8))
+def check(count: int = 6) -> SensorCheck:
+    sensors = DistanceSensors(*(each[:count] for each in (ORIGIN, BEAM, ORIGIN + GAP_M * BEAM, -BEAM)))
+    channels = tuple(SimpleNamespace(subindex=number) for number in (1, 2, 3, 4, 5, 8)[:count])
     layout = SimpleNamespace(config=SimpleNamespace(channel=channels), estimator=SimpleNamespace(sensors=sensors))
     return SensorCheck(layout)  # type: ignore[arg-type]
 
@@ -60,6 +60,13 @@ def test_a_sensor_that_stands_still_or_goes_the_wrong_way_is_named(factor, moved
     change[1] *= factor
     why = answers(change)[-1]
     assert f"sensor 2 moved by {moved} mm where the hands' own motion asks for 1.00 mm" in why
+
+
+def test_a_sensor_that_is_alone_cannot_be_swapped():
+    found = check(1)
+    found.take(np.array([GAP_M]), hands(np.zeros(3)))
+    said = [found.take(np.array([GAP_M]), hands(SHIFT_M)) for _ in range(UNLIKE_SYNCS + 1)]
+    assert "sensor 1 moved by 0.00 mm" in said[-1]
 
 
 def test_one_odd_sync_and_none_at_all_say_nothing():
