@@ -15,8 +15,6 @@ from gateway.pair.transform import Floats, inverse
 
 #: By how much sensors may be off what the hands' motion asks for: share of it, and at least [m]; for so many SYNCs.
 UNLIKE, LEAST_MOVED_M, UNLIKE_SYNCS = 0.3, 1.5e-4, 2
-#: Share of what does not fit that is left once two sensors are exchanged, if they were swapped.
-EXPLAINED = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,11 +128,11 @@ class SensorCheck:
             for swap in itertools.combinations(range(len(moved)), 2)
         }
         best = min(rests, key=lambda swap: rests[swap], default=None)
-        if best is not None and rests[best] < EXPLAINED * np.linalg.norm(moved - expected):
+        worst = int(np.argmax(np.abs(moved - expected)))
+        if best is not None and rests[best] < float(np.linalg.norm(np.delete(moved - expected, worst))):
             one, other = (number[i] for i in best)
             why = f"sensors {one} and {other} are swapped: each moves as the other one should; exchange their channels"
         else:
-            worst = int(np.argmax(np.abs(moved - expected)))
             why = (
                 f"sensor {number[worst]} moved by {1e3 * moved[worst]:.2f} mm where the hands' own motion asks for"
                 f" {1e3 * expected[worst]:.2f} mm: check its place, direction and wiring"
