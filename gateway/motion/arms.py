@@ -29,6 +29,9 @@ Result = TypeVar("Result")
 
 #: Until the first common SYNC by the clock [s].
 _START_S: Final = 0.02
+#: In lockstep, between two SYNCs of an arm that waits for another one to be ready [s]: nothing else paces it, and where
+#: both are on one plant the other one's drives, which count its time, would give up their master.
+_PAUSE_S: Final = 0.01
 #: Skews that are kept for the quantiles.
 _KEPT: Final = 100_000
 
@@ -108,6 +111,8 @@ class Arms:
                     held = arm.hold()
                     # set points begin at what is returned: a drive that left one SYNC unanswered stands nowhere in it
                     sample = held if held.complete else sample
+                    if not self.real:
+                        failed.wait(_PAUSE_S)
             except BaseException:
                 failed.set()
                 raise

@@ -113,6 +113,26 @@ def test_an_arm_that_is_ready_holds_until_the_other_one_is(pair, drives):
     assert drives[0].sync_index > 5
 
 
+def test_an_arm_that_waits_for_another_one_does_not_run_away_with_the_time(drives):
+    """In lockstep every SYNC is a step of simulated time: it may not pass much faster than it really does."""
+    pair = Arms([Arm(name, each, each.axes) for name, each in zip("ab", drives, strict=True)], "lockstep")
+    held, plain, slow = [], drives[0].hold, drives[1].enable
+
+    def hold():
+        held.append(time.monotonic())
+        return plain()
+
+    def enable(stop_asked):
+        time.sleep(0.2)
+        return slow(stop_asked)
+
+    drives[0].hold, drives[1].enable = hold, enable
+    pair.enable(lambda: False)
+    pair.close()
+    assert len(held) > 1
+    assert np.diff(held).min() > 0.005
+
+
 def test_set_points_begin_where_every_joint_was_seen(pair, drives):
     """A drive of the arm that waits leaves SYNCs unanswered: its set points must not begin nowhere."""
     slow = threading.Event()
