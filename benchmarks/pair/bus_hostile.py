@@ -39,14 +39,12 @@ class Trouble:
     name : of its row
     before : done to the rig before the part is gripped
     held : done to the rig and a run that has gone once, the part still held
-    goes_on : the pair shall carry on; otherwise it shall stop and say why
-    word : what the reason has to name
+    word : what the reason of the stop has to name; "" = the pair shall carry on
     """
 
     name: str
     before: Callable[[PairRig], None] | None = None
     held: Callable[[PairRig, PairRun], PairRun] | None = None
-    goes_on: bool = True
     word: str = ""
 
 
@@ -88,8 +86,8 @@ TROUBLES = (
     Trouble("friction of another day, 20 % less", lambda rig: _rub(rig, (0.8, 0.8), (0.8, 0.8))),
     Trouble("arm 1 warm, arm 2 cold", lambda rig: _rub(rig, (0.9, 1.1), (0.6, 1.4))),
     Trouble("part of half the stated stiffness", _soften),
-    Trouble("part slips by 2 mm in 20 ms", held=_slips, goes_on=False, word="slipped"),
-    Trouble("grasp wrong by 2 mm", held=_beside, goes_on=False, word="grasp"),
+    Trouble("part slips by 2 mm in 20 ms", held=_slips, word="slipped"),
+    Trouble("grasp wrong by 2 mm", held=_beside, word="grasp"),
 )
 
 
@@ -127,7 +125,7 @@ def _row(seed: int, trouble: Trouble, why: str, force_n: float) -> Row:
         "seed": seed,
         "speed": SPEED,
         "trouble": trouble.name,
-        "goes_on": trouble.goes_on,
+        "goes_on": not trouble.word,
         "force_n": force_n,
         "stopped": bool(why),
         "named": bool(trouble.word) and trouble.word in why,
@@ -137,7 +135,7 @@ def _row(seed: int, trouble: Trouble, why: str, force_n: float) -> Row:
 
 def _swapped(seed: int) -> Row:
     """Two sensors of the gap are connected the wrong way round; how far any gap goes off [m]."""
-    trouble = Trouble("two distance sensors swapped", goes_on=False, word="swapped")
+    trouble = Trouble("two distance sensors swapped", word="swapped")
     with gap_rig(seed) as rig:
         plain = rig.device.measure
 

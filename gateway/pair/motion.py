@@ -36,7 +36,7 @@ from gateway.pair.passage import Commander, Pair, Passage, Streamed
 from gateway.pair.path import PairPath
 from gateway.pair.relation import relation
 from gateway.pair.transform import Floats, inverse
-from gateway.pair.ways import Along, Settling, WatchedWay
+from gateway.pair.ways import Along, Settling, Watch, WatchedWay, smooth
 
 #: How far an arm may stand from where the part is gripped when a run begins [rad].
 START_TOLERANCE_RAD = 0.02
@@ -220,7 +220,7 @@ class PairMotion:
         time_s = count * self.dt_s
         motions = [
             Motion(
-                at + share * share * (3.0 - 2.0 * share) * (to - at),
+                at + smooth(share) * (to - at),
                 6.0 * share * (1.0 - share) * (to - at) / time_s,
                 (6.0 - 12.0 * share) * (to - at) / time_s**2,
                 self.dt_s,
@@ -230,7 +230,7 @@ class PairMotion:
         self.stream.drive(WatchedWay(self, began, motions, watch), "approach")
         self.stand(round(dwell_s / self.dt_s), listen=watch)
 
-    def _asking(self, look: Callable[[Samples], str]) -> Callable[[Samples], None]:
+    def _asking(self, look: Callable[[Samples], str]) -> Watch:
         """Has both arms stopped once `look`, which takes in every SYNC, says why."""
         asked = False
 

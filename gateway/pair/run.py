@@ -23,7 +23,7 @@ from gateway.pair.passage import Commander, Passage, Streamed
 from gateway.pair.path import PairPath
 from gateway.pair.relation import slave_command
 from gateway.pair.transform import Floats
-from gateway.pair.ways import smooth_many
+from gateway.pair.ways import smooth
 from gateway.result.pair import CycleSummary
 
 #: Standing at the start until servos have crept to where they were told, through their friction [s].
@@ -166,17 +166,17 @@ class PairRun:
         relation = self.controller.function.at(float(self.path.s_m[0]))
         return command, slave_command(first.world_from_base, command, second.world_from_base, relation)
 
-    def back(self) -> None:
-        """The same way back, which learns for itself: servos and gears answer otherwise than on the way forward."""
+    def back(self) -> bool:
+        """The same way back, which learns for itself: servos and gears answer otherwise; whether it has learned."""
         controller, begun = self.motion.prepare(self._returning)
         streamed = self.motion.run(self._home, controller.step, fade=begun is None)
-        self.motion.prepare(lambda: controller.end_cycle(streamed.complete, streamed.inside))
+        return self.motion.prepare(lambda: controller.end_cycle(streamed.complete, streamed.inside)).learned
 
     def _begun(self, controller: PairController) -> Floats:
         """Corrections (n, 6) that take the slave from where it stands into the function."""
         away = controller.beside(self._cell.arms[1].chain.poses(self.motion.q_rad[1][None])[0][0])
         count = round(FADE_S / self.motion.dt_s)
-        return (1.0 - smooth_many(np.arange(1, count + 1) / count))[:, None] * away
+        return (1.0 - smooth(np.arange(1, count + 1) / count))[:, None] * away
 
     def _returning(self) -> tuple[PairController, Floats | None]:
         """Controller of the way back, its cycle begun, and by what; None where only set points are faded over.

@@ -235,8 +235,8 @@ def run_pair(
                 cycles.append(run.cycle())
                 run.motion.prepare(lambda: _keep(store, run, cycles))
                 guarded(told, moves.desk)(cycles[-1])
-                run.back()
-                run.motion.prepare(lambda: _keep_back(store, run, cycles))
+                if run.back():
+                    run.motion.prepare(lambda: _keep_back(store, run, cycles))
     except BaseException:
         if cycles:
             kept()

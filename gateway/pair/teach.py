@@ -22,7 +22,7 @@ from gateway.pair.path import PairPath
 from gateway.pair.relation import relation, slave_command
 from gateway.pair.sweep import LEVER_M, liveliest_twist, swept
 from gateway.pair.transform import Floats, apply_correction
-from gateway.pair.ways import smooth_many
+from gateway.pair.ways import smooth
 from gateway.result.pair import TaughtPoint
 
 #: Largest change of a correction in one step [m], [rad].
@@ -210,7 +210,7 @@ class Teacher:
         function = lesson.function(self._motion.cell.nominal_relation)
         length = abs(to_m - self._way_m)
         count = max(10, round(max(0.5, length / self._rule.way_m_s) / self._motion.dt_s))
-        share = smooth_many(np.arange(1, count + 1) / count)
+        share = smooth(np.arange(1, count + 1) / count)
         ways_m = self._way_m + share * (to_m - self._way_m)
         way = self._motion.prepare(lambda: self._passage(commands_at(self._path, ways_m), ways_m))
         plain = self._commands(way, function)

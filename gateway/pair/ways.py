@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -29,6 +29,7 @@ HAIR = 1e-9
 #: become later: ramps that end one by one squeeze the part by hundreds of newtons, the slowing down itself by less.
 RISING_SYNCS, RISING = 3, 2.5
 
+Share = TypeVar("Share", float, Floats)
 #: Takes in every SYNC beside the way itself.
 Watch = Callable[[tuple[ArmSample, ...]], None]
 
@@ -216,11 +217,6 @@ class Settling:
             self._watch(samples)
 
 
-def smooth(share: float) -> float:
-    """From 0 to 1, at rest at both ends."""
-    return share * share * (3.0 - 2.0 * share)
-
-
-def smooth_many(share: Floats) -> Floats:
-    """As `smooth`, for shares (n,)."""
+def smooth(share: Share) -> Share:
+    """From 0 to 1, at rest at both ends; a share or many."""
     return share * share * (3.0 - 2.0 * share)

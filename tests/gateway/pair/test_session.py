@@ -200,6 +200,10 @@ def test_a_run_goes_back_by_what_the_run_before_has_learned_of_the_way_back(pair
     monkeypatch.setattr("gateway.pair.session.PairRun", lambda *given: (begun.append(given[5]), PairRun(*given))[1])
     run(pair, store, "C2c")
     assert begun[0].knots == pytest.approx(transform_of(kept).knots)
+    store.freeze(True)
+    before = (store.folder / "back.json").stat().st_mtime_ns
+    run(pair, store, "C2c")
+    assert (store.folder / "back.json").stat().st_mtime_ns == before
     assert function_back(store, embodiment_of(pair.cell, "C8")) is None
     assert function_back(store, embodiment_of(pair.cell, "B")) is None
 
