@@ -30,6 +30,9 @@ SAMPLE_SHARE = 0.003
 #: What no mean of neighbours makes less, the same share by the square of the speed of the hand [s^2/m^2]: what no model
 #: follows then (vibration of the gears, drives that filter unlike each other).
 UNFOLLOWED_S2_M2 = 0.0025
+#: Hands do not yield to what joints that have not turned yet may feign of a force, so many standard deviations of it:
+#: where nothing is between them they would squeeze the part by what they yield.
+DOUBT_STD = 2.0
 
 
 class ForceBalance:
@@ -106,18 +109,33 @@ class ForceBalance:
         torque, turned, speed, acceleration = both
         left = torque - self._share[at] - self.columns.torque(at, self._value, turned, speed, acceleration)
         own = self._hidden(turned) ** 2 + self._sample_nm**2
-        fresh, self.covariance = self._solved(at, left, self._unsure[at] + np.diag(own))
-        self.wrench = fresh if self.wrench is None else self.wrench + self._low_pass * (fresh - self.wrench)
+        fresh, self.covariance, gain = self._solved(at, left, self._unsure[at] + np.diag(own))
+        feigned = (gain * self._open(turned) ** 2) @ gain.T
+        if self.wrench is None:
+            self.wrench, self._feigned = fresh, feigned
+            return
+        self.wrench = self.wrench + self._low_pass * (fresh - self.wrench)
+        self._feigned = self._feigned + self._low_pass * (feigned - self._feigned)
 
     def inputs(self, m: int) -> tuple[Floats, Floats] | None:
-        """Wrenches (6,) on both fingertips, base axes [N, Nm], that hold this force and the part; None before any."""
+        """Wrenches (6,) on both fingertips, base axes [N, Nm], that hold the part and the force beyond doubt."""
         if self.wrench is None:
             return None
-        maps = self._maps
+        maps, sure = self._maps, self._beyond_doubt(self.wrench)
         return (
-            maps.from_centre[0][m] @ (maps.share[0][m] - self.wrench),
-            maps.from_centre[1][m] @ (maps.share[1][m] + self.wrench),
+            maps.from_centre[0][m] @ (maps.share[0][m] - sure),
+            maps.from_centre[1][m] @ (maps.share[1][m] + sure),
         )
+
+    def _beyond_doubt(self, wrench: Floats) -> Floats:
+        """Force and moment (6,), each less what joints that have not turned yet may feign of it."""
+        sure = wrench.copy()
+        for part in (slice(0, 3), slice(3, 6)):
+            size = float(np.linalg.norm(wrench[part]))
+            along = wrench[part] / size if size > 0.0 else wrench[part]
+            std = math.sqrt(along @ self._feigned[part, part] @ along)
+            sure[part] = max(0.0, size - DOUBT_STD * std) * along
+        return sure
 
     def mean_to_and_fro(self) -> Floats:
         """Wrench (6,) of the mean torque of a way that goes to and fro, so that friction cancels."""
@@ -156,15 +174,19 @@ class ForceBalance:
 
     def _hidden(self, turned: Floats) -> Floats:
         """Torque (..., 12) by which dry friction may be off [Nm], standard deviation."""
-        open_ = EITHER_SHARE**2 * (1.0 - turned**2)
-        return self._coulomb_nm * np.sqrt(TURNING_SHARE**2 + open_)
+        return np.hypot(TURNING_SHARE * self._coulomb_nm, self._open(turned))
 
-    def _solved(self, at: int, left: Floats, unsure: Floats) -> tuple[Floats, Floats]:
-        """Wrench (6,) and its covariance from torques (12,) that are off by `unsure` (12, 12)."""
+    def _open(self, turned: Floats) -> Floats:
+        """The same for friction that may still act either way, as a joint has not turned yet or just turned round."""
+        return EITHER_SHARE * self._coulomb_nm * np.sqrt(1.0 - turned**2)
+
+    def _solved(self, at: int, left: Floats, unsure: Floats) -> tuple[Floats, Floats, Floats]:
+        """Wrench (6,), its covariance, wrench per torque (6, 12), from torques (12,) off by `unsure` (12, 12)."""
         force = self._force[at]
         told = np.linalg.solve(unsure, force).T
         covariance = np.linalg.inv(told @ force + self._usual[at])
-        return covariance @ (told @ left), covariance
+        gain = covariance @ told
+        return gain @ left, covariance, gain
 
 
 def _filled(values: Floats) -> Floats:

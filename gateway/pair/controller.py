@@ -219,13 +219,13 @@ class PairController:
         whole = complete and bool(self._visited.all())
         reason = self._reason(complete)
         learned = Learned(False, len(self._function))
+        force = self._force if inside is None else inside.wrench
         if not reason and self._learner is not None:
-            force = self._force if inside is None else inside.wrench
             cycle = Cycle(
                 self._master_base, self._slave_base, self._to_learn(), force, self._left(inside), self._trust(inside)
             )
             learned = self._learner.learn(cycle)
-        size = np.linalg.norm((self._force if inside is None else inside.wrench)[:, :3], axis=1)
+        size = np.linalg.norm(force[:, :3], axis=1)
         known = bool(size.any()) and not self._distance
         correction = np.linalg.norm(self._corrections[:, 1].reshape(-1, 2, 3), axis=2).max(axis=0)
         return CycleSummary(
@@ -236,7 +236,7 @@ class PairController:
             function="first" if self._function is self._first else "second",
             knots=len(self._function),
             force_n=float(size.max()) if known else float("nan"),
-            moment_nm=float(np.linalg.norm(self._force[:, 3:], axis=1).max()) if known else float("nan"),
+            moment_nm=float(np.linalg.norm(force[:, 3:], axis=1).max()) if known else float("nan"),
             at_command=int(np.argmax(size)) if known else -1,
             correction_m=float(correction[0]),
             correction_rad=float(correction[1]),

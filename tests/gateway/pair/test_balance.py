@@ -160,6 +160,46 @@ def test_a_joint_that_has_not_turned_yet_is_hardly_listened_to(bench):
     assert std_n[1] > std_n[0]
 
 
+def standing(bench: Bench, extra_nm: np.ndarray, turned: float) -> np.ndarray:
+    """Force (3,) that the hands are told of after twelve SYNCs at the start, with torques (12,) beside the part's."""
+    seen = [
+        Shown(nm, np.full(6, turned), np.zeros(6), np.zeros(6))
+        for nm in np.split(bench.balance._share[0] + extra_nm, 2)
+    ]
+    bench.balance.begin(Doubts())
+    for _ in range(12):
+        bench.balance.take(0, (seen[0], seen[1]), None)
+    return bench.balance._maps.internal(0, *bench.balance.inputs(0))[:3]
+
+
+def test_hands_do_not_yield_to_what_friction_at_rest_may_be(bench):
+    """Half of each joint's friction, to either side, feigns 10 N and more; the same torques count once joints turn."""
+    random = np.random.default_rng(5)
+    coulomb_nm = np.concatenate([arm.coulomb_nm for arm in bench.cell.arms])
+    draws = [0.5 * coulomb_nm * random.choice([-1.0, 1.0], 12) for _ in range(20)]
+    feigned = []
+    for extra in draws:
+        yielded = np.linalg.norm(standing(bench, extra, 0.0))
+        feigned.append(np.linalg.norm(bench.balance.wrench[:3]))
+        assert yielded <= 0.5 * feigned[-1]
+    assert np.median(feigned) > 10.0
+    turning = [np.linalg.norm(standing(bench, extra, 1.0)) for extra in draws]
+    assert np.median(turning) > 10.0
+
+
+def test_hands_yield_to_a_force_at_rest_that_no_friction_explains(bench):
+    """150 N along the bar, by the work that it does on turned joints, with half of every joint's friction beside."""
+    pull = pulled(bench, (150.0, 0.0, 0.0))
+    centre = bench.centre()
+    torque = []
+    for arm, sign in ((0, -1.0), (1, 1.0)):
+        lever = centre - bench.tips(arm, np.zeros(6))[:, :3, 3]
+        torque.append(bench.virtual_work_nm(arm, sign * pull, np.cross(lever, sign * pull))[0])
+    coulomb_nm = np.concatenate([arm.coulomb_nm for arm in bench.cell.arms])
+    force = standing(bench, np.concatenate(torque) + 0.5 * coulomb_nm, 0.0)
+    assert 75.0 < force[0] < 150.0
+
+
 def test_a_sync_of_which_one_arm_tells_nothing_leaves_the_force_as_it_is(bench):
     still = np.zeros(6)
     bench.balance.begin(Doubts())
