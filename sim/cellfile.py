@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from sim.dh import chain_of_rows
 from sim.plant import Payload
-from sim.urdf import SimChain, UrdfError, read_chain
+from sim.urdf import SimChain, UrdfError, read_chain, rotation_rpy
 
 Array = NDArray[np.float64]
 Table = Mapping[str, Any]
@@ -73,6 +73,7 @@ class ArmSpec:
     """One arm: its chain, its axes, and how it stands in gravity.
 
     `start_rad` is where an arm of a pair grips the part; `assumed_links` says that nobody stated masses and shapes.
+    `base` (4, 4) is the base in the world, `flange` and `fingertip` (4, 4) are both in the frame of the last link [m].
     """
 
     name: str
@@ -83,6 +84,9 @@ class ArmSpec:
     axes: tuple[AxisSpec, ...]
     start_rad: tuple[float, ...] | None = None
     assumed_links: bool = False
+    base: Array = field(default_factory=lambda: np.eye(4))
+    flange: Array = field(default_factory=lambda: np.eye(4))
+    fingertip: Array = field(default_factory=lambda: np.eye(4))
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,6 +192,7 @@ def _arm(entry: Table, path: Path) -> ArmSpec:
         raise CellFileError(
             f"{path}: arm '{name}' has {axes} [[arm.axis]] tables, its robot {len(chain.axis)} joints; give one each."
         )
+    flange = _pose(entry, "flange")
     return ArmSpec(
         name=name,
         bus=str(entry["bus"]),
@@ -197,7 +202,17 @@ def _arm(entry: Table, path: Path) -> ArmSpec:
         axes=tuple(_axis(axis, path) for axis in entry["axis"]),
         start_rad=tuple(float(value) for value in entry["start_rad"]) if "start_rad" in entry else None,
         assumed_links="robot" not in entry,
+        base=_pose(entry, "base"),
+        flange=flange,
+        fingertip=flange @ _pose(entry, "tool"),
     )
+
+
+def _pose(entry: Table, name: str) -> Array:
+    pose = np.eye(4)
+    pose[:3, :3] = rotation_rpy([float(value) for value in entry.get(f"{name}_rpy_rad", (0.0, 0.0, 0.0))])
+    pose[:3, 3] = [float(value) for value in entry.get(f"{name}_xyz_m", (0.0, 0.0, 0.0))]
+    return pose
 
 
 def _chain(entry: Table, name: str, path: Path) -> SimChain:

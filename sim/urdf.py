@@ -128,7 +128,7 @@ def _chain(robot: ElementTree.Element, where: str) -> SimChain:
     while stack:
         name, frame, carrier = stack.pop()
         if carrier >= 0:
-            bodies[carrier] = _merged(bodies[carrier], _moved(_inertial(links[name]), frame))
+            bodies[carrier] = _merged(bodies[carrier], moved(_inertial(links[name]), frame))
         for joint in by_parent.get(name, []):
             placed = frame @ _origin(joint)
             if joint.attrib["type"] == "fixed":
@@ -210,10 +210,11 @@ def _inertial(link: ElementTree.Element) -> SimBody | None:
     own = SimBody(
         float(mass.attrib["value"]), np.zeros(3), np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], dtype=float)
     )
-    return _moved(own, _origin(inertial))
+    return moved(own, _origin(inertial))
 
 
-def _moved(body: SimBody | None, frame: Array) -> SimBody | None:
+def moved(body: SimBody | None, frame: Array) -> SimBody | None:
+    """The same body, given in the frame (4, 4), in that frame's parent."""
     if body is None:
         return None
     rotation = frame[:3, :3]

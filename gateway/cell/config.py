@@ -460,8 +460,8 @@ class Cell(Strict):
                     yield ("arm", number, "axis", joint, "node_id"), what
 
 
-#: Two arms that carry one part are led by the inverse of a hand's six directions.
-PAIR_AXES = 6
+#: A hand that is led in all its directions needs as many axes as there are.
+FEWEST_PAIR_AXES = 6
 
 
 def _check_pair(pair: PairConfig, cell: Cell) -> None:
@@ -472,10 +472,10 @@ def _check_pair(pair: PairConfig, cell: Cell) -> None:
             raise ValueError(f"pair: {role} = '{name}' is no arm of this cell; it has {', '.join(arms)}")
         if arms[name].start_rad is None:
             raise ValueError(f"arm '{name}' is the {role} of a pair and needs start_rad")
-        if len(arms[name].axis) != PAIR_AXES:
+        if len(arms[name].axis) < FEWEST_PAIR_AXES:
             raise ValueError(
-                f"arm '{name}' is the {role} of a pair and has {len(arms[name].axis)} axes; only arms of {PAIR_AXES}"
-                " axes are led together"
+                f"arm '{name}' is the {role} of a pair and has {len(arms[name].axis)} axes; a hand that holds a part"
+                f" with another one needs an arm of at least {FEWEST_PAIR_AXES} axes"
             )
     if pair.master == pair.slave or arms[pair.master].bus == arms[pair.slave].bus:
         raise ValueError("pair: master and slave are two arms on two buses")

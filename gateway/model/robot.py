@@ -21,8 +21,6 @@ from gateway.model.urdf_elements import Pose
 from gateway.model.urdf_shapes import Shape
 
 Floats = NDArray[np.float64]
-#: Axes of the usual arm, for what is of such an arm alone; how many an arm has, it says itself.
-AXES = 6
 SHORTEST_M = 0.1
 
 

@@ -1,9 +1,9 @@
 """Force inside the part from the torques of both arms together, each joint weighed by what its friction may hide.
 
-`e = A h + C c + v`: the twelve joint torques e that free motions with the cell's constants and the part's weight do not
-need are those of the internal wrench h, of constants c that are off (`doubt`), and of what neither explains. A joint
-that turns round, or has not turned yet, rubs either way and is hardly listened to; eleven others tell the force. Where
-all stand still, the interval says so.
+`e = A h + C c + v`: the torques e of all J joints of both arms that free motions with the cell's constants and the
+part's weight do not need are those of the internal wrench h, of constants c that are off (`doubt`), and of what neither
+explains. A joint that turns round, or has not turned yet, rubs either way and is hardly listened to; the others tell
+the force. Where all stand still, the interval says so.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from gateway.pair.calibration import PathWrenches
-from gateway.pair.doubt import JOINTS, MOVING, DoubtColumns, Doubts, columns_of, part_doubts
+from gateway.pair.doubt import OF_MOTION, DoubtColumns, Doubts, columns_of, constants_of, part_doubts
 from gateway.pair.follow import ExternalTorque, Shown
 from gateway.pair.inside import AVERAGED_S, Inside
 from gateway.pair.learning import led
@@ -69,7 +69,7 @@ class ForceBalance:
             force.append(sign * at_tip)
             share.append(-np.einsum("nij,nj->ni", at_tip, weight[where]))
             part.append(-at_tip @ part_doubts(per_kg[where], maps.part_mass_kg))
-        #: Joint torque (M, 12, 6) per wrench inside the part, and of the part's weight and inertia (M, 12).
+        #: Joint torque (M, J, 6) per wrench inside the part, and of the part's weight and inertia (M, J).
         self._force, self._share = np.concatenate(force, axis=1), np.concatenate(share, axis=1)
         motions = tuple((arm.q_rad, arm.speed_rad_s, arm.acceleration_rad_s2) for arm in arms)
         self.columns: DoubtColumns = columns_of((arms[0].arm, arms[1].arm), motions, dt_s, np.concatenate(part, axis=1))
@@ -82,7 +82,7 @@ class ForceBalance:
         self._coulomb_nm = np.concatenate([arm.arm.coulomb_nm for arm in arms])
         nominal = np.hstack([arm.speed_rad_s for arm in arms]), np.hstack([arm.acceleration_rad_s2 for arm in arms])
         self._nominal = self.columns.of(np.sign(nominal[0]), *nominal)
-        self.begin(Doubts())
+        self.begin(Doubts(constants_of(len(limit_nm))))
 
     def begin(self, doubts: Doubts) -> None:
         """Forget the way before, and take the arms' constants as they are known by now."""
@@ -90,7 +90,7 @@ class ForceBalance:
         self._unsure = self._nominal @ doubts.covariance @ np.swapaxes(self._nominal, 1, 2)
         self._value = doubts.value.copy()
         self.wrench: Floats | None = None
-        self._seen = np.full((4, self.count, JOINTS), np.nan)
+        self._seen = np.full((4, *self._share.shape), np.nan)
         for arm in self._arms:
             arm.reset()
 
@@ -141,7 +141,8 @@ class ForceBalance:
         """Wrench (6,) of the mean torque of a way that goes to and fro, so that friction cancels."""
         torque, turned, speed, acceleration = np.nanmean(self._seen, axis=1)
         left = torque - self._share[0] - self.columns.torque(0, self._value, turned, speed, acceleration)
-        columns, unsure = self.columns.along[0], self.doubts.covariance[MOVING:, MOVING:]
+        beside = OF_MOTION * len(torque)
+        columns, unsure = self.columns.along[0], self.doubts.covariance[beside:, beside:]
         return self._solved(0, left, columns @ unsure @ columns.T + np.diag(self._sample_nm**2))[0]
 
     # -- a way that is over ------------------------------------------------------------------------------------------
@@ -166,14 +167,14 @@ class ForceBalance:
         hidden = uniform_filter1d(self._hidden(turned), size, axis=0, mode="nearest")
         unsure = columns @ self.doubts.covariance @ np.swapaxes(columns, 1, 2)
         own = hidden**2 + self._sample_nm**2 / size + self._unfollowed_nm**2
-        weight = np.linalg.inv(unsure + own[:, :, None] * np.eye(12))
+        weight = np.linalg.inv(unsure + own[:, :, None] * np.eye(len(self._sample_nm)))
         told = np.swapaxes(self._force, 1, 2) @ weight
         covariance = np.linalg.inv(told @ self._force + self._usual)
         wrench = np.einsum("nij,njk,nk->ni", covariance, told, left)
         return Inside(led(wrench, self.late), led(np.asarray(covariance, dtype=np.float64), self.late))
 
     def _hidden(self, turned: Floats) -> Floats:
-        """Torque (..., 12) by which dry friction may be off [Nm], standard deviation."""
+        """Torque (..., J) by which dry friction may be off [Nm], standard deviation."""
         return np.hypot(TURNING_SHARE * self._coulomb_nm, self._open(turned))
 
     def _open(self, turned: Floats) -> Floats:
@@ -181,7 +182,7 @@ class ForceBalance:
         return EITHER_SHARE * self._coulomb_nm * np.sqrt(1.0 - turned**2)
 
     def _solved(self, at: int, left: Floats, unsure: Floats) -> tuple[Floats, Floats, Floats]:
-        """Wrench (6,), its covariance, wrench per torque (6, 12), from torques (12,) off by `unsure` (12, 12)."""
+        """Wrench (6,), its covariance, wrench per torque (6, J), from torques (J,) off by `unsure` (J, J)."""
         force = self._force[at]
         told = np.linalg.solve(unsure, force).T
         covariance = np.linalg.inv(told @ force + self._usual[at])

@@ -52,8 +52,8 @@ class PairArm:
     world_from_base : array of shape (4, 4)
     part_from_tip : array of shape (4, 4)
         Fingertip in the part's frame.
-    rotor_kg_m2, coulomb_nm, viscous_nm_s_rad : arrays of shape (6,)
-    links : array of shape (60,)
+    rotor_kg_m2, coulomb_nm, viscous_nm_s_rad : arrays of shape (N,)
+    links : array of shape (10 N,)
         Inertial parameters of the links, gripper included, part not.
     known : tuple of AxisConstants
         Rotors and friction with their sources.
@@ -71,14 +71,19 @@ class PairArm:
     known: tuple[AxisConstants, ...] = ()
 
     @property
+    def axes(self) -> int:
+        """How many axes the arm has."""
+        return self.robot.axes
+
+    @property
     def torque_limit_nm(self) -> Floats:
-        """Largest torque (6,) of the axes [Nm]."""
+        """Largest torque (N,) of the axes [Nm]."""
         return np.array([axis.torque_limit_nm for axis in self.config.axis])
 
     @property
     def start_rad(self) -> Floats:
-        """Joint angles (6,) at which the part is gripped [rad]."""
-        return np.array(self.config.start_rad or (0.0,) * 6)
+        """Joint angles (N,) at which the part is gripped [rad]."""
+        return start_of(self.config)
 
     @property
     def said(self) -> tuple[str, ...]:
@@ -96,20 +101,21 @@ class PairArm:
         )
 
     def model_torque(self, q_rad: Floats, qd_rad_s: Floats, qdd_rad_s2: Floats) -> Floats:
-        """Actuator torque (n, 6) [Nm] of a free motion, rotors included, friction not."""
+        """Actuator torque (n, N) [Nm] of a free motion, rotors included, friction not."""
         rows = regressor(self.robot, q_rad, qd_rad_s, qdd_rad_s2, self.config.gravity_m_s2)
         return rows @ self.links + self.rotor_kg_m2 * qdd_rad_s2
 
     def link_torques(self, q_rad: Floats, qd_rad_s: Floats, qdd_rad_s2: Floats) -> list[Floats]:
-        """Torque (n, 6) [Nm] of each of six links alone, rotors not included."""
+        """Torque (n, N) [Nm] of each of the N links alone, rotors not included."""
         rows = regressor(self.robot, q_rad, qd_rad_s, qdd_rad_s2, self.config.gravity_m_s2)
-        return [rows[:, :, 10 * link : 10 * link + 10] @ self.links[10 * link : 10 * link + 10] for link in range(6)]
+        each = [slice(10 * link, 10 * link + 10) for link in range(self.axes)]
+        return [rows[:, :, link] @ self.links[link] for link in each]
 
     def mass_matrix(self, q_rad: Floats) -> Floats:
-        """Inertia (n, 6, 6) [kg m2] that the motors turn, rotors included."""
+        """Inertia (n, N, N) [kg m2] that the motors turn, rotors included."""
         still = np.zeros_like(q_rad)
         at_rest = self.model_torque(q_rad, still, still)
-        columns = [self.model_torque(q_rad, still, still + unit) - at_rest for unit in np.eye(6)]
+        columns = [self.model_torque(q_rad, still, still + unit) - at_rest for unit in np.eye(self.axes)]
         return np.stack(columns, axis=2)
 
 
@@ -163,7 +169,7 @@ class PairCell:
         return slave_command(first.world_from_base, path.commands, second.world_from_base, self.nominal_relation)
 
     def joints(self, path: PairPath) -> tuple[Floats, Floats]:
-        """Nominal joint angles (M, 6) of both arms along a path [rad]; refuses a singular posture."""
+        """Nominal joint angles (M, N) of each arm along a path [rad]; refuses a singular posture."""
         first, second = self.arms
         return (
             path_joint_angles(first.chain, path.commands, first.start_rad)[0],
@@ -217,6 +223,11 @@ def nominal_relation(master_grasp: Floats, slave_grasp: Floats) -> Floats:
     return relation(np.eye(4), master_grasp, np.eye(4), slave_grasp)
 
 
+def start_of(config: ArmConfig) -> Floats:
+    """Joint angles (N,) of an arm at which the part is gripped [rad]."""
+    return np.array(config.start_rad or (0.0,) * len(config.axis))
+
+
 def _pose(xyz_m: tuple[float, float, float], rpy_rad: tuple[float, float, float]) -> Floats:
     return transform(rotation_rpy(rpy_rad), xyz_m)
 
@@ -245,7 +256,7 @@ def _arm(loaded: LoadedCell, config: ArmConfig, grasp: Floats) -> PairArm:
     return PairArm(
         config,
         robot,
-        chain_of(robot),
+        chain_of(robot, start_of(config)),
         _pose(config.base_xyz_m, config.base_rpy_rad),
         grasp,
         *constants,
@@ -255,7 +266,7 @@ def _arm(loaded: LoadedCell, config: ArmConfig, grasp: Floats) -> PairArm:
 
 
 def _links(robot: Robot) -> Floats:
-    """Inertial parameters (60,) of the links about their origins, in the order of the regressor's columns."""
+    """Inertial parameters (10 N,) of the links about their origins, in the order of the regressor's columns."""
     rows = []
     for mass, com, inertia in zip(robot.mass_kg, robot.com_m, robot.inertia_kg_m2, strict=True):
         about = inertia + mass * (com @ com * np.eye(3) - np.outer(com, com))

@@ -4,7 +4,7 @@ What is stated of the chain is its stiffest direction. Across it gears give way 
 the force that was left would be several times too short there. Two cycles that were commanded differently show by how
 much: the compliance at the slave's fingertip is that of the stated stiffness and of each joint's gear,
 `S = inv(K) + sum_j c_j g_j g_j^T` with `g_j` the move of the fingertips against each other per turn of joint j, linear
-in the twelve c_j, none of which is negative.
+in the c_j of all joints, none of which is negative.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ LEVER_M = 0.25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hand:
-    """Fingertip of an arm along its path: poses (M, 4, 4) and Jacobians (M, 6, 6), base axes."""
+    """Fingertip of an arm along its path: poses (M, 4, 4) and Jacobians (M, 6, N), base axes."""
 
     poses: Floats
     jacobian: Floats
@@ -43,7 +43,7 @@ class GearChain:
 
     Attributes
     ----------
-    joints_rad_nm : array of shape (12,)
+    joints_rad_nm : array of shape (J,)
         Compliance of each joint beside the stated stiffness, as far as cycles have told it.
     """
 
@@ -57,9 +57,10 @@ class GearChain:
         self._ways = np.concatenate([one, second.jacobian], axis=2)
         self._plain = 1.0 / stiffness
         self._weight = np.repeat([1.0, LEVER_M], 3)
-        self._told, self._sum = np.zeros((12, 12)), np.zeros(12)
+        joints = self._ways.shape[2]
+        self._told, self._sum = np.zeros((joints, joints)), np.zeros(joints)
         self._last: tuple[Floats, Floats] | None = None
-        self.joints_rad_nm = np.zeros(12)
+        self.joints_rad_nm = np.zeros(joints)
 
     def move(self, wrench: Floats) -> Floats:
         """What the slave's hand has to move (M, 6) [m, rad] for wrenches (M, 6) at its fingertip, base axes."""
@@ -86,5 +87,5 @@ class GearChain:
         self._told += np.tensordot(columns, columns, ((0, 1), (0, 1)))
         self._sum += np.tensordot(columns, left, ((0, 1), (0, 1)))
         scale = 1.0 / (UNLIKE_M**2 * ALIKE_SYNCS)
-        root = np.linalg.cholesky(self._told * scale + np.eye(12) / USUAL_RAD_NM**2)
+        root = np.linalg.cholesky(self._told * scale + np.eye(len(self._sum)) / USUAL_RAD_NM**2)
         self.joints_rad_nm = nnls(root.T, np.linalg.solve(root, self._sum * scale))[0]

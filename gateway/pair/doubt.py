@@ -1,7 +1,8 @@
 """What the cell does not say exactly of two arms, and what their torques say of it while they carry a part together.
 
-Twelve torques hold six numbers of the force inside the part; the six others belong to both arms' models alone. What is
-not in balance there tells friction, rotors and links by the way, without any motion for it.
+The torques of two arms of six axes hold six numbers of the force inside the part; the six others belong to both arms'
+models alone, as do those of any axis more. What is not in balance there tells friction, rotors and links by the way,
+without any motion for it.
 """
 
 from __future__ import annotations
@@ -18,9 +19,8 @@ LATE_S = 0.002
 #: Shares of its stated value by which a constant may be off: dry friction of another day, what turns with the motor (a
 #: drive that is read at the SYNC shows less of its acceleration), links by CAD.
 COULOMB_SHARE, VISCOUS_SHARE, ROTOR_SHARE, LINK_SHARE = 0.25, 0.3, 0.15, 0.03
-#: Joints of both arms; constants whose torque follows from the measured motion, and those of the path beside them.
-JOINTS = 12
-MOVING, CONSTANTS = 3 * JOINTS, 5 * JOINTS + 4
+#: Constants of a joint whose torque follows from its measured motion, those of the path beside them, and of the part.
+OF_MOTION, OF_PATH, OF_PART = 3, 2, 4
 #: Standard deviation of a part's mass: share of it, and of one that is not stated [kg]; of where its weight acts [m].
 PART_SHARE, UNKNOWN_KG, PART_OFF_M = 0.1, 5.0, 0.03
 #: What each cycle leaves of what was told before: friction changes as arms get warm.
@@ -31,13 +31,13 @@ ALIKE_SYNCS = 10
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DoubtColumns:
-    """Torque (M, 12) [Nm] per standard deviation of what is not known exactly.
+    """Torque (M, J) [Nm] per standard deviation of what is not known exactly, of the J joints of both arms.
 
     Attributes
     ----------
-    along : array of shape (M, 12, 28)
+    along : array of shape (M, J, 2 J + 4)
         Links, delays and the part, along the nominal path.
-    coulomb_nm, viscous_nm_s_rad, rotor_kg_m2 : arrays of shape (12,)
+    coulomb_nm, viscous_nm_s_rad, rotor_kg_m2 : arrays of shape (J,)
         One standard deviation of each.
     """
 
@@ -47,23 +47,30 @@ class DoubtColumns:
     rotor_kg_m2: Floats
 
     def of(self, turned: Floats, speed_rad_s: Floats, acceleration_rad_s2: Floats) -> Floats:
-        """All columns (M, 12, K) of a motion (M, 12)."""
-        every = np.arange(JOINTS)
-        out = np.zeros((*turned.shape, CONSTANTS))
+        """All columns (M, J, K) of a motion (M, J)."""
+        joints = len(self.coulomb_nm)
+        every = np.arange(joints)
+        out = np.zeros((*turned.shape, constants_of(joints)))
         out[:, every, every] = self.coulomb_nm * turned
-        out[:, every, 12 + every] = self.viscous_nm_s_rad * speed_rad_s
-        out[:, every, 24 + every] = self.rotor_kg_m2 * acceleration_rad_s2
-        out[:, :, MOVING:] = self.along
+        out[:, every, joints + every] = self.viscous_nm_s_rad * speed_rad_s
+        out[:, every, 2 * joints + every] = self.rotor_kg_m2 * acceleration_rad_s2
+        out[:, :, OF_MOTION * joints :] = self.along
         return out
 
     def torque(self, m: int, by: Floats, turned: Floats, speed_rad_s: Floats, acceleration_rad_s2: Floats) -> Floats:
-        """Torque (12,) of the constants `by` (K,) at row m."""
+        """Torque (J,) of the constants `by` (K,) at row m."""
+        joints = len(turned)
         return (
-            self.coulomb_nm * turned * by[:12]
-            + self.viscous_nm_s_rad * speed_rad_s * by[12:24]
-            + self.rotor_kg_m2 * acceleration_rad_s2 * by[24:36]
-            + self.along[m] @ by[MOVING:]
+            self.coulomb_nm * turned * by[:joints]
+            + self.viscous_nm_s_rad * speed_rad_s * by[joints : 2 * joints]
+            + self.rotor_kg_m2 * acceleration_rad_s2 * by[2 * joints : OF_MOTION * joints]
+            + self.along[m] @ by[OF_MOTION * joints :]
         )
+
+
+def constants_of(joints: int) -> int:
+    """How many constants K two arms of J joints together and their part have."""
+    return (OF_MOTION + OF_PATH) * joints + OF_PART
 
 
 def columns_of(
@@ -74,22 +81,24 @@ def columns_of(
     Parameters
     ----------
     arms : two PairArm
-    motions : angles, speeds and accelerations (M, 6) of each
+    motions : angles, speeds and accelerations (M, N) of each
     dt_s : between rows
-    part : array of shape (M, 12, 4), columns of the part
+    part : array of shape (M, J, 4), columns of the part
     """
-    count = len(motions[0][0])
+    shape = part.shape[:2]
     along: list[Floats] = []
-    for index, (arm, motion) in enumerate(zip(arms, motions, strict=True)):
+    first = 0
+    for arm, motion in zip(arms, motions, strict=True):
         for rows in arm.link_torques(*motion):
-            column = np.zeros((count, JOINTS))
-            column[:, 6 * index : 6 * index + 6] = LINK_SHARE * rows
+            column = np.zeros(shape)
+            column[:, first : first + arm.axes] = LINK_SHARE * rows
             along.append(column)
         rate = np.gradient(arm.model_torque(*motion), dt_s, axis=0)
-        for axis in range(6):
-            column = np.zeros((count, JOINTS))
-            column[:, 6 * index + axis] = LATE_S * rate[:, axis]
+        for axis in range(arm.axes):
+            column = np.zeros(shape)
+            column[:, first + axis] = LATE_S * rate[:, axis]
             along.append(column)
+        first += arm.axes
     return DoubtColumns(
         np.concatenate([np.stack(along, axis=2), part], axis=2),
         COULOMB_SHARE * np.concatenate([arm.coulomb_nm for arm in arms]),
@@ -117,13 +126,18 @@ def part_doubts(share_per_kg: Floats, mass_kg: float) -> Floats:
 class Doubts:
     """Constants of both arms in standard deviations from what the cell says, and how well they are known.
 
+    Parameters
+    ----------
+    count : int
+        How many, K.
+
     Attributes
     ----------
     value : array of shape (K,)
     covariance : array of shape (K, K)
     """
 
-    def __init__(self, count: int = CONSTANTS) -> None:
+    def __init__(self, count: int) -> None:
         self._told, self._sum = np.zeros((count, count)), np.zeros(count)
         self.value, self.covariance = np.zeros(count), np.eye(count)
 
@@ -132,12 +146,12 @@ class Doubts:
 
         Parameters
         ----------
-        columns : array of shape (n, 12, K)
-        torque_nm : array of shape (n, 12)
+        columns : array of shape (n, J, K)
+        torque_nm : array of shape (n, J)
             External torque by the cell's constants, the part's share taken off.
-        force : array of shape (n, 12, 6)
+        force : array of shape (n, J, 6)
             Torque per wrench inside the part, which may be any.
-        std_nm : array of shape (n, 12)
+        std_nm : array of shape (n, J)
             Of what neither explains.
         """
         columns, torque_nm, force = columns / std_nm[..., None], torque_nm / std_nm, force / std_nm[..., None]

@@ -10,7 +10,7 @@ from gateway.data.sample import ArmSample
 from gateway.errors import PlanRefused
 from gateway.pair.cell import PairArm
 from gateway.pair.friction import Presliding
-from gateway.pair.inverse import SINGULAR
+from gateway.pair.inverse import SINGULAR, turns
 from gateway.pair.transform import Floats, correction_between
 
 #: SYNCs that follow each other sooner than this share of a period do not tell an acceleration.
@@ -25,22 +25,22 @@ class JointFollower:
     Parameters
     ----------
     arm : PairArm
-    q_rad : array of shape (M, 6)
+    q_rad : array of shape (M, N)
         Joint angles of the prepared path.
 
     Attributes
     ----------
-    jacobian : array of shape (M, 6, 6)
+    jacobian : array of shape (M, 6, N)
     """
 
     def __init__(self, arm: PairArm, q_rad: Floats) -> None:
         self.arm = arm
         self.q_rad = q_rad
         self.poses, self.jacobian = arm.chain.poses(q_rad)
-        self._inverse = np.linalg.inv(self.jacobian)
+        self._inverse = turns(self.jacobian, np.eye(6))
 
     def joints(self, m: int, command: Floats) -> Floats:
-        """Joint angles (6,) [rad] for a command (4, 4) near pose m of the path: two Newton steps, exact to micrometres.
+        """Joint angles (N,) [rad] for a command (4, 4) near pose m of the path: two Newton steps, exact to micrometres.
 
         Raises
         ------
@@ -60,7 +60,7 @@ class JointFollower:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shown:
-    """What one arm showed at one SYNC; arrays of shape (6,).
+    """What one arm showed at one SYNC; arrays of shape (N,).
 
     Attributes
     ----------
@@ -93,9 +93,9 @@ class ExternalTorque:
     arm : PairArm
     late : array of shape (M,)
         The command at which the arm is when command m is sent, not rounded.
-    q_rad, speed_rad_s, acceleration_rad_s2 : arrays of shape (M, 6)
+    q_rad, speed_rad_s, acceleration_rad_s2 : arrays of shape (M, N)
         Of the nominal motion, that late.
-    jacobian : array of shape (M, 6, 6)
+    jacobian : array of shape (M, 6, N)
     """
 
     def __init__(self, arm: PairArm, follower: JointFollower, dt_s: float, lag_s: float) -> None:
@@ -123,7 +123,7 @@ class ExternalTorque:
         """Forget what was seen."""
         self._last: ArmSample | None = None
         self._before: ArmSample | None = None
-        self._presliding = Presliding(6)
+        self._presliding = Presliding(self.arm.axes)
 
     def update(self, m: int, sample: ArmSample, rate: float = 1.0) -> Shown | None:
         """Take in what was measured at the SYNC of command m; what the SYNC before it showed.

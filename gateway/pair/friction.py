@@ -51,9 +51,9 @@ class FrictionOffset:
         self._targets: deque[Floats] = deque(maxlen=2 + round(lag_s / dt_s))
 
     def at(self, q_rad: Floats) -> Floats:
-        """Torque (6,) [Nm] beside the next targets (6,) [rad]; zero at rest."""
+        """Torque (N,) [Nm] beside the next targets (N,) [rad]; zero at rest."""
         self._targets.append(q_rad)
         if len(self._targets) < 2:
-            return np.zeros(6)
+            return np.zeros_like(q_rad)
         speed = (self._targets[1] - self._targets[0]) / self._dt_s
         return self._arm.coulomb_nm * np.tanh(speed / TURNING_RAD_S) + self._arm.viscous_nm_s_rad * speed

@@ -3,6 +3,9 @@
 Newton's method on `[dp; log(R_target R^T)]` with a damping that fades with the error (Levenberg-Marquardt), so that it
 converges quadratically near the solution and does not run away far from it. The branch of the solution is that of the
 seed: along a path every posture is the seed of the next one.
+
+An arm of more than six axes has many postures for one pose. It takes the one nearest to the posture it is said to rest
+in: no matter by which way it got there, so that ways that meet in a pose meet in all joints too.
 """
 
 from __future__ import annotations
@@ -13,22 +16,30 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gateway.errors import LimitExceeded, PlanRefused
-from gateway.model.robot import AXES, Robot
+from gateway.model.robot import Robot
 from gateway.pair.transform import Floats, cross_matrix, log_rotation
 
 #: Below this singular value of the Jacobian [m/rad, rad/rad] a posture counts as singular.
 SINGULAR = 0.05
+#: Of a Jacobian: three of places, three of turns.
+ROWS = 6
 ITERATIONS = 60
 TOLERANCE = 1e-10
 #: Below this error one more step lands within the tolerance, and is not looked at again.
 LAST_STEP = 1e-5
 LARGEST_STEP_RAD = 0.3
 SEED_EVERY = 10
+#: How near to the nearest posture an arm of more than six axes is brought [rad], and the least curvature of the
+#: distance that a step towards it is measured by.
+NEAREST_RAD, LEAST_CURVATURE = 1e-6, 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForwardChain:
-    """Constants of a robot's forward kinematics, prepared for one call per control cycle."""
+    """Constants of a robot's forward kinematics, prepared for one call per control cycle.
+
+    `rest_rad` (N,) is the posture that an arm of more than six axes stays near; None = near each seed.
+    """
 
     fixed: Floats
     sine: Floats
@@ -38,28 +49,34 @@ class ForwardChain:
     axis: Floats
     lower_rad: Floats
     upper_rad: Floats
+    rest_rad: Floats | None = None
+
+    @property
+    def axes(self) -> int:
+        """How many axes the arm has."""
+        return len(self.axis)
 
     def poses(self, q_rad: ArrayLike) -> tuple[Floats, Floats]:
-        """Gripper poses (n, 4, 4) in the base and geometric Jacobians (n, 6, 6) `[m; rad]` of joints (n, 6) [rad]."""
+        """Gripper poses (n, 4, 4) in the base and geometric Jacobians (n, 6, N) `[m; rad]` of joints (n, N) [rad]."""
         q = np.asarray(q_rad, dtype=float)
-        links = np.zeros((len(q), AXES, 4, 4))
+        links = np.zeros((len(q), self.axes, 4, 4))
         turn = np.sin(q)[..., None, None] * self.sine + (1.0 - np.cos(q))[..., None, None] * self.versine
         links[..., :3, :3] = self.fixed + turn
         links[..., :3, 3], links[..., 3, 3] = self.step_m, 1.0
-        for i in range(1, AXES):
+        for i in range(1, self.axes):
             links[:, i] = links[:, i - 1] @ links[:, i]
         tip = links[:, -1] @ self.tool
         axis = np.einsum("nijk,ik->nij", links[..., :3, :3], self.axis)
         arm = tip[:, None, :3, 3] - links[..., :3, 3]
-        jacobian = np.empty((len(q), 6, AXES))
+        jacobian = np.empty((len(q), 6, self.axes))
         jacobian[:, 3:] = np.swapaxes(axis, 1, 2)
         for row, (a, b) in enumerate(((1, 2), (2, 0), (0, 1))):
             jacobian[:, row] = axis[..., a] * arm[..., b] - axis[..., b] * arm[..., a]
         return tip, jacobian
 
 
-def chain_of(robot: Robot) -> ForwardChain:
-    """Constants of a robot; its gripper frame is the robot's flange (link 6 where it has none)."""
+def chain_of(robot: Robot, rest_rad: Floats | None = None) -> ForwardChain:
+    """Constants of a robot; its gripper frame is the robot's flange (the last link where it has none)."""
     fixed = robot.placement[:, :3, :3]
     cross = cross_matrix(robot.axis)
     return ForwardChain(
@@ -71,11 +88,12 @@ def chain_of(robot: Robot) -> ForwardChain:
         axis=robot.axis,
         lower_rad=robot.lower_rad,
         upper_rad=robot.upper_rad,
+        rest_rad=rest_rad,
     )
 
 
 def solve(chain: ForwardChain, targets: ArrayLike, seeds_rad: ArrayLike) -> Floats:
-    """Joint positions (n, 6) [rad] for gripper poses (n, 4, 4), each from its own seed (n, 6); limits not looked at.
+    """Joint positions (n, N) [rad] for gripper poses (n, 4, 4), each from its own seed (n, N); limits not looked at.
 
     Raises
     ------
@@ -83,19 +101,23 @@ def solve(chain: ForwardChain, targets: ArrayLike, seeds_rad: ArrayLike) -> Floa
         A pose is out of reach, or cannot be reached from its seed.
     """
     target, q = np.asarray(targets, dtype=float), np.array(seeds_rad, dtype=float)
+    rest = q.copy() if chain.rest_rad is None else chain.rest_rad
     error = np.full(len(q), np.inf)
     for _ in range(ITERATIONS):
         tip, jacobian = chain.poses(q)
         turned = log_rotation(target[:, :3, :3] @ np.swapaxes(tip[:, :3, :3], 1, 2))
         missing = np.concatenate([target[:, :3, 3] - tip[:, :3, 3], turned], axis=1)
         error = np.abs(missing).max(axis=1)
-        if error.max() < TOLERANCE:
+        swing = np.zeros_like(q) if chain.axes == ROWS else _towards(rest - q, jacobian)
+        nearest = bool(np.abs(swing).max() < NEAREST_RAD)
+        if error.max() < TOLERANCE and nearest:
             return q
         damping = (1e-3 * np.minimum(error, 1.0) ** 2)[:, None, None] * np.eye(6)
         normal = jacobian @ np.swapaxes(jacobian, 1, 2) + damping + 1e-14 * np.eye(6)
         step = (np.swapaxes(jacobian, 1, 2) @ np.linalg.solve(normal, missing[..., None]))[..., 0]
-        if error.max() < LAST_STEP:
+        if error.max() < LAST_STEP and nearest:
             return q + step
+        step = step + swing
         largest = np.abs(step).max(axis=1, keepdims=True)
         q = q + step * np.minimum(1.0, LARGEST_STEP_RAD / np.maximum(largest, 1e-300))
     worst = int(np.argmax(error))
@@ -105,13 +127,45 @@ def solve(chain: ForwardChain, targets: ArrayLike, seeds_rad: ArrayLike) -> Floa
     )
 
 
+def _towards(away_rad: Floats, jacobian: Floats) -> Floats:
+    """Step (n, N) [rad], gripper left where it is, to the posture nearest to another one that is `away` (n, N) [rad].
+
+    Newton's step of `|q - rest|^2` along the projection p of the way there on what the gripper does not see: with the
+    multipliers l of `rest - q = J^T l + p`, the distance curves by `1 + l . (dJ/dt p)/|p|^2` along it.
+    """
+    turned = np.swapaxes(jacobian, 1, 2)
+    normal = jacobian @ turned + 1e-14 * np.eye(ROWS)
+    multiplier = np.linalg.solve(normal, jacobian @ away_rad[..., None])
+    free = away_rad - (turned @ multiplier)[..., 0]
+    linear, angular = turned[..., :3] * free[..., None], turned[..., 3:] * free[..., None]
+    so_far = np.cumsum(angular, axis=1)
+    bent = np.concatenate([np.cross(2.0 * so_far - angular, linear), np.cross(so_far, angular)], axis=2).sum(axis=1)
+    size = np.sum(free**2, axis=1) + 1e-30
+    curvature = 1.0 + np.einsum("nij,ni->n", multiplier, bent) / size
+    return free / np.maximum(curvature, LEAST_CURVATURE)[:, None]
+
+
+def turns(jacobian: Floats, twists: Floats) -> Floats:
+    """Turns (..., N, k) [rad] of the joints for twists (..., 6, k) `[m; rad]` of the gripper; the least that do it.
+
+    Parameters
+    ----------
+    jacobian : array of shape (..., 6, N)
+    twists : array of shape (..., 6, k)
+    """
+    if jacobian.shape[-1] == ROWS:
+        return np.asarray(np.linalg.solve(jacobian, twists), dtype=float)
+    turned = np.swapaxes(jacobian, -1, -2)
+    return np.asarray(turned @ np.linalg.solve(jacobian @ turned, twists), dtype=float)
+
+
 def smallest_singular(chain: ForwardChain, q_rad: ArrayLike) -> Floats:
-    """Smallest singular value (n,) of the Jacobian at postures (n, 6) [rad]."""
+    """Smallest singular value (n,) of the Jacobian at postures (n, N) [rad]."""
     return np.asarray(np.linalg.svd(chain.poses(q_rad)[1], compute_uv=False)[:, -1], dtype=float)
 
 
 def joint_angles(robot: Robot | ForwardChain, target: ArrayLike, seed_rad: ArrayLike) -> Floats:
-    """Joint positions (6,) [rad] for one gripper pose (4, 4) in the base, from a seed (6,).
+    """Joint positions (N,) [rad] for one gripper pose (4, 4) in the base, from a seed (N,).
 
     Raises
     ------
@@ -127,7 +181,7 @@ def joint_angles(robot: Robot | ForwardChain, target: ArrayLike, seed_rad: Array
 
 
 def path_joint_angles(robot: Robot | ForwardChain, targets: ArrayLike, seed_rad: ArrayLike) -> tuple[Floats, Floats]:
-    """Joint positions (M, 6) [rad] along a path of gripper poses (M, 4, 4), and the smallest singular value (M,).
+    """Joint positions (M, N) [rad] along a path of gripper poses (M, 4, 4), and the smallest singular value (M,).
 
     Raises
     ------
@@ -137,19 +191,19 @@ def path_joint_angles(robot: Robot | ForwardChain, targets: ArrayLike, seed_rad:
     chain = robot if isinstance(robot, ForwardChain) else chain_of(robot)
     target = np.asarray(targets, dtype=float)
     at = np.unique(np.append(np.arange(0, len(target), SEED_EVERY), len(target) - 1))
-    coarse = np.empty((len(at), AXES))
+    coarse = np.empty((len(at), chain.axes))
     seed = np.asarray(seed_rad, dtype=float)
     for row, index in enumerate(at):
         seed = solve(chain, target[index : index + 1], seed[None])[0]
         coarse[row] = seed
     every = np.arange(len(target))
-    seeds = np.stack([np.interp(every, at, coarse[:, axis]) for axis in range(AXES)], axis=1)
+    seeds = np.stack([np.interp(every, at, coarse[:, axis]) for axis in range(chain.axes)], axis=1)
     q = solve(chain, target, seeds)
     return q, refuse_unusable(chain, q)
 
 
 def refuse_unusable(chain: ForwardChain, q_rad: Floats) -> Floats:
-    """Smallest singular value (n,) of postures (n, 6) that are all inside the limits and none singular.
+    """Smallest singular value (n,) of postures (n, N) that are all inside the limits and none singular.
 
     Raises
     ------

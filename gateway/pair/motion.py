@@ -24,7 +24,7 @@ from gateway.motion.workspace import Workspace
 from gateway.pair.balance import ForceBalance
 from gateway.pair.calibration import PairCalibration, PathWrenches
 from gateway.pair.cell import PairCell
-from gateway.pair.doubt import Doubts
+from gateway.pair.doubt import Doubts, constants_of
 from gateway.pair.felt import NEAR_RAD, Felt, FeltByDistance, FeltByForce
 from gateway.pair.follow import ExternalTorque, JointFollower
 from gateway.pair.friction import FrictionOffset
@@ -129,12 +129,12 @@ class PairMotion:
         lag_s = cell.config.servo_lag_s
         self._friction = [FrictionOffset(arm, self.dt_s, lag_s) for arm in cell.arms] if cell.gap else []
         self.samples: Samples | None = None
-        self.doubts = Doubts()
+        self.doubts = Doubts(constants_of(sum(arm.axes for arm in cell.arms)))
         self._complete = True
 
     @property
     def q_rad(self) -> Pair:
-        """Last targets (6,) of both arms."""
+        """Last targets (N,) of each arm."""
         first, second = self.stream.q_rad
         return first, second
 
@@ -150,7 +150,7 @@ class PairMotion:
         return first, second
 
     def passage(self, path: PairPath, seeds_rad: Pair) -> Passage:
-        """Prepare a way of the master that begins near joint angles (6,) of both arms.
+        """Prepare a way of the master that begins near joint angles (N,) of each arm.
 
         Raises
         ------
@@ -207,7 +207,7 @@ class PairMotion:
         self.stream.stand(rows * self.dt_s, what, hear)
 
     def approach(self, goal: Pair, dwell_s: float = DWELL_S, held: Passage | None = None) -> None:
-        """Bring both arms to joint targets (6,) slowly, at the same time, then stand still.
+        """Bring each arm to joint targets (N,) slowly, at the same time, then stand still.
 
         With `held`, the way that begins there, the force in a part that they may hold already is watched.
         """
@@ -327,7 +327,7 @@ def refuse_elsewhere(cell: PairCell, where: Sequence[Floats]) -> None:
     Parameters
     ----------
     cell : PairCell
-    where : joint positions (6,) of both arms in their brakes
+    where : joint positions (N,) of each arm in its brakes
 
     Raises
     ------
@@ -347,7 +347,7 @@ def refuse_elsewhere(cell: PairCell, where: Sequence[Floats]) -> None:
 
 
 def refuse_unreachable(name: str, workspace: Workspace, q_rad: Floats, dt_s: float) -> None:
-    """Make sure that a way (M, 6) [rad], one row per SYNC, keeps the limits of the cell, between its rows too.
+    """Make sure that a way (M, N) [rad], one row per SYNC, keeps the limits of the cell, between its rows too.
 
     The other arm and the part are no obstacles here.
 

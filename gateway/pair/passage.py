@@ -25,11 +25,11 @@ class Passage:
     ----------
     path : PairPath
         Of the master.
-    joints, followers : joint angles (M, 6) of both arms by the nominal relation, and targets near them
+    joints, followers : joint angles (M, N) of each arm by the nominal relation, and targets near them
     torques, maps, balance : what torques show, wrenches along the way, and the force inside the part from both
-    speed_rad_s, acceleration_rad_s2 : arrays of shape (M, 12)
-        Of all joints.
-    free_nm : torque (M, 6) of both arms in a free motion
+    speed_rad_s, acceleration_rad_s2 : arrays of shape (M, J), both arms' joints in one row
+        Of the nominal ways.
+    free_nm : torque (M, N) of each arm in a free motion
     """
 
     path: PairPath

@@ -29,13 +29,15 @@ class ServoLag:
         SYNC period.
     lag_s : float
         Servo lag, for what changes between the beginning of the stop and its end.
+    joints : int
+        Of both arms.
     """
 
-    def __init__(self, dt_s: float, lag_s: float) -> None:
+    def __init__(self, dt_s: float, lag_s: float, joints: int) -> None:
         self._dt_s, self._lag_s = dt_s, lag_s
         self._rate = self._full = 1.0
         self._sent: list[Floats] = []
-        self._lag_rad = self._speed_rad_s = self._back_rad = np.zeros(12)
+        self._lag_rad = self._speed_rad_s = self._back_rad = np.zeros(joints)
         self._squares, self._products = np.zeros((2, 2)), np.zeros(2)
 
     @property
@@ -50,7 +52,7 @@ class ServoLag:
         self._rate = rate
 
     def given_back(self, speed_rad_s: Floats) -> Floats:
-        """By how much (12,) [rad] the set points stay behind, where the path has speeds (12,) at full rate."""
+        """By how much (J,) [rad] the set points stay behind, where the path has speeds (J,) at full rate."""
         full = self._lag_rad + self._lag_s * self._full * (speed_rad_s - self._speed_rad_s)
         goal = (1.0 - self._rate / self._full) * full
         self._back_rad = self._back_rad + self._dt_s / (self._dt_s + self.catching_up_s) * (goal - self._back_rad)

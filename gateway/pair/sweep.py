@@ -1,7 +1,7 @@
 """The little way to and fro that takes dry friction out of what is felt at a taught point.
 
 Friction cancels over a period of those joints alone that turn both ways. Along the path a joint may all but stand,
-so the part is moved and turned as all twelve joints turn best.
+so the part is moved and turned as all joints of both arms turn best.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from itertools import product
 import numpy as np
 
 from gateway.pair.cell import PairCell
+from gateway.pair.inverse import turns
 from gateway.pair.transform import Floats, cross_matrix, exp_rotation, inverse, pose
 
 #: A turn counts as a way at this lever [m].
@@ -33,7 +34,7 @@ def liveliest_twist(cell: PairCell, command: Floats, q_rad: tuple[Floats, Floats
     cell : PairCell
     command : array of shape (4, 4)
         Of the master's gripper.
-    q_rad : two arrays of shape (6,)
+    q_rad : two arrays of shape (N,)
         Joint angles of both arms there.
 
     Returns
@@ -51,7 +52,7 @@ def liveliest_twist(cell: PairCell, command: Floats, q_rad: tuple[Floats, Floats
         to_base = np.kron(np.eye(2), arm.world_from_base[:3, :3].T)
         at_tip = np.eye(6)
         at_tip[:3, 3:] = -cross_matrix(lever)
-        rates = np.linalg.solve(jacobians[0], to_base @ at_tip @ twists.T)
+        rates = turns(jacobians[0], to_base @ at_tip @ twists.T)
         least = np.minimum(least, np.abs(rates).min(axis=0))
     best = int(np.argmax(least))
     return twists[best], float(least[best])

@@ -42,7 +42,7 @@ class MovedPair(Protocol):
 
     @property
     def q_rad(self) -> Pair:
-        """Last targets (6,) of both arms."""
+        """Last targets (N,) of each arm."""
         ...
 
     def offsets(self, q: PerArm) -> PerArm | None:
@@ -97,7 +97,7 @@ class Along:
         self._offset: Pair | None = None
         self._row, self._felt_at = -1, 0
         self._before = self._after = self._q_rad = motion.q_rad
-        self._lag = ServoLag(motion.dt_s, motion.cell.config.servo_lag_s)
+        self._lag = ServoLag(motion.dt_s, motion.cell.config.servo_lag_s, way.speed_rad_s.shape[1])
         #: SYNCs since a stop was asked for because of the force, and the largest force of the first of them.
         self._since, self._most_n = 0, 0.0
 
@@ -123,7 +123,7 @@ class Along:
         if self._lag.slower:
             speed = self._way.speed_rad_s
             back = self._lag.given_back(speed[max(row - 1, 0)] + share * (speed[row] - speed[max(row - 1, 0)]))
-            self._q_rad = (first - back[:6], second - back[6:])
+            self._q_rad = (first - back[: len(first)], second - back[len(first) :])
         return self._q_rad
 
     def _yield(self, m: int) -> None:

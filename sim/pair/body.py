@@ -17,8 +17,6 @@ from sim.urdf import SimBody, SimChain, write_chain
 
 Array = NDArray[np.float64]
 
-JOINTS = tuple(range(12))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmTruth:
@@ -27,10 +25,10 @@ class ArmTruth:
     Attributes
     ----------
     geometry : with its errors
-    bodies : six links, gripper and half the part on the last
+    bodies : N links, gripper and half the part on the last
     train : drives and gears
-    shift_rad : (6,) cell's zero offsets
-    max_rad_s : (6,) speed limit of the drives
+    shift_rad : (N,) cell's zero offsets
+    max_rad_s : (N,) speed limit of the drives
     """
 
     geometry: ArmGeometry
@@ -44,13 +42,14 @@ def chain_of(arm: ArmTruth) -> SimChain:
     """The arm in the world as joints about z: everything between two axes is in the placement of the second."""
     geometry = arm.geometry
     before, placement = geometry.base, []
-    for i in range(6):
+    axes = len(geometry.d_m)
+    for i in range(axes):
         placement.append(before @ turn("z", geometry.zero_rad[i]))
         before = np.eye(4)
         before[:3, 3] = geometry.a_m[i], 0.0, geometry.d_m[i]
         before = before @ turn("x", geometry.alpha_rad[i])
-    free = np.full(6, np.inf)
-    axis = np.tile([0.0, 0.0, 1.0], (6, 1))
+    free = np.full(axes, np.inf)
+    axis = np.tile([0.0, 0.0, 1.0], (axes, 1))
     return SimChain("arm", np.array(placement), axis, arm.bodies, -free, free, free, free)
 
 
@@ -64,9 +63,11 @@ def load_pair(arms: tuple[ArmTruth, ArmTruth], step_s: float) -> tuple[int, int]
         path.write_text(_tree([write_chain(chain_of(arm)) for arm in arms]), encoding="utf-8")
         flags = bullet.URDF_USE_INERTIA_FROM_FILE
         body = bullet.loadURDF(str(path), useFixedBase=True, flags=flags, physicsClientId=client)
-    for joint in range(-1, 12):
+    joints = range(sum(len(arm.bodies) for arm in arms))
+    for joint in (-1, *joints):
         bullet.changeDynamics(body, joint, linearDamping=0, angularDamping=0, jointDamping=0, physicsClientId=client)
-    bullet.setJointMotorControlArray(body, JOINTS, bullet.VELOCITY_CONTROL, forces=[0.0] * 12, physicsClientId=client)
+    still = [0.0] * len(joints)
+    bullet.setJointMotorControlArray(body, joints, bullet.VELOCITY_CONTROL, forces=still, physicsClientId=client)
     return client, body
 
 

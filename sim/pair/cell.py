@@ -11,11 +11,20 @@ from numpy.typing import NDArray
 
 from sim.cellfile import ArmSpec, CellFileError, CellSpec
 from sim.pair.body import ArmTruth
-from sim.pair.errors import GEAR_STIFFNESS_NM_RAD, ArmErrors, PairErrors, draw
+from sim.pair.errors import (
+    GEAR_STIFFNESS_NM_RAD,
+    RATED_TORQUE_NM,
+    ArmErrors,
+    ArmSheet,
+    PairErrors,
+    as_stated,
+    draw_of,
+)
 from sim.pair.gap import GapSensors, add_sensors
-from sim.pair.geometry import TOOL_M, bases, frames, nominal_arm, nominal_arms
+from sim.pair.geometry import ArmGeometry, translation
 from sim.pair.light import LightWorld
 from sim.pair.motors import DriveTrain
+from sim.pair.rows import Rows, rows_of
 from sim.pair.two_arms import TwoArms
 from sim.pair.unit import PairUnit
 from sim.pair.workpiece import Stiffness
@@ -28,7 +37,13 @@ Array = NDArray[np.float64]
 NOMINAL_LAG_S = 0.016
 #: Half the bar about its end, as a rod of 0.2 m.
 HALF_PART_M = 0.2
-FIT_M = 1e-6
+#: Largest torque of an axis over its rated one.
+PEAK = 3.0
+#: Gears of a catalogue: rated torque [Nm] and stiffness [Nm/rad]; below and above, as the smallest and the largest.
+GEARS = (
+    np.concatenate([[0.0], np.sort(RATED_TORQUE_NM), [10.0 * RATED_TORQUE_NM.max()]]),
+    np.concatenate([[0.0], np.sort(GEAR_STIFFNESS_NM_RAD), [10.0 * GEAR_STIFFNESS_NM_RAD.max()]]),
+)
 #: What may stand for the arms: PyBullet in small steps, or a balance of forces that keeps up with the clock.
 PLANTS: Mapping[str, type[TwoArms]] = {"bullet": PairWorld, "light": LightWorld}
 
@@ -65,13 +80,16 @@ def pair_units(cell: CellSpec, options: PairOptions) -> dict[str, PairUnit]:
     arms = (specs[names[0]], specs[names[1]])
     for arm in arms:
         _check(arm)
+    rows = (rows_of(arms[0]), rows_of(arms[1]))
+    sheets = (_sheet(arms[0], rows[0]), _sheet(arms[1], rows[1]))
     errors = options.errors
     if errors is None:
-        errors = _without_errors() if options.seed is None else draw(options.seed, bases())
+        errors = as_stated(sheets, NOMINAL_LAG_S) if options.seed is None else draw_of(options.seed, sheets)
     pair = cell.pair or {}
     part, apart = float(pair.get("part_mass_kg", 0.0)), "distance" in pair
-    shares = (_whole_part(part), None) if apart else (_half_part(0.5 * part),) * 2
-    truths = (_truth(arms[0], errors.master, shares[0]), _truth(arms[1], errors.slave, shares[1]))
+    hands = [_fingertip(one.geometry) for one in rows]
+    shares = (_whole_part(part, hands[0]), None) if apart else tuple(_half_part(0.5 * part, hand) for hand in hands)
+    truths = (_truth(arms[0], rows[0], errors.master, shares[0]), _truth(arms[1], rows[1], errors.slave, shares[1]))
     start = tuple(np.array(arm.start_rad, dtype=float) for arm in arms)
     settings = WorldSettings(
         (start[0], start[1]), skew_s=errors.skew_s, seed=1 if options.seed is None else options.seed
@@ -90,19 +108,20 @@ def pair_units(cell: CellSpec, options: PairOptions) -> dict[str, PairUnit]:
 
 
 def _check(arm: ArmSpec) -> None:
-    """The simulated pair is built from its own table of rows; the cell's URDF has to be the same arm."""
-    if arm.start_rad is None or len(arm.start_rad) != 6:
+    if arm.start_rad is None or len(arm.start_rad) != len(arm.axes):
         raise CellFileError(
-            f"arm '{arm.name}' of a pair needs start_rad: six joint angles at which the part is gripped"
+            f"arm '{arm.name}' of a pair needs start_rad: {len(arm.axes)} joint angles at which the part is gripped"
         )
-    nominal = nominal_arm(np.eye(4))
-    own = frames(nominal, np.zeros(6))
-    before = np.eye(4)
-    for i in range(6):
-        before = before @ arm.chain.placement[i]
-        wanted = np.eye(4) if i == 0 else own[i - 1]
-        if np.abs(before - wanted).max() > FIT_M:
-            raise CellFileError(f"arm '{arm.name}': joint {i + 1} does not stand where the simulated pair has it")
+
+
+def _sheet(arm: ArmSpec, rows: Rows) -> ArmSheet:
+    """Data sheet of an arm: gears are as stiff as gears of their torque are."""
+    stiffness = np.interp(_rated_nm(arm), *GEARS)
+    return ArmSheet(rows.geometry, stiffness, np.array([axis.gear_ratio for axis in arm.axes]))
+
+
+def _rated_nm(arm: ArmSpec) -> Array:
+    return np.array([axis.torque_limit_nm / PEAK for axis in arm.axes])
 
 
 def _plain(value: Any) -> Any:
@@ -112,32 +131,22 @@ def _plain(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
-def _without_errors() -> PairErrors:
-    one, zero = np.ones(6), np.zeros(6)
-    master, slave = (
-        ArmErrors(arm, GEAR_STIFFNESS_NM_RAD, np.full(6, NOMINAL_LAG_S), zero, zero, zero, one, one, one)
-        for arm in nominal_arms()
-    )
-    return PairErrors(-1, master, slave, 0.0)
-
-
-def _truth(arm: ArmSpec, errors: ArmErrors, carried: SimBody | None) -> ArmTruth:
+def _truth(arm: ArmSpec, rows: Rows, errors: ArmErrors, carried: SimBody | None) -> ArmTruth:
     axes = arm.axes
     bodies: list[SimBody] = []
-    for number, body in enumerate(arm.chain.bodies):
+    for number, body in enumerate(rows.bodies):
         if body is None:
-            raise CellFileError(f"robot of arm '{arm.name}': link {number + 1} has no <inertial>; all six are needed")
+            raise CellFileError(f"robot of arm '{arm.name}': link {number + 1} has no <inertial>; all are needed")
         share = 1.0 / float(errors.gravity_scale[number])
         bodies.append(SimBody(body.mass_kg * share, body.com_m, body.inertia_kg_m2 * share))
     if carried is not None:
-        bodies[5] = combine(bodies[5], carried)
-    rated = np.array([axis.torque_limit_nm / 3.0 for axis in axes])
+        bodies[-1] = combine(bodies[-1], carried)
     train = DriveTrain(
         stiffness_nm_rad=errors.gear_stiffness_nm_rad,
         rotor_kg_m2=np.array([axis.rotor_inertia_kg_m2 for axis in axes]),
         coulomb_nm=np.array([axis.coulomb_nm for axis in axes]) / errors.friction_scale,
         viscous_nm_s_rad=np.array([axis.viscous_nm_s_rad for axis in axes]) / errors.friction_scale,
-        rated_nm=rated,
+        rated_nm=_rated_nm(arm),
         lag_s=np.maximum(errors.lag_s, 1e-3),
         backlash_rad=errors.backlash_rad,
         cyclic_rad=errors.cyclic_rad,
@@ -151,14 +160,19 @@ def _truth(arm: ArmSpec, errors: ArmErrors, carried: SimBody | None) -> ArmTruth
     return ArmTruth(errors.geometry, tuple(bodies), train, shift, speed)
 
 
-def _half_part(mass_kg: float) -> SimBody:
-    """Half the part at the fingertip of link 6."""
-    place = np.array([0.0, 0.0, 0.10 + TOOL_M])
-    return SimBody(mass_kg, place, np.eye(3) * mass_kg * HALF_PART_M**2 / 3.0)
+def _fingertip(geometry: ArmGeometry) -> Array:
+    """Fingertip (4, 4) in the frame that turns with the last row."""
+    return translation(0.0, 0.0, float(geometry.d_m[-1])) @ geometry.tool
 
 
-def _whole_part(mass_kg: float) -> SimBody:
-    """The part on the master alone: it holds one end of it."""
-    place = np.array([-HALF_PART_M, 0.0, 0.10 + TOOL_M])
+def _half_part(mass_kg: float, fingertip: Array) -> SimBody:
+    """Half the part at a fingertip (4, 4)."""
+    return SimBody(mass_kg, fingertip[:3, 3], np.eye(3) * mass_kg * HALF_PART_M**2 / 3.0)
+
+
+def _whole_part(mass_kg: float, fingertip: Array) -> SimBody:
+    """The part on the master alone: it holds one end of it with its fingertip (4, 4)."""
+    turned = fingertip[:3, :3]
+    place = fingertip[:3, 3] + turned @ np.array([-HALF_PART_M, 0.0, 0.0])
     inertia = mass_kg * HALF_PART_M**2 / 3.0
-    return SimBody(mass_kg, place, np.diag([1e-4 * mass_kg, inertia, inertia]))
+    return SimBody(mass_kg, place, turned @ np.diag([1e-4 * mass_kg, inertia, inertia]) @ turned.T)

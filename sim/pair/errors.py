@@ -11,6 +11,7 @@ from sim.pair.geometry import ArmGeometry, bases, nominal_arm, translation
 
 Array = NDArray[np.float64]
 
+#: The reference arm's.
 GEAR_STIFFNESS_NM_RAD = np.array([4e5, 4e5, 2.5e5, 6e4, 4e4, 2.5e4])
 RATED_TORQUE_NM = np.array([600.0, 900.0, 500.0, 120.0, 100.0, 60.0])
 GEAR_RATIO = np.array([120.0, 120.0, 100.0, 80.0, 80.0, 50.0])
@@ -21,7 +22,8 @@ LENGTH_M, TWIST_RAD, ZERO_RAD = 0.4e-3, 0.3e-3, 0.5e-3
 BASE_M, BASE_RAD = 1.0e-3, 1.0e-3
 TOOL_M, TOOL_RAD = 0.3e-3, 0.5e-3
 STIFFNESS_SHARE, LAG_SHARE = 0.20, 0.08
-BACKLASH_RAD = np.array([0.0, 0.0, 0.0, 0.2e-3, 0.2e-3, 0.2e-3])
+#: Of the gears of the hand, the last joints of an arm; the others have none.
+BACKLASH_RAD, HAND_JOINTS = 0.2e-3, 3
 CYCLIC_RAD = 0.05e-3
 #: Periods per revolution of a gear stage; the error comes from the slower of two equal stages.
 CYCLIC_PERIODS = 2.0
@@ -33,18 +35,33 @@ DRIFT_S = 600.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ArmSheet:
+    """One arm as its data sheet says.
+
+    Attributes
+    ----------
+    geometry : ArmGeometry
+    gear_stiffness_nm_rad, gear_ratio : arrays of shape (N,)
+    """
+
+    geometry: ArmGeometry
+    gear_stiffness_nm_rad: Array
+    gear_ratio: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ArmErrors:
     """One real arm.
 
     Attributes
     ----------
     geometry : ArmGeometry, the true one
-    gear_stiffness_nm_rad : array of shape (6,)
-    lag_s : array of shape (6,), time constant of the servo of each joint
-    backlash_rad : array of shape (6,), full play of the gear
-    cyclic_rad, cyclic_phase_rad : arrays of shape (6,), amplitude and phase of the gear's cyclic error
-    cyclic_per_rev : array of shape (6,), periods per revolution of the joint
-    gravity_scale, friction_scale : arrays of shape (6,), what the controller's model says over what is true
+    gear_stiffness_nm_rad : array of shape (N,)
+    lag_s : array of shape (N,), time constant of the servo of each joint
+    backlash_rad : array of shape (N,), full play of the gear
+    cyclic_rad, cyclic_phase_rad : arrays of shape (N,), amplitude and phase of the gear's cyclic error
+    cyclic_per_rev : array of shape (N,), periods per revolution of the joint
+    gravity_scale, friction_scale : arrays of shape (N,), what the controller's model says over what is true
     """
 
     geometry: ArmGeometry
@@ -69,7 +86,7 @@ class PairErrors:
 
 
 def draw(seed: int, nominal_bases: tuple[Array, Array]) -> PairErrors:
-    """Errors of both arms; the same seed gives the same errors.
+    """Errors of both reference arms; the same seed gives the same errors.
 
     Parameters
     ----------
@@ -77,27 +94,44 @@ def draw(seed: int, nominal_bases: tuple[Array, Array]) -> PairErrors:
     nominal_bases : two arrays of shape (4, 4)
         Bases of master and slave in the world [m].
     """
+    first, second = (ArmSheet(nominal_arm(base), GEAR_STIFFNESS_NM_RAD, GEAR_RATIO) for base in nominal_bases)
+    return draw_of(seed, (first, second))
+
+
+def draw_of(seed: int, sheets: tuple[ArmSheet, ArmSheet]) -> PairErrors:
+    """Errors of the arms of two data sheets; the same seed gives the same errors."""
     rng = np.random.default_rng([seed, 0xA51])
-    master, slave = (_draw_arm(rng, base, lag) for base, lag in zip(nominal_bases, SERVO_LAG_S, strict=True))
+    master, slave = (_draw_arm(rng, sheet, lag) for sheet, lag in zip(sheets, SERVO_LAG_S, strict=True))
     return PairErrors(seed, master, slave, float(rng.uniform(0.0, SKEW_S)))
+
+
+def as_stated(sheets: tuple[ArmSheet, ArmSheet], lag_s: float) -> PairErrors:
+    """Arms as their data sheets say, with servos that lag alike [s]."""
+    arms = []
+    for sheet in sheets:
+        one, zero = np.ones(sheet.gear_ratio.shape), np.zeros(sheet.gear_ratio.shape)
+        geometry, stiffness = sheet.geometry, sheet.gear_stiffness_nm_rad
+        arms.append(ArmErrors(geometry, stiffness, lag_s * one, zero, zero, zero, one, one, one))
+    return PairErrors(-1, arms[0], arms[1], 0.0)
 
 
 def without_local(errors: PairErrors) -> PairErrors:
     """The same arms without backlash and cyclic gear error."""
-    zero = np.zeros(6)
-    master, slave = (replace(arm, backlash_rad=zero, cyclic_rad=zero) for arm in (errors.master, errors.slave))
+    master, slave = (
+        replace(arm, backlash_rad=np.zeros_like(arm.backlash_rad), cyclic_rad=np.zeros_like(arm.cyclic_rad))
+        for arm in (errors.master, errors.slave)
+    )
     return replace(errors, master=master, slave=slave)
 
 
 def without_lag(errors: PairErrors) -> PairErrors:
     """The same arms with servos that follow at once, and both buses in step."""
-    zero = np.zeros(6)
-    master, slave = (replace(arm, lag_s=zero) for arm in (errors.master, errors.slave))
+    master, slave = (replace(arm, lag_s=np.zeros_like(arm.lag_s)) for arm in (errors.master, errors.slave))
     return replace(errors, master=master, slave=slave, skew_s=0.0)
 
 
 def ideal(errors: PairErrors) -> PairErrors:
-    """Arms as their data sheets say, servos that follow at once; only what the force estimate is told stays wrong."""
+    """Reference arms by their data sheets, servos that follow at once; only what the force estimate is told stays off."""
     plain = without_local(without_lag(errors))
     master, slave = (
         replace(arm, geometry=nominal_arm(base)) for arm, base in zip((plain.master, plain.slave), bases(), strict=True)
@@ -116,26 +150,28 @@ def warmed(errors: PairErrors, time_s: float) -> PairErrors:
     return replace(errors, master=grown[0], slave=grown[1])
 
 
-def _draw_arm(rng: np.random.Generator, base: Array, lag_s: float) -> ArmErrors:
-    nominal = nominal_arm(base)
+def _draw_arm(rng: np.random.Generator, sheet: ArmSheet, lag_s: float) -> ArmErrors:
+    nominal, ratio = sheet.geometry, sheet.gear_ratio
+    axes = len(ratio)
     geometry = ArmGeometry(
-        d_m=nominal.d_m + rng.normal(0.0, LENGTH_M, 6),
-        a_m=nominal.a_m + rng.normal(0.0, LENGTH_M, 6),
-        alpha_rad=nominal.alpha_rad + rng.normal(0.0, TWIST_RAD, 6),
-        zero_rad=rng.normal(0.0, ZERO_RAD, 6),
+        d_m=nominal.d_m + rng.normal(0.0, LENGTH_M, axes),
+        a_m=nominal.a_m + rng.normal(0.0, LENGTH_M, axes),
+        alpha_rad=nominal.alpha_rad + rng.normal(0.0, TWIST_RAD, axes),
+        zero_rad=nominal.zero_rad + rng.normal(0.0, ZERO_RAD, axes),
         base=nominal.base @ _small_pose(rng, BASE_M, BASE_RAD),
         tool=nominal.tool @ _small_pose(rng, TOOL_M, TOOL_RAD),
     )
     return ArmErrors(
         geometry=geometry,
-        gear_stiffness_nm_rad=GEAR_STIFFNESS_NM_RAD * rng.uniform(1.0 - STIFFNESS_SHARE, 1.0 + STIFFNESS_SHARE, 6),
-        lag_s=lag_s * (1.0 + rng.normal(0.0, LAG_SHARE, 6)),
-        backlash_rad=BACKLASH_RAD.copy(),
-        cyclic_rad=np.full(6, CYCLIC_RAD),
-        cyclic_phase_rad=rng.uniform(0.0, 2.0 * np.pi, 6),
-        cyclic_per_rev=CYCLIC_PERIODS * GEAR_RATIO / np.round(np.sqrt(GEAR_RATIO)),
-        gravity_scale=1.0 + rng.normal(0.0, GRAVITY_SHARE, 6),
-        friction_scale=1.0 + rng.normal(0.0, FRICTION_SHARE, 6),
+        gear_stiffness_nm_rad=sheet.gear_stiffness_nm_rad
+        * rng.uniform(1.0 - STIFFNESS_SHARE, 1.0 + STIFFNESS_SHARE, axes),
+        lag_s=lag_s * (1.0 + rng.normal(0.0, LAG_SHARE, axes)),
+        backlash_rad=np.where(np.arange(axes) < axes - HAND_JOINTS, 0.0, BACKLASH_RAD),
+        cyclic_rad=np.full(axes, CYCLIC_RAD),
+        cyclic_phase_rad=rng.uniform(0.0, 2.0 * np.pi, axes),
+        cyclic_per_rev=CYCLIC_PERIODS * ratio / np.round(np.sqrt(ratio)),
+        gravity_scale=1.0 + rng.normal(0.0, GRAVITY_SHARE, axes),
+        friction_scale=1.0 + rng.normal(0.0, FRICTION_SHARE, axes),
     )
 
 

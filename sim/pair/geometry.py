@@ -1,4 +1,4 @@
-"""Two identical six-axis arms over one bar: nominal geometry, forward kinematics and the reference path.
+"""Two arms over one bar: forward kinematics, and two equal arms of six axes with the reference path.
 
 Standard (distal) Denavit-Hartenberg rows `T = Rz(theta) Tz(d) Tx(a) Rx(alpha)`, written here anew, so that no formula
 is shared with the gateway. All functions take stacks: leading dimensions are kept.
@@ -33,10 +33,10 @@ class ArmGeometry:
 
     Attributes
     ----------
-    d_m, a_m, alpha_rad, zero_rad : arrays of shape (..., 6)
+    d_m, a_m, alpha_rad, zero_rad : arrays of shape (..., N)
         Rows of the table; the angle of a row is joint position + zero_rad.
     base : array of shape (..., 4, 4), base in the world [m]
-    tool : array of shape (..., 4, 4), fingertip in frame 6 [m]
+    tool : array of shape (..., 4, 4), fingertip in frame N [m]
     """
 
     d_m: Array
@@ -67,25 +67,25 @@ def turn(axis: str, angle_rad: Array | float) -> Array:
 
 
 def nominal_arm(base: Array) -> ArmGeometry:
-    """The arm as its data sheet says, on a base (4, 4) in the world [m]."""
+    """The reference arm as its data sheet says, on a base (4, 4) in the world [m]."""
     return ArmGeometry(
         DH_D_M.copy(), DH_A_M.copy(), DH_ALPHA_RAD.copy(), np.zeros(6), base, translation(0.0, 0.0, TOOL_M)
     )
 
 
 def bases() -> tuple[Array, Array]:
-    """Bases of master and slave in the world: 1.9 m apart along x, facing each other."""
+    """Bases of the reference arms in the world: 1.9 m apart along x, facing each other."""
     return np.eye(4), translation(BASE_DISTANCE_M, 0.0, 0.0) @ turn("z", np.pi)
 
 
 def nominal_arms() -> tuple[ArmGeometry, ArmGeometry]:
-    """Master and slave without errors."""
+    """Both reference arms without errors."""
     first, second = bases()
     return nominal_arm(first), nominal_arm(second)
 
 
 def frames(arm: ArmGeometry, q_rad: Array) -> Array:
-    """Frames 1 to 6 (..., 6, 4, 4) in the arm's own base [m]."""
+    """Frames 1 to N (..., N, 4, 4) in the arm's own base [m]."""
     angle = np.asarray(q_rad, dtype=float) + arm.zero_rad
     c, s = np.cos(angle), np.sin(angle)
     ca, sa = np.cos(arm.alpha_rad), np.sin(arm.alpha_rad)
@@ -94,23 +94,23 @@ def frames(arm: ArmGeometry, q_rad: Array) -> Array:
     rows[..., 1, 0], rows[..., 1, 1], rows[..., 1, 2], rows[..., 1, 3] = s, c * ca, -c * sa, arm.a_m * s
     rows[..., 2, 1], rows[..., 2, 2], rows[..., 2, 3] = sa, ca, arm.d_m
     rows[..., 3, 3] = 1.0
-    for i in range(1, 6):
+    for i in range(1, angle.shape[-1]):
         rows[..., i, :, :] = rows[..., i - 1, :, :] @ rows[..., i, :, :]
     return rows
 
 
 def tip(arm: ArmGeometry, q_rad: Array) -> Array:
     """Fingertip (..., 4, 4) in the world [m]."""
-    return arm.base @ frames(arm, q_rad)[..., 5, :, :] @ arm.tool
+    return arm.base @ frames(arm, q_rad)[..., -1, :, :] @ arm.tool
 
 
 def jacobian(arm: ArmGeometry, q_rad: Array) -> Array:
-    """Twist (..., 6, 6) `[m/s; rad/s]` of the fingertip in world axes per joint speed [rad/s]."""
+    """Twist (..., 6, N) `[m/s; rad/s]` of the fingertip in world axes per joint speed [rad/s]."""
     own = frames(arm, q_rad)
     world = arm.base[..., None, :, :] @ own
-    end = (world[..., 5, :, :] @ arm.tool)[..., :3, 3]
+    end = (world[..., -1, :, :] @ arm.tool)[..., :3, 3]
     root = np.broadcast_to(arm.base[..., None, :, :], own[..., :1, :, :].shape)
-    before = np.concatenate([root, world[..., :5, :, :]], axis=-3)
+    before = np.concatenate([root, world[..., :-1, :, :]], axis=-3)
     axis, origin = before[..., :3, 2], before[..., :3, 3]
     linear = np.cross(axis, end[..., None, :] - origin)
     return np.swapaxes(np.concatenate([linear, axis], axis=-1), -1, -2)

@@ -43,7 +43,7 @@ class LightWorld(TwoArms):
         self._lag_s = train.lag_s.tolist()
         self._coulomb, self._viscous = train.coulomb_nm, train.viscous_nm_s_rad
         self._rotor, self._half = train.rotor_kg_m2, 0.5 * train.backlash_rad
-        self._acceleration = np.zeros(12)
+        self._acceleration = np.zeros(self.joints)
         self._need = self.motors.gear_nm.copy()
         self._inertia = np.diag(self._mass(self.q)) + self._rotor
 
@@ -67,13 +67,14 @@ class LightWorld(TwoArms):
         decay = [math.exp(-seconds / lag_s) for lag_s in self._lag_s]
         jitter = self.settings.skew_jitter_s
         late_s = self.settings.skew_s + (self._random.uniform(0.0, jitter) if jitter else 0.0)
+        slave = self.of_arm[1].start
         theta, omega = motors.theta.tolist(), motors.omega.tolist()
         gear, need = motors.gear_nm.tolist(), self._need.tolist()
         for i, axis in enumerate(motors.axes):
             before = omega[i]
             if axis.fed:
                 most_nm = axis.servo.max_nm
-                at = self._follow(axis, theta[i], ticks, (decay[i], late_s if i >= 6 else 0.0))
+                at = self._follow(axis, theta[i], ticks, (decay[i], late_s if i >= slave else 0.0))
                 if axis.servo.limited:
                     at = self._fall(i, theta[i], before, math.copysign(most_nm, need[i]), seconds)
                 theta[i], omega[i] = at

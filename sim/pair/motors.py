@@ -1,4 +1,4 @@
-"""Twelve two-mass joints as arrays: rotor and encoder on one side, gear spring, link on the other.
+"""Two-mass joints as arrays: rotor and encoder on one side, gear spring, link on the other.
 
 All quantities stand on the gear output. The gear's backlash is a play between rotor and spring, its cyclic error an
 angle added to what the spring sees; the encoder sees neither, nor the wind-up.

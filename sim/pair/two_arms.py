@@ -43,7 +43,7 @@ class WorldSettings:
 
     Attributes
     ----------
-    start_rad : two (6,) encoder angles at which the part is gripped free of force
+    start_rad : two (N,) encoder angles at which the part is gripped free of force
     stiffness : of the part
     skew_s, skew_jitter_s : how much later than the master's the slave's SYNC acts, constant and evenly spread part
     step_s : physics step
@@ -72,11 +72,12 @@ class TwoArms(ABC):
     ----------
     time_s : simulated time
     motors, part : drives' side of the gears, and what is between the grippers
-    q, qd : (12,) joint angles [rad] and speeds [rad/s] of the links
+    joints, of_arm : how many joints J both arms have, and where each arm's are among them
+    q, qd : (J,) joint angles [rad] and speeds [rad/s] of the links
     wrench : (6,) of the part on gripper 2, world axes, about its fingertip [N, Nm]
     record : one row a step of the plant while `recording`: time [s], force on gripper 2 (3) [N], moment about the
         part's centre (3) [Nm], the part's centre (3), fingertip 1 (3) [m]
-    push : (12,) torque on the joints from outside [Nm], or None
+    push : (J,) torque on the joints from outside [Nm], or None
     told_nobody : drawn errors, for the truth file
     before, after : called around every stretch of time with its milliseconds, and with the time [s]
     """
@@ -88,6 +89,9 @@ class TwoArms(ABC):
 
     def __init__(self, arms: tuple[ArmTruth, ArmTruth], settings: WorldSettings) -> None:
         self.arms, self.settings = arms, settings
+        first = len(arms[0].bodies)
+        self.joints = first + len(arms[1].bodies)
+        self.of_arm = (slice(0, first), slice(first, self.joints))
         self.time_s = 0.0
         self.record: list[tuple[float, ...]] = []
         self.recording = False
@@ -104,22 +108,22 @@ class TwoArms(ABC):
         limits = np.concatenate([arm.max_rad_s for arm in arms])
         self.motors = Motors(joined((arms[0].train, arms[1].train)), shift, limits, settings.step_s)
         self._rated = self.motors.train.rated_nm
-        self.q, self.qd, self.wrench = np.zeros(12), np.zeros(12), np.zeros(6)
+        self.q, self.qd, self.wrench = np.zeros(self.joints), np.zeros(self.joints), np.zeros(6)
         self._stand(np.concatenate(settings.start_rad))
 
     def _stand(self, theta_rad: Array) -> None:
         """Hang still, gears wound up by gravity, the part gripped free of force."""
-        q, gravity = theta_rad.copy(), np.zeros(12)
+        q, gravity = theta_rad.copy(), np.zeros_like(theta_rad)
         stiffness = self.motors.train.stiffness_nm_rad
         for _ in range(20):
             gravity = self._gravity(q)
             q = theta_rad - gravity / stiffness
-        self.q, self.qd = q, np.zeros(12)
+        self.q, self.qd = q, np.zeros_like(q)
         self.motors.place(q, gravity)
         self.part.grip(q)
 
     def _gravity(self, q: Array) -> Array:
-        still = [0.0] * 12
+        still = [0.0] * self.joints
         return np.array(
             bullet.calculateInverseDynamics(self._body, q.tolist(), still, still, physicsClientId=self._client)
         )
@@ -169,7 +173,7 @@ class TwoArms(ABC):
 
     def _run(self) -> None:
         """Go on to what has been asked for by all arms that are powered and whose SYNC has not stayed away."""
-        powered = [bool(self.motors.live[6 * arm : 6 * arm + 6].any()) for arm in (0, 1)]
+        powered = [bool(self.motors.live[own].any()) for own in self.of_arm]
         waited = [live and power for live, power in zip(self._live, powered, strict=True)]
         goal = min(self._asked[arm] for arm in (0, 1) if waited[arm]) if any(waited) else max(self._asked)
         self._pass(goal)
@@ -192,7 +196,7 @@ class TwoArms(ABC):
         with self._lock:
             together = self._lock.wait_for(lambda: self._asked[1 - arm] >= self._asked[arm] - TOGETHER_S, PATIENCE_S)
             self._pass(self._asked[arm] if together else min(self._asked))
-            for axis in self.motors.axes[6 * arm : 6 * arm + 6]:
+            for axis in self.motors.axes[self.of_arm[arm]]:
                 axis.position_rad -= axis.omega_rad_s * (self.time_s - self._asked[arm])
             yield
 
@@ -230,15 +234,15 @@ class TwoArms(ABC):
     # -- what is seen ------------------------------------------------------------------------------------------------
 
     def reading_nm(self, arm: int) -> list[float]:
-        """What six drives report as motor torque, gear output side [Nm]."""
-        six = slice(6 * arm, 6 * arm + 6)
-        motors = self.motors
-        noise = 0.003 * self._rated[six] * self._random.standard_normal(6)
-        return ((motors.shown_nm[six] + noise) * motors.live[six]).tolist()
+        """What the drives of an arm report as motor torque, gear output side [Nm]."""
+        own, motors = self.of_arm[arm], self.motors
+        rated = self._rated[own]
+        noise = 0.003 * rated * self._random.standard_normal(len(rated))
+        return ((motors.shown_nm[own] + noise) * motors.live[own]).tolist()
 
     @property
     def fastest_rad_s(self) -> Array:
-        """Largest speed of each motor at its gear output since `forget_fastest`, shape (12,) [rad/s]."""
+        """Largest speed of each motor at its gear output since `forget_fastest`, shape (J,) [rad/s]."""
         return self.motors.fastest.copy()
 
     def forget_fastest(self) -> None:

@@ -1,4 +1,4 @@
-"""One arm of a pair as its bus sees it: six drives whose motors stand in the common world."""
+"""One arm of a pair as its bus sees it: drives whose motors stand in the common world."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sim.plant import Payload
 
 
 class PairUnit:
-    """Six drives of one arm; the surface of `sim.server.ArmUnit`.
+    """Drives of one arm; the surface of `sim.server.ArmUnit`.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class PairUnit:
         self.send: Callable[[can.Message], None] = lambda _message: None
         #: What is to be sent once the instant of a SYNC is over.
         self._answers: list[can.Message] | None = None
-        axes = world.motors.axes[6 * index : 6 * index + 6]
+        axes = world.motors.axes[world.of_arm[index]]
         self.drives = [
             FakeDrive(DriveSite(spec.node_id, spec, bus.sync_period_s), axis, self._send)  # type: ignore[arg-type]
             for spec, axis in zip(arm.axes, axes, strict=True)

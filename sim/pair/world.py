@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.pair.body import JOINTS, ArmTruth
+from sim.pair.body import ArmTruth
 from sim.pair.two_arms import TwoArms, WorldSettings
 from sim.physics import bullet
 from sim.servo import TICK_S
@@ -34,7 +34,7 @@ class PairWorld(TwoArms):
 
     def __init__(self, arms: tuple[ArmTruth, ArmTruth], settings: WorldSettings) -> None:
         super().__init__(arms, settings)
-        self._early = np.zeros(12)
+        self._early = np.zeros(self.joints)
         self._substeps = round(TICK_S / settings.step_s)
         self._share = TICK_S / (TICK_S + settings.filter_s)
         self.radius = self._largest_mode()
@@ -50,14 +50,14 @@ class PairWorld(TwoArms):
     def _stand(self, theta_rad: Array) -> None:
         super()._stand(theta_rad)
         q = self.q
-        for joint in JOINTS:
+        for joint in range(self.joints):
             bullet.resetJointState(self._body, joint, float(q[joint]), 0.0, physicsClientId=self._client)
         closure = self.part.at(q)
         self.part.size_damping(closure.jacobian @ np.linalg.solve(self._mass(q), closure.jacobian.T))
 
     def _largest_mode(self) -> float:
         """Largest modulus of the eigenvalues of one step, linearised at rest."""
-        train, h, n = self.motors.train, self.settings.step_s, 12
+        train, h, n = self.motors.train, self.settings.step_s, self.joints
         rate = self.part.at(self.q).jacobian
         inverse = np.linalg.inv(self._mass(self.q))
         spring, damper = np.diag(train.stiffness_nm_rad), np.diag(train.damping_nm_s_rad)
@@ -83,7 +83,7 @@ class PairWorld(TwoArms):
         for act in self.before:
             act(ticks)
         jitter = self.settings.skew_jitter_s
-        self._early[6:] = -self.settings.skew_s - (self._random.uniform(0.0, jitter) if jitter else 0.0)
+        self._early[self.of_arm[1]] = -self.settings.skew_s - (self._random.uniform(0.0, jitter) if jitter else 0.0)
         for _ in range(round(ticks)):
             self._tick()
         self.motors.show()
@@ -93,6 +93,7 @@ class PairWorld(TwoArms):
     def _tick(self) -> None:
         """One millisecond."""
         motors, part, body, client = self.motors, self.part, self._body, self._client
+        joints = range(self.joints)
         motors.control(self._early, self._share, TICK_S)
         q, qd = self.q, self.qd
         closure = part.at(q)
@@ -104,10 +105,10 @@ class PairWorld(TwoArms):
             if push is not None:
                 torque = torque + push
             bullet.setJointMotorControlArray(
-                body, JOINTS, bullet.TORQUE_CONTROL, forces=torque.tolist(), physicsClientId=client
+                body, joints, bullet.TORQUE_CONTROL, forces=torque.tolist(), physicsClientId=client
             )
             bullet.stepSimulation(physicsClientId=client)
-            states = bullet.getJointStates(body, JOINTS, physicsClientId=client)
+            states = bullet.getJointStates(body, joints, physicsClientId=client)
             q, qd = np.array([state[0] for state in states]), np.array([state[1] for state in states])
         self.q, self.qd, self.wrench = q, qd, wrench
         self.time_s = round((self.time_s + TICK_S) / TICK_S) * TICK_S

@@ -212,7 +212,7 @@ def test_a_gap_without_a_value_stops_along_the_path_one_outside_its_range_at_onc
 @pytest.mark.parametrize(("ahead", "gain_1_s"), [(0.8, 12.5), (0.0, 60.0), (0.5, 25.0)])
 def test_servos_that_slow_down_stay_as_far_behind_as_they_were(ahead: float, gain_1_s: float) -> None:
     dt_s = 0.004
-    lag = ServoLag(dt_s, (1.0 - ahead) / gain_1_s)
+    lag = ServoLag(dt_s, (1.0 - ahead) / gain_1_s, 12)
     speed = np.linspace(-1.0, 1.0, 12)
     at, y, rate, before = np.zeros(12), np.zeros(12), 1.0, np.zeros(12)
     behind = []

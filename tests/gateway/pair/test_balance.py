@@ -15,7 +15,7 @@ from gateway.data.sample import ArmSample
 from gateway.pair.balance import ForceBalance
 from gateway.pair.calibration import PathWrenches
 from gateway.pair.cell import load_pair
-from gateway.pair.doubt import COULOMB_SHARE, Doubts
+from gateway.pair.doubt import COULOMB_SHARE, Doubts, constants_of
 from gateway.pair.follow import ExternalTorque, JointFollower, Shown
 from gateway.pair.motion import calibration_of
 
@@ -78,7 +78,7 @@ class Bench:
 
         Both grippers feel it about the part's middle, so that the part has no cause to turn.
         """
-        doubts = doubts or Doubts()
+        doubts = doubts or Doubts(constants_of(12))
         part, centre = self.part_n(), self.centre()
         torque = []
         for arm, sign in ((0, -1.0), (1, 1.0)):
@@ -150,7 +150,7 @@ def test_a_joint_that_has_not_turned_yet_is_hardly_listened_to(bench):
     for settled in (1.0, 0.0):
         turned = np.ones((2, 6))
         turned[1, 2] = settled
-        bench.balance.begin(Doubts())
+        bench.balance.begin(Doubts(constants_of(12)))
         share = bench.balance._share[row].reshape(2, 6)
         one, two = (Shown(share[arm] + extra[arm], turned[arm], np.zeros(6), np.zeros(6)) for arm in (0, 1))
         bench.balance.take(row + 1, (one, two), None)
@@ -202,7 +202,7 @@ def test_hands_yield_to_a_force_at_rest_that_no_friction_explains(bench):
 
 def test_a_sync_of_which_one_arm_tells_nothing_leaves_the_force_as_it_is(bench):
     still = np.zeros(6)
-    bench.balance.begin(Doubts())
+    bench.balance.begin(Doubts(constants_of(12)))
     bench.balance.take(400, (None, Shown(still, still, still, still)), None)
     assert bench.balance.wrench is None
     assert bench.balance.inputs(400) is None

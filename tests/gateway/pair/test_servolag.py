@@ -13,7 +13,7 @@ DT_S, ROWS = 0.004, 600
 
 def driven(lag_s: float, tau_s: float, lost: frozenset[int] = frozenset(), rows: int = ROWS) -> ServoLag:
     """Twelve servos of the law e + tau e' = T u', stepped finely, from rest; a SYNC shows what was sent before it."""
-    lag = ServoLag(DT_S, 0.016)
+    lag = ServoLag(DT_S, 0.016, 12)
     phase = np.linspace(0.0, 1.5, 12)
 
     def asked(t: float) -> np.ndarray:
@@ -56,7 +56,7 @@ def test_a_way_that_has_shown_nothing_is_given_back_at_once(rows):
 
 def steady(speed_rad_s: np.ndarray, lag_s: float = 0.02) -> ServoLag:
     """Joints that go evenly and lag by their speed times a time."""
-    lag = ServoLag(DT_S, lag_s)
+    lag = ServoLag(DT_S, lag_s, 12)
     for row in range(50):
         lag.slow_down(1.0)
         place = speed_rad_s * DT_S * row
