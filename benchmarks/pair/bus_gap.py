@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.pair.bus_rig import BACK_SPEED, Power, bus_spec, simulated
+from benchmarks.pair.bus_rig import BACK_SPEED, CELL, Power, bus_spec, simulated
 from benchmarks.pair.inline import inline
 from gateway.motion.stream import Stream
 from gateway.pair.cell import PairCell, load_pair
@@ -73,7 +73,7 @@ class GapRig:
 def gap_rig(seed: int | None) -> Iterator[GapRig]:
     """Both buses of the example cell with distance sensors, the simulated devices in the thread that waits for them."""
     with (
-        simulated(PairOptions(seed), "distance.toml") as (simulation, path, buses),
+        simulated(PairOptions(seed), CELL.with_name("distance.toml")) as (simulation, path, buses),
         inline(simulation.servers, buses),
     ):
         table = tomllib.loads(path.read_text(encoding="utf-8"))["pair"]

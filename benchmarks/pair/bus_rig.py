@@ -137,10 +137,12 @@ def pair_rig(seed: int | None, settings: Mapping[str, Any] | None = None, **opti
 
 
 @contextmanager
-def inline_rig(seed: int | None, settings: Mapping[str, Any] | None = None) -> Iterator[PairRig]:
-    """The same rig, the simulated drives in the thread that waits for them."""
+def inline_rig(
+    seed: int | None, settings: Mapping[str, Any] | None = None, cell_file: Path = CELL
+) -> Iterator[PairRig]:
+    """The same rig, of any cell file, the simulated drives in the thread that waits for them."""
     with (
-        simulated(PairOptions(seed, settings=settings)) as (simulation, path, buses),
+        simulated(PairOptions(seed, settings=settings), cell_file) as (simulation, path, buses),
         inline(simulation.servers, buses),
     ):
         cell = load_pair(path, bus_spec(buses))
@@ -149,12 +151,12 @@ def inline_rig(seed: int | None, settings: Mapping[str, Any] | None = None) -> I
 
 
 @contextmanager
-def simulated(options: PairOptions, file: str = CELL.name) -> Iterator[tuple[Simulation, Path, tuple[str, str]]]:
-    """Both arms of a cell file of the example, that file, and the channels of the buses."""
+def simulated(options: PairOptions, cell_file: Path = CELL) -> Iterator[tuple[Simulation, Path, tuple[str, str]]]:
+    """Both arms of a cell file, a copy of that file, and the channels of the buses."""
     name = uuid.uuid4().hex
     buses = (f"{name}-l", f"{name}-r")
     with tempfile.TemporaryDirectory() as folder:
-        path = patient_cell(Path(folder)).with_name(file)
+        path = patient_cell(Path(folder), cell_file)
         simulation = Simulation(path, ServeOptions(bus=bus_spec(buses)), options)
         try:
             yield simulation, path, buses
@@ -171,12 +173,12 @@ def bus_spec(buses: tuple[str, str]) -> str:
     return f"left=virtual:{buses[0]};right=virtual:{buses[1]}"
 
 
-def patient_cell(folder: Path) -> Path:
-    """The example cell with a master's heartbeat that a busy machine keeps: lockstep has no rhythm to lose."""
-    for source in CELL.parent.iterdir():
+def patient_cell(folder: Path, cell_file: Path = CELL) -> Path:
+    """A copy of a cell with a master's heartbeat that a busy machine keeps: lockstep has no rhythm to lose."""
+    for source in cell_file.parent.iterdir():
         text = source.read_text(encoding="utf-8").replace("consumer_ms = 500", "consumer_ms = 10000")
         (folder / source.name).write_text(in_lockstep(text), encoding="utf-8")
-    return folder / CELL.name
+    return folder / cell_file.name
 
 
 def figures_of(run: PairRun, done: PairCycle, record: Array, limit_n: float) -> dict[str, Any]:

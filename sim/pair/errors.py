@@ -131,7 +131,7 @@ def without_lag(errors: PairErrors) -> PairErrors:
 
 
 def ideal(errors: PairErrors) -> PairErrors:
-    """Reference arms by their data sheets, servos that follow at once; only what the force estimate is told stays off."""
+    """Reference arms by their data sheets, servos that follow at once; only what the force estimate is told is off."""
     plain = without_local(without_lag(errors))
     master, slave = (
         replace(arm, geometry=nominal_arm(base)) for arm, base in zip((plain.master, plain.slave), bases(), strict=True)
