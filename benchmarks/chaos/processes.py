@@ -138,10 +138,11 @@ def _serve(folder: Path, edit: Callable[[str], str], bus: str, pipe: Connection,
         "hang": rig.simulation.hang,
     }
     with rig:
-        _answer(pipe, answers)
+        answer(pipe, answers)
 
 
-def _answer(pipe: Connection, answers: Mapping[str, Callable[..., Any]]) -> None:
+def answer(pipe: Connection, answers: Mapping[str, Callable[..., Any]]) -> None:
+    """Do what the other end asks for by name, until it says quit."""
     while True:
         name, *arguments = pipe.recv()
         if name == "quit":
@@ -167,7 +168,7 @@ def serve_pair(
     thread = threading.Thread(target=simulation.run, name="pair-rig")
     thread.start()
     try:
-        _answer(
+        answer(
             pipe,
             {
                 "hello": lambda: None,

@@ -91,16 +91,24 @@ TROUBLES = (
 )
 
 
-def hostile(seed: int, learned: TransformFunction, back: TransformFunction) -> list[Row]:
+def hostile(
+    seed: int, laws_s: NDArray[np.float64] | None, learned: TransformFunction, back: TransformFunction
+) -> list[Row]:
     """Every condition in a rig of its own, with the functions of C8 at the usual speed; then sensors swapped."""
-    return [_met(seed, trouble, learned, back) for trouble in TROUBLES] + [_swapped(seed)]
+    return [_met(seed, trouble, laws_s, learned, back) for trouble in TROUBLES] + [_swapped(seed)]
 
 
-def _met(seed: int, trouble: Trouble, learned: TransformFunction, back: TransformFunction) -> Row:
+def _met(
+    seed: int,
+    trouble: Trouble,
+    laws_s: NDArray[np.float64] | None,
+    learned: TransformFunction,
+    back: TransformFunction,
+) -> Row:
     with inline_rig(seed) as rig:
         if trouble.before is not None:
             trouble.before(rig)
-        options = PairMotionOptions(speed=SPEED, back_speed=BACK_SPEED)
+        options = PairMotionOptions(speed=SPEED, back_speed=BACK_SPEED, laws_s=laws_s)
         run = rig.run(with_gains(EMBODIMENTS["C8"], cell_gains(rig.cell)), learned, options, back)
         rig.world.recording = True
         why = ""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.pair.bus_gap import gaps_in_the_cell
 from benchmarks.pair.bus_hostile import hostile
@@ -33,12 +34,20 @@ SNAG_N = 20.0
 LEARNED_BY = (f"C8@{USUAL:g}", f"C8@{USUAL:g} back")
 
 
+@dataclass(frozen=True, slots=True)
+class Taught:
+    """First function, and how each joint (J, 2) was seen to follow meanwhile [s]."""
+
+    nine: TransformFunction
+    laws_s: NDArray[np.float64] | None
+
+
 @dataclass(slots=True)
 class Bench:
-    """One seed: its rig, taught functions, and what was gathered."""
+    """One seed: its rig, what was taught, and what was gathered."""
 
     rig: PairRig
-    nine: TransformFunction
+    taught: Taught
     frozen_cycles: int
     rows: list[Row] = field(default_factory=list)
     curves: list[Row] = field(default_factory=list)
@@ -56,7 +65,7 @@ class Bench:
 
     def first(self, row: Embodiment) -> TransformFunction:
         """First function of a row."""
-        return constant_function(self.rig.cell.nominal_relation) if row.first == "fixed" else self.nine
+        return constant_function(self.rig.cell.nominal_relation) if row.first == "fixed" else self.taught.nine
 
     def run(
         self,
@@ -71,7 +80,8 @@ class Bench:
     ) -> TransformFunction:
         """Cycles of one row; returns the function it ends with."""
         rig = self.rig
-        options = PairMotionOptions(speed=speed, back_speed=BACK_SPEED, force_limit_n=NO_LIMIT_N)
+        laws_s = None if row.first == "fixed" else self.taught.laws_s
+        options = PairMotionOptions(speed=speed, back_speed=BACK_SPEED, force_limit_n=NO_LIMIT_N, laws_s=laws_s)
         run = rig.run(row, first or self.first(row), options, back)
         curve: Row = {"cycles": []}
         for number in range(1, cycles + 1):
@@ -143,7 +153,7 @@ def even(bench: Bench) -> None:
     path = bench.rig.cell.path(USUAL)
     points = path.uniform(len(bench.functions[LEARNED_BY[0]]))
     ways = np.unique(path.s_m[points])
-    spread = TransformFunction(ways, *_split(bench.nine.many(ways)))
+    spread = TransformFunction(ways, *_split(bench.taught.nine.many(ways)))
     bench.run("C8u", bench.row_of("C8u"), USUAL, LEARNING, first=spread)
 
 
@@ -154,7 +164,7 @@ def _split(poses: Any) -> tuple[Any, Any]:
 def speeds(bench: Bench) -> None:
     """E3: learned at .75 and 1.5, used at 1.1 and 1.8 without any learning there."""
     slow = bench.run("C2c", bench.row_of("C2c"), SLOW, E2_CYCLES)
-    known = {0.0: bench.nine, SLOW: slow, USUAL: bench.functions[f"C2c@{USUAL:g}"]}
+    known = {0.0: bench.taught.nine, SLOW: slow, USUAL: bench.functions[f"C2c@{USUAL:g}"]}
     for speed in (BETWEEN, BEYOND):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ExtrapolationWarning)
@@ -196,7 +206,7 @@ def snag(bench: Bench) -> None:
         plain = bench.run(f"C7 {kind}", row, USUAL, 5)
         caught = bench.run(f"C7 {kind} snag", row, USUAL, 5, snag_cycle=3)
         moved[kind] = float(np.linalg.norm(plain.position_m - caught.position_m, axis=1).max())
-    same = bool(np.array_equal(off.knots, bench.nine.knots))
+    same = bool(np.array_equal(off.knots, bench.taught.nine.knots))
     summary = {"mean_m": moved["mean"], "median_m": moved["median"], "frozen_identical": same}
     bench.rows.append({"tier": "bus", "row": "snag", "seed": bench.rig.seed, "speed": USUAL, **summary})
 
@@ -276,21 +286,21 @@ STAGES: dict[str, Callable[[Bench], None]] = {
 }
 
 
-def skewed(seed: int, nine: TransformFunction) -> list[Row]:
+def skewed(seed: int, taught: Taught) -> list[Row]:
     """C8 with the slave's SYNC constantly .5 ms late, and late by anew 0 to 1 ms each time."""
     rows: list[Row] = []
     for label, skew_s, jitter_s in (("C8 skew .5 ms", 0.5e-3, 0.0), ("C8 jitter 1 ms", 0.0, 1.0e-3)):
         with inline_rig(seed, {"skew_s": skew_s, "skew_jitter_s": jitter_s}) as rig:
-            bench = Bench(rig, nine, 0)
+            bench = Bench(rig, taught, 0)
             bench.run(label, bench.row_of("C8"), USUAL, LEARNING)
             rows += bench.rows
     return rows
 
 
-def halved(seed: int, nine: TransformFunction) -> list[Row]:
+def halved(seed: int, taught: Taught) -> list[Row]:
     """Row C1i with the physics step halved."""
     with inline_rig(seed, {"step_s": 0.125e-3}) as rig:
-        bench = Bench(rig, nine, 0)
+        bench = Bench(rig, taught, 0)
         bench.run("C1i, half the step", bench.row_of("C1i"), USUAL)
         return bench.rows
 
@@ -299,10 +309,12 @@ def halved(seed: int, nine: TransformFunction) -> list[Row]:
 ALONE: dict[str, Callable[[int], list[Row]]] = {"distance": gaps_in_the_cell}
 
 #: Stages that need rigs of their own.
-APART: dict[str, Callable[[int, TransformFunction], list[Row]]] = {"skew": skewed, "step": halved}
+APART: dict[str, Callable[[int, Taught], list[Row]]] = {"skew": skewed, "step": halved}
 
 #: Stages that need rigs of their own and what the usual speed has taught.
-AFTERWARDS: dict[str, Callable[[int, TransformFunction, TransformFunction], list[Row]]] = {"hostile": hostile}
+AFTERWARDS: dict[str, Callable[[int, NDArray[np.float64] | None, TransformFunction, TransformFunction], list[Row]]] = {
+    "hostile": hostile
+}
 
 
 def run_stage(seed: int, stage: str, frozen_cycles: int, stored: dict[str, Any] | None) -> dict[str, Any]:
@@ -320,12 +332,13 @@ def run_stage(seed: int, stage: str, frozen_cycles: int, stored: dict[str, Any] 
     if stage in ALONE:
         seen["rows"] += ALONE[stage](seed)
     elif stage in APART:
-        seen["rows"] += APART[stage](seed, _function(seen["nine"]))
+        seen["rows"] += APART[stage](seed, _given(seen))
     elif stage in AFTERWARDS:
-        seen["rows"] += AFTERWARDS[stage](seed, *(_function(seen["functions"][name]) for name in LEARNED_BY))
+        learned = (_function(seen["functions"][name]) for name in LEARNED_BY)
+        seen["rows"] += AFTERWARDS[stage](seed, _given(seen).laws_s, *learned)
     else:
         with inline_rig(seed) as rig:
-            bench = Bench(rig, _function(seen["nine"]), frozen_cycles)
+            bench = Bench(rig, _given(seen), frozen_cycles)
             bench.functions = {name: _function(knots) for name, knots in seen["functions"].items()}
             bench.alone = {float(speed): np.array(way) for speed, way in seen["alone"].items()}
             STAGES[stage](bench)
@@ -352,15 +365,18 @@ def _taught(seed: int) -> dict[str, Any]:
         nine, lesson = rig.teach(9)
         _count(seen, rig)
     points = plain_values(lesson.points)
-    seen |= {"functions": {}, "points": points, "nine": _knots(nine)}
-    return seen | {"alone": {f"{speed:g}": np.round(_alone(seed, nine, speed), 7).tolist() for speed in (USUAL, FAST)}}
+    laws = None if lesson.laws_s is None else lesson.laws_s.tolist()
+    seen |= {"functions": {}, "points": points, "nine": _knots(nine), "laws_s": laws}
+    taught = _given(seen)
+    alone = {f"{speed:g}": np.round(_alone(seed, taught, speed), 7).tolist() for speed in (USUAL, FAST)}
+    return seen | {"alone": alone}
 
 
-def _alone(seed: int, nine: TransformFunction, speed: float) -> Any:
+def _alone(seed: int, taught: Taught, speed: float) -> Any:
     """Way (n, 3) of the master's fingertip when nothing is held between the arms [m]."""
     with inline_rig(seed) as rig:
         rig.world.part.let_go()
-        bench = Bench(rig, nine, 0)
+        bench = Bench(rig, taught, 0)
         row = bench.row_of("A")
         _, record = rig.cycle(rig.run(row, bench.first(row), PairMotionOptions(speed=speed, force_limit_n=NO_LIMIT_N)))
         rig.power.off()
@@ -371,6 +387,12 @@ def _count(seen: dict[str, Any], rig: PairRig) -> None:
     statistics = rig.link.statistics()
     for name in seen["statistics"]:
         seen["statistics"][name] += sum(getattr(statistics, name))
+
+
+def _given(seen: dict[str, Any]) -> Taught:
+    """What was taught, from what is kept of a seed."""
+    laws = seen.get("laws_s")
+    return Taught(_function(seen["nine"]), None if laws is None else np.array(laws, dtype=float))
 
 
 def _knots(function: TransformFunction) -> list[Any]:

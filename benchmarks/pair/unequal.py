@@ -22,7 +22,7 @@ from rich.table import Table as RichTable
 
 from benchmarks.bench.__main__ import show
 from benchmarks.pair.bus_rig import CELL, inline_rig
-from benchmarks.pair.bus_rows import USUAL, Bench
+from benchmarks.pair.bus_rows import USUAL, Bench, Taught
 
 FOLDER = CELL.parents[1] / "pair-unequal"
 CELLS = ("large-small", "seven-six")
@@ -57,7 +57,8 @@ def main(argv: list[str]) -> int:
 def runs_of(cell: str, seed: int) -> list[dict[str, Any]]:
     """Every row of a cell and a seed: largest true force [N] of each cycle, share of the truth that intervals hold."""
     with inline_rig(seed, cell_file=FOLDER / f"{cell}.toml") as rig:
-        bench = Bench(rig, rig.teach(TAUGHT)[0], 0)
+        nine, lesson = rig.teach(TAUGHT)
+        bench = Bench(rig, Taught(nine, lesson.laws_s), 0)
         for name, cycles in ROWS.items():
             bench.run(name, bench.row_of(name), USUAL, cycles)
         limit_n = bench.limit_n

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -43,11 +44,24 @@ def taught_point(
 
 @dataclass(slots=True)
 class Lesson:
-    """Points taught so far, for one path of one cell."""
+    """Points taught so far, for one path of one cell.
+
+    Attributes
+    ----------
+    laws_s : array of shape (J, 2)
+        T and tau [s] of `e + tau e' = T u'`, by which each joint of both arms followed its set points meanwhile, NaN
+        where unknown; None = not told.
+    """
 
     path_hash: str
     cell_hash: str
     points: list[TaughtPoint] = field(default_factory=list)
+    laws_s: Floats | None = None
+
+    def hear(self, laws_s: Floats) -> None:
+        """T and tau (J, 2) [s] as they are told by now; what is not told any more stays as it was."""
+        before = np.full(laws_s.shape, math.nan) if self.laws_s is None else self.laws_s
+        self.laws_s = np.where(np.isnan(laws_s), before, laws_s)
 
     def function(self, start: Floats) -> TransformFunction:
         """Function through the points; `start` (4, 4) while there is none."""
@@ -58,7 +72,12 @@ class Lesson:
 
     def to_json(self) -> str:
         """Text of the file."""
-        return json_text(LessonFile(path_hash=self.path_hash, cell_hash=self.cell_hash, points=tuple(self.points)))
+        told = [] if self.laws_s is None else self.laws_s.tolist()
+        laws = tuple(None if math.isnan(lag_s) else (lag_s, tau_s) for lag_s, tau_s in told)
+        points = tuple(self.points)
+        return json_text(
+            LessonFile(path_hash=self.path_hash, cell_hash=self.cell_hash, points=points, servo_law_s=laws)
+        )
 
 
 def lesson_from_json(text: str, where: str) -> Lesson:
@@ -75,7 +94,9 @@ def lesson_from_json(text: str, where: str) -> Lesson:
         stored = decoded(LessonFile, data, where)
     except InputError as error:
         raise InputError(f"{error}; {AFRESH}") from error
-    return Lesson(stored.path_hash, stored.cell_hash, list(stored.points))
+    unknown = (math.nan, math.nan)
+    laws = np.array([unknown if law is None else law for law in stored.servo_law_s]) if stored.servo_law_s else None
+    return Lesson(stored.path_hash, stored.cell_hash, list(stored.points), laws)
 
 
 def read_lesson(path: Path, path_hash: str, cell_hash: str) -> Lesson:

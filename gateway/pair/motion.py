@@ -35,6 +35,7 @@ from gateway.pair.inverse import path_joint_angles
 from gateway.pair.passage import Commander, Pair, Passage, Streamed
 from gateway.pair.path import PairPath
 from gateway.pair.relation import relation
+from gateway.pair.servolag import LagLaw
 from gateway.pair.transform import Floats, inverse
 from gateway.pair.ways import Along, Settling, Watch, WatchedWay, smooth
 
@@ -51,6 +52,8 @@ DWELL_S = 0.1
 FADE_S = 0.4
 #: Standing still before a way, until torques have become wrenches.
 LISTEN_CYCLES = 12
+#: What is seen of servos is taken together over so long [s].
+TOGETHER_S = 0.4
 #: Share of the limit that may be in a part on the way to the start, beyond all doubt.
 AT_REST = 0.5
 #: On the way to a stop a force below this share of the limit may be friction: hands do not yield to it.
@@ -74,6 +77,7 @@ class PairMotionOptions:
     back_speed : of the way back, as forward if None
     force_limit_n : twice this force inside the part stops both arms; None = the cell's limit
     force_stop_s : after this time
+    laws_s : how each joint (J, 2) follows its set points, as in `Lesson`; None = all alike
     moves : what holds for every motion, a single arm's too
     """
 
@@ -81,6 +85,7 @@ class PairMotionOptions:
     back_speed: float | None = None
     force_limit_n: float | None = None
     force_stop_s: float = 0.02
+    laws_s: Floats | None = None
     moves: MoveOptions = field(default_factory=MoveOptions)
 
 
@@ -117,6 +122,8 @@ class PairMotion:
     ----------
     samples : what both arms reported last
     doubts : constants of both arms as the ways so far have told them
+    laws_s : how each joint (J, 2) follows its set points: every way makes up for what they are unlike
+    following : the same as all motions so far have told it
     """
 
     def __init__(self, cell: PairCell, stream: Stream, options: PairMotionOptions | None = None) -> None:
@@ -129,7 +136,11 @@ class PairMotion:
         lag_s = cell.config.servo_lag_s
         self._friction = [FrictionOffset(arm, self.dt_s, lag_s) for arm in cell.arms] if cell.gap else []
         self.samples: Samples | None = None
-        self.doubts = Doubts(constants_of(sum(arm.axes for arm in cell.arms)))
+        joints = sum(arm.axes for arm in cell.arms)
+        self.doubts = Doubts(constants_of(joints))
+        self.following = LagLaw(self.dt_s, joints, round(TOGETHER_S / self.dt_s))
+        given = self.options.laws_s
+        self.laws_s = np.full((joints, 2), np.nan) if given is None else given
         self._complete = True
 
     @property
@@ -310,6 +321,7 @@ class PairMotion:
     def see(self, samples: Samples) -> None:
         """Take in a SYNC wherever the arms are powered, also on the way to the start."""
         self.samples = samples
+        self.following.take(np.concatenate(self.q_rad), np.concatenate([sample.q_rad for sample in samples]))
         if not all(sample.complete for sample in samples):
             self._complete = False
         trouble = None if self._gap is None else self._gap.take(samples)

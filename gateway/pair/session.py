@@ -16,7 +16,7 @@ from gateway.pair.cell import PairCell
 from gateway.pair.embodiments import DISTANCE_GAINS, EMBODIMENTS, Embodiment, with_gains
 from gateway.pair.function import TransformFunction, constant_function, sampled
 from gateway.pair.impedance import Gains
-from gateway.pair.lesson import Lesson, read_lesson
+from gateway.pair.lesson import AFRESH, Lesson, read_lesson
 from gateway.pair.link import PairLink
 from gateway.pair.motion import PairMotion, PairMotionOptions, refuse_elsewhere
 from gateway.pair.run import PairCycle, PairRun
@@ -24,6 +24,7 @@ from gateway.pair.speed import SpeedTable
 from gateway.pair.storage import PairStore, run_result
 from gateway.pair.stored import read_stored, refuse_foreign, transform_of
 from gateway.pair.teach import Teacher, TeachRule
+from gateway.pair.transform import Floats
 from gateway.result.pair import PairRunResult, TaughtPoint
 
 #: What can be run without the simulator's truth.
@@ -158,6 +159,23 @@ def first_function(cell: PairCell, store: PairStore, row: Embodiment, speed: flo
     return transform_of(second), f"learned by {second.embodiment} {second.date}"
 
 
+def servo_laws(cell: PairCell, store: PairStore, row: Embodiment) -> Floats | None:
+    """How each joint (J, 2) follows, as teaching has told it [s]; None for what does not begin with what was taught.
+
+    Raises
+    ------
+    InputError
+        The taught points are damaged, or for another path or cell.
+    """
+    if row.first == "fixed" or not store.points.exists():
+        return None
+    laws_s = read_lesson(store.points, store.path_hash, store.cell_hash).laws_s
+    joints = sum(arm.axes for arm in cell.arms)
+    if laws_s is not None and len(laws_s) != joints:
+        raise InputError(f"{store.points}: servo_law_s has {len(laws_s)} entries for {joints} joints; {AFRESH}")
+    return laws_s
+
+
 def function_back(store: PairStore, row: Embodiment) -> TransformFunction | None:
     """What this embodiment has learned of the way back, None = nothing.
 
@@ -218,7 +236,8 @@ def run_pair(
     refuse_elsewhere(cell, link.together.where())
     # a path that is planned slower is learned from as it is driven
     stream = Stream(link.station(cell, replace(moves, override=1.0)))
-    run = PairRun(cell, stream, row, first, replace(options, speed=speed * moves.override), function_back(store, row))
+    options = replace(options, speed=speed * moves.override, laws_s=servo_laws(cell, store, row))
+    run = PairRun(cell, stream, row, first, options, function_back(store, row))
     if store.frozen:
         run.controller.freeze()
     cycles: list[PairCycle] = []

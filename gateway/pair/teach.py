@@ -132,6 +132,7 @@ class Teacher:
             if index not in done:
                 point = self._teach(lesson, index)
                 lesson.points.append(point)
+                lesson.hear(self._motion.following.each_s)
                 self._correction = np.zeros(6)
                 save(lesson, point)
         self._go(lesson, 0.0)

@@ -16,7 +16,7 @@ from gateway.motion.way import MotionWay, PerArm
 from gateway.pair.cell import PairCell
 from gateway.pair.felt import Felt
 from gateway.pair.passage import Commander, Pair, Passage
-from gateway.pair.servolag import ServoLag
+from gateway.pair.servolag import ServoLag, made_alike, unlike
 from gateway.pair.transform import Floats
 
 #: For closing a gap at standstill: until corrections go at their full speed, and many times what one takes then [s].
@@ -39,6 +39,7 @@ class MovedPair(Protocol):
 
     dt_s: float
     cell: PairCell
+    laws_s: Floats
 
     @property
     def q_rad(self) -> Pair:
@@ -86,7 +87,7 @@ class Along:
 
     The commander answers what was measured last, at every SYNC. Between two rows, when time along the path is slowed
     down, set points lie on the straight line from row to row, so that both arms keep their relation, and what the hands
-    yield meanwhile is added to both ends of it.
+    yield meanwhile is added to both ends of it. A joint that lags longer than the others is sent ahead by what it does.
     """
 
     def __init__(self, motion: MovedPair, way: Passage, commander: Commander, felt: Felt, fading: int) -> None:
@@ -97,7 +98,9 @@ class Along:
         self._offset: Pair | None = None
         self._row, self._felt_at = -1, 0
         self._before = self._after = self._q_rad = motion.q_rad
-        self._lag = ServoLag(motion.dt_s, motion.cell.config.servo_lag_s, way.speed_rad_s.shape[1])
+        self._ahead = made_alike(np.hstack(way.joints), motion.laws_s, motion.dt_s)
+        lag_s = motion.cell.config.servo_lag_s + unlike(motion.laws_s)[1]
+        self._lag = ServoLag(motion.dt_s, lag_s, self._ahead.shape[1])
         #: SYNCs since a stop was asked for because of the force, and the largest force of the first of them.
         self._since, self._most_n = 0, 0.0
 
@@ -137,7 +140,9 @@ class Along:
         began = time.perf_counter()
         doubtful = self._lag.slower and self._felt.doubtful(self._felt_at)
         felt = (None, None) if doubtful else self._felt.inputs(m)
-        q = self._way.targets(m, self._commander(m, *felt))
+        first, second = self._way.targets(m, self._commander(m, *felt))
+        ahead = self._ahead[m]
+        q = (first + ahead[: len(first)], second + ahead[len(first) :])
         self.spent_s += time.perf_counter() - began
         if m < self._fading:
             at = self._motion.q_rad

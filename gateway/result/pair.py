@@ -19,7 +19,7 @@ LARGEST = 1e9
 #: Largest speed setting that a function may have been learned at.
 FASTEST = 1e3
 POINTS_KIND = "servo-gateway taught points"
-POINT_UNITS = {"relation": "m", "correction_m": "m", "correction_rad": "rad"}
+POINT_UNITS = {"relation": "m", "correction_m": "m", "correction_rad": "rad", "servo_law_s": "s"}
 FUNCTION_KIND = "servo-gateway transform function"
 KNOT_UNITS = {"s_m": "m", "position_m": "m", "rotation": "1"}
 FRAMES = {"from": "gripper of the master (E1)", "to": "gripper of the slave (E2)"}
@@ -194,7 +194,13 @@ class TaughtPoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LessonFile:
-    """Points taught so far, for one path of one cell."""
+    """Points taught so far, for one path of one cell.
+
+    Attributes
+    ----------
+    servo_law_s : T and tau of `e + tau e' = T u'`, by which each joint of both arms followed its set points, null =
+        unknown; empty = not told
+    """
 
     kind: str = POINTS_KIND
     schema: int = SCHEMA
@@ -202,6 +208,7 @@ class LessonFile:
     cell_hash: _Said
     units: Mapping[str, str] = field(default_factory=lambda: POINT_UNITS)
     points: tuple[TaughtPoint, ...]
+    servo_law_s: tuple[tuple[_Known, _Known] | None, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -166,7 +166,7 @@ def standing(bench: Bench, extra_nm: np.ndarray, turned: float) -> np.ndarray:
         Shown(nm, np.full(6, turned), np.zeros(6), np.zeros(6))
         for nm in np.split(bench.balance._share[0] + extra_nm, 2)
     ]
-    bench.balance.begin(Doubts())
+    bench.balance.begin(Doubts(constants_of(12)))
     for _ in range(12):
         bench.balance.take(0, (seen[0], seen[1]), None)
     return bench.balance._maps.internal(0, *bench.balance.inputs(0))[:3]

@@ -30,6 +30,19 @@ def test_points_come_back(tmp_path: Path) -> None:
         read_lesson(path, "ab", "other")
 
 
+def test_how_the_servos_follow_comes_back_and_an_older_file_says_nothing_of_it(tmp_path: Path) -> None:
+    lesson = Lesson("ab", "cd")
+    lesson.hear(np.array([[0.016, 0.08], [np.nan, np.nan]]))
+    lesson.hear(np.array([[np.nan, np.nan], [np.nan, np.nan]]))
+    again = lesson_from_json(lesson.to_json(), "p.json")
+    assert np.array_equal(again.laws_s, [[0.016, 0.08], [np.nan, np.nan]], equal_nan=True)
+    older = document()
+    del older["servo_law_s"]
+    assert lesson_from_json(json.dumps(older), "p.json").laws_s is None
+    with pytest.raises(InputError, match="servo_law_s"):
+        lesson_from_json(json.dumps(document() | {"servo_law_s": [[0.016, "x"]]}), "p.json")
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
     [

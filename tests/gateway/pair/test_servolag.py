@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gateway.data.sample import ArmSample
-from gateway.pair.servolag import LONGEST_CATCHING_UP_S, ServoLag
+from gateway.pair.servolag import LONGEST_CATCHING_UP_S, MOST_UNLIKE_S, LagLaw, ServoLag, made_alike, unlike
 
 DT_S, ROWS = 0.004, 600
 
@@ -112,3 +112,77 @@ def test_while_time_slows_down_nothing_more_is_learned():
         samples = tuple(ArmSample(row, 0.0, np.full(6, 9.0 * row), np.zeros(6), ()) for _ in range(2))
         lag.take((np.zeros(6), np.zeros(6)), samples, SPEED)
     assert lag.catching_up_s == before
+
+
+LAGS, TAUS = np.linspace(0.012, 0.018, 12), np.linspace(0.09, 0.05, 12)
+
+
+def behind(sent: np.ndarray, lag_s: np.ndarray, tau_s: np.ndarray) -> np.ndarray:
+    """What servos (n,) of the law e + tau e' = T u' lag at each SYNC, set points (M, n) interpolated between SYNCs."""
+    parts, out = 50, [np.zeros(sent.shape[1])]
+    for before, now in zip(sent, sent[1:], strict=False):
+        lag = out[-1]
+        for _ in range(parts):
+            lag = lag + (lag_s * (now - before) / DT_S - lag) / tau_s * DT_S / parts
+        out.append(lag)
+    return np.array(out)
+
+
+def swinging(seed: int = 0) -> np.ndarray:
+    """Twelve joints to and fro for 4 s, from rest, each at its own pace [rad]."""
+    time, paces = np.arange(1000)[:, None] * DT_S, np.random.default_rng(seed).uniform(1.0, 3.0, 12)
+    return 0.2 * (1.0 - np.cos(paces * time))
+
+
+def heard(noise_rad: float = 0.0) -> np.ndarray:
+    """What is told of them by encoders that are noisy."""
+    sent = swinging()
+    law = LagLaw(DT_S, 12, rows=100)
+    shown = sent - behind(sent, LAGS, TAUS) + noise_rad * np.random.default_rng(1).standard_normal(sent.shape)
+    for row in range(len(sent) - 1):
+        law.take(sent[row + 1], shown[row])
+    return law.each_s
+
+
+@pytest.mark.parametrize(("noise_rad", "share"), [(0.0, 0.02), (2e-5, 0.05)])
+def test_each_joints_law_is_told_by_targets_and_encoders(noise_rad, share):
+    told = heard(noise_rad)
+    assert told[:, 0] == pytest.approx(LAGS, rel=share)
+    assert told[:, 1] == pytest.approx(TAUS, rel=2 * share)
+
+
+def test_a_joint_that_has_not_moved_or_is_too_noisy_is_not_known():
+    law = LagLaw(DT_S, 12, rows=100)
+    sent, random = swinging(), np.random.default_rng(2)
+    sent[:, 3] = 0.0
+    shown = sent - behind(sent, LAGS, TAUS)
+    shown[:, 5] += 0.02 * random.standard_normal(len(sent))
+    for row in range(len(sent) - 1):
+        law.take(sent[row + 1], shown[row])
+    assert np.flatnonzero(np.isnan(law.each_s).any(axis=1)).tolist() == [3, 5]
+
+
+def test_targets_that_are_made_alike_leave_the_joints_together():
+    """All go the same way; what they lag unlike each other is a twentieth of what it was."""
+    share = np.linspace(0.0, 1.0, 500)[:, None]
+    way = np.tile(0.6 * share**3 * (10.0 - 15.0 * share + 6.0 * share**2), (1, 12))
+    laws = np.stack([LAGS, TAUS], axis=1)
+    plain = way - behind(way, LAGS, TAUS)
+    sent = way + made_alike(way, laws, DT_S)
+    alike = sent - behind(sent, LAGS, TAUS)
+    assert np.ptp(plain, axis=1).max() > 2e-3
+    assert np.ptp(alike, axis=1).max() < 0.05 * np.ptp(plain, axis=1).max()
+    assert sent[-1] == pytest.approx(way[-1], abs=1e-12)
+
+
+def test_what_is_not_believed_is_left_alone():
+    laws = np.stack([LAGS, TAUS], axis=1)
+    laws[1] = np.nan
+    laws[4] = (0.02, 0.01)
+    laws[7, 0] = laws[:, 0][6] + MOST_UNLIKE_S + 0.01
+    known, more = unlike(laws)
+    assert np.flatnonzero(~known).tolist() == [1, 4, 7]
+    assert more[~known] == pytest.approx(np.zeros(3))
+    assert more[known].sum() == pytest.approx(0.0, abs=1e-12)
+    assert made_alike(swinging(), laws, DT_S)[:, ~known] == pytest.approx(0.0)
+    assert not made_alike(swinging(), np.full((12, 2), np.nan), DT_S).any()

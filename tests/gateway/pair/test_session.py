@@ -29,6 +29,7 @@ from gateway.pair.session import (
     one_relation,
     open_lesson,
     run_pair,
+    servo_laws,
     speed_table,
     teach_pair,
 )
@@ -312,6 +313,19 @@ def test_a_run_begins_with_what_its_row_says(pair, store):
     store.save("second", other, learn_source="command", speed=1.0, embodiment="C8", cycles=2)
     assert first_function(pair.cell, store, rows["C8"], SPEED)[1].startswith("learned by C8 ")
     assert first_function(pair.cell, store, rows["C1"], SPEED)[1].startswith("taught ")
+
+
+def test_rows_that_begin_with_what_was_taught_know_how_the_servos_follow(pair, store):
+    rows = {name: embodiment_of(pair.cell, name) for name in ("B", "C8")}
+    assert servo_laws(pair.cell, store, rows["C8"]) is None
+    laws = np.tile((0.016, 0.08), (12, 1))
+    lesson = Lesson(store.path_hash, store.cell_hash, laws_s=laws)
+    store.write("points.json", lesson.to_json())
+    assert servo_laws(pair.cell, store, rows["B"]) is None
+    assert np.array_equal(servo_laws(pair.cell, store, rows["C8"]), laws)
+    store.write("points.json", replace(lesson, laws_s=laws[:7]).to_json())
+    with pytest.raises(InputError, match="servo_law_s has 7 entries for 12 joints; teach again"):
+        servo_laws(pair.cell, store, rows["C8"])
 
 
 def test_one_relation_has_the_learning_points_of_a_row_that_learns(pair, distance_cell):

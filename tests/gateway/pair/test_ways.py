@@ -21,6 +21,7 @@ class Pair:
         self.dt_s = DT_S
         self.cell = SimpleNamespace(config=SimpleNamespace(servo_lag_s=0.0))
         self.q_rad = (np.zeros(6), np.zeros(6))
+        self.laws_s = np.full((12, 2), np.nan)
         self.seen: list[object] = []
         self.asked: list[tuple[str, StopKind]] = []
 
@@ -65,6 +66,7 @@ class Passage:
     def __init__(self) -> None:
         rows = np.arange(ROWS)[:, None]
         self.path = np.zeros(ROWS)
+        self.joints = (rows**2 * np.ones((1, 6)), rows**2 * np.ones((1, 6)))
         self.speed_rad_s, self.acceleration_rad_s2 = rows * np.ones((1, 12)), -rows * np.ones((1, 12))
         self.free_nm = (rows * np.ones((1, 6)), -rows * np.ones((1, 6)))
 
@@ -94,6 +96,20 @@ def along(pair: Pair, felt: Felt, fading: int = 0) -> tuple[Along, list[tuple[in
 
 
 SAMPLES = tuple(SimpleNamespace(q_rad=np.full(6, np.nan)) for _ in range(2))
+
+
+def test_a_joint_that_lags_longer_than_the_others_is_sent_ahead(pair, felt):
+    """By its speed times what it lags longer than all on average, and no more at the end of the way."""
+    pair.laws_s = np.tile((0.010, 0.012), (12, 1))
+    pair.laws_s[6] = 0.022, 0.024
+    passage, rows = Passage(), 200
+    evenly = 0.01 * np.arange(rows)[:, None] * np.ones((1, 6))
+    passage.path, passage.joints = np.zeros(rows), (evenly, evenly)
+    way = Along(pair, passage, lambda m, _one, _two: (evenly[m], evenly[m]), felt, 0)  # type: ignore[arg-type]
+    sent = np.array([np.concatenate(way.targets(float(row), 1.0)) for row in range(rows)])
+    ahead_s = (sent - np.hstack([evenly, evenly])) / (0.01 / DT_S)
+    assert ahead_s[120] == pytest.approx([*6 * [-0.001], 0.011, *5 * [-0.001]], abs=1e-5)
+    assert ahead_s[-1] == pytest.approx(np.zeros(12), abs=1e-12)
 
 
 def test_at_full_rate_each_row_is_asked_for_once_and_sent_as_it_is(pair, felt):
