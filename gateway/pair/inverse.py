@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from gateway.errors import LimitExceeded, PlanRefused
 from gateway.model.robot import Robot
-from gateway.pair.transform import Floats, cross_matrix, log_rotation
+from gateway.pair.transform import Floats, apply_correction, cross_matrix, log_rotation
 
 #: Below this singular value of the Jacobian [m/rad, rad/rad] a posture counts as singular.
 SINGULAR = 0.05
@@ -32,6 +32,8 @@ SEED_EVERY = 10
 #: How near to the nearest posture an arm of more than six axes is brought [rad], and the least curvature of the
 #: distance that a step towards it is measured by.
 NEAREST_RAD, LEAST_CURVATURE = 1e-6, 0.25
+#: How far a gripper is moved to see how its joints follow, a turn as a way at 1 m.
+NEARBY_M = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,6 +159,20 @@ def turns(jacobian: Floats, twists: Floats) -> Floats:
         return np.asarray(np.linalg.solve(jacobian, twists), dtype=float)
     turned = np.swapaxes(jacobian, -1, -2)
     return np.asarray(turned @ np.linalg.solve(jacobian @ turned, twists), dtype=float)
+
+
+def turns_at(chain: ForwardChain, q_rad: Floats, twists: Floats) -> Floats:
+    """Turns (N, k) [rad] of the joints that go with twists (6, k) `[m; rad]` of the gripper from a posture (N,).
+
+    An arm of more than six axes turns to the nearest posture there, and not by the least that does it.
+    """
+    pose, jacobian = chain.poses(q_rad[None])
+    if chain.axes == ROWS:
+        return turns(jacobian[0], twists)
+    share = NEARBY_M / np.linalg.norm(twists, axis=0)
+    moved = apply_correction(np.broadcast_to(pose[0], (len(share), 4, 4)), (share * twists).T)
+    there = solve(chain, moved, np.broadcast_to(q_rad, (len(share), chain.axes)))
+    return (there - q_rad).T / share
 
 
 def smallest_singular(chain: ForwardChain, q_rad: ArrayLike) -> Floats:

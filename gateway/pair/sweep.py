@@ -11,7 +11,7 @@ from itertools import product
 import numpy as np
 
 from gateway.pair.cell import PairCell
-from gateway.pair.inverse import turns
+from gateway.pair.inverse import turns_at
 from gateway.pair.transform import Floats, cross_matrix, exp_rotation, inverse, pose
 
 #: A turn counts as a way at this lever [m].
@@ -47,12 +47,11 @@ def liveliest_twist(cell: PairCell, command: Floats, q_rad: tuple[Floats, Floats
     twists = directions()
     least = np.full(len(twists), np.inf)
     for arm, q in zip(cell.arms, q_rad, strict=True):
-        tips, jacobians = arm.chain.poses(q[None])
-        lever = (arm.world_from_base @ tips[0])[:3, 3] - centre
+        lever = (arm.world_from_base @ arm.chain.poses(q[None])[0][0])[:3, 3] - centre
         to_base = np.kron(np.eye(2), arm.world_from_base[:3, :3].T)
         at_tip = np.eye(6)
         at_tip[:3, 3:] = -cross_matrix(lever)
-        rates = turns(jacobians[0], to_base @ at_tip @ twists.T)
+        rates = turns_at(arm.chain, q, to_base @ at_tip @ twists.T)
         least = np.minimum(least, np.abs(rates).min(axis=0))
     best = int(np.argmax(least))
     return twists[best], float(least[best])

@@ -19,15 +19,16 @@ from gateway.pair.doubt import COULOMB_SHARE, Doubts, constants_of
 from gateway.pair.follow import ExternalTorque, JointFollower, Shown
 from gateway.pair.motion import calibration_of
 
-EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "pair" / "cell.toml"
+EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
+EXAMPLE = EXAMPLES / "pair" / "cell.toml"
 TURN_RAD = 1e-6
 
 
 class Bench:
     """Both arms along their path, moving freely but for what a test puts between the hands."""
 
-    def __init__(self) -> None:
-        self.cell = cell = load_pair(EXAMPLE)
+    def __init__(self, cell_file: Path = EXAMPLE) -> None:
+        self.cell = cell = load_pair(cell_file)
         self.path = path = cell.path(1.5)
         slave = cell.nominal_slave(path)
         followers = [JointFollower(arm, q) for arm, q in zip(cell.arms, cell.joints(path), strict=True)]
@@ -48,14 +49,14 @@ class Bench:
         self.speed = [np.gradient(q, path.dt_s, axis=0) for q in self.q]
 
     def tips(self, arm: int, turned_rad: np.ndarray) -> np.ndarray:
-        """Fingertips (M, 4, 4) of an arm in the world, its joints turned by (6,)."""
+        """Fingertips (M, 4, 4) of an arm in the world, its joints turned by (N,)."""
         chosen = self.cell.arms[arm]
         return chosen.world_from_base @ chosen.chain.poses(self.q[arm] + turned_rad)[0]
 
     def virtual_work_nm(self, arm: int, force_n: np.ndarray, moment_nm: np.ndarray) -> np.ndarray:
-        """Torque (M, 6) that holds a force and a moment (M, 3), world axes, at the fingertip of an arm."""
+        """Torque (M, N) that holds a force and a moment (M, 3), world axes, at the fingertip of an arm."""
         out = np.empty_like(self.q[arm])
-        for joint, unit in enumerate(np.eye(6)):
+        for joint, unit in enumerate(np.eye(self.cell.arms[arm].axes)):
             ahead, behind = (self.tips(arm, side * TURN_RAD * unit) for side in (1, -1))
             move = (ahead - behind)[:, :3, 3] / (2 * TURN_RAD)
             turn = Rotation.from_matrix(ahead[:, :3, :3] @ np.swapaxes(behind[:, :3, :3], 1, 2)).as_rotvec()
@@ -65,7 +66,7 @@ class Bench:
 
     def centre(self) -> np.ndarray:
         """Middle of the part (M, 3) where the arms are, by the master's hand."""
-        return (self.tips(0, np.zeros(6)) @ np.linalg.inv(self.cell.arms[0].part_from_tip))[:, :3, 3]
+        return (self.tips(0, np.zeros(1)) @ np.linalg.inv(self.cell.arms[0].part_from_tip))[:, :3, 3]
 
     def part_n(self) -> np.ndarray:
         """Half the part's weight and inertia (M, 3)."""
@@ -74,22 +75,23 @@ class Bench:
         return 0.5 * self.cell.config.part_mass_kg * (np.array([0.0, 0.0, -9.80665]) - change)
 
     def run(self, force_n: np.ndarray, extra_nm=(0.0, 0.0), doubts: Doubts | None = None) -> Doubts:
-        """A way with a force (M, 3) inside the part, on gripper 2 as it is, and torques (M, 6) beside.
+        """A way with a force (M, 3) inside the part, on gripper 2 as it is, and torques (M, N) beside.
 
         Both grippers feel it about the part's middle, so that the part has no cause to turn.
         """
-        doubts = doubts or Doubts(constants_of(12))
+        joints = sum(arm.axes for arm in self.cell.arms)
+        doubts = doubts or Doubts(constants_of(joints))
         part, centre = self.part_n(), self.centre()
         torque = []
         for arm, sign in ((0, -1.0), (1, 1.0)):
-            arm_m = centre - self.tips(arm, np.zeros(6))[:, :3, 3]
+            arm_m = centre - self.tips(arm, np.zeros(1))[:, :3, 3]
             moment = np.cross(arm_m, sign * force_n)
             torque.append(self.free[arm] + self.virtual_work_nm(arm, part + sign * force_n, moment) + extra_nm[arm])
         self.balance.begin(doubts)
         for m in range(len(self.path)):
             time_s = m * self.path.dt_s
             seen = [
-                arm.update(m, ArmSample(m, time_s, q[m], nm[m], (object(),) * 6))  # type: ignore[arg-type]
+                arm.update(m, ArmSample(m, time_s, q[m], nm[m], (object(),) * len(q[m])))  # type: ignore[arg-type]
                 for arm, q, nm in zip(self.arms, self.q, torque, strict=True)
             ]
             self.balance.take(m, (seen[0], seen[1]), m - 1 if m else None)
@@ -103,6 +105,12 @@ class Bench:
 @pytest.fixture(scope="module")
 def bench() -> Bench:
     return Bench()
+
+
+@pytest.fixture(scope="module")
+def thirteen() -> Bench:
+    """An arm of seven axes and one of six."""
+    return Bench(EXAMPLES / "pair-unequal" / "seven-six.toml")
 
 
 def pulled(bench: Bench, force_n: tuple[float, float, float]) -> np.ndarray:
@@ -119,6 +127,29 @@ def test_a_force_inside_the_part_is_found_with_its_sign_and_its_weight_is_none(b
     assert np.sqrt(np.mean(wrong**2)) < 2.5
     assert wrong.max() < 6.0
     assert bench.balance.wrench[:3] == pytest.approx(force_n, abs=6.0)
+
+
+@pytest.mark.parametrize("force_n", [(30.0, 0.0, 0.0), (0.0, -20.0, 10.0)])
+def test_thirteen_torques_hold_the_same_six_numbers(thirteen, force_n):
+    """By virtual work of both hands; what is left of thirteen rows tells of 5 constants a joint and 4 of the part."""
+    doubts = thirteen.run(pulled(thirteen, force_n))
+    thirteen.balance.learn()
+    found = thirteen.balance.inside()
+    wrong = np.linalg.norm(found.wrench[50:-50, :3] - force_n, axis=1)
+    assert np.sqrt(np.mean(wrong**2)) < 2.5
+    assert wrong.max() < 6.0
+    assert thirteen.balance.wrench[:3] == pytest.approx(force_n, abs=6.0)
+    assert doubts.value.shape == (5 * 13 + 4,)
+
+
+def test_friction_of_the_axis_that_an_arm_has_more_is_told_too(thirteen):
+    """Joint 3 of the arm of seven rubs a quarter less than the cell says; its neighbours rub as it does."""
+    extra = np.zeros((len(thirteen.path), 7))
+    extra[:, 2] = -0.25 * thirteen.cell.arms[0].coulomb_nm[2] * thirteen.turns(0, 2)
+    doubts = thirteen.run(pulled(thirteen, (0.0, 0.0, 0.0)), (extra, 0.0))
+    thirteen.balance.learn()
+    assert doubts.value[2] == pytest.approx(-0.25 / COULOMB_SHARE, abs=0.35)
+    assert np.abs(doubts.value[[0, 1, 3, 4, 5, 6, 7, 8]]).max() < 0.35
 
 
 def test_both_hands_are_told_what_holds_the_force_and_the_part(bench):

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pinocchio
 import pytest
+from scipy.linalg import null_space
+from scipy.spatial.transform import Rotation
 
 from gateway.errors import LimitExceeded, PlanRefused
 from gateway.model.robot import Robot
-from gateway.pair.inverse import chain_of, joint_angles, path_joint_angles, smallest_singular
+from gateway.pair.cell import PairArm, load_pair
+from gateway.pair.inverse import chain_of, joint_angles, path_joint_angles, smallest_singular, solve, turns
 
 
 @pytest.fixture(scope="module")
@@ -83,3 +89,80 @@ def test_joint_limit_is_named(arm: Robot) -> None:
     q = np.array([0.0, 1.4, -3.0, 0.0, -1.3, 0.0])
     with pytest.raises(LimitExceeded, match="joint 5"):
         joint_angles(limited, chain_of(arm).poses(q[None])[0][0], q)
+
+
+# -- more axes than a pose needs ---------------------------------------------------------------------------------------
+
+
+SEVEN = Path(__file__).resolve().parents[3] / "examples" / "pair-unequal" / "seven-six.toml"
+SPEED = 1.5
+
+
+@pytest.fixture(scope="module")
+def seven() -> PairArm:
+    return load_pair(SEVEN).arms[0]
+
+
+@pytest.fixture(scope="module")
+def commands() -> np.ndarray:
+    return load_pair(SEVEN).path(SPEED).commands
+
+
+def tip_of(arm: PairArm, q: np.ndarray) -> np.ndarray:
+    """Fingertip (4, 4) by the placements of the joints, one after the other."""
+    frame = np.eye(4)
+    for placed, axis, angle in zip(arm.robot.placement, arm.robot.axis, q, strict=True):
+        turn = np.eye(4)
+        turn[:3, :3] = Rotation.from_rotvec(axis * angle).as_matrix()
+        frame = frame @ placed @ turn
+    return frame @ arm.robot.flange
+
+
+def unseen(arm: PairArm, q: np.ndarray) -> np.ndarray:
+    """Direction (7,) in which the joints turn and the fingertip stays, by differences."""
+    columns = []
+    for unit in np.eye(7):
+        ahead, behind = (tip_of(arm, q + side * 1e-6 * unit) for side in (1, -1))
+        turn = Rotation.from_matrix(ahead[:3, :3] @ behind[:3, :3].T).as_rotvec()
+        columns.append(np.concatenate([ahead[:3, 3] - behind[:3, 3], turn]) / 2e-6)
+    return null_space(np.array(columns).T, rcond=1e-6)[:, 0]
+
+
+def test_a_seven_axis_arm_follows_a_path_exactly_and_evenly(seven: PairArm, commands: np.ndarray) -> None:
+    """The hand is slower than 0.8 m/s and its joints than 1.5 rad/s: 6 mrad a cycle, 0.1 mrad more or less the next."""
+    q, singular = path_joint_angles(seven.chain, commands, seven.start_rad)
+    for row in range(0, len(q), 20):
+        assert np.allclose(tip_of(seven, q[row]), commands[row], atol=1e-9)
+    assert q[0] == pytest.approx(seven.start_rad, abs=1e-6)
+    assert np.abs(np.diff(q, axis=0)).max() < 6e-3
+    assert np.abs(np.diff(q, 2, axis=0)).max() < 1e-4
+    assert singular.min() > 0.2
+
+
+def test_of_all_postures_that_reach_a_pose_the_one_nearest_to_the_start_is_taken(
+    seven: PairArm, commands: np.ndarray
+) -> None:
+    """Nothing of the way to the start is left in the direction that the fingertip does not see, and it is no summit."""
+    free = replace(seven.chain, rest_rad=None)
+    for row in (0, 300, 620, len(commands) - 1):
+        q = path_joint_angles(seven.chain, commands[: row + 2], seven.start_rad)[0][row]
+        direction = unseen(seven, q)
+        assert abs(direction @ (q - seven.start_rad)) < 1e-5
+        for side in (-0.1, 0.1):
+            other = solve(free, commands[row][None], (q + side * direction)[None])[0]
+            assert np.allclose(tip_of(seven, other), commands[row], atol=1e-9)
+            assert np.linalg.norm(other - q) > 0.05
+            assert np.linalg.norm(other - seven.start_rad) > np.linalg.norm(q - seven.start_rad)
+
+
+def test_a_pose_has_one_posture_whichever_way_it_was_come_to(seven: PairArm, commands: np.ndarray) -> None:
+    there = path_joint_angles(seven.chain, commands, seven.start_rad)[0]
+    back = path_joint_angles(seven.chain, commands[::-1], there[-1] + 0.2 * unseen(seven, there[-1]))[0]
+    assert back[::-1] == pytest.approx(there, abs=1e-5)
+
+
+def test_joints_turn_by_the_least_that_moves_a_hand(seven: PairArm) -> None:
+    jacobian = seven.chain.poses(seven.start_rad[None])[1]
+    twists = np.random.default_rng(5).standard_normal((6, 3))
+    assert turns(jacobian, twists)[0] == pytest.approx(np.linalg.pinv(jacobian[0]) @ twists)
+    assert turns(jacobian[:, :, 1:], twists)[0] == pytest.approx(np.linalg.inv(jacobian[0][:, 1:]) @ twists)

@@ -184,6 +184,21 @@ def test_what_may_be_friction_is_not_answered_while_time_slows_down(pair, felt, 
     assert asked[-1] == (3, told)
 
 
+def test_each_arm_gives_back_its_own_lag_whatever_its_axes_are(pair, felt):
+    """Seven and six joints whose speeds are their numbers: at half the rate half of what they lag in 20 ms."""
+    speed = np.arange(1.0, 14.0)
+    pair.cell.config.servo_lag_s = 0.02
+    pair.q_rad = (np.zeros(7), np.zeros(6))
+    passage = Passage()
+    passage.speed_rad_s = np.tile(speed, (ROWS, 1))
+    way = Along(pair, passage, lambda m, _one, _two: (np.full(7, float(m)), np.full(6, float(m))), felt, 0)
+    for row in range(3):
+        way.targets(float(row), 1.0)
+    first, second = way.targets(2.5, 0.5)
+    assert first == pytest.approx(2.5 - 0.5 * 0.02 * speed[:7])
+    assert second == pytest.approx(2.5 - 0.5 * 0.02 * speed[7:])
+
+
 def test_a_way_begins_where_the_arms_are_and_fades_in(pair, felt):
     pair.q_rad = (np.full(6, 5.0), np.full(6, -3.0))
     way, _ = along(pair, felt, fading=4)

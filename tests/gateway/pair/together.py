@@ -89,7 +89,8 @@ class Joints:
         self.log.append("enable")
         self.enabled = True
         self.last_rad = self.part.next_rad[self.index] = self.part.q_rad[self.index]
-        return self._epoch(np.zeros(6), np.zeros(6))
+        still = np.zeros(self.arm.axes)
+        return self._epoch(still, still)
 
     def exchange(self, commands, /):
         self.offsets_nm.append(np.array([command.torque_offset_nm for command in commands]))
@@ -116,7 +117,7 @@ class Joints:
         self.log.append("quick stop")
 
     def sag_rad(self):
-        return (0.0,) * 6
+        return (0.0,) * self.arm.axes
 
     def when_stopping(self, tell):
         self.tell = tell
@@ -141,7 +142,7 @@ class Joints:
         position, motor = self.axes.motor_position(q), self.axes.motor_torque(torque)
         readings: list[DriveReading | None] = [
             DriveReading(axis + 1, self.sync_index, ENABLED, 0, 0, None, None, position[axis], motor[axis], None, None)
-            for axis in range(6)
+            for axis in range(self.arm.axes)
         ]
         if self.sync_index in self.silent:
             readings[2] = None
@@ -169,10 +170,11 @@ class Together:
     away : array of shape (6,)
         How far the grasps are off: the hand that the part wants, seen from the nominal one [m, rad].
     softer : how much softer the part is than the cell says
+    cell_file : of the cell
     """
 
-    def __init__(self, away: np.ndarray, softer: float = 0.5) -> None:
-        self.cell = short(load_pair(EXAMPLE / "cell.toml", pacing="lockstep"))
+    def __init__(self, away: np.ndarray, softer: float = 0.5, cell_file: Path = EXAMPLE / "cell.toml") -> None:
+        self.cell = short(load_pair(cell_file, pacing="lockstep"))
         off = np.eye(4)
         off[:3, 3], off[:3, :3] = away[:3], Rotation.from_rotvec(away[3:]).as_matrix()
         self.true = self.cell.nominal_relation @ off
