@@ -15,7 +15,7 @@ from gateway.data.sample import ArmSample
 from gateway.pair.balance import ForceBalance
 from gateway.pair.calibration import PathWrenches
 from gateway.pair.cell import load_pair
-from gateway.pair.doubt import COULOMB_SHARE, Doubts, constants_of
+from gateway.pair.doubt import COULOMB_SHARE, LATE_S, LINK_SHARE, Doubts, constants_of
 from gateway.pair.follow import ExternalTorque, JointFollower, Shown
 from gateway.pair.motion import calibration_of
 
@@ -150,6 +150,34 @@ def test_friction_of_the_axis_that_an_arm_has_more_is_told_too(thirteen):
     thirteen.balance.learn()
     assert doubts.value[2] == pytest.approx(-0.25 / COULOMB_SHARE, abs=0.35)
     assert np.abs(doubts.value[[0, 1, 3, 4, 5, 6, 7, 8]]).max() < 0.35
+
+
+def test_links_and_delays_of_an_arm_ask_for_torque_of_its_own_joints_alone(thirteen):
+    """Seven links and seven delays of the master, six and six of the slave, then the part."""
+    along, row = thirteen.balance.columns.along, 700
+    assert along.shape[1:] == (13, 2 * 13 + 4)
+    for arm, own, first in ((thirteen.arms[0], slice(0, 7), 0), (thirteen.arms[1], slice(7, 13), 14)):
+        motion = (arm.q_rad, arm.speed_rad_s, arm.acceleration_rad_s2)
+        axes = arm.arm.axes
+        columns = along[row][:, first : first + 2 * axes]
+        assert not np.delete(columns, np.arange(own.start, own.stop), axis=0).any()
+        links = np.stack([each[row] for each in arm.arm.link_torques(*motion)], axis=1)
+        assert columns[own, :axes] == pytest.approx(LINK_SHARE * links)
+        before, after = (arm.arm.model_torque(*(each[at][None] for each in motion))[0] for at in (row - 1, row + 1))
+        late = LATE_S * (after - before) / (2 * thirteen.path.dt_s)
+        assert columns[own, axes:] == pytest.approx(np.diag(late))
+
+
+@pytest.mark.parametrize("which", ["bench", "thirteen"])
+def test_the_torque_of_constants_is_that_of_their_columns(which, request):
+    balance = request.getfixturevalue(which).balance
+    joints = balance._share.shape[1]
+    random = np.random.default_rng(8)
+    motion = random.standard_normal((3, balance.count, joints))
+    by = random.standard_normal(constants_of(joints))
+    for row in (0, 500):
+        told = balance.columns.torque(row, by, *(each[row] for each in motion))
+        assert told == pytest.approx(balance.columns.of(*motion)[row] @ by)
 
 
 def test_both_hands_are_told_what_holds_the_force_and_the_part(bench):

@@ -14,7 +14,15 @@ from scipy.spatial.transform import Rotation
 from gateway.errors import LimitExceeded, PlanRefused
 from gateway.model.robot import Robot
 from gateway.pair.cell import PairArm, load_pair
-from gateway.pair.inverse import chain_of, joint_angles, path_joint_angles, smallest_singular, solve, turns
+from gateway.pair.inverse import (
+    ForwardChain,
+    chain_of,
+    joint_angles,
+    path_joint_angles,
+    smallest_singular,
+    solve,
+    turns,
+)
 
 
 @pytest.fixture(scope="module")
@@ -159,6 +167,19 @@ def test_a_pose_has_one_posture_whichever_way_it_was_come_to(seven: PairArm, com
     there = path_joint_angles(seven.chain, commands, seven.start_rad)[0]
     back = path_joint_angles(seven.chain, commands[::-1], there[-1] + 0.2 * unseen(seven, there[-1]))[0]
     assert back[::-1] == pytest.approx(there, abs=1e-5)
+
+
+def test_a_posture_far_from_the_nearest_is_brought_there_in_few_steps(
+    seven: PairArm, commands: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Newton's steps: the nearest to a posture 0.5 rad away from the start in joint 1, from 0.5 rad beside it."""
+    chain = replace(seven.chain, rest_rad=seven.start_rad + np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    looks, plain = [], ForwardChain.poses
+    monkeypatch.setattr(ForwardChain, "poses", lambda self, q: (looks.append(1), plain(self, q))[1])
+    q = solve(chain, commands[:1], (seven.start_rad + 0.5 * unseen(seven, seven.start_rad))[None])[0]
+    assert np.allclose(tip_of(seven, q), commands[0], atol=1e-9)
+    assert abs(unseen(seven, q) @ (q - chain.rest_rad)) < 1e-5
+    assert len(looks) <= 9
 
 
 def test_joints_turn_by_the_least_that_moves_a_hand(seven: PairArm) -> None:

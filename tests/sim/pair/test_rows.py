@@ -81,13 +81,14 @@ def test_fingertips_stand_where_the_robot_files_put_them(file: str) -> None:
 
 
 def drawn_arm(rng: np.random.Generator, like: ArmSpec, axes: int) -> ArmSpec:
-    """An arm of the same drives whose joints stand anywhere and turn about any axis, two of them parallel."""
+    """An arm of the same drives whose joints stand anywhere and turn about any axis, two parallel, two on one line."""
     placement = np.array(
         [pose(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-0.4, 0.4, 3)) for _ in range(axes)]
     )
     axis = rng.standard_normal((axes, 3))
     axis /= np.linalg.norm(axis, axis=1)[:, None]
     axis[2] = placement[2, :3, :3].T @ axis[1]
+    placement[4, :3, 3], axis[4] = 0.2 * axis[3], placement[4, :3, :3].T @ axis[3]
     bodies = tuple(SimBody(1.0 + i, rng.uniform(-0.1, 0.1, 3), np.diag([0.3, 0.4, 0.5])) for i in range(axes))
     open_ = np.full(axes, np.inf)
     return replace(like, chain=SimChain("drawn", placement, axis, bodies, -open_, open_, open_, open_))
@@ -140,14 +141,52 @@ def test_a_small_arm_has_gears_as_stiff_as_their_torque_asks_for() -> None:
     assert np.array_equal(world.arms[0].train.stiffness_nm_rad, GEAR_STIFFNESS_NM_RAD)
 
 
-def test_thirteen_joints_have_a_deviation_that_differences_agree_with(thirteen: TwoArms) -> None:
-    part, rng = thirteen.part, np.random.default_rng(1)
-    q = thirteen.q + rng.normal(0.0, 1e-3, 13)
+@pytest.mark.parametrize("roles", [("left", "right"), ("right", "left")], ids=["seven first", "six first"])
+def test_thirteen_joints_have_a_deviation_that_differences_agree_with(roles: tuple[str, str]) -> None:
+    cell = read_cell(UNEQUAL / "seven-six.toml")
+    cell = replace(cell, pair={**cell.pair, "master": roles[0], "slave": roles[1]})
+    world = pair_units(cell, PairOptions(0, plant="light"))["left"].world
+    world.close()
+    part, rng = world.part, np.random.default_rng(1)
+    q = world.q + rng.normal(0.0, 1e-3, 13)
     closure = part.at(q)
     assert closure.jacobian.shape == (6, 13)
     for joint, unit in enumerate(np.eye(13)):
         rate = (part.at(q + 1e-6 * unit).deviation - part.at(q - 1e-6 * unit).deviation) / 2e-6
         assert np.abs(rate - closure.jacobian[:, joint]).max() < 2e-3
+
+
+def test_errors_are_drawn_about_each_arm_s_own_rows() -> None:
+    cell = read_cell(UNEQUAL / "seven-six.toml")
+    world = world_of("seven-six.toml", 5)
+    world.close()
+    for arm, truth in zip(cell.arms, world.arms, strict=True):
+        off = tip(truth.geometry, np.array(arm.start_rad))[:3, 3] - fingertip(arm, np.array(arm.start_rad))[:3, 3]
+        assert 1e-5 < np.linalg.norm(off) < 1e-2
+        assert np.abs(truth.geometry.zero_rad - rows_of(arm).geometry.zero_rad).max() < 3e-3
+        assert (truth.train.backlash_rad > 0.0).tolist() == [False] * (len(arm.axes) - 3) + [True] * 3
+
+
+@pytest.mark.parametrize("plant", ["bullet", "light"])
+def test_a_sync_of_the_slave_that_is_off_leaves_the_master_s_seventh_joint_alone(plant: str) -> None:
+    """Arms that hold no part, all joints at 0.1 rad/s: 1 ms is 0.1 mrad, from the eighth joint on."""
+    places = []
+    for skew_s in (0.0, 1e-3):
+        options = PairOptions(None, settings={"skew_s": skew_s}, plant=plant)  # type: ignore[arg-type]
+        world = pair_units(read_cell(UNEQUAL / "seven-six.toml"), options)["left"].world
+        world.part.let_go()
+        for axis in world.motors.axes:
+            axis.release()
+        for _ in range(40):
+            for axis in world.motors.axes:
+                axis.servo.reference_step_rad = 1e-4
+            world.ask(0, 0.004)
+            world.ask(1, 0.004)
+        places.append(world.motors.theta.copy())
+        world.close()
+    off = np.abs(places[0] - places[1])
+    assert off[:7].max() < 2e-6
+    assert off[7:] == pytest.approx(np.full(6, 1e-4), rel=0.2)
 
 
 def test_each_arm_of_thirteen_joints_reads_its_own(thirteen: TwoArms) -> None:
