@@ -317,7 +317,9 @@ class ArmConfig(Strict):
     tool_xyz_m: Vector3 = Field(default=(0.0, 0.0, 0.0), description="fingertip of the gripper in the flange")
     tool_rpy_rad: Vector3 = Field(default=(0.0, 0.0, 0.0), description="its turn, roll, pitch, yaw")
     start_rad: tuple[Finite, ...] | None = Field(
-        default=None, description="joint angles at which an arm of a pair grips the part: start of the path"
+        default=None,
+        description="joint angles at which an arm of a pair grips the part: start of the path; an arm of"
+        " more than six axes stays near them",
     )
     home_rad: tuple[Finite, ...] | None = Field(
         default=None,

@@ -24,7 +24,7 @@ from sim.pair.gap import GapSensors, add_sensors
 from sim.pair.geometry import ArmGeometry, translation
 from sim.pair.light import LightWorld
 from sim.pair.motors import DriveTrain
-from sim.pair.rows import Rows, rows_of
+from sim.pair.rows import ArmRows, rows_of
 from sim.pair.two_arms import TwoArms
 from sim.pair.unit import PairUnit
 from sim.pair.workpiece import Stiffness
@@ -114,7 +114,7 @@ def _check(arm: ArmSpec) -> None:
         )
 
 
-def _sheet(arm: ArmSpec, rows: Rows) -> ArmSheet:
+def _sheet(arm: ArmSpec, rows: ArmRows) -> ArmSheet:
     """Data sheet of an arm: gears are as stiff as gears of their torque are."""
     stiffness = np.interp(_rated_nm(arm), *GEARS)
     return ArmSheet(rows.geometry, stiffness, np.array([axis.gear_ratio for axis in arm.axes]))
@@ -131,7 +131,7 @@ def _plain(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
-def _truth(arm: ArmSpec, rows: Rows, errors: ArmErrors, carried: SimBody | None) -> ArmTruth:
+def _truth(arm: ArmSpec, rows: ArmRows, errors: ArmErrors, carried: SimBody | None) -> ArmTruth:
     axes = arm.axes
     bodies: list[SimBody] = []
     for number, body in enumerate(rows.bodies):

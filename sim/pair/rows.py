@@ -24,7 +24,7 @@ PARALLEL_RAD, POINT_M = 1e-6, 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rows:
+class ArmRows:
     """An arm in rows.
 
     Attributes
@@ -37,7 +37,7 @@ class Rows:
     bodies: tuple[SimBody | None, ...]
 
 
-def rows_of(arm: ArmSpec) -> Rows:
+def rows_of(arm: ArmSpec) -> ArmRows:
     """The arm of a cell file without errors, where the cell puts it."""
     links = _links(arm)
     start = links[0] @ _onto_z(arm.chain.axis[0])
@@ -63,7 +63,7 @@ def rows_of(arm: ArmSpec) -> Rows:
         tool=_stated(np.linalg.inv(before @ translation(0.0, 0.0, last_m)) @ end),
     )
     placed = (_stated(np.linalg.inv(frame) @ link) for frame, link in zip(turning, links, strict=True))
-    return Rows(geometry, tuple(moved(body, frame) for body, frame in zip(arm.chain.bodies, placed, strict=True)))
+    return ArmRows(geometry, tuple(moved(body, frame) for body, frame in zip(arm.chain.bodies, placed, strict=True)))
 
 
 def _links(arm: ArmSpec) -> list[Array]:
