@@ -1,0 +1,46 @@
+"""What the benchmark of arms that are not alike says of its runs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from benchmarks.pair.unequal import ROWS, cycles_until_inside, figures_of_cell
+
+
+@pytest.mark.parametrize(
+    ("forces_n", "wanted"),
+    [([30.0, 20.0], 0), ([50.0, 30.0, 20.0], 1), ([50.0, 30.0, 45.0, 30.0], 3), ([30.0, 50.0], None), ([41.0], None)],
+)
+def test_a_run_is_inside_from_the_cycle_after_the_last_one_above_the_limit(
+    forces_n: list[float], wanted: int | None
+) -> None:
+    assert cycles_until_inside(forces_n, 40.0) == wanted
+
+
+def run(row: str, seed: int, forces_n: list[float], held: float) -> dict[str, Any]:
+    inside = cycles_until_inside(forces_n, 40.0)
+    each = {"cell": "c", "row": row, "seed": seed, "limit_n": 40.0, "force_n": forces_n}
+    return {**each, "inside_after": inside, "held": [held] * 5 + [held - 0.1]}
+
+
+def test_what_is_missed_is_said() -> None:
+    """A seed that ends above the limit, and intervals that hold too little, are both missed; the worst seed counts."""
+    plain = [run(row, seed, [60.0 + seed], 0.8) for row in ("A", "B", "C1i") for seed in (0, 1)]
+    figures = figures_of_cell("c", [*plain, run("C8", 0, [50.0, 20.0], 0.8), run("C8", 1, [50.0, 41.0], 0.8)])
+    assert figures["c: row B, true force"]["value"] == 61.0
+    assert (figures["c: C8, last cycle"]["value"], figures["c: C8, last cycle"]["met"]) == (41.0, False)
+    assert figures["c: C8, cycles before it stays inside"]["value"] == ROWS["C8"]
+    assert "1 never" in figures["c: C8, cycles before it stays inside"]["unit"]
+    assert figures["c: truth held by intervals"]["met"] is False
+    assert figures["c: truth held by intervals"]["value"] == pytest.approx(100.0 * (0.8 - 0.1 / 6.0))
+    assert figures["c: truth held, worst run and component"]["value"] == pytest.approx(70.0)
+
+
+def test_what_is_kept_is_met() -> None:
+    runs = [run(row, 0, [30.0], 0.97) for row in ROWS]
+    figures = figures_of_cell("c", runs)
+    assert figures["c: C8, last cycle"]["met"] is True
+    assert figures["c: C8, cycles before it stays inside"]["value"] == 0
+    assert figures["c: truth held by intervals"]["met"] is True
