@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
-from benchmarks.pair.unequal import ROWS, cycles_until_inside, figures_of_cell
+from benchmarks.pair.bus_rig import inline_rig
+from benchmarks.pair.bus_rows import USUAL, Bench
+from benchmarks.pair.unequal import CELLS, FOLDER, ROWS, cycles_until_inside, figures_of_cell
+from gateway.pair.function import constant_function
 
 
 @pytest.mark.parametrize(
@@ -44,3 +48,16 @@ def test_what_is_kept_is_met() -> None:
     assert figures["c: C8, last cycle"]["met"] is True
     assert figures["c: C8, cycles before it stays inside"]["value"] == 0
     assert figures["c: truth held by intervals"]["met"] is True
+
+
+@pytest.mark.parametrize("name", CELLS)
+def test_arms_without_errors_stay_below_the_limit_and_tell_their_force(name: str) -> None:
+    """Over PyBullet and CAN by the relation of the grasps alone: what is left are gears that wind up, and friction."""
+    with inline_rig(None, cell_file=FOLDER / f"{name}.toml") as rig:
+        bench = Bench(rig, constant_function(rig.cell.nominal_relation), 0)
+        bench.run("B", bench.row_of("B"), USUAL)
+        assert rig.world.joints == sum(arm.axes for arm in rig.cell.arms)
+    (row,) = bench.rows
+    assert row["complete"]
+    assert row["force_n"] < 40.0
+    assert np.mean(row["held"]) > 0.9
