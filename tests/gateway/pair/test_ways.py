@@ -188,8 +188,9 @@ def test_each_arm_gives_back_its_own_lag_whatever_its_axes_are(pair, felt):
     """Seven and six joints whose speeds are their numbers: at half the rate half of what they lag in 20 ms."""
     speed = np.arange(1.0, 14.0)
     pair.cell.config.servo_lag_s = 0.02
-    pair.q_rad = (np.zeros(7), np.zeros(6))
+    pair.q_rad, pair.laws_s = (np.zeros(7), np.zeros(6)), np.full((13, 2), np.nan)
     passage = Passage()
+    passage.joints = (np.zeros((ROWS, 7)), np.zeros((ROWS, 6)))
     passage.speed_rad_s = np.tile(speed, (ROWS, 1))
     way = Along(pair, passage, lambda m, _one, _two: (np.full(7, float(m)), np.full(6, float(m))), felt, 0)
     for row in range(3):
