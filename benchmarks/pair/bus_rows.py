@@ -195,9 +195,16 @@ def static(bench: Bench) -> None:
 
 
 def snag(bench: Bench) -> None:
-    """A cable pulls arm 2 for one cycle: with learning off, and with the mean and the median of five cycles."""
+    """A cable pulls arm 2 for one cycle: with learning off, and with the mean and the median of five cycles.
+
+    How far two functions are apart that were learned without any cable is what no representative value can undercut.
+    """
     off = bench.run("C7 off", bench.row_of("C7"), USUAL, 3, freeze_after=0, snag_cycle=2)
     moved: dict[str, float] = {}
+
+    def apart_m(one: TransformFunction, other: TransformFunction) -> float:
+        return float(np.linalg.norm(one.position_m - other.position_m, axis=1).max())
+
     for kind in ("mean", "median"):
         row = bench.row_of("C7")
         if row.learning is None:
@@ -205,9 +212,11 @@ def snag(bench: Bench) -> None:
         row = replace(row, learning=replace(row.learning, cycles=5, kind=kind))
         plain = bench.run(f"C7 {kind}", row, USUAL, 5)
         caught = bench.run(f"C7 {kind} snag", row, USUAL, 5, snag_cycle=3)
-        moved[kind] = float(np.linalg.norm(plain.position_m - caught.position_m, axis=1).max())
+        moved[kind] = apart_m(plain, caught)
+        if kind == "median":
+            moved["repeat"] = apart_m(plain, bench.run("C7 median again", row, USUAL, 5))
     same = bool(np.array_equal(off.knots, bench.taught.nine.knots))
-    summary = {"mean_m": moved["mean"], "median_m": moved["median"], "frozen_identical": same}
+    summary = {f"{name}_m": value for name, value in moved.items()} | {"frozen_identical": same}
     bench.rows.append({"tier": "bus", "row": "snag", "seed": bench.rig.seed, "speed": USUAL, **summary})
 
 

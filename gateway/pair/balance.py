@@ -24,12 +24,12 @@ from gateway.pair.transform import Floats
 #: unlike each other [N], [N s/m]; moments by a lever [m].
 USUAL_N, USUAL_N_S_M, LEVER_M = 40.0, 320.0, 0.2
 #: Share of its friction that a joint may be off while it turns one way, and while that is not settled.
-TURNING_SHARE, EITHER_SHARE = 0.05, 1.0 / math.sqrt(3.0)
+TURNING_SHARE, EITHER_SHARE = 0.04, 1.0 / math.sqrt(3.0)
 #: What a torque sample may be off, as a share of the largest torque of the axis: noise, vibration of the gear.
-SAMPLE_SHARE = 0.003
+SAMPLE_SHARE = 0.002
 #: What no mean of neighbours makes less, the same share by the square of the speed of the hand [s^2/m^2]: what no model
 #: follows then (vibration of the gears, drives that filter unlike each other).
-UNFOLLOWED_S2_M2 = 0.0025
+UNFOLLOWED_S2_M2 = 0.003
 #: Hands do not yield to what joints that have not turned yet may feign of a force, so many standard deviations of it:
 #: where nothing is between them they would squeeze the part by what they yield.
 DOUBT_STD = 2.0
