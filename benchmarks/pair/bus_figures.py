@@ -242,9 +242,11 @@ def _judged(table: Table) -> dict[str, Figure]:
         out["P8: learning off, function unchanged"] = _share(same, len(snags), "all", 1.0)
         kinds = [row["median_m"] / row["mean_m"] for row in snags]
         out["P8: median over mean after a snag"] = _value(kinds, "median, least and most", "all < 0.1", _most(0.1))
-        again = [row["repeat_m"] / row["mean_m"] for row in snags if "repeat_m" in row]
-        if again:
-            out["P8: the same without a snag"] = _value(again, "median, least and most", "reported", None)
+        for what, name in (("mean", "mean_m"), ("median", "median_m"), ("median, no snag at all", "repeat_m")):
+            moved = [1e3 * row[name] for row in snags if name in row]
+            if moved:
+                unit = "mm, median, least and most"
+                out[f"P8: function moved by a snag, {what}"] = _value(moved, unit, "reported", None)
     for label, goal in (("C8 skew .5 ms", "all"), ("C8 jitter 1 ms", "reported")):
         hits, total = table.count(lambda s, label=label: table.after_learning(label, USUAL, s))
         if total:

@@ -33,6 +33,9 @@ UNFOLLOWED_S2_M2 = 0.003
 #: Hands do not yield to what joints that have not turned yet may feign of a force, so many standard deviations of it:
 #: where nothing is between them they would squeeze the part by what they yield.
 DOUBT_STD = 2.0
+#: What is out of balance on a way, as the square of what is expected there: above it something beside the part and what
+#: is unsure of the arms has pulled at them.
+STRANGE = 4.0
 
 
 class ForceBalance:
@@ -51,6 +54,8 @@ class ForceBalance:
     late : how many commands before the last one the arms are
     doubts : Doubts
     wrench, covariance : array of shape (6,), None before the first, and its covariance (6, 6)
+    pulled : bool
+        Something has pulled at the arms on the last way that was learned from, and not on the one before.
     """
 
     def __init__(
@@ -82,6 +87,7 @@ class ForceBalance:
         self._coulomb_nm = np.concatenate([arm.arm.coulomb_nm for arm in arms])
         nominal = np.hstack([arm.speed_rad_s for arm in arms]), np.hstack([arm.acceleration_rad_s2 for arm in arms])
         self._nominal = self.columns.of(np.sign(nominal[0]), *nominal)
+        self._strange = False
         self.begin(Doubts(constants_of(len(limit_nm))))
 
     def begin(self, doubts: Doubts) -> None:
@@ -90,6 +96,7 @@ class ForceBalance:
         self._unsure = self._nominal @ doubts.covariance @ np.swapaxes(self._nominal, 1, 2)
         self._value = doubts.value.copy()
         self.wrench: Floats | None = None
+        self.pulled = False
         self._seen = np.full((4, *self._share.shape), np.nan)
         for arm in self._arms:
             arm.reset()
@@ -148,15 +155,34 @@ class ForceBalance:
     # -- a way that is over ------------------------------------------------------------------------------------------
 
     def learn(self) -> None:
-        """Let the way tell the arms' constants."""
+        """Let the way tell the arms' constants, unless something has pulled at the arms on this way alone."""
+        strange = self._out_of_balance() > STRANGE
+        self.pulled, self._strange = strange and not self._strange, strange
+        if self.pulled:
+            return
         torque, turned, speed, acceleration = self._seen
         there = ~np.isnan(torque).any(axis=1)
         std = np.sqrt(self._hidden(turned) ** 2 + self._sample_nm**2)
         columns = self.columns.of(turned, speed, acceleration)
         self.doubts.learn(columns[there], (torque - self._share)[there], self._force[there], std[there])
 
+    def _out_of_balance(self) -> float:
+        """Mean square along the way of what no force inside the part explains, over what is expected of it."""
+        left, weight, told = self._weighed()
+        pulled = np.einsum("nij,nj->ni", told, left)
+        explained = np.einsum("ni,ni->n", pulled, np.linalg.solve(told @ self._force, pulled[..., None])[..., 0])
+        square = np.einsum("ni,nij,nj->n", left, weight, left) - explained
+        return float(np.mean(square)) / (left.shape[1] - self._force.shape[2])
+
     def inside(self) -> Inside:
         """Wrench along the way with all that is known at its end: averaged to both sides, so never late."""
+        left, _, told = self._weighed()
+        covariance = np.linalg.inv(told @ self._force + self._usual)
+        wrench = np.einsum("nij,njk,nk->ni", covariance, told, left)
+        return Inside(led(wrench, self.late), led(np.asarray(covariance, dtype=np.float64), self.late), self.pulled)
+
+    def _weighed(self) -> tuple[Floats, Floats, Floats]:
+        """Averaged torques (M, J) that the constants leave, their weights (M, J, J), and those by wrench (M, 6, J)."""
         whole = np.stack([_filled(each) for each in self._seen])
         torque, turned, speed, acceleration = whole
         columns = self.columns.of(turned, speed, acceleration)
@@ -168,10 +194,7 @@ class ForceBalance:
         unsure = columns @ self.doubts.covariance @ np.swapaxes(columns, 1, 2)
         own = hidden**2 + self._sample_nm**2 / size + self._unfollowed_nm**2
         weight = np.linalg.inv(unsure + own[:, :, None] * np.eye(len(self._sample_nm)))
-        told = np.swapaxes(self._force, 1, 2) @ weight
-        covariance = np.linalg.inv(told @ self._force + self._usual)
-        wrench = np.einsum("nij,njk,nk->ni", covariance, told, left)
-        return Inside(led(wrench, self.late), led(np.asarray(covariance, dtype=np.float64), self.late))
+        return left, weight, np.swapaxes(self._force, 1, 2) @ weight
 
     def _hidden(self, turned: Floats) -> Floats:
         """Torque (..., J) by which dry friction may be off [Nm], standard deviation."""

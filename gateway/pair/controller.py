@@ -217,7 +217,7 @@ class PairController:
         """
         self._running = False
         whole = complete and bool(self._visited.all())
-        reason = self._reason(complete)
+        reason = self._reason(complete, inside)
         learned = Learned(False, len(self._function))
         force = self._force if inside is None else inside.wrench
         if not reason and self._learner is not None:
@@ -244,7 +244,7 @@ class PairController:
             change_rad=learned.change_rad if learned.updated else float("nan"),
         )
 
-    def _reason(self, complete: bool) -> str:
+    def _reason(self, complete: bool, inside: Inside | None) -> str:
         """Why a cycle is not learned from; "" when it is, or when nothing is ever learned."""
         rule = self._config.learning
         if rule is None:
@@ -260,6 +260,8 @@ class PairController:
             return f"no {what} could be told at command {self._blind + 1}"
         if rule.source != "command" and np.isnan(self._measured).any():
             return "present positions are missing"
+        if inside is not None and inside.pulled:
+            return "the torques of both arms do not fit together: something beside the part pulled at them"
         return ""
 
     def _to_learn(self) -> Floats:

@@ -21,10 +21,13 @@ class Inside:
     wrench : array of shape (M, 6)
         About the part's centre, world axes [N, Nm], where the arms did what command m says.
     covariance : array of shape (M, 6, 6)
+    pulled : bool
+        Something beside the part has pulled at the arms, on this way and not on the one before.
     """
 
     wrench: Floats
     covariance: Floats
+    pulled: bool = False
 
     @property
     def size_std_n(self) -> Floats:

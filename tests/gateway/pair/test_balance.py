@@ -200,6 +200,43 @@ def test_friction_of_another_day_is_told_by_the_part_that_both_carry(bench):
     assert after < 0.6 * before
 
 
+def test_what_a_cable_pulls_on_one_way_tells_nothing_of_the_arms(bench):
+    """20 N at the slave's hand, across the bar: once they are a passing snag, twice in a row they are there to stay."""
+    free = pulled(bench, (0.0, 0.0, 0.0))
+    doubts = Doubts(constants_of(12))
+    for _ in range(3):
+        bench.run(free, doubts=doubts)
+        bench.balance.learn()
+        assert not bench.balance.inside().pulled
+    cable = bench.virtual_work_nm(1, pulled(bench, (0.0, 20.0, 0.0)), free)
+    before = doubts.value.copy()
+    bench.run(free, (0.0, cable), doubts)
+    bench.balance.learn()
+    assert bench.balance.inside().pulled
+    assert np.array_equal(doubts.value, before)
+    bench.run(free, (0.0, cable), doubts)
+    bench.balance.learn()
+    assert not bench.balance.inside().pulled
+    assert np.abs(doubts.value - before).max() > 0.3
+    bench.run(free, doubts=doubts)
+    bench.balance.learn()
+    bench.run(free, doubts=doubts)
+    bench.balance.learn()
+    assert not bench.balance.inside().pulled
+
+
+def test_friction_of_another_day_is_no_cable(bench):
+    """All joints rub a quarter more, or less, than the cell says: told at once."""
+    for share in (0.25, -0.25):
+        extra = [
+            share * arm.coulomb_nm * np.stack([bench.turns(a, joint) for joint in range(6)], axis=1)
+            for a, arm in enumerate(bench.cell.arms)
+        ]
+        bench.run(pulled(bench, (0.0, 0.0, 0.0)), (extra[0], extra[1]))
+        bench.balance.learn()
+        assert not bench.balance.inside().pulled
+
+
 def test_a_joint_that_has_not_turned_yet_is_hardly_listened_to(bench):
     """15 Nm, all of the friction of the slave's joint 3: force where the joint turns, friction where that is open."""
     row = len(bench.path) // 2

@@ -325,3 +325,19 @@ def test_a_cycle_begins_where_the_slave_stands_and_learns_that(path: PairPath, b
     assert begun[20:] == pytest.approx(plain[20:], abs=1e-12)
     controller.end_cycle(True, known(path, np.zeros(6)))
     assert np.linalg.norm(controller.beside(standing)[:3]) < np.linalg.norm(away[:3])
+
+
+def test_a_cycle_in_which_something_pulled_at_the_arms_is_not_learned_from(
+    path: PairPath, bare: PairCalibration
+) -> None:
+    controller = controller_of("C2c", path, bare)
+    force = known(path, np.array([50.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    controller.start_cycle()
+    commanded(controller, path)
+    summary = controller.end_cycle(True, replace(force, pulled=True))
+    assert not summary.learned
+    assert "pulled at them" in summary.reason
+    assert controller.function is controller.state().first
+    controller.start_cycle()
+    commanded(controller, path)
+    assert controller.end_cycle(True, force).learned
