@@ -21,8 +21,8 @@ from sim.servo import TICK_S
 
 Array = NDArray[np.float64]
 
-#: Speed at which Coulomb friction has nearly its full size [rad/s].
-RUBBING_RAD_S = 0.002
+#: Way by which a rotor turns, at its joint, until dry friction has its full size [rad]; it keeps it while it stands.
+BREAKAWAY_RAD = 1e-4
 
 
 class LightWorld(TwoArms):
@@ -44,6 +44,7 @@ class LightWorld(TwoArms):
         self._coulomb, self._viscous = train.coulomb_nm, train.viscous_nm_s_rad
         self._rotor, self._half = train.rotor_kg_m2, 0.5 * train.backlash_rad
         self._acceleration = np.zeros(self.joints)
+        self._rubbing = np.zeros(self.joints)
         self._need = self.motors.gear_nm.copy()
         self._inertia = np.diag(self._mass(self.q)) + self._rotor
 
@@ -86,6 +87,8 @@ class LightWorld(TwoArms):
                 theta[i] += omega[i] * seconds
                 before = omega[i]
             self._acceleration[i] = (omega[i] - before) / seconds
+        turned = np.array(theta) - motors.theta
+        self._rubbing = np.clip(self._rubbing + turned / BREAKAWAY_RAD, -1.0, 1.0)
         motors.theta, motors.omega = np.array(theta), np.array(omega)
         np.maximum(motors.fastest, np.abs(motors.omega), out=motors.fastest)
 
@@ -145,7 +148,7 @@ class LightWorld(TwoArms):
     def _report(self, ticks: float) -> None:
         """Torque that each motor gives, and whether it is all it has."""
         motors, omega = self.motors, self.motors.omega
-        rubbing = self._coulomb * np.tanh(omega / RUBBING_RAD_S) + self._viscous * omega
+        rubbing = self._coulomb * self._rubbing + self._viscous * omega
         self._need = motors.gear_nm + self._rotor * self._acceleration + rubbing
         need = self._need.tolist()
         for i, axis in enumerate(motors.axes):

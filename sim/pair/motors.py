@@ -182,12 +182,12 @@ class Motors:
         train = self.train
         return train.cyclic_rad * np.sin(train.cyclic_per_rad * q_rad + train.cyclic_phase_rad)
 
-    def control(self, early_s: Array, filter_share: float, tick_s: float) -> None:
+    def control(self, late_s: Array, filter_share: float, tick_s: float) -> None:
         """Loops of all drives, one tick: motor torques from encoders.
 
         Parameters
         ----------
-        early_s : (n,) how much later than its clock says each drive's reference runs [s]
+        late_s : (n,) how much later than its clock says each drive's reference runs [s]
         filter_share : of the new value in the drives' torque filter
         tick_s : control tick
         """
@@ -196,7 +196,7 @@ class Motors:
         for i, axis in enumerate(self.axes):
             if axis.fed:
                 servo = axis.servo
-                late = early_s[i] * servo.reference_step_rad / tick_s
+                late = late_s[i] * servo.reference_step_rad / tick_s
                 torque[i] = servo.torque(positions[i] - axis.shift_rad + late, speeds[i])
             else:
                 torque[i] = 0.0

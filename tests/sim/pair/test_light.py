@@ -100,6 +100,24 @@ def test_an_axis_follows_late_by_its_time_constant(world_of: Worlds) -> None:
     assert not world.fastest_rad_s.any()
 
 
+def test_dry_friction_stays_where_a_joint_has_come_to_stand(world_of: Worlds) -> None:
+    """Two standstills in one place, come to from either side: the torques are twice the friction apart."""
+    world = world_of()
+    power(world)
+    world.open_grippers()
+    axis, coulomb_nm = world.motors.axes[2], float(world.motors.train.coulomb_nm[2])
+    stood = []
+    for step_rad in (2e-6, -2e-6):
+        for way in (-step_rad, step_rad):
+            axis.servo.reference_step_rad = way
+            go(world, 0.4)
+        axis.servo.reference_step_rad = 0.0
+        go(world, 2.0)
+        stood.append(float(world.motors.shown_nm[2]))
+    assert abs(world.motors.omega[2]) < 1e-6
+    assert stood[0] - stood[1] == pytest.approx(2.0 * coulomb_nm, rel=0.02)
+
+
 def test_a_step_of_the_reference_is_not_followed_faster_than_the_drive_may(world_of: Worlds) -> None:
     world = world_of()
     power(world)
