@@ -7,7 +7,7 @@ SIM_STAMP := $(VENV)/.sim-stamp
 PYTHON_OF_VENV := test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || python3 -m venv $(VENV)
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: venv demo test lint docs bench blind blind-nature vcan chaos soak mutants pair pair-full follow moving fleet live blackbox space pages clean
+.PHONY: venv demo test lint docs bench blind blind-nature vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space pages clean
 
 venv: $(STAMP)
 
@@ -94,6 +94,10 @@ pair: venv
 
 pair-full: venv
 	$(BIN)/python -m benchmarks.pair --full --out out/pair-full
+
+# Two arms by the clock, beside the same plant in lockstep: half an hour on an idle machine.
+pair-clock: venv
+	$(BIN)/python -m benchmarks.pair.clock --out out/pair-clock
 
 # Every report page in a headless Chromium, wide, narrow and on paper; apt-get install chromium chromium-driver poppler-utils.
 pages: venv

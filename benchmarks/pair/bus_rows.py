@@ -162,7 +162,7 @@ def _split(poses: Any) -> tuple[Any, Any]:
 
 
 def speeds(bench: Bench) -> None:
-    """E3: learned at .75 and 1.5, used at 1.1 and 1.8 without any learning there."""
+    """E3: learned at .75 and 1.5, used at 1.1 and 1.8 without any learning there; and what learning at 1.1 reaches."""
     slow = bench.run("C2c", bench.row_of("C2c"), SLOW, E2_CYCLES)
     known = {0.0: bench.taught.nine, SLOW: slow, USUAL: bench.functions[f"C2c@{USUAL:g}"]}
     for speed in (BETWEEN, BEYOND):
@@ -171,6 +171,7 @@ def speeds(bench: Bench) -> None:
             table = SpeedTable(known).at(speed)
         bench.run("C1i", bench.row_of("C1i"), speed)
         bench.run("C3", bench.row_of("C3"), speed, first=table)
+    bench.run("C2c", bench.row_of("C2c"), BETWEEN, E2_CYCLES)
 
 
 def fast(bench: Bench) -> None:
@@ -187,11 +188,12 @@ def fast_points(bench: Bench) -> None:
 
 
 def static(bench: Bench) -> None:
-    """Geometry alone: nearly standing still, taught at 9 and at 17 points."""
-    seventeen, _ = bench.rig.teach(17)
+    """Geometry alone: nearly standing still, taught at 9, at 17 and at 33 points."""
     bench.run("A", bench.row_of("A"), STATIC)
     bench.run("C1", bench.row_of("C1"), STATIC)
-    bench.run("C1 N=17", bench.row_of("C1"), STATIC, first=seventeen)
+    for count in (17, 33):
+        finer, _ = bench.rig.teach(count)
+        bench.run(f"C1 N={count}", bench.row_of("C1"), STATIC, first=finer)
 
 
 def snag(bench: Bench) -> None:

@@ -107,7 +107,7 @@ class Bench:
 
     cell: PairCell
     link: PairLink
-    grip: Callable[[], Any]
+    grip: Callable[[bool], Any]
     most: Callable[[float, float], float]
     power: Power = field(default_factory=Power)
 
@@ -127,16 +127,19 @@ class Bench:
         back: TransformFunction | None = None,
         laws_s: Floats | None = None,
     ) -> PairRun:
-        """An embodiment that stands at the start, powered, a part gripped there free of force."""
+        """An embodiment that stands at the start, gone there with open grippers; a part gripped there free of force."""
         options = PairMotionOptions(speed=SPEED, laws_s=laws_s)
         stream = Stream(self.link.station(self.cell, options.moves))
         row = embodiment_of(self.cell, name)
         run = PairRun(self.cell, stream, row, first or one_relation(self.cell, row, SPEED), options, back)
+        holds = self.cell.gap is None
+        if holds:
+            self.grip(True)
         self.power.on(stream)
         self.power.attempt(run.start)
-        if self.cell.gap is None:
+        if holds:
             self.power.attempt(run.stand)
-            self.power.attempt(lambda: run.motion.prepare(self.grip))
+            self.power.attempt(lambda: run.motion.prepare(lambda: self.grip(False)))
         return run
 
     def cycle(self, run: PairRun) -> float:
@@ -172,7 +175,7 @@ def clocked(seed: int, file: str = CELL) -> Iterator[Bench]:
             yield Bench(
                 cell,
                 link,
-                lambda: (served.ask("grip", True), served.ask("grip", False)),
+                lambda opened: served.ask("grip", opened),
                 lambda begin_s, end_s: served.ask("most", begin_s, end_s),
             )
 
@@ -188,7 +191,7 @@ def stepped(seed: int) -> Iterator[Bench]:
             with inline(simulation.servers, buses):
                 cell = load_pair(path, bus_spec(buses))
                 with open_link(cell) as link:
-                    yield Bench(cell, link, lambda: (simulation.grip(True), simulation.grip(False)), truth.most)
+                    yield Bench(cell, link, simulation.grip, truth.most)
         finally:
             simulation.close()
 
