@@ -123,7 +123,7 @@ class ExternalTorque:
         """Forget what was seen."""
         self._last: ArmSample | None = None
         self._before: ArmSample | None = None
-        self._presliding = Presliding(self.arm.axes)
+        self._presliding = Presliding(self.arm.axes, self._dt_s)
 
     def update(self, m: int, sample: ArmSample, rate: float = 1.0) -> Shown | None:
         """Take in what was measured at the SYNC of command m; what the SYNC before it showed.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
@@ -13,13 +14,22 @@ from gateway.pair.transform import Floats
 TURNING_RAD_S = 0.003
 #: Way by which a joint has to turn until dry friction has reached two thirds of its full size [rad].
 PRESLIDING_RAD = 5e-5
+#: A joint slower than this stands [rad/s]; time in which nobody knows any more what it holds of its friction [s]: drives let
+#: go of it, by their integrators or by trembling.
+STANDING_RAD_S, LET_GO_S = 2e-4, 0.1
 
 
 class Presliding:
     """Which way dry friction of n joints acts, told by the way they have turned since they turned round.
 
     Dahl's model: over a way d towards s the share moves by `1 - exp(-d/PRESLIDING_RAD)` of what it lacks to s. How fast
-    a joint turns says nothing: one that slows down for the end of its way rubs as before until it stands.
+    a joint turns says nothing: one that slows down for the end of its way rubs as before until it stands. Then its
+    friction opens.
+
+    Parameters
+    ----------
+    joints : n
+    dt_s : between two moves
 
     Attributes
     ----------
@@ -27,13 +37,15 @@ class Presliding:
         From -1 to 1; 0 = it may act either way.
     """
 
-    def __init__(self, joints: int) -> None:
+    def __init__(self, joints: int, dt_s: float) -> None:
         self.turned = np.zeros(joints)
+        self._standing_rad, self._kept = STANDING_RAD_S * dt_s, math.exp(-dt_s / LET_GO_S)
 
     def move(self, way_rad: Floats) -> None:
         """The joints have turned by these ways (n,) [rad]."""
-        towards = np.sign(way_rad)
-        self.turned = towards - (towards - self.turned) * np.exp(-np.abs(way_rad) / PRESLIDING_RAD)
+        towards, way = np.sign(way_rad), np.abs(way_rad)
+        turned = towards - (towards - self.turned) * np.exp(-way / PRESLIDING_RAD)
+        self.turned = np.where(way < self._standing_rad, self._kept * turned, turned)
 
 
 class FrictionOffset:

@@ -179,7 +179,7 @@ def test_what_was_learned_is_kept_and_gone_on_from_unless_learning_is_off(pair, 
     assert (store.folder / f"speed-{SPEED:g}.json").exists() != frozen
     assert any(cycle.summary.learned for cycle in told) != frozen
     if frozen:
-        assert body.cycles[1].force_n == pytest.approx(body.cycles[0].force_n, rel=0.01)
+        assert body.cycles[1].force_n == pytest.approx(body.cycles[0].force_n, rel=0.03)
         return
     assert (second.embodiment, second.speed, second.cycles) == ("C2c", SPEED, 2)
     assert body.cycles[1].force_n < body.cycles[0].force_n

@@ -136,7 +136,7 @@ class Joints:
             raise DriveFault("left OPERATION ENABLED: FAULT", node=3)
         q = self.part.q_rad[self.index]
         torque = self.arm.model_torque(q[None], qd_rad_s[None], qdd_rad_s2[None])[0]
-        torque = torque + self.arm.coulomb_nm * np.tanh(qd_rad_s / 1e-3) + self.arm.viscous_nm_s_rad * qd_rad_s
+        torque = torque + self.arm.coulomb_nm * np.tanh(qd_rad_s / 1e-4) + self.arm.viscous_nm_s_rad * qd_rad_s
         jacobian = self.arm.chain.poses(q[None])[1][0]
         torque = torque - jacobian.T @ self.part.pushes()[self.index]
         position, motor = self.axes.motor_position(q), self.axes.motor_torque(torque)
