@@ -181,7 +181,7 @@ def clocked(seed: int, file: str = CELL) -> Iterator[Bench]:
 
 
 @contextmanager
-def stepped(seed: int) -> Iterator[Bench]:
+def stepped(seed: int | None) -> Iterator[Bench]:
     """The same plant in lockstep, in this process."""
     with TemporaryDirectory() as folder:
         path, buses = patient_cell(Path(folder)), (f"clock-{seed}-l", f"clock-{seed}-r")

@@ -14,17 +14,17 @@ from gateway.pair.transform import Floats
 TURNING_RAD_S = 0.003
 #: Way by which a joint has to turn until dry friction has reached two thirds of its full size [rad].
 PRESLIDING_RAD = 5e-5
-#: A joint slower than this stands [rad/s]; time in which nobody knows any more what it holds of its friction [s]: drives let
-#: go of it, by their integrators or by trembling.
-STANDING_RAD_S, LET_GO_S = 2e-4, 0.1
+#: A joint slower than this stands [rad/s]. It may hold its friction, or its drive lets go of it, by an integrator or by
+#: trembling: no more than this share is counted on, after this time [s].
+STANDING_RAD_S, STANDING_SHARE, LET_GO_S = 2e-4, 0.5, 0.1
 
 
 class Presliding:
     """Which way dry friction of n joints acts, told by the way they have turned since they turned round.
 
     Dahl's model: over a way d towards s the share moves by `1 - exp(-d/PRESLIDING_RAD)` of what it lacks to s. How fast
-    a joint turns says nothing: one that slows down for the end of its way rubs as before until it stands. Then its
-    friction opens.
+    a joint turns says nothing: one that slows down for the end of its way rubs as before until it stands. Then
+    half of that is doubtful.
 
     Parameters
     ----------
@@ -39,13 +39,14 @@ class Presliding:
 
     def __init__(self, joints: int, dt_s: float) -> None:
         self.turned = np.zeros(joints)
-        self._standing_rad, self._kept = STANDING_RAD_S * dt_s, math.exp(-dt_s / LET_GO_S)
+        self._standing_rad, self._lost = STANDING_RAD_S * dt_s, 1.0 - math.exp(-dt_s / LET_GO_S)
 
     def move(self, way_rad: Floats) -> None:
         """The joints have turned by these ways (n,) [rad]."""
         towards, way = np.sign(way_rad), np.abs(way_rad)
         turned = towards - (towards - self.turned) * np.exp(-way / PRESLIDING_RAD)
-        self.turned = np.where(way < self._standing_rad, self._kept * turned, turned)
+        surplus = turned - np.clip(turned, -STANDING_SHARE, STANDING_SHARE)
+        self.turned = turned - np.where(way < self._standing_rad, self._lost * surplus, 0.0)
 
 
 class FrictionOffset:

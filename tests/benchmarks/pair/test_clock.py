@@ -1,0 +1,33 @@
+"""The pair by the clock, its bench in lockstep: way after way with every limit in force."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.pair.clock import stepped
+from sim.pair.light import LightWorld
+
+
+@pytest.fixture(params=["stays", "fades"])
+def friction(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of joints that stand: as it was when they stopped, or let go of by their drives."""
+    if request.param == "stays":
+        return
+    report = LightWorld._report
+
+    def faded(world: LightWorld, ticks: float) -> None:
+        world._rubbing = np.where(np.abs(world.motors.omega) < 1e-4, 0.9 * world._rubbing, world._rubbing)
+        report(world, ticks)
+
+    monkeypatch.setattr(LightWorld, "_report", faded)
+
+
+@pytest.mark.usefixtures("friction")
+def test_friction_of_arms_that_stand_is_no_force_in_the_part() -> None:
+    """Arms without errors, ways forward and back: the guard of the way to the start stops none of them."""
+    with stepped(None) as bench:
+        run = bench.begin("C1i", None)
+        most = [bench.cycle(run) for _ in range(3)]
+        bench.power.off()
+    assert max(most) < 0.5 * bench.cell.config.force_limit_n
