@@ -55,8 +55,8 @@ SPEED, LEARNING, POINTS, GAP_CYCLES = 1.5, 12, 9, 6
 CELL, GAP_CELL = "cell.toml", "distance.toml"
 #: Largest force by the clock over that of the same plant in lockstep; largest gap error [mm].
 MOST_OVER_LOCKSTEP, MOST_GAP_MM = 1.1, 0.1
-#: Stops of one seed after which it is given up.
-PATIENCE = 20
+#: Stops of one seed after which it is given up: by stalls of the machine, and by anything else.
+STALLS, PATIENCE = 200, 10
 
 
 class Truth:
@@ -233,7 +233,7 @@ def attempt(told: Told, opened: Callable[[], AbstractContextManager[Bench]], do:
         told.stalled.append(str(error))
     except (DriveError, GatewayError) as error:
         told.stopped.append(f"{type(error).__name__}: {error}")
-    if len(told.stalled) + len(told.stopped) > PATIENCE:
+    if len(told.stalled) > STALLS or len(told.stopped) > PATIENCE:
         raise RuntimeError(f"seed {told.seed} was stopped too often: {[*told.stalled, *told.stopped][-1]}")
 
 
@@ -278,7 +278,8 @@ def beside(lesson: Told, count: int) -> tuple[Told, Told]:
         told = cycles_of(
             lambda opened=opened: opened(seed), Told(seed, [], lesson.function, lesson.laws_s), "C8", count
         )
-        print(f"seed {seed}: C8 {how}:", *(f"{most:.0f}" for most in told.most), "N", *told.stopped, flush=True)
+        forces = " ".join(f"{most:.0f}" for most in told.most)
+        print(f"seed {seed}: C8 {how}: {forces} N, {len(told.stalled)} stalls", *told.stopped, flush=True)
         found.append(told)
     return found[0], found[1]
 

@@ -279,6 +279,8 @@ class Stream:
         """
         if not (self._arms.real and self._arms.enabled):
             return job()
+        # the first SYNC of arms that stand still counts as one of moving arms: nothing may delay it
+        self.hold(what, 0, 1)
         switch_s = sys.getswitchinterval()
         sys.setswitchinterval(SWITCH_S)
         try:

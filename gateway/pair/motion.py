@@ -222,7 +222,8 @@ class PairMotion:
 
         With `held`, the way that begins there, the force in a part that they may hold already is watched.
         """
-        watch = None if held is None or self._gap is not None else self._asking(self._felt_by_force(held).rest)
+        felt = None if held is None or self._gap is not None else self.prepare(lambda: self._felt_by_force(held))
+        watch = None if felt is None else self._asking(felt.rest)
         began = self.q_rad
         most = max(float(np.abs(to - at).max()) for to, at in zip(goal, began, strict=True))
         speed = APPROACH_RAD_S if watch is None or most > NEAR_RAD else HELD_RAD_S
@@ -261,7 +262,8 @@ class PairMotion:
     def settle(self, way: Passage, commander: Commander) -> None:
         """Stand at the beginning of a way until the commander has nothing left to correct."""
         watch = None if self._gap is None else self._asking(self._sensors_follow(self._gap))
-        self.stream.drive(Settling(self, way, commander, self._felt(way), watch), "settle")
+        felt = self.prepare(lambda: self._felt(way))
+        self.stream.drive(Settling(self, way, commander, felt, watch), "settle")
 
     def _sensors_follow(self, gap: GapWatch) -> Callable[[Samples], str]:
         first, second = self.cell.arms
@@ -285,13 +287,14 @@ class PairMotion:
         PairStopped, DriveError, LimitExceeded, KeyboardInterrupt
             Both arms stand, or are stopped when their power is taken away.
         """
-        felt = self._felt(way)
-        self.stand(LISTEN_CYCLES, listen=felt.listen)
+        along = self.prepare(
+            lambda: Along(self, way, commander, self._felt(way), round(FADE_S / self.dt_s) if fade else 0)
+        )
+        self.stand(LISTEN_CYCLES, listen=along.felt.listen)
         self._complete = True
-        along = Along(self, way, commander, felt, round(FADE_S / self.dt_s) if fade else 0)
         self.stream.drive(along, "along the path")
         inside = None if self._gap is not None else self.prepare(lambda: self._told(way))
-        return Streamed(felt.force, inside, felt.gaps_m, self._complete, along.spent_s / len(way.path))
+        return Streamed(along.felt.force, inside, along.felt.gaps_m, self._complete, along.spent_s / len(way.path))
 
     def _told(self, way: Passage) -> Inside:
         """What a way has shown of both arms and of the force, once it is over."""

@@ -88,12 +88,18 @@ class Along:
     The commander answers what was measured last, at every SYNC. Between two rows, when time along the path is slowed
     down, set points lie on the straight line from row to row, so that both arms keep their relation, and what the hands
     yield meanwhile is added to both ends of it. A joint that lags longer than the others is sent ahead by what it does.
+
+    Attributes
+    ----------
+    count : rows
+    felt : Felt
+    spent_s : time that the commander took
     """
 
     def __init__(self, motion: MovedPair, way: Passage, commander: Commander, felt: Felt, fading: int) -> None:
         self.count = len(way.path)
         self.spent_s = 0.0
-        self._motion, self._way, self._commander, self._felt = motion, way, commander, felt
+        self._motion, self._way, self._commander, self.felt = motion, way, commander, felt
         self._fading = fading
         self._offset: Pair | None = None
         self._row, self._felt_at = -1, 0
@@ -138,8 +144,8 @@ class Along:
 
     def _compute(self, m: int) -> Pair:
         began = time.perf_counter()
-        doubtful = self._lag.slower and self._felt.doubtful(self._felt_at)
-        felt = (None, None) if doubtful else self._felt.inputs(m)
+        doubtful = self._lag.slower and self.felt.doubtful(self._felt_at)
+        felt = (None, None) if doubtful else self.felt.inputs(m)
         first, second = self._way.targets(m, self._commander(m, *felt))
         ahead = self._ahead[m]
         q = (first + ahead[: len(first)], second + ahead[len(first) :])
@@ -168,10 +174,10 @@ class Along:
         self._motion.see(samples)
         self._lag.take(self._q_rad, samples, self._way.speed_rad_s[self._row])
         self._felt_at = self._row
-        trouble = self._felt.take(self._row, samples, rate)
+        trouble = self.felt.take(self._row, samples, rate)
         if not trouble:
             return
-        size_n = self._felt.size_n(self._row)
+        size_n = self.felt.size_n(self._row)
         if self._since == 0:
             self._motion.ask(trouble)
         elif self._since > RISING_SYNCS and size_n > RISING * self._most_n:

@@ -178,6 +178,14 @@ def test_by_the_clock_the_arm_is_held_while_a_job_is_done_beside_it(make, fake):
     assert sys.getswitchinterval() == switch_s
 
 
+def test_the_first_sync_of_an_arm_that_has_just_moved_is_over_before_a_job_begins(make, fake):
+    """The drives' watch for stalls takes it for one of a moving arm, and a job may delay it."""
+    stream = make("real")
+    stream._arms.enabled = True
+    before = fake.sync_index
+    assert stream.hold_while(lambda: fake.sync_index, "work") > before
+
+
 def test_a_job_that_fails_beside_the_arm_is_raised(make):
     stream = make("real")
     stream._arms.enabled = True

@@ -14,12 +14,14 @@ from gateway.errors import ConfigError, InputError, PlanRefused
 from gateway.motion.power import powered
 from gateway.motion.stops import StopDesk, StoppedByPerson
 from gateway.motion.stream import MoveOptions, Stream
+from gateway.pair.balance import ForceBalance
 from gateway.pair.cell import load_pair
 from gateway.pair.embodiments import DISTANCE_GAINS, EMBODIMENTS
 from gateway.pair.function import constant_function
 from gateway.pair.lesson import Lesson
 from gateway.pair.motion import PairMotion, PairMotionOptions, PairStopped, refuse_elsewhere
 from gateway.pair.run import PairRun
+from gateway.pair.servolag import made_alike
 from gateway.pair.session import (
     PairRunRequest,
     cell_gains,
@@ -350,6 +352,35 @@ def test_speeds_that_were_learned_lie_between_rest_and_the_fastest(pair, store):
     half = correction_between(table.at(1.0).at(0.2), pair.cell.nominal_relation)
     whole = correction_between(pair.true, pair.cell.nominal_relation)
     assert half == pytest.approx(whole / 2, rel=0.02, abs=1e-6)
+
+
+def test_what_takes_longer_than_a_sync_is_computed_while_both_arms_stand(pair, store, monkeypatch):
+    """What is known of the arms for a whole way, and how far each joint is sent ahead on it: 10 ms each."""
+    preparing, computed = [False], []
+    plain = PairMotion.prepare
+
+    def prepare(motion, job):
+        preparing[0] = True
+        try:
+            return plain(motion, job)
+        finally:
+            preparing[0] = False
+
+    def noted(name, heavy):
+        return lambda *given: (computed.append((name, preparing[0])), heavy(*given))[1]
+
+    row = replace(EMBODIMENTS["C2c"], gains=cell_gains(pair.cell))
+    stream = Stream(pair.link.station(pair.cell, MoveOptions()))
+    going = PairRun(pair.cell, stream, row, constant_function(pair.cell.nominal_relation), options())
+    monkeypatch.setattr(PairMotion, "prepare", prepare)
+    monkeypatch.setattr("gateway.pair.ways.made_alike", noted("ahead", made_alike))
+    monkeypatch.setattr(ForceBalance, "begin", noted("begin", ForceBalance.begin))
+    with powered(stream):
+        going.start()
+        going.cycle()
+        going.back()
+    assert {name for name, _ in computed} == {"ahead", "begin"}
+    assert all(standing for _, standing in computed)
 
 
 def test_the_way_back_learns_for_itself_unless_learning_is_off(pair, store):
