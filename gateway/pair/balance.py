@@ -193,7 +193,7 @@ class ForceBalance:
         hidden = uniform_filter1d(self._hidden(turned), size, axis=0, mode="nearest")
         unsure = columns @ self.doubts.covariance @ np.swapaxes(columns, 1, 2)
         own = hidden**2 + self._sample_nm**2 / size + self._unfollowed_nm**2
-        weight = np.linalg.inv(unsure + own[:, :, None] * np.eye(len(self._sample_nm)))
+        weight = np.asarray(np.linalg.inv(unsure + own[:, :, None] * np.eye(len(self._sample_nm))), dtype=np.float64)
         return left, weight, np.swapaxes(self._force, 1, 2) @ weight
 
     def _hidden(self, turned: Floats) -> Floats:
