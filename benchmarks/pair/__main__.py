@@ -140,7 +140,7 @@ def show_seeds(rows: Sequence[dict[str, Any]]) -> None:
     table = RichTable("row", "speed", "seed", "largest force per cycle [N]", "learning points", "moment, last [Nm]")
     runs: dict[tuple, list[dict[str, Any]]] = {}
     for row in rows:
-        if "force_n" in row:
+        if "knots" in row:
             runs.setdefault((row["speed"], row["row"], row["seed"]), []).append(row)
     for (speed, name, seed), cycles in sorted(runs.items()):
         forces = " ".join(f"{cycle['force_n']:.0f}" for cycle in cycles)

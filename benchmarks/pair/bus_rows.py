@@ -52,7 +52,8 @@ class Bench:
     rows: list[Row] = field(default_factory=list)
     curves: list[Row] = field(default_factory=list)
     functions: dict[str, TransformFunction] = field(default_factory=dict)
-    alone: dict[float, Any] = field(default_factory=dict)
+    #: Way of the master alone, by `_way_of`.
+    alone: dict[str, Any] = field(default_factory=dict)
 
     @property
     def limit_n(self) -> float:
@@ -67,6 +68,10 @@ class Bench:
         """First function of a row."""
         return constant_function(self.rig.cell.nominal_relation) if row.first == "fixed" else self.taught.nine
 
+    def laws_s(self, row: Embodiment) -> NDArray[np.float64] | None:
+        """How each joint follows, for rows that begin with what was taught."""
+        return None if row.first == "fixed" else self.taught.laws_s
+
     def run(
         self,
         label: str,
@@ -80,8 +85,9 @@ class Bench:
     ) -> TransformFunction:
         """Cycles of one row; returns the function it ends with."""
         rig = self.rig
-        laws_s = None if row.first == "fixed" else self.taught.laws_s
-        options = PairMotionOptions(speed=speed, back_speed=BACK_SPEED, force_limit_n=NO_LIMIT_N, laws_s=laws_s)
+        options = PairMotionOptions(
+            speed=speed, back_speed=BACK_SPEED, force_limit_n=NO_LIMIT_N, laws_s=self.laws_s(row)
+        )
         run = rig.run(row, first or self.first(row), options, back)
         curve: Row = {"cycles": []}
         for number in range(1, cycles + 1):
@@ -92,8 +98,8 @@ class Bench:
             done, record = rig.cycle(run)
             rig.world.push = None
             figures = figures_of(run, done, record, self.limit_n)
-            if speed in self.alone:
-                figures["part_off_m"] = off_way_m(record, self.alone[speed])
+            if (way := _way_of(row, speed)) in self.alone:
+                figures["part_off_m"] = off_way_m(record, self.alone[way])
             self.rows.append({**figures, "row": label, "seed": rig.seed, "frozen": number > freeze_after})
             curve["cycles"].append(figures)
             curve["last_n"] = along_n(run, rig.cell, record)
@@ -111,6 +117,11 @@ class Bench:
         if run.learned_back is not None:
             self.functions[f"{label}@{speed:g} back"] = run.learned_back
         return run.controller.function
+
+
+def _way_of(row: Embodiment, speed: float) -> str:
+    """Name of the way that the master takes alone: joints that are sent ahead as they follow take another one."""
+    return f"{speed:g}" if row.first == "fixed" else f"{speed:g} fed"
 
 
 def _snag(rig: PairRig) -> Any:
@@ -162,15 +173,18 @@ def _split(poses: Any) -> tuple[Any, Any]:
 
 
 def speeds(bench: Bench) -> None:
-    """E3: learned at .75 and 1.5, used at 1.1 and 1.8 without any learning there; and what learning at 1.1 reaches."""
+    """E3: learned at .75 and 1.5, used at 1.1 and 1.8 without any learning there; and what learning at 1.1 reaches.
+
+    The first cycle of a run does not know the arms' constants, the second does.
+    """
     slow = bench.run("C2c", bench.row_of("C2c"), SLOW, E2_CYCLES)
     known = {0.0: bench.taught.nine, SLOW: slow, USUAL: bench.functions[f"C2c@{USUAL:g}"]}
     for speed in (BETWEEN, BEYOND):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ExtrapolationWarning)
             table = SpeedTable(known).at(speed)
-        bench.run("C1i", bench.row_of("C1i"), speed)
-        bench.run("C3", bench.row_of("C3"), speed, first=table)
+        bench.run("C1i", bench.row_of("C1i"), speed, 2)
+        bench.run("C3", bench.row_of("C3"), speed, 2, first=table)
     bench.run("C2c", bench.row_of("C2c"), BETWEEN, E2_CYCLES)
 
 
@@ -352,13 +366,12 @@ def run_stage(seed: int, stage: str, frozen_cycles: int, stored: dict[str, Any] 
         with inline_rig(seed) as rig:
             bench = Bench(rig, _given(seen), frozen_cycles)
             bench.functions = {name: _function(knots) for name, knots in seen["functions"].items()}
-            bench.alone = {float(speed): np.array(way) for speed, way in seen["alone"].items()}
+            bench.alone = {name: np.array(way) for name, way in seen["alone"].items()}
             STAGES[stage](bench)
             _count(seen, rig)
         seen["rows"] += bench.rows
         seen["curves"] += bench.curves
         seen["functions"] = {name: _knots(function) for name, function in bench.functions.items()}
-        seen["alone"] = {f"{speed:g}": np.round(way, 7).tolist() for speed, way in bench.alone.items()}
     seen["stages"].append(stage)
     seen["minutes"] += (time.monotonic() - began) / 60.0
     return seen
@@ -380,17 +393,22 @@ def _taught(seed: int) -> dict[str, Any]:
     laws = None if lesson.laws_s is None else lesson.laws_s.tolist()
     seen |= {"functions": {}, "points": points, "nine": _knots(nine), "laws_s": laws}
     taught = _given(seen)
-    alone = {f"{speed:g}": np.round(_alone(seed, taught, speed), 7).tolist() for speed in (USUAL, FAST)}
+    alone = {
+        _way_of(EMBODIMENTS[name], speed): np.round(_alone(seed, taught, name, speed), 7).tolist()
+        for name in ("A", "C1")
+        for speed in (USUAL, FAST)
+    }
     return seen | {"alone": alone}
 
 
-def _alone(seed: int, taught: Taught, speed: float) -> Any:
-    """Way (n, 3) of the master's fingertip when nothing is held between the arms [m]."""
+def _alone(seed: int, taught: Taught, name: str, speed: float) -> Any:
+    """Way (n, 3) of the master's fingertip under a row when nothing is held between the arms [m]."""
     with inline_rig(seed) as rig:
         rig.world.part.let_go()
         bench = Bench(rig, taught, 0)
-        row = bench.row_of("A")
-        _, record = rig.cycle(rig.run(row, bench.first(row), PairMotionOptions(speed=speed, force_limit_n=NO_LIMIT_N)))
+        row = bench.row_of(name)
+        options = PairMotionOptions(speed=speed, force_limit_n=NO_LIMIT_N, laws_s=bench.laws_s(row))
+        _, record = rig.cycle(rig.run(row, bench.first(row), options))
         rig.power.off()
         return record[:, 10:13]
 
