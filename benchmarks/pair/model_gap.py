@@ -23,6 +23,8 @@ GAP_M = 0.005
 ROW = EMBODIMENTS["E5"]
 STILL = replace(ROW, corrects="none", learning=None)
 CYCLES = 4
+#: Distances pass no filter.
+LOOP_TIME_S = 0.024
 SPEED = 1.5
 
 
@@ -48,8 +50,9 @@ def gaps(seeds: Sequence[int], components: Sequence[str] = COMPONENTS, speed: fl
     on, rig = track(speed), sensors_for(components)
     errors = [draw(seed, BASES) for seed in seeds]
     fixed = sampled(constant_function(FIXED), on.path.s_m[on.path.uniform(ROW.points)])
-    still = [PairController(STILL, on.path, calibration(), fixed) for _ in seeds]
-    yielding = [PairController(ROW, on.path, calibration(), fixed) for _ in seeds]
+    known = replace(calibration(), loop_time_s=LOOP_TIME_S)
+    still = [PairController(STILL, on.path, known, fixed) for _ in seeds]
+    yielding = [PairController(ROW, on.path, known, fixed) for _ in seeds]
     without = _cycle(on, errors, still, rig, components, 0)
     each = [_cycle(on, errors, yielding, rig, components, cycle) for cycle in range(1, CYCLES + 1)]
     return [

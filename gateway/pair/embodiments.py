@@ -68,7 +68,8 @@ _ROWS = (
         first="fixed",
         sensing="distance",
         gains=DISTANCE_GAINS,
-        learning=LearningRule(),
+        # a gap is measured as it is: no stiffness stands between it and the move that closes it
+        learning=LearningRule(left_share=1.0),
         points=100,
     ),
     Embodiment(

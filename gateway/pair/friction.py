@@ -10,20 +10,28 @@ import numpy as np
 from gateway.pair.cell import PairArm
 from gateway.pair.transform import Floats
 
-#: Joint speed at which dry friction has nearly reached its full size [rad/s].
-TURNING_RAD_S = 0.003
 #: Way by which a joint has to turn until dry friction has reached two thirds of its full size [rad].
 PRESLIDING_RAD = 5e-5
+#: The same for the torque that makes up for it, sooner: the gear is wound up before the joint turns [rad].
+OFFSET_RAD = 1e-5
 #: A joint slower than this stands [rad/s]. It may hold its friction, or its drive lets go of it, by an integrator or by
 #: trembling: no more than this share is counted on, after this time [s].
 STANDING_RAD_S, STANDING_SHARE, LET_GO_S = 2e-4, 0.5, 0.1
 
 
+def dahl(turned: Floats, way_rad: Floats, over_rad: float) -> Floats:
+    """Share of dry friction (n,), from -1 to 1, that acts after ways (n,) [rad]: Dahl's model.
+
+    Over a way d towards s it moves by `1 - exp(-d/over_rad)` of what it lacks to s.
+    """
+    towards = np.sign(way_rad)
+    return towards - (towards - turned) * np.exp(-np.abs(way_rad) / over_rad)
+
+
 class Presliding:
     """Which way dry friction of n joints acts, told by the way they have turned since they turned round.
 
-    Dahl's model: over a way d towards s the share moves by `1 - exp(-d/PRESLIDING_RAD)` of what it lacks to s. How fast
-    a joint turns says nothing: one that slows down for the end of its way rubs as before until it stands. Then
+    How fast a joint turns says nothing: one that slows down for the end of its way rubs as before until it stands. Then
     half of that is doubtful.
 
     Parameters
@@ -43,14 +51,15 @@ class Presliding:
 
     def move(self, way_rad: Floats) -> None:
         """The joints have turned by these ways (n,) [rad]."""
-        towards, way = np.sign(way_rad), np.abs(way_rad)
-        turned = towards - (towards - self.turned) * np.exp(-way / PRESLIDING_RAD)
+        turned, way = dahl(self.turned, way_rad, PRESLIDING_RAD), np.abs(way_rad)
         surplus = turned - np.clip(turned, -STANDING_SHARE, STANDING_SHARE)
         self.turned = turned - np.where(way < self._standing_rad, self._lost * surplus, 0.0)
 
 
 class FrictionOffset:
     """Joint torque of the cell's friction constants, for the targets that the servos reach at this cycle.
+
+    A joint that comes to rest keeps its offset: friction holds it as it came, until targets turn round.
 
     Parameters
     ----------
@@ -62,11 +71,13 @@ class FrictionOffset:
     def __init__(self, arm: PairArm, dt_s: float, lag_s: float) -> None:
         self._arm, self._dt_s = arm, dt_s
         self._targets: deque[Floats] = deque(maxlen=2 + round(lag_s / dt_s))
+        self._turned = np.zeros_like(arm.coulomb_nm)
 
     def at(self, q_rad: Floats) -> Floats:
-        """Torque (N,) [Nm] beside the next targets (N,) [rad]; zero at rest."""
+        """Torque (N,) [Nm] beside the next targets (N,) [rad]; zero before the first move."""
         self._targets.append(q_rad)
         if len(self._targets) < 2:
             return np.zeros_like(q_rad)
-        speed = (self._targets[1] - self._targets[0]) / self._dt_s
-        return self._arm.coulomb_nm * np.tanh(speed / TURNING_RAD_S) + self._arm.viscous_nm_s_rad * speed
+        way = self._targets[1] - self._targets[0]
+        self._turned = dahl(self._turned, way, OFFSET_RAD)
+        return self._arm.coulomb_nm * self._turned + self._arm.viscous_nm_s_rad * way / self._dt_s

@@ -220,6 +220,27 @@ def test_distance_error_goes_where_it_is_told(path: PairPath, bare: PairCalibrat
     assert np.allclose(correction_between(slave, base), error * 40 * 0.004 / 0.08, atol=1e-12)
 
 
+def test_gap_that_was_left_is_learned_at_the_command_that_it_belongs_to(path: PairPath, bare: PairCalibration) -> None:
+    """Hands that hardly yield, sensors heard half a loop time late, three commands: 0.3 stays after a cycle."""
+    cell, late = replace(bare, loop_time_s=0.024), 3
+    row = replace(EMBODIMENTS["E5"], gains=Gains((1e9, 1e9)), learning=LearningRule(left_share=0.7, smooth_s=0.0))
+    every = function_of_knots(path.s_m[:: len(path) - 1], np.tile(FIXED, (2, 1, 1)))
+    knots = np.unique(path.s_m)
+    controller = PairController(row, path, cell, function_of_knots(knots, every.many(knots)))
+    off = np.zeros((len(path), 6))
+    off[:, 0] = 1e-3 * np.sin(np.arange(len(path)) / 30.0)
+    wanted = apply_correction(slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, FIXED), off)
+    for share in (1.0, 0.3, 0.09):
+        controller.start_cycle()
+        given = [controller.step(m, None, np.zeros(6))[1] for m in range(len(path))]
+        left = correction_between(wanted, np.stack(given))
+        assert left[late:-late] == pytest.approx(share * off[late:-late], abs=1e-5)
+        controller.start_cycle()
+        for m in range(len(path)):
+            controller.step(m, None, left[max(m - late, 0)])
+        assert controller.end_cycle(complete=True).learned
+
+
 def test_refusals(path: PairPath, bare: PairCalibration) -> None:
     with pytest.raises(ConfigError, match="limit of oscillation"):
         controller_of("C1i", path, bare, gains=Gains((2000.0, 160.0)))
