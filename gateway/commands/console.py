@@ -65,14 +65,17 @@ class Session:
         return self._consoles[err]
 
     def show(self, item: Any) -> None:
-        """Print a table or a line of the answer, as it stands: square brackets are units."""
+        """Print a table or a line of the answer, as it stands: square brackets are units.
+
+        A line is left whole, whatever the width: a path or a phrase in it can be found, and a terminal folds it itself.
+        """
         if self.verbosity >= 0:
-            self.console(err=self.data_on_stdout).print(item, markup=False)
+            self.console(err=self.data_on_stdout).print(item, markup=False, soft_wrap=isinstance(item, str))
 
     def note(self, text: str, level: int = 0) -> None:
-        """Print a remark to stderr."""
+        """Print a remark to stderr, left whole as every line."""
         if self.verbosity >= level:
-            self.console(err=True).print(text, markup=False)
+            self.console(err=True).print(text, markup=False, soft_wrap=True)
 
     @contextmanager
     def progress(self, total: float, text: str) -> Generator[Bar]:
