@@ -2,7 +2,8 @@
 
 The reference advances once per stretch of simulated time (one SYNC in lockstep); the servo loop moves it evenly over
 the milliseconds of that stretch, which is the linear interpolation of cyclic synchronous position. By the clock, set
-points that come early or late within a period pass through a buffer that the drive empties by a clock of its own.
+points that come early or late within a period pass through a buffer that the drive empties by a clock of its own,
+which a phase-locked loop keeps half a period behind the SYNCs: each one moves it a little, their mean sets its delay.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ LEAVING = {PdsState.READY_TO_SWITCH_ON: (0x605B, 0), PdsState.SWITCHED_ON: (0x60
 STOPPING = {PdsState.QUICK_STOP_ACTIVE: QUICK_STOP_OPTION, PdsState.FAULT_REACTION_ACTIVE: (0x605E, 0)}
 SLOW_DOWN_RAMP, QUICK_STOP_RAMP = 0x6084, 0x6085
 STOP_TIMEOUT_S = 0.3
-#: How much the drive's own clock is drawn when its buffer of set points is empty or holds more than one.
-CLOCK_DRAW = 0.03
+#: How much of its way off half a period behind the SYNCs the drive's own clock makes up for in a period, and at most.
+CLOCK_PULL, CLOCK_DRAW = 0.06, 0.03
 MOST_BUFFERED = 8
 
 
@@ -86,7 +87,7 @@ class DriveMotion:
         self.wobble: tuple[float, float] | None = None
         self.buffered = False
         self._buffer: deque[float] = deque(maxlen=MOST_BUFFERED)
-        self._goal = self._starved_s = 0.0
+        self._goal = self._starved_s = self._since_s = 0.0
         self._wobbled = 0.0
         self._speed = 0.0
         self._left_s = 0.0
@@ -220,6 +221,7 @@ class DriveMotion:
         """A target position came: it is to be reached within the interpolation period (0x60C2)."""
         if self.buffered:
             self._buffer.append(self._drive.target_rad())
+            self._since_s = 0.0
         else:
             self._left_s = self.period_s()
 
@@ -229,23 +231,28 @@ class DriveMotion:
         return store.number((0x60C2, 1)) * 10.0 ** store.number((0x60C2, 2))
 
     def _from_buffer(self, seconds: float) -> float:
-        """Way of the reference [rad] when set points wait their turn; without one the axis slows down to a stop."""
+        """Way of the reference [rad] when set points wait their turn.
+
+        Without one the axis goes on for a period, as drives that extrapolate a late one do, then slows down to a stop.
+        """
         at = self._drive.axis.servo.reference_rad - self._wobbled
         begin, period_s = at, self.period_s()
         while seconds > 1e-9:
             if self._left_s <= 1e-9 and self._buffer:
                 self._goal = self._buffer.popleft()
-                draw = CLOCK_DRAW * (1 if not self._buffer else -min(len(self._buffer) - 1, 3))
-                self._left_s, self._starved_s = period_s * (1.0 + draw), 0.0
+                behind = len(self._buffer) + self._since_s / period_s - 0.5
+                draw = min(max(CLOCK_PULL * behind, -CLOCK_DRAW), CLOCK_DRAW)
+                self._left_s, self._starved_s = period_s * (1.0 - draw), 0.0
             if self._left_s > 1e-9:
                 step = min(seconds, self._left_s)
                 at += (self._goal - at) * step / self._left_s
                 self._left_s -= step
             else:
                 step = min(seconds, 0.001)
-                at += self._speed * step * max(0.0, 1.0 - self._starved_s / period_s)
+                at += self._speed * step * min(max(0.0, 2.0 - self._starved_s / period_s), 1.0)
                 self._starved_s += step
             seconds -= step
+            self._since_s += step
         return at - begin
 
     def _track(self, seconds: float) -> float:

@@ -31,7 +31,7 @@ from gateway.result.values import decoded
 SHORT = ("plain", "each", "mean", "points", "stop", "distance")
 FULL = (
     *("plain", "fast", "each", "stop", "step", "points", "mean", "snag", "skew"),
-    *("distance", "speeds", "even", "others", "fast_points", "hostile", "static"),
+    *("distance", "speeds", "even", "others", "fast_points", "hostile", "static", "elsewhere"),
 )
 FROZEN_SHORT, FROZEN_FULL = 3, 20
 LIMIT_N = 40.0

@@ -142,6 +142,11 @@ def figures(rows: Sequence[Row], limit_n: float, *, judged: bool) -> dict[str, F
         out[f"C8 at speed {speed:g}: cycles until the force stays inside the limit"] = _value(
             until, "median, least and most", goal, _middle(4.0) if goal else None
         )
+    for speed in (USUAL, FAST):
+        last = [table.force("C8 elsewhere", speed, seed) for seed in table.seeds]
+        out[f"C8 along a path of the seed, speed {speed:g}: last learning cycle"] = _value(
+            last, "N, median, least and most", "reported", None
+        )
     out |= _intervals(table.rows)
     if judged:
         out |= _judged(table)

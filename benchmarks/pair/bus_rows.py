@@ -6,6 +6,8 @@ import time
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,7 @@ from numpy.typing import NDArray
 
 from benchmarks.pair.bus_gap import gaps_in_the_cell
 from benchmarks.pair.bus_hostile import hostile
+from benchmarks.pair.bus_paths import drawn_cell
 from benchmarks.pair.bus_rig import BACK_SPEED, NO_LIMIT_N, PairRig, along_n, figures_of, inline_rig, off_way_m
 from drives.errors import DriveError
 from gateway.errors import LimitExceeded
@@ -341,8 +344,20 @@ def halved(seed: int, taught: Taught) -> list[Row]:
         return bench.rows
 
 
+def elsewhere(seed: int) -> list[Row]:
+    """C8 at both speeds along a path that the seed has drawn, taught there."""
+    with TemporaryDirectory() as folder, inline_rig(seed, cell_file=drawn_cell(Path(folder), seed)) as rig:
+        nine, lesson = rig.teach(9)
+        bench = Bench(rig, Taught(nine, lesson.laws_s), 0)
+        row, usual = bench.row_of("C8"), f"C8 elsewhere@{USUAL:g}"
+        bench.run("C8 elsewhere", row, USUAL, LEARNING)
+        first, back = bench.functions[usual], bench.functions[f"{usual} back"]
+        bench.run("C8 elsewhere", row, FAST, LEARNING, first=first, back=back)
+        return bench.rows
+
+
 #: Stages that need another cell, and nothing taught.
-ALONE: dict[str, Callable[[int], list[Row]]] = {"distance": gaps_in_the_cell}
+ALONE: dict[str, Callable[[int], list[Row]]] = {"distance": gaps_in_the_cell, "elsewhere": elsewhere}
 
 #: Stages that need rigs of their own.
 APART: dict[str, Callable[[int, Taught], list[Row]]] = {"skew": skewed, "step": halved}

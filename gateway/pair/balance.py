@@ -62,7 +62,8 @@ class ForceBalance:
         self, arms: tuple[ExternalTorque, ExternalTorque], maps: PathWrenches, dt_s: float, cutoff_hz: float
     ) -> None:
         self._arms, self._maps = arms, maps
-        self._dt_s = dt_s
+        #: SYNCs over which a way that is over is averaged.
+        self._size = max(1, round(AVERAGED_S / dt_s)) | 1
         self._low_pass = 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * dt_s)
         self.count = len(arms[0].late)
         where = np.round(arms[0].late).astype(int)
@@ -160,11 +161,10 @@ class ForceBalance:
         self.pulled, self._strange = strange and not self._strange, strange
         if self.pulled:
             return
-        torque, turned, speed, acceleration = self._seen
-        there = ~np.isnan(torque).any(axis=1)
-        std = np.sqrt(self._hidden(turned) ** 2 + self._sample_nm**2)
-        columns = self.columns.of(turned, speed, acceleration)
-        self.doubts.learn(columns[there], (torque - self._share)[there], self._force[there], std[there])
+        there = ~np.isnan(self._seen[0]).any(axis=1)
+        left, columns, hidden = self._averaged()
+        std = np.sqrt(hidden**2 + self._sample_nm**2)
+        self.doubts.learn(columns[there], left[there], self._force[there], std[there])
 
     def _out_of_balance(self) -> float:
         """Mean square along the way of what no force inside the part explains, over what is expected of it."""
@@ -183,18 +183,23 @@ class ForceBalance:
 
     def _weighed(self) -> tuple[Floats, Floats, Floats]:
         """Averaged torques (M, J) that the constants leave, their weights (M, J, J), and those by wrench (M, 6, J)."""
-        whole = np.stack([_filled(each) for each in self._seen])
-        torque, turned, speed, acceleration = whole
-        columns = self.columns.of(turned, speed, acceleration)
-        left = torque - self._share - columns @ self.doubts.value
-        size = max(1, round(AVERAGED_S / self._dt_s)) | 1
-        left = uniform_filter1d(left, size, axis=0, mode="nearest")
-        columns = uniform_filter1d(columns, size, axis=0, mode="nearest")
-        hidden = uniform_filter1d(self._hidden(turned), size, axis=0, mode="nearest")
+        left, columns, hidden = self._averaged()
+        left = left - columns @ self.doubts.value
         unsure = columns @ self.doubts.covariance @ np.swapaxes(columns, 1, 2)
-        own = hidden**2 + self._sample_nm**2 / size + self._unfollowed_nm**2
+        own = hidden**2 + self._sample_nm**2 / self._size + self._unfollowed_nm**2
         weight = np.asarray(np.linalg.inv(unsure + own[:, :, None] * np.eye(len(self._sample_nm))), dtype=np.float64)
         return left, weight, np.swapaxes(self._force, 1, 2) @ weight
+
+    def _averaged(self) -> tuple[Floats, Floats, Floats]:
+        """Torques (M, J) less the part's share, what is unsure of them (M, J, K), and what dry friction hides (M, J).
+
+        Over neighbours alike: an instant that a SYNC or an encoder is off feigns an acceleration of many times the
+        true one, and with it a torque and an inertia that is none; a mean of both knows neither.
+        """
+        torque, turned, speed, acceleration = np.stack([_filled(each) for each in self._seen])
+        each = torque - self._share, self.columns.of(turned, speed, acceleration), self._hidden(turned)
+        left, columns, hidden = (uniform_filter1d(values, self._size, axis=0, mode="nearest") for values in each)
+        return left, columns, hidden
 
     def _hidden(self, turned: Floats) -> Floats:
         """Torque (..., J) by which dry friction may be off [Nm], standard deviation."""
