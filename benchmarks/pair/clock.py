@@ -297,12 +297,16 @@ def run_figures(runs: list[tuple[Told, Told]], count: int) -> dict[str, dict]:
     """By the clock beside lockstep, once learning was over."""
     both = np.array([[max(told.most[LEARNING:], default=math.nan) for told in pair] for pair in runs])
     over = both[:, 0] / both[:, 1]
+    within = np.concatenate(
+        [np.array(one.most[LEARNING:]) <= MOST_OVER_LOCKSTEP * max(other.most[LEARNING:]) for one, other in runs]
+    )
     clock = [told for told, _ in runs]
     return {
         "C8 by the clock, whole cycles": figure(sum(len(told.most) for told in clock), f">= {count * len(runs)}"),
         **stops("C8", clock),
         "C8 by the clock, largest force": plain(both[:, 0], "N"),
         "C8 in lockstep, largest force": plain(both[:, 1], "N"),
+        "C8 by the clock, cycles within 1.1 times lockstep": plain([1e2 * float(np.mean(within))], "%"),
         "C8 by the clock over lockstep": figure(max(over), f"<= {MOST_OVER_LOCKSTEP}", "", (min(over), max(over))),
     }
 

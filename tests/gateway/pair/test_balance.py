@@ -74,10 +74,11 @@ class Bench:
         change = np.gradient(np.gradient(centre, self.path.dt_s, axis=0), self.path.dt_s, axis=0)
         return 0.5 * self.cell.config.part_mass_kg * (np.array([0.0, 0.0, -9.80665]) - change)
 
-    def run(self, force_n: np.ndarray, extra_nm=(0.0, 0.0), doubts: Doubts | None = None) -> Doubts:
+    def run(self, force_n: np.ndarray, extra_nm=(0.0, 0.0), doubts: Doubts | None = None, off_s=0.0) -> Doubts:
         """A way with a force (M, 3) inside the part, on gripper 2 as it is, and torques (M, N) beside.
 
-        Both grippers feel it about the part's middle, so that the part has no cause to turn.
+        Both grippers feel it about the part's middle, so that the part has no cause to turn. Positions are those of
+        instants (M, 1) that are `off_s` beside what is told of them.
         """
         joints = sum(arm.axes for arm in self.cell.arms)
         doubts = doubts or Doubts(constants_of(joints))
@@ -87,12 +88,13 @@ class Bench:
             arm_m = centre - self.tips(arm, np.zeros(1))[:, :3, 3]
             moment = np.cross(arm_m, sign * force_n)
             torque.append(self.free[arm] + self.virtual_work_nm(arm, part + sign * force_n, moment) + extra_nm[arm])
+        shown = [q + off_s * speed for q, speed in zip(self.q, self.speed, strict=True)]
         self.balance.begin(doubts)
         for m in range(len(self.path)):
             time_s = m * self.path.dt_s
             seen = [
                 arm.update(m, ArmSample(m, time_s, q[m], nm[m], (object(),) * len(q[m])))  # type: ignore[arg-type]
-                for arm, q, nm in zip(self.arms, self.q, torque, strict=True)
+                for arm, q, nm in zip(self.arms, shown, torque, strict=True)
             ]
             self.balance.take(m, (seen[0], seen[1]), m - 1 if m else None)
         return doubts
@@ -199,6 +201,15 @@ def test_friction_of_another_day_is_told_by_the_part_that_both_carry(bench):
     assert doubts.value[1] == pytest.approx(0.25 / COULOMB_SHARE, abs=0.35)
     assert np.sqrt(doubts.covariance[1, 1]) < 0.4
     assert after < 0.6 * before
+
+
+def test_instants_that_are_off_tell_no_inertia(bench):
+    """30 us at 4 ms feign accelerations above the true ones: torques that nothing needs would be told as rotors'."""
+    off_s = np.random.default_rng(1).normal(0.0, 30e-6, (len(bench.path), 1))
+    doubts = bench.run(np.zeros((len(bench.path), 3)), off_s=off_s)
+    bench.balance.learn()
+    assert np.abs(doubts.value).max() < 1.5
+    assert np.linalg.norm(bench.balance.inside().wrench[:, :3], axis=1).max() < 30.0
 
 
 def test_what_a_cable_pulls_on_one_way_tells_nothing_of_the_arms(bench):
