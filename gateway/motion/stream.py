@@ -42,6 +42,8 @@ FIRST_SHARE: Final = 0.1
 #: A stop along the path ends when no joint has moved by more than this [rad] for so long [s], or after the second time.
 REST_RAD: Final = 5e-5
 REST_S, REST_LONGEST_S = 0.02, 0.4
+#: SYNCs that it takes at least: where a joint turns round, or is read late, one of them sees it where the last one did.
+REST_SYNCS: Final = 3
 #: Rounding of a number of periods.
 HAIR: Final = 1e-9
 
@@ -229,7 +231,7 @@ class Stream:
 
     def _come_to_rest(self, way: Way, at: float) -> None:
         """Set points stand still: the servos make up for what the joints lag behind before anything is disabled."""
-        span = max(1, round(REST_S / self._period_s))
+        span = max(REST_SYNCS, round(REST_S / self._period_s))
         seen: deque[np.ndarray] = deque(maxlen=span + 1)
         for _ in range(round(REST_LONGEST_S / self._period_s)):
             self._asked_to_stop()

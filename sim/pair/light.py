@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 
 #: Way by which a rotor turns, at its joint, until dry friction has its full size [rad]; it keeps it while it stands.
 BREAKAWAY_RAD = 1e-4
+#: In which a speed loop brings a rotor to the speed asked for: a step takes its torque over this time, however short
+#: the stretch in which it is seen [s].
+SPEED_LOOP_S = 0.001
 
 
 class LightWorld(TwoArms):
@@ -44,6 +47,8 @@ class LightWorld(TwoArms):
         self._coulomb, self._viscous = train.coulomb_nm, train.viscous_nm_s_rad
         self._rotor, self._half = train.rotor_kg_m2, 0.5 * train.backlash_rad
         self._acceleration = np.zeros(self.joints)
+        #: What of a change of speed the speed loops have not taken up yet [rad/s].
+        self._open = np.zeros(self.joints)
         self._rubbing = np.zeros(self.joints)
         self._need = self.motors.gear_nm.copy()
         self._inertia = np.diag(self._mass(self.q)) + self._rotor
@@ -70,6 +75,7 @@ class LightWorld(TwoArms):
         late_s = self.settings.skew_s + (self._random.uniform(0.0, jitter) if jitter else 0.0)
         slave = self.of_arm[1].start
         theta, omega = motors.theta.tolist(), motors.omega.tolist()
+        asked = np.zeros(self.joints)
         gear, need = motors.gear_nm.tolist(), self._need.tolist()
         for i, axis in enumerate(motors.axes):
             before = omega[i]
@@ -86,7 +92,9 @@ class LightWorld(TwoArms):
                 omega[i] = -math.copysign(axis.slip_rad_s, gear[i]) if axis.slip_rad_s else 0.0
                 theta[i] += omega[i] * seconds
                 before = omega[i]
-            self._acceleration[i] = (omega[i] - before) / seconds
+            asked[i] = omega[i] - before
+        left = (self._open + asked) * math.exp(-seconds / SPEED_LOOP_S)
+        self._acceleration, self._open = (self._open + asked - left) / seconds, left
         turned = np.array(theta) - motors.theta
         self._rubbing = np.clip(self._rubbing + turned / BREAKAWAY_RAD, -1.0, 1.0)
         motors.theta, motors.omega = np.array(theta), np.array(omega)

@@ -14,7 +14,7 @@ from gateway.motion.arms import Arms
 from gateway.motion.contact import TAKE_OVER_S
 from gateway.motion.state import StateKeeper
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
-from gateway.motion.stream import REPORT_S, REST_LONGEST_S, REST_S, MoveOptions, Station, Stream
+from gateway.motion.stream import REPORT_S, REST_LONGEST_S, REST_SYNCS, MoveOptions, Station, Stream
 from gateway.motion.trajectory import MotionLimits, straight
 
 PERIOD_S = 0.01
@@ -133,7 +133,7 @@ def test_a_wish_that_becomes_urgent_while_the_arm_comes_to_rest_is_heard(make, f
     assert rate.count(0.0) == 2
 
 
-@pytest.mark.parametrize(("swing_rad", "rest_s"), [(0.0, REST_S + PERIOD_S), (1e-3, REST_LONGEST_S)])
+@pytest.mark.parametrize(("swing_rad", "rest_s"), [(0.0, (REST_SYNCS + 1) * PERIOD_S), (1e-3, REST_LONGEST_S)])
 def test_a_stop_ends_when_the_joints_stand_and_at_the_latest_after_its_time(make, fake, workspace, swing_rad, rest_s):
     wish = StopRequest(StopKind.ALONG_PATH, StoppedByPerson("a person"))
     stream = make(desk=StopDesk(lambda: wish if fake.sync_index >= 40 else None))
@@ -150,6 +150,23 @@ def test_a_stop_ends_when_the_joints_stand_and_at_the_latest_after_its_time(make
         move(stream, workspace)
     assert rate.count(0.0) * PERIOD_S == pytest.approx(rest_s)
     assert not stream.moving
+
+
+def test_a_joint_that_is_read_late_is_not_at_rest(make, fake, workspace):
+    """The servo lags, and its drive shows every position in three SYNCs."""
+    wish = StopRequest(StopKind.ALONG_PATH, StoppedByPerson("a person"))
+    stream = make(desk=StopDesk(lambda: wish if fake.sync_index >= 40 else None))
+    plain, at = fake._follow, [fake.q_rad.copy()]
+
+    def follow() -> None:
+        plain()
+        at.append(0.9 * at[-1] + 0.1 * fake.q_rad)
+        fake.q_rad = at[fake.sync_index // 3 * 3 - fake.sync_index - 1].copy()
+
+    fake._follow = follow
+    with pytest.raises(StoppedByPerson):
+        move(stream, workspace)
+    assert at[-1] == pytest.approx(stream.q_rad[0], abs=5e-4)
 
 
 def test_in_lockstep_a_job_is_just_done(make, fake):

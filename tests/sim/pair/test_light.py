@@ -100,6 +100,26 @@ def test_an_axis_follows_late_by_its_time_constant(world_of: Worlds) -> None:
     assert not world.fastest_rad_s.any()
 
 
+def test_a_step_of_speed_takes_as_much_torque_however_short_the_stretch_it_is_seen_in(world_of: Worlds) -> None:
+    """A drive that is told a speed 20 us before the next look at the plant does not kick its arm."""
+    impulse, most = [], []
+    for stretches in ([4.0, 4.0], [0.02, 3.98, 4.0], [1.0] * 8):
+        world = world_of(filter_s=0.0)
+        power(world)
+        world.open_grippers()
+        go(world, 0.1)
+        rest_nm = float(world.motors.u_nm[0])
+        world.motors.axes[0].servo.offset_rad_s = 0.01
+        seen = []
+        for ticks in stretches:
+            world._stretch(ticks)
+            seen.append((float(world.motors.u_nm[0]) - rest_nm, ticks))
+        impulse.append(sum(torque_nm * ticks for torque_nm, ticks in seen))
+        most.append(max(abs(torque_nm) for torque_nm, _ in seen))
+    assert impulse == pytest.approx([impulse[0]] * 3, rel=0.1)
+    assert max(most) < 1.5 * impulse[0]
+
+
 def test_dry_friction_stays_where_a_joint_has_come_to_stand(world_of: Worlds) -> None:
     """Two standstills in one place, come to from either side: the torques are twice the friction apart."""
     world = world_of()
