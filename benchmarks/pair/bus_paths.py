@@ -19,15 +19,16 @@ MOST = np.array([0.04, 0.04, 0.04, 0.1, 0.1, 0.1])
 STREAM = 7
 
 
-def drawn_cell(folder: Path, seed: int) -> Path:
-    """The example with a path of this seed, in a folder that is there."""
+def drawn_cell(folder: Path, seed: int, refused: int = 0) -> Path:
+    """The example with a path of this seed, in a folder that is there; the next one that it draws after some refused."""
     for source in CELL.parent.iterdir():
         if source.is_file():
             shutil.copy(source, folder)
     path = folder / "path.csv"
     with path.open(encoding="utf-8", newline="") as file:
         head, *rows = csv.reader(file)
-    poses = bent(np.array(rows, dtype=float), np.random.default_rng([seed, STREAM]))
+    stated, rng = np.array(rows, dtype=float), np.random.default_rng([seed, STREAM])
+    poses = [bent(stated, rng) for _ in range(refused + 1)][-1]
     text = [",".join(head), *(",".join(f"{value:.10f}" for value in row) for row in poses)]
     path.write_text("\n".join(text) + "\n", encoding="utf-8")
     return folder / CELL.name

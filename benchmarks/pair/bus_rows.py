@@ -18,7 +18,7 @@ from benchmarks.pair.bus_hostile import hostile
 from benchmarks.pair.bus_paths import drawn_cell
 from benchmarks.pair.bus_rig import BACK_SPEED, NO_LIMIT_N, PairRig, along_n, figures_of, inline_rig, off_way_m
 from drives.errors import DriveError
-from gateway.errors import LimitExceeded
+from gateway.errors import LimitExceeded, PlanRefused
 from gateway.pair.embodiments import EMBODIMENTS, Embodiment, with_gains
 from gateway.pair.function import TransformFunction, constant_function
 from gateway.pair.motion import PairMotionOptions, PairStopped
@@ -34,6 +34,8 @@ STATIC, SLOW, BETWEEN, USUAL, BEYOND, FAST = 0.05, 0.75, 1.1, 1.5, 1.8, 3.0
 LEARNING = 13
 E2_CYCLES = 6
 SNAG_N = 20.0
+#: Paths that a seed may draw until one is not refused.
+DRAWS = 10
 #: What later stages begin with.
 LEARNED_BY = (f"C8@{USUAL:g}", f"C8@{USUAL:g} back")
 
@@ -345,8 +347,20 @@ def halved(seed: int, taught: Taught) -> list[Row]:
 
 
 def elsewhere(seed: int) -> list[Row]:
-    """C8 at both speeds along a path that the seed has drawn, taught there."""
-    with TemporaryDirectory() as folder, inline_rig(seed, cell_file=drawn_cell(Path(folder), seed)) as rig:
+    """C8 at both speeds along the first path that the seed has drawn and the planner does not refuse, taught there."""
+    for refused in range(DRAWS):
+        try:
+            return along_drawn(seed, refused)
+        except PairStopped:  # was not refused beforehand
+            raise
+        except PlanRefused:
+            continue
+    raise RuntimeError(f"seed {seed} has drawn {DRAWS} paths, all are refused")
+
+
+def along_drawn(seed: int, refused: int) -> list[Row]:
+    """The same along the path that comes after so many of the seed."""
+    with TemporaryDirectory() as folder, inline_rig(seed, cell_file=drawn_cell(Path(folder), seed, refused)) as rig:
         nine, lesson = rig.teach(9)
         bench = Bench(rig, Taught(nine, lesson.laws_s), 0)
         row, usual = bench.row_of("C8"), f"C8 elsewhere@{USUAL:g}"
