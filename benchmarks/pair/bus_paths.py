@@ -20,7 +20,7 @@ STREAM = 7
 
 
 def drawn_cell(folder: Path, seed: int, refused: int = 0) -> Path:
-    """The example with a path of this seed, in a folder that is there; the next one that it draws after some refused."""
+    """The example with a path of this seed, the one that it draws after so many refused, in a folder that is there."""
     for source in CELL.parent.iterdir():
         if source.is_file():
             shutil.copy(source, folder)

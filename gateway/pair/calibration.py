@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -36,6 +37,7 @@ class PairCalibration:
     chain_stiffness : array of shape (6, 6)
         Of gears and part between the hands about fingertip 2, `[N/m; Nm/rad]`.
     loop_time_s : servo lag + bus delay + force filter + half a cycle.
+    force_limit_n : what the part may feel; as long as it feels more, learning is in a hurry.
     """
 
     w_t_b1: Floats
@@ -45,6 +47,7 @@ class PairCalibration:
     gravity_m_s2: Floats = field(default_factory=lambda: np.array(GRAVITY_M_S2))
     chain_stiffness: Floats = field(default_factory=_typical_stiffness)
     loop_time_s: float = TYPICAL_LOOP_TIME_S
+    force_limit_n: float = math.inf
 
     def __post_init__(self) -> None:
         for name in ("w_t_b1", "w_t_b2", "e1_t_part"):

@@ -101,7 +101,7 @@ class Learner:
         self._force_before = np.zeros((len(self._path), 6))
         self._change_before = np.zeros((len(self._path), 6))
         self._settled = 0
-        self._in_use = False
+        self._in_use = self._was_inside = False
         self._first_force = np.inf
         self._last_change, self._growing = np.inf, 0
 
@@ -116,10 +116,15 @@ class Learner:
         return self._points.copy()
 
     def learn(self, cycle: Cycle) -> Learned:
-        """Take in one complete cycle; rebuilds the second function when the rule says so."""
+        """Take in one complete cycle; rebuilds the second function when the rule says so.
+
+        A block is not waited for until the force has once been inside its limit: what is far off is far off in every
+        cycle, and the part is to be spared another one.
+        """
+        self._was_inside |= largest_n(cycle) <= self._calibration.force_limit_n
         self._store.add(self._asked(cycle))
         self._forces = [*self._forces, cycle.force][-self._rule.cycles :]
-        if self._rule.schedule == "block" and not self._store.full:
+        if self._rule.schedule == "block" and self._was_inside and not self._store.full:
             return Learned(False, len(self.in_use))
         typical = representative(self._store.corrections, self._rule.kind)
         raw = raw_relation(self._calibration.bases, cycle.master_base, self._slave_of(cycle, typical), typical)
@@ -127,7 +132,7 @@ class Learner:
         before = local(present, self._reference)
         change = local(raw, self._reference) - before
         coordinates = self._rule.forgetting.update(
-            before, change, self._change_before, self._path.duration_s * self._rule.cycles
+            before, change, self._change_before, self._path.duration_s * len(self._store)
         )
         if cycle.trust is not None:
             coordinates = cycle.trust[:, None] * coordinates
@@ -183,7 +188,7 @@ class Learner:
         self.second = function
         moved_master = apply_correction(cycle.master_base, master)
         self.master_offset = correction_between(moved_master, self._path.commands)
-        self._choose(float(np.linalg.norm(cycle.force[:, :3], axis=1).max()), change_m, change_rad)
+        self._choose(largest_n(cycle), change_m, change_rad)
         if self._rule.schedule == "block":
             self._store.clear()
         else:
@@ -213,3 +218,8 @@ class Learner:
         self._last_change = change_m
         if force > self._first_force or self._growing >= SETTLED_CYCLES:
             self._in_use, self._settled = False, 0
+
+
+def largest_n(cycle: Cycle) -> float:
+    """Largest force inside the part that a cycle has shown [N]."""
+    return float(np.linalg.norm(cycle.force[:, :3], axis=1).max())

@@ -104,6 +104,7 @@ def calibration_of(cell: PairCell) -> PairCalibration:
     return replace(
         plain,
         part_mass_kg=cell.config.part_mass_kg,
+        force_limit_n=cell.config.force.limit_n,
         chain_stiffness=np.diag([stiffness.straight] * 3 + [stiffness.turned] * 3),
     )
 

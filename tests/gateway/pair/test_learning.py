@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -46,6 +48,27 @@ def run_cycles(learner: Learner, path: PairPath, cell: PairCalibration, count: i
 
 def learner_of(rule: LearningRule, path: PairPath, cell: PairCalibration, lead: int = 0) -> Learner:
     return Learner(rule, path, cell, first_function(path), lead)
+
+
+@pytest.mark.parametrize(
+    ("share", "expected"),
+    [(2.0, [False, False, True, False, False, True]), (0.5, [True, True, False, False, True, False])],
+)
+def test_a_block_is_waited_for_only_once_the_force_was_inside_its_limit(
+    path: PairPath, cell: PairCalibration, share: float, expected: list[bool]
+) -> None:
+    """Blocks of three, hands that take 0.3 of a mismatch: every update leaves 0.7 of the force."""
+    wanted = true_commands(path, cell)
+    learner, updated = learner_of(LearningRule(cycles=3, smooth_s=0.0), path, cell), list[bool]()
+    for _ in expected:
+        base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learner.in_use.many(path.s_m))
+        mismatch = correction_between(wanted, base)
+        if not updated:
+            limit_n = share * 1e5 * float(np.linalg.norm(mismatch[:, :3], axis=1).max())
+            learner = learner_of(LearningRule(cycles=3, smooth_s=0.0), path, replace(cell, force_limit_n=limit_n))
+        corrections = np.stack([np.zeros_like(mismatch), 0.3 * mismatch], axis=1)
+        updated.append(learner.learn(Cycle(path.commands, base, corrections, 1e5 * mismatch)).updated)
+    assert updated == expected
 
 
 def test_forgetting_has_the_stated_bias_and_limit() -> None:
