@@ -4,6 +4,7 @@ The reference advances once per stretch of simulated time (one SYNC in lockstep)
 the milliseconds of that stretch, which is the linear interpolation of cyclic synchronous position. By the clock, set
 points that come early or late within a period pass through a buffer that the drive empties by a clock of its own,
 which a phase-locked loop keeps half a period behind the SYNCs: each one moves it a little, their mean sets its delay.
+The clock ticks on where a set point is missing, and what comes too late for its tick is left out.
 """
 
 from __future__ import annotations
@@ -31,8 +32,10 @@ STOPPING = {PdsState.QUICK_STOP_ACTIVE: QUICK_STOP_OPTION, PdsState.FAULT_REACTI
 SLOW_DOWN_RAMP, QUICK_STOP_RAMP = 0x6084, 0x6085
 STOP_TIMEOUT_S = 0.3
 #: How much of its way off half a period behind the SYNCs the drive's own clock makes up for in a period, and at most.
-CLOCK_PULL, CLOCK_DRAW = 0.06, 0.03
+CLOCK_PULL, CLOCK_DRAW = 0.01, 0.03
 MOST_BUFFERED = 8
+#: Ticks without a set point after which the reference stands: on for one period, then slower.
+MISSED_UNTIL_REST = 2
 
 
 class MovingDrive(Protocol):
@@ -87,7 +90,9 @@ class DriveMotion:
         self.wobble: tuple[float, float] | None = None
         self.buffered = False
         self._buffer: deque[float] = deque(maxlen=MOST_BUFFERED)
-        self._goal = self._starved_s = self._since_s = 0.0
+        self._goal = self._since_s = 0.0
+        #: Ticks in a row without a set point.
+        self._missed = MISSED_UNTIL_REST + 1
         self._wobbled = 0.0
         self._speed = 0.0
         self._left_s = 0.0
@@ -122,7 +127,7 @@ class DriveMotion:
                 self._release_s = self._time_s + self._brake_delay_s()
                 self._lock_s = None
                 self._buffer.clear()
-                self._left_s = 0.0
+                self._left_s, self._missed = 0.0, MISSED_UNTIL_REST + 1
                 self._pp_goal, self._acknowledged = None, False
             self._handshake()
         elif not drive.automaton.energised:
@@ -220,6 +225,8 @@ class DriveMotion:
     def target_set(self) -> None:
         """A target position came: it is to be reached within the interpolation period (0x60C2)."""
         if self.buffered:
+            if self._missed > MISSED_UNTIL_REST and not self._buffer:  # a clock that nothing hangs on is set
+                self._left_s = 0.5 * self.period_s()
             self._buffer.append(self._drive.target_rad())
             self._since_s = 0.0
         else:
@@ -238,22 +245,32 @@ class DriveMotion:
         at = self._drive.axis.servo.reference_rad - self._wobbled
         begin, period_s = at, self.period_s()
         while seconds > 1e-9:
-            if self._left_s <= 1e-9 and self._buffer:
-                self._goal = self._buffer.popleft()
-                behind = len(self._buffer) + self._since_s / period_s - 0.5
-                draw = min(max(CLOCK_PULL * behind, -CLOCK_DRAW), CLOCK_DRAW)
-                self._left_s, self._starved_s = period_s * (1.0 - draw), 0.0
-            if self._left_s > 1e-9:
-                step = min(seconds, self._left_s)
-                at += (self._goal - at) * step / self._left_s
-                self._left_s -= step
+            if self._left_s <= 1e-9:
+                self._tick(period_s)
+            step = min(seconds, self._left_s)
+            if self._missed:
+                step = min(step, 0.001)
+                gone = self._missed - self._left_s / period_s
+                at += self._speed * step * min(max(0.0, MISSED_UNTIL_REST - gone), 1.0)
             else:
-                step = min(seconds, 0.001)
-                at += self._speed * step * min(max(0.0, 2.0 - self._starved_s / period_s), 1.0)
-                self._starved_s += step
-            seconds -= step
+                at += (self._goal - at) * step / self._left_s
+            self._left_s -= step
             self._since_s += step
+            seconds -= step
         return at - begin
+
+    def _tick(self, period_s: float) -> None:
+        """One period of the drive's own clock begins, with a set point or without."""
+        if not self._buffer:
+            self._missed += 1
+            self._left_s = period_s
+            return
+        if self._missed <= MISSED_UNTIL_REST:
+            for _ in range(min(self._missed, len(self._buffer) - 1)):
+                self._buffer.popleft()
+        self._goal, self._missed = self._buffer.popleft(), 0
+        behind = len(self._buffer) + self._since_s / period_s - 0.5
+        self._left_s = period_s * (1.0 - min(max(CLOCK_PULL * behind, -CLOCK_DRAW), CLOCK_DRAW))
 
     def _track(self, seconds: float) -> float:
         """Cyclic synchronous position: what is left of the way, evenly over what is left of the period."""

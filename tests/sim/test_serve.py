@@ -263,7 +263,7 @@ def test_a_master_that_sends_too_fast_moves_drives_without_a_buffer_too_fast(unb
     assert (fastest[2] > 1.2 * limit) == too_fast
 
 
-@pytest.mark.parametrize("late_s", [0.0, 0.006, 0.014])
+@pytest.mark.parametrize("late_s", [0.0, 0.004, 0.007, 0.009, 0.014])
 def test_a_late_set_point_changes_the_delay_of_a_drive_for_a_moment_only(late_s, channel):
     """By the clock: drives are locked to the SYNC; else two arms with unlike histories would pull at a common part."""
     simulation = Simulation(SMALL, ServeOptions(bus=f"virtual:{channel}", pacing="real"))
@@ -274,7 +274,7 @@ def test_a_late_set_point_changes_the_delay_of_a_drive_for_a_moment_only(late_s,
         drive.take_controlword(word)
     unit.advance(0.1)
     start, step, period_s = drive.position_counts(), round(0.001 * drive.counts_per_joint_rad), drive.motion.period_s()
-    came_s = np.arange(1, 201) * period_s
+    came_s = np.arange(1, 31) * period_s
     came_s[20] += late_s
     came_s = np.maximum.accumulate(came_s)
     now_s = 0.0
@@ -286,7 +286,7 @@ def test_a_late_set_point_changes_the_delay_of_a_drive_for_a_moment_only(late_s,
     simulation.servers[0].bus.shutdown()
     simulation.close()
     assert period_s == pytest.approx(0.01)
-    assert behind / step == pytest.approx(1.5, abs=0.11)
+    assert behind / step == pytest.approx(1.5, abs=0.05)
 
 
 def test_pacing_of_the_command_line_is_that_of_every_bus(channel):
