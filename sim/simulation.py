@@ -229,7 +229,7 @@ def _bus_specs(cell: CellSpec, given: str | None) -> dict[str, CellBus]:
 
 
 def open_bus(spec: CellBus) -> can.BusABC | QuietMulticastBus:
-    """Open a python-can bus.
+    """Open a python-can bus; one of multicast stays on this computer unless the options give it a hop.
 
     Raises
     ------
@@ -238,7 +238,7 @@ def open_bus(spec: CellBus) -> can.BusABC | QuietMulticastBus:
     options: dict[str, Any] = dict(spec.options)
     try:
         if spec.interface == "udp_multicast":
-            return QuietMulticastBus(spec.channel, **options)
+            return QuietMulticastBus(spec.channel, **{"hop_limit": 0} | options)
         return can.Bus(interface=spec.interface, channel=spec.channel, bitrate=spec.bitrate_bit_s, **options)
     except (can.CanError, OSError, TypeError, ValueError, ImportError) as error:
         raise SimulationBusError(f"bus {spec.interface}:{spec.channel} cannot be opened: {error}") from error

@@ -170,7 +170,7 @@ def _codec(cycles: int = 5000) -> dict[str, dict[str, Any]]:
     """Codec and dispatch alone: frames are handed over in memory on both sides."""
     ours, theirs = [], []
     with responder() as port:
-        wire = can.Bus(interface="udp_multicast", channel=CHANNEL, port=port, fd=False)
+        wire = can.Bus(interface="udp_multicast", channel=CHANNEL, port=port, fd=False, hop_limit=0)
         switch = _Switch(wire)
         with Bus(switch, BusSpec("udp_multicast", CHANNEL)) as bus, _group(bus, "lockstep", 0.004) as group:
             commands = _commands(group)

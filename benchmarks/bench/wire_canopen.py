@@ -104,6 +104,6 @@ def answers(count: int) -> list[bytearray]:
 
 def open_network(port: int, channel: str) -> canopen.Network:
     """canopen on udp_multicast with its notifier."""
-    network = canopen.Network(can.Bus(interface="udp_multicast", channel=channel, port=port, fd=False))
+    network = canopen.Network(can.Bus(interface="udp_multicast", channel=channel, port=port, fd=False, hop_limit=0))
     network.connect()
     return network

@@ -120,7 +120,7 @@ def responder() -> Iterator[int]:
     try:
         yield port
     finally:
-        with can.Bus(interface="udp_multicast", channel=CHANNEL, port=port, fd=False) as bus:
+        with can.Bus(interface="udp_multicast", channel=CHANNEL, port=port, fd=False, hop_limit=0) as bus:
             bus.send(can.Message(arbitration_id=QUIT_ID, is_extended_id=False))
         process.stdout.close()
         process.wait(10)
@@ -128,7 +128,7 @@ def responder() -> Iterator[int]:
 
 def main() -> None:
     """Serve on one port."""
-    with can.Bus(interface="udp_multicast", channel=CHANNEL, port=int(sys.argv[1]), fd=False) as bus:
+    with can.Bus(interface="udp_multicast", channel=CHANNEL, port=int(sys.argv[1]), fd=False, hop_limit=0) as bus:
         print("ready", flush=True)
         Responder(bus).run()
 

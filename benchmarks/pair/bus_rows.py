@@ -34,6 +34,8 @@ STATIC, SLOW, BETWEEN, USUAL, BEYOND, FAST = 0.05, 0.75, 1.1, 1.5, 1.8, 3.0
 LEARNING = 13
 E2_CYCLES = 6
 SNAG_N = 20.0
+#: Cycles at each speed along a path that the seed has drawn: learning has settled by then.
+ELSEWHERE = 5
 #: Paths that a seed may draw until one is not refused.
 DRAWS = 10
 #: What later stages begin with.
@@ -364,9 +366,9 @@ def along_drawn(seed: int, refused: int) -> list[Row]:
         nine, lesson = rig.teach(9)
         bench = Bench(rig, Taught(nine, lesson.laws_s), 0)
         row, usual = bench.row_of("C8"), f"C8 elsewhere@{USUAL:g}"
-        bench.run("C8 elsewhere", row, USUAL, LEARNING)
+        bench.run("C8 elsewhere", row, USUAL, ELSEWHERE)
         first, back = bench.functions[usual], bench.functions[f"{usual} back"]
-        bench.run("C8 elsewhere", row, FAST, LEARNING, first=first, back=back)
+        bench.run("C8 elsewhere", row, FAST, ELSEWHERE, first=first, back=back)
         return bench.rows
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 
 import can
@@ -9,6 +10,10 @@ import pytest
 
 from drives.bus import Bus, BusSpec, open_bus
 from drives.errors import BusError, BusOff
+from sim.cellfile import CellBus
+from sim.simulation import open_bus as open_simulated
+
+GROUP = "239.74.163.2"
 
 
 def test_a_bus_in_words_of_the_command_line():
@@ -32,6 +37,20 @@ def test_a_bus_that_is_not_understood(text):
 def test_a_bus_that_cannot_be_opened_says_what_to_do(text):
     with pytest.raises(BusError, match="cannot be opened"):
         open_bus(BusSpec.parse(text))
+
+
+@pytest.mark.parametrize(("options", "hops"), [({}, 0), ({"hop_limit": 1}, 1)])
+def test_multicast_frames_leave_this_computer_only_where_they_are_given_a_hop(options, hops):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("", 0))
+        options = {"port": probe.getsockname()[1]} | options
+    simulated = open_simulated(CellBus("udp_multicast", GROUP, 1_000_000, 0.01, "real", options))
+    with open_bus(BusSpec("udp_multicast", GROUP, options=options)) as bus:
+        wires = simulated._socket, bus._adapter._multicast._socket
+        assert [wire.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL) for wire in wires] == [hops, hops]
+        bus.send(0x181, b"\x01\x02")
+        assert bytes(simulated.recv(1.0).data) == b"\x01\x02"
+    simulated.shutdown()
 
 
 def test_frames_pass_between_two_buses_without_a_thread():
