@@ -207,12 +207,16 @@ def _told(error: BaseException) -> str:
 
 
 def paragraph(error: BaseException) -> str:
-    """The message of an error and of its notes on one line; what was said already is not said again."""
+    """The message of an error and of its notes on one line; what was said already is not said again.
+
+    A note that begins with a capital letter is a sentence of its own.
+    """
     text = " ".join((str(error) or type(error).__name__).split())
     for note in getattr(error, "__notes__", []):
         said = " ".join(note.split())
-        if said not in text:
-            text = f"{text} {said}"
+        if said and said not in text:
+            mark = "" if text[-1] in ".;:?!" else "." if said[0].isupper() else ";"
+            text = f"{text}{mark} {said}"
     return text
 
 

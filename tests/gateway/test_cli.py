@@ -98,14 +98,20 @@ def test_a_message_of_several_lines_becomes_one_paragraph_with_its_notes(monkeyp
         raise error
 
     monkeypatch.setattr(cli.LadderGroup, "get_command", lambda *_: broken)
-    assert run("scan").stderr == "error: line one line two and a note\n"
+    assert run("scan").stderr == "error: line one line two; and a note\n"
 
 
 def test_what_an_error_says_already_is_not_said_again_by_its_notes():
     error = ConfigError("node 3: gone; while stopping: node 3: no answer")
-    for note in ("while stopping: node 3: no answer", "while stopping: node 3:  no answer", "at SYNC 5", "at SYNC 5"):
+    for note in (
+        "while stopping: node 3: no answer",
+        "while stopping: node 3:  no answer",
+        "It is SYNC 5.",
+        "It is SYNC 5.",
+    ):
         error.add_note(note)
-    assert paragraph(error) == "node 3: gone; while stopping: node 3: no answer at SYNC 5"
+    error.add_note("Look there.")
+    assert paragraph(error) == "node 3: gone; while stopping: node 3: no answer. It is SYNC 5. Look there."
 
 
 def test_a_defect_is_one_paragraph_and_its_details_are_in_a_file(monkeypatch):
