@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import shutil
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from benchmarks.pair.clock import stepped
+from benchmarks.pair.bus_rig import CELL
+from benchmarks.pair.clock import PERIOD_S, at_period, stepped
+from gateway.pair.cell import load_pair
 from sim.pair.light import LightWorld
 
 
@@ -26,8 +31,16 @@ def friction(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.usefixtures("friction")
 def test_friction_of_arms_that_stand_is_no_force_in_the_part() -> None:
     """Arms without errors, ways forward and back: the guard of the way to the start stops none of them."""
-    with stepped(None) as bench:
+    with stepped(None, PERIOD_S) as bench:
         run = bench.begin("C1i", None)
         most = [bench.cycle(run) for _ in range(3)]
         bench.power.off()
     assert max(most) < 0.5 * bench.cell.config.force_limit_n
+
+
+def test_a_longer_period_is_in_the_delay_of_the_loop_too(tmp_path: Path) -> None:
+    shutil.copytree(CELL.parent, tmp_path / "pair")
+    path = tmp_path / "pair" / CELL.name
+    path.write_text(at_period(CELL.read_text(), 0.008))
+    assert load_pair(path).sync_period_s == 0.008
+    assert load_pair(path).config.loop_delay_s == pytest.approx(load_pair(CELL).config.loop_delay_s + 0.008)
