@@ -144,8 +144,11 @@ def figures(rows: Sequence[Row], limit_n: float, *, judged: bool) -> dict[str, F
         )
     for speed in (USUAL, FAST):
         last = [table.force("C8 elsewhere", speed, seed) for seed in table.seeds]
-        out[f"C8 along a path of the seed, speed {speed:g}: last learning cycle"] = _value(
-            last, "N, median, least and most", "reported", None
+        path = f"C8 along a path of the seed, speed {speed:g}"
+        out[f"{path}: last learning cycle"] = _value(last, "N, median, least and most", "reported", None)
+        until = [table.cycles_until_inside("C8 elsewhere", speed, seed) for seed in table.seeds]
+        out[f"{path}: cycles until the force stays inside the limit"] = _value(
+            until, "median, least and most", "reported", None
         )
     out |= _intervals(table.rows)
     if judged:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import re
 import sys
 import threading
 import time
@@ -53,8 +54,9 @@ from sim.simulation import ServeOptions, Simulation
 
 SPEED, LEARNING, POINTS, GAP_CYCLES = 1.5, 12, 9, 6
 CELL, GAP_CELL = "cell.toml", "distance.toml"
-#: SYNC period of both [s].
-PERIOD_S = 0.004
+#: SYNC period of both [s], and how many of it a force waits for its answer: two on the bus, 1.5 in the drives' buffers.
+PERIOD_S, PERIODS_IN_LOOP = 0.004, 3.5
+DAMPING = re.compile(r"(?m)^(impedance_damping|damping_s) = \{ straight = (\S+), turned = (\S+) \}")
 #: Largest force by the clock over that of the same plant in lockstep; largest gap error [mm].
 MOST_OVER_LOCKSTEP, MOST_GAP_MM = 1.1, 0.1
 #: Stops of one seed after which it is given up: by stalls of the machine, and by anything else.
@@ -165,12 +167,17 @@ class Bench:
 
 
 def at_period(text: str, period_s: float) -> str:
-    """Text of the example's cell at another SYNC period; two of them are in the delay of the loop."""
+    """Text of the example's cell at another SYNC period, its hands damped as far above oscillation as before."""
     loop_s = tomllib.loads(text)["pair"]["loop_delay_s"]
-    later_s = loop_s + 2.0 * (period_s - PERIOD_S)
-    return text.replace(f"sync_period_s = {PERIOD_S}", f"sync_period_s = {period_s}").replace(
-        f"loop_delay_s = {loop_s}", f"loop_delay_s = {later_s:.4f}"
-    )
+    later_s = loop_s + PERIODS_IN_LOOP * (period_s - PERIOD_S)
+    text = text.replace(f"sync_period_s = {PERIOD_S}", f"sync_period_s = {period_s}")
+    text = text.replace(f"loop_delay_s = {loop_s}", f"loop_delay_s = {later_s:.4f}")
+
+    def scaled(found: re.Match[str]) -> str:
+        straight, turned = (float(value) * later_s / loop_s for value in found.groups()[1:])
+        return f"{found[1]} = {{ straight = {straight:.6g}, turned = {turned:.6g} }}"
+
+    return DAMPING.sub(scaled, text)
 
 
 @contextmanager
@@ -361,6 +368,8 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--period-ms", type=float, default=1e3 * PERIOD_S)
     parser.add_argument("--out", type=Path, default=Path("out/pair-clock"))
     arguments = parser.parse_args(argv)
+    if arguments.cycles <= LEARNING:
+        parser.error(f"--cycles: more than {LEARNING}, what comes after learning is judged")
     seeds, parts = [int(text) for text in arguments.seeds.split(",")], arguments.parts.split(",")
     period_s = 1e-3 * arguments.period_ms
     out: dict[str, dict] = {"SYNC period": plain([arguments.period_ms], "ms")}

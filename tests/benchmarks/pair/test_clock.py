@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.pair.bus_rig import CELL
-from benchmarks.pair.clock import PERIOD_S, at_period, stepped
+from benchmarks.chaos.processes import PAIR_EXAMPLE
+from benchmarks.pair.clock import CELL, GAP_CELL, PERIOD_S, at_period, stepped
 from gateway.pair.cell import load_pair
 from sim.pair.light import LightWorld
 
@@ -38,9 +38,15 @@ def test_friction_of_arms_that_stand_is_no_force_in_the_part() -> None:
     assert max(most) < 0.5 * bench.cell.config.force_limit_n
 
 
-def test_a_longer_period_is_in_the_delay_of_the_loop_too(tmp_path: Path) -> None:
-    shutil.copytree(CELL.parent, tmp_path / "pair")
-    path = tmp_path / "pair" / CELL.name
-    path.write_text(at_period(CELL.read_text(), 0.008))
-    assert load_pair(path).sync_period_s == 0.008
-    assert load_pair(path).config.loop_delay_s == pytest.approx(load_pair(CELL).config.loop_delay_s + 0.008)
+@pytest.mark.parametrize(("file", "damping"), [(CELL, "impedance_damping"), (GAP_CELL, "damping_s")])
+def test_at_a_longer_period_hands_are_damped_as_far_above_oscillation(tmp_path: Path, file: str, damping: str) -> None:
+    shutil.copytree(PAIR_EXAMPLE, tmp_path / "pair")
+    path = tmp_path / "pair" / file
+    path.write_text(at_period(path.read_text(), 0.008))
+    longer, stated = load_pair(path), load_pair(PAIR_EXAMPLE / file)
+    assert longer.sync_period_s == 0.008
+    assert longer.config.loop_delay_s == pytest.approx(stated.config.loop_delay_s + 0.014)
+    later = longer.config.loop_delay_s / stated.config.loop_delay_s
+    hands = [getattr(pair.config.distance or pair.config, damping) for pair in (longer, stated)]
+    for name in ("straight", "turned"):
+        assert getattr(hands[0], name) == pytest.approx(later * getattr(hands[1], name), rel=1e-3)
