@@ -424,8 +424,8 @@ def open_bus(spec: BusSpec, trace: Path | None = None) -> Bus:
         arguments["bitrate"] = spec.bitrate_bit_s
     if spec.interface == "udp_multicast":
         # without a hop frames stay on this computer: in one network two people with one example would share a bus
-        for name, value in (("fd", False), ("hop_limit", 0)):
-            arguments.setdefault(name, value)
+        arguments.setdefault("hop_limit", 0)
+        arguments.setdefault("fd", False)
     try:
         adapter = can.Bus(interface=spec.interface, channel=spec.channel, **arguments)
     except (*_OPENING_FAILS, NameError, AttributeError) as error:
