@@ -1,16 +1,16 @@
 """What a simulated drive does with its axis in each CiA 402 state and mode: reference, brake, ramps, monitoring.
 
 The reference advances once per stretch of simulated time (one SYNC in lockstep); the servo loop moves it evenly over
-the milliseconds of that stretch, which is the linear interpolation of cyclic synchronous position. By the clock, set
-points that come early or late within a period pass through a buffer that the drive empties by a clock of its own,
-which a phase-locked loop keeps half a period behind the SYNCs: each one moves it a little, their mean sets its delay.
-The clock ticks on where a set point is missing, and what comes too late for its tick is left out.
+the milliseconds of that stretch, which is the linear interpolation of cyclic synchronous position. By the clock, a set
+point waits for a clock of the drive's own, which a phase-locked loop keeps half a period behind the SYNCs: each one
+moves it a little, their mean sets its delay, and set points may come up to half a period early or late. At a tick the
+newest set point is taken, as there is one target position (0x607A) and no queue; where none has come the reference goes
+on.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
 from typing import Protocol
 
 from sim.cellfile import AxisSpec
@@ -33,7 +33,6 @@ SLOW_DOWN_RAMP, QUICK_STOP_RAMP = 0x6084, 0x6085
 STOP_TIMEOUT_S = 0.3
 #: How much of its way off half a period behind the SYNCs the drive's own clock makes up for in a period, and at most.
 CLOCK_PULL, CLOCK_DRAW = 0.01, 0.03
-MOST_BUFFERED = 8
 #: Ticks without a set point after which the reference stands: on for one period, then slower.
 MISSED_UNTIL_REST = 2
 
@@ -80,7 +79,7 @@ class DriveMotion:
     target_limited : the target position was cut by a software limit
     brake_stuck : the holding brake does not open
     wobble : amplitude [rad] and frequency [Hz] of a loop that hunts and never comes to rest
-    buffered : set points are taken over by a clock of the drive's own
+    buffered : a set point waits for a clock of the drive's own
     """
 
     def __init__(self, drive: MovingDrive) -> None:
@@ -89,7 +88,8 @@ class DriveMotion:
         self.brake_stuck = False
         self.wobble: tuple[float, float] | None = None
         self.buffered = False
-        self._buffer: deque[float] = deque(maxlen=MOST_BUFFERED)
+        #: Set point that no tick has taken yet.
+        self._waiting_rad: float | None = None
         self._goal = self._since_s = 0.0
         #: Ticks in a row without a set point.
         self._missed = MISSED_UNTIL_REST + 1
@@ -126,12 +126,15 @@ class DriveMotion:
             if before is not PdsState.OPERATION_ENABLED:
                 self._release_s = self._time_s + self._brake_delay_s()
                 self._lock_s = None
-                self._buffer.clear()
-                self._left_s, self._missed = 0.0, MISSED_UNTIL_REST + 1
+                self._unlock()
                 self._pp_goal, self._acknowledged = None, False
             self._handshake()
         elif not drive.automaton.energised:
             self._disable()
+
+    def _unlock(self) -> None:
+        """No clock runs: the next set point starts it."""
+        self._waiting_rad, self._left_s, self._missed = None, 0.0, MISSED_UNTIL_REST + 1
 
     def _brake_delay_s(self) -> float:
         return float(self._drive.spec.profile.get("state_machine", {}).get("brake_delay_s", 0.0))
@@ -185,6 +188,7 @@ class DriveMotion:
             open_ = self._release_s is not None and self._time_s >= self._release_s and not self.brake_stuck
             if open_ and drive.mode:
                 drive.axis.release()
+                self._unlock()
                 self.feed_torque()
             elif state is not PdsState.OPERATION_ENABLED:
                 drive.automaton.stopped()
@@ -225,10 +229,9 @@ class DriveMotion:
     def target_set(self) -> None:
         """A target position came: it is to be reached within the interpolation period (0x60C2)."""
         if self.buffered:
-            if self._missed > MISSED_UNTIL_REST and not self._buffer:  # a clock that nothing hangs on is set
+            if self._missed > MISSED_UNTIL_REST and self._waiting_rad is None:  # a clock that nothing hangs on is set
                 self._left_s = 0.5 * self.period_s()
-            self._buffer.append(self._drive.target_rad())
-            self._since_s = 0.0
+            self._waiting_rad, self._since_s = self._drive.target_rad(), 0.0
         else:
             self._left_s = self.period_s()
 
@@ -237,8 +240,8 @@ class DriveMotion:
         store = self._drive.store
         return store.number((0x60C2, 1)) * 10.0 ** store.number((0x60C2, 2))
 
-    def _from_buffer(self, seconds: float) -> float:
-        """Way of the reference [rad] when set points wait their turn.
+    def _by_own_clock(self, seconds: float) -> float:
+        """Way of the reference [rad] when set points wait for a tick.
 
         Without one the axis goes on for a period, as drives that extrapolate a late one do, then slows down to a stop.
         """
@@ -261,22 +264,19 @@ class DriveMotion:
 
     def _tick(self, period_s: float) -> None:
         """One period of the drive's own clock begins, with a set point or without."""
-        if not self._buffer:
+        if self._waiting_rad is None:
             self._missed += 1
             self._left_s = period_s
             return
-        if self._missed <= MISSED_UNTIL_REST:
-            for _ in range(min(self._missed, len(self._buffer) - 1)):
-                self._buffer.popleft()
-        self._goal, self._missed = self._buffer.popleft(), 0
-        behind = len(self._buffer) + self._since_s / period_s - 0.5
+        self._goal, self._waiting_rad, self._missed = self._waiting_rad, None, 0
+        behind = self._since_s / period_s - 0.5
         self._left_s = period_s * (1.0 - min(max(CLOCK_PULL * behind, -CLOCK_DRAW), CLOCK_DRAW))
 
     def _track(self, seconds: float) -> float:
         """Cyclic synchronous position: what is left of the way, evenly over what is left of the period."""
         drive = self._drive
         if self.buffered:
-            travel = self._from_buffer(seconds)
+            travel = self._by_own_clock(seconds)
             most = drive.axis.servo.max_rad_s * seconds
             self.target_limited |= abs(travel) > most
             return min(max(travel, -most), most)

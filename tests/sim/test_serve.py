@@ -263,8 +263,13 @@ def test_a_master_that_sends_too_fast_moves_drives_without_a_buffer_too_fast(unb
     assert (fastest[2] > 1.2 * limit) == too_fast
 
 
-@pytest.mark.parametrize("late_s", [0.0, 0.004, 0.007, 0.009, 0.014])
-def test_a_late_set_point_changes_the_delay_of_a_drive_for_a_moment_only(late_s, channel):
+@pytest.mark.parametrize("held", [0, 9])
+@pytest.mark.parametrize(
+    "late_s",
+    [(0.0,), (0.004,), (0.007,), (0.009,), (0.014,), (0.006, 0.006), (0.0061, 0.0049), (0.009, 0.006, 0.006)],
+    ids=str,
+)
+def test_late_set_points_change_the_delay_of_a_drive_for_a_moment_only(late_s, held, channel):
     """By the clock: drives are locked to the SYNC; else two arms with unlike histories would pull at a common part."""
     simulation = Simulation(SMALL, ServeOptions(bus=f"virtual:{channel}", pacing="real"))
     unit = simulation.arms[0]
@@ -272,10 +277,15 @@ def test_a_late_set_point_changes_the_delay_of_a_drive_for_a_moment_only(late_s,
     drive.take_mode(8)
     for word in (0x06, 0x07, 0x0F):
         drive.take_controlword(word)
-    unit.advance(0.1)
-    start, step, period_s = drive.position_counts(), round(0.001 * drive.counts_per_joint_rad), drive.motion.period_s()
+    period_s = drive.motion.period_s()
+    for _ in range(held):  # the master holds the position while the brake opens
+        drive.take_target(drive.position_counts())
+        unit.advance(period_s)
+    if not held:
+        unit.advance(0.1037)
+    start, step = drive.position_counts(), round(0.001 * drive.counts_per_joint_rad)
     came_s = np.arange(1, 31) * period_s
-    came_s[20] += late_s
+    came_s[20 : 20 + len(late_s)] += late_s
     came_s = np.maximum.accumulate(came_s)
     now_s = 0.0
     for number, at_s in enumerate(came_s, start=1):
