@@ -1,4 +1,7 @@
-"""When a SYNC is due by the clock: waits on time, never catches up in a burst, and keeps how late each one was."""
+"""When a SYNC is due by the clock: waits on time, never catches up in a burst, and keeps how late each one was.
+
+SYNCs that were missed are left out and the rhythm stays: drives hang their own clocks on it.
+"""
 
 from __future__ import annotations
 
@@ -53,6 +56,10 @@ class SyncClock:
         """A SYNC goes out at this monotonic time [s]."""
         self._last_s = now_s
 
+    def follow(self, now_s: float) -> None:
+        """The SYNC of this time [s] is due by another clock; the next one would be by this one again."""
+        self._due_s = now_s + self._period_s
+
     def restart(self, at_s: float | None = None) -> None:
         """Forget the rhythm: the next SYNC is due at once, or at a monotonic time [s] that several clocks share."""
         self._due_s, self._last_s = at_s, None
@@ -68,9 +75,7 @@ class SyncClock:
         if due is None:
             self._due_s = now + self._period_s
             return now
-        if now > due + self._period_s:
-            self.overruns += int((now - due) / self._period_s)
-            due = now
+        due = self._skipped(due, now)
         while (left := due - time.monotonic()) > _LEAVE_S:
             frame = self._bus.receive(left - _LEAVE_S)
             if frame is not None:
@@ -80,8 +85,11 @@ class SyncClock:
         while (now := time.monotonic()) < due:
             pass
         self.lateness_s.append(now - due)
-        if now > due + self._period_s:
-            self.overruns += int((now - due) / self._period_s)
-            due = now
-        self._due_s = due + self._period_s
+        self._due_s = self._skipped(due, now) + self._period_s
         return now
+
+    def _skipped(self, due_s: float, now_s: float) -> float:
+        """The last deadline that has passed, where more than one has."""
+        missed = int((now_s - due_s) / self._period_s) if now_s > due_s + self._period_s else 0
+        self.overruns += missed
+        return due_s + missed * self._period_s

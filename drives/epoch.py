@@ -22,6 +22,8 @@ _ASK_AGAIN_S: Final = 0.1
 _CLOCK_SET_S: Final = 10.0
 #: By the clock: a process that wakes so late was held up itself, and what was answered meanwhile waits to be read [s].
 _OVERSLEPT_S: Final = 0.001
+#: Where the answers on another bus were waited for first: what those on this one are given at least [s].
+_BESIDE_S: Final = 0.002
 #: Share of the time-out that a drive is waited for once others have answered.
 _OTHERS: Final = 0.4
 
@@ -176,7 +178,7 @@ class EpochCollector:
         self._sent_wall_s = sent_wall_s if self._bus.stamped else -math.inf
         left = self._begin()
         self.alignment.begin()
-        until_s = time.monotonic() + window_s
+        until_s = max(sent_s + window_s, time.monotonic() + min(window_s, _BESIDE_S))
         left = self._gather(left, until_s, None)
         slept_s = time.monotonic() - until_s
         if left and slept_s > _OVERSLEPT_S:

@@ -145,7 +145,11 @@ class SyncExchange:
         self._decoders: tuple[Decoder, ...] = ()
         self._allowed_count = [0.0] * len(self.drives)
         self._unsure = [0] * len(self.drives)
-        self._moved = False
+        #: Whether the SYNC before has moved an axis; of the cycle that was begun, whether this one will, or both.
+        self._moved = self._moves = self._moving = False
+        #: By the clock, of the cycle that was begun: when its SYNC was due and sent, and whether its answers are sure.
+        self._begun, self._sure = False, True
+        self._due_s = self._began_s = self._wall_s = 0.0
         #: Targets of the last SYNC, while those of the next one are on their way.
         self._recall: list[int] | None = None
         self._answer_timeout_s = timing.answer_timeout_s
@@ -205,18 +209,72 @@ class SyncExchange:
             By the clock: the axes move, and the SYNC would go out more than two periods late. It was not sent; the last
             targets are those of the SYNC before, and the next SYNC is due at once.
         """
-        with self._bus.receive_lock:
-            self._producer.tick(self.sync_time_s)
-            try:
-                if self.timing.pacing == "lockstep":
+        if self.timing.pacing == "lockstep":
+            with self._bus.receive_lock:
+                self._producer.tick(self.sync_time_s)
+                try:
                     return self._in_lockstep(words)
-                return self._by_the_clock(words)
-            except BaseException:
-                if self._recall is not None:
-                    for drive, count in zip(self.drives, self._recall, strict=True):
-                        drive.target_count = count
-                    self._recall = None
-                raise
+                except BaseException:
+                    self._take_back()
+                    raise
+        try:
+            self.begin(words)
+            self.sync(self.clock.wait())
+            return self.gather()
+        finally:
+            self.abandon()
+
+    def begin(self, words: Sequence[int] | None) -> None:
+        """By the clock, first part of a cycle: send what is staged; parameters and errors as `cycle`.
+
+        `sync` and `gather` follow in this thread, or `abandon` if anything fails; nobody else receives until then.
+        """
+        self._bus.receive_lock.acquire()
+        self._begun = True
+        self._producer.tick(self.sync_time_s)
+        frames, self._moves = self._pack(words)
+        self._moving = words is not None and ENABLE_OPERATION in words and (self._moves or self._moved)
+        self._refuse_late(self._moving)
+        self._send(frames)
+
+    def sync(self, now_s: float) -> None:
+        """Second part: the SYNC that is due at a monotonic time [s], by this clock or another one; errors as `cycle`.
+
+        Raises
+        ------
+        BusError, MasterStalled
+            As `cycle`.
+        """
+        self.collector.sweep()
+        self._refuse_late(self._moving)
+        self._sure = self.clock.paused_s <= self.timing.period_s
+        self._due_s, self._wall_s = now_s, time.time()
+        self._began_s = self._send_sync(now_s)
+        self._moved = self._moves
+
+    def gather(self) -> Epoch:
+        """Third part: what was answered; raises `BusError` if the adapter fails."""
+        timing = self.timing
+        answers: Frames = self.collector.collect_within(timing.window * timing.period_s, self.sent_s, self._wall_s)
+        if not self._sure:
+            answers = [None] * len(answers)
+        time_s = self._began_s - (self._due_s if self.started_s is None else self.started_s)
+        epoch = self._epoch(self._due_s, time_s, answers)
+        self.abandon()
+        return epoch
+
+    def abandon(self) -> None:
+        """Leave a cycle that was begun: what has not gone out with a SYNC is taken back."""
+        self._take_back()
+        if self._begun:
+            self._begun = False
+            self._bus.receive_lock.release()
+
+    def _take_back(self) -> None:
+        if self._recall is not None:
+            for drive, count in zip(self.drives, self._recall, strict=True):
+                drive.target_count = count
+            self._recall = None
 
     def _in_lockstep(self, words: Sequence[int] | None) -> Epoch:
         timing, collector = self.timing, self.collector
@@ -227,25 +285,6 @@ class SyncExchange:
         self._send_sync(now_s)
         answers = collector.collect(self._answer_timeout_s, timing.gap_timeout_s)
         return self._epoch(now_s, self.sync_time_s, answers)
-
-    def _by_the_clock(self, words: Sequence[int] | None) -> Epoch:
-        timing, collector, clock = self.timing, self.collector, self.clock
-        frames, moves = self._pack(words)
-        moving = words is not None and ENABLE_OPERATION in words and (moves or self._moved)
-        self._refuse_late(moving)
-        self._send(frames)
-        now_s = clock.wait()
-        collector.sweep()
-        self._refuse_late(moving)
-        sure = clock.paused_s <= timing.period_s
-        wall_s = time.time()
-        began_s = self._send_sync(now_s)
-        self._moved = moves
-        answers: Frames = collector.collect_within(timing.window * timing.period_s, self.sent_s, wall_s)
-        if not sure:
-            answers = [None] * len(answers)
-        time_s = began_s - (now_s if self.started_s is None else self.started_s)
-        return self._epoch(now_s, time_s, answers)
 
     def _refuse_late(self, moving: bool) -> None:
         """A set point that comes so late is a jump for axes that move; where nothing moves it is none."""

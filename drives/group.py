@@ -10,7 +10,8 @@ heartbeat of the master is sent from there, so that a master that hangs stops th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
 from typing import Final
 
 from drives import bringup, operational, starting, stopping
@@ -136,18 +137,80 @@ class DriveGroup(DriveSetup):
             By the clock: the axes move and this computer was held up. These targets were not sent; all axes have been
             stopped. Where nothing moved, the row of a late SYNC is incomplete and nothing else happens.
         """
-        if not self.enabled:
-            self._require(False, "enable() first")
-        for drive, command in zip(self.drives, commands, strict=True):
-            drive.stage(command)
+        self._stage(commands)
         return self._cycle()
 
     def hold(self) -> Epoch:
         """One SYNC with the last commanded positions and no torque offset; raises as `exchange`."""
-        self._require(self.enabled, "enable() first")
-        for drive in self.drives:
-            drive.hold(drive.target_count)
+        self._stage(None)
         return self._cycle()
+
+    def _stage(self, commands: Sequence[DriveCommand] | None) -> None:
+        if not self.enabled:
+            self._require(False, "enable() first")
+        if commands is None:
+            for drive in self.drives:
+                drive.hold(drive.target_count)
+            return
+        for drive, command in zip(self.drives, commands, strict=True):
+            drive.stage(command)
+
+    def begin(self, commands: Sequence[DriveCommand] | None) -> None:
+        """By the clock, first part of a SYNC that several groups share: targets out; raises as `exchange`.
+
+        Then, in the same thread and for all groups before the next part: `sync`, `gather` and `check`. If anything
+        fails, or is not done, the groups that have begun are to be told to `abandon`.
+
+        Parameters
+        ----------
+        commands : sequence of DriveCommand or None
+            As `exchange`; None = the last ones.
+        """
+        self._stage(commands)
+        with self._stopping():
+            self._parts()[0].begin(self._enable_words)
+
+    def sync(self, at_s: float | None = None) -> float:
+        """Second part: the SYNC, when it is due by this group's clock or now, as it is due by that of another one.
+
+        Parameters
+        ----------
+        at_s : float, optional
+            What `sync` of the other group has returned.
+
+        Returns
+        -------
+        float
+            Monotonic time at which it was sent, s.
+
+        Raises
+        ------
+        BusError, MasterStalled
+            As `exchange`.
+        """
+        exchange, _ = self._parts()
+        with self._stopping():
+            if at_s is None:
+                at_s = exchange.clock.wait()
+            else:
+                exchange.clock.follow(at_s)
+            exchange.sync(at_s)
+        return at_s
+
+    def gather(self) -> Epoch:
+        """Third part: what was answered, not looked at yet; raises `BusError`, and all axes have been stopped."""
+        with self._stopping():
+            return self._parts()[0].gather()
+
+    def check(self, epoch: Epoch) -> None:
+        """Fourth part: see that all is well; raises as `exchange`."""
+        with self._stopping():
+            self._looked_at(epoch)
+
+    def abandon(self) -> None:
+        """Leave a SYNC that was begun; the axes stay where the last one has told them."""
+        if self._exchange is not None:
+            self._exchange.abandon()
 
     def fall_silent(self, commands: Sequence[Sequence[DriveCommand]]) -> tuple[StopTrace, ...]:
         """Stop the master's heartbeat on purpose while the axes move, watch each drive stop by itself, disable all.
@@ -270,17 +333,26 @@ class DriveGroup(DriveSetup):
         self._producer.stop()
 
     def _cycle(self, words: Sequence[int] | None = None) -> Epoch:
+        with self._stopping():
+            return self._looked_at(self._parts()[0].cycle(self._enable_words if words is None else words))
+
+    def _looked_at(self, epoch: Epoch) -> Epoch:
+        self._emcy.sync_index = epoch.sync_index
+        self._parts()[1].check(epoch)
+        return epoch
+
+    @contextmanager
+    def _stopping(self) -> Generator[None]:
+        """What fails stops all axes before it is raised."""
         exchange, guard = self._parts()
         try:
-            epoch = exchange.cycle(self._enable_words if words is None else words)
-            self._emcy.sync_index = epoch.sync_index
-            guard.check(epoch)
+            yield
         except DriveError as error:
+            exchange.abandon()
             self.enabled = False
             self._after(error, stopping.quick_stop)
             guard.explain(error)
             raise
-        return epoch
 
     def _after(self, error: BaseException, stop: Callable[[SyncExchange], list[DriveError]]) -> None:
         """Stop what runs because of an error, which is about to be raised; what goes wrong is added to it."""

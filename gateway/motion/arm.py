@@ -33,6 +33,26 @@ class ArmDrives(Protocol):
         """One SYNC at the last targets."""
         ...
 
+    def begin(self, commands: Sequence[DriveCommand] | None, /) -> None:
+        """By the clock, first part of a SYNC that several arms share: targets out, None = the last ones."""
+        ...
+
+    def sync(self, at_s: float | None, /) -> float:
+        """Second part: the SYNC when it is due, or now as due for another arm [s]; when it was sent."""
+        ...
+
+    def gather(self) -> Epoch:
+        """Third part: readings in."""
+        ...
+
+    def check(self, epoch: Epoch, /) -> None:
+        """Fourth part: raise what is wrong with them."""
+        ...
+
+    def abandon(self) -> None:
+        """Leave a SYNC that was begun."""
+        ...
+
     def disable(self) -> None:
         """Brakes on, power off."""
         ...
@@ -148,3 +168,8 @@ class Arm:
     def hold(self) -> ArmSample:
         """One SYNC at the last targets."""
         return self._sample(self.drives.hold())
+
+    def checked(self, epoch: Epoch) -> ArmSample:
+        """What a SYNC that was shared with other arms has brought; raises what is wrong with it."""
+        self.drives.check(epoch)
+        return self._sample(epoch)

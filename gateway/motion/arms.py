@@ -1,7 +1,8 @@
 """Arms that move together, each on its bus: brought up, given one SYNC per cycle from one clock, stopped together.
 
-In lockstep one thread serves all buses in turn, and a run is the same every time. By the clock each further bus has a
-thread of its own, all keep one rhythm, and the time between their SYNCs is measured.
+One thread serves all buses. In lockstep it does so in turn, and a run is the same every time. By the clock set points
+go out on all buses, then all SYNCs at the instant that one clock gives, then answers are gathered; the time between the
+SYNCs is measured. Threads of their own bring arms up and stop them, which each does at its own pace.
 
 When a drive of one arm leaves OPERATION ENABLED, falls silent or its bus fails, the other arms are told in the same
 cycle, and all stop by the quick stop ramps of their drives.
@@ -71,7 +72,7 @@ class Arms:
         self.real = pacing == "real"
         self.skew_s: deque[float] = deque(maxlen=_KEPT)
         self.stopped_by: int | None = None
-        # each further arm may be in a cycle while each arm is being stopped
+        # each further arm may be on its way up or down while each arm is being stopped
         self._pool = ThreadPoolExecutor(2 * len(arms) - 1, thread_name_prefix="arm") if len(arms) > 1 else None
         self._stopping: list[Future[None]] = []
         self._lock = threading.Lock()
@@ -138,10 +139,14 @@ class Arms:
         DriveError
             A drive or a bus failed; all arms have been stopped, or are being stopped by the motion loop.
         """
+        if self.real and len(self.members) > 1:
+            return self._together(commands)
         return self._cycle(lambda index: self.members[index].exchange(commands[index]))
 
     def hold(self) -> tuple[ArmSample, ...]:
         """One cycle at the last targets; raises as `exchange`."""
+        if self.real and len(self.members) > 1:
+            return self._together([None] * len(self.members))
         return self._cycle(lambda index: self.members[index].hold())
 
     def quick_stop(self) -> None:
@@ -171,15 +176,41 @@ class Arms:
 
     def _cycle(self, action: Callable[[int], ArmSample]) -> tuple[ArmSample, ...]:
         try:
-            if not self.real:
-                return tuple(action(index) for index in range(len(self.members)))
-            samples = self._all(action)
+            return tuple(action(index) for index in range(len(self.members)))
         except BaseException:
             self._wait_stopped()
             raise
-        if len(self.members) > 1:
-            self.skew_s.append(self.members[-1].drives.sync_sent_s() - self.members[0].drives.sync_sent_s())
-        return samples
+
+    def _together(self, commands: Sequence[Sequence[DriveCommand] | None]) -> tuple[ArmSample, ...]:
+        """By the clock: each part of the SYNC for all arms before the next one."""
+        drives = [arm.drives for arm in self.members]
+        try:
+            for each, targets in zip(drives, commands, strict=True):
+                each.begin(targets)
+            at_s = drives[0].sync(None)
+            for each in drives[1:]:
+                each.sync(at_s)
+            epochs = [each.gather() for each in drives]
+        except BaseException:
+            self._abandon()
+            self._wait_stopped()
+            raise
+        self.skew_s.append(drives[-1].sync_sent_s() - drives[0].sync_sent_s())
+        samples: list[ArmSample] = []
+        failures: list[BaseException] = []
+        for arm, epoch in zip(self.members, epochs, strict=True):
+            try:
+                samples.append(arm.checked(epoch))
+            except BaseException as error:
+                failures.append(error)
+        if failures:
+            self._wait_stopped()
+            raise _first_cause(failures)
+        return tuple(samples)
+
+    def _abandon(self) -> None:
+        for arm in self.members:
+            arm.drives.abandon()
 
     def _all(self, action: Callable[[int], Result]) -> tuple[Result, ...]:
         """Do something with all arms at the same time; the first failure is raised when all have ended."""
@@ -204,6 +235,7 @@ class Arms:
                 return
             self.enabled = False
             self.stopped_by = index
+            self._abandon()  # who is in the middle of a SYNC could not be stopped by another thread
             for other, arm in enumerate(self.members):
                 if other != index:
                     self._stopping.append(self._pool.submit(arm.quick_stop))

@@ -98,6 +98,11 @@ class _GroupDrives:
         self.enable: Callable[[Callable[[], bool]], Epoch] = group.enable
         self.exchange: Callable[[Sequence[DriveCommand]], Epoch] = group.exchange
         self.hold: Callable[[], Epoch] = group.hold
+        self.begin: Callable[[Sequence[DriveCommand] | None], None] = group.begin
+        self.sync: Callable[[float | None], float] = group.sync
+        self.gather: Callable[[], Epoch] = group.gather
+        self.check: Callable[[Epoch], None] = group.check
+        self.abandon: Callable[[], None] = group.abandon
         self.disable: Callable[[], None] = group.disable
         self.quick_stop: Callable[[], None] = group.quick_stop
         self._group = group

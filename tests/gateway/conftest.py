@@ -29,6 +29,8 @@ class FakeDrives:
     ----------
     log : list of str
         What was asked, without the SYNCs.
+    log_of_parts : list of str
+        Parts of SYNCs that several arms share.
     silent : dict of int to int
         SYNC -> axis (from 0) that does not answer it.
     fault_at, jam_at : int or None
@@ -47,6 +49,7 @@ class FakeDrives:
         self.noise_nm = noise_nm
         self.random = np.random.default_rng(5)
         self.log: list[str] = []
+        self.log_of_parts: list[str] = []
         self.sync_index = 0
         self.enabled = False
         self.q_rad = np.zeros(6)
@@ -85,6 +88,32 @@ class FakeDrives:
         assert self.enabled
         self._follow()
         return self._epoch()
+
+    def begin(self, commands: Sequence[DriveCommand] | None, /) -> None:
+        self.log_of_parts.append("begin")
+        self.begun = commands
+
+    def sync(self, at_s: float | None, /) -> float:
+        self.log_of_parts.append("sync")
+        return 12.0 if at_s is None else at_s
+
+    def gather(self) -> Epoch | None:
+        """A fault is found when the answers are looked at."""
+        self.log_of_parts.append("gather")
+        self.failed: DriveFault | None = None
+        try:
+            return self.hold() if self.begun is None else self.exchange(self.begun)
+        except DriveFault as error:
+            self.failed = error
+            return None
+
+    def check(self, epoch: Epoch | None, /) -> None:
+        self.log_of_parts.append("check")
+        if self.failed is not None:
+            raise self.failed
+
+    def abandon(self) -> None:
+        self.log_of_parts.append("abandon")
 
     def disable(self) -> None:
         self.log.append("disable")

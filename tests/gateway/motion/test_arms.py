@@ -36,12 +36,21 @@ class Drives(FakeDrives):
         return self._epoch()
 
     def exchange(self, commands, /):
-        self.sent_s = time.monotonic()
         try:
             return super().exchange(commands)
         except DriveFault:
-            self.tell_others()
+            if not self.log_of_parts:
+                self.tell_others()
             raise
+
+    def sync(self, at_s, /):
+        self.sent_s = time.monotonic()
+        return super().sync(at_s)
+
+    def check(self, epoch, /):
+        if self.failed is not None:
+            self.tell_others()
+        super().check(epoch)
 
     def sync_sent_s(self):
         return self.sent_s
@@ -217,6 +226,70 @@ def test_by_the_clock_arms_begin_together_and_the_time_between_their_syncs_is_ke
     assert all(0.0 < each <= 0.05 for each in ahead)
     assert len(pair.skew_s) == 4
     assert pair.skew_s[-1] == drives[1].sent_s - drives[0].sent_s
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_by_the_clock_each_part_of_a_sync_is_done_for_all_arms_before_the_next_one(drives, held):
+    arms = Arms([Arm(str(index), each, each.axes) for index, each in enumerate(drives)], "real")
+    up(arms)
+    seen, due_s = [], []
+    for index, each in enumerate(drives):
+        for part in ("begin", "sync", "gather", "check"):
+            plain = getattr(each, part)
+
+            def noted(*told, index=index, part=part, plain=plain):
+                seen.append((part, index, threading.current_thread()))
+                due_s.extend(told if part == "sync" else ())
+                return plain(*told)
+
+            setattr(each, part, noted)
+    for _ in range(2):
+        arms.hold() if held else arms.exchange(commands(arms, 0.1))
+    parts = [(part, index) for part in ("begin", "sync", "gather", "check") for index in (0, 1)]
+    assert [each[:2] for each in seen] == parts * 2
+    assert {thread for *_, thread in seen} == {threading.main_thread()}
+    assert due_s == [None, 12.0] * 2  # one clock for both
+    arms.close()
+
+
+@pytest.mark.parametrize("part", ["begin", "sync", "gather"])
+def test_a_sync_that_one_arm_cannot_take_part_in_is_left_by_all(drives, part):
+    arms = Arms([Arm(str(index), each, each.axes) for index, each in enumerate(drives)], "real")
+    up(arms)
+    before = [each.q_rad for each in drives]
+
+    def fails(*_told):
+        raise KeyboardInterrupt
+
+    setattr(drives[1], part, fails)
+    with pytest.raises(KeyboardInterrupt):
+        arms.exchange(commands(arms, 0.1))
+    assert [each.log_of_parts[-1] for each in drives] == ["abandon"] * 2
+    if part != "gather":
+        assert all((each.q_rad == at).all() for each, at in zip(drives, before, strict=True))
+    arms.close()
+
+
+def test_who_is_in_the_middle_of_a_sync_leaves_it_before_being_stopped(drives):
+    """The thread that stops an arm could not get at its bus otherwise until the other arm stands."""
+    arms = Arms([Arm(str(index), each, each.axes) for index, each in enumerate(drives)], "real")
+    up(arms)
+    order = []
+    drives[0].abandon = lambda: order.append("abandon")  # type: ignore[method-assign]
+    drives[0].quick_stop = lambda: order.append("quick stop")  # type: ignore[method-assign]
+
+    def fails(_at_s):
+        drives[1].tell_others()
+        while "quick stop" not in order:  # the other arm is stopped while this one is being stopped here
+            time.sleep(0.001)
+        raise DriveFault("left OPERATION ENABLED: FAULT", node=3)
+
+    drives[1].sync = fails  # type: ignore[method-assign]
+    with pytest.raises(DriveFault):
+        arms.exchange(commands(arms))
+    assert order[:2] == ["abandon", "quick stop"]
+    assert (arms.stopped_by, arms.enabled) == (1, False)
+    arms.close()
 
 
 def test_in_lockstep_the_arms_are_served_in_turn_by_one_thread(drives):

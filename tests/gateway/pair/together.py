@@ -109,6 +109,9 @@ class Joints:
         self.last_rad, part.next_rad[self.index] = here, after
         return self._epoch((after - before) / (2 * self.period_s), (after - 2 * here + before) / self.period_s**2)
 
+    def abandon(self):
+        """Nothing is ever begun in lockstep."""
+
     def disable(self):
         self.log.append("disable")
         self.enabled = False
