@@ -219,7 +219,8 @@ class SyncExchange:
                     raise
         try:
             self.begin(words)
-            self.sync(self.clock.wait())
+            self.prepare(self.clock.wait())
+            self.sync()
             return self.gather()
         finally:
             self.abandon()
@@ -227,7 +228,8 @@ class SyncExchange:
     def begin(self, words: Sequence[int] | None) -> None:
         """By the clock, first part of a cycle: send what is staged; parameters and errors as `cycle`.
 
-        `sync` and `gather` follow in this thread, or `abandon` if anything fails; nobody else receives until then.
+        `prepare`, `sync` and `gather` follow in this thread, or `abandon` if anything fails; nobody else receives until
+        then.
         """
         self._bus.receive_lock.acquire()
         self._begun = True
@@ -237,23 +239,21 @@ class SyncExchange:
         self._refuse_late(self._moving)
         self._send(frames)
 
-    def sync(self, now_s: float) -> None:
-        """Second part: the SYNC that is due at a monotonic time [s], by this clock or another one; errors as `cycle`.
-
-        Raises
-        ------
-        BusError, MasterStalled
-            As `cycle`.
-        """
+    def prepare(self, now_s: float) -> None:
+        """Second part, once the SYNC is due [monotonic s]: take in what has come late; raises `MasterStalled`."""
         self.collector.sweep()
         self._refuse_late(self._moving)
         self._sure = self.clock.paused_s <= self.timing.period_s
-        self._due_s, self._wall_s = now_s, time.time()
-        self._began_s = self._send_sync(now_s)
+        self._due_s = now_s
+
+    def sync(self) -> None:
+        """Third part: the SYNC; raises `BusError`."""
+        self._wall_s = time.time()
+        self._began_s = self._send_sync(self._due_s)
         self._moved = self._moves
 
     def gather(self) -> Epoch:
-        """Third part: what was answered; raises `BusError` if the adapter fails."""
+        """Fourth part: what was answered; raises `BusError` if the adapter fails."""
         timing = self.timing
         answers: Frames = self.collector.collect_within(timing.window * timing.period_s, self.sent_s, self._wall_s)
         if not self._sure:

@@ -158,8 +158,8 @@ class DriveGroup(DriveSetup):
     def begin(self, commands: Sequence[DriveCommand] | None) -> None:
         """By the clock, first part of a SYNC that several groups share: targets out; raises as `exchange`.
 
-        Then, in the same thread and for all groups before the next part: `sync`, `gather` and `check`. If anything
-        fails, or is not done, the groups that have begun are to be told to `abandon`.
+        Then, in the same thread and for all groups before the next part: `prepare`, `sync`, `gather` and `check`. If
+        anything fails, or is not done, the groups that have begun are to be told to `abandon`.
 
         Parameters
         ----------
@@ -170,22 +170,22 @@ class DriveGroup(DriveSetup):
         with self._stopping():
             self._parts()[0].begin(self._enable_words)
 
-    def sync(self, at_s: float | None = None) -> float:
-        """Second part: the SYNC, when it is due by this group's clock or now, as it is due by that of another one.
+    def prepare(self, at_s: float | None = None) -> float:
+        """Second part: wait until the SYNC is due, by this group's clock or as it is due by that of another one.
 
         Parameters
         ----------
         at_s : float, optional
-            What `sync` of the other group has returned.
+            What `prepare` of the other group has returned.
 
         Returns
         -------
         float
-            Monotonic time at which it was sent, s.
+            Monotonic time, s.
 
         Raises
         ------
-        BusError, MasterStalled
+        MasterStalled
             As `exchange`.
         """
         exchange, _ = self._parts()
@@ -194,16 +194,21 @@ class DriveGroup(DriveSetup):
                 at_s = exchange.clock.wait()
             else:
                 exchange.clock.follow(at_s)
-            exchange.sync(at_s)
+            exchange.prepare(at_s)
         return at_s
 
+    def sync(self) -> None:
+        """Third part: the SYNC; raises `BusError`, and all axes have been stopped."""
+        with self._stopping():
+            self._parts()[0].sync()
+
     def gather(self) -> Epoch:
-        """Third part: what was answered, not looked at yet; raises `BusError`, and all axes have been stopped."""
+        """Fourth part: what was answered, not looked at yet; raises `BusError`, and all axes have been stopped."""
         with self._stopping():
             return self._parts()[0].gather()
 
     def check(self, epoch: Epoch) -> None:
-        """Fourth part: see that all is well; raises as `exchange`."""
+        """Fifth part: see that all is well; raises as `exchange`."""
         with self._stopping():
             self._looked_at(epoch)
 

@@ -91,6 +91,10 @@ class QuietMulticastBus:
                 message.timestamp = _received_s(notes)
                 return message
 
+    def fileno(self) -> int:
+        """What may be waited for beside other buses."""
+        return self._socket.fileno()
+
     def shutdown(self) -> None:
         """Close the bus."""
         self._socket.close()

@@ -1,5 +1,8 @@
 """Simulated drives on one bus: frames in, physics forward, frames out; one thread, no asyncio.
 
+Where one plant hangs on several buses that can be waited for together, one thread serves them by the clock, frame after
+frame in the order in which they came.
+
 Lockstep: simulated time advances by one SYNC period with each SYNC and stands still otherwise. Real: it follows the
 wall clock, and a frame acts at the time it was received, also where the machine gets round to it later. At a SYNC the
 synchronous RPDOs become valid and the TPDOs show the state of that instant; only then does the physics move on, while
@@ -9,6 +12,7 @@ the master already works on the answers.
 from __future__ import annotations
 
 import gc
+import select
 import threading
 import time
 from collections import deque
@@ -123,6 +127,7 @@ class BusServer:
         self._stop = threading.Event()
         self._routes: dict[int, tuple[FakeDrive, int]] = {}
         self._real_at_s = time.monotonic()
+        self._beat_at_s = 0.0
         self.drives = [drive for arm in self.arms for drive in arm.drives]
         self.instruments = [device for arm in self.arms for device in arm.instruments]
         for arm in self.arms:
@@ -175,34 +180,60 @@ class BusServer:
 
     def run(self) -> None:
         """Serve until `stop`; closes the bus."""
-        self._real_at_s = time.monotonic()
         try:
-            for node in self.nodes:
-                node.boot()
-            if self._real:  # a collection that looks at everything takes longer than a SYNC period
-                gc.collect()
-                gc.freeze()
-            wait = min(arm.real_step_s for arm in self.arms) if self._real else IDLE_S
-            recv, beat_at = self.bus.recv, 0.0
+            self.boot()
+            wait, recv = self.step_s, self.bus.recv
             while not self._stop.is_set():
                 silent_s = time.monotonic() + wait
                 message = recv(wait)
                 if self._real:
                     self._follow_the_clock(message, silent_s)
-                if message is not None and not message.is_error_frame and not message.is_extended_id:
-                    self._take(message)
-                while self._jobs:
-                    self._jobs.popleft()()
-                now = time.monotonic()
-                if message is None or message.arbitration_id == SYNC_ID or now - beat_at > IDLE_S:
-                    beat_at = now
-                    self._keep_time(now)
+                self.serve(message)
         finally:
-            if self._real:
-                gc.unfreeze()
-            for node in self.nodes:
-                node.remove_network()
-            self.bus.shutdown()
+            self.end()
+
+    @property
+    def by_the_clock(self) -> bool:
+        """Whether simulated time follows the wall clock."""
+        return self._real
+
+    @property
+    def step_s(self) -> float:
+        """Longest time that frames are waited for before something else is looked after."""
+        return min(arm.real_step_s for arm in self.arms) if self._real else IDLE_S
+
+    @property
+    def stopped(self) -> bool:
+        """Whether `stop` was called."""
+        return self._stop.is_set()
+
+    def boot(self) -> None:
+        """All nodes announce themselves; time begins."""
+        self._real_at_s = time.monotonic()
+        for node in self.nodes:
+            node.boot()
+        if self._real:  # a collection that looks at everything takes longer than a SYNC period
+            gc.collect()
+            gc.freeze()
+
+    def end(self) -> None:
+        """Nothing is served any more; closes the bus."""
+        if self._real:
+            gc.unfreeze()
+        for node in self.nodes:
+            node.remove_network()
+        self.bus.shutdown()
+
+    def serve(self, message: can.Message | None) -> None:
+        """Act on a frame, or on silence."""
+        if message is not None and not message.is_error_frame and not message.is_extended_id:
+            self._take(message)
+        while self._jobs:
+            self._jobs.popleft()()
+        now = time.monotonic()
+        if message is None or message.arbitration_id == SYNC_ID or now - self._beat_at_s > IDLE_S:
+            self._beat_at_s = now
+            self._keep_time(now)
 
     def _take(self, message: can.Message) -> None:
         identifier = message.arbitration_id
@@ -236,17 +267,15 @@ class BusServer:
 
         Not until now: a frame may have come since, and what it asks for belongs to when it came.
         """
-        got_round = time.monotonic()
-        now = silent_s
-        if message is not None:
-            now, age = got_round, time.time() - message.timestamp
-            if 0.0 < age < OLDEST_FRAME_S:
-                now -= age
-        self.latest_s = max(self.latest_s, got_round - now)
-        passed = min(now - self._real_at_s, MOST_CATCH_UP_S)
+        self.pass_until(silent_s if message is None else _came_s(message))
+
+    def pass_until(self, now_s: float) -> None:
+        """Let the time pass until an instant of the monotonic clock."""
+        self.latest_s = max(self.latest_s, time.monotonic() - now_s)
+        passed = min(now_s - self._real_at_s, MOST_CATCH_UP_S)
         if passed <= 0.0:
             return
-        self._real_at_s = now
+        self._real_at_s = now_s
         for arm in self.arms:
             arm.advance(passed)
 
@@ -258,6 +287,55 @@ class BusServer:
                 drive.node.keep_time(now, wall_s)
             for device in arm.instruments:
                 device.node.keep_time(now, wall_s)
+
+
+def can_be_waited_for(bus: Any) -> bool:
+    """Whether a bus may be waited for beside others."""
+    try:
+        return bus.fileno() >= 0
+    except (AttributeError, NotImplementedError):
+        return False
+
+
+def serve_together(servers: Sequence[BusServer]) -> None:
+    """By the clock, several buses of one plant in this thread, until one of them is told to stop; closes all of them.
+
+    Frames of all buses are acted on in the order in which they were received: where one bus has no frame, none has come
+    on it before the one that is acted on.
+    """
+    heads: list[can.Message | None] = [None] * len(servers)
+    sockets, wait = [server.bus.fileno() for server in servers], min(server.step_s for server in servers)
+    try:
+        for server in servers:
+            server.boot()
+        while not any(server.stopped for server in servers):
+            silent_s = time.monotonic() + wait
+            heads = [
+                server.bus.recv(0.0) if head is None else head for server, head in zip(servers, heads, strict=True)
+            ]
+            came = [(_came_s(head), index) for index, head in enumerate(heads) if head is not None]
+            if not came:
+                if select.select(sockets, [], [], wait)[0]:
+                    continue
+                for server in servers:
+                    server.pass_until(silent_s)
+                for server in servers:
+                    server.serve(None)
+                continue
+            at_s, index = min(came)
+            for server in servers:
+                server.pass_until(at_s)
+            message, heads[index] = heads[index], None
+            servers[index].serve(message)
+    finally:
+        for server in servers:
+            server.end()
+
+
+def _came_s(message: can.Message) -> float:
+    """Monotonic time at which a frame was received [s]."""
+    now, age = time.monotonic(), time.time() - message.timestamp
+    return now - age if 0.0 < age < OLDEST_FRAME_S else now
 
 
 def _listens(pdo: Pdo) -> bool:

@@ -24,7 +24,7 @@ from sim.pacing import PACINGS
 from sim.pair.cell import PairOptions, pair_units
 from sim.pair.unit import PairUnit
 from sim.plant import Payload
-from sim.server import ArmUnit, BusServer
+from sim.server import ArmUnit, BusServer, can_be_waited_for, serve_together
 from sim.undeclared import draw_undeclared
 
 NOISE_SEED = 1
@@ -171,7 +171,11 @@ class Simulation:
             server.stop()
 
     def run(self) -> None:
-        """Serve all buses until `stop`; the first one in this thread."""
+        """Serve all buses until `stop`: one plant on several of them in this thread, else the first one."""
+        together = self.cell.pair is not None and all(server.by_the_clock for server in self.servers)
+        if together and all(can_be_waited_for(server.bus) for server in self.servers):
+            serve_together(self.servers)
+            return
         others = [threading.Thread(target=server.run, name="sim-bus") for server in self.servers[1:]]
         for thread in others:
             thread.start()

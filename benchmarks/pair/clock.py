@@ -4,7 +4,8 @@ python -m benchmarks.pair.clock [--seeds 3,4,5,6] [--cycles 25] [--parts run,gap
 
 Twelve drives in a process of their own, over the plant that keeps up with the clock, at a 4 ms SYNC, or at a longer one
 where this computer is too slow for that. The true force inside the part and the true gaps are noted beside the drives.
-A cycle that a stall of the machine has stopped is counted and repeated from the start; any other stop fails.
+A cycle that a stall of the machine has stopped, or the guard of the force after a SYNC that the machine had sent too
+late for the drives, is counted and repeated from the start; any other stop fails.
 """
 
 from __future__ import annotations
@@ -41,9 +42,10 @@ from gateway.motion.power import powered
 from gateway.motion.stream import Stream
 from gateway.pair.cell import PairCell, load_pair
 from gateway.pair.function import TransformFunction
+from gateway.pair.guard import LATE_WORDS
 from gateway.pair.lesson import Lesson
 from gateway.pair.link import PairLink, open_link
-from gateway.pair.motion import PairMotion, PairMotionOptions
+from gateway.pair.motion import PairMotion, PairMotionOptions, PairStopped
 from gateway.pair.run import PairRun
 from gateway.pair.session import cell_gains, embodiment_of, one_relation
 from gateway.pair.teach import Teacher
@@ -227,7 +229,8 @@ class Told:
     function : what was learned last, None = nothing
     laws_s : how each joint follows, as teaching has told it; None = it has not
     stalled : why cycles were broken off by the machine, one sentence each
-    stopped : the same for all other stops
+    late : by the guard of the force after a SYNC that the machine had sent late
+    stopped : by anything else
     """
 
     seed: int
@@ -236,6 +239,7 @@ class Told:
     function: TransformFunction | None = None
     laws_s: Floats | None = None
     stalled: list[str] = field(default_factory=list)
+    late: list[str] = field(default_factory=list)
     stopped: list[str] = field(default_factory=list)
 
 
@@ -253,9 +257,10 @@ def attempt(told: Told, opened: Callable[[], AbstractContextManager[Bench]], do:
     except MasterStalled as error:
         told.stalled.append(str(error))
     except (DriveError, GatewayError) as error:
-        told.stopped.append(f"{type(error).__name__}: {error}")
-    if len(told.stalled) > STALLS or len(told.stopped) > PATIENCE:
-        raise RuntimeError(f"seed {told.seed} was stopped too often: {[*told.stalled, *told.stopped][-1]}")
+        late = isinstance(error, PairStopped) and LATE_WORDS in str(error)
+        (told.late if late else told.stopped).append(f"{type(error).__name__}: {error}")
+    if len(told.stalled) + len(told.late) > STALLS or len(told.stopped) > PATIENCE:
+        raise RuntimeError(f"seed {told.seed} was stopped too often: {[*told.stalled, *told.late, *told.stopped][-1]}")
 
 
 def cycles_of(opened: Callable[[], AbstractContextManager[Bench]], told: Told, name: str, count: int) -> Told:
@@ -299,7 +304,11 @@ def beside(lesson: Told, count: int) -> tuple[Told, Told]:
         begun = Told(seed, period_s, [], lesson.function, lesson.laws_s)
         told = cycles_of(lambda opened=opened: opened(seed, period_s), begun, "C8", count)
         forces = " ".join(f"{most:.0f}" for most in told.most)
-        print(f"seed {seed}: C8 {how}: {forces} N, {len(told.stalled)} stalls", *told.stopped, flush=True)
+        print(
+            f"seed {seed}: C8 {how}: {forces} N, {len(told.stalled)} stalls, {len(told.late)} late",
+            *told.stopped,
+            flush=True,
+        )
         found.append(told)
     return found[0], found[1]
 
@@ -342,9 +351,10 @@ def gap_figures(gaps: list[Told]) -> dict[str, dict]:
 
 def stops(what: str, clock: list[Told]) -> dict[str, dict]:
     """How many cycles were broken off, and by what."""
-    stalled, others = (sum(map(len, lists)) for lists in ((t.stalled for t in clock), (t.stopped for t in clock)))
+    stalled, late, others = (sum(len(getattr(told, name)) for told in clock) for name in ("stalled", "late", "stopped"))
     return {
         f"{what} by the clock, stopped by a stall of the machine": plain([stalled], ""),
+        f"{what} by the clock, stopped by the force after a SYNC that was late": plain([late], ""),
         f"{what} by the clock, stopped by anything else": figure(others, "== 0"),
     }
 
@@ -389,7 +399,7 @@ def main(argv: list[str]) -> int:
     arguments.out.mkdir(parents=True, exist_ok=True)
     (arguments.out / "summary.json").write_text(json.dumps({"figures": out}, indent=1) + "\n")
     for one in told:
-        for why in (*one.stalled, *one.stopped):
+        for why in (*one.stalled, *one.late, *one.stopped):
             print(f"seed {one.seed}, stopped: {why}")
     show(out)
     return 0 if all(entry["met"] is not False for entry in out.values()) else 1

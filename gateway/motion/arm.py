@@ -37,16 +37,20 @@ class ArmDrives(Protocol):
         """By the clock, first part of a SYNC that several arms share: targets out, None = the last ones."""
         ...
 
-    def sync(self, at_s: float | None, /) -> float:
-        """Second part: the SYNC when it is due, or now as due for another arm [s]; when it was sent."""
+    def prepare(self, at_s: float | None, /) -> float:
+        """Second part: wait until the SYNC is due, or take over when it is due for another arm [monotonic s]."""
+        ...
+
+    def sync(self) -> None:
+        """Third part: the SYNC."""
         ...
 
     def gather(self) -> Epoch:
-        """Third part: readings in."""
+        """Fourth part: readings in."""
         ...
 
     def check(self, epoch: Epoch, /) -> None:
-        """Fourth part: raise what is wrong with them."""
+        """Fifth part: raise what is wrong with them."""
         ...
 
     def abandon(self) -> None:

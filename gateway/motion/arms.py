@@ -187,9 +187,11 @@ class Arms:
         try:
             for each, targets in zip(drives, commands, strict=True):
                 each.begin(targets)
-            at_s = drives[0].sync(None)
+            at_s = drives[0].prepare(None)
             for each in drives[1:]:
-                each.sync(at_s)
+                each.prepare(at_s)
+            for each in drives:
+                each.sync()
             epochs = [each.gather() for each in drives]
         except BaseException:
             self._abandon()

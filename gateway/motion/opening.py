@@ -99,7 +99,8 @@ class _GroupDrives:
         self.exchange: Callable[[Sequence[DriveCommand]], Epoch] = group.exchange
         self.hold: Callable[[], Epoch] = group.hold
         self.begin: Callable[[Sequence[DriveCommand] | None], None] = group.begin
-        self.sync: Callable[[float | None], float] = group.sync
+        self.prepare: Callable[[float | None], float] = group.prepare
+        self.sync: Callable[[], None] = group.sync
         self.gather: Callable[[], Epoch] = group.gather
         self.check: Callable[[Epoch], None] = group.check
         self.abandon: Callable[[], None] = group.abandon

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import Protocol
 
 import numpy as np
@@ -11,7 +12,7 @@ from gateway.data.sample import ArmSample
 from gateway.pair.balance import ForceBalance
 from gateway.pair.follow import ExternalTorque
 from gateway.pair.gap import GapWatch
-from gateway.pair.guard import ForceGuard, cause_of
+from gateway.pair.guard import LATE_S, ForceGuard, cause_of
 from gateway.pair.transform import Floats
 
 Samples = tuple[ArmSample, ...]
@@ -77,8 +78,11 @@ class FeltByForce:
         self._arms, self._balance = arms, balance
         self._guard, self._still = guard, still
         self._dt_s, self._doubt_n = dt_s, doubt_n
+        #: When the last SYNCs were sent [s].
+        self._sent_s: deque[float] = deque(maxlen=1 + math.ceil(LATE_S / dt_s))
 
     def _update(self, m: int, samples: Samples, rate: float, row: int | None) -> None:
+        self._sent_s.append(samples[0].time_s)
         first, second = (arm.update(m, sample, rate) for arm, sample in zip(self._arms, samples, strict=True))
         self._balance.take(m, (first, second), row)
 
@@ -133,9 +137,13 @@ class FeltByForce:
         return (
             f"the force inside the part was above {self._guard.threshold_n:.0f} N for more than"
             f" {1e3 * self._guard.time_s:.0f} ms ({size_n:.0f} N at command {m + 1} of {self._balance.count}):"
-            " both arms stop; release the part before moving on;"
-            f" {cause_of(np.linalg.norm(self.force[: m + 1, :3], axis=1), self._guard.threshold_n, self._dt_s)}"
+            f" both arms stop; release the part before moving on; {self._cause(m)}"
         )
+
+    def _cause(self, m: int) -> str:
+        late_s = float(np.ptp(np.array(self._sent_s) - self._dt_s * np.arange(len(self._sent_s))))
+        force_n = np.linalg.norm(self.force[: m + 1, :3], axis=1)
+        return cause_of(force_n, self._guard.threshold_n, self._dt_s, late_s)
 
 
 class FeltByDistance:

@@ -9,6 +9,10 @@ from gateway.pair.transform import Floats
 
 #: Share of the threshold below which nothing was wrong yet, and a rise from there that no path makes so fast [s].
 CALM_SHARE, SUDDEN_S = 0.4, 0.1
+#: Drives take over a set point about half a period after its SYNC. One that is later than this share of a period may
+#: miss that: joints jerk, each with the lag of its servo, and what that does to the force is over after so long [s].
+LATE_SHARE, LATE_S = 0.4, 0.2
+LATE_WORDS = "a SYNC shortly before was"
 
 
 class ForceGuard:
@@ -38,8 +42,21 @@ class ForceGuard:
         return self.tripped
 
 
-def cause_of(force_n: Floats, threshold_n: float, dt_s: float) -> str:
-    """What a force (n,) [N] that has tripped the guard at its last cycle comes from, by how it got there."""
+def cause_of(force_n: Floats, threshold_n: float, dt_s: float, late_s: float = 0.0) -> str:
+    """What a force (n,) [N] that has tripped the guard at its last cycle comes from, by how it got there.
+
+    Parameters
+    ----------
+    force_n : array of shape (n,)
+    threshold_n : of the guard
+    dt_s : SYNC period
+    late_s : by how much a SYNC of the last `LATE_S` was late
+    """
+    if late_s > LATE_SHARE * dt_s:
+        return (
+            f"{LATE_WORDS} {1e3 * late_s:.1f} ms late, of {1e3 * dt_s:g} ms, and drives may have missed a set point:"
+            " end other work on this computer, give it a real-time scheduler, or raise sync_period_s"
+        )
     calm = np.flatnonzero(force_n < CALM_SHARE * threshold_n)
     if not len(calm):
         return "it was there from the beginning of the way: check the grasp of both arms, then teach again"

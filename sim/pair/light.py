@@ -37,7 +37,7 @@ class LightWorld(TwoArms):
     settings : WorldSettings
     """
 
-    usual_ticks = 4.0
+    usual_ticks = 6.0
     whole_ticks = False
 
     def __init__(self, arms: tuple[ArmTruth, ArmTruth], settings: WorldSettings) -> None:

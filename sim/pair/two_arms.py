@@ -31,6 +31,8 @@ WAIT_S, WAITS = 0.01, 25
 SILENT_S = 0.1
 #: By the clock, how far the plant may be ahead of what a bus has seen of the time, and how long that is waited for [s].
 TOGETHER_S, PATIENCE_S = 0.0005, 0.0015
+#: Between two SYNCs that count as one instant of the plant [s].
+SAME_S = 0.0003
 #: Shorter stretches are left to the next one [ms].
 LEAST_TICKS = 0.001
 #: Rounding of times that are sums of many periods [s].
@@ -191,11 +193,13 @@ class TwoArms(ABC):
     def settled(self, arm: int) -> Generator[None]:
         """By the clock: the instant of an arm's SYNC, at which its encoders are latched; time stands still meanwhile.
 
-        What the other bus still looks at is waited for, unless that bus is held up.
+        What the other bus still looks at is waited for, unless that bus is held up. A plant that the other arm's SYNC
+        has just brought here need not move on: rotors go on evenly for so short a time.
         """
         with self._lock:
             together = self._lock.wait_for(lambda: self._asked[1 - arm] >= self._asked[arm] - TOGETHER_S, PATIENCE_S)
-            self._pass(self._asked[arm] if together else min(self._asked))
+            if self._asked[arm] - self.time_s > SAME_S or not together:
+                self._pass(self._asked[arm] if together else min(self._asked))
             for axis in self.motors.axes[self.of_arm[arm]]:
                 axis.position_rad -= axis.omega_rad_s * (self.time_s - self._asked[arm])
             yield

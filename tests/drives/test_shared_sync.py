@@ -1,4 +1,4 @@
-"""One SYNC for the drives of two buses by the clock: its four parts, what each bus sees, what is taken back."""
+"""One SYNC for the drives of two buses by the clock: its five parts, what each bus sees, what is taken back."""
 
 from __future__ import annotations
 
@@ -63,9 +63,11 @@ def commands(group: DriveGroup, step: int) -> list[DriveCommand]:
 def together(groups: list[DriveGroup], step: int = 50) -> list:
     for group in groups:
         group.begin(commands(group, step))
-    at_s = groups[0].sync()
+    at_s = groups[0].prepare()
     for group in groups[1:]:
-        assert group.sync(at_s) == at_s
+        assert group.prepare(at_s) == at_s
+    for group in groups:
+        group.sync()
     epochs = [group.gather() for group in groups]
     for group, epoch in zip(groups, epochs, strict=True):
         group.check(epoch)
@@ -140,7 +142,7 @@ def test_a_stall_while_both_move_stops_before_the_sync_and_takes_the_targets_bac
         group.begin(commands(group, 50))
     wires[0].now_s += 0.1
     with pytest.raises(MasterStalled):
-        groups[0].sync()
+        groups[0].prepare()
     groups[1].abandon()
     groups[1].quick_stop()
     assert [[drive.target_count for drive in group.drives] for group in groups] == told
@@ -154,8 +156,9 @@ def test_a_fault_is_told_by_the_last_part_and_stops_the_axes_of_its_bus(groups, 
     wires[1].slaves[2].state = "fault"
     for group in groups:
         group.begin(commands(group, 50))
-    at_s = groups[0].sync()
-    groups[1].sync(at_s)
+    groups[1].prepare(groups[0].prepare())
+    for group in groups:
+        group.sync()
     first, second = (group.gather() for group in groups)
     groups[0].check(first)
     with pytest.raises(DriveFault, match="node 3"):

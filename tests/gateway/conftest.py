@@ -93,9 +93,12 @@ class FakeDrives:
         self.log_of_parts.append("begin")
         self.begun = commands
 
-    def sync(self, at_s: float | None, /) -> float:
-        self.log_of_parts.append("sync")
+    def prepare(self, at_s: float | None, /) -> float:
+        self.log_of_parts.append("prepare")
         return 12.0 if at_s is None else at_s
+
+    def sync(self) -> None:
+        self.log_of_parts.append("sync")
 
     def gather(self) -> Epoch | None:
         """A fault is found when the answers are looked at."""

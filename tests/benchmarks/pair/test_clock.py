@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import shutil
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmarks.chaos.processes import PAIR_EXAMPLE
-from benchmarks.pair.clock import CELL, GAP_CELL, PERIOD_S, at_period, stepped
+from benchmarks.pair.clock import CELL, GAP_CELL, PERIOD_S, Told, at_period, attempt, stepped
+from drives.errors import DriveFault, MasterStalled
 from gateway.pair.cell import load_pair
+from gateway.pair.guard import cause_of
+from gateway.pair.motion import PairStopped
 from sim.pair.light import LightWorld
 
 
@@ -50,3 +54,25 @@ def test_at_a_longer_period_hands_are_damped_as_far_above_oscillation(tmp_path: 
     hands = [getattr(pair.config.distance or pair.config, damping) for pair in (longer, stated)]
     for name in ("straight", "turned"):
         assert getattr(hands[0], name) == pytest.approx(later * getattr(hands[1], name), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("error", "counted"),
+    [
+        (MasterStalled("this computer was held up for 0.019 s"), "stalled"),
+        (PairStopped(f"above 80 N; {cause_of(np.full(9, 90.0), 80.0, 0.004, 0.003)}"), "late"),
+        (PairStopped(f"above 80 N; {cause_of(np.full(9, 90.0), 80.0, 0.004, 0.001)}"), "stopped"),
+        (DriveFault("left OPERATION ENABLED: FAULT", node=3), "stopped"),
+    ],
+)
+def test_a_stop_is_counted_by_who_is_to_blame(error: Exception, counted: str) -> None:
+    def fails(_bench: object) -> None:
+        raise error
+
+    told = Told(3, PERIOD_S)
+    attempt(told, lambda: nullcontext(None), fails)  # type: ignore[arg-type]
+    assert {name: len(getattr(told, name)) for name in ("stalled", "late", "stopped")} == {
+        "stalled": 0,
+        "late": 0,
+        "stopped": 0,
+    } | {counted: 1}

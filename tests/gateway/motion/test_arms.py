@@ -14,6 +14,9 @@ from gateway.motion.arm import Arm
 from gateway.motion.arms import Arms
 from tests.gateway.conftest import BAND_NM, FakeDrives
 
+#: Of a SYNC that arms share by the clock.
+PARTS = ("begin", "prepare", "sync", "gather", "check")
+
 
 class Drives(FakeDrives):
     """Drives that note their SYNCs by the clock and tell the other arms before they stop because of a fault."""
@@ -43,9 +46,9 @@ class Drives(FakeDrives):
                 self.tell_others()
             raise
 
-    def sync(self, at_s, /):
+    def sync(self):
         self.sent_s = time.monotonic()
-        return super().sync(at_s)
+        super().sync()
 
     def check(self, epoch, /):
         if self.failed is not None:
@@ -234,25 +237,25 @@ def test_by_the_clock_each_part_of_a_sync_is_done_for_all_arms_before_the_next_o
     up(arms)
     seen, due_s = [], []
     for index, each in enumerate(drives):
-        for part in ("begin", "sync", "gather", "check"):
+        for part in PARTS:
             plain = getattr(each, part)
 
             def noted(*told, index=index, part=part, plain=plain):
                 seen.append((part, index, threading.current_thread()))
-                due_s.extend(told if part == "sync" else ())
+                due_s.extend(told if part == "prepare" else ())
                 return plain(*told)
 
             setattr(each, part, noted)
     for _ in range(2):
         arms.hold() if held else arms.exchange(commands(arms, 0.1))
-    parts = [(part, index) for part in ("begin", "sync", "gather", "check") for index in (0, 1)]
+    parts = [(part, index) for part in PARTS for index in (0, 1)]
     assert [each[:2] for each in seen] == parts * 2
     assert {thread for *_, thread in seen} == {threading.main_thread()}
     assert due_s == [None, 12.0] * 2  # one clock for both
     arms.close()
 
 
-@pytest.mark.parametrize("part", ["begin", "sync", "gather"])
+@pytest.mark.parametrize("part", PARTS[:4])
 def test_a_sync_that_one_arm_cannot_take_part_in_is_left_by_all(drives, part):
     arms = Arms([Arm(str(index), each, each.axes) for index, each in enumerate(drives)], "real")
     up(arms)
@@ -278,7 +281,7 @@ def test_who_is_in_the_middle_of_a_sync_leaves_it_before_being_stopped(drives):
     drives[0].abandon = lambda: order.append("abandon")  # type: ignore[method-assign]
     drives[0].quick_stop = lambda: order.append("quick stop")  # type: ignore[method-assign]
 
-    def fails(_at_s):
+    def fails():
         drives[1].tell_others()
         while "quick stop" not in order:  # the other arm is stopped while this one is being stopped here
             time.sleep(0.001)

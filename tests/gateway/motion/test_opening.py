@@ -76,7 +76,7 @@ class Group:
             for node in range(1, 7)
         ]
         self.enable = self.exchange = self.hold = self.disable = self.quick_stop = lambda *_: None
-        self.begin = self.sync = self.gather = self.check = self.abandon = lambda *_: None
+        self.begin = self.prepare = self.sync = self.gather = self.check = self.abandon = lambda *_: None
 
     def align(self, at_s: float) -> None:
         self.aligned.append(at_s)

@@ -14,6 +14,15 @@ from gateway.pair.guard import ForceGuard
 ROWS, DT_S = 8, 0.004
 
 
+class Sample(str):
+    """A sample that is known by its name."""
+
+    time_s = 0.0
+
+
+AB, CD = (Sample("a"), Sample("b")), (Sample("c"), Sample("d"))
+
+
 class Arm:
     """An arm that shows what its samples are; its way begins at joint angles of 0.3 rad."""
 
@@ -55,10 +64,10 @@ def push(force_n: float) -> np.ndarray:
 
 def test_force_inside_the_part_is_kept_by_the_command_and_torque_by_the_one_before():
     found, balance, (one, two) = felt()
-    assert found.take(0, ("a", "b")) == ""
+    assert found.take(0, AB) == ""
     assert found.inputs(0) == (None, None)
     balance.wrench = push(20.0)
-    assert found.take(1, ("c", "d"), 0.5) == ""
+    assert found.take(1, CD, 0.5) == ""
     assert found.force[1] == pytest.approx(push(20.0))
     assert (found.force[0] == 0).all()
     assert found.size_n(1) == pytest.approx(20.0)
@@ -69,7 +78,7 @@ def test_force_inside_the_part_is_kept_by_the_command_and_torque_by_the_one_befo
 
 def test_both_arms_are_listened_to_before_the_way_begins():
     found, balance, (one, two) = felt()
-    found.listen(("a", "b"))
+    found.listen(AB)
     assert (one.calls, two.calls) == ([(0, "a", 1.0)], [(0, "b", 1.0)])
     assert balance.taken == [(0, ("seen of a", "seen of b"), None)]
 
@@ -78,17 +87,38 @@ def test_a_force_above_twice_its_limit_for_longer_than_its_time_stops_both():
     """100 N, 8 ms: the third SYNC in a row."""
     found, balance, _ = felt(50.0)
     balance.wrench = push(101.0)
-    assert [found.take(m, ("a", "b")) for m in range(2)] == ["", ""]
-    why = found.take(2, ("a", "b"))
+    assert [found.take(m, AB) for m in range(2)] == ["", ""]
+    why = found.take(2, AB)
     assert "above 100 N for more than 8 ms (101 N at command 3 of 8)" in why
     quiet, balance, _ = felt(50.0)
     balance.wrench = push(99.0)
-    assert [quiet.take(m, ("a", "b")) for m in range(5)] == [""] * 5
+    assert [quiet.take(m, AB) for m in range(5)] == [""] * 5
+
+
+@pytest.mark.parametrize(
+    ("late_s", "rows_ago", "cause"),
+    [(0.0017, 4, "1.7 ms late, of 4 ms"), (0.0015, 4, "from the beginning"), (0.0017, 60, "from the beginning")],
+)
+def test_a_stop_shortly_after_a_late_sync_names_it(late_s, rows_ago, cause):
+    """Drives take set points over half a period after a SYNC, give or take some; 0.2 s are 50 SYNCs."""
+    found, balance, _ = felt(50.0)
+    balance.wrench = push(101.0)
+    for row in range(-70, ROWS):
+        sample = Sample("a")
+        sample.time_s = 10.0 + DT_S * row + (late_s if row == 3 - rows_ago else 0.0)
+        if row < 0:
+            found.listen((sample, Sample("b")))
+            continue
+        why = found.take(row, (sample, Sample("b")))
+        if row == 3:
+            assert cause in why
+            assert ("sync_period_s" in why) == ("late" in cause)
 
 
 def standing(away_rad: float) -> tuple:
     """Samples of both arms, the second one this far from the beginning of its way."""
-    return SimpleNamespace(q_rad=np.full(6, 0.3)), SimpleNamespace(q_rad=np.array([0.3] * 5 + [0.3 - away_rad]))
+    second = SimpleNamespace(q_rad=np.array([0.3] * 5 + [0.3 - away_rad]))
+    return SimpleNamespace(q_rad=np.full(6, 0.3), time_s=0.0), second
 
 
 def test_a_part_that_is_held_may_not_be_squeezed_on_the_way_to_the_start():
@@ -118,7 +148,7 @@ def test_what_friction_may_feign_stops_nobody_on_the_way_to_the_start():
 def test_a_small_force_may_be_friction(force_n, doubtful):
     found, balance, _ = felt(doubt_n=10.0)
     balance.wrench = push(force_n)
-    found.take(1, ("a", "b"))
+    found.take(1, AB)
     assert found.doubtful(1) == doubtful
     assert found.doubtful(0)
 

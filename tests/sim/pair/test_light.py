@@ -326,6 +326,7 @@ def test_two_arms_leave_the_clock_its_time(simulation_of: Callable[..., Simulati
         for unit in simulation.arms:
             unit.advance(SYNC_S)
     assert time.process_time() - began_s < 0.2
+    simulation.arms[0].sync()
     assert simulation.arms[0].world.time_s == pytest.approx(1.0)
 
 
@@ -376,6 +377,26 @@ def test_by_the_clock_encoders_are_latched_at_the_instant_of_the_sync(world_of: 
     with world.settled(1):
         assert world.time_s == pytest.approx(0.0104, abs=1e-6)
         assert axis.position_rad == pytest.approx(at_rad - 0.5 * 0.0004, abs=1e-9)
+
+
+def test_the_sync_of_the_other_bus_right_after_is_no_stretch_of_its_own(world_of: Worlds) -> None:
+    """A stretch takes as long to compute however short it is; rotors that turn evenly go on for so long."""
+    world = world_of()
+    world.follow_the_clock(0, 0.0100)
+    world.follow_the_clock(1, 0.0100)
+    with world.settled(0):
+        assert world.time_s == pytest.approx(0.0100, abs=1e-6)
+    for arm in (0, 1):
+        world.follow_the_clock(arm, 0.0002)
+    axis = world.motors.axes[6]
+    at_rad, axis.omega_rad_s = axis.position_rad, 0.5
+    with world.settled(1):
+        assert world.time_s == pytest.approx(0.0100, abs=1e-6)
+        assert axis.position_rad == pytest.approx(at_rad + 0.5 * 0.0002, abs=1e-9)
+    for arm in (0, 1):
+        world.follow_the_clock(arm, 0.0002)
+    with world.settled(0):
+        assert world.time_s == pytest.approx(0.0104, abs=1e-6)
 
 
 def test_a_bus_that_is_held_up_holds_the_plant(world_of: Worlds) -> None:
