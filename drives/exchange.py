@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -147,8 +148,10 @@ class SyncExchange:
         self._unsure = [0] * len(self.drives)
         #: Whether the SYNC before has moved an axis; of the cycle that was begun, whether this one will, or both.
         self._moved = self._moves = self._moving = False
-        #: By the clock, of the cycle that was begun: when its SYNC was due and sent, and whether its answers are sure.
-        self._begun, self._sure = False, True
+        #: By the clock, of the cycle that was begun: by which thread, whether its answers are sure, when its SYNC was
+        #: due and sent.
+        self._begun_by: int | None = None
+        self._sure = True
         self._due_s = self._began_s = self._wall_s = 0.0
         #: Targets of the last SYNC, while those of the next one are on their way.
         self._recall: list[int] | None = None
@@ -232,7 +235,7 @@ class SyncExchange:
         then.
         """
         self._bus.receive_lock.acquire()
-        self._begun = True
+        self._begun_by = threading.get_ident()
         self._producer.tick(self.sync_time_s)
         frames, self._moves = self._pack(words)
         self._moving = words is not None and ENABLE_OPERATION in words and (self._moves or self._moved)
@@ -264,10 +267,10 @@ class SyncExchange:
         return epoch
 
     def abandon(self) -> None:
-        """Leave a cycle that was begun: what has not gone out with a SYNC is taken back."""
-        self._take_back()
-        if self._begun:
-            self._begun = False
+        """Leave a cycle that this thread has begun: what has not gone out with a SYNC is taken back."""
+        if self._begun_by == threading.get_ident():
+            self._take_back()
+            self._begun_by = None
             self._bus.receive_lock.release()
 
     def _take_back(self) -> None:

@@ -134,6 +134,32 @@ def test_what_one_arm_refuses_is_not_begun_by_the_other(groups, wires):
     assert all(epoch.complete for epoch in together(groups))
 
 
+def test_nobody_leaves_a_cycle_that_another_thread_has_begun(groups):
+    """One thread may be stopping an arm while another one clears up what was begun with it."""
+    together(groups)
+    told, first = [drive.target_count for drive in groups[0].drives], groups[0]
+    begun, go_on, brought = threading.Event(), threading.Event(), []
+
+    def cycle() -> None:
+        first.begin(commands(first, 50))
+        begun.set()
+        go_on.wait()
+        first.prepare()
+        first.sync()
+        brought.append(first.gather())
+
+    thread = threading.Thread(target=cycle, daemon=True)
+    thread.start()
+    begun.wait()
+    first.abandon()
+    assert not free(first)
+    go_on.set()
+    thread.join()
+    assert brought[0].complete
+    assert [drive.target_count for drive in first.drives] == [count + 50 for count in told]
+    assert free(first)
+
+
 def test_a_stall_while_both_move_stops_before_the_sync_and_takes_the_targets_back(groups, wires):
     for _ in range(3):
         together(groups)
