@@ -53,7 +53,7 @@ class ServeOptions:
     fault : scenario of what goes wrong
     truth : where the truth is written at start
     pacing : "lockstep" or "real" in place of every bus's own
-    unbuffered : by the clock, each target is taken over when it comes instead of passing through a buffer
+    unbuffered : by the clock, each target is taken over when it comes instead of at a tick of the drive's own clock
     """
 
     bus: str | None = None

@@ -37,12 +37,13 @@ from benchmarks.pair.bus_rig import Power, bus_spec, patient_cell
 from benchmarks.pair.inline import inline
 from benchmarks.rigs.pacing import by_the_clock
 from drives.errors import DriveError, MasterStalled
+from gateway.data.sample import ArmSample
 from gateway.errors import GatewayError
 from gateway.motion.power import powered
 from gateway.motion.stream import Stream
 from gateway.pair.cell import PairCell, load_pair
 from gateway.pair.function import TransformFunction
-from gateway.pair.guard import LATE_WORDS
+from gateway.pair.guard import LATE_SHARE, LATE_WORDS
 from gateway.pair.lesson import Lesson
 from gateway.pair.link import PairLink, open_link
 from gateway.pair.motion import PairMotion, PairMotionOptions, PairStopped
@@ -116,6 +117,8 @@ class Bench:
     grip: Callable[[bool], Any]
     most: Callable[[float, float], float]
     power: Power = field(default_factory=Power)
+    #: By how much a SYNC of the last cycle was late, share of the period.
+    late: float = 0.0
 
     def teach(self, lesson: Lesson) -> TransformFunction:
         """First function, by the points that the lesson has and those that it lacks."""
@@ -150,7 +153,8 @@ class Bench:
 
     def cycle(self, run: PairRun) -> float:
         """One way forward and back; the largest true force [N] or gap error [m] on the way forward."""
-        motion, plain, at = run.motion, run.motion.run, list[float]()
+        motion, plain, see, at = run.motion, run.motion.run, run.motion.see, list[float]()
+        sent = list[tuple[int, float]]()
 
         def timed(*what: Any, **how: Any) -> Any:
             at.append(time.monotonic())
@@ -158,11 +162,17 @@ class Bench:
             at.append(time.monotonic())
             return streamed
 
-        motion.run = timed  # type: ignore[method-assign]
+        def seen(samples: tuple[ArmSample, ...]) -> None:
+            sent.append((samples[0].sync_index, samples[0].time_s))
+            see(samples)
+
+        motion.run, motion.see = timed, seen  # type: ignore[method-assign]
         try:
             self.power.attempt(run.cycle)
         finally:
-            motion.run = plain  # type: ignore[method-assign]
+            motion.run, motion.see = plain, see  # type: ignore[method-assign]
+        steps = np.diff(np.array(sent), axis=0)
+        self.late = float(steps[steps[:, 0] == 1.0, 1].max()) / motion.dt_s - 1.0
         most = self.power.attempt(lambda: motion.prepare(lambda: self.most(at[0], at[1])))
         self.power.attempt(run.back)
         return most
@@ -226,6 +236,7 @@ class Told:
     seed : of the arms
     period_s : of the SYNC
     most : largest true force [N] or gap error [m] of every cycle
+    sync_late : by how much a SYNC of every cycle was late, share of the period
     function : what was learned last, None = nothing
     laws_s : how each joint follows, as teaching has told it; None = it has not
     stalled : why cycles were broken off by the machine, one sentence each
@@ -236,6 +247,7 @@ class Told:
     seed: int
     period_s: float
     most: list[float] = field(default_factory=list)
+    sync_late: list[float] = field(default_factory=list)
     function: TransformFunction | None = None
     laws_s: Floats | None = None
     stalled: list[str] = field(default_factory=list)
@@ -274,6 +286,7 @@ def cycles_of(opened: Callable[[], AbstractContextManager[Bench]], told: Told, n
             if len(told.most) >= LEARNING:
                 run.controller.freeze()
             told.most.append(bench.cycle(run))
+            told.sync_late.append(bench.late)
             told.function, back = run.controller.function, run.learned_back
         bench.power.off()
 
@@ -301,9 +314,11 @@ def beside(lesson: Told, count: int) -> tuple[Told, Told]:
     """Row C8 by the clock and in lockstep, both begun with the same function."""
     found, seed, period_s = list[Told](), lesson.seed, lesson.period_s
     for how, opened in (("by the clock", clocked), ("in lockstep", stepped)):
-        begun = Told(seed, period_s, [], lesson.function, lesson.laws_s)
+        begun = Told(seed, period_s, function=lesson.function, laws_s=lesson.laws_s)
         told = cycles_of(lambda opened=opened: opened(seed, period_s), begun, "C8", count)
-        forces = " ".join(f"{most:.0f}" for most in told.most)
+        forces = " ".join(
+            f"{most:.0f}{'*' * (late > LATE_SHARE)}" for most, late in zip(told.most, told.sync_late, strict=True)
+        )
         print(
             f"seed {seed}: C8 {how}: {forces} N, {len(told.stalled)} stalls, {len(told.late)} late",
             *told.stopped,
@@ -330,12 +345,20 @@ def run_figures(runs: list[tuple[Told, Told]], count: int) -> dict[str, dict]:
         [np.array(one.most[LEARNING:]) <= MOST_OVER_LOCKSTEP * max(other.most[LEARNING:]) for one, other in runs]
     )
     clock = [told for told, _ in runs]
+    calm = [
+        most / max(other.most[LEARNING:])
+        for one, other in runs
+        for most, late in zip(one.most[LEARNING:], one.sync_late[LEARNING:], strict=True)
+        if late <= LATE_SHARE
+    ]
     return {
         "C8 by the clock, whole cycles": figure(sum(len(told.most) for told in clock), f">= {count * len(runs)}"),
         **stops("C8", clock),
         "C8 by the clock, largest force": plain(both[:, 0], "N"),
         "C8 in lockstep, largest force": plain(both[:, 1], "N"),
         "C8 by the clock, cycles within 1.1 times lockstep": plain([1e2 * float(np.mean(within))], "%"),
+        "C8 by the clock, cycles without a SYNC late by 0.4 of its period": plain([len(calm)], ""),
+        "C8 by the clock over lockstep, in these cycles": plain(calm or [math.nan], ""),
         "C8 by the clock over lockstep": figure(max(over), f"<= {MOST_OVER_LOCKSTEP}", "", (min(over), max(over))),
     }
 
