@@ -55,7 +55,7 @@ from sim.pair.cell import PairOptions
 from sim.pair.gap import GapSensors
 from sim.simulation import ServeOptions, Simulation
 
-SPEED, LEARNING, POINTS, GAP_CYCLES = 1.5, 12, 9, 6
+SPEED, LEARNING, POINTS, GAP_LEARNING, GAP_CYCLES = 1.5, 12, 9, 2, 6
 CELL, GAP_CELL = "cell.toml", "distance.toml"
 #: SYNC period of both [s], and how many of it a force waits for its answer: two on the bus, 1.5 in the drives' buffers.
 PERIOD_S, PERIODS_IN_LOOP = 0.004, 3.5
@@ -254,6 +254,21 @@ class Told:
     late: list[str] = field(default_factory=list)
     stopped: list[str] = field(default_factory=list)
 
+    def cycles(self, unit: float, digits: int = 0) -> str:
+        """What was measured of every cycle; those with a late SYNC have a star."""
+        pairs = zip(self.most, self.sync_late, strict=True)
+        return " ".join(f"{unit * most:.{digits}f}{'*' * (late > LATE_SHARE)}" for most, late in pairs)
+
+    @property
+    def broken_off(self) -> str:
+        """How often by what."""
+        return f"{len(self.stalled)} stalls, {len(self.late)} late, {len(self.stopped)} others"
+
+    def calm(self, first: int) -> list[float]:
+        """What was measured of the cycles without a late SYNC, from a number on."""
+        pairs = zip(self.most[first:], self.sync_late[first:], strict=True)
+        return [most for most, late in pairs if late <= LATE_SHARE]
+
 
 def attempt(told: Told, opened: Callable[[], AbstractContextManager[Bench]], do: Callable[[Bench], None]) -> None:
     """Do something on a fresh pair; what stops it is noted.
@@ -316,14 +331,7 @@ def beside(lesson: Told, count: int) -> tuple[Told, Told]:
     for how, opened in (("by the clock", clocked), ("in lockstep", stepped)):
         begun = Told(seed, period_s, function=lesson.function, laws_s=lesson.laws_s)
         told = cycles_of(lambda opened=opened: opened(seed, period_s), begun, "C8", count)
-        forces = " ".join(
-            f"{most:.0f}{'*' * (late > LATE_SHARE)}" for most, late in zip(told.most, told.sync_late, strict=True)
-        )
-        print(
-            f"seed {seed}: C8 {how}: {forces} N, {len(told.stalled)} stalls, {len(told.late)} late",
-            *told.stopped,
-            flush=True,
-        )
+        print(f"seed {seed}: C8 {how}: {told.cycles(1.0)} N, {told.broken_off}", flush=True)
         found.append(told)
     return found[0], found[1]
 
@@ -331,9 +339,7 @@ def beside(lesson: Told, count: int) -> tuple[Told, Told]:
 def gap(seed: int, period_s: float) -> Told:
     """E5 by the clock."""
     told = cycles_of(lambda: clocked(seed, period_s, GAP_CELL), Told(seed, period_s), "E5", GAP_CYCLES)
-    print(
-        f"seed {seed}: E5 by the clock:", *(f"{1e3 * most:.3f}" for most in told.most), "mm", *told.stopped, flush=True
-    )
+    print(f"seed {seed}: E5 by the clock: {told.cycles(1e3, 3)} mm, {told.broken_off}", flush=True)
     return told
 
 
@@ -345,12 +351,7 @@ def run_figures(runs: list[tuple[Told, Told]], count: int) -> dict[str, dict]:
         [np.array(one.most[LEARNING:]) <= MOST_OVER_LOCKSTEP * max(other.most[LEARNING:]) for one, other in runs]
     )
     clock = [told for told, _ in runs]
-    calm = [
-        most / max(other.most[LEARNING:])
-        for one, other in runs
-        for most, late in zip(one.most[LEARNING:], one.sync_late[LEARNING:], strict=True)
-        if late <= LATE_SHARE
-    ]
+    calm = [most / max(other.most[LEARNING:]) for one, other in runs for most in one.calm(LEARNING)]
     return {
         "C8 by the clock, whole cycles": figure(sum(len(told.most) for told in clock), f">= {count * len(runs)}"),
         **stops("C8", clock),
@@ -366,8 +367,11 @@ def run_figures(runs: list[tuple[Told, Told]], count: int) -> dict[str, dict]:
 def gap_figures(gaps: list[Told]) -> dict[str, dict]:
     """Largest gap error of the last cycle of each seed."""
     last = 1e3 * np.array([told.most[-1] if told.most else math.nan for told in gaps])
+    calm = [1e3 * most for told in gaps for most in told.calm(GAP_LEARNING)]
     return {
         **stops("E5", gaps),
+        "E5 by the clock, cycles from the third on without a late SYNC": plain([len(calm)], ""),
+        "E5 by the clock, gap error in these": plain(calm or [math.nan], "mm"),
         "E5 by the clock, gap error": figure(max(last), f"<= {MOST_GAP_MM}", "mm", (min(last), max(last))),
     }
 
