@@ -54,6 +54,8 @@ class ForceBalance:
     late : how many commands before the last one the arms are
     doubts : Doubts
     wrench, covariance : array of shape (6,), None before the first, and its covariance (6, 6)
+    fresh : bool
+        The last SYNC has told it.
     pulled : bool
         Something has pulled at the arms on the last way that was learned from, and not on the one before.
     """
@@ -97,7 +99,7 @@ class ForceBalance:
         self._unsure = self._nominal @ doubts.covariance @ np.swapaxes(self._nominal, 1, 2)
         self._value = doubts.value.copy()
         self.wrench: Floats | None = None
-        self.pulled = False
+        self.fresh = self.pulled = False
         self._seen = np.full((4, *self._share.shape), np.nan)
         for arm in self._arms:
             arm.reset()
@@ -105,9 +107,10 @@ class ForceBalance:
     def take(self, m: int, seen: tuple[Shown | None, Shown | None], row: int | None) -> None:
         """What both arms showed at the SYNC before that of command m, kept as row `row` of the way if it is one.
 
-        A SYNC of which one arm has told nothing leaves the wrench as it is.
+        A SYNC of which one arm has told nothing leaves the wrench as it is, not `fresh`.
         """
         first, second = seen
+        self.fresh = first is not None and second is not None
         if first is None or second is None:
             return
         at = max(m - 1, 0)

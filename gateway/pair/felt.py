@@ -132,7 +132,8 @@ class FeltByForce:
             return ""
         self.force[m] = self._balance.wrench
         size_n = self.size_n(m)
-        if not self._guard.step(size_n):
+        # a SYNC that has told nothing is no evidence that a force lasts; who tells nothing for long is stopped for that
+        if not self._balance.fresh or not self._guard.step(size_n):
             return ""
         return (
             f"the force inside the part was above {self._guard.threshold_n:.0f} N for more than"

@@ -42,6 +42,7 @@ class Balance:
 
     def __init__(self) -> None:
         self.wrench: np.ndarray | None = None
+        self.fresh = True
         self.covariance = np.zeros((6, 6))
         self.taken: list[tuple] = []
 
@@ -93,6 +94,17 @@ def test_a_force_above_twice_its_limit_for_longer_than_its_time_stops_both():
     quiet, balance, _ = felt(50.0)
     balance.wrench = push(99.0)
     assert [quiet.take(m, AB) for m in range(5)] == [""] * 5
+
+
+def test_a_force_of_one_sync_does_not_last_because_nothing_is_told_after_it():
+    """100 N, 8 ms: three SYNCs that have told it, others between them or not."""
+    found, balance, _ = felt(50.0)
+    balance.wrench = push(101.0)
+    stops = []
+    for m, fresh in enumerate([True, False, False, False, True, False, True]):
+        balance.fresh = fresh
+        stops.append(found.take(m, AB) != "")
+    assert stops == [False] * 6 + [True]
 
 
 @pytest.mark.parametrize(
