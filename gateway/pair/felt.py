@@ -78,11 +78,11 @@ class FeltByForce:
         self._arms, self._balance = arms, balance
         self._guard, self._still = guard, still
         self._dt_s, self._doubt_n = dt_s, doubt_n
-        #: When the last SYNCs were sent [s].
-        self._sent_s: deque[float] = deque(maxlen=1 + math.ceil(LATE_S / dt_s))
+        #: Numbers of the last SYNCs that were taken in, and when they were sent [s].
+        self._sent: deque[tuple[int, float]] = deque(maxlen=1 + math.ceil(LATE_S / dt_s))
 
     def _update(self, m: int, samples: Samples, rate: float, row: int | None) -> None:
-        self._sent_s.append(samples[0].time_s)
+        self._sent.append((samples[0].sync_index, samples[0].time_s))
         first, second = (arm.update(m, sample, rate) for arm, sample in zip(self._arms, samples, strict=True))
         self._balance.take(m, (first, second), row)
 
@@ -142,7 +142,7 @@ class FeltByForce:
         )
 
     def _cause(self, m: int) -> str:
-        late_s = float(np.ptp(np.array(self._sent_s) - self._dt_s * np.arange(len(self._sent_s))))
+        late_s = float(np.ptp([sent_s - self._dt_s * index for index, sent_s in self._sent]))
         force_n = np.linalg.norm(self.force[: m + 1, :3], axis=1)
         return cause_of(force_n, self._guard.threshold_n, self._dt_s, late_s)
 

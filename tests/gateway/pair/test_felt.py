@@ -17,7 +17,7 @@ ROWS, DT_S = 8, 0.004
 class Sample(str):
     """A sample that is known by its name."""
 
-    time_s = 0.0
+    sync_index, time_s = 0, 0.0
 
 
 AB, CD = (Sample("a"), Sample("b")), (Sample("c"), Sample("d"))
@@ -117,7 +117,8 @@ def test_a_stop_shortly_after_a_late_sync_names_it(late_s, rows_ago, cause):
     balance.wrench = push(101.0)
     for row in range(-70, ROWS):
         sample = Sample("a")
-        sample.time_s = 10.0 + DT_S * row + (late_s if row == 3 - rows_ago else 0.0)
+        sample.sync_index = row + (row >= 0)  # one SYNC between standing and the way is not told
+        sample.time_s = 10.0 + DT_S * sample.sync_index + (late_s if row == 3 - rows_ago else 0.0)
         if row < 0:
             found.listen((sample, Sample("b")))
             continue
@@ -130,7 +131,7 @@ def test_a_stop_shortly_after_a_late_sync_names_it(late_s, rows_ago, cause):
 def standing(away_rad: float) -> tuple:
     """Samples of both arms, the second one this far from the beginning of its way."""
     second = SimpleNamespace(q_rad=np.array([0.3] * 5 + [0.3 - away_rad]))
-    return SimpleNamespace(q_rad=np.full(6, 0.3), time_s=0.0), second
+    return SimpleNamespace(q_rad=np.full(6, 0.3), sync_index=0, time_s=0.0), second
 
 
 def test_a_part_that_is_held_may_not_be_squeezed_on_the_way_to_the_start():
