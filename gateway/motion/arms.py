@@ -47,6 +47,20 @@ def _first_cause(failures: Sequence[BaseException]) -> BaseException:
     return cause
 
 
+def _each(jobs: Sequence[Callable[[], Result]]) -> tuple[Result, ...]:
+    """What every job returns; what failed first hand is raised when all have ended."""
+    results: list[Result] = []
+    failures: list[BaseException] = []
+    for job in jobs:
+        try:
+            results.append(job())
+        except BaseException as error:
+            failures.append(error)
+    if failures:
+        raise _first_cause(failures)
+    return tuple(results)
+
+
 class Arms:
     """Arms under one clock.
 
@@ -198,17 +212,16 @@ class Arms:
             self._wait_stopped()
             raise
         self.skew_s.append(drives[-1].sync_sent_s() - drives[0].sync_sent_s())
-        samples: list[ArmSample] = []
-        failures: list[BaseException] = []
-        for arm, epoch in zip(self.members, epochs, strict=True):
-            try:
-                samples.append(arm.checked(epoch))
-            except BaseException as error:
-                failures.append(error)
-        if failures:
+        try:
+            return _each(
+                [
+                    lambda arm=arm, epoch=epoch: arm.checked(epoch)
+                    for arm, epoch in zip(self.members, epochs, strict=True)
+                ]
+            )
+        except BaseException:
             self._wait_stopped()
-            raise _first_cause(failures)
-        return tuple(samples)
+            raise
 
     def _abandon(self) -> None:
         for arm in self.members:
@@ -219,16 +232,7 @@ class Arms:
         if self._pool is None:
             return (action(0),)
         others = [self._pool.submit(action, index) for index in range(1, len(self.members))]
-        results: list[Result] = []
-        failures: list[BaseException] = []
-        for job in (lambda: action(0), *(other.result for other in others)):
-            try:
-                results.append(job())
-            except BaseException as error:
-                failures.append(error)
-        if failures:
-            raise _first_cause(failures)
-        return tuple(results)
+        return _each([lambda: action(0), *(other.result for other in others)])
 
     def _stop_others(self, index: int) -> None:
         """An arm is about to stop because of an error: the others stop now as well, not when this one stands."""
