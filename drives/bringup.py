@@ -247,6 +247,8 @@ def check_mode(access: ObjectAccess, mode: Mode) -> None:
     while (shown := access.read(OBJECTS["mode_display"])) != mode.value:
         if time.monotonic() > deadline:
             advice = "the drive does not support this mode in its present setting: see 0x6502"
+            if shown == 0 and access.profile.state_machine.mode_before_enable:
+                advice += "; if it shows 0 until it is enabled, set mode_before_enable = false in the profile"
             access.refuse(OBJECTS["mode_display"], f"shows mode {shown} instead of {mode.value}", advice)
         access.bus.listen(_POLL_S)
 

@@ -107,7 +107,8 @@ def judge_state(axis: Axis, readings: Readings) -> list[CheckItem]:
 
 def judge_settings(axis: Axis, readings: Readings) -> list[CheckItem]:
     """How the drive is set up: what nobody else would refuse; parameters as `judge_axis`."""
-    return _judged(axis, readings, (_obstacles, _mode, _torque_object, _torque_limits, _scaling, _offsets, _watchdog))
+    rules = (_obstacles, _mode, _torque_object, _torque_limits, _encoder, _scaling, _offsets, _watchdog)
+    return _judged(axis, readings, rules)
 
 
 def _judged(axis: Axis, readings: Readings, rules: Sequence[Callable[[Lines, Readings], None]]) -> list[CheckItem]:
@@ -299,6 +300,28 @@ def _max_torque(lines: Lines, readings: Readings) -> None:
 
 def _narrow(axis: Axis, limit: int | None, joint_nm: float) -> str:
     return f"{limit} per mille is {joint_nm:.0f} Nm at the joint, the cell allows {axis.config.torque_limit_nm:g} Nm"
+
+
+def _encoder(lines: Lines, readings: Readings) -> None:
+    """0x608F of the drive against what the profile takes for the counts of one motor revolution."""
+    increments, turns = value_of(readings, "encoder_increments"), value_of(readings, "encoder_revolutions")
+    profile = lines.axis.profile
+    assumed = profile.position.counts_per_revolution
+    if not increments or not turns:
+        return
+    if isinstance(assumed, Constant):
+        if increments != assumed.value * turns:
+            what = f"the drive counts {increments} in {turns} motor revolutions, profile {profile.name} assumes "
+            what += f"{assumed.value:g} in one"
+            advice = "correct counts_per_revolution of the profile, or 0x608F in the drive"
+            lines.add("warn" if turns == 1 else "fail", OBJECTS["encoder_increments"].address, what, advice)
+        return
+    reads_increments = (assumed.object.index, assumed.object.subindex) == OBJECTS["encoder_increments"].address
+    if assumed.per is None and reads_increments and turns != 1:
+        what = f"{turns}: 608F:01 counts {turns} motor revolutions, profile {profile.name} takes them for one: every "
+        what += f"joint moves {turns} times as far as reported"
+        advice = 'add per = { index = 0x608F, subindex = 2, type = "u32" } to counts_per_revolution of the profile'
+        lines.add("fail", OBJECTS["encoder_revolutions"].address, what, advice)
 
 
 def _scaling(lines: Lines, readings: Readings) -> None:

@@ -94,8 +94,9 @@ def test_a_mode_that_is_shown_late_is_waited_for_and_one_that_is_not_shown_refus
         check_mode(group.drives[0].access, Mode.CYCLIC_SYNC_POSITION)
         assert slave.wire.now_s - start == pytest.approx(0.5, abs=0.05)
         start, shown_after_s = slave.wire.now_s, 5.0
-        with pytest.raises(ConfigurationRefused, match="shows mode 0 instead of 8"):
+        with pytest.raises(ConfigurationRefused, match="shows mode 0 instead of 8") as caught:
             check_mode(group.drives[0].access, Mode.CYCLIC_SYNC_POSITION)
+        assert "mode_before_enable = false" in str(caught.value)
         assert slave.wire.now_s - start == pytest.approx(1.0, abs=0.05)
 
 

@@ -1,6 +1,7 @@
 """Rules of the pre-flight check, on readings written down by hand."""
 
 import math
+import re
 
 import pytest
 
@@ -307,3 +308,32 @@ def test_a_resolution_that_one_object_holds_is_of_one_revolution():
     assert (0x608F, 2) in addresses(PROFILE)
     assert not worst(judge_axis(axis(profile=profile), readings(encoder_revolutions=None)))
     assert worst(judge_axis(axis(), readings(encoder_revolutions=None)))
+
+
+IGNORES_TURNS = PROFILE.text.replace(', per = { index = 0x608F, subindex = 2, type = "u32" }', "")
+CONSTANT_COUNTS = re.sub(
+    r"counts_per_revolution = .*", 'counts_per_revolution = { value = 16384, source = "manual" }', PROFILE.text
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "turns", "severity"),
+    [
+        (PROFILE.text, 4, None),
+        (IGNORES_TURNS, 1, None),
+        (IGNORES_TURNS, 4, "fail"),
+        (CONSTANT_COUNTS, 4, None),
+        (CONSTANT_COUNTS, 3, "fail"),
+        (CONSTANT_COUNTS, 1, "warn"),
+    ],
+)
+def test_an_encoder_resolution_over_several_revolutions_is_used_by_the_profile_or_refused(text, turns, severity):
+    """65536 counts in 4 revolutions are 16384 in one: a profile that reads 65536 moves every joint 4 times as far."""
+    profile = parse_profile(text, "p.toml")
+    found = [
+        item
+        for item in judge_settings(axis(profile=profile), readings(encoder_revolutions=turns))
+        if ":608F:" in item.where
+    ]
+    assert [item.severity for item in found] == ([] if severity is None else [severity])
+    assert all(item.advice for item in found)
