@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.rigs.tables import simulated_table
 from gateway.data.table import Table, concatenate
 from gateway.diagnose import DiagnoseOptions
 from gateway.diagnose.rest.diagnosis import RestDiagnosis
@@ -18,6 +17,7 @@ from gateway.result.result import Result
 from sim.draw import DrawnArm, choose_poses, draw_arm
 from sim.effects import apply_effects
 from sim.offline import PlannedVisit, Protocol, measure, point_jacobian
+from tests.support.rigs.tables import simulated_table
 
 STEP_S = 25.0
 

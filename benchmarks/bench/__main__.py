@@ -11,8 +11,7 @@ import json
 import sys
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table as RichTable
+from tests.support.figure import show
 
 PARTS = ("regressor", "estimation", "wire")
 
@@ -30,22 +29,6 @@ def main(argv: list[str]) -> int:
     (arguments.out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n")
     show(figures)
     return 0 if all(figure["met"] is not False for figure in figures.values()) else 1
-
-
-def show(figures: dict[str, dict]) -> None:
-    """Print the figures as a table: value, interval, goal, and whether it is met."""
-    table = RichTable("figure", "value", "interval", "unit", "goal", "met")
-    for name, figure in figures.items():
-        interval = figure.get("interval")
-        table.add_row(
-            name,
-            f"{figure['value']:.4g}",
-            "" if not interval else f"{interval[0]:.4g} .. {interval[1]:.4g}",
-            figure.get("unit", ""),
-            figure.get("goal", ""),
-            {True: "yes", False: "MISSED", None: ""}[figure.get("met")],
-        )
-    Console(width=140).print(table)
 
 
 if __name__ == "__main__":

@@ -91,9 +91,9 @@ def report(cells: list[dict], over_bus: list[dict], out: Path) -> int:
     from rich.console import Console
     from rich.table import Table as RichTable
 
-    from benchmarks.blind.figures import bus_figures, confusion, figures, there_and_said, weakest
-    from benchmarks.blind.shares import figure_table
     from benchmarks.blind.strict_figures import strict_figures
+    from tests.support.blind.figures import bus_figures, confusion, figures, there_and_said, weakest
+    from tests.support.blind.shares import figure_table
 
     console = Console(width=150)
     matrix = RichTable("what is there", "what was said", "cells", title="confusion")

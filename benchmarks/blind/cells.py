@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from benchmarks.rigs.tables import simulated_table
 from gateway.data.table import Table
 from gateway.diagnose import DiagnoseOptions, close_loop, diagnose
 from gateway.diagnose.rest.linear import Fit
@@ -23,6 +22,7 @@ from gateway.result.result import LoadResult, Result
 from sim.blind import LEAST_STRENGTH, VISIT_S, BlindCell, draw_cell, strength_beyond
 from sim.draw import choose_poses
 from sim.offline import PlannedVisit
+from tests.support.rigs.tables import simulated_table
 
 MISTAKES = ("sign_reversed", "axes_swapped", "current_rms_peak")
 VALIDATION = 4

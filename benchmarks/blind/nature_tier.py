@@ -34,7 +34,7 @@ class Plan:
 
 def run_nature(plan: Plan, run: Run, jobs: int, out: Path) -> int:
     """Run the cells, print tables and figures, write summary.json; 1 when a goal is missed."""
-    from benchmarks.blind.nature import run_effect, run_ordinary, run_timed
+    from tests.support.blind.nature import run_effect, run_ordinary, run_timed
 
     out.mkdir(parents=True, exist_ok=True)
     tasks = [
@@ -54,8 +54,8 @@ def report(ordinary: list[dict], effects: list[dict], timed: list[dict], out: Pa
     from rich.console import Console
     from rich.table import Table
 
-    from benchmarks.blind import nature_figures as figures
-    from benchmarks.blind.shares import Figures, figure_table
+    from tests.support.blind import nature_figures as figures
+    from tests.support.blind.shares import Figures, figure_table
 
     console = Console(width=160)
     conditions = Table(

@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.chaos.rig import EXAMPLE, Rig
-from benchmarks.figure import figure
 from gateway.acquire.planning import make_plan
 from gateway.acquire.session import RecordRequest, record
 from gateway.analyse.given import ModelRequest, given, read_rows
@@ -18,6 +16,8 @@ from gateway.estimate.joint import estimate_joint
 from gateway.estimate.options import EstimateOptions
 from gateway.model.visits import pair_visits
 from sim.faults import Fault
+from tests.support.chaos.rig import EXAMPLE, Rig
+from tests.support.figure import figure
 
 LOST = 0.01
 POSES = 6

@@ -12,8 +12,9 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.bench.__main__ import show
-from benchmarks.fleet import drifts, recordings
+from benchmarks.fleet import recordings
+from tests.support.figure import show
+from tests.support.fleet import drifts
 
 PARTS = ("store", "drifts", "unlike", "recordings")
 #: Standard deviation of the logarithm of wander over noise, where no two robots are of one kind.

@@ -19,8 +19,6 @@ import h5py
 import numpy as np
 from click.testing import CliRunner
 
-from benchmarks.figure import figure
-from benchmarks.rigs.pacing import in_lockstep
 from gateway.cli import main
 from gateway.data.recording.seal import SEAL_BYTES, sealed
 from gateway.fleet.analyse import AsOf, analyse
@@ -30,6 +28,8 @@ from gateway.fleet.ingest import ingest
 from gateway.fleet.store import Store, open_or_make
 from gateway.fleet.workers import workers
 from sim.serve import running
+from tests.support.figure import figure
+from tests.support.rigs.pacing import in_lockstep
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "small"
 FIRST = datetime(2026, 1, 1, tzinfo=UTC)

@@ -19,12 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.bench.__main__ import show
-from benchmarks.figure import figure
-from benchmarks.follow import rig
 from gateway.cell.config import load_cell
 from gateway.follow.job import FollowRequest, prepare
 from gateway.result.follow import FedTrend, FollowResult, read_follow
+from tests.support.figure import figure, show
+from tests.support.follow import rig
 
 SEEDS = (1, 2, 3)
 WRONG = (0.8, 1.2)
@@ -67,15 +66,10 @@ def main(argv: list[str]) -> int:
     return 0 if all(item["met"] is not False for item in figures.values()) else 1
 
 
-def peaks(result: FollowResult) -> dict[str, np.ndarray]:
-    """Peak following error (6,) of each setting."""
-    return {setting.name: np.array(setting.peak_rad) for setting in result.settings}
-
-
 def _following(results: dict[str, list[FollowResult]]) -> dict[str, dict]:
     found: dict[str, dict] = {}
     for example, several in results.items():
-        each = [peaks(result) for result in several]
+        each = [rig.peaks(result) for result in several]
         for axis in WATCHED:
             for other, goal in (("off", "<= 0.3333"), ("maximum", "<= 0.5")):
                 ratio = [item["identified"][axis] / item[other][axis] for item in each]
@@ -101,11 +95,11 @@ def _untyped(several: list[FollowResult]) -> dict[str, dict]:
     found: dict[str, dict] = {}
     for other, goal in (("off", "<= 0.01"), ("maximum", "<= 0.25")):
         ratio = [
-            float(item["identified"][axis] / item[other][axis]) for item in map(peaks, several) for axis in WATCHED
+            float(item["identified"][axis] / item[other][axis]) for item in map(rig.peaks, several) for axis in WATCHED
         ]
         name = f"nothing typed, all identified: axes 2 and 3, identified load over {_words(other)}"
         found[name] = figure(max(ratio), goal, interval=(min(ratio), max(ratio)))
-    worst = [float((item["identified"] / item["off"]).max()) for item in map(peaks, several)]
+    worst = [float((item["identified"] / item["off"]).max()) for item in map(rig.peaks, several)]
     name = "nothing typed, all identified: worst axis, identified load over without"
     found[name] = figure(max(worst), "<= 1", interval=(min(worst), max(worst)))
     return found
@@ -156,8 +150,8 @@ def _told_otherwise(place: rig.Place, handle: Any) -> dict[str, dict]:
     pattern = r"gear_efficiency = \{ value = 0\.8(\d?)"
     cell = place.told("told", pattern, r"gear_efficiency = { value = 0.75")
     request = FollowRequest(place.path, place.result)
-    told = peaks(rig.followed(handle, cell, request, "maximum", "identified"))
-    right = peaks(rig.followed(handle, place.cell, request, "velocity alone", "identified"))
+    told = rig.peaks(rig.followed(handle, cell, request, "maximum", "identified"))
+    right = rig.peaks(rig.followed(handle, place.cell, request, "velocity alone", "identified"))
     values = {
         "large arm told 5 to 10 points less gear efficiency: axes 2 and 3, identified over maximum load": max(
             float(told["identified"][axis] / told["maximum"][axis]) for axis in WATCHED

@@ -14,8 +14,6 @@ import numpy as np
 from click.testing import CliRunner, Result
 from numpy.typing import NDArray
 
-from benchmarks.moving.scores import AXIS_NAMES, LOAD_NAMES, Truth, score
-from benchmarks.rigs.pacing import in_lockstep
 from gateway.acquire.moving import record_moving
 from gateway.acquire.session import RecordRequest
 from gateway.cell.config import load_cell
@@ -29,6 +27,8 @@ from gateway.result.result import read_result
 from sim.nature.moving_arm import box_inertia
 from sim.plant import Payload
 from sim.serve import RunningSimulation, running
+from tests.support.moving.scores import AXIS_NAMES, LOAD_NAMES, Truth, score
+from tests.support.rigs.pacing import in_lockstep
 
 Floats = NDArray[np.float64]
 

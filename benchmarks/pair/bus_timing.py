@@ -13,8 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.pair.bus_rig import CELL, pair_rig
-from benchmarks.rigs.pacing import by_the_clock as by_the_clock_text
 from drives.errors import DriveError
 from gateway.motion.power import powered
 from gateway.motion.stream import MoveOptions, Stream
@@ -25,6 +23,8 @@ from sim.pair.cell import PairOptions
 from sim.pair.world import PairWorld
 from sim.serve import free_bus
 from sim.simulation import ServeOptions, Simulation
+from tests.support.pair.bus_rig import CELL, pair_rig
+from tests.support.rigs.pacing import by_the_clock as by_the_clock_text
 
 CYCLES = 100_000
 REAL_S = 20.0

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from benchmarks.pair.model import Scope, figures
-from benchmarks.pair.model_gap import gaps
-from benchmarks.pair.model_verdicts import verdicts
+from tests.support.pair.model import Scope, figures
+from tests.support.pair.model_gap import gaps
+from tests.support.pair.model_verdicts import verdicts
 
 SEEDS = tuple(range(6))
 ALL = Scope()

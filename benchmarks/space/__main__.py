@@ -17,8 +17,6 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.bench.__main__ import show
-from benchmarks.figure import figure
 from benchmarks.space.cells import DrawnCell, draw
 from benchmarks.space.checker import Judge, sampled
 from gateway.acquire.plan import Approach, MoveTo, Plan
@@ -27,6 +25,7 @@ from gateway.cell.config import load_cell
 from gateway.errors import PlanRefused
 from gateway.model.arm_model import arm_robot
 from gateway.motion.workspace import workspace_of
+from tests.support.figure import figure, show
 
 CELLS = 200
 POSES = 6

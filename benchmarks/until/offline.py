@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.rigs.tables import simulated_table
 from gateway.acquire.until.choice import Candidates, Sampling, best_first, judge
 from gateway.acquire.until.goal import Goal, half_widths
 from gateway.data.table import Table, concatenate
@@ -25,6 +24,7 @@ from gateway.model.visits import Visits, pair_visits
 from sim.draw import DrawnArm, choose_poses, draw_arm
 from sim.offline import PlannedVisit, measure
 from sim.plant import Plant
+from tests.support.rigs.tables import simulated_table
 
 LABEL = "tool"
 BARE_POSES = 14

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.house import FLOORS, ROOT, TORQUE_PATH, House, circles, figures, read_house, upward
+from tests.support.house import FLOORS, ROOT, TORQUE_PATH, House, circles, figures, read_house, upward
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.measured import split
-from benchmarks.rigs.tables import make_table
 from gateway.data.rows import MOVING
+from tests.support.measured import split
+from tests.support.rigs.tables import make_table
 
 
 def test_the_last_fifth_of_the_time_is_held_out():

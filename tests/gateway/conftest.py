@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.rigs.pacing import in_lockstep
 from drives.drive import DriveCommand, DriveReading
 from drives.epoch import Epoch
 from drives.errors import DriveFault
@@ -17,6 +16,7 @@ from gateway.cell.conversion import AxisConversion
 from gateway.model.arm_model import arm_robot
 from gateway.motion.arm import Arm
 from gateway.motion.workspace import Workspace, workspace_of
+from tests.support.rigs.pacing import in_lockstep
 
 ENABLED = 0x1237
 CONSTANTS = Constants(torque_rated=2.0, current_rated_a=4.0, offset_rated=None, counts_per_revolution=131072.0)

@@ -14,11 +14,11 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from benchmarks.rigs.pacing import in_lockstep
 from gateway.cli import main
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import Recording
 from sim.serve import RunningSimulation, running
+from tests.support.rigs.pacing import in_lockstep
 
 SMALL = Path(__file__).parents[2] / "examples" / "small"
 POSES = """[poses]

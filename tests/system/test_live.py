@@ -9,7 +9,6 @@ from collections.abc import Callable
 
 import pytest
 
-from benchmarks.pages.browser import MISSING, Browser, available, browser
 from drives.bus import BusSpec, open_bus
 from drives.overheard import OverheardBus
 from gateway.cell.config import load_cell
@@ -17,6 +16,7 @@ from gateway.cell.conversion import AxisConversion
 from gateway.live.page import LivePage
 from gateway.motion.arm import JointSide
 from gateway.motion.opening import axis_setups
+from tests.support.pages.browser import MISSING, Browser, available, browser
 
 pytestmark = pytest.mark.system
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.blind.mechanisms import MECHANISMS
-from benchmarks.blind.nature_figures import effect_figures, gross_figures, ordinary_figures
-from benchmarks.blind.shares import middle, share
 from gateway.model.effects import LIBRARY
 from sim.nature.cell import NAMED
 from sim.nature.strange import STRANGE
 from sim.nature.wiring import WIRING
+from tests.support.blind.mechanisms import MECHANISMS
+from tests.support.blind.nature_figures import effect_figures, gross_figures, ordinary_figures
+from tests.support.blind.shares import middle, share
 
 
 def cell(kind: str = "ordinary", truth: tuple = (), found: tuple = (), verdict: str = "none_needed", **more) -> dict:

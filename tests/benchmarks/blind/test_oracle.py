@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.blind import oracle
 from sim.nature.cell import draw_cell
 from sim.nature.effect import rows_of
 from sim.nature.levels import levels_of
 from sim.nature.measuring import GrossVisit, quiet, reported_nm
 from sim.nature.strength import halves
+from tests.support.blind import oracle
 
 
 def test_one_parameter_with_a_prior():

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import pytest
 
-from benchmarks.chaos.remote import Remote, remote
-from benchmarks.chaos.rig import Rig, rig
-from benchmarks.chaos.scenarios import ELSEWHERE, kinds, play, play_again
-from benchmarks.chaos.stated import STATED
 from sim.faults import KINDS
+from tests.support.chaos.remote import Remote, remote
+from tests.support.chaos.rig import Rig, rig
+from tests.support.chaos.scenarios import ELSEWHERE, kinds, play, play_again
+from tests.support.chaos.stated import STATED
 
 IN_LOCKSTEP = (
     "tpdo_lost",

@@ -9,11 +9,11 @@ import pytest
 
 pytest.importorskip("pybullet", reason="the simulated drives need the extra [sim]")
 
-from benchmarks.follow import rig
-from benchmarks.follow.__main__ import peaks
 from gateway.result.drawn import Drawn
 from gateway.result.follow import read_follow
 from gateway.result.result import LoadResult, Result, to_json
+from tests.support.follow import rig
+from tests.support.follow.rig import peaks
 
 # What an identification of this load with these build errors gave, rounded; the truth is 70 kg at (50, -20, 220) mm.
 LOAD = LoadResult("load", 69.9, 0.13, (0.0495, -0.0206, 0.2208), (0.0006, 0.0007, 0.0012))

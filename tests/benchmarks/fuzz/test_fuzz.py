@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.fuzz.runner import run
-from benchmarks.fuzz.targets import TARGETS, Target
+from tests.support.fuzz.runner import run
+from tests.support.fuzz.targets import TARGETS, Target
 
 SHORT = {"decoder": 300, "reader": 120}
 

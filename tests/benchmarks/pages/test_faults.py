@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.pages.__main__ import FAULTS, faults_of
-from benchmarks.pages.browser import MISSING, available, browser
-from benchmarks.pages.samples import pages
+from tests.support.pages.browser import MISSING, available, browser
+from tests.support.pages.faults import FAULTS, faults_of
+from tests.support.pages.samples import pages
 
 pytestmark = pytest.mark.skipif(not available(), reason=MISSING)
 BOX = "position:absolute;top:50px"

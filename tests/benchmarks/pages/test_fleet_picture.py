@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.pages.__main__ import HEIGHT_PX, faults_of
-from benchmarks.pages.browser import MISSING, Browser, available, browser
-from benchmarks.pages.fleet import fleet_pages
 from tests.conftest import PICTURES
+from tests.support.pages.browser import MISSING, Browser, available, browser
+from tests.support.pages.faults import HEIGHT_PX, faults_of
+from tests.support.pages.fleet import fleet_pages
 
 pytestmark = pytest.mark.skipif(not available(), reason=MISSING)
 WIDE_PX = 1280

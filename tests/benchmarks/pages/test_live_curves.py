@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import gateway.live
-from benchmarks.pages.browser import MISSING, available, browser
+from tests.support.pages.browser import MISSING, available, browser
 
 pytestmark = pytest.mark.skipif(not available(), reason=MISSING)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.pair.adjust import Adjustment, AdjustmentRule
 from gateway.errors import ConfigError
+from tests.support.pair.adjust import Adjustment, AdjustmentRule
 
 CHAIN = np.diag(np.repeat([1.6e5, 3.6e3], 3))
 DT_S = 0.004

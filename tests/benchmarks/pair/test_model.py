@@ -8,12 +8,12 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 
-from benchmarks.pair.model import BETWEEN, FAST, QUASI_STATIC, USUAL, Scope, figures
-from benchmarks.pair.model_gap import gaps
-from benchmarks.pair.model_rig import LIMIT_N, LOOP_TIME_S, STIFFNESS
-from benchmarks.pair.model_tune import FILE, MARGIN, stored
-from benchmarks.pair.model_verdicts import Figures, Verdict, verdicts
 from gateway.pair.impedance import stability_margin
+from tests.support.pair.model import BETWEEN, FAST, QUASI_STATIC, USUAL, Scope, figures
+from tests.support.pair.model_gap import gaps
+from tests.support.pair.model_rig import LIMIT_N, LOOP_TIME_S, STIFFNESS
+from tests.support.pair.model_tune import FILE, MARGIN, stored
+from tests.support.pair.model_verdicts import Figures, Verdict, verdicts
 
 pytestmark = pytest.mark.timeout(1800)
 

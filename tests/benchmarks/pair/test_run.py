@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from benchmarks.pair.bus_rig import NO_LIMIT_N, PairRig, pair_rig
 from drives.errors import DriveError
 from gateway.errors import PlanRefused
 from gateway.motion.power import powered
@@ -21,6 +20,7 @@ from gateway.pair.session import cell_gains
 from gateway.pair.teach import Teacher, TeachRule
 from sim.fake_drive import FakeDrive
 from sim.states import PdsState
+from tests.support.pair.bus_rig import NO_LIMIT_N, PairRig, pair_rig
 
 pytestmark = pytest.mark.system
 

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from benchmarks.rigs.tables import simulated_table
 from gateway.cli import main
 from gateway.data.table import write_csv
 from sim.cellfile import read_cell
@@ -21,6 +20,7 @@ from sim.offline import PlannedVisit, Protocol, measure, point_jacobian
 from sim.plant import Payload
 from sim.serve import running
 from tests.cells import CELLS
+from tests.support.rigs.tables import simulated_table
 
 LOAD = Payload("tool", 3.0, np.array([0.05, -0.03, 0.06]))
 SPRING = {"name": "balancer_spring", "joints": [2], "parameters": {"stiffness_n_m": 9000.0}}

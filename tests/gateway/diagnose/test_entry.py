@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.rigs.tables import make_table
 from gateway.data.rows import concatenate
 from gateway.diagnose import DiagnoseOptions, diagnose
 from gateway.errors import DataUnusable, InputError
 from tests.moving_arm import World, measured
 from tests.resting_arm import Bench
+from tests.support.rigs.tables import make_table
 
 
 def resting(count=6):

@@ -6,9 +6,9 @@ import numpy as np
 import pinocchio
 import pytest
 
-from benchmarks.rigs.tables import make_table
 from gateway.model.robot import robot_from_urdf
 from tests.arms import peer_of
+from tests.support.rigs.tables import make_table
 
 # link: joint origin xyz, axis, mass, centre of mass
 LINKS = (

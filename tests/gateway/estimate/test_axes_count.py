@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from benchmarks.rigs.tables import make_table
 from gateway.data.reading import read_data
 from gateway.data.table import write_csv
 from gateway.errors import DataUnusable
@@ -11,6 +10,7 @@ from gateway.estimate import EstimateOptions, estimate, run
 from gateway.result.result import from_json, to_json
 from tests.cells import CELLS
 from tests.gateway.estimate.conftest import Arm
+from tests.support.rigs.tables import make_table
 
 METHODS = ("joint", "difference", "posture")
 LOAD = (3.0, 0.05, -0.03, 0.06)

@@ -6,13 +6,13 @@ import numpy as np
 import pinocchio
 import pytest
 
-from benchmarks.rigs.tables import make_table
 from gateway.data.rows import MOVING, concatenate
 from gateway.estimate import EstimateOptions, estimate, run
 from gateway.estimate.moving_columns import MovingSetup, moving_columns
 from gateway.model.robot import link_lengths_m
 from tests.arms import peer_of
 from tests.gateway.estimate.conftest import urdf
+from tests.support.rigs.tables import make_table
 
 MASS, COM = 6.0, np.array([0.1, -0.03, 0.06])
 TENSOR = np.array([[0.09, 0.01, -0.015], [0.01, 0.07, 0.008], [-0.015, 0.008, 0.12]])

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.rigs.tables import make_table
 from gateway.identify.drift import AGAIN, drift_findings, drift_of
 from gateway.model.visits import Visits, pair_visits
+from tests.support.rigs.tables import make_table
 
 
 def twice(gain: float, friction: float, noise: float = 0.0) -> Visits:

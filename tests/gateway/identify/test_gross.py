@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from benchmarks.rigs.tables import simulated_table
 from gateway.estimate import EstimateOptions, estimate
 from gateway.identify.deviations import RestHalves
 from gateway.identify.gross import Gross, find_gross, gross_findings, set_aside
@@ -19,6 +18,7 @@ from sim.draw import LOADED_S, POSES, VISIT_S, choose_poses, draw_arm
 from sim.draw_effects import MAKERS, OFF_MAKERS
 from sim.effects import apply_effects
 from sim.offline import PlannedVisit, measure, point_jacobian
+from tests.support.rigs.tables import simulated_table
 
 FROM_BELOW = slice(0, None, 2)
 #: What is added to the torque from below and from above, in the size of the disturbance.

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.rigs.tables import make_table
 from gateway.data.rows import MOVING, concatenate
 from gateway.identify.links import PER_LINK_MOVING, link_prior
 from gateway.identify.moving_baseline import FREE, INERTIA_RADIUS_M, SIZE, TIGHT_OFFSET, baseline, free_labels
 from gateway.model.motion import prepare
 from gateway.model.robot import robot_from_urdf
+from tests.support.rigs.tables import make_table
 
 URDF = (Path(__file__).parents[3] / "examples" / "small" / "robot.urdf").read_text()
 GRAVITY = np.array([0.0, 0.0, -9.80665])

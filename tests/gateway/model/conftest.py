@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.rigs.tables import make_table
 from tests.arms import urdf_of
+from tests.support.rigs.tables import make_table
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import copy
 
 import pytest
 
-from benchmarks.pages.result import full_result as build
+from tests.support.pages.result import full_result as build
 
 
 @pytest.fixture(scope="session")

@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.pages.moving import COULOMB, VISCOUS, moving_result
 from gateway.commands.console import Session
 from gateway.commands.outcome import show_result
 from gateway.report.moving import axis_rows, friction_views, inertia_view, period_of
@@ -17,6 +16,7 @@ from gateway.report.moving_figures import period_figures, sliding_figure
 from gateway.report.render import render
 from gateway.report.view import view
 from gateway.result.result import AxisMotion, Result, from_json
+from tests.support.pages.moving import COULOMB, VISCOUS, moving_result
 
 NAN = float("nan")
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import pytest
 
-from benchmarks.pages.other import comparison, forces, gaps, run
 from gateway.commands.console import Session
 from gateway.commands.follow import _show
 from gateway.report.follow import figure_rows, headline, render_follow
@@ -15,6 +14,7 @@ from gateway.report.pair import FORCE, Limited, render_pair
 from gateway.report.render import render
 from gateway.result.origin import FileOrigin, Origin, drives_of
 from gateway.result.result import from_json
+from tests.support.pages.other import comparison, forces, gaps, run
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 EVIL = "<script>alert(1)</script>"

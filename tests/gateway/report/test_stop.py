@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from benchmarks.pages.stop import AXES, CELL, PERIOD_S, REASON, SYNCS, stopped
 from gateway.cli import main
 from gateway.data.blackbox.part import BoxHeader, pack, width_of
 from gateway.data.blackbox.ring import Ring, folder_of
 from gateway.data.blackbox.salvage import BOTH_KILLED
 from gateway.report.stop import curves_of, render_stop
 from gateway.report.stop_figures import PIECES, courses
+from tests.support.pages.stop import AXES, CELL, PERIOD_S, REASON, SYNCS, stopped
 
 
 @pytest.fixture(scope="module")

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.pages.stop import FAULTED, PERIOD_S, SILENT, SLOW, stopped
 from drives.cia402 import State
 from gateway.data.blackbox.part import ERROR, FRAME_TYPE
 from gateway.data.blackbox.story import drives_of, frame_times_s, state_spans, story
+from tests.support.pages.stop import FAULTED, PERIOD_S, SILENT, SLOW, stopped
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.rigs.tables import make_table
 from gateway.data.rows import MOVING, concatenate
 from gateway.diagnose.moving.candidates import candidates, suggested
 from gateway.diagnose.moving.diagnosis import diagnose_motion
@@ -30,6 +29,7 @@ from gateway.model.effects.torque_constant_scale import TorqueConstantScale
 from gateway.model.effects.velocity_friction import Stribeck
 from gateway.model.motion import prepare, smooth_sign, structural_base
 from gateway.model.robot import robot_from_urdf
+from tests.support.rigs.tables import make_table
 
 URDF = (Path(__file__).parents[4] / "examples" / "small" / "robot.urdf").read_text()
 GRAVITY = np.array([0.0, 0.0, -9.80665])

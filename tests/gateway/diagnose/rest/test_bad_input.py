@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.rigs.tables import simulated_table
 from gateway.data.table import Table, concatenate
 from gateway.diagnose import diagnose
 from gateway.errors import ConfigError, DataUnusable
@@ -15,6 +14,7 @@ from gateway.model.effects import MISTAKES
 from gateway.result.result import Result
 from sim.offline import PlannedVisit, measure
 from tests.resting_arm import Bench, effect, found
+from tests.support.rigs.tables import simulated_table
 
 
 @pytest.fixture(scope="module")

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.rigs.tables import simulated_table
 from gateway.diagnose import DiagnoseOptions, diagnose
 from gateway.model.robot import robot_from_urdf
 from gateway.result.result import Result
 from sim.nature.cell import NatureCell, draw_cell
 from tests.resting_arm import Bench, effect, found
+from tests.support.rigs.tables import simulated_table
 
 SEEDS = range(7000, 7020)
 

@@ -9,7 +9,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.rigs.tables import make_table
 from gateway.data.table import Table
 from gateway.diagnose import diagnose
 from gateway.diagnose.rest.fit import fit
@@ -25,6 +24,7 @@ from gateway.diagnose.rest.mistakes import (
 from gateway.diagnose.rest.problem import first_noise
 from gateway.model.effects import LIBRARY, MISTAKES
 from tests.resting_arm import Bench, effect, found, problem_of, problems
+from tests.support.rigs.tables import make_table
 
 
 def table():

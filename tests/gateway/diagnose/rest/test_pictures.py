@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.rigs.tables import simulated_table
 from gateway.data.rows import concatenate
 from gateway.diagnose import DiagnoseOptions, diagnose
 from gateway.model.robot import robot_from_urdf
 from sim.draw import choose_poses, draw_arm
 from sim.effects import apply_effects
 from sim.offline import PlannedVisit, measure, point_jacobian
+from tests.support.rigs.tables import simulated_table
 
 FRESH = 3
 COEFFICIENT = 0.5

@@ -6,13 +6,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from benchmarks.blind.nature import diagnose_options
-from benchmarks.rigs.tables import simulated_table
 from gateway.diagnose import diagnose
 from gateway.diagnose.rest.decide import _instead
 from gateway.model.effects.joint_zero_offset import JointZeroOffset
 from gateway.model.robot import robot_from_urdf
 from sim.nature.cell import draw_effect_cell
+from tests.support.blind.nature import diagnose_options
+from tests.support.rigs.tables import simulated_table
 
 FIRST, SECOND = JointZeroOffset(1), JointZeroOffset(2)
 

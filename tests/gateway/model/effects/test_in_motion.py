@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.rigs.tables import make_table
 from gateway.data.rows import MOVING
 from gateway.identify.links import link_values
 from gateway.model.effect import MotionSetup
@@ -32,6 +31,7 @@ from gateway.model.motion import Modelled, MovingRows, prepare
 from gateway.model.regressor import regressor
 from gateway.model.robot import robot_from_urdf
 from gateway.model.term import Seen, propagated, wrist
+from tests.support.rigs.tables import make_table
 
 URDF = (Path(__file__).parents[4] / "examples" / "small" / "robot.urdf").read_text()
 GRAVITY = np.array([0.0, 0.0, -9.80665])

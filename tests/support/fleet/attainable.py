@@ -1,0 +1,47 @@
+"""What can be told at all: the same weighing of drift against none, by one who knows how nature draws the wanders.
+
+The earliest day knows the wander of every robot. Who has only the checks knows at best how wanders are drawn: their
+correlation, and how their sizes are spread over the robots; which one it is he has to read from the robot itself.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.stats import norm
+
+from gateway.fleet.told import needed_sigmas, sigmas
+from gateway.fleet.wander import Sums, lines
+from tests.support.fleet.bound import LOOKS_DAY
+from tests.support.fleet.plant import LIKE, WEAR, Robot, likeness
+
+#: Sizes of the wander that stand for all.
+SIZES = 12
+
+
+def told_on(robot: Robot, unlike: float, series: int) -> float:
+    """Day on which the wear of a robot is told; infinite = not in the year."""
+    axis = robot.worn
+    value = np.asarray(robot.columns[f"gain{axis + 1}"])
+    warm = robot.temperature_c[:, axis]
+    design = [np.ones(len(value)), robot.day / 365.25, warm - warm.mean(), robot.load_kg - robot.load_kg.mean(), value]
+    columns = np.column_stack(design)
+    quantiles = (np.arange(SIZES) + 0.5) / SIZES
+    products, log_spread = [], []
+    for size in LIKE * np.exp(unlike * norm.ppf(quantiles)):
+        factor = cholesky(size**2 * likeness(robot.day) + np.eye(len(value)), lower=True)
+        white = solve_triangular(factor, columns, lower=True)
+        products.append(np.cumsum(white[:, :, None] * white[:, None, :], axis=0))
+        log_spread.append(2.0 * np.cumsum(np.log(np.diag(factor))))
+    known = np.full((SIZES, 1), -np.log(SIZES))
+    for day in LOOKS_DAY:
+        row = int(np.searchsorted(robot.day, day, side="right")) - 1
+        seen = Sums(
+            np.array([each[row] for each in products])[:, None],
+            np.array([each[row] for each in log_spread])[:, None],
+            np.array([row + 1.0]),
+        )
+        sure = sigmas(lines(seen, np.ones((1, 4), dtype=bool)), known, np.array([WEAR]))
+        if abs(sure[0]) >= needed_sigmas(series):
+            return float(day)
+    return float("inf")

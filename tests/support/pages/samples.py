@@ -1,0 +1,70 @@
+"""The pages that are opened: every kind, from results that hold all that such a page can show."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from gateway.report.follow import render_follow
+from gateway.report.render import render
+from gateway.report.stop import render_stop
+from gateway.result.acceptance import Expected, Rating, accepted, not_hung
+from gateway.result.result import NuisanceResult, Result, SetAside, from_json, read_result
+from tests.support.pages.moving import moving_result
+from tests.support.pages.other import comparison, forces, gaps
+from tests.support.pages.result import full_result
+from tests.support.pages.stop import stopped
+
+SIX = (0.012, -0.031, 0.004, 0.02, -0.011, 0.007)
+BUDGET = {"constants": 0.72, "links": 0.08, "friction": 0.05, "noise": 0.15}
+
+
+def pages(results: list[Path]) -> Iterator[tuple[str, str]]:
+    """Name and HTML text of every page; `results` are further result files, each a page under its stem."""
+    found = _with_effects()
+    yield "result", render(found)
+    yield "estimate", render(_estimated(found))
+    yield "refused", render(_refused(found))
+    yield "not-hung", render(_not_hung(found))
+    yield "moving", render(moving_result())
+    yield "follow", render_follow(comparison())
+    yield "pair", forces()
+    yield "gap", gaps()
+    with tempfile.TemporaryDirectory() as folder:
+        yield "stop", render_stop(stopped(Path(folder)))
+    for path in results:
+        yield path.stem, render(read_result(path))
+
+
+def _with_effects() -> Result:
+    """Effects, nuisances, a budget, gross visits, acceptance that passes, fails and cannot be told."""
+    found = from_json(json.dumps(full_result()))
+    loads = tuple(replace(load, budget=BUDGET) for load in found.loads)
+    found = replace(
+        found,
+        loads=loads,
+        nuisance={key: NuisanceResult(SIX, (0.02,) * 6) for key in ("gain", "bias_nm", "load_friction")},
+        set_aside=(SetAside("out/run.h5", "tool", 2, 8.4, pose=7, reason="as if a brake had held"),),
+    )
+    expected = [Expected("tool", 25.0, 0.5), Expected("tool+part", 71.5, 0.3)]
+    return accepted(found, expected, [Rating("mass", 60.0, "rated load, datasheet p. 2")])
+
+
+def _estimated(found: Result) -> Result:
+    return replace(found, verdict=None, effects=(), rejected=(), holdout_kind=None, acceptance=(), findings=())
+
+
+def _refused(found: Result) -> Result:
+    first, *rest = found.loads
+    reason = "rows 9 and 10 exceed the rated torque of the motor: 31.2 Nm against 23.9 Nm"
+    nothing = replace(first, mass_kg=float("nan"), com_m=None, com_flange_m=None, per_pose_mass_kg={}, refused=reason)
+    return replace(_estimated(found), loads=(nothing, *rest))
+
+
+def _not_hung(found: Result) -> Result:
+    load = replace(found.loads[0], mass_kg=0.004, mass_std_kg=0.006, com_m=None, com_flange_m=None)
+    bare = replace(_estimated(found), loads=(load,), verdict="none_needed")
+    return replace(bare, findings=not_hung(bare.loads))
