@@ -1,12 +1,13 @@
 """CAN bus: configuration to an open adapter, and the one receive path of the master.
 
-Beside `frame_log` the only file that imports python-can. No thread is started: whoever waits for an answer receives,
-and every frame goes through one table of handlers, so that a frame never waits in a cache for its reader. Frames that
-this master sent and that the adapter brings back (udp_multicast) are told apart from those of another master.
+Beside `frame_log` the only file that imports python-can. Whoever waits for an answer receives, and every frame goes
+through one table of handlers, so that a frame never waits in a cache for its reader. Frames that this master sent and
+that the adapter brings back (udp_multicast) are told apart from those of another master.
 """
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections import Counter
@@ -19,6 +20,7 @@ import canopen
 
 from drives.bus_spec import BusSpec
 from drives.errors import BusError
+from drives.frame_log import FrameLog
 from drives.reactions import DRIVE_RULES
 
 __all__ = ["Bus", "BusSpec", "Frame", "Handler", "Tap", "open_bus"]
@@ -68,8 +70,6 @@ _DRAIN_S: Final = 0.05
 #: Interfaces whose frames carry this computer's wall clock, taken when a frame came in (on virtual: was sent).
 _STAMPING: Final = frozenset({"socketcan", "udp_multicast", "virtual"})
 
-_OPENING_FAILS: Final = (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError)
-
 Handler = Callable[[int, bytes | bytearray, float], None]
 #: Takes every frame and whether it was received; it must only store.
 Tap = Callable[["Frame", bool], None]
@@ -107,6 +107,11 @@ class Bus:
         What it was opened from.
     trace : Path, optional
         Frame log; its suffix picks the format (.blf, .log, .asc ..).
+
+    Attributes
+    ----------
+    log : FrameLog or None
+        It switches itself off when it fails; the failure is raised by `__exit__` where nothing else is.
     """
 
     def __init__(self, adapter: Any, spec: BusSpec, trace: Path | None = None) -> None:
@@ -130,7 +135,7 @@ class Bus:
         self._failures = 0
         self._dispatching: int | None = None
         self._network: _Network | None = None
-        self._logger = None if trace is None else can.Logger(trace)
+        self.log = None if trace is None else FrameLog(trace)
         self._taps: tuple[Tap, ...] = ()
         self._receive: Callable[[float], Any] = adapter.recv
         for can_id in (NMT_ID, SYNC_ID, *range(SDO_REQUEST_BASE + 1, SDO_REQUEST_BASE + 128)):
@@ -153,16 +158,18 @@ class Bus:
         while True:
             try:
                 frame = self._receive(timeout_s)
-            except (can.CanError, OSError) as error:
+            except BusError:
+                raise
+            except Exception as error:  # python-can's backends raise what their libraries raise
                 self._on_receive_failure(error)
             else:
                 if frame is None:
                     return None
                 self._failures = 0
-                if self._logger is not None:
-                    self._logger.on_message_received(frame)
-                for tap in self._taps:
-                    tap(frame, True)
+                if self.log is not None:
+                    self.log.add(frame)
+                if self._taps:
+                    self._hand_to_taps(frame, received=True)
                 if not (frame.is_error_frame or frame.is_remote_frame or frame.is_extended_id):
                     return frame
                 self._on_odd_frame(frame)
@@ -178,7 +185,17 @@ class Bus:
         self._failures += 1
         if self._failures > _RECEIVE_FAILURES:
             advice = "check the adapter and the cable; the drives stop by themselves when the heartbeat is missing"
-            raise BusError(f"{self.spec}: receiving failed {self._failures} times: {error}", advice=advice) from error
+            what = f"{self.spec}: receiving failed {self._failures} times: {str(error) or type(error).__name__}"
+            raise BusError(what, advice=advice) from error
+
+    def _hand_to_taps(self, frame: Any, *, received: bool) -> None:
+        """Let whoever overhears store a frame; one that raises is counted and left out from then on."""
+        for tap in self._taps:
+            try:
+                tap(frame, received)
+            except Exception:
+                self.counts["taps_failed"] += 1
+                self.overhear_no_more(tap)
 
     def _on_odd_frame(self, frame: Any) -> None:
         if not frame.is_error_frame:
@@ -304,8 +321,13 @@ class Bus:
         """A frame to be filled (`data`, a bytearray) and sent again and again."""
         return can.Message(arbitration_id=can_id, data=bytearray(size), is_extended_id=False)
 
-    def send_frame(self, frame: Frame) -> None:
+    def send_frame(self, frame: Frame) -> float:
         """Send a prepared frame; a full transmit queue is waited for, shortly.
+
+        Returns
+        -------
+        float
+            By how much the attempt that succeeded began later than the first one, s.
 
         Raises
         ------
@@ -316,46 +338,39 @@ class Bus:
         sent = self._sent.get(can_id)
         if sent is not None and sent < _ECHO_MEMORY:
             self._sent[can_id] = sent + 1
+        late_s = 0.0
         with self._send_lock:
             try:
                 self._adapter.send(frame)
-            except (can.CanError, OSError) as error:
-                self._send_again(frame, error)
-        if self.echoes:
-            return
-        for tap in self._taps:
-            tap(frame, False)
-        if self._logger is not None:
-            self._log_sent(frame)
+            except BusError:
+                raise
+            except Exception as error:  # as in `receive`
+                late_s = self._send_again(frame, error)
+        if not self.echoes:
+            if self._taps:
+                self._hand_to_taps(frame, received=False)
+            if self.log is not None:
+                self.log.add(_as_sent(frame))
+        return late_s
 
     def send(self, can_id: int, data: bytes) -> None:
         """Send one frame."""
         self.send_frame(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
-    def _send_again(self, frame: Frame, error: Exception) -> None:
-        deadline = time.monotonic() + SEND_TIMEOUT_S
-        while time.monotonic() < deadline:
+    def _send_again(self, frame: Frame, error: Exception) -> float:
+        began_s = time.monotonic()
+        while time.monotonic() < began_s + SEND_TIMEOUT_S:
             self.counts["send_retries"] += 1
             time.sleep(0.0005)
+            now_s = time.monotonic()
             try:
                 self._adapter.send(frame)
-            except (can.CanError, OSError) as again:
+            except Exception as again:
                 error = again
             else:
-                return
+                return now_s - began_s
         what = f"frame {frame.arbitration_id:03X} could not be sent within {SEND_TIMEOUT_S * 1e3:.0f} ms"
-        raise DRIVE_RULES["queue_full"].raised(f"{self.spec}: {what}: {error}") from error
-
-    def _log_sent(self, frame: Frame) -> None:
-        copy = can.Message(
-            timestamp=time.time(),
-            arbitration_id=frame.arbitration_id,
-            data=bytes(frame.data),
-            is_extended_id=False,
-            is_rx=False,
-        )
-        if self._logger is not None:
-            self._logger.on_message_received(copy)
+        raise DRIVE_RULES["queue_full"].raised(f"{self.spec}: {what}: {str(error) or type(error).__name__}") from error
 
     # -- life --------------------------------------------------------------------------------------------------------
 
@@ -367,20 +382,28 @@ class Bus:
         return self._network
 
     def close(self) -> None:
-        """Close trace and adapter; may be called again."""
-        logger, self._logger = self._logger, None
-        if logger is not None:
-            logger.stop()
+        """Close adapter and frame log; may be called again. Never raises: an adapter that is gone cannot be closed."""
         adapter, self._adapter = self._adapter, _CLOSED
         self._receive = _CLOSED.recv
         if adapter is not _CLOSED:
-            adapter.shutdown()
+            try:
+                adapter.shutdown()
+            except Exception:
+                self.counts["shutdown_failed"] += 1
+        if self.log is not None:
+            self.log.close()
 
     def __enter__(self) -> Bus:
         return self
 
-    def __exit__(self, *exception: object) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         self.close()
+        failure = None if self.log is None else self.log.failure
+        if failure is None or failure is error:
+            return
+        if error is None:
+            raise failure
+        error.add_note(f"{failure.filename}: {failure.strerror}")
 
 
 class _Closed:
@@ -397,6 +420,17 @@ class _Closed:
 
 
 _CLOSED: Final = _Closed()
+
+
+def _as_sent(frame: Frame) -> can.Message:
+    """A copy for the log: prepared frames are filled again."""
+    return can.Message(
+        timestamp=time.time(),
+        arbitration_id=frame.arbitration_id,
+        data=bytes(frame.data),
+        is_extended_id=False,
+        is_rx=False,
+    )
 
 
 def open_bus(spec: BusSpec, trace: Path | None = None) -> Bus:
@@ -428,7 +462,7 @@ def open_bus(spec: BusSpec, trace: Path | None = None) -> Bus:
         arguments.setdefault("fd", False)
     try:
         adapter = can.Bus(interface=spec.interface, channel=spec.channel, **arguments)
-    except (*_OPENING_FAILS, NameError, AttributeError) as error:
+    except Exception as error:
         # an interface whose driver is not installed fails where its library is first used
         missing = isinstance(error, NameError | AttributeError | ImportError)
         needs = _NEEDS.get(spec.interface, "check the name of the interface, its driver and its options")
@@ -437,6 +471,7 @@ def open_bus(spec: BusSpec, trace: Path | None = None) -> Bus:
         raise BusError(f"bus {spec} cannot be opened: {what}", advice=advice) from error
     try:
         return Bus(adapter, spec, trace)
-    except (OSError, ValueError, can.CanError) as error:
-        adapter.shutdown()
+    except Exception as error:
+        with contextlib.suppress(Exception):
+            adapter.shutdown()
         raise BusError(f"frame trace {trace} cannot be written: {error}", advice="check folder and suffix") from error

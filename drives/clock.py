@@ -52,9 +52,11 @@ class SyncClock:
         """By how much the time since the last SYNC exceeds a period, s; 0 before the first one."""
         return 0.0 if self._last_s is None else max(0.0, time.monotonic() - self._last_s - self._period_s)
 
-    def sent(self, now_s: float) -> None:
-        """A SYNC goes out at this monotonic time [s]."""
-        self._last_s = now_s
+    def sent(self, due_s: float, late_s: float = 0.0) -> None:
+        """A SYNC that was due at a monotonic time [s] has gone out, `late_s` later because the bus was full."""
+        self._last_s = due_s + late_s
+        if late_s and self.lateness_s:
+            self.lateness_s[-1] += late_s
 
     def follow(self, now_s: float) -> None:
         """The SYNC of this time [s] is due by another clock; the next one would be by this one again."""

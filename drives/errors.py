@@ -223,6 +223,25 @@ _TOLD: Final = 6
 _LONGEST: Final = 500
 
 
+def while_stopping(error: Exception, node: int | None = None) -> DriveError:
+    """An exception that was met on the way down, as a failure; the axes that it concerns are not known to have stopped.
+
+    Parameters
+    ----------
+    error : Exception
+        A `DriveError` is returned as it is.
+    node : int, optional
+        Whose stop it ended.
+    """
+    if isinstance(error, DriveError):
+        return error
+    failure = DriveError(
+        f"stopping failed: {type(error).__name__}: {error}", node=node, advice="use the emergency stop and report this"
+    )
+    failure.__cause__ = error
+    return failure
+
+
 def _flat(errors: Sequence[DriveError]) -> list[DriveError]:
     """Single failures, in order."""
     return [

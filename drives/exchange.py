@@ -149,7 +149,7 @@ class SyncExchange:
         #: Whether the SYNC before has moved an axis; of the cycle that was begun, whether this one will, or both.
         self._moved = self._moves = self._moving = False
         #: By the clock, of the cycle that was begun: by which thread, whether its answers are sure, when its SYNC was
-        #: due and sent.
+        #: due and when the bus took it.
         self._begun_by: int | None = None
         self._sure = True
         self._due_s = self._began_s = self._wall_s = 0.0
@@ -252,7 +252,8 @@ class SyncExchange:
     def sync(self) -> None:
         """Third part: the SYNC; raises `BusError`."""
         self._wall_s = time.time()
-        self._began_s = self._send_sync(self._due_s)
+        self._began_s, late_s = self._send_sync(self._due_s)
+        self._wall_s += late_s
         self._moved = self._moves
 
     def gather(self) -> Epoch:
@@ -314,15 +315,15 @@ class SyncExchange:
         for frame in frames:
             self._bus.send_frame(frame)
 
-    def _send_sync(self, now_s: float) -> float:
-        """Monotonic time at which it was handed to the bus."""
+    def _send_sync(self, due_s: float) -> tuple[float, float]:
+        """Monotonic time at which the bus took it, and by how much a full transmit queue had delayed that."""
         self.sync_index += 1
         began_s = time.monotonic()
-        self._bus.send_frame(self._sync_frame)
+        late_s = self._bus.send_frame(self._sync_frame)
         self._recall = None
         self.sent_s = time.monotonic()
-        self.clock.sent(now_s)
-        return began_s
+        self.clock.sent(due_s, late_s)
+        return began_s + late_s, late_s
 
     def _epoch(self, now_s: float, time_s: float, answers: Frames) -> Epoch:
         if self.started_s is None:

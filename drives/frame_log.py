@@ -1,7 +1,11 @@
-"""Logs of frames as python-can writes them: read whatever it was written as, written as BLF."""
+"""Logs of frames as python-can writes them: written while frames pass (`FrameLog`), read again, written as BLF."""
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import threading
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +20,14 @@ _READERS: Final[dict[str, tuple[Any, str]]] = {
     ".asc": (can.ASCReader, "r"),
 }
 SUFFIXES: Final = tuple(_READERS)
+#: Frames that may wait for the disk: 5 s of a full bus at 1 Mbit/s; further ones are dropped and counted.
+_QUEUE_FRAMES: Final = 50_000
+#: The writer writes at most this many frames at a time, then pauses [s]: it holds the interpreter for under 1 ms, and
+#: keeps up with a full bus.
+_BATCH_FRAMES: Final = 64
+_PAUSE_S: Final = 0.005
+#: Longest wait for the rest of the log to be written when it is closed [s].
+_CLOSE_S: Final = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +59,86 @@ class LoggedFrame:
     extended: bool = False
     length: int = 8
     channel: str | int | None = None
+
+
+class FrameLog:
+    """Frame log, written by a thread of its own. Whoever sends and receives frames never waits for the disk.
+
+    The first error switches the log off.
+
+    Parameters
+    ----------
+    path : Path
+        Its suffix picks the format (.blf, .log, .asc ..).
+
+    Attributes
+    ----------
+    failure : OSError or None
+        Why the log ends early; None = it is complete so far.
+    dropped : int
+        Frames that the disk was too slow for.
+
+    Raises
+    ------
+    OSError, ValueError
+        The file cannot be written, or its suffix is unknown.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.failure: OSError | None = None
+        self.dropped = 0
+        self._writer: Any = can.Logger(path)
+        self._waiting: deque[can.Message] = deque()
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="frame-log", daemon=True)
+        self._thread.start()
+
+    def add(self, frame: can.Message) -> None:
+        """Queue a frame; it must not change afterwards."""
+        if self.failure is not None:
+            return
+        if len(self._waiting) >= _QUEUE_FRAMES:
+            self.dropped += 1
+            return
+        self._waiting.append(frame)
+
+    def close(self) -> None:
+        """Write what waits and close the file; never raises, `failure` says what went wrong."""
+        self._closing.set()
+        self._thread.join(_CLOSE_S)
+        if self._thread.is_alive():
+            self._fail(OSError(errno.EAGAIN, f"the disk has not taken the rest within {_CLOSE_S:.0f} s"))
+        if self.dropped:
+            self._fail(OSError(errno.EAGAIN, f"{self.dropped} frames are missing: the disk was too slow"))
+
+    def _run(self) -> None:
+        while not self._closing.wait(_PAUSE_S) and self.failure is None:
+            self._write(_BATCH_FRAMES)
+        self._write(_QUEUE_FRAMES)
+        try:
+            self._writer.stop()
+        except Exception as error:
+            self._fail(error)
+            with contextlib.suppress(Exception):  # python-can leaves the file open; closing it fails once more
+                self._writer.file.close()
+
+    def _write(self, most: int) -> None:
+        try:
+            for _ in range(min(most, len(self._waiting))):
+                if self.failure is not None:
+                    return
+                self._writer.on_message_received(self._waiting.popleft())
+        except Exception as error:
+            self._fail(error)
+
+    def _fail(self, error: Exception) -> None:
+        """Keep the first failure, with the name of the file."""
+        if self.failure is None:
+            number = (error.errno if isinstance(error, OSError) else None) or errno.EIO
+            said = (error.strerror if isinstance(error, OSError) else None) or str(error) or type(error).__name__
+            self.failure = OSError(number, f"the frame log is incomplete: {said}", str(self.path))
+            self._waiting.clear()
 
 
 def read_frames(path: Path) -> list[LoggedFrame]:

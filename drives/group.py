@@ -18,7 +18,14 @@ from drives import bringup, operational, starting, stopping
 from drives.cia402 import Mode
 from drives.drive import DriveCommand
 from drives.epoch import Epoch
-from drives.errors import BusError, ConfigurationRefused, DriveError, DriveRebooted, SdoTimeout, raise_failures
+from drives.errors import (
+    ConfigurationRefused,
+    DriveError,
+    DriveRebooted,
+    SdoTimeout,
+    raise_failures,
+    while_stopping,
+)
 from drives.exchange import SyncExchange
 from drives.group_setup import DriveSetup, GroupOptions
 from drives.guard import Guard
@@ -352,11 +359,12 @@ class DriveGroup(DriveSetup):
         exchange, guard = self._parts()
         try:
             yield
-        except DriveError as error:
+        except Exception as error:
             exchange.abandon()
             self.enabled = False
             self._after(error, stopping.quick_stop)
-            guard.explain(error)
+            if isinstance(error, DriveError):
+                guard.explain(error)
             raise
 
     def _after(self, error: BaseException, stop: Callable[[SyncExchange], list[DriveError]]) -> None:
@@ -365,26 +373,31 @@ class DriveGroup(DriveSetup):
         if isinstance(error, DriveRebooted):
             self._configured = False
         failures: list[DriveError] = []
-        self.on_stop()
+        try:
+            self.on_stop()
+        except Exception as failed:
+            failures.append(while_stopping(failed))
         if self._running and self._exchange is not None:
-            failures = self._stopped(stop)
+            failures += self._stopped(stop)
             if stop is stopping.disable:
                 failures += self._stand_down(failures)
-        if isinstance(error, DriveError):
-            error.while_stopping += tuple(failures)
+        for failure in failures:
+            _add(error, failure)
 
     def _disable_after(self, error: BaseException) -> None:
         """Disable because of an error, which is about to be raised; what goes wrong is added to it."""
         try:
             self.disable()
         except DriveError as failure:
-            if isinstance(error, DriveError):
-                error.while_stopping += (failure,)
+            _add(error, failure)
 
     def _stopped(self, stop: Callable[[SyncExchange], list[DriveError]]) -> list[DriveError]:
         """What could not be confirmed: then no heartbeat is sent any more, and the drives are set up anew first."""
         exchange, _ = self._parts()
-        failures = stop(exchange)
+        try:
+            failures = stop(exchange)
+        except Exception as error:
+            failures = [while_stopping(error)]
         self.sag_rad = exchange.sag_rad
         if failures:
             self._producer.stop()
@@ -430,8 +443,8 @@ class DriveGroup(DriveSetup):
             try:
                 if drive.node_id not in silent:
                     drive.disarm()
-            except DriveError as error:
-                failures.append(error)
+            except Exception as error:
+                failures.append(while_stopping(error, drive.node_id))
         self._producer.stop()
         self._running = False
         return failures
@@ -445,7 +458,7 @@ class DriveGroup(DriveSetup):
             try:
                 for node in (*self.drives, *self.instruments) if self._exchange is not None else ():
                     send_nmt(self._bus, NmtCommand.ENTER_PREOPERATIONAL, node.node_id)
-            except BusError:
+            except Exception:
                 self._bus.counts["unsent_at_close"] += 1
             self._forget()
             self._bus.remove_chore(self._beat)
@@ -459,5 +472,12 @@ class DriveGroup(DriveSetup):
         except DriveError as failure:
             if error is None:
                 raise
-            if isinstance(error, DriveError):
-                error.while_stopping += (failure,)
+            _add(error, failure)
+
+
+def _add(error: BaseException, failure: DriveError) -> None:
+    """What went wrong while stopping because of an error becomes part of it."""
+    if isinstance(error, DriveError):
+        error.while_stopping += (failure,)
+    else:
+        error.add_note(f"while stopping: {failure}")

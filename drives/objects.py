@@ -25,6 +25,24 @@ STRUCT_CODE: Final[dict[str, str]] = {
 SIZE_BYTES: Final[dict[str, int]] = {"u8": 1, "i8": 1, "u16": 2, "i16": 2, "u32": 4, "i32": 4, "u64": 8, "i64": 8}
 
 
+def decode_integer(data: bytes, size_bytes: int, *, signed: bool) -> int:
+    """Integer of an SDO answer, cut to the size of the object.
+
+    Drives answer objects of 8 and 16 bits with 4 bytes, filled up with the sign or, also for negative values, with 0.
+
+    Raises
+    ------
+    ValueError
+        There are fewer bytes, or the bytes that are cut off belong to a value that the object cannot hold.
+    """
+    value = int.from_bytes(data[:size_bytes], "little", signed=signed)
+    fills = (b"\0", b"\xff") if value < 0 else (b"\0",)
+    if len(data) < size_bytes or all(data[size_bytes:].strip(fill) for fill in fills):
+        kind = f"{'i' if signed else 'u'}{8 * size_bytes}"
+        raise ValueError(f"{len(data)} bytes ({data[:8].hex(' ')}) are no {kind}")
+    return value
+
+
 @dataclass(frozen=True, slots=True)
 class ObjectEntry:
     """One entry of a device's object dictionary.

@@ -17,16 +17,16 @@ from drives.decode import Decoder, Fields, double_decoder, single_decoder
 from drives.emcy import Emergency, parse_emergency
 from drives.epoch import Epoch
 from drives.errors import ConfigurationRefused
-from drives.objects import SIZE_BYTES
+from drives.objects import SIZE_BYTES, decode_integer
 from drives.pdo import COMMAND, rpdo_plan, tpdo_plans
 from drives.profile import DriveProfile
 from drives.scaling import Constants, MotorScale, motor_scale
+from drives.sdo_channel import EXPEDITED, SCS_UPLOAD, expedited_data
 from drives.values import AxisSetup, DriveReading
 
 #: Emergency messages that wait to be taken.
 _KEPT: Final = 64
-_UPLOAD_ANSWER: Final = 0x40
-_COMMAND_BITS, _EXPEDITED, _SIZED = 0xE0, 0x02, 0x01
+_COMMAND_BITS: Final = 0xE0
 
 
 class _Answers:
@@ -35,14 +35,13 @@ class _Answers:
     def __init__(self, node_id: int, profile: DriveProfile) -> None:
         self.profile = profile
         self._node_id = node_id
-        self._values: dict[tuple[int, int], bytes] = {}
+        self._answers: dict[tuple[int, int], bytes] = {}
 
     def take(self, data: bytes | bytearray) -> bool:
         """Keep a frame if it is an answer with a value; whether it was."""
-        if len(data) != 8 or data[0] & _COMMAND_BITS != _UPLOAD_ANSWER or not data[0] & _EXPEDITED:
+        if len(data) != 8 or data[0] & _COMMAND_BITS != SCS_UPLOAD or not data[0] & EXPEDITED:
             return False
-        unused = data[0] >> 2 & 0x03 if data[0] & _SIZED else 0
-        self._values[int.from_bytes(data[1:3], "little"), data[3]] = bytes(data[4 : 8 - unused])
+        self._answers[int.from_bytes(data[1:3], "little"), data[3]] = bytes(data)
         return True
 
     def read(self, entry: Entry, /) -> int:
@@ -53,10 +52,14 @@ class _Answers:
         ConfigurationRefused
             It was not heard.
         """
-        value = self._values.get((entry.index, entry.subindex))
-        if value is None:
+        answer = self._answers.get((entry.index, entry.subindex))
+        if answer is None:
             self.refuse(entry, "was not heard", "begin to listen before the master reads it")
-        return int.from_bytes(value[: SIZE_BYTES[entry.type]], "little", signed=entry.type.startswith("i"))
+        size = SIZE_BYTES[entry.type]
+        try:
+            return decode_integer(expedited_data(answer, size), size, signed=entry.type.startswith("i"))
+        except ValueError as error:
+            self.refuse(entry, str(error), "correct the type of this object in the profile")
 
     def refuse(self, entry: Entry, what: str, advice: str, /) -> NoReturn:
         """Raise `ConfigurationRefused` about an object."""

@@ -13,21 +13,24 @@ from typing import Final
 
 from drives.abort import TOGGLE_NOT_ALTERNATED
 from drives.errors import DriveError, SdoTimeout
-from drives.objects import SIZE_BYTES, STRUCT_CODE
+from drives.objects import SIZE_BYTES, STRUCT_CODE, decode_integer
 from drives.sdo_channel import (
     CCS_DOWNLOAD,
     CCS_DOWNLOAD_SEGMENT,
     CCS_UPLOAD,
     CCS_UPLOAD_SEGMENT,
     CODE,
+    EXPEDITED,
     HEAD,
     SCS_DOWNLOAD,
     SCS_DOWNLOAD_SEGMENT,
     SCS_UPLOAD,
     SCS_UPLOAD_SEGMENT,
+    SIZED,
     TOGGLE,
     Posted,
     SdoChannel,
+    expedited_data,
 )
 
 __all__ = ["MAX_SIZE_BYTES", "NORMAL", "ONCE", "SLOW", "Posted", "SdoClient", "Transfer"]
@@ -79,14 +82,12 @@ class SdoClient(SdoChannel):
         SdoAbort, SdoTimeout, SdoProtocolError
             As `upload`; also when the answer does not fit the type.
         """
-        data = self.upload(index, subindex, options)
         size = SIZE_BYTES[data_type]
-        value = data[:size]
-        signed = data_type.startswith("i")
-        fill = b"\xff" if signed and value[-1:] > b"\x7f" else b"\0"
-        if len(value) < size or data[size:].strip(fill):
-            raise self._broken(f"{len(data)} bytes ({data[:8].hex(' ')}) are no {data_type}", (index, subindex), None)
-        return int.from_bytes(value, "little", signed=signed)
+        data = self.upload(index, subindex, options, size)
+        try:
+            return decode_integer(data, size, signed=data_type.startswith("i"))
+        except ValueError as error:
+            raise self._broken(str(error), (index, subindex), None) from error
 
     def write(self, index: int, subindex: int, data_type: str, value: int, options: Transfer = NORMAL) -> None:
         """Write an integer; it is sent once, whatever happens."""
@@ -102,8 +103,17 @@ class SdoClient(SdoChannel):
 
     # -- transfers ---------------------------------------------------------------------------------------------------
 
-    def upload(self, index: int, subindex: int = 0, options: Transfer = NORMAL) -> bytes:
+    def upload(self, index: int, subindex: int = 0, options: Transfer = NORMAL, size_bytes: int | None = None) -> bytes:
         """Read an object.
+
+        Parameters
+        ----------
+        index, subindex : int
+            Which object.
+        options : Transfer
+            How long to wait and how often to ask.
+        size_bytes : int, optional
+            Its size. An answer that indicates none is cut to it, any other is returned as it is.
 
         Raises
         ------
@@ -117,8 +127,8 @@ class SdoClient(SdoChannel):
         with self._transfer():
             for _ in range(options.attempts - 1):
                 with contextlib.suppress(SdoTimeout):
-                    return self._upload(index, subindex, self._timeout_s(options))
-            return self._upload(index, subindex, self._timeout_s(options))
+                    return self._upload(index, subindex, self._timeout_s(options), size_bytes)
+            return self._upload(index, subindex, self._timeout_s(options), size_bytes)
 
     def download(self, index: int, subindex: int, data: bytes, options: Transfer = NORMAL) -> None:
         """Write an object; it is sent once.
@@ -143,15 +153,14 @@ class SdoClient(SdoChannel):
             )
         return self._lock
 
-    def _upload(self, index: int, subindex: int, timeout_s: float) -> bytes:
+    def _upload(self, index: int, subindex: int, timeout_s: float, size_bytes: int | None) -> bytes:
         address = (index, subindex)
         request = HEAD.pack(CCS_UPLOAD, index, subindex) + bytes(4)
         answer = self._request(request, SCS_UPLOAD, address, address, timeout_s)
         command = answer[0]
-        if command & 0x02:
-            unused = (command >> 2) & 3 if command & 0x01 else 0
-            return answer[4 : 8 - unused]
-        size = CODE.unpack_from(answer, 4)[0] if command & 0x01 else None
+        if command & EXPEDITED:
+            return expedited_data(answer, size_bytes)
+        size = CODE.unpack_from(answer, 4)[0] if command & SIZED else None
         if size is not None and size > MAX_SIZE_BYTES:
             raise self._broken(f"{size} bytes were announced", address, 0x05040005)
         return self._upload_segments(address, size, timeout_s)

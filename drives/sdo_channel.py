@@ -7,6 +7,8 @@ time-out has passed, and is not asked again before.
 
 from __future__ import annotations
 
+import contextlib
+import math
 import struct
 import threading
 import time
@@ -18,15 +20,31 @@ from drives.abort import TIMED_OUT, abort_error
 from drives.bus import SDO_ANSWER_BASE, SDO_REQUEST_BASE, Bus
 from drives.errors import DriveError, SdoProtocolError, SdoTimeout
 from drives.latency import LatencyHistogram, SdoStatistics
-from drives.objects import SIZE_BYTES
+from drives.objects import SIZE_BYTES, decode_integer
 
 HEAD: Final = struct.Struct("<BHB")
 CODE: Final = struct.Struct("<L")
 CCS_DOWNLOAD_SEGMENT, CCS_DOWNLOAD, CCS_UPLOAD, CCS_UPLOAD_SEGMENT = 0x00, 0x20, 0x40, 0x60
 SCS_UPLOAD_SEGMENT, SCS_DOWNLOAD_SEGMENT, SCS_UPLOAD, SCS_DOWNLOAD, ABORT = 0x00, 0x20, 0x40, 0x60, 0x80
 TOGGLE: Final = 0x10
+EXPEDITED, SIZED = 0x02, 0x01
 #: What `ask` asks for in turn, so that a late answer to one question is not taken for the answer to the next.
 _QUESTIONS: Final = ((0x1000, 0), (0x1018, 1), (0x1001, 0), (0x1018, 2), (0x1018, 3), (0x1018, 4))
+
+
+def expedited_data(answer: bytes, size_bytes: int | None = None) -> bytes:
+    """Data of an expedited upload answer of 8 bytes (CiA 301, 7.2.4.3.6).
+
+    Parameters
+    ----------
+    answer : bytes
+    size_bytes : int, optional
+        Size of the object. An answer that indicates no size has undefined bytes behind it, and is cut there.
+    """
+    command = answer[0]
+    if not command & SIZED:
+        return answer[4 : 8 if size_bytes is None else 4 + size_bytes]
+    return answer[4 : 8 - (command >> 2 & 3)]
 
 
 @dataclass(slots=True)
@@ -41,24 +59,30 @@ class Posted:
     value : int or None
         None = no answer yet, or a refusal.
     answered : bool
+    asked_s : float
+        Monotonic time: the drive has read the value since then. Where an answer to an earlier question may have been
+        lost, that is when the earlier question was asked. Infinite = not known.
     """
 
     data_type: str
     until_s: float
     value: int | None = None
     answered: bool = False
+    asked_s: float = math.inf
 
     def take(self, answer: bytes) -> None:
         """Keep the value of an expedited answer; anything else counts as a refusal."""
         self.answered = True
-        size = SIZE_BYTES[self.data_type]
-        if answer[0] & 0xE0 == SCS_UPLOAD and answer[0] & 0x02:
-            self.value = int.from_bytes(answer[4 : 4 + size], "little", signed=self.data_type.startswith("i"))
+        if answer[0] & 0xE0 == SCS_UPLOAD and answer[0] & EXPEDITED:
+            size = SIZE_BYTES[self.data_type]
+            with contextlib.suppress(ValueError):
+                data = expedited_data(answer, size)
+                self.value = decode_integer(data, size, signed=self.data_type.startswith("i"))
 
 
 @dataclass(frozen=True, slots=True)
 class Pending:
-    """An answer that may still come: its specifier and address, and until when."""
+    """An answer that may still come: its specifier and address, until when, and when it was asked for."""
 
     specifier: int
     address: tuple[int, int] | None
@@ -66,6 +90,7 @@ class Pending:
     #: Number of the question of `ask`; 0 = a transfer that was given up.
     question: int = 0
     posted: Posted | None = None
+    asked_s: float = 0.0
 
 
 class SdoChannel:
@@ -124,13 +149,18 @@ class SdoChannel:
         address = _QUESTIONS[self._questions % len(_QUESTIONS)]
         self._questions += 1
         now = time.monotonic()
-        question = Pending(SCS_UPLOAD, address, now + self.slow_timeout_s, self._questions)
+        question = Pending(SCS_UPLOAD, address, now + self.slow_timeout_s, self._questions, asked_s=now)
         with self._pending_lock:
-            self._pending = [*(pending for pending in self._pending if pending.until_s > now), question]
+            # an answer to an earlier question for this object says as well that the drive is there
+            others = [each for each in self._pending if not (each.question and each.address == address)]
+            self._pending = [*others, question]
         self._bus.send(SDO_REQUEST_BASE + self.node_id, HEAD.pack(CCS_UPLOAD, *address) + bytes(4))
 
     def post(self, index: int, subindex: int, data_type: str) -> Posted:
         """Ask for an object without waiting; the answer is kept when it comes.
+
+        While a question for the object is open it is not asked again: that question is returned. The next answer for
+        the object belongs to the last question, so that an answer that is lost shifts none of those that follow.
 
         Parameters
         ----------
@@ -140,11 +170,17 @@ class SdoChannel:
             u8 i8 u16 i16 u32 i32.
         """
         now = time.monotonic()
-        posted = Posted(data_type, now + self.timeout_s)
         address = (index, subindex)
-        pending = Pending(SCS_UPLOAD, address, now + self.slow_timeout_s, posted=posted)
         with self._pending_lock:
-            self._pending = [*(each for each in self._pending if each.until_s > now), pending]
+            self._pending = [each for each in self._pending if each.until_s > now]
+            before = [each for each in self._pending if each.specifier == SCS_UPLOAD and each.address == address]
+            last = next((each.posted for each in reversed(before) if each.posted is not None), None)
+            if last is not None and not last.answered and now < last.until_s:
+                return last
+            asked_s = min((each.asked_s for each in before), default=now)
+            posted = Posted(data_type, now + self.timeout_s, asked_s=asked_s)
+            until_s = now + self.slow_timeout_s
+            self._pending.append(Pending(SCS_UPLOAD, address, until_s, posted=posted, asked_s=now))
         self._bus.send(SDO_REQUEST_BASE + self.node_id, HEAD.pack(CCS_UPLOAD, *address) + bytes(4))
         return posted
 
@@ -215,23 +251,28 @@ class SdoChannel:
         if len(answer) != 8:
             return False
         command, index, subindex = HEAD.unpack_from(answer)
-        kind = command & 0xE0
         with self._pending_lock:
-            for pending in self._pending:
-                if kind in (pending.specifier, ABORT) and pending.address in (None, (index, subindex)):
-                    self._pending.remove(pending)
-                    if pending.posted is not None:
-                        pending.posted.take(answer)
-                    else:
-                        self._counts["late"] += not pending.question
-                    return True
-        return False
+            fitting = [
+                each
+                for each in self._pending
+                if command & 0xE0 in (each.specifier, ABORT) and each.address in (None, (index, subindex))
+            ]
+            if not fitting:
+                return False
+            self._pending.remove(fitting[0])
+            posted = next((each.posted for each in reversed(fitting) if each.posted is not None), None)
+            if posted is not None and not posted.answered:
+                posted.take(answer)
+            elif not fitting[0].question:
+                self._counts["late"] += 1
+        return True
 
     def _wait_out_quarantine(self, specifier: int, echo: tuple[int, int] | None) -> None:
         """Wait until no answer that could be mistaken for the next one can come any more."""
         while True:
             now = time.monotonic()
-            self._pending = [pending for pending in self._pending if pending.until_s > now]
+            with self._pending_lock:
+                self._pending = [pending for pending in self._pending if pending.until_s > now]
             rivals = [
                 pending
                 for pending in self._pending
@@ -248,7 +289,10 @@ class SdoChannel:
     ) -> DriveError:
         self._counts["timeouts"] += 1
         now = time.monotonic()
-        self._pending.append(Pending(specifier, echo, now - timeout_s + max(self.slow_timeout_s, timeout_s)))
+        asked_s = now - timeout_s
+        until_s = asked_s + max(self.slow_timeout_s, timeout_s)
+        with self._pending_lock:
+            self._pending.append(Pending(specifier, echo, until_s, asked_s=asked_s))
         self._send_abort(address, TIMED_OUT)
         index, subindex = address
         if self._strange:

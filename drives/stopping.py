@@ -3,6 +3,9 @@
 A drive is disabled when it stands, not before: its brake is no service brake. What was told and is not confirmed,
 because an axis does not answer, does not leave OPERATION ENABLED or does not come to rest, ends the master's heartbeat
 at once, before anything else is tried: the drives then stop by themselves.
+
+Nothing that goes wrong ends the way down: whatever is raised for one axis or by one SYNC is kept as a failure, the
+heartbeat ends, and the stop of all other axes goes on.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ from drives.cia402 import (
 )
 from drives.drive import Cia402Drive
 from drives.epoch import Epoch
-from drives.errors import BusError, DriveError, TransitionTimeout
+from drives.errors import DriveError, TransitionTimeout, while_stopping
 from drives.exchange import SyncExchange
 from drives.objects import OBJECTS
 from drives.sdo import ONCE
@@ -168,9 +171,9 @@ def _watch(exchange: SyncExchange, sag: _Sag) -> list[DriveError]:
             sag.note(_cycle(exchange, disabling_controlword))
             if min(exchange.silent) >= _SILENT or time.monotonic() > until_s:
                 break
-    except BusError as error:
+    except Exception as error:
         exchange.end_heartbeat()
-        return [error]
+        return [while_stopping(error)]
     return []
 
 
@@ -195,8 +198,8 @@ def _run(exchange: SyncExchange, step: _Step, note: Callable[[Epoch], None]) -> 
                 exchange.end_heartbeat()
             if all(gone[axis] or (step.done(axis) and not exchange.silent[axis]) for axis in axes):
                 break
-    except BusError as error:
-        failures.append(error)
+    except Exception as error:
+        failures.append(while_stopping(error))
     rest = [axis for axis in axes if exchange.silent[axis] or not step.done(axis) or failures]
     if rest:
         exchange.end_heartbeat()
@@ -221,8 +224,8 @@ def _by_sdo(exchange: SyncExchange, axis: int, step: _Step) -> list[DriveError]:
         what = f"stays in {_state(drive)}"
         advice = "use the emergency stop; then check the drive"
         return [TransitionTimeout(what, node=drive.node_id, index=0x6041, advice=advice)]
-    except DriveError as error:
-        return [error]
+    except Exception as error:
+        return [while_stopping(error, drive.node_id)]
 
 
 def _tell(drive: Cia402Drive, word: int) -> None:

@@ -10,7 +10,7 @@ from canopen.objectdictionary import ODVariable
 from drives.access import NodeAccess
 from drives.configuration.dcf import can_hold
 from drives.configuration.kinds import Kind, kind_of, mapped_objects
-from drives.configuration.values import Value, decoded, is_held, type_name
+from drives.configuration.values import Value, decoded, is_held, size_bytes, type_name
 from drives.eds import Sheet
 from drives.errors import SdoAbort, SdoProtocolError
 from drives.objects import object_name
@@ -80,7 +80,7 @@ def _value(access: NodeAccess, entry: ODVariable) -> Value:
     data_type = entry.data_type or 0
     if not is_held(data_type):
         raise ValueError(f"type {type_name(data_type)} is not stored")
-    value = decoded(data_type, access.sdo.upload(entry.index, entry.subindex))
+    value = decoded(data_type, access.sdo.upload(entry.index, entry.subindex, size_bytes=size_bytes(data_type)))
     if not can_hold(entry, value):
         raise ValueError("its text cannot stand in a DCF")
     return value

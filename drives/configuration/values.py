@@ -7,6 +7,8 @@ from typing import Final
 
 from canopen.objectdictionary import datatypes
 
+from drives.objects import decode_integer
+
 Value = int | float | str | bytes
 
 #: Bits of every integer type of CiA 301, table 44; below zero = signed.
@@ -50,6 +52,11 @@ def type_name(data_type: int) -> str:
     return "text" if data_type in _TEXTS else "bytes" if data_type == datatypes.OCTET_STRING else f"0x{data_type:04X}"
 
 
+def size_bytes(data_type: int) -> int | None:
+    """Size of the objects of an integer type; None = any other type."""
+    return abs(_INTEGERS[data_type]) // 8 if data_type in _INTEGERS else None
+
+
 def decoded(data_type: int, data: bytes) -> Value:
     """Value of what an upload gave.
 
@@ -60,10 +67,7 @@ def decoded(data_type: int, data: bytes) -> Value:
     """
     if data_type in _INTEGERS:
         bits = _INTEGERS[data_type]
-        size, fill = abs(bits) // 8, b"\xff" if bits < 0 and data[-1:] > b"\x7f" else b"\0"
-        if len(data) < size or data[size:].strip(fill):
-            raise ValueError(f"{len(data)} bytes ({data[:8].hex(' ')}) are no {type_name(data_type)}")
-        return int.from_bytes(data[:size], "little", signed=bits < 0)
+        return decode_integer(data, abs(bits) // 8, signed=bits < 0)
     if data_type in _FLOATS:
         layout = struct.Struct(_FLOATS[data_type][0])
         if len(data) != layout.size:

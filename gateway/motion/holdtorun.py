@@ -74,7 +74,8 @@ class HeldKey:
 class HeldInput:
     """A digital input that has to be held; a source of wishes to stop.
 
-    It is asked by SDO again and again, without waiting; no answer that says it is held for `RELEASED_S` is a release.
+    It is asked by SDO again and again, without waiting. Where the last question that the drive has answered as held was
+    asked more than `RELEASED_S` ago, that is a release.
 
     Parameters
     ----------
@@ -118,7 +119,7 @@ class HeldInput:
         if posted is not None and posted.answered:
             self._posted = None
             if posted.value is not None and posted.value & config.mask == config.good:
-                self._held_s = now
+                self._held_s = max(self._held_s, min(now, posted.asked_s))
         if now - self._asked_s >= POLL_S:
             self._asked_s = now
             self._posted = self._sdo.post(config.object.index, config.object.subindex, "u32")

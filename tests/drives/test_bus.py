@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import socket
+import struct
 import threading
 
 import can
@@ -153,6 +155,72 @@ def test_stray_datagrams_are_counted_and_a_dead_adapter_is_an_error():
         Bus(Broken(1 << 30), BusSpec("test", "broken")).receive(10.0)
 
 
+@pytest.mark.parametrize("kind", [ValueError, AttributeError, OSError, can.CanOperationError, struct.error])
+def test_whatever_a_backend_raises_is_a_frame_that_is_counted_or_a_bus_error(wire, kind):
+    """slcan raises ValueError on one bad character, pyserial its own errors, an unplugged adapter OSError."""
+    good, raised = wire.recv, iter([kind("invalid literal")])
+
+    def recv(timeout=None):
+        for error in raised:
+            raise error
+        return good(timeout)
+
+    wire.recv = recv
+    with Bus(wire, BusSpec("test", "wire")) as bus:
+        wire.emit(0x181, b"\x01")
+        frame = bus.receive(0.01)
+        assert frame is not None
+        assert (frame.arbitration_id, bus.counts["malformed"]) == (0x181, 1)
+
+        def gone(*arguments, **named):
+            raise kind("no such device")
+
+        wire.send = gone
+        start = wire.now_s
+        with pytest.raises(BusError, match="201 could not be sent.*no such device"):
+            bus.send(0x201, b"")
+        assert wire.now_s - start < 0.03
+        bus._receive = gone
+        with pytest.raises(BusError, match="receiving failed.*no such device"):
+            bus.receive(10.0)
+
+
+def test_an_adapter_that_cannot_be_shut_down_does_not_hide_what_went_wrong_before(wire):
+    def gone():
+        raise OSError(5, "Input/output error")
+
+    wire.shutdown = gone
+    with pytest.raises(BusError, match="the first error"), Bus(wire, BusSpec("test", "wire")) as bus:
+        raise BusError("the first error")
+    assert bus.counts["shutdown_failed"] == 1
+    with pytest.raises(BusError, match="closed"):
+        bus.send(0x201, b"")
+
+
+def test_what_an_interface_raises_when_it_is_opened_is_a_bus_error(monkeypatch):
+    def failing(**options):
+        raise IndexError("no adapter found")
+
+    monkeypatch.setattr(can, "Bus", failing)
+    with pytest.raises(BusError, match="cannot be opened: no adapter found"):
+        open_bus(BusSpec("pcan", "PCAN_USBBUS1"))
+
+
+def test_a_listener_that_raises_is_left_out_and_delays_no_frame(bus, wire):
+    heard = []
+
+    def broken(frame, received):
+        heard.append(frame)
+        raise OSError(28, "No space left on device")
+
+    bus.overhear(broken)
+    for _ in range(3):
+        bus.send(0x201, b"")
+        wire.emit(0x181, b"")
+        assert bus.receive(0.01) is not None
+    assert (len(heard), bus.counts["taps_failed"]) == (1, 1)
+
+
 @pytest.mark.parametrize("flag", ["is_error_frame", "is_remote_frame", "is_extended_id"])
 @pytest.mark.parametrize("timeout_s", [0.0, 0.01, 0.1])
 def test_a_deadline_is_a_deadline_whatever_else_comes(bus, wire, flag, timeout_s):
@@ -224,6 +292,54 @@ def test_a_trace_holds_what_was_sent_and_received(tmp_path):
 def test_a_trace_that_cannot_be_written_is_an_error(tmp_path):
     with pytest.raises(BusError, match="trace"):
         open_bus(BusSpec("virtual", "trace"), trace=tmp_path / "missing" / "trace.log")
+
+
+@pytest.mark.parametrize("suffix", ["log", "asc", "blf"])
+def test_a_disk_that_is_full_switches_the_frame_log_off_and_raises_nowhere_else(wire, tmp_path, suffix):
+    """/dev/full takes no byte. Frames go on in both directions; the failure is raised once everything is closed."""
+    trace = tmp_path / f"trace.{suffix}"
+    trace.symlink_to("/dev/full")
+    bus = Bus(wire, BusSpec("test", "wire"), trace)
+    for _ in range(3000):
+        bus.send(0x123, bytes(8))
+        wire.emit(0x181, bytes(8))
+        assert bus.receive(0.01) is not None
+    with pytest.raises(OSError, match="No space left") as caught, bus:
+        pass
+    assert (caught.value.errno, caught.value.filename) == (errno.ENOSPC, str(trace))
+    assert len(wire.sent) == 3000
+    trace.unlink()
+    trace.symlink_to("/dev/full")
+    bus = Bus(wire, BusSpec("test", "wire"), trace)
+    bus.send(0x123, bytes(8))
+    with pytest.raises(BusError) as first, bus:
+        raise BusError("the first error")
+    assert any("frame log is incomplete" in note for note in first.value.__notes__)
+
+
+def test_a_disk_that_hangs_delays_no_frame_and_the_frames_that_are_missing_are_counted(wire, tmp_path, monkeypatch):
+    """The log's writer does not return from its first frame until the test lets it."""
+    monkeypatch.setattr("drives.frame_log._QUEUE_FRAMES", 10)
+    goes_on, entered = threading.Event(), threading.Event()
+    bus = Bus(wire, BusSpec("test", "wire"), tmp_path / "trace.log")
+    real = bus.log._writer.on_message_received
+
+    def hanging(frame):
+        entered.set()
+        goes_on.wait(10.0)
+        real(frame)
+
+    bus.log._writer.on_message_received = hanging
+    bus.send(0x100, b"")
+    assert entered.wait(10.0)
+    for number in range(100):
+        bus.send(0x200 + number, b"")
+    assert len(wire.sent) == 101
+    goes_on.set()
+    with pytest.raises(OSError, match="90 frames are missing"), bus:
+        pass
+    with can.LogReader(tmp_path / "trace.log") as reader:
+        assert [each.arbitration_id for each in reader] == [0x100, *range(0x200, 0x20A)]
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drives.bus import Bus, BusSpec
+from drives.drive import DriveCommand
 from drives.epoch import EpochCollector
 from drives.group import DriveGroup
 
@@ -243,3 +244,38 @@ def test_a_lost_answer_costs_little_time(group, slaves, wire):
     assert step(group, slaves).missing == (1,)
     assert step(group, slaves).complete
     assert wire.now_s - start < 0.06
+
+
+def test_a_row_has_the_time_at_which_its_sync_left_a_full_transmit_queue(bus, slaves, setups, wire):
+    """Every 5th SYNC is refused for 6 ms of its 10 ms: rows, lateness and answers are those of the frame that left."""
+    from can import CanOperationError
+
+    real, state, told = wire.send, {"count": 0, "since": None}, []
+
+    def send(message, timeout=None):
+        if message.arbitration_id == 0x80:
+            if state["since"] is None:
+                state["count"], state["since"] = state["count"] + 1, wire.now_s
+            if state["count"] % 5 == 0 and wire.now_s - state["since"] < 0.006:
+                raise CanOperationError("Transmit buffer full")
+            state["since"] = None
+        real(message, timeout)
+
+    with DriveGroup(bus, setups(3), 0.01, "real") as group:
+        group.connect()
+        group.configure()
+        group.enable()
+        for _ in range(5):
+            group.hold()
+        wire.send = bus._adapter.send = send
+        before = len(wire.sent)
+        for _ in range(40):
+            epoch = group.exchange([DriveCommand((d.target_count + 100) * d.scale.count_rad) for d in group.drives])
+            assert epoch.complete
+            told.append(epoch.time_s)
+        sent = zip(wire.sent[before:], wire.sent_at_s[before:], strict=True)
+        left = [at for (can_id, _), at in sent if can_id == 0x80]
+        assert max(b - a for a, b in zip(left, left[1:], strict=False)) > 0.0155
+        for (a, b), (c, d) in zip(zip(left, left[1:], strict=False), zip(told, told[1:], strict=False), strict=True):
+            assert b - a == pytest.approx(d - c, abs=2e-5)
+        assert max(list(group._exchange.clock.lateness_s)[-40:]) == pytest.approx(0.006, abs=6e-4)

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from drives.abort import ABORT_CODES
 from drives.bus import Bus, BusSpec, open_bus
+from drives.configuration.values import decoded, size_bytes
 from drives.errors import DriveError, SdoAbort, SdoError, SdoProtocolError, SdoTimeout
 from drives.sdo import ONCE, SLOW, SdoClient
 
@@ -207,6 +208,8 @@ def test_a_short_answer_is_no_answer(sdo, slave):
         (b"\xfe\xff\xff\xff", "i16", -2),
         (b"\x05\x00\x00\x00", "i16", 5),
         (b"\xff\x00\x00\x00", "u8", 255),
+        (b"\xfe\xff\x00\x00", "i16", -2),
+        (b"\x80\x00\x00\x00", "i8", -128),
     ],
 )
 def test_an_answer_that_is_longer_than_its_type_is_read_by_its_value(sdo, slave, data, kind, value):
@@ -404,3 +407,82 @@ def test_a_posted_read_takes_its_answer_when_it_comes(bus, sdo, slave):
     assert (refused.value, refused.answered) == (None, True)
     assert sdo.read(0x1018, 1, "u32") == 0x1234
     assert sdo.statistics.late == sdo.statistics.foreign == 0
+
+
+@pytest.mark.parametrize(
+    ("command", "data", "kind", "value"),
+    [
+        (0x42, b"\xfe\xff\xaa\xaa", "i16", -2),
+        (0x42, b"\x08\xaa\xaa\xaa", "u8", 8),
+        (0x4E, b"\x34\x12\xff\xff", "u16", 0x1234),
+        (0x42, b"\x01\x02\x03\x04", "u32", 0x04030201),
+        (0x43, b"\xfe\xff\x00\x00", "i16", -2),
+    ],
+)
+def test_one_value_by_every_way_of_reading(bus, sdo, slave, command, data, kind, value):
+    """CiA 301, 7.2.4.3.6: without an indicated size the bytes behind the object are undefined."""
+    code = {"u8": 0x05, "i16": 0x03, "u16": 0x06, "u32": 0x07}[kind]
+    slave.reply = lambda request, answer: [(0.001, bytes([command]) + request[1:4] + data)]
+    posted = sdo.post(0x6077, 0, kind)
+    bus.listen(0.01)
+    assert posted.value == value
+    assert sdo.read(0x6077, 0, kind) == value
+    assert decoded(code, sdo.upload(0x6077, 0, size_bytes=size_bytes(code))) == value
+
+
+def test_a_lost_answer_does_not_shift_those_that_follow(bus, sdo, slave):
+    """Asked every 0.1 s, the third answer is lost: each later value is the one of its own question."""
+    asked = 0
+
+    def reply(request, answer):
+        nonlocal asked
+        asked += 1
+        return [] if asked == 3 else [(0.001, answer)]
+
+    slave.reply = reply
+    seen = []
+    for torque in range(20):
+        slave.torque = torque
+        posted = sdo.post(0x6077, 0, "i16")
+        bus.listen(0.1)
+        seen.append(posted.value)
+    missing = [torque for torque, value in enumerate(seen) if value is None]
+    assert missing == [2, 3, 4]
+    assert [value for value in seen if value is not None] == [0, 1, *range(5, 20)]
+
+
+def test_one_question_at_a_time_for_one_object(bus, sdo, slave, wire):
+    slave.reply = lambda request, answer: [(0.05, answer)]
+    first = sdo.post(0x6077, 0, "i16")
+    assert sdo.post(0x6077, 0, "i16") is first
+    other = sdo.post(0x6064, 0, "i32")
+    assert [can_id for can_id, _ in wire.sent] == [0x603, 0x603]
+    bus.listen(0.1)
+    assert (first.value, other.value) == (slave.torque, slave.position)
+
+
+def test_an_answer_that_may_be_late_is_as_old_as_the_first_question_that_it_may_answer(bus, sdo, slave, wire):
+    delays = iter([0.4])
+    slave.reply = lambda request, answer: [(next(delays, 0.001), answer)]
+    slave.torque, asked_s = 1, wire.now_s
+    sdo.post(0x6077, 0, "i16")
+    bus.listen(0.35)
+    slave.torque = 2
+    second = sdo.post(0x6077, 0, "i16")
+    bus.listen(0.1)
+    assert second.answered
+    assert second.asked_s - asked_s < 0.001
+    bus.listen(2.0)
+    last_s = wire.now_s
+    last = sdo.post(0x6077, 0, "i16")
+    bus.listen(0.1)
+    assert (last.value, last.asked_s >= last_s) == (2, True)
+
+
+def test_a_lost_answer_to_the_question_whether_a_node_is_there_does_not_keep_later_ones_open(bus, sdo, slave):
+    lost = iter([[]])
+    slave.reply = lambda request, answer: next(lost, [(0.001, answer)])
+    for number in range(8):
+        sdo.ask()
+        bus.listen(0.05)
+        assert sdo.asked == (number == 0)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from drives.bus import Bus, BusSpec
 from drives.drive import DriveCommand
 from drives.errors import (
     BusError,
@@ -490,3 +491,65 @@ def test_a_drive_that_ignores_the_quick_stop_is_named_and_the_heartbeat_ends(gro
     told_s = next(at for word, at in words if word == 0x02)
     assert max(beats_s(wire)) - told_s <= 0.2 + PERIOD_S
     assert {slave.state for slave in slaves if slave.node_id != 5} == {"switch on disabled"}
+
+
+# -- whatever goes wrong on the way down -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), ValueError("bad"), KeyError("x")])
+@pytest.mark.parametrize("stage", ["exchange", "quick_stop", "disable", "close"])
+def test_any_exception_is_recorded_and_the_stop_of_all_axes_goes_on(bus, slaves, setups, wire, stage, error):
+    """Something fails at every SYNC from a stage on: every axis is led down by SDO, and the heartbeat ends first."""
+    group = DriveGroup(bus, setups(6), PERIOD_S, "real")
+    group.connect()
+    group.configure()
+    group.enable()
+    move(group, 5)
+
+    def fails(*arguments):
+        raise error
+
+    failing = ["exchange", "quick_stop", "disable", "close"]
+    for name in failing:
+        if name == stage:
+            group._exchange.collector.collect_within = fails
+        with contextlib.suppress(DriveError, *([type(error)] if name == "exchange" else [])):
+            move(group) if name == "exchange" else getattr(group, name)()
+    assert {slave.state for slave in slaves} == {"switch on disabled"}
+    if stage != "close":
+        assert not group._producer.running
+
+
+def test_a_notice_to_the_other_arm_that_fails_does_not_keep_this_one_from_stopping(real, slaves):
+    def fails():
+        raise RuntimeError("cannot schedule new futures after shutdown")
+
+    real.on_stop = fails
+    move(real, 3)
+    slaves[2].state = "fault"
+    with pytest.raises(DriveFault, match="cannot schedule"):
+        move(real, 3)
+    assert {slave.state for slave in slaves} == {"quick stop", "fault"}
+
+
+@pytest.mark.parametrize("suffix", ["log", "blf", "asc"])
+def test_a_frame_log_on_a_full_disk_neither_ends_a_motion_nor_a_stop(wire, slaves, setups, tmp_path, suffix):
+    for slave in slaves:
+        slave.supervises = True
+        slave.ways = {"quick stop": [50, 30, 10]}
+    trace = tmp_path / f"trace.{suffix}"
+    trace.symlink_to("/dev/full")
+    bus = Bus(wire, BusSpec("test", "wire"), trace)
+    group = DriveGroup(bus, setups(6), PERIOD_S, "real")
+    group.connect()
+    group.configure()
+    group.enable()
+    bus.log.close()  # what waits is written: it fails
+    assert bus.log.failure is not None
+    move(group, 200)
+    group.quick_stop()
+    assert {slave.state for slave in slaves} == {"quick stop"}
+    group.disable()
+    assert {slave.state for slave in slaves} == {"switch on disabled"}
+    group.close()
+    bus.close()
