@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -10,7 +10,7 @@ from drives.access import NodeAccess, ObjectAccess
 from drives.bringup import check_at_rest
 from drives.configuration.dcf import NodeConfiguration
 from drives.configuration.difference import Compared, differing
-from drives.configuration.kinds import is_mapping, why_never_written
+from drives.configuration.kinds import is_mapping, why_asked, why_never_written
 from drives.configuration.reading import Readout
 from drives.configuration.values import Value, ledger_word
 from drives.errors import ConfigurationRefused, raise_failures
@@ -36,23 +36,43 @@ class NodeWrites:
     steps: tuple[Step, ...]
 
 
+def questions(file: NodeConfiguration, rows: Sequence[Compared], nodes: Collection[int]) -> list[tuple[Compared, str]]:
+    """Rows that differ and are written only if a question of their own was answered, with the reason.
+
+    Parameters
+    ----------
+    file : NodeConfiguration
+    rows : sequence of Compared
+    nodes : collection of int
+        Every node of the bus.
+    """
+    entries, others = file.sheet.entries, set(nodes) - {file.node_id}
+    asked = [(row, why_asked(entries[row.address], row.file, others)) for row in differing(rows)]
+    return [(row, why) for row, why in asked if why is not None]
+
+
 def planned_writes(
-    access: ObjectAccess, file: NodeConfiguration, found: Readout, rows: Sequence[Compared]
+    access: ObjectAccess,
+    file: NodeConfiguration,
+    found: Readout,
+    rows: Sequence[Compared],
+    left_out: Collection[Address] = (),
 ) -> NodeWrites:
-    """Writes that make a drive as its file says.
+    """Writes that make a drive as its file says, but for what is left out.
 
     Raises
     ------
     ConfigurationRefused, SeveralFailures
         Objects that the drive lacks, that are never written, or of a type that the ledger cannot hold; all at once.
     """
-    changed = differing(rows)
+    changed = [row for row in differing(rows) if row.address not in left_out]
     raise_failures([problem for row in changed if (problem := _obstacle(access, access.profile, row)) is not None])
     wanted = {row.address: row.file for row in changed}
-    wanted |= _whole_records(wanted, file, found)
+    stated = {address: value for address, value in file.values.items() if address not in left_out}
+    wanted |= _whole_records(wanted, {**found.values, **stated})
     values: dict[Address, tuple[str, int]] = {}
     for address in _limits_in_order(sorted(wanted), wanted, found):
-        word = ledger_word(file.sheet.entries[address].data_type or 0, wanted[address])
+        word = ledger_word(file.sheet.entries[address].data_type, wanted[address])
         if word is not None:
             values[address] = word
     return NodeWrites(access, tuple(ordered_steps(values, f"config apply: {file.path.name}")))
@@ -72,9 +92,8 @@ def _obstacle(access: NodeAccess, profile: DriveProfile, row: Compared) -> Confi
     )
 
 
-def _whole_records(wanted: dict[Address, Value], file: NodeConfiguration, found: Readout) -> dict[Address, Value]:
+def _whole_records(wanted: dict[Address, Value], there: dict[Address, Value]) -> dict[Address, Value]:
     """What is written besides of PDOs: identifier, and of a mapping its length and every entry, from file or drive."""
-    there = {**found.values, **file.values}
     more: dict[Address, Value] = {}
     for index in {address[0] for address in wanted if 0x1400 <= address[0] < 0x1C00}:
         head = (index & ~0x0200, 1)

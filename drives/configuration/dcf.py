@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Final
 
-from canopen.objectdictionary import ODVariable
-
-from drives.configuration.sheet_text import COMMISSIONING, configured, expanded, missing_sections, node_of
-from drives.configuration.values import Value, understood, written
-from drives.eds import Sheet, sheet_of_text, sheet_text
+from drives.configuration.dcf_text import configured
+from drives.configuration.kinds import own_identifier
+from drives.configuration.values import Value, is_held, written
+from drives.datasheet.building import sheet_of_text
+from drives.datasheet.encoding import read_text
+from drives.datasheet.sections import COMMISSIONING
+from drives.datasheet.sheet import Sheet, SheetObject
 from drives.errors import ProfileError
 from drives.objects import object_name
 from drives.values import Identity
 
 Address = tuple[int, int]
+#: A value that is not within a limit of its sheet: address, key of the limit, and the two in words.
+BeyondLimit = tuple[Address, str, str]
 _WRONG_FILE: Final = "give the file that `config dump` wrote, or another DCF (CiA 306) of this drive"
-#: Problems of a file that are told at once.
-_TOLD: Final = 10
+#: Problems of a file that are reported at once.
+_MOST: Final = 10
+#: Who writes complete files: what such a file lacks was lost.
+_AUTHOR: Final = "servo gateway"
 
 
 class ConfigurationFileError(ProfileError):
@@ -116,8 +122,17 @@ class Commissioning:
         )
 
 
-def dcf_text(source: Path, values: Mapping[Address, Value], site: Commissioning, moment: datetime) -> str:
+def dcf_text(
+    source: Path,
+    values: Mapping[Address, Value],
+    site: Commissioning,
+    moment: datetime,
+    not_kept: Sequence[BeyondLimit] = (),
+) -> str:
     """Text of the file of one node.
+
+    Identifiers of the node's own are written relative to it (`$NODEID+0x180`), so that a file that is given to another
+    node gives that node its own.
 
     Parameters
     ----------
@@ -127,6 +142,8 @@ def dcf_text(source: Path, values: Mapping[Address, Value], site: Commissioning,
     site : Commissioning
     moment : datetime
         Of the reading.
+    not_kept : sequence of BeyondLimit, optional
+        Limits of the sheet that the drive itself does not keep; they become comments.
 
     Raises
     ------
@@ -134,34 +151,42 @@ def dcf_text(source: Path, values: Mapping[Address, Value], site: Commissioning,
         The sheet cannot be read.
     """
     text = _text(source)
-    entries = sheet_of_text(expanded(text), source, site.node_id).entries
+    sheet = _sheet(text, source)
     about = {
         "FileName": f"{site.node_id}.dcf",
         "LastEDS": source.name,
         "ModificationTime": moment.strftime("%I:%M%p"),
         "ModificationDate": moment.strftime("%m-%d-%Y"),
-        "ModifiedBy": "servo gateway",
+        "ModifiedBy": _AUTHOR,
     }
-    texts = {address: written(_type(entries[address]), value) for address, value in values.items()}
-    return configured(text, texts, about, site.lines)
+    texts = {address: _written(sheet.entries[address], value, site.node_id) for address, value in values.items()}
+    violated = [(address, key) for address, key, _ in not_kept]
+    return configured(text, texts, violated, about, site.lines)
 
 
-def can_hold(entry: ODVariable, value: Value) -> bool:
+def _written(entry: SheetObject, value: Value, node_id: int) -> str:
+    if isinstance(value, int) and own_identifier(entry, value, node_id):
+        digits = len(written(entry.data_type, value)) - 2
+        return f"$NODEID+0x{value - node_id:0{digits}X}"
+    return written(entry.data_type, value)
+
+
+def can_hold(entry: SheetObject, value: Value) -> bool:
     """Whether a file gives a value back as it was: texts with line ends, blanks at an end or comment signs are lost."""
     if not isinstance(value, str):
         return True
     return value != "" and value == value.strip() and value.isprintable() and ";" not in value
 
 
-def read_data_sheet(path: Path, node_id: int) -> Sheet:
-    """Data sheet of a node, arrays in short form included.
+def read_data_sheet(path: Path) -> Sheet:
+    """Data sheet of a node.
 
     Raises
     ------
     ConfigurationFileError
         It cannot be read.
     """
-    return sheet_of_text(expanded(_text(path)), path, node_id)
+    return _sheet(_text(path), path)
 
 
 def read_dcf(path: Path, node_id: int) -> NodeConfiguration:
@@ -170,67 +195,75 @@ def read_dcf(path: Path, node_id: int) -> NodeConfiguration:
     Raises
     ------
     ConfigurationFileError
-        It cannot be read, is cut short, is of another node, or holds values that are none or out of their limits:
-        the first ten of them at once.
+        It cannot be read, is cut short, is of another node, stores no value, or stores values that are none or out of
+        their limits: the first ten of them at once.
     """
-    text = _text(path)
-    try:
-        sheet = sheet_of_text(expanded(text), path, node_id)
-    except ProfileError as error:
-        raise ConfigurationFileError(error.what, advice=_WRONG_FILE) from error
-    lacking = missing_sections(text)
-    said = node_of(text)
-    if said is None or lacking:
-        what = f"it lacks {', '.join(lacking[:_TOLD])}" if lacking else f"its section {COMMISSIONING} names no node"
+    sheet = _sheet(_text(path), path)
+    lacking = sheet.missing if sheet.modified_by == _AUTHOR else ()
+    if sheet.node_id is None or lacking:
+        what = f"it lacks {', '.join(lacking[:_MOST])}" if lacking else f"its section {COMMISSIONING} names no node"
         raise ConfigurationFileError(f"{path}: it is cut short, or no DCF: {what}", advice=_WRONG_FILE)
-    if said != node_id:
-        what = f"{path}: it is of node {said}, not of node {node_id}"
-        raise ConfigurationFileError(what, advice="give the file of this node, or correct NodeID in it")
-    found = NodeConfiguration(path, node_id, sheet, {}, {})
-    problems: list[str] = []
-    values = _values(sheet, node_id, "value_raw", problems)
-    problems += _out_of_limits(sheet, values)
+    if sheet.node_id != node_id:
+        what = f"{path}: it is of node {sheet.node_id}, not of node {node_id}"
+        advice = f"let `config dump` write the file of node {node_id}; NodeID = {node_id} in this file gives the node "
+        advice += "the other one's values, and its own identifiers only where they are written as $NODEID+..."
+        raise ConfigurationFileError(what, advice=advice)
+    problems = [str(remark) for remark in sheet.remarks if remark.of_value]
+    values = _values(sheet, node_id, "value", problems)
+    problems += [what for _, _, what in beyond_limits(sheet, values, node_id)]
     if problems:
-        told = [f"{path}: {problem}" for problem in problems[:_TOLD]]
-        raise ConfigurationFileError.of(told, advice="correct the file, or dump it anew")
-    return replace(found, values=values, defaults=_values(sheet, node_id, "default_raw", []))
+        told = [f"{path}: {problem}" for problem in problems[:_MOST]]
+        raise ConfigurationFileError.of(told, advice="correct the file, or dump it again")
+    if not values:
+        what = f"{path}: no object has a value (ParameterValue): there is nothing to compare or to write"
+        raise ConfigurationFileError(what, advice=_WRONG_FILE)
+    return NodeConfiguration(path, node_id, sheet, values, _values(sheet, node_id, "default", []))
 
 
-def _text(path: Path) -> str:
-    try:
-        return sheet_text(path)
-    except ProfileError as error:
-        raise ConfigurationFileError(error.what, advice=error.advice) from error
-
-
-def _values(sheet: Sheet, node_id: int, key: str, problems: list[str]) -> dict[Address, Value]:
-    """Values of one key; those that are none are told."""
-    values: dict[Address, Value] = {}
-    for address, entry in sheet.entries.items():
-        text = getattr(entry, key, None)
-        if not text:
-            continue
-        try:
-            values[address] = understood(_type(entry), text, node_id)
-        except ValueError:
-            problems.append(f"{object_name(*address)}: '{text}' is no value of its type")
-    return values
-
-
-def _out_of_limits(sheet: Sheet, values: Mapping[Address, Value]) -> list[str]:
-    problems = []
+def beyond_limits(sheet: Sheet, values: Mapping[Address, Value], node_id: int) -> list[BeyondLimit]:
+    """Find values that are not within the limits of their sheet."""
+    found: list[BeyondLimit] = []
     for address, value in values.items():
         entry = sheet.entries[address]
         if not isinstance(value, int | float) or "w" not in entry.access_type:
             continue
-        for limit, bad, word in (
-            (entry.min, entry.min is not None and value < entry.min, "below its LowLimit"),
-            (entry.max, entry.max is not None and value > entry.max, "above its HighLimit"),
-        ):
-            if bad:
-                problems.append(f"{object_name(*address)}: {value} is {word} {limit}")
-    return problems
+        low, high = (_limit(entry, text, node_id) for text in (entry.low, entry.high))
+        if low is not None and value < low:
+            found.append((address, "LowLimit", f"{object_name(*address)}: {value} is below its LowLimit {low}"))
+        if high is not None and value > high:
+            found.append((address, "HighLimit", f"{object_name(*address)}: {value} is above its HighLimit {high}"))
+    return found
 
 
-def _type(entry: ODVariable) -> int:
-    return entry.data_type or 0
+def _limit(entry: SheetObject, text: str, node_id: int) -> int | float | None:
+    limit = entry.read(text, node_id)
+    return limit if isinstance(limit, int | float) else None
+
+
+def _text(path: Path) -> str:
+    try:
+        return read_text(path)
+    except ProfileError as error:
+        raise ConfigurationFileError(error.what, advice=error.advice) from error
+
+
+def _sheet(text: str, path: Path) -> Sheet:
+    try:
+        return sheet_of_text(text, path)
+    except ProfileError as error:
+        raise ConfigurationFileError(error.what, advice=_WRONG_FILE) from error
+
+
+def _values(sheet: Sheet, node_id: int, key: str, problems: list[str]) -> dict[Address, Value]:
+    """Values of one key; texts that are no values become problems."""
+    values: dict[Address, Value] = {}
+    for address, entry in sheet.entries.items():
+        text = getattr(entry, key)
+        try:
+            value = entry.read(text, node_id) if is_held(entry.data_type) else None
+        except ValueError:
+            problems.append(f"{object_name(*address)}: '{text}' is no value of its type")
+            continue
+        if value is not None:
+            values[address] = value
+    return values

@@ -73,7 +73,7 @@ def compare(file: NodeConfiguration, found: Readout) -> tuple[Compared, ...]:
         if kind_of(entry, mapped) != "configuration" or beyond_length(address, file.values):
             continue
         default, drive = file.defaults.get(address), found.values.get(address)
-        data_type = entry.data_type or 0
+        data_type = entry.data_type
         state = "not on drive" if drive is None else _state(data_type, default, value, drive)
         name, why = name_of(file.sheet, address), found.unread.get(address, "")
         rows.append(Compared(*address, name, data_type, entry.unit, default, value, drive, state, why))

@@ -6,12 +6,13 @@ set point or a message. All the rest is kept apart: it changes by itself, or wri
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterator, Mapping
 from typing import Final, Literal
 
-from canopen.objectdictionary import ODVariable
-
 from drives.configuration.values import Value
+from drives.datasheet.numbers import is_by_node, resolved
+from drives.datasheet.sheet import SheetObject
 from drives.pdo import INVALID
 from drives.profile import DriveProfile
 
@@ -36,20 +37,47 @@ _SERVERS: Final = range(0x1200, 0x1280)
 _COMMUNICATION: Final = (range(0x1400, 0x1600), range(0x1800, 0x1A00))
 _MAPPINGS: Final = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
 _MAPPING_OF: Final = 0x0200
+#: Objects of the maker (CiA 301, 7.4.1).
+_MAKERS: Final = range(0x2000, 0x6000)
+#: Names of objects that set the node id or the bit rate, without anything but letters.
+_NODE_ID: Final = re.compile(
+    r"(?:node|station|slave|device|module|bus|can(?:open)?)(?:id|address|number)(?![a-z]*filter)"
+)
+_BIT_RATE: Final = re.compile(r"baud|bitrate|bittiming|(?:can|bus)speed")
+#: Names of objects that act when they are written: what is done, and to what.
+_ACTION: Final = re.compile(
+    r"\b(?:save|stor(?:e|ing)|restore|load|reload|reset|erase|clear|delete|format)\b.*"
+    r"\b(?:parameters?|params?|configurations?|config|settings?|eeprom|nvm|nvram|flash|memory|defaults?|factory|all|"
+    r"device|drive|errors?|faults?|application|tuning)\b"
+    r"|\b(?:factory|default)s?\b.*\b(?:reset|restore|load)\b"
+    r"|^(?:save|store|restore|reset|reboot|restart)$|\b(?:reboot|restart|bootloader|soft(?:ware)? ?reset)\b"
+    r"|^(?:start|execute|trigger|run)\b"
+)
+#: "save" and "load" as CiA 301 spells them: the value of an action.
+_SIGNATURES: Final = frozenset({0x65766173, 0x64616F6C})
+#: Identifiers that the standard gives a node (CiA 301, 7.3.3): EMCY, and the first four PDOs of each direction.
+_STANDARD_IDENTIFIERS: Final = {(0x1014, 0): 0x080} | {
+    (first + number, 1): base + 0x100 * number
+    for first, base in ((0x1400, 0x200), (0x1800, 0x180))
+    for number in range(4)
+}
+_NODE_BITS: Final = 0x7F
+_IDENTIFIER: Final = 0x7FF
+_LONG_IDENTIFIER: Final = 1 << 29
 
 
-def kind_of(entry: ODVariable, mapped: Collection[Address]) -> Kind:
+def kind_of(entry: SheetObject, mapped: Collection[Address]) -> Kind:
     """What an object is.
 
     Parameters
     ----------
-    entry : ODVariable
+    entry : SheetObject
         As the data sheet has it.
     mapped : collection of (index, subindex)
         What PDOs that are switched on carry.
     """
     access = entry.access_type
-    if entry.index in _COMMANDS:
+    if entry.index in _COMMANDS or is_action(entry):
         return "command"
     if "r" not in access and access != "const":
         return "write only"
@@ -107,3 +135,57 @@ def why_never_written(address: Address, profile: DriveProfile) -> str | None:
     if index in _IDENTITY:
         return "it says which device this is"
     return "writing it acts on the drive" if index in _COMMANDS else None
+
+
+def is_action(entry: SheetObject) -> bool:
+    """Whether an object of the maker acts when it is written (save or load all parameters, reset), by its name."""
+    if entry.index not in _MAKERS:
+        return False
+    return _ACTION.search(_words(entry.name)) is not None
+
+
+def own_identifier(entry: SheetObject, value: int, node_id: int) -> bool:
+    """Whether a value is an identifier (COB-ID) that follows from the node id, by sheet or standard."""
+    return _identifier_node(entry, value) == node_id
+
+
+def why_asked(entry: SheetObject, value: Value, others: Collection[int]) -> str | None:
+    """Why a value is written only if a question of its own was answered; None where it needs none.
+
+    Parameters
+    ----------
+    entry : SheetObject
+    value : value
+        To be written.
+    others : collection of int
+        Other nodes of this bus.
+    """
+    if entry.index in _MAKERS:
+        letters = _words(entry.name).replace(" ", "")
+        if _NODE_ID.search(letters):
+            return "it sets the node id: two drives with one id cannot be told apart on the bus"
+        if _BIT_RATE.search(letters):
+            return "it sets the bit rate: with another one the drive cannot be reached, and disturbs the bus"
+        if value in _SIGNATURES:
+            return "its value is a command of CiA 301 (save, load)"
+    other = _identifier_node(entry, value) if isinstance(value, int) and not value & INVALID else None
+    if other in others:
+        return f"it is the identifier of node {other}: two nodes would use it"
+    return None
+
+
+def _identifier_node(entry: SheetObject, value: int) -> int | None:
+    """Node whose identifier a value is; None where it is none, or switched off by another base."""
+    base = _STANDARD_IDENTIFIERS.get((entry.index, entry.subindex))
+    if is_by_node(entry.default):
+        base = resolved(entry.default, 0) & _IDENTIFIER
+    if not base or value & _LONG_IDENTIFIER:
+        return None
+    node = (value & _IDENTIFIER) - base
+    return node if 0 < node <= _NODE_BITS else None
+
+
+def _words(name: str) -> str:
+    """A name in lower case, `NodeID` and `node_id` as two words."""
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
+    return " ".join(re.sub(r"[^A-Za-z]+", " ", spaced).lower().split())

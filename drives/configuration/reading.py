@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-from canopen.objectdictionary import ODVariable
-
 from drives.access import NodeAccess
 from drives.configuration.dcf import can_hold
 from drives.configuration.kinds import Kind, kind_of, mapped_objects
 from drives.configuration.values import Value, decoded, is_held, size_bytes, type_name
-from drives.eds import Sheet
+from drives.datasheet.sheet import Sheet, SheetObject
 from drives.errors import SdoAbort, SdoProtocolError
 from drives.objects import object_name
 
@@ -76,8 +74,8 @@ def read_drive(access: NodeAccess, sheet: Sheet, also_mapped: Collection[Address
     return Readout(access.node_id, values, kinds, unread)
 
 
-def _value(access: NodeAccess, entry: ODVariable) -> Value:
-    data_type = entry.data_type or 0
+def _value(access: NodeAccess, entry: SheetObject) -> Value:
+    data_type = entry.data_type
     if not is_held(data_type):
         raise ValueError(f"type {type_name(data_type)} is not stored")
     value = decoded(data_type, access.sdo.upload(entry.index, entry.subindex, size_bytes=size_bytes(data_type)))

@@ -7,6 +7,7 @@ from typing import Final
 
 from canopen.objectdictionary import datatypes
 
+from drives.datasheet.numbers import resolved
 from drives.objects import decode_integer
 
 Value = int | float | str | bytes
@@ -121,15 +122,13 @@ def understood(data_type: int, text: str, node_id: int) -> Value:
     """
     if data_type in _INTEGERS:
         bits = _INTEGERS[data_type]
-        plain = text.replace(" ", "").upper()
-        offset = node_id if "$NODEID" in plain else 0
-        value = int(plain.replace("$NODEID", "").strip("+") or "0", 0) + offset
+        value = resolved(text, node_id)
         if bits < 0 and 1 << (-bits - 1) <= value < 1 << -bits:
             value -= 1 << -bits
         encoded(data_type, value)
         return value
     if data_type in _FLOATS:
-        return decoded(data_type, encoded(data_type, float(text)))
+        return decoded(data_type, encoded(data_type, float(text.replace("_", "?"))))
     return text if data_type in _TEXTS else bytes.fromhex(text)
 
 

@@ -10,7 +10,8 @@ from typing import Final
 from drives.abort import ABSENT
 from drives.bringup import read_identity
 from drives.bus import Bus
-from drives.eds import Sheet, read_sheet
+from drives.datasheet.building import read_sheet
+from drives.datasheet.sheet import Sheet
 from drives.errors import IdentityMismatch, SdoAbort
 from drives.finding import LISTEN_S, nmt_states, require_one
 from drives.listening import refuse_foreign

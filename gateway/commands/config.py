@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import sys
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,13 +24,14 @@ from gateway.commands.options import (
     output_option,
     refuse_to_replace,
     session_of,
+    show_remarks,
     write_json,
     writes,
 )
 from gateway.errors import ConfigError, FindingFailed
 
 if TYPE_CHECKING:
-    from drives.configuration.dcf import NodeConfiguration
+    from drives.configuration.dcf import BeyondLimit, NodeConfiguration
     from drives.configuration.difference import Compared
     from drives.configuration.reading import Readout
     from drives.drive import Cia402Drive
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
 COLUMNS = ["object", "EDS default", "DCF", "drive", "type", "state"]
+ALSO = "Write this object although it sets a node id, a bit rate or an identifier of another node; repeat it."
 #: Folder beside the cell file where the files of its nodes are.
 BESIDE = "dcf"
 
@@ -68,7 +71,7 @@ def config_dump(
 
     What changes by itself or is sent while the arm moves is kept apart from the configuration (--json).
     """
-    from drives.configuration.dcf import read_data_sheet
+    from drives.configuration.dcf import beyond_limits, read_data_sheet
     from drives.configuration.reading import read_drive
     from gateway.commands.cell_context import open_cell
 
@@ -80,19 +83,26 @@ def config_dump(
         sources = _sources(context, arm, given)
         for path in paths.values():
             refuse_to_replace(path, "--output", session)
-        read = {node_id: read_data_sheet(source, node_id) for node_id, source in sources.items()}
+        sheets_read = {source: read_data_sheet(source) for source in set(sources.values())}
+        read = {node_id: sheets_read[source] for node_id, source in sources.items()}
+        for source, sheet in sheets_read.items():
+            show_remarks(str(source), sheet.remarks)
         with context.connected(arm) as group:
             found = [(drive, read_drive(drive.access, read[drive.node_id])) for drive in group.drives]
             _say_what_is_ours(group)
         for joint, (drive, readout) in enumerate(found, start=1):
             node_id = drive.node_id
-            text = _text_of(context, arm, joint, drive, readout, sources[node_id])
+            beyond = beyond_limits(read[node_id], _stored(readout), node_id)
+            text = _text_of((context, arm, joint), drive, readout, sources[node_id], beyond)
             replace_file(paths[node_id], text)
-            nodes.append(_dumped(arm, readout, paths[node_id]))
+            said = [what for _, _, what in beyond]
+            nodes.append(_dumped(arm, readout, paths[node_id]) | {"beyond_limits": said})
             held = readout.of_kind("configuration")
             session.show(f"node {node_id}: {paths[node_id]}: {len(held)} objects of the configuration")
             for address, why in readout.unread.items():
                 session.note(f"node {node_id}: {_named(address)} is not in it: {why}", level=1)
+            for what in said:
+                session.show(f"  {what} of the data sheet; the drive holds it, so the limit is a comment in the file")
             if readout.unread:
                 session.show(f"  {len(readout.unread)} objects could not be read: {_few(readout.unread)}")
     if json_out:
@@ -144,14 +154,24 @@ def _path(context: CellContext, arm: ArmConfig, node_id: int, folder: Path | Non
 
 
 def _text_of(
-    context: CellContext, arm: ArmConfig, joint: int, drive: Cia402Drive, readout: Readout, source: Path
+    axis: tuple[CellContext, ArmConfig, int],
+    drive: Cia402Drive,
+    readout: Readout,
+    source: Path,
+    beyond: Sequence[BeyondLimit],
 ) -> str:
     from drives.configuration.dcf import Commissioning, dcf_text
 
+    context, arm, joint = axis
     bitrate = context.loaded.cell.bus[arm.bus].bitrate_bit_s
     name = f"{context.loaded.cell.name} {arm.name} J{joint}"
     site = Commissioning(drive.node_id, name, bitrate, arm.bus, drive.access.serial_number)
-    return dcf_text(source, readout.of_kind("configuration", "fixed"), site, datetime.now(UTC))
+    return dcf_text(source, _stored(readout), site, datetime.now(UTC), beyond)
+
+
+def _stored(readout: Readout) -> dict[tuple[int, int], Any]:
+    """What the file of a node stores."""
+    return readout.of_kind("configuration", "fixed")
 
 
 def _say_what_is_ours(group: DriveGroup) -> None:
@@ -260,7 +280,10 @@ def _files(context: CellContext, arm: ArmConfig, folder: Path | None) -> dict[in
             f"{', '.join(missing)}: not there; servo-gateway config dump {context.path} writes it"
             " from what the drives hold"
         )
-    return {node_id: read_dcf(path, node_id) for node_id, path in paths.items()}
+    files = {node_id: read_dcf(path, node_id) for node_id, path in paths.items()}
+    for file in files.values():
+        show_remarks(str(file.path), file.sheet.remarks)
+    return files
 
 
 def _compared(arm: ArmConfig, group: DriveGroup, files: dict[int, NodeConfiguration]) -> list[ComparedNode]:
@@ -277,7 +300,16 @@ def _compared(arm: ArmConfig, group: DriveGroup, files: dict[int, NodeConfigurat
     for drive in group.drives:
         file = files[drive.node_id]
         found = read_drive(drive.access, file.sheet, mapped_objects(file.values))
-        nodes.append(ComparedNode(arm.name, drive, file, found, compare(file, found), said[drive.node_id]))
+        rows = compare(file, found)
+        if not rows:
+            raise ConfigError(
+                f"{file.path}: none of its {len(file.values)} values is of the configuration: nothing to compare;"
+                " give the file that `config dump` wrote, or another DCF of this drive"
+            )
+        actions = [address for address in file.values if found.kinds.get(address) == "command"]
+        if actions:
+            said[drive.node_id].append(f"never written, because writing acts on the drive: {_few(actions)}")
+        nodes.append(ComparedNode(arm.name, drive, file, found, rows, said[drive.node_id]))
     return nodes
 
 
@@ -353,17 +385,26 @@ def _junit(cell: str, nodes: Sequence[ComparedNode]) -> str:
 @config.command("apply")
 @cell_argument
 @folder_option("--dcf", "Folder with NODE.dcf")
+@click.option("--also", "also", multiple=True, metavar="INDEX:SUB", help=ALSO)
 @click.option("--store", is_flag=True, help="Have the drives keep it for the next power-up (0x1010).")
 @click.option("--yes", is_flag=True, help="Do not ask before writing.")
 @bus_option
 @json_option
 @common
 def config_apply(
-    cell: Path, folder: Path | None, store: bool, yes: bool, bus_spec: str | None, json_out: str | None
+    cell: Path,
+    folder: Path | None,
+    also: tuple[str, ...],
+    store: bool,
+    yes: bool,
+    bus_spec: str | None,
+    json_out: str | None,
 ) -> None:
     """Write to the drives what their DCF says otherwise, and read it back; asked first, `restore` puts it back.
 
-    The drives must be disabled. The first value that a drive does not take ends it: what was written is put back.
+    A node id, a bit rate, an identifier of another node is asked for on its own, which --yes does not answer; objects
+    that act on the drive (save, load, reset) are never written. The drives must be disabled. The first value that a
+    drive does not take ends it: what was written is put back.
     """
     from drives.configuration.applying import planned_writes, require_at_rest, write_all
     from drives.configuration.applying import store as keep
@@ -377,16 +418,25 @@ def config_apply(
             accesses = [drive.access for drive in group.drives]
             require_at_rest(accesses)
             nodes = _compared(arm, group, files[arm.name])
-            work = [planned_writes(node.drive.access, node.file, node.found, node.rows) for node in nodes]
             _show(nodes)
-            if any(each.steps for each in work) or store:
-                confirm(_question(arm, nodes, store), yes=yes)
+            ids = [axis.node_id for each in context.arms if each.bus == arm.bus for axis in each.axis]
+            left_out = {node.drive.node_id: _left_out(node, ids, also, ask=not yes) for node in nodes}
+            work = [
+                planned_writes(node.drive.access, node.file, node.found, node.rows, left_out[node.drive.node_id])
+                for node in nodes
+            ]
+            counts = [len(node.different) - len(left_out[node.drive.node_id]) for node in nodes]
+            if any(counts) or store:
+                confirm(_question(arm, counts, store), yes=yes)
                 require_at_rest(accesses)
                 write_all([each for each in work if each.steps], _tell)
             for access in accesses if store else ():
                 keep(access)
-        done += [node.as_json() | {"stored": store} for node in nodes]
-        written = sum(len(node.different) for node in nodes)
+        done += [
+            node.as_json() | {"stored": store, "left_out": [_named(each) for each in left_out[node.drive.node_id]]}
+            for node in nodes
+        ]
+        written = sum(counts)
         said = f"{written} objects written and read back" if written else "nothing to write"
         session_of().show(f"arm {arm.name}: {said}{'; stored' if store else ''}")
     if json_out:
@@ -398,10 +448,34 @@ def _tell(node_id: int, step: Step) -> None:
     session_of().note(f"node {node_id}:{where}: {step.value:#x} written and read back", level=1)
 
 
-def _question(arm: ArmConfig, nodes: Sequence[ComparedNode], store: bool) -> str:
-    count = sum(len(node.different) for node in nodes)
-    drives = sum(bool(node.different) for node in nodes)
-    text = f"{count} objects of {drives} drives of arm '{arm.name}' will be written; `restore` puts them back."
+def _left_out(node: ComparedNode, ids: Collection[int], also: Sequence[str], *, ask: bool) -> set[tuple[int, int]]:
+    """Objects of a drive that are not written, because nobody allowed each of them."""
+    from drives.configuration.applying import questions
+
+    session, left_out = session_of(), set[tuple[int, int]]()
+    allowed = {_address(text) for text in also}
+    for row, why in questions(node.file, node.rows, ids):
+        where = f"node {node.drive.node_id}:{row.name}: {row.text(row.drive)} becomes {row.text(row.file)}"
+        if row.address in allowed:
+            continue
+        if ask and sys.stdin.isatty() and click.confirm(f"{where}: {why}. Write it all the same?", err=True):
+            continue
+        left_out.add(row.address)
+        session.show(f"not written: {where}: {why} (--also {_named(row.address)} allows it)")
+    return left_out
+
+
+def _address(text: str) -> tuple[int, int]:
+    index, _, subindex = text.partition(":")
+    try:
+        return int(index, 16), int(subindex or "0", 16)
+    except ValueError:
+        raise click.UsageError(f"--also {text}: give an object such as 2000:00.") from None
+
+
+def _question(arm: ArmConfig, counts: Sequence[int], store: bool) -> str:
+    text = f"{sum(counts)} objects of {sum(map(bool, counts))} drives of arm '{arm.name}' will be written;"
+    text += " `restore` puts them back."
     if store:
-        text += f" {len(nodes)} drives then store all their parameters, which `restore` does not take back."
+        text += f" {len(counts)} drives then store all their parameters, which `restore` does not take back."
     return f"{text} Write them?"

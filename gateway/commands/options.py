@@ -16,7 +16,11 @@ from gateway.data.labels import label_refused
 from gateway.errors import InputError
 
 if TYPE_CHECKING:
+    from drives.datasheet.sheet import Remark
     from gateway.result.acceptance import Expected
+
+#: Lines of a data sheet that are named unasked.
+REMARKS_SHOWN = 10
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -200,6 +204,16 @@ def write_json(target: str, payload: Mapping[str, Any]) -> None:
         click.echo(text, nl=False)
     else:
         replace_file(Path(target), text)
+
+
+def show_remarks(name: str, remarks: Sequence[Remark]) -> None:
+    """Print which lines of a data sheet are not used; the first ten, all of them with -v."""
+    session = session_of()
+    shown = remarks if session.verbosity > 0 else remarks[:REMARKS_SHOWN]
+    for remark in shown:
+        session.note(f"{name} {remark}")
+    if len(shown) < len(remarks):
+        session.note(f"{name}: {len(remarks) - len(shown)} more lines are not used as written (-v names them)")
 
 
 def key_values(option: str, pairs: Sequence[str], keys: Collection[str] = ()) -> dict[str, str]:

@@ -10,7 +10,15 @@ import click
 
 from drives.files import replace_file
 from gateway.commands.bus import DEFAULT_BUS
-from gateway.commands.options import common, json_option, key_values, output_option, session_of, write_json
+from gateway.commands.options import (
+    common,
+    json_option,
+    key_values,
+    output_option,
+    session_of,
+    show_remarks,
+    write_json,
+)
 from gateway.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -110,6 +118,7 @@ def profiles_new(
         read_answers(answer_file) if answer_file else ProfileAnswers(), key_values("--answer", typed)
     )
     device = device_of_sheet(eds)
+    show_remarks(str(eds), device.sheet.remarks)
     if node_id is not None:
         device = _ask_drive(device, node_id, bus_spec or DEFAULT_BUS)
     if _at_terminal():
@@ -119,7 +128,8 @@ def profiles_new(
     replace_file(output, text)
     _tell(output, profile, open_questions(device, answers))
     if json_out:
-        write_json(json_out, _as_json(output, profile, open_questions(device, answers)))
+        remarks = {"left_out": [str(remark) for remark in device.sheet.remarks]}
+        write_json(json_out, _as_json(output, profile, open_questions(device, answers)) | remarks)
 
 
 def _at_terminal() -> bool:

@@ -20,6 +20,8 @@ from gateway.newcell.nodes import Address, Read, SeenNode, addresses, of_axes
 from gateway.newcell.offers import Axes
 
 DEFAULT_BUS = "socketcan:can0"
+#: Lines of a data sheet that are named.
+REMARKS_SHOWN = 10
 
 
 class Eyes(Protocol):
@@ -96,6 +98,8 @@ def interview(answers: CellAnswers, eyes: Eyes, name: str, tell: Callable[[str],
     in_files = eyes.files([Path(path) for path in answers.value(questions.EDS)])
     for node in (*on_bus, *in_files):
         tell(f"{node.name}: {_who(node)}")
+        for line in _not_used(node):
+            tell(line)
     axes, nodes = _drives(answers, robot, eyes if looked else None, (spec, on_bus, in_files))
     _gears(answers, axes)
     axes = Axes(axes.nodes, axes.profiles, answers.value(questions.GEAR_RATIO))
@@ -107,6 +111,14 @@ def interview(answers: CellAnswers, eyes: Eyes, name: str, tell: Callable[[str],
         *_contradicted(nodes, axes.profiles),
     )
     return Draft(answers, robot, urdf, spec, nodes, tuple(axes.profiles), remarks, looked)
+
+
+def _not_used(node: SeenNode) -> list[str]:
+    """Lines of a data sheet that are not used, the first ten."""
+    remarks = () if node.sheet is None else node.sheet.remarks
+    lines = [f"{node.name} {remark}" for remark in remarks[:REMARKS_SHOWN]]
+    more = len(remarks) - len(lines)
+    return [*lines, f"{node.name}: {more} more lines are not used as written"] if more else lines
 
 
 def _who(node: SeenNode) -> str:

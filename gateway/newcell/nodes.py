@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from drives.eds import Sheet
+from drives.datasheet.sheet import Sheet
 from drives.objects import OBJECTS
 from drives.profile import Constant, DriveProfile, ObjectReference, Signal
 from drives.values import Identity

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from configparser import Error as ConfigParserError
-from configparser import RawConfigParser
 from pathlib import Path
 
 from drives.bus import Bus, BusSpec, open_bus
-from drives.eds import Sheet, read_sheet
+from drives.datasheet.building import read_sheet
+from drives.datasheet.sheet import Sheet
 from drives.errors import BusError, SdoAbort
-from drives.objects import SIZE_BYTES, DataType
 from drives.probe import matching_profiles, scan
 from drives.sdo import SdoClient
 from drives.values import Identity
 from gateway.newcell.answers import ASSUMED
 from gateway.newcell.nodes import Address, Read, SeenNode
 
-#: Section of a DCF that says which node a file was stored for, as CiA 306 spells it and as it is spelled otherwise.
-_COMMISSIONING = ("DeviceComissioning", "DeviceCommissioning")
 _DRIVE = 0x0192
 
 
@@ -95,10 +91,9 @@ def nodes_in(files: Sequence[Path]) -> tuple[SeenNode, ...]:
 
 
 def _node_in(path: Path, sheet: Sheet) -> SeenNode:
-    node_id = _node_id(path)
     kind = sheet.value_of(0x1000)
     identity = Identity(
-        node_id=node_id or 0,
+        node_id=sheet.node_id or 0,
         device_type=_DRIVE if kind is None else kind,
         vendor_id=sheet.vendor_id,
         product_code=sheet.product_code,
@@ -110,29 +105,9 @@ def _node_in(path: Path, sheet: Sheet) -> SeenNode:
     )
     values: dict[Address, Read] = {}
     for address, entry in sheet.entries.items():
-        kind = sheet.type_of(*address)
-        for value, origin in ((entry.value, "read from"), (entry.default, f"{ASSUMED}: default of")):
-            if kind is not None and isinstance(value, int):
-                values[address] = Read(_signed(value, kind), f"{origin} {path.name}, 0x{address[0]:04X}")
+        for text, origin in ((entry.value, "read from"), (entry.default, f"{ASSUMED}: default of")):
+            value = None if sheet.type_of(*address) is None else sheet.number(entry, text)
+            if value is not None:
+                values[address] = Read(value, f"{origin} {path.name}, 0x{address[0]:04X}")
                 break
-    return SeenNode(node_id, identity, values, matching_profiles(identity), path.name, sheet)
-
-
-def _signed(value: int, kind: DataType) -> int:
-    """A number below zero that the file spells as its two's complement."""
-    bits = 8 * SIZE_BYTES[kind]
-    return value - (1 << bits) if kind.startswith("i") and value >> (bits - 1) == 1 else value
-
-
-def _node_id(path: Path) -> int | None:
-    """Node id that a DCF was stored for; None where it is an EDS."""
-    parser = RawConfigParser(inline_comment_prefixes=(";",))
-    try:
-        parser.read_string(path.read_bytes().decode("utf-8-sig", errors="replace"))
-        for section in _COMMISSIONING:
-            text = parser.get(section, "NodeID", fallback=None)
-            if text:
-                return int(text, 0) or None
-    except (ConfigParserError, ValueError):
-        return None
-    return None
+    return SeenNode(sheet.node_id, identity, values, matching_profiles(identity), path.name, sheet)

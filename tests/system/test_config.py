@@ -292,3 +292,56 @@ def test_objects_that_the_drive_does_not_give_are_named(config, place):
     assert "4 objects could not be read: 5000:00" in done.stdout
     unread = json.loads((place.folder / "dump.json").read_text())["nodes"][0]["unread"]
     assert "object does not exist" in unread["5000:00"]
+
+
+def test_a_value_is_compared_in_whatever_case_its_key_is_written_and_nothing_is_an_error(config, place):
+    """A file whose values another tool has written; one in it differs from the drive; one file has none at all."""
+    assert config("dump").exit_code == 0
+    path = place.folder / "dcf" / "2.dcf"
+    set_value(path, "6066", "0x0028")
+    path.write_text(path.read_text().replace("ParameterValue", "PARAMETERVALUE").replace("sub", "SUB"))
+    done = config("diff")
+    assert done.exit_code == 7, done.output
+    assert "node 2:6066:00" in done.stderr
+    path.write_text(re.sub("PARAMETERVALUE=.*\n", "", path.read_text()))
+    for verb in ("diff", "apply"):
+        done = config(verb)
+        assert done.exit_code == 3, done.output
+        assert "nothing to compare" in " ".join(done.stderr.split())
+
+
+def test_a_dump_is_not_refused_for_what_the_makers_sheet_lacks_or_the_drive_does_not_keep(config, place):
+    sheet = place.folder / "maker.eds"
+    sheet.write_text(SHEET.read_text().replace("SubNumber=9", "SubNumber=10").replace("1=0x1003", "1=0x2345"))
+    edit(sheet, "6066", "PDOMapping=0", "PDOMapping=0\nHighLimit=10")
+    done = config("dump", "--eds", sheet)
+    assert done.exit_code == 0, done.output
+    assert "object 2345 is listed and has no section" in done.stderr
+    assert "20 is above its HighLimit 10 of the data sheet" in done.stdout
+    assert config("diff").exit_code == 0
+    assert config("apply", "--yes").exit_code == 0
+
+
+def test_a_file_of_another_node_gives_a_drive_none_of_its_identifiers(config, drives, place, tmp_path):
+    """The file of node 3 as file of node 2; then an emergency identifier of node 3, typed by hand."""
+    assert config("dump").exit_code == 0
+    folder = place.folder / "dcf"
+    own = (folder / "2.dcf").read_text()
+    assert "ParameterValue=$NODEID+0x00000080" in own
+    (folder / "2.dcf").write_text((folder / "3.dcf").read_text().replace("NodeID=3", "NodeID=2"))
+    assert config("diff", "--json", tmp_path / "diff.json").exit_code == 7
+    differences = json.loads((tmp_path / "diff.json").read_text())["nodes"][1]["differences"]
+    assert differences
+    assert not [row["object"] for row in differences if row["object"][:2] in ("10", "14", "18")]
+    (folder / "2.dcf").write_text(own)
+    set_value(folder / "2.dcf", "1014", "0x00000083")
+    before = dict(store_of(drives, 2).values)
+    done = config("apply", "--yes", "--json", tmp_path / "apply.json")
+    assert done.exit_code == 0, done.output
+    assert "not written: node 2:1014:00" in done.stdout
+    assert "identifier of node 3" in done.stdout
+    assert "nothing to write" in done.stdout
+    assert dict(store_of(drives, 2).values) == before
+    assert json.loads((tmp_path / "apply.json").read_text())["nodes"][1]["left_out"] == ["1014:00"]
+    assert config("apply", "--yes", "--also", "1014:00").exit_code == 0
+    assert store_of(drives, 2).find(0x1014, 0).get() == 0x83

@@ -5,19 +5,28 @@ from __future__ import annotations
 import struct
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from canopen.objectdictionary import ODVariable, datatypes, import_od
+from canopen.objectdictionary import datatypes, import_od
 
 from drives.access import ObjectAccess
-from drives.configuration.applying import NodeWrites, planned_writes, require_at_rest, write_all
-from drives.configuration.dcf import Commissioning, ConfigurationFileError, dcf_text, read_data_sheet, read_dcf
+from drives.configuration.applying import NodeWrites, planned_writes, questions, require_at_rest, write_all
+from drives.configuration.dcf import (
+    Commissioning,
+    ConfigurationFileError,
+    beyond_limits,
+    dcf_text,
+    read_data_sheet,
+    read_dcf,
+)
 from drives.configuration.difference import compare, differing
-from drives.configuration.kinds import kind_of, mapped_objects, why_never_written
+from drives.configuration.kinds import kind_of, mapped_objects, why_asked, why_never_written
 from drives.configuration.reading import Readout, read_drive
 from drives.configuration.values import decoded, encoded, ledger_word, understood, written
+from drives.datasheet.sheet import SheetObject
 from drives.errors import ConfigurationRefused, DriveFault, SdoAbort, SdoTimeout, SeveralFailures
 from drives.ledger import WriteLedger
 from drives.pdo import Step
@@ -103,7 +112,7 @@ def test_an_array_in_short_form_has_every_element_in_the_file(tmp_path):
         + "[2000]\nParameterName=gain\nObjectType=0x8\nDataType=0x0006\nAccessType=rw\nDefaultValue=7\n"
         + "PDOMapping=0\nCompactSubObj=3\n\n[2000Name]\nNrOfEntries=1\n2=middle\n"
     )
-    found = read_data_sheet(sheet, 3)
+    found = read_data_sheet(sheet)
     assert [found.entries[0x2000, sub].name for sub in range(4)] == ["Number of entries", "gain1", "middle", "gain3"]
     path = tmp_path / "3.dcf"
     path.write_text(dcf_text(sheet, {(0x2000, sub): 10 * sub for sub in (1, 2, 3)}, SITE, MOMENT))
@@ -153,8 +162,7 @@ def _written(folder: Path, lines: list[tuple[int, int, str]]) -> Path:
     ],
 )
 def test_what_an_object_is(index, access, mappable, kind):
-    entry = ODVariable("x", index, 0)
-    entry.access_type, entry.pdo_mappable = access, mappable
+    entry = SheetObject(index, 0, "x", access_type=access, pdo_mappable=mappable)
     carried = mapped_objects({(0x1400, 1): 0x201, (0x1600, 0): 1, (0x1600, 1): 0x20050010, (0x1600, 2): 0x60810020})
     assert carried == {(0x2005, 0)}
     assert mapped_objects({(0x1400, 1): 0x8000_0201, (0x1600, 0): 1, (0x1600, 1): 0x20050010}) == frozenset()
@@ -193,7 +201,7 @@ def access(bus, slave, generic, ledger):
 def planned(access: ObjectAccess, profile: DriveProfile, tmp_path: Path, wanted: dict) -> NodeWrites:
     """Dump, change values, compare, plan."""
     assert profile.eds_path is not None
-    found = read_drive(access, read_data_sheet(profile.eds_path, 3))
+    found = read_drive(access, read_data_sheet(profile.eds_path))
     path = tmp_path / "3.dcf"
     path.write_text(dcf_text(profile.eds_path, found.of_kind("configuration", "fixed") | wanted, SITE, MOMENT))
     file = read_dcf(path, 3)
@@ -332,3 +340,171 @@ def test_everything_that_stands_against_a_write_is_told_before_it(access, generi
         planned_writes(access, file, found, compare(file, found))
     assert "belongs to a safety function" in str(caught.value)
     assert "the drive does not give it: SDO abort 0x06020000" in str(caught.value)
+
+
+# ------------------------------------------------------------------------------------- files of other tools and nodes
+
+PRODUCER = (
+    "[1800]\nParameterName=TPDO1\nObjectType=0x9\nSubNumber=2\n\n[1800sub0]\nParameterName=n\nDataType=5\n"
+    "AccessType=ro\nDefaultValue=1\n\n[1800sub1]\nParameterName=COB-ID\nDataType=7\nAccessType=rw\n"
+    "DefaultValue=$NODEID+0x180\n\n"
+)
+
+
+def test_identifiers_of_a_node_follow_the_node_that_the_file_is_given_to(tmp_path):
+    """Node 3 sends with 0x183; its file, given to node 7, has 0x187, and what was set by hand stays as it was set."""
+    sheet = tmp_path / "maker.eds"
+    sheet.write_text(SHEET + objects((0x2000, datatypes.UNSIGNED8, ""), (0x2001, datatypes.UNSIGNED8, "")) + PRODUCER)
+    path = tmp_path / "3.dcf"
+    for held, node_7 in ((0x183, 0x187), (0x4000_0183, 0x4000_0187), (0x295, 0x295)):
+        path.write_text(dcf_text(sheet, {(0x1800, 1): held}, SITE, MOMENT))
+        assert read_dcf(path, 3).values == {(0x1800, 1): held}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)
+            assert import_od(str(path))[0x1800][1].value == held
+        other = tmp_path / "7.dcf"
+        other.write_text(path.read_text().replace("NodeID=3", "NodeID=7"))
+        assert read_dcf(other, 7).values == {(0x1800, 1): node_7}
+    with pytest.raises(ConfigurationFileError, match="it is of node 7, not of node 3") as caught:
+        read_dcf(other, 3)
+    assert "$NODEID" in str(caught.value)
+
+
+VALUED = objects((0x2000, datatypes.UNSIGNED8, "ParameterValue=9"))
+IN_A_LIST = (
+    "[608F]\nParameterName=encoder\nObjectType=0x8\nDataType=0x0007\nAccessType=rw\nCompactSubObj=2\n\n"
+    "[608FName]\nNrOfEntries=1\n2=turns\n\n[608FDenotation]\nNrOfEntries=0\n\n[608FValue]\nNrOfEntries=1\n2=9\n\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "address"),
+    [
+        (VALUED, (0x2000, 0)),
+        (VALUED.replace("ParameterValue", "PARAMETERVALUE"), (0x2000, 0)),
+        (VALUED.replace("ParameterValue=9", "  parameterValue = 0x009 ; mine"), (0x2000, 0)),
+        (IN_A_LIST, (0x608F, 2)),
+        (IN_A_LIST.replace("608FValue", "608fVALUE"), (0x608F, 2)),
+        (PRODUCER.replace("sub1]", "SUB1]\nParameterValue=9"), (0x1800, 1)),
+    ],
+)
+@pytest.mark.parametrize(
+    "site", ["[DeviceComissioning]\nNodeID=3\n", "[DeviceCommissioning]\nNodeID=03\nBaudrate=0x1F4\n"]
+)
+def test_a_value_is_read_wherever_a_file_may_have_it(tmp_path, text, address, site):
+    path = tmp_path / "3.dcf"
+    path.write_text(text + site)
+    assert read_dcf(path, 3).values == {address: 9}
+
+
+def test_a_file_without_values_is_refused(tmp_path):
+    path = tmp_path / "3.dcf"
+    path.write_text(objects((0x2000, datatypes.UNSIGNED8, "")) + "[DeviceComissioning]\nNodeID=3\n")
+    with pytest.raises(ConfigurationFileError, match="nothing to compare"):
+        read_dcf(path, 3)
+
+
+def test_two_values_of_one_object_are_refused_and_not_chosen_from(tmp_path):
+    path = tmp_path / "3.dcf"
+    path.write_text(VALUED.replace("=9", "=9\nPARAMETERVALUE=8") + "[DeviceComissioning]\nNodeID=3\n")
+    with pytest.raises(ConfigurationFileError, match="neither is used"):
+        read_dcf(path, 3)
+    own = "[608Fsub2]\nDataType=7\nAccessType=rw\nParameterValue=8\n"
+    path.write_text(f"{IN_A_LIST}{own}[DeviceComissioning]\nNodeID=3\n")
+    with pytest.raises(ConfigurationFileError, match="608F:2 has the value '8'"):
+        read_dcf(path, 3)
+
+
+FAULTY = (
+    "[OptionalObjects]\nSupportedObjects=3\n1=0x2000\n2=0x2345\n3=0x2022\n\n"
+    + objects((0x2000, datatypes.UNSIGNED8, "HighLimit=3"))
+    + "[2022]\nParameterName=gains\nObjectType=0x8\nSubNumber=5\n\n"
+    + "[2022sub0]\nParameterName=n\nDataType=5\nAccessType=ro\nDefaultValue=4\n\n"
+    + "[2022sub1]\nParameterName=gain\nDataType=5\nAccessType=rw\n\n"
+)
+
+
+def test_what_the_makers_sheet_lacks_is_not_missed_in_the_file_that_was_dumped_from_it(tmp_path):
+    """The sheet lists an object and counts elements that it does not have; what is lost later is missed."""
+    sheet, path = tmp_path / "maker.eds", tmp_path / "3.dcf"
+    sheet.write_text(FAULTY)
+    path.write_text(dcf_text(sheet, {(0x2000, 0): 2, (0x2022, 1): 5}, SITE, MOMENT))
+    assert read_dcf(path, 3).values == {(0x2000, 0): 2, (0x2022, 1): 5}
+    path.write_text(path.read_text().replace("[2022sub1]", "[2023]"))
+    with pytest.raises(ConfigurationFileError, match="1 elements of 2022"):
+        read_dcf(path, 3)
+    path.write_text(FAULTY.replace("PDOMapping", "ParameterValue=2\nPDOMapping") + "[DeviceComissioning]\nNodeID=3\n")
+    assert read_dcf(path, 3).values == {(0x2000, 0): 2}, "another tool writes what the maker's sheet lacks"
+
+
+def test_a_limit_that_the_drive_does_not_keep_is_a_comment_of_the_file(tmp_path):
+    sheet, path = tmp_path / "maker.eds", tmp_path / "3.dcf"
+    sheet.write_text(FAULTY)
+    beyond = beyond_limits(read_data_sheet(sheet), {(0x2000, 0): 4}, 3)
+    assert [what for _, _, what in beyond] == ["2000:00: 4 is above its HighLimit 3"]
+    path.write_text(dcf_text(sheet, {(0x2000, 0): 4}, SITE, MOMENT, beyond))
+    assert ";HighLimit=3" in path.read_text()
+    assert read_dcf(path, 3).values == {(0x2000, 0): 4}
+
+
+@pytest.mark.parametrize(
+    ("name", "action"),
+    [
+        ("Save all parameters", True),
+        ("Store configuration", True),
+        ("Restore factory defaults", True),
+        ("Load default parameters", True),
+        ("Save", True),
+        ("Reset drive", True),
+        ("StoreParameters", True),
+        ("Software reset", True),
+        ("Start auto tuning", True),
+        ("Load inertia", False),
+        ("Default speed", False),
+        ("Storage temperature", False),
+        ("Position gain", False),
+    ],
+)
+def test_an_object_that_acts_when_it_is_written_is_no_configuration(name, action):
+    entry = SheetObject(0x2010, 0, name)
+    assert kind_of(entry, ()) == ("command" if action else "configuration")
+    assert kind_of(replace(entry, index=0x6010), ()) == "configuration"
+
+
+@pytest.mark.parametrize(
+    ("index", "name", "value", "says"),
+    [
+        (0x2000, "Node-ID", 4, "node id"),
+        (0x2009, "CANopen node id", 4, "node id"),
+        (0x2001, "NodeId", 4, "node id"),
+        (0x2F00, "CAN address", 4, "node id"),
+        (0x2005, "CAN bitrate", 4, "bit rate"),
+        (0x2005, "BaudRate", 4, "bit rate"),
+        (0x2100, "magic", 0x65766173, "command of CiA 301"),
+        (0x1800, "COB-ID", 0x185, "node 5"),
+        (0x1014, "EMCY", 0x85, "node 5"),
+        (0x1800, "COB-ID", 0x183, None),
+        (0x1800, "COB-ID", 0x8000_0185, None),
+        (0x1014, "EMCY", 0xA3, None),
+        (0x2100, "Position gain", 4, None),
+        (0x6065, "Node id", 4, None),
+    ],
+)
+def test_what_takes_a_drive_off_the_bus_needs_a_question_of_its_own(index, name, value, says):
+    why = why_asked(SheetObject(index, 1 if index == 0x1800 else 0, name), value, {1, 2, 4, 5, 6})
+    assert why is None if says is None else says in why
+
+
+def test_what_is_left_out_is_not_written_with_its_record_either(access, slave, generic, tmp_path):
+    """The mapping of a PDO is written whole, with its identifier: the drive's own, where the file's was left out."""
+    slave.values[0x1800, 1] = 0x4000_0183
+    found = read_drive(access, read_data_sheet(generic.eds_path))
+    path = tmp_path / "3.dcf"
+    wanted = {(0x1A00, 0): 1, (0x1A00, 1): 0x60640020, (0x1800, 1): 0x185}
+    path.write_text(dcf_text(generic.eds_path, found.of_kind("configuration", "fixed") | wanted, SITE, MOMENT))
+    file = read_dcf(path, 3)
+    rows = compare(file, found)
+    asked = questions(file, rows, [3, 5])
+    assert [row.address for row, _ in asked] == [(0x1800, 1)]
+    work = planned_writes(access, file, found, rows, [row.address for row, _ in asked])
+    assert {step.value & 0x7FF for step in work.steps if (step.index, step.subindex) == (0x1800, 1)} == {0x183}
