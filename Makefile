@@ -7,7 +7,7 @@ SIM_STAMP := $(VENV)/.sim-stamp
 PYTHON_OF_VENV := test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || python3 -m venv $(VENV)
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: venv demo test lint docs bench blind blind-nature vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space pages clean
+.PHONY: venv demo test test-slow lint docs bench blind blind-nature vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space pages clean
 
 venv: $(STAMP)
 
@@ -27,8 +27,13 @@ $(SIM_STAMP): pyproject.toml constraints.txt
 demo: $(if $(wildcard $(STAMP)),$(STAMP),$(SIM_STAMP))
 	$(BIN)/python -m sim.demo --out out/demo
 
+# Before every commit: the fast suite.
 test: venv
-	$(BIN)/python -m pytest -n 2 --dist loadgroup
+	$(BIN)/python -m pytest -n 2 --dist loadgroup -m "not slow"
+
+# Before a merge: whole commands, real time, and property tests with more examples.
+test-slow: venv
+	$(BIN)/python -m pytest -n 2 --dist loadgroup -m "slow or hypothesis" --hypothesis-profile=slow
 
 lint: venv
 	$(BIN)/ruff check .

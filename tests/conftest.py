@@ -1,4 +1,4 @@
-"""For every test: it may leave neither a thread nor an open virtual CAN channel behind.
+"""For every test: limits on processor time, and neither a thread nor an open virtual CAN channel may be left behind.
 
 Linear algebra runs in one thread, as in the programs themselves: several test processes share the cores.
 """
@@ -11,8 +11,16 @@ import time
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+from tests.support.processor_time import FAST_LIMIT_S, Stopwatch, slowness
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+#: Examples of a property test: few in the fast suite, more with `make test-slow`.
+settings.register_profile("fast", max_examples=10, deadline=None)
+settings.register_profile("slow", max_examples=100, deadline=None)
+settings.load_profile("fast")
 
 
 PICTURES = Path(__file__).parents[1] / "docs" / "pictures"
@@ -43,6 +51,48 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         suffix = "@" + "_".join(groups)
         if groups and not item.nodeid.endswith(suffix):
             item._id = type(item._id).parse(item.nodeid + suffix)  # pyright: ignore
+
+
+STOPWATCH = pytest.StashKey[Stopwatch]()
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item):
+    """Measure the processor time of a test, children included, without the fixtures that it shares with others."""
+    item.stash[STOPWATCH] = Stopwatch()
+    return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_fixture_setup(fixturedef: pytest.FixtureDef, request: pytest.FixtureRequest):
+    """Take the set-up of a shared fixture out of the time of the test that happens to ask for it first."""
+    if fixturedef.scope == "function":
+        return (yield)
+    with request._pyfuncitem.stash[STOPWATCH].paused():
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo):
+    """Fail an unmarked test that passed and took more processor time than a fast test may."""
+    report = yield
+    if call.when == "call":
+        spent_s = item.stash[STOPWATCH].spent_s()
+        report.user_properties.append(("processor_time_s", spent_s))
+        if report.passed and spent_s > FAST_LIMIT_S and not item.get_closest_marker("slow"):
+            limit_s = FAST_LIMIT_S * slowness()
+            if spent_s > limit_s and not _more_examples(item):
+                report.outcome = "failed"
+                report.longrepr = (
+                    f"{item.nodeid} took {spent_s:.1f} s of processor time; a fast test may take {limit_s:.1f} s. "
+                    "Make it cheaper, or mark it with @pytest.mark.slow."
+                )
+    return report
+
+
+def _more_examples(item: pytest.Item) -> bool:
+    """Whether a property test runs with the many examples of the slow suite."""
+    return item.get_closest_marker("hypothesis") is not None and settings.get_current_profile_name() == "slow"
 
 
 # How long a thread that was told to end may take.

@@ -70,6 +70,7 @@ def test_every_row_of_the_table_is_proven():
         assert (ROOT / proof).exists() if proof.endswith(".py") else proof in globals()
 
 
+@pytest.mark.slow
 def test_a_drive_model_is_one_file(house):
     text = (house.root / "drives" / "profiles" / "maxon-epos4.toml").read_text()
     house.add("drives/profiles/newcomer-one.toml", re.sub(r'(?m)^name = ".*"', 'name = "newcomer-one"', text))

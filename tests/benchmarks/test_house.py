@@ -15,6 +15,7 @@ def found() -> dict[str, dict]:
     return figures(read_house())
 
 
+@pytest.mark.slow
 @pytest.mark.xdist_group("house")
 @pytest.mark.parametrize(
     "name",

@@ -71,6 +71,7 @@ def project(tmp_path) -> Path:
 MUTANT = Mutant("drives/a.py", 2, 0, "Gt to LtE")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "first", [(), ("tests/drives/test_a.py::test_larger",), ("tests/drives/test_b.py::test_nothing",)]
 )
@@ -79,6 +80,7 @@ def test_a_test_that_looks_notices_whichever_is_asked_first(project, first):
     assert (project / "drives/a.py").read_text() == LARGER
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "first", [(), ("tests/drives/test_a.py::test_larger",), ("tests/drives/test_a.py::test_gone",)]
 )
@@ -87,6 +89,7 @@ def test_a_test_that_does_not_look_does_not_notice(project, first):
     assert not noticed(MUTANT, project, first)
 
 
+@pytest.mark.slow
 def test_the_tests_that_come_to_a_line_are_known(project):
     reach = Reach(["tests/drives"], project)
     assert reach.tests(MUTANT) == ("tests/drives/test_a.py::test_larger",)

@@ -168,7 +168,7 @@ class Script:
         self.frames.clear()
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(st.one_of(st.none(), st.tuples(st.sampled_from([0x181, 0x182, 0x200, 0x77F]), st.binary(max_size=8)))))
 def test_whatever_arrives_a_slot_holds_a_frame_of_its_length_or_nothing(wire, frames):
     with Bus(Script(frames), BusSpec("test", "script")) as bus:

@@ -383,7 +383,7 @@ likely = st.lists(
 )
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.one_of(frames, likely), st.booleans())
 def test_whatever_comes_is_a_value_or_a_typed_error(monkeypatch, answers, upload):
     monkeypatch.setattr(time, "monotonic", lambda: Chatter.now)

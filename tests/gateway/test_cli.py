@@ -192,6 +192,7 @@ def test_profiles_list_show_and_schema():
     assert "generic-cia402" in missing.stderr
 
 
+@pytest.mark.slow
 def test_a_reader_that_leaves_is_no_error():
     words = [sys.executable, "-m", "gateway.cli", "plan", str(EXAMPLE)]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as plan:

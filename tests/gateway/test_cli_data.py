@@ -194,6 +194,7 @@ def test_what_is_to_be_measured_next_keeps_the_limits_of_the_cell(table, tmp_pat
     assert not ((asked["robot"][:, 0] > 0.5) & (asked["robot"][:, 0] < 0.9)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["estimate", "diagnose"])
 def test_a_load_is_accepted_or_not_or_cannot_be_told(table, tmp_path, command):
     """The tool weighs 4 kg; exact constants and links, so that the interval is some grams."""

@@ -36,6 +36,7 @@ def asking(place, cell="small", poses=(OTHER,)):
     return path
 
 
+@pytest.mark.slow
 def test_a_pose_and_what_a_result_asks_for_are_measured(place, gateway, serve):
     drives = serve()
     done = record(gateway, place, drives, "--pose", POSE)

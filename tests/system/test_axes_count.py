@@ -35,6 +35,8 @@ def load_of(place):
     return mass, np.array(com)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("arm", CELLS[1:], ids=["seven"], indirect=True)
 def test_from_the_cell_to_the_report(place, serve, gateway, arm):
     def ran(*arguments):
         result = gateway(*arguments)
@@ -77,6 +79,8 @@ def test_from_the_cell_to_the_report(place, serve, gateway, arm):
     np.testing.assert_array_equal(again.tau_nm, table.tau_nm)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("arm", CELLS[:1], ids=["four"], indirect=True)
 def test_a_reversed_torque_is_found_by_small_moves(place, serve, gateway, monkeypatch):
     monkeypatch.setenv("COLUMNS", "400")
     drives = serve(effect='[[effect]]\nname = "sign_reversed"\njoints = [2]\n')

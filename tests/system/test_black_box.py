@@ -26,6 +26,7 @@ def left(run: Path) -> list[str]:
     )
 
 
+@pytest.mark.slow
 def test_a_drive_fault_is_in_the_black_box(place, gateway, serve):
     drives = serve(fault=f'[[fault]]\nkind = "drive_fault"\nnode = 4\nat_sync = {AT_SYNC}\nsyncs = 0\n')
     done = record(place, gateway, drives)
@@ -52,6 +53,7 @@ def test_a_drive_fault_is_in_the_black_box(place, gateway, serve):
     assert not folder_of(place.run).exists()
 
 
+@pytest.mark.slow
 def test_a_run_that_ends_well_leaves_none(place, gateway, serve):
     done = record(place, gateway, serve())
     assert done.exit_code == 0, done.output
@@ -66,6 +68,7 @@ def move(place, gateway, drives, *more):
     return gateway("move", place.cell, "--bus", drives.bus, "--to", "0.3,-0.2,0.3,0.2,0.3,0.2", "--yes", *more)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at_sync", [300, 1200])
 def test_a_move_that_is_stopped_leaves_one_beside_the_ledger(place, gateway, serve, at_sync):
     """At 300 the stop of the drives is still being proven, at 1200 the arm is on its way."""
@@ -87,6 +90,7 @@ def test_a_move_that_is_stopped_leaves_one_beside_the_ledger(place, gateway, ser
     assert not folder_of(path).exists()
 
 
+@pytest.mark.slow
 def test_a_move_that_ends_well_or_is_refused_leaves_none(place, gateway, serve):
     drives = serve()
     assert move(place, gateway, drives).exit_code == 0
@@ -95,6 +99,7 @@ def test_a_move_that_ends_well_or_is_refused_leaves_none(place, gateway, serve):
     assert boxes(place) == []
 
 
+@pytest.mark.slow
 def test_a_check_that_is_stopped_leaves_one(place, gateway, serve):
     drives = serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 4\nat_sync = 300\nsyncs = 0\n')
     done = gateway("check", place.cell, "--bus", drives.bus, "--force", "--move", "--yes")

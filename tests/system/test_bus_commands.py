@@ -62,6 +62,7 @@ def test_scan_names_an_id_that_two_devices_share(gateway, serve):
     assert "node id 5" in done.stderr
 
 
+@pytest.mark.slow
 def test_plan_says_what_will_be_measured_and_how_well(place, gateway):
     done = gateway("plan", place.cell, "--json", "-")
     assert done.exit_code == 0, done.output
@@ -74,6 +75,7 @@ def test_plan_says_what_will_be_measured_and_how_well(place, gateway):
     assert "expected standard deviation" in gateway("plan", place.cell).stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_stops_the_arm_and_keeps_the_data(place, number):
     words = [sys.executable, "-m", "gateway.cli", "record", str(place.cell), "--load", "none", "-o", str(place.run)]

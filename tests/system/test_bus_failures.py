@@ -10,6 +10,7 @@ KILLED = "".join(f'[[fault]]\nkind = "node_killed"\nnode = {node}\nat_sync = 250
 SILENT = '[[fault]]\nkind = "node_killed"\nnode = 3\nat_sync = 2500\n'
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("fault", "named"), [(KILLED, "nodes 1 to 6"), (SILENT, "node 3")])
 def test_a_failure_is_told_once_and_shortly(place, gateway, serve, fault, named):
     drives = serve(fault=fault)

@@ -35,6 +35,7 @@ def failed(body):
 # ---------------------------------------------------------------------------------------------- loss of the master
 
 
+@pytest.mark.slow
 def test_every_drive_stops_when_the_heartbeat_is_withheld(place, gateway, serve):
     drives = serve()
     done, body = check(gateway, place, drives, "--prove-stop", "--yes")
@@ -98,16 +99,18 @@ def test_no_room_no_motion(place, gateway, serve):
     assert drives.stand_still()
 
 
-def test_recording_needs_the_proof_once(place, gateway, serve):
+@pytest.mark.slow
+def test_a_command_that_moves_needs_the_proof_once(place, gateway, serve):
     drives = serve()
-    first = gateway("record", place.cell, "--bus", drives.bus, "--load", "none", "-o", place.run, "--yes")
+    first = gateway("move", place.cell, "--bus", drives.bus, "--to", "home", "--yes")
     assert first.exit_code == 0, first.output
     assert "every drive stopped by itself" in first.stderr
-    again = gateway("record", place.cell, "--bus", drives.bus, "--load", "none", "-o", place.folder / "b.h5", "--yes")
+    again = gateway("move", place.cell, "--bus", drives.bus, "--to", "0.1,-0.2,0.4,0,0.3,0", "--yes")
     assert again.exit_code == 0, again.output
     assert "proven 20" in again.stderr
 
 
+@pytest.mark.slow
 def test_recording_is_refused_where_a_drive_goes_on(place, gateway, serve, commission):
     drives = serve(fault=DEAF.format(2))
     done = gateway("record", place.cell, "--bus", drives.bus, "--load", "none", "-o", place.run, "--yes")
@@ -127,6 +130,7 @@ WRONG = '[[effect]]\nname = "{}"\njoints = {}\n'
 LYING = '[[fault]]\nkind = "demand_torque"\nnode = 3\n[[fault]]\nkind = "unsigned_torque"\nnode = 4\n'
 
 
+@pytest.mark.slow
 def test_small_moves_of_a_good_cell_pass_and_say_what_they_cannot_see(place, gateway, serve):
     drives = serve()
     done, body = check(gateway, place, drives, "--move", "--yes")
@@ -144,6 +148,7 @@ def test_small_moves_of_a_good_cell_pass_and_say_what_they_cannot_see(place, gat
     assert "stop_proof" not in body
 
 
+@pytest.mark.slow
 def test_a_torque_that_is_a_demand_and_one_without_sign_are_named(place, gateway, serve):
     done, body = check(gateway, place, serve(fault=LYING), "--move", "--yes")
     assert done.exit_code == 7, done.output
@@ -153,6 +158,7 @@ def test_a_torque_that_is_a_demand_and_one_without_sign_are_named(place, gateway
     assert len(found) == 2
 
 
+@pytest.mark.slow
 def test_a_reversed_torque_sign_is_named(place, gateway, serve):
     done, body = check(gateway, place, serve(effect=WRONG.format("sign_reversed", [2])), "--move", "--yes")
     assert done.exit_code == 7, done.output
@@ -173,6 +179,7 @@ def test_drives_whose_limits_give_them_away_are_named_before_anything_moves(plac
     assert drives.stand_still()
 
 
+@pytest.mark.slow
 def test_swapped_drives_are_named(place, gateway, serve):
     """Of one ratio and one range: else the drives' software limits give them away before anything moves."""
     text = place.cell.read_text()
@@ -187,6 +194,7 @@ def test_swapped_drives_are_named(place, gateway, serve):
     assert "node ids 2 and 3" in item["advice"]
 
 
+@pytest.mark.slow
 def test_a_wrong_gear_ratio_is_named_with_its_factor(place, gateway, serve):
     drives = serve()
     parts = place.cell.read_text().split("[[arm.axis]]")

@@ -9,13 +9,11 @@ pytestmark = pytest.mark.system
 # name, joints, parameters of the effect; how far mass and centre of gravity may be off [reported standard deviations]
 EFFECTS = {
     "balancer_spring": ([2], "stiffness_n_m = 6000.0"),
-    "load_dependent_friction": ([2], "coefficient = 0.25"),
-    "axis_coupling": ([5, 6], "coefficient = 0.3"),
-    "base_tilt": ([], "tilt_x_rad = 0.03, tilt_y_rad = -0.02"),
     "sign_reversed": ([4], ""),
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(EFFECTS))
 def test_an_undeclared_effect_is_named_with_its_axis(serve, commission, name):
     joints, parameters = EFFECTS[name]

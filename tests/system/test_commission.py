@@ -11,6 +11,7 @@ pytestmark = pytest.mark.system
 TRUTH_KG, TRUTH_COM_M = 6.0, (0.02, 0.01, 0.10)
 
 
+@pytest.mark.slow
 def test_the_whole_job_and_what_follows_from_it(place, serve, commission, gateway):
     """The load is hung where the arm stands."""
     lines = place.cell.read_text().splitlines(keepends=True)
@@ -51,6 +52,7 @@ def test_the_whole_job_and_what_follows_from_it(place, serve, commission, gatewa
     assert "nothing to put back" in gateway("restore", place.cell, "--bus", drives.bus).stdout
 
 
+@pytest.mark.slow
 def test_a_load_that_was_forgotten_is_asked_for_and_never_green(place, serve, commission, gateway):
     code, result, _, output = commission(serve(), "--expect", "load=6.0,0.2", forgets=True)
     assert code == 7
@@ -73,6 +75,7 @@ def test_the_check_stops_the_job_before_anything_moves(place, serve, commission)
     assert not (place.folder / "out" / "run.h5").exists()
 
 
+@pytest.mark.slow
 def test_a_job_that_broke_is_gone_on_with(place, serve, commission):
     broken = serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 2\nat_sync = 7000\n')
     code, result, _, output = commission(broken)
@@ -85,6 +88,7 @@ def test_a_job_that_broke_is_gone_on_with(place, serve, commission):
     assert result["loads"][0]["mass_kg"] == pytest.approx(TRUTH_KG, rel=0.02)
 
 
+@pytest.mark.slow
 def test_nobody_hangs_the_load(serve, commission):
     drives = serve()
     code, result, _, output = commission(drives, hangs=False)

@@ -72,6 +72,7 @@ def pages(monkeypatch) -> list[LivePage]:
     return started
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not available(), reason=MISSING)
 def test_a_person_sees_the_arm_and_stops_it_by_a_click(place, serve, gateway, pages, tmp_path, pictures):
     drives = serve()
@@ -126,6 +127,7 @@ def test_a_person_sees_the_arm_and_stops_it_by_a_click(place, serve, gateway, pa
     assert seen["disabled"] is True
 
 
+@pytest.mark.slow
 def test_a_page_leaves_with_its_command(place, serve, gateway, pages):
     drives = serve()
     done = gateway("move", place.cell, "--bus", drives.bus, "--to", "home", "--yes", "--live")
@@ -136,6 +138,7 @@ def test_a_page_leaves_with_its_command(place, serve, gateway, pages):
     assert not page.feed.gone
 
 
+@pytest.mark.slow
 def test_what_is_heard_beside_a_run_is_what_the_run_has_recorded(place, serve, gateway):
     drives = serve()
     loaded = load_cell(place.cell)

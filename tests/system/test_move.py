@@ -39,6 +39,7 @@ def test_it_asks_first_and_says_where_it_goes_and_how(place, gateway, serve):
     assert drives.stand_still()
 
 
+@pytest.mark.slow
 def test_there_and_home_again_after_the_proof(place, gateway, serve):
     drives = serve()
     there = move(gateway, place, drives, NEAR, "--yes")
@@ -81,6 +82,7 @@ def test_a_posture_of_the_cell_outside_its_limits_is_refused(place, gateway):
     assert "home_rad puts joint 2 at -1.6 rad" in said(done)
 
 
+@pytest.mark.slow
 def test_a_lost_drive_ends_it_in_the_brakes(place, gateway, serve):
     drives = serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 5\nat_sync = 1500\n')
     done = move(gateway, place, drives, "home", "--yes")
@@ -89,6 +91,7 @@ def test_a_lost_drive_ends_it_in_the_brakes(place, gateway, serve):
     assert drives.stand_still()
 
 
+@pytest.mark.slow
 def test_where_another_command_cannot_begin_it_names_the_way_on_and_that_works(place, gateway, serve):
     """Two posts beside the hand: room for the proof, not for a small move of joint 1."""
     drives = serve()
@@ -108,6 +111,7 @@ def test_where_another_command_cannot_begin_it_names_the_way_on_and_that_works(p
     assert drives.stand_still()
 
 
+@pytest.mark.slow
 def test_from_outside_its_range_it_moves_inwards_first_and_the_check_says_so(place, gateway, serve):
     drives = serve()
     cell = narrow(place, "[0.1, 2.8]")

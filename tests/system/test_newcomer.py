@@ -116,6 +116,7 @@ def answers(text: str, *without: str) -> str:
     return "\n".join(line for line in text.splitlines() if line.split(" =")[0] not in dropped) + "\n" + POSES
 
 
+@pytest.mark.slow
 def test_from_urdf_and_data_sheets_to_the_load(newcomer, tmp_path):
     her = newcomer(OWN / "bench" / "cell.toml", OWN / "bench" / "payload.toml")
     (arm,) = her.drives.simulation.arms
@@ -184,6 +185,7 @@ def rows_on_the_bench(folder: Path) -> Path:
     return folder / "bench.toml"
 
 
+@pytest.mark.slow
 def test_from_rows_without_a_data_sheet_to_the_load(newcomer, tmp_path):
     her = newcomer(rows_on_the_bench(tmp_path), OWN / "bench" / "payload.toml")
     text = answers(known("answers.toml"), "robot", "profile", "flange_xyz_m") + ROWS + 'profile = "drive.toml"\n'
@@ -194,6 +196,7 @@ def test_from_rows_without_a_data_sheet_to_the_load(newcomer, tmp_path):
     her.counts(load)
 
 
+@pytest.mark.slow
 def test_four_axes(newcomer, tmp_path):
     place = CELLS / "four"
     her = newcomer(place / "cell.toml", place / "payload.toml")

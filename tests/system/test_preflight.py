@@ -81,26 +81,28 @@ def test_the_other_findings_are_counted(place, gateway, serve):
     assert "(and 4 more)" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_ramp_that_was_changed_is_proven_again(place, gateway, serve):
     drives = serve()
-    words = ["record", place.cell, "--bus", drives.bus, "--load", "none", "--yes", "-o"]
-    first = gateway(*words, place.run)
+    words = ["move", place.cell, "--bus", drives.bus, "--yes", "--to"]
+    first = gateway(*words, "home")
     assert first.exit_code == 0, first.output
     ramp = drives.handle.simulation.arms[0].drives[4].store.values
     ramp[0x6085, 0] = int(ramp[0x6085, 0]) // 2
-    again = gateway(*words, place.folder / "b.h5")
+    again = gateway(*words, "0.1,-0.2,0.4,0,0.3,0")
     assert again.exit_code == 0, again.output
     assert "every drive stopped by itself" in again.stderr
-    third = gateway(*words, place.folder / "c.h5")
+    third = gateway(*words, "home")
     assert "proven 20" in third.stderr
 
 
+@pytest.mark.slow
 def test_drives_are_given_the_limits_that_the_cell_needs_and_get_theirs_back(place, gateway, serve):
     """J6 needs a fifth of what its drive may give; the drive's own limit comes back by `restore`, and is no finding."""
     drives = serve()
     last = drives.handle.simulation.arms[0].drives[5].store.values
     found = int(last[0x6072, 0])
-    done = gateway("record", place.cell, "--bus", drives.bus, "--load", "none", "-o", place.run, "--yes")
+    done = gateway("move", place.cell, "--bus", drives.bus, "--to", "home", "--yes")
     assert done.exit_code == 0, done.output
     assert 0 < int(last[0x6072, 0]) < found / 2
     checked = gateway("check", place.cell, "--bus", drives.bus, "--json", "-")
@@ -152,6 +154,7 @@ def two_arms(place):
         simulation.close()
 
 
+@pytest.mark.slow
 def test_a_cell_with_two_buses_is_checked_and_recorded_on_other_ones(place, gateway):
     with two_arms(place) as (given, channels, simulation):
         done = gateway("check", place.cell, "--bus", given)

@@ -13,6 +13,7 @@ def findings(done, where: str) -> list[dict]:
     return [each for each in json.loads(done.stdout)["findings"] if each["where"].startswith(where)]
 
 
+@pytest.mark.slow
 def test_the_proof_tries_both_stops_and_brings_the_arm_back(place, gateway, serve):
     drives = serve()
     (arm,) = drives.handle.simulation.arms
@@ -27,6 +28,7 @@ def test_the_proof_tries_both_stops_and_brings_the_arm_back(place, gateway, serv
     assert drives.stand_still()
 
 
+@pytest.mark.slow
 def test_a_brake_that_slips_is_found_and_one_that_holds_is_not(place, gateway, serve):
     drives = serve()
     held = gateway("check", place.cell, "--bus", drives.bus, "--brakes", "--yes", "--json", "-")
@@ -43,6 +45,7 @@ def test_a_brake_that_slips_is_found_and_one_that_holds_is_not(place, gateway, s
     assert drives.stand_still()
 
 
+@pytest.mark.slow
 def test_an_arm_that_sinks_when_its_brakes_close_ends_the_proof(place, gateway, serve):
     drives = serve(fault='[[fault]]\nkind = "brake_slips"\nnode = 3\n')
     done = gateway("check", place.cell, "--bus", drives.bus, "--prove-stop", "--yes")

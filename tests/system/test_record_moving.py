@@ -77,6 +77,7 @@ def plan(untyped, gateway):
     return {name: untyped.folder / f"{name}.json" for name in plans}
 
 
+@pytest.mark.slow
 def test_what_motion_tells_is_what_is_there(untyped, plan, serve, gateway):
     """Recorded, gone on with, estimated, diagnosed, drawn, and used: every number within its own deviations.
 

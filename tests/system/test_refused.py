@@ -60,6 +60,7 @@ def test_one_pose_is_refused(place, gateway):
 # ----------------------------------------------------------------------------------------- before anything moves
 
 
+@pytest.mark.slow
 def test_a_joint_that_stands_outside_its_limits(place, gateway, serve):
     drives = serve()
     inside = (("home_rad = [0.0", "home_rad = [0.5"), ("loading_rad = [0.0", "loading_rad = [0.5"))
@@ -88,6 +89,7 @@ def test_no_drive_at_all(place, gateway):
     complains(gateway("scan", "--bus", "virtual"), 4, "INTERFACE:CHANNEL")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "says"),
     [
@@ -110,6 +112,7 @@ def test_a_drive_that_must_not_be_used(place, gateway, serve, kind, says):
 # ------------------------------------------------------------------------------------------ while it is measured
 
 
+@pytest.mark.slow
 def test_an_incomplete_epoch_is_sampled_again(place, gateway, serve):
     lost = '[[fault]]\nkind = "tpdo_lost"\nnode = 4\nsyncs = 1\nat_sync = {}\n'
     drives = serve(fault="".join(lost.format(sync) for sync in range(300, 6600, 120)))
@@ -122,6 +125,7 @@ def test_an_incomplete_epoch_is_sampled_again(place, gateway, serve):
     assert all(len(visit) == 60 for visit in arm.visits)
 
 
+@pytest.mark.slow
 def test_a_pose_that_never_settles(place, gateway, serve):
     drives = serve(fault='[[fault]]\nkind = "never_settles"\nnode = 2\nat_sync = 4000\n')
     cell = place.variant("short", ("[poses]", "[poses]\nsettle_timeout_s = 2.0"))
@@ -133,6 +137,7 @@ def test_a_pose_that_never_settles(place, gateway, serve):
     assert any(visit.complete for visit in recording.arms[0].visits)
 
 
+@pytest.mark.slow
 def test_a_drive_that_faults_in_motion_and_the_run_is_resumed(place, gateway, serve):
     drives = serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 5\nat_sync = 4000\n')
     done = gateway("record", place.cell, "--bus", drives.bus, "--load", "none", "-o", place.run, "--yes")

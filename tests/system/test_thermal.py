@@ -17,6 +17,7 @@ DRIFT = "".join(
 )
 
 
+@pytest.mark.slow
 def test_a_drift_cancels_where_the_loads_are_measured_forth_and_back(place, serve, commission):
     code, result, hands, output = commission(serve(effect=DRIFT), "--thermal", "--warm-up", "1")
     assert code in (0, 7), output.err

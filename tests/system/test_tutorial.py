@@ -56,6 +56,7 @@ def simulator(words: list[str]) -> Iterator[subprocess.Popen[str]]:
         process.communicate(timeout=20)
 
 
+@pytest.mark.slow
 def test_the_page_as_it_is_typed(tmp_path, monkeypatch):
     port = free_bus().rpartition("=")[2]
     shutil.copytree(ROOT / "examples" / "own", tmp_path / "examples" / "own")

@@ -14,6 +14,7 @@ def record(gateway, place, bus, load, *more):
     return gateway("record", place.cell, "--bus", bus, "--load", load, "-o", place.run, "--yes", *more)
 
 
+@pytest.mark.slow
 def test_a_load_is_measured_until_it_is_known(place, gateway, serve):
     drives = serve()
     bare = record(gateway, place, drives.bus, "none")
@@ -57,6 +58,7 @@ def test_what_cannot_be_meant_is_refused_before_the_bus_is_opened(place, gateway
         assert says in " ".join(done.output.split()), (more, done.output)
 
 
+@pytest.mark.slow
 def test_the_whole_job_measures_a_load_until_it_is_known(place, serve, commission):
     drives = serve()
     code, result, hands, output = commission(drives, "--until", "mass=20%,com=15mm")

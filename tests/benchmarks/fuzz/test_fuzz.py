@@ -10,6 +10,7 @@ from tests.support.fuzz.targets import TARGETS, Target
 SHORT = {"decoder": 300, "reader": 120}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
 def test_input_from_strangers(target: Target) -> None:
     run(target, max(10, round(SHORT[target.kind] * target.share)))

@@ -41,6 +41,7 @@ def test_what_is_broken_is_found_and_nothing_else(window, tmp_path, body, kinds)
     assert {fault["kind"] for fault in window.run(FAULTS)} == kinds
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["result", "pair", "stop"])
 def test_a_page_is_whole_on_every_screen_and_on_paper(window, tmp_path, name):
     file = tmp_path / f"{name}.html"

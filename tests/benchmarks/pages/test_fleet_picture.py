@@ -49,6 +49,7 @@ def drawn_on(window: Browser, page: str, file: Path) -> list[str]:
     return window.run(DRAWN)
 
 
+@pytest.mark.slow
 def test_the_page_of_a_fleet_is_whole_and_its_picture_is_taken(
     window: Browser, pages: dict[str, str], tmp_path: Path, pictures: Path
 ) -> None:

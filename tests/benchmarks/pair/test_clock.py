@@ -32,6 +32,7 @@ def friction(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(LightWorld, "_report", faded)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("friction")
 def test_friction_of_arms_that_stand_is_no_force_in_the_part() -> None:
     """Arms without errors, ways forward and back: the guard of the way to the start stops none of them."""

@@ -42,6 +42,7 @@ def edit(cell: Path, old: str, new: str) -> None:
 # ------------------------------------------------------------------------------------------------------ on both buses
 
 
+@pytest.mark.slow
 @pytest.mark.system
 def test_one_cycle_brings_the_gap_home_and_is_learned_from() -> None:
     with gap_rig(1) as rig:
@@ -73,6 +74,7 @@ def lost_at(rig: GapRig, after_s: float, cycles: float) -> None:
     rig.world.after.append(gap)
 
 
+@pytest.mark.slow
 @pytest.mark.system
 def test_a_missing_frame_is_no_value_and_never_the_old_one() -> None:
     with gap_rig(0) as rig:

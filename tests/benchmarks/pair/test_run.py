@@ -39,6 +39,7 @@ def drives(rig: PairRig) -> list[FakeDrive]:
     return [drive for unit in rig.simulation.arms for drive in unit.drives]
 
 
+@pytest.mark.slow
 def test_one_cycle_with_twelve_drives() -> None:
     with pair_rig(0) as rig:
         run = row(rig, "C2c")
@@ -55,6 +56,7 @@ def test_one_cycle_with_twelve_drives() -> None:
     assert abs(done.summary.force_n - true.max()) < 0.5 * true.max()
 
 
+@pytest.mark.slow
 def test_a_cycle_with_a_gap_is_not_learned_from() -> None:
     with pair_rig(0) as rig:
         run = row(rig, "C2c")
@@ -74,6 +76,7 @@ def test_a_cycle_with_a_gap_is_not_learned_from() -> None:
     assert "incomplete" in done.summary.reason
 
 
+@pytest.mark.slow
 def test_a_pair_without_errors_feels_next_to_nothing() -> None:
     with pair_rig(None) as rig:
         _, record = rig.cycle(row(rig, "A", speed=1.0))
@@ -90,6 +93,7 @@ def has_a_fault(drive: FakeDrive) -> None:
     drive.raise_fault(0x3210)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("arm", "harm"), [(0, has_a_fault), (1, falls_silent)])
 def test_one_arm_fails_and_both_stop(arm: int, harm: Callable[[FakeDrive], None]) -> None:
     with pair_rig(0) as rig:
@@ -128,6 +132,7 @@ def test_one_arm_fails_and_both_stop(arm: int, harm: Callable[[FakeDrive], None]
         drives(rig)[6 * arm + 2].node.silent = False
 
 
+@pytest.mark.slow
 def test_a_force_above_twice_the_limit_stops_both_at_once() -> None:
     with pair_rig(0) as rig:
         run = row(rig, "A", force_limit_n=None, speed=1.5)
@@ -154,6 +159,7 @@ def test_an_arm_that_stands_elsewhere_is_refused() -> None:
         assert all(drive.automaton.state is not PdsState.OPERATION_ENABLED for drive in drives(rig))
 
 
+@pytest.mark.slow
 def test_teaching_goes_on_where_it_ended() -> None:
     rule = TeachRule(force_n=40.0, moment_nm=10.0, sweep_s=0.2, way_m_s=0.6)
     with pair_rig(0) as rig:

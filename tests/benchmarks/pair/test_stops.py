@@ -82,6 +82,7 @@ def heard(desk: StopDesk) -> list[StopKind]:
     return kinds
 
 
+@pytest.mark.slow
 def test_a_stop_along_the_path_keeps_the_relation() -> None:
     """Below some 20 N joints that come to rest hide what acts between the hands."""
     done = stopped("along the path", 0, 2.1)
@@ -89,6 +90,7 @@ def test_a_stop_along_the_path_keeps_the_relation() -> None:
     assert done.off_after_m < max(1.2 * done.off_before_m, 1e-4)
 
 
+@pytest.mark.slow
 def test_drives_are_disabled_when_the_joints_no_longer_catch_up() -> None:
     with inline_rig(0) as rig:
         run = standing(rig)
@@ -107,6 +109,7 @@ def test_drives_are_disabled_when_the_joints_no_longer_catch_up() -> None:
     assert fastest[0] < 0.01
 
 
+@pytest.mark.slow
 def test_a_second_wish_is_a_quick_stop_of_all_twelve() -> None:
     with inline_rig(0) as rig:
         run, left = standing(rig), []
@@ -127,6 +130,7 @@ def test_a_second_wish_is_a_quick_stop_of_all_twelve() -> None:
         assert not any(enabled(rig))
 
 
+@pytest.mark.slow
 def test_a_force_that_still_rises_becomes_a_quick_stop() -> None:
     with inline_rig(0) as rig:
         run = standing(rig, "A", 20.0)
@@ -146,6 +150,7 @@ def test_a_force_that_still_rises_becomes_a_quick_stop() -> None:
     assert StopKind.QUICK_STOP in kinds
 
 
+@pytest.mark.slow
 def test_a_force_that_does_not_rise_any_more_is_no_quick_stop() -> None:
     with inline_rig(0) as rig:
         run = standing(rig, "B", 15.0)
@@ -155,6 +160,7 @@ def test_a_force_that_does_not_rise_any_more_is_no_quick_stop() -> None:
     assert kinds == [StopKind.ALONG_PATH]
 
 
+@pytest.mark.slow
 def test_a_part_that_is_held_elsewhere_is_felt_on_the_way_to_the_start() -> None:
     """A grasp that is 2 mm wrong, the part still held: 300 N if both arms went there."""
     with inline_rig(0) as rig:
@@ -169,6 +175,7 @@ def test_a_part_that_is_held_elsewhere_is_felt_on_the_way_to_the_start() -> None
     assert np.linalg.norm(np.array(rig.world.record)[:, 1:4], axis=1).max() < 80.0
 
 
+@pytest.mark.slow
 def test_an_arm_that_is_told_the_impossible_stops_both() -> None:
     with inline_rig(0) as rig:
         run = standing(rig)
@@ -254,6 +261,7 @@ def clocked(tmp_path: Path) -> Path:
     return cell
 
 
+@pytest.mark.slow
 @pytest.mark.xdist_group("by-the-clock")
 def test_ctrl_c_by_the_clock_stops_both_along_the_path(clocked: Path) -> None:
     buses = f"left={free_bus()};right={free_bus()}"

@@ -70,6 +70,7 @@ def recorded(simulation, small_cell, plan, tmp_path_factory):
     return path, events, summary, broken, energised
 
 
+@pytest.mark.slow
 def test_a_broken_run_says_so(recorded):
     _, _, _, broken, _ = recorded
     assert broken.exit_status == "abort"

@@ -76,6 +76,7 @@ def test_nothing_is_found_where_nothing_is_wrong():
     assert [item.severity for item in wiring_items("main", range(1, 7), verdict)][1:3] == ["ok", "ok"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("wired", "order", "expected"),
     [
@@ -89,6 +90,7 @@ def test_one_mistake_is_named(wired, order, expected):
     assert named(moves(changed(**wired), order)) == [expected]
 
 
+@pytest.mark.slow
 def test_a_gear_ratio_is_named_with_its_factor():
     verdict = judge_wiring(ARM, moves(changed(ratio={2: 2.0})))
     (wiring,) = verdict.found

@@ -276,7 +276,7 @@ def test_unwritable_path(tmp_path):
         write_csv(table, tmp_path / "missing" / "t.csv")
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damaged_text_gives_a_table_or_a_typed_error(tmp_path, data):
     path = write(tmp_path / "t.csv", rest_rows(load=["a", "b", "c"], dir1=[0, 1, -1]))

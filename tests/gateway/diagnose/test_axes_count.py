@@ -80,6 +80,8 @@ def test_an_arm_without_effects_needs_none(arm, tmp_path):
     assert abs(load["mass_kg"] - LOAD.mass_kg) < max(4 * load["mass_std_kg"], 0.05)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("arm", CELLS[:1], ids=["four"], indirect=True)
 def test_a_hidden_spring_is_named_with_its_joint(arm, tmp_path):
     code, body, said = diagnosed(arm, tmp_path / "out.json", table(arm, tmp_path / "run.csv", [SPRING]))
     assert code == 0, said
@@ -93,12 +95,14 @@ def test_a_hidden_spring_is_named_with_its_joint(arm, tmp_path):
     assert f"J{arm.axes}" in page.read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_a_reversed_sign_is_a_failing_finding(arm, tmp_path):
     code, body, _ = diagnosed(arm, tmp_path / "out.json", table(arm, tmp_path / "run.csv", [SIGN]))
     assert code == 7
     assert any(finding["severity"] == "fail" and "J3" in finding["where"] for finding in body["findings"])
 
 
+@pytest.mark.slow
 def test_the_last_axis_is_looked_at_too(arm, tmp_path):
     """A cable on the last axis: the joints that an effect may sit on go to N."""
     effect = {"name": "cable_torque", "joints": [arm.axes], "parameters": {"stiffness_nm_rad": 4.0}}
@@ -108,12 +112,16 @@ def test_the_last_axis_is_looked_at_too(arm, tmp_path):
     assert arm.axes in named, body["effects"]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("arm", CELLS[:1], ids=["four"], indirect=True)
 def test_what_to_measure_next_has_a_number_per_axis(arm, tmp_path):
     _, body, _ = diagnosed(arm, tmp_path / "out.json", table(arm, tmp_path / "run.csv", [SPRING], poses=5))
     for item in body["next"]:
         assert all(len(pose) == arm.axes for pose in item["poses_rad"])
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("arm", CELLS[:1], ids=["four"], indirect=True)
 def test_a_moving_run_is_diagnosed(arm, tmp_path):
     """A rigid arm with friction, its torque by the gateway's own oracle in `tests/arms.py`, has nothing to name."""
     pinocchio = pytest.importorskip("pinocchio")
@@ -151,7 +159,9 @@ def test_a_table_of_another_arm_is_refused(arm, tmp_path):
     assert f"has {arm.axes}" in said
 
 
+@pytest.mark.slow
 @pytest.mark.system
+@pytest.mark.parametrize("arm", CELLS[:1], ids=["four"], indirect=True)
 def test_recordings_are_diagnosed(arm, tmp_path):
     for name in ("cell.toml", "robot.urdf", "payload.toml"):
         shutil.copy(arm.folder / name, tmp_path / name)

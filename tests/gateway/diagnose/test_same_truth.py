@@ -20,7 +20,8 @@ def held(result, name, key, truth):
     return abs(found.parameters[key] - truth) <= half, half / truth
 
 
-@pytest.mark.parametrize("seed", [4, 5, 7])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [4])
 def test_a_spring_at_rest(seed):
     shape = {"lever_m": LEVER_M, "anchor_m": ANCHOR_M, "free_length_m": FREE_M}
     bench = Bench(seed, [effect("balancer_spring", [2], stiffness_n_m=STIFFNESS_N_M, **shape)])
@@ -30,7 +31,8 @@ def test_a_spring_at_rest(seed):
     assert width < 3.0
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1])
 def test_the_same_spring_in_motion(seed):
     world = World(coil=(STIFFNESS_N_M, LEVER_M, ANCHOR_M, FREE_M))
     table, robot, _ = measured(seed, world)
@@ -40,6 +42,7 @@ def test_the_same_spring_in_motion(seed):
     assert width < 3.0
 
 
+@pytest.mark.slow
 def test_gear_losses_at_rest_and_in_motion_are_one_coefficient():
     bench = Bench(4, [effect("load_dependent_friction", [3], coefficient=0.3)])
     table, robot, _ = measured(1, World(load_friction={2: 0.3}))

@@ -42,6 +42,7 @@ def test_exact_without_noise(arm, measured, method, inertials):
     assert found.rows.rms_nm.shape == (arm.robot.axes,)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_intervals_hold_the_truth(arm, measured, method):
     rng, inside = np.random.default_rng(5), []

@@ -58,6 +58,7 @@ def test_the_order_of_the_rows_does_not_matter(arm, poses, measured, method):
     np.testing.assert_allclose(one[1], two[1], rtol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_intervals_hold_the_truth(arm, poses, measured, method):
     """30 tables of a scattered friction band, four numbers each."""
@@ -181,6 +182,7 @@ def broken(table, rng):
     return replace(table, tau_nm=tau, tau_std_nm=std, direction=side).take(keep)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_whatever_the_rows_are_a_result_or_a_typed_error_comes_out(arm, measured, method):
     rng = np.random.default_rng(0)

@@ -72,6 +72,7 @@ def inside(found):
     return np.abs(value - TRUTH) < 1.96 * std
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "seeds"), [("joint", 24), ("posture", 16), ("difference", SEEDS)], ids=list(BY_METHOD)
 )

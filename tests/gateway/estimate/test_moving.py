@@ -112,6 +112,7 @@ LOADS = {"none": None, "again": None, "a": (2.0, 0.02, -0.01, 0.08), "b": (5.0, 
 LOADS |= {"c": (8.0, 0.05, 0.0, 0.12), "d": (3.0, 0.0, 0.06, 0.05)}
 
 
+@pytest.mark.slow
 def test_intervals_of_four_loads_hold_the_truth_with_gains_and_losses_as_every_arm_has_them():
     """Gains off by 3 %, losses of 5 %, noise that hangs together over 0.1 s; white noise and no gains: a quarter."""
     off = []

@@ -130,6 +130,7 @@ def test_the_order_of_the_rows_does_not_matter(clean, robot):
     np.testing.assert_allclose(one.inertia_std_kg_m2, other.inertia_std_kg_m2, rtol=1e-2)
 
 
+@pytest.mark.slow
 def test_intervals_hold_under_coloured_noise(clean, robot):
     """Noise that hangs together over five rows, 6 draws of ten numbers and of the friction of six axes."""
     truth = np.array([MASS, *COM, *SIX])

@@ -121,6 +121,7 @@ def test_a_motion_that_meets_a_box_is_refused(small_cell, plan: MovingPlan, conf
         check_moving_plan(plan, workspace_of(boxed, robot), boxed)
 
 
+@pytest.mark.slow
 def test_improving_makes_the_promise_better_and_keeps_the_limits(small_cell, config, monkeypatch) -> None:
     for steps, few in (("TRIES", 1), ("FIRST_STEPS", 8), ("MORE_STEPS", 8)):
         monkeypatch.setattr(choosing, steps, few)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from mcap_ros2.writer import Writer
 
@@ -343,7 +343,6 @@ def test_a_missing_file_is_named(tmp_path):
 
 
 @pytest.mark.parametrize("kind", UNITS)
-@settings(max_examples=40, deadline=None)
 @given(value=st.floats(-3.0, 3.0))
 def test_units_are_those_of_the_books(kind, value):
     books = {

@@ -22,6 +22,7 @@ SOURCES = Sources(
 )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_shares_are_those_of_the_variance_when_one_source_alone_varies():
     design, weight, prior = problem()
     covariance = solve(design, np.zeros(20), weight, prior).covariance

@@ -93,10 +93,11 @@ def entries(gross: Gross) -> set[tuple[int, int]]:
     return {(entry.visit, entry.axis) for entry in gross.entries}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loads", [("none", "tool"), ("none",)])
 def test_gross_visits_are_found_and_sound_ones_kept(loads):
     there = found = wrong = sound = 0
-    for seed in range(40):
+    for seed in range(10):
         measured = Measured(seed, loads=loads)
         measured.disturb(1, np.random.default_rng([seed, 6]))
         said = entries(measured.found())
@@ -106,6 +107,7 @@ def test_gross_visits_are_found_and_sound_ones_kept(loads):
     assert wrong <= 0.01 * sound
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "effect",
     ["balancer_spring", "cable_torque", "torque_ripple", "joint_zero_offset", "base_tilt", "axis_coupling",
@@ -113,26 +115,28 @@ def test_gross_visits_are_found_and_sound_ones_kept(loads):
 )  # fmt: skip
 def test_what_the_arm_itself_does_is_not_gross(effect):
     wrong = sound = 0
-    for seed in range(100, 104):
+    for seed in range(100, 101):
         measured = Measured(seed, effect, strength=20.0)
         wrong += len(entries(measured.found()))
         sound += 6 * len(measured.visits)
     assert wrong <= 0.01 * sound
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", ["balancer_spring", "cable_torque", "torque_ripple"])
 def test_gross_visits_are_found_beside_an_effect(effect):
     there = found = 0
-    for seed in range(120, 124):
+    for seed in range(120, 122):
         measured = Measured(seed, effect)
         measured.disturb(1, np.random.default_rng([seed, 6]))
         there, found = there + len(measured.gross), found + len(entries(measured.found()) & measured.gross)
     assert found >= 0.95 * there
 
 
+@pytest.mark.slow
 def test_the_answer_moves_less_than_half_a_standard_deviation():
     moved = []
-    for seed in range(20):
+    for seed in range(6):
         measured = Measured(seed)
         options = EstimateOptions(inertials="prior:0.05", efficiency=tuple(measured.arm.efficiency))
         before = estimate(measured.table, measured.robot, options).loads[0]
@@ -198,6 +202,7 @@ def test_an_entry_says_by_how_many_bands_and_in_what(kind, reason, bands):
     assert "pose 3 under tool, J5 by" in gross_findings(found, aside)[0].what
 
 
+@pytest.mark.slow
 def test_one_sided_visits_are_judged_by_their_own_scatter():
     there = found = wrong = 0
     for seed in range(20):

@@ -3,7 +3,7 @@
 import numpy as np
 import pinocchio
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.identify.inertia import (
@@ -69,7 +69,6 @@ def test_moments_that_are_hardly_known_stay_open_by_name():
     assert load_inertia(FittedBody(ten, True), np.eye(10)).unidentifiable == (INERTIA_WHOLE,)
 
 
-@settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 10_000), size=st.floats(1e-3, 3.0))
 def test_what_is_given_is_a_body_and_no_further_from_the_truth(seed, size):
     rng = np.random.default_rng(seed)

@@ -61,6 +61,7 @@ def test_the_printed_address_is_answered_and_the_end_ends_the_process():
     assert page._process.poll() == 0
 
 
+@pytest.mark.slow
 def test_two_pages_have_two_ports(page):
     with live_page("another") as other:
         assert other.address != page.address

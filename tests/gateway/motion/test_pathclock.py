@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import make_interp_spline
 
@@ -37,7 +37,6 @@ def accelerations(q_rad: np.ndarray) -> np.ndarray:
     return np.diff(still, n=2, axis=0) / PERIOD_S**2
 
 
-@settings(max_examples=60, deadline=None)
 @given(start=angles, target=angles, at=st.floats(0, 1))
 def test_a_stop_anywhere_on_a_straight_motion_keeps_line_and_limits(start, target, at):
     motion = straight(start, target, LIMITS, PERIOD_S)

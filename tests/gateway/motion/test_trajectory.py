@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.errors import PlanRefused
@@ -20,7 +20,6 @@ def rates(q_rad: np.ndarray) -> list[np.ndarray]:
     return [speed, acceleration, np.diff(acceleration, axis=0) / PERIOD_S]
 
 
-@settings(max_examples=60, deadline=None)
 @given(start=angles, target=angles)
 def test_straight_motion_keeps_limits_and_line(start, target):
     motion = straight(start, target, LIMITS, PERIOD_S)

@@ -316,6 +316,7 @@ def test_a_sync_of_which_one_arm_tells_nothing_leaves_the_force_as_it_is(bench):
     assert bench.balance.inputs(400) is None
 
 
+@pytest.mark.slow
 def test_intervals_hold_what_they_say_where_constants_are_drawn(bench):
     """30 draws of the friction of all joints and of a force that sways; 95 % of the rows, within what 30 draws tell."""
     random = np.random.default_rng(3)

@@ -90,6 +90,7 @@ def test_a_way_that_goes_faster_further_on_lags_more_there():
     assert back == pytest.approx(0.02 * (SPEED + 0.1), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_it_is_given_back_as_fast_as_the_servos_catch_up():
     """A first-order approach with their time constant: after one SYNC dt / (dt + tau - T) of it."""
     lag = driven(0.02, 0.06)

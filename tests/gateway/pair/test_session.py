@@ -85,6 +85,7 @@ def taught(tmp_path_factory):
     pair.arms.close()
 
 
+@pytest.mark.slow
 def test_teaching_finds_the_relation_that_the_part_has_whatever_the_cell_says(taught):
     """What is left is what the set value, 5 N and 1.5 Nm, is on the stiffness of this part, and friction's rest."""
     store, told, function, pair = taught
@@ -104,6 +105,7 @@ def test_teaching_finds_the_relation_that_the_part_has_whatever_the_cell_says(ta
         assert pair.part.q_rad[index] == pytest.approx(arm.start_rad, abs=5e-3)
 
 
+@pytest.mark.slow
 def test_what_was_taught_is_on_disk(taught):
     store, told, function, pair = taught
     stored = store.load("first")
@@ -146,6 +148,7 @@ def test_a_point_that_cannot_be_adjusted_stops_both(pair, store, rule, says):
 # -- running -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_run_goes_there_and_back_as_often_as_asked_and_is_stored_for_the_report(pair, store):
     store.save("first", constant_function(pair.true), learn_source="taught", speed=0.0)
     body, told = run(pair, store, "C1", cycles=2)
@@ -161,6 +164,7 @@ def test_a_run_goes_there_and_back_as_often_as_asked_and_is_stored_for_the_repor
         assert pair.part.q_rad[drives.index] == pytest.approx(arm.start_rad, abs=5e-3)
 
 
+@pytest.mark.slow
 def test_a_function_that_fits_the_part_leaves_little_force_and_the_grasps_alone_much(pair, store):
     """By the spring alone the grasps' error is worth half the cell's stiffness times 0.45 mm."""
     store.save("first", constant_function(pair.true), learn_source="taught", speed=0.0)
@@ -171,6 +175,7 @@ def test_a_function_that_fits_the_part_leaves_little_force_and_the_grasps_alone_
     assert good < 0.6 * bad
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frozen", [False, True])
 def test_what_was_learned_is_kept_and_gone_on_from_unless_learning_is_off(pair, store, frozen):
     store.save("first", constant_function(pair.cell.nominal_relation), learn_source="taught", speed=0.0)
@@ -191,6 +196,7 @@ def test_what_was_learned_is_kept_and_gone_on_from_unless_learning_is_off(pair, 
     assert where == f"learned by C2c {second.date}"
 
 
+@pytest.mark.slow
 def test_a_run_goes_back_by_what_the_run_before_has_learned_of_the_way_back(pair, store, monkeypatch):
     store.save("first", constant_function(pair.cell.nominal_relation), learn_source="taught", speed=0.0)
     row = embodiment_of(pair.cell, "C2c")
@@ -218,6 +224,7 @@ def test_a_part_that_is_gripped_elsewhere_stops_both_before_the_way_begins(pair,
     assert not (store.folder / "run-A.json").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("failing", [0, 1])
 def test_a_fault_of_one_arm_ends_the_run_and_what_was_run_is_kept(pair, store, failing):
     pair.drives[failing].fault_at = 1500
@@ -249,6 +256,7 @@ def test_a_sample_that_is_lost_spoils_the_cycle_for_learning(pair, store):
     assert store.load("second") is None
 
 
+@pytest.mark.slow
 def test_a_slow_share_is_planned_slower(pair, store):
     body, _ = run(pair, store, "A", moves=MoveOptions(override=0.5))
     assert body.speed == 0.5 * SPEED
@@ -383,6 +391,7 @@ def test_what_takes_longer_than_a_sync_is_computed_while_both_arms_stand(pair, s
     assert all(standing for _, standing in computed)
 
 
+@pytest.mark.slow
 def test_the_way_back_learns_for_itself_unless_learning_is_off(pair, store):
     """Both ways have the same part between the hands; what one learns does not come from the other."""
     row = replace(EMBODIMENTS["C2c"], gains=cell_gains(pair.cell))

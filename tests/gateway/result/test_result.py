@@ -8,7 +8,7 @@ import math
 import jsonschema
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.errors import InputError
@@ -172,7 +172,6 @@ ANY_JSON = st.recursive(
 )
 
 
-@settings(deadline=None)
 @given(ANY_JSON)
 def test_whatever_stands_in_the_file_only_input_error_comes_out(value):
     data = {"schema": 1, "robot": "r", "loads": value, "before": value, "rows": value}

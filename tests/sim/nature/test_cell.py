@@ -121,6 +121,7 @@ def test_stops_scatter_as_the_floor_says():
     assert left.mean(axis=(0, 1)) == pytest.approx(friction.mean_left, rel=0.01)
 
 
+@pytest.mark.slow
 def test_gross_visits_lie_off_by_bands_and_are_told():
     share, sizes = [], []
     for seed in range(60):
@@ -139,6 +140,7 @@ def test_gross_visits_lie_off_by_bands_and_are_told():
     assert min(sizes) > 2.5
 
 
+@pytest.mark.slow
 def test_misstated_priors_are_wrong_by_two_in_either_direction():
     cells = [draw_cell(seed, "base") for seed in range(120)]
     factors = {round(float(c.stated.gain_std[0] / c.arm.gain_std[0]), 6): None for c in cells if c.stated.misstated}
@@ -147,6 +149,7 @@ def test_misstated_priors_are_wrong_by_two_in_either_direction():
     assert all(np.array_equal(c.stated.gain_std, c.arm.gain_std) for c in cells if not c.stated.misstated)
 
 
+@pytest.mark.slow
 def test_links_and_gains_are_drawn_with_what_is_stated():
     cells = [draw_cell(seed, condition) for condition in ("base", "cad") for seed in range(80)]
     links, gains = [], []

@@ -153,6 +153,7 @@ def test_strength_of_friction_is_the_swing_of_the_half_differences(cell):
     assert reached == pytest.approx(3.0 * np.sqrt(uneven), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_strengths_lie_where_they_were_drawn():
     sizes = [size for seed in range(40) for size in draw_effect_cell(seed).strengths if np.isfinite(size)]
     assert np.mean([1.35 < size < 21.0 for size in sizes]) > 0.8

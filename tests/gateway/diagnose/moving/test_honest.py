@@ -35,6 +35,7 @@ def parted(seed, world, at_s=18.0, **keys):
     return table.take(table.time_s < at_s), table.take(table.time_s >= at_s + 0.5), robot
 
 
+@pytest.mark.slow
 def test_rows_that_are_given_choose_no_parameter_and_no_load():
     """Two hold-outs of the same fitted rows: only the figures on them differ."""
     first, last, robot = parted(5, World(spring=(0.8, 0.1), payload=(6.0, 0.03, -0.02, 0.12)))
@@ -48,6 +49,7 @@ def test_rows_that_are_given_choose_no_parameter_and_no_load():
     assert good.after.holdout_rms_nm != bad.after.holdout_rms_nm
 
 
+@pytest.mark.slow
 def test_a_hold_out_does_not_make_the_load_surer():
     """A run that is fitted says of the load what it says, whether other rows are held out or not."""
     first, last, robot = parted(5, World(spring=(0.8, 0.1), payload=(6.0, 0.03, -0.02, 0.12)))
@@ -65,6 +67,7 @@ def test_what_fits_but_does_not_foretell_is_not_named():
     assert any("does not foretell" in finding.what for finding in result.findings)
 
 
+@pytest.mark.slow
 def test_figures_come_with_an_interval_and_say_what_they_are_of():
     table, robot, _ = measured(1, World(load_friction={1: 0.25}))
     result = diagnose(table, robot, DiagnoseOptions(inertials="ignore"))
@@ -77,6 +80,7 @@ def test_figures_come_with_an_interval_and_say_what_they_are_of():
     assert "say little about another run" in str(result.provenance["held_out"])
 
 
+@pytest.mark.slow
 def test_loads_that_hang_in_one_run_each_are_given_by_both():
     """Six runs and more: held out whole, each took its load with it."""
     loads = {"none": None, "again": None} | {f"l{k}": (2.0 + k, 0.02, -0.01, 0.05 + 0.01 * k) for k in range(4)}
@@ -91,6 +95,7 @@ def test_loads_that_hang_in_one_run_each_are_given_by_both():
     assert found["l3"].budget["constants"] > 0.2
 
 
+@pytest.mark.slow
 def test_a_run_of_a_tenth_of_the_others_is_no_hindrance():
     table, robot = several(4, LOADS)
     short = (table.run != "3") | (table.time_s < 1.0)
@@ -113,6 +118,7 @@ def test_rows_of_another_arm_held_out_name_nothing_and_say_so():
     assert any(finding.where == "--holdout" and "another robot" in finding.what for finding in result.findings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_what_every_arm_has_is_no_effect(seed):
     """Gains off by 3 % and losses of 5 % on every axis."""
@@ -139,6 +145,7 @@ def test_no_gain_and_no_loss_goes_beyond_what_is_ordinary_unless_it_is_an_effect
     assert found.value[-1] == pytest.approx(0.3, abs=0.03)
 
 
+@pytest.mark.slow
 def test_the_torque_constants_stated_decide_how_sure_a_mass_is():
     table, robot = several(2, {"none": None, "b": LOADS["b"]})
     sure, unsure = (

@@ -92,6 +92,7 @@ def test_each_torque_meets_the_motion_that_it_belongs_to() -> None:
     assert np.array_equal(then.tau_nm, now.tau_nm)
 
 
+@pytest.mark.slow
 def test_an_arm_that_lacks_nothing_is_down_to_the_noise(clean: tuple[Table, Robot]) -> None:
     result = diagnose(*clean, DiagnoseOptions())
     assert result.effects == ()
@@ -100,6 +101,7 @@ def test_an_arm_that_lacks_nothing_is_down_to_the_noise(clean: tuple[Table, Robo
     assert result.after.holdout_rms_nm == pytest.approx(np.array(result.noise_floor_nm), rel=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("world", "name"),
     [

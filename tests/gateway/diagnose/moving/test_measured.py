@@ -36,6 +36,7 @@ def held(result):
     return np.array(result.before.holdout_rms_nm), np.array(result.after.holdout_rms_nm)
 
 
+@pytest.mark.slow
 def test_kr300_lacks_a_balancer_and_carries_a_believable_load():
     table, robot = load("kr300", "run_A")
     result = diagnose_motion(table, robot, DiagnoseOptions())
@@ -56,6 +57,7 @@ def test_kr300_lacks_a_balancer_and_carries_a_believable_load():
     assert from_json(to_json(result)).effects[0].name == "balancer_spring"
 
 
+@pytest.mark.slow
 def test_kr300_load_under_any_trust_in_the_cad_is_the_same_within_its_intervals():
     table, robot = load("kr300", "run_A")
     loads = [
@@ -69,6 +71,7 @@ def test_kr300_load_under_any_trust_in_the_cad_is_the_same_within_its_intervals(
         assert one.mass_std_kg < 15
 
 
+@pytest.mark.slow
 def test_tx40_motor_6_turns_with_joint_5():
     table, robot = load("tx40", "run_1_first")
     result = diagnose_motion(table, robot, DiagnoseOptions())
@@ -84,6 +87,7 @@ def test_tx40_motor_6_turns_with_joint_5():
     assert result.verdict == "improved"
 
 
+@pytest.mark.slow
 def test_tx40_parts_of_the_run_foretell_each_other():
     table, robot = load("tx40", "run_1_first")
     first, last = table.take(table.time_s < 3.6), table.take(table.time_s > 3.8)
@@ -95,6 +99,7 @@ def test_tx40_parts_of_the_run_foretell_each_other():
     assert after[4] < 0.3 * before[4]
 
 
+@pytest.mark.slow
 def test_ur10_friction_follows_speed_and_the_load_as_any_gears_does():
     table, robot = load("ur10", "run_1_first")
     result = diagnose_motion(table, robot, DiagnoseOptions())

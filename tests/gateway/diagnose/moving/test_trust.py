@@ -24,12 +24,14 @@ def trust_of(result) -> float:
     return float("inf") if said == "ignore" else float(said.removeprefix("prior:"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("cad_error", "least", "most"), [(0.0, 0.0, 0.02), (0.25, 0.1, float("inf"))])
 def test_a_good_drawing_is_trusted_and_a_bad_one_is_not(cad_error, least, most):
     table, robot, _ = measured(3, World(), duration_s=20.0, cad_error=cad_error)
     assert least <= trust_of(diagnose(table, robot, DiagnoseOptions())) <= most
 
 
+@pytest.mark.slow
 def test_what_the_user_says_of_the_drawing_stands():
     table, robot, _ = measured(3, World(), duration_s=20.0, cad_error=0.25)
     for said, trust in (("prior:0.03", 0.03), ("ignore", float("inf"))):

@@ -63,6 +63,7 @@ def gross(table: Table, bench: Bench, entries: list[tuple[int, int]], bands: flo
     return replace(table, tau_nm=torque)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 3, 6])
 def test_gross_visits_are_set_aside_listed_and_hardly_move_the_answer(seed):
     bench = Bench(seed, [])
@@ -88,6 +89,7 @@ def test_gross_visits_are_set_aside_listed_and_hardly_move_the_answer(seed):
     assert np.all(np.abs(moved) < 0.5 * np.array(sound.loads[0].com_std_m))
 
 
+@pytest.mark.slow
 def test_an_effect_is_named_beside_gross_visits():
     bench = Bench(4, [effect("base_tilt", [], tilt_x_rad=0.05, tilt_y_rad=0.03)])
     result = diagnose(gross(bench.both(), bench, [(6, 1)]), bench.robot, bench.options)
@@ -114,6 +116,7 @@ def test_where_every_visit_is_gross_none_is_set_aside_and_that_is_said(healthy):
 # ----------------------------------------------------------------------------------------------------- what is held out
 
 
+@pytest.mark.slow
 def test_held_out_rows_of_another_arm_are_not_met(healthy):
     bench, table, _ = healthy
     other = Bench(7, [])
@@ -158,6 +161,7 @@ def of_run(bench: Bench, poses, load: str, run: str, first: int = 0, loads=None)
     return simulated_table(columns, run)
 
 
+@pytest.mark.slow
 def test_a_run_of_a_tenth_of_the_others_changes_no_answer():
     bench = Bench(3, [], poses=10)
     long = [of_run(bench, bench.poses, load, run) for run in ("a", "b") for load in ("none", "tool")]
@@ -187,6 +191,7 @@ def test_a_load_of_one_run_alone_is_told_with_its_own_doubt():
 # -------------------------------------------------------------------------------------------------- without a direction
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3, 8])
 def test_a_table_without_directions_names_no_wiring_mistake(seed):
     bench = Bench(seed, [])

@@ -51,6 +51,7 @@ LIBRARY = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hidden", LIBRARY, ids=lambda value: value["name"])
 def test_one_effect_is_named_with_its_axis(hidden):
     bench = Bench(4, [hidden])
@@ -68,6 +69,7 @@ def test_one_effect_is_named_with_its_axis(hidden):
             assert abs(entry.parameters[key] - hidden["parameters"][key]) < 5 * entry.std[key]
 
 
+@pytest.mark.slow
 def test_two_effects_are_both_named():
     hidden = [
         effect("base_tilt", [], tilt_x_rad=0.06, tilt_y_rad=0.0),
@@ -78,6 +80,7 @@ def test_two_effects_are_both_named():
     assert sorted(found(result)) == [("base_tilt", ()), ("load_dependent_friction", (3,))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "mistake",
     [
@@ -98,12 +101,14 @@ def test_commissioning_mistake_fails_and_is_undone(mistake):
         assert np.nanmax(np.array(result.before.rms_nm) / np.array(result.after.rms_nm)) > 1.3
 
 
+@pytest.mark.slow
 def test_a_mechanism_without_a_name_is_not_given_one():
     bench = Bench(3, [effect("linkage_spring", [3], stiffness_nm=120.0, phase_rad=0.4)])
     result = diagnose(bench.both(), bench.robot, bench.options)
     assert result.verdict in ("unexplained", "improved")
 
 
+@pytest.mark.slow
 def test_four_poses_are_enough_for_a_strong_effect():
     bench = Bench(4, [LIBRARY[0]], poses=4)
     result, _ = close_loop(bench.both(), bench.robot, bench.options, bench.more, bench.poses[:2] + 0.2)
@@ -119,6 +124,7 @@ def test_three_poses_are_not():
     assert any("hold out" in finding.what for finding in result.findings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "half_rad"), [(3, 0.10), (5, 0.22)])
 def test_rivals_are_named_with_poses_that_tell_them_apart(seed, half_rad):
     """A cable whose axis was turned by little and far from its neutral angle looks like an offset; wide angles tell."""
@@ -224,6 +230,7 @@ def test_bare_run_alone_is_judged(clean):
     assert result.loads == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("times", "named"), [(0.8, False), (4.0, True)])
 def test_one_heavy_link_is_no_factor_on_all_axes(times, named):
     """Light in the torque it is a correction of the drawing, heavy it is named; it is never a mistake of the drives."""
@@ -239,6 +246,7 @@ def test_one_heavy_link_is_no_factor_on_all_axes(times, named):
     assert abs(result.loads[0].mass_kg - tool.mass_kg) < 4 * result.loads[0].mass_std_kg
 
 
+@pytest.mark.slow
 def test_fresh_poses_are_judged_first_and_then_tell_the_load_too():
     bench = Bench(1, [])
     table = bench.both()
@@ -251,6 +259,7 @@ def test_fresh_poses_are_judged_first_and_then_tell_the_load_too():
     assert result.before.loads == result.loads == result.after.loads
 
 
+@pytest.mark.slow
 def test_sweeps_of_single_joints_tell_the_band_of_the_joints_that_moved():
     """Each of axes 2 to 6 passes six angles up and down again, numbered on, while the others stand still."""
     bench, tables = Bench(1, []), []
@@ -277,6 +286,7 @@ def quiet(bench: Bench) -> Bench:
     return bench
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "shares",
     [{(2, 3): -0.4, (3, 4): 0.5, (2, 4): -0.6}, {(3, 4): 0.8}, {(2, 4): 1.0}],
@@ -293,6 +303,7 @@ def test_a_known_linkage_along_the_arm_is_named_with_its_coefficients(shares):
         assert std < 0.05
 
 
+@pytest.mark.slow
 def test_a_parallelogram_is_no_coupling():
     """The weight of its bars, one that turns with link 3 and one that stays parallel to link 2, is that of links."""
     bench = quiet(Bench(2, [], poses=14))

@@ -124,6 +124,7 @@ def test_what_an_effect_gains_is_counted_by_pose():
 SPRING = effect("balancer_spring", [2], stiffness_n_m=2e4, lever_m=0.2, anchor_m=0.5, free_length_m=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("gain", "named"), [(1.0, True), (-1.0, False)])
 def test_an_effect_that_left_out_poses_contradict_is_not_named(monkeypatch, gain, named):
     """The same data and the same fits; only what left-out poses say of the effect is turned round."""
@@ -143,6 +144,7 @@ def test_an_effect_that_left_out_poses_contradict_is_not_named(monkeypatch, gain
         assert result.verdict == "unexplained"
 
 
+@pytest.mark.slow
 def test_what_is_reported_unseen_is_what_the_others_choose(monkeypatch):
     """The effect is worth less on poses that had no say in it than on those that had."""
     bench = Bench(4, [SPRING])

@@ -80,6 +80,7 @@ HEALTHY = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "axis", "hidden"), HEALTHY)
 def test_a_table_in_which_one_axis_moves_tells_of_no_mistake(seed, axis, hidden):
     bench = Bench(seed, hidden)
@@ -179,6 +180,7 @@ def test_friction_that_gives_power_foretells_nothing():
     assert held_ratio(*judged(left, 3.0), *judged(-left, 3.0))[0] == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_a_mistake_that_unseen_rows_contradict_is_taken_back():
     """Drives that were swapped for the first run alone: the rows held out were read as they should be."""
     bench, healthy = Bench(8, [effect("sign_reversed", [3])]), Bench(8, [])

@@ -78,6 +78,7 @@ def test_the_curve_of_a_friction_is_its_coefficient_times_the_torque(friction):
     assert np.sqrt(np.mean((points - coefficient * np.abs(curve.points_x)) ** 2)) < 0.2 * y.max()
 
 
+@pytest.mark.slow
 def test_a_balancer_is_drawn_over_its_joint_angle():
     spring = {"stiffness_n_m": 2e4, "lever_m": 0.2, "anchor_m": 0.5, "free_length_m": 0.2}
     result, plant = diagnosed({"name": "balancer_spring", "joints": [2], "parameters": spring})

@@ -33,6 +33,7 @@ def swinging(seed: int, poses: int, axis: int, order: float, floors: float = 5.0
     return bench
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "axis", "order"), [(2100, 5, 287.2), (2102, 1, 57.1), (2104, 4, 79.1)])
 def test_ripple_is_named_with_its_order_where_the_angles_tell_it(seed, axis, order):
     bench = swinging(seed, 18, axis, order)
@@ -48,6 +49,7 @@ def test_ripple_is_named_with_its_order_where_the_angles_tell_it(seed, axis, ord
     assert "gear ratio" in words[0].advice
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("poses", [8, 10])
 def test_where_any_order_would_do_none_is_named_and_the_reason_is_told(poses):
     bench = swinging(2101, poses, 3, 163.9)
@@ -63,6 +65,7 @@ def test_where_any_order_would_do_none_is_named_and_the_reason_is_told(poses):
     assert ("torque_ripple", (4,)) in found(diagnose(bench.both(), bench.robot, knows))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [2100, 2101])
 def test_a_torque_without_order_is_not_called_ripple(seed):
     bench = Bench(seed, [], poses=18)
@@ -79,6 +82,7 @@ def left_of_axis(bench: Bench, axis: int):
     return order_analysis(problem, fit(problem, (), first_noise(problem)), axis)
 
 
+@pytest.mark.slow
 def test_random_torque_by_pose_is_believed_as_seldom_as_stated():
     """A torque that comes back with the pose and has no order at all, on axis 3 of arms at eighteen poses."""
     chances = []

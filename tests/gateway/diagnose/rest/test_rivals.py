@@ -32,6 +32,7 @@ def test_a_smaller_set_is_the_rival_of_a_larger_one() -> None:
     assert _instead(SimpleNamespace(), whole, rival)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_a_constant_that_drifts_is_no_wrong_constant_besides() -> None:
     """Magnets that weaken as they warm up are off from the first visit on, since the constant was stated cold."""
     cell = draw_effect_cell(25)

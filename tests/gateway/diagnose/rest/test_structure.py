@@ -160,6 +160,7 @@ def cogging() -> tuple[list[float], list[float]]:
     return found
 
 
+@pytest.mark.slow
 def test_cogging_of_one_floor_on_every_axis_is_seen(cogging):
     with_it, without = (np.array(each) for each in cogging)
     assert np.mean(with_it < REST.structure_p) >= 0.8

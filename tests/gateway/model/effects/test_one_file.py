@@ -77,6 +77,7 @@ def write(table, path: Path, urdf: str) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_added_effect_is_found_at_rest(house, tmp_path):
     bench = Bench(4, [])
 
@@ -91,6 +92,7 @@ def test_the_added_effect_is_found_at_rest(house, tmp_path):
     assert "a rope over a cam" in page
 
 
+@pytest.mark.slow
 def test_the_added_effect_is_found_in_motion(house, tmp_path):
     table, _, scale = measured(1, World())
     pull = 0.3 * scale[2]
