@@ -6,6 +6,7 @@ Linear algebra runs in one thread, as in the programs themselves: several test p
 from __future__ import annotations
 
 import os
+import sys
 import threading
 import time
 from pathlib import Path
@@ -81,7 +82,7 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo):
         report.user_properties.append(("processor_time_s", spent_s))
         if report.passed and spent_s > FAST_LIMIT_S and not item.get_closest_marker("slow"):
             limit_s = FAST_LIMIT_S * slowness()
-            if spent_s > limit_s and not _more_examples(item):
+            if spent_s > limit_s and not _more_examples(item) and sys.gettrace() is None:
                 report.outcome = "failed"
                 report.longrepr = (
                     f"{item.nodeid} took {spent_s:.1f} s of processor time; a fast test may take {limit_s:.1f} s. "

@@ -6,10 +6,11 @@ from collections.abc import Iterator
 
 import pytest
 
+from drives.realtime import RealTime
 from sim.faults import KINDS
 from tests.support.chaos.remote import Remote, remote
 from tests.support.chaos.rig import Rig, rig
-from tests.support.chaos.scenarios import ELSEWHERE, kinds, play, play_again
+from tests.support.chaos.scenarios import ELSEWHERE, kinds, play
 from tests.support.chaos.stated import STATED
 
 IN_LOCKSTEP = (
@@ -57,9 +58,10 @@ def test_fault_ends_as_stated_in_lockstep(running: Rig, kind: str) -> None:
 @pytest.mark.xdist_group("by-the-clock")
 @pytest.mark.parametrize("kind", BY_THE_CLOCK)
 def test_fault_ends_as_stated_by_the_clock(by_the_clock: Remote, kind: str) -> None:
-    outcome = play_again(by_the_clock, kind, seed=1)
+    with RealTime():
+        outcome = play(by_the_clock, kind, seed=1)
     if not outcome.fine and outcome.held_up:
-        pytest.skip(f"this computer did not keep its time in {outcome.tries} tries")
+        pytest.skip("a sleeper on the same core saw longer stalls than this fault allows")
     assert outcome.fine, outcome.complaints
 
 
