@@ -14,6 +14,7 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from drives.profile_parts import is_assumed
 from drives.toml_lines import KeyPath, key_lines
 from drives.validation import Refused, Strict, Unfit, read_strict, refuse
 from gateway.cell import plausible
@@ -143,6 +144,9 @@ class AxisConfig(Strict):
     position_limit_rad: tuple[Finite, Finite] = Field(description="lowest and highest joint angle")
     speed_limit_rad_s: Positive = Field(description="of the joint; nothing moves faster")
     torque_limit_nm: Positive = Field(description="of the joint; the contact watch stops beyond")
+    torque_limit_source: str | None = Field(
+        default=None, description="where it comes from; motion is refused while this begins with `assumed`"
+    )
     acceleration_limit_rad_s2: Positive | None = Field(
         default=None, description=f"of the joint; absent: full speed in {RAMP_S:g} s"
     )
@@ -155,6 +159,11 @@ class AxisConfig(Strict):
     rotor_inertia_kg_m2: SourcedNumber | None = Field(default=None, description="of motor and gear, at the joint")
     coulomb_nm: SourcedNumber | None = Field(default=None, description="dry friction of motor and gear, at the joint")
     viscous_nm_s_rad: SourcedNumber | None = Field(default=None, description="friction that grows with the joint speed")
+
+    @property
+    def torque_limit_is_assumed(self) -> bool:
+        """Whether the torque limit is a placeholder that nobody has confirmed."""
+        return self.torque_limit_source is not None and is_assumed(self.torque_limit_source)
 
     @property
     def acceleration_rad_s2(self) -> float:

@@ -21,6 +21,7 @@ from drives.profile_file import find_profile
 from drives.scaling import Constants
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.cell.conversion import AxisConversion
+from gateway.errors import ConfigError
 from gateway.feedforward.identified import AxisConstants, axis_constants, read_identified
 from gateway.model.arm_model import arm_named, robot_from_text, robot_place, robot_text
 from gateway.motion.arm import Arm
@@ -28,7 +29,7 @@ from gateway.motion.drive_limits import motor_ranges_rad, motor_torques_nm, quic
 from gateway.motion.torque_need import needed_torque_nm
 from gateway.motion.workspace import Workspace, workspace_of
 from gateway.preflight.look_over import Preflight, look_over, require_passed
-from gateway.preflight.rules import CheckItem, Readings
+from gateway.preflight.rules import CONFIRM_TORQUE, CheckItem, Readings
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,6 +188,20 @@ def _refuse_obstacles(setups: Sequence[AxisSetup]) -> None:
         raise ProfileError(what, advice="`scan` and `check` read such drives; nothing was sent to them")
 
 
+def _refuse_placeholders(config: ArmConfig) -> None:
+    """See that the torque limits, on which the contact watch rests, are those of this arm.
+
+    Raises
+    ------
+    ConfigError
+    """
+    found = [(joint, axis) for joint, axis in enumerate(config.axis, start=1) if axis.torque_limit_is_assumed]
+    if found:
+        axes = ", ".join(f"J{joint} {axis.torque_limit_nm:g} Nm" for joint, axis in found)
+        what = f"arm {config.name}: torque_limit_nm is not confirmed ({axes}: {found[0][1].torque_limit_source})"
+        raise ConfigError(f"{what}; {CONFIRM_TORQUE}; nothing was sent to the drives")
+
+
 @contextmanager
 def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str | None = None) -> Generator[OpenArm]:
     """Connect, check and configure the drives of an arm; on leaving they are disabled and the bus is closed.
@@ -221,6 +236,7 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
     known = axis_constants(config, read_identified(loaded, config, robot))
     setups = axis_setups(loaded, config)
     _refuse_obstacles(setups)
+    _refuse_placeholders(config)
     setups = tuple(replace(setup, feedforward=override.feedforward) for setup in setups)
     bus_config = loaded.cell.bus[config.bus]
     spec = override.spec or BusSpec(

@@ -19,6 +19,10 @@ from gateway.newcell.nodes import SeenNode, counts_per_turn, rated_current_a, ra
 GEAR_EFFICIENCY = 0.8
 #: Slow enough for an arm that moves for the first time [rad/s].
 FIRST_SPEED_RAD_S = 0.5
+#: Efforts of a URDF that exporters fill in: they carry no statement about the arm, and refuse motion until confirmed.
+PLACEHOLDER = f"{ASSUMED}, a placeholder"
+#: No joint of a six-axis arm has more: the largest palletizers have about 20 kNm at J2 [Nm].
+LARGEST_EFFORT_NM = 50_000.0
 #: 0x607E: the sign of positions is turned round in the drive.
 _POSITION_REVERSED = 0x80
 
@@ -138,19 +142,39 @@ def speed_limits(robot: Robot, axes: Axes) -> Answer:
 
 
 def torque_limits(robot: Robot, axes: Axes) -> Answer | None:
-    """Efforts of the URDF, at most what the drives give (0x6072); without efforts what the drives give."""
+    """Efforts of the URDF, at most what the drives give (0x6072); without efforts what the drives give.
+
+    Efforts that are placeholders are offered as such, unless the drives give less on every axis.
+    """
     found: list[float] = []
+    by_drive: list[bool] = []
     for joint in range(robot.axes):
-        bounds = [float(robot.effort_nm[joint])] if math.isfinite(robot.effort_nm[joint]) else []
-        most = _drive_torque_nm(axes, joint)
-        if most is not None:
-            bounds.append(most)
+        effort_nm, most_nm = float(robot.effort_nm[joint]), _drive_torque_nm(axes, joint)
+        bounds = [effort_nm] if 0.0 < effort_nm < math.inf else []
+        bounds += [] if most_nm is None else [most_nm]
         if not bounds:
             return None
         found.append(min(bounds))
+        by_drive.append(most_nm is not None and most_nm <= min(bounds))
+    why = placeholder_efforts(robot)
+    if all(by_drive) and (why or not np.isfinite(robot.effort_nm).all()):
+        return Answer(tuple(found), f"{ASSUMED}: what the drive allows (0x6076, 0x6072) times the gear ratio")
+    if why:
+        return Answer(tuple(found), f"{PLACEHOLDER}: {why}")
     if np.isfinite(robot.effort_nm).all():
         return Answer(tuple(found), "URDF" if tuple(found) == tuple(robot.effort_nm) else "URDF and drive, 0x6072")
     return Answer(tuple(found), f"{ASSUMED}: what the drive allows (0x6076, 0x6072) times the gear ratio")
+
+
+def placeholder_efforts(robot: Robot) -> str:
+    """Why the efforts of a URDF are not limits of this arm; empty where they may be."""
+    stated = [float(effort) for effort in robot.effort_nm if math.isfinite(effort)]
+    absurd = [effort for effort in stated if not 0.0 < effort <= LARGEST_EFFORT_NM]
+    if absurd:
+        return f"the URDF states an effort of {absurd[0]:g} Nm"
+    if len(stated) > 2 and len(set(stated)) == 1:
+        return f"the URDF states the same effort of {stated[0]:g} Nm on every axis"
+    return ""
 
 
 def _drive_torque_nm(axes: Axes, joint: int) -> float | None:

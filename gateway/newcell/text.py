@@ -11,6 +11,7 @@ from gateway.newcell import questions
 from gateway.newcell.answers import UNSOURCED, Answer, toml_value
 from gateway.newcell.interview import Draft, dh_table
 from gateway.newcell.nodes import SeenNode
+from gateway.newcell.offers import PLACEHOLDER
 
 ARM: Final = "main"
 BUS: Final = "a"
@@ -154,6 +155,10 @@ def _axis(draft: Draft, axis: int, files: Callable[[str], str]) -> list[str]:
         value = toml_value(answer.value[axis])
         lines.append(f"{question.key} = {{ value = {value}, source = {toml_value(answer.source)} }}")
     lines += [_line(question.key, _of_axis(answers.taken[question.key], axis)) for question in _PLAIN]
+    torque_source = answers.taken[questions.TORQUE_LIMIT.key].source
+    if torque_source.startswith(PLACEHOLDER):
+        lines.append("# Motion is refused with a placeholder: correct torque_limit_nm, and write where it comes from.")
+        lines.append(f"torque_limit_source = {toml_value(torque_source)}")
     return lines
 
 

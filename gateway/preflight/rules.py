@@ -19,6 +19,7 @@ Severity = Literal["ok", "info", "warn", "fail"]
 IMPLAUSIBLE = 50.0
 #: Torque limits of one direction each, beside 0x6072.
 DIRECTED: Final = ("positive_torque_limit", "negative_torque_limit")
+CONFIRM_TORQUE: Final = "write the limit of the joint's data sheet to the cell, and its source to torque_limit_source"
 SATURATES: Final = "readings saturate there; lower torque_limit_nm or raise the drive's limit"
 
 Address = tuple[int, int]
@@ -218,6 +219,10 @@ def _torque_object(lines: Lines, readings: Readings) -> None:
 
 def _obstacles(lines: Lines, readings: Readings) -> None:
     del readings
+    config = lines.axis.config
+    if config.torque_limit_is_assumed:
+        what = f"torque_limit_nm = {config.torque_limit_nm:g} is not confirmed ({config.torque_limit_source})"
+        lines.add("fail", None, what, CONFIRM_TORQUE)
     profile = lines.axis.profile
     for obstacle in profile.obstacles:
         what, _, advice = obstacle.partition(": ")

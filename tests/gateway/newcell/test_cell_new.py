@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -201,3 +202,35 @@ def test_the_schema_knows_every_cell_of_the_examples(folder):
             jsonschema.validate(tomllib.loads(text), schema)
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate(tomllib.loads((FOUR / "cell.toml").read_text()) | {"arms": 1}, schema)
+
+
+@pytest.mark.parametrize(
+    ("effort", "says"),
+    [
+        ("1000", "the same effort of 1000 Nm on every axis"),
+        ("300", "the same effort of 300 Nm on every axis"),
+        ("500000", "an effort of 500000 Nm"),
+    ],
+)
+def test_efforts_that_an_exporter_filled_in_are_marked_and_refuse_motion_until_confirmed(folder, effort, says):
+    urdf = folder / "arm.urdf"
+    urdf.write_text(re.sub(r'effort="\d+"', f'effort="{effort}"', urdf.read_text()))
+    done = with_answers(folder, ENOUGH)
+    assert done.exit_code == 0, done.output
+    assert says in done.stdout
+    axes = axes_of(folder).axis
+    assert {axis.torque_limit_nm for axis in axes} == {float(effort)}
+    assert all(axis.torque_limit_is_assumed for axis in axes)
+    refused = CliRunner().invoke(main, ["move", str(folder / "cell.toml"), "--to", "home", "--yes"])
+    assert refused.exit_code == 3, refused.output
+    assert "torque_limit_nm is not confirmed (J1" in " ".join(refused.stderr.split())
+    confirmed = with_answers(folder, ENOUGH + "torque_limit_nm = [140, 140, 75, 26, 22, 14]\n", "--force")
+    assert confirmed.exit_code == 0, confirmed.output
+    assert not any(axis.torque_limit_is_assumed for axis in axes_of(folder).axis)
+
+
+def test_efforts_of_a_maker_are_limits(folder):
+    assert with_answers(folder, ENOUGH).exit_code == 0
+    axes = axes_of(folder).axis
+    assert [axis.torque_limit_nm for axis in axes] == [140, 140, 75, 26, 22, 14]
+    assert not any(axis.torque_limit_is_assumed for axis in axes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from gateway.newcell import questions
 from gateway.newcell.answers import CellAnswers, GivenAnswer
 from gateway.newcell.interview import interview
 from gateway.newcell.nodes import Read, SeenNode
+from gateway.newcell.offers import PLACEHOLDER
 from gateway.newcell.reading import nodes_in
 from gateway.newcell.text import left_over
 
@@ -170,3 +172,24 @@ def test_a_dcf_says_its_node_and_numbers_below_zero(tmp_path):
     assert stored.identity.vendor_id == 0x3E7
     (plain,) = nodes_in([OWN / "drive.eds"])
     assert plain.node_id is None
+
+
+def test_drives_that_give_less_than_a_placeholder_of_the_urdf_decide(tmp_path):
+    """1 Nm x 3 x 100 = 300 Nm of the drives: below the 1000 Nm that the exporter filled in, above its 100 Nm."""
+    for effort, value, placeholder in ((1000, 300.0, False), (100, 100.0, True)):
+        urdf = tmp_path / f"{effort}.urdf"
+        urdf.write_text(re.sub(r'effort="\d+"', f'effort="{effort}"', (OWN / "arm.urdf").read_text()))
+        limit = asked(Bench(six()), robot=str(urdf)).answers.taken["torque_limit_nm"]
+        assert limit.value == (value,) * 6
+        assert limit.guessed
+        assert limit.source.startswith(PLACEHOLDER) is placeholder
+
+
+def test_what_a_sheet_states_that_cannot_be_used_is_said(tmp_path):
+    (tmp_path / "n.eds").write_text((OWN / "drive.eds").read_text(encoding="utf-8") + "\n[5555]\nParameterName=x\n")
+    said = []
+    (stored,) = nodes_in([tmp_path / "n.eds"])
+    given = {"robot": str(OWN / "arm.urdf"), "bus": "virtual:x", "gear_ratio": 100}
+    answers = CellAnswers({key: GivenAnswer(value, key, Path()) for key, value in given.items()}, "answers")
+    interview(answers, Bench(six(), [stored]), "cell", said.append)
+    assert any("[5555]" in line and "DataType is missing" in line for line in said)
