@@ -132,6 +132,7 @@ def test_the_schema_is_json_and_knows_every_key():
     assert set(tomllib.loads(GENERIC)) <= set(schema["properties"])
 
 
+@pytest.mark.slow
 @given(st.text(max_size=200))
 def test_any_text_is_a_profile_or_a_profile_error(text):
     with pytest.raises(ProfileError):

@@ -272,6 +272,7 @@ def test_a_signal_before_anything_moves_ends_the_program_with_its_code(name):
     assert "stopped" in ended.stderr
 
 
+@pytest.mark.slow
 def test_what_nohup_has_silenced_stays_silent():
     program = (
         "import os, signal, sys\nfrom gateway import cli\nimport gateway.commands.console as console\n"

@@ -138,6 +138,7 @@ def test_diagnose_finds_nothing_missing_in_what_the_model_made(table):
     assert body["effects"] == []
 
 
+@pytest.mark.slow
 def test_diagnose_finds_a_reversed_sign_and_ends_with_seven(table):
     path = table(change=lambda line: line if line.startswith("load") else _turned(line))
     done = run("diagnose", path, "--robot", URDF, "--json", "-")
@@ -175,6 +176,7 @@ def test_measured_runs_fit_and_every_axis_has_its_residual(measured_data, name):
     assert "residual" in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["estimate", "diagnose"])
 def test_what_is_to_be_measured_next_keeps_the_limits_of_the_cell(table, tmp_path, command):
     """The robot could go further: joint 1 may turn from 0.5 to 0.9 rad here, and was at other angles before."""

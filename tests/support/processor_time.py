@@ -47,7 +47,7 @@ def slowness() -> float:
 
     A slower processor, or a core that two processes share, makes the same work cost more processor time.
     """
-    return max(1.0, min(_reference_work() for _ in range(3)) / REFERENCE_S)
+    return max(1.0, *(_reference_work() / REFERENCE_S for _ in range(3)))
 
 
 def _reference_work() -> float:

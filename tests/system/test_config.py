@@ -99,6 +99,7 @@ def test_what_is_dumped_is_read_back_by_an_independent_reader_as_the_drives_hold
     assert "607A:00" in apart
 
 
+@pytest.mark.slow
 def test_a_dump_is_not_replaced_unasked_and_equal_drives_are_equal(config, place):
     assert config("dump").exit_code == 0
     assert config("dump").exit_code == 3
@@ -147,6 +148,7 @@ def test_who_has_changed_what_is_told_and_exit_7_says_that_something_is(config, 
     }
 
 
+@pytest.mark.slow
 def test_what_differs_is_written_entered_and_put_back(config, gateway, drives, place, tmp_path):
     """A plain object of one drive, a mapping of another, its emergency identifier; the others are not written to."""
     assert config("dump").exit_code == 0

@@ -72,6 +72,7 @@ def test_a_joint_that_stands_outside_its_limits(place, gateway, serve):
     complains(gateway("check", cell, "--bus", drives.bus), 7, "limits 0.4 to 2.8 rad")
 
 
+@pytest.mark.slow
 def test_a_drive_of_another_make(place, gateway, serve):
     drives = serve()
     done = gateway(

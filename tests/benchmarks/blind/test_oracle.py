@@ -66,6 +66,7 @@ def test_a_mass_whose_constants_are_all_wrong_alike_is_as_unsure_as_they_are():
     assert 0.03 / np.sqrt(6.0) * 0.1 < std[0] / cell.arm.tool.mass_kg < 0.03
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("condition", ["base", "efficiency", "all"])
 def test_the_truth_lies_where_the_oracle_says(condition):
     # the posterior mean of the same model, from measured half-sums, misses by what the oracle states

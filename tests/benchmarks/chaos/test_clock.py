@@ -22,6 +22,7 @@ RECORD, MOVING = (
 )
 
 
+@pytest.mark.slow
 def test_a_master_that_was_held_up_stops_the_arm_and_does_not_chase_its_set_points():
     stalls = stall_masters(1, period_s=PERIOD_S)
     assert (stalls.stalls, stalls.fast, stalls.foreign) == (1, 0, 0)
@@ -30,6 +31,7 @@ def test_a_master_that_was_held_up_stops_the_arm_and_does_not_chase_its_set_poin
     assert stalls.share <= MEASURING
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["SIGINT", "SIGTERM", "closed stdout and stderr"])
 def test_a_command_that_is_interrupted_comes_to_rest_and_lets_go(how):
     assert how in ACTIONS
@@ -38,6 +40,7 @@ def test_a_command_that_is_interrupted_comes_to_rest_and_lets_go(how):
     assert seen.runs == 1
 
 
+@pytest.mark.slow
 def test_a_slow_disk_stops_the_arm_along_its_way_and_loses_nothing():
     slow = record_on_slow_disk(4.0, PERIOD_S, capacity=2, visits=8)
     assert slow.complaints == []
@@ -46,11 +49,13 @@ def test_a_slow_disk_stops_the_arm_along_its_way_and_loses_nothing():
     assert slow.lost == 0
 
 
+@pytest.mark.slow
 def test_drives_that_do_not_buffer_are_not_driven_beyond_their_speed():
     fastest = fastest_unbuffered(PERIOD_S, [command for command in COMMANDS if command.name == "check --prove-stop"])
     assert fastest.complaints == []
     assert 0.0 < max(fastest.shares.values()) <= MEASURING
 
 
+@pytest.mark.slow
 def test_no_heartbeat_goes_out_once_a_stop_is_not_confirmed():
     assert heartbeats_after_refused_stop(1, PERIOD_S).late == 0

@@ -48,6 +48,7 @@ def by_the_clock() -> Iterator[Remote]:
         yield made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", IN_LOCKSTEP)
 def test_fault_ends_as_stated_in_lockstep(running: Rig, kind: str) -> None:
     outcome = play(running, kind, seed=1)

@@ -20,7 +20,7 @@ LOAD = LoadResult("load", 69.9, 0.13, (0.0495, -0.0206, 0.2208), (0.0006, 0.0007
 BAND_NM = (78.8, 104.7, 63.6, 21.9, 16.5, 11.9)
 BUILD_ERRORS = 3
 
-pytestmark = [pytest.mark.system, pytest.mark.xdist_group("follow")]
+pytestmark = [pytest.mark.slow, pytest.mark.system, pytest.mark.xdist_group("follow")]
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,6 @@ def right(place, drives):
     return told, read_follow(report.with_suffix(".json")), report.read_text()
 
 
-@pytest.mark.slow
 def test_the_identified_load_is_followed_better_than_the_maximum_and_far_better_than_none(right):
     told, result, _ = right
     assert told.exit_code == 0, told.output
@@ -91,7 +90,6 @@ def test_the_page_shows_the_three_settings_side_by_side_with_units(right):
     assert page.count("<svg") == 1 + 18 + 6 + 2 + 2
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.8, 1.2])
 def test_a_load_20_percent_off_shows_as_a_trend_and_fails(place, drives, right, factor):
     if factor == 1.2:
@@ -114,7 +112,6 @@ def test_afterwards_the_drives_hold_no_offset_and_the_brakes_hold_the_arm(drives
     assert not any(drive.automaton.energised for drive in arm.drives)
 
 
-@pytest.mark.slow
 def test_a_drive_that_faults_while_it_is_fed_takes_every_offset_to_zero(place):
     fault = place.folder / "fault.toml"
     fault.write_text('[[fault]]\nkind = "drive_fault"\nnode = 3\nat_sync = 2400\n')

@@ -63,6 +63,7 @@ def test_the_page_of_a_fleet_is_whole_and_its_picture_is_taken(
     assert taken[1] == pytest.approx(shown[1], rel=0.1), "taken anew by python -m pytest --pictures"
 
 
+@pytest.mark.slow
 def test_every_panel_of_a_robot_says_what_it_shows_and_in_which_unit(
     window: Browser, pages: dict[str, str], tmp_path: Path
 ) -> None:

@@ -103,6 +103,7 @@ def is_too_far(rig: GapRig) -> None:
     rig.device.measure = lambda: [0.02, 0.02, 0.02, 0.036, 0.02, 0.02]
 
 
+@pytest.mark.slow
 @pytest.mark.system
 @pytest.mark.parametrize(
     ("harm", "said"),

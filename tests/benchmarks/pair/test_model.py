@@ -15,7 +15,7 @@ from tests.support.pair.model_rig import LIMIT_N, LOOP_TIME_S, STIFFNESS
 from tests.support.pair.model_tune import FILE, MARGIN, stored
 from tests.support.pair.model_verdicts import Figures, Verdict, verdicts
 
-pytestmark = pytest.mark.timeout(1800)
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
 
 SEEDS = range(2)
 SKIP = ("C8r", "C6", "C7", "C8 no lead", "C2c no lead", "C2m no lag", "C3 nearest")
@@ -45,7 +45,6 @@ def judged(rows: list[dict[str, object]]) -> dict[str, Verdict]:
     return {verdict.name: verdict for verdict in verdicts(rows)}
 
 
-@pytest.mark.slow
 @pytest.mark.xdist_group("pair-model")
 @pytest.mark.parametrize(
     ("name", "speed", "least", "most"),
@@ -121,14 +120,12 @@ def test_part_is_not_moved_to_buy_a_low_force(given: Figures) -> None:
         assert np.all(given.last(name, USUAL, "part_off_m") < 1e-3)
 
 
-@pytest.mark.slow
 @pytest.mark.xdist_group("pair-model")
 def test_gap_is_kept_by_distance_sensors() -> None:
     verdict = verdicts([], gaps(SEEDS))[0]
     assert verdict.passed, verdict
 
 
-@pytest.mark.slow
 def test_three_sensors_keep_the_gap_in_three_components() -> None:
     for gap in gaps((0,), ("z", "rx", "ry")):
         assert gap.sensors == 3

@@ -196,6 +196,7 @@ def test_an_arm_that_is_told_the_impossible_stops_both() -> None:
     assert PdsState.OPERATION_ENABLED not in states[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("distances_m", "kind"),
     [(None, StopKind.ALONG_PATH), ([0.02, 0.02, 0.02, 0.036, 0.02, 0.02], StopKind.QUICK_STOP)],

@@ -147,6 +147,7 @@ def test_where_no_way_is_found_it_says_what_the_straight_one_meets(small_cell, o
     assert fake.log == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pacing", ["lockstep", "real"])
 def test_the_arm_comes_from_outside_its_range_inwards_and_goes_on(opened, fake, workspace, pacing):
     stand(fake, (0.0, 0.2, 0.1, workspace.upper_rad[3] + 0.1, 0.3, 0.0))

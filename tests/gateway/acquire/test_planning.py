@@ -144,6 +144,7 @@ def test_too_little_room_says_why(workspace):
         choose_poses(shut, REQUEST, assumed_noise_nm(workspace))
 
 
+@pytest.mark.slow
 def test_plan_of_the_examples(small_cell, large_cell):
     for cell in (small_cell, large_cell):
         plan = make_plan(cell)

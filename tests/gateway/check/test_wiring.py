@@ -63,6 +63,7 @@ def named(found) -> list[tuple[str, tuple[int, ...]]]:
     return [(wiring.name, wiring.joints) for wiring in judge_wiring(ARM, found).found]
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_nothing_is_wrong():
     verdict = judge_wiring(ARM, moves())
     assert verdict.found == ()
@@ -98,6 +99,7 @@ def test_a_gear_ratio_is_named_with_its_factor():
     assert wiring.factor == pytest.approx(0.5, rel=0.1)
 
 
+@pytest.mark.slow
 def test_friction_alone_tells_the_sense_of_a_wrist_without_gravity():
     verdict = judge_wiring(ARM, moves(changed(torque_sign={6: -1})))
     (item,) = [item for item in wiring_items("main", range(1, 7), verdict) if item.severity == "fail"]

@@ -69,6 +69,7 @@ def lists_of(body):
     return [body[name] for name in LISTS] + [part[name] for part in parts for name in ("rms_nm", "holdout_rms_nm")]
 
 
+@pytest.mark.slow
 def test_an_arm_without_effects_needs_none(arm, tmp_path):
     code, body, said = diagnosed(arm, tmp_path / "out.json", table(arm, tmp_path / "run.csv"))
     assert code == 0, said

@@ -170,6 +170,7 @@ def test_a_fall_from_breakaway_of_any_shape_is_not_taken_for_coulomb_friction(cl
     assert np.isfinite(breakaway).sum() == np.isfinite(numbers(result, "stribeck_rad_s")).sum()
 
 
+@pytest.mark.slow
 def test_torques_without_stated_constants_may_all_be_off_alike(clean, robot):
     """A factor of all torques moves the mass by as much, and does not average over the axes."""
     table, rough = table_of_periods(clean, noise_nm=0.3, seed=4), replace(EXACT, inertials="prior:0.05")
@@ -272,6 +273,7 @@ def rest_table(clean_q, label, load, band=2.0):
     return concatenate(sides)
 
 
+@pytest.mark.slow
 def test_rest_and_moving_rows_make_one_solution(clean, robot, poses):
     moving = table_of_periods(clean, 1.0)
     rest = concatenate([rest_table(poses, "none", False), rest_table(poses, "tool", True)])

@@ -101,6 +101,7 @@ def test_likelihoods_are_those_of_the_checks_without_what_is_not_known() -> None
         assert found[0] == pytest.approx(np.sqrt(2.0 * np.log(some / density(0.0))), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_no_drift_is_told_by_chance_more_often_than_promised() -> None:
     """Series of noise that are looked at every three days of a year, with a threshold for one in ten."""
     rng = np.random.default_rng(7)

@@ -51,6 +51,7 @@ def ran(folder: Path, text: str, word: object) -> subprocess.CompletedProcess[st
     return done
 
 
+@pytest.mark.slow
 def test_killed_worker_loses_nothing_and_no_more_is_taken_than_is_done(tmp_path: Path) -> None:
     done = ran(tmp_path, PROGRAM, tmp_path / "mark")
     ahead, results = json.loads(done.stdout)
@@ -127,6 +128,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("cluster", "said"),
     [

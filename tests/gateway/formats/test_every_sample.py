@@ -144,6 +144,7 @@ def messages(path: Path) -> dict[str, list[tuple[int, Any]]]:
     return found
 
 
+@pytest.mark.slow
 def test_mcap_holds_every_value(path):
     read = messages(export(path, "mcap"))
     rows = {topic: iter(each) for topic, each in read.items()}

@@ -106,6 +106,7 @@ def test_touching_is_outside_and_thickness_counts(workspace):
     assert every_gap(space, q_rad, 9.0) == pytest.approx(0.3, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_distance_of_segments_is_that_of_the_nearest_of_many_points():
     random = np.random.default_rng(3)
     first, other = random.uniform(-1, 1, (2, 500, 2, 3))

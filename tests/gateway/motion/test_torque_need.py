@@ -64,6 +64,7 @@ def test_given_friction_counts_as_it_is(small_cell):
     assert given - plain == pytest.approx(1.3 * (50.0 - 0.013 * workspace.torque_nm))
 
 
+@pytest.mark.slow
 def test_the_heavier_of_both_loads_counts(small_cell):
     arm = small_cell.cell.arm[0]
     heavy = arm.model_copy(update={"max_load_kg": 20.0, "max_load_com_m": (0.0, 0.0, 0.12)})

@@ -212,6 +212,7 @@ def test_instants_that_are_off_tell_no_inertia(bench):
     assert np.linalg.norm(bench.balance.inside().wrench[:, :3], axis=1).max() < 30.0
 
 
+@pytest.mark.slow
 def test_what_a_cable_pulls_on_one_way_tells_nothing_of_the_arms(bench):
     """20 N at the slave's hand, across the bar: once they are a passing snag, twice in a row they are there to stay."""
     free = pulled(bench, (0.0, 0.0, 0.0))

@@ -127,6 +127,7 @@ def test_points_that_are_taught_are_not_taught_again(taught, pair, store):
     assert lesson.points == points
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rule", "says"),
     [
@@ -248,6 +249,7 @@ def test_a_person_who_stops_a_run_is_heard(pair, store):
     assert len(json.loads((store.folder / "run-A.json").read_text())["cycles"]) == 1
 
 
+@pytest.mark.slow
 def test_a_sample_that_is_lost_spoils_the_cycle_for_learning(pair, store):
     store.save("first", constant_function(pair.cell.nominal_relation), learn_source="taught", speed=0.0)
     pair.drives[0].silent = {320}
@@ -362,6 +364,7 @@ def test_speeds_that_were_learned_lie_between_rest_and_the_fastest(pair, store):
     assert half == pytest.approx(whole / 2, rel=0.02, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_what_takes_longer_than_a_sync_is_computed_while_both_arms_stand(pair, store, monkeypatch):
     """What is known of the arms for a whole way, and how far each joint is sent ahead on it: 10 ms each."""
     preparing, computed = [False], []

@@ -94,6 +94,7 @@ def _half_sum_errors(condition: str, count: int = 25) -> np.ndarray:
     return np.array(out)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("condition", ["gains", "bias", "efficiency", "gross", "cogging"])
 def test_a_harsh_condition_makes_half_sums_worse_than_a_well_kept_arm(condition):
     assert np.median(_half_sum_errors(condition)) > 1.1 * np.median(_half_sum_errors("base"))

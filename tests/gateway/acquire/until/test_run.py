@@ -98,6 +98,7 @@ def finished(small_cell, workspace, search, rows) -> Finished:
     )
 
 
+@pytest.mark.slow
 def test_the_run_ends_once_the_load_is_known(finished, workspace):
     decision, events = finished.decision, finished.events
     load = decision.stock.load

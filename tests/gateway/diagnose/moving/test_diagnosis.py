@@ -50,6 +50,7 @@ def test_residual_falls_to_the_noise_that_was_put_in():
     assert result.before.holdout_rms_nm[4] > 4 * noise[4]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(1))
 @pytest.mark.parametrize("inertials", [None, "ignore", "prior:0.05"])
 def test_nothing_is_claimed_on_a_clean_run(seed, inertials):
@@ -97,6 +98,7 @@ def test_load_is_estimated_through_a_missing_balancer():
     assert load.mass_std_kg < 1.5
 
 
+@pytest.mark.slow
 def test_without_bare_rows_and_cad_the_load_is_unknown_and_said_so():
     table, robot, _ = measured(6, World(payload=(6.0, 0.0, 0.0, 0.1)))
     load = diagnose_motion(table, robot, IGNORE).loads[0]
@@ -159,11 +161,13 @@ def test_what_the_report_draws_of_a_moving_run():
     assert np.sqrt(np.mean((np.array(curve.points_y) - 0.25 * x) ** 2)) < 0.5 * np.abs(y).max()
 
 
+@pytest.mark.slow
 def test_a_clean_moving_run_draws_no_curve():
     table, robot, _ = measured(0, World())
     assert not diagnose_motion(table, robot, IGNORE).data.curves
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("compliance", "found"), [(2e-4, ["joint_elasticity"]), (0.0, [])])
 def test_a_secondary_encoder_shows_an_elastic_joint(compliance, found):
     table, robot, scale = measured(1, World())
@@ -185,6 +189,7 @@ def test_a_secondary_encoder_shows_an_elastic_joint(compliance, found):
         assert result.verdict == "improved"
 
 
+@pytest.mark.slow
 def test_a_scale_that_is_not_certain_is_no_failing_finding():
     table, robot, _ = measured(1, World(gain={4: 2.0**-0.5}))
     result = diagnose_motion(table, robot, IGNORE)

@@ -189,6 +189,7 @@ def test_a_parameter_at_the_edge_of_its_grid_has_no_standard_deviation():
     assert at_edge(rows, [LoadDependentFriction(2)], {"coefficient": 0.3}) == []
 
 
+@pytest.mark.slow
 def test_a_decay_inside_its_grid_has_a_spread_that_the_friction_shares():
     table, robot, _ = measured(1, World(stribeck={2: (0.15, 0.15)}))
     result = diagnose(table, robot, DiagnoseOptions(inertials="ignore", only=frozenset({"velocity_friction"})))

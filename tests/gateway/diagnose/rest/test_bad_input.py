@@ -32,6 +32,7 @@ def mass_of(result: Result, label: str = "tool") -> tuple[float, float]:
 # ----------------------------------------------------------------------------------------- how well constants are known
 
 
+@pytest.mark.slow
 def test_constants_that_are_known_exactly_are_taken_at_their_word(healthy):
     bench, table, _ = healthy
     result = diagnose(table, bench.robot, replace(bench.options, gain_std=(0.0,) * 6))

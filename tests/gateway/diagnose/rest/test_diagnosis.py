@@ -115,6 +115,7 @@ def test_four_poses_are_enough_for_a_strong_effect():
     assert found(result) == [("balancer_spring", (2,))]
 
 
+@pytest.mark.slow
 def test_three_poses_are_not():
     bench = Bench(4, [LIBRARY[0]], poses=3)
     result = diagnose(bench.both(), bench.robot, bench.options)
@@ -158,6 +159,7 @@ def test_given_holdout_judges(clean):
     assert np.sqrt(np.mean(ratio**2)) < 1.6
 
 
+@pytest.mark.slow
 def test_effects_can_be_excluded_and_forced(clean):
     bench = Bench(4, [LIBRARY[5]])
     table = bench.both()
@@ -177,6 +179,7 @@ def test_common_scale_needs_a_known_mass():
     assert result.effects[0].parameters["scale"] == pytest.approx(1.15, rel=0.03)
 
 
+@pytest.mark.slow
 def test_one_sided_visits_show_the_friction_by_direction():
     bench = Bench(9, [])
     table = bench.both()
