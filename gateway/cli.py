@@ -8,7 +8,7 @@
     5    plan refused, or motion stopped
     6    data cannot answer the question
     7    finished, a failing finding stands
-    130  stopped by a person, a signal or a closed terminal; the arm stands in its brakes, what was measured is kept
+    130  stopped by a person, a signal or a closed terminal; the arm is in its brakes, what was measured is kept
 
 Each command lives in `gateway/commands` and is imported when it is called, so that `--help` stays fast.
 """
@@ -29,6 +29,7 @@ from typing import Any
 
 import click
 
+from gateway.errors import IN_BRAKES, NOT_CONFIRMED
 from gateway.motion.stops import SIGNALS, StoppedByPerson, output_closed
 
 PROGRAM = "servo-gateway"
@@ -171,9 +172,11 @@ def report_error(error: BaseException) -> int:
         if isinstance(error, click.Abort) and str(error):
             _say(str(error))
             return CTRL_C
+        # only a command that had an arm under power knows what it does: that is among the notes
         why = str(error) if isinstance(error, StoppedByPerson) else "stopped"
-        notes = "".join(f". {note.removesuffix('.')}" for note in getattr(error, "__notes__", []))
-        _say(f"{why}: the arm stands in its brakes, what was measured is kept{notes}")
+        notes = [note.removesuffix(".") for note in getattr(error, "__notes__", [])]
+        known = sorted(notes, key=lambda note: note not in (IN_BRAKES, NOT_CONFIRMED))
+        _say(f"{why}: {'. '.join(known)}" if known else why)
         return CTRL_C
     if isinstance(error, click.ClickException):
         error.show()
@@ -228,8 +231,8 @@ def _defect(error: BaseException) -> str:
     except OSError as failed:
         path = f"no file, which cannot be written ({failed})"
     return (
-        f"this is a defect of {PROGRAM}: {type(error).__name__}: {paragraph(error)}; "
-        f"no motion is under way. The details are in {path}; please report them"
+        f"this is a defect of {PROGRAM}: {type(error).__name__}: {paragraph(error)}. "
+        f"The details are in {path}; please report them"
     )
 
 

@@ -31,6 +31,9 @@ EXIT_CODES: Final[Mapping[int, str]] = {
     " found, a failed check",
     130: "stopped by a person, a signal or a closed terminal; the arm is in its brakes, what was finished is kept",
 }
+#: What is known of an arm that was under power, among the notes of what ended the command.
+IN_BRAKES: Final = "the arm is in its brakes, what was measured is kept"
+NOT_CONFIRMED: Final = "the stop of the arm is not confirmed: use the emergency stop"
 
 
 class GatewayError(Exception):

@@ -21,7 +21,7 @@ from gateway.cell.buses import bus_specs
 from gateway.cell.config import ArmConfig, LoadedCell, load_cell, with_pacing, with_sync_period
 from gateway.check.proofs import ensure_proven, proven_on
 from gateway.errors import PlanRefused, WrongPlace
-from gateway.motion.opening import BusOverride, OpenArm, axis_setups
+from gateway.motion.opening import BusOverride, OpenArm, axis_setups, frame_log_watched
 from gateway.motion.stream import MoveOptions
 from gateway.pair.gap import instruments_on
 from gateway.preflight.limits import MOVE_HOME
@@ -166,7 +166,8 @@ class CellContext:
         return folder / "".join(part if part.isalnum() or part in "-_." else "_" for part in name)
 
     def proven(self, opened: OpenArm, say: Callable[[str], None], options: MoveOptions) -> MoveOptions:
-        """`ensure_proven`, with a black box where the proof is still to be made."""
+        """`ensure_proven`, with a black box where the proof is still to be made; the frame log is watched."""
+        options.desk.watch(frame_log_watched(opened))
         path = self.stop_proof(opened.config)
         with ExitStack() as stack:
             if proven_on(path, opened) is None:

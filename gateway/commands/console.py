@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import errno
+import logging
 import math
 import os
 import sys
 import time
 from collections.abc import Generator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -19,6 +20,7 @@ from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextC
 from rich.table import Table
 from rich.text import Text
 
+from gateway.commands.outlet import Outlet
 from gateway.result.interval import SAID
 from gateway.result.numerals import with_interval
 
@@ -55,14 +57,36 @@ class Session:
     data_on_stdout: bool = False
     replaces: bool = False
     _consoles: dict[bool, Console] = field(default_factory=dict)
+    _outlets: dict[bool, Outlet] = field(default_factory=dict)
 
     def console(self, *, err: bool = False) -> Console:
         """Console for stdout (or stderr), as wide as the terminal, wide enough for a table elsewhere."""
         if err not in self._consoles:
             stream = sys.stderr if err else sys.stdout
             width = None if stream.isatty() or "COLUMNS" in os.environ else PLAIN_WIDTH
-            self._consoles[err] = _Terminal(file=stream, width=width, highlight=False, soft_wrap=False)
+            outlet: Any = Outlet(stream)
+            self._outlets[err] = outlet
+            self._consoles[err] = _Terminal(file=outlet, width=width, highlight=False, soft_wrap=False)
         return self._consoles[err]
+
+    @contextmanager
+    def detached(self) -> Generator[None]:
+        """While arms may move: whatever is printed or logged is queued, and a terminal that hangs delays nothing."""
+        with ExitStack() as stack:
+            for err in (False, True):
+                self.console(err=err)
+                stack.enter_context(self._outlets[err].detached())
+            errors: Any = self._outlets[True]
+            log = logging.StreamHandler(errors)
+            log.setLevel(logging.WARNING)
+            logging.getLogger().addHandler(log)
+            stack.callback(logging.getLogger().removeHandler, log)
+            yield
+
+    def settle(self) -> None:
+        """Wait until all that was printed is written, before a person is asked; not while anything moves."""
+        for outlet in self._outlets.values():
+            outlet.settle()
 
     def show(self, item: Any) -> None:
         """Print a table or a line of the answer, as it stands: square brackets are units.

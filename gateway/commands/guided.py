@@ -164,6 +164,7 @@ class _Terminal:
         """Ask for a load, or for an empty flange; a line on stdin says that it is so."""
         do = "Take everything off the flange" if label == BARE_LABEL else "Hang the load"
         self.session.note(f"The arm is in its brakes. {do}, then press Enter.")
+        self.session.settle()
         click.echo(f"HANG LOAD {label}")
         if not sys.stdin.readline():
             raise click.Abort

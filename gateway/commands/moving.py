@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from gateway.commands.options import Function, confirm, one_of, session_of
+from gateway.errors import IN_BRAKES, NOT_CONFIRMED
 
 if TYPE_CHECKING:
     from gateway.motion.observer import Observers
@@ -112,18 +113,62 @@ def _moves(named: Mapping[str, Any]) -> bool:
     return not asked or any(asked)
 
 
+class _Power:
+    """Observer that keeps whether arms were under power, and whether their stop was confirmed."""
+
+    def __init__(self) -> None:
+        self.was_on = self.is_off = False
+
+    def began(self, _scene: object) -> None:
+        """Arms are about to be powered."""
+        self.was_on, self.is_off = True, False
+
+    def sampled(self, _observed: object) -> None:
+        """One SYNC."""
+
+    def told(self, _event: object) -> None:
+        """An event of the run."""
+
+    def ended(self, failure: BaseException | None) -> None:
+        """The way down is over; what went wrong on it is part of the failure."""
+        notes = getattr(failure, "__notes__", [])
+        failed = getattr(failure, "while_stopping", ()) or any(note.startswith("while stopping") for note in notes)
+        self.is_off = not failed
+
+
+@contextmanager
+def _arm_reported(power: _Power) -> Generator[None]:
+    """An interrupt, or a defect, says what is known of the arm; every other error says itself what it stopped."""
+    try:
+        yield
+    except BaseException as error:
+        stopped = isinstance(error, KeyboardInterrupt) or (isinstance(error, click.Abort) and not str(error))
+        defect = isinstance(error, Exception) and not (
+            hasattr(error, "exit_code") or isinstance(error, OSError | click.Abort)
+        )
+        if power.was_on and (stopped or defect):
+            error.add_note(IN_BRAKES if power.is_off else NOT_CONFIRMED)
+        raise
+
+
 @contextmanager
 def stoppable(move: MoveChoice) -> Generator[MoveOptions]:
-    """While this is open, signals and the held key stop what moves; interrupted at once while nothing does."""
+    """While this is open, signals and the held key stop what moves; interrupted at once while nothing does.
+
+    What is printed meanwhile is queued: a terminal that hangs delays no SYNC.
+    """
     from gateway.motion.holdtorun import held_key
     from gateway.motion.observer import Observers
     from gateway.motion.stops import StopDesk, outputs_watched, signals_ask
     from gateway.motion.stream import MoveOptions
 
-    desk = StopDesk(outputs_watched())
+    desk, power = StopDesk(outputs_watched()), _Power()
     with ExitStack() as stack:
+        stack.enter_context(_arm_reported(power))
         stack.enter_context(signals_ask(desk))
+        stack.enter_context(session_of().detached())
         observers = _shown(stack, desk) if move.live else Observers()
+        observers.add(power)
         options = MoveOptions(desk, move.override / 100.0, observers=observers)
         if not move.hold_to_run:
             yield options

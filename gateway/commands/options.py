@@ -257,6 +257,9 @@ def confirm(question: str, *, yes: bool) -> None:
     """
     if yes:
         return
+    context = click.get_current_context(silent=True)
+    if context is not None:
+        session_of(context).settle()
     try:
         agreed = click.confirm(question, err=True)
     except click.Abort:

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from gateway.acquire.events import PoseDone, Progress
+from gateway.errors import PlanRefused
 from gateway.live.drawing import stage_of
 from gateway.live.wire import HEAD, PER_AXIS, ROW, SHOWN, CommandOver, Ended, Happened, PoseSeen, ShownCell, pieces
 from gateway.motion.flat import fill
@@ -29,6 +30,9 @@ WAITING: Final = 64
 #: How long the last word may take to reach the page once nothing moves any more [s].
 FAREWELL_S: Final = 0.5
 PHASES: Final = tuple(Phase)
+DEAD_BUTTON: Final = (
+    "the process of the live page has ended, and with it its stop button; start again, with or without --live"
+)
 _NUMBER_OF: Final = {phase: float(number) for number, phase in enumerate(PHASES)}
 
 
@@ -122,19 +126,21 @@ class Feed:
     # -- who asks ------------------------------------------------------------------------------------------------------
 
     def pressed(self) -> StopRequest | None:
-        """A wish to stop once the button was pressed; the second time by quick stop, as of a signal."""
-        if self.gone:
-            return None
-        try:
-            heard = self._channel.recv(16)
-        except BlockingIOError:
-            return None
-        except OSError:
-            self.gone = True
-            return None
+        """A wish to stop once the button was pressed; the second time by quick stop, as of a signal.
+
+        A page whose process has ended has a dead button: that is a wish to stop along the path.
+        """
+        heard = b""
+        if not self.gone:
+            try:
+                heard = self._channel.recv(16)
+            except BlockingIOError:
+                return None
+            except OSError:
+                heard = b""
         if not heard:
             self.gone = True
-            return None
+            return StopRequest(StopKind.ALONG_PATH, PlanRefused(DEAD_BUTTON))
         self._presses += 1
         kind = StopKind.ALONG_PATH if self._presses == 1 else StopKind.QUICK_STOP
         return StopRequest(kind, StoppedByPerson("stopped by the button of the live page"))

@@ -26,6 +26,7 @@ from gateway.feedforward.identified import AxisConstants, axis_constants, read_i
 from gateway.model.arm_model import arm_named, robot_from_text, robot_place, robot_text
 from gateway.motion.arm import Arm
 from gateway.motion.drive_limits import motor_ranges_rad, motor_torques_nm, quick_stop_rad_s2
+from gateway.motion.stops import StopKind, StopRequest, StopSource
 from gateway.motion.torque_need import needed_torque_nm
 from gateway.motion.workspace import Workspace, workspace_of
 from gateway.preflight.look_over import Preflight, look_over, require_passed
@@ -129,6 +130,16 @@ class _GroupDrives:
     def sync_sent_s(self) -> float:
         """Monotonic time of the last SYNC."""
         return self._group.sync_sent_s
+
+
+def frame_log_watched(opened: OpenArm) -> StopSource:
+    """A source that asks for a stop along the path once the frame log of an arm's bus cannot be written."""
+    log = opened.group.bus.log
+
+    def failed() -> StopRequest | None:
+        return None if log is None or log.failure is None else StopRequest(StopKind.ALONG_PATH, log.failure)
+
+    return failed
 
 
 def axis_setups(loaded: LoadedCell, config: ArmConfig) -> tuple[AxisSetup, ...]:

@@ -93,6 +93,20 @@ ARM_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
         "disk": Rule(
             "a recording that falls behind", "along the path", 8, "visits that wait for the disk", "free the disk"
         ),
+        "frame_log": Rule(
+            "a frame log (--trace) that cannot be written; it is switched off",
+            "along the path",
+            1,
+            "error",
+            "free the disk",
+        ),
+        "page": Rule(
+            "a live page whose process has ended: its stop button is dead",
+            "along the path",
+            1,
+            "SYNC",
+            "start again, with or without --live",
+        ),
         "force": Rule(
             "two arms: the force inside the part above twice its limit; quick stop if it then rises 2.5 times",
             "along the path",

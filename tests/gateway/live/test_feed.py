@@ -89,8 +89,11 @@ def test_a_page_that_is_gone_is_let_go(rig, scene):
     observers.sampled(*_parts(observed(2, Q_RAD)))
     observers.told(RowTold("move", 1, 2))
     observers.ended(None)
-    assert rig.feed.pressed() is None
     assert observers.troubles == []
+    wish = rig.feed.pressed()
+    assert wish is not None
+    assert (wish.kind, wish.cause.exit_code) == (StopKind.ALONG_PATH, 5)
+    assert "stop button" in str(wish.cause)
 
 
 def _parts(seen):

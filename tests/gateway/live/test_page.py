@@ -19,6 +19,7 @@ from gateway.errors import ConfigError
 from gateway.live.guard import HOST
 from gateway.live.page import PORT, LivePage, live_page
 from gateway.motion.observer import RowTold
+from gateway.motion.stops import StopKind
 from tests.observed import observed
 
 PATIENCE_S = 30.0
@@ -96,7 +97,7 @@ def test_nobody_else_on_the_network_reaches_it(page):
         elsewhere.connect(("127.0.0.2", port))
 
 
-def test_a_page_that_is_killed_changes_nothing_for_the_loop(page, scene):
+def test_a_page_that_is_killed_never_makes_the_loop_wait_and_stops_it_along_the_path(page, scene):
     feed = page.feed
     feed.began(scene)
     os.kill(page.pid, signal.SIGKILL)
@@ -105,7 +106,7 @@ def test_a_page_that_is_killed_changes_nothing_for_the_loop(page, scene):
         feed.sampled(observed(sync, scene.workspaces[0].lower_rad * 0.0))
         feed.told(RowTold("move", sync, 3))
     assert feed.gone
-    assert feed.pressed() is None
+    assert feed.pressed().kind is StopKind.ALONG_PATH
 
 
 def test_the_page_ends_when_its_command_is_gone():
