@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from typing import NoReturn
 
 from drives.abort import ABSENT
 from drives.bus import Bus
 from drives.cia402 import AT_REST, decode_state
-from drives.errors import ConfigurationRefused, DriveError, DriveFault, IdentityMismatch, SdoAbort, SdoTimeout
+from drives.errors import (
+    ConfigurationRefused,
+    DriveError,
+    DriveFault,
+    IdentityMismatch,
+    SdoAbort,
+    SdoError,
+    SdoTimeout,
+)
 from drives.heartbeat import NmtCommand, send_nmt
-from drives.ledger import LedgerEntry, WriteLedger
+from drives.ledger import Device, LedgerEntry, WriteLedger, Writer
 from drives.objects import OBJECTS, ObjectEntry, object_name
 from drives.pdo import PdoPlan, Step, differences, mapping_steps, restore_steps
 from drives.profile import DriveProfile, ObjectReference
 from drives.sdo import NORMAL, SLOW, SdoClient, Transfer
 
 Entry = ObjectEntry | ObjectReference
+Address = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +56,16 @@ class NodeAccess:
         self.rules = rules
         self.bus = bus
         self.sdo = SdoClient(bus, node_id, rules.timeout_s, rules.slow_timeout_s)
-        #: Serial number of the device, entered in the ledger.
-        self.serial_number: int | None = None
+        #: By which the ledger knows the node; its identity is added once it is read.
+        self.device = Device(node_id, bus.spec.name)
+        #: What `restore` found written by somebody else since: it was left as it is.
+        self.superseded: tuple[LedgerEntry, ...] = ()
         self._ledger = ledger
+
+    @property
+    def serial_number(self) -> int | None:
+        """Of the device."""
+        return self.device.serial_number
 
     def read(self, entry: Entry, options: Transfer = NORMAL) -> int:
         """Read an object."""
@@ -81,19 +97,23 @@ class NodeAccess:
         step = Step(entry.index, entry.subindex, entry.type, value, reason)
         self._ledger.note(self._entry(step, now))
         self._send(step)
-        back = self.read(entry, options)
-        if back != value:
-            what = f"{value:#x} was written, {back:#x} reads back"
-            self.refuse(entry, what, "the drive limits or ignores this value")
+        self._read_back(step, options)
 
-    def write_step(self, step: Step, old: dict[tuple[int, int], tuple[str, int]]) -> None:
-        """Write a parameter that a person has asked for, whatever the profile allows: entered before, read back after.
+    def note_steps(self, steps: Sequence[Step], writer: Writer = "run") -> dict[Address, tuple[str, int]]:
+        """Enter writes in the ledger, all of them before the first one is sent.
 
-        Parameters
-        ----------
-        step : Step
-        old : dict
-            (index, subindex) -> (type, value): what the object held is added before it is written first.
+        Returns
+        -------
+        dict
+            (index, subindex) -> (type, value that the object holds now).
+        """
+        held = {(step.index, step.subindex): (step.data_type, self._before(step)) for step in steps}
+        entries = [self._entry(step, held[step.index, step.subindex][1], writer) for step in steps]
+        self._ledger.note(*entries)
+        return held
+
+    def write_step(self, step: Step) -> None:
+        """Write a parameter that is entered in the ledger, whatever the profile allows, and read it back.
 
         Raises
         ------
@@ -102,11 +122,12 @@ class NodeAccess:
         SdoError
             The transfer failed.
         """
-        now = self._before(step)
-        old.setdefault((step.index, step.subindex), (step.data_type, now))
-        self._ledger.note(self._entry(step, now))
         self._send(step)
-        back = self.sdo.read(step.index, step.subindex, step.data_type)
+        self._read_back(step, NORMAL)
+
+    def _read_back(self, step: Step, options: Transfer) -> None:
+        back = self.sdo.read(step.index, step.subindex, step.data_type, options)
+        self._ledger.confirm(self.device, {(step.index, step.subindex): back})
         if back != step.value:
             raise ConfigurationRefused(
                 f"{step.value:#x} was written, {back:#x} reads back",
@@ -118,10 +139,10 @@ class NodeAccess:
 
     @property
     def noted(self) -> tuple[LedgerEntry, ...]:
-        """What the ledger holds of this node."""
-        return self._ledger.of_node(self.node_id)
+        """What the ledger holds of this device."""
+        return self._ledger.of(self.device)
 
-    def undo(self, old: dict[tuple[int, int], tuple[str, int]], noted: tuple[LedgerEntry, ...]) -> list[str]:
+    def undo(self, old: dict[Address, tuple[str, int]], noted: tuple[LedgerEntry, ...]) -> list[str]:
         """Put back what was written since a moment; the ledger is then as it was at that moment.
 
         Parameters
@@ -136,71 +157,124 @@ class NodeAccess:
         list of str
             Objects that do not hold their old value, or no longer answer: they stay in the ledger.
         """
-        for step in restore_steps(old):
-            try:
-                self.sdo.write(step.index, step.subindex, step.data_type, step.value, SLOW)
-            except SdoTimeout:
-                break
-            except DriveError:
-                continue
-        left = self._not_as(old)
-        back = [entry for entry in self.noted if (entry.index, entry.subindex) in old.keys() - left]
-        self._ledger.forget(*back)
-        self._ledger.note(*(entry for entry in noted if (entry.index, entry.subindex) in old.keys() - left))
+        self._send_back(old)
+        left = {address for address, (_, value) in old.items() if self._held(old, address) != value}
+        self._ledger.exchange(
+            [entry for entry in self.noted if entry.address not in left],
+            [entry for entry in noted if entry.address not in left],
+        )
         return [f"node {self.node_id}:{object_name(*address)}" for address in sorted(left)]
 
-    def _not_as(self, old: dict[tuple[int, int], tuple[str, int]]) -> set[tuple[int, int]]:
-        left = set(old)
-        for address, (data_type, value) in old.items():
+    def _held(self, objects: dict[Address, tuple[str, int]], address: Address) -> int | None:
+        """What an object holds now; None = it cannot be read."""
+        try:
+            return self._before(Step(*address, objects[address][0], 0, ""))
+        except SdoError:
+            return None
+
+    def _send_back(self, old: dict[Address, tuple[str, int]]) -> dict[Address, DriveError]:
+        """Write values back, entered in the ledger before; goes on past a refusal, and ends at a silent device.
+
+        Returns
+        -------
+        dict
+            (index, subindex) -> why it was not written.
+        """
+        steps = restore_steps(old)
+        self._ledger.expect(self.device, [((step.index, step.subindex), step.value) for step in steps])
+        refused: dict[Address, DriveError] = {}
+        for step in steps:
             try:
-                now = self._before(Step(*address, data_type, value, ""))
-            except SdoTimeout:
+                self._send(step, SLOW)
+            except SdoTimeout as error:
+                refused[step.index, step.subindex] = error
                 break
-            except DriveError:
-                continue
-            if now == value:
-                left.discard(address)
-        return left
+            except SdoError as error:
+                refused[step.index, step.subindex] = error
+        return refused
 
     def may_write(self, index: int) -> bool:
         """Whether the profile allows writing this object."""
         return index in self.rules.allow
 
-    def original(self, entry: Entry) -> int | None:
-        """What an object held before it was written first; None = it was not written, or has been put back."""
-        address = (entry.index, entry.subindex)
-        found = (note.old for note in self._ledger.of_node(self.node_id) if (note.index, note.subindex) == address)
-        return next(found, None)
+    def original(self, entry: Entry, held: int) -> int:
+        """Value of an object that holds `held` now, as the engineer left it.
+
+        `held` itself, unless the gateway wrote it in a run: then what the object held before. What `config apply` wrote
+        is the engineer's.
+        """
+        for note in self.noted:
+            if note.address == (entry.index, entry.subindex) and note.writer == "run" and note.is_own(held):
+                return note.old
+        return held
 
     def write_if_taken(self, entry: Entry, value: int, reason: str) -> bool:
         """As `write`, where the drive may refuse it for good; whether it took the value."""
-        known = self.original(entry)
         try:
             self.write(entry, value, reason)
         except SdoAbort:
-            if known is None:
-                address = (entry.index, entry.subindex)
-                notes = self._ledger.of_node(self.node_id)
-                self._ledger.forget(*(note for note in notes if (note.index, note.subindex) == address))
             return False
         return True
 
     def is_in_ledger(self, *indices: int) -> bool:
-        """Whether the ledger holds a write to one of these objects of this node that was not put back."""
-        return any(entry.index in indices for entry in self._ledger.of_node(self.node_id))
+        """Whether the ledger holds a write to one of these objects of this device that was not put back."""
+        return any(entry.index in indices for entry in self.noted)
 
-    def _send(self, step: Step) -> None:
+    def adopt_applied(self) -> None:
+        """Take what `config apply` wrote for the original: a run configures the drive on top of it.
+
+        Raises
+        ------
+        ConfigurationRefused
+            `config apply` was cut off, so that the drive has a part of a configuration.
+        """
+        unfinished = [entry for entry in self.noted if entry.writer == "applying"]
+        if unfinished:
+            what = f"`config apply` was cut off after it began to write here ({len(unfinished)} objects)"
+            advice = "put the drive back with `servo-gateway restore CELL`, or finish `config apply`"
+            first = unfinished[0]
+            raise ConfigurationRefused(
+                what, node=self.node_id, index=first.index, subindex=first.subindex, advice=advice
+            )
+        applied = [entry for entry in self.noted if entry.writer == "applied"]
+        if applied:
+            self._ledger.forget(*applied)
+
+    def finish_applying(self) -> None:
+        """What `config apply` wrote to this device is complete."""
+        device = self.device
+        self._ledger.settle(
+            lambda entry: (
+                replace(entry, writer="applied") if entry.writer == "applying" and entry.is_of(device) else entry
+            )
+        )
+
+    def _send(self, step: Step, options: Transfer = NORMAL) -> None:
         """Write a parameter; where the answer stays away it is read back, and written once more if it is not there."""
         words = (step.index, step.subindex, step.data_type, step.value)
         try:
-            self.sdo.write(*words)
+            self.sdo.write(*words, options)
         except SdoTimeout:
             if self.sdo.read(step.index, step.subindex, step.data_type) != step.value:
-                self.sdo.write(*words)
+                self.sdo.write(*words, options)
 
-    def _entry(self, step: Step, old: int) -> LedgerEntry:
-        address = (step.index, step.subindex)
-        return LedgerEntry(self.node_id, *address, step.data_type, old, step.value, step.reason, self.serial_number)
+    def _entry(self, step: Step, old: int, writer: Writer = "run") -> LedgerEntry:
+        device = self.device
+        return LedgerEntry(
+            self.node_id,
+            step.index,
+            step.subindex,
+            step.data_type,
+            old,
+            step.value,
+            step.reason,
+            serial_number=device.serial_number,
+            vendor_id=device.vendor_id,
+            product_code=device.product_code,
+            revision=device.revision,
+            bus=device.bus,
+            writer=writer,
+        )
 
     def _check_allowed(self, index: int, subindex: int) -> None:
         if not self.may_write(index):
@@ -234,9 +308,11 @@ class NodeAccess:
             steps = mapping_steps(plan, cob_id)
             for step in steps:
                 self._check_allowed(step.index, step.subindex)
-            self._ledger.note(*(self._entry(step, self._before(step)) for step in steps))
+            self.note_steps(steps)
             for step in steps:
                 self._send(step)
+            written = [entry for entry in self.noted if _record(entry.index) == plan.communication]
+            self._ledger.confirm(self.device, self._read_entries(written, {}))
             left = differences(plan, self.sdo.read)
             if left:
                 what = f"{plan.name} {', '.join(left)} after it was written"
@@ -253,39 +329,139 @@ class NodeAccess:
             raise
 
     def restore(self) -> list[DriveError]:
-        """Put back what the ledger holds of this node; what fails stays in the ledger.
+        """Put back what the ledger holds of this device; only what reads back as its original leaves the ledger.
+
+        An object that somebody else has written since keeps its value, and leaves the ledger too: `superseded`.
 
         Returns
         -------
         list of DriveError
             What could not be put back.
         """
-        entries = self._ledger.of_node(self.node_id)
-        if not entries:
-            return []
-        if any(entry.serial_number not in (None, self.serial_number) for entry in entries):
-            what = f"serial number {self.serial_number} is not that of the drive in the write ledger"
-            return [IdentityMismatch(what, node=self.node_id, index=0x1018, subindex=4, advice="check by hand")]
+        self.superseded = ()
+        failures = self._of_predecessors()
+        if not self.noted:
+            return failures
         if self._busy():
-            return [DriveFault("is enabled", node=self.node_id, advice="disable it before restoring")]
+            return [*failures, DriveFault("is enabled", node=self.node_id, advice="disable it before restoring")]
         send_nmt(self.bus, NmtCommand.ENTER_PREOPERATIONAL, self.node_id)
-        failures = self._put_back({(entry.index, entry.subindex): (entry.data_type, entry.old) for entry in entries})
-        failed = {(failure.index, failure.subindex) for failure in failures}
-        self._ledger.forget(*(entry for entry in entries if (entry.index, entry.subindex) not in failed))
-        return failures
+        moved = [entry for entry in self.noted if entry.node_id != self.node_id and _names_node(entry.index)]
+        failures += _of_another_node(moved, self.node_id)
+        entries = [entry for entry in self.noted if entry not in moved]
+        unread: dict[Address, DriveError] = {}
+        held = self._read_entries(entries, unread)
+        entries = self._without_superseded(entries, held)
+        changed = {_record(entry.index) for entry in entries if held.get(entry.address) != entry.old}
+        old = {each.address: (each.data_type, each.old) for each in entries if _record(each.index) in changed}
+        refused = self._send_back({address: old[address] for address in old if address not in unread})
+        back = self._read_entries(entries, unread)
+        length = {address[0]: old for address, (_, old) in old.items() if _is_mapping(address[0]) and not address[1]}
+        done = [
+            entry
+            for entry in entries
+            if back.get(entry.address) == entry.old
+            or (_is_mapping(entry.index) and entry.subindex > length.get(entry.index, 0xFF) and entry.address in back)
+        ]
+        self._ledger.forget(*done)
+        return failures + [
+            unread.get(entry.address) or refused.get(entry.address) or self._not_taken(entry, back[entry.address])
+            for entry in entries
+            if entry not in done and (entry.address in unread or entry.address in back)
+        ]
+
+    def _of_predecessors(self) -> list[DriveError]:
+        """The failure that entries of another device at this node are."""
+        others = self._ledger.of_predecessors(self.device)
+        if not others:
+            return []
+        serials = sorted({"none" if each.serial_number is None else str(each.serial_number) for each in others})
+        what = (
+            f"{len(others)} objects in the write ledger are of another device"
+            f" (serial number {', '.join(serials)}, here is {self.device.serial_number or 'none'})"
+        )
+        advice = "connect that device to restore it, or strike it off with `restore CELL --forget`"
+        return [IdentityMismatch(what, node=self.node_id, index=0x1018, subindex=4, advice=advice)]
+
+    def _read_entries(self, entries: Sequence[LedgerEntry], unread: dict[Address, DriveError]) -> dict[Address, int]:
+        """What the objects of entries hold; those that cannot be read are added to `unread`.
+
+        Raises
+        ------
+        SdoTimeout
+            The device does not answer.
+        """
+        held: dict[Address, int] = {}
+        for entry in entries:
+            try:
+                held[entry.address] = self._before(Step(*entry.address, entry.data_type, 0, ""))
+            except SdoTimeout:
+                raise
+            except SdoError as error:
+                unread[entry.address] = error
+        return held
+
+    def _without_superseded(self, entries: list[LedgerEntry], held: dict[Address, int]) -> list[LedgerEntry]:
+        """Entries whose objects hold what the gateway wrote or the original; the others leave the ledger.
+
+        Within the record of a PDO that is put back, what somebody else has written becomes the original.
+        """
+
+        def is_others(entry: LedgerEntry) -> bool:
+            now = held.get(entry.address)
+            return now is not None and now != entry.old and not entry.is_own(now) and not entry.open
+
+        others = [entry for entry in entries if is_others(entry)]
+        changed = {_record(each.index) for each in entries if each not in others and held.get(each.address) != each.old}
+        kept = {
+            each.address: replace(each, old=held[each.address])
+            for each in others
+            if _is_pdo(each.index) and _record(each.index) in changed
+        }
+        if others:
+            self._ledger.exchange(others, list(kept.values()))
+        self.superseded = tuple(others)
+        return [kept.get(each.address, each) for each in entries if each not in others or each.address in kept]
+
+    def _not_taken(self, entry: LedgerEntry, back: int) -> ConfigurationRefused:
+        return ConfigurationRefused(
+            f"{entry.old:#x} was to be put back, {back:#x} reads back",
+            node=self.node_id,
+            index=entry.index,
+            subindex=entry.subindex,
+            advice="the drive limits or ignores this value: set it with the maker's tool, then `restore` once more",
+        )
 
     def _busy(self) -> bool:
         """Whether nothing may be put back now."""
         return False
 
-    def _put_back(self, old: dict[tuple[int, int], tuple[str, int]]) -> list[DriveError]:
-        failures: list[DriveError] = []
-        for step in restore_steps(old):
-            try:
-                self.sdo.write(step.index, step.subindex, step.data_type, step.value, SLOW)
-            except DriveError as error:
-                failures.append(error)
-        return failures
+
+def _is_pdo(index: int) -> bool:
+    """Whether an object belongs to the record of a PDO."""
+    return 0x1400 <= index < 0x1C00
+
+
+def _is_mapping(index: int) -> bool:
+    return _is_pdo(index) and bool(index & 0x0200)
+
+
+def _record(index: int) -> int:
+    """What is put back together: the records of a PDO, else the object alone."""
+    return index & ~0x0200 if _is_pdo(index) else index
+
+
+def _names_node(index: int) -> bool:
+    """Whether an object holds identifiers that go with the node id."""
+    return _is_pdo(index) or index == OBJECTS["emcy_cob_id"].index
+
+
+def _of_another_node(moved: Sequence[LedgerEntry], node_id: int) -> list[DriveError]:
+    """The failure that identifiers of a drive with another node id are."""
+    if not moved:
+        return []
+    what = f"{len(moved)} identifiers and PDO mappings were written while this drive was node {moved[0].node_id}"
+    advice = "give it that node id to restore them, or strike them off with `restore CELL --forget`"
+    return [ConfigurationRefused(what, node=node_id, index=moved[0].index, subindex=moved[0].subindex, advice=advice)]
 
 
 class ObjectAccess(NodeAccess):

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Final
 
 from drives.access import NodeAccess
 from drives.bringup import emergency_id, is_simulator
 from drives.bus import EMCY_BASE, Bus, Handler
-from drives.bus_spec import BusSpec
+from drives.bus_spec import NETWORKS, BusSpec
 from drives.drive import Cia402Drive
 from drives.emcy import EmcyLog
 from drives.errors import ConfigurationRefused
 from drives.exchange import Pacing
 from drives.instrument import Instrument
-
-#: Interfaces that are a network: whoever reaches it can send frames to the drives.
-NETWORKS: Final = frozenset({"udp_multicast", "virtual", "socketcand"})
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,9 +5,14 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Final
 
 from drives.errors import BusError
+
+#: Interfaces that are a network: whoever reaches it can send frames to the drives.
+NETWORKS: Final = frozenset({"udp_multicast", "virtual", "socketcand"})
+#: Options that belong to the address of a bus, and what they are where they are not given.
+_ADDRESS: Final = {"port": {"udp_multicast": 43113}, "host": {}}
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +58,13 @@ class BusSpec:
         if not isinstance(bitrate, int) or isinstance(bitrate, bool) or bitrate <= 0:
             raise BusError(f"bus '{text}': bitrate must be a positive integer in bit/s", advice="e.g. bitrate=500000")
         return cls(interface.strip(), channel.strip(), bitrate, options)
+
+    @property
+    def name(self) -> str:
+        """Which bus this is, without the options that only say how it is used."""
+        found = {key: self.options.get(key, known.get(self.interface)) for key, known in _ADDRESS.items()}
+        address = [f"{key}={value}" for key, value in found.items() if value is not None]
+        return ",".join([f"{self.interface}:{self.channel}", *address])
 
     def __str__(self) -> str:
         return ",".join(

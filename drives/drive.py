@@ -11,7 +11,7 @@ from drives.cia402 import ENABLE_OPERATION, Mode
 from drives.decode import Decoder, Fields, double_decoder, single_decoder
 from drives.errors import CommandRefused, ConfigurationRefused, DriveError
 from drives.heartbeat import NmtCommand, send_nmt
-from drives.ledger import WriteLedger
+from drives.ledger import Device, WriteLedger
 from drives.objects import OBJECTS
 from drives.other_pdos import OtherPdo
 from drives.pdo import COMMAND, OFFSET, VELOCITY_OFFSET, PdoPlan, offset_plan, rpdo_plan, tpdo_plans
@@ -105,7 +105,7 @@ class Cia402Drive:
             It is not what the profile is for.
         """
         self.identity = bringup.read_identity(self.access.sdo)
-        self.access.serial_number = self.identity.serial_number
+        self.access.device = Device.of(self.identity, self._bus.spec.name)
         bringup.check_identity(self.identity, self.setup.profile)
         return self.identity
 

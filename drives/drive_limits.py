@@ -59,9 +59,8 @@ def write_position_limits(access: ObjectAccess, limit: Counts, revolution_counts
     shifted = access.read_optional(OBJECTS["home_offset"]) or 0
     if shifted or (access.read_optional(OBJECTS["polarity"]) or 0) & _POSITION_REVERSED:
         return False
-    first, last = access.original(low), access.original(high)
     margin = round(LIMIT_MARGIN_REVOLUTIONS * revolution_counts)
-    found = (held[0] if first is None else first, held[1] if last is None else last)
+    found = access.original(low, held[0]), access.original(high, held[1])
     new = _narrowed(found, (limit[0] - margin, limit[1] + margin))
     position = access.read(access.profile.position.object)
     if not new[0] <= position <= new[1]:
@@ -112,8 +111,7 @@ def limit_torque(access: ObjectAccess, permille: int) -> bool:
     held = access.read_optional(entry)
     if held is None:
         return False
-    first = access.original(entry)
-    if permille > (held if first is None else first):
+    if permille > access.original(entry, held):
         return False
     access.write(entry, permille, "lowest torque that the motion needs")
     return True

@@ -1,42 +1,128 @@
-"""Files that are there whole or not at all."""
+"""Atomic replacement of files: after a crash a file holds its old content or its new content, complete."""
 
 from __future__ import annotations
 
+import errno
 import os
+import secrets
+import stat
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 
 def replace_file(path: Path, content: bytes | str) -> None:
-    """Write a file so that a crash or a loss of power at any time leaves the old one or the new one, whole.
+    """Write a file so that a crash or a loss of power at any time leaves the old content or the new one, complete.
 
     Parameters
     ----------
     path : Path
-        Its folder is made if need be.
+        Its folder is made if need be. An existing file keeps its permissions.
     content : bytes or str
         Text is stored as UTF-8.
 
     Raises
     ------
     OSError
-        It cannot be written (disk full, no permission); the old one is untouched.
+        It cannot be written (disk full, no permission), or the path is not a regular file; the old content is
+        untouched.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.tmp")
+    data = content.encode() if isinstance(content, str) else content
+
+    def write(descriptor: int) -> None:
+        with os.fdopen(os.dup(descriptor), "wb") as stream:
+            stream.write(data)
+
+    place_file(temporary_file(path, write), path)
+
+
+def temporary_file(path: Path, write: Callable[[int], None]) -> Path:
+    """Write a new file with a random name into the folder of a path; `place_file` then moves it there.
+
+    Parameters
+    ----------
+    path : Path
+        File that it is to replace.
+    write : callable
+        Writes the content to an open file descriptor.
+
+    Returns
+    -------
+    Path
+        The new file, on disk (fsync).
+
+    Raises
+    ------
+    OSError
+        As `replace_file`.
+    """
+    temporary: Path | None = None
     try:
-        with temporary.open("wb") as stream:
-            stream.write(content.encode() if isinstance(content, str) else content)
-            stream.flush()
-            os.fsync(stream.fileno())
+        path.parent.mkdir(parents=True, exist_ok=True)
+        mode = _mode_of(path)
+        temporary, descriptor = _create(path.parent)
+        try:
+            if mode is not None:
+                os.fchmod(descriptor, mode)
+            write(descriptor)
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+    except BaseException as error:
+        if temporary is not None:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            error.filename = str(path)  # the name that was asked for; a full disk comes without any
+        raise
+    return temporary
+
+
+def place_file(temporary: Path, path: Path) -> None:
+    """Move a file of `temporary_file` to its path, and make that durable.
+
+    Raises
+    ------
+    OSError
+        It cannot be moved; the temporary file is removed.
+    """
+    try:
         os.replace(temporary, path)
     except OSError as error:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
-        error.filename = str(path)  # the name that was asked for; a full disk comes without any
+        error.filename = str(path)
         raise
     folder = os.open(path.parent, os.O_RDONLY)
     try:
         os.fsync(folder)
     finally:
         os.close(folder)
+
+
+def _mode_of(path: Path) -> int | None:
+    """Permissions of the file that is replaced; None = there is none yet.
+
+    Raises
+    ------
+    OSError
+        It is a folder, a device, a pipe or a socket.
+    """
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        return None
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not stat.S_ISREG(mode):
+        raise OSError(errno.EINVAL, "it is a device, pipe or socket; only a regular file is replaced", str(path))
+    return stat.S_IMODE(mode)
+
+
+def _create(folder: Path) -> tuple[Path, int]:
+    """Create a file with a random name, never an existing one and never through a link; path and descriptor."""
+    while True:
+        path = folder / f".{secrets.token_hex(8)}.tmp"
+        with suppress(FileExistsError):
+            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+            return path, os.open(path, flags, 0o666)

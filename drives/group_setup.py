@@ -28,7 +28,7 @@ from drives.exchange import Pacing, SyncExchange, Timing
 from drives.guard import Guard, Limits
 from drives.heartbeat import MASTER_NODE_ID, HeartbeatProducer, HeartbeatWatch
 from drives.instrument import Instrument, InstrumentSetup
-from drives.ledger import WriteLedger
+from drives.ledger import Device, LedgerEntry, WriteLedger, without_shared_serials
 from drives.listening import refuse_foreign
 from drives.reactions import DRIVE_RULES
 from drives.statistics import GroupStatistics, group_statistics
@@ -155,6 +155,42 @@ class DriveSetup:
         ForeignMaster
             Somebody else leads the bus; nothing was sent.
         """
+        identities, failures = self._find()
+        if not failures:
+            admission = Admission(self._bus.spec, self.timing.pacing, self.options.allow_real_drive)
+            failures = self._failures(admission.check, admission.check)
+        if not failures:
+            taken = {can_id for node in (*self.drives, *self.instruments) for can_id, _ in node.answers}
+            failures = self._failures(lambda drive: self._emcy_ears.add(drive.access, taken))
+        if failures:
+            self._forget()
+            raise_failures(failures)
+        return identities
+
+    def connect_for_restore(self) -> list[DriveError]:
+        """As `connect`, but those that do not answer, or are others than expected, are left out.
+
+        Returns
+        -------
+        list of DriveError
+            Why some are left out.
+
+        Raises
+        ------
+        ForeignMaster
+            Somebody else leads the bus; nothing was sent.
+        """
+        _, failures = self._find()
+        absent = {failure.node for failure in failures}
+        for node in (*self.drives, *self.instruments):
+            if node.node_id in absent:
+                node.close()
+        self.drives = tuple(drive for drive in self.drives if drive.node_id not in absent)
+        self.instruments = tuple(device for device in self.instruments if device.node_id not in absent)
+        return failures
+
+    def _find(self) -> tuple[tuple[Identity, ...], list[DriveError]]:
+        """Ask every node who it is; what failed of all of them beside that."""
         self._forget()
         refuse_foreign(self._bus, max(_LISTEN_S, 3.0 * self.timing.period_s), self._master_node_id)
         timeout_s = max(setup.profile.sdo.timeout_s for setup in self.setups)
@@ -162,22 +198,22 @@ class DriveSetup:
         self.drives = tuple(Cia402Drive(self._bus, setup, self.ledger) for setup in self.setups)
         self.instruments = tuple(Instrument(self._bus, setup, self.ledger) for setup in self.options.instruments)
         identities: list[Identity] = []
+        silent = [node_id for node_id, number in answers.items() if number == 0]
         try:
-            silent = [node_id for node_id, number in answers.items() if number == 0]
             states = finding.nmt_states(self._bus, silent)
 
             def identify(drive: Cia402Drive) -> None:
                 identities.append(finding.identify(drive, answers[drive.node_id], states.get(drive.node_id)))
 
-            self._for_each(identify, Instrument.identify)
-            admission = Admission(self._bus.spec, self.timing.pacing, self.options.allow_real_drive)
-            self._for_each(admission.check, admission.check)
-            taken = {can_id for node in (*self.drives, *self.instruments) for can_id, _ in node.answers}
-            self._for_each(lambda drive: self._emcy_ears.add(drive.access, taken))
+            failures = self._failures(identify, Instrument.identify)
         except DriveError:
             self._forget()
             raise
-        return tuple(identities)
+        accesses = [node.access for node in (*self.drives, *self.instruments)]
+        devices = without_shared_serials([access.device for access in accesses])
+        for access, device in zip(accesses, devices, strict=True):
+            access.device = device
+        return tuple(identities), failures
 
     def configure(self) -> None:
         """Map the PDOs, set mode, period, heartbeats and the reaction to a lost master; everything is read back.
@@ -192,6 +228,7 @@ class DriveSetup:
         self._require(bool(self.drives) and not self._running, "connect() first, and do not configure while enabled")
         first_index = 0 if self._exchange is None else self._exchange.sync_index
         self._close_exchange()
+        self._for_each(lambda drive: drive.access.adopt_applied(), lambda device: device.access.adopt_applied())
         exchange = SyncExchange(self._bus, self.drives, self.timing, self._producer, first_index, self.instruments)
         try:
             self._for_each(Cia402Drive.survey, Instrument.survey)
@@ -201,6 +238,7 @@ class DriveSetup:
             self._for_each(lambda drive: drive.configure(period_s), lambda device: device.configure(period_s))
             self._check_load(exchange, planned_bits)
             self._for_each(lambda drive: drive.arm(self._master_node_id))
+            self.ledger.settle()
         except BaseException:
             exchange.close()
             raise
@@ -231,6 +269,12 @@ class DriveSetup:
         self, action: Callable[[Cia402Drive], object], beside: Callable[[Instrument], object] = lambda _: None
     ) -> None:
         """Do something with every drive, then with every instrument, then raise what failed of all of them."""
+        raise_failures(self._failures(action, beside))
+
+    def _failures(
+        self, action: Callable[[Cia402Drive], object], beside: Callable[[Instrument], object] = lambda _: None
+    ) -> list[DriveError]:
+        """Do something with every drive, then with every instrument; what failed of all of them."""
         failures: list[DriveError] = []
         jobs = [partial(action, drive) for drive in self.drives]
         for job in (*jobs, *(partial(beside, instrument) for instrument in self.instruments)):
@@ -238,7 +282,7 @@ class DriveSetup:
                 job()
             except DriveError as error:
                 failures.append(error)
-        raise_failures(failures)
+        return failures
 
     def _require(self, condition: bool, advice: str) -> None:
         if not condition:
@@ -273,15 +317,28 @@ class DriveSetup:
         SeveralFailures or DriveError
             What could not be put back; it stays in the ledger.
         """
-        self._require(bool(self.drives) and not self._running, "connect() first, and disable() before restoring")
+        self._require(not self._running, "disable() before restoring")
+        self._require(bool(self.drives or self.instruments), "connect() first")
         failures: list[DriveError] = []
-        for node in (*self.drives, *self.instruments):
-            try:
-                failures += node.access.restore()
-            except DriveError as error:
-                failures.append(error)
+
+        def put_back(node: Cia402Drive | Instrument) -> None:
+            failures.extend(node.access.restore())
+
+        failures += self._failures(put_back, put_back)
         self._close_exchange()
         raise_failures(failures)
+
+    @property
+    def noted(self) -> tuple[LedgerEntry, ...]:
+        """What the ledger holds of the nodes of this group, of those that were exchanged and of absent ones too."""
+        present = {node.node_id: node.access.device for node in (*self.drives, *self.instruments)}
+        ids = [setup.node_id for setup in (*self.setups, *self.options.instruments)]
+        here = [present.get(node_id, Device(node_id, self._bus.spec.name)) for node_id in ids]
+        return tuple(
+            entry
+            for entry in self.ledger.entries
+            if any(entry.is_of(each) or (entry.node_id, entry.bus) == (each.node_id, each.bus) for each in here)
+        )
 
     def _forget(self) -> None:
         self._close_exchange()

@@ -1,20 +1,78 @@
-"""Write ledger: every object that was written, what it held before, and why, on disk so that a crash can be undone.
+"""Write ledger: every object that was written to a drive, and its original value, on disk before it is written.
 
-An entry is on disk before its object is written. The first old value of an object stays: a restore puts it back.
+An entry belongs to a drive, by its serial number, and is found from any cell file and any spelling of the bus.
+Simulated drives share their serial numbers: on a network (`drives.bus_spec.NETWORKS`) an entry belongs to the bus too.
+A drive without serial number is known by vendor, product, revision, node and bus.
+
+The original is what the drive held when the gateway first wrote the object. A value that the gateway did not write is a
+new original.
 """
 
 from __future__ import annotations
 
+import fcntl
 import json
-from dataclasses import asdict, dataclass, replace
+import os
+import time
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, Literal, get_args
 
+from drives.bus_spec import NETWORKS
 from drives.errors import ConfigurationRefused
 from drives.files import replace_file
 from drives.objects import STRUCT_CODE, object_name
+from drives.values import Identity
 
-SCHEMA = 1
+SCHEMA: Final = 2
+#: Schemas that are read; the first knew neither bus nor product.
+_READ: Final = (1, SCHEMA)
+#: Serial numbers that are none.
+_NO_SERIAL: Final = (0, 0xFFFFFFFF)
+#: Longest wait for another process that writes the same ledger [s].
+_PATIENCE_S: Final = 2.0
+_POLL_S: Final = 0.01
+
+#: Who wrote: a command that configures drives for its own use, or `config apply` before and after its last write.
+Writer = Literal["run", "applying", "applied"]
+
+
+@dataclass(frozen=True, slots=True)
+class Device:
+    """One drive or measuring device, as the ledger tells it from others; None = not known.
+
+    Attributes
+    ----------
+    node_id : int
+    bus : str or None
+        `BusSpec.name`.
+    vendor_id, product_code, revision, serial_number : int or None
+    """
+
+    node_id: int
+    bus: str | None = None
+    vendor_id: int | None = None
+    product_code: int | None = None
+    revision: int | None = None
+    serial_number: int | None = None
+
+    @classmethod
+    def of(cls, identity: Identity, bus: str | None) -> Device:
+        """The device that has identified itself on a bus."""
+        serial = None if identity.serial_number in _NO_SERIAL else identity.serial_number
+        return cls(identity.node_id, bus, identity.vendor_id, identity.product_code, identity.revision, serial)
+
+
+def without_shared_serials(devices: Sequence[Device]) -> list[Device]:
+    """Devices of one bus; a serial number that two of them have tells nothing and is left out."""
+
+    def key(device: Device) -> tuple[int | None, ...]:
+        return device.vendor_id, device.product_code, device.serial_number
+
+    keys = [key(device) for device in devices]
+    return [replace(each, serial_number=None) if keys.count(key(each)) > 1 else each for each in devices]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +86,16 @@ class LedgerEntry:
     data_type : str
         Its type.
     old, new : int
-        What it held before the first write, and what was written last.
+        Its original value, and what was written last.
     reason : str
         Why it was written.
-    serial_number : int or None
-        Of the device, so that a restore does not write to its successor.
+    serial_number, vendor_id, product_code, revision, bus : optional
+        Of the device, as `Device`.
+    writer : "run", "applying" or "applied"
+    also : tuple of int
+        Further values that the gateway wrote, or that the drive made of them, and that it may still hold.
+    open : bool
+        A write has begun and was not read back: whatever the drive holds may come from it.
     """
 
     node_id: int
@@ -43,19 +106,60 @@ class LedgerEntry:
     new: int
     reason: str
     serial_number: int | None = None
+    vendor_id: int | None = None
+    product_code: int | None = None
+    revision: int | None = None
+    bus: str | None = None
+    writer: Writer = "run"
+    also: tuple[int, ...] = field(default=(), compare=False)
+    open: bool = field(default=False, compare=False)
+
+    @property
+    def where(self) -> str:
+        """`node 3:6072:00 (max_torque)`."""
+        return f"node {self.node_id}:{object_name(self.index, self.subindex)}"
 
     def __str__(self) -> str:
-        where = f"node {self.node_id}:{object_name(self.index, self.subindex)}"
-        return f"{where}: {self.old:#x} -> {self.new:#x} ({self.reason})"
+        return f"{self.where}: {self.old:#x} -> {self.new:#x} ({self.reason})"
+
+    @property
+    def address(self) -> tuple[int, int]:
+        """Index and subindex."""
+        return self.index, self.subindex
+
+    @property
+    def device(self) -> Device:
+        """Whose object it is."""
+        return Device(self.node_id, self.bus, self.vendor_id, self.product_code, self.revision, self.serial_number)
+
+    def is_own(self, value: int) -> bool:
+        """Whether the gateway wrote this value, or the drive is known to have made it of one."""
+        return value == self.new or value in self.also
+
+    def is_of(self, device: Device) -> bool:
+        """Whether the object belongs to a device; what is not known of either does not tell them apart."""
+        pairs: list[tuple[object, object]] = [
+            (self.vendor_id, device.vendor_id),
+            (self.product_code, device.product_code),
+        ]
+        network = self.bus is not None and self.bus.partition(":")[0] in NETWORKS
+        if self.serial_number is not None:
+            if self.serial_number != device.serial_number:
+                return False
+        else:
+            pairs += [(self.node_id, device.node_id), (self.revision, device.revision)]
+        if network or self.serial_number is None:
+            pairs.append((self.bus, device.bus))
+        return all(None in pair or pair[0] == pair[1] for pair in pairs)
 
 
 class WriteLedger:
-    """Entries in the order of their first write.
+    """Entries in the order of their first write, of any number of drives.
 
     Parameters
     ----------
     path : Path, optional
-        JSON file, rewritten whole at each entry; what an earlier run left in it is taken over.
+        JSON file, replaced at each change; several processes may use it. None = kept in memory only.
 
     Raises
     ------
@@ -65,50 +169,230 @@ class WriteLedger:
 
     def __init__(self, path: Path | None = None) -> None:
         self.path = path
-        self._entries: dict[tuple[int, int, int], LedgerEntry] = {}
-        if path is not None and path.exists():
-            self._entries = {(entry.node_id, entry.index, entry.subindex): entry for entry in _load(path)}
+        self._entries: list[LedgerEntry] = []
+        self._stamp: tuple[int, ...] | None = None
+        self._text = ""
+        self._read()
 
     @property
     def entries(self) -> tuple[LedgerEntry, ...]:
         """All entries."""
-        return tuple(self._entries.values())
+        return tuple(self._entries)
 
     def of_node(self, node_id: int) -> tuple[LedgerEntry, ...]:
-        """Entries of one node."""
-        return tuple(entry for entry in self._entries.values() if entry.node_id == node_id)
+        """Entries of every device that was written to at a node id."""
+        return tuple(entry for entry in self._entries if entry.node_id == node_id)
+
+    def of(self, device: Device) -> tuple[LedgerEntry, ...]:
+        """Entries of one device."""
+        return tuple(entry for entry in self._entries if entry.is_of(device))
+
+    def of_predecessors(self, device: Device) -> tuple[LedgerEntry, ...]:
+        """Entries of other devices that were written to at the same node of the same bus."""
+        same = (device.node_id, device.bus)
+        return tuple(each for each in self._entries if (each.node_id, each.bus) == same and not each.is_of(device))
 
     def note(self, *entries: LedgerEntry) -> None:
-        """Enter writes that are about to happen; the old value of an object that is already here stays."""
+        """Enter writes that are about to happen.
+
+        Parameters
+        ----------
+        entries : LedgerEntry
+            `old` = what the object holds now, `new` = what is written; several for one object in their order.
+
+        Raises
+        ------
+        ConfigurationRefused
+            The ledger cannot be written: then nothing may be written to the drive.
+        """
+        batches: dict[tuple[int, int, int], list[LedgerEntry]] = {}
         for entry in entries:
-            key = (entry.node_id, entry.index, entry.subindex)
-            known = self._entries.get(key)
-            self._entries[key] = entry if known is None else replace(known, new=entry.new, reason=entry.reason)
-        self._save()
+            batches.setdefault((entry.node_id, *entry.address), []).append(entry)
+        with self._change() as held:
+            for batch in batches.values():
+                _enter(held, batch)
+
+    def expect(self, device: Device, values: Sequence[tuple[tuple[int, int], int]]) -> None:
+        """Enter further values that are about to be written to objects that have an entry, on the way back."""
+        more: dict[tuple[int, int], list[int]] = {}
+        for address, value in values:
+            more.setdefault(address, []).append(value)
+
+        def with_values(entry: LedgerEntry) -> LedgerEntry:
+            also = tuple(dict.fromkeys((*entry.also, *more[entry.address])))
+            return replace(entry, also=also, open=True)
+
+        with self._change() as held:
+            self._each(held, device, set(more), with_values)
+
+    def confirm(self, device: Device, values: dict[tuple[int, int], int]) -> None:
+        """What objects read back after a write; it is on disk with the next change, or by `settle`."""
+
+        def closed(entry: LedgerEntry) -> LedgerEntry:
+            back = values[entry.address]
+            also = entry.also if back == entry.old or entry.is_own(back) else (*entry.also, back)
+            return replace(entry, also=also, open=False)
+
+        self._each(self._entries, device, set(values), closed)
+
+    def settle(self, mark: Callable[[LedgerEntry], LedgerEntry] = lambda entry: entry) -> None:
+        """Bring to disk what was confirmed since the last change, each entry as `mark` makes it."""
+        with self._change() as held:
+            held[:] = [mark(entry) for entry in held]
 
     def forget(self, *entries: LedgerEntry) -> None:
-        """Take out entries whose old value is back."""
-        for entry in entries:
-            self._entries.pop((entry.node_id, entry.index, entry.subindex), None)
-        self._save()
+        """Take out entries whose original value is back."""
+        self.exchange(entries)
 
-    def _save(self) -> None:
+    def exchange(self, out: Sequence[LedgerEntry], back: Sequence[LedgerEntry] = ()) -> None:
+        """Take entries out and put others in, in one change."""
+        gone = {(entry.device, entry.address) for entry in out}
+        put = {(entry.device, entry.address): entry for entry in back}
+        with self._change() as held:
+            kept = [put.pop((each.device, each.address), each) for each in held]
+            new = set(map(id, back))
+            held[:] = [each for each in kept if id(each) in new or (each.device, each.address) not in gone]
+            held += put.values()
+
+    @staticmethod
+    def _each(
+        held: list[LedgerEntry],
+        device: Device,
+        addresses: set[tuple[int, int]],
+        change: Callable[[LedgerEntry], LedgerEntry],
+    ) -> None:
+        held[:] = [change(each) if each.address in addresses and each.is_of(device) else each for each in held]
+
+    # -- file --------------------------------------------------------------------------------------------------------
+
+    @contextmanager
+    def _change(self) -> Generator[list[LedgerEntry]]:
+        """Change the list of entries; on disk at the end, where another process cannot have changed it meanwhile."""
         if self.path is None:
+            yield self._entries
             return
-        document = {"schema": SCHEMA, "entries": [asdict(entry) for entry in self._entries.values()]}
         try:
-            replace_file(self.path, json.dumps(document, indent=1))
+            with _locked(self.path):
+                self._read()
+                held = list(self._entries)
+                yield held
+                document = {"schema": SCHEMA, "entries": [asdict(entry) for entry in held]}
+                text = json.dumps(document, indent=1)
+                if text != self._text and (held or self.path.exists()):
+                    replace_file(self.path, text)
+                    self._stamp, self._text = _stamp(self.path), text
+                self._entries = held
         except OSError as error:
             raise ConfigurationRefused(
                 f"write ledger {self.path} cannot be written: {error}",
                 advice="nothing is written to a drive without it; free some space or choose another folder",
             ) from error
 
+    def _read(self) -> None:
+        """Take over what the file holds, unless it is as it was left here."""
+        stamp = None if self.path is None else _stamp(self.path)
+        if self.path is not None and stamp is not None and stamp != self._stamp:
+            self._entries = load_entries(self.path)
+            self._stamp, self._text = stamp, ""
 
-def _load(path: Path) -> list[LedgerEntry]:
+
+def _enter(held: list[LedgerEntry], batch: Sequence[LedgerEntry]) -> None:
+    """Enter the writes to one object; its original stays unless somebody else has written it since."""
+    first, last = batch[0], batch[-1]
+    now, values = first.old, [entry.new for entry in batch]
+    place = next((at for at, each in enumerate(held) if each.address == first.address and each.is_of(first.device)), -1)
+    known = held[place] if place >= 0 else None
+    if known is None or not _keeps(known, now, last):
+        if known is not None:
+            held.pop(place)
+        held.append(replace(last, old=now, also=tuple(dict.fromkeys(values[:-1])), open=True))
+        return
+    before = [] if now == known.old else [now]
+    also = tuple(dict.fromkeys([*before, *values[:-1]]))
+    writer = "applying" if known.writer == "applying" else last.writer
+    held[place] = replace(last, old=known.old, also=also, open=True, writer=writer)
+
+
+def _keeps(known: LedgerEntry, now: int, write: LedgerEntry) -> bool:
+    """Whether the original of an entry still counts when an object that holds `now` is written again."""
+    if known.writer == "applied" and write.writer == "run":
+        return False
+    return now == known.old or known.is_own(now) or (known.open and known.node_id == write.node_id)
+
+
+def _stamp(path: Path) -> tuple[int, ...] | None:
+    """What tells one version of a file from another; None = it is not there."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_mtime_ns, found.st_size
+
+
+def take_over(ledger: WriteLedger, path: Path, bus: str | None) -> None:
+    """Move the entries of a file of the first schema into a ledger; what names no drive stays there.
+
+    Parameters
+    ----------
+    ledger : WriteLedger
+    path : Path
+        A file of one cell, arm and bus.
+    bus : str or None
+        That bus; None = not known, then entries without serial number are left.
+
+    Raises
+    ------
+    ConfigurationRefused
+        It is no ledger.
+    """
+    found = load_entries(path)
+    left = [entry for entry in found if entry.serial_number in (None, *_NO_SERIAL) and bus is None]
+    known = {
+        (each.serial_number, each.address, each.bus if each.serial_number is None else None) for each in ledger.entries
+    }
+    moved: list[LedgerEntry] = []
+    for entry in found:
+        serial = None if entry.serial_number in _NO_SERIAL else entry.serial_number
+        if entry not in left and (serial, entry.address, bus if serial is None else None) not in known:
+            moved.append(replace(entry, serial_number=serial, bus=bus, open=True))
+    ledger.exchange((), moved)
+    if not left:
+        path.unlink()
+    elif len(left) < len(found):
+        replace_file(path, json.dumps({"schema": SCHEMA, "entries": [asdict(entry) for entry in left]}, indent=1))
+
+
+@contextmanager
+def _locked(path: Path) -> Generator[None]:
+    """Keep other processes from changing a ledger meanwhile."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lock = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    try:
+        until_s = time.monotonic() + _PATIENCE_S
+        while True:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() > until_s:
+                    raise TimeoutError("another servo-gateway process is writing it") from None
+                time.sleep(_POLL_S)
+        yield
+    finally:
+        os.close(lock)
+
+
+def load_entries(path: Path) -> list[LedgerEntry]:
+    """Entries of a ledger file, of an old schema too.
+
+    Raises
+    ------
+    ConfigurationRefused
+        It is no ledger.
+    """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(document, dict) or document.get("schema") != SCHEMA:
+        if not isinstance(document, dict) or document.get("schema") not in _READ:
             raise ValueError(f"schema {SCHEMA} expected")
         return [_entry(item) for item in document["entries"]]
     except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
@@ -118,7 +402,18 @@ def _load(path: Path) -> list[LedgerEntry]:
 
 def _entry(item: Any) -> LedgerEntry:
     entry = LedgerEntry(**item)
-    numbers: tuple[Any, ...] = (entry.node_id, entry.index, entry.subindex, entry.old, entry.new)
-    if not all(isinstance(number, int) for number in numbers) or entry.data_type not in STRUCT_CODE:
+    entry = replace(entry, also=tuple(entry.also))
+    numbers: tuple[Any, ...] = (entry.node_id, entry.index, entry.subindex, entry.old, entry.new, *entry.also)
+    optional: tuple[Any, ...] = (entry.serial_number, entry.vendor_id, entry.product_code, entry.revision)
+    bus, is_open = (item.get(key) for key in ("bus", "open"))
+    sound = (
+        all(isinstance(number, int) for number in numbers)
+        and all(number is None or isinstance(number, int) for number in optional)
+        and (bus is None or isinstance(bus, str))
+        and (is_open is None or isinstance(is_open, bool))
+        and entry.writer in get_args(Writer)
+        and entry.data_type in STRUCT_CODE
+    )
+    if not sound:
         raise ValueError(f"entry {item} is damaged")
     return entry

@@ -13,10 +13,10 @@ from drives.configuration.difference import Compared, differing
 from drives.configuration.kinds import is_mapping, why_asked, why_never_written
 from drives.configuration.reading import Readout
 from drives.configuration.values import Value, ledger_word
-from drives.errors import ConfigurationRefused, raise_failures
+from drives.errors import ConfigurationRefused, DriveError, raise_failures
 from drives.heartbeat import NmtCommand, send_nmt
 from drives.ledger import LedgerEntry
-from drives.objects import OBJECTS
+from drives.objects import OBJECTS, object_name
 from drives.pdo import Step, ordered_steps
 from drives.profile import DriveProfile
 from drives.sdo import SLOW
@@ -75,7 +75,26 @@ def planned_writes(
         word = ledger_word(file.sheet.entries[address].data_type, wanted[address])
         if word is not None:
             values[address] = word
-    return NodeWrites(access, tuple(ordered_steps(values, f"config apply: {file.path.name}")))
+    work = NodeWrites(access, tuple(ordered_steps(values, f"config apply: {file.path.name}")))
+    raise_failures(_of_runs(work))
+    return work
+
+
+def _of_runs(work: NodeWrites) -> list[DriveError]:
+    """The failure that objects are which a run wrote and `restore` has not put back: their original would be lost."""
+    wanted = {(step.index, step.subindex) for step in work.steps}
+    found = [entry for entry in work.access.noted if entry.writer == "run" and entry.address in wanted]
+    if not found:
+        return []
+    named = ", ".join(object_name(*entry.address) for entry in found[:6])
+    more = f" and {len(found) - 6} more" if len(found) > 6 else ""
+    return [
+        ConfigurationRefused(
+            f"a run of the gateway wrote {named}{more}, and that is not put back yet",
+            node=work.access.node_id,
+            advice="type `servo-gateway restore CELL` first, then `config apply`",
+        )
+    ]
 
 
 def _obstacle(access: NodeAccess, profile: DriveProfile, row: Compared) -> ConfigurationRefused | None:
@@ -131,22 +150,29 @@ def require_at_rest(accesses: Sequence[ObjectAccess]) -> None:
 def write_all(work: Sequence[NodeWrites], tell: Callable[[int, Step], None] = lambda _node, _step: None) -> None:
     """Write to several drives; at the first failure everything that was written is put back.
 
-    The drives are taken to PRE-OPERATIONAL, where records of PDOs may be written.
+    The drives are taken to PRE-OPERATIONAL, where records of PDOs may be written. Once all is written, the values are
+    the engineer's: the next run takes them for the original (`NodeAccess.adopt_applied`).
 
     Raises
     ------
+    ConfigurationRefused, SeveralFailures
+        A run wrote one of the objects, and it is not put back; nothing is written.
     DriveError
         The first failure; a note says what was put back, and what could not be.
     """
+    raise_failures([failure for each in work for failure in _of_runs(each)])
     done: list[tuple[NodeAccess, dict[Address, tuple[str, int]], tuple[LedgerEntry, ...]]] = []
     try:
         for each in work:
             access = each.access
-            send_nmt(access.bus, NmtCommand.ENTER_PREOPERATIONAL, access.node_id)
-            old: dict[Address, tuple[str, int]] = {}
-            done.append((access, old, access.noted))
+            if each.steps:
+                send_nmt(access.bus, NmtCommand.ENTER_PREOPERATIONAL, access.node_id)
+            noted, old = access.noted, dict[Address, tuple[str, int]]()
+            done.append((access, old, noted))
+            held = access.note_steps(each.steps, "applying")
             for step in each.steps:
-                access.write_step(step, old)
+                old.setdefault((step.index, step.subindex), held[step.index, step.subindex])
+                access.write_step(step)
                 tell(access.node_id, step)
     except BaseException as error:
         left = [name for access, old, noted in reversed(done) for name in access.undo(old, noted)]
@@ -156,6 +182,8 @@ def write_all(work: Sequence[NodeWrites], tell: Callable[[int, Step], None] = la
             else "what had been written is put back"
         )
         raise
+    for each in work:
+        each.access.finish_applying()
 
 
 def store(access: ObjectAccess) -> None:

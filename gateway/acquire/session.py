@@ -277,7 +277,7 @@ def arm_header(
         poses=poses,
         constants=opened.constants,
         identities=[plain(asdict(identity)) for identity in opened.identities],
-        ledger=[plain(asdict(entry)) for entry in opened.group.ledger.entries],
+        ledger=[plain(asdict(entry)) for entry in opened.group.noted],
         excitations=excitations or {},
     )
 

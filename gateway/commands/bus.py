@@ -15,6 +15,7 @@ from gateway.commands.options import (
     bus_option,
     cell_argument,
     common,
+    confirm,
     json_option,
     session_of,
     write_json,
@@ -22,6 +23,7 @@ from gateway.commands.options import (
 from gateway.errors import FindingFailed
 
 if TYPE_CHECKING:
+    from drives.ledger import LedgerEntry
     from drives.probe import ScanResult
     from gateway.cell.config import ArmConfig
     from gateway.commands.cell_context import CellContext
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
     from gateway.preflight.rules import CheckItem
 
 DEFAULT_BUS = "socketcan:can0"
+#: Objects that are named one by one where more are left in the ledger.
+_LISTED = 6
 
 
 @click.command()
@@ -215,24 +219,64 @@ def _count(lines: Sequence[CheckItem]) -> str:
 
 @click.command()
 @cell_argument
+@click.option("--forget", is_flag=True, help="Strike off what cannot be put back; it is listed and asked first.")
+@click.option("--yes", is_flag=True, help="Do not ask before striking off.")
 @bus_option
 @json_option
 @common
-def restore(cell: Path, bus_spec: str | None, json_out: str | None) -> None:
-    """Put back what the write ledger holds; the drives must stand still and be disabled."""
+def restore(cell: Path, forget: bool, yes: bool, bus_spec: str | None, json_out: str | None) -> None:
+    """Put back what the write ledger holds of the drives of a cell, and read it back; the drives must be disabled.
+
+    A drive that does not answer or an object that a drive refuses stops nothing else: it stays in the ledger, is named,
+    and the exit code is 4. An object that somebody else has written since keeps its value.
+    """
+    from drives.errors import DriveError, raise_failures
     from gateway.commands.cell_context import open_cell
 
     context = open_cell(cell, bus_spec)
     arms: list[dict[str, Any]] = []
+    failures: list[DriveError] = []
     for arm in context.arms:
-        with context.connected(arm) as group:
-            entries = group.ledger.entries
-            group.restore()
-        arms.append({"arm": arm.name, "put_back": [str(entry) for entry in entries]})
-        for entry in entries:
-            session_of().note(f"put back: {entry}", level=1)
-        session_of().show(
-            f"arm {arm.name}: {len(entries)} objects put back" if entries else f"arm {arm.name}: nothing to put back"
-        )
+        with context.connected_for_restore(arm) as (group, absent):
+            before = group.noted
+            wrong = list(absent)
+            if group.access or group.instruments:
+                try:
+                    group.restore()
+                except DriveError as error:
+                    wrong.append(error)
+            superseded = [entry for node in (*group.drives, *group.instruments) for entry in node.access.superseded]
+            left = group.noted
+            back = [entry for entry in before if entry not in left and entry not in superseded]
+            _say_restored(arm.name, back, superseded, left)
+            if left and forget:
+                confirm(f"{len(left)} objects of arm '{arm.name}' keep the values they have. Strike them off?", yes=yes)
+                group.ledger.forget(*left)
+                left, wrong = (), []
+            failures += wrong
+        listed = {"put_back": back, "written_by_others": superseded, "left": left}
+        arms.append({"arm": arm.name} | {key: [str(entry) for entry in each] for key, each in listed.items()})
     if json_out:
         write_json(json_out, {"schema": 1, "cell": context.loaded.cell.name, "arms": arms})
+    raise_failures(failures)
+
+
+def _say_restored(
+    arm: str, back: Sequence[LedgerEntry], superseded: Sequence[LedgerEntry], left: Sequence[LedgerEntry]
+) -> None:
+    """What was put back, what was not touched, and what is left in the ledger."""
+    session = session_of()
+    for entry in back:
+        session.note(f"put back: {entry}", level=1)
+    session.show(f"arm {arm}: {len(back)} objects put back" if back or left else f"arm {arm}: nothing to put back")
+    for entry in superseded:
+        session.show(f"  {entry.where} keeps its value: it was written by somebody else since")
+    if left:
+        session.show(
+            f"arm {arm}: {len(left)} objects are left in the write ledger; remove the cause and restore once more, or"
+            " strike them off with --forget"
+        )
+    for entry in left if session.verbosity > 0 else left[:_LISTED]:
+        session.show(f"  {entry.where}: original {entry.old:#x}, written {entry.new:#x}")
+    if len(left) > _LISTED and session.verbosity <= 0:
+        session.show(f"  and {len(left) - _LISTED} more (-v names them)")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shlex
 from collections.abc import Callable, Generator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -12,9 +13,10 @@ from pathlib import Path
 from typing import Final
 
 from drives.bus import Bus, BusSpec, open_bus
+from drives.errors import ConfigurationRefused, DriveError
 from drives.group import DriveGroup, GroupOptions
 from drives.instrument import InstrumentSetup
-from drives.ledger import WriteLedger
+from drives.ledger import WriteLedger, take_over
 from drives.profile import DriveProfile
 from gateway.acquire.blackbox import last_seconds
 from gateway.cell.buses import bus_specs
@@ -33,6 +35,10 @@ from gateway.preflight.rules import CheckItem
 MOVING_SYNC_S: Final = 0.004
 #: The slowest SYNC that may be asked for, where the cell's own is not slower [s].
 SLOWEST_MOVING_SYNC_S: Final = 0.01
+#: The write ledger in the state folder.
+LEDGER: Final = "ledger.json"
+#: A write ledger of an earlier version: one per cell file, arm and bus.
+_OLD_LEDGER: Final = re.compile(r"-[0-9a-f]{12}\.json$")
 #: Object of the interpolation period.
 INTERPOLATION: Final = 0x60C2
 
@@ -102,8 +108,23 @@ class CellContext:
         return instruments_on(arm.bus, self.loaded.cell.pair)
 
     def ledger(self, arm: ArmConfig) -> Path:
-        """Write ledger of an arm: one per cell file, arm and bus, so that parallel runs do not share one."""
-        return self._state(arm, "")
+        """The write ledger, one for all drives; files of earlier versions are moved into it.
+
+        Raises
+        ------
+        ConfigurationRefused
+            The file that an earlier version wrote for this arm is damaged.
+        """
+        path, own = _state_folder() / LEDGER, self._state(arm, "")
+        for old in sorted(path.parent.glob("*.json")):
+            if _OLD_LEDGER.search(old.name) is None:
+                continue
+            try:
+                take_over(WriteLedger(path), old, self.bus_spec(arm).name if old == own else None)
+            except ConfigurationRefused:
+                if old == own:
+                    raise
+        return path
 
     def check(self, arm: ArmConfig) -> list[CheckItem]:
         """Pre-flight check of an arm: what its drives are reached by, and the drives themselves; nothing is written."""
@@ -203,6 +224,18 @@ class CellContext:
     @contextmanager
     def connected(self, arm: ArmConfig) -> Generator[DriveGroup]:
         """The drives of an arm, and the measuring device on its bus, found and identified, nothing written."""
+        with self._group(arm) as group:
+            group.connect()
+            yield group
+
+    @contextmanager
+    def connected_for_restore(self, arm: ArmConfig) -> Generator[tuple[DriveGroup, list[DriveError]]]:
+        """As `connected`, without the nodes that do not answer or are others than expected, and why."""
+        with self._group(arm) as group:
+            yield group, group.connect_for_restore()
+
+    @contextmanager
+    def _group(self, arm: ArmConfig) -> Generator[DriveGroup]:
         config = self.loaded.cell.bus[arm.bus]
         options = GroupOptions(
             ledger_path=self.ledger(arm),
@@ -215,7 +248,6 @@ class CellContext:
                 bus, axis_setups(self.loaded, arm), config.sync_period_s, config.pacing, options=options
             ) as group,
         ):
-            group.connect()
             yield group
 
 

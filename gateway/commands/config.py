@@ -176,7 +176,7 @@ def _stored(readout: Readout) -> dict[tuple[int, int], Any]:
 
 def _say_what_is_ours(group: DriveGroup) -> None:
     """Objects that are not as the engineer left them."""
-    ours = len(group.ledger.entries)
+    ours = len(group.noted)
     if ours:
         session_of().show(
             f"{ours} objects are as the gateway has written them, by its ledger; `restore` puts back what was there"
@@ -400,7 +400,10 @@ def config_apply(
     bus_spec: str | None,
     json_out: str | None,
 ) -> None:
-    """Write to the drives what their DCF says otherwise, and read it back; asked first, `restore` puts it back.
+    """Write to the drives what their DCF says otherwise, and read it back; asked first.
+
+    `restore` puts it back until the next run configures the drives: from then on these values are the original.
+    Objects that a run has written and that are not restored are refused: `restore` first.
 
     A node id, a bit rate, an identifier of another node is asked for on its own, which --yes does not answer; objects
     that act on the drive (save, load, reset) are never written. The drives must be disabled. The first value that a
@@ -429,7 +432,7 @@ def config_apply(
             if any(counts) or store:
                 confirm(_question(arm, counts, store), yes=yes)
                 require_at_rest(accesses)
-                write_all([each for each in work if each.steps], _tell)
+            write_all(work, _tell)
             for access in accesses if store else ():
                 keep(access)
         done += [
@@ -475,7 +478,7 @@ def _address(text: str) -> tuple[int, int]:
 
 def _question(arm: ArmConfig, counts: Sequence[int], store: bool) -> str:
     text = f"{sum(counts)} objects of {sum(map(bool, counts))} drives of arm '{arm.name}' will be written;"
-    text += " `restore` puts them back."
+    text += " until the next run `restore` puts them back."
     if store:
         text += f" {len(counts)} drives then store all their parameters, which `restore` does not take back."
     return f"{text} Write them?"

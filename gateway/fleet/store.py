@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from drives.files import replace_file
+from drives.files import place_file, replace_file, temporary_file
 from gateway.data.recording.lock import sole_writer
 from gateway.errors import InputError
 from gateway.fleet.columns import IDENTITY, SCHEMA, SCHEMA_KEY, columns
@@ -142,9 +142,8 @@ class Store:
             places.append((robot, month))
             parts.append(merged)
         if ready:
-            os.sync()
             for aside, place in ready:
-                os.replace(aside, place)
+                place_file(aside, place)
             with_months(self.months, months_of(places, parts))
         return AddedRows(added, left_out, tuple(refused))
 
@@ -232,11 +231,11 @@ def _unknown(rows: Any, known: Any) -> Any:
 
 
 def _written_aside(place: Path, table: Any) -> Path:
-    aside = place.with_name(f".{place.name}.tmp")
+    def write(descriptor: int) -> None:
+        with os.fdopen(os.dup(descriptor), "wb") as stream:
+            library("pyarrow.parquet").write_table(table, stream, **_WRITING)
+
     try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        library("pyarrow.parquet").write_table(table, aside, **_WRITING)
+        return temporary_file(place, write)
     except OSError as error:
-        aside.unlink(missing_ok=True)
         raise InputError(f"{place}: cannot be written: {error.strerror or error}") from error
-    return aside

@@ -15,7 +15,7 @@ from drives.finding import LISTEN_S, nmt_states
 from drives.group import DriveGroup
 from drives.heartbeat import NmtState
 from drives.instrument import InstrumentSetup
-from drives.ledger import WriteLedger
+from drives.ledger import Device, WriteLedger
 from drives.listening import FREE_S, refuse_foreign
 from drives.objects import OBJECTS, object_name
 from drives.pdo import rpdo_plan, tpdo_plans
@@ -154,16 +154,16 @@ def _read(sdo: SdoClient, address: Address, kind: str) -> int | None:
         raise
 
 
-def as_left(readings: Readings, identity: Identity, ledger: WriteLedger) -> Readings:
+def as_left(readings: Readings, identity: Identity, ledger: WriteLedger, bus: str | None = None) -> Readings:
     """Objects of one drive as the engineer left them: what the gateway wrote itself counts as before it was written.
 
     Such values are written again from what they were, whenever the drives are configured.
     """
     kept = dict(readings)
-    for entry in ledger.of_node(identity.node_id):
-        address = (entry.index, entry.subindex)
-        if kept.get(address) == entry.new and entry.serial_number in (None, identity.serial_number):
-            kept[address] = entry.old
+    for entry in ledger.of(Device.of(identity, bus)):
+        held = kept.get(entry.address)
+        if held is not None and entry.is_own(held) and entry.writer == "run":
+            kept[entry.address] = entry.old
     return kept
 
 
@@ -205,7 +205,7 @@ def check_arm(
             continue
         try:
             identity, readings = read_axis(bus, axis)
-            seen.append(SeenDrive(axis, identity, as_left(readings, identity, ledger)))
+            seen.append(SeenDrive(axis, identity, as_left(readings, identity, ledger, bus.spec.name)))
         except SdoError as error:
             items.append(_unreachable(axis, error))
     return [*items, *judge_drives(arm, seen).items]
@@ -232,7 +232,7 @@ def look_over(arm: ArmConfig, group: DriveGroup, identities: Sequence[Identity])
     for axis, identity, access in zip(axes, identities, group.access, strict=True):
         try:
             readings = read_objects(access.sdo, axis.profile)
-            seen.append(SeenDrive(axis, identity, as_left(readings, identity, group.ledger)))
+            seen.append(SeenDrive(axis, identity, as_left(readings, identity, group.ledger, group.bus.spec.name)))
         except DriveError as error:
             failures.append(error)
     raise_failures(failures)

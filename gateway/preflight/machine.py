@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from drives.admission import NETWORKS
 from drives.bus import BusSpec
+from drives.bus_spec import NETWORKS
 from drives.realtime import RealTimeStatus
 from gateway.cell.config import BusConfig
 from gateway.preflight.rules import CheckItem
