@@ -82,6 +82,7 @@ def test_a_drive_model_is_one_file(house):
     assert "1 passed" in done.stdout
 
 
+@pytest.mark.slow
 def test_an_estimator_is_one_file_and_one_line(house, tmp_path):
     house.add("gateway/estimate/twice.py", ESTIMATOR)
     house.change(

@@ -233,6 +233,7 @@ def test_what_is_expected_has_to_be_in_the_data(table):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "seed", "says", "status"),
     [

@@ -133,6 +133,7 @@ def test_urdf_of_a_drawn_arm_is_wrong_by_a_few_percent():
     np.testing.assert_allclose(believed.placement, arm.chain.placement, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_seed_gives_the_same_cell_and_strength_scales():
     first, second = draw_cell(14), draw_cell(14)
     np.testing.assert_array_equal(first.measure(first.visits)["tau_nm"], second.measure(second.visits)["tau_nm"])

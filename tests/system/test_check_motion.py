@@ -61,6 +61,7 @@ def test_a_drive_that_goes_on_without_its_master_is_found_and_stopped(place, gat
     assert drives.stand_still()
 
 
+@pytest.mark.slow
 def test_a_fault_that_the_withheld_heartbeat_provoked_is_reset_and_no_other(place, gateway, serve):
     """Some drives go to FAULT whatever 0x6007 says; a fault of another class is the engineer's to look at."""
     drives = serve()

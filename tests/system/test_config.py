@@ -324,6 +324,7 @@ def test_a_dump_is_not_refused_for_what_the_makers_sheet_lacks_or_the_drive_does
     assert config("apply", "--yes").exit_code == 0
 
 
+@pytest.mark.slow
 def test_a_file_of_another_node_gives_a_drive_none_of_its_identifiers(config, drives, place, tmp_path):
     """The file of node 3 as file of node 2; then an emergency identifier of node 3, typed by hand."""
     assert config("dump").exit_code == 0

@@ -1,4 +1,4 @@
-"""Numpy tier of the pair, short: two seeds, the rows that tell the story, bounds of the pilot's orders of magnitude."""
+"""Numpy tier of the pair, short: three seeds, the rows that tell the story, bounds of the pilot's orders of magnitude."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.support.pair.model_verdicts import Figures, Verdict, verdicts
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
 
-SEEDS = range(2)
+SEEDS = range(3)
 SKIP = ("C8r", "C6", "C7", "C8 no lead", "C2c no lead", "C2m no lag", "C3 nearest")
 SHORT = Scope(
     frozen_cycles=2,
@@ -96,7 +96,7 @@ def test_impedance_alone_does_not_suffice_at_speed_and_learning_helps_there(give
 @pytest.mark.xdist_group("pair-model")
 def test_measured_positions_learn_the_lag_with_the_wrong_sign(given: Figures) -> None:
     cycles = given.cycles("C2m", FAST)
-    assert sum(each[-1] > 1.1 * each[0] for each in cycles) >= 5
+    assert sum(each[-1] > 1.1 * each[0] for each in cycles) >= len(SEEDS) - 1
 
 
 @pytest.mark.xdist_group("pair-model")

@@ -182,6 +182,7 @@ def test_an_arm_inside_a_box_is_not_moved_and_the_way_out_is_named(small_cell, o
 # ---------------------------------------------------------------------------------------------------- motion and ends
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pacing", ["lockstep", "real"])
 def test_it_goes_there_at_its_share_of_the_speed_and_ends_in_the_brakes(opened, fake, workspace, pacing):
     told = []

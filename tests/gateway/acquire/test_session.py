@@ -140,6 +140,7 @@ def test_an_existing_file_is_refused_before_anything_moves(recorded, simulation,
         assert opened.group.sync_index == syncs
 
 
+@pytest.mark.slow
 def test_a_whole_file_is_gone_on_with_without_power(recorded, simulation, small_cell, plan):
     visits = len(read(recorded[0]).arms[0].visits)
     with open_arm(small_cell, override(simulation)) as opened:

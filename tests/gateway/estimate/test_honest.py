@@ -89,6 +89,7 @@ def test_intervals_hold_the_truth_in_every_condition(arm, poses, gravity, band_n
     assert min(hold.values()) >= (0.85 if few else 0.9), hold
 
 
+@pytest.mark.slow
 def test_an_interval_without_gains_holds_the_truth_too_seldom(arm, poses, gravity, band_nm, table_of):
     """The conditions are hard enough: torque constants taken as exact miss in more than a third."""
     hits = []

@@ -74,6 +74,7 @@ def test_further_observations_of_the_noise_count():
     assert np.sqrt(few.extra[0]) == pytest.approx(2.0, rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rows", "count"), [(24, 3), (48, 6)])
 def test_intervals_hold_the_truth_when_noise_is_estimated_from_few_rows(rows, count):
     """Groups of unequal noise whose relative size is known within a factor of about 1.5: intervals of 95 %."""

@@ -197,6 +197,7 @@ def test_a_motion_that_is_too_large_is_refused_with_the_limit(small_cell, plan: 
         check_moving_plan(larger(plan, 3.0), workspace, config)
 
 
+@pytest.mark.slow
 def test_the_same_request_gives_the_same_motion(small_cell, plan: MovingPlan) -> None:
     again = make_moving_plan(small_cell, None, REQUEST)
     assert plan_as_plain(again) == plan_as_plain(plan)

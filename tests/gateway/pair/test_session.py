@@ -237,6 +237,7 @@ def test_a_fault_of_one_arm_ends_the_run_and_what_was_run_is_kept(pair, store, f
     assert 1 <= len(kept["cycles"]) < 9
 
 
+@pytest.mark.slow
 def test_a_person_who_stops_a_run_is_heard(pair, store):
     desk = StopDesk()
 

@@ -205,6 +205,7 @@ def test_a_folder_that_is_not_there(tmp_path, header):
         VisitQueue(tmp_path / "none" / "run.h5", header, ARM_HEADER, None)
 
 
+@pytest.mark.slow
 def test_a_run_that_is_still_written_is_waited_for(tmp_path, header):
     """The next run has read a file to which the writer of the one before still adds."""
     gate = tmp_path / "gate"

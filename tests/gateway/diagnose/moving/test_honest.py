@@ -58,6 +58,7 @@ def test_a_hold_out_does_not_make_the_load_surer():
     assert given.com_std_m == pytest.approx(alone.com_std_m, rel=0.02)
 
 
+@pytest.mark.slow
 def test_what_fits_but_does_not_foretell_is_not_named():
     first, last, robot = parted(7, World(load_friction={1: 0.25}), duration_s=30.0)
     last.tau_nm[:, 1] += 1e3

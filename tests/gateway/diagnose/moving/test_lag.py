@@ -73,6 +73,7 @@ def test_delays_are_told_where_they_are_certain() -> None:
     assert lags(few, robot, DiagnoseOptions()).max() == 0.0
 
 
+@pytest.mark.slow
 def test_each_torque_meets_the_motion_that_it_belongs_to() -> None:
     """Of an axis that is late its own motion is moved, and that of all the others where its torque is modelled."""
     at, robot, _ = measured(3, World(), PERIOD_S, FINE_HZ, 0.0)

@@ -197,6 +197,7 @@ def test_one_sided_visits_show_the_friction_by_direction():
         assert entry.evidence.p_value < 6 * stats.norm.sf(REST.bias)
 
 
+@pytest.mark.slow
 def test_a_secondary_encoder_shows_the_wind_up():
     bench = Bench(4, [effect("joint_elasticity", [2], compliance_rad_nm=2e-4)])
     protocol = replace(bench.arm.protocol, secondary_encoder=True)

@@ -51,6 +51,7 @@ GAIN_STD = 0.02
 CONSTANTS = [(2, 2.0), (3, -2.0), (5, 2.0), (2, 6.0), (3, -6.0)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("axis", "times"), CONSTANTS)
 def test_a_constant_is_named_where_its_error_goes_beyond_what_is_stated(axis, times):
     """Of 2 standard deviations it is what was stated; of 6 it is wrong. The mass is held either way."""

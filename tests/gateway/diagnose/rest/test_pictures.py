@@ -97,6 +97,7 @@ def test_a_balancer_is_drawn_over_its_joint_angle():
     assert len(curve.points_x) == 20 + FRESH
 
 
+@pytest.mark.slow
 def test_nothing_found_draws_no_curve():
     result, _ = diagnosed({"name": "base_tilt", "joints": [], "parameters": {"tilt_x_rad": 0.0, "tilt_y_rad": 0.0}})
     assert result.effects == ()
