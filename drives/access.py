@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NoReturn
 
@@ -19,7 +19,7 @@ from drives.errors import (
     SdoTimeout,
 )
 from drives.heartbeat import NmtCommand, send_nmt
-from drives.ledger import Device, LedgerEntry, WriteLedger, Writer
+from drives.ledger import KnownDevice, LedgerEntry, WriteLedger, Writer
 from drives.objects import OBJECTS, ObjectEntry, object_name
 from drives.pdo import PdoPlan, Step, differences, mapping_steps, restore_steps
 from drives.profile import DriveProfile, ObjectReference
@@ -57,9 +57,11 @@ class NodeAccess:
         self.bus = bus
         self.sdo = SdoClient(bus, node_id, rules.timeout_s, rules.slow_timeout_s)
         #: By which the ledger knows the node; its identity is added once it is read.
-        self.device = Device(node_id, bus.spec.name)
+        self.device = KnownDevice(node_id, bus.spec.name)
         #: What `restore` found written by somebody else since: it was left as it is.
         self.superseded: tuple[LedgerEntry, ...] = ()
+        #: What the node held of the objects that were configured when each was last read back: type and value.
+        self._configured: dict[Address, tuple[str, int]] = {}
         self._ledger = ledger
 
     @property
@@ -93,6 +95,7 @@ class NodeAccess:
         self._check_allowed(entry.index, entry.subindex)
         now = self.read(entry, options)
         if now == value:
+            self._configured[entry.index, entry.subindex] = (entry.type, value)
             return
         step = Step(entry.index, entry.subindex, entry.type, value, reason)
         self._ledger.note(self._entry(step, now))
@@ -136,6 +139,24 @@ class NodeAccess:
                 subindex=step.subindex,
                 advice="the drive limits or ignores this value",
             )
+        self._configured[step.index, step.subindex] = (step.data_type, back)
+
+    def changed(self, without: Collection[Address] = ()) -> Iterator[tuple[Address, int, int]]:
+        """Read every configured object again.
+
+        Parameters
+        ----------
+        without : collection of (index, subindex)
+            Objects that the cyclic exchange writes too.
+
+        Yields
+        ------
+        (index, subindex), int, int
+            Of an object that differs: its value when it was configured, and now.
+        """
+        for address, (data_type, value) in self._configured.items():
+            if address not in without and (now := self.sdo.read(*address, data_type)) != value:
+                yield address, value, now
 
     @property
     def noted(self) -> tuple[LedgerEntry, ...]:
@@ -158,6 +179,7 @@ class NodeAccess:
             Objects that do not hold their old value, or no longer answer: they stay in the ledger.
         """
         self._send_back(old)
+        self._configured.clear()
         left = {address for address, (_, value) in old.items() if self._held(old, address) != value}
         self._ledger.exchange(
             [entry for entry in self.noted if entry.address not in left],

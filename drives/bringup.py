@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from typing import Final, NoReturn, Protocol
 
@@ -254,9 +255,24 @@ def check_mode(access: ObjectAccess, mode: Mode) -> None:
 
 
 def set_interpolation_period(access: ObjectAccess, sync_period_s: float) -> None:
-    """Tell the drive the SYNC period (0x60C2), where it has the object and the profile allows it."""
+    """Set the interpolation period (0x60C2) to the SYNC period; where it may not be written, it has to be that already.
+
+    Raises
+    ------
+    ConfigurationRefused
+        The drive interpolates over another period, and the profile does not allow changing that.
+    SdoError
+        A transfer failed.
+    """
     entry, exponent_entry = OBJECTS["interpolation_time_value"], OBJECTS["interpolation_time_index"]
-    if entry.index not in access.profile.write.allow or access.read_optional(entry) is None:
+    held = access.read_optional(entry)
+    if held is None:
+        return
+    if entry.index not in access.profile.write.allow:
+        held_s = held * 10.0 ** access.read(exponent_entry)
+        if not math.isclose(held_s, sync_period_s, rel_tol=1e-6):
+            what = f"the drive interpolates over {held_s:g} s, the master sends a SYNC every {sync_period_s:g} s"
+            access.refuse(entry, what, "set 0x60C2 to the SYNC period in the drive, or add 0x60C2 to write.allow")
         return
     value, exponent = decimal_period(sync_period_s)
     access.write(exponent_entry, exponent, "interpolation over one SYNC period")

@@ -11,7 +11,7 @@ from drives.cia402 import ENABLE_OPERATION, Mode
 from drives.decode import Decoder, Fields, double_decoder, single_decoder
 from drives.errors import CommandRefused, ConfigurationRefused, DriveError
 from drives.heartbeat import NmtCommand, send_nmt
-from drives.ledger import Device, WriteLedger
+from drives.ledger import KnownDevice, WriteLedger
 from drives.objects import OBJECTS
 from drives.other_pdos import OtherPdo
 from drives.pdo import COMMAND, OFFSET, VELOCITY_OFFSET, PdoPlan, offset_plan, rpdo_plan, tpdo_plans
@@ -59,6 +59,8 @@ class Cia402Drive:
         self._held_count = 0
         self._staged = (0, 0, 0)
         self._sync_period_s = 0.0
+        #: Position at which the axis came to rest when it was last disabled [counts].
+        self.rest_count: int | None = None
         self._max_step_count = 0.0
         self._lowest, self._highest = drive_limits.limits_in_counts(None, 1.0)
 
@@ -105,7 +107,7 @@ class Cia402Drive:
             It is not what the profile is for.
         """
         self.identity = bringup.read_identity(self.access.sdo)
-        self.access.device = Device.of(self.identity, self._bus.spec.name)
+        self.access.device = KnownDevice.of(self.identity, self._bus.spec.name)
         bringup.check_identity(self.identity, self.setup.profile)
         return self.identity
 
@@ -214,6 +216,10 @@ class Cia402Drive:
         """Let the drive stop watching; asked once only, since the node may be gone."""
         reason = "the drive no longer watches the master"
         self.access.write(OBJECTS["consumer_heartbeat"], 0, reason, ONCE)
+
+    def note_rest(self) -> None:
+        """Remember where the axis is now that its brake is closed."""
+        self.rest_count = self.access.read(self.setup.profile.position.object, ONCE)
 
     def statusword(self) -> int:
         """Statusword, read now by SDO."""

@@ -78,6 +78,11 @@ class DriveGroup(DriveSetup):
         self._require(self._configured and not self.enabled, "configure() first, and enable() once")
         self._for_each(lambda drive: starting.refuse_fault(drive, guard))
         self._for_each(starting.refuse_unsafe)
+        try:
+            self._for_each(starting.refuse_lost_configuration)
+        except Exception:
+            self._configured = False
+            raise
         way = WayUp(exchange, guard, stop_asked)
         way.check_stop()
         try:
@@ -370,7 +375,7 @@ class DriveGroup(DriveSetup):
     def _after(self, error: BaseException, stop: Callable[[SyncExchange], list[DriveError]]) -> None:
         """Stop what runs because of an error, which is about to be raised; what goes wrong is added to it."""
         self.enabled = False
-        if isinstance(error, DriveRebooted):
+        if any(isinstance(each, DriveRebooted) for each in getattr(error, "failures", (error,))):
             self._configured = False
         failures: list[DriveError] = []
         try:
@@ -443,6 +448,7 @@ class DriveGroup(DriveSetup):
             try:
                 if drive.node_id not in silent:
                     drive.disarm()
+                    drive.note_rest()
             except Exception as error:
                 failures.append(while_stopping(error, drive.node_id))
         self._producer.stop()

@@ -28,7 +28,7 @@ from drives.exchange import Pacing, SyncExchange, Timing
 from drives.guard import Guard, Limits
 from drives.heartbeat import MASTER_NODE_ID, HeartbeatProducer, HeartbeatWatch
 from drives.instrument import Instrument, InstrumentSetup
-from drives.ledger import Device, LedgerEntry, WriteLedger, without_shared_serials
+from drives.ledger import KnownDevice, LedgerEntry, WriteLedger, without_shared_serials
 from drives.listening import refuse_foreign
 from drives.reactions import DRIVE_RULES
 from drives.statistics import GroupStatistics, group_statistics
@@ -333,7 +333,7 @@ class DriveSetup:
         """What the ledger holds of the nodes of this group, of those that were exchanged and of absent ones too."""
         present = {node.node_id: node.access.device for node in (*self.drives, *self.instruments)}
         ids = [setup.node_id for setup in (*self.setups, *self.options.instruments)]
-        here = [present.get(node_id, Device(node_id, self._bus.spec.name)) for node_id in ids]
+        here = [present.get(node_id, KnownDevice(node_id, self._bus.spec.name)) for node_id in ids]
         return tuple(
             entry
             for entry in self.ledger.entries

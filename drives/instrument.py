@@ -17,7 +17,7 @@ from drives.decode import Frames
 from drives.errors import ConfigurationRefused, IdentityMismatch
 from drives.finding import count_answers, nmt_states, require_one
 from drives.heartbeat import NmtCommand, send_nmt
-from drives.ledger import Device, WriteLedger
+from drives.ledger import KnownDevice, WriteLedger
 from drives.objects import OBJECTS, RPDO_COMMUNICATION, TPDO_COMMUNICATION, TPDO_MAPPING
 from drives.other_pdos import OtherPdo, other_pdos, switch_off
 from drives.pdo import PdoPlan
@@ -136,7 +136,7 @@ class Instrument:
         answers = count_answers(self._bus, [self.node_id], self.access.rules.timeout_s)[self.node_id]
         require_one(self.node_id, answers, None if answers else nmt_states(self._bus, [self.node_id])[self.node_id])
         identity = read_identity(self.access.sdo)
-        self.access.device = Device.of(identity, self._bus.spec.name)
+        self.access.device = KnownDevice.of(identity, self._bus.spec.name)
         if identity.device_type is not None and identity.device_type & 0xFFFF != PROFILE_NUMBER:
             what = f"device type {identity.device_type:#010x} is no CiA 404 measuring device"
             raise IdentityMismatch(what, node=self.node_id, index=0x1000, advice="correct the node id in the cell")

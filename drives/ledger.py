@@ -40,7 +40,7 @@ Writer = Literal["run", "applying", "applied"]
 
 
 @dataclass(frozen=True, slots=True)
-class Device:
+class KnownDevice:
     """One drive or measuring device, as the ledger tells it from others; None = not known.
 
     Attributes
@@ -59,16 +59,16 @@ class Device:
     serial_number: int | None = None
 
     @classmethod
-    def of(cls, identity: Identity, bus: str | None) -> Device:
+    def of(cls, identity: Identity, bus: str | None) -> KnownDevice:
         """The device that has identified itself on a bus."""
         serial = None if identity.serial_number in _NO_SERIAL else identity.serial_number
         return cls(identity.node_id, bus, identity.vendor_id, identity.product_code, identity.revision, serial)
 
 
-def without_shared_serials(devices: Sequence[Device]) -> list[Device]:
+def without_shared_serials(devices: Sequence[KnownDevice]) -> list[KnownDevice]:
     """Devices of one bus; a serial number that two of them have tells nothing and is left out."""
 
-    def key(device: Device) -> tuple[int | None, ...]:
+    def key(device: KnownDevice) -> tuple[int | None, ...]:
         return device.vendor_id, device.product_code, device.serial_number
 
     keys = [key(device) for device in devices]
@@ -90,7 +90,7 @@ class LedgerEntry:
     reason : str
         Why it was written.
     serial_number, vendor_id, product_code, revision, bus : optional
-        Of the device, as `Device`.
+        Of the device, as `KnownDevice`.
     writer : "run", "applying" or "applied"
     also : tuple of int
         Further values that the gateway wrote, or that the drive made of them, and that it may still hold.
@@ -128,15 +128,15 @@ class LedgerEntry:
         return self.index, self.subindex
 
     @property
-    def device(self) -> Device:
+    def device(self) -> KnownDevice:
         """Whose object it is."""
-        return Device(self.node_id, self.bus, self.vendor_id, self.product_code, self.revision, self.serial_number)
+        return KnownDevice(self.node_id, self.bus, self.vendor_id, self.product_code, self.revision, self.serial_number)
 
     def is_own(self, value: int) -> bool:
         """Whether the gateway wrote this value, or the drive is known to have made it of one."""
         return value == self.new or value in self.also
 
-    def is_of(self, device: Device) -> bool:
+    def is_of(self, device: KnownDevice) -> bool:
         """Whether the object belongs to a device; what is not known of either does not tell them apart."""
         pairs: list[tuple[object, object]] = [
             (self.vendor_id, device.vendor_id),
@@ -183,11 +183,11 @@ class WriteLedger:
         """Entries of every device that was written to at a node id."""
         return tuple(entry for entry in self._entries if entry.node_id == node_id)
 
-    def of(self, device: Device) -> tuple[LedgerEntry, ...]:
+    def of(self, device: KnownDevice) -> tuple[LedgerEntry, ...]:
         """Entries of one device."""
         return tuple(entry for entry in self._entries if entry.is_of(device))
 
-    def of_predecessors(self, device: Device) -> tuple[LedgerEntry, ...]:
+    def of_predecessors(self, device: KnownDevice) -> tuple[LedgerEntry, ...]:
         """Entries of other devices that were written to at the same node of the same bus."""
         same = (device.node_id, device.bus)
         return tuple(each for each in self._entries if (each.node_id, each.bus) == same and not each.is_of(device))
@@ -212,7 +212,7 @@ class WriteLedger:
             for batch in batches.values():
                 _enter(held, batch)
 
-    def expect(self, device: Device, values: Sequence[tuple[tuple[int, int], int]]) -> None:
+    def expect(self, device: KnownDevice, values: Sequence[tuple[tuple[int, int], int]]) -> None:
         """Enter further values that are about to be written to objects that have an entry, on the way back."""
         more: dict[tuple[int, int], list[int]] = {}
         for address, value in values:
@@ -225,7 +225,7 @@ class WriteLedger:
         with self._change() as held:
             self._each(held, device, set(more), with_values)
 
-    def confirm(self, device: Device, values: dict[tuple[int, int], int]) -> None:
+    def confirm(self, device: KnownDevice, values: dict[tuple[int, int], int]) -> None:
         """What objects read back after a write; it is on disk with the next change, or by `settle`."""
 
         def closed(entry: LedgerEntry) -> LedgerEntry:
@@ -257,7 +257,7 @@ class WriteLedger:
     @staticmethod
     def _each(
         held: list[LedgerEntry],
-        device: Device,
+        device: KnownDevice,
         addresses: set[tuple[int, int]],
         change: Callable[[LedgerEntry], LedgerEntry],
     ) -> None:

@@ -25,9 +25,14 @@ from drives.errors import (
 from drives.exchange import SyncExchange
 from drives.guard import Guard
 from drives.objects import OBJECTS
+from drives.pdo import differences
 from drives.values import DriveReading
+from drives.way_up import SAG_REVOLUTIONS
 
 _FIRST_TRIES: Final = 10
+_LOST: Final = (
+    "the drive restarted, was exchanged, or was written by another master: check its supply, then run the command again"
+)
 #: How far the first TPDO may be from SDO at standstill, in motor revolutions.
 _AGREEMENT_REVOLUTIONS: Final = 0.01
 
@@ -114,6 +119,40 @@ def first_epoch(exchange: SyncExchange, again: Callable[[Epoch], bool] = lambda 
         [IncompleteEpochs(what, node=exchange.drives[axis].node_id, advice=advice) for axis in epoch.missing]
     )
     return epoch
+
+
+def refuse_lost_configuration(drive: Cia402Drive) -> None:
+    """Refuse a drive that no longer holds what was configured, or is not where it came to rest.
+
+    While the arm waits in its brakes nobody watches the drives: one may restart, be exchanged or be written by another
+    master. Every configured object and every PDO is read again, and the position is compared with the last one known.
+
+    Raises
+    ------
+    ConfigurationRefused
+        The first object that differs, with its value as configured and as read.
+    """
+    mapped = {(each.index, each.subindex) for plan in drive.commands for each in plan.entries}
+    lost = list(drive.access.changed(without=mapped))
+    for plan in drive.plans:
+        for what in differences(plan, drive.access.sdo.read):
+            changed = f"{plan.name} {what} since it was configured"
+            raise ConfigurationRefused(changed, node=drive.node_id, index=plan.mapping, advice=_LOST)
+    for (index, subindex), value, now in lost:
+        more = f", and {len(lost) - 1} more objects differ" if len(lost) > 1 else ""
+        what = f"{value:#x} was configured, {now:#x} is read now{more}"
+        raise ConfigurationRefused(what, node=drive.node_id, index=index, subindex=subindex, advice=_LOST)
+    position = drive.setup.profile.position.object
+    if drive.rest_count is not None:
+        count = drive.access.read(position)
+        if abs(count - drive.rest_count) > abs(drive.scale.revolutions(SAG_REVOLUTIONS)):
+            raise ConfigurationRefused(
+                f"the axis came to rest at {drive.rest_count} counts, {count} counts are read now",
+                node=drive.node_id,
+                index=position.index,
+                subindex=position.subindex,
+                advice="the brake slipped, the axis was moved by hand, or the encoder lost its reference",
+            )
 
 
 def compare_with_sdo(drive: Cia402Drive, reading: DriveReading) -> None:

@@ -27,10 +27,11 @@ def read_text(path: Path) -> str:
         The file cannot be read, is not a regular file, is empty or larger than `MAX_BYTES`.
     """
     try:
-        if not stat.S_ISREG(path.stat().st_mode):
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode):
             raise unreadable(path, "it is not a regular file")
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
+        with path.open("rb") as file:  # a read reserves as much memory as it may return
+            content = file.read(min(found.st_size, MAX_BYTES) + 1)
     except OSError as error:
         raise unreadable(path, str(error)) from error
     if len(content) > MAX_BYTES:

@@ -15,7 +15,7 @@ from drives.finding import LISTEN_S, nmt_states
 from drives.group import DriveGroup
 from drives.heartbeat import NmtState
 from drives.instrument import InstrumentSetup
-from drives.ledger import Device, WriteLedger
+from drives.ledger import KnownDevice, WriteLedger
 from drives.listening import FREE_S, refuse_foreign
 from drives.objects import OBJECTS, object_name
 from drives.pdo import rpdo_plan, tpdo_plans
@@ -160,7 +160,7 @@ def as_left(readings: Readings, identity: Identity, ledger: WriteLedger, bus: st
     Such values are written again from what they were, whenever the drives are configured.
     """
     kept = dict(readings)
-    for entry in ledger.of(Device.of(identity, bus)):
+    for entry in ledger.of(KnownDevice.of(identity, bus)):
         held = kept.get(entry.address)
         if held is not None and entry.is_own(held) and entry.writer == "run":
             kept[entry.address] = entry.old

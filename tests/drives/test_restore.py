@@ -14,7 +14,7 @@ from drives.configuration.applying import NodeWrites, write_all
 from drives.errors import ConfigurationRefused, DriveError, IdentityMismatch
 from drives.files import replace_file
 from drives.group import DriveGroup, GroupOptions
-from drives.ledger import Device, LedgerEntry, WriteLedger, take_over
+from drives.ledger import KnownDevice, LedgerEntry, WriteLedger, take_over
 from drives.pdo import Step
 from drives.values import AxisSetup
 
@@ -207,10 +207,10 @@ def test_a_missing_drive_does_not_keep_the_others_from_being_put_back(add_slaves
 
 
 def test_entries_are_found_from_another_spelling_of_the_bus_and_not_on_another_bus():
-    def device(text: str, serial: int | None = 5, node: int = 3) -> Device:
-        return Device(node, BusSpec.parse(text).name, 2, 7, 1, serial)
+    def device(text: str, serial: int | None = 5, node: int = 3) -> KnownDevice:
+        return KnownDevice(node, BusSpec.parse(text).name, 2, 7, 1, serial)
 
-    def entry(of: Device) -> LedgerEntry:
+    def entry(of: KnownDevice) -> LedgerEntry:
         numbers = {"vendor_id": of.vendor_id, "product_code": of.product_code, "revision": of.revision, "bus": of.bus}
         return LedgerEntry(of.node_id, *TORQUE, "u16", 3000, 500, "run", of.serial_number, **numbers)
 
@@ -239,8 +239,8 @@ def test_a_ledger_of_an_earlier_version_is_taken_over_once(path, tmp_path):
     take_over(WriteLedger(path), old, "socketcan:can0")
     assert not old.exists()
     found = WriteLedger(path)
-    assert [entry.old for entry in found.of(Device(7, "pcan:PCAN_USBBUS1", 2, 7, 1, 111))] == [3000]
-    assert [entry.old for entry in found.of(Device(2, "socketcan:can0"))] == [3000]
+    assert [entry.old for entry in found.of(KnownDevice(7, "pcan:PCAN_USBBUS1", 2, 7, 1, 111))] == [3000]
+    assert [entry.old for entry in found.of(KnownDevice(2, "socketcan:can0"))] == [3000]
 
 
 def test_two_ledgers_of_one_file_keep_each_others_entries(path):

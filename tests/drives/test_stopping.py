@@ -208,8 +208,10 @@ def test_an_axis_that_answers_sdo_alone_is_brought_to_rest_before_it_is_disabled
     slave.controlwords.clear()
     group.disable()
     assert slave.controlwords[0] == 0x02
-    assert {state for _, state in read} == {"quick stop"}
-    assert abs(read[-1][0] - read[-2][0]) <= 0.005 * 65536
+    *ramp, (_, state_at_rest) = read
+    assert {state for _, state in ramp} == {"quick stop"}
+    assert abs(ramp[-1][0] - ramp[-2][0]) <= 0.005 * 65536
+    assert state_at_rest == "switch on disabled"
     assert slave.state == "switch on disabled"
 
 

@@ -1,4 +1,4 @@
-"""Numpy tier of the pair, short: three seeds, the rows that tell the story, bounds of the pilot's orders of magnitude."""
+"""Numpy tier of the pair, short: three seeds, the main rows, bounds of the pilot's orders of magnitude."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from tests.support.figure import show
 from tests.support.pair.bus_rig import CELL, inline_rig
 from tests.support.pair.bus_rows import USUAL, Bench, Taught
 
-FOLDER = CELL.parents[2] / "pair-unequal"
+FOLDER = CELL.parents[1] / "pair-unequal"
 CELLS = ("large-small", "seven-six")
 ROWS = {"A": 1, "B": 1, "C1i": 1, "C8": 12}
 TAUGHT = 9

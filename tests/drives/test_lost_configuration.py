@@ -1,0 +1,116 @@
+"""While the arm waits in its brakes a drive may restart: what was configured is read again before power comes on."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from drives.errors import ConfigurationRefused, SeveralFailures
+from drives.group import DriveGroup
+from drives.values import AxisSetup
+
+PERIOD_S = 0.01
+
+
+@pytest.fixture
+def slaves(make_slave):
+    slaves = [make_slave(node_id) for node_id in (1, 2)]
+    for slave in slaves:
+        slave.types[0x6072, 0], slave.values[0x6072, 0] = "u16", 3000
+        slave.values[0x6007, 0] = 0
+    return slaves
+
+
+@pytest.fixture(params=["lockstep", "real"])
+def waiting(bus, slaves, generic, request):
+    """A group that was under power and waits in its brakes, and what each drive was delivered with."""
+    delivered = [dict(slave.values) for slave in slaves]
+    setups = [AxisSetup(node_id, generic, 0.5, 300.0, torque_limit_nm=1.0) for node_id in (1, 2)]
+    with DriveGroup(bus, setups, PERIOD_S, request.param) as group:
+        group.connect()
+        group.configure()
+        for slave in slaves:
+            slave.position = 400_000
+        group.enable()
+        for _ in range(5):
+            group.hold()
+        group.disable()
+        yield group, delivered
+
+
+def restart(slave, delivered, kept=lambda _index: False):
+    """Switch a drive off and on: objects that it does not keep are as delivered, and it says that it booted."""
+    for address, value in delivered.items():
+        if not kept(address[0]):
+            slave.values[address] = value
+    slave.nmt, slave.state = 127, "switch on disabled"
+    slave.values[0x1016, 1] = 0
+    slave.heartbeat(0)
+
+
+@pytest.mark.parametrize(
+    ("kept", "differs"),
+    [(lambda index: index < 0x2000, "6060|6072|60C2|6007"), (lambda _index: False, "RPDO1 HAS TRANSMISSION TYPE 255")],
+    ids=["keeps its communication part", "keeps nothing"],
+)
+def test_a_drive_that_restarted_is_refused_before_power(bus, slaves, waiting, kept, differs):
+    group, delivered = waiting
+    restart(slaves[1], delivered[1], kept)
+    bus.listen(0.02)
+    with pytest.raises(ConfigurationRefused) as refused:
+        group.enable()
+    assert refused.value.node == 2
+    assert re.search(differs, str(refused.value).upper())
+    assert not any(slave.state == "operation enabled" for slave in slaves)
+    group.configure()
+    group.enable()
+    assert slaves[1].values[0x6060, 0] == 8
+    assert slaves[1].values[0x6072, 0] < 3000
+
+
+def test_two_drives_that_restarted_are_both_named(bus, slaves, waiting):
+    group, delivered = waiting
+    for slave, values in zip(slaves, delivered, strict=True):
+        restart(slave, values)
+    bus.listen(0.02)
+    with pytest.raises(SeveralFailures) as refused:
+        group.enable()
+    assert {failure.node for failure in refused.value.failures} == {1, 2}
+    assert not any(slave.state == "operation enabled" for slave in slaves)
+
+
+def test_a_position_that_restarted_at_zero_is_refused_also_after_configuring_again(bus, slaves, waiting):
+    group, _ = waiting
+    slaves[1].position = 0
+    for _ in range(2):
+        with pytest.raises(ConfigurationRefused, match="400000 counts, 0 counts"):
+            group.enable()
+        group.configure()
+    assert not any(slave.state == "operation enabled" for slave in slaves)
+
+
+def test_what_the_drive_kept_is_enabled_again(slaves, waiting):
+    group, _ = waiting
+    slaves[1].position += 100
+    group.enable()
+    assert all(slave.state == "operation enabled" for slave in slaves)
+
+
+@pytest.mark.parametrize(("value", "exponent", "fits"), [(1, -3, False), (10, -3, True), (1, -2, True)])
+def test_an_interpolation_period_that_may_not_be_written_has_to_be_the_sync_period(
+    bus, make_slave, generic, value, exponent, fits
+):
+    slave = make_slave(1)
+    slave.values[0x60C2, 1], slave.values[0x60C2, 2] = value, exponent
+    write = generic.write.model_copy(update={"allow": tuple(each for each in generic.write.allow if each != 0x60C2)})
+    profile = generic.model_copy(update={"write": write})
+    with DriveGroup(bus, [AxisSetup(1, profile, 0.5, 300.0)], PERIOD_S, "real") as group:
+        group.connect()
+        if fits:
+            group.configure()
+        else:
+            with pytest.raises(
+                ConfigurationRefused, match="interpolates over 0.001 s, the master sends a SYNC every 0.01"
+            ):
+                group.configure()
