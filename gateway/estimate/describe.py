@@ -15,7 +15,14 @@ from gateway.estimate.noise import NoiseFit
 from gateway.estimate.options import EstimateOptions
 from gateway.estimate.problem import Problem
 from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, NOISE, Sources, budget_of
-from gateway.identify.load_estimate import LoadEstimate, load_directions, load_from_moment, without_guesses
+from gateway.identify.load_estimate import (
+    LoadEstimate,
+    load_directions,
+    load_from_moment,
+    negative_mass,
+    refused_load,
+    without_guesses,
+)
 from gateway.identify.solve import determined
 from gateway.model.base import rest_base
 from gateway.model.regressor import load_regressor
@@ -109,6 +116,8 @@ def _load(fitted: Fitted, robot: Robot, options: EstimateOptions, label: str) ->
     widening = fit.widening(directions)
     per_pose = per_pose_mass(problem, fit, robot, options, label) if sure.all() else {}
     load = load_from_moment(label, moment, fit.covariance[part, part], widening, sure, per_pose)
+    if sure[0] and (reason := negative_mass(load.mass_kg, load.mass_std_kg)) is not None:
+        return refused_load(label, reason, per_pose)
     return replace(without_guesses(load, reach_m(robot)), budget=mass_budget(fitted, label) if sure[0] else {})
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.estimate.noise import Groups
+from gateway.identify.repeats import half_difference_scatter
 from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
@@ -28,21 +29,8 @@ def friction_bands(visits: Visits) -> Floats:
 
 
 def band_scatter(visits: Visits) -> tuple[Floats, Floats]:
-    """Mean square (N,) [Nm2] of the half differences about `band + nu |tau|`, and its degrees of freedom (N,)."""
-    square, freedom = np.full(visits.axes, np.nan), np.zeros(visits.axes)
-    for k in range(visits.axes):
-        use = np.isfinite(visits.band_nm[:, k]) & np.isfinite(visits.tau_nm[:, k])
-        half = visits.band_nm[use, k]
-        columns = [np.ones(len(half))]
-        if len(half) >= 5:
-            columns.append(np.abs(visits.tau_nm[use, k]))
-        if len(half) <= len(columns):
-            continue
-        design = np.stack(columns, axis=1)
-        left = half - design @ np.linalg.lstsq(design, half, rcond=None)[0]
-        freedom[k] = len(half) - len(columns)
-        square[k] = float(left @ left) / freedom[k]
-    return square, freedom
+    """Return the scatter of the half-differences of the visits, as `half_difference_scatter`."""
+    return half_difference_scatter(visits.band_nm, visits.tau_nm)
 
 
 def noise_groups(visits: Visits, visit: Ints, axis: Ints) -> Groups:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import fdtrc
 
 from gateway.estimate.advice import cost_of_missing_axes, wrist_in_words
 from gateway.estimate.consistency import hull_radius_m, physical_findings
@@ -14,6 +15,7 @@ from gateway.estimate.estimate import Estimate, FittedRows
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.load_estimate import LoadEstimate, load_result
 from gateway.identify.nuisance import LOAD_FRICTION, LOAD_FRICTION_STD, ORDINARY_STD, efficiency_of
+from gateway.identify.repeats import half_difference_scatter, negative_bands, repeated_std
 from gateway.model.robot import Robot
 from gateway.result.acceptance import no_body
 from gateway.result.result import Finding, FitSummary, Parameter, Result, Rows
@@ -21,6 +23,16 @@ from gateway.result.result import Finding, FitSummary, Parameter, Result, Rows
 Floats = NDArray[np.float64]
 
 _MOST_ROWS = 2000
+_AT_REST = ("joint", "posture")
+#: Residual over noise floor from which a misfit is reported: above the largest of 150 axes of healthy simulated arms,
+#: 1.8, since friction that remains in a half-sum is part of the residual.
+_MISFIT_RATIO = 3.0
+#: Probability of such a residual by chance, per axis.
+_MISFIT_P = 1e-3
+#: Two-sided visits below which an axis is not judged.
+_FEWEST_ROWS = 6
+#: Share of an axis's torque below which no noise is resolved: a torque word of 1000 steps, averaged.
+_TORQUE_RESOLUTION = 2e-4
 
 
 def to_result(
@@ -52,7 +64,7 @@ def to_result(
         loads=loads,
         before=summary,
         after=summary,
-        noise_floor_nm=_numbers(estimate.sigma_nm),
+        noise_floor_nm=_numbers(noise_floor_nm(estimate)),
         friction_band_nm=_numbers(estimate.band_nm),
         next=estimate.next,
         findings=(*estimate.findings, *_findings(estimate, robot, options)),
@@ -85,8 +97,68 @@ def _findings(estimate: Estimate, robot: Robot | None, options: EstimateOptions)
             out += physical_findings(load, robot.last_link, hull_radius_m(robot, options.hull_radius_m))
     if estimate.rows is not None and estimate.method in ("joint", "difference", "posture"):
         out += _missing_axes(estimate.rows, robot, estimate.sigma_nm, options)
-        out += _one_sided(estimate)
+        out += _one_sided(estimate) + _misfit(estimate) + _reversed_signs(estimate.rows)
     return out + _gear_losses(estimate)
+
+
+def noise_floor_nm(estimate: Estimate) -> Floats:
+    """Return the noise floor (N,) of a half-sum at rest: from repeated visits, else from the half-differences.
+
+    The residual of the fit does not enter. NaN where the visits show neither. A moving run has no half-differences: its
+    floor is the one of the fit.
+    """
+    rows = estimate.rows
+    if rows is None or estimate.method not in _AT_REST or estimate.motion:
+        return estimate.sigma_nm
+    labels = np.char.add(np.char.add(rows.load, "/"), rows.pose.astype(str))
+    _, group = np.unique(labels, return_inverse=True)
+    square, _ = half_difference_scatter(rows.band_nm, rows.model_nm)
+    repeated = repeated_std(rows.tau_nm, group.ravel(), rows.direction.astype(float))
+    return np.where(np.isfinite(repeated), repeated, np.sqrt(square))
+
+
+def _misfit(estimate: Estimate) -> list[Finding]:
+    """Report axes whose residual exceeds the noise floor by more than chance and more than rounding of the friction."""
+    rows = estimate.rows
+    if rows is None or estimate.motion or estimate.method == "difference":
+        return []
+    floor, out = noise_floor_nm(estimate), []
+    for k in np.flatnonzero(np.isfinite(floor) & (floor > 0)):
+        use = np.isfinite(rows.residual_nm[:, k]) & np.isfinite(rows.band_nm[:, k])
+        freedom = float(np.sum(1.0 - rows.leverage[use, k]))
+        if use.sum() < _FEWEST_ROWS or freedom < 1.0:
+            continue
+        square = float(np.sum(rows.residual_nm[use, k] ** 2))
+        least = _TORQUE_RESOLUTION * float(np.sqrt(np.mean(rows.tau_nm[use, k] ** 2)))
+        ratio = np.sqrt(square / freedom) / max(float(floor[k]), least)
+        if ratio > _MISFIT_RATIO and fdtrc(freedom, use.sum() - 2.0, ratio**2) < _MISFIT_P:
+            out.append(
+                Finding(
+                    "warn", f"J{k + 1}",
+                    f"the model does not fit: the residual is {np.sqrt(square / use.sum()):.2g} Nm and repeated visits"
+                    f" agree to {floor[k]:.2g} Nm; the difference is model error, not noise",
+                    "run `servo-gateway diagnose` on the same data: it searches for the effect that is missing",
+                )
+            )  # fmt: skip
+    return out
+
+
+def _reversed_signs(rows: FittedRows) -> list[Finding]:
+    """Report axes with a negative friction band: their torque sign or their direction column is reversed."""
+    seen = int(np.isfinite(rows.band_nm).any(axis=0).sum())
+    negative = np.flatnonzero(negative_bands(rows.band_nm))
+    if seen < 2:
+        return []
+    together = [negative] if len(negative) == seen else [np.array([k]) for k in negative]
+    return [
+        Finding(
+            "fail", ", ".join(f"J{k + 1}" for k in part),
+            "torque sign is reversed, or the approach directions are: friction would drive the motion (half-difference"
+            f" {', '.join(f'{np.nanmedian(rows.band_nm[:, k]):.3g}' for k in part)} Nm)",
+            "check `torque_sign` in the cell file or the sign of the torque column, and the columns dir1, dir2, ...",
+        )
+        for part in together
+    ]  # fmt: skip
 
 
 def _gear_losses(estimate: Estimate) -> list[Finding]:

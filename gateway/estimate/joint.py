@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.errors import DataUnusable
 from gateway.estimate.consistency import CONTRADICTS, describe_masses, disagree
 from gateway.estimate.describe import axis_sigma, describe, per_pose_mass
 from gateway.estimate.estimate import Estimate
@@ -21,12 +20,12 @@ from gateway.estimate.noise import NoiseFit
 from gateway.estimate.options import EstimateOptions
 from gateway.estimate.problem import Problem, build_problem
 from gateway.identify.load_estimate import LoadEstimate, refused_load
+from gateway.identify.loads import require_postures
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
-_SAME_POSE_RAD = 0.05
 MOST_LINK_ROWS = 30
 
 
@@ -50,7 +49,7 @@ def estimate_joint(visits: Visits, robot: Robot, options: EstimateOptions) -> Es
     """
     problem = build_problem(visits, robot, options)
     for label in problem.loads:
-        require_postures(visits, label)
+        require_postures(visits.q_rad[visits.load == label], label)
     fitted = fit_problem(problem, options)
     refused = refused_loads(fitted, robot, options)
     if not refused:
@@ -98,19 +97,3 @@ def contradiction(problem: Problem, fit: NoiseFit, robot: Robot, options: Estima
         f"its rows contradict each other: the poses alone would give {describe_masses(masses)}, and the residual is"
         f" {excess:.0f} times the noise of the other rows"
     )
-
-
-def require_postures(visits: Visits, label: str) -> None:
-    """Refuse a load that was measured in a single posture.
-
-    Raises
-    ------
-    DataUnusable
-    """
-    q = visits.q_rad[visits.load == label]
-    if len(q) and np.ptp(q, axis=0).max() < _SAME_POSE_RAD:
-        raise DataUnusable(
-            f"load '{label}' was measured in one posture: its rows have rank 3, because the part of the centre of mass"
-            " along gravity turns no axis; add at least one posture in which gravity comes from another side of the"
-            " flange (more than 30 degrees apart), ten are better"
-        )

@@ -19,10 +19,9 @@ from gateway.errors import DataUnusable, InputError
 from gateway.estimate.describe import describe
 from gateway.estimate.estimate import Estimate
 from gateway.estimate.fitting import fit_problem
-from gateway.estimate.joint import require_postures
 from gateway.estimate.options import EstimateOptions
 from gateway.estimate.problem import LOAD_NAMES, Problem, build_problem, link_knowledge
-from gateway.identify.loads import BARE_LABEL, unknown_labels
+from gateway.identify.loads import BARE_LABEL, require_postures, unknown_labels
 from gateway.identify.solve import determined
 from gateway.model.base import BaseSet, rest_base
 from gateway.model.regressor import LOAD_COLUMNS
@@ -57,7 +56,7 @@ def estimate_posture(visits: Visits, robot: Robot, options: EstimateOptions) -> 
     if not labels:
         raise DataUnusable("every load in the data is known: there is nothing to estimate")
     for label in labels:
-        require_postures(visits, label)
+        require_postures(visits.q_rad[visits.load == label], label)
     base = rest_base(robot, options.gravity_m_s2)
     bare = _bare(visits, robot, options, base, labels)
     alone = replace(options, inertials="ignore", bare=None)

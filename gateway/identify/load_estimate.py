@@ -20,6 +20,8 @@ Floats = NDArray[np.float64]
 
 LOAD_PARTS = ("mass_kg", "com_x_m", "com_y_m", "com_z_m")
 _AS_ZERO = 1e-9
+#: Standard deviations below zero from which a mass is refused: one load in a thousand by chance.
+NEGATIVE_MASS_STD = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,6 +71,13 @@ class LoadEstimate:
 def refused_load(label: str, reason: str, per_pose_mass_kg: Mapping[str, float] | None = None) -> LoadEstimate:
     """A load whose data contradict each other."""
     return replace(unknown_load(label), per_pose_mass_kg=dict(per_pose_mass_kg or {}), refused=reason)
+
+
+def negative_mass(mass_kg: float, std_kg: float) -> str | None:
+    """Return why a mass is refused that is negative beyond its standard deviation; None where it is not."""
+    if mass_kg + NEGATIVE_MASS_STD * std_kg >= 0:
+        return None
+    return f"the data ask for a mass of {mass_kg:.3g} kg (standard deviation {std_kg:.2g} kg)"
 
 
 def load_directions(moment: Floats) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.labels import BARE_LABEL
-from gateway.errors import InputError
+from gateway.errors import DataUnusable, InputError
 from gateway.identify.links import PER_LINK_AT_REST
 from gateway.result.result import Bare
 
@@ -19,6 +19,8 @@ Floats = NDArray[np.float64]
 _SUREST: Final = 1e-12
 #: Standard deviation [kg, kg m] below which nothing is known: heavier rows drown the measured ones in rounding.
 _EXACT_KG: Final = 1e-10
+#: Range of every joint angle [rad] within which the visits of a load are one posture: 3 degrees barely turn gravity.
+_ONE_POSTURE_RAD: Final = 0.05
 
 
 def unknown_labels(present: Iterable[str], known: Mapping[str, object]) -> tuple[str, ...]:
@@ -34,6 +36,21 @@ def unknown_labels(present: Iterable[str], known: Mapping[str, object]) -> tuple
         if label not in labels:
             raise InputError(f"--known {label}: no row carries this load; the data hold {', '.join(labels)}")
     return tuple(label for label in labels if label != BARE_LABEL and label not in known)
+
+
+def require_postures(q_rad: Floats, label: str) -> None:
+    """Refuse a load that was measured in a single posture, from the joint angles (n, N) of its visits.
+
+    Raises
+    ------
+    DataUnusable
+    """
+    if len(q_rad) and np.ptp(q_rad, axis=0).max() < _ONE_POSTURE_RAD:
+        raise DataUnusable(
+            f"load '{label}' was measured in one posture: its rows have rank 3, because the part of the centre of mass"
+            " along gravity turns no axis; add at least one posture in which gravity comes from another side of the"
+            " flange (more than 30 degrees apart), ten are better"
+        )
 
 
 def load_vector(known: Sequence[float]) -> Floats:

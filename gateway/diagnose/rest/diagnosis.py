@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.data.table import Table
+from gateway.data.table import Table, concatenate
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.rest.ask import questions
 from gateway.diagnose.rest.bias import friction_by_direction
@@ -50,9 +50,11 @@ from gateway.diagnose.rest.search import Search, run
 from gateway.diagnose.rest.structure import structure_seen_nm
 from gateway.diagnose.rest.thresholds import REST
 from gateway.errors import DataUnusable
+from gateway.estimate import EstimateOptions, estimate
 from gateway.identify.aside import Aside
 from gateway.identify.links import default_inertials, parse_inertials
-from gateway.identify.loads import BARE_LABEL
+from gateway.identify.load_estimate import load_result
+from gateway.identify.loads import BARE_LABEL, require_postures
 from gateway.model.effect import RestSetup
 from gateway.model.effects import terms_at_rest
 from gateway.model.rest import RestRows
@@ -135,6 +137,8 @@ class RestDiagnosis:
         aside = self.aside(rest_rows(table, self.options.efficiency))
         build = partial(self.problem, aside=aside)
         problem = build(table)
+        for label in problem.labels:
+            require_postures(problem.rows.q_rad[problem.rows.load == label], label)
         plain = fit(problem, (), first_noise(problem))
         mistakes: tuple[Mistake, ...] = ()
         gained = 0.0
@@ -209,6 +213,25 @@ class RestDiagnosis:
         problem = self.problem(table, found.aside)
         return summary(problem, fit(problem, (), first_noise(problem)), Judge(problem, None), self.robot)
 
+    def _as_estimated(self, table: Table) -> tuple[LoadResult, ...]:
+        """Return the loads as `estimate` gives them: one answer where no effect is named.
+
+        Raises
+        ------
+        DataUnusable
+            A load in one posture only (rank 3).
+        """
+        efficiency = self.options.efficiency
+        options = EstimateOptions(
+            inertials=self.knowledge.inertials,
+            known=self.knowledge.known,
+            bare=self.knowledge.bare,
+            gravity_m_s2=self.knowledge.gravity_m_s2,
+            gain_std=self.knowledge.gain_std,
+            efficiency=(1.0,) if efficiency is None else tuple(efficiency.tolist()),
+        )
+        return tuple(load_result(load, self.robot) for load in estimate(table, self.robot, options).loads)
+
     def _from_all(self, held: Unseen, seen: Fit, by_shape: Floats) -> tuple[LoadResult, ...]:
         """Loads of the same hypothesis on fitted and fresh visits together."""
         return loads_of(held.problem, fit(held.problem, seen.terms, seen.noise, seen), self.robot, by_shape)
@@ -244,6 +267,9 @@ class RestDiagnosis:
             after = replace(after, loads=self._from_all(held, decision.after, by_shape))
             if decision.after is decision.before and not found.mistakes:
                 before = replace(before, loads=after.loads)
+        if not effects and not found.mistakes and decision.after is decision.before:
+            fresh = found.table if holdout is None or kind != "fresh" else concatenate([found.table, holdout])
+            before, after = (replace(part, loads=self._as_estimated(fresh)) for part in (before, after))
         floor, band = floor_and_band(problem, decision)
         findings += corrected_links(decision) + at_the_edge(decision, problem)
         findings += found.aside.findings

@@ -17,6 +17,7 @@ from gateway.identify.load_estimate import (
     load_directions,
     load_from_moment,
     load_result,
+    negative_mass,
     next_to_nothing,
     refused_load,
     unknown_load,
@@ -54,8 +55,7 @@ def _load(problem: RestProblem, fit: Fit, robot: Robot, index: int, by_shape: Fl
     turn = load_directions(moment)
     std = widening * np.sqrt(np.maximum(np.diag(turn @ covariance @ turn.T), 0.0))
     mass = float(moment[0])
-    if mass + REST.against_mass * std[0] < 0:
-        reason = f"the data ask for a mass of {mass:.3g} kg (standard deviation {std[0]:.2g} kg)"
+    if (reason := negative_mass(mass, float(std[0]))) is not None:
         return load_result(refused_load(label, reason), robot)
     nothing = next_to_nothing(mass, float(std[0]), robot, problem.rows.sum_nm, REST.next_to_nothing)
     if not nothing and (std[0] > REST.blind_mass * max(abs(mass), 1e-3) or mass <= 0):

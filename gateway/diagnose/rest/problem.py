@@ -15,6 +15,7 @@ from gateway.errors import DataUnusable
 from gateway.identify.links import PER_LINK_AT_REST, link_prior, parse_inertials
 from gateway.identify.loads import bare_rows, load_vector, unknown_labels
 from gateway.identify.nuisance import LOAD_FRICTION, gain_stds, nuisance_prior
+from gateway.identify.repeats import repeated_std
 from gateway.model.rest import Model, RestRows
 from gateway.model.robot import Robot
 from gateway.result.result import Bare
@@ -125,6 +126,8 @@ def first_noise(problem: RestProblem) -> Noise:
     start = np.full(3 * axes, np.nan)
     least = np.full(3 * axes, 1e-9)
     torque = np.matmul(problem.model.nominal, problem.links)
+    _, group = np.unique(np.char.add(np.char.add(rows.load, "/"), rows.pose.astype(str)), return_inverse=True)
+    repeats = repeated_std(rows.sum_nm, group.ravel(), rows.side)
     for axis in range(axes):
         measured = problem.use_sum[:, axis]
         if not measured.any():
@@ -136,7 +139,7 @@ def first_noise(problem: RestProblem) -> Noise:
         least[[axis, axis + axes, axis + 2 * axes]] = floor
         start[[axis, axis + axes]] = max(_difference_scatter(problem, axis, torque[:, axis]), floor)
         start[axis + 2 * axes] = max(quiet, 0.02 * size, floor)
-        repeated = _repeated_scatter(rows, axis)
+        repeated = float(repeats[axis])
         if np.isfinite(repeated):
             start[axis] = max(repeated, floor)
             start[axis + 2 * axes] = max(repeated, floor)
@@ -166,19 +169,3 @@ def _difference_scatter(problem: RestProblem, axis: int, torque_nm: Floats) -> f
     fit, *_ = np.linalg.lstsq(design, half, rcond=None)
     left = half - design @ fit
     return float(np.sqrt(np.sum(left**2) / max(len(half) - 2, 1)))
-
-
-def _repeated_scatter(rows: RestRows, axis: int) -> float:
-    """Pooled standard deviation of visits that repeat a pose under one load; NaN below four degrees of freedom."""
-    total, freedom = 0.0, 0
-    groups: dict[tuple[str, int, float], list[float]] = {}
-    known = np.flatnonzero(np.isfinite(rows.sum_nm[:, axis]))
-    keys = zip(rows.load[known].tolist(), rows.pose[known].tolist(), rows.side[known, axis].tolist(), strict=True)
-    for key, value in zip(keys, rows.sum_nm[known, axis].tolist(), strict=True):
-        groups.setdefault(key, []).append(value)
-    for values in groups.values():
-        if len(values) > 1:
-            mean = sum(values) / len(values)
-            total += sum((value - mean) ** 2 for value in values)
-            freedom += len(values) - 1
-    return float(np.sqrt(total / freedom)) if freedom >= 4 else float("nan")

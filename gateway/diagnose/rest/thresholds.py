@@ -205,9 +205,6 @@ class RestThresholds:
     blind_m: float = threshold(
         0.5, "m", "standard deviation at which a coordinate of the centre is unknown", "the size of a large load"
     )
-    against_mass: float = threshold(
-        3.0, "std", "a mass this far below zero is refused", "one load in a thousand by chance"
-    )
     # what to measure next
     asked: int = threshold(8, "", "poses asked for at once", "some five minutes of measuring")
     told_in_all: float = threshold(
