@@ -219,7 +219,7 @@ class Cia402Drive:
 
     def note_rest(self) -> None:
         """Remember where the axis is now that its brake is closed."""
-        self.rest_count = self.access.read(self.setup.profile.position.object, ONCE)
+        self.rest_count = self.access.read(self.setup.profile.position.object)
 
     def statusword(self) -> int:
         """Statusword, read now by SDO."""
