@@ -242,34 +242,36 @@ class NodeAccess:
         """Whether the ledger holds a write to one of these objects of this device that was not put back."""
         return any(entry.index in indices for entry in self.noted)
 
-    def adopt_applied(self) -> None:
-        """Take what `config apply` wrote for the original: a run configures the drive on top of it.
+    def refuse_unfinished(self) -> None:
+        """See that no `config apply` was cut off, which would leave a part of a configuration in the device.
 
         Raises
         ------
         ConfigurationRefused
-            `config apply` was cut off, so that the drive has a part of a configuration.
         """
         unfinished = [entry for entry in self.noted if entry.writer == "applying"]
         if unfinished:
-            what = f"`config apply` was cut off after it began to write here ({len(unfinished)} objects)"
-            advice = "put the drive back with `servo-gateway restore CELL`, or finish `config apply`"
             first = unfinished[0]
             raise ConfigurationRefused(
-                what, node=self.node_id, index=first.index, subindex=first.subindex, advice=advice
+                f"`config apply` was cut off after it began to write here ({len(unfinished)} objects)",
+                node=self.node_id,
+                index=first.index,
+                subindex=first.subindex,
+                advice="put the drive back with `servo-gateway restore CELL`, or finish `config apply`",
             )
-        applied = [entry for entry in self.noted if entry.writer == "applied"]
-        if applied:
-            self._ledger.forget(*applied)
 
-    def finish_applying(self) -> None:
-        """What `config apply` wrote to this device is complete."""
-        device = self.device
-        self._ledger.settle(
-            lambda entry: (
-                replace(entry, writer="applied") if entry.writer == "applying" and entry.is_of(device) else entry
-            )
-        )
+    def adopt_applied(self) -> None:
+        """Take what `config apply` wrote for the original: a run configures the device on top of it."""
+        self._ledger.forget(*(entry for entry in self.noted if entry.writer == "applied"))
+
+    def finish_applying(self, devices: Sequence[KnownDevice]) -> None:
+        """What `config apply` wrote to these devices is complete."""
+
+        def applied(entry: LedgerEntry) -> LedgerEntry:
+            done = entry.writer == "applying" and any(entry.is_of(device) for device in devices)
+            return replace(entry, writer="applied") if done else entry
+
+        self._ledger.settle(applied)
 
     def _send(self, step: Step, options: Transfer = NORMAL) -> None:
         """Write a parameter; where the answer stays away it is read back, and written once more if it is not there."""

@@ -228,7 +228,8 @@ class DriveSetup:
         self._require(bool(self.drives) and not self._running, "connect() first, and do not configure while enabled")
         first_index = 0 if self._exchange is None else self._exchange.sync_index
         self._close_exchange()
-        self._for_each(lambda drive: drive.access.adopt_applied(), lambda device: device.access.adopt_applied())
+        self._for_each(lambda node: node.access.refuse_unfinished(), lambda node: node.access.refuse_unfinished())
+        self._for_each(lambda node: node.access.adopt_applied(), lambda node: node.access.adopt_applied())
         exchange = SyncExchange(self._bus, self.drives, self.timing, self._producer, first_index, self.instruments)
         try:
             self._for_each(Cia402Drive.survey, Instrument.survey)

@@ -14,6 +14,8 @@ from sim.server import BusServer
 from sim.states import PdsState
 
 ENCODER_FAULT = 0x7305
+#: By these bits the serial numbers of a drive and of its successor differ.
+OTHER_SERIAL = 0x0100_0000
 STO_CODE = 0x5442
 WOBBLE_RAD, WOBBLE_HZ = 0.004, 1.5
 #: What strict, talkative and broken drives do where the scenario does not say.
@@ -111,6 +113,19 @@ def _other_make(drive: FakeDrive, fault: Fault) -> None:
     _shows(drive, (0x1018, 1), fault.code or drive.store.number((0x1018, 1)) ^ 0x00FF0001)
 
 
+def _exchanged(drive: FakeDrive, fault: Fault) -> None:
+    """The successor of a drive: what it was told by a master is gone with its predecessor."""
+    _shows(drive, (0x1018, 4), drive.store.number((0x1018, 4)) ^ OTHER_SERIAL)
+    _shows(drive, (0x6072, 0), fault.code or drive.store.number((0x6072, 0)) * 9 // 10)
+
+
+def _write_ignored(drive: FakeDrive, fault: Fault) -> None:
+    index = fault.index or 0x6007
+    for address, entry in drive.store.entries.items():
+        if address[0] == index and entry.set is not None:
+            drive.store.entries[address] = replace(entry, set=lambda _value: None)
+
+
 def _shows(drive: FakeDrive, address: Address, value: int) -> None:
     drive.quirks.values[address] = value
     drive.take_quirks()
@@ -203,6 +218,8 @@ ACTIONS: dict[str, Callable[[FakeDrive, Fault], None]] = {
     "wrong_rated": _scaled_rating(1000),
     "rated_zero": _scaled_rating(0),
     "wrong_vendor": _other_make,
+    "write_ignored": _write_ignored,
+    "drive_exchanged": _exchanged,
     "strict_inhibit": _strict_inhibit,
     "start_refused": _start_refused,
     "start_never": _start_never,

@@ -118,6 +118,10 @@ KINDS: dict[str, Kind] = {
     "unsigned_torque": Kind("drive", "finding", None, "0x6077 has lost its sign"),
     "heartbeat_ignored": Kind("drive", "finding", None, "the drive goes on when the master's heartbeat is gone"),
     "wrong_rated": Kind("object", "finding", None, "rated torque in uNm instead of mNm"),
+    "write_ignored": Kind("object", "refuses", None, "acknowledges a write of an object (0x6007) and keeps its value"),
+    "drive_exchanged": Kind(
+        "object", "goes on", None, "another drive of the same product: serial number, torque limit"
+    ),
     "rated_zero": Kind("object", "refuses", None, "rated torque is zero"),
     "wrong_vendor": Kind("object", "refuses", None, "another make of drive"),
     "node_missing": Kind("wire", "refuses", None, "nobody at a node id"),
@@ -173,7 +177,8 @@ class Fault:
     count : how many frames it touches at most; 0 = all
     delay_s : of late answers; of a burst; until a refused START is obeyed; 0 = the kind's own
     index, subindex : object that an SDO fault is about; index 0 = any
-    code : EMCY or SDO abort code; value of the object that a strict slave has set (0x1006, 0x1014)
+    code : EMCY or SDO abort code; value of the object that a strict slave has set (0x1006, 0x1014), or an exchanged
+        drive (0x6072)
     share : of the frames, for random loss
     rate_hz : of a TPDO that sends by itself; 0 = the kind's own
     speed_rad_s : at which a closed brake lets the axis sink; 0 = the kind's own

@@ -1,7 +1,7 @@
 """Inject every fault, kill masters, feed strangers' bytes; print every figure with its goal and write `summary.json`.
 
 python -m benchmarks.chaos [--out out/chaos] [scenarios] [truth] [kills] [stops] [stalls] [signals] [disk]
-                     [unbuffered] [pair_stops] [load] [fuzz] [sheets]
+                     [unbuffered] [pair_stops] [load] [fuzz] [sheets] [originals]
 python -m benchmarks.chaos soak [--minutes 30]
 """
 
@@ -32,6 +32,7 @@ PARTS = (
     "load",
     "fuzz",
     "sheets",
+    "originals",
 )
 
 

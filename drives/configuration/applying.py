@@ -182,8 +182,8 @@ def write_all(work: Sequence[NodeWrites], tell: Callable[[int, Step], None] = la
             else "what had been written is put back"
         )
         raise
-    for each in work:
-        each.access.finish_applying()
+    if work:
+        work[0].access.finish_applying([each.access.device for each in work])
 
 
 def store(access: ObjectAccess) -> None:

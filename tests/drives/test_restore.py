@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from collections.abc import Callable
@@ -133,6 +134,47 @@ def test_a_config_apply_that_was_cut_off_is_not_driven_on(drive, group_of):
     assert slave.values[TORQUE] == 800
     restored(group_of())
     assert slave.values[TORQUE] == 3000
+
+
+def test_two_drives_have_both_a_complete_configuration_or_both_a_part_of_one(add_slaves, group_of, path, monkeypatch):
+    """A power cut after `config apply` wrote to both drives, before or within the marking of their entries."""
+    slaves = add_slaves(2)
+    for slave in slaves:
+        slave.types[TORQUE], slave.values[TORQUE] = "u16", 3000
+
+    class PowerCut(BaseException):
+        pass
+
+    def cut(ledger: WriteLedger, change: object = None) -> None:
+        if calls:
+            raise PowerCut
+        calls.append(change)
+        settle(ledger, change)
+
+    settle, calls = WriteLedger.settle, []
+    with group_of(nodes=(1, 2)) as group:
+        group.connect()
+        steps = (Step(*TORQUE, "u16", 800, "config apply: 1.dcf"),)
+        monkeypatch.setattr(WriteLedger, "settle", cut)
+        with contextlib.suppress(PowerCut):
+            write_all([NodeWrites(drive.access, steps) for drive in group.drives])
+    monkeypatch.undo()
+    assert {entry.writer for entry in WriteLedger(path).entries} == {"applied"}
+
+
+def test_no_drive_is_configured_on_top_of_a_config_apply_that_another_drive_has_a_part_of(add_slaves, group_of, path):
+    slaves = add_slaves(2)
+    for slave in slaves:
+        slave.types[TORQUE], slave.values[TORQUE] = "u16", 3000
+    step = Step(*TORQUE, "u16", 800, "config apply: 1.dcf")
+    with group_of(nodes=(1, 2)) as group:
+        group.connect()
+        write_all([NodeWrites(group.drives[0].access, (step,))])
+        group.drives[1].access.note_steps([step], "applying")
+    with pytest.raises(ConfigurationRefused, match=r"node 2.*was cut off"):
+        run(group_of(nodes=(1, 2)))
+    restored(group_of(nodes=(1, 2)))
+    assert [slave.values[TORQUE] for slave in slaves] == [3000, 3000]
 
 
 @pytest.mark.parametrize("frames", [3, 6, 20, 60, 90])

@@ -88,6 +88,14 @@ EFFECTS: dict[str, Effect] = {
     "heartbeat_ignored": moves_on,
     "wrong_rated": lambda bench: bench.drive.store.number((0x6076, 0)) > 1_000_000,
     "rated_zero": lambda bench: bench.drive.store.number((0x6076, 0)) == 0,
+    "write_ignored": lambda bench: (
+        bench.drive.store.write(0x6007, 0, (3).to_bytes(2, "little")) is None
+        and bench.drive.store.number((0x6007, 0)) == 1
+    ),
+    "drive_exchanged": lambda bench: (
+        bench.drive.store.number((0x1018, 4)) not in {drive.serial for drive in bench.server.drives}
+        and bench.drive.store.number((0x6072, 0)) < bench.server.drive(1).store.number((0x6072, 0))
+    ),
     "wrong_vendor": lambda bench: (
         bench.drive.store.number((0x1018, 1)) != bench.server.drive(1).store.number((0x1018, 1))
     ),

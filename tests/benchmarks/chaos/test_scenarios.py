@@ -32,6 +32,8 @@ IN_LOCKSTEP = (
     "bus_off",
     "node_missing",
     "wrong_rated",
+    "write_ignored",
+    "drive_exchanged",
 )
 BY_THE_CLOCK = ("tpdo_gone", "burst", "drive_fault", "tpdo3_on", "second_master_nmt", "estop_pressed")
 

@@ -152,6 +152,8 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         "unsigned_torque": Stated(None, r"never changes its sign, while the demand 6074:00"),
         "heartbeat_ignored": Stated(None, r"went on moving without the master's heartbeat"),
         "wrong_rated": Stated(FindingFailed, r"6072:00.*rated torque in another unit"),
+        "write_ignored": Stated(ConfigurationRefused, r"6007:00.*was written, .* reads back"),
+        "drive_exchanged": Stated(counts=(_WHOLE,), real=()),
         "rated_zero": Stated(ConfigurationRefused, r"6076:00.*rated value is 0"),
         "wrong_vendor": Stated(IdentityMismatch, r"1018:01.*vendor id is 0x[0-9A-F]+ instead of"),
         "node_missing": Stated(NodeMissing, "nobody answers"),
