@@ -1,4 +1,4 @@
-"""Fixtures for the tests on a real SocketCAN: the interface, a queue that is full, the independent slave."""
+"""Fixtures for the tests on a real SocketCAN: the interface, a queue that is full."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ from contextlib import AbstractContextManager, contextmanager
 
 import can
 import pytest
-
-from tests.vcan.slave_process import installed
 
 CHANNEL = "vcan0"
 REQUIRED = os.environ.get("SERVO_GATEWAY_REQUIRE_VCAN") == "1"
@@ -49,10 +47,3 @@ def short_queue(vcan: str) -> Callable[[int, int], AbstractContextManager[None]]
             subprocess.run(["tc", "qdisc", "del", "dev", vcan, "root"], capture_output=True, check=True)
 
     return shape
-
-
-@pytest.fixture(scope="session")
-def slave_ready() -> None:
-    """The packages of the slave that others have written are in the cache."""
-    if not installed():
-        skip_or_fail("the slave of others is not in the cache; `make vcan` fetches it")

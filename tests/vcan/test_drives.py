@@ -25,7 +25,7 @@ from gateway.motion.opening import BusOverride, axis_setups, open_arm
 from sim.faults import Fault
 from tests.support.chaos.killing import few_samples
 from tests.support.chaos.processes import Drives, poses
-from tests.vcan.slave_process import PATIENCE
+from tests.support.independent_drives import PATIENCE
 
 #: An emulated processor that others use as well answers late; nothing here is about time.
 PATIENCE_S = {"answer_timeout_s": 1.0 * PATIENCE, "gap_timeout_s": 0.5 * PATIENCE}

@@ -40,7 +40,7 @@ TRIES, PAUSE_S = 4, 15.0
 PYTEST = (sys.executable, "-m", "pytest", "-p", "no:cacheprovider")
 #: The emulator ends numpy's AVX2 sort with a segmentation fault: it does without.
 EMULATED = {"NPY_DISABLE_CPU_FEATURES": "X86_V3"}
-PASSED_ON = ("SERVO_GATEWAY_DATA", "SERVO_GATEWAY_SLAVE", "HYPOTHESIS_PROFILE")
+PASSED_ON = ("SERVO_GATEWAY_DATA", "HYPOTHESIS_PROFILE")
 
 
 class VcanMissing(Exception):  # noqa: N818 - reads as what happened
@@ -66,8 +66,6 @@ def main(argv: Sequence[str]) -> int:
         "no:cacheprovider",
     ]
     try:
-        if not arguments.command:
-            provide_slave()
         if arguments.where != "vm" and native_vcan():
             return run_native(command)
         if arguments.where == "native":
@@ -97,17 +95,6 @@ def native_vcan() -> bool:
             return False
     quiet("ip", "link", "set", "vcan0", "txqueuelen", "1000", "up")
     return quiet("ip", "link", "show", "up", "dev", "vcan0")
-
-
-def provide_slave() -> None:
-    """Fetch the slave that others have written, once; the tests that need it say why it is missing."""
-    sys.path.insert(0, str(ROOT))
-    from tests.vcan.slave_process import SlaveMissing, install  # only here: needs the virtual environment
-
-    try:
-        install()
-    except SlaveMissing as missing:
-        raise VcanMissing(str(missing)) from missing
 
 
 def run_native(command: Sequence[str]) -> int:

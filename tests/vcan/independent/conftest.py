@@ -1,0 +1,88 @@
+"""Fixtures for the commands against drives on another stack: a bus, the drives' process, a folder with the cell."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import socket
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+
+from gateway.cli import main
+from gateway.preflight import machine
+from tests.support.independent_drives import IndependentDrives
+
+HERE = Path(__file__).parent
+VARIANTS = ("zero-extended", "no-size")
+
+
+@dataclass(frozen=True)
+class Place:
+    """A folder with the cell of these drives, and the commands that an engineer types in it."""
+
+    folder: Path
+    bus: str
+
+    @property
+    def cell(self) -> Path:
+        return self.folder / "cell.toml"
+
+    def types(self, *words: object, bus: bool = True, code: int = 0) -> Result:
+        """A command that has to end with this exit code."""
+        where = ("--bus", self.bus) if bus else ()
+        done = CliRunner().invoke(main, [str(word) for word in (*words, *where)])
+        assert done.exit_code == code, done.output
+        return done
+
+    def result(self, *words: object, bus: bool = True, code: int = 0) -> dict[str, Any]:
+        """What a command writes as JSON."""
+        path = self.folder / "out.json"
+        self.types(*words, "--json", path, "--force", bus=bus, code=code)
+        return json.loads(path.read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module", params=["udp_multicast", pytest.param("socketcan", marks=pytest.mark.vcan)])
+def bus(request: pytest.FixtureRequest) -> str:
+    """A bus of its own."""
+    if request.param == "socketcan":
+        return f"socketcan:{request.getfixturevalue('vcan')}"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("", 0))
+        port = free.getsockname()[1]
+    return f"udp_multicast:239.74.163.9,port={port}"
+
+
+@pytest.fixture(scope="module", params=VARIANTS)
+def drives(request: pytest.FixtureRequest, bus: str) -> Iterator[IndependentDrives]:
+    """Six drives of one vendor variant."""
+    with IndependentDrives(bus, variant=request.param) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def place(drives: IndependentDrives, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
+    """The cell beside a profile that was drafted from the data sheet."""
+    folder = tmp_path_factory.mktemp("independent")
+    for name in ("cell.toml", "robot.urdf", "drive.eds", "answers.toml"):
+        shutil.copy(HERE / name, folder / name)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(folder / "state"))
+        # Whether this computer is idle enough has a test of its own; a late SYNC in motion still ends a command.
+        patch.setattr(machine, "measure_lateness", lambda period_s, timer=None: [0.0])
+        here = Place(folder, drives.bus)
+        words = ("--eds", folder / "drive.eds", "--answers", folder / "answers.toml", "-o", folder / "axd.toml")
+        here.types("profiles", "new", *words, bus=False)
+        yield here
+
+
+@pytest.fixture
+def failed() -> Callable[[dict[str, Any]], list[str]]:
+    """What a check found wrong, in words."""
+    return lambda report: [
+        f"{line['where']}: {line['what']}" for line in report["findings"] if line["severity"] == "fail"
+    ]
