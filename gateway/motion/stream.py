@@ -275,9 +275,10 @@ class Stream:
         self.stand(TAKE_OVER_S, "open the brakes", listen)
 
     def hold_while(self, job: Callable[[], Result], what: str) -> Result:
-        """Do something that takes longer than a SYNC period, and keep the standing arms under SYNC meanwhile.
+        """Run a job that takes longer than a SYNC period, and keep the standing arms under SYNC meanwhile.
 
-        In lockstep, where no time passes on the bus, the job is just done.
+        In lockstep, where no time passes on the bus, the job runs in the calling thread. A stop does not wait for the
+        job: it is raised while the job goes on in its thread, and the result is dropped.
         """
         if not (self._arms.real and self._arms.enabled):
             return job()
@@ -285,16 +286,20 @@ class Stream:
         self.hold(what, 0, 1)
         switch_s = sys.getswitchinterval()
         sys.setswitchinterval(SWITCH_S)
+        beside = ThreadPoolExecutor(1, thread_name_prefix="beside", initializer=leave_real_time)
+        done = beside.submit(job)
         try:
-            with ThreadPoolExecutor(1, thread_name_prefix="beside", initializer=leave_real_time) as beside:
-                done = beside.submit(job)
-                row = 0
-                while not done.done():
-                    self.hold(what, row, row + 1)
-                    row += 1
-                return done.result()
+            row = 0
+            while not done.done():
+                self.hold(what, row, row + 1)
+                row += 1
+            return done.result()
         finally:
-            sys.setswitchinterval(switch_s)
+            beside.shutdown(wait=False)
+            if done.done():
+                sys.setswitchinterval(switch_s)
+            else:  # the SYNCs of the stop must not wait for the job either
+                done.add_done_callback(lambda _done: sys.setswitchinterval(switch_s))
 
     def _report(self, what: str, row: int, rows: int) -> None:
         self._tell(what, row, rows)

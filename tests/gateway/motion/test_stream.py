@@ -12,6 +12,7 @@ import pytest
 from gateway.errors import LimitExceeded
 from gateway.motion.arms import Arms
 from gateway.motion.contact import TAKE_OVER_S
+from gateway.motion.power import powered
 from gateway.motion.state import StateKeeper
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
 from gateway.motion.stream import REPORT_S, REST_LONGEST_S, REST_SYNCS, MoveOptions, Station, Stream
@@ -193,6 +194,43 @@ def test_by_the_clock_the_arm_is_held_while_a_job_is_done_beside_it(make, fake):
     assert stream.hold_while(lambda: go_on.wait(10.0) and threading.current_thread().name, "work").startswith("beside")
     assert fake.sync_index >= 10
     assert sys.getswitchinterval() == switch_s
+
+
+@pytest.mark.parametrize("kind", StopKind)
+def test_a_stop_does_not_wait_for_the_job_beside_the_arm(make, fake, kind):
+    """The axes are disabled while the job is still running; SYNCs go on until then."""
+    desk, release = StopDesk(), threading.Event()
+    stream = make("real", desk=desk)
+    ended: list[bool] = []
+    running: list[bool] = []
+    plain, held = fake.disable, fake.hold
+
+    def disable() -> None:
+        running.append(not ended)
+        plain()
+
+    def hold():
+        if fake.sync_index == 20:
+            desk.ask(StoppedByPerson("a person"), kind)
+        return held()
+
+    def job() -> None:
+        release.wait(5.0)
+        ended.append(True)
+
+    def work() -> None:
+        with powered(stream):
+            stream._arms.enabled = True
+            stream.hold_while(job, "work")
+
+    fake.disable, fake.hold = disable, hold
+    try:
+        with pytest.raises(StoppedByPerson):
+            work()
+        assert running == [True]
+        assert fake.sync_index == 21
+    finally:
+        release.set()
 
 
 def test_the_first_sync_of_an_arm_that_has_just_moved_is_over_before_a_job_begins(make, fake):
