@@ -59,6 +59,9 @@ StopSource = Callable[[], StopRequest | None]
 class StopDesk:
     """Where wishes to stop are left; `ask` may be called from any thread and from a signal handler.
 
+    Requests are only ever appended: one that interrupts another, in a signal handler or a second thread, cannot
+    overwrite it. The most urgent one counts.
+
     Attributes
     ----------
     under_power : bool
@@ -68,7 +71,7 @@ class StopDesk:
     def __init__(self, *sources: StopSource) -> None:
         self.under_power = False
         self._sources = list(sources)
-        self._request: StopRequest | None = None
+        self._requests: list[StopRequest] = []
 
     def watch(self, source: StopSource) -> None:
         """Ask `source` too from now on, at every SYNC."""
@@ -80,11 +83,8 @@ class StopDesk:
 
     def ask(self, cause: BaseException, kind: StopKind = StopKind.ALONG_PATH) -> None:
         """Leave a wish; the first cause is kept, the most urgent kind wins."""
-        before = self._request
-        if before is None:
-            self._request = StopRequest(kind, cause)
-        elif kind > before.kind:
-            self._request = StopRequest(kind, before.cause)
+        if all(kind > request.kind for request in self._requests):
+            self._requests.append(StopRequest(kind, cause))
 
     def look(self) -> StopRequest | None:
         """The wish that stands, the sources asked."""
@@ -92,7 +92,10 @@ class StopDesk:
             wish = source()
             if wish is not None:
                 self.ask(wish.cause, wish.kind)
-        return self._request
+        requests = tuple(self._requests)
+        if not requests:
+            return None
+        return StopRequest(max(request.kind for request in requests), requests[0].cause)
 
     def asked(self) -> bool:
         """Whether anybody wants the arms to stop."""

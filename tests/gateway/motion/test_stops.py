@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 import threading
 
 import pytest
@@ -27,6 +28,43 @@ def test_the_first_cause_is_kept_and_the_most_urgent_kind_wins():
     desk.ask(second, StopKind.QUICK_STOP)
     desk.ask(second)
     assert desk.look() == StopRequest(StopKind.QUICK_STOP, first)
+
+
+@pytest.mark.parametrize("line", range(1, 8))
+@pytest.mark.parametrize("standing", [(), (StopKind.ALONG_PATH,)])
+def test_a_request_that_interrupts_another_one_is_not_overwritten(line, standing):
+    """A signal handler, or another thread, asks for a quick stop between any two lines of a weaker request."""
+    desk, lines = StopDesk(), []
+    for kind in standing:
+        desk.ask(ValueError("before"), kind)
+
+    def on_line(frame, event, _argument):
+        if event == "line":
+            lines.append(frame.f_lineno)
+            if len(lines) == line:
+                sys.settrace(None)
+                desk.ask(ValueError("second signal"), StopKind.QUICK_STOP)
+        return on_line
+
+    before = sys.gettrace()
+    sys.settrace(lambda frame, _event, _argument: on_line if frame.f_code is StopDesk.ask.__code__ else None)
+    try:
+        desk.ask(ValueError("first signal"))
+    finally:
+        sys.settrace(before)
+    if len(lines) < line:
+        desk.ask(ValueError("second signal"), StopKind.QUICK_STOP)
+    wish = desk.look()
+    assert wish is not None
+    assert wish.kind is StopKind.QUICK_STOP
+
+
+def test_requests_that_repeat_do_not_pile_up():
+    desk, wish = StopDesk(), StopRequest(StopKind.ALONG_PATH, ValueError("full"))
+    desk.watch(lambda: wish)
+    for _ in range(100):
+        assert desk.look() == wish
+    assert len(desk._requests) == 1
 
 
 def test_sources_are_asked_until_they_are_forgotten():
