@@ -256,6 +256,13 @@ class StateMachine(Strict):
     brake_delay_s: float = Field(
         default=0.0, ge=0, description="time from operation enabled until the brake has opened"
     )
+    brake_closing_s: float = Field(
+        default=0.1,
+        ge=0,
+        le=2,
+        description="time from the end of operation enabled until the brake has closed; until then the axis stays in "
+        "SWITCHED ON, and the voltage is not disabled",
+    )
 
 
 class SdoTimes(Strict):

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from drives.cia402 import (
+    DISABLE_OPERATION,
     DISABLE_VOLTAGE,
     QUICK_STOP,
     NoRoute,
@@ -57,7 +58,9 @@ class _Step:
     Attributes
     ----------
     word : callable
-        Controlword by state.
+        Controlword by axis and state.
+    disables : bool
+        It ends in SWITCH ON DISABLED.
     done : callable
         Whether an axis has done it.
     leave_s : float
@@ -68,7 +71,8 @@ class _Step:
         States that confirm it to one who asks by SDO.
     """
 
-    word: Callable[[State], int]
+    word: Callable[[int, State], int]
+    disables: bool
     done: Callable[[int], bool]
     leave_s: float
     limit_s: float
@@ -113,6 +117,34 @@ def disabling_controlword(state: State) -> int:
         return DISABLE_VOLTAGE
 
 
+class _WayDown:
+    """Controlwords to SWITCH ON DISABLED; an axis stays in SWITCHED ON until its brake has had its time to close.
+
+    Without the voltage a drive cannot hold the axis while the brake closes.
+
+    Parameters
+    ----------
+    exchange : SyncExchange
+    """
+
+    def __init__(self, exchange: SyncExchange) -> None:
+        period_s = exchange.timing.period_s
+        #: Longest time that a brake of these axes takes to close; 0 where no brake was opened.
+        self.closing_s = max(map(_closing_s, exchange.drives)) if exchange.powered else 0.0
+        self._left = [math.ceil(min(_closing_s(drive), self.closing_s) / period_s) for drive in exchange.drives]
+
+    def word(self, axis: int, state: State) -> int:
+        """Next controlword of an axis; one call is one SYNC."""
+        if state is State.SWITCHED_ON and self._left[axis] > 0:
+            self._left[axis] -= 1
+            return DISABLE_OPERATION
+        return disabling_controlword(state)
+
+
+def _closing_s(drive: Cia402Drive) -> float:
+    return drive.setup.profile.state_machine.brake_closing_s
+
+
 def quick_stop(exchange: SyncExchange) -> list[DriveError]:
     """Stop every axis by its quick stop ramp and wait until it stands.
 
@@ -125,7 +157,11 @@ def quick_stop(exchange: SyncExchange) -> list[DriveError]:
     def done(axis: int) -> bool:
         return exchange.states[axis] in _STOPPED and exchange.stands(axis)
 
-    step = _Step(stopping_controlword, done, _PATIENCE_S, _RAMP_S + _PATIENCE_S, _STOPPED)
+    def word(_axis: int, state: State) -> int:
+        # a brake that is closing is given its time by `disable`
+        return DISABLE_OPERATION if state is State.SWITCHED_ON else stopping_controlword(state)
+
+    step = _Step(word, False, done, _PATIENCE_S, _RAMP_S + _PATIENCE_S, _STOPPED)
     return _run(exchange, step, lambda epoch: None)
 
 
@@ -141,9 +177,10 @@ def disable(exchange: SyncExchange) -> list[DriveError]:
         master's heartbeat has ended.
     """
     failures = quick_stop(exchange) if _moves(exchange) else []
-    sag = _Sag(exchange)
-    limit_s = _PATIENCE_S + max(drive.setup.profile.state_machine.transition_timeout_s for drive in exchange.drives)
-    step = _Step(disabling_controlword, lambda axis: exchange.states[axis] in _DOWN, limit_s, limit_s, _DOWN)
+    sag, way = _Sag(exchange), _WayDown(exchange)
+    leave_s = _PATIENCE_S + max(drive.setup.profile.state_machine.transition_timeout_s for drive in exchange.drives)
+    limit_s = leave_s + way.closing_s
+    step = _Step(way.word, True, lambda axis: exchange.states[axis] in _DOWN, leave_s, limit_s, _DOWN)
     later = _run(exchange, step, sag.note)
     told = {(type(error), error.node) for error in failures}
     failures += [error for error in later if (type(error), error.node) not in told]
@@ -168,7 +205,7 @@ def _watch(exchange: SyncExchange, sag: _Sag) -> list[DriveError]:
     until_s = time.monotonic() + _SAG_LONGEST_S
     try:
         for _ in range(math.ceil(_SAG_S / exchange.timing.period_s)):
-            sag.note(_cycle(exchange, disabling_controlword))
+            sag.note(_cycle(exchange, lambda _axis, state: disabling_controlword(state)))
             if min(exchange.silent) >= _SILENT or time.monotonic() > until_s:
                 break
     except Exception as error:
@@ -177,11 +214,12 @@ def _watch(exchange: SyncExchange, sag: _Sag) -> list[DriveError]:
     return []
 
 
-def _cycle(exchange: SyncExchange, word: Callable[[State], int]) -> Epoch:
+def _cycle(exchange: SyncExchange, word: Callable[[int, State], int]) -> Epoch:
     """One SYNC on the way down: every axis is told to stay where it was told to be."""
     for drive in exchange.drives:
         drive.hold(drive.target_count)
-    return exchange.cycle([DISABLE_VOLTAGE if state is None else word(state) for state in exchange.states])
+    states = enumerate(exchange.states)
+    return exchange.cycle([DISABLE_VOLTAGE if state is None else word(axis, state) for axis, state in states])
 
 
 def _run(exchange: SyncExchange, step: _Step, note: Callable[[Epoch], None]) -> list[DriveError]:
@@ -216,11 +254,13 @@ def _by_sdo(exchange: SyncExchange, axis: int, step: _Step) -> list[DriveError]:
             state = _state(drive)
             if state in step.reached:
                 return [] if _seen_at_rest(exchange, axis, step) else [_still_moving(drive)]
-            if state is State.OPERATION_ENABLED and step.word is disabling_controlword:
+            if state is State.OPERATION_ENABLED and step.disables:
                 _tell(drive, QUICK_STOP)
                 _comes_to_rest(drive)
                 state = _state(drive)
-            _tell(drive, step.word(state))
+            if state is State.SWITCHED_ON and step.disables:
+                time.sleep(_closing_s(drive))
+            _tell(drive, disabling_controlword(state) if step.disables else step.word(axis, state))
         what = f"stays in {_state(drive)}"
         advice = "use the emergency stop; then check the drive"
         return [TransitionTimeout(what, node=drive.node_id, index=0x6041, advice=advice)]
@@ -239,7 +279,7 @@ def _state(drive: Cia402Drive) -> State:
 
 def _seen_at_rest(exchange: SyncExchange, axis: int, step: _Step) -> bool:
     """Whether an axis in a state of rest stands, by its answers to SYNC or, without any, by SDO."""
-    if step.word is disabling_controlword or step.done(axis):
+    if step.disables or step.done(axis):
         return True
     if not exchange.silent[axis]:
         return exchange.states[axis] not in step.reached

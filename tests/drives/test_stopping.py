@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import pytest
 
@@ -17,6 +18,7 @@ from drives.errors import (
     DriveFault,
     MasterStalled,
     SeveralFailures,
+    StopAsked,
     TransitionTimeout,
 )
 from drives.group import DriveGroup
@@ -180,6 +182,63 @@ def test_sag_is_measured_from_where_the_drive_last_held_the_axis(group, slaves):
     group.disable()
     assert group.sag_rad == pytest.approx([0, 90 * COUNT_RAD, 0, 0, 7 * COUNT_RAD, 0])
     assert slaves[0].sync_seen - syncs >= 0.3 / PERIOD_S
+
+
+@pytest.mark.parametrize(("closing_s", "syncs"), [(0.1, 10), (0.0, 0), (0.25, 25), (0.101, 11)])
+def test_the_voltage_stays_on_until_the_brake_has_had_its_time_to_close(bus, slaves, setups, closing_s, syncs):
+    """SYNCs and the master's heartbeat go on meanwhile; without the voltage no drive holds the axis."""
+    some = setups(6)
+    machine = some[0].profile.state_machine.model_copy(update={"brake_closing_s": closing_s})
+    some[2] = replace(some[2], profile=some[2].profile.model_copy(update={"state_machine": machine}))
+    with DriveGroup(bus, some, PERIOD_S, "lockstep") as group:
+        group.connect()
+        group.configure()
+        group.enable()
+        for _ in range(5):
+            group.hold()
+        states: list[str] = []
+        slave = slaves[2]
+        plain = slave._sync
+
+        def sync() -> None:
+            plain()
+            states.append(slave.state)
+
+        slave._sync = sync  # type: ignore[method-assign]
+        group.disable()
+        assert states.count("switched on") in (syncs + 1, syncs + 2)  # its state is read one SYNC late
+        assert slave.state == "switch on disabled"
+
+
+def test_the_time_of_a_brake_that_was_never_opened_is_not_waited_for(bus, slaves, setups):
+    asked: list[int] = []
+
+    def stop_asked() -> bool:
+        asked.append(1)
+        return slaves[2].state == "switched on"
+
+    with DriveGroup(bus, setups(6), PERIOD_S, "lockstep") as group:
+        group.connect()
+        group.configure()
+        with pytest.raises(StopAsked):
+            group.enable(stop_asked)
+        words = slaves[2].controlwords
+        assert words[words.index(0x07) :].count(0x07) == 1
+
+
+def test_a_quick_stop_leaves_an_axis_whose_brake_closes_in_switched_on(group, slaves):
+    """What comes next, `disable`, waits for the brake."""
+    move(group, 3)
+    plain = slaves[1]._control
+    slaves[1]._control = lambda word: None if word == 0x0F else plain(word)  # type: ignore[method-assign]
+    slaves[1].state = "switched on"
+    with pytest.raises(DriveFault):
+        move(group)
+    assert slaves[1].state == "switched on"
+    slaves[1].controlwords.clear()
+    group.disable()
+    assert slaves[1].controlwords.count(0x07) == pytest.approx(10, abs=1)
+    assert slaves[1].state == "switch on disabled"
 
 
 def test_one_axis_that_does_not_obey_leaves_the_others_led_down(group, slaves):
