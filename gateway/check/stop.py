@@ -152,13 +152,13 @@ def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof
     options = options or MoveOptions()
     start_rad = opened.arm.where()
     motion = _slowly_from(opened, start_rad)
-    with _moving_slowly(opened, options, motion) as rest:
-        traces = opened.group.fall_silent(rest)
+    with _moving_slowly(opened, options, motion) as (at_speed, slower):
+        traces = opened.group.fall_silent([*at_speed, *slower])
     proof = _judge(opened, traces, float(np.abs(motion.qd_rad_s).max()), _reset_provoked(opened))
     if not proof.passed:
         return proof
-    with _moving_slowly(opened, options, _slowly_from(opened, opened.arm.where())) as rest:
-        stopped = opened.group.prove_quick_stop(rest)
+    with _moving_slowly(opened, options, _slowly_from(opened, opened.arm.where())) as (at_speed, _):
+        stopped = opened.group.prove_quick_stop(at_speed[: len(at_speed) // 2])
     proof = replace(proof, items=(*proof.items, *_quick_stop_items(opened, stopped)), quick_stop=stopped)
     if opened.workspace.inward_way(start_rad) is None:
         go_slowly(opened, options, start_rad)
@@ -171,14 +171,20 @@ def _slowly_from(opened: OpenArm, start_rad: np.ndarray) -> Motion:
 
 
 @contextmanager
-def _moving_slowly(opened: OpenArm, options: MoveOptions, motion: Motion) -> Generator[list[Sequence[DriveCommand]]]:
-    """The arm under power on a slow motion that has reached its speed; yields the commands that go on with it."""
+def _moving_slowly(
+    opened: OpenArm, options: MoveOptions, motion: Motion
+) -> Generator[tuple[list[Sequence[DriveCommand]], list[Sequence[DriveCommand]]]]:
+    """The arm under power on a slow motion at its speed; yields the commands that keep the speed, and those to rest."""
     speed = np.abs(motion.qd_rad_s).max(axis=1)
-    steady = int(np.argmax(speed >= 0.99 * speed.max())) + 1
+    steady = np.flatnonzero(speed >= 0.99 * speed.max()) + 1
+    begin, end = int(steady[0]), int(steady[-1])
     with powered(Stream(motion_station(opened, options))) as stream:
         stream.take_over()
-        stream.move([_rows(motion, slice(0, steady))], "move slowly")
-        yield [opened.arm.command(q) for q in motion.q_rad[steady:]]
+        stream.move([_rows(motion, slice(0, begin))], "move slowly")
+        yield (
+            [opened.arm.command(q) for q in motion.q_rad[begin:end]],
+            [opened.arm.command(q) for q in motion.q_rad[end:]],
+        )
 
 
 def go_slowly(opened: OpenArm, options: MoveOptions, target_rad: np.ndarray) -> None:
