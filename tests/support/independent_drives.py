@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import queue
 import subprocess
@@ -69,6 +70,14 @@ class IndependentDrives:
     def attach(self, mass_kg: float, com_m: Sequence[float]) -> None:
         """Attach a load at the last link [kg, m in its frame]."""
         self.ask(f"load {mass_kg} {' '.join(map(str, com_m))}")
+
+    def stop_speeds(self) -> list[list[float]]:
+        """Of each axis, the speeds of its joint at which quick stops began so far [rad/s]."""
+        return json.loads(self.ask("stops"))
+
+    def read(self, node: int, index: int, subindex: int) -> int:
+        """What an object of a drive holds, past the bus."""
+        return int(self.ask(f"read {node} {index} {subindex}"))
 
     def _wait_for(self, first: str) -> str:
         while not (line := self._said.get(timeout=20.0 * PATIENCE)).startswith(first):

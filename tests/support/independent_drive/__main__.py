@@ -1,12 +1,14 @@
 """Run drives on a bus: python -m tests.support.independent_drive --bus SPEC --node 1,2,3,4,5,6 --variant zero-extended.
 
 Prints `ready`. Commands come as lines: `load MASS X Y Z` and `load none` attach and remove a load at the last link
-[kg, m]; the process ends with its standard input.
+[kg, m]; `stops` prints of each axis the speeds of its joint at which quick stops began [rad/s], as JSON; `read NODE
+INDEX SUB` prints what an object holds. The process ends with its standard input.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
 import threading
@@ -21,7 +23,7 @@ from tests.support.independent_drive.network import NodeNetwork, Timers
 from tests.support.independent_drive.plant import Arm
 
 SYNC = 0x080
-#: Actual values are refreshed as often where no SYNC comes [s].
+#: Actual values of an arm under power are refreshed as often where no SYNC comes [s].
 REFRESH_S = 0.01
 
 
@@ -40,18 +42,21 @@ class Process:
         self._bus, self._timers = bus, Timers()
         set_scheduler(self._timers)
         self.arm = Arm(angles)
-        kind = VARIANTS[variant]
+        self._nodes, kind = nodes, VARIANTS[variant]
         self._drives = [
             Drive(NodeNetwork(bus, node, kind.answer), node, self.arm, number, kind)
             for number, node in enumerate(nodes)
         ]
-        self._synced = False
+        self._synced = self._was_live = False
         self._timers.add(REFRESH_S, self._refresh)
 
     def _refresh(self) -> None:
-        if not self._synced:
+        live = any(axis.powered or not axis.brake_closed for axis in self.arm.axes)
+        if not self._synced and (live or self._was_live):
             self._measure()
-        self._synced = False
+        else:
+            self.arm.advance()
+        self._synced, self._was_live = False, live
         self._timers.add(REFRESH_S, self._refresh)
 
     def _measure(self) -> None:
@@ -87,14 +92,19 @@ class Process:
 
     def _obey(self, line: str) -> None:
         word, *values = line.split()
-        if word != "load":
-            raise ValueError(f"unknown command: {line}")
-        if values == ["none"]:
+        answer = line
+        if word == "stops":
+            speeds = [[round(speed, 5) for speed in drive.stop_speeds] for drive in self._drives]
+            answer = f"stops {json.dumps(speeds)}"
+        elif word == "read":
+            node, index, sub = (int(value, 0) for value in values)
+            answer = f"read {self._drives[self._nodes.index(node)].od.read(index, sub)}"
+        elif values == ["none"]:
             self.arm.load = None
         else:
             mass, x, y, z = map(float, values)
             self.arm.load = (mass, (x, y, z))
-        print(f"load {' '.join(values)}", flush=True)
+        print(answer, flush=True)
 
 
 def main() -> None:

@@ -57,7 +57,7 @@ MOTORS = (
     Motor(60.0, -0.015, 450, 2400, 0.9, 1.6, 2.0),
     Motor(50.0, 0.0, 250, 1900, 0.4, 0.8, 1.0),
 )
-#: Part of the motor's torque that arrives at the joint.
+#: Part of the motor's work that arrives at the joint, and of the joint's work that arrives at the motor.
 EFFICIENCY = 0.9
 COUNTS_PER_REVOLUTION = 1 << 16
 

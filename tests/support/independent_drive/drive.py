@@ -60,6 +60,8 @@ class Drive:
     def __init__(self, network: NodeNetwork, node_id: int, arm: Arm, number: int, variant: Variant) -> None:
         self.arm, self.axis, self.variant = arm, arm.axes[number], variant
         self.state = SWITCH_ON_DISABLED
+        #: Joint speeds at which quick stops began [rad/s].
+        self.stop_speeds: list[float] = []
         self._controlword = self._evaluated = 0
         self._target_is_new = False
         self._lag_s = 0.0
@@ -338,11 +340,12 @@ class Drive:
         self._cancel_power()
         if state == ENABLED:
             rated_nm = self.od.read(0x6076, 0) / 1000.0
-            axis.limit_nm = self.od.read(0x6072, 0) / 1000.0 * rated_nm * abs(axis.motor.ratio) * 0.9
+            axis.limit_nm = self.od.read(0x6072, 0) / 1000.0 * rated_nm * abs(axis.motor.ratio)
             axis.powered = True
             axis.hold()
             self._power_timer = get_scheduler().add(0.03, self._open_brake)
         elif state in (QUICK_STOP, FAULT_REACTION):
+            self.stop_speeds.append(axis.speed)
             if self.od.read(0x605A if state == QUICK_STOP else 0x605E, 0) == 0:
                 self._power_off()
                 self.state = SWITCH_ON_DISABLED if state == QUICK_STOP else FAULT

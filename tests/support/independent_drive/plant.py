@@ -51,7 +51,19 @@ class Axis:
     @property
     def motor_nm(self) -> float:
         """Torque of the motor."""
-        return self.torque / (self.motor.ratio * EFFICIENCY)
+        return self.torque / self.motor.ratio
+
+    @property
+    def resistance(self) -> float:
+        """Torque at the joint that keeps the present speed: weight through the gear, friction.
+
+        A motor that drives a weight has to give 1 / efficiency of it; one that is driven feels the efficiency of it.
+        Which of both it is follows from the direction of the last motion, as friction does.
+        """
+        direction = self.friction / self.motor.coulomb
+        factor = 1.0 / EFFICIENCY if direction * self.weight > 0.0 else EFFICIENCY
+        through_gear = self.weight * (1.0 + abs(direction) * (factor - 1.0))
+        return through_gear + self.friction + self.motor.viscous * self.speed
 
     def hold(self) -> None:
         """The reference is where the axis is."""
@@ -75,9 +87,9 @@ class Axis:
         """One step of STEP_S."""
         if self.brake_closed:
             self.speed = self.acceleration = 0.0
-            self.torque = self.weight + self.friction if self.powered else 0.0
+            self.torque = self.resistance if self.powered else 0.0
             return
-        resistance = self.weight + self.friction + self.motor.viscous * self.speed
+        resistance = self.resistance
         if self.powered:
             if self.ramp:
                 change = self.ramp * STEP_S
