@@ -80,9 +80,9 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo):
     if call.when == "call":
         spent_s = item.stash[STOPWATCH].spent_s()
         report.user_properties.append(("processor_time_s", spent_s))
-        if report.passed and spent_s > FAST_LIMIT_S and not item.get_closest_marker("slow"):
+        if report.passed and spent_s > FAST_LIMIT_S and not _may_be_slow(item):
             limit_s = FAST_LIMIT_S * slowness()
-            if spent_s > limit_s and not _more_examples(item) and sys.gettrace() is None:
+            if spent_s > limit_s and sys.gettrace() is None:
                 report.outcome = "failed"
                 report.longrepr = (
                     f"{item.nodeid} took {spent_s:.1f} s of processor time; a fast test may take {limit_s:.1f} s. "
@@ -91,9 +91,13 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo):
     return report
 
 
-def _more_examples(item: pytest.Item) -> bool:
-    """Whether a property test runs with the many examples of the slow suite."""
-    return item.get_closest_marker("hypothesis") is not None and settings.get_current_profile_name() == "slow"
+def _may_be_slow(item: pytest.Item) -> bool:
+    """Whether a test is outside the fast suite: marked slow, on real vcan, or a property test with many examples.
+
+    Tests on vcan run apart, most often in an emulated processor, whose speed the reference work does not foretell.
+    """
+    many_examples = settings.get_current_profile_name() == "slow" and item.get_closest_marker("hypothesis")
+    return bool(many_examples or item.get_closest_marker("slow") or item.get_closest_marker("vcan"))
 
 
 # How long a thread that was told to end may take.

@@ -240,7 +240,7 @@ def test_what_is_expected_has_to_be_in_the_data(table):
         ("estimate", 1, "kg: was it hung?", "open"),
         ("diagnose", 1, "kg: was it hung?", "open"),
         ("diagnose", 5, "kg: was it hung?", "open"),
-        ("estimate", 4, "which no body has", "bad"),
+        ("estimate", 4, "the data ask for a mass of -0.01", "bad"),
         ("diagnose", 4, "the data ask for a mass of -0.01", "bad"),
     ],
 )
