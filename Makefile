@@ -7,6 +7,9 @@ SIM_STAMP := $(VENV)/.sim-stamp
 PYTHON_OF_VENV := test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || python3 -m venv $(VENV)
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
+# Tests start the programs hundreds of times: without byte code on disk each start compiles them anew.
+export PYTHONDONTWRITEBYTECODE :=
+
 .PHONY: venv demo test test-slow lint docs bench blind blind-nature vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space pages clean
 
 venv: $(STAMP)

@@ -22,13 +22,12 @@ import keyword
 import os
 import signal
 import sys
-import tempfile
-import traceback
 from collections.abc import Sequence
 from typing import Any
 
 import click
 
+from gateway import __version__
 from gateway.errors import IN_BRAKES, NOT_CONFIRMED
 from gateway.motion.stops import SIGNALS, StoppedByPerson, output_closed
 
@@ -225,6 +224,9 @@ def paragraph(error: BaseException) -> str:
 
 def _defect(error: BaseException) -> str:
     try:
+        import tempfile  # these two take as long to load as all else that `--help` needs
+        import traceback
+
         handle, path = tempfile.mkstemp(prefix=f"{PROGRAM}-", suffix=".log")
         with os.fdopen(handle, "w", encoding="utf-8") as log:
             log.write("".join(traceback.format_exception(error)))
@@ -243,7 +245,7 @@ def _defect(error: BaseException) -> str:
 )
 @click.option("-v", "--verbose", count=True, help="Say more; twice for every detail.")
 @click.option("-q", "--quiet", is_flag=True, help="Errors only.")
-@click.version_option(package_name="servo-gateway", prog_name=PROGRAM)
+@click.version_option(__version__, prog_name=PROGRAM)
 @click.pass_context
 def main(ctx: click.Context, verbose: int, quiet: bool) -> None:
     """CANopen master for six-axis robots: what hangs on the flange, how sure that is, and why the residual is there."""

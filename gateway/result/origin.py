@@ -6,10 +6,10 @@ import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from gateway import __version__
 from gateway.errors import InputError
 from gateway.result.values import SILENT
 
@@ -51,10 +51,7 @@ class Origin:
 
 def software() -> str:
     """This program and its version."""
-    try:
-        return f"{PROGRAM} {version(PROGRAM)}"
-    except PackageNotFoundError:
-        return f"{PROGRAM} not installed"
+    return f"{PROGRAM} {__version__}"
 
 
 def in_words(moment: datetime) -> str:

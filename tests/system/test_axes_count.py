@@ -46,7 +46,6 @@ def test_from_the_cell_to_the_report(place, serve, gateway, arm):
     drives = serve()
     bus = ("--bus", drives.bus)
     bare, loaded, plan = (place.folder / name for name in ("bare.h5", "loaded.h5", "plan.json"))
-    ran("check", place.cell, *bus)
     proven = ran("check", place.cell, *bus, "--prove-stop", "--move", "--yes")
     assert f"J{arm.axes}" in proven.output
     ran("plan", place.cell, "--json", plan)

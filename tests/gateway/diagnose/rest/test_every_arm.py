@@ -14,7 +14,7 @@ from sim.nature.cell import NatureCell, draw_cell
 from tests.resting_arm import Bench, effect, found
 from tests.support.rigs.tables import simulated_table
 
-SEEDS = range(7000, 7004)
+SEEDS = (7000, 7001)
 
 
 def diagnosed(cell: NatureCell) -> Result:
