@@ -253,7 +253,7 @@ def test_a_defect_is_told_even_where_no_log_can_be_written(monkeypatch, capsys):
     def full(**_options):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(cli.tempfile, "mkstemp", full)
+    monkeypatch.setattr("tempfile.mkstemp", full)
     assert cli.report_error(ZeroDivisionError("by zero")) == 1
     assert "by zero" in capsys.readouterr().err
 
