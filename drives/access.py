@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NoReturn
@@ -13,6 +14,7 @@ from drives.errors import (
     ConfigurationRefused,
     DriveError,
     DriveFault,
+    ForeignMaster,
     IdentityMismatch,
     SdoAbort,
     SdoError,
@@ -178,7 +180,8 @@ class NodeAccess:
         list of str
             Objects that do not hold their old value, or no longer answer: they stay in the ledger.
         """
-        self._send_back(old)
+        with contextlib.suppress(ForeignMaster):
+            self._send_back(old)
         self._configured.clear()
         left = {address for address, (_, value) in old.items() if self._held(old, address) != value}
         self._ledger.exchange(
@@ -275,6 +278,7 @@ class NodeAccess:
 
     def _send(self, step: Step, options: Transfer = NORMAL) -> None:
         """Write a parameter; where the answer stays away it is read back, and written once more if it is not there."""
+        self.bus.check_free()
         words = (step.index, step.subindex, step.data_type, step.value)
         try:
             self.sdo.write(*words, options)

@@ -19,7 +19,7 @@ import can
 import canopen
 
 from drives.bus_spec import BusSpec
-from drives.errors import BusError
+from drives.errors import BusError, ForeignMaster
 from drives.frame_log import FrameLog
 from drives.reactions import DRIVE_RULES
 
@@ -125,6 +125,8 @@ class Bus:
         self.foreign: Counter[int] = Counter()
         #: All of them.
         self.foreign_count = 0
+        #: `foreign_count` when this bus was found free; None = it was not listened to, or a run watches it itself.
+        self.free_count: int | None = None
         self.bus_off = False
         self.receive_lock = threading.RLock()
         self._adapter = adapter
@@ -209,6 +211,15 @@ class Bus:
         """Raise `BusOff` when the controller has left the bus."""
         if self.bus_off:
             raise DRIVE_RULES["bus_off"].raised(f"{self.spec}: the CAN controller is bus-off")
+
+    def check_free(self) -> None:
+        """Raise `ForeignMaster` when another master has sent a frame since this bus was found free."""
+        if self.free_count is not None and self.foreign_count != self.free_count:
+            number, ids = self.foreign_count - self.free_count, ", ".join(f"{can_id:03X}" for can_id in self.foreign)
+            raise ForeignMaster(
+                f"another master began to send on {self.spec}: {number} frames, ids {ids}; nothing more was written",
+                advice="end the other master, then start again",
+            )
 
     def dispatch(self, frame: Frame) -> None:
         """Hand a frame to its handlers."""

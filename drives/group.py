@@ -94,6 +94,7 @@ class DriveGroup(DriveSetup):
     def _enable(self, exchange: SyncExchange, guard: Guard, way: WayUp) -> Epoch:
         self._for_each(lambda drive: drive.arm(self._master_node_id))
         guard.forgive()
+        self._bus.free_count = None  # from now on the guard watches for other masters
         exchange.restart()
         self._producer.start(exchange.sync_time_s)
         self._running = True
@@ -453,6 +454,7 @@ class DriveGroup(DriveSetup):
                 failures.append(while_stopping(error, drive.node_id))
         self._producer.stop()
         self._running = False
+        self._bus.free_count = self._bus.foreign_count
         return failures
 
     def close(self) -> None:

@@ -21,6 +21,7 @@ from drives.errors import (
     BusOverload,
     ConfigurationRefused,
     DriveError,
+    ForeignMaster,
     NodeMissing,
     raise_failures,
 )
@@ -29,12 +30,10 @@ from drives.guard import Guard, Limits
 from drives.heartbeat import MASTER_NODE_ID, HeartbeatProducer, HeartbeatWatch
 from drives.instrument import Instrument, InstrumentSetup
 from drives.ledger import KnownDevice, LedgerEntry, WriteLedger, without_shared_serials
-from drives.listening import refuse_foreign
+from drives.listening import FREE_S, refuse_foreign
 from drives.reactions import DRIVE_RULES
 from drives.statistics import GroupStatistics, group_statistics
 
-#: Before anything is sent: how long to listen for another master.
-_LISTEN_S: Final = 0.05
 _SHORTEST_SILENCE_S: Final = DRIVE_RULES["heartbeat_lost"].limit
 
 
@@ -192,7 +191,7 @@ class DriveSetup:
     def _find(self) -> tuple[tuple[Identity, ...], list[DriveError]]:
         """Ask every node who it is; what failed of all of them beside that."""
         self._forget()
-        refuse_foreign(self._bus, max(_LISTEN_S, 3.0 * self.timing.period_s), self._master_node_id)
+        refuse_foreign(self._bus, max(FREE_S, 3.0 * self.timing.period_s), self._master_node_id)
         timeout_s = max(setup.profile.sdo.timeout_s for setup in self.setups)
         answers = finding.count_answers(self._bus, [setup.node_id for setup in self.setups], timeout_s)
         self.drives = tuple(Cia402Drive(self._bus, setup, self.ledger) for setup in self.setups)
@@ -275,12 +274,20 @@ class DriveSetup:
     def _failures(
         self, action: Callable[[Cia402Drive], object], beside: Callable[[Instrument], object] = lambda _: None
     ) -> list[DriveError]:
-        """Do something with every drive, then with every instrument; what failed of all of them."""
+        """Do something with every drive, then with every instrument; what failed of all of them.
+
+        Raises
+        ------
+        ForeignMaster
+            At once: nothing more is sent.
+        """
         failures: list[DriveError] = []
         jobs = [partial(action, drive) for drive in self.drives]
         for job in (*jobs, *(partial(beside, instrument) for instrument in self.instruments)):
             try:
                 job()
+            except ForeignMaster:
+                raise
             except DriveError as error:
                 failures.append(error)
         return failures

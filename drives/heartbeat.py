@@ -42,7 +42,8 @@ _STATES: Final = {int(state): state for state in NmtState}
 
 
 def send_nmt(bus: Bus, command: NmtCommand, node_id: int) -> None:
-    """Send an NMT command to one node."""
+    """Send an NMT command to one node; raises `ForeignMaster` as `Bus.check_free`."""
+    bus.check_free()
     bus.send(NMT_ID, bytes([command, node_id]))
 
 

@@ -14,8 +14,8 @@ FREE_S: Final = 0.5
 _MASTER_ONLY: Final = ((SYNC_ID, "SYNC"), (NMT_ID, "NMT commands"))
 
 
-def refuse_foreign(bus: Bus, listen_s: float, master_node_id: int = MASTER_NODE_ID) -> None:
-    """Make sure that no other master is at work on a bus; nothing is sent.
+def refuse_foreign(bus: Bus, listen_s: float = FREE_S, master_node_id: int = MASTER_NODE_ID) -> None:
+    """Make sure that no other master is at work on a bus; nothing is sent. From now on `Bus.check_free` watches it.
 
     Parameters
     ----------
@@ -52,6 +52,7 @@ def refuse_foreign(bus: Bus, listen_s: float, master_node_id: int = MASTER_NODE_
     if heard:
         what = f"another master is at work on {bus.spec}: in {listen_s:g} s it has sent {' and '.join(heard)}"
         raise ForeignMaster(f"{what}; nothing was sent to the drives", advice=advice)
+    bus.free_count = bus.foreign_count
 
 
 def _in_words(frames: Mapping[int, int]) -> list[str]:

@@ -13,7 +13,7 @@ from drives.bus import Bus
 from drives.datasheet.building import read_sheet
 from drives.datasheet.sheet import Sheet
 from drives.errors import IdentityMismatch, SdoAbort
-from drives.finding import LISTEN_S, nmt_states, require_one
+from drives.finding import nmt_states, require_one
 from drives.listening import refuse_foreign
 from drives.objects import OBJECTS, DataType, object_name
 from drives.probe import probe
@@ -123,7 +123,7 @@ def ask_drive(bus: Bus, node_id: int, device: Device) -> Device:
     SdoError
         The drive stops answering.
     """
-    refuse_foreign(bus, LISTEN_S)
+    refuse_foreign(bus)
     state = nmt_states(bus, (node_id,), 0.0)[node_id]
     require_one(node_id, probe(bus, (node_id,))[node_id], state)
     sdo = SdoClient(bus, node_id)

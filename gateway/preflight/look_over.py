@@ -16,7 +16,7 @@ from drives.group import DriveGroup
 from drives.heartbeat import NmtState
 from drives.instrument import InstrumentSetup
 from drives.ledger import KnownDevice, WriteLedger
-from drives.listening import FREE_S, refuse_foreign
+from drives.listening import refuse_foreign
 from drives.objects import OBJECTS, object_name
 from drives.pdo import rpdo_plan, tpdo_plans
 from drives.probe import probe
@@ -189,7 +189,7 @@ def check_arm(
         A master is at work: what is asked beside it stops its arm.
     """
     ledger = ledger or WriteLedger()
-    refuse_foreign(bus, FREE_S)
+    refuse_foreign(bus)
     answers = probe(bus, [config.node_id for config in arm.axis])
     silent = [node_id for node_id, number in answers.items() if number == 0]
     states = nmt_states(bus, silent, LISTEN_S) if silent else {}

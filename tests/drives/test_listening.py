@@ -66,3 +66,42 @@ def test_drives_are_not_taken_from_another_master(bus, add_slaves, setups, wire,
     with DriveGroup(bus, setups(6), 0.01) as group, pytest.raises(ForeignMaster):
         group.connect()
     assert wire.sent == []
+
+
+@pytest.mark.parametrize("pacing", ["lockstep", "real"])
+def test_a_master_with_a_sync_of_100_ms_is_heard_before_a_group_sends_anything(bus, add_slaves, setups, wire, pacing):
+    add_slaves(6)
+    for number in range(20):
+        wire.emit(*SYNC, delay_s=0.08 + 0.1 * number)
+    with DriveGroup(bus, setups(6), 0.01, pacing) as group, pytest.raises(ForeignMaster, match="has sent [45] SYNC"):
+        group.connect()
+    assert wire.sent == []
+
+
+@pytest.mark.parametrize("frame", [SYNC, START, UPLOAD])
+def test_once_a_master_appears_nothing_more_is_written_or_commanded(bus, add_slaves, setups, wire, frame):
+    slaves = add_slaves(6)
+    with DriveGroup(bus, setups(6), 0.01) as group:
+        group.connect()
+        wire.emit(*frame)
+        with pytest.raises(ForeignMaster, match=f"began to send.*{frame[0]:03X}; nothing more was written"):
+            group.configure()
+        sent = list(wire.sent)
+    assert not any(slave.written for slave in slaves)
+    assert not [frame for frame in wire.sent if frame[0] == 0], "no NMT command"
+    assert wire.sent == sent, "nor while closing"
+
+
+def test_a_master_that_appears_while_the_arm_waits_in_its_brakes_is_heard_before_it_is_enabled(
+    bus, add_slaves, setups, wire
+):
+    slaves = add_slaves(2)
+    with DriveGroup(bus, setups(2), 0.01) as group:
+        group.connect()
+        group.configure()
+        group.enable()
+        group.disable()
+        wire.emit(*SYNC)
+        with pytest.raises(ForeignMaster, match="began to send"):
+            group.enable()
+        assert not any(slave.state == "operation enabled" for slave in slaves)

@@ -14,6 +14,7 @@ from drives.errors import (
 from drives.finding import nmt_states
 from drives.group import DriveGroup
 from drives.heartbeat import NmtState
+from drives.listening import FREE_S
 from drives.profile_file import load_profile
 from drives.values import AxisSetup
 
@@ -52,7 +53,7 @@ def test_a_slave_that_aborts_a_written_inhibit_time(bus, slaves, setups, pacing)
 
 @BOTH
 def test_a_slave_that_refuses_start_until_its_communication_error_is_gone(bus, slaves, setups, wire, pacing):
-    slaves[1].communication_error_until_s = wire.now_s + 1.2
+    slaves[1].communication_error_until_s = wire.now_s + FREE_S + 1.2
     enabled(bus, setups(2), pacing).close()
     started = [data for can_id, data in wire.sent if can_id == 0 and data == b"\x01\x02"]
     assert 2 <= len(started) <= 8
@@ -75,7 +76,7 @@ def says_why(slave, wire, clears):
 
 @BOTH
 def test_a_refused_start_that_was_said_to_be_over_is_no_reason_to_stop(bus, slaves, setups, wire, pacing):
-    slaves[1].communication_error_until_s = wire.now_s + 0.5
+    slaves[1].communication_error_until_s = wire.now_s + FREE_S + 0.5
     says_why(slaves[1], wire, clears=True)
     group = enabled(bus, setups(2), pacing)
     assert [each.code for each in group.statistics.emcy][-2:] == [0x8100, 0]
@@ -83,7 +84,7 @@ def test_a_refused_start_that_was_said_to_be_over_is_no_reason_to_stop(bus, slav
 
 
 def test_a_refused_start_that_was_not_said_to_be_over_is(bus, slaves, setups, wire):
-    slaves[1].communication_error_until_s = wire.now_s + 0.5
+    slaves[1].communication_error_until_s = wire.now_s + FREE_S + 0.5
     says_why(slaves[1], wire, clears=False)
     with pytest.raises(DriveFault, match="0x8100") as caught:
         enabled(bus, setups(2))
@@ -93,7 +94,7 @@ def test_a_refused_start_that_was_not_said_to_be_over_is(bus, slaves, setups, wi
 @pytest.mark.parametrize("profile", ["generic-cia402", "kollmorgen-akd-x00606"])
 def test_a_slave_that_never_starts_is_named_with_its_state(bus, slaves, wire, profile):
     """With a heartbeat that the profile asks for, and without one: by its silence at SYNC."""
-    slaves[1].communication_error_until_s = wire.now_s + 1e9
+    slaves[1].communication_error_until_s = wire.now_s + FREE_S + 1e9
     for slave in slaves:
         slave.values[0x1018, 1] = 0x6A
         slave.values[0x1017, 0] = 100
