@@ -149,7 +149,7 @@ class HeartbeatLost(DriveFault):
 
 
 class NotOperational(DriveError):  # noqa: N818 - reads as what happened
-    """A node does not go to NMT state OPERATIONAL, however often it is told to."""
+    """A node does not go to NMT state OPERATIONAL, however often it is told to, or leaves it while axes are enabled."""
 
 
 class StopAsked(DriveError):  # noqa: N818 - reads as what happened

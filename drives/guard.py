@@ -75,16 +75,20 @@ class Guard:
         self._late_before = self._exchange.collector.counts.late
 
     def forgive_cleared(self) -> None:
-        """Forget emergencies since `forgive` whose senders have said since that all is well."""
+        """Every node has started: forget what it was before, and emergencies that were said to be over since."""
         self._symptoms.forgive_cleared()
+        self._watch.left.clear()
 
     def check(self, epoch: Epoch) -> None:
         """All checks of an exchange in which every axis shall be enabled.
 
         Raises
         ------
-        DriveFault, DriveRebooted, HeartbeatLost, IncompleteEpochs, ForeignMaster, BusOff, SeveralFailures
+        DriveFault, DriveRebooted, NotOperational, HeartbeatLost, IncompleteEpochs, ForeignMaster, BusOff,
+        SeveralFailures
         """
+        if self._watch.left:
+            self.check_operational()
         if self._watch.booted or self._bus.bus_off or self._bus.foreign_count != self._foreign_seen:
             self.check_bus()
         if self.excused:
@@ -123,6 +127,16 @@ class Guard:
         for failure in error.failures if isinstance(error, SeveralFailures) else (error,):
             if isinstance(failure, DriveFault) and failure.node is not None:
                 failure.what += self.last_words(failure.node)
+
+    def check_operational(self) -> None:
+        """Nodes that left the NMT state OPERATIONAL."""
+        states, rule = self._watch.states, DRIVE_RULES["left_operational"]
+        raise_failures(
+            [
+                rule.raised(f"left OPERATIONAL: its heartbeat shows {str(states[node]).upper()}", node=node)
+                for node in sorted(self._watch.left)
+            ]
+        )
 
     def check_silence(self) -> None:
         """Axes that leave too many SYNCs unanswered."""

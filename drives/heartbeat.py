@@ -114,6 +114,8 @@ class HeartbeatWatch:
         self.states: dict[int, NmtState | None] = dict.fromkeys(node_ids)
         #: Nodes that booted since `forgive` was called.
         self.booted: set[int] = set()
+        #: Nodes whose heartbeat showed that they left OPERATIONAL since then.
+        self.left: set[int] = set()
         self._limits_s = dict(zip(node_ids, limits_s, strict=True))
         self._last_s: dict[int, tuple[float, float]] = {}
         self._sync_time_s = sync_time_s or time.monotonic
@@ -132,6 +134,8 @@ class HeartbeatWatch:
             return
         node_id = can_id - HEARTBEAT_BASE
         state = _STATES.get(data[0] & 0x7F)
+        if self.states[node_id] is NmtState.OPERATIONAL and state in (NmtState.PREOPERATIONAL, NmtState.STOPPED):
+            self.left.add(node_id)
         self.states[node_id] = state
         if state is NmtState.BOOT_UP:
             self.booted.add(node_id)
@@ -140,8 +144,9 @@ class HeartbeatWatch:
             self._last_s[node_id] = (time.monotonic(), self._sync_time_s())
 
     def forgive(self) -> None:
-        """Forget boot-ups and start every timer afresh at the next heartbeat."""
+        """Forget boot-ups and changes of state, and start every timer afresh at the next heartbeat."""
         self.booted.clear()
+        self.left.clear()
         self._last_s.clear()
 
     def lost(self) -> tuple[int, ...]:

@@ -24,6 +24,7 @@ from drives.errors import (
     HeartbeatLost,
     IncompleteEpochs,
     MasterStalled,
+    NotOperational,
 )
 
 Reaction = Literal["stop", "along the path", "retry", "count"]
@@ -84,6 +85,14 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
     {
         "left_enabled": Rule("a drive leaves OPERATION ENABLED by itself", "stop", 1, _ONE, _FIND, DriveFault),
         "emergency": Rule("an emergency message", "stop", 1, "message", _FIND, DriveFault),
+        "left_operational": Rule(
+            "a drive's heartbeat shows that it left the NMT state OPERATIONAL",
+            "stop",
+            1,
+            "heartbeat",
+            "all axes were stopped; see its error register 0x1001, and look for another master that sends NMT commands",
+            NotOperational,
+        ),
         "silent": Rule(
             "a drive leaves SYNCs unanswered",
             "stop",
@@ -117,6 +126,15 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             2,
             _ROW,
             "all axes were stopped; a panel or tool has taken it: release it there",
+            DriveFault,
+            0.03,
+        ),
+        "not_following": Rule(
+            "a drive does not follow its target (statusword bit 12, which it showed before, is cleared)",
+            "stop",
+            2,
+            _ROW,
+            "all axes were stopped; see what in the drive overrides the target: halt, limit switch, its own mode",
             DriveFault,
             0.03,
         ),

@@ -7,9 +7,10 @@ repeats an old answer gives numbers that must not be believed.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import Final
 
-from drives.cia402 import FOLLOWING_ERROR, INTERNAL_LIMIT, REMOTE
+from drives.cia402 import FOLLOWING_ERROR, FOLLOWS_COMMAND, INTERNAL_LIMIT, REMOTE
 from drives.emcy import EmcyLog
 from drives.epoch import Epoch
 from drives.errors import DriveError, raise_failures
@@ -35,6 +36,7 @@ _BITS: Final = (
     (INTERNAL_LIMIT, INTERNAL_LIMIT, DRIVE_RULES["internal_limit"]),
     (FOLLOWING_ERROR, FOLLOWING_ERROR, DRIVE_RULES["following_error"]),
     (REMOTE, 0, DRIVE_RULES["not_remote"]),
+    (FOLLOWS_COMMAND, 0, DRIVE_RULES["not_following"]),
 )
 
 
@@ -54,6 +56,8 @@ class Symptoms:
         timing = exchange.timing
         self._bits_in_a_row = DRIVE_RULES["internal_limit"].syncs(timing.period_s, timing.pacing)
         self._odd: list[int] = []
+        #: Expected bits by axis. Not every drive sets bit 12 in a cyclic mode: it is expected once it was seen.
+        self._good: list[int] = []
         self._same: list[int] = []
         self._last: list[tuple[int, int] | None] = []
         #: By the clock: questions by SDO that are on their way, and how often they were asked.
@@ -66,6 +70,7 @@ class Symptoms:
         self._heard = self._emcy.count
         axes = len(self._exchange.drives)
         self._odd, self._same, self._last = [0] * axes, [0] * axes, [None] * axes
+        self._good = [_GOOD] * axes
         self._open.clear()
 
     def forgive_cleared(self) -> None:
@@ -89,12 +94,14 @@ class Symptoms:
         for axis, reading in enumerate(epoch.readings):
             if reading is None:
                 continue
-            if reading.statusword & _MASK != _GOOD:
+            good = self._good[axis]
+            if reading.statusword & (_MASK | good) != good:
                 self._odd[axis] += 1
                 if self._odd[axis] >= self._bits_in_a_row:
-                    raise_failures(_odd_bits(epoch))
+                    raise_failures(_odd_bits(epoch, self._good))
             elif self._odd[axis]:
                 self._odd[axis] = 0
+            self._good[axis] |= reading.statusword & FOLLOWS_COMMAND
             answer = (reading.position_count, reading.torque_word)
             if answer != self._last[axis]:
                 self._last[axis] = answer
@@ -175,12 +182,13 @@ class Symptoms:
         )
 
 
-def _odd_bits(epoch: Epoch) -> list[DriveError]:
+def _odd_bits(epoch: Epoch, expected: Sequence[int]) -> list[DriveError]:
     failures: list[DriveError] = []
-    for reading in epoch.readings:
-        if reading is None or reading.statusword & _MASK == _GOOD:
+    for reading, good in zip(epoch.readings, expected, strict=True):
+        if reading is None or reading.statusword & (_MASK | good) == good:
             continue
-        first, *others = [rule for mask, value, rule in _BITS if reading.statusword & mask == value]
+        bits = [each for each in _BITS if each[0] & (_MASK | good)]
+        first, *others = [rule for mask, value, rule in bits if reading.statusword & mask == value]
         what = "; ".join(rule.what for rule in (first, *others))
         more = "; ".join(rule.advice for rule in others)
         failures.append(first.raised(what, node=reading.node_id, index=0x6041, code=reading.statusword, more=more))

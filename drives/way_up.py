@@ -91,6 +91,7 @@ class WayUp:
             before = list(states)
             epoch = exchange.cycle(words)
             self._guard.check_bus()
+            self._guard.check_operational()
             self._guard.check_silence()
             self._refuse_backward(before)
             self.check(epoch)

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from sim.fake_drive import FakeDrive
 from sim.faults import Fault
-from sim.node import EMCY_OFF, STOPPED
+from sim.node import EMCY_OFF, PRE_OPERATIONAL, STOPPED
 from sim.objects import VALUE_RANGE, Address
 from sim.server import BusServer
 from sim.states import PdsState
@@ -50,8 +50,8 @@ def _power_cycle(drive: FakeDrive, _fault: Fault) -> None:
     drive.node.boot()
 
 
-def _nmt_stopped(drive: FakeDrive, _fault: Fault) -> None:
-    drive.node.enter(STOPPED)
+def _leaves_operational(state: int) -> Callable[[FakeDrive, Fault], None]:
+    return lambda drive, _fault: drive.node.enter(state)
 
 
 def _faulted(drive: FakeDrive, fault: Fault) -> None:
@@ -205,7 +205,8 @@ ACTIONS: dict[str, Callable[[FakeDrive, Fault], None]] = {
     "node_killed": _killed,
     "node_missing": _killed,
     "power_cycle": _power_cycle,
-    "nmt_stopped": _nmt_stopped,
+    "nmt_stopped": _leaves_operational(STOPPED),
+    "nmt_preoperational": _leaves_operational(PRE_OPERATIONAL),
     "drive_fault": _faulted,
     "fault_at_start": _faulted,
     "quick_stop": _quick_stop,

@@ -96,7 +96,8 @@ KINDS: dict[str, Kind] = {
     "node_killed": Kind("drive", "stops", 6, "the drive is without power"),
     "power_cycle": Kind("drive", "stops", 2, "the drive starts anew in the middle of a run"),
     "boot_up_frame": Kind("wire", "stops", 2, "a boot-up frame in the middle of a run"),
-    "nmt_stopped": Kind("drive", "stops", 6, "the drive leaves OPERATIONAL"),
+    "nmt_stopped": Kind("drive", "stops", 2, "the drive goes to NMT state STOPPED"),
+    "nmt_preoperational": Kind("drive", "stops", 2, "the drive falls back to PRE-OPERATIONAL"),
     # EMCY
     "emcy": Kind("wire", "stops", 2, "an emergency message"),
     "emcy_short": Kind("wire", "stops", 2, "an emergency message of two bytes"),
@@ -108,6 +109,7 @@ KINDS: dict[str, Kind] = {
     "internal_limit": Kind("wire", "stops", 2, "statusword bit 11: a limit of the drive acts"),
     "following_error": Kind("wire", "stops", 2, "statusword bit 13: following error"),
     "safe_torque_off": Kind("drive", "stops", 2, "the safety circuit takes the torque away"),
+    "not_following": Kind("wire", "stops", 2, "statusword bit 12 falls: the drive ignores its target"),
     "not_remote": Kind("wire", "stops", 2, "statusword bit 9 falls: a panel has taken the drive"),
     "warning": Kind("wire", "goes on", 1, "statusword bit 7: warning"),
     "brake_engaged": Kind("drive", "stops", 100, "the holding brake falls in under power"),

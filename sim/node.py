@@ -188,6 +188,7 @@ class SlaveNode(canopen.LocalNode):
         """Go to an NMT state."""
         old, self.state = self.state, state
         if old != state:
+            self._beat_s.clear()  # the next heartbeat is due at once
             self.on_nmt(old, state)
 
     # --------------------------------------------------------------------------------------------------- heartbeats

@@ -19,7 +19,13 @@ BURST_S = 0.025
 #: Rounding of times that are sums of many periods [s].
 HAIR_S = 1e-6
 #: Statusword bits.
-BITS: Final = {"internal_limit": 1 << 11, "following_error": 1 << 13, "warning": 1 << 7, "not_remote": 1 << 9}
+BITS: Final = {
+    "internal_limit": 1 << 11,
+    "following_error": 1 << 13,
+    "warning": 1 << 7,
+    "not_remote": 1 << 9,
+    "not_following": 1 << 12,
+}
 
 
 class Wire(Protocol):
@@ -185,7 +191,7 @@ def _status_bit(wire: Wire, armed: Armed, frame: can.Message) -> list[can.Messag
         return None
     word = struct.unpack_from("<H", frame.data)[0]
     bit = BITS[armed.fault.kind]
-    word = word & ~bit if armed.fault.kind == "not_remote" else word | bit
+    word = word & ~bit if armed.fault.kind.startswith("not_") else word | bit
     return [_frame(frame.arbitration_id, struct.pack("<H", word) + bytes(frame.data[2:]))]
 
 
@@ -274,6 +280,7 @@ RULES: Final[dict[str, tuple[tuple[int, ...], Rule]]] = {
     "internal_limit": ((TPDO1,), _status_bit),
     "following_error": ((TPDO1,), _status_bit),
     "not_remote": ((TPDO1,), _status_bit),
+    "not_following": ((TPDO1,), _status_bit),
     "warning": ((TPDO1,), _status_bit),
     "torque_spike": ((TPDO1,), _spike),
 }

@@ -17,6 +17,7 @@ from gateway.model.information import axis_information, expected_std, informatio
 from gateway.motion.assumed import NOISE_SOURCE, assumed_noise_nm, reference_load
 from gateway.motion.places import angles
 from gateway.motion.workspace import Workspace, workspace_of
+from gateway.preflight.limits import refuse_beyond_counts
 
 #: Other choices that are tried if no path leads to some chosen pose.
 CHOICES = 5
@@ -44,6 +45,7 @@ def make_plan(loaded: LoadedCell, n_poses: int | None = None, seed: int | None =
         No such poses, no path between them, or a limit that is broken.
     """
     config = arm_named(loaded, arm)
+    refuse_beyond_counts(loaded, config)
     workspace = workspace_of(config, arm_robot(loaded, config))
     poses = loaded.cell.poses
     if poses.file is not None:

@@ -35,6 +35,7 @@ from gateway.motion.assumed import NOISE_SOURCE, assumed_noise_nm, reference_loa
 from gateway.motion.places import angles
 from gateway.motion.torque_need import links_with_loads
 from gateway.motion.workspace import Workspace, workspace_of
+from gateway.preflight.limits import refuse_beyond_counts
 
 __all__ = ["MovingRequest", "check_moving_plan", "make_moving_plan", "read_moving_plan"]
 
@@ -109,6 +110,7 @@ def make_moving_plan(loaded: LoadedCell, arm: str | None, request: MovingRequest
     """
     _check_request(request)
     config = arm_named(loaded, arm)
+    refuse_beyond_counts(loaded, config)
     robot = arm_robot(loaded, config)
     workspace = workspace_of(config, robot)
     known = axis_constants(config, read_identified(loaded, config, robot))

@@ -8,12 +8,17 @@ from typing import Final
 import numpy as np
 
 from drives.objects import OBJECTS
-from gateway.cell.config import ArmConfig
+from drives.profile import Constant
+from drives.profile_file import find_profile
+from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.cell.conversion import AxisConversion
+from gateway.errors import PlanRefused
 from gateway.preflight.rules import Axis, CheckItem, Lines, Readings, counts_per_revolution, value_of
 
 #: A following error window wider than so many of the cell's limits protects nothing.
 WIDE: Final = 4.0
+_I32_MAX: Final = 0x7FFFFFFF
+_NARROW: Final = "narrow position_limit_rad to that, or lower the resolution of positions in the drive (0x608F)"
 #: Brings a joint inside its range; who knows the cell file writes its name for CELL.
 MOVE_HOME: Final = "servo-gateway move CELL --to home"
 
@@ -53,6 +58,7 @@ def judge_ranges(axis: Axis, arm: ArmConfig, readings: Readings) -> list[CheckIt
     if counts_per_revolution(axis.profile, readings) is None:
         return lines.items
     _following(lines, readings)
+    _representable(lines, arm, readings)
     if arm.coupling is None:
         _software_limits(lines, arm, readings)
         _position_range(lines, arm, readings)
@@ -87,6 +93,55 @@ def _position_range(lines: Lines, arm: ArmConfig, readings: Readings) -> None:
     if drive is not None:
         advice = "the position jumps to the other end of this range there: widen it, or narrow position_limit_rad"
         _covers(lines, "position_range_min", drive, advice)
+
+
+def _representable(lines: Lines, arm: ArmConfig, readings: Readings) -> None:
+    turn = counts_per_revolution(lines.axis.profile, readings)
+    said = None if turn is None else beyond_counts(arm, lines.axis.joint, turn)
+    if said is not None:
+        lines.add("fail", OBJECTS["target_position"].address, said, _NARROW)
+
+
+def beyond_counts(arm: ArmConfig, joint: int, turn: float) -> str | None:
+    """Why positions between the limits of a joint do not fit the 32 bits of target and actual position; None = they do.
+
+    Parameters
+    ----------
+    arm : ArmConfig
+    joint : int
+        From 1; of a coupled arm the motor of this number, whichever joints turn it.
+    turn : float
+        Position counts of one motor revolution.
+    """
+    axes = AxisConversion.from_arm(arm)
+    low, high = np.array([axis.position_limit_rad for axis in arm.axis]).T
+    middle = axes.motor_position(0.5 * (low + high))
+    half = np.abs(axes.ratio) * (np.abs(axes.coupling) @ (0.5 * (high - low)))
+    ends = (middle + np.outer((-1.0, 1.0), half))[:, joint - 1] * turn / (2 * math.pi)
+    most = max(ends, key=abs)
+    if abs(most) <= _I32_MAX:
+        return None
+    beyond = f"{most:.0f} counts, a position has 32 bits: -{_I32_MAX} to {_I32_MAX} counts"
+    if arm.coupling is not None:
+        return f"the limits of the coupled joints let this motor go to {beyond}"
+    at_rad, *fitting = (_joint_rad(arm, joint, counts / turn) for counts in (most, -_I32_MAX, _I32_MAX))
+    return f"J{joint} at {at_rad:.3f} rad is at {beyond}, {min(fitting):.3f} to {max(fitting):.3f} rad"
+
+
+def refuse_beyond_counts(loaded: LoadedCell, arm: ArmConfig) -> None:
+    """See that paths inside the joint limits fit the 32 bits of a position, where the profile gives the resolution.
+
+    Raises
+    ------
+    PlanRefused
+    ProfileError
+        A profile cannot be read.
+    """
+    for joint, axis in enumerate(arm.axis, start=1):
+        counts = find_profile(axis.profile, loaded.folder).position.counts_per_revolution
+        said = beyond_counts(arm, joint, counts.value) if isinstance(counts, Constant) else None
+        if said is not None:
+            raise PlanRefused(f"arm '{arm.name}', J{joint} node {axis.node_id}: {said}; {_NARROW}")
 
 
 def _covers(lines: Lines, name: str, drive: tuple[float, float], advice: str) -> None:

@@ -21,6 +21,7 @@ from drives.errors import (
     IdentityMismatch,
     IncompleteEpochs,
     NodeMissing,
+    NotOperational,
     SdoTimeout,
     SeveralFailures,
     TransitionTimeout,
@@ -482,6 +483,22 @@ def test_a_master_that_paused_does_not_call_a_heartbeat_lost(group, slaves, wire
     for _ in range(50):
         group.hold()
     assert group.enabled
+
+
+def test_a_drive_that_leaves_operational_stops_all_axes_at_its_next_heartbeat(group, slaves, wire):
+    group.enable()
+    for slave in slaves:
+        slave.heartbeat()
+    group.hold()
+    slaves[1].nmt = 127
+    slaves[1].heartbeat()
+    sent = len(wire.sent)
+    with pytest.raises(NotOperational, match="node 2: left OPERATIONAL: its heartbeat shows PREOPERATIONAL"):
+        group.hold()
+    words = [data[0] for can_id, data in wire.sent[sent:] if can_id == 0x201]
+    assert words[:2] == [0x0F, 0x02], "one SYNC more, then the quick stop"
+    assert not group.enabled
+    assert {slave.state for slave in slaves} <= {"quick stop", "switch on disabled"}
 
 
 def test_an_adapter_that_dies_in_a_run_is_one_error_in_bounded_time(group, slaves, wire):

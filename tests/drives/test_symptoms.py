@@ -85,6 +85,24 @@ def test_a_bit_that_stands_stops_and_one_that_flickers_does_not(rig: Rig, word: 
     assert stopped.value.code == word
 
 
+FOLLOWS = ENABLED | 1 << 12
+
+
+def test_a_drive_that_no_longer_follows_its_target_is_a_reason_to_stop(rig: Rig) -> None:
+    for number in range(10):
+        rig.check((ENABLED if number % 2 else FOLLOWS, number, 0), (FOLLOWS, number, 0))
+    with pytest.raises(DriveFault, match=r"node 2.*does not follow its target \(statusword bit 12") as stopped:
+        rig.checks(*(((FOLLOWS, number, 0), (ENABLED, number, 0)) for number in range(BITS_IN_A_ROW)))
+    assert stopped.value.code == ENABLED
+
+
+def test_a_drive_that_never_shows_bit_12_is_not_expected_to(rig: Rig) -> None:
+    rig.checks(*(((ENABLED, number, 0), (ENABLED, number, 0)) for number in range(20)))
+    rig.check((FOLLOWS, 20, 0), (FOLLOWS, 20, 0))
+    rig.symptoms.forgive()
+    rig.checks(*(((ENABLED, number, 0), (ENABLED, number, 0)) for number in range(20)))
+
+
 def test_a_warning_is_no_reason_to_stop(rig: Rig) -> None:
     for number in range(10):
         rig.check((ENABLED | 1 << 7, number, 0), (ENABLED, number, 0))

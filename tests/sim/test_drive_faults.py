@@ -74,6 +74,7 @@ Effect = Callable[[Bench], bool]
 EFFECTS: dict[str, Effect] = {
     "node_killed": lambda bench: bench.drive.node.silent and at_rest_in_its_brake(bench),
     "power_cycle": lambda bench: bench.drive.node.state == PRE_OPERATIONAL and at_rest_in_its_brake(bench),
+    "nmt_preoperational": lambda bench: bench.drive.node.state == PRE_OPERATIONAL and at_rest_in_its_brake(bench),
     "nmt_stopped": lambda bench: bench.drive.node.state == STOPPED and at_rest_in_its_brake(bench),
     "drive_fault": lambda bench: bench.state is PdsState.FAULT and at_rest_in_its_brake(bench),
     "fault_at_start": lambda bench: bench.state is PdsState.FAULT and at_rest_in_its_brake(bench),

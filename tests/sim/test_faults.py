@@ -17,7 +17,7 @@ from sim.faulty_wire import FaultyWire
 from sim.wire_rules import RULES, invented
 
 NODES = (1, 2, 3)
-STATUS = 0x0237
+STATUS = 0x1237
 
 
 class Rig:
@@ -106,7 +106,13 @@ def test_stuck_answers_repeat_the_first_one(rig: Rig) -> None:
 
 @pytest.mark.parametrize(
     ("kind", "bit", "value"),
-    [("internal_limit", 11, 1), ("following_error", 13, 1), ("warning", 7, 1), ("not_remote", 9, 0)],
+    [
+        ("internal_limit", 11, 1),
+        ("following_error", 13, 1),
+        ("warning", 7, 1),
+        ("not_remote", 9, 0),
+        ("not_following", 12, 0),
+    ],
 )
 def test_bits_of_the_statusword(rig: Rig, kind: str, bit: int, value: int) -> None:
     rig.wire.arm(Fault(kind, node=2, at_sync=1))

@@ -2,6 +2,7 @@
 
 import math
 import re
+import shutil
 
 import pytest
 
@@ -9,7 +10,10 @@ from drives.instrument import InstrumentSetup
 from drives.objects import OBJECTS
 from drives.profile_file import load_profile, parse_profile
 from drives.values import Identity
-from gateway.cell.config import ArmConfig, BusConfig
+from gateway.acquire.planning import make_plan
+from gateway.cell.config import ArmConfig, BusConfig, LoadedCell
+from gateway.errors import PlanRefused
+from gateway.excite.planning import MovingRequest, make_moving_plan
 from gateway.preflight.limits import judge_limits
 from gateway.preflight.look_over import addresses, judge_bus_load, live_addresses
 from gateway.preflight.rules import Axis, judge_axis, judge_identity, judge_settings, judge_state
@@ -337,3 +341,48 @@ def test_an_encoder_resolution_over_several_revolutions_is_used_by_the_profile_o
     ]
     assert [item.severity for item in found] == ([] if severity is None else [severity])
     assert all(item.advice for item in found)
+
+
+HIGH_RESOLUTION = 1 << 26
+
+
+@pytest.mark.parametrize("limit_rad", [[-2.0, 1.0], [-1.0, 2.0]])
+def test_positions_that_leave_32_bits_inside_the_joint_limits_are_refused(limit_rad):
+    config = arm(position_limit_rad=limit_rad, gear_ratio={"value": 120, "source": "datasheet"})
+    items = judge_limits(axis(config), config, readings(encoder_increments=HIGH_RESOLUTION))
+    found = next(item for item in worst(items) if "607A:00" in item.where)
+    assert re.search(r"J1 at -?2\.000 rad is at -?2563369\d\d\d counts.*-1\.676 to 1\.676 rad", found.what)
+    assert "position_limit_rad" in found.advice
+
+
+def test_positions_that_fit_32_bits_are_not_refused():
+    config = arm(position_limit_rad=[-1.6, 1.6], gear_ratio={"value": 120, "source": "datasheet"})
+    items = judge_limits(axis(config), config, readings(encoder_increments=HIGH_RESOLUTION))
+    assert not [item for item in worst(items) if "607A:00" in item.where]
+
+
+def test_a_motor_that_coupled_joints_drive_beyond_32_bits_is_refused():
+    config = arm(position_limit_rad=[-1.0, 1.0], gear_ratio={"value": 120, "source": "datasheet"})
+    mixed = [[1.0 if row == column else 0.0 for column in range(6)] for row in range(6)]
+    mixed[0][1] = 0.5
+    config = config.model_copy(update={"coupling": tuple(map(tuple, mixed))})
+    items = judge_limits(axis(config), config, readings(encoder_increments=HIGH_RESOLUTION))
+    assert "coupled joints" in next(item for item in worst(items) if "607A:00" in item.where).what
+
+
+@pytest.mark.parametrize("planned", [make_plan, lambda loaded: make_moving_plan(loaded, None, MovingRequest())])
+def test_a_plan_that_would_leave_32_bits_is_refused_where_the_profile_gives_the_resolution(
+    small_cell, tmp_path, planned
+):
+    config = small_cell.cell.arm[0]
+    text = PROFILE.text.replace('eds = "generic-cia402.eds"\n', "")
+    text = re.sub(
+        r"(?m)^counts_per_revolution = .*$", f'counts_per_revolution = {{ value = {1 << 26}, source = "sheet" }}', text
+    )
+    (tmp_path / "fine.toml").write_text(text)
+    shutil.copy(small_cell.folder / config.robot, tmp_path / config.robot)
+    axes = (config.axis[0], config.axis[1].model_copy(update={"profile": "fine"}), *config.axis[2:])
+    cell = small_cell.cell.model_copy(update={"arm": (config.model_copy(update={"axis": axes}),)})
+    loaded = LoadedCell(cell=cell, text=small_cell.text, folder=tmp_path)
+    with pytest.raises(PlanRefused, match=r"J2 node 2: J2 at -?\d\.\d+ rad is at -?\d{10,} counts.*32 bits"):
+        planned(loaded)

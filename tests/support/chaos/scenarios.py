@@ -58,6 +58,7 @@ DETAILS: dict[str, dict[str, Any]] = {
     "internal_limit": {"syncs": 0},
     "following_error": {"syncs": 0},
     "not_remote": {"syncs": 0},
+    "not_following": {"syncs": 0},
     "warning": {"syncs": 20},
     "torque_spike": {"syncs": 0, "code": 1500},
     "brake_slips": {"syncs": 0, "speed_rad_s": 0.05},

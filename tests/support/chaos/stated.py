@@ -130,7 +130,10 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         "node_killed": Stated(IncompleteEpochs, _SILENT, "silent"),
         "power_cycle": Stated(DriveRebooted, "booted during the run", "booted"),
         "boot_up_frame": Stated(DriveRebooted, "booted during the run", "booted"),
-        "nmt_stopped": Stated(IncompleteEpochs, _SILENT, "silent"),
+        "nmt_stopped": Stated(NotOperational, "left OPERATIONAL: its heartbeat shows STOPPED", "left_operational"),
+        "nmt_preoperational": Stated(
+            NotOperational, "left OPERATIONAL: its heartbeat shows PREOPERATIONAL", "left_operational"
+        ),
         # EMCY
         "emcy": Stated(DriveFault, _EMERGENCY, "emergency"),
         "emcy_short": Stated(DriveFault, _EMERGENCY, "emergency"),
@@ -142,6 +145,7 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         "internal_limit": Stated(DriveFault, "a limit inside the drive acts", "internal_limit"),
         "following_error": Stated(DriveFault, "following error in the drive", "following_error"),
         "safe_torque_off": Stated(DriveFault, "left OPERATION ENABLED: SWITCH ON DISABLED", "left_enabled"),
+        "not_following": Stated(DriveFault, "does not follow its target", "not_following"),
         "not_remote": Stated(DriveFault, "no longer under remote control", "not_remote"),
         "warning": Stated(counts=(Count("warnings", share=0.9), _WHOLE), real=(Count("warnings", share=0.9),)),
         "brake_engaged": Stated(LimitExceeded, _BEHIND, "stays_behind", "joint"),
