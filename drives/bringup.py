@@ -15,7 +15,8 @@ from drives.scaling import Constants
 from drives.sdo import SdoClient
 from drives.values import Identity
 
-_POLL_S: Final = 0.005
+#: Time between two readings of what a drive takes a moment to do.
+POLL_S: Final = 0.005
 _SYNC_PRODUCER: Final = 1 << 30
 #: What object 0x5FFE of a simulated node says.
 SIMULATOR_NAME: Final = "servo-sim"
@@ -251,7 +252,7 @@ def check_mode(access: ObjectAccess, mode: Mode) -> None:
             if shown == 0 and access.profile.state_machine.mode_before_enable:
                 advice += "; if it shows 0 until it is enabled, set mode_before_enable = false in the profile"
             access.refuse(OBJECTS["mode_display"], f"shows mode {shown} instead of {mode.value}", advice)
-        access.bus.listen(_POLL_S)
+        access.bus.listen(POLL_S)
 
 
 def set_interpolation_period(access: ObjectAccess, sync_period_s: float) -> None:

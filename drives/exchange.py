@@ -146,6 +146,8 @@ class SyncExchange:
         self._decoders: tuple[Decoder, ...] = ()
         self._allowed_count = [0.0] * len(self.drives)
         self._unsure = [0] * len(self.drives)
+        #: Late answers of each axis when it began to leave SYNCs unanswered.
+        self._late_before = [0] * len(self.drives)
         #: Whether the SYNC before has moved an axis; of the cycle that was begun, whether this one will, or both.
         self._moved = self._moves = self._moving = False
         #: By the clock, of the cycle that was begun: by which thread, whether its answers are sure, when its SYNC was
@@ -183,6 +185,14 @@ class SyncExchange:
         self._answer_timeout_s = self.timing.answer_timeout_s
         if self.timing.pacing == "real":
             spare_collections()
+
+    def late_while_silent(self, axis: int) -> int:
+        """Answers of an axis (from 0) that came too late since it began to leave SYNCs unanswered."""
+        return self._late(axis) - self._late_before[axis]
+
+    def _late(self, axis: int) -> int:
+        first = self._first_slots[axis]
+        return sum(self.collector.late_by_slot[first : first + len(self.drives[axis].answers)])
 
     def stands(self, axis: int) -> bool:
         """Whether an axis (from 0) was seen to stand at the last SYNCs."""
@@ -360,6 +370,8 @@ class SyncExchange:
 
     def _without(self, axis: int, decode: Decoder) -> None:
         """No answer that can be assigned: is there none, or does it only not say which SYNC it belongs to?"""
+        if not self.silent[axis]:
+            self._late_before[axis] = self._late(axis)
         came = None if self.timing.pacing == "lockstep" else decode(self.sync_index, self.collector.frames)
         if came is None:
             self.unassigned[axis] = None

@@ -21,6 +21,7 @@ from drives.reactions import DRIVE_RULES
 from drives.symptoms import Symptoms
 
 _EVERY: Final = 16
+_BUSY: Final = "all axes were stopped; end other work on this computer, lower the bus load, or raise sync_period_s"
 _SECOND: Final = frozenset({SYNC_ID, NMT_ID})
 
 
@@ -63,7 +64,6 @@ class Guard:
         self.excused: frozenset[int] = frozenset()
         self._foreign_before: dict[int, int] = {}
         self._foreign_seen = 0
-        self._late_before = 0
         self.forgive()
 
     def forgive(self) -> None:
@@ -72,7 +72,6 @@ class Guard:
         self._symptoms.forgive()
         self.excused = frozenset()
         self._foreign_before, self._foreign_seen = dict(self._bus.foreign), self._bus.foreign_count
-        self._late_before = self._exchange.collector.counts.late
 
     def forgive_cleared(self) -> None:
         """Every node has started: forget what it was before, and emergencies that were said to be over since."""
@@ -142,15 +141,22 @@ class Guard:
         """Axes that leave too many SYNCs unanswered."""
         if max(self._exchange.silent) < self.limits.silent_syncs:
             return
-        late = self._exchange.collector.counts.late - self._late_before
-        more = f"{late} answers came late in this run: is this computer busy, or the bus?" if late else ""
         raise_failures(
             [
-                DRIVE_RULES["silent"].raised(f"left {silent} SYNCs in a row unanswered", node=drive.node_id, more=more)
-                for drive, silent in zip(self._exchange.drives, self._exchange.silent, strict=True)
+                self._silent(axis, silent)
+                for axis, silent in enumerate(self._exchange.silent)
                 if silent >= self.limits.silent_syncs
             ]
         )
+
+    def _silent(self, axis: int, silent: int) -> DriveError:
+        """The error about an axis without answers, or whose answers came when their SYNC was closed."""
+        node, late = self._exchange.drives[axis].node_id, self._exchange.late_while_silent(axis)
+        rule = DRIVE_RULES["silent"]
+        if not late:
+            return rule.raised(f"left {silent} SYNCs in a row unanswered", node=node)
+        what = f"left {silent} SYNCs in a row unanswered in time: {late} answers came late"
+        return replace(rule, advice=_BUSY).raised(what, node=node)
 
     def check_bus(self) -> None:
         """Bus-off, boot-ups, lost heartbeats, another master."""

@@ -119,6 +119,11 @@ class DriveProfile(Strict):
                 f"{counts.value:g} counts per motor revolution are assumed: write what is mounted to [position] "
                 "with its source"
             )
+        if self.heartbeat.abort_connection == 2:
+            found.append(
+                "abort_connection = 2 (disable voltage) lets a moving axis coast, until its brake has closed, when the "
+                "master is lost: set 3 (quick stop) if the drive takes it"
+            )
         return tuple(found)
 
     def emcy_entry(self, code: int) -> EmcyEntry | None:

@@ -282,7 +282,9 @@ class Heartbeat(Strict):
     """How the drive watches the master (0x1016, 0x6007), and how the master watches the drive (0x1017)."""
 
     consumer_ms: int = Field(ge=10, le=65535, description="0x1016: after this silence the drive gives the master up")
-    abort_connection: Literal[2, 3] = Field(description="0x6007: 2 disable voltage, 3 quick stop")
+    abort_connection: Literal[2, 3] = Field(
+        description="0x6007: 3 quick stop; a drive with 2, disable voltage, is read and not moved"
+    )
     producer_ms: int | None = Field(default=None, ge=10, le=65535, description="0x1017, left alone if absent")
 
 

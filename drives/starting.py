@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Final
 
+from drives.bringup import POLL_S
 from drives.cia402 import (
     AT_REST,
     DISABLE_VOLTAGE,
@@ -24,12 +26,14 @@ from drives.errors import (
 )
 from drives.exchange import SyncExchange
 from drives.guard import Guard
-from drives.objects import OBJECTS
+from drives.objects import OBJECTS, object_name
 from drives.pdo import differences
 from drives.values import DriveReading
 from drives.way_up import SAG_REVOLUTIONS
 
 _FIRST_TRIES: Final = 10
+#: Differences of one drive that a message names beside the first one.
+_NAMED: Final = 8
 _LOST: Final = (
     "the drive restarted, was exchanged, or was written by another master: check its supply, then run the command again"
 )
@@ -60,6 +64,8 @@ def refuse_fault(drive: Cia402Drive, guard: Guard) -> None:
 def reset_fault(drive: Cia402Drive) -> None:
     """Reset a fault by SDO; only ever called because a person asked for it.
 
+    The drive has the transition time of its profile to leave FAULT.
+
     Raises
     ------
     DriveFault
@@ -69,7 +75,9 @@ def reset_fault(drive: Cia402Drive) -> None:
     if decode_state(drive.statusword()) is State.FAULT:
         for word in (DISABLE_VOLTAGE, FAULT_RESET, DISABLE_VOLTAGE):
             drive.access.sdo.write(control.index, control.subindex, control.type, word)
-    status = drive.statusword()
+    deadline_s = time.monotonic() + drive.setup.profile.state_machine.transition_timeout_s
+    while decode_state(status := drive.statusword()) in FAULTED and time.monotonic() < deadline_s:
+        drive.access.bus.listen(POLL_S)
     if decode_state(status) in FAULTED:
         what = f"is still in {describe(status)}: {drive.fault_words()}"
         raise DriveFault(what, node=drive.node_id, index=0x6041, code=status, advice="its cause is still there")
@@ -130,28 +138,32 @@ def refuse_lost_configuration(drive: Cia402Drive) -> None:
     Raises
     ------
     ConfigurationRefused
-        The first object that differs, with its value as configured and as read.
+        Every object and PDO that differs, with its value as configured and as read; the error names the first one.
     """
     mapped = {(each.index, each.subindex) for plan in drive.commands for each in plan.entries}
-    lost = list(drive.access.changed(without=mapped))
-    for plan in drive.plans:
-        for what in differences(plan, drive.access.sdo.read):
-            changed = f"{plan.name} {what} since it was configured"
-            raise ConfigurationRefused(changed, node=drive.node_id, index=plan.mapping, advice=_LOST)
-    for (index, subindex), value, now in lost:
-        more = f", and {len(lost) - 1} more objects differ" if len(lost) > 1 else ""
-        what = f"{value:#x} was configured, {now:#x} is read now{more}"
+    lost = [
+        (address, f"{value:#x} was configured, {now:#x} is read now")
+        for address, value, now in drive.access.changed(without=mapped)
+    ]
+    pdos = [
+        ((plan.mapping, 0), f"{plan.name} {', '.join(changed)} since it was configured")
+        for plan in drive.plans
+        if (changed := differences(plan, drive.access.sdo.read))
+    ]
+    if lost or pdos:
+        ((index, subindex), first), *others = (*pdos, *lost)
+        named = [f"{object_name(*address)}: {what}" for address, what in others[:_NAMED]]
+        more = [f"and {len(others) - _NAMED} more"] if len(others) > _NAMED else []
+        what = "; ".join([first, *named, *more])
         raise ConfigurationRefused(what, node=drive.node_id, index=index, subindex=subindex, advice=_LOST)
     position = drive.setup.profile.position.object
     if drive.rest_count is not None:
         count = drive.access.read(position)
         if abs(count - drive.rest_count) > abs(drive.scale.revolutions(SAG_REVOLUTIONS)):
-            raise ConfigurationRefused(
+            drive.access.refuse(
+                position,
                 f"the axis came to rest at {drive.rest_count} counts, {count} counts are read now",
-                node=drive.node_id,
-                index=position.index,
-                subindex=position.subindex,
-                advice="the brake slipped, the axis was moved by hand, or the encoder lost its reference",
+                "the brake slipped, the axis was moved by hand, or the encoder lost its reference",
             )
 
 

@@ -194,7 +194,7 @@ _TABLE: Final[tuple[tuple[Question, Wanted], ...]] = (
             "lost_heartbeat",
             "What shall stop the drive when the master's heartbeat is lost? (quick stop, disable voltage)",
             (
-                "the manual's page on 0x6007: some drives take 2 (disable voltage) and refuse 3 (quick stop)",
+                "the manual's page on 0x6007: a drive that takes 2 (disable voltage) alone is read and not moved",
                 "`servo-gateway check CELL --prove-stop` tries it, and nothing else moves before it has passed",
             ),
         ),

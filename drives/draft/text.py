@@ -245,7 +245,7 @@ def _heartbeat(device: Device, answers: ProfileAnswers) -> str:
     answer = answers.lost_heartbeat
     said = "as answered" if answer else "assumed: quick stop"
     lines = [
-        f"# 0x6007 when the master's heartbeat is lost: 2 disable voltage, 3 quick stop; {said}.",
+        f"# 0x6007 when the heartbeat of the master is lost: 3 quick stop; with 2 it is not moved; {said}.",
         "# `servo-gateway check CELL --prove-stop` tries it.",
         "[heartbeat]",
         "consumer_ms = 500",

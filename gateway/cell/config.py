@@ -70,6 +70,10 @@ class TorqueConstant(SourcedNumber):
         return self
 
 
+#: Options of an interface that do not choose which bus it is.
+_NOT_OF_THE_WIRE: Final = frozenset({"receive_own_messages", "hop_limit", "fd", "txqueuelen"})
+
+
 class BusConfig(Strict):
     """One CAN bus; `options` go to the python-can interface as they stand."""
 
@@ -90,6 +94,12 @@ class BusConfig(Strict):
     options: dict[str, str | int | float | bool] = Field(
         default_factory=dict, description="further options of the interface, as they stand"
     )
+
+    @property
+    def wire(self) -> tuple[object, ...]:
+        """By which two tables are seen to be one bus: interface, channel, and options that choose between adapters."""
+        options = sorted((key, value) for key, value in self.options.items() if key not in _NOT_OF_THE_WIRE)
+        return (self.interface, self.channel, *options)
 
 
 class KeepOut(Strict):
@@ -457,6 +467,12 @@ class Cell(Strict):
 
     def _slips(self) -> plausible.Found:
         names = [arm.name for arm in self.arm]
+        wires: dict[tuple[object, ...], str] = {}
+        for name, bus in self.bus.items():
+            other = wires.setdefault(bus.wire, name)
+            if other != name:
+                what = f"[bus.{name}] and [bus.{other}] are both {bus.interface} {bus.channel}: one bus has one master"
+                yield ("bus", name, "channel"), f"{what}; write one table, and its name to each arm's bus"
         taken: dict[tuple[str, int], str] = {}
         for number, arm in enumerate(self.arm):
             if arm.name in names[:number]:

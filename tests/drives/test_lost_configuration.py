@@ -80,6 +80,17 @@ def test_two_drives_that_restarted_are_both_named(bus, slaves, waiting):
     assert not any(slave.state == "operation enabled" for slave in slaves)
 
 
+def test_objects_that_differ_are_listed_also_where_a_pdo_differs(bus, slaves, waiting):
+    group, delivered = waiting
+    restart(slaves[1], delivered[1])
+    bus.listen(0.02)
+    with pytest.raises(ConfigurationRefused, match="RPDO1 has transmission type 255") as refused:
+        group.enable()
+    for named in ("6060:00", "6072:00", "6007:00", "0x3 was configured, 0x0 is read now"):
+        assert named in str(refused.value)
+    assert len(str(refused.value).splitlines()) <= 10
+
+
 def test_a_position_that_restarted_at_zero_is_refused_also_after_configuring_again(bus, slaves, waiting):
     group, _ = waiting
     slaves[1].position = 0

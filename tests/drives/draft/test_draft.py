@@ -62,12 +62,19 @@ def test_a_draft_of_a_sheet_alone_reads_and_refuses_motion(device):
     assert "torque_kind" in profile.torque.source
 
 
+def test_a_drive_that_coasts_without_its_master_is_not_moved(device):
+    profile = profile_of(device(), **TORQUE, lost_heartbeat="disable voltage")
+    assert profile.heartbeat.abort_connection == 2
+    assert len(profile.obstacles) == 1
+    assert "abort_connection = 2 (disable voltage) lets a moving axis coast" in profile.obstacles[0]
+
+
 def test_answers_make_it_whole(device):
     """0x6076 shows 512871 uNm, the word 500 per mille of it."""
-    profile = profile_of(device(), **TORQUE, lost_heartbeat="disable voltage")
+    profile = profile_of(device(), **TORQUE, lost_heartbeat="quick stop")
     assert profile.obstacles == ()
     assert (profile.torque.source, profile.torque.basis) == ("manual p. 84", "manual")
-    assert profile.heartbeat.abort_connection == 2
+    assert profile.heartbeat.abort_connection == 3
     rated_nm = 512871 * profile.torque.rated.unit
     scale = motor_scale(profile, Constants(rated_nm, None, None, 65536.0), 1.0)
     assert 500 * scale.torque_nm == pytest.approx(0.2564355)

@@ -147,6 +147,28 @@ def test_an_arm_of_a_pair_has_at_least_six_axes():
         parse_cell(as_toml(pair), "cell.toml")
 
 
+@pytest.mark.parametrize(
+    ("changes", "refused"),
+    [
+        ({}, True),
+        ({"options": {"receive_own_messages": True}}, True),
+        ({"sync_period_s": 0.02}, True),
+        ({"channel": "can1"}, False),
+        ({"options": {"device_id": 7}}, False),
+    ],
+)
+def test_two_tables_of_one_channel_are_refused(cell, changes, refused):
+    cell["bus"]["a"] = {"interface": "socketcan", "channel": "can0"}
+    cell["bus"]["b"] = cell["bus"]["a"] | changes
+    if refused:
+        with pytest.raises(
+            ValueError, match=r"\[bus.b\] and \[bus.a\] are both socketcan can0: one bus has one master"
+        ):
+            Cell.model_validate(cell)
+    else:
+        assert set(Cell.model_validate(cell).bus) == {"a", "b"}
+
+
 def test_two_arms_on_one_bus_need_different_nodes(cell):
     second = copy.deepcopy(cell["arm"][0]) | {"name": "left"}
     cell["arm"].append(second)

@@ -149,6 +149,7 @@ def test_the_bus_is_that_of_the_cell_unless_another_one_is_given(small_cell, mon
     ("old", "new", "says"),
     [
         ("[torque]\n", '[torque]\nbasis = "assumed"\n', "what one bit of the torque"),
+        ("abort_connection = 3", "abort_connection = 2", "lets a moving axis coast"),
         ('name = "generic-cia402"', 'name = "generic-cia402"\nno_motion = ["no 0x1016: it is deaf"]', "no 0x1016"),
     ],
 )
