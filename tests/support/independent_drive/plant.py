@@ -12,6 +12,8 @@ from tests.support.independent_drive.arm import COUNTS_PER_REVOLUTION, EFFICIENC
 STEP_S = 0.0025
 #: Bandwidth of the position servo, critically damped [rad/s].
 SERVO_RAD_S = 60.0
+#: Part of the reference's speed that the servo feeds forward; with less than all of it the joint does not overshoot.
+RATE_SHARE = 0.5
 #: Joint angle over which friction turns round (Dahl) [rad].
 PRESLIDING_RAD = 5e-4
 #: Noise of the measured torque [per mille of the rated torque].
@@ -55,15 +57,15 @@ class Axis:
 
     @property
     def resistance(self) -> float:
-        """Torque at the joint that keeps the present speed: weight through the gear, friction.
+        """Torque of the motor, at the joint, that keeps the present speed against weight and friction.
 
-        A motor that drives a weight has to give 1 / efficiency of it; one that is driven feels the efficiency of it.
+        A motor that drives the joint has to give 1 / efficiency of it; one that is driven feels the efficiency of it.
         Which of both it is follows from the direction of the last motion, as friction does.
         """
         direction = self.friction / self.motor.coulomb
-        factor = 1.0 / EFFICIENCY if direction * self.weight > 0.0 else EFFICIENCY
-        through_gear = self.weight * (1.0 + abs(direction) * (factor - 1.0))
-        return through_gear + self.friction + self.motor.viscous * self.speed
+        behind = self.weight + self.friction + self.motor.viscous * self.speed
+        factor = 1.0 / EFFICIENCY if direction * behind > 0.0 else EFFICIENCY
+        return behind * (1.0 + abs(direction) * (factor - 1.0))
 
     def hold(self) -> None:
         """The reference is where the axis is."""
@@ -98,7 +100,7 @@ class Axis:
             self.reference += self.rate * STEP_S * part
             if part < 1.0:
                 self.rate, self._until_s = 0.0, math.inf
-            error, slip = self.reference - self.angle, self.rate - self.speed
+            error, slip = self.reference - self.angle, RATE_SHARE * self.rate - self.speed
             wanted = SERVO_RAD_S * (SERVO_RAD_S * error + 2.0 * slip)
             torque = resistance + self.motor.inertia * wanted
             self.torque = min(self.limit_nm, max(-self.limit_nm, torque))

@@ -6,7 +6,20 @@ import math
 
 import pytest
 
+from tests.support.independent_drives import SIX
+
 pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.xdist_group("by-the-clock")]
+#: Mass [kg] and centre of gravity in the frame of the last link [m].
+LOAD = (3.2, (0.12, 0.02, -0.03))
+#: Joint angles [rad].
+POSES = ("0.1,0,0.4,0,0.5,0", "0.1,0.3,0.2,0.6,0.9,0.5", "0.1,0.4,-0.2,-0.6,-0.6,-0.5")
+#: Where `move` goes, in counts: 65536 to a motor revolution, behind each gear, from each zero.
+AT_TARGET = [
+    65536 / (2 * math.pi) * ratio * (angle - zero)
+    for ratio, angle, zero in zip(
+        (100, -100, 80, -60, 60, 50), (0.1, -0.1, 0.4, 0.0, 0.4, 0.0), (0, 0.02, 0, 0, -0.015, 0), strict=True
+    )
+]
 #: Quick stop ramp of axis 3 as delivered: 5 rad/s2 behind a gear of 80, in 0.1 rpm/s.
 QUICK_STOP_3 = round(5.0 * 80 * 600 / (2 * math.pi))
 
@@ -14,7 +27,7 @@ QUICK_STOP_3 = round(5.0 * 80 * 600 / (2 * math.pi))
 def test_scan_and_check(place, drives, failed):
     nodes = place.result("scan", "--listen", 0.5, bus=True)["nodes"]
     product = {"zero-extended": 0x0402_0001, "no-size": 0x0402_0002}[drives.variant]
-    assert [node["node_id"] for node in nodes] == [1, 2, 3, 4, 5, 6]
+    assert [node["node_id"] for node in nodes] == list(SIX)
     for node in nodes:
         found = (node["vendor_id"], node["product_code"], node["revision"], node["serial_number"])
         assert found == (0x0D5A, product, 0x0002_0007, 0x2600_0000 + node["node_id"])
@@ -39,6 +52,27 @@ def test_the_proof_stops_the_arm_twice_at_speed(place, drives, failed):
         assert any("quick stop: at rest after" in what for what in said)
 
 
+@pytest.mark.parametrize("drives", ["no-size"], indirect=True)
+def test_from_the_first_motion_to_the_load(place, drives):
+    """`move`, two recordings, `estimate`, on an arm with friction and gears that take a tenth of the work."""
+    place.types("move", place.cell, "--to", "0.1,-0.1,0.4,0,0.4,0", "--override", 100, "--yes")
+    counts = [drives.read(node, 0x6064, 0) for node in SIX]
+    assert counts == pytest.approx([round(each) for each in AT_TARGET], abs=20)
+    bare, loaded = place.folder / "bare.h5", place.folder / "loaded.h5"
+    poses = [word for pose in POSES for word in ("--pose", pose)]
+    place.types("record", place.cell, "--load", "none", "-o", bare, "--yes", *poses)
+    drives.attach(*LOAD)
+    place.types("record", place.cell, "--load", "part", "-o", loaded, "--yes", *poses)
+    (load,) = place.result("estimate", bare, loaded, "--cell", place.cell, bus=False)["loads"]
+    mass, com = LOAD
+    print(f"load {load['mass_kg']:.3f} +- {1.96 * load['mass_std_kg']:.3f} kg of {mass} kg (95 %)")
+    assert abs(load["mass_kg"] - mass) < 1.96 * load["mass_std_kg"]
+    assert load["mass_std_kg"] < 0.02 * mass
+    for found, std, true in zip(load["com_m"], load["com_std_m"], com, strict=True):
+        assert abs(found - true) < 3.29 * std  # 99.9 %
+        assert std < 0.005
+
+
 def test_configuration_is_kept_compared_written_and_put_back(place, drives):
     dcf = ("--dcf", place.folder / "dcf")
     place.types("config", "dump", place.cell, "--eds", place.folder / "drive.eds", "--output", place.folder / "dcf")
@@ -54,7 +88,7 @@ def test_configuration_is_kept_compared_written_and_put_back(place, drives):
     assert drives.read(3, 0x6085, 0) == 0x9C40
     place.types("restore", place.cell)
     assert drives.read(3, 0x6085, 0) == QUICK_STOP_3
-    for node in (1, 2, 3, 4, 5, 6):
+    for node in SIX:
         assert drives.read(node, 0x6072, 0) == 3000
         assert drives.read(node, 0x1016, 1) == 0
         assert drives.read(node, 0x1A00, 1) == 0x6041_0010
