@@ -7,6 +7,7 @@ import math
 import pytest
 
 from tests.support.independent_drives import SIX
+from tests.vcan.independent.conftest import EMULATED
 
 pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.xdist_group("by-the-clock")]
 #: Mass [kg] and centre of gravity in the frame of the last link [m].
@@ -41,6 +42,8 @@ def test_scan_and_check(place, drives, failed):
 
 def test_the_proof_stops_the_arm_twice_at_speed(place, drives, failed):
     """Once by the lost heartbeat, once by the quick stop word: both at about 0.05 rad/s, before the arm slows down."""
+    if EMULATED and drives.variant == "zero-extended":
+        pytest.skip("one variant moves where the processor is emulated")
     report = place.result("check", place.cell, "--prove-stop", "--yes")
     assert failed(report) == []
     for lost, word, *_ in drives.stop_speeds():
@@ -52,6 +55,7 @@ def test_the_proof_stops_the_arm_twice_at_speed(place, drives, failed):
         assert any("quick stop: at rest after" in what for what in said)
 
 
+@pytest.mark.skipif(EMULATED, reason="an emulated processor takes a quarter of an hour for these motions")
 @pytest.mark.parametrize("drives", ["no-size"], indirect=True)
 def test_from_the_first_motion_to_the_load(place, drives):
     """`move`, two recordings, `estimate`, on an arm with friction and gears that take a tenth of the work."""
