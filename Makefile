@@ -10,7 +10,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c c
 # Tests start the programs hundreds of times: without byte code on disk each start compiles them anew.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: venv demo test test-slow lint docs bench blind blind-nature vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space pages clean
+.PHONY: venv demo test test-slow lint docs bench blind blind-nature compare vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space pages clean
 
 venv: $(STAMP)
 
@@ -59,6 +59,11 @@ blind: venv
 # Arms as they stand, by nature's own draws: an hour and more.
 blind-nature: venv
 	$(BIN)/python -m benchmarks.blind --tier nature --out out/blind-nature
+
+# What estimate and diagnose answer to 300 seeded tables, to compare another version with (--against FILE): an hour.
+compare: venv
+	mkdir -p out
+	$(BIN)/python -m benchmarks.compare --store out/compare.json
 
 vcan: venv
 	$(BIN)/python tests/vcan/vm.py

@@ -1,0 +1,166 @@
+"""Answers of two versions side by side, per condition."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.compare.answers import relative
+
+Answers = dict[str, dict]
+#: Half width of a 95 % interval, in standard deviations.
+HALF_WIDTH = 1.96
+COMMANDS = ("estimate", "diagnose")
+
+
+def print_differences(before: Answers, after: Answers) -> None:
+    """Print figures per condition, `before -> after` where an earlier version is given, and what changed."""
+    console = Console(width=170)
+    shared = {number: before[number] for number in after if number in before}
+    conditions = list(dict.fromkeys(answer["condition"] for answer in after.values()))
+    for command in COMMANDS:
+        figures = Table("condition", "tables", *FIGURES, "largest change: load", "std", title=command)
+        for condition in [*conditions, "all"]:
+            new = {n: a for n, a in after.items() if condition in (a["condition"], "all")}
+            old = {n: shared[n] for n in new if n in shared}
+            row = [_both(figure, old, new, command) for figure in FIGURES.values()]
+            figures.add_row(condition, str(len(new)), *row, *_changes(old, new, command))
+        console.print(figures)
+    console.print("estimate against diagnose with no effect named: largest relative difference of load and std")
+    for condition in conditions:
+        now = [a.get("difference") for a in after.values() if a["condition"] == condition]
+        console.print(f"  {condition}: {_largest(now)} in {sum(d is not None for d in now)} tables")
+    for line in _changed_words(shared, after):
+        console.print(line, highlight=False)
+
+
+def coverage(answers: Iterable[dict], command: str) -> str:
+    """Share of 95 % intervals of mass and centre that hold the truth."""
+    hits = [
+        abs(value - true) <= HALF_WIDTH * std
+        for value, std, true in _values(answers, command)
+        if std is not None and value is not None
+    ]
+    return f"{100 * np.mean(hits):.1f} %" if hits else "-"
+
+
+def mass_error(answers: Iterable[dict], command: str) -> str:
+    """Median and root mean square of the relative error of the mass."""
+    error = [abs(load["value"][0] / true[0] - 1.0) for load, true in _loads(answers, command) if _known(load)]
+    return f"{100 * np.median(error):.2f} / {100 * _rms(error):.2f} %" if error else "-"
+
+
+def centre_error(answers: Iterable[dict], command: str) -> str:
+    """Median distance of the centre of gravity."""
+    error = [
+        np.linalg.norm(np.array(load["value"][1:]) - true[1:])
+        for load, true in _loads(answers, command)
+        if None not in load["value"]
+    ]
+    return f"{1000 * np.median(error):.2f} mm" if error else "-"
+
+
+def width(answers: Iterable[dict], command: str) -> str:
+    """Median standard deviation of the mass over the mass."""
+    std = [load["std"][0] / true[0] for load, true in _loads(answers, command) if load["std"][0] is not None]
+    return f"{100 * np.median(std):.2f} %" if std else "-"
+
+
+def refused(answers: Iterable[dict], command: str) -> str:
+    """Tables and loads that were refused."""
+    parts = [answer[command] for answer in answers]
+    loads = sum(load["refused"] is not None for part in parts for load in part.get("loads", {}).values())
+    return f"{sum('refused' in part for part in parts)}, {loads}"
+
+
+def naming(answers: Iterable[dict], command: str) -> str:
+    """Tables in which exactly what is there is named, and in which something is named that is not there."""
+    parts = [answer[command] for answer in answers if "right" in answer[command]]
+    return f"{sum(p['right'] for p in parts)}, {sum(p['misnamed'] for p in parts)} of {len(parts)}" if parts else "-"
+
+
+def cpu_time(answers: Iterable[dict], command: str) -> str:
+    """Median and largest processor time."""
+    times = [answer[command]["time_s"] for answer in answers]
+    return f"{np.median(times):.2f} / {max(times):.2f} s" if times else "-"
+
+
+FIGURES: dict[str, Callable[[Iterable[dict], str], str]] = {
+    "95 % hold": coverage,
+    "mass, median / rms": mass_error,
+    "centre": centre_error,
+    "std of mass": width,
+    "refused tables, loads": refused,
+    "right, misnamed": naming,
+    "time, median / largest": cpu_time,
+}
+
+
+def _loads(answers: Iterable[dict], command: str) -> list[tuple[dict, list[float]]]:
+    out = []
+    for answer in answers:
+        found = answer[command].get("loads", {})
+        out += [(found[label], true) for label, true in answer["truth"].items() if label in found]
+    return out
+
+
+def _values(answers: Iterable[dict], command: str) -> list[tuple[float | None, float | None, float]]:
+    return [
+        values
+        for load, true in _loads(answers, command)
+        for values in zip(load["value"], load["std"], true, strict=True)
+    ]
+
+
+def _known(load: dict) -> bool:
+    return load["value"][0] is not None
+
+
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _both(figure: Callable[[Iterable[dict], str], str], old: Answers, new: Answers, command: str) -> str:
+    now = figure(list(new.values()), command)
+    was = figure(list(old.values()), command) if old else now
+    return now if was == now else f"{was} -> {now}"
+
+
+def _changes(old: Answers, new: Answers, command: str) -> tuple[str, str]:
+    """Largest relative change of a load and of a standard deviation."""
+    out = []
+    for key in ("value", "std"):
+        worst: list[float | None] = []
+        for number, answer in old.items():
+            was, now = answer[command].get("loads", {}), new[number][command].get("loads", {})
+            for label in was.keys() & now.keys():
+                worst += relative(was[label][key], now[label][key])
+        out.append(_largest(worst))
+    return out[0], out[1]
+
+
+def _largest(values: Sequence[float | None]) -> str:
+    known = [value for value in values if value is not None]
+    return f"{max(known):.1e}" if known else "-"
+
+
+def _changed_words(before: Answers, after: Answers) -> list[str]:
+    """Tables whose verdict, effects or refusals are others now."""
+    out = []
+    for number, old in before.items():
+        for command in COMMANDS:
+            was, now = _words(old[command]), _words(after[number][command])
+            if was != now:
+                out.append(f"table {number} ({old['condition']}, seed {old['seed']}) {command}: {was} -> {now}")
+    return out
+
+
+def _words(part: dict) -> str:
+    if "refused" in part:
+        return f"refused: {part['refused']}"
+    effects = ", ".join(f"{name} {joints}" for name, joints in part.get("effects", []))
+    loads = ", ".join(f"{label} refused" for label, load in part["loads"].items() if load["refused"])
+    return "; ".join(text for text in (part.get("verdict", ""), effects, loads) if text) or "loads"

@@ -1,0 +1,210 @@
+"""Seeded tables of a comparison: what was measured, what the owner states, and the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pinocchio  # pyright: ignore[reportMissingImports]
+from numpy.typing import NDArray
+
+from gateway.data.table import Table
+from gateway.diagnose import DiagnoseOptions
+from gateway.estimate import EstimateOptions, estimate
+from gateway.model.robot import Robot, robot_from_urdf
+from sim import blind
+from sim.draw import LOADED_S, VISIT_S, draw_load
+from sim.nature.cell import NatureCell, draw_effect_cell
+from sim.nature.cell import draw_cell as draw_nature_cell
+from sim.nature.levels import CONDITIONS
+from sim.offline import PlannedVisit, measure
+from sim.plant import Payload
+from tests.arms import peer_of, urdf_of
+from tests.support.blind.mechanisms import MECHANISMS
+from tests.support.blind.nature import diagnose_options, estimate_options
+from tests.support.blind.strict import There, there
+from tests.support.moving.cells import TIERS
+from tests.support.moving.cells import draw_cell as draw_moving_cell
+from tests.support.rigs.tables import make_table, simulated_table
+
+Floats = NDArray[np.float64]
+
+#: Seeds of the comparison start here: no other benchmark or test draws them.
+FIRST_SEED = 70000
+#: Numbers of axes of the random arms.
+AXES = (2, 3, 4, 5, 7, 8)
+RANDOM_POSES = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One table with what is stated and what is true.
+
+    Attributes
+    ----------
+    condition : str
+    seed : int
+    table : Table
+    robot : Robot
+    estimate, diagnose : options of either command
+    loads : label -> true mass [kg] and centre of gravity [m] (4,)
+    effects : effects that are present; None where no list exists
+    """
+
+    condition: str
+    seed: int
+    table: Table
+    robot: Robot
+    estimate: EstimateOptions
+    diagnose: DiagnoseOptions
+    loads: Mapping[str, Floats]
+    effects: tuple[There, ...] | None = field(default=())
+
+
+def case(number: int) -> Case:
+    """Return table `number` of the list: conditions alternate, so that any first N hold all of them."""
+    condition = tuple(MAKERS)[number % len(MAKERS)]
+    return replace(MAKERS[condition](FIRST_SEED + number // len(MAKERS)), condition=condition)
+
+
+def _parameters(load: Payload) -> Floats:
+    return np.array([load.mass_kg, *load.com_m])
+
+
+def _drawn_options(cell: blind.BlindCell) -> tuple[EstimateOptions, DiagnoseOptions]:
+    arm = cell.arm
+    return (
+        EstimateOptions(inertials="prior:0.05", known=arm.known, efficiency=tuple(arm.efficiency.tolist())),
+        DiagnoseOptions(inertials="prior:0.05", known=arm.known, efficiency=arm.efficiency, gear_ratio=arm.gear_ratio),
+    )
+
+
+def _drawn(seed: int) -> Case:
+    """Rest poses from both sides, bare and loaded; one or two effects in half of the arms."""
+    cell = blind.draw_cell(seed)
+    robot = robot_from_urdf(cell.arm.urdf, f"seed {seed}")
+    table = simulated_table(cell.measure(cell.visits))
+    pairs = zip(cell.truth.effects, cell.truth.strengths, strict=True)
+    effects = tuple(there([str(e["name"])], e["joints"], s) for e, s in pairs)  # type: ignore[arg-type]
+    loads = {"tool": _parameters(cell.arm.loads["tool"])}
+    return Case("", seed, table, robot, *_drawn_options(cell), loads, None if cell.truth.kind == "off" else effects)
+
+
+def _one_sided(seed: int) -> Case:
+    """The same arms, each pose approached from one side."""
+    whole = _drawn(seed)
+    side = np.random.default_rng([seed, 5]).integers(0, 2, whole.table.pose.max() + 1)
+    keep = (whole.table.direction[:, 0] > 0) == (side[whole.table.pose] > 0)
+    # friction of each axis by direction is in every one-sided table, and may be named
+    friction = tuple(there(["static_friction"], [axis + 1], 0.0) for axis in range(whole.table.axes))
+    effects = None if whole.effects is None else (*whole.effects, *friction)
+    return replace(whole, table=whole.table.take(keep), effects=effects)
+
+
+def _several(seed: int) -> Case:
+    """A bare arm and two loads, no effect."""
+    cell = blind.draw_cell(seed)
+    rng = np.random.default_rng([seed, 6])
+    arm = cell.arm
+    tool = arm.loads["tool"]
+    loads = {"tool": tool, "other": replace(draw_load("other", tool.mass_kg, rng), label="other")}
+    after = max(visit.time_s for visit in cell.visits) + LOADED_S
+    bare = [visit for visit in cell.visits if visit.load == "none"]
+    more = [PlannedVisit(v.pose, "other", after + VISIT_S * k, v.q_rad) for k, v in enumerate(bare)]
+    columns = measure(arm.chain, arm.plant, [*cell.visits, *more], loads, arm.protocol, rng)
+    robot = robot_from_urdf(arm.urdf, f"seed {seed}")
+    truth = {label: _parameters(load) for label, load in loads.items()}
+    return Case("", seed, simulated_table(columns), robot, *_drawn_options(cell), truth)
+
+
+def _of_nature(cell: NatureCell) -> Case:
+    table = simulated_table(cell.measure(cell.visits)[0])
+    robot = robot_from_urdf(cell.stated.urdf, f"seed {cell.seed}")
+    pairs = zip(cell.effects, cell.strengths, strict=True)
+    effects = tuple(there(MECHANISMS[e.mechanism], e.joints, s) for e, s in pairs)
+    loads = {"tool": _parameters(cell.arm.tool)}
+    return Case("", cell.seed, table, robot, estimate_options(cell), diagnose_options(cell), loads, effects)
+
+
+def _nature(seed: int) -> Case:
+    """Arms drawn by nature, nothing beyond what every arm has; conditions in turn."""
+    return _of_nature(draw_nature_cell(seed, CONDITIONS[seed % len(CONDITIONS)]))
+
+
+def _nature_effects(seed: int) -> Case:
+    """Arms drawn by nature with something beyond it."""
+    return _of_nature(draw_effect_cell(seed))
+
+
+def _stored_bare(seed: int) -> Case:
+    """Loaded poses of a nature arm, against a stored identification of the bare arm."""
+    whole = _nature(seed)
+    bare_rows = np.asarray(whole.table.load) == "none"
+    bare = estimate(whole.table.take(bare_rows), whole.robot, whole.estimate).bare
+    return replace(
+        whole,
+        table=whole.table.take(~bare_rows),
+        estimate=replace(whole.estimate, bare=bare),
+        diagnose=replace(whole.diagnose, bare=bare),
+    )
+
+
+def _axes(seed: int) -> Case:
+    """Random chains of 2 to 8 axes: torque by pinocchio, friction band, noise; links known to 5 %."""
+    axes = AXES[seed % len(AXES)]
+    rng = np.random.default_rng([seed, 8])
+    text = urdf_of(rng, axes=axes)
+    robot = robot_from_urdf(text, f"{axes} axes")
+    model, data = peer_of(text)
+    for i in range(1, axes + 1):
+        body = model.inertias[i]
+        lever = body.lever + 0.05 * np.linalg.norm(body.lever) * rng.standard_normal(3)
+        model.inertias[i] = pinocchio.Inertia(body.mass * (1.0 + 0.05 * rng.standard_normal()), lever, body.inertia)
+    mass, com = float(rng.uniform(3.0, 15.0)), rng.uniform(-0.15, 0.15, 3)
+    bare, flange = pinocchio.Inertia(model.inertias[axes]), pinocchio.Inertia(mass, com, 0.01 * mass * np.eye(3))
+    poses = rng.uniform(-2.5, 2.5, (RANDOM_POSES, axes))
+    still = np.zeros(axes)
+    rows, torque, scale = [], [], None
+    for place, label in enumerate(("none", "tool")):
+        model.inertias[axes] = bare if label == "none" else bare + flange
+        tau = np.array([pinocchio.rnea(model, data, q, still, still) for q in poses])
+        scale = np.abs(tau).max(axis=0) + 1.0 if scale is None else scale
+        for side in (1.0, -1.0):
+            left = 1.0 - 0.3 * rng.uniform(size=tau.shape)
+            noise = 0.002 * rng.standard_normal(tau.shape)
+            torque.append(tau + scale * (side * 0.03 * left + noise))
+            start = VISIT_S * RANDOM_POSES * place + 8.0 * (side < 0)
+            rows += [(label, k, start + VISIT_S * k, side) for k in range(RANDOM_POSES)]
+    load, pose, time_s, direction = zip(*rows, strict=True)
+    table = make_table(
+        np.array(load), np.array(pose), np.tile(poses, (4, 1)), np.vstack(torque),
+        time=np.array(time_s), direction=np.array(direction), count=100,
+    )  # fmt: skip
+    truth = {"tool": np.array([mass, *com])}
+    options = DiagnoseOptions(inertials="prior:0.05", gain_std=(0.0,) * axes)
+    return Case("", seed, table, robot, EstimateOptions("prior:0.05", gain_std=(0.0,) * axes), options, truth)
+
+
+def _moving(seed: int) -> Case:
+    """A bare and a loaded run along an excitation trajectory; what is known of the torque constants in turn."""
+    cell = draw_moving_cell(seed, TIERS[seed % len(TIERS)], periods=2, rate_hz=50.0)
+    options = cell.options
+    diagnosis = DiagnoseOptions(
+        inertials=options.inertials, gain_std=options.gain_std, efficiency=np.array(options.efficiency)
+    )
+    robot = robot_from_urdf(cell.stated.urdf, f"seed {seed}")
+    return Case("", seed, cell.table(), robot, options, diagnosis, {"tool": _parameters(cell.arm.tool)})
+
+
+#: Conditions in the order in which they alternate.
+MAKERS: Mapping[str, Callable[[int], Case]] = {
+    "rest": _drawn,
+    "one-sided": _one_sided,
+    "several loads": _several,
+    "bare stored": _stored_bare,
+    "2 to 8 axes": _axes,
+    "nature": _nature,
+    "nature, effects": _nature_effects,
+    "moving": _moving,
+}
